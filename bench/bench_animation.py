@@ -21,9 +21,9 @@ import numpy as np
 
 from bench_mesh import PEERS, missing
 from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figure, timed
+from touchfield.compute.threads import worker_count
 from touchfield.medium import Grid
-from touchfield.parallel import worker_count
-from touchfield.sources.animated_mesh import AnimatedMeshScene
+from touchfield.sources.animation.animated_mesh import AnimatedMeshScene
 from touchfield.sources.laws import ForceProfile
 
 BAND = 4  # voxels

@@ -17,8 +17,8 @@ import numpy as np
 
 from machine import Bar, Figures, at_least, at_most, bench, figure, timed
 from touchfield.devices import device
-from touchfield.job.array_medium import array_drives
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.pipeline.array_medium import array_drives
 from touchfield.render.sampler import FieldSampler
 
 RATE_HZ, N = 30.0, 64

@@ -30,15 +30,15 @@ from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.filters.resample import rebuilt
-from touchfield.job import EncodeSpec
-from touchfield.job.live import LiveSpec, broadcast, opened_sender
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.stream.access import Access
-from touchfield.stream.datagrams import Datagrams, Gathering
-from touchfield.stream.live import LiveReceiver, LiveSegment, LiveSender, Lost, Refused
-from touchfield.stream.live_server import LiveServer
-from touchfield.stream.udp import REPAIR
+from touchfield.network.access import Access
+from touchfield.network.datagrams import Datagrams, Gathering
+from touchfield.network.live import LiveReceiver, LiveSegment, LiveSender, Lost, Refused
+from touchfield.network.live_server import LiveServer
+from touchfield.network.udp import REPAIR
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.tasks.live import LiveSpec, broadcast, opened_sender
 
 RATE_HZ, FRAMES = 30.0, 8
 GRID = Grid((64, 64, 64), (0.002,) * 3, (-0.063,) * 3)
@@ -184,11 +184,11 @@ def on_air(segment_s: float) -> Iterator[tuple[str, float]]:
 
 def delays(segment_s: float, seconds: float) -> list[float]:
     """Seconds between a frame at the sender and in the hand, sampled while it plays."""
-    from touchfield.adapters.registry import point_device
     from touchfield.devices import device
+    from touchfield.devices.drivers.registry import point_device
     from touchfield.medium.trace import Trace
+    from touchfield.network.live_client import open_live
     from touchfield.render.player import Player
-    from touchfield.stream.live_client import open_live
 
     still = Trace(np.array([0.0, 1e3]), np.zeros((2, 3)))
     seen = []
@@ -210,8 +210,8 @@ def delays(segment_s: float, seconds: float) -> list[float]:
 def large(folder: Path, mib: int) -> Figures:
     """A file of so many MiB on a server: what is fetched before a segment in its middle."""
     from touchfield.container.remote import RemoteFile
-    from touchfield.stream.opened import opened
-    from touchfield.stream.server import application
+    from touchfield.network.server import application
+    from touchfield.pipeline.decoding import opened
 
     rng = np.random.default_rng(0)
     encoder = TouchEncoder(GRID, TouchSpec(effort="fast", mode="lossless"))
@@ -278,7 +278,7 @@ def losses(messages: int) -> Figures:
 def coarse_share() -> Figures:
     """What the coarse layer of a photograph's depth takes beside the stream, at nw 6, and what a hand then lacks."""
     from touchfield.codec.registry import field_encoder
-    from touchfield.job.live import coarse_layer
+    from touchfield.tasks.live import coarse_layer
 
     prepared, _ = opened_sender("sample:motorcycle", EncodeSpec(nw=6))
     coarse, _ = coarse_layer("sample:motorcycle", prepared)

@@ -21,8 +21,8 @@ from typing import Any
 
 import touchfield as tf
 from machine import Bar, Figures, at_least, at_most, bench, figure, leave_out
-from touchfield.stream import native
-from touchfield.stream.opened import VoxelStream, open_stream
+from touchfield.pipeline import native_decoder
+from touchfield.pipeline.decoding import VoxelStream, open_stream
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -59,7 +59,7 @@ def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
         with open_stream(stream) as own:
             assert isinstance(own, VoxelStream)
             segments, decoder = len(own.reader.segments), own.decoder
-            core = native._core()
+            core = native_decoder._core()
             began = process_time()
             if is_native:
                 file = core.open(own.reader.read_all())

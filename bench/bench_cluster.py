@@ -21,9 +21,10 @@ from pathlib import Path
 from time import perf_counter
 
 from machine import Bar, Figures, at_least, at_most, bench, figure, need_module
-from touchfield import EncodeSpec, TouchSpec, device, encode
-from touchfield.job.executors import executor_of
-from touchfield.job.tiles import encode_tiles
+from touchfield import EncodeSpec, device, encode
+from touchfield.codec import TouchSpec
+from touchfield.compute.executors import executor_of
+from touchfield.pipeline.tiles import encode_tiles
 
 SOURCE = "sample:falling-7"
 TILED = "sample:motorcycle"

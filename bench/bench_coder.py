@@ -11,9 +11,10 @@ from machine import Bar, Figures, at_least, at_most, bench, column, timed
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.job import EncodeSpec, prepare
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid
+from touchfield.pipeline import prepare
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
 
 

@@ -21,11 +21,11 @@ import numpy as np
 
 from bench_query import SIDE, SPACING_M, field, path
 from machine import Bar, Figures, at_least, at_most, bench, figure, timed
-from touchfield import cuda
+from touchfield.compute import cuda
 from touchfield.medium import Grid, HapticMedium
 from touchfield.render.sampler import DeviceSampler, FieldSampler
-from touchfield.sources.depth_scene import DepthScene, force_bricks, query_of
-from touchfield.sources.kernels import depth
+from touchfield.sources.depth.depth_scene import DepthScene, force_bricks, query_of
+from touchfield.sources.depth.kernels import field as depth
 from touchfield.sources.laws import LawSpec, penalty
 from touchfield.sources.samples import sample
 

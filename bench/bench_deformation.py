@@ -31,11 +31,11 @@ from machine import SHARED, Bar, Figures, at_most, bench
 from touchfield import EncodeSpec, encode, prepare
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.job.deformation import tracks_of
-from touchfield.job.spec import Motion
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.deformation import Deformation, fitted, read_deformation
+from touchfield.pipeline.spec import Motion
 from touchfield.render.sampler import FieldSampler
+from touchfield.tasks.deformation import tracks_of
 
 Float64s = NDArray[np.float64]
 SIDE = 6  # frames on each side of a rest

@@ -24,8 +24,8 @@ import numpy as np
 from machine import Bar, Figures, at_least, at_most, bench, figure, timed
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_scene import RAY_LIMIT, DepthScene
-from touchfield.sources.kernels.planes import SurfacePlanes
+from touchfield.sources.depth.depth_scene import RAY_LIMIT, DepthScene
+from touchfield.sources.depth.kernels.planes import SurfacePlanes
 from touchfield.sources.laws import ForceProfile
 
 SIZE_PX = (480, 640)

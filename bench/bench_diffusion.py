@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from bench_filter import shell
 from machine import Bar, Figures, at_least, at_most, bench, figure, timed
+from touchfield.compute.threads import worker_count
 from touchfield.filters.shading import DiffusionFilter, ShadingFilter, perona_malik
-from touchfield.parallel import worker_count
 
 STEPS, KAPPA_N, LAM = 10, 0.3, 1 / 7
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from machine import Bar, Figures, at_least, at_most, bench, figure, timed
+from touchfield.compute.threads import worker_count
 from touchfield.filters import limited, resample
 from touchfield.medium import ForceField, Grid
-from touchfield.parallel import worker_count
 
 PEER = "scipy gaussian_filter, sliced, dense"
 

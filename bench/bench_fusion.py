@@ -27,16 +27,18 @@ from numpy.typing import NDArray
 from fusion_truth import contact_errors_mm
 from machine import SHARED, Bar, at_least, at_most, bench, column, figure
 from machine import Figures as Row
-from touchfield.adapters.sim import SimHand
 from touchfield.devices import device
+from touchfield.devices.drivers.simulated import SimHand
 from touchfield.filters.resample import low_pass
-from touchfield.job import EncodeSpec, encode, open_stream, prepare
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.trace import Trace
 from touchfield.perception.hand_motion import MARGIN_S, in_band, points_on_surface
+from touchfield.pipeline import encode, prepare
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.offline import run_offline
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.fused_scene import FusedVolume
+from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.depth.fused_scene import FusedVolume
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source

@@ -21,9 +21,9 @@ from scipy import fft, ndimage
 
 from bench_filter import shell
 from machine import Bar, Figures, at_least, at_most, bench
+from touchfield.compute.threads import worker_count
 from touchfield.filters.smoothing import GaussianFilter, gaussian, gaussian_taps
 from touchfield.medium import ForceField
-from touchfield.parallel import worker_count
 
 SIGMA = 2.0
 ROUNDS = 9

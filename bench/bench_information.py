@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine import Bar, Figures, at_least, at_most, bench, column, timed
+from touchfield.compute.threads import for_chunks
 from touchfield.measure.counts import Counts
 from touchfield.measure.information import entropy
-from touchfield.parallel import for_chunks
 
 
 def sources(count: int) -> Iterator[tuple[str, NDArray[np.int16]]]:

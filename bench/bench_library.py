@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 
 from machine import Bar, Figures, at_least, at_most, bench
+from touchfield.compute.executors import in_order
 from touchfield.container.records import Pair, Provenance
 from touchfield.container.wire import encode_record
-from touchfield.job.encode import encode_prepared
-from touchfield.job.executors import in_order
-from touchfield.job.library import Library, index_folder, library_path
-from touchfield.job.prepare import decode, prepare
 from touchfield.measure.descriptors import Descriptor
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.pipeline.encoding import encode_prepared
+from touchfield.pipeline.preparation import decode, prepare
+from touchfield.tasks.library import Library, index_folder, library_path
 
 KINDS, N = 40, 32
 

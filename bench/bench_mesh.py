@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine import Bar, Figures, at_least, at_most, bench, column, timed
+from touchfield.compute.threads import worker_count
 from touchfield.medium import Grid
-from touchfield.parallel import worker_count
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh.mesh_scene import MeshScene
 
 Floats = NDArray[np.floating[Any]]
 Peer = Callable[[Floats, NDArray[np.int32], Floats], Floats]

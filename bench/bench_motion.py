@@ -20,13 +20,16 @@ import numpy as np
 
 from machine import SHARED, Bar, Figures, at_least, at_most, bench
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.job import Encoded, EncodeSpec, compare, encode, open_stream
 from touchfield.perception.hand_motion import HandMotion, SlideSpec, in_band, margin_of
 from touchfield.perception.human import vibration_threshold
-from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.pipeline import compare, encode
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.encoding import Encoded
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import Scene
-from touchfield.sources.shapes import Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Sphere
 
 ROOM = SHARED / "rgbd_iclnuim_livingroom1"
 SOURCES: dict[str, str | Scene] = {

@@ -20,11 +20,11 @@ from scipy.spatial.transform import Rotation
 
 from machine import Bar, Figures, at_least, at_most, bench, column, figure, timed
 from touchfield.codec.objects.promise import ComposedRule, Moves, Pair
+from touchfield.compute.threads import worker_count
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.parallel import worker_count
-from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.laws import LawSpec, penalty
-from touchfield.sources.shapes import Box, Sphere, Superquadric
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Sphere, Superquadric
 
 Floats = NDArray[np.float64]
 SIDES = (30, 36, 42, 48, 54, 60, 64)

@@ -24,9 +24,10 @@ from typing import Any
 import numpy as np
 
 from machine import Bar, Figures, at_least, at_most, bench, figure, leave_out
-from touchfield.job import EncodeSpec, encode
-from touchfield.job.view import view
+from touchfield.pipeline import encode
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
+from touchfield.tasks.view import view
 from touchfield.viewer.browser import empty_page
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -24,12 +24,12 @@ import numpy as np
 
 import touchfield as tf
 from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figure
-from touchfield.job.prepare import prepare
-from touchfield.job.reduction import _Domain, _kept
-from touchfield.job.spec import EncodeSpec
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.reduction.kernel_points import _LENGTHS, _NOISES, Kernel, most_candidates, variance_points
 from touchfield.reduction.modes import ModePoints, Modes, mode_points, pod
-from touchfield.sources.contact_trace import CurlFree
+from touchfield.sources.recordings.contact_trace import CurlFree
+from touchfield.tasks.reduction import _Domain, _kept
 
 SEEDS, TIMES, FRAMES = 5, (1, 2, 4), 200
 POINTS, MOVING_POINTS = (10, 20, 40), (10, 15, 20)

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from machine import Bar, Figures, at_least, at_most, bench, column, timed
 from touchfield.codec.objects.decoder import PoseSteps, decode_poses
 from touchfield.codec.objects.encoder import encode_poses, place_steps
-from touchfield.job import EncodeSpec, prepare
 from touchfield.medium.pose_track import PoseTrack
+from touchfield.pipeline import prepare
+from touchfield.pipeline.spec import EncodeSpec
 
 RATE_HZ = 1000.0
 REACH_M = 0.04

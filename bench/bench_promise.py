@@ -17,10 +17,10 @@ from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, text
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.job import EncodeSpec
-from touchfield.job.prepare import prepare
 from touchfield.medium import ForceField, Grid
 from touchfield.perception import violations
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
 
 MESHES = (

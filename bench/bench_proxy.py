@@ -19,14 +19,14 @@ import numpy as np
 from numba import njit
 
 from machine import SHARED, Bar, Figures, at_most, bench
-from touchfield.job import EncodeSpec
-from touchfield.job.prepare import prepare
 from touchfield.medium import ForceField
 from touchfield.perception.hand_motion import in_band, points_on_surface, slide_m, surface_walks
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.block import words as W
 from touchfield.render.kernels.proxy import held
 from touchfield.render.spec import wall_of
-from touchfield.sources.shapes import Box, Sphere
+from touchfield.sources.shapes.shapes import Box, Sphere
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "render"))
 from proxy_makers import Held, field_of, ramp_n

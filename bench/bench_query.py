@@ -24,13 +24,13 @@ from scipy.ndimage import map_coordinates
 
 from bench_objects import scene
 from machine import Bar, Figures, at_least, at_most, bench, column, timed
+from touchfield.compute.threads import worker_count
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.parallel import worker_count
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.sampler import FieldSampler
-from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.laws import LawSpec, penalty
-from touchfield.sources.shapes import Box, Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Sphere
 
 Floats = NDArray[np.float64]
 SIDE, SPACING_M, RATE_HZ = 128, 0.001, 1000.0

@@ -23,11 +23,11 @@ import numpy as np
 
 import touchfield as tf
 from machine import SHARED, Bar, Figures, at_least, at_most, bench, figure
-from touchfield.job.prepare import prepare
-from touchfield.job.reduction import culled, hand_of
-from touchfield.job.spec import ReductionSpec
 from touchfield.measure.fidelity import FidelityMeter
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.spec import ReductionSpec
 from touchfield.reduction import Hand, Reduced, freedom, held_out, reach_of, reduced
+from touchfield.tasks.reduction import culled, hand_of
 
 HAND = hand_of(tf.device("phantom-premium-1.5"), ReductionSpec())
 PILLOW = """axes = "x right, y up, z towards the viewer"
@@ -72,7 +72,7 @@ def by_modes_bytes(found: Reduced, least_n: float) -> int:
 def by_touch(medium: tf.HapticMedium) -> tuple[float, float]:
     """Kilobytes of coder touch, and its error, dB, with the step that should make it -30."""
     squares = [(field.forces_n.astype(float) ** 2).sum() / max(1, field.support_count) for field in medium]
-    coder = tf.TouchSpec(mode="nmse", step_n=2 * float(np.sqrt(1e-3 * np.mean(squares))))
+    coder = tf.codec.TouchSpec(mode="nmse", step_n=2 * float(np.sqrt(1e-3 * np.mean(squares))))
     meter = FidelityMeter(0.1, 0.05)
     with tempfile.TemporaryDirectory() as folder:
         done = tf.encode(medium, Path(folder) / "a.touch", tf.EncodeSpec(touch=coder))
@@ -174,7 +174,7 @@ def culling(count: int) -> Figures:
         took = time.perf_counter() - began
         shell = kept(culled(medium, reach.samples))
         before, after = (sum(own[i].support_count for i in range(len(own))) for own in (medium, shell))
-        exact, sizes = tf.EncodeSpec(touch=tf.TouchSpec(mode="lossless")), []
+        exact, sizes = tf.EncodeSpec(touch=tf.codec.TouchSpec(mode="lossless")), []
         with tempfile.TemporaryDirectory() as folder:
             for own in (medium, shell):
                 sizes.append(tf.encode(own, Path(folder) / "a.touch", exact).file_bytes)

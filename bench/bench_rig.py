@@ -25,12 +25,12 @@ import numpy as np
 
 from machine import Bar, Figures, at_least, bench, figure
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.job import EncodeSpec
-from touchfield.job.encode import encode
-from touchfield.job.prepare import prepare
-from touchfield.parallel import worker_count
-from touchfield.sources.animated_mesh import AnimatedMeshScene
-from touchfield.sources.mesh_scene import union_of
+from touchfield.compute.threads import worker_count
+from touchfield.pipeline.encoding import encode
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.animation.animated_mesh import AnimatedMeshScene
+from touchfield.sources.mesh.mesh_scene import union_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 FIELDS, CODED = 16, 40

@@ -31,7 +31,7 @@ LOOKED_AT = 8
 
 JOB = """
 import json, resource, sys
-from touchfield.job import EncodeSpec, encode
+from touchfield import EncodeSpec, encode
 representation, frames, out = sys.argv[1:]
 done = encode("{scene}", out, EncodeSpec(representation=representation, frames=(0, int(frames))))
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -48,8 +48,10 @@ def coded(representation: str, frames: int, out: Path) -> dict[str, Any]:
 
 def difference(objects: Path, frames: int) -> dict[str, float]:
     """The decoded objects against the voxel representation, over frames evenly apart."""
-    from touchfield.job import EncodeSpec, open_stream, prepare
     from touchfield.measure.fidelity import FidelityMeter
+    from touchfield.pipeline import prepare
+    from touchfield.pipeline.decoding import open_stream
+    from touchfield.pipeline.spec import EncodeSpec
 
     voxels = prepare(SCENE, EncodeSpec(representation="voxel", frames=(0, frames))).medium
     meter = FidelityMeter(0.1, 0.05)

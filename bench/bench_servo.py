@@ -27,16 +27,18 @@ from scipy.spatial.transform import Rotation
 
 from machine import Bar, Figures, at_most, bench, figure
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.compute.threads import worker_count
 from touchfield.devices import device
-from touchfield.job import EncodeSpec, encode, open_stream
 from touchfield.medium import HapticMedium, PoseTrack
-from touchfield.parallel import worker_count
+from touchfield.pipeline import encode
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.offline import run_offline
 from touchfield.render.player import Player
 from touchfield.render.point_device import Point, PointDevice
 from touchfield.render.spec import RenderSpec
-from touchfield.sources.body_scene import BodyScene
-from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.scene import Body
 
 FRAMES, FRAME_RATE_HZ = 60, 30.0

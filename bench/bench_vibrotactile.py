@@ -23,8 +23,8 @@ from scipy.signal import resample_poly
 
 import touchfield as tf
 from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figure
-from touchfield.adapters.registry import point_device
 from touchfield.devices import device
+from touchfield.devices.drivers.registry import point_device
 from touchfield.medium.trace import Trace
 from touchfield.perception.hand_motion import third_octave_power
 from touchfield.perception.human import vibration_threshold

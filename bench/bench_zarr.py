@@ -14,10 +14,11 @@ from pathlib import Path
 from time import perf_counter
 
 from machine import Bar, Figures, at_least, bench, figure, need_module
-from touchfield import EncodeSpec, TouchSpec, prepare
-from touchfield.job.tiles import encode_tiles
-from touchfield.medium.npz import read_npz, write_npz
-from touchfield.medium.zarr_store import read_zarr, write_zarr
+from touchfield import EncodeSpec, prepare
+from touchfield.codec import TouchSpec
+from touchfield.medium.stores.npz import read_npz, write_npz
+from touchfield.medium.stores.zarr_store import read_zarr, write_zarr
+from touchfield.pipeline.tiles import encode_tiles
 
 SOURCE = "sample:motorcycle"
 

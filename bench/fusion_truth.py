@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.fused_scene import FusedScene
+from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.depth.fused_scene import FusedScene
 from touchfield.sources.laws import ForceProfile
 
 Float64s = NDArray[np.float64]

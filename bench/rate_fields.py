@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from machine import SHARED
 from touchfield.devices import device
-from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import ForceField, HapticMedium
-from touchfield.medium.npz import read_npz, write_npz
+from touchfield.medium.stores.npz import read_npz, write_npz
+from touchfield.pipeline import prepare
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
 
 WALL_VOXELS = 4

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from rate_fields import box
 from rate_symbols import F0_N, K
-from touchfield import EncodeSpec, PaperSpec, encode, prepare
+from touchfield import EncodeSpec, encode, prepare
+from touchfield.codec import PaperSpec
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.touch.decoder import TouchDecoder

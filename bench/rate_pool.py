@@ -27,7 +27,7 @@ import touchfield
 from rate_fields import Case, Volume
 from rate_source import coded_source
 from touchfield.medium import ForceField
-from touchfield.medium.npz import read_npz
+from touchfield.medium.stores.npz import read_npz
 
 Figures = dict[str, Any]
 PACKAGE, BENCH = Path(touchfield.__file__).parent, Path(__file__).parent

@@ -23,13 +23,13 @@ import rate_symbols as lattices
 from rate_fields import Case, box
 from rate_symbols import F0_N, K
 from touchfield.filters.device_filter import device_medium
-from touchfield.job.prepare import open_scene, prepare
 from touchfield.medium import ForceField
+from touchfield.pipeline.preparation import open_scene, prepare
 from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_m
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.height_scene import HeightScene
+from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.laws import profile_of
 from touchfield.sources.scene import CAMERA_AXES, Scene
+from touchfield.sources.terrain.height_scene import HeightScene
 
 HEAD_BYTES, POSE_BYTES = 56, 24
 """Camera, placement, lattice or noise step, unit and step, as float32; a pose that is not the first."""

@@ -28,7 +28,7 @@ from shutil import which
 from tempfile import TemporaryFile
 
 from machine import LEFT_OUT, RESULTS, STORE_QUICK, stale, stored, table, told, write
-from touchfield.parallel import worker_count
+from touchfield.compute.threads import worker_count
 
 HERE = Path(__file__).parent
 QUICK_LIMIT_S, LIMIT_S = 600.0, 3600.0

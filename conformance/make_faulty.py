@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from touchfield.errors import TouchfieldError
-from touchfield.job import open_stream
+from touchfield.pipeline.decoding import open_stream
 
 __all__ = ["write_faulty"]
 

@@ -17,9 +17,9 @@ from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchWriter
-from touchfield.job import open_stream, write_field
 from touchfield.medium import ForceField, Grid, HapticScene
-from touchfield.stream.objects import write_objects
+from touchfield.pipeline.decoded_objects import write_objects
+from touchfield.pipeline.decoding import open_stream, write_field
 
 HERE = Path(__file__).parent
 GOLDEN, FAULTY = HERE / "v1", HERE / "faulty"

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.codec.paper.directions import Codebook
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.shapes import Box, rotation_matrix
+from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, rotation_matrix
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.sources.scene import Scene
-    from touchfield.sources.shapes import Shape
+    from touchfield.sources.shapes.shapes import Shape
 
     Float64s = NDArray[np.float64]
 

@@ -18,11 +18,11 @@ from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.segment import BitAccount, FrameStats, compression_ratio
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, encode, open_stream, prepare
-from touchfield.job.spec import DEFAULT_F0_N
 from touchfield.measure.fidelity import FidelityMeter
+from touchfield.pipeline import encode, prepare
+from touchfield.pipeline.decoding import VoxelStream, open_stream
+from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec
 from touchfield.sources.scene import Scene
-from touchfield.stream.opened import VoxelStream
 
 if TYPE_CHECKING:
     import numpy as np

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from reproduction.experiment import Experiment, Finding, Inputs, markdown_table
-from touchfield.job import EncodeSpec, prepare
 from touchfield.perception.weber import WeberLadder, jnd_gain, mask_kept_from_n, quantise_fixed_step
+from touchfield.pipeline import prepare
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
 from touchfield.viewer.plots import draw_masked_signal
 

@@ -16,7 +16,7 @@ from reproduction.experiment import Experiment, Finding, Inputs, require_drawing
 from reproduction.progress import Steps
 from reproduction.section_5_1 import PaperScene, scene_1
 from touchfield.medium import Grid
-from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
 
 if TYPE_CHECKING:
     from pathlib import Path

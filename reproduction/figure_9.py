@@ -69,7 +69,7 @@ def _introduction(is_quick: bool) -> str:
 
 def _points(one: DepthInput, nws: tuple[int, ...], nqs: tuple[int, ...], step: Any) -> dict[Key, Coded]:
     from reproduction.coding import CodedScene
-    from touchfield.sources.depth_scene import DepthScene
+    from touchfield.sources.depth.depth_scene import DepthScene
 
     scene = DepthScene(one.first(1).sequence, frame="camera")
     found: dict[Key, Coded] = {}

@@ -17,8 +17,8 @@ from typing import Any
 
 from reproduction.experiment import Experiment, Finding
 from touchfield._version import __version__
+from touchfield.atomic import atomic_path
 from touchfield.errors import TouchfieldError
-from touchfield.medium.atomic import atomic_path
 
 __all__ = ["PAGE", "Made", "command", "versions", "write_finding", "write_page"]
 

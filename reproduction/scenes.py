@@ -201,7 +201,7 @@ def depth_inputs(inputs: Inputs) -> tuple[DepthInput, ...]:
     SourceError
         If a folder of the user is no depth sequence, or cannot be read.
     """
-    from touchfield.sources.inverse_depth import motorcycle_sequence
+    from touchfield.sources.depth.inverse_depth import motorcycle_sequence
 
     return (DepthInput(SAMPLE, MovingView(motorcycle_sequence())), *user_inputs(inputs.depth))
 
@@ -214,7 +214,7 @@ def user_inputs(folders: tuple[Path, ...]) -> tuple[DepthInput, ...]:
     SourceError
         If a folder is no depth sequence, or cannot be read.
     """
-    from touchfield.sources.depth_scene import DepthScene
+    from touchfield.sources.depth.depth_scene import DepthScene
     from touchfield.sources.registry import open_source
 
     found: list[DepthInput] = []

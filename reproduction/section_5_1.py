@@ -22,9 +22,9 @@ import numpy as np
 from reproduction.experiment import Inputs
 from touchfield.devices import device
 from touchfield.filters.device_filter import device_grid
-from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.grid import Placement
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.laws import profile_of
 from touchfield.sources.scene import Body, Scene
 
@@ -104,7 +104,7 @@ class PaperScene:
             return None
         from reproduction.scenes import FirstFrames
         from touchfield.sources.camera import noise_step_per_m
-        from touchfield.sources.segments import Segmentation, SegmentRule
+        from touchfield.sources.depth.segments import Segmentation, SegmentRule
 
         first = FirstFrames(self.scene.sequence, 1)
         found = Segmentation(first, SegmentRule(), noise_step_per_m(first.depth_m(0)))
@@ -154,7 +154,7 @@ def scene_1(bodies: int) -> PaperScene:
 def height_scene(sequence: DepthSequence) -> DepthHeights:
     """Depth maps at 25 Hz as a height map at 1 kHz, by linear interpolation, all behind the surface solid."""
     from touchfield.sources.camera import InterpolatedSequence
-    from touchfield.sources.height_scene import HeightScene
+    from touchfield.sources.terrain.height_scene import HeightScene
 
     slow = copy.copy(sequence)
     slow.rate_hz = DEPTH_RATE_HZ
@@ -192,9 +192,9 @@ class DepthHeights(Scene):
 
 
 def _volume_m3(body: Body) -> float | None:
-    from touchfield.sources.analytic_scene import AnalyticScene
-    from touchfield.sources.mesh_scene import MeshScene
-    from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere
+    from touchfield.sources.mesh.mesh_scene import MeshScene
+    from touchfield.sources.shapes.analytic_scene import AnalyticScene
+    from touchfield.sources.shapes.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere
 
     if isinstance(body.scene, MeshScene) and body.scene.is_closed:
         return abs(body.scene.surface.volume_m3())

@@ -60,7 +60,7 @@ class SceneCounts:
 
 def counts_of(scene: PaperScene, filters: Sequence[PerceptualFilter], steps: Steps, quick: bool) -> SceneCounts:
     """Count one scene; `quick` with fewer samples."""
-    from touchfield.job.spec import DEFAULT_F0_N
+    from touchfield.pipeline.spec import DEFAULT_F0_N
 
     per_axis, starts = (32, 8) if quick else (128, 16)
     symbols = {one.words: one.symbols_of for one in filters}
@@ -96,7 +96,7 @@ def _by_volume(scene: PaperScene) -> dict[tuple[str, bool], float] | None:
 
 def _medium(scene: PaperScene) -> HapticMedium:
     """The scene through the device filter, 2^7 samples along each axis of the workspace."""
-    from touchfield.job.prepare import prepare
-    from touchfield.job.spec import EncodeSpec
+    from touchfield.pipeline.preparation import prepare
+    from touchfield.pipeline.spec import EncodeSpec
 
     return prepare(scene.scene, EncodeSpec(nw=NW, mapping="fill")).medium

@@ -90,7 +90,7 @@ _WORDS = (
 
 
 def _found(scene: PaperScene, reading: str, q: PerceptualFilter, steps: Steps, quick: bool) -> _Found:
-    from touchfield.job.spec import DEFAULT_F0_N
+    from touchfield.pipeline.spec import DEFAULT_F0_N
 
     medium = _medium(scene, reading)
     first = medium[0]
@@ -113,8 +113,8 @@ def _found(scene: PaperScene, reading: str, q: PerceptualFilter, steps: Steps, q
 
 
 def _medium(scene: PaperScene, reading: str) -> HapticMedium:
-    from touchfield.job.prepare import prepare
-    from touchfield.job.spec import EncodeSpec
+    from touchfield.pipeline.preparation import prepare
+    from touchfield.pipeline.spec import EncodeSpec
 
     spec = EncodeSpec(device=DEVICE, representation="voxel", mapping="fill", cutoff=CUTOFFS[reading])
     return prepare(scene.scene, spec).medium

@@ -151,8 +151,8 @@ def run_sequence(one: DepthInput, settings: Settings, step: Callable[[], None]) 
     step : callable
         Called after each file that was coded.
     """
-    from touchfield.sources.depth_scene import DepthScene
-    from touchfield.sources.height_scene import HeightScene
+    from touchfield.sources.depth.depth_scene import DepthScene
+    from touchfield.sources.terrain.height_scene import HeightScene
 
     sequence = one.first(max(settings.frame_counts)).sequence
     walls: dict[str, Scene] = {"wall, camera": DepthScene(sequence, frame="camera")}

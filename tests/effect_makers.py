@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from touchfield.adapters.hjif_import import force_n
-from touchfield.adapters.hjif_read import read_hjif
-from touchfield.adapters.symbolic import ArrayEffect
+from touchfield.exchange.hjif_import import force_n
+from touchfield.exchange.hjif_read import read_hjif
+from touchfield.exchange.symbolic import ArrayEffect
 
 RATES_HZ = (1.0, 20.0, 25.0, 30.0, 50.0, 100.0, 1000 / 3)
 

@@ -10,10 +10,7 @@ from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import Head
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.stream.live import (
-    LiveSegment,
-    LiveSender,
-)  # fmt: skip
+from touchfield.network.live import LiveSegment, LiveSender  # fmt: skip
 
 GRID = Grid((16, 16, 16), (0.01,) * 3, (-0.075,) * 3)
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.laws import LawSpec, profile_of
-from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
 
 GRID = Grid.over_box((-0.08,) * 3, (0.08,) * 3, (32, 32, 32))
 PROFILE = profile_of(LawSpec(stiffness_n_per_m=200.0), 0.01)

@@ -8,7 +8,7 @@ import numpy as np
 
 from touchfield.medium import Grid
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh.mesh_scene import MeshScene
 
 Mesh = tuple[np.ndarray, np.ndarray]
 

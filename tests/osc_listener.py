@@ -9,8 +9,8 @@ from contextlib import contextmanager
 import numpy as np
 from pythonosc.osc_bundle import OscBundle
 
-from touchfield.adapters.osc import MOST_BYTES
 from touchfield.devices import Device
+from touchfield.devices.drivers.osc import MOST_BYTES
 
 
 class Listener:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from touchfield.cuda import computing, on_host
+from touchfield.compute.cuda import computing, on_host
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.render.sampler import DeviceSampler, FieldSampler
 from touchfield.sources.laws import LawSpec, penalty

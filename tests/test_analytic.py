@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.analytic_scene import KIND, AnalyticScene
 from touchfield.sources.laws import ForceProfile, LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.shapes import Box, Plane, Shape, Sphere, Superquadric
+from touchfield.sources.shapes.analytic_scene import KIND, AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Plane, Shape, Sphere, Superquadric
 
 SOLID = profile_of(LawSpec(), np.inf)
 WALL = profile_of(LawSpec("penalty+proximity"), 0.008)

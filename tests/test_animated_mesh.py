@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from gltf_makers import CUBE, CUBE_FACES, Gltf, everything, moving_cube
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.animated_mesh import AnimatedMeshScene
+from touchfield.sources.animation.animated_mesh import AnimatedMeshScene
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mesh_surface import Surface, mended
+from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.mesh.surface import Surface, mended
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 

@@ -32,13 +32,13 @@ one: tf.ForceField = medium[0]
 some: tf.HapticMedium = medium[0:1].filtered("gaussian:sigma=2mm")
 blended: tf.ForceField = medium.at(0.01)
 total: float = float(medium.sample_n([[0.0, 0.0, 0.0]], 0.01).sum())
-done = tf.encode(medium, "x.touch", tf.EncodeSpec(touch=tf.TouchSpec(k=0.2)))
+done = tf.encode(medium, "x.touch", tf.EncodeSpec(touch=tf.codec.TouchSpec(k=0.2)))
 size: int = done.file_bytes
 back: tf.HapticMedium = tf.decode("x.touch")
 entry = tf.measure.descriptor(back)
 sampler = tf.FieldSampler(back)
 names: list[str] = [device.name for device in tf.devices()]
-tf.play("x.touch", tf.PlaySpec(offline=True))
+tf.play("x.touch", tf.tasks.PlaySpec(offline=True))
 """
 
 
@@ -61,7 +61,7 @@ def medium_of(forces: NDArray[np.float64]) -> tf.HapticMedium:
 def test_every_name_is_there_and_the_rooms_open_by_themselves() -> None:
     program = f"""
 import sys, touchfield as tf
-heavy = [m for m in ("numba", "scipy", "trimesh", "matplotlib", "touchfield.job") if m in sys.modules]
+heavy = [m for m in ("numba", "scipy", "trimesh", "matplotlib", "touchfield.pipeline") if m in sys.modules]
 assert not heavy, heavy
 for room in {ROOMS}:
     assert getattr(tf, room).__name__ == "touchfield." + room
@@ -125,7 +125,7 @@ def test_between_two_frames_a_medium_is_linear_and_beyond_them_it_stays(forces: 
 
 def test_a_filter_in_words_is_the_filter(forces: NDArray[np.float64]) -> None:
     medium = medium_of(forces)
-    gaussian = tf.filter_of("gaussian", "sigma=4mm")
+    gaussian = tf.filters.filter_of("gaussian", "sigma=4mm")
     made = medium.filtered("gaussian:sigma=4mm", "gaussian:sigma=4mm")
     assert made[1] == gaussian(gaussian(medium[1]))
     assert made.provenance["filters"].count("gaussian") == 2
@@ -142,7 +142,7 @@ def test_a_plot_is_a_figure_and_a_file(forces: NDArray[np.float64], tmp_path: Pa
 
 
 def test_media_fields_and_arrays_are_coded_as_they_are(forces: NDArray[np.float64], tmp_path: Path) -> None:
-    exact = tf.EncodeSpec(touch=tf.TouchSpec(mode="lossless"))
+    exact = tf.EncodeSpec(touch=tf.codec.TouchSpec(mode="lossless"))
     out = tmp_path / "x.touch"
     for source, grid, frames in ((medium_of(forces), None, 3), (medium_of(forces)[0], None, 1), (forces, GRID, 3)):
         done = tf.encode(source, out, exact, grid=grid)
@@ -152,7 +152,7 @@ def test_media_fields_and_arrays_are_coded_as_they_are(forces: NDArray[np.float6
         assert done.file_bytes == out.stat().st_size
         told = tf.compare(medium_of(forces)[:frames], out).summary()
         assert told["nmse_db"] is None and told["mask_violations"] == 0
-    assert tf.measure_medium(tf.decode(out)).summary()
+    assert tf.tasks.measure_medium(tf.decode(out)).summary()
 
 
 def test_what_a_decoded_medium_is_made_of_stays_open_as_long_as_it_is_used(
@@ -220,7 +220,7 @@ def test_values_and_results_tell_of_themselves_in_one_line(forces: NDArray[np.fl
         (lambda f: medium_of(f)[::2], "step"),
         (lambda f: medium_of(f)[2:2], "2:2"),
         (lambda f: medium_of(f).filtered("wish:1"), "one of"),
-        (lambda f: medium_of(f).filtered(tf.filter_of("gaussian", "2mm")), "one of"),  # type: ignore[arg-type]
+        (lambda f: medium_of(f).filtered(tf.filters.filter_of("gaussian", "2mm")), "one of"),  # type: ignore[arg-type]
         (lambda f: tf.HapticMedium.from_array(f + 1j, GRID), "complex"),
         (lambda f: tf.HapticMedium.from_array(np.ma.masked_greater(f, 1.0), GRID), "masked"),
         (lambda f: tf.HapticMedium.from_array([[1.0], [1.0, 2.0]], GRID), "no array of numbers"),
@@ -239,12 +239,12 @@ def test_values_and_results_tell_of_themselves_in_one_line(forces: NDArray[np.fl
         (lambda f: tf.FieldSampler(medium_of(f)).force_n("now", [0.0, 0.0, 0.0]), "time_s"),
         (lambda f: tf.FieldSampler(medium_of(f)).at(0.0, "x", 0.0, 0.0), "no array of numbers"),  # type: ignore[arg-type]
         (lambda f: tf.EncodeSpec(filters=("gaussian:2mm",)), "names and words"),  # type: ignore[arg-type]
-        (lambda f: tf.encode(medium_of(f), "x.touch", tf.TouchSpec()), "EncodeSpec"),  # type: ignore[arg-type]
+        (lambda f: tf.encode(medium_of(f), "x.touch", tf.codec.TouchSpec()), "EncodeSpec"),  # type: ignore[arg-type]
         (lambda f: tf.encode(medium_of(f), None), "a path"),  # type: ignore[arg-type]
         (lambda f: tf.plan("sample:shapes", "64 parsecs"), "64kbit/s"),
-        (lambda f: tf.PlaySpec(seconds="1"), "^seconds: found '1'; expected a number"),  # type: ignore[arg-type]
+        (lambda f: tf.tasks.PlaySpec(seconds="1"), "^seconds: found '1'; expected a number"),  # type: ignore[arg-type]
         (lambda f: tf.encode(medium_of(f), "x.npz"), "'.npz'; expected OUT.touch"),
-        (lambda f: tf.MeasureSpec(estimator="x"), "^estimator: "),
+        (lambda f: tf.tasks.MeasureSpec(estimator="x"), "^estimator: "),
         (lambda f: tf.EncodeSpec(nw="6"), "^nw: found '6'; expected a whole number"),  # type: ignore[arg-type]
         (lambda f: tf.EncodeSpec(nw=99), "^nw: found 99; expected a whole number from 3 to 10"),
         (lambda f: tf.EncodeSpec(mapping="-1"), "^mapping: .*positive"),
@@ -257,8 +257,8 @@ def test_values_and_results_tell_of_themselves_in_one_line(forces: NDArray[np.fl
         (lambda f: tf.EncodeSpec(surface_damping_n_s_per_m=-1), "^surface_damping"),
         (lambda f: tf.EncodeSpec(filters=(("glue", "2mm"),)), "^filters: .*one of gaussian"),
         (lambda f: tf.EncodeSpec(touch=3), "TouchSpec"),  # type: ignore[arg-type]
-        (lambda f: tf.TouchSpec(k="0.1"), "^k: .*a number"),  # type: ignore[arg-type]
-        (lambda f: tf.SourceOptions(allow_outside=1), "True or False"),  # type: ignore[arg-type]
+        (lambda f: tf.codec.TouchSpec(k="0.1"), "^k: .*a number"),  # type: ignore[arg-type]
+        (lambda f: tf.sources.SourceOptions(allow_outside=1), "True or False"),  # type: ignore[arg-type]
         (lambda f: tf.filters.Gain("2"), "gain"),  # type: ignore[arg-type]
         (lambda f: tf.filters.gaussian("signal", 1.0), "no array of numbers"),
     ],

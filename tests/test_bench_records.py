@@ -95,7 +95,7 @@ def test_changed_files_are_named(provenance: Any, tmp_path: Path, monkeypatch: p
 
 
 def test_of_imports_the_names_count_and_not_the_modules(provenance: Any) -> None:
-    code = "from touchfield.job.view import scene, page as shown\n"
+    code = "from touchfield.tasks.view import scene, page as shown\n"
     moved = "from touchfield.viewer import page as shown\nfrom touchfield.tasks import scene\n"
     assert provenance.python_meaning(moved) == provenance.python_meaning(code)
     assert provenance.python_meaning(code.replace("scene", "scenes")) != provenance.python_meaning(code)

@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.scene import Body, Scene
-from touchfield.sources.shapes import Box, Plane, Sphere, Superquadric
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Plane, Sphere, Superquadric
 
 RATE_HZ = 100.0
 GRID = Grid((45, 50, 41), (0.004, 0.0035, 0.0045), (-0.09, -0.085, -0.095))

@@ -18,14 +18,16 @@ import pytest
 
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.job import EncodeSpec, coding, encode, open_stream, rate_control
-from touchfield.job.mapping import SymbolFrames
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.sources import fused_scene
+from touchfield.pipeline import encode, rate_control, segments
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.mapping import SymbolFrames
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence, InterpolatedSequence, Intrinsics
-from touchfield.sources.fused_scene import FusedScene
+from touchfield.sources.depth import fused_scene
+from touchfield.sources.depth.fused_scene import FusedScene
+from touchfield.sources.depth.segments import Segmentation, SegmentRule
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.segments import Segmentation, SegmentRule
 from touchfield.sources.stored import StoredScene
 
 GRID = Grid((16, 16, 16), (0.004,) * 3, (-0.03,) * 3)
@@ -92,7 +94,7 @@ def test_frames_of_a_search_are_kept_as_far_as_memory_allows(room: int, monkeypa
 
 def replace_medium(of: HapticMedium) -> Any:
     """What `_kept` takes of a prepared scene."""
-    from touchfield.job import prepare
+    from touchfield.pipeline import prepare
 
     return replace(prepare(StoredScene(medium(1)), EncodeSpec(nw=4)), medium=of)
 
@@ -185,7 +187,7 @@ def test_planes_of_pictures_are_kept_as_far_as_memory_allows(room: int, monkeypa
 def test_a_segment_ends_once_its_fields_take_more_than_they_may(
     room: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(coding, "MOST_BYTES_HELD", room * field(0).forces_n.nbytes)
+    monkeypatch.setattr(segments, "MOST_BYTES_HELD", room * field(0).forces_n.nbytes)
     scene = StoredScene(HapticMedium.from_frames([field(i) for i in range(16)], 50.0, AXES))
     encode(scene, tmp_path / "a.touch", EncodeSpec(nw=4, touch=TouchSpec(effort="fast", segment_frames=8)))
     with open_stream(tmp_path / "a.touch") as stream:
@@ -198,7 +200,7 @@ def test_datagrams_wait_for_a_lost_message_within_their_memory(
     room: int, waits: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
-    from touchfield.stream import datagrams
+    from touchfield.network import datagrams
 
     monkeypatch.setattr(datagrams, "_MOST_WAITING", room)
     sender, gathering = datagrams.Datagrams(7), datagrams.Gathering()
@@ -213,7 +215,7 @@ def test_datagrams_wait_for_a_lost_message_within_their_memory(
 
 
 def test_an_index_of_files_is_described_within_its_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from touchfield.job import library
+    from touchfield.tasks import library
 
     taken = []
     own = library.in_order

@@ -18,13 +18,13 @@ import pytest
 from PIL import Image
 
 import touchfield as tf
-from touchfield import job
 from touchfield.cli.main import _exit_code, open_rooms
-from touchfield.job import EncodeSpec, Plan, PlanGrid, Trial
-from touchfield.job.compare import Comparison
-from touchfield.medium.npz import write_npz
+from touchfield.medium.stores.npz import write_npz
+from touchfield.pipeline.comparison import Comparison
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.samples import SAMPLES
+from touchfield.tasks.plan import Plan, PlanGrid, Trial
 
 SPHERE = '[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n'
 
@@ -80,7 +80,7 @@ def test_encode_info_decode_compare(sphere: Path, tmp_path: Path, capsys: pytest
 def test_options_reach_the_job(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     took: list[EncodeSpec] = []
     answer = SimpleNamespace(summary=dict, notes=())
-    monkeypatch.setattr(job, "encode", lambda source, out, spec, *_, **__: took.append(spec) or answer)
+    monkeypatch.setattr(pipeline, "encode", lambda source, out, spec, *_, **__: took.append(spec) or answer)
     usual = EncodeSpec()
     for words, expected in (
         ("--nw 5 --frames 3", {"nw": 5, "frames": (3, 4)}),
@@ -110,7 +110,7 @@ def test_a_plan_tells_the_options_that_encode_takes(
         assert search.nw == (3, 4) and spec.touch.effort == "fast"
         return Plan((Trial(replace(spec, nw=4), 100, 1, 0.1),), 0.1, 0.05, 200.0, source, 1, "bytes")
 
-    monkeypatch.setattr(job, "plan", planned)
+    monkeypatch.setattr("touchfield.tasks.plan.plan", planned)
     scene = "--mapping 0.25 --stiffness-n-per-m 300.0 --exaggeration 2.0"
     assert _exit_code(["plan", "no.stl", "--budget", "200B", "--nw", "4", *scene.split(), "--json"]) == 0
     words = json.loads(capsys.readouterr().out)["encode_options"]
@@ -129,7 +129,7 @@ def test_people_get_tables(sphere: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert "novint-falcon" in capsys.readouterr().out
     assert _exit_code(["devices", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
-    assert all(source for name, device in listed.items() if name != "notes" for source in device["sources"].values())
+    assert all(source for device in listed["profiles"].values() for source in device["sources"].values())
     assert _exit_code(["sources"]) == 0
     assert "redwood" in capsys.readouterr().out
 
@@ -260,10 +260,10 @@ def test_who_writes_no_file_is_told_of_none_when_interrupted(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("touchfield.job.play.play", interrupted)
+    monkeypatch.setattr("touchfield.tasks.play.play", interrupted)
     assert _exit_code(["play", "room.touch"]) == 1
     assert capsys.readouterr().err == "touchfield: interrupted\n"
-    monkeypatch.setattr("touchfield.job.library.index_folder", interrupted)
+    monkeypatch.setattr("touchfield.tasks.library.index_folder", interrupted)
     assert _exit_code(["index", "media"]) == 1
     assert capsys.readouterr().err == "touchfield: interrupted\n", "what was described is saved"
 
@@ -274,7 +274,7 @@ def test_a_file_that_ends_too_early_is_no_interruption(
     def cut(*_: object, **__: object) -> None:
         raise EOFError("marshal data too short")
 
-    monkeypatch.setattr("touchfield.job.library.index_folder", cut)
+    monkeypatch.setattr("touchfield.tasks.library.index_folder", cut)
     assert _exit_code(["index", "media"]) == 1
     said = capsys.readouterr().err.strip()
     assert said == "touchfield: a file ended too early: marshal data too short. Make it anew"

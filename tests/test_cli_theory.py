@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from touchfield import job
+from touchfield import pipeline, tasks
 from touchfield.cli.main import _exit_code
 from touchfield.filters.registry import filter_of
-from touchfield.job import EncodeSpec, MeasureSpec
 from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.medium import HapticMedium
-from touchfield.medium.npz import read_npz
+from touchfield.medium.stores.npz import read_npz
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.tiny_scenes import tiny_scenes
+from touchfield.tasks.measure import MeasureSpec
 
 Capture = pytest.CaptureFixture[str]
 
@@ -25,7 +26,7 @@ Capture = pytest.CaptureFixture[str]
 @pytest.fixture(scope="module")
 def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("theory") / "ramp.touch"
-    job.encode(tiny_scenes()[0], path, EncodeSpec(nw=5, coder="paper"))
+    pipeline.encode(tiny_scenes()[0], path, EncodeSpec(nw=5, coder="paper"))
     return path
 
 
@@ -109,7 +110,7 @@ def test_what_the_paper_s_device_loses_of_a_finer_medium(sphere: Path, capsys: C
 def test_measure_along_a_trace(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     trace = tmp_path / "probe.csv"
     t = np.arange(60) / 1000
-    with job.open_stream(stream) as opened:
+    with pipeline.open_stream(stream) as opened:
         held = opened.medium[0].grid.to_m(opened.medium[0].positions())
     places = held[:: len(held) // 60][:60]
     rows = "\n".join(f"{a:.4f},{x:.6f},{y:.6f},{z:.6f}" for a, (x, y, z) in zip(t, places))
@@ -128,8 +129,8 @@ def test_measure_along_a_trace(stream: Path, tmp_path: Path, capsys: Capture) ->
 def test_measure_takes_a_medium_and_a_scene() -> None:
     scene = tiny_scenes()[2]
     spec = MeasureSpec(quantiser="weber:0.1", limits=False, encode=EncodeSpec(nw=5))
-    of_scene = job.measure_medium(scene, spec)
-    of_medium = job.measure_medium(job.prepare(scene, spec.encode).medium, spec)
+    of_scene = tasks.measure.measure_medium(scene, spec)
+    of_medium = tasks.measure.measure_medium(pipeline.prepare(scene, spec.encode).medium, spec)
     assert of_scene.voxel == of_medium.voxel and of_scene.voxel.value > 0
     assert of_scene.passivity is not None and of_scene.passivity.relative_curl < 0.2
 
@@ -168,7 +169,7 @@ def test_filter_works_in_the_order_of_its_options(sphere: Path, tmp_path: Path, 
         assert _exit_code([*common, str(out), *order]) == 0
         fields[name] = read_npz(out)[0]
     capsys.readouterr()
-    device_field = job.prepare(sphere, EncodeSpec(nw=5, thickness_m=0.01)).medium[0]
+    device_field = pipeline.prepare(sphere, EncodeSpec(nw=5, thickness_m=0.01)).medium[0]
     coarse, rough = filter_of("multiresolution", "2"), filter_of("texture", two[1])
     expected = rough(coarse(device_field))
     assert fields["ab"].support_count == expected.support_count
@@ -218,8 +219,8 @@ def test_a_still_scene_is_there_for_the_whole_trace(sphere: Path, tmp_path: Path
 
 def test_a_report_on_forces_beyond_the_device(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     strong = tmp_path / "strong.npz"
-    medium = job.prepare(stream).medium
-    job.write_field(strong, HapticMedium.from_frames([medium[0].scaled(4.0)], 30.0))
+    medium = pipeline.prepare(stream).medium
+    pipeline.write_field(strong, HapticMedium.from_frames([medium[0].scaled(4.0)], 30.0))
     words = ["filter", str(strong), str(tmp_path / "o.npz"), "--nw", "5", "--gaussian", "6mm", "--report", "--json"]
     assert _exit_code(words) == 0
     stages = json.loads(capsys.readouterr().out)["report"]["stages"]
@@ -235,7 +236,7 @@ def test_filter_says_what_is_wrong_before_it_works(stream: Path, tmp_path: Path,
 
 
 def test_a_range_of_frames_keeps_the_clock_of_the_trace(stream: Path, tmp_path: Path, capsys: Capture) -> None:
-    with job.open_stream(stream) as opened:
+    with pipeline.open_stream(stream) as opened:
         rate_hz, field = opened.medium.rate_hz, opened.medium[1]
     place = field.grid.to_m(field.positions()[len(field.positions()) // 2])
     t = (1 + np.linspace(0.05, 0.9, 30)) / rate_hz  # while the second frame is there

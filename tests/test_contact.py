@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchfield.filters.kernels.forces import friction
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.laws import LawSpec, profile_of
-from touchfield.sources.shapes import Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Sphere
 
 any_number = st.floats(-1e300, 1e300) | st.floats(-10, 10) | st.sampled_from([0.0, 5e-324, -5e-324, 1e-310, 1e-160])
 vectors = st.tuples(any_number, any_number, any_number)

@@ -14,12 +14,14 @@ import pytest
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.job import EncodeSpec, encode, open_stream
 from touchfield.medium import Grid
 from touchfield.medium.trace import ContactTrace, read_contacts, read_trace
-from touchfield.sources.contact_trace import ContactScene, CurlFree, recorded_contacts
+from touchfield.pipeline import encode
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.recordings.contact_trace import ContactScene, CurlFree, recorded_contacts
 from touchfield.sources.registry import open_source
 
 PROFILE = profile_of(LawSpec(), 3.3)

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchfield.errors import InvalidArgument
-from touchfield.job.prepare import prepare
-from touchfield.job.spec import EncodeSpec
 from touchfield.measure.similarity import (
     Contact,
     classes_of_equal_share,
@@ -24,6 +22,8 @@ from touchfield.measure.similarity import (
 )
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.grid import Placement
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.spec import EncodeSpec
 
 Float64s = NDArray[np.float64]
 
@@ -230,7 +230,7 @@ def to_hand(placement: Placement, points_m: Float64s) -> Float64s:
 def test_the_motorcycle() -> None:
     """The rays of the pixels meet the surface where the depth map has it; then luma is set beside the field."""
     data = pytest.importorskip("skimage.data")
-    from touchfield.sources.inverse_depth import motorcycle_sequence
+    from touchfield.sources.depth.inverse_depth import motorcycle_sequence
 
     sequence, stride = motorcycle_sequence(), 16
     prepared = prepare("sample:motorcycle", EncodeSpec(nw=6))

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import touchfield.cuda as gpu
+import touchfield.compute.cuda as gpu
 from touchfield.errors import InvalidArgument, MissingExtra
-from touchfield.job.prepare import open_scene
 from touchfield.medium import Grid
-from touchfield.sources import depth_scene
-from touchfield.sources.kernels import depth
+from touchfield.pipeline.preparation import open_scene
+from touchfield.sources.depth import depth_scene
+from touchfield.sources.depth.kernels import field as depth
 from touchfield.sources.laws import LawSpec, penalty
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.samples import sample

@@ -13,10 +13,11 @@ from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader
 from touchfield.errors import DeviceError, FormatError
-from touchfield.job import EncodeSpec, encode
-from touchfield.job.play import Played
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.pipeline import encode
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
+from touchfield.tasks.play import Played
 
 GRID = Grid((16, 16, 16), (0.01, 0.0075, 0.004375), (-0.08, -0.06, -0.035))
 SEGMENTS = 3
@@ -120,7 +121,7 @@ def test_a_play_that_an_error_ended_shows_its_figures_and_fails(
     path.write_bytes(whole)
     figures = {"device": "haply", "stalled_share": 0.5 if is_starved else 0.0}
     ended = Played(figures, None, None, ("as far as it came",), DeviceError("haply", "a cable pulled", "a device"))
-    monkeypatch.setattr("touchfield.job.play.play", lambda *_: ended)
+    monkeypatch.setattr("touchfield.tasks.play.play", lambda *_: ended)
     capsys.readouterr()
     assert _exit_code(["play", str(path), "--json"]) == 1
     told = capsys.readouterr()

@@ -15,8 +15,8 @@ import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources import poses
 from touchfield.sources.camera import Intrinsics
-from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
-from touchfield.sources.intrinsics_file import camera_of, parse_intrinsics
+from touchfield.sources.depth.intrinsics_file import camera_of, parse_intrinsics
+from touchfield.sources.depth.layouts import LAYOUTS as DEPTH_LAYOUTS
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import kinds, open_source
 

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources import pictures
 from touchfield.sources.camera import DepthCode, Intrinsics
-from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
-from touchfield.sources.depth_layouts import Layout
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.height_scene import HeightScene
+from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.depth.layouts import LAYOUTS as DEPTH_LAYOUTS
+from touchfield.sources.depth.layouts import Layout
+from touchfield.sources.images import pictures
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.terrain.height_scene import HeightScene
 
 tum, redwood, sun3d, threedmatch, depth_folder, *_ = DEPTH_LAYOUTS
 LAYOUTS: list[tuple[Layout, Callable[[Path], Path], SourceOptions]] = [

@@ -11,9 +11,9 @@ from PIL import Image
 
 import depth_makers as make
 from touchfield.errors import MissingExtra, SourceError
-from touchfield.sources import inverse_depth
 from touchfield.sources.camera import Intrinsics
-from touchfield.sources.depth_layouts import LAYOUTS
+from touchfield.sources.depth import inverse_depth
+from touchfield.sources.depth.layouts import LAYOUTS
 from touchfield.sources.options import SourceOptions
 
 depth_map = LAYOUTS[5]

@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from touchfield.errors import SourceError
-from touchfield.sources import pictures
+from touchfield.sources.images import pictures
 
 shapes = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=9)
 

@@ -12,10 +12,10 @@ from PIL import Image
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import Grid
-from touchfield.sources import depth_scene
 from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_m
-from touchfield.sources.depth_scene import DepthScene, plane_forces
-from touchfield.sources.kernels.planes import SurfacePlanes, surface_planes
+from touchfield.sources.depth import depth_scene
+from touchfield.sources.depth.depth_scene import DepthScene, plane_forces
+from touchfield.sources.depth.kernels.planes import SurfacePlanes, surface_planes
 from touchfield.sources.laws import ForceProfile
 
 CAMERA = Intrinsics(131.0, 129.0, 80.3, 59.6)

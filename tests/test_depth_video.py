@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.sources import moving_pictures
-from touchfield.sources.depth_layouts import LAYOUTS
-from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.depth.layouts import LAYOUTS
+from touchfield.sources.images import movies
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from video_makers import depths_mm, write_video
@@ -58,7 +58,7 @@ def test_every_frame_comes_back_bit_for_bit_in_any_order(tmp_path: Path, name: s
 
 def test_frames_are_right_where_seeking_is_not(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file whose index leads astray is decoded from its beginning."""
-    video = moving_pictures.GreyVideo(movie)
+    video = movies.GreyVideo(movie)
     video._stamps = [stamp + 1 for stamp in video._stamps]  # no frame has such a stamp
     assert len(video._keys) > 1
     assert np.array_equal(video.values(15), depths_mm()[15])
@@ -68,11 +68,9 @@ def test_frames_are_right_where_seeking_is_not(movie: Path, monkeypatch: pytest.
 
 def test_a_pass_in_order_decodes_each_frame_once(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     decoded = []
-    array = moving_pictures.GreyVideo._values
-    monkeypatch.setattr(
-        moving_pictures.GreyVideo, "_values", lambda self, p: (decoded.append(p.pts), array(self, p))[1]
-    )
-    video = moving_pictures.GreyVideo(movie)
+    array = movies.GreyVideo._values
+    monkeypatch.setattr(movies.GreyVideo, "_values", lambda self, p: (decoded.append(p.pts), array(self, p))[1])
+    video = movies.GreyVideo(movie)
     for frame in range(20):
         video.values(frame)
         video.values(frame)
@@ -80,7 +78,7 @@ def test_a_pass_in_order_decodes_each_frame_once(movie: Path, monkeypatch: pytes
 
 
 def test_the_answer_may_be_changed_by_the_caller(movie: Path) -> None:
-    video = moving_pictures.GreyVideo(movie)
+    video = movies.GreyVideo(movie)
     video.values(3)[:] = 0
     assert np.array_equal(video.values(3), depths_mm()[3])
 
@@ -177,9 +175,9 @@ def test_strange_files_are_source_errors(movie: Path, tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     (tmp_path / "text.mkv").write_text("#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\ndepth.mkv\n")
     with pytest.raises(SourceError, match="cannot be read"):  # a play list, which would name other files
-        moving_pictures.GreyVideo(tmp_path / "text.mkv")
+        movies.GreyVideo(tmp_path / "text.mkv")
     with pytest.raises(SourceError, match=r"\.mkv \.avi"):
-        moving_pictures.GreyVideo(movie.with_suffix(".webm"))
+        movies.GreyVideo(movie.with_suffix(".webm"))
     with av.open(str(tmp_path / "sound.mkv"), "w") as container:
         stream = container.add_stream("pcm_s16le", rate=8000)
         sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
@@ -187,13 +185,13 @@ def test_strange_files_are_source_errors(movie: Path, tmp_path: Path) -> None:
         container.mux(stream.encode(sound))
         container.mux(stream.encode())
     with pytest.raises(SourceError, match="no video"):
-        moving_pictures.GreyVideo(tmp_path / "sound.mkv")
+        movies.GreyVideo(tmp_path / "sound.mkv")
 
 
 def test_a_video_without_a_frame_and_one_without_end(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(moving_pictures, "MAX_FRAMES", 19)
+    monkeypatch.setattr(movies, "MAX_FRAMES", 19)
     with pytest.raises(SourceError, match="more than 19 frames"):
-        moving_pictures.GreyVideo(movie)
+        movies.GreyVideo(movie)
     av = pytest.importorskip("av")
     empty = movie.with_name("empty.avi")
     with av.open(str(empty), "w") as container:
@@ -201,12 +199,12 @@ def test_a_video_without_a_frame_and_one_without_end(movie: Path, monkeypatch: p
         stream.width, stream.height, stream.pix_fmt = 40, 30, "gray16le"
         container.start_encoding()
     with pytest.raises(SourceError, match=r"without a frame|cannot be read"):
-        moving_pictures.GreyVideo(empty)
+        movies.GreyVideo(empty)
 
 
 def test_a_frame_of_another_size_is_an_error(movie: Path) -> None:
-    video = moving_pictures.GreyVideo(movie)
-    video.header = moving_pictures.VideoHeader(41, 30, "gray16le", "ffv1", 25.0)
+    video = movies.GreyVideo(movie)
+    video.header = movies.VideoHeader(41, 30, "gray16le", "ffv1", 25.0)
     with pytest.raises(SourceError, match=r"frame 2: found 40 x 30 pixels; expected 41 x 30"):
         video.values(2)
 

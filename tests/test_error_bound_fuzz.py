@@ -36,7 +36,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.stream.objects import SceneStream, write_objects
+from touchfield.pipeline.decoded_objects import SceneStream, write_objects
 
 SEED = int(os.environ.get("TOUCHFIELD_FUZZ_SEED", "1"))
 SHARE = float(os.environ.get("TOUCHFIELD_FUZZ_SHARE", "1"))

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from touchfield.errors import InvalidArgument
-from touchfield.job import MeasureSpec, measure_medium
 from touchfield.measure.field_count import field_counts, field_entropy
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.information import entropy
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.grid import Grid
+from touchfield.tasks.measure import MeasureSpec, measure_medium
 
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
 GRID = Grid((33, 20, 41), (1e-3,) * 3, (0, 0, 0))

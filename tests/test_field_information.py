@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
-from touchfield.job.mapping import SymbolFrames
 from touchfield.measure import information as info
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import binary_entropy_bits
@@ -24,6 +23,7 @@ from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import Grid
+from touchfield.pipeline.mapping import SymbolFrames
 
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
 K = 9

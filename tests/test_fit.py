@@ -13,16 +13,19 @@ from typer.testing import CliRunner
 from touchfield.cli.main import open_rooms
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, draw_preview, encode, open_stream, prepare, write_field
 from touchfield.medium import Grid, PoseTrack
 from touchfield.medium.grid import Placement
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.body_scene import BodyScene
+from touchfield.pipeline import encode, prepare
+from touchfield.pipeline.decoding import open_stream, write_field
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.height_scene import HeightScene
+from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES, Body, Scene
-from touchfield.sources.shapes import Box, Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Sphere
+from touchfield.sources.terrain.height_scene import HeightScene
+from touchfield.tasks.view import draw_preview
 
 GRID = Grid((4, 5, 6), (0.01, 0.02, 0.03), (-0.1, 0.0, 0.1))
 
@@ -128,7 +131,7 @@ def test_a_preview_shows_where_the_scene_lies(tmp_path: Path, monkeypatch: pytes
     box = AnalyticScene((Box((0.4, 0.0, 0.0), (0.04, 0.02, 0.05)),))
     box.axes = axes
     drawn: list = []
-    monkeypatch.setattr("touchfield.job.view.write_png", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr("touchfield.tasks.view.write_png", lambda figure, path: drawn.append(figure))
     prepared = prepare(box, EncodeSpec(nw=5))
     draw_preview(prepared, tmp_path / "a.png")
     (figure,) = drawn

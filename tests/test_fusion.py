@@ -11,13 +11,13 @@ import pytest
 import depth_makers as make
 import fusion_makers as rooms
 from touchfield.errors import InvalidArgument
-from touchfield.job.encode import encode
-from touchfield.job.prepare import prepare
-from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.depth_layouts import depth_scene
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.fused_scene import FusedScene, FusedVolume, stands
+from touchfield.pipeline.encoding import encode
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.depth.fused_scene import FusedScene, FusedVolume, stands
+from touchfield.sources.depth.layouts import depth_scene
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from gltf_makers import CUBE, CUBE_FACES, Gltf, everything, glb, moving_cube
-from touchfield.sources.animated_mesh import KIND
-from touchfield.sources.gltf_document import Document
-from touchfield.sources.gltf_model import Model, Sampler
+from touchfield.sources.animation.animated_mesh import KIND
+from touchfield.sources.gltf.document import Document
+from touchfield.sources.gltf.model import Model, Sampler
 
 TRIANGLE = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
 

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 
 from gltf_makers import CUBE, Gltf, everything, glb, moving_cube
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
-from touchfield.sources.animated_mesh import KIND, AnimatedMeshScene
-from touchfield.sources.gltf_document import Document, contents
-from touchfield.sources.mesh import KIND as MESH
+from touchfield.sources.animation.animated_mesh import KIND, AnimatedMeshScene
+from touchfield.sources.gltf.document import Document, contents
+from touchfield.sources.mesh.mesh_files import KIND as MESH
 from touchfield.sources.options import SourceOptions
 
 Change = Callable[[dict[str, Any]], Any]

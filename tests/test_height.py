@@ -14,11 +14,11 @@ from PIL import Image
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.height_scene import KIND, HeightLattice, HeightScene, degree_m, jacksboro_scene
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES
+from touchfield.sources.terrain.height_scene import KIND, HeightLattice, HeightScene, degree_m, jacksboro_scene
 
 SOLID = profile_of(LawSpec(), np.inf)
 GUIDED = profile_of(LawSpec("penalty+proximity"), 0.008)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources import intrinsics_file
 from touchfield.sources.camera import Intrinsics
+from touchfield.sources.depth import intrinsics_file
 
 FORMS = {
     "one line": "20 21 5.5 4",

@@ -19,8 +19,8 @@ from numba import types
 from numba.core import caching
 from numba.core.dispatcher import Dispatcher
 
-from touchfield import lean
-from touchfield.kernel_sources import PACKAGE, SourceState, kernel_sources, open_folder
+from touchfield.compute import jit
+from touchfield.compute.kernel_sources import PACKAGE, SourceState, kernel_sources, open_folder
 
 INNER = "medium/kernels/__init__.py"  # its `first_at_least` is compiled into `nearest` of codec/paper/kernels.py
 CALL = """
@@ -111,7 +111,7 @@ def test_every_compiled_function_lies_in_a_kernel_source() -> None:
         path
         for path in PACKAGE.rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.ImportFrom) and node.module == "touchfield.lean"
+        if isinstance(node, ast.ImportFrom) and node.module == "touchfield.compute.jit"
         if {alias.name for alias in node.names} & {"kernel", "inner", "uncounted", "entry", "lean", "inlined"}
     }
     assert files and files <= set(kernel_sources())
@@ -151,9 +151,7 @@ def test_a_folder_that_is_named_has_them(package: Path, tmp_path: Path) -> None:
 def test_a_folder_that_another_process_removes_does_no_harm(package: Path, left: str) -> None:
     """It is written again; where a file has its name, nothing can be read or written."""
     run(package)
-    remove = (
-        "import shutil; from touchfield.lean import kernel_folder; folder = kernel_folder(); shutil.rmtree(folder)"
-    )
+    remove = "import shutil; from touchfield.compute.jit import kernel_folder; folder = kernel_folder(); shutil.rmtree(folder)"
     assert run(package, before=remove + left) == "2 0"
     if not left:
         assert run(package) == "2 1"
@@ -189,5 +187,5 @@ def test_named_tuples_of_other_fields_are_other_variants() -> None:
     pairs: list[Any] = [types.NamedUniTuple(types.int64, 2, namedtuple("Pair", names)) for names in ("a b", "b a")]
     within: list[Any] = [types.UniTuple(pair, 2) for pair in pairs]
     for first, second in (pairs, within):
-        assert lean._fields_of([types.int64, first]) != lean._fields_of([types.int64, second])
-        assert lean._fields_of([types.int64, first]) == lean._fields_of([types.int64, first])
+        assert jit._fields_of([types.int64, first]) != jit._fields_of([types.int64, second])
+        assert jit._fields_of([types.int64, first]) == jit._fields_of([types.int64, first])

@@ -13,8 +13,8 @@ import pytest
 from numba import njit
 from numba.np import arraymath, linalg
 
-import touchfield.lean
-from touchfield.lean import KernelFiles, inner
+import touchfield.compute.jit
+from touchfield.compute.jit import KernelFiles, inner
 
 HOUSE = Path(__file__).parents[1]
 DECORATORS = {"njit", "kernel", "inner", "uncounted", "entry", "lean", "inlined"}
@@ -45,7 +45,7 @@ def test_a_kernel_that_multiplies_matrices_finds_those_of_scipy() -> None:
 
 
 def test_every_kernel_is_saved_so() -> None:
-    lean = Path(touchfield.lean.__file__)
+    lean = Path(touchfield.compute.jit.__file__)
     files = [*lean.parent.rglob("*.py"), *(HOUSE / "reproduction").rglob("*.py")]
     assert [path for path in files if re.search(r"^from numba import .*\bnjit\b", path.read_text(), re.M)] == [lean]
 

@@ -19,10 +19,10 @@ import touchfield as tf
 from medium_corpus import GRID, PROFILE, shape
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.job import library as room
-from touchfield.job.library import Library, correlate, index_folder, library_path, search, similar
 from touchfield.measure.retrieval import ANY_POSE, MediumIndex
-from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.tasks import library as room
+from touchfield.tasks.library import Library, correlate, index_folder, library_path, search, similar
 
 BODIES = ("sphere", "plate", "torus")
 

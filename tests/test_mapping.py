@@ -7,9 +7,10 @@ import pytest
 
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.devices import device
-from touchfield.job import EncodeSpec, MeasureSpec, measure_medium
-from touchfield.job.mapping import mapped
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.pipeline.mapping import mapped
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.tasks.measure import MeasureSpec, measure_medium
 
 ASKED = FieldQuantiserSpec.parse("weber:0.1")
 

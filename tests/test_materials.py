@@ -15,12 +15,11 @@ from scipy.io import wavfile
 
 import touchfield as tf
 from signal_makers import RATE_HZ, Float64s, db, noise
-from touchfield.adapters.registry import point_device
-from touchfield.adapters.sim import SimHand
 from touchfield.cli.main import _exit_code
 from touchfield.devices import device
+from touchfield.devices.drivers.registry import point_device
+from touchfield.devices.drivers.simulated import SimHand
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.job.texture import merged, store_materials, texture_of
 from touchfield.medium.trace import Trace
 from touchfield.perception.vibrotactile import (
     BANDS_HZ,
@@ -37,7 +36,8 @@ from touchfield.render.material import (
 )
 from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec
-from touchfield.sources.recording import Recording, read_recording
+from touchfield.sources.recordings.recording import Recording, read_recording
+from touchfield.tasks.texture import merged, store_materials, texture_of
 
 GRID = tf.Grid((65, 33, 33), (0.005,) * 3, (-0.16, -0.08, -0.08))
 
@@ -240,14 +240,15 @@ def test_a_material_may_be_that_of_an_object() -> None:
     medium = field()
     count = 120
     still = [
-        tf.PoseTrack(np.tile([1.0, 0, 0, 0], (count, 1)), np.tile(at, (count, 1))) for at in ([0, 0, 0], [0, 0, -9])
+        tf.medium.PoseTrack(np.tile([1.0, 0, 0, 0], (count, 1)), np.tile(at, (count, 1)))
+        for at in ([0, 0, 0], [0, 0, -9])
     ]
-    objects = [tf.HapticObject(name, medium, track) for name, track in zip(("table", "floor"), still)]
-    scene = tf.HapticScene(GRID, 30.0, tuple(objects), 40.0)
+    objects = [tf.medium.HapticObject(name, medium, track) for name, track in zip(("table", "floor"), still)]
+    scene = tf.medium.HapticScene(GRID, 30.0, tuple(objects), 40.0)
     spec = RenderSpec(render="field", rate_hz=RATE_HZ, materials=(oak(object="table", friction=0.3),))
     rows = slide(scene, 0.1, spec)
     assert vibration(rows).std() > 0.005
-    other = tf.HapticScene(GRID, 30.0, tuple(objects[::-1]), 40.0)
+    other = tf.medium.HapticScene(GRID, 30.0, tuple(objects[::-1]), 40.0)
     assert vibration(slide(other, 0.1, replace(spec, materials=(oak(friction=0.3),)))).std() > 0.005  # of any object
     below = slide(scene, 0.1, replace(spec, materials=(oak(object="floor"),)))
     assert vibration(below).std() < 1e-3

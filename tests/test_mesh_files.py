@@ -15,10 +15,10 @@ from gltf_makers import glb
 from mesh_makers import cube, distance_to, measured, winding
 from touchfield.errors import SourceError
 from touchfield.medium import Grid
-from touchfield.sources.gltf_document import contents
-from touchfield.sources.mesh import KIND, read_triangles
-from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mesh_surface import joined
+from touchfield.sources.gltf.document import contents
+from touchfield.sources.mesh.mesh_files import KIND, read_triangles
+from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.mesh.surface import joined
 from touchfield.sources.options import SourceOptions
 
 

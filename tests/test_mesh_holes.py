@@ -13,8 +13,8 @@ from mesh_makers import segment_distance
 from touchfield.errors import InvalidArgument
 from touchfield.medium import Grid
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mesh_surface import HOLES
+from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.mesh.surface import HOLES
 
 WALL_M = 0.25
 LAW = ForceProfile(((-WALL_M, 0.0, 0.0, -12.0),))

@@ -16,7 +16,7 @@ from mesh_makers import Mesh, all_points, cube, distance_to, inverted, measured,
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import Grid
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh.mesh_scene import MeshScene
 
 
 def around(vertices: np.ndarray, shape: tuple[int, int, int], margin: float = 0.3) -> Grid:

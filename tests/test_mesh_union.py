@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from mesh_makers import Mesh, all_points, cube, distance_to, inverted, measured, together
 from touchfield.medium import Grid
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.mesh_scene import MeshScene, union_of
-from touchfield.sources.mesh_surface import Surface
+from touchfield.sources.mesh.mesh_scene import MeshScene, union_of
+from touchfield.sources.mesh.surface import Surface
 
 SOLID = ForceProfile(((-math.inf, 0.0, 0.0, -1.0),))
 

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.body_scene import BodyScene
-from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mjcf import KIND, check_files
+from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.physics.body_scene import BodyScene
+from touchfield.sources.physics.mjcf import KIND, check_files
 from touchfield.sources.registry import open_source
-from touchfield.sources.shapes import Plane
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Plane
 
 mujoco = pytest.importorskip("mujoco", reason='needs the simulator: pip install "touchfield[physics]"')
 

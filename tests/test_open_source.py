@@ -9,7 +9,8 @@ import pytest
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.job import EncodeSpec, prepare
+from touchfield.pipeline import prepare
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from touchfield import parallel
+from touchfield.compute import threads
 
 
 @pytest.mark.parametrize("threads", ["1", "2", "5"])
@@ -20,18 +20,18 @@ def test_the_whole_range_once_and_in_order(monkeypatch: pytest.MonkeyPatch, thre
             out[begin:end] += 1
             return begin, end
 
-        pieces = parallel.for_chunks(kernel, count, seen)
+        pieces = threads.for_chunks(kernel, count, seen)
         assert (seen == 1).all()
         assert [p[0] for p in pieces[1:]] == [p[1] for p in pieces[:-1]]
-        assert len(parallel.for_chunks(kernel, count, seen, chunk=600)) == 1, "too little for two threads"
+        assert len(threads.for_chunks(kernel, count, seen, chunk=600)) == 1, "too little for two threads"
 
 
 def test_what_is_no_number_of_threads_is_all_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("TOUCHFIELD_THREADS", raising=False)
-    usual = parallel.worker_count()
+    usual = threads.worker_count()
     for words in ("0", "", "-2", "many"):
         monkeypatch.setenv("TOUCHFIELD_THREADS", words)
-        assert parallel.worker_count() == usual > 0
+        assert threads.worker_count() == usual > 0
 
 
 def test_an_error_is_handed_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,7 +42,7 @@ def test_an_error_is_handed_on(monkeypatch: pytest.MonkeyPatch) -> None:
             raise ValueError("in the middle")
 
     with pytest.raises(ValueError, match="in the middle"):
-        parallel.for_chunks(kernel, 100)
+        threads.for_chunks(kernel, 100)
 
 
 def test_a_call_within_a_call_ends(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,6 +53,6 @@ def test_a_call_within_a_call_ends(monkeypatch: pytest.MonkeyPatch) -> None:
         return end - begin
 
     def outer(begin: int, end: int) -> int:
-        return sum(parallel.for_chunks(inner, end - begin))
+        return sum(threads.for_chunks(inner, end - begin))
 
-    assert sum(parallel.for_chunks(outer, 64)) == 64
+    assert sum(threads.for_chunks(outer, 64)) == 64

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
-from touchfield.job import partition_workspace
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.partition import BoxLosses, DyadicLattice, Partition, optimal_partition
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.pipeline.mapping import partition_workspace
 
 Box = tuple[int, tuple[int, int, int]]
 

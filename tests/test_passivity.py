@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from touchfield.codec.paper.directions import Codebook
 from touchfield.errors import InvalidArgument
-from touchfield.job import MeasureSpec, measure_medium
 from touchfield.measure.passivity import loop_work_j, passivity
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.tasks.measure import MeasureSpec, measure_medium
 
 Float64s = NDArray[np.float64]
 GRID = Grid((21, 18, 17), (0.001, 0.002, 0.0015), (-0.01, 0.003, 0.02))

@@ -9,8 +9,8 @@ import pytest
 
 import depth_makers as make
 from touchfield.errors import SourceError
+from touchfield.sources.images.pictures import picture_header, read_picture
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.pictures import picture_header, read_picture
 from touchfield.sources.registry import open_source
 
 

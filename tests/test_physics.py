@@ -12,15 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from touchfield.errors import MissingExtra, SourceError
 from touchfield.medium import PoseTrack
-from touchfield.sources.body_scene import BodyScene
-from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.physics import open_physics, read_physics
+from touchfield.sources.physics.body_scene import BodyScene
+from touchfield.sources.physics.simulation import _driven, model_of
+from touchfield.sources.physics.toml_file import open_physics, read_physics
 from touchfield.sources.registry import kinds, open_source
 from touchfield.sources.samples import sample
 from touchfield.sources.scene import Body
-from touchfield.sources.shapes import Box, Plane
-from touchfield.sources.simulation import _driven, model_of
+from touchfield.sources.shapes.shapes import Box, Plane
 
 needs_mujoco = pytest.mark.skipif(
     __import__("importlib.util").util.find_spec("mujoco") is None,
@@ -157,8 +157,8 @@ def test_scene_1_of_the_paper(name: str, count: int) -> None:
 def test_energy_falls(tmp_path: Path) -> None:
     import mujoco
 
-    from touchfield.sources.physics import read_physics
-    from touchfield.sources.simulation import model_of
+    from touchfield.sources.physics.simulation import model_of
+    from touchfield.sources.physics.toml_file import read_physics
 
     path = Path(sys.modules["touchfield.sources"].__path__[0]) / "scenes" / "falling-4.toml"
     model, ids, _ = model_of(mujoco, read_physics(path), {}, "scene")

@@ -17,9 +17,9 @@ from touchfield.filters import (
     Placement,
     device_grid,
 )
-from touchfield.job import EncodeSpec
-from touchfield.job.prepare import prepare
-from touchfield.sources.height_scene import HeightScene
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.terrain.height_scene import HeightScene
 
 boxes = st.tuples(*[st.floats(-50, 50)] * 3, *[st.floats(0, 30) | st.just(0.0)] * 3).filter(
     lambda b: max(b[3:]) > 1e-3

@@ -11,12 +11,12 @@ import pytest
 import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
-from touchfield.job.reduction import fewest_points, next_points
 from touchfield.medium.trace import read_contacts
 from touchfield.reduction.kernel_points import Kernel, best_kernel, error_points, variance_points
 from touchfield.reduction.modes import ModePoints, Modes, mode_points, pod
-from touchfield.sources.contact_trace import CurlFree, covariances
+from touchfield.sources.recordings.contact_trace import CurlFree, covariances
 from touchfield.sources.registry import open_source
+from touchfield.tasks.reduction import fewest_points, next_points
 
 RNG = np.random.default_rng
 KERNEL = Kernel(0.2, 1e-3)
@@ -165,7 +165,7 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Path:
         apart = at - [0.015 * np.sin(phase), 0.01 * np.cos(phase), 0.0]
         frames.append(100 * apart * np.maximum(0.02**2 - (apart**2).sum(axis=-1, keepdims=True), 0) / 0.02**2)
     path = tmp_path_factory.mktemp("moving") / "ball.npz"
-    tf.job.write_field(path, tf.HapticMedium.from_array(np.array(frames), grid, 60.0))
+    tf.pipeline.write_field(path, tf.HapticMedium.from_array(np.array(frames), grid, 60.0))
     return path
 
 
@@ -193,7 +193,7 @@ def test_a_moving_medium_is_rebuilt_from_its_points(moving: Path, tmp_path: Path
 
 def test_a_medium_that_stands_still_and_a_recording(moving: Path, felt: Path, tmp_path: Path) -> None:
     still = tmp_path / "still.npz"
-    tf.job.write_field(still, open_source(moving).medium[:1])
+    tf.pipeline.write_field(still, open_source(moving).medium[:1])
     few, many = (fewest_points(still, count).summary() for count in (6, 24))
     assert few["criterion"] == "error" and many["nmse_db"] < few["nmse_db"] < 0
     done = fewest_points(felt, 20, tmp_path / "kept.csv")
@@ -245,6 +245,6 @@ def test_the_command(felt: Path, moving: Path, tmp_path: Path, capsys: pytest.Ca
 
 def test_no_force_is_told(tmp_path: Path) -> None:
     grid = tf.Grid((8, 8, 8), (0.01,) * 3, (0.0,) * 3)
-    tf.job.write_field(tmp_path / "empty.npz", tf.HapticMedium.from_array(np.zeros((3, 8, 8, 8, 3)), grid))
+    tf.pipeline.write_field(tmp_path / "empty.npz", tf.HapticMedium.from_array(np.zeros((3, 8, 8, 8, 3)), grid))
     with pytest.raises(InvalidArgument, match="no force"):
         fewest_points(tmp_path / "empty.npz", 3)

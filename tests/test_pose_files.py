@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.medium import PoseTrack
 from touchfield.medium.trace import Trace, read_trace
-from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.physics import open_physics, read_physics
+from touchfield.sources.physics.body_scene import BodyScene
+from touchfield.sources.physics.toml_file import open_physics, read_physics
 from touchfield.sources.poses import quaternion_of_turns, track_at_rate
-from touchfield.sources.shapes import rotation_matrix
+from touchfield.sources.shapes.shapes import rotation_matrix
 
 HEADER = "t_s,x_m,y_m,z_m,qw,qx,qy,qz\n"
 GOOD = HEADER + "0.0,0,0,0.1,1,0,0,0\n0.5,0,0,0.2,0.7071,0,0,0.7071\n1.0,0.1,0,0.2,0,0,0,1\n"

@@ -12,16 +12,17 @@ import pytest
 from matplotlib.quiver import Quiver
 from PIL import Image
 
-from touchfield import job
+from touchfield import pipeline, tasks
 from touchfield.cli.look import show_measurement
 from touchfield.cli.main import _exit_code
 from touchfield.cli.show import Answer, show_rows
 from touchfield.devices import devices
-from touchfield.job import EncodeSpec, Measurement, MeasureSpec
 from touchfield.measure import Interval, Quantity, capacity
 from touchfield.medium import ForceField, Grid
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.block import COLUMNS
 from touchfield.sources.tiny_scenes import tiny_scenes
+from touchfield.tasks.measure import Measurement, MeasureSpec
 from touchfield.viewer import interaction, picture
 from touchfield.viewer.information import Bar, draw_information
 from touchfield.viewer.interaction import InteractionView, draw_interaction
@@ -33,7 +34,7 @@ Capture = pytest.CaptureFixture[str]
 
 @pytest.fixture(scope="module")
 def measured() -> Measurement:
-    return job.measure_medium(tiny_scenes()[0], MeasureSpec(devices=("dotpad",), encode=EncodeSpec(nw=5)))
+    return tasks.measure.measure_medium(tiny_scenes()[0], MeasureSpec(devices=("dotpad",), encode=EncodeSpec(nw=5)))
 
 
 def _printed(found: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> str:
@@ -46,7 +47,7 @@ def test_a_name_is_no_formula_in_the_pictures(tmp_path: Path, measured: Measurem
     name = r"a$\foo$.touch"
     replace(measured, name=name).draw(tmp_path / "bits.png")
     draw_information(tmp_path / "names.png", name, "$\\foo$", [Bar(name, 2.0)], {name: measured.capacities["dotpad"]})
-    field = job.prepare(tiny_scenes()[0], EncodeSpec(nw=4)).medium[0]
+    field = pipeline.prepare(tiny_scenes()[0], EncodeSpec(nw=4)).medium[0]
     draw_comparison(tmp_path / "fields.png", field, field, name, "x right, y up", (0.1, 0.02))
     for drawn in ("bits", "names", "fields"):
         with Image.open(tmp_path / f"{drawn}.png") as image:

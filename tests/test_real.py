@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.job import EncodeSpec, compare, encode, open_stream
+from touchfield.pipeline import compare, encode
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence
-from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
-from touchfield.job.reduction import culled, reduce_medium
-from touchfield.job.spec import ReductionSpec
 from touchfield.measure.estimators import binary_entropy_bits
+from touchfield.pipeline.spec import ReductionSpec
 from touchfield.reduction import Hand, freedom, held_out, klt, pod, reach, reach_of, reduced, snapshots
 from touchfield.reduction.kernels import weak_cells
 from touchfield.reduction.reach import _Flood, _layers
+from touchfield.tasks.reduction import culled, reduce_medium
 
 HAND = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
 STEP_M, COUNT = 0.003, 40

@@ -14,12 +14,12 @@ from PIL import Image
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import Intrinsics
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.height_scene import HeightScene
-from touchfield.sources.inverse_depth import KINDS, InverseDepth, find_map
-from touchfield.sources.inverse_depth import read_relative as read_sequence
+from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.depth.inverse_depth import KINDS, InverseDepth, find_map
+from touchfield.sources.depth.inverse_depth import read_relative as read_sequence
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
+from touchfield.sources.terrain.height_scene import HeightScene
 from video_makers import write_video
 
 WIDTH, HEIGHT = 40, 30

@@ -18,9 +18,9 @@ from reproduction.__main__ import app
 from reproduction.experiment import Experiment, Finding, Inputs, markdown_table
 
 from experiment_makers import Plane, plane_depth_m
+from touchfield.atomic import atomic_path
 from touchfield.cli import main as command_line
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.medium.atomic import atomic_path
 
 
 def _exit_code(arguments: list[str]) -> int:

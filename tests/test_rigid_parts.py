@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from gltf_makers import CUBE, CUBE_FACES, Gltf, chain_rig
-from touchfield.job import EncodeSpec
-from touchfield.job.prepare import prepare
 from touchfield.medium import Grid
-from touchfield.sources.animated_mesh import AnimatedMeshScene
-from touchfield.sources.body_scene import BodyScene
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.animation.animated_mesh import AnimatedMeshScene
 from touchfield.sources.laws import ForceProfile
+from touchfield.sources.physics.body_scene import BodyScene
 
 
 def small_rig(path: Path, rigid: bool = True) -> AnimatedMeshScene:

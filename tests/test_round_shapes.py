@@ -10,8 +10,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
-from touchfield.sources.analytic_scene import read_analytic
-from touchfield.sources.shapes import (
+from touchfield.sources.shapes.analytic_scene import read_analytic
+from touchfield.sources.shapes.shapes import (
     Box,
     Capsule,
     Cylinder,

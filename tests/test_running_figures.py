@@ -9,11 +9,11 @@ import pytest
 
 from touchfield.codec.segment import Worst, promise_kept
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.job import tiles
-from touchfield.job.live import Sent
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid
-from touchfield.stream.live import LiveSegment
+from touchfield.network.live import LiveSegment
+from touchfield.pipeline import tiles
+from touchfield.tasks.live import Sent
 
 RATIOS = (0.25, 0.875, 0.5)
 ORDERS = list(permutations(RATIOS))

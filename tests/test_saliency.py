@@ -10,15 +10,17 @@ import pytest
 from PIL import Image
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import Grid
-from touchfield.sources import moving_pictures, saliency
+from touchfield.pipeline import prepare
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.images import movies
+from touchfield.sources.images.movies import ColourPictures
+from touchfield.sources.images.pictures import MAX_PIXELS
 from touchfield.sources.laws import ForceProfile, LawSpec, profile_of
-from touchfield.sources.moving_pictures import ColourPictures
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.pictures import MAX_PIXELS
 from touchfield.sources.registry import open_source
-from touchfield.sources.saliency import FADE_S, FLOORS, SaliencyMaps, SaliencyModel, SaliencyScene
+from touchfield.sources.video import saliency
+from touchfield.sources.video.saliency import FADE_S, FLOORS, SaliencyMaps, SaliencyModel, SaliencyScene
 from video_makers import write_video
 
 HEIGHT, WIDTH, COUNT = 48, 64, 20
@@ -149,10 +151,10 @@ def test_a_model_refuses_what_it_cannot_take() -> None:
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (640, 480), (480, 640), (2000, 3), (64, 64), (65, 2)])
 def test_the_reduced_picture(width: int, height: int) -> None:
-    columns, rows = moving_pictures.map_size(width, height)
+    columns, rows = movies.map_size(width, height)
     assert max(columns, rows) == min(64, max(width, height)) and min(columns, rows) >= 1
     colours = np.full((height, width, 3), 77, np.uint8)
-    small = moving_pictures.reduced(colours)
+    small = movies.reduced(colours)
     assert small.shape == (rows, columns, 3) and (small == 77).all()
     assert SaliencyModel(25.0).update(colours)[0].max() == 0
 
@@ -300,7 +302,7 @@ def test_a_gif_in_any_order(tmp_path: Path) -> None:
     pytest.importorskip("av")
     path = gif(tmp_path / "a.gif")
     assert saliency.KIND.recognise(path)
-    pictures = moving_pictures.ColourVideo(path)
+    pictures = movies.ColourVideo(path)
     assert (pictures.frame_count, pictures.rate_hz) == (COUNT, 25.0)
     for frame in [*range(COUNT), 4, 3, 19, 0]:
         far = np.abs(pictures.values(frame).astype(int) - picture(frame))
@@ -308,7 +310,7 @@ def test_a_gif_in_any_order(tmp_path: Path) -> None:
     assert open_source(path).rate_hz == 25.0
     clear = Image.fromarray(np.zeros((HEIGHT, WIDTH, 4), np.uint8))
     clear.save(tmp_path / "clear.gif")
-    assert not moving_pictures.ColourVideo(tmp_path / "clear.gif").values(0).any()
+    assert not movies.ColourVideo(tmp_path / "clear.gif").values(0).any()
 
 
 @pytest.mark.parametrize("name", ["a.webp", "a.png"])

@@ -11,15 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.job import EncodeSpec, encode, open_stream
 from touchfield.medium import Grid
+from touchfield.pipeline import encode
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.height_scene import HeightScene
+from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.depth.segments import Segmentation, SegmentRule, surfaces
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
-from touchfield.sources.segments import Segmentation, SegmentRule, surfaces
+from touchfield.sources.terrain.height_scene import HeightScene
 
 HEIGHT, WIDTH = 60, 80
 RULE = "least=0.004"  # 19 pixels

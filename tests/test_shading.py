@@ -17,7 +17,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.shading import SMOOTHED, ShadingFilter
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.laws import LawSpec, profile_of
-from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh.mesh_scene import MeshScene
 
 Float64s = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from touchfield.atomic import atomic_path
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.atomic import atomic_path
-from touchfield.medium.npz import NpzArchive, read_npz, write_npz
-from touchfield.medium.vti import write_vti
+from touchfield.medium.stores.npz import NpzArchive, read_npz, write_npz
+from touchfield.medium.stores.vti import write_vti
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.stored import KIND, StoredScene

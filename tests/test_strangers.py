@@ -18,16 +18,16 @@ from touchfield.container import TouchReader
 from touchfield.devices.profile import device
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
 from touchfield.files import keep_sources, readable, require_beside, require_plain
-from touchfield.job import EncodeSpec
 from touchfield.json_values import JsonValue, read_json
 from touchfield.medium.trace import read_trace
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.material import BANDS_HZ, stored_materials
 from touchfield.render.spec import stated_n_per_m
-from touchfield.sources import moving_pictures
-from touchfield.sources.analytic_scene import read_toml
+from touchfield.sources.images import movies
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.physics import open_physics
+from touchfield.sources.physics.toml_file import open_physics
 from touchfield.sources.registry import open_source
+from touchfield.sources.shapes.analytic_scene import read_toml
 from video_makers import depths_mm, write_video
 
 BALL = '<body name="ball" pos="0 0 .5"><freejoint/><geom size=".05"/></body>'
@@ -322,7 +322,7 @@ def test_a_video_whose_codec_is_damaged(tmp_path: Path) -> None:
     data = path.read_bytes()
     assert data.count(b"V_FFV1") == 1
     path.write_bytes(data.replace(b"V_FFV1", b"V_QQV1"))
-    for read in (moving_pictures.GreyVideo, moving_pictures.video_header):
+    for read in (movies.GreyVideo, movies.video_header):
         with pytest.raises(SourceError, match="no codec that is known"):
             read(path)
 

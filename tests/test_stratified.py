@@ -12,9 +12,9 @@ from touchfield.codec.paper.field_quantiser import FieldQuantiser, FieldQuantise
 from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.laws import LawSpec, profile_of
-from touchfield.sources.shapes import Box, Ellipsoid, Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Ellipsoid, Sphere
 
 PROFILE = profile_of(LawSpec(), math.inf)
 BODIES = AnalyticScene(

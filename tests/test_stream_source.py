@@ -6,23 +6,23 @@ from pathlib import Path
 
 import pytest
 
-from touchfield import job
+from touchfield import pipeline, tasks
 from touchfield.errors import FormatError
-from touchfield.job import EncodeSpec
-from touchfield.job.prepare import StreamScene
+from touchfield.pipeline.preparation import StreamScene
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.tiny_scenes import tiny_scenes
 
 
 @pytest.fixture(scope="module")
 def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("streams") / "ramp.touch"
-    job.encode(tiny_scenes()[0], path, EncodeSpec(nw=5))
+    pipeline.encode(tiny_scenes()[0], path, EncodeSpec(nw=5))
     return path
 
 
 def test_a_stream_keeps_its_lattice_whatever_is_asked(stream: Path, tmp_path: Path) -> None:
-    prepared = job.prepare(stream, EncodeSpec(nw=7, device="tshirt-32x32"))
-    with job.open_stream(stream) as opened:
+    prepared = pipeline.prepare(stream, EncodeSpec(nw=7, device="tshirt-32x32"))
+    with pipeline.open_stream(stream) as opened:
         assert prepared.medium.grid == opened.grid and prepared.device.name == "phantom-omni"
         assert list(prepared.medium) == list(opened.medium)
     assert any("keeps its own" in note for note in prepared.notes)
@@ -30,9 +30,9 @@ def test_a_stream_keeps_its_lattice_whatever_is_asked(stream: Path, tmp_path: Pa
 
 def test_a_stream_of_a_stream_compares_with_it(stream: Path, tmp_path: Path) -> None:
     again = tmp_path / "again.touch"
-    done = job.encode(stream, again, EncodeSpec(frames=(1, 2)))
+    done = pipeline.encode(stream, again, EncodeSpec(frames=(1, 2)))
     assert done.summary()["frames"] == 1
-    values = job.compare(stream, again).summary()
+    values = pipeline.compare(stream, again).summary()
     assert values["mask_violations"] == 0
 
 
@@ -51,16 +51,16 @@ def test_a_stream_of_ones_own_device_needs_no_profile(tmp_path: Path) -> None:
     shipped = Path(profile.__file__).parent / "profiles" / "phantom-omni.toml"
     own.write_text(shipped.read_text())
     stream = tmp_path / "own.touch"
-    job.encode(tiny_scenes()[0], stream, EncodeSpec(nw=4, device=str(own)))
-    prepared = job.prepare(stream)
-    with job.open_stream(stream) as opened:
+    pipeline.encode(tiny_scenes()[0], stream, EncodeSpec(nw=4, device=str(own)))
+    prepared = pipeline.prepare(stream)
+    with pipeline.open_stream(stream) as opened:
         assert prepared.device.name == opened.reader.head.device_name
         assert prepared.device.force_max_n == opened.reader.head.force_max_n == pytest.approx(3.3)
-    assert job.measure_medium(stream).voxel.value > 0
+    assert tasks.measure.measure_medium(stream).voxel.value > 0
 
 
 def test_a_broken_stream_is_a_format_error(stream: Path, tmp_path: Path) -> None:
     broken = tmp_path / "broken.touch"
     broken.write_bytes(stream.read_bytes()[:100])
     with pytest.raises(FormatError):
-        job.prepare(broken)
+        pipeline.prepare(broken)

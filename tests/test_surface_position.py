@@ -13,16 +13,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from touchfield.medium import ForceField, Grid, HapticMedium, PoseTrack
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.height_scene import HeightLattice, HeightScene
+from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.scene import UP_Z_AXES, Body, Scene
-from touchfield.sources.shapes import Box, Plane
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Plane
 from touchfield.sources.stored import StoredScene
+from touchfield.sources.terrain.height_scene import HeightLattice, HeightScene
 
 GRID = Grid((17, 16, 18), (0.004, 0.005, 0.003), (-0.0317, -0.0386, 0.4713))
 DEPTH_M, K = 0.012, 100.0

@@ -17,8 +17,9 @@ from reproduction.trends import TRENDS, Case, Point, bounds, trends
 from experiment_makers import Plane
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, compare, encode
-from touchfield.sources.depth_scene import DepthScene
+from touchfield.pipeline import compare, encode
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.depth.depth_scene import DepthScene
 
 SMALL = Settings(nw=4, nq=4, fractions=(0.1, 0.25), frame_counts=(1, 2))
 

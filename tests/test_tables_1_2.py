@@ -22,12 +22,12 @@ from reproduction.table_1_counts import counts_of
 
 from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.medium import ForceField, Grid, PoseTrack
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.scene import Body
-from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere
 
 F_MAX = 3.3
 ORIGIN = (0.0, 0.0, 0.0)

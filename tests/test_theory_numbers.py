@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from limits_makers import context_entropy
-from touchfield import job
+from touchfield import pipeline
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.encoder import fitted_code
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
@@ -27,7 +27,6 @@ from touchfield.codec.segment import RAW_BITS_PER_VECTOR
 from touchfield.devices import device
 from touchfield.filters import LOW_PASSES, limited, resample
 from touchfield.filters.fir import fir_filter
-from touchfield.job import EncodeSpec
 from touchfield.measure import information as info
 from touchfield.measure.capacity import capacity, codomain_bits
 from touchfield.measure.counts import Counts
@@ -36,6 +35,7 @@ from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.quantity import Quantity
 from touchfield.medium import ForceField, Grid
 from touchfield.perception.weber import WeberLadder, mask_kept_from_n, quantise_fixed_step
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.tiny_scenes import tiny_scenes
 
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
@@ -148,9 +148,9 @@ def test_every_bit_of_a_file_is_in_its_full_ratio(tmp_path: Path) -> None:
     """CR_full = file size: 8 bytes = CR_full 96 m V, for two frames; eq. 9 itself leaves most side bits out."""
     stream = tmp_path / "ramp.touch"
     scene = tiny_scenes()[0]
-    encoded = job.encode(scene, stream, EncodeSpec(nw=4)).summary()
-    compared = job.compare(scene, stream)
-    with job.open_stream(stream) as opened:
+    encoded = pipeline.encode(scene, stream, EncodeSpec(nw=4)).summary()
+    compared = pipeline.compare(scene, stream)
+    with pipeline.open_stream(stream) as opened:
         read = opened.summary()
         raw_bits = RAW_BITS_PER_VECTOR * len(opened.medium) * opened.grid.voxel_count
     file_bits = 8 * stream.stat().st_size

@@ -23,11 +23,11 @@ from touchfield.sources.camera import (
     Intrinsics,
     blend,
 )
-from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
-from touchfield.sources.depth_layouts import Layout
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.height_scene import HeightScene
+from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.depth.layouts import LAYOUTS as DEPTH_LAYOUTS
+from touchfield.sources.depth.layouts import Layout
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.terrain.height_scene import HeightScene
 
 tum, redwood, sun3d, threedmatch, depth_folder, depth_map, *_ = DEPTH_LAYOUTS
 

@@ -20,14 +20,16 @@ from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.segment import FrameKind
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare
-from touchfield.medium.npz import read_npz
+from touchfield.medium.stores.npz import read_npz
 from touchfield.perception.mask import mask_n
+from touchfield.pipeline import compare, encode, prepare
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_scene import DepthScene
+from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.saliency import SaliencyScene
 from touchfield.sources.scene import Scene
+from touchfield.sources.video.saliency import SaliencyScene
 from video_makers import write_video
 
 SHIRT = "tshirt-32x32"

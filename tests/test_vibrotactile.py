@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from signal_makers import RATE_HZ, Float64s, db, noise
 from touchfield.errors import InvalidArgument, TouchfieldError
-from touchfield.job.texture import texture_of
 from touchfield.perception.hand_motion import third_octave_power
 from touchfield.perception.human import THIRDS_HZ, vibration_threshold
 from touchfield.perception.vibrotactile import (
@@ -21,7 +20,8 @@ from touchfield.perception.vibrotactile import (
     handle_force_n,
     reduced,
 )
-from touchfield.sources.recording import Recording
+from touchfield.sources.recordings.recording import Recording
+from touchfield.tasks.texture import texture_of
 
 # -- crossover -----------------------------------------------------------------------------------------------------
 

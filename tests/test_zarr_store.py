@@ -13,15 +13,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield import EncodeSpec, Grid, TouchSpec, prepare
+from touchfield import EncodeSpec, Grid, prepare
 from touchfield.cli.main import _exit_code
+from touchfield.codec import TouchSpec
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
 from touchfield.filters import pyramid
-from touchfield.job import tiles
-from touchfield.job.prepare import decode
-from touchfield.job.tiles import encode_tiles
 from touchfield.medium import ForceField, HapticMedium
-from touchfield.medium.zarr_store import boxes, read_zarr, write_zarr
+from touchfield.medium.stores.zarr_store import boxes, read_zarr, write_zarr
+from touchfield.pipeline import tiles
+from touchfield.pipeline.preparation import decode
+from touchfield.pipeline.tiles import encode_tiles
 from touchfield.sources.registry import open_source
 
 zarr = pytest.importorskip("zarr", reason="the extra zarr is not installed")
@@ -249,7 +250,7 @@ def test_without_the_library_the_extra_is_named(tmp_path: Path, monkeypatch: pyt
 
 @pytest.fixture
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    from touchfield.medium import zarr_store
+    from touchfield.medium.stores import zarr_store
 
     monkeypatch.setattr(zarr_store, "_SHARD", 16)
     monkeypatch.setattr(zarr_store, "_CHUNK", 16)

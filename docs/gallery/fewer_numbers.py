@@ -18,8 +18,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import touchfield as tf
-from touchfield.job.reduction import culled
 from touchfield.reduction import Hand, freedom, held_out, reach_of, reduced
+from touchfield.tasks.reduction import culled
 
 # %%
 # ## A solid that breathes, and one that walks

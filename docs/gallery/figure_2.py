@@ -22,7 +22,9 @@ import touchfield as tf
 from touchfield.perception.weber import WeberLadder, jnd_gain, mask_kept_from_n, quantise_fixed_step
 from touchfield.viewer.plots import draw_masked_signal
 
-prepared = tf.prepare("sample:terrain", tf.EncodeSpec(mapping="fill", source=tf.SourceOptions(exaggeration=5.0)))
+prepared = tf.prepare(
+    "sample:terrain", tf.EncodeSpec(mapping="fill", source=tf.sources.SourceOptions(exaggeration=5.0))
+)
 field = prepared.medium[0]
 t = np.linspace(0, 1, 1000)
 path_m = np.stack([-0.045 + 0.09 * t, np.full_like(t, -0.02), np.full_like(t, -0.007)], axis=1)

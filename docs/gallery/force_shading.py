@@ -20,7 +20,7 @@ import numpy as np
 import trimesh
 
 import touchfield as tf
-from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh.mesh_scene import MeshScene
 
 ball = trimesh.creation.icosphere(subdivisions=1, radius=0.03)
 scene = MeshScene(np.asarray(ball.vertices), np.asarray(ball.faces))
@@ -32,9 +32,9 @@ print(f"{len(ball.faces)} triangles, edges of {1e3 * ball.edges_unique_length.me
 # ## Three filters
 chain = {
     "as modelled": None,
-    "plain Gaussian, 2.5 mm": tf.filter_of("gaussian", "2.5mm"),
-    "force shading, 6 mm": tf.filter_of("shading", "6mm"),
-    "anisotropic diffusion": tf.filter_of("perona-malik", "steps=60,kappa=0.6"),
+    "plain Gaussian, 2.5 mm": tf.filters.filter_of("gaussian", "2.5mm"),
+    "force shading, 6 mm": tf.filters.filter_of("shading", "6mm"),
+    "anisotropic diffusion": tf.filters.filter_of("perona-malik", "steps=60,kappa=0.6"),
 }
 fields = {name: faceted if step is None else step(faceted) for name, step in chain.items()}
 

@@ -23,13 +23,13 @@ import numpy as np
 import touchfield as tf
 
 DEVICES = ("delta.3", "novint-falcon", "phantom-omni", "tshirt-32x32", "dotpad", "tactsuit-x40")
-spec = tf.MeasureSpec(
+spec = tf.tasks.MeasureSpec(
     quantiser="weber:0.1",
     devices=DEVICES,
     limits=False,
     encode=tf.EncodeSpec(device="delta.3", nw=7, mapping="fill", stiffness_n_per_m=2000.0),
 )
-found = tf.measure_medium("sample:motorcycle", spec)
+found = tf.tasks.measure_medium("sample:motorcycle", spec)
 print(found.per_frame)
 print(f"{found.supported_voxels:,} of {found.voxels:,} voxels hold a force; Q has {found.alphabet:,} symbols")
 

@@ -17,14 +17,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import touchfield as tf
-from touchfield.adapters.registry import point_device
-from touchfield.job.texture import texture_of
+from touchfield.devices.drivers.registry import point_device
 from touchfield.medium.trace import Trace
 from touchfield.perception.human import vibration_threshold
 from touchfield.perception.vibrotactile import BANDS_HZ, Crossover, band_rms, dft321, reduced
 from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec
-from touchfield.sources.recording import Recording
+from touchfield.sources.recordings.recording import Recording
+from touchfield.tasks.texture import texture_of
 
 rng, rate_hz, speeds_m_s = np.random.default_rng(1), 5000.0, (0.04, 0.08, 0.16)
 recordings = []

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.lean import inner, kernel
+from touchfield.compute.jit import inner, kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

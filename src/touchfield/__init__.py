@@ -7,10 +7,12 @@
         print(stream.medium[0].sample_n([0.0, 0.0, 0.0]), "N")
     tf.compare("sample:terrain", "terrain.touch").draw("terrain.png")
 
-Rooms, each reached as `tf.NAME`: `medium` (the values), `sources`, `devices`, `perception`, `filters`, `measure`,
-`reduction`, `codec`, `container`, `stream` (seconds that come by file, network or live), `viewer`, `render` (the
-receiver), `adapters` (devices and formats at the edge), `job` (the main job), `cli`. After Moustakas and Lalos,
-*An information-theoretic treatment of passive haptic media*.
+The names in ``__all__`` are the ones that most programs need. Everything else is reached through its package, which
+is imported when it is first used: ``tf.medium`` (grids, fields, media), ``tf.sources``, ``tf.devices``,
+``tf.perception``, ``tf.filters``, ``tf.measure``, ``tf.reduction``, ``tf.codec``, ``tf.container``, ``tf.pipeline``
+(figure 4 of the paper), ``tf.render`` (the receiver), ``tf.viewer``, ``tf.network``, ``tf.exchange``, ``tf.tasks``
+(what each command does), ``tf.cli``. After Moustakas and Lalos, *An information-theoretic treatment of passive haptic
+media*.
 """
 
 from __future__ import annotations
@@ -20,85 +22,128 @@ from typing import TYPE_CHECKING, Any
 
 from touchfield._version import __version__
 from touchfield.errors import TouchfieldError
+from touchfield.hooks import register
 
 if TYPE_CHECKING:
     from touchfield import (
-        adapters,
-        codec,
-        container,
-        filters,
-        job,
-        measure,
-        medium,
-        perception,
-        reduction,
-        render,
-        sources,
-        stream,
-        viewer,
+        cli as cli,
     )
-    from touchfield.codec.paper.spec import PaperSpec
-    from touchfield.codec.touch.spec import TouchSpec
-    from touchfield.devices import device, devices
-    from touchfield.filters.registry import filter_of
-    from touchfield.job import (
-        EncodeSpec,
-        MeasureSpec,
-        compare,
-        encode,
-        filter_report,
-        measure_medium,
-        open_stream,
-        plan,
-        prepare,
-        write_field,
+    from touchfield import (
+        codec as codec,
     )
-    from touchfield.job.play import PlaySpec, play
-    from touchfield.job.prepare import decode
-    from touchfield.job.view import view
-    from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+    from touchfield import (
+        compute as compute,
+    )
+    from touchfield import (
+        container as container,
+    )
+    from touchfield import (
+        devices as devices,
+    )
+    from touchfield import (
+        exchange as exchange,
+    )
+    from touchfield import (
+        filters as filters,
+    )
+    from touchfield import (
+        measure as measure,
+    )
+    from touchfield import (
+        medium as medium,
+    )
+    from touchfield import (
+        network as network,
+    )
+    from touchfield import (
+        perception as perception,
+    )
+    from touchfield import (
+        pipeline as pipeline,
+    )
+    from touchfield import (
+        reduction as reduction,
+    )
+    from touchfield import (
+        render as render,
+    )
+    from touchfield import (
+        sources as sources,
+    )
+    from touchfield import (
+        tasks as tasks,
+    )
+    from touchfield import (
+        viewer as viewer,
+    )
+    from touchfield.devices import device
+    from touchfield.medium import ForceField, Grid, HapticMedium
+    from touchfield.pipeline import EncodeSpec, compare, decode, encode, open_stream, prepare, write_field
     from touchfield.render.player import Player
     from touchfield.render.sampler import FieldSampler
-    from touchfield.sources.options import SourceOptions
     from touchfield.sources.registry import open_source
+    from touchfield.tasks.plan import plan
+    from touchfield.tasks.play import play
+    from touchfield.tasks.view import view
 
 __all__ = [
-    "EncodeSpec", "FieldSampler", "ForceField", "Grid", "HapticMedium", "HapticObject", "HapticScene",
-    "MeasureSpec", "PaperSpec", "PlaySpec", "Player", "PoseTrack", "SourceOptions", "TouchSpec", "TouchfieldError",
-    "__version__", "adapters", "codec", "compare", "container", "decode", "device", "devices", "encode",
-    "filter_of", "filter_report", "filters", "job", "measure", "measure_medium", "medium", "open_source",
-    "open_stream", "perception", "plan", "play", "prepare", "reduction", "render", "sources", "stream", "view",
-    "viewer", "write_field",
-]  # fmt: skip
+    "EncodeSpec",
+    "FieldSampler",
+    "ForceField",
+    "Grid",
+    "HapticMedium",
+    "Player",
+    "TouchfieldError",
+    "__version__",
+    "compare",
+    "decode",
+    "device",
+    "devices",
+    "encode",
+    "open_source",
+    "open_stream",
+    "plan",
+    "play",
+    "prepare",
+    "view",
+    "write_field",
+]
 
-_NAMES = {
-    "touchfield.job": (
-        "EncodeSpec MeasureSpec compare encode filter_report measure_medium open_stream plan prepare write_field"
-    ),
-    "touchfield.medium": "ForceField Grid HapticMedium HapticObject HapticScene PoseTrack",
-    "touchfield.render.sampler": "FieldSampler",
-    "touchfield.codec.paper.spec": "PaperSpec",
-    "touchfield.job.play": "PlaySpec play",
-    "touchfield.render.player": "Player",
-    "touchfield.sources.options": "SourceOptions",
-    "touchfield.codec.touch.spec": "TouchSpec",
-    "touchfield.job.prepare": "decode",
-    "touchfield.devices": "device",
-    "touchfield.filters.registry": "filter_of",
-    "touchfield.sources.registry": "open_source",
-    "touchfield.job.view": "view",
+register(
+    draw_medium="touchfield.tasks.view:draw_medium",
+    filter_by_text="touchfield.filters.registry:filter_by_text",
+    open_live="touchfield.network.live_client:open_live",
+    view="touchfield.tasks.view:view",
+)
+
+_PACKAGES = frozenset(
+    (
+        *("cli", "codec", "compute", "container", "devices", "exchange", "filters", "measure", "medium", "network"),
+        *("perception", "pipeline", "reduction", "render", "sources", "tasks", "viewer"),
+    )
+)
+_MODULES = {
+    "touchfield.devices": ("device",),
+    "touchfield.medium": ("ForceField", "Grid", "HapticMedium"),
+    "touchfield.pipeline": ("EncodeSpec", "compare", "decode", "encode", "open_stream", "prepare", "write_field"),
+    "touchfield.render.player": ("Player",),
+    "touchfield.render.sampler": ("FieldSampler",),
+    "touchfield.sources.registry": ("open_source",),
+    "touchfield.tasks.plan": ("plan",),
+    "touchfield.tasks.play": ("play",),
+    "touchfield.tasks.view": ("view",),
 }
-_ROOM = {name: room for room, names in _NAMES.items() for name in names.split()}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    # the rooms are opened when they are first entered, so that the import stays fast
-    if name in _ROOM:
-        return getattr(import_module(_ROOM[name]), name)
-    if name in __all__:
+    # packages are imported when they are first used, so that `import touchfield` stays fast
+    if name in _MODULE_OF:
+        return getattr(import_module(_MODULE_OF[name]), name)
+    if name in _PACKAGES:
         return import_module(f"touchfield.{name}")
     raise AttributeError(f"module 'touchfield' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted({*__all__, *_PACKAGES})

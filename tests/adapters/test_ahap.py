@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from effect_makers import written
-from touchfield.adapters.ahap import SHARPNESS_HZ, read_ahap
-from touchfield.adapters.symbolic import TRANSIENT_S, ArrayEffect
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.exchange.ahap import SHARPNESS_HZ, read_ahap
+from touchfield.exchange.symbolic import TRANSIENT_S, ArrayEffect
 
 
 def event(kind: str, time_s: float = 0.0, duration_s: float | None = None, **parameters: Any) -> dict[str, Any]:

@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve
 
-from touchfield.adapters import bhaptics
-from touchfield.adapters.bhaptics import BHaptics
-from touchfield.adapters.registry import array_device
 from touchfield.devices import device
+from touchfield.devices.drivers import bhaptics
+from touchfield.devices.drivers.bhaptics import BHaptics
+from touchfield.devices.drivers.registry import array_device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.array_player import ArrayPlayer
 

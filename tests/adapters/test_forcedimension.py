@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from fake_driver import FakeDriver, built
 
-from touchfield.adapters import forcedimension
-from touchfield.adapters.forcedimension import ForceDimension, quaternion_of_rows
-from touchfield.adapters.registry import point_device
+from touchfield.devices.drivers import forcedimension
+from touchfield.devices.drivers.forcedimension import ForceDimension, quaternion_of_rows
+from touchfield.devices.drivers.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.medium.pose_track import rotation_matrices
 from touchfield.render.servo import _zero

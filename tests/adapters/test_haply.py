@@ -15,9 +15,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.adapters import haply, links
-from touchfield.adapters.haply import Haply
-from touchfield.adapters.registry import point_device
+from touchfield.devices.drivers import haply, links
+from touchfield.devices.drivers.haply import Haply
+from touchfield.devices.drivers.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
 
 pytest.importorskip("websockets")

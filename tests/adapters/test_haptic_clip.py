@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 
 from effect_makers import effects
-from touchfield.adapters.ahap import read_ahap
-from touchfield.adapters.effect_files import write_ahap, write_haptic
-from touchfield.adapters.symbolic import ArrayEffect
+from touchfield.exchange.ahap import read_ahap
+from touchfield.exchange.effect_files import write_ahap, write_haptic
+from touchfield.exchange.symbolic import ArrayEffect
 
 
 def load(path: Path) -> dict[str, Any]:

@@ -15,11 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from effect_makers import band, channel, document, effect, keyframe, read_force, written
-from touchfield.adapters import hjif_read
-from touchfield.adapters.hjif_import import read_hjif_array
-from touchfield.adapters.hjif_read import block_samples
-from touchfield.adapters.symbolic import TRANSIENT_S, ImportedEffect
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.exchange import hjif_read
+from touchfield.exchange.hjif_import import read_hjif_array
+from touchfield.exchange.hjif_read import block_samples
+from touchfield.exchange.symbolic import TRANSIENT_S, ImportedEffect
 
 
 def read(path: Path, *channels: dict[str, Any], rate_hz: float = 100.0, **more: Any) -> ImportedEffect:

@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from effect_makers import RATES_HZ, effects, read_force, schema_errors
-from touchfield.adapters.hjif_import import read_hjif_array
-from touchfield.adapters.hjif_write import AMPLITUDE_STEP, MAX_SPAN_TICKS, write_hjif_array, write_hjif_force
-from touchfield.adapters.symbolic import DEFAULT_CARRIER_HZ, ArrayEffect
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.exchange.hjif_import import read_hjif_array
+from touchfield.exchange.hjif_write import AMPLITUDE_STEP, MAX_SPAN_TICKS, write_hjif_array, write_hjif_force
+from touchfield.exchange.symbolic import DEFAULT_CARRIER_HZ, ArrayEffect
 
 
 @st.composite

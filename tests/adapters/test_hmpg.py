@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from effect_makers import read_force
-from touchfield.adapters.hjif_import import read_hjif_array
-from touchfield.adapters.hjif_read import read_hjif
 from touchfield.errors import SourceError
+from touchfield.exchange.hjif_import import read_hjif_array
+from touchfield.exchange.hjif_read import read_hjif
 
 Fields = list[tuple[int, int]]  # value, bits
 

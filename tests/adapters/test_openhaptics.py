@@ -12,9 +12,9 @@ import pytest
 from fake_driver import FakeDriver, built
 from numba import njit
 
-from touchfield.adapters import openhaptics
-from touchfield.adapters.openhaptics import OpenHaptics
-from touchfield.adapters.registry import point_device
+from touchfield.devices.drivers import openhaptics
+from touchfield.devices.drivers.openhaptics import OpenHaptics
+from touchfield.devices.drivers.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.block import Memory
 
@@ -264,7 +264,7 @@ def test_a_name_that_no_driver_has_is_refused(name) -> None:
 def test_the_registry_is_cheap_to_import() -> None:
     """Neither the compiler nor a library of a device is imported before a device is opened."""
     code = (
-        "import sys; from touchfield.adapters.registry import point_device, point_kinds\n"
+        "import sys; from touchfield.devices.drivers.registry import point_device, point_kinds\n"
         "for words in ('sim', 'haply', 'openhaptics', 'forcedimension'): point_device(words)\n"
         "assert len(point_kinds()) == 4\n"
         "print([name for name in ('numba', 'websockets', 'serial') if name in sys.modules])"

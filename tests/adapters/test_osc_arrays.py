@@ -11,10 +11,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from osc_listener import Listener, listening
-from touchfield.adapters import osc
-from touchfield.adapters.osc import _FLOATS_AT_ONCE, MOST_BYTES, Osc
-from touchfield.adapters.registry import array_device
 from touchfield.devices import Device, device
+from touchfield.devices.drivers import osc
+from touchfield.devices.drivers.osc import _FLOATS_AT_ONCE, MOST_BYTES, Osc
+from touchfield.devices.drivers.registry import array_device
 from touchfield.errors import DeviceError, InvalidArgument
 
 VEST, X40 = device("tactile-vest-8x8"), device("tactsuit-x40")

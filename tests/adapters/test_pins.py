@@ -16,12 +16,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.adapters import links, pins
-from touchfield.adapters.pins import Pins, checked_line
-from touchfield.adapters.registry import array_device, array_kinds, is_array_device
-from touchfield.asked import address
 from touchfield.devices import Device, device
+from touchfield.devices.drivers import links, pins
+from touchfield.devices.drivers.pins import Pins, checked_line
+from touchfield.devices.drivers.registry import array_device, array_kinds, is_array_device
 from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.options import address
 from touchfield.render.array_player import ArrayPlayer
 
 PAD = device("dotpad")

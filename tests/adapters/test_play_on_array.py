@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from osc_listener import Listener, listening
-from touchfield import job
-from touchfield.adapters.registry import array_device
-from touchfield.job import EncodeSpec
-from touchfield.job.array_medium import array_drives
-from touchfield.job.play import PlaySpec, play
+from touchfield import pipeline
+from touchfield.devices.drivers.registry import array_device
+from touchfield.pipeline.array_medium import array_drives
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.array_player import ArrayPlayer
 from touchfield.sources.tiny_scenes import tiny_scenes
+from touchfield.tasks.play import PlaySpec, play
 
 VEST = "tactile-vest-8x8"
 
 
 def test_a_file_is_felt_frame_by_frame(tmp_path: Path) -> None:
     path = tmp_path / "ramp.touch"
-    job.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST))
-    with listening() as line, job.open_stream(path) as stream:
+    pipeline.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST))
+    with listening() as line, pipeline.open_stream(path) as stream:
         array = array_device(f"osc:127.0.0.1:{line.getsockname()[1]}")
         frames = array_drives(stream, array.profile)
         with ArrayPlayer(frames, array, rate_hz=frames.rate_hz, speed=0.5) as player:
@@ -50,7 +50,7 @@ def test_frames_that_came_too_late_for_an_array_are_told(
     stalled: int, is_starved: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "ramp.touch"
-    job.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST))
+    pipeline.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST))
     own = ArrayPlayer.statistics
     monkeypatch.setattr(ArrayPlayer, "statistics", lambda self: {**own(self), "stalled": stalled, "sent": 4})
     with listening() as line:

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from touchfield.adapters.registry import point_device
-from touchfield.adapters.sim import KIND, SimHand
+from touchfield.devices.drivers.registry import point_device
+from touchfield.devices.drivers.simulated import KIND, SimHand
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.medium.trace import Trace
 

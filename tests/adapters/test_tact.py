@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from effect_makers import TactSpan, read_tact
-from touchfield.adapters.effect_files import LEAST_SPAN_MS, write_tact
-from touchfield.adapters.symbolic import ArrayEffect
 from touchfield.errors import InvalidArgument
+from touchfield.exchange.effect_files import LEAST_SPAN_MS, write_tact
+from touchfield.exchange.symbolic import ArrayEffect
 
 
 def shown(spans: list[TactSpan], time_ms: float) -> np.ndarray:

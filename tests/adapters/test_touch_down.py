@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.adapters.sim import STIFFNESS_N_PER_M, SimHand
-from touchfield.adapters.touch_down import touch_down
+from touchfield.devices.drivers.simulated import STIFFNESS_N_PER_M, SimHand
+from touchfield.devices.drivers.touch_down import touch_down
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 
 GRID = Grid.over_box((-0.05,) * 3, (0.05,) * 3, (40, 40, 40))

@@ -109,8 +109,8 @@ def test_a_first_encode_finds_all_kernels_of_the_coder_that_the_groups_compile()
     code = """if True:
         import sys, tempfile
         from numba.core.dispatcher import Dispatcher
-        from touchfield import job
-        from touchfield.job.setup import GROUPS
+        from touchfield import pipeline
+        from touchfield.tasks.setup import GROUPS
 
         def compiled():
             modules = [m for name, m in sys.modules.items() if name.startswith("touchfield.codec.")]
@@ -121,7 +121,7 @@ def test_a_first_encode_finds_all_kernels_of_the_coder_that_the_groups_compile()
             GROUPS[name]()
         before = compiled()
         with tempfile.TemporaryDirectory() as folder:
-            done = job.encode("sample:terrain", folder + "/out.touch", job.EncodeSpec(nw=6))
+            done = pipeline.encode("sample:terrain", folder + "/out.touch", pipeline.EncodeSpec(nw=6))
         assert done.supported_voxels and "write_row" in dict(before)
         print(compiled() - before, "scipy.linalg" in sys.modules)
     """

@@ -119,42 +119,42 @@ TASKS = {
     "filter": ("job:encode", "job:prepare", "job:write_field", "job:filter_report", "cli.make:executor_of"),
     "field": ("job:prepare", "job:draw_preview", "job:write_field", "cli.make:computing"),
     "plan": ("job:plan", "cli.make:executor_of"),
-    "decode": ("stream.opened:open_stream", "stream.opened:write_field"),
-    "export": ("job.exchange:export",),
-    "import": ("job.exchange:import_effect",),
-    "edit": ("job.editing:edit",),
-    "splice": ("job.editing:splice",),
-    "resample": ("job.editing:resample_file",),
-    "lod": ("job.editing:levels_of_detail",),
-    "partition": ("job.editing:read_medium", "job.mapping:partition_workspace"),
+    "decode": ("pipeline.decoding:open_stream", "pipeline.decoding:write_field"),
+    "export": ("tasks.exchange:export",),
+    "import": ("tasks.exchange:import_effect",),
+    "edit": ("tasks.editing:edit",),
+    "splice": ("tasks.editing:splice",),
+    "resample": ("tasks.editing:resample_file",),
+    "lod": ("tasks.editing:levels_of_detail",),
+    "partition": ("tasks.editing:read_medium", "pipeline.mapping:partition_workspace"),
     "texture": (
-        "sources.recording:read_recording", "job.texture:texture_of", "job.texture:merged",
-        "job.texture:store_materials", "render.material:write_table", "viewer.plots:draw_textures",
+        "sources.recordings.recording:read_recording", "tasks.texture:texture_of", "tasks.texture:merged",
+        "tasks.texture:store_materials", "render.material:write_table", "viewer.plots:draw_textures",
     ),
-    "deform": ("job.deformation:tracks_of",),
-    "info": ("stream.opened:open_stream",),
-    "view": ("job.view:view",),
+    "deform": ("tasks.deformation:tracks_of",),
+    "info": ("pipeline.decoding:open_stream",),
+    "view": ("tasks.view:view",),
     "compare": ("job:compare",),
     "play": (
-        "job.play:play", "job.play:check_play", "stream.bridge:Bridge", "cli.feel:read_materials",
+        "tasks.play:play", "tasks.play:check_play", "network.bridge:Bridge", "cli.feel:read_materials",
         "cli.feel:read_deformation",
     ),
-    "serve": ("stream.server:serve",),
+    "serve": ("network.server:serve",),
     "live": (
-        "job.live:opened_sender", "job.live:broadcast", "job.live:coarse_layer", "stream.live_server:LiveServer",
-        "stream.udp:UdpSender", "stream.live:write_message",
+        "tasks.live:opened_sender", "tasks.live:broadcast", "tasks.live:coarse_layer", "network.live_server:LiveServer",
+        "network.udp:UdpSender", "network.live:write_message",
     ),
-    "mux": ("stream.mux:mux",),
-    "demux": ("stream.mux:demux",),
+    "mux": ("network.mux:mux",),
+    "demux": ("network.mux:demux",),
     "measure": ("job:measure_medium",),
-    "reduce": ("job.reduction:reduce_medium",),
-    "index": ("job.library:index_folder", "cli.library:executor_of"),
-    "search": ("job.library:search",),
-    "similar": ("job.library:similar",),
-    "correlate": ("job.library:correlate",),
-    "points": ("job.reduction:fewest_points", "job.reduction:next_points"),
+    "reduce": ("tasks.reduction:reduce_medium",),
+    "index": ("tasks.library:index_folder", "cli.library:executor_of"),
+    "search": ("tasks.library:search",),
+    "similar": ("tasks.library:similar",),
+    "correlate": ("tasks.library:correlate",),
+    "points": ("tasks.reduction:fewest_points", "tasks.reduction:next_points"),
     "demo": ("cli.demo:run_demo",),
-    "doctor": ("job.setup:examine",),
+    "doctor": ("tasks.setup:examine",),
 }  # fmt: skip
 """Of each command the functions behind it that are recorded; "module:name"."""
 
@@ -265,8 +265,8 @@ def test_who_receives_is_told_the_end_of_a_live_stream(folder: Path, monkeypatch
 
     assert run("live", ["scene.stl"], folder, monkeypatch)["LiveServer().end"] == CALLED
     servers: list[Stub] = []
-    monkeypatch.setattr("touchfield.stream.live_server.LiveServer", lambda *_: servers.append(Stub()) or servers[0])
-    monkeypatch.setattr("touchfield.job.live.opened_sender", lambda *_: RESULTS["opened_sender"])
-    monkeypatch.setattr("touchfield.job.live.broadcast", breaks)
+    monkeypatch.setattr("touchfield.network.live_server.LiveServer", lambda *_: servers.append(Stub()) or servers[0])
+    monkeypatch.setattr("touchfield.tasks.live.opened_sender", lambda *_: RESULTS["opened_sender"])
+    monkeypatch.setattr("touchfield.tasks.live.broadcast", breaks)
     assert _exit_code(["live", "scene.stl"]) == 1
     assert servers[0].__enter__.return_value.end.called, "also where it is interrupted"

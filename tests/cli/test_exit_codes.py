@@ -18,8 +18,9 @@ from test_every_option import TASKS
 from option_tables import ARGUMENTS
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.job import EncodeSpec, encode
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.pipeline import encode
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
 
 SPHERE = '[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n'
@@ -215,7 +216,7 @@ def test_a_pipe_that_breaks_within_a_task_is_no_success(
     def breaks(*_: object, **__: object) -> None:
         raise BrokenPipeError
 
-    monkeypatch.setattr("touchfield.stream.opened.open_stream", breaks)
+    monkeypatch.setattr("touchfield.pipeline.decoding.open_stream", breaks)
     capsys.readouterr()
     assert _exit_code(["info", "sphere.touch"]) == 1
     assert capsys.readouterr() == ("", ""), "nobody is there to hear it"

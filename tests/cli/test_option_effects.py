@@ -19,9 +19,11 @@ from effect_makers import band, channel, document, effect, keyframe, written
 from gltf_makers import chain_rig
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.job import EncodeSpec, encode, open_stream
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.npz import write_npz
+from touchfield.medium.stores.npz import write_npz
+from touchfield.pipeline import encode
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
 
 VOLATILE = ("_ms", "_s", "_us")

@@ -13,16 +13,17 @@ from PIL import Image
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.devices import device
-from touchfield.job import EncodeSpec, encode
-from touchfield.job.play import COLUMNS, PlaySpec, play
-from touchfield.job.prepare import decode
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.trace import read_trace
+from touchfield.pipeline import encode
+from touchfield.pipeline.preparation import decode
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.spec import RenderSpec
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.shapes import Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Sphere
 from touchfield.sources.stored import StoredScene
 from touchfield.sources.tiny_scenes import tiny_scenes
+from touchfield.tasks.play import COLUMNS, PlaySpec, play
 
 Capture = pytest.CaptureFixture[str]
 
@@ -188,7 +189,7 @@ def test_what_is_no_tool_is_one_clear_line(stream: Path, tool: str, capsys: Capt
 def test_in_time_and_in_a_process_of_its_own(
     stream: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("touchfield.job.play._FEW_ROWS", 0)  # what is kept of a play that is not logged
+    monkeypatch.setattr("touchfield.tasks.play._FEW_ROWS", 0)  # what is kept of a play that is not logged
     log = tmp_path / "forces.csv"
     asked = ["play", str(stream), "--seconds", "0.3", "--device", "sim:spring", "--log", str(log), "--json"]
     assert _exit_code(asked) == 0
@@ -261,7 +262,7 @@ def test_the_log_is_written_also_when_the_stream_fails_half_way(
 
 
 def test_a_stream_that_came_too_late_is_told(stream: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    import touchfield.job.play as job
+    import touchfield.tasks.play as job
 
     for share, code in ((0.02, 1), (0.005, 0)):
         played = job.Played({"stalled_share": share}, None, None, ())
@@ -271,7 +272,7 @@ def test_a_stream_that_came_too_late_is_told(stream: Path, monkeypatch: pytest.M
 
 
 def test_what_is_asked_for_in_words_reaches_the_renderer(stream: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import touchfield.job.play as job
+    import touchfield.tasks.play as job
 
     took: list[PlaySpec] = []
     monkeypatch.setattr(job, "play", lambda path, spec, *_: took.append(spec) or job.Played({}, None, None, ()))

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from touchfield.asked import option
 from touchfield.cli.options import _options_of
 from touchfield.codec import registry
 from touchfield.codec.paper.spec import PaperSpec
@@ -18,6 +17,7 @@ from touchfield.codec.segment import CodedSegment
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument, UnsupportedVersion
 from touchfield.medium import ForceField, Grid
+from touchfield.options import option
 
 GRID = Grid((9, 8, 7), (1e-3,) * 3, (0, 0, 0))
 
@@ -82,7 +82,7 @@ def test_the_command_line_asks_the_registry() -> None:
     )
     assert rows["k"][3].count("Weber fraction") == 2 and rows["lossless-quantised"][1:3] == (bool, False)
     asked = options._coder({"coder": "count", "letter": "q", "nq": None, "lossless_quantised": False})
-    assert asked == {"coder": "count", "count": CountSpec(letter="q")}
+    assert asked == {"coder": "count", "extension": CountSpec(letter="q")}
     with pytest.raises(InvalidArgument, match="--coder count"):
         options._coder({"coder": "paper", "letter": "q"})
 

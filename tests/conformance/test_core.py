@@ -19,8 +19,8 @@ from second import CONFORMANCE, GOLDEN
 
 from touchfield.container import TouchReader
 from touchfield.errors import FormatError
-from touchfield.stream import native
-from touchfield.stream.opened import open_stream
+from touchfield.pipeline import native_decoder
+from touchfield.pipeline.decoding import open_stream
 
 ROOT = CONFORMANCE.parent
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -48,7 +48,7 @@ def core(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """The module, imported, and used in the test alone."""
     monkeypatch.syspath_prepend(str(folder))
     module = import_module("touchfield_core")
-    monkeypatch.setattr(native, "_core", lambda: module)
+    monkeypatch.setattr(native_decoder, "_core", lambda: module)
     return module
 
 
@@ -68,7 +68,7 @@ def test_frames_of_golden_files_to_the_bit(stream: Path, core: Any, monkeypatch:
         assert own.is_native == is_voxels
         medium = own.medium
         frames = [medium[i] for i in range(len(medium))] if is_voxels else []
-    monkeypatch.setattr(native, "_core", lambda: None)
+    monkeypatch.setattr(native_decoder, "_core", lambda: None)
     with open_stream(stream) as plain:
         assert not plain.is_native
         for n, frame in enumerate(frames):
@@ -107,7 +107,7 @@ def test_what_it_refuses_within_a_segment_python_decodes_from_there(monkeypatch:
                 return one
             raise ValueError("bytes that contradict themselves")
 
-    monkeypatch.setattr(native, "_core", lambda: Core)
+    monkeypatch.setattr(native_decoder, "_core", lambda: Core)
     with open_stream(voxels()) as own:
         assert own.is_native and [own.medium[i] for i in range(count)] == expected
 

@@ -20,8 +20,8 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.varint import chunk, write_varint
 from touchfield.container import TouchWriter
 from touchfield.errors import FormatError
-from touchfield.job import open_stream
 from touchfield.medium import ForceField, Grid
+from touchfield.pipeline.decoding import open_stream
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
 

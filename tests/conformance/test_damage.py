@@ -14,7 +14,7 @@ from second import GOLDEN
 
 from touchfield.container import TouchReader
 from touchfield.errors import FormatError, InvalidArgument
-from touchfield.stream.opened import opened
+from touchfield.pipeline.decoding import opened
 
 pytestmark = pytest.mark.skipif(not GOLDEN, reason="there are no golden files: make golden")
 STREAMS = {path.stem: path.read_bytes() for path in GOLDEN if path.stat().st_size < 4000}

@@ -15,8 +15,7 @@ from second import CONFORMANCE, FAULTY, GOLDEN, decoder, reading
 
 from touchfield import errors
 from touchfield.container import TouchReader
-from touchfield.job import open_stream
-from touchfield.stream.opened import opened
+from touchfield.pipeline.decoding import open_stream, opened
 
 FOLDER = CONFORMANCE / "faulty"
 
@@ -89,10 +88,10 @@ def test_older_files_are_told_to_be_encoded_again(name: str) -> None:
 def test_a_grid_beyond_the_bounds_costs_nothing() -> None:
     code = """if True:
         import resource, sys
-        import touchfield.stream.opened
+        import touchfield.pipeline.decoding
         resource.setrlimit(resource.RLIMIT_DATA, (1 << 30, 1 << 30))
         from touchfield.errors import CorruptFile
-        from touchfield.job import open_stream
+        from touchfield import open_stream
         for path in sys.argv[1:]:
             try:
                 list(open_stream(path).__enter__().medium)

@@ -17,14 +17,15 @@ import pytest
 from second import decoder
 from test_c import COMPILER, OBJECTS_ATOL_N, Raw, built, run
 
-from touchfield import job
+from touchfield import pipeline
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, editing
 from touchfield.medium import PoseTrack
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.body_scene import BodyScene
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.scene import UP_Z_AXES, Body
-from touchfield.sources.shapes import Box, Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Sphere
+from touchfield.tasks import editing
 
 FRAMES = 5
 USUAL = EncodeSpec(nw=3, mapping="crop", representation="voxel")
@@ -104,7 +105,7 @@ class Decoded(NamedTuple):
 
 
 def by_the_package(path: Path) -> Decoded:
-    with job.open_stream(path) as stream:
+    with pipeline.open_stream(path) as stream:
         frames = range(len(stream.medium))
         band, forces = stream.medium.vibration, np.stack([stream.medium[i].to_dense() for i in frames])
         both = None if band is None else np.stack([band(i).as_field().to_dense()[..., :2] for i in frames])
@@ -138,7 +139,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path | None:
 def assert_alike(path: Path, program: Path | None) -> Decoded:
     """What the package decodes, which the others do too."""
     mine = by_the_package(path)
-    with job.open_stream(path) as stream:
+    with pipeline.open_stream(path) as stream:
         has_objects, coder = stream.scene is not None, stream.reader.head.coder
     others = [by_the_second(path)]
     if program is not None and coder != "paper" and b"\x05\x00paper" not in path.read_bytes():
@@ -157,9 +158,9 @@ def assert_alike(path: Path, program: Path | None) -> Decoded:
 def check(names: tuple[str, ...], program: Path | None, folder: Path) -> Path:
     """Encode with some features; what they promise is in the file, and all decoders find it."""
     path, spec = folder / "pair.touch", spec_of(*names)
-    job.encode(scene(), path, spec)
+    pipeline.encode(scene(), path, spec)
     found = assert_alike(path, program)
-    with job.open_stream(path) as stream:
+    with pipeline.open_stream(path) as stream:
         told, head, reader = stream.summary(), stream.reader.head, stream.reader
         assert len(found.forces) == head.frame_count == (3 if "frames" in names else FRAMES)
         assert found.forces.any() and (found.vibration is not None) == ("vibration" in names)
@@ -178,7 +179,7 @@ def check(names: tuple[str, ...], program: Path | None, folder: Path) -> Path:
 
 def assert_kept(names: tuple[str, ...], spec: EncodeSpec, found: Decoded) -> None:
     """Voxels that are coded within their mask, or to the bit, beside what was to be coded."""
-    prepared = job.prepare(scene(), spec)
+    prepared = pipeline.prepare(scene(), spec)
     source = np.stack([frame.to_dense() for frame in prepared.medium]).astype(np.float64)
     error, size = (np.linalg.norm(v, axis=-1) for v in (found.forces - source, source))
     if "lossless" in names:
@@ -202,13 +203,13 @@ def test_a_pair_is_decoded_alike_or_refused(pair: tuple[str, str], program: Path
         check(pair, program, tmp_path)
         return
     with pytest.raises(InvalidArgument) as caught:
-        job.encode(scene(), tmp_path / "pair.touch", spec_of(*pair))
+        pipeline.encode(scene(), tmp_path / "pair.touch", spec_of(*pair))
     assert REFUSED[frozenset(pair)].strip() in str(caught.value) and "\n" not in str(caught.value)
     assert not list(tmp_path.iterdir())  # nothing is left
 
 
 OPERATIONS: dict[str, Callable[[Path, Path, EncodeSpec], Any]] = {
-    "trim": lambda path, out, spec: job.encode(path, out, replace(spec, frames=(1, 3))),
+    "trim": lambda path, out, spec: pipeline.encode(path, out, replace(spec, frames=(1, 3))),
     "edit": lambda path, out, spec: editing.edit(path, out, operators=["gain:0.5"], spec=spec),
     "splice": lambda path, out, spec: editing.splice([str(path), f"{path}@1:3"], out, spec=spec),
     "rate": lambda path, out, spec: editing.resample_file(path, out, rate_hz=30.0, spec=spec),

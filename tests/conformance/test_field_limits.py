@@ -35,8 +35,8 @@ from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.container.fields import Array, FieldType, Listed, Octets, Real, Rest, Text, Whole
 from touchfield.container.records import RECORD_OF, rows_of
 from touchfield.errors import FormatError
-from touchfield.job import open_stream
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.pipeline.decoding import open_stream
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from second import CONFORMANCE, GOLDEN, decoder
 
-from touchfield.job import open_stream
 from touchfield.medium import BRICK, ForceField
+from touchfield.pipeline.decoding import open_stream
 
 SAMPLE_ATOL_N = 2e-6
 """Of a file of objects, whose voxels are sums of interpolated forces: their order is free."""

@@ -12,17 +12,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield import job
+from touchfield import pipeline
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec
-from touchfield.job.array_medium import array_drives, is_top_first
-from touchfield.job.play import PlaySpec, play
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationFrame
+from touchfield.pipeline.array_medium import array_drives, is_top_first
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES
 from touchfield.sources.stored import StoredScene
 from touchfield.sources.tiny_scenes import tiny_scenes
+from touchfield.tasks.play import PlaySpec, play
 
 VEST = device("tactsuit-x40")
 
@@ -100,9 +100,9 @@ SHOWN: list[Shown] = []
 
 
 def test_an_array_is_played_as_it_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("touchfield.job.play.ArrayPlayer", Shown)
+    monkeypatch.setattr("touchfield.tasks.play.ArrayPlayer", Shown)
     path, said = tmp_path / "vest.touch", list[str]()
-    job.encode(on_lattice(VEST, {(1, 0): 1.0}), path, EncodeSpec(device=VEST.name))
+    pipeline.encode(on_lattice(VEST, {(1, 0): 1.0}), path, EncodeSpec(device=VEST.name))
     times = {"loop": True, "speed": 2.0, "start_s": 0.5}
     for profile in (None, "tshirt-32x32"):
         spec = PlaySpec("osc:127.0.0.1:9", profile=profile, **times)  # type: ignore[arg-type]
@@ -173,7 +173,7 @@ def test_an_array_of_another_size_is_pooled_as_the_encoder_pools_it(tmp_path: Pa
     shirt = device("tshirt-32x32")
     medium = on_lattice(shirt, {(i, j): 3.0 for i in range(4, 12) for j in range(20, 28)})
     array = array_drives(stream(medium, force_max_n=3.3), VEST)
-    expected = job.prepare(StoredScene(medium), EncodeSpec(device=VEST.name)).medium
+    expected = pipeline.prepare(StoredScene(medium), EncodeSpec(device=VEST.name)).medium
     assert array.force_max_n == VEST.force_max_n and array.medium.grid == expected.grid
     assert array.medium[0] == expected[0]
     drives = array.drives(0)
@@ -184,8 +184,8 @@ def test_an_array_of_another_size_is_pooled_as_the_encoder_pools_it(tmp_path: Pa
 def test_a_stream_in_space_and_one_of_objects_reach_the_actuators(tmp_path: Path) -> None:
     for number in (2, 5):
         path = tmp_path / f"{number}.touch"
-        job.encode(tiny_scenes()[number], path, EncodeSpec(nw=5))
-        with job.open_stream(path) as opened:
+        pipeline.encode(tiny_scenes()[number], path, EncodeSpec(nw=5))
+        with pipeline.open_stream(path) as opened:
             frames = array_drives(opened, VEST)
             drives = frames.drives(0)
             assert len(frames) == opened.reader.head.frame_count
@@ -194,8 +194,8 @@ def test_a_stream_in_space_and_one_of_objects_reach_the_actuators(tmp_path: Path
 
 def test_a_stream_made_for_the_array_is_what_its_encoder_saw(tmp_path: Path) -> None:
     path = tmp_path / "vest.touch"
-    job.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST.name))
-    with job.open_stream(path) as opened:
+    pipeline.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST.name))
+    with pipeline.open_stream(path) as opened:
         drives = array_drives(opened, VEST).drives(0)
         dense = opened.medium[0].to_dense()[:, :, 0]
     size = np.linalg.norm(dense, axis=-1).T / VEST.force_max_n  # of a camera: y down, row 0 is the top

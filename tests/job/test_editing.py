@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.job.editing import (
+from touchfield.tasks.editing import (
     edit,
     joined,
     levels_of_detail,
@@ -29,7 +29,7 @@ from touchfield.job.editing import (
 
 AXES = "x right, y up, z towards the viewer"
 GRID = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (32, 32, 32))
-EXACT = tf.EncodeSpec(touch=tf.TouchSpec(mode="lossless"))
+EXACT = tf.EncodeSpec(touch=tf.codec.TouchSpec(mode="lossless"))
 
 
 def ball(grid: tf.Grid, centre_m: tuple[float, float, float], radius_m: float = 0.015) -> NDArray[np.float32]:
@@ -113,7 +113,7 @@ def test_operators_in_words_are_the_operators(stream: Path) -> None:
     assert_near(made["mirror:1,0,0"], dense[::-1] * [-1, 1, 1])
     assert_near(made["turn:0,0,1,90"], np.rot90(dense, 1, (0, 1))[..., [1, 0, 2]] * [-1, 1, 1])
     assert_near(made["mirror:1,0,0,5mm,0,0"][4:], dense[::-1][:-4] * [-1, 1, 1])
-    assert np.array_equal(made["gaussian:sigma=3mm"], tf.filter_of("gaussian", "sigma=3mm")(field).to_dense())
+    assert np.array_equal(made["gaussian:sigma=3mm"], tf.filters.filter_of("gaussian", "sigma=3mm")(field).to_dense())
     for words in (
         "",
         "gain",
@@ -277,7 +277,7 @@ def test_rooms_of_other_rates_and_lattices_are_spliced(stream: Path, tmp_path: P
 
 
 def test_forces_beyond_the_first_device_are_shortened(stream: Path, tmp_path: Path) -> None:
-    strong = tf.EncodeSpec(device="omega.3", touch=tf.TouchSpec(mode="lossless"))
+    strong = tf.EncodeSpec(device="omega.3", touch=tf.codec.TouchSpec(mode="lossless"))
     medium = tf.HapticMedium.from_frames([frame.scaled(5.0) for frame in rolling()], 30.0, AXES)
     tf.encode(medium, tmp_path / "strong.touch", strong)
     done = splice([str(stream), str(tmp_path / "strong.touch")], tmp_path / "s.touch", spec=EXACT)

@@ -28,20 +28,22 @@ from touchfield.codec.registry import ENTRIES, coder, field_coders, field_encode
 from touchfield.codec.segment import PROMISE_KEYS, Worst, bound_keys, promise_kept
 from touchfield.codec.touch.spec import EFFORTS, MODES, TouchSpec
 from touchfield.errors import UnboundedError
-from touchfield.job import EncodeSpec, encode, open_stream
-from touchfield.job.editing import edit, levels_of_detail, resample_file, splice
-from touchfield.job.exchange import import_effect
-from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
-from touchfield.job.rate_control import Target, encode_to_target
-from touchfield.job.reduction import reduce_medium
-from touchfield.job.texture import store_materials
-from touchfield.job.tiles import encode_tiles
 from touchfield.medium import PoseTrack
+from touchfield.pipeline import encode
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.rate_control import Target, encode_to_target
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.pipeline.tiles import encode_tiles
 from touchfield.render.material import Material
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.body_scene import BodyScene
+from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.scene import Body
-from touchfield.sources.shapes import Box, Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Sphere
+from touchfield.tasks.editing import edit, levels_of_detail, resample_file, splice
+from touchfield.tasks.exchange import import_effect
+from touchfield.tasks.live import LiveSpec, broadcast, coarse_layer, opened_sender
+from touchfield.tasks.reduction import reduce_medium
+from touchfield.tasks.texture import store_materials
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "touchfield"
 SPHERE = '[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n'
@@ -111,18 +113,18 @@ def falling() -> BodyScene:
 
 WRITERS = {
     "codec/zarr_codec.py": "test_chunks_of_zarr_keep_the_law",
-    "job/coding.py": "test_a_file_keeps_the_law",
-    "job/editing.py": "test_what_is_made_of_a_file_keeps_the_law",
-    "job/encode.py": "test_a_file_keeps_the_law",
-    "job/exchange.py": "test_an_effect_keeps_the_law",
-    "job/live.py": "test_a_live_stream_keeps_the_law",
-    "job/plan.py": "",  # codes frames to count their bytes, and writes nothing
-    "job/rate_control.py": "test_a_file_of_a_given_size_keeps_the_law",
-    "job/texture.py": "test_a_copy_keeps_the_law",
-    "job/view.py": "",  # codes for the page that it opens, in mode "mask"
-    "stream/live.py": "",  # wraps a segment that a live stream has sent, for decoders that know files alone
-    "stream/mux.py": "",  # copies a file and warns as it does: tests/stream/test_mux.py
-    "stream/objects.py": "test_bodies_keep_the_law",
+    "pipeline/segments.py": "test_a_file_keeps_the_law",
+    "tasks/editing.py": "test_what_is_made_of_a_file_keeps_the_law",
+    "pipeline/encoding.py": "test_a_file_keeps_the_law",
+    "tasks/exchange.py": "test_an_effect_keeps_the_law",
+    "tasks/live.py": "test_a_live_stream_keeps_the_law",
+    "tasks/plan.py": "",  # codes frames to count their bytes, and writes nothing
+    "pipeline/rate_control.py": "test_a_file_of_a_given_size_keeps_the_law",
+    "tasks/texture.py": "test_a_copy_keeps_the_law",
+    "tasks/view.py": "",  # codes for the page that it opens, in mode "mask"
+    "network/live.py": "",  # wraps a segment that a live stream has sent, for decoders that know files alone
+    "network/mux.py": "",  # copies a file and warns as it does: tests/stream/test_mux.py
+    "pipeline/decoded_objects.py": "test_bodies_keep_the_law",
 }
 """Modules that write or code segments, beside the test of each."""
 
@@ -362,7 +364,7 @@ def test_f0_of_bodies_is_zero_in_the_file(tmp_path: Path) -> None:
     assert encoder.is_bounded and len(list(encoder.segments())) >= 1 and len(tf_scene) == 4
 
 
-def prepared_scene() -> tf.HapticScene:
+def prepared_scene() -> tf.medium.HapticScene:
     """The bodies of `falling` as a haptic scene."""
     scene = tf.prepare(falling(), EncodeSpec(nw=4)).scene
     assert scene is not None

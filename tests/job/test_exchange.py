@@ -12,21 +12,23 @@ import numpy as np
 import pytest
 
 from effect_makers import band, channel, document, effect, keyframe, read_force, read_tact, schema_errors, written
-from touchfield.adapters.ahap import read_ahap
-from touchfield.adapters.hjif_import import read_hjif_array
-from touchfield.adapters.symbolic import DEFAULT_CARRIER_HZ
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import MOST_RELATIVE_ERROR
+from touchfield.compute.threads import silent
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.exchange.ahap import read_ahap
+from touchfield.exchange.hjif_import import read_hjif_array
+from touchfield.exchange.symbolic import DEFAULT_CARRIER_HZ
 from touchfield.filters.device_filter import device_grid
-from touchfield.job import EncodeSpec, encode, open_stream
-from touchfield.job.encode import encode_prepared
-from touchfield.job.exchange import export, import_effect
-from touchfield.job.prepare import Prepared
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.grid import Placement
-from touchfield.parallel import silent
+from touchfield.pipeline import encode
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.encoding import encode_prepared
+from touchfield.pipeline.preparation import Prepared
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.tasks.exchange import export, import_effect
 
 K = 0.02
 FINE = EncodeSpec(touch=TouchSpec(k=K, f0_n=0.0, effort="fast"))

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import touchfield.pipeline.decoded_frames as module
 from hypothesis import given
 from hypothesis import strategies as st
 
-import touchfield.stream.frames as module
 from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid
-from touchfield.stream.frames import SegmentFrames
+from touchfield.pipeline.decoded_frames import SegmentFrames
 
 GRID = Grid((8, 8, 8), (0.001,) * 3, (0.0,) * 3)
 LENGTH, COUNT = 3, 7

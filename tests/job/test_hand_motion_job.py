@@ -7,13 +7,14 @@ import pytest
 
 from touchfield.cli.main import run
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.job import EncodeSpec, compare, encode, prepare
 from touchfield.medium import HapticMedium, PoseTrack
 from touchfield.perception.hand_motion import margin_of
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.body_scene import BodyScene
+from touchfield.pipeline import compare, encode, prepare
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.scene import Body
-from touchfield.sources.shapes import Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Sphere
 from touchfield.sources.stored import StoredScene
 
 BALL = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.03),))

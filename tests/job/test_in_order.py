@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from touchfield.job.executors import in_order
+from touchfield.compute.executors import in_order
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])

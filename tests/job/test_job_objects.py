@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchfield import job
+from touchfield import pipeline, tasks
 from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import low_pass
-from touchfield.job import EncodeSpec
 from touchfield.medium import PoseTrack
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.body_scene import BodyScene
+from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec
+from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.scene import Body
-from touchfield.sources.shapes import Box, Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Sphere
 from touchfield.sources.stored import StoredScene
 
 SPEC = EncodeSpec(nw=5)
@@ -38,17 +38,17 @@ def falling() -> BodyScene:
 @pytest.fixture(scope="module")
 def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("objects") / "falling.touch"
-    job.encode(falling(), path, SPEC)
+    pipeline.encode(falling(), path, SPEC)
     return path
 
 
 def test_bodies_in_motion_are_objects_unless_voxels_are_asked_for() -> None:
-    assert job.prepare(falling(), SPEC).scene is not None
-    assert job.prepare(falling(), replace(SPEC, representation="voxel")).scene is None
-    assert job.prepare(falling(), replace(SPEC, device="tshirt-32x32")).scene is None
+    assert pipeline.prepare(falling(), SPEC).scene is not None
+    assert pipeline.prepare(falling(), replace(SPEC, representation="voxel")).scene is None
+    assert pipeline.prepare(falling(), replace(SPEC, device="tshirt-32x32")).scene is None
     still = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02),))
-    assert job.prepare(still, SPEC).scene is None
-    asked = job.prepare(still, replace(SPEC, representation="object")).scene
+    assert pipeline.prepare(still, SPEC).scene is None
+    asked = pipeline.prepare(still, replace(SPEC, representation="object")).scene
     assert asked is not None and [one.name for one in asked.objects] == ["scene"]
 
 
@@ -57,7 +57,7 @@ def test_a_body_that_turns_has_a_lattice_of_cubes_and_one_that_slides_the_device
     box, ball = falling().bodies()
     sliding = replace(box, track=PoseTrack(np.tile([1.0, 0, 0, 0], (FRAMES, 1)), box.track.positions_m))
     for moving in (box, sliding):
-        prepared = job.prepare(BodyScene((moving, ball), 1000.0), SPEC)
+        prepared = pipeline.prepare(BodyScene((moving, ball), 1000.0), SPEC)
         assert prepared.scene is not None
         grid, device_m = prepared.scene.objects[0].medium.grid, np.array(prepared.scene.grid.spacing_m)
         usual = 0.75 * (device_m if moving is sliding else np.full(3, device_m.prod() ** (1 / 3)))
@@ -70,13 +70,15 @@ def test_a_body_that_turns_has_a_lattice_of_cubes_and_one_that_slides_the_device
 
 def test_what_cannot_be_represented_so_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidArgument, match="array"):
-        job.encode(falling(), tmp_path / "x.touch", replace(SPEC, representation="object", device="tshirt-32x32"))
+        pipeline.encode(
+            falling(), tmp_path / "x.touch", replace(SPEC, representation="object", device="tshirt-32x32")
+        )
     assert not list(tmp_path.iterdir())
 
 
 def test_a_body_that_stays_has_the_forces_of_the_voxel_representation() -> None:
-    voxels = job.prepare(falling(), replace(SPEC, representation="voxel")).medium
-    scene = job.prepare(falling(), SPEC).scene
+    voxels = pipeline.prepare(falling(), replace(SPEC, representation="voxel")).medium
+    scene = pipeline.prepare(falling(), SPEC).scene
     assert scene is not None
     ball = next(one for one in scene.objects if one.name == "ball")
     x = ball.field(0).positions()[:, 0].min()  # nothing of the box lies so far to the right
@@ -85,8 +87,8 @@ def test_a_body_that_stays_has_the_forces_of_the_voxel_representation() -> None:
 
 def test_both_representations_agree_to_the_voxel_size() -> None:
     spec = replace(SPEC, nw=6)
-    voxels = job.prepare(falling(), replace(spec, representation="voxel")).medium
-    objects = job.prepare(falling(), spec).medium
+    voxels = pipeline.prepare(falling(), replace(spec, representation="voxel")).medium
+    objects = pipeline.prepare(falling(), spec).medium
     for frame in (0, 7):
         a, b = voxels[frame].to_dense(), objects[frame].to_dense()
         diagonal_m = float(np.linalg.norm(voxels.grid.spacing_m))
@@ -97,8 +99,8 @@ def test_both_representations_agree_to_the_voxel_size() -> None:
 
 
 def test_the_file_tells_its_objects_and_keeps_their_poses_within_the_mask(stream: Path) -> None:
-    asked = job.prepare(falling(), SPEC).scene
-    with job.open_stream(stream) as opened:
+    asked = pipeline.prepare(falling(), SPEC).scene
+    with pipeline.open_stream(stream) as opened:
         told, decoded = opened.summary(), opened.scene
         assert told["representation"] == "object" and told["object_names"] == ["box", "ball"]
         assert asked is not None and decoded is not None
@@ -110,15 +112,19 @@ def test_the_file_tells_its_objects_and_keeps_their_poses_within_the_mask(stream
             quantised = box.field(0).sample_n(box.track.to_body(at, frame)) @ box.track.rotation(frame).T
             exact = box.field(0).sample_n(near) @ asked.objects[0].track.rotation(frame).T
             assert np.abs(exact).max() > 0.1
-            assert np.linalg.norm(quantised - exact, axis=1).max() <= job.spec.DEFAULT_F0_N / 2
+            assert np.linalg.norm(quantised - exact, axis=1).max() <= DEFAULT_F0_N / 2
 
 
 def test_frames_may_be_cut_and_a_stream_be_a_source(stream: Path, tmp_path: Path) -> None:
     part, again = tmp_path / "part.touch", tmp_path / "again.touch"
-    job.encode(falling(), part, replace(SPEC, frames=(4, 9), fit_frames=(0, None)))
-    done = job.encode(stream, again)
+    pipeline.encode(falling(), part, replace(SPEC, frames=(4, 9), fit_frames=(0, None)))
+    done = pipeline.encode(stream, again)
     assert done.prepared.scene is not None
-    with job.open_stream(stream) as whole, job.open_stream(part) as cut, job.open_stream(again) as twice:
+    with (
+        pipeline.open_stream(stream) as whole,
+        pipeline.open_stream(part) as cut,
+        pipeline.open_stream(again) as twice,
+    ):
         assert len(cut.medium) == 5
         box = [opened.scene.objects[0].track for opened in (whole, cut, twice)]  # type: ignore[union-attr]
         # each coding may move a body by 10 um, and a force within the mask
@@ -130,14 +136,14 @@ def test_frames_may_be_cut_and_a_stream_be_a_source(stream: Path, tmp_path: Path
 
 
 def test_a_stream_of_objects_compares_with_its_source_and_is_measured(stream: Path) -> None:
-    values = job.compare(falling(), stream).summary()
+    values = pipeline.compare(falling(), stream).summary()
     assert values["nmse_db"] < -20 and values["bits_poses"] > 0
     assert values["mask_violations"] == 0 and values["worst_place_um"] <= values["place_tolerance_um"]
     told = (values[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "side", "poses"))
     assert sum(told) == 8 * stream.stat().st_size
-    measured = job.measure_medium(stream)
+    measured = tasks.measure.measure_medium(stream)
     assert measured.frames == FRAMES and measured.object.value > 0
-    with job.open_stream(stream) as opened:
+    with pipeline.open_stream(stream) as opened:
         told = opened.summary()
         assert opened.scene is not None and opened.scene.file_bytes == opened.file_bytes == stream.stat().st_size
         assert all(one.medium.rate_hz == 1000.0 for one in opened.scene.objects)
@@ -146,7 +152,7 @@ def test_a_stream_of_objects_compares_with_its_source_and_is_measured(stream: Pa
 
 
 def test_a_body_farther_from_its_place_than_is_tolerated_excuses_nothing(stream: Path) -> None:
-    compared = job.compare(falling(), stream)
+    compared = pipeline.compare(falling(), stream)
     assert compared.composed is not None
     found = replace(compared.composed[0], beyond=7)
     near, far = (replace(compared, composed=(found, away_m)).summary() for away_m in (1e-5, 1.1e-5))
@@ -159,9 +165,9 @@ def test_the_picture_of_a_long_stream_tells_its_rate(
     stream: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[str] = []
-    module = sys.modules["touchfield.job.compare"]
+    module = sys.modules["touchfield.pipeline.comparison"]
     monkeypatch.setattr(module, "draw_comparison", lambda *rest: drawn.append(rest[3]))
-    compared = job.compare(falling(), stream)
+    compared = pipeline.compare(falling(), stream)
     compared.stream["cr_full"] = 3.7e-6
     compared.draw(tmp_path / "drawn.png")
     assert "CR 3.7e-06" in drawn[0]
@@ -171,20 +177,20 @@ def test_what_is_too_small_to_be_felt_is_named(tmp_path: Path) -> None:
     grain = AnalyticScene((Sphere((0.0, 0.0, 0.0), 1e-5),))
     way = PoseTrack(np.tile([1.0, 0, 0, 0], (FRAMES, 1)), np.linspace((0, 0, 0.02), (0.01, 0, 0.02), FRAMES))
     seen = BodyScene((*falling().bodies(), Body("grain", grain, way)), 1000.0)
-    unfelt = [note for note in job.prepare(seen, SPEC).notes if "Not felt" in note]
+    unfelt = [note for note in pipeline.prepare(seen, SPEC).notes if "Not felt" in note]
     assert len(unfelt) == 1 and "'grain'" in unfelt[0] and "box" not in unfelt[0]
-    assert not [note for note in job.prepare(falling(), SPEC).notes if "Not felt" in note]
+    assert not [note for note in pipeline.prepare(falling(), SPEC).notes if "Not felt" in note]
     alone = BodyScene((Body("grain", grain, way),), 1000.0)
     spec = replace(SPEC, mapping="1")
-    assert "Nothing can be felt" in job.encode(alone, tmp_path / "a.touch", spec).notes[-1]
+    assert "Nothing can be felt" in pipeline.encode(alone, tmp_path / "a.touch", spec).notes[-1]
     voxels = replace(spec, representation="voxel")
-    assert "Nothing can be felt" in job.encode(alone, tmp_path / "a.touch", voxels).notes[-1]
+    assert "Nothing can be felt" in pipeline.encode(alone, tmp_path / "a.touch", voxels).notes[-1]
 
 
 def test_the_voxel_representation_is_offered_only_where_none_was_asked_for(stream: Path) -> None:
-    assert "--representation voxel" in job.prepare(falling(), SPEC).notes[-1]
-    assert "--representation" not in job.prepare(falling(), replace(SPEC, representation="object")).notes[-1]
-    assert "--representation" not in job.compare(falling(), stream).notes[-1]
+    assert "--representation voxel" in pipeline.prepare(falling(), SPEC).notes[-1]
+    assert "--representation" not in pipeline.prepare(falling(), replace(SPEC, representation="object")).notes[-1]
+    assert "--representation" not in pipeline.compare(falling(), stream).notes[-1]
 
 
 @pytest.mark.parametrize(
@@ -193,21 +199,21 @@ def test_the_voxel_representation_is_offered_only_where_none_was_asked_for(strea
 def test_any_name_of_a_body_can_be_stored(name: str, kept: str, tmp_path: Path) -> None:
     box, ball = falling().bodies()
     named = BodyScene((replace(box, name=name), replace(ball, name=name)), 1000.0)
-    job.encode(named, tmp_path / "a.touch", SPEC)
-    with job.open_stream(tmp_path / "a.touch") as opened:
+    pipeline.encode(named, tmp_path / "a.touch", SPEC)
+    with pipeline.open_stream(tmp_path / "a.touch") as opened:
         assert opened.summary()["object_names"] == [kept, kept]
 
 
 def test_a_body_far_larger_than_the_workspace_is_refused_as_an_object(tmp_path: Path) -> None:
     out = tmp_path / "a.touch"
     with pytest.raises(InvalidArgument, match=r"body box, mapping: found 6e\+04 x .*--representation voxel"):
-        job.encode(falling(), out, replace(SPEC, mapping="1000"))
+        pipeline.encode(falling(), out, replace(SPEC, mapping="1000"))
     assert not out.exists()
 
 
 def test_a_filter_acts_on_each_object_in_its_own_frame() -> None:
-    plain = job.prepare(falling(), SPEC).scene
-    smooth = job.prepare(falling(), replace(SPEC, filters=(("gaussian", "4mm"),))).scene
+    plain = pipeline.prepare(falling(), SPEC).scene
+    smooth = pipeline.prepare(falling(), replace(SPEC, filters=(("gaussian", "4mm"),))).scene
     assert plain is not None and smooth is not None
     for before, after in zip(plain.objects, smooth.objects, strict=True):
         assert after.track == before.track
@@ -215,8 +221,8 @@ def test_a_filter_acts_on_each_object_in_its_own_frame() -> None:
 
 
 def test_a_filter_wider_than_a_body_finds_room_and_loses_no_force() -> None:
-    plain = job.prepare(falling(), replace(SPEC, nw=6)).scene
-    smooth = job.prepare(falling(), replace(SPEC, nw=6, filters=(("gaussian", "4mm"),))).scene
+    plain = pipeline.prepare(falling(), replace(SPEC, nw=6)).scene
+    smooth = pipeline.prepare(falling(), replace(SPEC, nw=6, filters=(("gaussian", "4mm"),))).scene
     assert plain is not None and smooth is not None
     before, after = plain.objects[0].field(0), smooth.objects[0].field(0)
     assert not np.array_equal(before.grid.shape, after.grid.shape)
@@ -235,9 +241,9 @@ def test_a_filter_wider_than_a_body_finds_room_and_loses_no_force() -> None:
 def test_the_report_of_a_filter_is_of_the_objects_that_are_coded(tmp_path: Path) -> None:
     plain = replace(SPEC, stiffness_n_per_m=20.0)
     spec = replace(plain, filters=(("gaussian", "3mm"),))
-    report = job.filter_report(falling(), spec).shown["stages"]
-    coded = job.prepare(falling(), spec).medium
-    assert report[0]["supported_voxels"] == sum(f.support_count for f in job.prepare(falling(), plain).medium)
+    report = pipeline.filter_report(falling(), spec).shown["stages"]
+    coded = pipeline.prepare(falling(), spec).medium
+    assert report[0]["supported_voxels"] == sum(f.support_count for f in pipeline.prepare(falling(), plain).medium)
     greatest_n = max(float(f.support().amplitudes_n.max()) for f in coded)
     assert report[1]["greatest_n"] == pytest.approx(greatest_n) and greatest_n < 1
     assert report[1]["supported_voxels"] == sum(f.support_count for f in coded)
@@ -249,24 +255,26 @@ def test_the_report_of_a_filter_is_of_the_objects_that_are_coded(tmp_path: Path)
 def test_what_is_interpolated_between_codewords_is_measured_by_the_ladder(stream: Path, tmp_path: Path) -> None:
     voxels = tmp_path / "voxels.touch"
     spec = replace(SPEC, representation="voxel", frames=(0, 1))
-    job.encode(falling(), voxels, replace(spec, coder="paper"))
-    job.encode(falling(), tmp_path / "touch.touch", spec)
+    pipeline.encode(falling(), voxels, replace(spec, coder="paper"))
+    pipeline.encode(falling(), tmp_path / "touch.touch", spec)
     paths = (stream, voxels, tmp_path / "touch.touch")
-    taken = {path: job.measure_medium(path, job.MeasureSpec(limits=False)).quantiser for path in paths}
+    taken = {
+        path: tasks.measure.measure_medium(path, tasks.measure.MeasureSpec(limits=False)).quantiser for path in paths
+    }
     assert taken[voxels] == "distinct" and taken[stream].startswith("weber")
     assert taken[paths[2]] == taken[stream], "coder touch has no codewords"
-    as_voxels = job.MeasureSpec(limits=False, encode=EncodeSpec(representation="voxel", frames=(0, 1)))
-    assert job.measure_medium(stream, as_voxels).quantiser == taken[stream]
+    as_voxels = tasks.measure.MeasureSpec(limits=False, encode=EncodeSpec(representation="voxel", frames=(0, 1)))
+    assert tasks.measure.measure_medium(stream, as_voxels).quantiser == taken[stream]
 
 
 def test_a_stored_medium_as_an_object_keeps_what_travels_beside_it() -> None:
     medium = replace(
-        job.prepare(falling(), replace(SPEC, representation="voxel", frames=(0, 2))).medium,
+        pipeline.prepare(falling(), replace(SPEC, representation="voxel", frames=(0, 2))).medium,
         friction=0.3,
         damping_n_s_per_m=0.7,
         tags=("symbolic",),
     )
-    kept = job.prepare(StoredScene(medium), replace(SPEC, representation="object")).scene
+    kept = pipeline.prepare(StoredScene(medium), replace(SPEC, representation="object")).scene
     assert kept is not None
     assert (kept.friction, kept.damping_n_s_per_m, kept.tags) == (0.3, 0.7, ("symbolic",))
 
@@ -286,8 +294,8 @@ def test_the_damping_of_a_surface_is_that_of_its_velocity_under_the_hand(scale_m
     scene, damping, frame = spinning(scale_m), 2.0, 6
     spec = replace(SPEC, stiffness_n_per_m=20.0, thickness_m=1.0)  # solid, and far from F_max
 
-    def made(representation: str, b: float) -> job.Prepared:
-        return job.prepare(scene, replace(spec, representation=representation, surface_damping_n_s_per_m=b))
+    def made(representation: str, b: float) -> pipeline.Prepared:
+        return pipeline.prepare(scene, replace(spec, representation=representation, surface_damping_n_s_per_m=b))
 
     track = scene.bodies()[0].track
     for representation in ("object", "voxel"):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from object_makers import F0_N, head_of, moving_scene
-from touchfield import job
+from touchfield import pipeline
 from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import field_encoder
@@ -19,7 +19,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchWriter
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
-from touchfield.stream.objects import write_objects
+from touchfield.pipeline.decoded_objects import write_objects
 
 LARGEST = (4096, 4096, 4096)
 THIN = (1, 1 << 20, 1 << 13)
@@ -54,7 +54,7 @@ def test_fields(tmp_path: Path, shape: tuple[int, int, int], spec: PaperSpec | T
     field = ForceField.from_bricks(grid, np.array([[0, 511, 511]]), forces)
     path = written(tmp_path / "a.touch", grid, spec, [field, ForceField.empty(grid)])
     before = peak_bytes()
-    with job.open_stream(path) as opened:
+    with pipeline.open_stream(path) as opened:
         medium = opened.medium
         np.testing.assert_array_equal(medium[0].bricks, field.bricks)
         assert len(medium[1].bricks) == 0 and opened.summary()["frames"] == 2
@@ -68,7 +68,7 @@ def test_objects(tmp_path: Path) -> None:
         writer.write_head(head_of(scene, encoder))
         write_objects(writer, encoder, len(scene))
     before = peak_bytes()
-    with job.open_stream(tmp_path / "a.touch") as opened:
+    with pipeline.open_stream(tmp_path / "a.touch") as opened:
         field = opened.medium[1]
         assert len(field.bricks) and (field.bricks[:, 0] == 0).all()
     assert peak_bytes() - before < 1 << 30
@@ -79,8 +79,11 @@ def test_a_dense_frame_beyond_memory_is_refused(tmp_path: Path, ending: str, mon
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "1")
     grid = grid_of(LARGEST)
     path = written(tmp_path / "a.touch", grid, TouchSpec(), [ForceField.empty(grid)])
-    with job.open_stream(path) as opened, pytest.raises(InvalidArgument, match=r"768\.0 GiB of each dense frame"):
-        job.write_field(tmp_path / f"b{ending}", opened.medium)
+    with (
+        pipeline.open_stream(path) as opened,
+        pytest.raises(InvalidArgument, match=r"768\.0 GiB of each dense frame"),
+    ):
+        pipeline.write_field(tmp_path / f"b{ending}", opened.medium)
     assert [p.name for p in tmp_path.iterdir()] == ["a.touch"]
 
 

@@ -9,11 +9,11 @@ import pytest
 
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, compare, encode, open_stream
-from touchfield.job.spec import OWN_FORCES
 from touchfield.medium import Grid
-from touchfield.medium.npz import read_npz
-from touchfield.stream.opened import FILTERED
+from touchfield.medium.stores.npz import read_npz
+from touchfield.pipeline import compare, encode
+from touchfield.pipeline.decoding import FILTERED, open_stream
+from touchfield.pipeline.spec import OWN_FORCES, EncodeSpec
 
 SPEC = EncodeSpec(nw=4, touch=TouchSpec(mode="lossless"))
 SMALL = ((11, 9, 10), 0.002)

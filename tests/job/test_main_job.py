@@ -13,10 +13,12 @@ import pytest
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
-from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare, write_field
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.shapes import Sphere
+from touchfield.pipeline import compare, encode, prepare
+from touchfield.pipeline.decoding import open_stream, write_field
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Sphere
 from touchfield.sources.stored import StoredScene
 
 

@@ -17,17 +17,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchfield import EncodeSpec, Grid, TouchSpec, encode
+from touchfield import EncodeSpec, Grid, encode
+from touchfield.codec import TouchSpec
 from touchfield.codec.touch.body import BodyReader
+from touchfield.compute.executors import executor_of
 from touchfield.container import TouchReader
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
-from touchfield.job import coding
-from touchfield.job.coding import Task, code_part
-from touchfield.job.executors import executor_of
-from touchfield.job.library import index_folder
-from touchfield.job.plan import PlanGrid, plan
 from touchfield.medium import ForceField, HapticMedium
-from touchfield.medium.npz import write_npz
+from touchfield.medium.stores.npz import write_npz
+from touchfield.pipeline import segments
+from touchfield.pipeline.segments import Task, code_part
+from touchfield.tasks.library import index_folder
+from touchfield.tasks.plan import PlanGrid, plan
 
 GRID = Grid((16, 16, 16), (0.005,) * 3, (0.0,) * 3)
 SPEC = EncodeSpec(nw=4, touch=TouchSpec(segment_frames=3, effort="fast"), representation="voxel")
@@ -52,7 +53,7 @@ def moving(count: int = FRAMES) -> np.ndarray:
 def short_stretches() -> Iterator[None]:
     """Stretches of one segment, so that there are many."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(coding, "STRETCH", 1)
+        patch.setattr(segments, "STRETCH", 1)
         yield
 
 
@@ -125,7 +126,7 @@ def test_bytes_are_those_of_one_process_in_any_order(source: Path, alone: bytes,
 
 
 def test_a_part_may_have_several_segments(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(coding, "STRETCH", 2)
+    monkeypatch.setattr(segments, "STRETCH", 2)
     here = encode(source, tmp_path / "a.touch", SPEC)
     there = encode(source, tmp_path / "b.touch", SPEC, executor=Straight())
     assert (tmp_path / "a.touch").read_bytes() == (tmp_path / "b.touch").read_bytes()
@@ -157,7 +158,7 @@ def test_segments_of_a_world_that_stands_begin_with_the_same_bytes(alone: bytes)
 
 def test_a_world_that_stands_keeps_its_anchor_from_stretch_to_stretch(source: Path) -> None:
     from touchfield.codec.registry import field_encoder
-    from touchfield.job.coding import stretches
+    from touchfield.pipeline.segments import stretches
 
     medium = HapticMedium.from_array(moving(), GRID)
     cut = [s for s, _ in stretches(medium, SPEC, field_encoder(GRID, SPEC.touch))]
@@ -210,18 +211,18 @@ def test_a_job_is_another_where_its_source_was_written_again(tmp_path: Path) -> 
     path = tmp_path / "depth" / "0.png"
     path.parent.mkdir()
     path.write_bytes(b"12")
-    names = [coding.name_of(str(where), "asked") for where in (path, path.parent)]
-    assert names == [coding.name_of(str(where), "asked") for where in (path, path.parent)]
-    assert names[0] != coding.name_of(str(path), "asked otherwise")
+    names = [segments.name_of(str(where), "asked") for where in (path, path.parent)]
+    assert names == [segments.name_of(str(where), "asked") for where in (path, path.parent)]
+    assert names[0] != segments.name_of(str(path), "asked otherwise")
     os.utime(path, (1, 1))
-    later = [coding.name_of(str(where), "asked") for where in (path, path.parent)]
+    later = [segments.name_of(str(where), "asked") for where in (path, path.parent)]
     assert len({*names, *later}) == 4
 
 
 def test_a_part_that_is_damaged_before_the_join_is_named(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write = coding._Parts.write
+    write = segments._Parts.write
 
     def damaged(self: Any, stretch: Any, part: Any) -> None:
         write(self, stretch, part)
@@ -230,7 +231,7 @@ def test_a_part_that_is_damaged_before_the_join_is_named(
         data[len(data) // 2] ^= 1
         path.write_bytes(data)
 
-    monkeypatch.setattr(coding._Parts, "write", damaged)
+    monkeypatch.setattr(segments._Parts, "write", damaged)
     with pytest.raises(TouchfieldError, match="parts"):
         encode(source, tmp_path / "a.touch", SPEC, executor=Shuffled())
     assert not (tmp_path / "a.touch").exists()
@@ -240,7 +241,7 @@ def test_what_cannot_be_is_said(source: Path, tmp_path: Path, monkeypatch: pytes
     medium = HapticMedium.from_array(moving(4), GRID)
     with pytest.raises(InvalidArgument, match="a path, which workers can open"):
         encode(medium, tmp_path / "a.touch", SPEC, executor=Shuffled())
-    task = Task("job", str(source), SPEC, coding.Stretch(0, 3, 0), "0.0.1")
+    task = Task("job", str(source), SPEC, segments.Stretch(0, 3, 0), "0.0.1")
     with pytest.raises(InvalidArgument, match=r"a worker: found touchfield .*; expected 0\.0\.1"):
         code_part(task)
     for words in ("", "processes", "processes:0", "processes:x", "dask:", "slurm:4"):

@@ -14,13 +14,16 @@ from hypothesis import strategies as st
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters import rebuilt
-from touchfield.job import Budget, EncodeSpec, Plan, PlanGrid, Trial, encode, open_stream, parse_budget, plan, prepare
-from touchfield.job.plan import amount
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import HapticMedium
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.shapes import Sphere
+from touchfield.pipeline import encode, prepare
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Sphere
 from touchfield.sources.stored import StoredScene
+from touchfield.tasks import plan
+from touchfield.tasks.plan import Budget, Plan, PlanGrid, Trial, amount, parse_budget
 
 SPEC = EncodeSpec(thickness_m=0.01, oversample=1, touch=TouchSpec(effort="fast"))
 SEARCH = PlanGrid(nw=(4, 5), k=(0.1, 0.4), step_n=(0.1, 0.4), directions=("ico3",))
@@ -253,9 +256,9 @@ def test_a_still_medium_takes_of_a_rate_what_one_second_carries() -> None:
 
 
 def test_what_cannot_be_is_refused_before_the_finest_lattice_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    import touchfield.job.plan  # noqa: F401
+    import touchfield.tasks.plan  # noqa: F401
 
-    module, asked = sys.modules["touchfield.job.plan"], []
+    module, asked = sys.modules["touchfield.tasks.plan"], []
     was = module.prepare
     monkeypatch.setattr(module, "prepare", lambda scene, spec: asked.append(spec.nw) or was(scene, spec))
     with pytest.raises(InvalidArgument, match=r"at least \d+ bit/s, the nearest \(--nw 4"):

@@ -11,12 +11,12 @@ import pytest
 
 import touchfield as tf
 from touchfield.devices import device
-from touchfield.job.array_medium import stream_device
-from touchfield.job.editing import edit
-from touchfield.job.play import _before_end
+from touchfield.pipeline.array_medium import stream_device
 from touchfield.render.block import FLAGS
 from touchfield.render.feeder import FrameSource
 from touchfield.render.spec import stated_n_per_m
+from touchfield.tasks.editing import edit
+from touchfield.tasks.play import _before_end
 
 GRID = tf.Grid((24, 24, 24), (0.002,) * 3, (-0.023,) * 3)
 PLATE = """
@@ -54,10 +54,10 @@ def test_a_file_of_one_s_own_forces_has_walls_as_stiff_as_these(stiffness: float
     medium = tf.HapticMedium.from_array(forces, GRID)
     out = tmp_path / "own.touch"
     for source in (medium, medium.filtered("gaussian:1mm")):
-        tf.encode(source, out, tf.EncodeSpec(touch=tf.TouchSpec(k=0.02, f0_n=0.01)))
+        tf.encode(source, out, tf.EncodeSpec(touch=tf.codec.TouchSpec(k=0.02, f0_n=0.01)))
         wall = FrameSource(tf.decode(out)).wall()
         assert wall is not None and wall.stiffness_n_per_m == pytest.approx(stiffness, rel=0.05)
-    tf.job.write_field(tmp_path / "own.npz", medium)
+    tf.pipeline.write_field(tmp_path / "own.npz", medium)
     tf.encode(tmp_path / "own.npz", out, tf.EncodeSpec(nw=5, mapping="crop"))
     assert stated_n_per_m(tf.decode(out).provenance) is None
 

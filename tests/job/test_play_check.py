@@ -11,11 +11,12 @@ import pytest
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, encode
-from touchfield.job.play import check_play
-from touchfield.job.prepare import decode
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.pipeline import encode
+from touchfield.pipeline.preparation import decode
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
+from touchfield.tasks.play import check_play
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +65,7 @@ def test_a_short_file_is_decoded_whole_and_a_still_one_can_always_be_played(stre
 def test_the_exit_code_tells(
     stream: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import touchfield.job.play as job
+    import touchfield.tasks.play as job
 
     for can, code in ((True, 0), (False, 1)):
         monkeypatch.setattr(job, "check_play", lambda *_, can=can: {"can_play": can})

@@ -12,9 +12,11 @@ import pytest
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, Target, compare, encode, encode_to_target, open_stream, rate_control
-from touchfield.job.rate_control import MOST_ENCODES, RootSearch
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.pipeline import compare, encode, rate_control
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.rate_control import MOST_ENCODES, RootSearch, Target, encode_to_target
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
 
 FAST = TouchSpec(effort="fast", segment_frames=2)

@@ -7,7 +7,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.job.rate_control import RootSearch
+from touchfield.pipeline.rate_control import RootSearch
 
 
 @given(

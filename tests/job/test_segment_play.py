@@ -13,10 +13,12 @@ from touchfield.cli.main import _exit_code
 from touchfield.codec.segment import segment_length
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare
 from touchfield.medium import ForceField, HapticMedium
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.shapes import Sphere
+from touchfield.pipeline import compare, encode, prepare
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Sphere
 from touchfield.sources.stored import StoredScene
 
 FAST = TouchSpec(effort="fast")
@@ -85,7 +87,7 @@ def test_a_hand_on_a_standing_world_feels_no_start(
     with open_stream(path) as opened:
         before = [opened.medium[i] for i in range(frames)]
     holds = [compare(scene, path).hand.hold]
-    monkeypatch.setattr(sys.modules["touchfield.job.compare"], "with_blends", lambda felt: (felt, ()))
+    monkeypatch.setattr(sys.modules["touchfield.pipeline.comparison"], "with_blends", lambda felt: (felt, ()))
     holds.append(compare(scene, path).hand.hold)  # each frame as it was decoded
     # the noise of the source itself is in every step; what a start adds to the others is what the blend takes
     added, decoded_added = (np.sqrt(max(0.0, h.start_error_mn**2 - h.error_step_mn**2)) for h in holds if h)

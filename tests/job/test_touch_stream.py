@@ -15,10 +15,12 @@ from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchWriter
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare
 from touchfield.medium import ForceField, Grid, HapticMedium, Segments
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.shapes import Sphere
+from touchfield.pipeline import compare, encode, prepare
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Sphere
 from touchfield.sources.stored import StoredScene
 
 FAST = TouchSpec(effort="fast", segment_frames=2)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from object_makers import F0_N, head_of, moving_scene
-from touchfield import job
+from touchfield import pipeline
 from touchfield.cli.main import _exit_code
 from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.paper.spec import PaperSpec
@@ -19,12 +19,13 @@ from touchfield.codec.vibration import encode_vibration
 from touchfield.container import TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
-from touchfield.job import EncodeSpec, Target
-from touchfield.job.prepare import StreamScene
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationFrame
+from touchfield.pipeline.decoded_objects import record_of
+from touchfield.pipeline.preparation import StreamScene
+from touchfield.pipeline.rate_control import Target
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
-from touchfield.stream.objects import record_of
 
 GRID = Grid((16, 16, 16), (0.01, 0.0075, 0.004375), (-0.08, -0.06, -0.035))
 FAST = TouchSpec(effort="fast", segment_frames=2)
@@ -47,7 +48,7 @@ def spec(**asked: object) -> EncodeSpec:
 
 
 def frames_of(path: Path) -> list[VibrationFrame]:
-    with job.open_stream(path) as opened:
+    with pipeline.open_stream(path) as opened:
         band = opened.medium.vibration
         assert band is not None
         return [band(i) for i in range(len(opened.medium))]
@@ -61,8 +62,8 @@ def assert_near(found: VibrationFrame, expected: VibrationFrame) -> None:
 
 def test_a_rule_makes_a_band_that_its_stream_has(tmp_path: Path) -> None:
     path = tmp_path / "a.touch"
-    prepared = job.prepare(StoredScene(medium()), spec(vibration=WORDS))
-    done = job.encode(StoredScene(medium()), path, spec(vibration=WORDS))
+    prepared = pipeline.prepare(StoredScene(medium()), spec(vibration=WORDS))
+    done = pipeline.encode(StoredScene(medium()), path, spec(vibration=WORDS))
     assert done.summary()["vibration"] is True and prepared.medium.vibration is not None
     rule = VibrationRule(0.25, 80, 240)
     for i, frame in enumerate(frames_of(path)):
@@ -72,7 +73,7 @@ def test_a_rule_makes_a_band_that_its_stream_has(tmp_path: Path) -> None:
         np.testing.assert_allclose(own.amplitudes_n, rule.gain * held.amplitudes_n, rtol=1e-6)
         np.testing.assert_allclose(own.frequencies_hz, 80 + 160 * held.amplitudes_n / 3.3, rtol=1e-4)
         assert_near(frame, own)
-    with job.open_stream(path) as opened:
+    with pipeline.open_stream(path) as opened:
         told = opened.summary()
         assert told["vibration_samples"] == sum(map(len, frames_of(path)))
         hertz = np.concatenate([frame.frequencies_hz for frame in frames_of(path)])
@@ -86,17 +87,17 @@ def test_a_rule_makes_a_band_that_its_stream_has(tmp_path: Path) -> None:
 
 def test_a_file_without_vibration_is_what_it_was(tmp_path: Path) -> None:
     path = tmp_path / "a.touch"
-    job.encode(StoredScene(medium(2)), path, spec())
+    pipeline.encode(StoredScene(medium(2)), path, spec())
     data = path.read_bytes()
     assert b"VIBR" not in data and b"vibration" not in data and data[12:14] == b"\0\0"
-    with job.open_stream(path) as opened:
+    with pipeline.open_stream(path) as opened:
         assert opened.medium.vibration is None and not any("vibration" in key for key in opened.summary())
 
 
 def test_frames_are_cut_with_their_vibration(tmp_path: Path) -> None:
     whole, part = tmp_path / "whole.touch", tmp_path / "part.touch"
-    job.encode(StoredScene(medium()), whole, spec(vibration=WORDS))
-    job.encode(whole, part, spec(frames=(1, 4)))
+    pipeline.encode(StoredScene(medium()), whole, spec(vibration=WORDS))
+    pipeline.encode(whole, part, spec(frames=(1, 4)))
     for found, expected in zip(frames_of(part), frames_of(whole)[1:4], strict=True):
         assert_near(found, expected)
         np.testing.assert_array_equal(found.amplitudes_n, expected.amplitudes_n)  # nothing more is lost
@@ -105,34 +106,34 @@ def test_frames_are_cut_with_their_vibration(tmp_path: Path) -> None:
 def test_a_stored_medium_keeps_its_band(tmp_path: Path) -> None:
     path, rule = tmp_path / "a.touch", VibrationRule(0.5, 200, 200)
     made = vibrating(medium(3), rule, 3.3)
-    job.encode(StoredScene(made), path, spec())
+    pipeline.encode(StoredScene(made), path, spec())
     assert made.vibration is not None
     assert_near(frames_of(path)[2], made.vibration(2))
-    prepared = job.prepare(StoredScene(made), spec(nw=5))
+    prepared = pipeline.prepare(StoredScene(made), spec(nw=5))
     assert prepared.medium.vibration is None and any("vibration" in note for note in prepared.notes)
 
 
 def test_a_segment_in_which_nothing_vibrates(tmp_path: Path) -> None:
     path = tmp_path / "a.touch"
     still = replace(medium(3), vibration=lambda _: VibrationFrame.empty(GRID))
-    job.encode(StoredScene(still), path, spec())
+    pipeline.encode(StoredScene(still), path, spec())
     assert [len(frame) for frame in frames_of(path)] == [0, 0, 0]
-    with job.open_stream(path) as opened:
+    with pipeline.open_stream(path) as opened:
         assert opened.summary()["vibration_samples"] == 0 and opened.summary()["vibration_lowest_hz"] is None
 
 
 def test_a_size_to_reach_counts_the_vibration(tmp_path: Path) -> None:
     path = tmp_path / "a.touch"
-    job.encode(StoredScene(medium()), path, spec(vibration=WORDS))
+    pipeline.encode(StoredScene(medium()), path, spec(vibration=WORDS))
     size = path.stat().st_size
-    done = job.encode_to_target(StoredScene(medium()), path, spec(vibration=WORDS), Target(size + 50, None))
+    done = pipeline.encode_to_target(StoredScene(medium()), path, spec(vibration=WORDS), Target(size + 50, None))
     assert done.file_bytes == path.stat().st_size <= size + 50
     assert len(frames_of(path)) == 5
 
 
 def test_the_band_alone_keeps_the_file_open(tmp_path: Path) -> None:
     path = tmp_path / "a.touch"
-    job.encode(StoredScene(medium()), path, spec(vibration=WORDS))
+    pipeline.encode(StoredScene(medium()), path, spec(vibration=WORDS))
     scene = StreamScene(path)
     band, file = scene.medium.vibration, scene.medium.make_frame._reader._source._file  # type: ignore[attr-defined]
     del scene
@@ -157,13 +158,13 @@ def test_vibration_of_a_file_of_objects_is_read(tmp_path: Path) -> None:
         writer.write_segment(*segment)
     for found, expected in zip(frames_of(path), hums, strict=True):
         assert_near(found, expected)
-    with job.open_stream(path) as opened:
+    with pipeline.open_stream(path) as opened:
         told = opened.summary()
         assert told["vibration_samples"] == sum(map(len, hums))
         assert (told["vibration_lowest_hz"], told["vibration_highest_hz"]) == (40, 400)  # not those of the last frame
-    again = job.prepare(path)  # and told where it cannot be kept
+    again = pipeline.prepare(path)  # and told where it cannot be kept
     assert again.medium.vibration is None and any("vibration" in note for note in again.notes)
-    kept = job.prepare(path, EncodeSpec(representation="voxel"))
+    kept = pipeline.prepare(path, EncodeSpec(representation="voxel"))
     assert kept.medium.vibration is not None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from numba.core.event import Event, Listener, install_listener
 
-from touchfield.job.setup import GROUPS
+from touchfield.tasks.setup import GROUPS
 
 
 @pytest.mark.parametrize("name", GROUPS)

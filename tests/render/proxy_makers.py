@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.devices import device
-from touchfield.job import EncodeSpec
-from touchfield.job.prepare import prepare
 from touchfield.medium import ForceField
 from touchfield.medium.cells import CellPool
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.block import Memory
 from touchfield.render.block import words as W
 from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
 from touchfield.render.kernels.tick import tick
 from touchfield.render.spec import RenderSpec, wall_of, write_parameters
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.shapes import Shape
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Shape
 
 STRONG = replace(device("phantom-omni"), force_max_n=30.0, force_continuous_n=None)
 DT_S, PARTS = 1e-3, 4

@@ -13,7 +13,7 @@ from player_makers import Simulated
 from tick_makers import OMNI, Bench, points, wall
 
 from gltf_makers import chain_rig
-from touchfield import job
+from touchfield import pipeline
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid, HapticMedium
@@ -321,7 +321,7 @@ def test_an_animated_model_bends_the_stream_of_a_pose(tmp_path: Path, capsys: py
     assert told["frames"] == 5 and told["control_points"] == [8, 8, 8] and told["least_determinant"] > 0
     bent = read_deformation(tracks)
     assert not bent.displacement_m[0].any() and bent.displacement_m[-1].any()
-    with job.open_stream(stream) as opened:
+    with pipeline.open_stream(stream) as opened:
         spacing_mm = 1e3 * float(np.mean(opened.grid.spacing_m))
     assert 0.02 * spacing_mm < told["rms_mm"] < 0.2 * spacing_mm, "millimetres, as few controls cannot follow it all"
     play = ["play", str(stream), "--offline", "--seconds", "0.1", "--deformation"]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from player_makers import AXES, GRID, Still, told
 
-from touchfield.adapters.sim import SimHand
 from touchfield.devices import device
+from touchfield.devices.drivers.simulated import SimHand
 from touchfield.errors import DeviceError
 from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace

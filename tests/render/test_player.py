@@ -246,7 +246,7 @@ from functools import partial
 import numpy as np
 sys.path.insert(0, {folder!r})
 from player_makers import OMNI, telling
-from touchfield.adapters.sim import SimHand
+from touchfield.devices.drivers.simulated import SimHand
 from touchfield.medium.trace import Trace
 from touchfield.render.player import Player
 with Player(telling(1), OMNI, partial(SimHand, Trace.regular(np.zeros((100_000, 3))))) as player:

@@ -11,20 +11,21 @@ import pytest
 from player_makers import laid_out
 from proxy_makers import STRONG, Held, field_of, ramp_n
 
-from touchfield.adapters.sim import SimHand
+from touchfield.devices.drivers.simulated import SimHand
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.deformation import Deformation
 from touchfield.medium.medium import HapticObject, HapticScene, VibrationFrame
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace
+from touchfield.pipeline import prepare
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.block import words as W
 from touchfield.render.feeder import FrameSource
 from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec, stated_n_per_m, wall_of
 from touchfield.render.tool import Tool
-from touchfield.sources.shapes import Box, Sphere
+from touchfield.sources.shapes.shapes import Box, Sphere
 
 UNTURNED = (1.0, 0.0, 0.0, 0.0)
 BALL = Sphere((0.0, 0.0, 0.0), 0.025)

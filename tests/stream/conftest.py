@@ -10,7 +10,7 @@ import pytest
 @pytest.fixture
 def left(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """Set once a server leaves a client that does not read."""
-    from touchfield.stream import access
+    from touchfield.network import access
 
     told = threading.Event()
 

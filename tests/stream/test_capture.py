@@ -23,19 +23,19 @@ from PIL import Image
 from live_makers import medium
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.job import EncodeSpec
-from touchfield.job.live import LiveSpec, broadcast, opened_sender
 from touchfield.medium import Grid
-from touchfield.medium.npz import write_npz
-from touchfield.sources import capture
+from touchfield.medium.stores.npz import write_npz
+from touchfield.network import live
+from touchfield.network.live import LiveReceiver, LiveSegment, messages, write_message
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import CodedSequence, DepthCode
-from touchfield.sources.capture import CapturedSequence, CaptureEnd, GrowingFolder, PipedPictures, captured
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.fused_scene import FusedScene
+from touchfield.sources.depth import capture
+from touchfield.sources.depth.capture import CapturedSequence, CaptureEnd, GrowingFolder, PipedPictures, captured
+from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.depth.fused_scene import FusedScene
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
-from touchfield.stream import live
-from touchfield.stream.live import LiveReceiver, LiveSegment, messages, write_message
+from touchfield.tasks.live import LiveSpec, broadcast, opened_sender
 
 OPTIONS = SourceOptions(intrinsics="60,60,31.5,23.5", depth_scale=1000.0, source_rate_hz=50.0, world="causal")
 

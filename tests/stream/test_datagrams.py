@@ -17,15 +17,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
-from touchfield.stream.live import Ended, LiveReceiver, LiveSegment, LiveSender, Lost, Opened
+from touchfield.network.live import Ended, LiveReceiver, LiveSegment, LiveSender, Lost, Opened
 
 pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
 from live_makers import HEAD, field, segment, sender_of
-from touchfield.stream import datagrams as datagrams_module
-from touchfield.stream import udp
-from touchfield.stream.datagrams import MOST_DATAGRAM, Datagrams, Gathering
-from touchfield.stream.live_client import open_live
-from touchfield.stream.udp import UdpSender, _place_of, listen
+from touchfield.network import datagrams as datagrams_module
+from touchfield.network import udp
+from touchfield.network.datagrams import MOST_DATAGRAM, Datagrams, Gathering
+from touchfield.network.live_client import open_live
+from touchfield.network.udp import UdpSender, _place_of, listen
 
 MESSAGES = [np.random.default_rng(i).bytes(n) for i, n in enumerate((300, 40_000, 1, 5_000, 70_000, 128, 12_345, 20))]
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from live_makers import field, segment, sender_of
-from touchfield.stream.access import Access
-from touchfield.stream.live import END, KEPT, Ended, LiveReceiver, LiveSegment, LiveSender, Lost, Opened
-from touchfield.stream.live_client import open_live
-from touchfield.stream.live_server import LiveServer
+from touchfield.network.access import Access
+from touchfield.network.live import END, KEPT, Ended, LiveReceiver, LiveSegment, LiveSender, Lost, Opened
+from touchfield.network.live_client import open_live
+from touchfield.network.live_server import LiveServer
 
 aiohttp = pytest.importorskip("aiohttp")
 

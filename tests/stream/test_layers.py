@@ -26,13 +26,13 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.filters.resample import halved, interpolated, pyramid, rebuilt
-from touchfield.job import EncodeSpec
-from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
-from touchfield.job.prepare import Prepared
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationFrame
-from touchfield.stream.live import ENDLESS, Ended, LiveReceiver, LiveSegment, Lost, Opened
-from touchfield.stream.live_medium import WAITED_S, LiveEnd, LiveFrames, LiveStream
+from touchfield.network.live import ENDLESS, Ended, LiveReceiver, LiveSegment, Lost, Opened
+from touchfield.network.live_medium import WAITED_S, LiveEnd, LiveFrames, LiveStream
+from touchfield.pipeline.preparation import Prepared
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.tasks.live import LiveSpec, broadcast, coarse_layer, opened_sender
 
 HALF = halved(GRID)
 UNDER = TouchEncoder(HALF, TouchSpec(k=0.2, f0_n=0.1, effort="fast"))
@@ -308,7 +308,7 @@ def sent_messages(with_layer: bool) -> list[bytes]:
 
 
 def test_a_layer_beside_it_changes_no_byte_of_a_stream(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("touchfield.stream.live.secrets.token_hex", lambda count: "the same word")
+    monkeypatch.setattr("touchfield.network.live.secrets.token_hex", lambda count: "the same word")
     alone = sent_messages(False)
     assert len(alone) == 3 and sent_messages(True) == alone
 
@@ -327,13 +327,13 @@ pytest.importorskip("aiohttp", reason="live streams need the extra broadcast")
 pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
 from tests.stream.test_datagrams import free_port  # noqa: E402
 
-from touchfield.job.play import PlaySpec, play  # noqa: E402
-from touchfield.stream import live_client  # noqa: E402
-from touchfield.stream.access import Access  # noqa: E402
-from touchfield.stream.datagrams import Datagrams, Gathering  # noqa: E402
-from touchfield.stream.live_server import LiveServer  # noqa: E402
-from touchfield.stream.opened import open_stream  # noqa: E402
-from touchfield.stream.udp import REPAIR, UdpSender  # noqa: E402
+from touchfield.network import live_client  # noqa: E402
+from touchfield.network.access import Access  # noqa: E402
+from touchfield.network.datagrams import Datagrams, Gathering  # noqa: E402
+from touchfield.network.live_server import LiveServer  # noqa: E402
+from touchfield.network.udp import REPAIR, UdpSender  # noqa: E402
+from touchfield.pipeline.decoding import open_stream  # noqa: E402
+from touchfield.tasks.play import PlaySpec, play  # noqa: E402
 
 
 def test_the_coarse_layer_survives_bursts_that_the_fine_one_does_not() -> None:

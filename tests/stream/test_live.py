@@ -14,8 +14,8 @@ from touchfield.container.records import Vibration
 from touchfield.container.wire import encode_record
 from touchfield.container.writer import opening_of
 from touchfield.errors import InvalidArgument
-from touchfield.stream import live
-from touchfield.stream.live import (
+from touchfield.network import live
+from touchfield.network.live import (  # fmt: skip
     END,
     ENDLESS,
     Ended,
@@ -26,7 +26,7 @@ from touchfield.stream.live import (
     Opened,
     Refused,
     _opened,
-)  # fmt: skip
+)
 
 
 def test_messages_become_events_again() -> None:

@@ -14,15 +14,8 @@ from touchfield.codec.touch.body import BodyReader, write_body
 from touchfield.codec.vibration import encode_vibration
 from touchfield.errors import SourceError, UnsupportedVersion
 from touchfield.medium.medium import VibrationFrame
-from touchfield.stream.live import (
-    ENDLESS,
-    Ended,
-    LiveSegment,
-    Lost,
-    Opened,
-    Refused,
-)  # fmt: skip
-from touchfield.stream.live_medium import LiveEnd, LiveFrames, LiveStream
+from touchfield.network.live import ENDLESS, Ended, LiveSegment, Lost, Opened, Refused  # fmt: skip
+from touchfield.network.live_medium import LiveEnd, LiveFrames, LiveStream
 
 
 def frames_of(*events: LiveSegment | Lost) -> LiveFrames:
@@ -127,7 +120,7 @@ def test_a_segment_that_cannot_be_decoded_costs_only_itself() -> None:
 def test_of_large_segments_fewer_are_kept_and_one_at_least(monkeypatch: pytest.MonkeyPatch) -> None:
     size = sum(frames_of(segment(5))(i).forces_n.nbytes for i in range(5))
     for most, oldest in ((1, 25), (2 * size, 20), (1 << 30, 10)):
-        monkeypatch.setattr("touchfield.stream.live_medium.MOST_BYTES", most)
+        monkeypatch.setattr("touchfield.network.live_medium.MOST_BYTES", most)
         frames = frames_of(*(replace(segment(5), first_frame=5 * i) for i in range(6)))
         assert frames(oldest).support_count and frames.skipped == 0
         assert frames(oldest - 1).support_count and frames.skipped == 26 - oldest

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from tests.stream.test_datagrams import free_port, lossy
 
-from touchfield.job.play import PlaySpec, play
+from touchfield.network.live_medium import LiveStream
 from touchfield.render.player import Player
-from touchfield.stream.live_medium import LiveStream
+from touchfield.tasks.play import PlaySpec, play
 
 pytest.importorskip("mujoco", reason="falling bodies need the extra physics")
 

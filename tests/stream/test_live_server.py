@@ -23,15 +23,10 @@ from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.body import BodyReader
 from touchfield.container import TouchReader
 from touchfield.errors import FormatError, InvalidArgument, SourceError, reason
-from touchfield.job import EncodeSpec, encode
-from touchfield.job.live import LiveSpec, Sent, _Lane, broadcast, opened_sender
-from touchfield.job.play import PlaySpec, play
 from touchfield.medium import ForceField, HapticMedium
-from touchfield.render.player import Player
-from touchfield.sources.stored import StoredScene
-from touchfield.stream import live_client
-from touchfield.stream.access import Access, guarded, run, web
-from touchfield.stream.live import (
+from touchfield.network import live_client
+from touchfield.network.access import Access, guarded, run, web
+from touchfield.network.live import (  # fmt: skip
     ENDLESS,
     LiveReceiver,
     LiveSegment,
@@ -39,10 +34,16 @@ from touchfield.stream.live import (
     Lost,
     Refused,
     file_of,
-)  # fmt: skip
-from touchfield.stream.live_client import _manifest, open_live
-from touchfield.stream.live_server import LiveServer
-from touchfield.stream.opened import open_stream
+)
+from touchfield.network.live_client import _manifest, open_live
+from touchfield.network.live_server import LiveServer
+from touchfield.pipeline import encode
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.render.player import Player
+from touchfield.sources.stored import StoredScene
+from touchfield.tasks.live import LiveSpec, Sent, _Lane, broadcast, opened_sender
+from touchfield.tasks.play import PlaySpec, play
 
 
 def test_frames_go_on_the_air_in_time() -> None:
@@ -212,8 +213,8 @@ def test_what_is_live_is_shown_on_an_array_until_its_end() -> None:
 
 def test_connections_that_say_nothing_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """A hundred connections where sixty fit: the others are closed, and soon the sixty, and a receiver hears all."""
-    monkeypatch.setattr("touchfield.stream.access._most_connections", lambda: 60)
-    monkeypatch.setattr("touchfield.stream.access._PATIENCE_S", 0.5)
+    monkeypatch.setattr("touchfield.network.access._most_connections", lambda: 60)
+    monkeypatch.setattr("touchfield.network.access._PATIENCE_S", 0.5)
 
     def is_closed(link: socket.socket) -> bool:
         link.settimeout(5)
@@ -255,9 +256,9 @@ UPGRADE = (
 
 def test_no_more_are_served_than_can_be(monkeypatch: pytest.MonkeyPatch) -> None:
     """A connection too many is closed at once; an answer too many is refused, and none once others have ended."""
-    monkeypatch.setattr("touchfield.stream.access._most_connections", lambda: 3)
-    monkeypatch.setattr("touchfield.stream.access._MOST_BUSY", 1)
-    monkeypatch.setattr("touchfield.stream.access._ENDING_S", 0.01)
+    monkeypatch.setattr("touchfield.network.access._most_connections", lambda: 3)
+    monkeypatch.setattr("touchfield.network.access._MOST_BUSY", 1)
+    monkeypatch.setattr("touchfield.network.access._ENDING_S", 0.01)
     with LiveServer(sender_of(1)[0], Access(port=0)) as server, ExitStack() as others:
         for _ in range(2):
             assert [status_of(server.address, "/live.json") for _ in range(3)] == [200] * 3
@@ -282,7 +283,7 @@ def test_an_answer_that_fails_gives_its_place_back(
     method: str, path: str, status: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With room for one answer at once: an error of each kind, and next to it an answer."""
-    monkeypatch.setattr("touchfield.stream.access._MOST_BUSY", 1)
+    monkeypatch.setattr("touchfield.network.access._MOST_BUSY", 1)
     application = guarded(Access(port=0))
 
     async def answer(request: web.Request) -> web.Response:
@@ -379,7 +380,7 @@ def test_many_receivers_and_bad_ones_beside_them() -> None:
 def test_who_asks_for_a_segment_and_does_not_read_it_is_left(
     left: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("touchfield.stream.live_server._PATIENCE_S", 0.3)
+    monkeypatch.setattr("touchfield.network.live_server._PATIENCE_S", 0.3)
     sender = sender_of(0)[0]
     with LiveServer(sender, Access(port=0)) as server:
         server.add(LiveSegment(0, 5, bytes(1 << 25)))
@@ -529,7 +530,7 @@ def test_a_connection_that_is_cut_is_made_again() -> None:
 @pytest.mark.parametrize("form", ["ws://{}/live", "http://{}/live.json"])
 def test_a_server_that_is_started_again_is_felt_again(form: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """However often it is not there meanwhile."""
-    monkeypatch.setattr("touchfield.stream.access._ENDING_S", 0.01)  # it is killed
+    monkeypatch.setattr("touchfield.network.access._ENDING_S", 0.01)  # it is killed
     monkeypatch.setattr(live_client, "_LONGEST_PAUSE_S", 0.1)
     tried = threading.Semaphore(0)
     monkeypatch.setattr(live_client, "reason", lambda error: tried.release() or reason(error))
@@ -560,7 +561,7 @@ def test_a_server_that_is_started_again_is_felt_again(form: str, monkeypatch: py
 
 
 def test_a_server_that_is_gone_for_good_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("touchfield.stream.access._ENDING_S", 0.01)  # it is killed
+    monkeypatch.setattr("touchfield.network.access._ENDING_S", 0.01)  # it is killed
     monkeypatch.setattr(live_client, "PATIENCE_S", 0.3)
     with ExitStack() as first, ExitStack() as second:
         server = first.enter_context(on_air())

@@ -15,12 +15,13 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader
 from touchfield.container.wire import OPENING_SIZE, ByteSource, records_between
 from touchfield.errors import InvalidArgument, TouchfieldError, UnboundedError
-from touchfield.job import EncodeSpec, encode
-from touchfield.job.view import view
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.stream import mux as mux_module
-from touchfield.stream.mux import BEGINS, demux, mux
-from touchfield.stream.opened import open_stream
+from touchfield.network import mux as mux_module
+from touchfield.network.mux import BEGINS, demux, mux
+from touchfield.pipeline import encode
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.tasks.view import view
 
 av = pytest.importorskip("av", reason="movies need the extra video")
 

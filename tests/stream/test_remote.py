@@ -17,11 +17,12 @@ from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader, remote
 from touchfield.errors import SourceError, TouchfieldError
-from touchfield.job import EncodeSpec, encode
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.stream import server
-from touchfield.stream.access import Access, Pages
-from touchfield.stream.server import application
+from touchfield.network import server
+from touchfield.network.access import Access, Pages
+from touchfield.network.server import application
+from touchfield.pipeline import encode
+from touchfield.pipeline.spec import EncodeSpec
 
 web = pytest.importorskip("aiohttp.web", reason="serving needs the extra broadcast")
 

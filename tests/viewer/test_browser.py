@@ -13,9 +13,9 @@ from browser import ROOT, drive, hour_played, needs_browser
 import touchfield as tf
 from touchfield.cli.main import app
 from touchfield.cli.main import run as run_cli
-from touchfield.job.texture import store_materials
 from touchfield.perception.vibrotactile import BANDS_HZ
 from touchfield.render.material import Material
+from touchfield.tasks.texture import store_materials
 from touchfield.viewer.browser import empty_page
 
 pytestmark = needs_browser
@@ -203,7 +203,7 @@ def test_a_file_of_its_own_opens_without_a_request(tmp_path: Path) -> None:
 def test_the_difference_is_that_between_the_file_and_its_source(tmp_path: Path) -> None:
     """At samples of the lattice, in units of the mask, within what the source beside it is coded to."""
     medium, rng = _waves(), np.random.default_rng(3)
-    tf.encode(medium, tmp_path / "waves.touch", tf.EncodeSpec(touch=tf.TouchSpec(k=0.3, f0_n=0.05)))
+    tf.encode(medium, tmp_path / "waves.touch", tf.EncodeSpec(touch=tf.codec.TouchSpec(k=0.3, f0_n=0.05)))
     page = tf.view(tmp_path / "waves.touch", against=medium)
     page.save(tmp_path / "page.html")
     field, grid = medium[0], medium.grid
@@ -358,7 +358,7 @@ def test_memory_grows_with_what_a_file_needs(page: str, tmp_path: Path) -> None:
 def test_a_movie_and_its_touch_are_on_one_clock(tmp_path: Path) -> None:
     """The picture tells its time by its brightness, and the touch by its height; both are there from one file."""
     av = pytest.importorskip("av", reason="movies need the extra video")
-    from touchfield.stream.mux import mux
+    from touchfield.network.mux import mux
 
     grid = tf.Grid((24, 24, 24), (0.004,) * 3, (-0.046,) * 3)
     dense = np.zeros((30, 24, 24, 24, 3), np.float32)

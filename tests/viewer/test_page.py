@@ -21,7 +21,7 @@ from browser import ROOT
 import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
-from touchfield.job.view import fine_source
+from touchfield.tasks.view import fine_source
 from touchfield.viewer.browser import empty_page, page_of
 
 WEB = ROOT / "web"
@@ -152,14 +152,14 @@ def test_a_page_with_the_source_tells_its_bytes(
     assert list(tf.view(stream, source).figures["capacity"]) == ["phantom-omni"]
 
     def share(most_bytes: int) -> float:
-        monkeypatch.setattr("touchfield.job.view.MOST_BYTES", most_bytes)
+        monkeypatch.setattr("touchfield.tasks.view.MOST_BYTES", most_bytes)
         with tf.open_stream(stream) as opened:
             return fine_source(source, opened).share
 
     assert [share(told["source_bytes"] - n) for n in (0, 1)] == pytest.approx([0.1, 0.3])
     with pytest.raises(InvalidArgument, match="at most 100 in a page"):
         share(100)
-    tf.encode(source, stream, tf.EncodeSpec(nw=4, touch=tf.TouchSpec(k=0.002, f0_n=0.01)))
+    tf.encode(source, stream, tf.EncodeSpec(nw=4, touch=tf.codec.TouchSpec(k=0.002, f0_n=0.01)))
     assert share(1 << 20) == pytest.approx(0.5), "no finer than k = 0.001"
     nothing = tf.HapticMedium.from_frames([tf.ForceField.empty(grid)], 30.0)
     tf.encode(nothing, tmp_path / "nothing.touch")

@@ -21,15 +21,15 @@ from browser import ROOT, drive, needs_browser
 
 import touchfield as tf
 from touchfield.cli.main import _exit_code
-from touchfield.job import EncodeSpec
-from touchfield.job.live import LiveSpec, broadcast, opened_sender
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.tasks.live import LiveSpec, broadcast, opened_sender
 from touchfield.viewer.browser import empty_page, served_page
 
 pytest.importorskip("aiohttp", reason="servers need the extra broadcast")
-from touchfield.stream.access import Access, Pages, run
-from touchfield.stream.bridge import Bridge
-from touchfield.stream.live_server import LiveServer
-from touchfield.stream.server import application
+from touchfield.network.access import Access, Pages, run
+from touchfield.network.bridge import Bridge
+from touchfield.network.live_server import LiveServer
+from touchfield.network.server import application
 
 PAGES = Pages(served_page(), empty_page())
 INNER = "document.querySelector('iframe').contentWindow.touchfield"
@@ -153,7 +153,7 @@ def _felt(medium: tf.HapticMedium, time_s: float, points: np.ndarray) -> np.ndar
 @needs_browser
 def test_of_a_large_file_only_what_is_played_is_fetched(tmp_path: Path) -> None:
     """Head and index, the first segment, and the one that is sought; forces are those of Python."""
-    tf.encode(noise(160), tmp_path / "a.touch", EncodeSpec(touch=tf.TouchSpec(segment_frames=8)))
+    tf.encode(noise(160), tmp_path / "a.touch", EncodeSpec(touch=tf.codec.TouchSpec(segment_frames=8)))
     data = (tmp_path / "a.touch").read_bytes()
     assert len(data) > 1 << 20
     points = np.random.default_rng(1).uniform(-0.035, 0.01, (40, 3))
@@ -234,7 +234,7 @@ def _longer(begin: int, data: bytes) -> bytes:
 def test_what_a_server_answers_is_not_believed(
     tmp_path: Path, spoil: Callable[[int, bytes], bytes], words: str
 ) -> None:
-    tf.encode(noise(40), tmp_path / "a.touch", EncodeSpec(touch=tf.TouchSpec(segment_frames=8)))
+    tf.encode(noise(40), tmp_path / "a.touch", EncodeSpec(touch=tf.codec.TouchSpec(segment_frames=8)))
     with _Ranges((tmp_path / "a.touch").read_bytes(), spoil) as server:
         fault = "document.querySelector('iframe').contentDocument.getElementById('fault').textContent"
         told = drive(tmp_path, {"do": "goto", "url": server.view}, {"do": "run", "code": f"{INNER}.state().state"},

@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import Final
 
-from touchfield.parallel import worker_count
+from touchfield.compute.threads import worker_count
 
 _MOST: Final = 3
 _NICE: Final = 5
@@ -26,7 +26,7 @@ _NICE: Final = 5
 def helpers(groups: Sequence[str]) -> Iterator[Callable[[], None]]:
     """Yields what starts them, one for each core but one; they end with the block, and with this process.
 
-    `groups` are of `touchfield.job.setup.GROUPS`, what takes longest first. ``TOUCHFIELD_HELPERS`` gives the most
+    `groups` are of `touchfield.tasks.setup.GROUPS`, what takes longest first. ``TOUCHFIELD_HELPERS`` gives the most
     helpers, 3 where it is not set; 0: none.
     """
     started: list[subprocess.Popen[bytes]] = []
@@ -62,7 +62,7 @@ def _main(groups: list[str]) -> None:
     gc.disable()
     from touchfield.codec.touch.warm import GROUPS
 
-    every = GROUPS if set(groups) <= GROUPS.keys() else import_module("touchfield.job.setup").GROUPS
+    every = GROUPS if set(groups) <= GROUPS.keys() else import_module("touchfield.tasks.setup").GROUPS
     for group in groups:
         every[group]()
 

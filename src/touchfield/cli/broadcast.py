@@ -16,9 +16,9 @@ from touchfield.cli.options import SCENE, address_rows, asks, encode_spec
 from touchfield.cli.show import Answer, progress
 
 if TYPE_CHECKING:
-    from touchfield.stream.access import Access
-    from touchfield.stream.live import LiveSegment, LiveSender
-    from touchfield.stream.udp import Layer
+    from touchfield.network.access import Access
+    from touchfield.network.live import LiveSegment, LiveSender
+    from touchfield.network.udp import Layer
 
 _LIVE: Final = (
     "As of `encode`; or camera:N (a depth camera, by OpenCV), watch:FOLDER (pictures that are put there), "
@@ -33,15 +33,15 @@ def serve(
     folder: Annotated[Path, "Folder of .touch files, and of pages and videos beside them."],
 ) -> None:
     """Serve a folder of streams: anyone plays them by their address, and fetches only what is felt."""
-    from touchfield.stream.access import Pages
-    from touchfield.stream.server import serve as run
+    from touchfield.network.access import Pages
+    from touchfield.network.server import serve as run
     from touchfield.viewer.browser import empty_page, served_page
 
     run(folder, _access(asked), typer.echo, Pages(served_page(), empty_page()))
 
 
 def _access(asked: dict[str, Any]) -> Access:
-    from touchfield.stream.access import Access
+    from touchfield.network.access import Access
 
     return Access(asked["host"], asked["port"], asked["token"], asked["open"], tuple(asked["cors"] or ()))
 
@@ -62,10 +62,10 @@ def live(
 ) -> Answer | None:
     """Send SOURCE live: coded as its frames come, for any number of receivers (touchfield play ws://...)."""
     from touchfield.errors import InvalidArgument
-    from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
-    from touchfield.stream.access import Pages
-    from touchfield.stream.live import END, write_message
-    from touchfield.stream.live_server import LiveServer
+    from touchfield.network.access import Pages
+    from touchfield.network.live import END, write_message
+    from touchfield.network.live_server import LiveServer
+    from touchfield.tasks.live import LiveSpec, broadcast, coarse_layer, opened_sender
     from touchfield.viewer.browser import empty_page, served_page
 
     def say(note: str) -> None:
@@ -122,7 +122,7 @@ def _sending(
     """A call that has a segment sent, by datagrams too where an address is given."""
     if address is None:
         return add
-    from touchfield.stream.udp import UdpSender
+    from touchfield.network.udp import UdpSender
 
     link = stack.enter_context(UdpSender(sender, address, layer))
 
@@ -142,7 +142,7 @@ def mux(
     at_s: Annotated[float, "Second of the movie at which the touch begins."] = 0.0,
 ) -> Answer:
     """Put STREAM beside sound and picture, as a timed track that other players pass over."""
-    from touchfield.stream.mux import mux as run
+    from touchfield.network.mux import mux as run
 
     with progress("mux") as report:
         done = run(movie, stream, out, at_s, report)
@@ -155,6 +155,6 @@ def demux(
     out: Annotated[Path, "The .touch file to write."],
 ) -> Answer:
     """Take the touch out of a movie: the file that was put in, byte for byte."""
-    from touchfield.stream.mux import demux as run
+    from touchfield.network.mux import demux as run
 
     return Answer(run(movie, out).summary(), str(out))

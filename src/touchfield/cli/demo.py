@@ -11,13 +11,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
+from touchfield.atomic import atomic_path
 from touchfield.cli.show import Answer, progress
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
-from touchfield.job import EncodeSpec, compare, encode
-from touchfield.job.play import PlaySpec, play
-from touchfield.job.view import view
-from touchfield.medium.atomic import atomic_path
+from touchfield.pipeline import compare, encode
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
+from touchfield.tasks.play import PlaySpec, play
+from touchfield.tasks.view import view
 
 FRICTION: Final = 0.4
 

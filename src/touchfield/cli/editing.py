@@ -12,9 +12,9 @@ from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, fields_of, f
 from touchfield.cli.show import Answer, check_results, progress, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import length_m
-from touchfield.job import editing
-from touchfield.job.spec import Motion, ReductionSpec
-from touchfield.sources.recording import STANDARD_GRAVITY_M_S2
+from touchfield.pipeline.spec import Motion, ReductionSpec
+from touchfield.sources.recordings.recording import STANDARD_GRAVITY_M_S2
+from touchfield.tasks import editing
 
 if TYPE_CHECKING:
     from touchfield.render.material import Material
@@ -128,8 +128,8 @@ def partition(
     quantiser: Annotated[str, "Q of the losses."] = "weber:0.25/ico1",
 ) -> Answer:
     """Divide the workspace of MEDIUM into boxes that each fill a coarse device, with the least loss."""
-    from touchfield.job.editing import read_medium
-    from touchfield.job.mapping import partition_workspace
+    from touchfield.pipeline.mapping import partition_workspace
+    from touchfield.tasks.editing import read_medium
 
     source = read_medium(medium).medium
     if not 0 <= depth <= 7:
@@ -163,9 +163,9 @@ def texture(
     plot: Annotated[Path | None, "PNG to draw: the spectra, and what a hand feels."] = None,
 ) -> Answer:
     """Make a material of recorded accelerations; put materials into a stream."""
-    from touchfield.job.texture import merged, store_materials, texture_of
     from touchfield.render.material import read_materials, write_table
-    from touchfield.sources.recording import read_recording
+    from touchfield.sources.recordings.recording import read_recording
+    from touchfield.tasks.texture import merged, store_materials, texture_of
 
     check_results((*sources, into), out, plot)
     tables = [read_materials(path) for path in sources if path.suffix.lower() == ".json"]
@@ -225,7 +225,7 @@ def deform(
     relax_s: Annotated[float, "Time constant with which it does, seconds."] = 0.05,
 ) -> Answer:
     """Bend STREAM at the receiver: by the motion of a model, or under the finger."""
-    from touchfield.job.deformation import tracks_of
+    from touchfield.tasks.deformation import tracks_of
 
     check_results((stream, model), out)
     moved = fields_of(Motion, asked) | {"frames": frames_of("--frames", asked["frames"])}
@@ -251,7 +251,7 @@ def reduce(
     cull: Annotated[Path | None, "OUT.touch without what the hand can never feel."] = None,
 ) -> Answer:
     """Tell in how few numbers MEDIUM varies, how many bits a degree of freedom has, and what no hand can feel."""
-    from touchfield.job.reduction import reduce_medium
+    from touchfield.tasks.reduction import reduce_medium
 
     check_results((medium,), out, cull)
     spec = ReductionSpec(**fields_of(ReductionSpec, asked))

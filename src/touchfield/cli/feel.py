@@ -13,12 +13,12 @@ from touchfield.cli.main import Asked, Json, Stream, command
 from touchfield.cli.options import asks, fields_of, numbers_of, rows, rows_of
 from touchfield.cli.show import Answer, check_results, progress
 from touchfield.errors import InvalidArgument
-from touchfield.job.play import PlaySpec
 from touchfield.medium.deformation import read_deformation
 from touchfield.render.material import read_materials
 from touchfield.render.spec import RenderSpec
 from touchfield.render.tool import SPHERE_POINTS, Tool
-from touchfield.sources.mesh import read_triangles
+from touchfield.sources.mesh.mesh_files import read_triangles
+from touchfield.tasks.play import PlaySpec
 
 RENDER: Final = rows_of(RenderSpec, "Renderer") + rows(
     "Renderer",
@@ -51,8 +51,8 @@ def play(
     as_json: Json = False,
 ) -> None:
     """Feel STREAM on a device, or on a simulated hand."""
-    from touchfield.job.play import check_play
-    from touchfield.job.play import play as run
+    from touchfield.tasks.play import check_play
+    from touchfield.tasks.play import play as run
 
     if check:
         verdict = check_play(stream, asked["speed"])
@@ -91,8 +91,8 @@ def _bridge(stream: str, is_shown: bool) -> Iterator[Callable[[Any], None]]:
     if not is_shown:
         yield lambda player: None
         return
-    from touchfield.stream.access import Access, Pages
-    from touchfield.stream.bridge import Bridge
+    from touchfield.network.access import Access, Pages
+    from touchfield.network.bridge import Bridge
     from touchfield.viewer.browser import empty_page, served_page
 
     if not Path(stream).is_file():

@@ -10,8 +10,8 @@ import typer
 from touchfield.cli.main import Asked, Stream, command
 from touchfield.cli.options import CODER, SCENE, Workers, asks, coder_spec, encode_spec, numbers_of
 from touchfield.cli.show import Answer, check_results, progress, show_notes
+from touchfield.compute.executors import executor_of
 from touchfield.errors import InvalidArgument
-from touchfield.job.executors import executor_of
 
 Folder = Annotated[Path, typer.Argument(help="A folder of .touch files, with the folders in it.")]
 IndexFile = Annotated[
@@ -24,7 +24,7 @@ _TOLD = 20
 @command("Study", "index recordings")
 def index(folder: Folder, index_file: IndexFile = None, workers: Workers = None) -> Answer:
     """Describe every .touch file of FOLDER for `search`; only what changed is read again."""
-    from touchfield.job.library import index_folder
+    from touchfield.tasks.library import index_folder
 
     if index_file is not None and index_file.suffix == ".touch":
         raise InvalidArgument("--index", str(index_file), "a name that ends in .npz")
@@ -47,8 +47,8 @@ def search(
     index_file: IndexFile = None,
 ) -> Answer:
     """List the media of FOLDER that are most like LIKE, the nearest first; index it before."""
-    from touchfield.job.library import search as run
     from touchfield.measure.retrieval import ANY_POSE
+    from touchfield.tasks.library import search as run
 
     weights = dict(ANY_POSE) if any_pose else {}
     for words in weight or ():
@@ -80,7 +80,7 @@ def similar(
     looks: Annotated[int, "Frames that are compared, evenly spaced."] = 8,
 ) -> Answer:
     """Tell how alike two media are: voxel by voxel, as histograms, to a compressor, and as `search` ranks them."""
-    from touchfield.job.library import similar as run
+    from touchfield.tasks.library import similar as run
 
     with progress("similar") as report:
         done = run(first, second, encode_spec(asked), quantiser=quantiser, over=over, frames=looks, report=report)
@@ -101,7 +101,7 @@ def correlate(
     source_rate_hz: Annotated[float | None, "Pictures a second, where the video does not say."] = None,
 ) -> Answer:
     """Tell how much pictures tell of their scene's touch: I(luma; |F|) in bits a pixel, and whether by chance."""
-    from touchfield.job.library import correlate as run
+    from touchfield.tasks.library import correlate as run
 
     camera = None if intrinsics is None else numbers_of("--intrinsics", intrinsics, (4,), "fx,fy,cx,cy")
     with progress("correlate") as report:
@@ -131,7 +131,7 @@ def points(
     measured: Annotated[Path | None, "With --next: a recording of what was measured of IN."] = None,
 ) -> Answer:
     """Find the fewest points of IN that tell the rest, or where to measure next."""
-    from touchfield.job.reduction import fewest_points, next_points
+    from touchfield.tasks.reduction import fewest_points, next_points
 
     check_results((source,), out)
     if is_next and (out is not None or modes is not None):

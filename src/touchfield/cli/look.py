@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 import typer
 
-from touchfield import job
+from touchfield import pipeline, tasks
 from touchfield.cli.main import Asked, Source, Stream, command
 from touchfield.cli.options import SCENE, asks, encode_spec, fields_of, rows_of
 from touchfield.cli.show import (
@@ -23,7 +23,7 @@ from touchfield.cli.show import (
 from touchfield.container.remote import is_remote
 from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.files import is_same_file
-from touchfield.job import Measurement, MeasureSpec
+from touchfield.tasks.measure import Measurement, MeasureSpec
 from touchfield.viewer.page import is_our_picture
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def view(
     no_open: Annotated[bool, "Open no browser."] = False,
 ) -> Answer:
     """Open STREAM in the browser: seen, played, probed and heard, without any network."""
-    from touchfield.job.view import view as run
+    from touchfield.tasks.view import view as run
 
     check_results((stream, source), out)
     with progress("view") as report:
@@ -71,7 +71,7 @@ def compare(
         mend = "Name another --picture, or take --no-picture."
         raise InvalidArgument(f"{target} is there, and touchfield did not draw it: it is left as it is", mend=mend)
     with progress("compare") as report:
-        compared = job.compare(
+        compared = pipeline.compare(
             source, stream, k=k, f0_n=f0_n, frame=frame, allow_outside=allow_outside, report=report
         )
     notes = compared.notes
@@ -114,7 +114,7 @@ def measure(
     spec = MeasureSpec(**own, devices=tuple(device or ()), limits=not no_limits, encode=encode)
     check_results((medium,), plot)
     with progress("measure") as report:
-        measurement = job.measure_medium(medium, spec, report)
+        measurement = tasks.measure.measure_medium(medium, spec, report)
     if plot is not None:
         measurement.draw(plot)
     notes = (f"the picture is {plot}",) if plot else ()

@@ -12,11 +12,11 @@ from touchfield.cli.main import Json, command
 from touchfield.cli.show import Answer, literal_console, progress, show_table
 from touchfield.devices import devices as profiles
 
-_TOLD = (
+_PROFILE_FIELDS = (
     "title", "type", "axes", "workspace_mm", "lattice", "force_max_n", "force_continuous_n", "rate_hz",
     "resolution_mm", "physical_mm", "pitch_mm", "levels", "panels", "sources",
 )  # fmt: skip
-"""Of a device profile, the fields that a program gets."""
+"""Fields of a device profile in the output for programs."""
 
 
 @command("Set up", "demo")
@@ -32,9 +32,18 @@ def demo(
 
 @command("Set up", "devices --verbose")
 def devices(verbose: Annotated[bool, typer.Option(help="With all sources.")] = False) -> Answer:
-    """List the device profiles, with their sources."""
-    told = {d.name: {name: getattr(d, name) for name in _TOLD} for d in profiles()}
-    return Answer(told, "", people=lambda: _show_profiles(verbose))
+    """List the device profiles, with their sources, and the drivers that `play --device` takes."""
+    from touchfield.devices.drivers.registry import device_kinds
+
+    by_name = {d.name: {name: getattr(d, name) for name in _PROFILE_FIELDS} for d in profiles()}
+    drivers = {kind.name: kind.summary for kind in device_kinds()}
+    forms = [(kind.form, kind.summary) for kind in device_kinds()]
+
+    def people() -> None:
+        _show_profiles(verbose)
+        show_table(forms, ("device", ""), "drivers (play --device)")
+
+    return Answer({"profiles": by_name, "drivers": drivers}, "", people=people)
 
 
 def _show_profiles(verbose: bool) -> None:
@@ -76,7 +85,7 @@ def doctor(
     device: Annotated[str | None, "Only what this device needs: haply, bhaptics, ..."] = None,
 ) -> Answer:
     """Say what is installed, what is missing, and how to mend it."""
-    from touchfield.job.setup import examine
+    from touchfield.tasks.setup import examine
 
     report = examine(device)
 
@@ -95,7 +104,7 @@ def doctor(
 @command("Set up")
 def warmup() -> None:
     """Compile all kernels now, so that the first real job does not wait for it."""
-    from touchfield import job
+    from touchfield import tasks
 
     with progress("compile", later=("passes", "measures", "filters")) as report:
-        job.warm_up(report)
+        tasks.setup.warm_up(report)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from touchfield import job
+from touchfield import pipeline, tasks
 from touchfield.cli.main import Asked, Source, Stream, command
 from touchfield.cli.options import (
     BESIDE,
@@ -31,12 +31,12 @@ from touchfield.cli.show import (
     show_notes,
     show_table,
 )
+from touchfield.compute.cuda import computing
+from touchfield.compute.executors import executor_of
 from touchfield.container.remote import is_remote
-from touchfield.cuda import computing
 from touchfield.errors import InvalidArgument, require_ending
 from touchfield.files import keep_sources
-from touchfield.job import Plan, Trial
-from touchfield.job.executors import executor_of
+from touchfield.tasks.plan import Plan, Trial
 
 LATER = {"touch": ("passes", "columns")}
 """Of a coder, what is compiled last, and longest, before a first field is coded."""
@@ -73,12 +73,12 @@ def encode(
     later = LATER.get(spec.coder, ())
     with computing(device_compute), progress("encode", later=later) as report, executor_of(workers) as executor:
         if out.suffix == ".zarr":
-            tiled = job.encode_tiles(source, out, spec, report, executor)
+            tiled = pipeline.encode_tiles(source, out, spec, report, executor)
             return Answer(tiled.summary(), str(out), tiled.notes)
         if target is None:
-            done = job.encode(source, to, spec, report, executor=executor)
+            done = pipeline.encode(source, to, spec, report, executor=executor)
         else:
-            done = job.encode_to_target(source, out, spec, target, report)
+            done = pipeline.encode_to_target(source, out, spec, target, report)
     return Answer(done.summary(), to, done.notes)
 
 
@@ -108,16 +108,16 @@ def filter_(
     measured = None
     if with_report:  # first: what it cannot be made of must not leave a file behind
         with progress("report") as report:
-            measured = job.filter_report(source, spec, report).summary()
+            measured = pipeline.filter_report(source, spec, report).summary()
     with progress("filter", later=LATER.get(spec.coder, ()) if is_stream else ()) as report:
         if is_stream:
             with executor_of(workers) as executor:
-                done = job.encode(source, out, spec, report, executor=executor)
+                done = pipeline.encode(source, out, spec, report, executor=executor)
             shown, notes = done.summary(), done.notes
         else:
-            prepared = job.prepare(source, spec)
+            prepared = pipeline.prepare(source, spec)
             shown, notes = prepared.summary(), prepared.notes
-            out = job.write_field(out, prepared.medium, report, prepared.placement)
+            out = pipeline.write_field(out, prepared.medium, report, prepared.placement)
     shown["filters"] = "; ".join(f"{step.name} {step.words}" for step in spec.chain) or "none"
     if not measured:
         return Answer(shown, str(out), notes)
@@ -144,12 +144,12 @@ def field(
     check_results((source,), preview, out)
     shown: dict[str, Any] = {}
     with computing(device_compute), progress("field") as report:
-        prepared = job.prepare(source, encode_spec(asked))
+        prepared = pipeline.prepare(source, encode_spec(asked))
         if preview is not None:
-            job.draw_preview(prepared, preview)
+            tasks.view.draw_preview(prepared, preview)
             shown["preview"] = str(preview)
         if out is not None:
-            shown["file"] = str(job.write_field(out, prepared.medium, report, prepared.placement))
+            shown["file"] = str(pipeline.write_field(out, prepared.medium, report, prepared.placement))
     return Answer({**shown, **prepared.summary()}, str(out or preview), (*prepared.notes, *prepared.learnt))
 
 
@@ -167,14 +167,14 @@ def plan(
     workers: Workers = None,
 ) -> Answer:
     """Find the lattice and the settings that spend a budget best; --nw is the finest of three lattices."""
-    amount, search, spec = job.parse_budget(budget), job.PlanGrid(), encode_spec(asked)
+    amount, search, spec = tasks.plan.parse_budget(budget), tasks.plan.PlanGrid(), encode_spec(asked)
     if spec.nw is None:
         raise InvalidArgument("--nominal does not go with plan: name --nw, the finest lattice to try")
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
     check_results((source,), plot)
     spec = replace(spec, touch=replace(spec.touch, effort=effort))
     with progress("plan") as report, executor_of(workers) as executor:
-        chosen = job.plan(source, amount, spec, search, report, executor)
+        chosen = tasks.plan.plan(source, amount, spec, search, report, executor)
     if plot is not None:
         chosen.draw(plot)
     options, notes = _options(chosen, asked), (f"the picture is {plot}",) if plot else ()
@@ -237,7 +237,7 @@ def export(
     source: Annotated[str | None, "SOURCE of the file: the page shows it, and the difference, too."] = None,
 ) -> Answer:
     """Write STREAM in another format: drives of an array, the force along --trajectory, or a page for any browser."""
-    from touchfield.job.exchange import export as run
+    from touchfield.tasks.exchange import export as run
 
     check_results((stream, trajectory, source), out)
     with progress("export") as report:
@@ -253,7 +253,7 @@ def import_(
     force_max_n: Annotated[float | None, "Force of a full drive; default: the file's, or 3.3."] = None,
 ) -> Answer:
     """Turn an effect into a .touch file: a symbolic medium for an array of actuators."""
-    from touchfield.job.exchange import import_effect
+    from touchfield.tasks.exchange import import_effect
 
     keep_sources(out, effect)
     with progress("import") as report:

@@ -16,8 +16,8 @@ from touchfield.cli.main import BY_NAME
 from touchfield.codec.registry import Coder, field_coders
 from touchfield.errors import KINDS, InvalidArgument
 from touchfield.filters.registry import field_filters
-from touchfield.job import EncodeSpec, Target
-from touchfield.job.spec import COEFFICIENTS, Frames, require_frames
+from touchfield.pipeline.rate_control import Target
+from touchfield.pipeline.spec import BUILT_IN_CODERS, COEFFICIENTS, EncodeSpec, Frames, require_frames
 from touchfield.sources.options import SourceOptions
 
 DeviceCompute = Annotated[
@@ -58,7 +58,7 @@ def _kind(annotation: Any) -> Any:
 
 
 def rows_of(spec: Any, panel: str | None = None, *names: str) -> tuple[Row, ...]:
-    """The fields of a spec that are options (`touchfield.asked`): all, or those of these names."""
+    """The fields of a spec that are options (`touchfield.options`): all, or those of these names."""
     asked = [one for one in fields(spec) if one.metadata and (not names or one.name in names)]
     return tuple(Row(dashed(one.name), _kind(one.type), one.default, one.metadata["help"], panel) for one in asked)
 
@@ -205,7 +205,8 @@ def _coder(asked: dict[str, Any]) -> dict[str, Any]:
                 said = f"--{dashed(key)} works with --coder {other.name}, not with {word}"
                 raise InvalidArgument(said, mend="Take it out, or change the coder.")
     chosen = {key: values[key] for key in values if key in taken}
-    return {"coder": own.name, own.name: own.makers[word](chosen)}
+    field = own.name if own.name in BUILT_IN_CODERS else "extension"
+    return {"coder": own.name, field: own.makers[word](chosen)}
 
 
 def encode_spec(asked: dict[str, Any]) -> EncodeSpec:

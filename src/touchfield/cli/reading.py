@@ -18,7 +18,7 @@ def info(
     voxels: Annotated[bool, "Also decode all of it: supported voxels, and the bits that each takes."] = False,
 ) -> Answer:
     """Say what a .touch file holds."""
-    from touchfield.stream.opened import open_stream
+    from touchfield.pipeline.decoding import open_stream
 
     with open_stream(stream) as opened:
         shown = opened.summary()
@@ -33,7 +33,7 @@ def _for_people(summary: dict[str, Any]) -> dict[str, Any]:
     """A stream's summary with its spec cut down to what was asked for beyond the defaults."""
     provenance = dict(summary["provenance"])
     with suppress(CorruptFile, KeyError):
-        from touchfield.job import EncodeSpec
+        from touchfield.pipeline.spec import EncodeSpec
 
         asked = EncodeSpec.from_json(provenance["spec"]).asked()
         provenance["spec"] = asked or "all as by default"
@@ -43,7 +43,7 @@ def _for_people(summary: dict[str, Any]) -> dict[str, Any]:
 @command("Make", "decode room.touch field.npz", "decode room.touch field.vti")
 def decode(stream: Stream, out: Annotated[Path, "FIELD.npz, or FIELD.vti for ParaView."]) -> Answer:
     """Turn a .touch file back into a force field."""
-    from touchfield.stream.opened import open_stream, write_field
+    from touchfield.pipeline.decoding import open_stream, write_field
 
     keep_sources(out, stream)
     with open_stream(stream) as opened, progress("decode", compiles=not opened.is_native) as report:

@@ -1,5 +1,13 @@
-"""Coders: `registry` names them; `touch` is ours, `paper` the paper's, `objects` that of bodies with poses."""
+"""Coders: `registry` lists them; `touch` is the default, `paper` the paper's, `objects` codes bodies with poses."""
 
-from touchfield.rooms import modules_of
+from typing import TYPE_CHECKING
 
-__getattr__ = modules_of(__name__)
+from touchfield._lazy import lazy_attributes
+
+if TYPE_CHECKING:
+    from touchfield.codec.paper.spec import PaperSpec
+    from touchfield.codec.touch.spec import TouchSpec
+
+__all__ = ["PaperSpec", "TouchSpec"]
+
+__getattr__ = lazy_attributes(__name__, {"PaperSpec": "paper.spec", "TouchSpec": "touch.spec"})

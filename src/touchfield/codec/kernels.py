@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Int32s, Int64s
-from touchfield.lean import entry, inlined, lean
+from touchfield.compute.jit import entry, inlined, lean
 
 X, RANGE, PLACE, TASK = range(4)  # places in the state, int64 [4]
 WRITING, READING = range(2)  # tasks

@@ -1,7 +1,8 @@
 """The coders: one entry each, by the name that a file gives.
 
-An entry is a module that holds a `Coder` called ``CODER``; a new coder is a folder with one, and its line in
-`ENTRIES`. Entries are light: classes that code are named, and imported when they are first asked for.
+An entry is a `Coder`: of this package ``CODER`` of a module in `ENTRIES`, of other distributions an entry point of
+the group ``touchfield.coders``, whose name is the coder's. Entries are light: classes that code are named, and
+imported when they are first used.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
 from touchfield.codec.segment import BoundRule
 from touchfield.errors import InvalidArgument, UnsupportedVersion
+from touchfield.plugins import plugins
 
 if TYPE_CHECKING:
     from touchfield.arrays import Int64s
@@ -90,7 +92,7 @@ class Coder:
     spec: type[Any] | None = None
     # the words of ``--coder`` that mean this coder, each with what makes a spec of the options that were given
     makers: Mapping[str, Callable[[dict[str, Any]], Any]] = field(default_factory=dict)
-    # words of the makers that are no field of the spec, each with its type and its help (`touchfield.asked`)
+    # words of the makers that are no field of the spec, each with its type and its help (`touchfield.options`)
     words: Mapping[str, tuple[type, str]] = field(default_factory=dict)
     options: tuple[str, ...] = ()  # the order of both on the command line, if it is another
     hints: tuple[str, ...] = ()  # keys of options of other rooms that its makers want to see
@@ -123,17 +125,24 @@ class Coder:
 
 def field_coders() -> dict[str, Coder]:
     """The coders of fields by name; the first is the default."""
-    made = {name: coder(name) for name in ENTRIES}
-    return {name: one for name, one in made.items() if one.spec is not None}
+    entries = {name: coder(name) for name in names()}
+    return {name: entry for name, entry in entries.items() if entry.spec is not None}
+
+
+def names() -> tuple[str, ...]:
+    """The names of all coders, the default first, those of plug-ins last."""
+    return (*ENTRIES, *(name for name in plugins("touchfield.coders", Coder) if name not in ENTRIES))
 
 
 def coder(name: str, where: str = "HEAD.coder") -> Coder:
     """The entry of a coder; UnsupportedVersion if there is none, `where` being the field that names it."""
-    if name not in ENTRIES:
-        known = " or ".join(map(repr, ENTRIES))
-        raise UnsupportedVersion(where, repr(name), known, "A newer touchfield reads it.")
-    found: Coder = resolve_name(f"{ENTRIES[name]}:CODER")
-    return found
+    if name not in names():
+        known = " or ".join(map(repr, names()))
+        raise UnsupportedVersion(where, repr(name), known, "A newer touchfield reads it, or a plug-in for this coder.")
+    entry: Coder = (
+        resolve_name(f"{ENTRIES[name]}:CODER") if name in ENTRIES else plugins("touchfield.coders", Coder)[name]
+    )
+    return entry
 
 
 def coder_of_spec(spec: object) -> Coder:

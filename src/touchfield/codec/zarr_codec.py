@@ -20,9 +20,9 @@ from zarr.abc.codec import ArrayBytesCodec
 from touchfield.codec.touch.body import write_parameters
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.spec import CODER, TouchSpec
+from touchfield.compute.threads import worker_count
 from touchfield.errors import CorruptFile, InvalidArgument, warn_unbounded
 from touchfield.medium import ForceField, Grid
-from touchfield.parallel import worker_count
 
 NAME: Final = "touchfield.touch"
 _OPTIONS: Final = ("k", "f0_n", "mode", "effort")

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Final
 
+from touchfield.atomic import atomic_path
 from touchfield.container.records import (
     MAX_OBJECTS,
     OBJECTS_CODER,
@@ -25,7 +26,6 @@ from touchfield.container.records import (
 )  # fmt: skip
 from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, OPENING, encode_record
 from touchfield.errors import InvalidArgument, SourceError, reason
-from touchfield.medium.atomic import atomic_path
 
 MENDS: Final = {
     errno.ENOSPC: "Free some space, or write to another disk.",

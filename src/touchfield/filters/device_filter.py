@@ -29,17 +29,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Float64s, lengths_of
+from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument, require_kinds
 from touchfield.filters.resample import axis_weights, low_pass, resample
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
 from touchfield.medium.grid import Placement, axis_words
-from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
-    from touchfield.sources.analytic_scene import AnalyticScene
     from touchfield.sources.laws import ForceProfile
     from touchfield.sources.scene import Scene
+    from touchfield.sources.shapes.analytic_scene import AnalyticScene
 
 NW_RANGE: Final = (3, 10)
 """Least and greatest n_w; the paper takes 5 to 7."""

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s, Int64s
+from touchfield.compute.threads import for_chunks, worker_count
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import (
@@ -36,7 +37,6 @@ from touchfield.filters.separable import (
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import blocks_around, bricks_of, frozen, numbers_of
-from touchfield.parallel import for_chunks, worker_count
 
 if TYPE_CHECKING:
     from touchfield.filters.separable import Axes

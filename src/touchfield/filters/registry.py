@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args, get_type_hints
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.device_filter import limited
 from touchfield.medium import ForceField, HapticMedium
+from touchfield.plugins import plugins
 
 if TYPE_CHECKING:
     from touchfield.medium import Grid
@@ -144,15 +145,19 @@ _CLASSES = (
     "smoothing.GaussianFilter", "fir.FirFilter", "smoothing.ActuatorLowPass", "shading.ShadingFilter",
     "shading.DiffusionFilter", "lifting.MultiresolutionFilter", "contact.TextureFilter",
 )  # fmt: skip
-"""The filters, each a class of a module of this room; a new one is one more entry."""
+"""The filters of this package, each a class of a module; plug-ins add theirs by the group ``touchfield.filters``."""
 
 
 @cache
 def field_filters() -> Mapping[str, type[FieldFilter]]:
     """The classes of all filters by name."""
-    places = [place.split(".") for place in _CLASSES]
-    classes = [getattr(import_module(f"touchfield.filters.{module}"), name) for module, name in places]
-    return MappingProxyType({one.name: one for one in classes})
+    entries = [entry.split(".") for entry in _CLASSES]
+    classes = [getattr(import_module(f"touchfield.filters.{module}"), name) for module, name in entries]
+    classes += plugins("touchfield.filters", FieldFilter).values()
+    by_name: dict[str, type[FieldFilter]] = {}
+    for each in classes:
+        by_name.setdefault(each.name, each)
+    return MappingProxyType(by_name)
 
 
 def filter_of(name: str, text: str = "") -> FieldFilter:
@@ -178,6 +183,15 @@ def filtered_medium(medium: HapticMedium, chain: Sequence[FieldFilter]) -> Hapti
     words = "; ".join(f"{step.name} {step.words}".strip() for step in chain)
     provenance = noted(medium.provenance, "filters", words)
     return replace(medium, make_frame=lambda i: filtered(medium[i], chain), provenance=provenance)
+
+
+def filter_by_text(medium: HapticMedium, texts: Sequence[str]) -> HapticMedium:
+    """The medium through filters as a user writes them, such as "gaussian:sigma=2mm", one after the other.
+
+    Raises `InvalidArgument` if a filter is unknown or its text makes no sense.
+    """
+    named = (str(text).partition(":") for text in texts)
+    return filtered_medium(medium, [filter_of(name, text) for name, _, text in named])
 
 
 def noted(provenance: Mapping[str, str], key: str, words: str) -> dict[str, str]:

@@ -24,11 +24,11 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from touchfield.compute.threads import for_chunks, worker_count
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import BYTES_PER_BRICK, require_memory
 from touchfield.medium.field import brick_keys, bricks_of, frozen, spread_keys
-from touchfield.parallel import for_chunks, worker_count
 
 Axes = tuple["AxisTaps", "AxisTaps", "AxisTaps"]
 

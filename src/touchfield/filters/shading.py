@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float32s, Int32s
+from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument, require_one_of, require_positive
 from touchfield.filters.fir import without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
@@ -43,7 +44,6 @@ from touchfield.filters.smoothing import gaussian_taps
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import bricks_of, numbers_of, slots_around, tiled
-from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from touchfield.filters.separable import Axes

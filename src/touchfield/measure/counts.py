@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s, Int64s
+from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import as_array, entropy_bits
 from touchfield.measure.quantity import LEAST_BLOCKS
 from touchfield.medium.field import frozen, numbers_of
-from touchfield.parallel import for_chunks
 
 Histogram = tuple[Int64s, Int64s]
 """Symbols or numbers of cells, ascending, and how often each was seen."""

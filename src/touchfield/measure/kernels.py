@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Int64s
-from touchfield.lean import inner, kernel
-from touchfield.parallel import for_chunks
+from touchfield.compute.jit import inner, kernel
+from touchfield.compute.threads import for_chunks
 
 # -- symbols in tables. One add to a table costs one or two cycles, and waits for an add to the same place just before
 # it: hence four tables, taken in turn, and eight bytes of symbols loaded at once. Stretches of one symbol, most of a

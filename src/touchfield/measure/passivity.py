@@ -28,11 +28,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
+from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument
 from touchfield.measure.quantity import Told
 from touchfield.medium.field import ForceField, slots_around
 from touchfield.medium.grid import Grid
-from touchfield.parallel import for_chunks
 
 _PIECES_AT_ONCE: Final = 1 << 19
 _FAR: Final = 1e9  # spacings from the grid; beyond it a path could not be cut precisely at the lattice planes

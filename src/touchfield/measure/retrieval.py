@@ -23,10 +23,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float64s
+from touchfield.atomic import atomic_path
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_not_negative, require_one_of
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, DESCRIPTOR_VERSION, PARTS, Descriptor, part_slots
-from touchfield.medium.atomic import atomic_path
-from touchfield.medium.npz import NpzArchive
+from touchfield.medium.stores.npz import NpzArchive
 
 ANY_POSE: Final[Mapping[str, float]] = MappingProxyType({"directions": 0.0})
 """Weights that leave out what turns with the body; the octree levels still depend on the pose, but far less."""

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
+from touchfield.compute.threads import for_chunks
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium.budget import memory_budget_bytes, require_memory, zero_forces
 from touchfield.medium.field import ForceField, bricks_of, slots_of
 from touchfield.medium.grid import BRICK, CORNERS
-from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

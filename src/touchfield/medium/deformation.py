@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
+from touchfield.atomic import atomic_path
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_between
-from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import frozen
-from touchfield.medium.npz import NpzArchive
+from touchfield.medium.stores.npz import NpzArchive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -11,7 +11,6 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, overload
@@ -21,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float32s, Int32s, Travels
 from touchfield.errors import InvalidArgument, import_extra, is_finite, require_not_negative, require_positive
+from touchfield.hooks import hook
 from touchfield.medium.budget import require_memory
 from touchfield.medium.field import ForceField, frozen, numbers_of
 from touchfield.medium.grid import Grid
@@ -257,15 +257,13 @@ class HapticMedium(Travels):
             return nearest, nearest, 0.0
         return math.floor(place), math.floor(place) + 1, place - math.floor(place)
 
-    # the rooms above this one are entered by name when they are asked for: a value knows nothing of them otherwise
+    # filters and pictures belong to higher packages, which register what is called here (`touchfield.hooks`)
 
     def filtered(self, *filters: str) -> HapticMedium:
         """The medium through haptic filters in words, such as "gaussian:sigma=2mm", one after the other.
         Raises `InvalidArgument` if a filter is unknown or its words make no sense.
         """
-        registry = import_module("touchfield.filters.registry")
-        chain = [registry.filter_of(name, text) for name, _, text in (str(words).partition(":") for words in filters)]
-        medium: HapticMedium = registry.filtered_medium(self, chain)
+        medium: HapticMedium = hook("filter_by_text")(self, filters)
         return medium
 
     def to_xarray(self) -> Any:
@@ -287,15 +285,15 @@ class HapticMedium(Travels):
 
     def _repr_html_(self) -> str:
         """The page of its first frames, for a notebook; see `touchfield.view`."""
-        shown: str = import_module("touchfield.job.view").view(self)._repr_html_()
-        return shown
+        html: str = hook("view")(self)._repr_html_()
+        return html
 
     def plot(self, path: str | Path | None = None) -> Any:
         """The forces from the front, the side and above, as a matplotlib figure; a PNG, too, at `path`.
 
         Raises `MissingExtra` if matplotlib is not installed.
         """
-        return import_module("touchfield.job.view").draw_medium(self, path)
+        return hook("draw_medium")(self, path)
 
 
 @dataclass(frozen=True)

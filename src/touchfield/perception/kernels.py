@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from touchfield.lean import entry, kernel
+from touchfield.compute.jit import entry, kernel
 from touchfield.medium.kernels import force_at
 
 

@@ -44,8 +44,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float32s, Float64s
+from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument, require_between, require_one_of, require_positive, require_up_to
-from touchfield.parallel import for_chunks
 
 
 def jnd_gain(k: float) -> float:

@@ -23,7 +23,7 @@ import scipy.linalg
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import require_between
-from touchfield.sources.contact_trace import CurlFree, covariances
+from touchfield.sources.recordings.contact_trace import CurlFree, covariances
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

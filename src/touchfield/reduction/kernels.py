@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from touchfield.lean import inner, kernel
+from touchfield.compute.jit import inner, kernel
 
 _MOST = 1024  # nearest places of one cell; a cell with more is taken as weak
 

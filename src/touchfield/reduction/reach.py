@@ -33,9 +33,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion, binary_propagation, distance_transform_edt
 
 from touchfield.arrays import Bools, Float32s, Float64s, lengths_of
+from touchfield.compute.threads import for_chunks
 from touchfield.errors import require_positive
 from touchfield.medium.budget import require_memory
-from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from touchfield.medium import HapticMedium

@@ -7,6 +7,6 @@
 loop, `player` the one that a program holds on to. docs/decisions/0010 tells why it is cut so.
 """
 
-from touchfield.rooms import modules_of
+from touchfield._lazy import lazy_attributes
 
-__getattr__ = modules_of(__name__)
+__getattr__ = lazy_attributes(__name__)

@@ -168,7 +168,7 @@ class DrivesAhead:
 class ArrayPlayer:
     """Plays frames of drives on an array; a context manager, which closes it.
 
-    `frames` are such as `touchfield.job.array_medium.Drives`; `rate_hz`, frames a second to the device, is by default
+    `frames` are such as `touchfield.pipeline.array_medium.Drives`; `rate_hz`, frames a second to the device, is by default
     the profile's, up to 100, or 50 where it states none; `speed` is seconds of the medium in a second, `start_s`
     where in it to begin. `InvalidArgument` if a number is out of range, or the medium does not last until `start_s`.
     """

@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
+from touchfield.atomic import atomic_path
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_ending
 from touchfield.files import json_of, read_bytes
-from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import numbers_of
 from touchfield.perception.vibrotactile import BANDS_HZ
 from touchfield.render.block import words as W

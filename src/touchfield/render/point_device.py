@@ -1,6 +1,6 @@
 """A type 1 device as the servo sees it: where it is, and to push; of some also how it is turned, and to twist.
 
-A new device is one file in `touchfield.adapters` with a class of this kind (docs/devices.md). Forces that arrive here
+A new device is one file in `touchfield.devices.drivers` with a class of this kind (docs/devices.md). Forces that arrive here
 have passed every limit; an adapter changes none of them.
 """
 

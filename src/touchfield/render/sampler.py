@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int64s
+from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument, require_not_negative
 from touchfield.medium.field import numbers_of
 from touchfield.medium.medium import HapticScene
-from touchfield.parallel import for_chunks
 from touchfield.render.block import Memory
 from touchfield.render.block import words as W
 from touchfield.render.block.frames import FieldName, FrameParts, field_words, write_fields
@@ -311,7 +311,7 @@ class DeviceSampler:
         Points, float64 [n, 3] in metres, are an array on a GPU of any library (``__dlpack__`` or
         ``__cuda_array_interface__``), or one of NumPy, which is copied there; `InvalidArgument` for others.
         """
-        from touchfield.cuda import empty, for_each, on_device
+        from touchfield.compute.cuda import empty, for_each, on_device
         from touchfield.render.kernels.points import field_at_points, forces_at_points
 
         if len(points_m.shape) != 2 or points_m.shape[1] != 3 or points_m.dtype != np.float64:

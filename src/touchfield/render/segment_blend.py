@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.compute.threads import for_chunks
 from touchfield.medium import BRICK, ForceField, HapticMedium, HapticScene
 from touchfield.medium.field import brick_keys, bricks_of
-from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from touchfield.medium import Segments

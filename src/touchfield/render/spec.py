@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Float64s, lengths_of
-from touchfield.asked import option
 from touchfield.errors import (
     DeviceError,
     InvalidArgument,
@@ -23,6 +22,7 @@ from touchfield.errors import (
     require_positive,
 )
 from touchfield.files import json_of
+from touchfield.options import option
 from touchfield.render.block import words as W
 from touchfield.render.point_device import UPS, axes_matrix, axes_notes
 from touchfield.render.tool import Tool

@@ -1,5 +1,13 @@
-"""Sources: scenes of all kinds as generators of force fields; `registry` opens them, `laws` make the forces."""
+"""Sources: scenes of all kinds as generators of force fields; `registry` opens them, `laws` turn depth into force."""
 
-from touchfield.rooms import modules_of
+from typing import TYPE_CHECKING
 
-__getattr__ = modules_of(__name__)
+from touchfield._lazy import lazy_attributes
+
+if TYPE_CHECKING:
+    from touchfield.sources.options import SourceOptions
+    from touchfield.sources.registry import open_source
+
+__all__ = ["SourceOptions", "open_source"]
+
+__getattr__ = lazy_attributes(__name__, {"SourceOptions": "options", "open_source": "registry"})

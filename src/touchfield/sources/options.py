@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any
 
-from touchfield.asked import option
 from touchfield.errors import InvalidArgument, require_kinds, require_positive
+from touchfield.options import option
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class SourceOptions:
     kind : str or None; Name of a source kind; None recognises it.
     depth_scale : float or None; Units of a stored depth value in one metre (1000 for millimetres, 5000 for TUM).
     intrinsics : str or None; "fx,fy,cx,cy" in pixels, or the path of a file that holds them.
-    poses : str or None; Of a depth sequence: path of its camera poses (`touchfield.sources.placed_frames`); None
+    poses : str or None; Of a depth sequence: path of its camera poses (`touchfield.sources.depth.frame_poses`); None
         looks for them.
     frame : str; "world": poses are used where there are any, so that a moving camera sees a standing world;
         "camera": the workspace moves with the camera.
@@ -43,7 +43,7 @@ class SourceOptions:
     relative_depth : str or None; Of a picture or video: path of the relative depth that lies beside it.
     near_m, far_m : float or None; Of a relative depth: metres of its nearest and its farthest value.
     segment : str or None; Of a depth sequence in the object representation: the rule of its segmentation, as
-        `touchfield.sources.segments` reads it; None for its default.
+        `touchfield.sources.depth.segments` reads it; None for its default.
     baseline_m, disparity_offset_px : float or None; Of a disparity map: depth = fx * baseline_m / (disparity +
         disparity_offset_px).
     allow_outside : bool; Whether a model or scene file may name files outside its own folder. Never taken from a

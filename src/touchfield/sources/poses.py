@@ -29,7 +29,7 @@ from touchfield.medium.pose_track import PoseTrack, rotation_matrices, slerp
 
 if TYPE_CHECKING:
     from touchfield.medium.trace import Trace
-    from touchfield.sources.shapes import Triple
+    from touchfield.sources.shapes.shapes import Triple
 
 MAX_TIME_S: Final = 1e12  # time stamps stay below this: 32 thousand years
 IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."  # the way on from a pose at fault

@@ -1,8 +1,9 @@
 """The source kinds: which there are, which one a path is, and how it is opened.
 
-A new kind is one new module that ends in ``KIND = SourceKind(...)`` and one line in `MODULES`, or a row of the table
-of depth layouts (``touchfield.sources.depth_layouts``) and a line that names module and row. The modules must be
-cheap to import: what is heavy (numba, Pillow) is imported when it is used.
+Other distributions add kinds by entry points of the group ``touchfield.sources``, each a `SourceKind`. A kind of
+this package is a module that ends in ``KIND = SourceKind(...)`` and a line in `MODULES`, or a row of the table of
+depth layouts (``touchfield.sources.depth.layouts``) and a line that names module and row. The modules must be cheap
+to import: what is heavy (numba, Pillow) is imported when it is used.
 """
 
 from __future__ import annotations
@@ -18,30 +19,31 @@ import numpy as np
 
 from touchfield.errors import SourceError, require_one_of
 from touchfield.files import require_plain
+from touchfield.sources.images.pictures import contents
+from touchfield.plugins import plugins
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.pictures import contents
 from touchfield.sources.scene import Scene
 
 MODULES = (  # in the order in which they are asked: the particular before the general
-    "physics",
-    "analytic_scene",
-    "mjcf",
+    "physics.toml_file",
+    "shapes.analytic_scene",
+    "physics.mjcf",
     "stored",
-    "contact_trace",
-    "animated_mesh",
-    "mesh",
-    "depth_layouts:tum",
-    "depth_layouts:redwood",
-    "depth_layouts:sun3d",
-    "depth_layouts:3dmatch",
-    "depth_layouts:depth-video",
-    "inverse_depth:relative-depth",
-    "saliency",
-    "depth_layouts:depth-stack",
-    "depth_layouts:depth-folder",
-    "inverse_depth:disparity",
-    "height_scene",
-    "depth_layouts:depth-map",
+    "recordings.contact_trace",
+    "animation.animated_mesh",
+    "mesh.mesh_files",
+    "depth.layouts:tum",
+    "depth.layouts:redwood",
+    "depth.layouts:sun3d",
+    "depth.layouts:3dmatch",
+    "depth.layouts:depth-video",
+    "depth.inverse_depth:relative-depth",
+    "video.saliency",
+    "depth.layouts:depth-stack",
+    "depth.layouts:depth-folder",
+    "depth.inverse_depth:disparity",
+    "terrain.height_scene",
+    "depth.layouts:depth-map",
 )
 
 
@@ -72,8 +74,9 @@ class SourceKind:
 
 @cache
 def kinds() -> tuple[SourceKind, ...]:
-    """All source kinds, the particular before the general."""
-    return tuple(_kind(*entry.split(":")) for entry in MODULES)
+    """All source kinds, the particular before the general: plug-ins, which were installed on purpose, come first."""
+    built_in = tuple(_kind(*entry.split(":")) for entry in MODULES)
+    return (*plugins("touchfield.sources", SourceKind).values(), *built_in)
 
 
 def _kind(module: str, row: str | None = None) -> SourceKind:

@@ -28,19 +28,19 @@ def sample(name: str, options: SourceOptions | None = None) -> Scene:
     """
     options = options or SourceOptions()
     if name == "terrain":
-        from touchfield.sources.height_scene import jacksboro_scene
+        from touchfield.sources.terrain.height_scene import jacksboro_scene
 
         return jacksboro_scene(options.exaggeration)
     if name == "motorcycle":
-        from touchfield.sources.depth_layouts import depth_scene
-        from touchfield.sources.inverse_depth import motorcycle_sequence
+        from touchfield.sources.depth.inverse_depth import motorcycle_sequence
+        from touchfield.sources.depth.layouts import depth_scene
 
         return depth_scene(motorcycle_sequence(), options)
     if name in ("shapes", "falling-4", "falling-7"):
         from importlib import resources
 
-        from touchfield.sources.analytic_scene import read_analytic
-        from touchfield.sources.physics import open_physics
+        from touchfield.sources.physics.toml_file import open_physics
+        from touchfield.sources.shapes.analytic_scene import read_analytic
 
         with resources.as_file(resources.files("touchfield.sources") / "scenes" / f"{name}.toml") as path:
             return read_analytic(path, options.rate_hz) if name == "shapes" else open_physics(path, options)

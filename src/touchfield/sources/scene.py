@@ -76,8 +76,8 @@ class Scene(ABC):
     tags : tuple of str; Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for
         something else.
     exaggeration : float; Factor on the heights of a height map, in which its z is told.
-    is_captured : bool; Frames are taken as they are asked for (`touchfield.sources.capture`).
-    has_gpu : bool; Forces are computed on a GPU where one is asked for (`touchfield.cuda.computing`).
+    is_captured : bool; Frames are taken as they are asked for (`touchfield.sources.depth.capture`).
+    has_gpu : bool; Forces are computed on a GPU where one is asked for (`touchfield.compute.cuda.computing`).
     report : callable; ``report(done, total)`` is called while a scene prepares itself for the first field; set by
         who wants to know.
     """

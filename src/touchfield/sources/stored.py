@@ -14,8 +14,8 @@ from touchfield.arrays import Float64s
 from touchfield.errors import SourceError
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.field import bricks_reached, field_of_points
-from touchfield.medium.npz import NpzArchive, read_npz
-from touchfield.medium.zarr_store import read_zarr
+from touchfield.medium.stores.npz import NpzArchive, read_npz
+from touchfield.medium.stores.zarr_store import read_zarr
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind

@@ -6,15 +6,15 @@ import numpy as np
 
 from touchfield.arrays import Float32s
 from touchfield.medium import PoseTrack
-from touchfield.sources.analytic_scene import AnalyticScene
-from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_scene import DepthScene
-from touchfield.sources.fused_scene import FusedScene
-from touchfield.sources.height_scene import HeightScene
-from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.depth.fused_scene import FusedScene
+from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.scene import Body, Scene
-from touchfield.sources.shapes import Ellipsoid, Sphere
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Ellipsoid, Sphere
+from touchfield.sources.terrain.height_scene import HeightScene
 
 
 class _Ramp(DepthSequence):

@@ -1,5 +1,5 @@
 """Pictures of force fields and of what a coder did to them."""
 
-from touchfield.rooms import modules_of
+from touchfield._lazy import lazy_attributes
 
-__getattr__ = modules_of(__name__)
+__getattr__ = lazy_attributes(__name__)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
+from touchfield.atomic import atomic_path
 from touchfield.errors import import_extra
-from touchfield.medium.atomic import atomic_path
 
 if TYPE_CHECKING:
     from pathlib import Path

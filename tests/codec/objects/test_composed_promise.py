@@ -10,16 +10,16 @@ import pytest
 
 from independent_bound import mask_ratio
 from object_makers import F0_N, ball, head_of, moving_scene, tumbling
-from touchfield import job
+from touchfield import pipeline
 from touchfield.codec.objects.encoder import PLACE_TOLERANCE_M, ObjectsEncoder
 from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, compare_scenes, displacement_m, reach_m
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.stream.objects import SceneStream, write_objects
+from touchfield.pipeline.decoded_objects import SceneStream, write_objects
+from touchfield.pipeline.spec import EncodeSpec
 
 SPEC = TouchSpec(k=0.1, f0_n=F0_N, effort="fast", segment_frames=3)
 OWN = Grid((19, 18, 17), (0.0007, 0.0007, 0.0007), (-0.0063, -0.006, -0.0056))
@@ -233,10 +233,10 @@ def test_a_body_at_rest_makes_no_step(tmp_path: Path) -> None:
 def test_falling_bodies_compare_without_a_voxel_beyond(tmp_path: Path, name: str) -> None:
     pytest.importorskip("mujoco")
     spec = EncodeSpec(nw=5, frames=(240, 270))
-    job.encode(f"sample:{name}", tmp_path / "a.touch", spec)
-    with job.open_stream(tmp_path / "a.touch") as stream:
+    pipeline.encode(f"sample:{name}", tmp_path / "a.touch", spec)
+    with pipeline.open_stream(tmp_path / "a.touch") as stream:
         told = stream.summary()
-    values = job.compare(f"sample:{name}", tmp_path / "a.touch").summary()
+    values = pipeline.compare(f"sample:{name}", tmp_path / "a.touch").summary()
     assert told["promise_kept"] and values["mask_violations"] == 0
     assert values["worst_mask_ratio"] == pytest.approx(told["worst_mask_ratio"], abs=3e-5)
     assert values["worst_place_um"] <= values["place_tolerance_um"] == told["place_tolerance_um"]

@@ -22,7 +22,7 @@ from touchfield.codec.support import padded
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile
 from touchfield.medium import PoseTrack
-from touchfield.stream.objects import SceneStream, write_objects
+from touchfield.pipeline.decoded_objects import SceneStream, write_objects
 
 CONFORMANCE = Path(__file__).resolve().parents[3] / "conformance"
 SAMPLE_ATOL_N = 2e-6

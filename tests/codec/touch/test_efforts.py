@@ -14,8 +14,9 @@ from touchfield.codec.touch.body import BodyReader
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import EFFORTS, TouchSpec
-from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import ForceField
+from touchfield.pipeline import prepare
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
 
 

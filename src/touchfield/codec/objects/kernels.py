@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
-from touchfield.lean import kernel, lean
+from touchfield.compute.jit import kernel, lean
 from touchfield.medium.kernels.placed import (
     CELLS,
     C,

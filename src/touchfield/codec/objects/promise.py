@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s, Int64s
+from touchfield.compute.threads import for_chunks
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
 from touchfield.medium.field import brick_keys
-from touchfield.parallel import for_chunks
 
 _FLOOR_SHARE: Final = 1e-9  # of F_max: a body's own force below it is the rounding of a place, as the receiver has it
 _FRAMES_AT_ONCE: Final = 32

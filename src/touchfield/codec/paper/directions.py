@@ -36,8 +36,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int32s
+from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument
-from touchfield.parallel import for_chunks
 
 DEFAULT: Final = "ico5"
 

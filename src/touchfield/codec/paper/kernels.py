@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from touchfield.lean import entry, kernel
+from touchfield.compute.jit import entry, kernel
 from touchfield.medium.kernels import first_at_least
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
-from touchfield.asked import option
 from touchfield.codec.paper.quantisers import weber_ladder
 from touchfield.codec.registry import Coder
 from touchfield.errors import InvalidArgument, require_kinds
+from touchfield.options import option
 
 STAGES: Final = ("none", "dpcm", "adpcm", "dct", "wavelet", "runs")
 """In the order of their numbers."""

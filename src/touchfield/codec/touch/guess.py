@@ -29,10 +29,10 @@ from touchfield.codec.touch.kernels import guess as kernels
 from touchfield.codec.touch.kernels.guess import NODE_CONTEXTS, code_nodes
 from touchfield.codec.touch.lattice import TOP, FixedField
 from touchfield.codec.varint import Parts, write_varint
+from touchfield.compute.threads import for_chunks
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK, Grid
-from touchfield.parallel import for_chunks
 
 SPLINE_CONTEXTS: Final = LIST_CONTEXTS + NODE_CONTEXTS
 

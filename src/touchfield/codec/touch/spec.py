@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final
 
-from touchfield.asked import option
 from touchfield.codec.registry import Coder
 from touchfield.codec.segment import BoundRule, mask_text
 from touchfield.errors import InvalidArgument, require_kinds
+from touchfield.options import option
 
 MODES: Final = ("mask", "mask-direction", "nmse", "lossless")
 EFFORTS: Final = ("fast", "default")

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.lean import entry, inlined, kernel, lean
+from touchfield.compute.jit import entry, inlined, kernel, lean
+from touchfield.compute.threads import for_chunks
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.kernels import first_at_least
-from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from touchfield.lean import inner, kernel
+from touchfield.compute.jit import inner, kernel
 from touchfield.medium.kernels import first_at_least
 
 ROW = 24  # numbers of a brick's row: eight samples of three components

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from touchfield.lean import inner, kernel
+from touchfield.compute.jit import inner, kernel
 
 _STRIDES = (100, 10, 1)
 _TILE = 1000

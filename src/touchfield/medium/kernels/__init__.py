@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.lean import entry, inner, kernel
+from touchfield.compute.jit import entry, inner, kernel
 from touchfield.medium.grid import Grid
 
 

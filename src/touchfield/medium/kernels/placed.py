@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from touchfield.lean import inner, kernel
+from touchfield.compute.jit import inner, kernel
 
 _1, _2 = np.uint64(1), np.uint64(2)
 INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit

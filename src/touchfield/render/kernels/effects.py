@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 
-from touchfield.lean import inner, kernel
+from touchfield.compute.jit import inner, kernel
 from touchfield.render.block import words as W
 from touchfield.render.kernels.frames import force_at, gradient_at, strongest, vibration_between
 from touchfield.render.kernels.vectors import along, dot, is_finite, length, less, plus, put, three, times

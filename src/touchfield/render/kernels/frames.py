@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from touchfield.lean import kernel, uncounted
+from touchfield.compute.jit import kernel, uncounted
 from touchfield.medium.kernels.placed import CELLS, GOLDEN, between, shortened
 from touchfield.render.block import words as W
 from touchfield.render.kernels.vectors import (

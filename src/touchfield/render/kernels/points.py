@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from touchfield.lean import inner, kernel, uncounted
+from touchfield.compute.jit import inner, kernel, uncounted
 from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels.placed import CELLS, INSIDE, XY, XYZ, XZ, YZ, X, Y, Z
 from touchfield.render.block import words as W

@@ -20,8 +20,8 @@ import math
 from numba import types
 from numba.extending import intrinsic
 
+from touchfield.compute.jit import inner, kernel
 from touchfield.filters.kernels.forces import friction
-from touchfield.lean import inner, kernel
 from touchfield.render.block import words as W
 from touchfield.render.kernels import effects
 from touchfield.render.kernels.effects import material_at, texture

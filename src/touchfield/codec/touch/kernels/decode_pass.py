@@ -8,7 +8,7 @@ from touchfield.codec.kernels import PLACE, code, mix
 from touchfield.codec.touch.kernels import voxel
 from touchfield.codec.touch.kernels import workspace as ws
 from touchfield.codec.touch.kernels.voxel import before, held
-from touchfield.lean import entry, inlined, lean
+from touchfield.compute.jit import entry, inlined, lean
 
 _BRICK = voxel.CONTEXTS
 _BLOCK = _BRICK + 16

@@ -10,7 +10,7 @@ from touchfield.arrays import Float64s, Int64s
 from touchfield.codec.kernels import LIST_CONTEXTS as _TABLE
 from touchfield.codec.kernels import LIST_SETS as _SETS
 from touchfield.codec.kernels import PLACE, READING, TASK, mix, price
-from touchfield.lean import entry, inlined, lean
+from touchfield.compute.jit import entry, inlined, lean
 
 _SIZE: Final = 1 << 18
 _BESIDE: Final = (

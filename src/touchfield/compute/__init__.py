@@ -1,0 +1,5 @@
+"""How kernels are compiled and where they run: jit, CUDA, threads, and executors of other machines."""
+
+from touchfield._lazy import lazy_attributes
+
+__getattr__ = lazy_attributes(__name__)

@@ -1,0 +1,221 @@
+"""Touch, Touch X, Phantom Omni and Premium by the maker's OpenHaptics: its driver calls us, in a thread of its own.
+
+What it calls is compiled (`kernels.compiled_callback`): begin a frame, read the position (millimetres), one cycle of
+the renderer, set the force, end the frame. The interpreter's lock is not met on the way.
+
+On `close` the servo has already ordered the release: the force is waited for until it is zero, one more frame with
+zero is set, and only then callback, scheduler and device are let go.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from ctypes import Structure, c_char_p, c_int, c_uint32, c_ulong, c_ushort, c_void_p
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+import numpy as np
+
+from touchfield.devices.drivers.links import DriverLibrary
+from touchfield.devices.drivers.registry import DeviceKind, Opener
+from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.render.point_device import PointDevice
+
+if TYPE_CHECKING:
+    from touchfield.medium.trace import Trace
+
+
+DRIVER: Final = DriverLibrary(
+    "OpenHaptics",
+    "TOUCHFIELD_OPENHAPTICS_LIBRARY",
+    ("libHD.so", "libHD.so.3"),
+    ("hd.dll",),
+    ("/Library/Frameworks/HD.framework/HD",),
+    "Install the maker's OpenHaptics and its device driver",
+)
+
+
+class _ErrorInfo(Structure):
+    _fields_ = (("code", c_uint32), ("internal_code", c_int), ("device", c_uint32))
+
+
+_FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
+    "hdInitDevice": (c_uint32, (c_char_p,)),
+    "hdDisableDevice": (None, (c_uint32,)),
+    "hdEnable": (None, (c_uint32,)),
+    "hdGetError": (_ErrorInfo, ()),
+    "hdGetErrorString": (c_char_p, (c_uint32,)),
+    "hdBeginFrame": (None, (c_uint32,)),
+    "hdEndFrame": (None, (c_uint32,)),
+    "hdGetDoublev": (None, (c_uint32, c_void_p)),
+    "hdSetDoublev": (None, (c_uint32, c_void_p)),
+    "hdScheduleAsynchronous": (c_ulong, (c_void_p, c_void_p, c_ushort)),
+    "hdUnschedule": (None, (c_ulong,)),
+    "hdStartScheduler": (None, ()),
+    "hdStopScheduler": (None, ()),
+}
+_CALLED: Final = ("hdBeginFrame", "hdEndFrame", "hdGetDoublev", "hdSetDoublev", "hdGetError")
+"""By the compiled callback."""
+
+_FORCE_OUTPUT: Final = 0x4000
+_INVALID_HANDLE: Final = 0xFFFFFFFF
+_HIGHEST_PRIORITY: Final = 0xFFFF
+_RELEASE_S: Final = 1.0
+"""How long `close` waits for the force to be zero."""
+
+_SILENCE_S: Final = 0.5
+_LAST_FRAME_S: Final = 0.5
+_WHERE: Final = "OpenHaptics device"
+
+_KEPT: Final[list[Any]] = []
+"""Callbacks that a driver may still call, because it did not answer when it was told to stop."""
+
+
+class OpenHaptics(PointDevice):
+    """A device by the name that the driver's configuration gives it.
+
+    Parameters
+    ----------
+    name : str or None
+        Such as "Left Device"; None takes the default device.
+    cycle : compiled function or None
+        What the callback calls; None takes `touchfield.render.kernels.tick.cycle`.
+    """
+
+    is_driven: ClassVar[bool] = True
+
+    def __init__(self, name: str | None = None, cycle: Any = None) -> None:
+        self._name, self._cycle = name, cycle
+        self._library: Any = None
+        self._device: int | None = None
+        self._operation: int | None = None
+        self._callback: Any = None
+        self._box = np.zeros(1, np.int64)
+        self._seen = (0, 0.0)  # calls, and when there were more of them
+
+    def open(self) -> None:
+        """Load the driver, compile the callback, find the device and switch forces on; no callback yet."""
+        self.close()
+        library = self._library = DRIVER.load(_FUNCTIONS)
+        cycle = self._cycle or import_module("touchfield.render.kernels.tick").cycle
+        kernel = import_module("touchfield.devices.drivers.kernels")
+        called = (getattr(library, name) for name in _CALLED)
+        self._callback = kernel.compiled_callback(cycle, *map(kernel.address_of, called))
+        device = library.hdInitDevice(None if self._name is None else self._name.encode())
+        error = self._error("find the device", "Is it plugged in, and set up with the maker's own tool?")
+        if error is None and device == _INVALID_HANDLE:
+            error = DeviceError(_WHERE, "no device", "one", "Is it plugged in, and set up with the maker's own tool?")
+        if error is not None:
+            raise error
+        self._device = device
+        library.hdEnable(_FORCE_OUTPUT)
+        self._raise("switch forces on")
+
+    def drive(self, address: int, words: int) -> None:
+        """Let the driver call the compiled cycle over the block at `address`; returns at once."""
+        from touchfield.devices.drivers import kernels as kernel
+
+        if self._device is None or self._operation is not None:
+            raise DeviceError(_WHERE, "a device that is not open, or driven already", "an open one")
+        box = self._box = np.zeros(kernel.BOX, np.int64)
+        box[[kernel.ADDRESS, kernel.WORDS, kernel.HANDLE]] = address, words, self._device
+        self._operation = self._library.hdScheduleAsynchronous(
+            self._callback.address, box.ctypes.data, _HIGHEST_PRIORITY
+        )
+        self._raise("schedule the callback")
+        self._library.hdStartScheduler()
+        self._raise("start the scheduler")
+        self._seen = (0, time.monotonic())
+
+    def watch(self) -> None:
+        """Check that the driver calls, and has no fault to tell."""
+        from touchfield.devices.drivers import kernels as kernel
+
+        if self._operation is None:
+            raise DeviceError(_WHERE, "a device that is not driven", "a driven one")
+        calls, done, code = self._box[[kernel.CALLS, kernel.DONE, kernel.ERROR]].tolist()
+        now = time.monotonic()
+        if calls != self._seen[0]:
+            self._seen = (calls, now)
+        if code:
+            raise DeviceError(_WHERE, f"a fault while it ran ({self._reason(code)})", mend="Is it still plugged in?")
+        if done:
+            raise DeviceError(_WHERE, "a renderer that failed", "forces", "See what it printed.")
+        if now - self._seen[1] > _SILENCE_S:
+            found = f"a driver that has not called for {_SILENCE_S:g} s, after {calls} calls"
+            raise DeviceError(_WHERE, found, "a call each millisecond", "Is it still plugged in?")
+
+    def position_m(self) -> tuple[float, float, float]:
+        """Not for a device whose driver calls us."""
+        raise DeviceError(_WHERE, "a question for its position", "drive", "Its driver calls the renderer.")
+
+    def put_force_n(self, x: float, y: float, z: float) -> None:
+        """Not for a device whose driver calls us."""
+        raise DeviceError(_WHERE, "a force", "drive", "Its driver calls the renderer.")
+
+    def close(self) -> None:
+        """Wait for the force to be zero, end the callback, stop the scheduler, let the device go."""
+        library, device, operation = self._library, self._device, self._operation
+        self._device = self._operation = None
+        if device is None:
+            return
+        with suppress(Exception):
+            done = operation is None or self._ended()
+            library.hdStopScheduler()
+            if operation is not None and not done:
+                library.hdUnschedule(operation)
+                _KEPT.append((self._callback, self._box))
+        with suppress(Exception):
+            library.hdDisableDevice(device)
+
+    def _ended(self) -> bool:
+        """True once the callback put its last force, zero, and will be called no more."""
+        from touchfield.devices.drivers import kernels as kernel
+
+        box, force = self._box, self._box.view(np.float64)[kernel.FORCE : kernel.FORCE + 3]
+        _wait(lambda: not force.any() or bool(box[kernel.DONE]), _RELEASE_S)
+        box[kernel.STOP] = 1
+        return _wait(lambda: bool(box[kernel.DONE]), _LAST_FRAME_S)
+
+    def _raise(self, what: str) -> None:
+        error = self._error(what)
+        if error is not None:
+            self.close()
+            raise error
+
+    def _error(self, what: str, mend: str = "") -> DeviceError | None:
+        """The latest error of the driver's stack, which is emptied."""
+        first = self._library.hdGetError()
+        if not first.code:
+            return None
+        for _ in range(64):
+            if not self._library.hdGetError().code:
+                break
+        return DeviceError(_WHERE, f"that it could not {what} ({self._reason(first.code)})", mend=mend)
+
+    def _reason(self, code: int) -> str:
+        words = self._library.hdGetErrorString(code) or b"no reason given"
+        return f"{words[:120].decode('ascii', 'replace')}, code {code:#06x}"
+
+
+def _wait(condition: Any, seconds: float) -> bool:
+    """Wait for `condition`; True if it came true in time."""
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() >= end:
+            return False
+        time.sleep(0.001)
+    return True
+
+
+def _opener(rest: str, trajectory: Trace | None) -> Opener:
+    if not rest.isprintable() or len(rest.encode()) > 127:
+        raise InvalidArgument("device", f"'openhaptics:{rest[:40]}'", "the name of a device in its driver's settings")
+    return partial(OpenHaptics, rest or None)
+
+
+KIND = DeviceKind(
+    "openhaptics", "openhaptics[:NAME]", "Touch and Phantom, by OpenHaptics", "touch", _opener, DRIVER.checks
+)

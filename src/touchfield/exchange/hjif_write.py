@@ -1,0 +1,286 @@
+"""Arrays and forces written as HJIF, the JSON of MPEG haptics (ISO/IEC 23090-31).
+
+Valid against the published schemas, and within what the public reference decoder takes: whole numbers wherever it
+reads whole numbers, keyframes within 65535 ticks of their effect, a Curve as one effect of three keyframes or more.
+
+**Resolution.** Times are whole ticks, amplitudes multiples of 1e-5 of full scale, frequencies whole hertz. Keyframes
+are left out where a straight line between others passes within half such a step, so that a sample on a tick comes
+back to within one step of amplitude and one hertz. A sample between two ticks is told at the nearer one. A thousand
+ticks a second are usual, which a decoder that knows only milliseconds reads correctly, too.
+
+**An array** is a perception of vibration with a channel for each actuator, and in it one VectorialWave: a sine of the
+frequency and drive at each keyframe, both linear in between. What is longer than 65535 ticks goes into several
+effects, each of which begins where the one before it ended, with the value and the phase that it had there. The
+reference decoder takes the latest effect that has begun, so that nothing is heard twice. Targets count columns from
+the left and rows from below (`Y` is "up" in the schema of vectors); the channels lie row by row from the top.
+
+**A force** is a perception with three channels, along x, y and z, in each one Curve, linear between keyframes.
+The gain of a channel is its greatest force: F = amplitude * gain newtons. The binary form keeps an amplitude in steps
+of 2/255, so that it misses a small force by as little of it as a large one, and an axis without force not at all.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.arrays import Float32s, Float64s, Int64s
+from touchfield.atomic import atomic_path
+from touchfield.errors import InvalidArgument, require_one_of, require_up_to
+from touchfield.exchange.hjif_read import DEFAULT_TIMESCALE, LARGEST_VECTOR
+from touchfield.exchange.symbolic import filled_hz
+from touchfield.medium.medium import MAX_FREQUENCY_HZ
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from touchfield.exchange.symbolic import ArrayEffect
+
+
+AMPLITUDE_STEP: Final = 1e-5
+"""Of full scale."""
+
+MAX_SPAN_TICKS: Final = 65535
+"""From the beginning of an effect to its last keyframe."""
+
+_DIGITS: Final = 5
+_LEVEL_1_CHANNELS: Final = 127
+_PANELS: Final = {"front": ("Front", 0x10 | 0x20 | 0x40), "back": ("Back", 0x100 | 0x200)}
+"""Body part, and its bits: chest right and left with abdomen, upper and lower back."""
+
+_LARGEST_FORCE_N: Final = 1e6
+_LARGEST_PHASE: Final = 6.28318
+
+
+def write_hjif_array(
+    path: str | Path, effect: ArrayEffect, device_name: str = "", *, panel: str = "front", description: str = ""
+) -> None:
+    """Write the drives of an array as ``.hjif``.
+
+    Raises InvalidArgument if the array has more than 127 columns or rows, there is no such panel, or a frame takes
+    less than one tick of a millisecond or more than 65535; SourceError if the system refuses to write.
+
+    Parameters
+    ----------
+    path : Path
+    effect : ArrayEffect
+        An only frame is held for the time of a frame. Without frequencies: `DEFAULT_CARRIER_HZ`.
+    device_name : str
+        Goes in as the reference device.
+    panel : str
+        "front" or "back" of the chest.
+    description : str
+    """
+    columns, rows, _ = effect.lattice
+    if max(columns, rows) > LARGEST_VECTOR:
+        raise InvalidArgument("array", f"{columns} x {rows} actuators", "at most 127 columns and rows in HJIF")
+    require_one_of("panel", panel, _PANELS)
+    gap = DEFAULT_TIMESCALE / effect.rate_hz
+    if not 1 <= gap <= MAX_SPAN_TICKS:
+        found = f"{effect.rate_hz:g} frames a second, {gap:g} ticks to a frame"
+        raise InvalidArgument("array", found, f"1 to {MAX_SPAN_TICKS} ticks to a frame, of a millisecond each")
+    ticks = np.round(np.arange(max(len(effect), 2)) * gap).astype(np.int64)
+    side, mask = _PANELS[panel]
+
+    def channels() -> Iterator[dict[str, Any]]:
+        for row, column in np.ndindex(rows, columns):
+            hertz = None if effect.frequencies_hz is None else effect.frequencies_hz[:, row, column]
+            drives = effect.drives[:, row, column]
+            yield {
+                "description": f"row {row + 1} from the top, column {column + 1} from the left",
+                "gain": 1.0,
+                "mixing_coefficient": 1.0,
+                "body_part_mask": mask,
+                "actuator_resolution": {"X": columns, "Y": rows, "Z": 1},
+                "body_part_target": ["Chest", side],
+                "actuator_target": [{"X": column, "Y": rows - 1 - row, "Z": 0}],
+                "bands": [_wave(ticks, drives, filled_hz(drives, hertz))],
+            }
+
+    size = f"{columns} x {rows} actuators"
+    _write(
+        path, description or f"array of {size}", DEFAULT_TIMESCALE, ("Vibrotactile", f"{size}, {panel} of the chest"),
+        device_name, channels(), columns * rows,
+    )  # fmt: skip
+
+
+def write_hjif_force(
+    path: str | Path,
+    forces_n: Float64s,
+    timescale: int,
+    *,
+    device_name: str = "",
+    full_scale_n: float = 1.0,
+    description: str = "",
+) -> None:
+    """Write a force over time as ``.hjif``.
+
+    Raises InvalidArgument if the full scale is out of range; SourceError if the system refuses to write.
+
+    Parameters
+    ----------
+    path : Path
+    forces_n : float64 [n, 3]
+        Newtons along x, y, z, one sample a tick; at least 1 and at most 65536.
+    timescale : int
+        Ticks a second, 1 to 48000.
+    device_name : str
+        Goes in as the reference device.
+    full_scale_n : float
+        Newtons that are told as 1; 1 tells newtons. Readers that put newtons out as sound, the reference synthesiser
+        among them, clip them at 1; with another value the file tells shares of it.
+    description : str
+    """
+    require_up_to(_LARGEST_FORCE_N, full_scale_n=full_scale_n)
+    peaks_n = np.abs(forces_n).max(axis=0)
+    shares = np.clip(forces_n / np.where(peaks_n > 0, peaks_n, 1), -1, 1)
+    channels = [
+        {
+            "description": f"force along {name.lower()}",
+            "gain": float(peaks_n[axis]) / full_scale_n,
+            "mixing_coefficient": 1.0,
+            "body_part_mask": 0,
+            "direction": {other: 127 * (other == name) for other in "XYZ"},
+            "bands": [_curve(shares[:, axis], timescale)],
+        }
+        for axis, name in enumerate("XYZ")
+    ]
+    perception = "Force", f"force at a point, in units of {full_scale_n:g} N"
+    _write(path, description or "force over time", timescale, perception, device_name, channels, len(channels))
+
+
+def _write(
+    path: str | Path,
+    description: str,
+    timescale: int,
+    perception: tuple[str, str],
+    device_name: str,
+    channels: Iterable[dict[str, Any]],
+    channel_count: int,
+) -> None:
+    """Write one perception (modality, description), a channel at a time: an array may be large."""
+    root: dict[str, Any] = {
+        "version": "2023",
+        "profile": "Main",
+        "level": 1 if channel_count <= _LEVEL_1_CHANNELS else 2,
+        "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "description": description,
+        "timescale": timescale,
+        "avatars": [],
+        "syncs": [],
+    }
+    modality, words = perception
+    devices = {"reference_devices": [{"id": 1, "name": device_name}]} if device_name else {}
+    one = {
+        "id": 0, "avatar_id": 0, "unit_exponent": -3, "perception_unit_exponent": 0,
+        "perception_modality": modality, "description": words, **devices, "effect_library": [],
+    }  # fmt: skip
+    own = {"reference_device_id": 1} if device_name else {}
+    with atomic_path(Path(path)) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(json.dumps(root)[:-1] + ', "perceptions": [')
+        file.write(json.dumps(one)[:-1] + ', "channels": [')
+        for n, channel in enumerate(channels):
+            file.write(("" if n == 0 else ",") + "\n" + json.dumps({"id": n, **own, **channel}))
+        file.write("]}]}\n")
+
+
+def _wave(ticks: Int64s, drives: Float32s, hertz: Float32s) -> dict[str, Any]:
+    """The VectorialWave of one actuator."""
+    amplitudes = np.round(drives.astype(np.float64), _DIGITS)
+    samples = np.stack([amplitudes, np.maximum(np.round(hertz.astype(np.float64)), 1)], axis=1)
+    low = min(int(samples[:, 1].min()), int(MAX_FREQUENCY_HZ) - 1)
+    return {
+        "band_type": "VectorialWave",
+        "lower_frequency_limit": low,
+        "upper_frequency_limit": max(int(samples[:, 1].max()), low + 1),
+        "effects": list(_effects(ticks, np.broadcast_to(samples, (len(ticks), 2)))),
+    }
+
+
+def _effects(ticks: Int64s, samples: Float64s) -> Iterator[dict[str, Any]]:
+    """Effects end to end, none longer than 65535 ticks."""
+    first, phase = 0, 0.0
+    while first < len(ticks) - 1:
+        last = int(np.searchsorted(ticks, ticks[first] + MAX_SPAN_TICKS, side="right")) - 1
+        kept = first + thinned(ticks[first : last + 1], samples[first : last + 1], (AMPLITUDE_STEP / 2, 0.5))
+        keyframes = [
+            {"relative_position": tick, "amplitude_modulation": amplitude, "frequency_modulation": int(hertz)}
+            for tick, (amplitude, hertz) in zip((ticks[kept] - ticks[first]).tolist(), samples[kept].tolist())
+        ]
+        yield _effect(int(ticks[first]), min(round(phase, _DIGITS), _LARGEST_PHASE), keyframes)
+        seconds, hertz = np.diff(ticks[kept]) / DEFAULT_TIMESCALE, samples[kept, 1]
+        cycles = float(seconds @ (hertz[1:] + hertz[:-1])) / 2
+        first, phase = last, math.fmod(phase + 2 * math.pi * cycles, 2 * math.pi)
+
+
+def _effect(position: int, phase: float, keyframes: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "effect_type": "Basis",
+        "position": position,
+        "phase": phase,
+        "base_signal": "Sine",
+        "keyframes": keyframes,
+    }
+
+
+def _curve(shares: Float64s, timescale: int) -> dict[str, Any]:
+    """The Curve of one axis, a share a tick."""
+    amplitudes = np.round(shares, _DIGITS)
+    kept = thinned(np.arange(len(shares)), amplitudes[:, None], (AMPLITUDE_STEP / 2,))
+    line = list(zip(kept.tolist(), amplitudes[kept].tolist()))
+    if len(line) == 2 and line[1][0] > 1:  # one more on the line, not rounded: a Curve of two breaks the reference
+        middle, share = line[1][0] // 2, line[1][1] - line[0][1]
+        line.insert(1, (middle, line[0][1] + share * middle / line[1][0]))
+    line += [(line[-1][0] + n, line[-1][1]) for n in range(1, 4 - len(line))]  # too short for it: the last is held
+    return {
+        "band_type": "Curve",
+        "curve_type": "Linear",
+        "lower_frequency_limit": 0,
+        "upper_frequency_limit": max(1, min(timescale // 2, int(MAX_FREQUENCY_HZ))),
+        "effects": [_effect(0, 0.0, [{"relative_position": t, "amplitude_modulation": a} for t, a in line])],
+    }
+
+
+def thinned(ticks: Int64s, values: Float64s, tolerances: Sequence[float]) -> Int64s:
+    """The samples to keep so that straight lines between them miss no sample by more than the tolerance.
+
+    The first and the last are always kept. Each line reaches as far as the tolerances allow (the cone of slopes that
+    pass all samples on the way); one pass, in time proportional to the samples.
+
+    Returns int64 [k]: indices of the samples that are kept, ascending.
+
+    Parameters
+    ----------
+    ticks : int64 [n]
+        Ascending, n at least 1.
+    values : float64 [n, m]
+        Samples of m signals that share their keyframes.
+    tolerances : m floats
+        Greatest distance of each signal from the lines.
+    """
+    inner = (values[1:-1] == values[:-2]).all(axis=1) & (values[1:-1] == values[2:]).all(axis=1)
+    places = np.flatnonzero(np.concatenate([[True], ~inner, [True]])[: len(ticks)])
+    if len(places) < 3:
+        return places
+    # a sample between two equal ones lies on any line that both tolerate
+    times, points, kept = ticks[places].tolist(), values[places].tolist(), [0]
+    signals = range(len(tolerances))
+    low, high = [-np.inf] * len(tolerances), [np.inf] * len(tolerances)
+    for i in range(1, len(times)):
+        span = times[i] - times[kept[-1]]
+        rises = [(points[i][s] - points[kept[-1]][s]) / span for s in signals]
+        if not all(low[s] <= rises[s] <= high[s] for s in signals):
+            kept.append(i - 1)
+            span = times[i] - times[i - 1]
+            rises = [(points[i][s] - points[i - 1][s]) / span for s in signals]
+            low, high = [-np.inf] * len(tolerances), [np.inf] * len(tolerances)
+        for s in signals:
+            low[s] = max(low[s], rises[s] - tolerances[s] / span)
+            high[s] = min(high[s], rises[s] + tolerances[s] / span)
+    kept.append(len(times) - 1)
+    return places[kept]

@@ -1,0 +1,212 @@
+"""Effects: how strongly each actuator of an array is driven over time, and at which frequency.
+
+A symbolic medium of figure 1: an effect stands for something and was not measured. `ArrayEffect` is the one value
+that all formats are written from and read into; it lies between them and the medium of a stream.
+
+An actuator has one drive: as in `touchfield.pipeline.array_medium` the greater of |F| and of the vibration's amplitude,
+over the force that drives it fully. A medium made of an effect therefore holds the drive twice: as the force along
+the array's normal, for whatever knows only forces, and as the vibration's amplitude, with the frequency beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.arrays import Float32s, Float64s
+from touchfield.devices import Device, device, device_names
+from touchfield.errors import InvalidArgument, require_between, require_positive
+from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium.field import frozen
+from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationFrame
+from touchfield.sources.scene import UP_Y_AXES
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from touchfield.medium import Grid
+
+
+DEFAULT_RATE_HZ: Final = 100.0
+"""Frames a second that an effect is sampled at: two to each of the shortest transients."""
+
+DEFAULT_CARRIER_HZ: Final = 150.0
+"""Where nothing names a frequency: within the best of what skin feels, and of what small motors shake at."""
+
+MAX_RATE_HZ: Final = 10000.0
+
+MAX_SECONDS: Final = 3600.0
+"""Longest effect that is read."""
+
+MAX_VALUES: Final = 1 << 24
+"""Most drives that are made of a file, actuators times frames: 64 MiB, and as much for the frequencies."""
+
+MAX_MEDIUM_VALUES: Final = 1 << 26
+"""Most drives that are made of a medium of our own: 256 MiB."""
+
+TRANSIENT_S: Final = 0.022
+"""How long a transient is felt, seconds; as long as the public reference decoder of ISO/IEC 23090-31 lets it ring."""
+
+_PITCH_MM: Final = 20.0
+_FORCE_MAX_N: Final = 3.3
+_OURS: Final = "our choice: an effect file tells neither sizes nor forces"
+
+
+@dataclass(frozen=True)
+class ArrayEffect:
+    """The drives of an array over time.
+
+    Raises InvalidArgument if shapes or types are wrong, or a number is out of range.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Frames a second; between frames a drive is linear in time.
+    drives : float32 [frames, rows, columns]
+        0 to 1; row 0 is the top one, column 0 the left one, as one looks at the array.
+    frequencies_hz : float32 [frames, rows, columns] or None
+        0 where none is known; None if there are none at all.
+    """
+
+    rate_hz: float
+    drives: Float32s
+    frequencies_hz: Float32s | None = None
+
+    def __post_init__(self) -> None:
+        drives, frequencies = self.drives, self.frequencies_hz
+        require_positive(rate_hz=self.rate_hz)
+        if drives.dtype != np.float32 or drives.ndim != 3 or not drives.size:
+            raise InvalidArgument("drives", f"{drives.dtype} {drives.shape}", "float32 [frames, rows, columns]")
+        if not ((drives >= 0).all() and (drives <= 1).all()):
+            raise InvalidArgument("drives", "a number below 0, above 1 or not finite", "0 to 1")
+        object.__setattr__(self, "drives", frozen(np.ascontiguousarray(drives)))
+        if frequencies is None:
+            return
+        if frequencies.dtype != np.float32 or frequencies.shape != drives.shape:
+            raise InvalidArgument("frequencies_hz", f"{frequencies.dtype} {frequencies.shape}", f"{drives.shape}")
+        if not ((frequencies >= 0).all() and (frequencies <= MAX_FREQUENCY_HZ).all()):
+            raise InvalidArgument("frequencies_hz", "a number out of range", f"0 to {MAX_FREQUENCY_HZ:g} Hz")
+        object.__setattr__(self, "frequencies_hz", frozen(np.ascontiguousarray(frequencies)))
+
+    def __len__(self) -> int:
+        return len(self.drives)
+
+    @property
+    def lattice(self) -> tuple[int, int, int]:
+        """Columns, rows, 1."""
+        _, rows, columns = self.drives.shape
+        return (columns, rows, 1)
+
+
+@dataclass(frozen=True)
+class ImportedEffect:
+    """An effect as its file tells it.
+
+    With it the device that the file names ("": none), the force that a full drive stands for, where that is told, and
+    notes for the user on what was left out or read in our way.
+    """
+
+    effect: ArrayEffect
+    device_name: str = ""
+    force_max_n: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass
+class Drive:
+    """Amplitudes and frequencies (0: none known) over the frames, float64 [frames] each."""
+
+    amplitudes: Float64s
+    frequencies_hz: Float64s
+
+    @classmethod
+    def silent(cls, frames: int) -> Drive:
+        """Nothing to be felt."""
+        return cls(np.zeros(frames), np.zeros(frames))
+
+    def add(self, other: Drive, frames: slice = slice(None)) -> None:
+        """Amplitudes add up in these frames; the frequency is that of the stronger."""
+        stronger = other.amplitudes > self.amplitudes[frames]
+        self.frequencies_hz[frames][stronger] = other.frequencies_hz[stronger]
+        self.amplitudes[frames] += other.amplitudes
+
+
+def filled_hz(drives: Float32s, frequencies_hz: Float32s | None) -> Float32s:
+    """A frequency for each drive, float32 [frames, ...] as the drives.
+
+    Where an actuator is told none, it is that of its last frame that tells one, before any its first, else
+    `DEFAULT_CARRIER_HZ`. A frequency of what is not driven tells nothing.
+    """
+    if frequencies_hz is None:
+        return np.full(drives.shape, DEFAULT_CARRIER_HZ, np.float32)
+    known = (frequencies_hz > 0) & (drives > 0)
+    order = np.arange(len(drives)).reshape(-1, *(1,) * (drives.ndim - 1))
+    last = np.maximum.accumulate(np.where(known, order, -1), axis=0)
+    hertz = np.take_along_axis(frequencies_hz, np.where(last >= 0, last, known.argmax(axis=0)), axis=0)
+    return np.where(known.any(axis=0), hertz, np.float32(DEFAULT_CARRIER_HZ))
+
+
+def check_rate(rate_hz: float) -> None:
+    """InvalidArgument unless an effect can be sampled at so many frames a second."""
+    require_between(1, MAX_RATE_HZ, rate_hz=rate_hz)
+
+
+def checked_frames(where: str, frames: int, actuators: int, most: int = MAX_VALUES) -> int:
+    """So many frames, if they are not too many to be held in memory; else InvalidArgument."""
+    if frames * actuators > most:
+        found = f"{frames} frames of {actuators} actuators"
+        raise InvalidArgument(where, found, f"at most {most} drives", "Take fewer frames, or a lower rate.")
+    return frames
+
+
+def effect_device(lattice: tuple[int, int, int], name: str = "", force_max_n: float | None = None) -> Device:
+    """The device of an effect: the profile of that name if its array is the same, else one of our own.
+
+    `lattice` is columns, rows, 1; `force_max_n` the force that a full drive stands for, None the profile's or 3.3 N.
+    """
+    if name in device_names():
+        known = device(name)
+        if known.is_array and known.lattice == lattice and force_max_n in (None, known.force_max_n):
+            return known
+    columns, rows, _ = lattice
+    return Device(
+        name=f"array-{columns}x{rows}",
+        title=f"an array of {columns} x {rows} actuators",
+        type=2,
+        axes="columns along x right, rows along y up, normal along z",
+        workspace_mm=(columns * _PITCH_MM, rows * _PITCH_MM, max(columns, rows) * _PITCH_MM),
+        lattice=lattice,
+        force_max_n=_FORCE_MAX_N if force_max_n is None else force_max_n,
+        pitch_mm=_PITCH_MM,
+        sources={"pitch_mm": _OURS, "force_max_n": _OURS},
+    )
+
+
+def effect_medium(effect: ArrayEffect, grid: Grid, force_max_n: float, provenance: Mapping[str, str]) -> HapticMedium:
+    """An effect as a symbolic medium on (columns, rows, 1) samples, x right and y up.
+
+    The force along z is the drive's share of `force_max_n`, which drives an actuator fully.
+    """
+    if grid.shape != effect.lattice:
+        raise InvalidArgument("grid", f"{grid.shape}", f"{effect.lattice}, as the effect has it")
+    scale = np.float32(force_max_n)
+
+    def field(i: int) -> ForceField:
+        forces = np.zeros((*grid.shape, 3), np.float32)
+        forces[:, :, 0, 2] = effect.drives[i][::-1].T * scale
+        return ForceField.from_dense(grid, forces)
+
+    def vibration(i: int) -> VibrationFrame:
+        assert effect.frequencies_hz is not None
+        hertz, amplitudes_n = effect.frequencies_hz[i][::-1].T, effect.drives[i][::-1].T * scale
+        driven = np.argwhere((hertz > 0) & (amplitudes_n > 0))
+        x, y = driven.T
+        positions = np.concatenate([driven, np.zeros((len(driven), 1), np.int64)], axis=1).astype(np.int32)
+        return VibrationFrame(grid, positions, amplitudes_n[x, y], hertz[x, y])
+
+    return HapticMedium(
+        grid, effect.rate_hz, len(effect), field, axes=UP_Y_AXES, tags=("symbolic",), provenance=provenance,
+        vibration=None if effect.frequencies_hz is None else vibration,
+    )  # fmt: skip

@@ -1,0 +1,30 @@
+"""Some of the frames of a medium."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from touchfield.medium.medium import HapticMedium
+
+
+def evenly_spaced(count: int, maximum: int) -> list[int]:
+    """At most `maximum` of the indices below `count`, evenly spaced, with the first and the last."""
+    indices: list[int] = np.unique(np.linspace(0, count - 1, min(maximum, count)).round().astype(int)).tolist()
+    return indices
+
+
+def select_frames(medium: HapticMedium, indices: Sequence[int]) -> HapticMedium:
+    """The medium of these frames, one after the other."""
+    vibration = medium.vibration
+    if vibration is not None:
+        vibration = [vibration(i) for i in indices].__getitem__
+    return replace(
+        medium,
+        frame_count=len(indices),
+        make_frame=lambda i: medium[indices[i]],
+        vibration=vibration,
+        segments=None,
+    )

@@ -1,0 +1,266 @@
+"""A medium as a zarr store, version 3: chunks of whole bricks in shards, for programs that read a part at a time.
+
+A group with attributes (the lattice, the rate, what travels beside the forces) and the array ``forces_n`` float32
+[t, x, y, z, component]; levels of detail are ``forces_n_1``, ``forces_n_2``, ..., and the attribute ``multiscales``
+says where their samples lie, as OME-NGFF does. A chunk without a force is not written. Chunks are packed by zstd,
+or by a codec that is named, such as the coder `touch` (`touchfield.codec.zarr_codec`). A shard is a file, what is
+written at once.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import product
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from touchfield.arrays import Float32s
+from touchfield.compute.threads import Report, silent
+from touchfield.errors import InvalidArgument, SourceError, import_extra
+from touchfield.medium.field import ForceField
+from touchfield.medium.grid import BRICK, Grid
+from touchfield.medium.medium import HapticMedium
+
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]
+"""First sample and shape of a part of a lattice."""
+
+ARRAY: Final = "forces_n"
+DIMENSIONS: Final = ("t", "x", "y", "z", "component")
+_AXES: Final = (
+    {"name": "t", "type": "time", "unit": "second"},
+    *({"name": axis, "type": "space", "unit": "meter"} for axis in "xyz"),
+    {"name": "component", "type": "channel"},
+)
+_CHUNK: Final = 128
+_SHARD: Final = 256
+_MOST_CHUNK_BYTES: Final = 1 << 28
+_MOST_FRAMES: Final = 1 << 24
+_MOST_TEXT: Final = 1 << 16
+_CODECS: Final = frozenset(
+    {"sharding_indexed", "bytes", "transpose", "crc32c", "zstd", "gzip", "blosc", "touchfield.touch"}
+)
+"""Those of a stranger's store that are run; others of this machine are not for its bytes to choose."""
+
+
+def _zarr() -> Any:
+    return import_extra("zarr", "a zarr store", "zarr", "zarr")
+
+
+def _chunks(grid: Grid) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Samples of a chunk and of a shard along each axis: whole bricks, no more than the lattice needs."""
+    chunk = tuple(min(_CHUNK, BRICK * -(-n // BRICK)) for n in grid.shape)
+    return chunk, tuple(c * -(-min(_SHARD, n) // c) for c, n in zip(chunk, grid.shape))
+
+
+def boxes(grid: Grid) -> Iterator[Box]:
+    """The parts of a lattice that can be written without each other, one shard each."""
+    _, shard = _chunks(grid)
+    for low in product(*(range(0, n, s) for n, s in zip(grid.shape, shard))):
+        shape = tuple(min(s, n - a) for s, n, a in zip(shard, grid.shape, low))
+        yield low, shape  # type: ignore[misc]
+
+
+def create(
+    store: str | Path,
+    medium: HapticMedium,
+    told: Mapping[str, Any],
+    codec: Mapping[str, Any] | None,
+    levels: Sequence[HapticMedium] = (),
+) -> None:
+    """Begin a store without a force; `codec` is the name and the configuration of what codes a chunk."""
+    zarr, grid = _zarr(), medium.grid
+    about = {
+        "spacing_m": list(grid.spacing_m),
+        "origin_m": list(grid.origin_m),
+        **medium.beside,
+        "tags": list(medium.tags),
+        **told,
+    }
+    datasets = [_level(one, n) for n, one in enumerate((medium, *levels))]
+    scales = [{"name": ARRAY, "type": "level of detail", "axes": list(_AXES), "datasets": datasets}]
+    group = zarr.create_group(store, zarr_format=3, attributes={"touchfield": about, "multiscales": scales})
+    coding = {"serializer": dict(codec), "compressors": None} if codec else {}
+    for level, one in enumerate((medium, *levels)):
+        chunk, shard = _chunks(one.grid)
+        group.create_array(
+            _level_name(level),
+            shape=(len(one), *one.grid.shape, 3),
+            chunks=(1, *chunk, 3),
+            shards=(1, *shard, 3),
+            dtype="float32",
+            fill_value=0.0,
+            dimension_names=[f"{name}_{level}" if level and name in "xyz" else name for name in DIMENSIONS],
+            attributes={"units": "N"},
+            **coding,
+        )
+
+
+def _level_name(level: int) -> str:
+    return f"{ARRAY}_{level}" if level else ARRAY
+
+
+def _level(medium: HapticMedium, level: int) -> dict[str, Any]:
+    """Path, step and place of the first sample of a level, seconds and metres."""
+    grid = medium.grid
+    scale = {"type": "scale", "scale": [1 / medium.rate_hz, *grid.spacing_m, 1.0]}
+    translation = {"type": "translation", "translation": [0.0, *grid.origin_m, 0.0]}
+    return {"path": _level_name(level), "coordinateTransformations": [scale, translation]}
+
+
+def write_box(store: str | Path, frame: int, low: Sequence[int], forces_n: Float32s, level: int = 0) -> None:
+    """Write newtons [nx, ny, nz, 3] of one of `boxes`, whose first sample is `low`; nothing where there are none."""
+    if forces_n.any():
+        array = _zarr().open_array(store, path=_level_name(level), mode="r+")
+        array[(frame, *(slice(a, a + n) for a, n in zip(low, forces_n.shape)))] = forces_n
+
+
+def write_zarr(
+    path: str | Path,
+    medium: HapticMedium,
+    report: Report = silent,
+    told: Mapping[str, Any] = MappingProxyType({}),
+    levels: Sequence[HapticMedium] = (),
+) -> None:
+    """Write all frames, packed by zstd; the folder appears when it is whole.
+
+    report : callable; ``report(written, frames)``, after each frame.
+    levels : coarser media of the same frames, which follow as levels of detail.
+    told : mapping of str to JSON values; what else the attributes are to tell.
+    Raises `MissingExtra` without zarr; `InvalidArgument` if something lies at `path`; `SourceError` if refused.
+    """
+    with whole_folder(Path(path)) as store:
+        create(store, medium, told, None, levels)
+        parts = [list(boxes(one.grid)) for one in (medium, *levels)]
+        for i in range(len(medium)):
+            for n, one in enumerate((medium, *levels)):
+                field = one[i]
+                for low, shape in parts[n]:
+                    write_box(store, i, low, cut(field, low, shape).to_dense(), n)
+            report(i + 1, len(medium))
+
+
+@contextmanager
+def whole_folder(path: Path, is_kept: bool = False) -> Iterator[Path]:
+    """A folder ``PATH.parts`` that gets its name at the end of the block; after an error it goes, or is kept."""
+    _zarr()  # before anything is written
+    if path.exists():
+        raise InvalidArgument(str(path), "something there already", "a new name", "Remove it, or take another name.")
+    partial = path.with_name(f"{path.name}.parts")
+    if not is_kept:
+        shutil.rmtree(partial, ignore_errors=True)
+    try:
+        yield partial
+        partial.rename(path)
+    except OSError as error:
+        raise SourceError(str(path), f"that it cannot be written: {error.strerror or error}") from error
+    finally:
+        if not is_kept:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def cut(field: ForceField, low: Sequence[int], shape: tuple[int, int, int]) -> ForceField:
+    """Part of a field from sample `low` on, which begins a brick."""
+    first, count = np.asarray(low) // BRICK, -(-np.asarray(shape) // BRICK)
+    own = ((field.bricks >= first) & (field.bricks < first + count)).all(axis=1)
+    grid = Grid(shape, field.grid.spacing_m, tuple(field.grid.to_m(low).tolist()))
+    return ForceField(grid, (field.bricks[own] - first).astype(np.int32), field.forces_n[own])
+
+
+def read_zarr(path: str | Path) -> HapticMedium:
+    """Open a store that `write_zarr` or `touchfield encode` wrote; frames are read when they are asked for.
+
+    Raises `MissingExtra` without zarr; `SourceError` if it is no such store, or (on a frame) a chunk is damaged.
+    """
+    zarr = _zarr()
+    about, (shape, chunk) = _json(Path(path) / "zarr.json").get("attributes"), _layout(Path(path))
+    about = about.get("touchfield") if isinstance(about, dict) else None
+    if not isinstance(about, dict):
+        raise SourceError(str(path), "a zarr store of something else", "one with the attribute touchfield")
+    try:
+        grid = Grid((shape[1], shape[2], shape[3]), tuple(about["spacing_m"]), tuple(about["origin_m"]))
+        array = zarr.open_array(str(path), path=ARRAY, mode="r")
+        return HapticMedium(
+            grid,
+            float(about["rate_hz"]),
+            shape[0],
+            lambda i: _frame(array, i, grid, chunk, str(path)),
+            axes=str(about["axes"])[:_MOST_TEXT],
+            tags=tuple(str(tag) for tag in about["tags"])[:8],
+            friction=float(about["friction"]),
+            damping_n_s_per_m=float(about["damping_n_s_per_m"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        found = f"values that cannot be used ({error})"
+        raise SourceError(f"{path}, attribute touchfield", found, "what touchfield writes") from None
+
+
+def _json(file: Path) -> dict[str, Any]:
+    try:
+        if file.stat().st_size > _MOST_TEXT:
+            raise SourceError(str(file), f"{file.stat().st_size} bytes", f"at most {_MOST_TEXT}")
+        members = json.loads(file.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise SourceError(str(file), f"that it cannot be read ({error})", "a zarr store, version 3") from None
+    if not isinstance(members, dict) or members.get("zarr_format") != 3:
+        raise SourceError(str(file), "another format", "zarr, version 3")
+    return members
+
+
+def _layout(path: Path) -> tuple[list[int], list[int]]:
+    """Shape and chunks of the array, checked before anything is allocated: its bytes are a stranger's."""
+    about, where = _json(path / ARRAY / "zarr.json"), f"{path}, array {ARRAY}"
+    try:
+        shape = [int(n) for n in about["shape"]]
+        chunk = [int(n) for n in about["chunk_grid"]["configuration"]["chunk_shape"]]
+        codecs = list(_names(about["codecs"]))
+        inner = [c for c in about["codecs"] if c["name"] == "sharding_indexed"]
+        chunk = [int(n) for n in inner[0]["configuration"]["chunk_shape"]] if inner else chunk
+        kind = str(about["data_type"])
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise SourceError(where, f"metadata that cannot be used ({error!r})", "a zarr array, version 3") from None
+    if kind not in ("float32", "float64") or len(shape) != 5 or shape[4] != 3 or min(shape) < 1:
+        raise SourceError(where, f"{kind} {shape}", "float32 [t, x, y, z, 3], newtons")
+    if len(chunk) != 5 or min(chunk) < 1 or chunk[4] != 3 or shape[0] > _MOST_FRAMES:
+        raise SourceError(where, f"chunks {chunk}", "chunks of whole forces")
+    if 8 * math.prod(chunk) > _MOST_CHUNK_BYTES:
+        raise SourceError(where, f"chunks of {chunk} samples", f"at most {_MOST_CHUNK_BYTES >> 20} MiB each")
+    strange = [name for name in codecs if name not in _CODECS]
+    if strange:
+        raise SourceError(where, f"the codec {strange[0]!r}", f"one of {', '.join(sorted(_CODECS))}")
+    return shape, chunk
+
+
+def _names(codecs: Any) -> Iterator[str]:
+    """Names of codecs, and of those within a shard."""
+    for one in codecs:
+        yield str(one["name"])
+        inside = one.get("configuration") or {}
+        for key in ("codecs", "index_codecs"):
+            yield from _names(inside.get(key) or ())
+
+
+def _frame(array: Any, frame: int, grid: Grid, chunk: Sequence[int], name: str) -> ForceField:
+    """A frame, slab by slab of chunks along x, and in each chunk by chunk."""
+
+    def slab(x: int) -> Float32s:
+        high = min(x + step, grid.shape[0])
+        dense = np.zeros((high - x, *grid.shape[1:], 3), np.float32)
+        for y, z in product(range(0, grid.shape[1], chunk[2]), range(0, grid.shape[2], chunk[3])):
+            ends = slice(y, y + chunk[2]), slice(z, z + chunk[3])
+            dense[(slice(None), *ends)] = array[(frame, slice(x, high), *ends)]
+        return dense
+
+    step = -(-chunk[1] // BRICK) * BRICK
+    try:
+        return ForceField.from_slabs(grid, (slab(x) for x in range(0, grid.shape[0], step)))
+    except InvalidArgument as error:
+        raise SourceError(f"{name} frame {frame}", error.found, error.expected) from None
+    except Exception as error:  # whatever the codecs of a damaged chunk raise
+        raise SourceError(f"{name} frame {frame}", f"a chunk that cannot be read ({error})"[:300]) from None

@@ -1,0 +1,73 @@
+"""A hand on a device, shown by a page: the file that it feels, and where it is, sixty times a second."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+from urllib.parse import quote
+
+from touchfield.network.access import Access, Background, Pages, add_pages, guarded, left_unless_read, web
+from touchfield.network.live import MEDIA_TYPE
+
+if TYPE_CHECKING:
+    from touchfield.render.player import Player
+
+_PERIOD_S: Final = 1 / 60
+_PATIENCE_S: Final = 5.0
+
+
+class Bridge(Background):
+    """A server for the page of one file and the hand that feels it.
+
+    Parameters
+    ----------
+    stream : Path
+        The ``.touch`` file.
+    access : Access
+    pages : Pages
+    """
+
+    def __init__(self, stream: Path, access: Access, pages: Pages) -> None:
+        super().__init__(access, pages)
+        self._stream = stream
+        self._hand: Player | None = None
+
+    @property
+    def page(self) -> str:
+        """The address of the page."""
+        return f"http://{self.address}/view/{quote(self._stream.name)}#hand"
+
+    def follow(self, hand: Player) -> None:
+        """Show this hand from now on."""
+        self._hand = hand
+
+    def _application(self) -> web.Application:
+        served = guarded(self._access)
+        served.router.add_get("/hand", self._tell)
+        add_pages(served, "/{name:.*}", self._pages)
+        served.router.add_get("/{name:.*}", self._file)
+        return served
+
+    async def _file(self, request: web.Request) -> web.StreamResponse:
+        if request.match_info["name"] != self._stream.name:
+            raise web.HTTPNotFound
+        headers = {"Content-Type": MEDIA_TYPE, "X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache"}
+        return web.FileResponse(self._stream, headers=headers)
+
+    async def _tell(self, request: web.Request) -> web.StreamResponse:
+        """The hand's place in the field, metres, and the medium's time, seconds, where they change."""
+        socket = web.WebSocketResponse(max_msg_size=1 << 10, compress=False)
+        await socket.prepare(request)
+        before: tuple[float, ...] = ()
+        with suppress(ConnectionError):
+            while not (socket.closed or self._is_over.is_set()):
+                hand = self._hand
+                now = () if hand is None else (*hand.position_m, hand.media_s)
+                if now and now != before:
+                    async with left_unless_read(request, _PATIENCE_S):
+                        await socket.send_json(now)
+                    before = now
+                await asyncio.sleep(_PERIOD_S)
+        return socket

@@ -1,0 +1,227 @@
+"""The receiving edge of a live stream: messages by WebSocket, manifest, datagrams or a pipe, into a medium.
+
+A connection that ends is made again; what was missed meanwhile is lost, and told.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from importlib.util import find_spec
+from threading import Event as Flag
+from threading import Thread
+from typing import Any, Final, Self
+from urllib.parse import urlsplit, urlunsplit
+
+from touchfield.container.remote import without_secret
+from touchfield.errors import MissingExtra, SourceError, TouchfieldError, reason
+from touchfield.files import standard_input
+from touchfield.network.live import MOST_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
+from touchfield.network.live_medium import PATIENCE_S, TOLD_S, LiveFrames, LiveStream
+
+_SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 2.0  # between two tries to connect
+_POLL_S: Final = 0.05
+_ANSWER_S: Final = 10.0
+_MEND: Final = "Check the address, and that it is on."
+_MOST_MANIFEST: Final = 1 << 16
+_BESIDE_S: Final = 5.0  # so long a coarse layer is waited for, once its stream has opened
+
+
+@contextmanager
+def open_live(
+    url: str, tell: Callable[[str], None] = lambda note: None, coarse: str | None = None
+) -> Iterator[LiveStream]:
+    """Open a live stream; it is received in a thread until the block ends.
+
+    `coarse` is the address of its coarse layer, felt where the stream itself has lost something, or is late; where
+    that layer has not come some seconds after the stream, it is told, and the stream is felt alone.
+
+    Raises SourceError if there is none, or no first segment has come for a minute.
+    """
+    with ExitStack() as stack:
+        beside: _Client | None = None
+        if coarse is not None:
+            beside = _Client(coarse, lambda note: tell(f"coarse layer: {note}"), is_layered=True)
+            stack.enter_context(beside)
+        yield stack.enter_context(_Client(url, tell, beside, is_layered=beside is not None)).stream()
+
+
+class _Client:
+    """Receives a stream in a thread while a block lasts."""
+
+    def __init__(
+        self, url: str, tell: Callable[[str], None], beside: _Client | None = None, is_layered: bool = False
+    ) -> None:
+        if find_spec("aiohttp") is None and url != "-":
+            raise MissingExtra("a live stream", "aiohttp", "broadcast")
+        self._url, self._tell, self._beside, self._is_layered = url, tell, beside, is_layered
+        self._name = "standard input" if url == "-" else without_secret(url)
+        self._receiver = LiveReceiver(is_open=url.lower().startswith("udp:"))
+        self._frames: LiveFrames | None = None
+        self._begun = Flag()
+        self._error: TouchfieldError = SourceError(self._name, "nothing in time", "a live stream", _MEND)
+        self._loop = asyncio.new_event_loop()
+        self._task: asyncio.Task[None] | None = None
+        self._thread = Thread(target=self._run, name="touchfield-receiver", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(lambda: self._task and self._task.cancel())
+        self._thread.join(0.1 if self._url == "-" else 5)  # nothing ends the wait for a pipe
+
+    def stream(self) -> LiveStream:
+        """The stream, once a first segment is there."""
+        if not self._begun.wait(TOLD_S):
+            self._tell(f"waiting for a first segment of {self._name}, a minute at most: its sender may be starting")
+            self._begun.wait(PATIENCE_S - TOLD_S)
+        if self._frames is None:
+            raise self._error
+        return LiveStream(self._name, self._frames)
+
+    def layer(self, tell: Callable[[str], None]) -> LiveFrames | None:
+        """The frames of a coarse layer, whose stream has opened; None where it does not come, which is told."""
+        if self._begun.wait(_BESIDE_S) and self._frames is not None:
+            return self._frames
+        if not isinstance(self._error, SourceError):  # what was asked cannot be
+            raise self._error
+        tell(f"without its coarse layer: {self._error}")
+        self.__exit__()
+        return None
+
+    def _run(self) -> None:
+        try:
+            if self._url == "-":
+                self._by_pipe()
+                return
+            self._task = self._loop.create_task(self._receive())
+            self._loop.run_until_complete(self._task)
+        except asyncio.CancelledError:
+            pass
+        except Exception as error:
+            if not isinstance(error, TouchfieldError):
+                error = SourceError(self._name, reason(error), "a live stream")
+            self._error = error
+            if self._frames is not None:
+                self._frames.fail(error)
+        finally:
+            self._begun.set()
+            self._loop.close()
+
+    def _take(self, message: bytes) -> bool:
+        """Take a message; True once the stream is over."""
+        events = self._receiver.receive(message)
+        for event in events:
+            if isinstance(event, Opened):
+                if self._frames is None:
+                    under = None if self._beside is None else self._beside.layer(self._tell)
+                    self._frames = LiveFrames(event, self._tell, under=under)
+                elif event.head == self._frames.opened.head:
+                    self._tell("another programme begins")
+                    self._frames.begin_anew()
+                else:  # who plays the old one opens anew
+                    raise SourceError(self._name, "another programme", "the one that was opened", "Open it again.")
+            elif self._frames is None:
+                self._error = SourceError(self._name, getattr(event, "reason", "its end"), "a live stream")
+            else:
+                self._frames.take(event)
+                if isinstance(event, LiveSegment):
+                    self._begun.set()
+        return any(isinstance(event, Ended) for event in events)
+
+    async def _receive(self) -> None:
+        if self._receiver.is_open:
+            from touchfield.network.udp import listen
+
+            await listen(self._url, self._take, self._is_layered)
+            return
+        import aiohttp
+
+        told_s: float | None = None
+        timeout = aiohttp.ClientTimeout(total=_ANSWER_S, sock_connect=_ANSWER_S)
+        async with aiohttp.ClientSession(timeout=timeout) as session:
+            follow = self._by_socket if self._url.lower().startswith("ws") else self._by_manifest
+            while True:
+                try:
+                    if await follow(session):
+                        return
+                    found = "a connection that ended"
+                except (aiohttp.ClientError, OSError, TimeoutError) as error:
+                    found = reason(error)
+                    if isinstance(error, aiohttp.ClientResponseError):  # whose text has the address, with its word
+                        found = f"{error.status} {error.message}"
+                came_s = -math.inf if self._frames is None else self._frames.came_s
+                silent_s = time.monotonic() - came_s
+                if silent_s > PATIENCE_S:
+                    raise SourceError(self._name, found, "a live stream", _MEND)
+                if came_s != told_s:
+                    self._tell(f"{found}: connecting again")
+                    told_s = came_s
+                await asyncio.sleep(min(max(_SHORTEST_PAUSE_S, silent_s / 2), _LONGEST_PAUSE_S))
+
+    async def _by_socket(self, session: Any) -> bool:
+        """Receive until the connection ends; True where the stream is over."""
+        import aiohttp
+
+        async with session.ws_connect(self._url, max_msg_size=MOST_BYTES, heartbeat=_ANSWER_S, compress=0) as socket:
+            async for message in socket:
+                if message.type is aiohttp.WSMsgType.BINARY and await asyncio.to_thread(self._take, message.data):
+                    return True
+        return False
+
+    def _by_pipe(self) -> None:
+        """Take what comes through standard input until the stream is over."""
+        for message in messages(standard_input(), self._name):
+            if self._take(message):
+                return
+        raise SourceError(self._name, "its end", "a live stream, of touchfield live SOURCE -")
+
+    async def _by_manifest(self, session: Any) -> bool:
+        """Ask for what the manifest names, again and again; True where the stream is over."""
+        parts = urlsplit(self._url)
+        folder = parts.path.removesuffix(".json")
+
+        async def got(path: str, most: int) -> bytes:
+            async with session.get(urlunsplit((parts.scheme, parts.netloc, path, parts.query, ""))) as answer:
+                if answer.status != 200:
+                    raise OSError(f"{answer.status} {answer.reason}")
+                data: bytes = await answer.content.read(most + 1)
+                while len(data) <= most and (more := await answer.content.read(most + 1 - len(data))):
+                    data += more
+                if len(data) > most:
+                    raise SourceError(self._name, f"more than {most} bytes", f"at most {most}")
+                return data
+
+        await asyncio.to_thread(self._take, await got(f"{folder}/opening", MOST_BYTES))
+        next_number: int | None = None
+        while True:
+            is_over, numbers = _manifest(await got(parts.path, _MOST_MANIFEST), self._name)
+            if numbers and next_number is not None and numbers[-1] + 1 < next_number:
+                return False  # another programme
+            numbers = [n for n in numbers if next_number is None or n >= next_number]
+            for number in numbers[-1:] if next_number is None else numbers:
+                await asyncio.to_thread(self._take, await got(f"{folder}/{number}", MOST_BYTES))
+                next_number = number + 1
+            if is_over:
+                return await asyncio.to_thread(self._take, b"")
+            await asyncio.sleep(_POLL_S)
+
+
+def _manifest(data: bytes, name: str) -> tuple[bool, list[int]]:
+    """True where a stream is over, and the numbers of its segments, ascending."""
+    try:
+        manifest = json.loads(data)
+        numbers = [int(one["number"]) for one in manifest["segments"]]
+        is_over = bool(manifest["is_ended"])
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+        raise SourceError(name, "a manifest that is none", "one of a live stream") from None
+    if sorted(set(numbers)) != numbers or (numbers and numbers[0] < 0):
+        raise SourceError(name, "numbers that do not ascend", "those of a live stream")
+    return is_over, numbers

@@ -1,0 +1,398 @@
+"""A live stream as a medium that a renderer plays: its frames are there when they have come, and are waited for.
+
+Frame 0 is the first of the segment with which the receiver joined. Frames count on in time; where play has fallen
+behind what the sender has, it is moved on to the newest segment. A frame that was lost holds no force, so that the
+force eases out and in again within the renderer's slew limit. Where a coarse layer is received as well, its frame
+stands for one that was lost, or is late; the force goes over within the same limit.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from threading import Condition
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from touchfield.codec.registry import coder
+from touchfield.codec.segment import BitAccount
+from touchfield.codec.vibration import decode_vibration
+from touchfield.errors import FormatError, SourceError, TouchfieldError, UnsupportedVersion
+from touchfield.filters.resample import halved, rebuilt
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.medium import VibrationFrame
+from touchfield.network.live import ENDLESS, Ended, Event, LiveSegment, Lost, Opened, Refused
+from touchfield.pipeline.decoding import OpenStream
+
+if TYPE_CHECKING:
+    from touchfield.codec.registry import FieldDecoder
+    from touchfield.render.player import Player
+
+
+KEPT: Final = 4
+"""Segments that are kept decoded."""
+
+MOST_BYTES: Final = 1 << 30
+"""Of the fields that are kept; fewer segments are, where they are larger."""
+
+PATIENCE_S: Final = 60.0
+"""So long a segment is waited for: its sender may be starting, or be started again."""
+
+TOLD_S: Final = 3.0
+"""From here on, beyond the length of a segment, it is told that one is waited for."""
+
+FORGOTTEN: Final = 0.2
+"""Share of a delay that is forgotten with each segment that came sooner: one that was late once holds nobody back for
+long, and the delays that keep coming do."""
+
+ANEW_S: Final = 1.0
+"""Where a segment comes so much sooner, a clock has jumped, or a hold-up is over: all is forgotten."""
+
+SPARE_S: Final = 0.03
+"""How much later than that the next one may come, and be in time."""
+
+FAR_S: Final = 0.25
+"""From what is due on, play goes there at once; nearer, it goes there a little faster or slower."""
+
+FASTER: Final = 0.1
+
+WAITED_S: Final = 0.25
+"""How much later than the other a layer may come and be felt: what comes later still is not waited for."""
+
+GONE_S: Final = 1.0
+"""A layer so far behind the other has no say in when play is."""
+
+_AHEAD: Final = 1 << 12
+"""A frame so far behind the newest is not waited for."""
+
+
+class LiveEnd(SourceError):
+    """The sender has ended the stream."""
+
+
+class _Decoded(NamedTuple):
+    """A segment, as far as it has been decoded."""
+
+    first: int
+    fields: list[ForceField]
+    band: list[VibrationFrame]
+
+    @property
+    def size(self) -> int:
+        """Bytes of its fields."""
+        return sum(field.forces_n.nbytes for field in {id(field): field for field in self.fields}.values())
+
+
+class LiveFrames:
+    """``frames(i) -> ForceField``, from events of a `LiveReceiver`; safe to use from several threads.
+
+    Parameters
+    ----------
+    opened : Opened
+        The programme; `vibrates` if anything in it does, so far.
+    tell : callable
+        ``tell(note)``: what was lost, refused or moved on over.
+    clock_s : callable
+        Seconds.
+    under : LiveFrames, optional
+        The coarse layer of the same frames, on half the lattice.
+
+    Attributes
+    ----------
+    lost : int
+        Frames that did not come, or could not be decoded.
+    covered : int
+        Frames that were answered from the coarse layer.
+    refused : int
+        Messages that were of no use.
+    skipped : int
+        Frames that play was moved on over, because it had fallen behind.
+    came_s : float
+        When the latest segment came, seconds of the clock; before the first, when it was begun to wait.
+    """
+
+    def __init__(
+        self,
+        opened: Opened,
+        tell: Callable[[str], None] = lambda note: None,
+        clock_s: Callable[[], float] = time.monotonic,
+        under: LiveFrames | None = None,
+    ) -> None:
+        self.opened, head = opened, opened.head
+        self.vibrates = False
+        if coder(head.coder).spec is None:
+            raise UnsupportedVersion("live stream", f"coder {head.coder}", "a coder of fields, such as touch")
+        self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
+        self._decoder: FieldDecoder = coder(head.coder).decoder_class(self.grid, head.coder_parameters)
+        self._rate_hz: float = head.rate_hz
+        if under is not None and (under.grid, under._rate_hz) != (halved(self.grid), head.rate_hz):
+            found = f"{under.grid.shape} samples at {under._rate_hz:g} Hz"
+            raise SourceError("coarse layer", found, f"half of {self.grid.shape} at {head.rate_hz:g} Hz")
+        self._tell, self._clock_s = tell, clock_s
+        self._under, self._rebuilt = under, (-1, ForceField.empty(self.grid))
+        self._layers: tuple[LiveFrames, ...] = (self,) if under is None else (self, under)
+        self._news: Condition = Condition() if under is None else under._news
+        self._kept: deque[_Decoded] = deque()
+        self._base: int | None = None
+        self._over: LiveFrames | None = None
+        self._programmes = self._begun = 0  # of this layer, and in those of both that are kept
+        self._error: TouchfieldError | None = None
+        self.lost = self.refused = self.skipped = self.covered = 0
+        self.came_s, self._told_s = clock_s(), -math.inf
+        self._begins_s: float | None = None
+        self._played, self._room = (math.inf, 0.0), KEPT
+        if under is not None:
+            under._over, under._room = self, 2 * KEPT  # the stream over it may be that much later
+
+    def take(self, event: Event) -> None:
+        """Take an event; a segment is decoded here, in the thread that receives."""
+        if isinstance(event, LiveSegment):
+            self._take_segment(event)
+        elif isinstance(event, Lost):
+            self._lose(event.frame_count, "did not come")
+        elif isinstance(event, Refused):
+            self.refused += 1
+            self._tell(f"a message was of no use: {event.reason}")
+        elif isinstance(event, Ended):
+            self.fail(LiveEnd("the sender has ended the stream"))
+
+    def begin_anew(self) -> None:
+        """Another programme on the same lattice follows: its frames count on behind the latest one that is there."""
+        self._programmes += 1
+
+    def fail(self, error: TouchfieldError) -> None:
+        """Nothing more will come: who waits for a frame is told."""
+        self._error = self._error or error
+
+    def _lose(self, frames: int, why: str) -> None:
+        """Count frames that are lost, and tell each time that they have become twice as many."""
+        before, self.lost = self.lost, self.lost + frames
+        if self.lost.bit_length() > before.bit_length():
+            self._tell(f"{frames} frames {why}; {self.lost} are lost so far")
+
+    def _take_segment(self, segment: LiveSegment) -> None:
+        """Decode a segment, frame by frame: the first can be felt while the last is not there yet."""
+        came, first, fields = self._clock_s(), segment.first_frame, list[ForceField]()
+        self.vibrates |= segment.vibration is not None
+        begins_s = came - first / self._rate_hz  # when the stream's frame 0 would have been in time
+        try:
+            band = decode_vibration(segment.vibration, self.grid, segment.frame_count) if segment.vibration else []
+            for field in self._decoder.frames(segment.body, segment.frame_count):
+                fields.append(field)
+                with self._news:
+                    if len(fields) == 1:
+                        self.came_s = came
+                        self._keep(_Decoded(first, fields, band))
+                    begins_s = max(begins_s, self._clock_s() - (first + len(fields) - 1) / self._rate_hz)
+                    self._news.notify_all()
+        except FormatError as error:
+            self._lose(segment.frame_count - len(fields), f"could not be decoded: {error}")
+        with self._news:
+            before_s = begins_s if self._begins_s is None else self._begins_s
+            is_anew = before_s - begins_s > ANEW_S
+            self._begins_s = begins_s if is_anew else max(begins_s, before_s + FORGOTTEN * (begins_s - before_s))
+
+    def _keep(self, one: _Decoded) -> None:
+        """Keep a segment whose first frame has been decoded, and of the others what there is room for."""
+        top = self._over or self
+        if self._programmes > top._begun:  # what is there has the numbers of the programme before
+            top._base = None if top._base is None else one.first + top._base - top._there
+            for layer in top._layers:
+                layer._kept.clear()
+                layer._begins_s = None
+            top._begun, top._rebuilt = self._programmes, (-1, top._rebuilt[1])
+        self._kept.append(one)
+        while len(self._kept) > 1 and (
+            len(self._kept) > self._room or sum(one.size for one in self._kept) > MOST_BYTES
+        ):
+            self._kept.popleft()
+        if self._base is None:
+            self._base = one.first
+
+    def due_s(self, rate_hz: float) -> float | None:
+        """The time of the medium that is to be felt now, seconds: segments begin as the late ones were ready."""
+        with self._news:
+            begins_s = self._zero_s
+            if begins_s is None or self._base is None:
+                return None
+            due_s = min(self._clock_s() - begins_s - SPARE_S, self._there / rate_hz) - self._base / rate_hz
+            return due_s if self._under is None else max(0.0, due_s)  # a layer may have begun later
+
+    @property
+    def _zero_s(self) -> float | None:
+        """When the stream's frame 0 would have been in time: the later layer, if not much behind the other."""
+        own, under = self._begins_s, self._under
+        other = under._begins_s if under else None
+        if under is None or own is None or other is None:
+            return other if own is None else own
+        ahead_s = (self._stop - under._stop) / self._rate_hz
+        if abs(ahead_s) > GONE_S:
+            return own if ahead_s > 0 else other
+        return min(max(own, other), min(own, other) + WAITED_S)
+
+    @property
+    def _stop(self) -> int:
+        """The frame of the stream behind the newest that is there; 0 before the first."""
+        return self._kept[-1].first + len(self._kept[-1].fields) if self._kept else 0
+
+    @property
+    def _there(self) -> int:
+        """The frame behind the newest in any layer: nothing beyond it can be felt."""
+        return max(layer._stop for layer in self._layers)
+
+    def _holding(self, wanted: int) -> _Decoded | None:
+        """The segment that holds a frame of the stream, if it is kept."""
+        return next((one for one in self._kept if one.first <= wanted < one.first + len(one.fields)), None)
+
+    def _is_settled(self, wanted: int) -> bool:
+        """True where a frame of the stream has come, in a layer that is to be felt, or will come in none."""
+        under, is_past = self._under, wanted < self._stop
+        if under is None or self._holding(wanted) is not None:
+            return is_past
+        is_past |= wanted < under._stop - GONE_S * self._rate_hz
+        if under._holding(wanted) is not None:
+            return is_past or self._error is not None or self._is_due(wanted)
+        return is_past and (wanted < under._stop or self._is_due(wanted))
+
+    def _is_due(self, wanted: int) -> bool:
+        """True where the player, or one that is in time, needs the frame: to go on from the one before."""
+        begins_s, now, needed_s = self._zero_s, self._clock_s(), (wanted - 1) / self._rate_hz
+        at, media_s = self._played
+        is_needed = media_s + (self._base or 0) / self._rate_hz + now - at + SPARE_S >= needed_s
+        return is_needed or (begins_s is not None and now - begins_s >= needed_s)
+
+    def play_is_at(self, media_s: float) -> None:
+        """Take note of the time of the medium that is felt now."""
+        self._played = self._clock_s(), media_s
+
+    def stream_frame(self, index: int) -> int | None:
+        """The sender's number of frame `index`, as things are now; None before the first segment."""
+        return None if self._base is None else self._base + index
+
+    def __call__(self, index: int) -> ForceField:
+        """A frame, once it has come; one that was lost holds no force.
+
+        Raises LiveEnd where the sender has ended the stream before it; SourceError where nothing came for a minute,
+        or the frame lies far ahead.
+        """
+        wanted, one = self._place_of(index)
+        if one is not None:
+            return one.fields[wanted - one.first]
+        with self._news:
+            coarse = self._under._holding(wanted) if self._under else None
+        if coarse is None:
+            return ForceField.empty(self.grid)
+        if self._rebuilt[0] != wanted:
+            self._rebuilt = wanted, rebuilt(coarse.fields[wanted - coarse.first], self.grid)
+            self.covered += 1
+        return self._rebuilt[1]
+
+    def is_there(self, index: int) -> bool:
+        """True where `__call__` answers at once, be it with an error."""
+        with self._news:
+            is_settled = self._base is not None and self._there > 0 and self._is_settled(self._base + index)
+            return is_settled or self._is_over or self._is_silent
+
+    @property
+    def _latest_s(self) -> float:
+        """When something came last, in any layer, seconds of the clock."""
+        return max(layer.came_s for layer in self._layers)
+
+    @property
+    def _is_silent(self) -> bool:
+        """True where no segment is waited for any longer; that one is waited for is told once."""
+        told_s = TOLD_S + (len(self._kept[-1].fields) / self._rate_hz if self._kept else 0.0)
+        now = self._clock_s()
+        if now - self.came_s > told_s and self._told_s != self.came_s:
+            self._told_s = self.came_s
+            is_alone = now - self._latest_s < told_s
+            meanwhile = "its coarse layer is felt" if is_alone else f"waiting, for {PATIENCE_S:g} s in all"
+            self._tell(f"nothing has come for {now - self.came_s:.0f} s: {meanwhile}")
+        return now - self._latest_s > PATIENCE_S
+
+    @property
+    def _is_over(self) -> bool:
+        """True where nothing will come any more, in no layer."""
+        return all(layer._error is not None for layer in self._layers)
+
+    def vibration(self, index: int) -> VibrationFrame:
+        """Vibrations in a frame; see `__call__`."""
+        wanted, one = self._place_of(index)
+        return one.band[wanted - one.first] if one is not None and one.band else VibrationFrame.empty(self.grid)
+
+    def _place_of(self, index: int) -> tuple[int, _Decoded | None]:
+        """The stream's number of a frame, and the segment that holds it, if it came: once it is known."""
+        with self._news:
+            while True:
+                kept = self._kept or self._layers[-1]._kept
+                if kept and self._base is not None:
+                    wanted = self._base + index
+                    if wanted > self._there + _AHEAD:
+                        raise SourceError("live stream", f"frame {index}, far ahead", "one that comes soon")
+                    if wanted < kept[0].first and not self._layers[-1]._holding(wanted):
+                        missed = kept[-1].first - wanted
+                        self.skipped, self._base = self.skipped + missed, self._base + missed
+                        self._tell(f"play had fallen behind, and goes on {missed} frames later")
+                        continue
+                    if self._is_settled(wanted):
+                        return wanted, self._holding(wanted)
+                if self._error is not None and self._is_over:
+                    raise self._error
+                if self._is_silent:
+                    raise SourceError("live stream", f"no segment for {PATIENCE_S:g} s", "one that comes in time")
+                self._news.wait(SPARE_S)  # what is due tells nobody
+
+
+class LiveStream(OpenStream):
+    """A live stream, as far as it has come; its medium has no end.
+
+    Attributes
+    ----------
+    frames : LiveFrames
+    """
+
+    is_live = True
+
+    def __init__(self, name: str, frames: LiveFrames) -> None:
+        reader: Any = SimpleNamespace(name=name, has_vibration=False, size=0, **frames.opened.__dict__)
+        super().__init__(reader)  # as much of one as a stream without an end has
+        self.frames = frames
+
+    def keep_up(self, player: Player) -> bool:
+        """Have a player stay at what is due; to be asked some times a second. True where it goes there at once."""
+        due_s = self.frames.due_s(self.reader.head.rate_hz)
+        if due_s is None:
+            return False
+        behind_s = due_s - player.media_s
+        if abs(behind_s) > FAR_S:
+            self.frames.skipped += max(0, round(behind_s * self.reader.head.rate_hz))
+            player.seek(due_s)
+            behind_s = 0.0
+        self.frames.play_is_at(due_s - behind_s)
+        player.set_speed(1 + max(-FASTER, min(FASTER, behind_s)))
+        return behind_s == 0.0
+
+    @property
+    def medium(self) -> HapticMedium:
+        """The medium, whose frames are waited for."""
+        vibration = self.frames.vibration if self.frames.vibrates else None
+        return HapticMedium(
+            grid=self.grid, frame_count=ENDLESS, make_frame=self.frames, vibration=vibration, **self._beside
+        )
+
+    @property
+    def bits(self) -> BitAccount:
+        raise SourceError(self.reader.name, "a live stream", "a file, whose bits and symbols can be counted")
+
+    @property
+    def bound_rule(self) -> Any:
+        return self.bits
+
+    @property
+    def promise(self) -> Any:
+        return self.bits
+
+    def _coder(self) -> Any:
+        return self.bits

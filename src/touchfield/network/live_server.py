@@ -1,0 +1,152 @@
+"""A live stream on the web: segments to any number of receivers by WebSocket, and a rolling manifest by HTTP.
+
+The sender never waits: what is coded is put before all receivers, and each takes what it can in its own time. Who
+does not read is left.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from functools import partial
+from typing import Final
+
+from touchfield.network.access import (
+    Access,
+    Background,
+    ConnectionLeft,
+    Pages,
+    add_pages,
+    guarded,
+    left_unless_read,
+    web,
+)
+from touchfield.network.live import MEDIA_TYPE, LiveSegment, LiveSender, file_of
+
+_PATIENCE_S: Final = 10.0
+"""How long a receiver may take for a message."""
+
+
+class LiveServer(Background):
+    """Serves a live stream from a thread of its own; a context manager.
+
+    Parameters
+    ----------
+    sender : LiveSender
+    access : Access
+    pages : Pages, optional
+        For browsers, at /view.
+    coarse : LiveSender, optional
+        Of the coarse layer, which is at /coarse/live as the stream is at /live.
+
+    Attributes
+    ----------
+    receivers : int
+        That are there now.
+    most_receivers : int
+        That were there at once.
+    skipped : int
+        Segments that slow receivers were moved on over.
+    left : int
+        Receivers that did not read, and were left.
+    """
+
+    def __init__(
+        self, sender: LiveSender, access: Access, pages: Pages | None = None, coarse: LiveSender | None = None
+    ) -> None:
+        super().__init__(access, pages)
+        self._senders = [one for one in (sender, coarse) if one is not None]
+        self._news = asyncio.Event()
+        self.receivers = self.most_receivers = self.skipped = self.left = 0
+
+    def add(self, segment: LiveSegment, *, is_coarse: bool = False) -> bytes:
+        """Have a segment sent, or one of the coarse layer; its message."""
+        message = self._senders[is_coarse].add(segment)
+        self._tell()
+        return message
+
+    def end(self) -> None:
+        """Say to all that nothing follows."""
+        for sender in self._senders:
+            sender.end()
+        self._tell()
+
+    def _tell(self) -> None:
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(self._wake)
+
+    def _wake(self) -> None:
+        self._news, old = asyncio.Event(), self._news
+        old.set()
+
+    def _application(self) -> web.Application:
+        served = guarded(self._access)
+        get = served.router.add_get
+        for layer, sender in zip(("/live", "/coarse/live"), self._senders):
+            get(layer, partial(self._follow, sender))
+            get(f"{layer}.json", partial(self._manifest, sender))
+            get(f"{layer}/opening", partial(self._opening, sender))
+            get(rf"{layer}/{{number:\d{{1,9}}}}{{ending:(\.touch)?}}", partial(self._segment, sender))
+        add_pages(served, "", self._pages)
+        return served
+
+    async def _follow(self, sender: LiveSender, request: web.Request) -> web.StreamResponse:
+        socket = web.WebSocketResponse(heartbeat=_PATIENCE_S, max_msg_size=1 << 10, compress=False)
+        await socket.prepare(request)
+        receiver = sender.joined()
+        self.receivers += 1
+        self.most_receivers = max(self.most_receivers, self.receivers)
+        listener = asyncio.ensure_future(_ended(socket))
+        try:
+            while not socket.closed:
+                news = self._news
+                message = sender.next(receiver)
+                if message is not None:
+                    async with left_unless_read(request, _PATIENCE_S):
+                        await socket.send_bytes(message)
+                elif receiver.is_over:
+                    break
+                else:
+                    waits = asyncio.ensure_future(news.wait())
+                    await asyncio.wait({waits, listener}, return_when=asyncio.FIRST_COMPLETED)
+                    waits.cancel()
+                    if listener.done():
+                        break
+        except ConnectionLeft:
+            self.left += 1
+        except ConnectionError:
+            pass
+        finally:
+            listener.cancel()
+            self.receivers -= 1
+            self.skipped += receiver.skipped
+        return socket
+
+    async def _answer(self, request: web.Request, data: bytes | None) -> web.Response:
+        if data is None:
+            raise web.HTTPNotFound(text="no such segment now")
+        answer = web.Response(body=data, content_type=MEDIA_TYPE, headers=self._access.cors(request))
+        with suppress(ConnectionError):
+            async with left_unless_read(request, _PATIENCE_S):
+                await answer.prepare(request)
+                await answer.write_eof()
+        return answer
+
+    async def _manifest(self, sender: LiveSender, request: web.Request) -> web.Response:
+        headers = {**self._access.cors(request), "Cache-Control": "no-store"}
+        return web.json_response(sender.manifest(), headers=headers)
+
+    async def _opening(self, sender: LiveSender, request: web.Request) -> web.Response:
+        return await self._answer(request, sender.opening or None)
+
+    async def _segment(self, sender: LiveSender, request: web.Request) -> web.Response:
+        """A segment's message, or with the ending a file of its own, for whoever decodes files."""
+        message = sender.message(int(request.match_info["number"]))
+        if message is not None and request.match_info["ending"]:
+            message = file_of(sender.opening, message)
+        return await self._answer(request, message)
+
+
+async def _ended(socket: web.WebSocketResponse) -> None:
+    """Return where the receiver closes, or speaks: it has nothing to say."""
+    await socket.receive()

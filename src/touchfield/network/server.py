@@ -1,0 +1,95 @@
+"""A folder of streams on the web, for people without a server: ranges of plain files, and nothing else.
+
+What comes from the network is a stranger's. A name in a request is compared with the files that may be served and
+never becomes a path by itself; there is no listing; a client that does not read is left after what its bytes justify.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+from urllib.parse import quote
+
+from aiohttp.abc import AbstractStreamWriter
+
+from touchfield.errors import InvalidArgument
+from touchfield.network.access import Access, Pages, add_pages, guarded, left_unless_read, run, web
+from touchfield.network.live import MEDIA_TYPE
+
+_TYPES: Final = {
+    ".touch": MEDIA_TYPE, ".html": "text/html", ".mp4": "video/mp4", ".ts": "video/mp2t", ".webm": "video/webm",
+    ".mpd": "application/dash+xml",
+}  # fmt: skip
+_PATIENCE_S: Final = 30.0
+_SLOWEST: Final = 1 << 14
+"""Bytes a second of a client that reads, beyond the patience."""
+
+_MOST_NAMED: Final = 20
+
+
+class _Answer(web.FileResponse):
+    """A file, or ranges of it, for as long as its bytes justify."""
+
+    async def prepare(self, request: web.BaseRequest) -> AbstractStreamWriter | None:
+        """Send it; who does not read is left."""
+        async with left_unless_read(request, _PATIENCE_S + self._path.stat().st_size / _SLOWEST):
+            return await super().prepare(request)
+
+
+def application(folder: Path, access: Access, pages: Pages | None = None) -> web.Application:
+    """The web application of a folder, with `pages` for browsers.
+
+    Raises InvalidArgument if there is no such folder.
+    """
+    if not folder.is_dir():
+        raise InvalidArgument(str(folder), "no folder", "a folder with .touch files")
+    root = folder.resolve()
+
+    async def file(request: web.Request) -> web.StreamResponse:
+        path = await asyncio.to_thread(_plain_file, root, request.match_info["name"])
+        if path is None:
+            raise web.HTTPNotFound(text="no such file")
+        headers = {**access.cors(request), "X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache"}
+        return _Answer(path, headers={**headers, "Content-Type": _TYPES[path.suffix.lower()]})
+
+    served = guarded(access)
+    add_pages(served, "/{name:.*}", pages)
+    served.router.add_get("/{name:.*}", file)
+    return served
+
+
+def serve(
+    folder: Path, access: Access, tell: Callable[[str], None] = lambda note: None, pages: Pages | None = None
+) -> None:
+    """Serve until interrupted; `tell` gets the address of each stream once they can be read.
+
+    Raises InvalidArgument if there is no such folder, or the address cannot be listened at.
+    """
+    served = application(folder, access, pages)
+
+    def ready(address: str) -> None:
+        names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*.touch"))
+        if not names:
+            tell(f"{folder} holds no .touch file yet")
+        for name in names[:_MOST_NAMED]:
+            tell(f"http://{address}/{quote(name)}" + ("?token=..." if access.token else ""))
+        if names and pages:
+            tell(f"in a browser: http://{address}/view/{quote(names[0])}" + ("?token=..." if access.token else ""))
+        if len(names) > _MOST_NAMED:
+            tell(f"and {len(names) - _MOST_NAMED} more")
+
+    asyncio.run(run(served, access, ready, asyncio.Event()))
+
+
+def _plain_file(root: Path, name: str) -> Path | None:
+    """The file of a name, if it is one that may be served: plain, of a known kind, in the folder and not hidden."""
+    if "\0" in name or "\\" in name or any(part in ("", "..") or part.startswith(".") for part in name.split("/")):
+        return None
+    try:
+        path = (root / name).resolve()
+        is_ours = path.is_relative_to(root) and path.suffix.lower() in _TYPES and path.is_file()
+    except (OSError, ValueError, RuntimeError):  # a name that is none, or links in a ring
+        return None
+    return path if is_ours else None

@@ -1,0 +1,112 @@
+"""The edges of a live stream by datagrams: a sender to an address, and a receiver at one."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import socket
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any, Final, Literal
+
+from touchfield.errors import InvalidArgument, reason
+from touchfield.network.datagrams import MOST_DATAGRAM, MOST_OPEN, Datagrams, Gathering
+from touchfield.network.live import END, LiveSender
+from touchfield.options import Address, address
+
+_LAST: Final = b"\0"
+"""The end, which has no byte, as a message that has one."""
+
+_LAST_S: Final = 2.0
+"""So long nothing may come behind the end."""
+
+_OPENED_EVERY: Final = 4
+"""Segments, before which the opening is told again for those who come."""
+
+_LAYERED_OPEN: Final = 11
+"""Messages that are waited for where another layer is felt meanwhile: eight, over whose time one is spread, and
+three for what is overtaken."""
+
+Layer = Literal["alone", "fine", "coarse"]
+
+REPAIR: Final[Mapping[Layer, float]] = {"alone": 0.22, "fine": 0.15, "coarse": 0.4}
+"""Share of parity. Where a coarse layer is sent beside, what is lost of the fine one is felt coarse: that layer, a
+seventh of the bytes, is protected more, and both together take no larger a share than a stream alone."""
+
+
+def _place_of(text: str) -> Address:
+    return address(text.lower().removeprefix("udp://").rstrip("/"), "address of datagrams")
+
+
+class UdpSender:
+    """Sends a live stream's messages to an address, without ever waiting; a context manager.
+
+    `layer` tells what is sent; a coarse layer goes to the next port.
+    """
+
+    def __init__(self, sender: LiveSender, place: str, layer: Layer = "alone") -> None:
+        host, port = _place_of(place)
+        if layer == "coarse":
+            host, port = _place_of(f"{host}:{port + 1}")
+        self._to: Any
+        try:
+            family, kind, _, _, self._to = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        except OSError as error:
+            raise InvalidArgument("address", f"{place}: {reason(error)}", "a host that is there") from None
+        self._socket = socket.socket(family, kind)
+        self._socket.setblocking(False)
+        self._sender, self._datagrams, self._count = sender, Datagrams(secrets.randbits(32), REPAIR[layer]), 0
+
+    def __enter__(self) -> UdpSender:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._send([*self._datagrams.add(_LAST), *self._datagrams.flush()])
+        self._socket.close()
+
+    def add(self, message: bytes) -> None:
+        """Send a segment's message, and parts of those before."""
+        if self._count % _OPENED_EVERY == 0:
+            self._send(self._datagrams.add(self._sender.opening))
+        self._count += 1
+        self._send(self._datagrams.add(message))
+
+    def _send(self, datagrams: list[bytes]) -> None:
+        for datagram in datagrams:
+            with suppress(OSError):  # the system has no room now, or nobody is there
+                self._socket.sendto(datagram, self._to)
+
+
+class _Protocol(asyncio.DatagramProtocol):
+    def __init__(self, coming: asyncio.Queue[bytes]) -> None:
+        self._coming = coming
+
+    def datagram_received(self, data: bytes, addr: object) -> None:
+        """Queue a datagram; one too many is as if lost on its way, one that is too long is none of ours."""
+        if len(data) <= MOST_DATAGRAM and not self._coming.full():
+            self._coming.put_nowait(data)
+
+
+async def listen(place: str, take: Callable[[bytes], bool], is_layered: bool = False) -> None:
+    """Receive datagrams at an address, until ``take(message)`` says that the stream is over.
+
+    With `is_layered` another layer is felt for what is lost: it is given up once it could have come.
+    """
+    host, port = _place_of(place)
+    gathering, coming = Gathering(most_open=_LAYERED_OPEN if is_layered else MOST_OPEN), asyncio.Queue[bytes](1 << 14)
+    loop = asyncio.get_running_loop()
+    transport, _ = await loop.create_datagram_endpoint(lambda: _Protocol(coming), local_addr=(host, port))
+    is_last = False
+    try:
+        while True:
+            try:
+                datagram = await asyncio.wait_for(coming.get(), _LAST_S if is_last else None)
+            except TimeoutError:
+                await asyncio.to_thread(take, END)
+                return
+            for message in gathering.receive(datagram):
+                is_last = message == _LAST
+                if not is_last and await asyncio.to_thread(take, message):
+                    return
+    finally:
+        transport.close()

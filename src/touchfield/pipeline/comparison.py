@@ -1,0 +1,312 @@
+"""A stream against its source, also as a hand feels it; and a medium before and after each haptic filter (3.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from touchfield.codec.objects.promise import Found, compare_scenes
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
+from touchfield.codec.segment import BitAccount
+from touchfield.compute.threads import Report, silent
+from touchfield.errors import InvalidArgument
+from touchfield.filters.device_filter import limited
+from touchfield.filters.registry import FieldFilter
+from touchfield.measure.counts import SymbolCounter
+from touchfield.measure.fidelity import FidelityMeter
+from touchfield.medium import ForceField, HapticScene
+from touchfield.medium.selection import evenly_spaced
+from touchfield.perception.hand_motion import Forces, HandMotion, HoldMeter, SlideMeter, SlideSpec
+from touchfield.perception.human import vibration_threshold
+from touchfield.pipeline.decoding import OpenStream, open_stream
+from touchfield.pipeline.placement import felt_objects, stored_medium
+from touchfield.pipeline.preparation import KeptScene, Prepared, Source, as_source, open_scene, prepare
+from touchfield.pipeline.result import Result
+from touchfield.pipeline.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec
+from touchfield.render.segment_blend import with_blends
+from touchfield.sources.scene import Scene
+from touchfield.viewer.picture import draw_comparison
+
+_SLIDE_FRAMES: Final = 4
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A stream measured against its source."""
+
+    meter: FidelityMeter
+    bits: BitAccount
+    stream: dict[str, Any]
+    drawn: tuple[int, ForceField, ForceField]
+    notes: tuple[str, ...]
+    hand: HandMotion
+    voxels: dict[str, Any]
+    """Bits for each voxel, as `OpenStream.bits_of_voxels`."""
+    composed: tuple[Found, float] | None = None
+    """Of objects: the mask against the source with its bodies where the file has them, and how far that is, m."""
+
+    def __repr__(self) -> str:
+        figures = self.summary()
+        names = ("frames", "file_bytes", "bits_per_supported_voxel", "nmse_db", "mask_violation_share")
+        short = (f"{name} {figures[name]:.6g}" for name in names if figures[name] is not None)
+        return f"<Comparison: {', '.join(short)}>"
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        m, s, b = self.meter, self.stream, self.bits
+        beyond, worst, in_place = m.mask_violations, m.worst_mask_ratio, {}
+        if self.composed is not None:
+            in_mask, away_m = self.composed
+            in_place = {
+                "place_tolerance_um": s["place_tolerance_um"],
+                "worst_place_um": 1e6 * away_m,
+                "mask_violations_in_place": beyond,
+                "worst_mask_ratio_in_place": worst,
+            }
+            if 1e6 * away_m <= s["place_tolerance_um"] * (1 + 1e-6):
+                beyond, worst = in_mask.beyond, in_mask.worst[0]
+        return {
+            **{key: s[key] for key in ("file_bytes", "frames", "grid_shape", "device")},
+            "supported_voxels": m.supported_voxels,
+            "bits_per_supported_voxel": 8 * s["file_bytes"] / m.supported_voxels if m.supported_voxels else None,
+            "cr_full": s["cr_full"],
+            "cr_literal": s["cr_literal"],
+            **{key: getattr(m, key) for key in ("nmse_db", "nmse_literal_db", "nmse_forensic_db", "k", "f0_n")},
+            "mask_violations": beyond,
+            "mask_violation_share": beyond / max(1, m.compared_voxels),
+            "worst_mask_ratio": worst,
+            **in_place,
+            **self.voxels,
+            **{f"bits_{key}": getattr(b, key) for key in ("support", "amplitude", "direction")},
+            "bits_side": b.side + b.models,
+            "bits_poses": b.poses,
+            **self.hand.summary(),
+        }
+
+    def draw(self, path: str | Path) -> None:
+        """Write the picture of one frame, PNG: source, decoded, error in units of the mask."""
+        frame, original, decoded = self.drawn
+        values = self.summary()
+        each = values["bits_per_supported_voxel"] or 0.0
+        nmse = "exact" if values["nmse_db"] is None else f"NMSE {values['nmse_db']:.1f} dB"
+        title = f"frame {frame + 1} of {values['frames']} for {values['device']}, {values['file_bytes']:,} bytes"
+        caption = (
+            f"{each:.3g} bits per supported voxel, CR {values['cr_full']:.3g}, {nmse}, "
+            f"{100 * values['mask_violation_share']:.1f} % of voxels beyond the mask"
+        )
+        mask = self.meter.k, self.meter.f0_n
+        draw_comparison(Path(path), original, decoded, f"{title}\n{caption}", self.stream["axes"], mask)
+
+
+def compare(
+    source: Source,
+    stream: str | Path,
+    *,
+    k: float | None = None,
+    f0_n: float | None = None,
+    frame: int | None = None,
+    allow_outside: bool = False,
+    slides: SlideSpec | None = None,
+    report: Report = silent,
+) -> Comparison:
+    """Measure a stream against its source, filtered again as the stream's provenance says.
+
+    `source` is what was encoded, a path, scene, medium or field; or its field, as the command `field` writes it. The
+    mask max(F_0, k |F|) is by default the stream's, with its spatial masking; `frame`, which `Comparison.draw` shows,
+    is the middle one. `allow_outside` lets the source name files outside its own folder; `slides` are other ways of
+    the hand.
+    """
+    with open_stream(stream) as opened:
+        head = opened.reader.head
+        original = source_medium(source, opened, allow_outside)
+        decoded, scene, notes = opened.medium, original.scene, original.notes
+        drawn_frame = len(decoded) // 2 if frame is None else frame
+        if not 0 <= drawn_frame < len(decoded):
+            raise InvalidArgument("frame", repr(frame), f"0 to {len(decoded) - 1}")
+        # a stream that promises no floor is measured without one: the least that a meter takes
+        floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
+        masking = opened.masking if k is None and f0_n is None else None
+        meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n, masking)
+        hand, supported = HandMeter(opened, scene, original.exact, slides), 0
+        for i in range(len(decoded)):
+            x, y = original.medium[i], decoded[i]
+            meter.add(x, y)
+            hand.add(i, x, y)
+            supported += y.support_count
+            if i == drawn_frame:
+                drawn = (i, x, y)
+            report(i + 1, len(decoded))
+        voxels = opened.bits_of_voxels(supported)
+        composed = None
+        if scene is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
+            composed = compare_scenes(scene, opened.scene, meter.k, floor_n)
+            text = (
+                f"the mask is that of the source with each body where the file has it, {1e6 * composed[1]:.1f} um off"
+            )
+            notes = (*notes, f"{text} at most; *_in_place are without that tolerance")
+        bits, summary = opened.bits, opened.summary()
+    bits = replace(bits, side=0)
+    bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
+    return Comparison(meter, bits, summary, drawn, notes, hand.motion(), voxels, composed)
+
+
+def source_medium(source: Source, opened: OpenStream, allow_outside: bool = False) -> Prepared:
+    """The source of a stream, filtered again as its provenance says, on the stream's lattice.
+
+    InvalidArgument if it lies elsewhere, or has another number of frames.
+    """
+    head, provenance = opened.reader.head, opened.reader.provenance
+    if "spec" not in provenance:
+        mend = "Compare it with its field, FIELD.npz."
+        raise InvalidArgument("stream", "no provenance to filter the source by", mend=mend)
+    form = "voxel" if opened.scene is None else "object"
+    spec = replace(EncodeSpec.from_json(provenance["spec"]), representation=form)
+    spec = replace(spec, source=replace(spec.source, allow_outside=allow_outside))
+    stored = None
+    if isinstance(source, (str, Path)) and Path(source).suffix == ".npz" and Path(source).is_file():
+        field = open_scene(source, replace(spec.source, kind=None))
+        stored = stored_medium(field)
+    if stored is not None and stored.grid == opened.grid:
+        if len(stored) != head.frame_count and spec.frames is not None:  # the range that was asked of `encode`
+            stored = stored.between(spec.frames[0], spec.frames[0] + head.frame_count)
+        original = Prepared(stored, opened.told_device, opened.placement, spec, field.notes)
+    else:
+        scene = open_scene(as_source(source, spec.device), spec.source)
+        if isinstance(scene, KeptScene):
+            scene.notes = ()  # of options that do nothing: none is given here
+        original = prepare(scene, spec)
+        (ours, theirs), place = (original.medium.grid, opened.grid), original.placement
+        mine = [*ours.shape, *ours.spacing_m, *ours.origin_m, place.scale, *place.offset_m]
+        own = [*theirs.shape, *theirs.spacing_m, *theirs.origin_m, head.mapping_scale, *head.mapping_offset_m]
+        if not np.allclose(mine, own, rtol=1e-6, atol=1e-9):
+            found = "a scene that lies elsewhere in the workspace than the stream's"
+            raise InvalidArgument(str(source), found, mend="Name its own source.")
+        if original.scene:
+            note = "compared with the objects before coding, not with the voxel representation"
+            original = replace(original, notes=(*original.notes, note))
+    if len(original.medium) != head.frame_count:
+        found, expected = f"{head.frame_count} frames", f"the source's {len(original.medium)}"
+        raise InvalidArgument(opened.reader.name, found, expected, "Name the source it came from.")
+    return original
+
+
+class HandMeter:
+    """The hand of one stream, given its frames in order.
+
+    Slides are measured in up to four frames, evenly spread, as they were decoded; holds over all, as a receiver plays
+    them, blended where a segment starts. Voxels are felt as their fields are interpolated, objects by the receiver's
+    own query of both scenes. `scene` are the source's objects, `exact` the field that it samples, as
+    `Prepared.exact`.
+    """
+
+    def __init__(
+        self,
+        opened: OpenStream,
+        scene: HapticScene | None = None,
+        exact: Forces | None = None,
+        spec: SlideSpec | None = None,
+    ) -> None:
+        head = opened.reader.head
+        self._scene, self._coded, self._exact = scene, opened.scene, exact
+        felt = opened.medium if scene is None or opened.scene is None else opened.scene
+        self._played, self._blends = with_blends(felt)
+        count = head.frame_count
+        self._slid = set(evenly_spaced(count, _SLIDE_FRAMES))
+        self._starts = {segment.first_frame for segment in opened.reader.segments}
+        self._slides = SlideMeter(spec)
+        floor_n = head.force_threshold_n or NO_FLOOR_N
+        self._hold = HoldMeter(count, head.rate_hz, head.weber_fraction, floor_n) if count > 1 else None
+
+    def add(self, frame: int, source: ForceField, decoded: ForceField) -> None:
+        """Feel one frame; both fields are on the stream's lattice."""
+        ours: Forces = source.sample_n
+        theirs: Forces = decoded.sample_n
+        if self._scene is not None and self._coded is not None:
+            ours, theirs = partial(self._scene.sample_n, frame), partial(self._coded.sample_n, frame)
+        if frame in self._slid:
+            self._slides.add(source, ours, theirs, self._exact)
+        if self._hold is not None:
+            felt, played = self._played, theirs
+            if self._blends:
+                played = partial(felt.sample_n, frame) if isinstance(felt, HapticScene) else felt[frame].sample_n
+            self._hold.add(source, ours, played, frame in self._starts)
+
+    def motion(self) -> HandMotion:
+        """Slides and holds of the frames so far."""
+        hold = None if self._hold is None else self._hold.hold()
+        return HandMotion(self._slides.slides(), hold, vibration_threshold())
+
+
+def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Report = silent) -> Result:
+    """Measure a medium before and after each filter of ``spec.filters``, frame by frame.
+
+    ``spec.paper.k`` is the Weber fraction of the mask; Q of the entropies is weber:0.1, up to the device's F_max, for
+    all stages. Each of ``stages`` tells its name, support, greatest and root-mean-square force, entropies, and what
+    changed against the medium before the chain: NMSE in dB, and the share of voxels beyond the mask.
+    """
+    prepared = prepare(source, replace(spec, filters=()))
+    medium = prepared.medium
+    quantise = FieldQuantiserSpec().fit(medium, prepared.device.force_max_n)
+    chain, stages_of = spec.chain, _stages(prepared, spec.chain)
+    gauges = [_Gauge(name, spec) for name in ("device filter", *(step.name for step in chain))]
+    for i in range(len(medium)):
+        stages = stages_of(i)
+        for gauge, field in zip(gauges, stages, strict=True):
+            gauge.add(stages[0], field, quantise(field).object_symbols)
+        report(i + 1, len(medium))
+    return Result({"quantiser": quantise.words, "stages": [gauge.row() for gauge in gauges]})
+
+
+def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int], list[ForceField]]:
+    """A frame as the device would render it, and after each filter; of objects, each filtered alone."""
+    force_max_n, medium, scene = prepared.device.force_max_n, prepared.medium, prepared.scene
+    if scene is not None:
+        media = [felt_objects(scene, chain[:n]).voxelise() for n in range(len(chain) + 1)]
+        return lambda i: [one[i] for one in media]
+
+    def of_voxels(i: int) -> list[ForceField]:
+        field = medium[i]
+        stages = [limited(field, force_max_n)]
+        for step in chain:
+            field = step(field)
+            stages.append(limited(field, force_max_n))
+        return stages
+
+    return of_voxels
+
+
+class _Gauge:
+    """Adds up one stage over the frames."""
+
+    def __init__(self, name: str, spec: EncodeSpec) -> None:
+        self.name, self.meter, self.counter = name, FidelityMeter(spec.paper.k, DEFAULT_F0_N), SymbolCounter()
+        self.support = self.voxels = 0
+        self.energy, self.top_n = 0.0, 0.0
+
+    def add(self, before: ForceField, field: ForceField, symbols: Any) -> None:
+        self.meter.add(before, field)
+        self.counter.add(symbols, field.grid.voxel_count)
+        squares = np.einsum("...c,...c->...", field.forces_n, field.forces_n, dtype=np.float64)
+        self.energy += float(squares.sum())
+        self.top_n = max(self.top_n, float(np.sqrt(squares.max(initial=0.0))))
+        self.support += field.support_count
+        self.voxels = field.grid.voxel_count
+
+    def row(self) -> dict[str, Any]:
+        bits = self.counter.voxel_bits
+        return {
+            "stage": self.name,
+            "supported_voxels": self.support,
+            "rms_n": float(np.sqrt(self.energy / max(1, self.support))),
+            "greatest_n": self.top_n,
+            "entropy_voxel_bits": bits,
+            "entropy_object_bits": self.counter.object_bits,
+            "entropy_bits_per_frame": bits * self.voxels,
+            "nmse_db": self.meter.nmse_db,
+            "mask_violation_share": self.meter.mask_violation_share,
+        }

@@ -1,0 +1,163 @@
+"""file <-> haptic scene: streams of coder `objects`, whose poses are decoded at once and fields when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache, cached_property, lru_cache
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.codec.objects.decoder import ObjectsDecoder
+from touchfield.codec.objects.layout import MAX_POSES, CodedObject, Parameters, composed_rule
+from touchfield.codec.registry import coder, field_decoder
+from touchfield.codec.segment import BitAccount, BoundRule, mask_text, promise_kept
+from touchfield.compute.threads import Report, silent
+from touchfield.container import ObjectRecord, TouchReader, TouchWriter
+from touchfield.errors import CorruptFile
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.medium.budget import require_memory
+from touchfield.pipeline.decoded_frames import SegmentFrames, segments_of
+from touchfield.pipeline.decoding import OpenStream
+
+if TYPE_CHECKING:
+    from touchfield.codec.objects.encoder import ObjectsEncoder
+
+
+_BYTES_PER_POSE: Final = 2 * 7 * 8
+"""Seven float64, held twice while the segments are put together."""
+
+
+def write_objects(writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int, report: Report = silent) -> None:
+    """Write the objects and all segments of a scene, after the head."""
+    for one in encoder.objects():
+        writer.write_object(record_of(one))
+    for start, count, body in encoder.segments():
+        writer.write_segment(start, count, body)
+        report(start + count, frame_count)
+
+
+def record_of(one: CodedObject) -> ObjectRecord:
+    """An object as the container writes it."""
+    own, grid = {**vars(one), "is_deforming": int(one.is_deforming)}, one.grid
+    del own["grid"]
+    return ObjectRecord(grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, **own)
+
+
+def coded_object(record: ObjectRecord) -> CodedObject:
+    """The inverse of `record_of`."""
+    own = {**vars(record), "is_deforming": bool(record.is_deforming)}
+    return CodedObject(grid=Grid(own.pop("grid_shape"), own.pop("spacing_m"), own.pop("origin_m")), **own)
+
+
+class SceneStream(OpenStream):
+    """A file of coder `objects`; a voxel frame costs one query of the scene for each voxel near an object.
+
+    It is open for reading as long as fields of objects that deform are asked for.
+
+    Raises FormatError if its bytes contradict themselves; InvalidArgument if its poses would take more memory than
+    `memory_budget_bytes`.
+    """
+
+    def __init__(self, reader: TouchReader) -> None:
+        super().__init__(reader)
+        head = reader.head
+        poses = reader.object_count * head.frame_count
+        if poses > MAX_POSES:
+            count = f"{head.frame_count} frames of {reader.object_count} objects"
+            raise CorruptFile("HEAD.frame_count", count, f"at most {MAX_POSES} poses")
+        require_memory("HEAD.frame_count", "poses", poses * _BYTES_PER_POSE, "Set TOUCHFIELD_MEMORY_GIB.")
+        objects = [coded_object(reader.read_object(i)) for i in range(reader.object_count)]
+        self.decoder = ObjectsDecoder(head.coder_parameters, objects)
+        self._body = lru_cache(1)(reader.read_segment)  # each object that deforms asks for it
+
+    @cached_property
+    def tracks(self) -> tuple[PoseTrack, ...]:
+        """The poses of each object in all frames; reads every segment once."""
+        segments = [
+            self.decoder.tracks(self.reader.read_segment(i), entry.frame_count)
+            for i, entry in enumerate(self.reader.segments)
+        ]
+        return tuple(
+            PoseTrack(
+                np.concatenate([track.quaternions for track in own]),
+                np.concatenate([track.positions_m for track in own]),
+            )
+            for own in zip(*segments, strict=True)
+        )
+
+    @cached_property
+    def scene(self) -> HapticScene:
+        """The decoded scene: poses now, the field of an object when it is first asked for."""
+        return HapticScene(
+            grid=self.grid,
+            objects=tuple(
+                HapticObject(one.name, self._medium(i, one), track)
+                for i, (one, track) in enumerate(zip(self.decoder.objects, self.tracks, strict=True))
+            ),
+            force_max_n=self.reader.head.force_max_n,
+            surface_damping_n_s_per_m=self.decoder.surface_damping_n_s_per_m,
+            file_bytes=self.file_bytes,
+            **self._beside,
+        )
+
+    @property
+    def medium(self) -> HapticMedium:
+        return replace(self.scene.voxelise(), vibration=self._vibration)
+
+    @cached_property
+    def bits(self) -> BitAccount:
+        """See `OpenStream`: of the objects and of all segments; nothing is decoded."""
+        costs = [self.decoder.object_cost(i) for i in range(self.reader.object_count)]
+        for i, entry in enumerate(self.reader.segments):
+            costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
+        return sum(costs, BitAccount())
+
+    def _coder(self) -> dict[str, Any]:
+        keys = {
+            **self.decoder.describe(),
+            "bits_poses": self.bits.poses,
+            "bits_fields": self.bits.total - self.bits.poses,
+            "frame_kinds": {"object": self.reader.head.frame_count},
+        }
+        if not self._modes:  # nothing is promised of the composed field
+            return keys
+        tolerance_um = 1e6 * self.decoder.place_tolerance_m
+        return {**keys, "mode": ", ".join(sorted(self._modes)), "place_tolerance_um": tolerance_um}
+
+    @cached_property
+    def _modes(self) -> frozenset[str]:
+        """Modes of the fields that have one."""
+        described = [decoder.describe() for decoder in self.decoder.field_decoders]
+        return frozenset(one["mode"] for one in described if "mode" in one)
+
+    @property
+    def bound_rule(self) -> BoundRule:
+        """That of the composed field, by the k and F_0 of HEAD: each field keeps a share of them."""
+        head = self.reader.head
+        for one in self.decoder.objects:
+            if not coder(one.field_coder).has_promise:
+                return coder(one.field_coder).bound_rule(None)
+        masked = BoundRule(mask_text(head.weber_fraction, head.force_threshold_n))
+        return composed_rule(self._modes, masked, Parameters.from_bytes(head.coder_parameters))
+
+    @property
+    def promise(self) -> dict[str, Any]:
+        if not self._modes:
+            return {}
+        segments = enumerate(self.reader.segments)
+        return promise_kept((entry.first_frame, self.decoder.parts(self._body(i)).worst) for i, entry in segments)
+
+    def _medium(self, index: int, one: CodedObject) -> HapticMedium:
+        """The fields of one object."""
+        head = self.reader.head
+        if not one.is_deforming:
+            return HapticMedium(one.grid, head.rate_hz, 1, cache(lambda _: self.decoder.rigid_field(index)))
+
+        def decode(segment: int) -> Iterator[ForceField]:
+            return self.decoder.fields(self._body(segment), index, self.reader.segments[segment].frame_count)
+
+        coder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {index}")
+        frames, segments = SegmentFrames(self.reader, decode), segments_of(self.reader, coder.describe())
+        return HapticMedium(one.grid, head.rate_hz, head.frame_count, frames, segments=segments)

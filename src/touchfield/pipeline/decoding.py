@@ -1,0 +1,316 @@
+"""file -> segments -> decoder -> medium: the decoding half of figure 4."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.codec.registry import coder
+from touchfield.codec.segment import BitAccount, BoundRule, bound_keys, compression_ratio, promise_kept
+from touchfield.compute.threads import Report, silent
+from touchfield.container import TouchReader
+from touchfield.container.remote import is_live
+from touchfield.errors import InvalidArgument
+from touchfield.hooks import hook
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
+from touchfield.medium.budget import require_memory
+from touchfield.medium.grid import Placement
+from touchfield.pipeline import native_decoder
+from touchfield.pipeline.decoded_frames import SegmentFrames, VibrationFrames, segments_of
+
+if TYPE_CHECKING:
+    from touchfield.codec.registry import FieldDecoder
+    from touchfield.codec.segment import FrameCost
+    from touchfield.devices import Device
+
+
+FILTERED: Final = "the device-filtered field, behind any haptic filters"
+"""The reference of a promise, unless a file tells otherwise; `touchfield field` writes it."""
+
+
+class OpenStream(ABC):
+    """A ``.touch`` file, open for reading: its head, and its frames as a lazy medium.
+
+    Attributes
+    ----------
+    reader : TouchReader
+    file_bytes : int
+    grid : Grid
+        The lattice of `medium`.
+    """
+
+    is_live = False
+    """True if it has no end, and frames are waited for."""
+
+    is_native = False
+    """True if `touchfield_core` decodes its frames, and no kernel."""
+
+    def __init__(self, reader: TouchReader) -> None:
+        self.reader, self.file_bytes = reader, reader.size
+        head = reader.head
+        self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
+
+    @property
+    def told_device(self) -> Device:
+        """The device that the stream was made for, as far as it tells; no profile is looked up."""
+        from touchfield.devices import Device
+
+        head = self.reader.head
+        low, high = self.grid.box_m
+        x, y, z = (1e3 * (high - low)).tolist()
+        return Device(
+            name=head.device_name,
+            title=f"{head.device_name}, as {Path(self.reader.name).name} tells",
+            type=head.device_type,
+            axes=head.axes,
+            workspace_mm=(x, y, z),
+            lattice=self.grid.shape,
+            force_max_n=head.force_max_n,
+        )
+
+    @property
+    def placement(self) -> Placement:
+        """The place of the scene in the workspace: ``to_hand(points)`` and ``to_scene(points)``."""
+        return Placement(self.reader.head.mapping_scale, self.reader.head.mapping_offset_m)
+
+    @property
+    def _beside(self) -> dict[str, Any]:
+        """Companions of the frames, as a medium and a scene have it."""
+        names = ("rate_hz", "axes", "friction", "damping_n_s_per_m", "tags")
+        return {**{name: getattr(self.reader.head, name) for name in names}, "provenance": self.reader.provenance}
+
+    @property
+    @abstractmethod
+    def medium(self) -> HapticMedium:
+        """The decoded medium, in voxels."""
+
+    @property
+    def scene(self) -> HapticScene | None:
+        """The decoded objects; None where the file holds voxels."""
+        return None
+
+    @property
+    def masking(self) -> tuple[float, float] | None:
+        """Share and radius, metres, of the promise's spatial masking; None where it has none."""
+        return None
+
+    @property
+    @abstractmethod
+    def bits(self) -> BitAccount:
+        """Bits by what they tell; those of the file's frame are not counted."""
+
+    @property
+    @abstractmethod
+    def bound_rule(self) -> BoundRule:
+        """What its coder guarantees of each voxel, if its segments state that they keep it."""
+
+    @property
+    @abstractmethod
+    def promise(self) -> dict[str, Any]:
+        """Keys of `codec.segment.promise_kept`; nothing is decoded. Empty of a coder that has no promise."""
+
+    def error_bound(self) -> dict[str, Any]:
+        """The bound that is proved and the largest error in units of it: keys of `bound_keys` and `promise`."""
+        promise = self.promise
+        return {**bound_keys(self.bound_rule, promise), **promise}
+
+    @abstractmethod
+    def _coder(self) -> dict[str, Any]:
+        """Keys of the summary that only its coder knows."""
+
+    @property
+    def _vibration(self) -> VibrationFrames | None:
+        """The vibration beside the force; None where the file tells of nothing."""
+        return VibrationFrames(self.reader, self.grid) if self.reader.has_vibration else None
+
+    def supported_voxels(self, report: Report = silent) -> int:
+        """Voxels that hold a force, over all frames; all are decoded."""
+        medium, count = self.medium, 0
+        for i in range(len(medium)):
+            count += medium[i].support_count
+            report(i + 1, len(medium))
+        return count
+
+    def bits_of_voxels(self, supported: int) -> dict[str, Any]:
+        """Stable keys: all bits of the file for each voxel that holds a force once it is decoded."""
+        each = 8 * self.file_bytes / supported if supported else None
+        return {"decoded_supported_voxels": supported, "bits_per_decoded_voxel": each}
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs; those of the vibration only where there is one."""
+        head = self.reader.head
+        size, bits, keys = self.file_bytes, self.bits, self._coder() | self.error_bound()
+        keys |= {f"bits_{name}": getattr(bits, name) for name in ("support", "amplitude", "direction", "models")}
+        keys["bits_side"] = 8 * size - (bits.total - bits.side)
+        band = {} if self._vibration is None else self._vibration.summary()
+        if band:
+            keys["bits_side"] -= band["bits_vibration"]
+        if "promise_kept" in keys:
+            keys["promise_against"] = self.reader.provenance.get("reference", FILTERED)
+        return {
+            "file_bytes": size,
+            "frames": head.frame_count,
+            "rate_hz": head.rate_hz,
+            "seconds": head.frame_count / head.rate_hz,
+            "segments": len(self.reader.segments),
+            "grid_shape": list(head.grid_shape),
+            "spacing_mm": [1e3 * h for h in head.spacing_m],
+            "axes": head.axes,
+            "tags": list(head.tags),
+            "device": head.device_name,
+            "device_type": head.device_type,
+            "force_max_n": head.force_max_n,
+            "mapping_scale": head.mapping_scale,
+            "mapping_offset_m": list(head.mapping_offset_m),
+            "k": head.weber_fraction,
+            "f0_n": head.force_threshold_n,
+            "coder": head.coder,
+            "representation": "voxel" if self.scene is None else "object",
+            **keys,
+            "cr_full": compression_ratio(8 * size, head.frame_count, self.grid.voxel_count),
+            "cr_literal": compression_ratio(bits.amplitude + bits.direction, head.frame_count, self.grid.voxel_count),
+            **band,
+            "provenance": dict(self.reader.provenance),
+        }
+
+
+class VoxelStream(OpenStream):
+    """A file whose segments are fields on its lattice.
+
+    A frame costs the decoding of its segment up to it, or one frame in sequence, then on all cores.
+    """
+
+    def __init__(self, reader: TouchReader) -> None:
+        super().__init__(reader)
+        self.decoder: Any = coder(reader.head.coder).decoder_class(self.grid, reader.head.coder_parameters)
+        decoder: FieldDecoder = self.decoder  # and not `self`: the frames outlive the stream
+
+        def decoded(segment: int) -> Iterator[ForceField]:
+            return decoder.frames(reader.read_segment(segment), reader.segments[segment].frame_count)
+
+        by_core = native_decoder.decoder(reader, self.grid, decoded)
+        self.is_native, self._frames = by_core is not None, SegmentFrames(reader, by_core or decoded)
+
+    @property
+    def medium(self) -> HapticMedium:
+        return HapticMedium(
+            grid=self.grid,
+            frame_count=self.reader.head.frame_count,
+            make_frame=self._frames,
+            vibration=self._vibration,
+            segments=segments_of(self.reader, self.decoder.describe()),
+            **self._beside,
+        )
+
+    @property
+    def masking(self) -> tuple[float, float] | None:
+        keys = self.decoder.describe()
+        return (keys["masking"], keys["masking_radius_m"]) if "masking" in keys else None
+
+    @cached_property
+    def costs(self) -> tuple[FrameCost, ...]:
+        """Costs of all frames; reads every segment once, and decodes none."""
+        segments = enumerate(self.reader.segments)
+        return tuple(
+            cost for i, s in segments for cost in self.decoder.costs(self.reader.read_segment(i), s.frame_count)
+        )
+
+    @property
+    def bits(self) -> BitAccount:
+        return sum((c.bits for c in self.costs), BitAccount())
+
+    def _coder(self) -> dict[str, Any]:
+        bits_by_kind: dict[str, list[int]] = {}
+        for cost in self.costs:
+            bits_by_kind.setdefault(cost.kind.name.lower(), []).append(cost.bits.total)
+        keys: dict[str, Any] = {
+            **self.decoder.describe(),
+            "frame_kinds": {kind: len(bits) for kind, bits in bits_by_kind.items()},
+            "bits_per_frame_by_kind": {kind: float(np.mean(bits)) for kind, bits in bits_by_kind.items()},
+        }
+        if not coder(self.reader.head.coder).has_promise:
+            return keys
+        keys["guesses"] = sum(cost.bits.models > 0 for cost in self.costs)
+        keys["bits_guesses"] = sum(cost.bits.models for cost in self.costs)
+        return keys
+
+    @property
+    def bound_rule(self) -> BoundRule:
+        return coder(self.reader.head.coder).bound_rule(getattr(self.decoder, "spec", None))
+
+    @property
+    def promise(self) -> dict[str, Any]:
+        if not coder(self.reader.head.coder).has_promise:
+            return {}
+        segments = enumerate(self.reader.segments)
+        worst = ((s.first_frame, self.decoder.worst(self.reader.read_segment(i))) for i, s in segments)
+        return promise_kept(worst)
+
+
+@contextmanager
+def open_stream(
+    path: str | Path, tell: Callable[[str], None] = lambda note: None, coarse: str | None = None
+) -> Iterator[OpenStream]:
+    """Open a ``.touch`` file, the address of one, or of a live stream; decoding takes no configuration.
+
+    `tell` gets notes on what a live stream lost; `coarse` is the address of its coarse layer, which is felt there.
+    """
+    if coarse is not None and not is_live(path):
+        raise InvalidArgument("coarse", f"a layer of {path}", "one of a live stream, such as ws://HOST/live")
+    if is_live(path):
+        with hook("open_live")(str(path), tell, coarse) as live:
+            yield live
+        return
+    with TouchReader(path) as reader:
+        yield opened(reader)
+
+
+def opened(reader: TouchReader) -> OpenStream:
+    """The stream of a reader, by its coder.
+
+    Raises UnsupportedVersion if there is no such coder.
+    """
+    if coder(reader.head.coder).spec is not None:
+        return VoxelStream(reader)
+    from touchfield.pipeline.decoded_objects import SceneStream
+
+    return SceneStream(reader)
+
+
+def write_field(
+    path: str | Path, medium: HapticMedium, report: Report = silent, placement: Placement | None = None
+) -> Path:
+    """Write a medium as ``.npz``, ``.zarr`` or ``.vti``, by the ending of `path`; the file to open.
+
+    Several frames as ``.vti`` are numbered files and a ``.pvd`` that lists them: that is the one to open.
+
+    Raises InvalidArgument if the ending is another, or a dense frame would take more than `memory_budget_bytes`: a
+    small file may tell of a large grid.
+    """
+    from touchfield.medium.stores.npz import write_npz
+    from touchfield.medium.stores.vti import write_vti
+
+    path = Path(path)
+    attributes = placement.told() if placement is not None else {}
+    if path.suffix == ".zarr":
+        from touchfield.medium.stores.zarr_store import write_zarr
+
+        write_zarr(path, medium, report, attributes)
+        return path
+    what, mend = (
+        f"each dense frame of {medium.grid.shape} samples",
+        "Keep the .touch file, or set TOUCHFIELD_MEMORY_GIB.",
+    )
+    require_memory(str(path), what, 12 * medium.grid.voxel_count, mend)
+    if path.suffix == ".npz":
+        write_npz(path, medium, report, attributes)
+        return path
+    if path.suffix == ".vti":
+        return write_vti(path, medium, report, attributes)
+    raise InvalidArgument(str(path), f"the ending {path.suffix!r}", "FIELD.npz, FIELD.zarr or FIELD.vti")

@@ -1,0 +1,49 @@
+"""Plug-ins: sources, coders, drivers and filters that other distributions provide by entry points.
+
+A distribution names them in its ``pyproject.toml``; the value is what the built-in module of that kind holds::
+
+    [project.entry-points."touchfield.sources"]
+    las = "touchfield_las:KIND"
+
+A plug-in that cannot be imported is left out, with a warning that names it.
+"""
+
+from __future__ import annotations
+
+import warnings
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any, Final
+
+GROUPS: Final = ("touchfield.sources", "touchfield.coders", "touchfield.drivers", "touchfield.filters")
+
+
+class PluginWarning(UserWarning):
+    """Warning of a plug-in that is left out."""
+
+
+@cache
+def plugins(group: str, kind: type) -> dict[str, Any]:
+    """The objects that entry points of a group provide, by the name of the entry point.
+
+    Parameters
+    ----------
+    group : str
+        One of `GROUPS`.
+    kind : type
+        Of the objects; or, where it derives from `type`, the base of the classes. What is of another is left out.
+    """
+    found: dict[str, Any] = {}
+    for entry in entry_points(group=group):
+        source = f"plug-in {entry.name!r} ({entry.value}) of {group}"
+        try:
+            loaded = entry.load()
+        except Exception as error:  # a stranger's module may raise anything
+            warnings.warn(f"{source} is left out: {type(error).__name__}: {error}", PluginWarning, stacklevel=2)
+            continue
+        is_of_kind = isinstance(loaded, kind) or (isinstance(loaded, type) and issubclass(loaded, kind))
+        if is_of_kind:
+            found[entry.name] = loaded
+        else:
+            warnings.warn(f"{source} is left out: it is no {kind.__name__}", PluginWarning, stacklevel=2)
+    return found

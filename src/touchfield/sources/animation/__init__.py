@@ -1,0 +1,1 @@
+"""Animated models as scenes: a mesh whose vertices move."""

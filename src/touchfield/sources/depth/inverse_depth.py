@@ -1,0 +1,257 @@
+"""Depth from numbers that are linear in 1/z: disparity maps of a stereo pair, and relative depth beside a picture.
+
+*Disparity*: depth = fx * baseline / (disparity + offset). Middlebury 2014 (PFM, ``calib.txt`` with cam0, cam1, doffs
+and a baseline in millimetres), KITTI (16-bit PNG, 256 units a pixel, 0 unknown), and scikit-image's
+``stereo_motorcycle``. What is 0 or not finite is unknown.
+
+*Relative depth*, as estimators from one picture give it (MiDaS: Ranftl et al., TPAMI 2022; Depth Anything: Yang et
+al., CVPR 2024), has no unit. With s from 0 to 1 between the smallest and the largest value of all frames, the larger
+the nearer, 1/z = (1 - s)/far + s/near. Of a map whose larger values are farther, say a far smaller than near.
+
+Such a map belongs to a picture or video by its name (``NAME_depth.png``, ``NAME.depth.png``, ``NAME-depth.npy``, with
+anything after the word depth), or by ``--relative-depth``, which for a video is a grey video or a folder of maps. The
+frames have the map's own size: intrinsics, which are those of the picture, are scaled.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchfield.arrays import Float32s
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_extra, require_positive
+from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, Frames, Intrinsics
+from touchfield.sources.depth.intrinsics_file import CameraFile, camera_of, parse_intrinsics
+from touchfield.sources.depth.layouts import depth_kind, source_rate
+from touchfield.sources.images import pictures
+from touchfield.sources.images.movies import VIDEO_SUFFIXES, GreyVideo
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.poses import read_text
+
+_SUFFIXES: Final = (".npy", ".pfm", ".png")
+_KITTI_UNITS_PER_PX: Final = 256.0
+
+NEAR_M: Final = 1.0
+FIELD_OF_VIEW_DEG: Final = 60.0  # across the width: between a phone's main camera (about 65) and a webcam (about 55)
+SHAPE_TOLERANCE: Final = 0.03  # of width to height of map and picture: estimators round to multiples of 14 or 32 px
+
+
+# -- disparity -----------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class StereoRig:
+    """A rectified stereo pair: the camera whose picture the disparity map is of, and the distance to the other one.
+
+    `disparity_offset_px` is the difference of the principal points (Middlebury's doffs).
+    """
+
+    intrinsics: Intrinsics
+    baseline_m: float
+    disparity_offset_px: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive(baseline_m=self.baseline_m)
+        if not math.isfinite(self.disparity_offset_px):
+            raise InvalidArgument("disparity_offset_px", repr(self.disparity_offset_px), "a finite number of pixels")
+
+
+def depth_of_disparity(disparity_px: NDArray[Any], rig: StereoRig) -> Float32s:
+    """Depth in metres, float32, of disparities in pixels; 0 where 0, not finite, or behind the camera."""
+    disparity = np.asarray(disparity_px, np.float64)
+    known = np.isfinite(disparity) & (disparity > 0)
+    shifted = np.where(known, disparity, 1.0) + rig.disparity_offset_px
+    known &= shifted > 1e-6  # a millionth of a pixel: beyond any stereo camera
+    depth = rig.intrinsics.fx * rig.baseline_m / np.where(known, shifted, 1.0)
+    return DepthCode(1.0)(np.where(known, depth, 0))
+
+
+def _of_disparity(
+    name: str, disparity_px: NDArray[Any], rig: StereoRig, notes: tuple[str, ...] = ()
+) -> CodedSequence:
+    """One disparity map, pixels, 0 or not finite where unknown, as a sequence of one frame."""
+    metres = partial(depth_of_disparity, rig=rig)
+    if not metres(disparity_px).any():
+        raise SourceError(name, "no disparity above 0", "a disparity map in pixels")
+    return CodedSequence(
+        name, pictures.ArrayFrames(disparity_px[None]), metres, rig.intrinsics, DEFAULT_RATE_HZ, notes
+    )
+
+
+def motorcycle_sequence() -> CodedSequence:
+    """scikit-image's disparity map "motorcycle" (Middlebury 2014), 741 x 500, 2 to 5 m; `MissingExtra` without it."""
+    data = import_extra("skimage.data", "the motorcycle scene", "scikit-image", "motorcycle")
+    try:
+        disparity = data.stereo_motorcycle()[2]
+    except (OSError, ImportError) as error:  # a repackaged scikit-image may have to download its pictures
+        raise SourceError("stereo_motorcycle", str(error), "scikit-image with its pictures") from error
+    rig = StereoRig(Intrinsics(994.978, 994.978, 311.193, 254.877), 0.193001, 31.086)
+    return _of_disparity("scikit-image stereo_motorcycle", disparity, rig)
+
+
+def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
+    """A disparity map: PFM or NPY in pixels, or 16-bit PNG with 256 units a pixel (or ``depth_scale``)."""
+    suffix = path.suffix.lower()
+    values = (_pfm if suffix == ".pfm" else pictures.read_picture)(path)
+    if values.dtype == np.uint8:
+        raise SourceError(str(path), "an 8-bit picture", "16-bit PNG, PFM or NPY", "Give the disparity map itself.")
+    with np.errstate(over="ignore"):  # inf means unknown
+        units_per_px = options.depth_scale or (_KITTI_UNITS_PER_PX if suffix == ".png" else 1.0)
+        disparity = values.astype(np.float64) / units_per_px
+    size, folder = (disparity.shape[1], disparity.shape[0]), path.absolute().parent
+    name = "cam1" if path.stem.lower().startswith("disp1") else "cam0"
+    calibration = _calibration(folder / "calib.txt", size, name)
+    default = CameraFile(calibration.intrinsics) if calibration else None
+    camera = camera_of(str(path), options.intrinsics, () if default else (folder,), size, default)
+    baseline_m, offset_px = options.baseline_m, options.disparity_offset_px
+    notes = camera.notes
+    if calibration is not None:
+        notes = ("Camera and baseline are those of calib.txt, where nothing else was asked for.",)
+        baseline_m = baseline_m or calibration.baseline_m
+        offset_px = calibration.disparity_offset_px if offset_px is None else offset_px
+    if baseline_m is None:
+        mend = "Add --baseline-m, or a calib.txt beside it."
+        raise SourceError(str(path), "no baseline", "the distance of the two cameras", mend)
+    return _of_disparity(str(path), disparity, StereoRig(camera.intrinsics, baseline_m, offset_px or 0.0), notes)
+
+
+def _pfm(path: Path) -> Float32s:
+    """A grey PFM picture, of any byte order."""
+    expected = "a grey PFM picture, which begins with Pf"
+    with pictures.opened(path, ("PPM",), expected) as image:
+        pictures.bound_pixels(path, image.width, image.height)
+        if image.mode != "F":
+            raise SourceError(str(path), "another picture", expected)
+        return np.array(image, np.float32)
+
+
+def _calibration(file: Path, size: tuple[int, int], camera: str) -> StereoRig | None:
+    """The camera of Middlebury's ``calib.txt`` of this name, None without the file."""
+    if not file.is_file():
+        return None
+    lines = (line.partition("=") for line in read_text(file).splitlines())
+    entries = {key.strip(): value.strip() for key, _, value in lines}
+    try:
+        stated = (int(entries.get("width", size[0])), int(entries.get("height", size[1])))
+        baseline_m, offset_px = float(entries["baseline"]) / 1000, float(entries.get("doffs", "0"))
+        matrix = entries[camera]
+    except (KeyError, ValueError) as error:
+        raise SourceError(str(file), f"no or another {error}", "Middlebury's cam0=, baseline=, doffs=") from error
+    if stated != size:
+        raise SourceError(str(file), f"a camera of {stated[0]} x {stated[1]} pixels", f"{size[0]} x {size[1]}")
+    with blamed_on(f"{file}: "):
+        return StereoRig(parse_intrinsics(matrix, f"{file}: {camera}").intrinsics, baseline_m, offset_px)
+
+
+# -- relative depth ------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class InverseDepth:
+    """Metres of a relative depth: `near_m` of its largest value, `high`, and `far_m` of its smallest, `low`."""
+
+    low: float
+    high: float
+    near_m: float
+    far_m: float
+
+    def __call__(self, values: NDArray[Any]) -> Float32s:
+        """Depth in metres, float32, linear in 1/z; 0 where a value is not finite."""
+        known = np.isfinite(values)
+        share = (np.where(known, values, self.low).astype(np.float64) - self.low) / (self.high - self.low)
+        depth = 1.0 / ((1.0 - share) / self.far_m + share / self.near_m)
+        return DepthCode(1.0)(np.where(known, depth, 0.0))
+
+
+def find_map(path: Path) -> Path | None:
+    """The relative depth beside a picture or video, by its name; None where there is none."""
+    suffixes = "|".join(suffix[1:] for suffix in (*pictures.PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
+    files = pictures.list_files(
+        path.absolute().parent, re.escape(path.stem) + rf"[._-]depth([^a-z0-9].*)?\.({suffixes})"
+    )
+    return files[0] if files else None
+
+
+def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
+    """A picture or video with the relative depth beside it; reads every map once.
+
+    Raises `SourceError` if there is no map, sizes or counts of frames do not go together, or all values are the same.
+    """
+    if path.is_dir():
+        raise SourceError(str(path), "a folder", "a picture or a video, with its relative depth beside it")
+    near_m, far_m, notes = options.near_m, options.far_m, tuple[str, ...]()
+    if near_m is not None and near_m == far_m:
+        raise InvalidArgument("--near-m, --far-m", f"{near_m:g} m both", "two distances")
+    if near_m is None or far_m is None:
+        near_m = near_m or (far_m / 2 if far_m else NEAR_M)
+        far_m = far_m or 2 * near_m
+        taken = f"{near_m:g} m (largest value) to {far_m:g} m (smallest), linear in 1/z"
+        notes += (f"Relative depth taken as {taken} (--near-m, --far-m).",)
+    maps, where = _maps(path, options)
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        video = GreyVideo(path)
+        (width, height), rate_hz, count = video.size, video.rate_hz or source_rate(options), video.frame_count
+    else:
+        (width, height), rate_hz, count = pictures.photo_size(path), source_rate(options), 1
+    if maps.frame_count != count:
+        raise SourceError(str(where), f"{maps.frame_count} maps", f"{count}, one for each frame of {path.name}")
+    x, y = maps.size[0] / width, maps.size[1] / height
+    if abs(x - y) > SHAPE_TOLERANCE * y:
+        expected = f"the shape of {path.name}, {width} x {height}"
+        raise SourceError(str(where), f"{maps.size[0]} x {maps.size[1]} pixels", expected, "Check the map.")
+    focal = width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG / 2))
+    note = f"No intrinsics: a field of view of {FIELD_OF_VIEW_DEG:g} degrees across is taken (--intrinsics)."
+    default = CameraFile(Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2), notes=(note,))
+    camera = camera_of(str(path), options.intrinsics, (path.absolute().parent,), (width, height), default)
+    k, notes = camera.intrinsics, (*notes, *camera.notes)
+    intrinsics = Intrinsics(k.fx * x, k.fy * y, (k.cx + 0.5) * x - 0.5, (k.cy + 0.5) * y - 0.5)
+    if options.reading == "camera":
+        notes += ("Relative depth has no true perspective: --reading height feels it as a relief.",)
+    low, high = math.inf, -math.inf
+    for values in map(maps.values, range(maps.frame_count)):
+        known = values[np.isfinite(values)]
+        if known.size:
+            low, high = min(low, float(known.min())), max(high, float(known.max()))
+    if not (low < high and math.isfinite(high - low)):
+        found = f"the one value {low:g}" if low == high else "no range of numbers"
+        raise SourceError(str(path), f"{found} in the relative depth", "near and far values", "Check the map.")
+    return CodedSequence(str(path), maps, InverseDepth(low, high, near_m, far_m), intrinsics, rate_hz, notes)
+
+
+def _maps(path: Path, options: SourceOptions) -> tuple[Frames, Path]:
+    where = find_map(path) if options.relative_depth is None else Path(options.relative_depth)
+    if where is None or not where.exists():
+        found = f"no relative depth {where}" if where else "no relative depth beside it"
+        mend = "Name the map with --relative-depth."
+        raise SourceError(str(path), found, f"{path.stem}_depth.png (or .npy, ...)", mend)
+    if where.suffix.lower() in VIDEO_SUFFIXES and where.is_file():
+        return GreyVideo(where), where
+    form = pictures.with_suffix(*pictures.PICTURE_SUFFIXES)
+    files = pictures.list_files(where, form) if where.is_dir() else (where,)
+    if not files:
+        raise SourceError(str(where), "no map", "a folder of PNG, TIFF or NPY maps")
+    return pictures.PictureFrames(files, pictures.read_map), where
+
+
+def _is_relative(path: Path) -> bool:
+    is_known = path.suffix.lower() in (*pictures.PHOTO_SUFFIXES, *VIDEO_SUFFIXES)
+    return is_known and path.is_file() and find_map(path) is not None
+
+
+KINDS: Final = {
+    "disparity": depth_kind(
+        "disparity",
+        "disparity map named *disp*: PFM, NPY or 16-bit PNG (needs --baseline-m and --intrinsics, or calib.txt)",
+        lambda path: "disp" in path.name.lower() and path.suffix.lower() in _SUFFIXES and path.is_file(),
+        read_disparity,
+    ),
+    "relative-depth": depth_kind(
+        "relative-depth",
+        "picture or video with a relative depth beside it, NAME_depth.png (1/z, larger is nearer; --near-m, --far-m)",
+        _is_relative,
+        read_relative,
+    ),
+}

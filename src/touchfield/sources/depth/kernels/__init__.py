@@ -1,0 +1,1 @@
+"""Compiled loops over depth images: tangent planes, forces, and fusion."""

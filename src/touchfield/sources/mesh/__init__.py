@@ -1,0 +1,1 @@
+"""Triangle meshes as scenes: files, surfaces, signed distance."""

@@ -1,0 +1,407 @@
+"""Winding numbers of a lattice within a closed mesh: signed crossings of rays along x, sorted by column.
+
+Source: the winding number of a closed mesh at a point is the signed number of crossings of a ray from it. Each
+triangle is drawn in the plane (y, z) as scan lines, as a rasteriser does. An edge says from which column on it
+counts, and says the same to both of its triangles because its ends are taken in the order of their indices. Hence
+edges and vertices that lie on a column are counted once, and all crossings of a ray add up to zero, whatever the
+rounding.
+
+An event is one int64: column of bricks, y and z within it (3 bits each), first sample along x behind the crossing
+(20 bits), and 1 for +1 or 0 for -1. Sorted, the events of a column lie together.
+
+A point of a surface is on the boundary of the union of closed meshes that run through one another or themselves if
+the winding number is 0 on just one side of it. Triangles that cross others are cut along the planes of those, piece
+by piece, so that no piece has another surface run through its inside; a piece is then wholly boundary or wholly inner
+wall, and its middle tells. Triangles lie in bins of the plane (y, z). Source of the crossing test: T. Moeller, A fast
+triangle-triangle intersection test, Journal of Graphics Tools 2(2), 1997.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from touchfield.arrays import Bools, Float64s, Int32s, Int64s
+from touchfield.compute.jit import inner, kernel
+from touchfield.compute.threads import for_chunks
+from touchfield.medium import Grid
+from touchfield.sources.mesh.kernels.triangle import one_type
+
+COLUMN_SHIFT = 27
+_ROW_SHIFT = 21
+_DROPPED = np.iinfo(np.int64).max
+_MOST_CORNERS, _MOST_PIECES = 24, 96
+_PER_TRIANGLE = 32  # bins a triangle may lie in on average
+
+
+@inner(forceinline=True, error_model="numpy")  # no divisor is zero
+def line_at(vertices, triangle, z):
+    """True if a triangle crosses the height z; y and x there on its edge that goes up, and on the one going down."""
+    y0 = x0 = y1 = x1 = 0.0
+    is_met = False
+    for corner in range(3):
+        u, v = triangle[corner], triangle[(corner + 1) % 3]
+        is_up = vertices[v, 2] > z
+        if (vertices[u, 2] > z) == is_up:
+            continue
+        is_met = True
+        low, high = (u, v) if u < v else (v, u)
+        share = (z - vertices[low, 2]) / (vertices[high, 2] - vertices[low, 2])
+        y = vertices[low, 1] + share * (vertices[high, 1] - vertices[low, 1])
+        x = vertices[low, 0] + share * (vertices[high, 0] - vertices[low, 0])
+        if is_up:
+            y0, x0 = y, x
+        else:
+            y1, x1 = y, x
+    return is_met, y0, x0, y1, x1
+
+
+@inner
+def _index_from(position, origin, step, count):
+    """The first sample at or after a position, 0 to count."""
+    index = np.ceil((position - origin) / step)
+    return int(min(max(index, 0.0), float(count)))
+
+
+@kernel
+def _draw(begin, end, vertices, triangles, lattice, shape, offsets, events):
+    """The events of triangles, from `offsets[t]` on; where there is no room for any, their numbers, in offsets[t]."""
+    bricks_z = (shape[2] + 7) // 8
+    is_counted = len(events) == 0
+    for t in range(begin, end):
+        e = 0 if is_counted else offsets[t]
+        a, b, c = vertices[triangles[t, 0], 2], vertices[triangles[t, 1], 2], vertices[triangles[t, 2], 2]
+        low = np.floor((min(a, b, c) - lattice[2]) / lattice[5]) - 1.0  # a range that holds all rows it covers
+        high = np.ceil((max(a, b, c) - lattice[2]) / lattice[5]) + 1.0
+        k0, k1 = int(min(max(low, 0.0), float(shape[2]))), int(min(max(high, -1.0), float(shape[2] - 1)))
+        for k in range(k0, k1 + 1):
+            z = lattice[2] + k * lattice[5]
+            is_met, y0, x0, y1, x1 = line_at(vertices, triangles[t], z)
+            if not is_met:
+                continue
+            first = _index_from(y0, lattice[1], lattice[4], shape[1])
+            last = _index_from(y1, lattice[1], lattice[4], shape[1])
+            sign = 1 if first <= last else 0
+            if sign == 0:
+                first, last, y0, y1, x0, x1 = last, first, y1, y0, x1, x0
+            if is_counted:
+                e += last - first
+                continue
+            for j in range(first, last):
+                share = (lattice[1] + j * lattice[4] - y0) / (y1 - y0) if y1 != y0 else 0.0
+                x = x0 + min(max(share, 0.0), 1.0) * (x1 - x0)
+                i = _index_from(x, lattice[0], lattice[3], shape[0])
+                column = np.int64(j >> 3) * bricks_z + (k >> 3)
+                row = ((j & 7) << 3) | (k & 7)
+                key = (column << COLUMN_SHIFT) | (row << _ROW_SHIFT) | (i << 1) | sign
+                events[e] = key if i < shape[0] else _DROPPED
+                e += 1
+        if is_counted:
+            offsets[t] = e
+
+
+def crossings(vertices_m: Float64s, triangles: Int32s, grid: Grid) -> Int64s:
+    """All crossings of the grid's columns, as sorted events (see the module), int64 [n].
+
+    `vertices_m` float64 [v, 3] in metres, `triangles` int32 [m, 3]. Those before the grid's first sample along x
+    count there; those behind its last are left out.
+    """
+    lattice = np.array([*grid.origin_m, *grid.spacing_m])
+    shape = np.array(grid.shape, np.int64)
+    offsets = np.zeros(len(triangles) + 1, np.int64)
+    work = (*one_type(vertices_m, triangles), lattice, shape)
+    for_chunks(_draw, len(triangles), *work, offsets[1:], np.empty(0, np.int64), chunk=512)
+    np.cumsum(offsets, out=offsets)
+    events = np.empty(int(offsets[-1]), np.int64)
+    for_chunks(_draw, len(triangles), *work, offsets, events, chunk=512)
+    events.sort()
+    return events[: np.searchsorted(events, _DROPPED)]
+
+
+@inner
+def winding_of_brick(events, first, last, i0, winding):
+    """Winding numbers of a brick's samples, int32 [512], from the events of its column; i0 is its first x index."""
+    winding[:] = 0
+    for e in range(first, last):
+        event = events[e]
+        i = ((event >> 1) & ((1 << 20) - 1)) - i0
+        if i < 8:
+            row = (event >> _ROW_SHIFT) & 63
+            winding[max(i, 0) * 64 + row] += 1 if event & 1 else -1
+    for s in range(64, 512):
+        winding[s] += winding[s - 64]
+
+
+# -- triangles in bins ----------------------------------------------------------------------------------------------
+class Bins(NamedTuple):
+    """Triangles by squares of the plane (y, z): those of square s are `ids[start[s]:start[s + 1]]`."""
+
+    frame: Float64s  # y and z where they begin, their width along both, and how many there are along each
+    start: Int64s
+    ids: Int32s
+
+
+@inner
+def _bin(frame, value, axis):
+    return int(min(max(np.floor((value - frame[axis]) / frame[2 + axis]), 0.0), frame[4] - 1.0))
+
+
+@kernel
+def _put_in_bins(boxes, frame, place, ids):
+    """Put each triangle at the next place of every bin that its box meets; without `ids` the places are counted."""
+    for t in range(len(boxes)):
+        y0, y1 = _bin(frame, boxes[t, 2], 0), _bin(frame, boxes[t, 3], 0)
+        z0, z1 = _bin(frame, boxes[t, 4], 1), _bin(frame, boxes[t, 5], 1)
+        for y in range(y0, y1 + 1):
+            for z in range(z0, z1 + 1):
+                s = y * int(frame[4]) + z
+                if len(ids):
+                    ids[place[s]] = t
+                place[s] += 1
+
+
+def boxes_of(corners: Float64s) -> Float64s:
+    """The boxes of triangles with these corners, float64 [m, 3, 3]: low and high x, y, z, float64 [m, 6]."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    return np.stack([low, high], axis=2).reshape(-1, 6)
+
+
+def sorted_into_bins(boxes: Float64s) -> Bins:
+    """The triangles with these boxes, float64 [m, 6], in bins."""
+    low, high = boxes[:, 0::2].min(axis=0), boxes[:, 1::2].max(axis=0)
+    span = np.maximum((high - low)[1:], 1e-12 * max(float((high - low).max()), 1e-300))
+    sizes = boxes[:, 3::2] - boxes[:, 2::2]
+    count = max(1, min(512, int(np.sqrt(len(boxes)))))
+    while count > 1 and float(((sizes / (span / count) + 1).prod(axis=1)).sum()) > _PER_TRIANGLE * len(boxes):
+        count //= 2
+    frame = np.array([low[1], low[2], span[0] / count, span[1] / count, count])
+    counts = np.zeros(count * count, np.int64)
+    _put_in_bins(boxes, frame, counts, np.empty(0, np.int32))
+    start = np.append(0, np.cumsum(counts))
+    ids = np.empty(int(start[-1]), np.int32)
+    _put_in_bins(boxes, frame, start[:-1].copy(), ids)
+    return Bins(frame, start, ids)
+
+
+# -- which triangles cross -----------------------------------------------------------------------------------------
+@inner
+def _heights(points, count, normal, base, out):
+    """Heights of points over a plane; least and greatest."""
+    low, high = np.inf, -np.inf
+    for i in range(count):
+        h = 0.0
+        for c in range(3):
+            h += normal[c] * (points[i, c] - base[c])
+        out[i] = h
+        low, high = min(low, h), max(high, h)
+    return low, high
+
+
+@inner
+def _span_on_line(points, count, heights, along, tiny):
+    """Where a convex polygon meets a plane, as positions along a direction: from, to; from > to if nowhere."""
+    low, high = np.inf, -np.inf
+    for i in range(count):
+        j = (i + 1) % count
+        a = along[0] * points[i, 0] + along[1] * points[i, 1] + along[2] * points[i, 2]
+        if abs(heights[i]) <= tiny:
+            low, high = min(low, a), max(high, a)
+        elif abs(heights[j]) > tiny and (heights[i] > 0) != (heights[j] > 0):
+            b = along[0] * points[j, 0] + along[1] * points[j, 1] + along[2] * points[j, 2]
+            at = a + (b - a) * heights[i] / (heights[i] - heights[j])
+            low, high = min(low, at), max(high, at)
+    return low, high
+
+
+@inner
+def _meet(piece, count, normal, other, its_normal, tiny, h, g):
+    """True if a triangle `other` reaches a convex piece along a line on both sides of which the piece lies.
+
+    Fills `h`, the heights of the piece over the other's plane.
+    """
+    low, high = _heights(piece, count, its_normal, other[0], h)
+    if low >= -tiny or high <= tiny:
+        return False
+    low, high = _heights(other, 3, normal, piece[0], g)
+    if low > tiny or high < -tiny or (low >= -tiny and high <= tiny):
+        return False
+    along = np.empty(3)
+    for c in range(3):
+        d, e = (c + 1) % 3, (c + 2) % 3
+        along[c] = normal[d] * its_normal[e] - normal[e] * its_normal[d]
+    a0, a1 = _span_on_line(piece, count, h, along, tiny)
+    b0, b1 = _span_on_line(other, 3, g, along, tiny)
+    return min(a1, b1) - max(a0, b0) > tiny * np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
+
+
+@inner(forceinline=True)
+def _share_a_vertex(triangles, t, u):
+    for c in range(3):
+        for d in range(3):
+            if triangles[t, c] == triangles[u, d]:
+                return True
+    return False
+
+
+@kernel
+def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
+    """Pairs (t, u) of which u cuts t, of a range of bins."""
+    frame, start, ids = bins
+    pairs = np.empty((most, 2), np.int32)
+    count = 0
+    h, g = np.empty(3), np.empty(3)
+    for s in range(begin, end):
+        first, last = start[s], start[s + 1]
+        for a in range(first, last):
+            box = boxes[ids[a]]
+            x0, x1, y0, y1, z0, z1 = box[0], box[1], box[2], box[3], box[4], box[5]
+            for b in range(a + 1, last):
+                t, u = ids[a], ids[b]
+                if boxes[u, 0] > x1 + tiny or boxes[u, 1] < x0 - tiny or boxes[u, 2] > y1 + tiny:
+                    continue
+                if boxes[u, 3] < y0 - tiny or boxes[u, 4] > z1 + tiny or boxes[u, 5] < z0 - tiny:
+                    continue
+                if _share_a_vertex(triangles, t, u):
+                    continue
+                y, z = max(y0, boxes[u, 2]), max(z0, boxes[u, 4])
+                if _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1) != s:
+                    continue  # met in another bin
+                for _ in range(2):
+                    if _meet(corners[t], 3, normals[t], corners[u], normals[u], tiny, h, g):
+                        if count == most:
+                            return pairs[:count]
+                        pairs[count, 0], pairs[count, 1] = t, u
+                        count += 1
+                    t, u = u, t
+    return pairs[:count]
+
+
+def crossing_pairs(
+    bins: Bins, boxes: Float64s, corners: Float64s, normals: Float64s, triangles: Int32s, tiny_m: float
+) -> Int32s:
+    """Pairs (t, u) of triangles that share no vertex, of which u cuts t, int32 [p, 2], by t.
+
+    `boxes` float64 [m, 6], `corners` float64 [m, 3, 3] in metres, `normals` float64 [m, 3] of unit length. Nearer
+    than `tiny_m` is touching. Beyond about eight pairs a triangle the others are left out: those walls stay felt.
+    """
+    most = 8 * len(triangles) + 4096
+    work = (tuple(bins), boxes, corners, normals, triangles, tiny_m, most)
+    pairs = np.concatenate(for_chunks(_pairs, len(bins.start) - 1, *work, chunk=64))
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+# -- cutting -------------------------------------------------------------------------------------------------------
+@inner(inline="always")
+def _copy(rows, first, count, out, at):
+    """Rows of three numbers, copied one by one: numba's copy of arrays compiles an error message for a second."""
+    for i in range(count):
+        for c in range(3):
+            out[at + i, c] = rows[first + i, c]
+
+
+@inner
+def _split(piece, count, h, tiny, above, below):
+    """Cut a convex polygon at height 0; corners above and below."""
+    n = k = 0
+    for i in range(count):
+        j = (i + 1) % count
+        if h[i] >= -tiny:
+            _copy(piece, i, 1, above, n)
+            n += 1
+        if h[i] <= tiny:
+            _copy(piece, i, 1, below, k)
+            k += 1
+        if (h[i] > tiny and h[j] < -tiny) or (h[i] < -tiny and h[j] > tiny):
+            share = h[i] / (h[i] - h[j])
+            for c in range(3):
+                above[n, c] = below[k, c] = piece[i, c] + share * (piece[j, c] - piece[i, c])
+            n += 1
+            k += 1
+    return n, k
+
+
+@kernel
+def cut(starts, pairs, corners, normals, tiny):
+    """Cut the triangles pairs[starts[i]:starts[i + 1], 0] by their partners; pieces float64 [k, 3, 3], parents."""
+    out = np.empty((64, 3, 3))
+    parents = np.empty(64, np.int32)
+    total = 0
+    pieces = np.empty((_MOST_PIECES, _MOST_CORNERS, 3))
+    counts = np.empty(_MOST_PIECES, np.int64)
+    above, below = np.empty((_MOST_CORNERS, 3)), np.empty((_MOST_CORNERS, 3))
+    h, g = np.empty(_MOST_CORNERS), np.empty(3)
+    for i in range(len(starts) - 1):
+        t = pairs[starts[i], 0]
+        _copy(corners[t], 0, 3, pieces[0], 0)
+        counts[0] = 3
+        piece_count = 1
+        for p in range(starts[i], starts[i + 1]):
+            u = pairs[p, 1]
+            for q in range(piece_count):
+                if piece_count == _MOST_PIECES or counts[q] + 2 > _MOST_CORNERS:
+                    continue
+                if _meet(pieces[q], counts[q], normals[t], corners[u], normals[u], tiny, h, g):
+                    n, k = _split(pieces[q], counts[q], h, tiny, above, below)
+                    _copy(above, 0, n, pieces[q], 0)
+                    _copy(below, 0, k, pieces[piece_count], 0)
+                    counts[q], counts[piece_count] = n, k
+                    piece_count += 1
+        for q in range(piece_count):
+            for c in range(1, counts[q] - 1):
+                if total == len(out):
+                    more, names = np.empty((2 * total, 3, 3)), np.empty(2 * total, np.int32)
+                    for m in range(total):
+                        _copy(out[m], 0, 3, more[m], 0)
+                        names[m] = parents[m]
+                    out, parents = more, names
+                _copy(pieces[q], 0, 1, out[total], 0)
+                _copy(pieces[q], c, 2, out[total], 1)
+                parents[total] = t
+                total += 1
+    return out[:total], parents[:total]
+
+
+# -- inside and outside --------------------------------------------------------------------------------------------
+@inner
+def _winding(x, y, z, bins, vertices, triangles):
+    """The winding number of a closed mesh at a point, up to its sign."""
+    frame, start, ids = bins
+    if not (frame[0] <= y <= frame[0] + frame[2] * frame[4] and frame[1] <= z <= frame[1] + frame[3] * frame[4]):
+        return 0
+    s = _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1)
+    total = 0
+    for e in range(start[s], start[s + 1]):
+        is_met, y0, x0, y1, x1 = line_at(vertices, triangles[ids[e]], z)
+        if not is_met or (y < y0) == (y < y1):
+            continue
+        share = (y - y0) / (y1 - y0)
+        if x0 + share * (x1 - x0) <= x:
+            total += 1 if y0 < y1 else -1
+    return total
+
+
+@kernel
+def _classify(begin, end, corners, normals, parents, bins, vertices, triangles, tiny, is_outer):
+    for t in range(begin, end):
+        n = normals[parents[t]]
+        a, b, c = corners[t]
+        x, y, z = (a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3
+        x0, y0, z0 = tiny * n[0], tiny * n[1], tiny * n[2]
+        front = _winding(x + x0, y + y0, z + z0, bins, vertices, triangles)
+        back = _winding(x - x0, y - y0, z - z0, bins, vertices, triangles)
+        is_outer[t] = (front == 0) != (back == 0)
+
+
+def bounds_union(
+    corners: Float64s, parents: Int32s, normals: Float64s, bins: Bins, surface: tuple[Float64s, Int32s], tiny_m: float
+) -> Bools:
+    """The pieces that bound the union, bool [k]: on just one side of them, `tiny_m` away, nothing is inside.
+
+    `corners` float64 [k, 3, 3] and `parents` int32 [k]: of pieces, and the triangle that each is one of; `surface`:
+    vertices in metres and triangles.
+    """
+    is_outer = np.empty(len(corners), np.bool_)
+    for_chunks(_classify, len(corners), corners, normals, parents, tuple(bins), *surface, tiny_m, is_outer, chunk=256)
+    return is_outer

@@ -1,0 +1,269 @@
+"""Compiled loops over triangles: their distances to many points at once in float32, to one point in float64.
+
+Source: the squared distance of a point to a triangle is h^2 + d^2, with h its height over the triangle's plane and d
+the distance in it: zero inside, else the least of those to the three edges (C. Ericson, Real-Time Collision
+Detection, 2005, section 5.1.5, gives the same by regions). Heights over planes and edges are affine in the position,
+so there is no branch, and LLVM makes vector code of it: over the 64 samples of a block, or over the triangles of a
+tile.
+
+Functions of the innermost loops are inlined by force: a call would count references to its arrays, which costs more
+than their work.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from touchfield.arrays import Float64s, Int32s
+from touchfield.compute.jit import inner, kernel
+from touchfield.compute.threads import for_chunks
+from touchfield.medium.field import frozen
+
+X, Y, Z, D, ID = 0, 64, 128, 192, 256
+"""Sections of a block's memory, float32 [320]: 64 places, squared distances and numbers of the nearest triangle."""
+
+_FAST = {"contract", "nnan", "nsz"}
+_WIDTH = 33  # float64 of a triangle: normal, 3 edge normals, 3 edge directions, 3 vertices, 3 lengths
+_LANES = 32  # triangles that lie side by side in a tile, field by field
+_FIELDS = 32 * _LANES  # of a triangle seen from a cell: 7 heights, 3 half lengths, 7 gradients, a one
+_TILE = _FIELDS + 8 * _LANES  # and its squared distances to eight centres
+_FLAT = 1e-12  # height over length below which a triangle is a line
+_0 = np.float32(0)
+_MUCH = np.float32(1e20)  # makes any distance the greater one
+_FACE, _VERTEX, _EDGE = 0, 1, 4  # columns of the table of pseudo-normals
+
+
+@inner
+def _unit(x, y, z, fallback):
+    length = math.sqrt(x * x + y * y + z * z)
+    if length > 0.0:
+        return x / length, y / length, z / length, length
+    return fallback[0], fallback[1], fallback[2], 0.0
+
+
+@inner
+def _perpendicular(e):
+    """Any unit vector at right angles to the unit vector e."""
+    if abs(e[0]) < 0.6:
+        x, y, z, _ = _unit(0.0, e[2], -e[1], e)
+    else:
+        x, y, z, _ = _unit(-e[2], 0.0, e[0], e)
+    return x, y, z
+
+
+@kernel
+def _fill_table(begin, end, vertices, triangles, table):
+    e = np.empty((3, 3))
+    for t in range(begin, end):
+        row = table[t]
+        fallback = (1.0, 0.0, 0.0)
+        for i in range(3):
+            a, b = vertices[triangles[t, i]], vertices[triangles[t, (i + 1) % 3]]
+            x, y, z, length = _unit(b[0] - a[0], b[1] - a[1], b[2] - a[2], fallback)
+            fallback = (x, y, z)
+            e[i, 0], e[i, 1], e[i, 2] = x, y, z
+            row[30 + i] = length
+            for c in range(3):
+                row[12 + 3 * i + c] = e[i, c]
+                row[21 + 3 * i + c] = a[c]
+        # edge 0 is the longest, so that the third vertex lies over it and the cross product is at its best
+        x = e[0, 2] * e[2, 1] - e[0, 1] * e[2, 2]
+        y = e[0, 0] * e[2, 2] - e[0, 2] * e[2, 0]
+        z = e[0, 1] * e[2, 0] - e[0, 0] * e[2, 1]
+        x, y, z, sine = _unit(x, y, z, fallback)
+        if sine * row[32] <= _FLAT * row[30]:
+            x, y, z = _perpendicular(e[0])
+        row[0], row[1], row[2] = x, y, z
+        for i in range(3):
+            row[3 + 3 * i] = e[i, 1] * z - e[i, 2] * y
+            row[4 + 3 * i] = e[i, 2] * x - e[i, 0] * z
+            row[5 + 3 * i] = e[i, 0] * y - e[i, 1] * x
+
+
+def one_type(vertices_m: Float64s, triangles: Int32s) -> tuple[Float64s, Int32s]:
+    """Both in the one layout for which kernels are compiled: read-only, rows first."""
+    return frozen(np.ascontiguousarray(vertices_m)), frozen(np.ascontiguousarray(triangles))
+
+
+def triangle_table(vertices_m: Float64s, triangles: Int32s) -> Float64s:
+    """Planes and edges of triangles whose longest edge is the first, float64 [m, 33]."""
+    table = np.empty((len(triangles), _WIDTH))
+    for_chunks(_fill_table, len(triangles), *one_type(vertices_m, triangles), table, chunk=1024)
+    return table
+
+
+@inner(forceinline=True)
+def _see(table, t, x, y, z, scale, reach, tiles, at):
+    """A triangle as the search needs it, seen from (x, y, z), for samples within `reach` of there (scaled)."""
+    for i in range(21):
+        tiles[at + (10 + i) * _LANES] = np.float32(table[t, i])
+    tiles[at + 31 * _LANES] = np.float32(1)
+    for i in range(3):
+        j = 21 + 3 * i
+        dx, dy, dz = x - table[t, j], y - table[t, j + 1], z - table[t, j + 2]
+        if i == 0:
+            tiles[at] = np.float32((table[t, 0] * dx + table[t, 1] * dy + table[t, 2] * dz) * scale)
+        j = 3 + 3 * i
+        beyond = table[t, j] * dx + table[t, j + 1] * dy + table[t, j + 2] * dz
+        tiles[at + (1 + i) * _LANES] = np.float32(beyond * scale)
+        j = 12 + 3 * i
+        along = (table[t, j] * dx + table[t, j + 1] * dy + table[t, j + 2] * dz) * scale
+        length = table[t, 30 + i] * scale
+        # only the part of the edge that is near: what is far would cost digits
+        low = min(max(0.0, along - reach), length)
+        high = max(min(length, along + reach), 0.0)
+        tiles[at + (4 + i) * _LANES] = np.float32(along - 0.5 * (low + high))
+        tiles[at + (7 + i) * _LANES] = np.float32(0.5 * (high - low))
+
+
+@inner(fastmath=_FAST, forceinline=True)
+def _square_distance(p, x, y, z):
+    """Squared distance of (x, y, z) to the triangle that `_see` put into p."""
+    h = p[0] + p[10] * x + p[11] * y + p[12] * z
+    q0 = p[1] + p[13] * x + p[14] * y + p[15] * z
+    q1 = p[2] + p[16] * x + p[17] * y + p[18] * z
+    q2 = p[3] + p[19] * x + p[20] * y + p[21] * z
+    s0 = max(abs(p[4] + p[22] * x + p[23] * y + p[24] * z) - p[7], _0)
+    s1 = max(abs(p[5] + p[25] * x + p[26] * y + p[27] * z) - p[8], _0)
+    s2 = max(abs(p[6] + p[28] * x + p[29] * y + p[30] * z) - p[9], _0)
+    beside = min(q0 * q0 + s0 * s0, min(q1 * q1 + s1 * s1, q2 * q2 + s2 * s2))
+    # inside, s0 is zero; for a sliver, whose q are all rounding, it still is the distance beyond its ends
+    outside = max(max(q0, max(q1, q2)), _0) * _MUCH
+    return h * h + min(beside, s0 * s0 + outside)
+
+
+@inner(fastmath=_FAST, forceinline=True)
+def _load(tile, c):
+    return (
+        tile[c + 0 * _LANES], tile[c + 1 * _LANES], tile[c + 2 * _LANES], tile[c + 3 * _LANES],
+        tile[c + 4 * _LANES], tile[c + 5 * _LANES], tile[c + 6 * _LANES], tile[c + 7 * _LANES],
+        tile[c + 8 * _LANES], tile[c + 9 * _LANES], tile[c + 10 * _LANES], tile[c + 11 * _LANES],
+        tile[c + 12 * _LANES], tile[c + 13 * _LANES], tile[c + 14 * _LANES], tile[c + 15 * _LANES],
+        tile[c + 16 * _LANES], tile[c + 17 * _LANES], tile[c + 18 * _LANES], tile[c + 19 * _LANES],
+        tile[c + 20 * _LANES], tile[c + 21 * _LANES], tile[c + 22 * _LANES], tile[c + 23 * _LANES],
+        tile[c + 24 * _LANES], tile[c + 25 * _LANES], tile[c + 26 * _LANES], tile[c + 27 * _LANES],
+        tile[c + 28 * _LANES], tile[c + 29 * _LANES], tile[c + 30 * _LANES], tile[c + 31 * _LANES],
+    )  # fmt: skip
+
+
+@inner(fastmath=_FAST)
+def _sweep_centres(tile, lanes, centres, squares):
+    """Squared distances of the triangles of a tile to eight centres."""
+    for s in range(8):
+        x, y, z = centres[X + s], centres[Y + s], centres[Z + s]
+        for c in range(lanes):
+            squares[c + s * _LANES] = _square_distance(_load(tile, c), x, y, z)
+
+
+@inner
+def see_all(ids, table, x, y, z, scale, reach, centres, tiles):
+    """See all triangles of a cell from its first sample, and from the centres of its eight children."""
+    for c in range(len(ids)):
+        _see(table, ids[c], x, y, z, scale, reach, tiles, (c // _LANES) * _TILE + c % _LANES)
+    for first in range(0, len(ids), _LANES):
+        lanes = min(_LANES, (len(ids) - first + 7) // 8 * 8)
+        at = first // _LANES * _TILE
+        _sweep_centres(tiles[at : at + _FIELDS], lanes, centres, tiles[at + _FIELDS : at + _TILE])
+
+
+@inner(forceinline=True)
+def square_of(tiles, c, s):
+    """The squared distance of triangle c to centre s."""
+    return tiles[(c // _LANES) * _TILE + _FIELDS + s * _LANES + c % _LANES]
+
+
+@inner(fastmath=_FAST)
+def sweep_block(tiles, c, block):
+    """Lower the 64 squared distances of a block to those of triangle c, where that is nearer."""
+    at = (c // _LANES) * _TILE
+    p = _load(tiles[at : at + _TILE], c % _LANES)
+    number = np.float32(c)
+    one = p[31]
+    for s in range(64):
+        square = _square_distance(p, block[X + s], block[Y + s], block[Z + s])
+        old, nearest_yet = block[D + s], block[ID + s]
+        is_nearer = square < old
+        # times a one that the compiler does not know of: else it makes masked stores, which are slow
+        block[ID + s] = (number if is_nearer else nearest_yet) * one
+        block[D + s] = (square if is_nearer else old) * one
+
+
+@inner
+def place_centres(block, half, steps):
+    """The centres of the eight children of a cell, relative to its first sample; their radius."""
+    for s in range(8):
+        block[X + s] = np.float32(((s >> 2) * half + 0.5 * (half - 1)) * steps[0])
+        block[Y + s] = np.float32((((s >> 1) & 1) * half + 0.5 * (half - 1)) * steps[1])
+        block[Z + s] = np.float32(((s & 1) * half + 0.5 * (half - 1)) * steps[2])
+    diagonal = math.sqrt(steps[0] * steps[0] + steps[1] * steps[1] + steps[2] * steps[2])
+    return np.float32(0.5 * (half - 1) * diagonal)
+
+
+@inner
+def least_of(tiles, count, s):
+    """The number of the triangle that is nearest to centre s, and its squared distance."""
+    best, least = 0, square_of(tiles, 0, s)
+    for c in range(1, count):
+        square = square_of(tiles, c, s)
+        if square < least:
+            best, least = c, square
+    return best, least
+
+
+@inner
+def tiles_for(begin, end, first, last):
+    """Memory for the triangles of any one cell."""
+    most = 1
+    for cell in range(begin, end):
+        most = max(most, last[cell] - first[cell])
+    return np.zeros((most + _LANES - 1) // _LANES * _TILE, np.float32)
+
+
+@inner(fastmath={"contract"}, forceinline=True)
+def _beside(table, t, i, x, y, z):
+    """Squared distance in the plane to edge i, where along it the nearest point lies, and the side (> 0 is out)."""
+    e, m, a = 12 + 3 * i, 3 + 3 * i, 21 + 3 * i
+    dx, dy, dz = x - table[t, a], y - table[t, a + 1], z - table[t, a + 2]
+    q = table[t, m] * dx + table[t, m + 1] * dy + table[t, m + 2] * dz
+    s = table[t, e] * dx + table[t, e + 1] * dy + table[t, e + 2] * dz
+    along = min(max(s, 0.0), table[t, 30 + i])
+    return q * q + (s - along) * (s - along), along, q
+
+
+@inner(fastmath={"contract"}, forceinline=True)
+def nearest(table, t, x, y, z):
+    """From the nearest point of a triangle to (x, y, z), float64; that point's edge (-1: the face), how far along."""
+    best, along, q0 = _beside(table, t, 0, x, y, z)
+    second, t1, q1 = _beside(table, t, 1, x, y, z)
+    third, t2, q2 = _beside(table, t, 2, x, y, z)
+    # the third vertex lies over the first edge, and so does what is inside
+    if max(q0, max(q1, q2)) < 0.0 and 0.0 < along < table[t, 30]:
+        h = table[t, 0] * (x - table[t, 21]) + table[t, 1] * (y - table[t, 22]) + table[t, 2] * (z - table[t, 23])
+        return h * table[t, 0], h * table[t, 1], h * table[t, 2], -1, 0.0
+    edge = 1 if second < best else 0
+    along = t1 if second < best else along
+    best = min(best, second)
+    edge = 2 if third < best else edge
+    along = t2 if third < best else along
+    a, e = 21 + 3 * edge, 12 + 3 * edge
+    return (
+        x - table[t, a] - along * table[t, e],
+        y - table[t, a + 1] - along * table[t, e + 1],
+        z - table[t, a + 2] - along * table[t, e + 2],
+        edge,
+        along,
+    )
+
+
+@inner(forceinline=True)
+def feature(table, t, edge, along):
+    """The column of the pseudo-normals for a point of a triangle."""
+    if edge < 0:
+        return _FACE
+    if along <= 0.0:
+        return _VERTEX + edge
+    if along >= table[t, 30 + edge]:
+        return _VERTEX + (edge + 1) % 3
+    return _EDGE + edge

@@ -1,0 +1,207 @@
+"""Mesh files: OBJ, STL, PLY and OFF; GLB and glTF, as `touchfield.sources.gltf.model` reads them.
+
+Polygons of any number of corners are cut into triangles, concave ones along their outline. All geometries are joined,
+and vertices at one place become one, so that triangles without shared indices close.
+Animation (skins, morph targets, node tracks) is not evaluated: a glTF that has it is read in its rest pose
+(`touchfield.sources.animation.animated_mesh` evaluates it). Units are metres unless ``unit_m`` says, as glTF has it.
+"""
+
+from __future__ import annotations
+
+import re
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchfield.arrays import Float64s, Int32s, Int64s
+from touchfield.errors import SourceError
+from touchfield.files import readable
+from touchfield.sources.gltf.model import Model
+from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.mesh.surface import welded
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import SourceKind
+from touchfield.sources.scene import size_note
+
+_GLTF: Final = (".glb", ".gltf")
+_SOLID: Final = re.compile(rb"^\s*(end)?solid", re.MULTILINE)
+_CORNER: Final = re.compile(rb"^\s*vertex\s+(\S+\s+\S+\s+\S+)", re.MULTILINE)
+_STL: Final = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
+_TYPES: Final = "bBhHiIfd"  # as NumPy calls them, and PLY by old names and by NumPy's longer ones
+_PLY: Final = dict(zip(["char", "uchar", "short", "ushort", "int", "uint", "float", "double"], _TYPES))
+_PLY.update((np.dtype(one).name, one) for one in _TYPES)
+_Properties = list[tuple[str, list[np.dtype[Any]]]]  # of each its name and types, of a list first that of its length
+_Polygons = tuple[Float64s, Int64s, Int64s]  # vertices [n, 3]; how many corners each polygon has; those of all
+
+
+def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
+    """Vertices float64 [n, 3] in the file's units, triangles int32 [m, 3], and notes.
+
+    Raises `SourceError` if the file cannot be read, or holds no triangle.
+    """
+    if not path.is_file():
+        raise SourceError(str(path), "a folder", "one mesh file", "Name the file in it.")
+    if path.suffix.lower() in _GLTF:
+        with np.errstate(all="ignore"):
+            model = Model(path)
+            vertices = model.at_rest()
+        notes = ("The file is animated (skin, morph targets or tracks); it is read in its rest pose.",)
+        return *welded(vertices, model.triangles), (*model.notes, *notes[: model.is_animated])
+    try:
+        with np.errstate(all="ignore"), readable(path, "a whole mesh file"):
+            vertices, counts, flat = _READERS[path.suffix.lower()](path.read_bytes())
+        if len(flat) and not 0 <= flat.min() <= flat.max() < len(vertices):
+            raise ValueError(f"a face of vertices that are not there; there are {len(vertices)}")
+    except (ArithmeticError, LookupError, ValueError) as error:
+        found = f"a mesh that cannot be read ({type(error).__name__}: {str(error)[:120]})"
+        raise SourceError(str(path), found, "a whole mesh file", "Export it again.") from error
+    sizes = np.maximum(counts - 2, 0)  # triangles of each polygon, a fan from its first corner
+    if not sizes.any():
+        raise SourceError(str(path), "no triangle", "a mesh of triangles", "Export it with its faces.")
+    first = np.repeat(np.cumsum(counts) - counts, sizes)
+    after = first + np.arange(1, len(first) + 1) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    with np.errstate(all="ignore"):
+        return *welded(vertices, flat[np.stack([first, after, after + 1], axis=1)], sizes[sizes > 0]), ()
+
+
+def _numbers(texts: Iterable[bytes], kind: type) -> NDArray[Any]:
+    return np.fromstring(b" ".join(texts).decode("ascii"), kind, sep=" ")
+
+
+def _text(data: bytes) -> bytes:
+    """A text without a mark of its byte order, and with the line ends of today."""
+    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        data = data.decode("utf-16").encode()
+    return data.removeprefix(BOM_UTF8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+
+
+def _obj(data: bytes) -> _Polygons:
+    """An OBJ: its lines of vertices and faces, in which -1 is the vertex before the line."""
+    text = re.sub(rb"#.*|/\S*", b"", _text(data).replace(b"\\\n", b" "))
+    lines = re.findall(rb"^[ \t]*(?:v[ \t]+(\S*[ \t]*\S*[ \t]*\S*)|f[ \t]+(.*))", text, re.MULTILINE)
+    is_face = np.array([bool(face) for _, face in lines], bool)
+    points = [point for point, face in lines if not face]
+    vertices = _numbers(points, np.float64).reshape(len(points), 3)
+    counts = np.array([len(face.split()) for _, face in lines if face], np.int64)
+    flat, before = _numbers((face for _, face in lines), np.int64), np.repeat(np.cumsum(~is_face)[is_face], counts)
+    return vertices, counts, flat + np.where(flat < 0, before, -1)
+
+
+def _off(data: bytes) -> _Polygons:
+    """An OFF of text: lines with a vertex each, then with how many corners, which, and perhaps a colour."""
+    _, mark, text = re.sub(rb"#.*", b"", _text(data)).partition(b"OFF")
+    rows = [words for words in map(bytes.split, text.splitlines()) if words]
+    if not mark or not rows:
+        raise ValueError("no OFF with numbers behind it")
+    n, told = map(int, rows[0][:2])
+    points, faces = rows[1 : n + 1], rows[n + 1 : n + told + 1]
+    counts = np.array([int(face[0]) for face in faces], np.int64)
+    flat = _numbers((b" ".join(face[1 : count + 1]) for face, count in zip(faces, counts.tolist())), np.int64)
+    if len(faces) < told or len(flat) < counts.sum():
+        raise ValueError(f"{len(faces)} faces with {len(flat)} corners where it tells of {told} faces")
+    return _numbers((b" ".join(point[:3]) for point in points), np.float64).reshape(n, 3), counts, flat
+
+
+def _ply(data: bytes) -> _Polygons:
+    """A PLY: of its elements those of vertices and faces; numbers of a text are read as bytes of float64."""
+    head, *bodies = re.split(rb"\nend_header[ \t]*\r?\n", data, maxsplit=1)
+    (kind, *_), form, *lines = [line.split() for line in head.decode("latin-1").splitlines()] + [[""], [""]]
+    if kind != "ply" or not bodies or not {"ascii", "binary_little_endian", "binary_big_endian"} & {*form}:
+        raise ValueError("no PLY with a format and an end_header")
+    body = bodies[0]
+    is_text, order = "ascii" in form, ">" if "binary_big_endian" in form else "<"
+    if is_text:
+        body = np.fromstring(body.decode("ascii"), sep=" ").astype("<f8").tobytes()
+    elements: list[tuple[str, int, _Properties]] = []
+    for first, *words in filter(None, lines):
+        if first == "element":
+            elements.append((words[0], int(words[1]), []))
+        elif first == "property":
+            types = [np.dtype(order + ("d" if is_text else _PLY[word])) for word in words[:-1] if word != "list"]
+            elements[-1][2].append((words[-1], types))
+    at, vertices, corners, counts, corner = 0, np.zeros((0, 3)), list[bytes](), list[int](), np.dtype("i4")
+    for name, count, properties in elements:
+        rows = _equal_rows(body, at, count, properties)
+        if rows is not None:
+            at += rows.nbytes
+            if name == "vertex":
+                vertices = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float64)
+            what, (*counted, kind) = properties[0]
+            if counted and name == "face" and what.startswith("vert"):
+                corners, counts, corner = [rows[what].tobytes()], [rows[what].shape[1]] * count, kind
+            continue
+        for row in range(count):
+            for what, (*counted, kind) in properties:
+                n = 1
+                if counted:
+                    n = int(np.frombuffer(body, counted[0], 1, at)[0]) if at < len(body) else -1
+                    at += counted[0].itemsize
+                    if name == "face" and what.startswith("vert"):
+                        corners.append(body[at : at + n * kind.itemsize])
+                        counts.append(n)
+                        corner = kind
+                at += n * kind.itemsize
+                if n < 0 or at > len(body):
+                    raise ValueError(f"it ends {count - row} rows before the end that it tells of")
+    return vertices, np.array(counts, np.int64), np.frombuffer(b"".join(corners), corner).astype(np.int64)
+
+
+def _equal_rows(body: bytes, at: int, count: int, properties: _Properties) -> NDArray[Any] | None:
+    """The rows of an element if they are of one length, as faces are in a mesh of triangles; else None."""
+    (name, (*counted, kind)), *others = properties
+    if any(len(types) > 1 for _, types in others) or (counted and at + counted[0].itemsize > len(body)):
+        return None
+    n = int(np.frombuffer(body, counted[0], 1, at)[0]) if counted else 0
+    first = [("#", counted[0]), (name, kind, (n,))] if counted else [(name, kind)]
+    row = np.dtype([*first, *((what, types[0]) for what, types in others)])
+    if counted and (n < 0 or at + count * row.itemsize > len(body)):
+        return None
+    rows = np.frombuffer(body, row, count, at)
+    return rows if not counted or (rows["#"] == n).all() else None
+
+
+def _stl(data: bytes) -> _Polygons:
+    """An STL, a binary one without what stands behind its triangles; ValueError where some of them are not there."""
+    count = data[80:84]
+    if b"\0" in count:  # in a text there is no such byte
+        size = 84 + 50 * int.from_bytes(count, "little")
+        if len(data) < size:
+            raise ValueError(f"{len(data)} bytes where its triangles take {size}")
+        vertices = np.frombuffer(data[84:size], _STL)["corners"].reshape(-1, 3).astype(np.float64)
+    else:
+        text = data.lower()
+        words = _SOLID.findall(text)
+        solids, ends = words.count(b""), words.count(b"end")
+        if ends < solids:
+            raise ValueError(f"{solids} solids, of which {ends} end with endsolid")
+        corners, facets = _CORNER.findall(text), text.count(b"outer loop")
+        if len(corners) != 3 * facets:
+            raise ValueError(f"{len(corners)} corners of {facets} facets")
+        vertices = _numbers(corners, np.float64).reshape(len(corners), 3)
+    return vertices, np.full(len(vertices) // 3, 3), np.arange(len(vertices))
+
+
+_READERS: Final[dict[str, Callable[[bytes], _Polygons]]] = {".obj": _obj, ".stl": _stl, ".ply": _ply, ".off": _off}
+_SUFFIXES: Final = (*_READERS, *_GLTF)
+
+
+def _open(path: Path, options: SourceOptions) -> MeshScene:
+    vertices, triangles, notes = read_triangles(path)
+    unit_m = 1.0 if options.unit_m is None else options.unit_m
+    with np.errstate(over="ignore", invalid="ignore"):
+        beside = {"shell": options.shell, "holes": options.holes, "name": str(path)}
+        scene = MeshScene(vertices * unit_m, triangles, **beside, notes=notes)
+    scene.notes = (size_note(np.ptp(scene.bounds_m(), axis=0), options.unit_m), *scene.notes)
+    return scene
+
+
+KIND = SourceKind(
+    "mesh",
+    "a mesh of triangles: OBJ, STL, PLY, GLB, glTF or OFF",
+    lambda path: path.suffix.lower() in _SUFFIXES and path.is_file(),
+    _open,
+)

@@ -1,0 +1,1 @@
+"""Rigid bodies in motion: TOML files, MuJoCo models, and their simulation."""

@@ -1,0 +1,134 @@
+"""Bodies in motion as a scene: each a scene in its own frame, with a pose track (paper section 5.1, Scene 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cache
+
+import numpy as np
+
+from touchfield.arrays import Float64s
+from touchfield.compute.threads import for_chunks
+from touchfield.errors import InvalidArgument, require_positive
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import brick_keys, bricks_of, field_that_holds
+from touchfield.sources.camera import require_frame
+from touchfield.sources.laws import ForceProfile
+from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Plane
+
+_AT_REST = (0.0,) * 9
+_Part = tuple[ForceField, tuple[float, ...]]  # a body's field, and the motion of its surface
+
+
+class BodyScene(MovingScene):
+    """Bodies in motion; where they overlap their forces are added (the device filter clips the sum to F_max).
+
+    With `ForceProfile.surface_damping_n_s_per_m` b, b (v + omega x r) is added wherever a body has a force: its
+    velocity there, r from its origin.
+
+    bodies : sequence of Body; One or more; their tracks have one length.
+
+    Raises `InvalidArgument` if there is no body, the tracks differ in length, a body that deforms has not a frame
+    for each pose, or the rate is not positive.
+    """
+
+    def __init__(
+        self, bodies: Sequence[Body], rate_hz: float, axes: str = UP_Z_AXES, notes: tuple[str, ...] = ()
+    ) -> None:
+        if not bodies:
+            raise InvalidArgument("bodies", "none", "at least one")
+        require_positive(rate_hz=rate_hz)
+        count = len(bodies[0].track)
+        for body in bodies:
+            if len(body.track) != count:
+                found, expected = f"{len(body.track)} poses", f"{count}, as the first body has"
+                raise InvalidArgument(f"body {body.name}", found, expected)
+            if not body.is_rigid and body.scene.frame_count != count:
+                raise InvalidArgument(f"body {body.name}", f"{body.scene.frame_count} frames", f"1 or {count}")
+        self._bodies = tuple(bodies)
+        self.frame_count, self.rate_hz = count, float(rate_hz)
+        self.axes, self.notes = axes, notes
+        self._still = tuple(body.is_rigid and body.track.is_still for body in bodies)
+        self._velocities = cache(lambda n: self._bodies[n].track.velocities(self.rate_hz))
+        self._kept: tuple[Grid, ForceProfile, ForceField] | None = None
+
+    def bodies(self) -> tuple[Body, ...]:
+        return self._bodies
+
+    def _box_m(self, start: int, stop: int) -> Float64s:
+        """The box that holds that of every body; planes count with their points, unless there is nothing else."""
+        planes = [_planes_of(body.scene) for body in self._bodies]
+        lows, highs = [], []
+        for body, still, points in zip(self._bodies, self._still, planes):
+            box = body.scene.bounds_m()
+            if points is not None and any(each is None for each in planes):
+                box = np.stack([points.min(axis=0), points.max(axis=0)])
+            frames = slice(start, start + 1 if still else stop)
+            low, high = _moved_boxes(box, body.track.rotations(frames), body.track.positions_m[frames])
+            lows.append(low.min(axis=0))
+            highs.append(high.max(axis=0))
+        return np.stack([np.min(lows, axis=0), np.max(highs, axis=0)])
+
+    def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+        """The sum of the fields of all bodies at the points of `grid`, each in its place.
+
+        The sum of the bodies that stand still is kept for the latest grid and profile.
+
+        Raises `InvalidArgument` if `frame` is not one of the scene's, or a body that is not at rest in the scene's
+        own frame cannot be moved (`Scene.moved`).
+        """
+        require_frame(frame, self.frame_count)
+        still, moving = (np.flatnonzero(np.equal(self._still, which)).tolist() for which in (True, False))
+        parts = list[_Part]()
+        if still:
+            if self._kept is None or self._kept[:2] != (grid, profile):
+                self._kept = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
+            parts = [(self._kept[2], _AT_REST)]
+        return _sum(grid, [*parts, *self._parts(moving, frame, grid, profile)])
+
+    def _parts(self, which: Iterable[int], frame: int, grid: Grid, profile: ForceProfile) -> list[_Part]:
+        parts = list[_Part]()
+        for n in which:
+            body = self._bodies[n]
+            turn, shift, scene = body.track.rotation(frame), body.track.positions_m[frame], body.scene
+            if not (np.array_equal(turn, np.eye(3)) and not shift.any()):
+                scene = scene.moved(turn, shift)
+            field = scene.field(0 if body.is_rigid else frame, grid, profile)
+            motion, damping = _AT_REST, profile.surface_damping_n_s_per_m
+            if damping and not self._still[n]:  # origin, b v and b omega
+                velocity, spin = (damping * values[frame] for values in self._velocities(n))
+                motion = tuple(np.concatenate([body.track.positions_m[frame], velocity, spin]).tolist())
+            parts.append((field, motion))
+        return parts
+
+
+def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:
+    """The sum of fields on a lattice."""
+    from touchfield.sources.shapes.kernels import add_body
+
+    if len(parts) == 1 and parts[0][1] == _AT_REST:
+        return parts[0][0]
+    places = [brick_keys(grid, field.bricks) for field, _ in parts]
+    keys = np.unique(np.concatenate([np.zeros(0, np.int64), *places]))
+    total, lattice = zero_forces(len(keys)), (*grid.origin_m, *grid.spacing_m)
+    for (field, motion), place in zip(parts, places):
+        work = field.bricks, field.forces_n, np.searchsorted(keys, place), lattice, motion, total
+        for_chunks(add_body, len(place), *work, chunk=32)
+    return field_that_holds(grid, bricks_of(grid, keys), total)
+
+
+def _moved_boxes(box_m: Float64s, turns: Float64s, shifts_m: Float64s) -> tuple[Float64s, Float64s]:
+    """Low and high corners, float64 [n, 3] each, of the boxes around a box after motions [n, 3, 3], [n, 3]."""
+    middle, half = box_m.mean(axis=0), np.ptp(box_m, axis=0) / 2
+    centre, reach = turns @ middle + shifts_m, np.abs(turns) @ half
+    return centre - reach, centre + reach
+
+
+def _planes_of(scene: Scene) -> Float64s | None:
+    """A point of each plane, float64 [n, 3], where a scene is of nothing but planes."""
+    if not isinstance(scene, AnalyticScene) or not all(isinstance(shape, Plane) for shape in scene.shapes):
+        return None
+    return scene.placed(np.array([shape.point_m for shape in scene.shapes if isinstance(shape, Plane)], np.float64))

@@ -1,0 +1,1 @@
+"""Recordings: contacts of a probe, and accelerations of a tool."""

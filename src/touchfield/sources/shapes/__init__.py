@@ -1,0 +1,1 @@
+"""Analytic shapes as scenes."""

@@ -1,0 +1,1 @@
+"""Movies without depth as scenes: forces from visual saliency."""

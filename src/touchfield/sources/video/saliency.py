@@ -1,0 +1,234 @@
+"""An ordinary video as a symbolic haptic medium: where the eye would go, a force (paper section 5.1, figure 1).
+
+The paper's case 1: "extraction of saliency based features of the videos that are mapped to tactors". The picture is a
+plate, as wide as it is high in pixels, its longer side 1 m, row 0 at the top. Throughout the plate the force is along
++z, towards the viewer, and its amplitude is the saliency there (0 to 1) times the largest amplitude of the force law.
+The device filter pools, low-passes and samples the plate at the actuators of an array. On a point device the plate is
+a slab in front of the hand, `THICKNESS` of its longer side deep: there is no surface, and no spring. A force is held
+from one picture to the next where another rate is asked for.
+
+The paper leaves the model of saliency to others. This one is plain and cheap, of published parts, on the picture
+reduced to 64 pixels along its longer side:
+
+- *Spectral residual* of the luminance (Hou & Zhang, CVPR 2007): of the log amplitude spectrum its own 3 x 3 mean is
+  taken off; back in the picture, with the phase kept, the square of what is left stands out where the picture is
+  unlike itself elsewhere. It would lift noise to the full: so the picture's mean is taken off before, and amplitudes
+  are weighted by A / (A + `NOISE_LEVEL`), in units of white noise.
+- *Centre-surround contrast* of luminance and of the colour opponents R - G and B - (R + G) / 2 (after Itti, Koch &
+  Niebur, TPAMI 1998): the difference of a narrow and a wide mean, without a sign, the sum of the three.
+- *Temporal contrast*: the same three against their own mean over the past `MEMORY_S` seconds, for what moves.
+
+Each part is divided by its peak of the past, which rises at once and fades over `FADE_S` seconds, and is never below
+a part's `FLOORS`; then the parts are averaged and divided by the peak of the average in the same way. So a map lies
+in 0..1, and frame t needs frames 0..t alone: the model can be run on a live picture (`SaliencyModel.update`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchfield.arrays import Float32s, Float64s
+from touchfield.errors import InvalidArgument, SourceError, require_positive
+from touchfield.files import readable
+from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import field_that_holds
+from touchfield.sources.camera import MAX_FRAMES, Frames, require_frame
+from touchfield.sources.depth.layouts import source_rate
+from touchfield.sources.images import movies as moving
+from touchfield.sources.images.pictures import PHOTO_SUFFIXES, InOrder, list_files, with_suffix
+from touchfield.sources.laws import ForceProfile
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import SourceKind
+from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_near
+
+LONGER_SIDE_M: Final = 1.0
+THICKNESS: Final = 0.05  # of the plate, as a share of its longer side
+MEMORY_S: Final = 0.3  # of the mean against which movement is seen: a few frames of a film
+FADE_S: Final = 2.0  # in which a peak of the past fades to 1/e
+FLOORS: Final = (0.02, 0.15, 0.15)
+"""Least peaks of spectral residual, centre-surround and temporal contrast; 1 is the step from black to white."""
+
+NOISE_LEVEL: Final = 0.02  # standard deviation of white noise that is not worth attention, of 1: 5 of 255 grey levels
+_LEAST_TOTAL: Final = 1 / 3  # of the averaged parts: one part alone at its peak
+_CENTRE_PX, _SURROUND_PX, _RESIDUAL_PX = 1.5, 8.0, 2.0  # standard deviations
+_LEAST: Final = 1e-6  # saliency that is none
+
+
+@dataclass(frozen=True)
+class SaliencyModel:
+    """The model at a rate in pictures a second; it is never changed, so that any moment of it can be kept.
+
+    `mean` float32 [3, height, width] is that of luminance and colour opponents so far, None before the first picture;
+    `peaks` are the faded ones of spectral residual, centre-surround, temporal contrast, and of their average.
+    """
+
+    rate_hz: float
+    mean: Float32s | None = None
+    peaks: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        require_positive(rate_hz=self.rate_hz)
+
+    def update(self, colours: NDArray[np.uint8]) -> tuple[Float32s, SaliencyModel]:
+        """The saliency of the next picture, sRGB, uint8 [height, width, 3], and the model that has seen it.
+
+        The saliency is float32 [map height, map width], 0 to 1, of `map_size`, row 0 at the top. Raises
+        `InvalidArgument` if the picture is of another size than the one before it.
+        """
+        from scipy.ndimage import gaussian_filter
+
+        def smoothed(channels: Float32s, sigma_px: float) -> Float32s:
+            return np.stack([gaussian_filter(channel, sigma_px, mode="nearest") for channel in channels])
+
+        r, g, b = np.moveaxis(moving.reduced(colours).astype(np.float32) / 255, -1, 0)
+        now = np.stack([0.299 * r + 0.587 * g + 0.114 * b, r - g, b - (r + g) / 2]).astype(np.float32)
+        mean = now if self.mean is None else self.mean
+        if mean.shape != now.shape:
+            raise InvalidArgument("picture", f"size {now.shape[1:]} of the map", f"{mean.shape[1:]}, as before")
+        around = np.abs(smoothed(now, _CENTRE_PX) - smoothed(now, _SURROUND_PX)).sum(axis=0)
+        moves = gaussian_filter(np.abs(now - mean).sum(axis=0), 1.0, mode="nearest")
+        parts = [_spectral_residual(now[0]), around, moves]
+        fade = math.exp(-1 / (FADE_S * self.rate_hz))
+        peaks = [max(float(p.max()), fade * q, least) for p, q, least in zip(parts, self.peaks, FLOORS)]
+        total = np.mean([part / peak for part, peak in zip(parts, peaks)], axis=0)
+        peaks.append(max(float(total.max()), fade * self.peaks[3], _LEAST_TOTAL))
+        saliency = np.clip(total / peaks[3], 0, 1).astype(np.float32)
+        share = np.float32(1 - math.exp(-1 / (MEMORY_S * self.rate_hz)))
+        return saliency, replace(self, mean=mean + share * (now - mean), peaks=tuple(peaks))
+
+
+def _spectral_residual(luminance: Float32s) -> Float64s:
+    from scipy import ndimage
+
+    values = luminance.astype(np.float64)
+    spectrum = np.fft.fft2(values - values.mean())
+    noise = NOISE_LEVEL * math.sqrt(values.size)  # the amplitude of white noise of that deviation
+    amplitude = np.abs(spectrum)
+    log = np.log(amplitude + noise)
+    residual = log - ndimage.uniform_filter(log, 3, mode="wrap")
+    salient = np.abs(np.fft.ifft2(spectrum / (amplitude + noise) * np.exp(residual))) ** 2
+    # scaled so that it does not depend on the number of pixels: a spectrum of ones is one pixel of 1
+    scale = 2 * math.pi * _RESIDUAL_PX**2
+    return np.asarray(ndimage.gaussian_filter(salient, _RESIDUAL_PX, mode="nearest") * scale)
+
+
+class SaliencyMaps(InOrder):
+    """The saliency maps of pictures over time, float32 [map height, map width], 0 to 1, read-only."""
+
+    def __init__(self, pictures: Frames, rate_hz: float) -> None:
+        super().__init__("pictures", pictures.frame_count)
+        self.pictures, self._rate_hz = pictures, rate_hz
+
+    def _from(self, first: int) -> Iterator[Float32s]:
+        model = SaliencyModel(self._rate_hz)
+        for number in range(first, self.frame_count):
+            saliency, model = model.update(self.pictures.values(number))
+            saliency.flags.writeable = False
+            yield saliency
+
+
+class SaliencyScene(Scene):
+    """The saliency of pictures over time as a plate of force; see the module.
+
+    `pictures` have the size of the originals; their values are sRGB, uint8 [height, width, 3], reduced or not.
+    `source_rate_hz` is pictures a second; `rate_hz` frames a second of the scene, where it is to differ: a frame
+    shows the latest picture.
+    """
+
+    tags = ("symbolic",)
+
+    def __init__(
+        self, pictures: Frames, source_rate_hz: float, rate_hz: float | None = None, notes: tuple[str, ...] = ()
+    ) -> None:
+        self.maps = SaliencyMaps(pictures, source_rate_hz)
+        self.axes, self.notes = UP_Y_AXES, notes
+        self.rate_hz = float(source_rate_hz if rate_hz is None else rate_hz)
+        require_positive(rate_hz=self.rate_hz)
+        count = pictures.frame_count
+        self._step = source_rate_hz / self.rate_hz  # pictures in a frame
+        if count > 1 and count / self._step > MAX_FRAMES:
+            found = f"{self.rate_hz:g} Hz: {count / self._step:.3g} frames"
+            raise InvalidArgument("rate_hz", found, f"at most {MAX_FRAMES} frames", "Ask for a lower --rate-hz.")
+        self.frame_count = max(1, round(count / self._step)) if count > 1 else 1
+        width, height = pictures.size
+        longer = max(width, height)
+        self._size_m = LONGER_SIDE_M * width / longer, LONGER_SIDE_M * height / longer
+        self._depth_m = THICKNESS * LONGER_SIDE_M
+        columns, rows = moving.map_size(width, height)
+        self._cell_m = self._size_m[0] / columns, self._size_m[1] / rows
+        self.finest_m = (*self._cell_m, self._depth_m)
+
+    def bounds_m(self) -> Float64s:
+        """The box of the plate, metres, float64 [2, 3], its middle in the origin."""
+        half = np.array([*self._size_m, self._depth_m]) / 2
+        return np.stack([-half, half])
+
+    def saliency(self, frame: int) -> Float32s:
+        """The saliency map of a frame, float32 [map height, map width], 0 to 1, row 0 at the top; read-only."""
+        require_frame(frame, self.frame_count)
+        return self.maps.at(min(self.maps.frame_count - 1, int(frame * self._step + 1e-6)))
+
+    def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+        """The forces along +z, saliency times the largest amplitude of `profile`, at the points of `grid`."""
+        from scipy.ndimage import map_coordinates
+
+        saliency, half_m = self.saliency(frame), self.bounds_m()[1]
+        rows, columns = saliency.shape
+        xs, ys, zs = (grid.origin_m[a] + grid.spacing_m[a] * np.arange(grid.shape[a]) for a in range(3))
+        places = np.meshgrid((rows - 1) / 2 - ys / self._cell_m[1], (columns - 1) / 2 + xs / self._cell_m[0])
+        image = map_coordinates(saliency, places, order=1, mode="nearest")  # [x, y]
+        image[(image < _LEAST) | (np.abs(xs) > half_m[0])[:, None] | (np.abs(ys) > half_m[1])] = 0
+        image *= max(abs(c + s * x) for a, b, c, s in profile.pieces for x in (a, b) if np.isfinite(x))
+        slab = np.abs(zs) <= half_m[2]
+        image, slab = (np.pad(part, [(0, -n % BRICK) for n in part.shape]) for part in (image, slab))
+        bricks = bricks_near(lambda centres, radius_m: (np.abs(centres) <= half_m + radius_m).all(axis=1), grid)
+        i, j, k = (bricks[:, axis, None] * BRICK + np.arange(BRICK) for axis in range(3))
+        forces = zero_forces(len(bricks))
+        forces[..., 2] = image[i[:, :, None, None], j[:, None, :, None]] * slab[k][:, None, None]
+        return field_that_holds(grid, bricks, forces)
+
+
+def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
+    """A video, a folder of pictures in the order of their numbers, or a picture."""
+    if options.kind is None and options.depth_scale is not None:
+        found, mend = "an ordinary picture or video of 8 bits", "Name its kind with --as saliency if that is meant."
+        raise SourceError(str(path), found, "16-bit grey depth, as --depth-scale says", mend)
+    with readable(path, "files that can be read"):
+        if path.is_dir():
+            files = list_files(path, with_suffix(*PHOTO_SUFFIXES))
+            if not files:
+                raise SourceError(str(path), "no picture", "PNG, JPEG, WebP, BMP or TIFF pictures")
+            pictures: Any = moving.ColourPictures(files)
+        elif path.suffix.lower() in moving.VIDEO_SUFFIXES:
+            header = moving.video_header(path)
+            if header.is_deep_grey:
+                mend = "Deep grey is depth: --as depth-video."
+                raise SourceError(str(path), f"a video of {header.pixels} pixels", "8 bits a colour", mend)
+            pictures = moving.ColourVideo(path)
+        else:
+            pictures = moving.ColourPictures((path,))
+    note = "Symbolic: forces tell where the picture catches the eye, and no surface; a point device feels a slab."
+    return SaliencyScene(pictures, pictures.rate_hz or source_rate(options), options.rate_hz, (note,))
+
+
+def _recognise(path: Path) -> bool:
+    if path.suffix.lower() not in moving.VIDEO_SUFFIXES or not path.is_file():
+        return False
+    return not moving.video_header(path).is_deep_grey  # without the extra, "depth-video" has said so before
+
+
+KIND = SourceKind(
+    "saliency",
+    "ordinary video (MKV, AVI, MOV, MP4, GIF; extra: video), or with --as saliency pictures or a folder of them: "
+    "what catches the eye, for arrays of actuators",
+    _recognise,
+    open_saliency,
+)

@@ -1,0 +1,19 @@
+"""Tasks: the function behind each command that is more than one step of the pipeline, a module for each group."""
+
+from typing import TYPE_CHECKING
+
+from touchfield._lazy import lazy_attributes
+
+if TYPE_CHECKING:
+    from touchfield.tasks.measure import Measurement, MeasureSpec, measure_medium
+    from touchfield.tasks.plan import Budget, PlanGrid, parse_budget
+    from touchfield.tasks.play import PlaySpec
+
+__all__ = ["Budget", "MeasureSpec", "Measurement", "PlanGrid", "PlaySpec", "measure_medium", "parse_budget"]
+
+_MODULES = {
+    "measure": ("MeasureSpec", "Measurement", "measure_medium"),
+    "plan": ("Budget", "PlanGrid", "parse_budget"),
+    "play": ("PlaySpec",),
+}
+__getattr__ = lazy_attributes(__name__, {name: module for module, names in _MODULES.items() for name in names})

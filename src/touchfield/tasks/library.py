@@ -1,0 +1,387 @@
+"""Media beside media (paper section 4): a folder filed and searched, two held side by side, one beside a video.
+
+The file of a library is that of `MediumIndex` with one array more: of each file its size, time and CRC-32, and what
+is wrong with those that cannot be described.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import time
+import warnings
+import zipfile
+import zlib
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from dataclasses import astuple, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from touchfield.arrays import Float64s
+from touchfield.atomic import atomic_path
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
+from touchfield.compute.executors import in_order
+from touchfield.compute.threads import Report, silent
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, blamed_on
+from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, Descriptor, descriptor, part_slots
+from touchfield.measure.quantity import FewSamplesWarning
+from touchfield.measure.retrieval import MediumIndex
+from touchfield.measure.similarity import (
+    contact_along_rays,
+    picture_correlation,
+    similarity,
+)
+from touchfield.medium import HapticMedium
+from touchfield.medium.grid import Placement
+from touchfield.medium.selection import evenly_spaced, select_frames
+from touchfield.medium.stores.npz import NpzArchive
+from touchfield.pipeline.mapping import SymbolFrames
+from touchfield.pipeline.preparation import Source, StreamScene, decode, prepare
+from touchfield.pipeline.result import Result
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.render.point_device import BOX_AXES, axes_matrix
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import open_source
+from touchfield.sources.scene import CAMERA_AXES
+from touchfield.tasks.editing import joined
+
+MOST_BYTES_UNDER_WAY: Final = 1 << 24  # no further file is begun while those under way take more, packed
+SAVE_EVERY_S: Final = 5.0  # so much work at most is lost by a kill; more where saving takes a twentieth of it
+_UNREAD: Final = -1
+_MOST_STATE_BYTES: Final = 1 << 29
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file as it was when it was described; `fault` tells why it could not be, "" where it could."""
+
+    size: int
+    mtime_ns: int
+    crc: int
+    fault: str = ""
+
+
+@dataclass
+class Library:
+    """Index of a folder: `entries` of all its files, and the descriptors of those that have one."""
+
+    entries: dict[str, Entry] = field(default_factory=dict)
+    rows: dict[str, Float64s] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, path: Path) -> Library:
+        """Read what `save` wrote.
+
+        SourceError if it is no such file, is damaged, or was made by another version of the descriptor.
+        """
+        index, archive = MediumIndex.load(path), NpzArchive(path)
+        where, expected = f"{path}, array files", "what `touchfield index` wrote"
+        if "files" not in archive.names or archive.header("files").data_bytes > _MOST_STATE_BYTES:
+            raise SourceError(where, "no such array, or one that is too large", expected)
+        try:
+            rows_by_name: dict[str, Any] = json.loads(archive.read("files").tobytes())
+            entries = {name: Entry(int(s), int(t), int(c), str(f)) for name, (s, t, c, f) in rows_by_name.items()}
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
+            raise SourceError(where, f"text that cannot be read ({error})", expected) from None
+        rows = {name: index[name].values for name in index.names if name in entries}
+        return cls(entries, rows)
+
+    def file(self, name: str, entry: Entry, row: Float64s | None) -> None:
+        """Keep a file, and its descriptor if it has one, in place of what was known of it."""
+        self.forget(name)
+        self.entries[name] = entry
+        self.rows |= {} if row is None else {name: row}
+
+    def forget(self, name: str) -> None:
+        """Keep nothing of a file."""
+        self.entries.pop(name, None)
+        self.rows.pop(name, None)
+
+    def index(self) -> MediumIndex:
+        """The descriptors, to be searched."""
+        index = MediumIndex()
+        for name in sorted(self.rows):
+            index.add(name, Descriptor(self.rows[name]))
+        return index
+
+    def save(self, path: Path) -> None:
+        """Write the library, whole or not at all; equal ones give equal bytes."""
+        entries = {name: astuple(self.entries[name]) for name in sorted(self.entries)}
+        with atomic_path(path) as temporary:
+            self.index().save(temporary)
+            array = np.frombuffer(json.dumps(entries).encode(), np.uint8)
+            info = zipfile.ZipInfo("files.npy")
+            with zipfile.ZipFile(temporary, "a") as archive, archive.open(info, "w") as stream:
+                np.lib.format.write_array(stream, array, version=(1, 0), allow_pickle=False)
+
+
+def library_path(folder: Path, path: Path | None = None) -> Path:
+    """The file of a folder's library: beside it, unless another is named."""
+    whole = folder.resolve()
+    if not whole.is_dir():
+        raise InvalidArgument(str(folder), "no folder", "a folder of .touch files")
+    return path or whole.parent / f"{whole.name or 'root'}.index.npz"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Indexed(Result):
+    """Counts of one run of `index_folder`."""
+
+    path: Path
+    library: Library
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """Faults of the files that are left out, by name."""
+        return {name: entry.fault for name, entry in self.library.entries.items() if entry.fault}
+
+
+def index_folder(
+    folder: str | Path, path: Path | None = None, report: Report = silent, executor: Executor | None = None
+) -> Indexed:
+    """File every .touch file of a folder and its folders under its descriptor; only what changed is decoded.
+
+    A file of the same size and time is kept as it is, and one of the same bytes takes over its descriptor, whatever
+    it is called now. What was described is saved every few seconds and after an error, so that the next run goes on.
+    `path` is the file to write, FOLDER.index.npz beside the folder unless another is named; `report` counts files;
+    with `executor` its workers read them. TouchfieldError if there is no such folder, or the file cannot be read or
+    written. A damaged .touch file is told in `faults`.
+    """
+    began, folder = time.perf_counter(), Path(folder)
+    target = library_path(folder, path)
+    before = Library.load(target) if target.exists() else Library()
+    files = _files(folder)
+    changed = sorted(name for name, told in files.items() if not _same(before.entries.get(name), told))
+    checks = {name: _crc(folder / name) for name in changed}
+    known = {(e.size, e.crc): name for name, e in before.entries.items() if e.crc != _UNREAD}
+    twins = {name: known[files[name][0], crc] for name, crc in checks.items() if (files[name][0], crc) in known}
+    kept = Library(dict(before.entries), dict(before.rows))
+    for name, twin in twins.items():
+        kept.file(name, replace(before.entries[twin], mtime_ns=files[name][1]), before.rows.get(twin))
+    fresh = [name for name in changed if name not in twins]
+    done, saved, pause = len(files) - len(fresh), time.perf_counter(), SAVE_EVERY_S
+    report(done, len(files))
+    try:
+        whole = folder.resolve()
+        sizes = {whole / name: files[name][0] for name in fresh}
+        results = in_order(described, sizes, sizes.__getitem__, MOST_BYTES_UNDER_WAY, executor)
+        for name, (values, fault) in zip(fresh, results, strict=True):
+            kept.file(name, Entry(*files[name], checks[name], fault), values)
+            done += 1
+            report(done, len(files))
+            if time.perf_counter() - saved > pause:
+                start = time.perf_counter()
+                kept.save(target)
+                saved = time.perf_counter()
+                pause = max(SAVE_EVERY_S, 20 * (saved - start))
+    except BaseException:
+        kept.save(target)
+        raise
+    gone = before.entries.keys() - files.keys()
+    for name in gone:
+        kept.forget(name)
+    if changed or gone or not target.exists():
+        kept.save(target)
+    well = sum(not kept.entries[name].fault for name in fresh)
+    counts = {"described": well, "kept": len(files) - len(fresh), "gone": len(gone)}
+    counts |= {"left_out": sum(bool(entry.fault) for entry in kept.entries.values())}
+    figures = {"index": str(target), "media": len(kept.rows), **counts, "seconds": time.perf_counter() - began}
+    notes = () if files else (f"no .touch file in {folder} or the folders in it",)
+    return Indexed(figures, notes, path=target, library=kept)
+
+
+def described(path: Path) -> tuple[Float64s | None, str]:
+    """The descriptor of a file, or what is wrong with it."""
+    try:
+        return descriptor(decode(path)).values, ""
+    except (TouchfieldError, OSError, MemoryError) as error:
+        return None, str(error) or type(error).__name__
+
+
+def _files(folder: Path) -> dict[str, tuple[int, int]]:
+    """Size and time of every .touch file, by name."""
+    paths = (path for path in folder.rglob("*.touch") if path.is_file())
+    return {path.relative_to(folder).as_posix(): (path.stat().st_size, path.stat().st_mtime_ns) for path in paths}
+
+
+def _same(entry: Entry | None, size_and_time: tuple[int, int]) -> bool:
+    return entry is not None and (entry.size, entry.mtime_ns) == size_and_time and entry.crc != _UNREAD
+
+
+def _crc(path: Path) -> int:
+    """CRC-32 of a file's bytes; `_UNREAD` where it cannot be read, which its description then tells."""
+    crc = 0
+    try:
+        with path.open("rb") as stream:
+            while part := stream.read(1 << 20):
+                crc = zlib.crc32(part, crc)
+    except OSError:
+        return _UNREAD
+    return crc
+
+
+def search(
+    folder: str | Path,
+    like: str | Path | HapticMedium,
+    count: int = 10,
+    weights: Mapping[str, float] | None = None,
+    path: Path | None = None,
+) -> Result:
+    """The media of an indexed folder that are most like one, the nearest first; a file is not compared with itself.
+
+    `like` is a .touch file, in the folder or not, or a medium; `weights` are those of the parts of the descriptor
+    (`MediumIndex.query`; `touchfield.measure.retrieval.ANY_POSE` for any pose), and `path` is the library's file.
+    TouchfieldError if the folder was not indexed, or `like` cannot be described.
+    """
+    folder, target = Path(folder), library_path(Path(folder), path)
+    if count < 1:
+        raise InvalidArgument("count", f"{count}", "1 or more")
+    if not target.exists():
+        raise SourceError(str(target), "no such file", "the folder's index", f"Make it: touchfield index {folder}")
+    library = Library.load(target)
+    files = _files(folder)
+    stale = sum(not _same(library.entries.get(name), told) for name, told in files.items())
+    stale += len(library.entries.keys() - files.keys())
+    notes = (f"{stale} files changed since: touchfield index {folder}",) if stale else ()
+    own, whole = "", folder.resolve()  # the name of a file in the folder
+    if not isinstance(like, HapticMedium) and Path(like).resolve().is_relative_to(whole):
+        own = Path(like).resolve().relative_to(whole).as_posix()
+    if own in library.rows and _same(library.entries[own], files.get(own, (-1, -1))):
+        entry = Descriptor(library.rows[own])
+    else:
+        medium = like if isinstance(like, HapticMedium) else decode(like)
+        with blamed_on("" if medium is like else f"{like}, "):
+            entry = descriptor(medium)
+    index = library.index()
+    began = time.perf_counter()
+    nearest = index.query(entry, count + (own in library.rows), weights)
+    matches = [match for match in nearest if match.name != own][:count]
+    figures = {"media": len(index), "query_ms": 1e3 * (time.perf_counter() - began)}
+    rows = [{"rank": n, "name": m.name, "distance": m.distance} for n, m in enumerate(matches, start=1)]
+    return Result({**figures, "matches": rows}, notes)
+
+
+def similar(
+    first: Source,
+    second: Source,
+    spec: EncodeSpec | None = None,
+    *,
+    quantiser: str = "weber:0.25/ico1",
+    over: str = "object",
+    frames: int = 8,
+    report: Report = silent,
+) -> Result:
+    """How alike two media are: by their symbols where they lie, and by their descriptors wherever they lie.
+
+    The second is brought onto the lattice and to the rate of the first; ``descriptor_distance`` is as `search` ranks.
+
+    Each is a path, a scene, a medium or a field; `spec` tells how a scene becomes a medium. `quantiser` is Q in
+    words, fitted to both at once, and coarse so that a small error of a coder is none; `over` ("voxel" or "object")
+    is mu of NMI and VI, and `frames` how many of those that both have are compared, evenly spaced. InvalidArgument if
+    one of them has no force, or an option is unknown.
+    """
+    if frames < 1:
+        raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
+    prepared = [prepare(source, spec) for source in (first, second)]
+    one, other = (each.medium for each in prepared)
+    values = [np.zeros(DESCRIPTOR_LENGTH)] * 2
+    for n, medium in enumerate((one, other)):
+        values[n] = descriptor(medium, frames).values
+        report(n + 1, 3)
+    beside, notes = joined(other, one, name="the second")
+    if spec is not None and spec.asked():
+        notes = (*dict.fromkeys(note for each in prepared for note in each.notes), *notes)
+    count = min(len(one), len(beside))
+    places = evenly_spaced(count, frames)
+    media = [select_frames(m, places) for m in (one, beside)]
+    quantise = FieldQuantiserSpec.parse(quantiser).fit(itertools.chain(*media))
+    mine, theirs = (SymbolFrames(m, quantise) for m in media)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
+        try:
+            measured = similarity(mine, theirs, over)
+        except InvalidArgument as error:
+            if error.where != "symbols to compress":
+                raise
+            measured = similarity(mine, theirs, over, compressed=False)
+            notes = (*notes, f"no NCD: {error}")
+    report(3, 3)
+    parts = {name: float(np.linalg.norm(values[0][slot] - values[1][slot])) for name, slot in part_slots()}
+    distance = math.sqrt(sum(d * d for d in parts.values()))
+    told = {"descriptor_distance": distance, "descriptor_parts": parts, "frames": len(places)}
+    return Result({**measured.summary(), **told}, notes)
+
+
+def correlate(
+    video: str | Path,
+    stream: str | Path,
+    *,
+    frames: int = 4,
+    reading: str = "peak",
+    intrinsics: tuple[float, float, float, float] | None = None,
+    source_rate_hz: float | None = None,
+    report: Report = silent,
+) -> Result:
+    """I(V;A) of the luma of a video and the |F| behind each pixel, at a few times, each with its test against chance.
+
+    The picture covers the lattice as one sees it from the front. With `intrinsics` it is that of a camera at the
+    origin of the scene, and |F| is met along the ray of each pixel. `video` is a video, a GIF, a picture or a folder
+    of pictures, `source_rate_hz` its rate where it does not say; `frames` are the times that are looked at, evenly
+    spaced over what both have, `reading` is "first" or "peak" (`touchfield.measure.correlation`), and `intrinsics`
+    are fx, fy, cx, cy, pixels of the video. InvalidArgument or SourceError if a file cannot be read, nothing is felt
+    within the picture, or the camera does not fit the medium.
+    """
+    if frames < 1:
+        raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
+    opened = StreamScene(stream)
+    medium = opened.medium
+    rate = source_rate_hz or (medium.rate_hz if len(medium) else None)
+    scene: Any = open_source(video, SourceOptions(kind="saliency", source_rate_hz=rate))
+    pictures, rate_hz = scene.maps.pictures, scene.rate_hz
+    last = len(medium) - 1
+    if pictures.frame_count > 1:
+        last = min(last, math.floor((pictures.frame_count - 1) / rate_hz * medium.rate_hz + 1e-9))
+    places = evenly_spaced(last + 1, frames)
+    looks: list[dict[str, Any]] = []
+    notes: dict[str, None] = {}
+    for n in places:
+        at = min(round(n / medium.rate_hz * rate_hz), pictures.frame_count - 1)
+        luma = pictures.values(at).astype(np.float64) @ np.array([0.2126, 0.7152, 0.0722])
+        rays = _rays(luma.shape, pictures, medium, opened.placement, intrinsics)
+        found = picture_correlation(luma, contact_along_rays(medium[n], *rays, reading).amplitudes_n)
+        figures = found.summary()
+        mutual = figures.pop("mutual")["value"]
+        looks.append({"frame": n, "picture": at, "mutual_bits": mutual, **figures})
+        notes |= dict.fromkeys(found.mutual.notes)
+        report(len(looks), len(places))
+    return Result({"looks": looks}, tuple(notes))
+
+
+def _rays(
+    shape: tuple[int, ...],
+    pictures: Any,
+    medium: HapticMedium,
+    placement: Placement,
+    intrinsics: tuple[float, float, float, float] | None,
+) -> tuple[Float64s, Float64s]:
+    """Where the ray of each pixel of the reduced picture begins and ends, hand metres: of a camera, or the front."""
+    height, width = shape
+    v, u = np.mgrid[:height, :width] + 0.5
+    low, high = (np.asarray(corner) for corner in medium.grid.box_m)
+    if intrinsics is None:
+        across, ways = [2 * u / width - 1, 1 - 2 * v / height], axes_matrix(BOX_AXES, medium.axes).T
+        front, back = (np.stack([*across, np.full(shape, far)], axis=-1) @ ways for far in (1.0, -1.0))
+        return (low + high + (high - low) * front) / 2, (low + high + (high - low) * back) / 2
+    if medium.axes != CAMERA_AXES:
+        raise InvalidArgument("intrinsics", f"a medium whose axes are {medium.axes}", f"one whose are {CAMERA_AXES}")
+    fx, fy, cx, cy = intrinsics
+    x, y = (u * pictures.size[0] / width - 0.5 - cx) / fx, (v * pictures.size[1] / height - 0.5 - cy) / fy
+    near_m, far_m = (float(placement.to_scene(corner)[2]) for corner in (low, high))
+    if not far_m > 0:
+        raise InvalidArgument("intrinsics", "a workspace behind the camera", "one before it")
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1)
+    return placement.to_hand(max(near_m, 0.0) * rays), placement.to_hand(far_m * rays)

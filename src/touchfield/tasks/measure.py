@@ -1,0 +1,283 @@
+"""A medium, and what devices render of it, in bits (paper sections 3 and 3.1, equations 1 to 3).
+
+medium -> Q -> S -> entropies, coding limits, time      what the medium is as an information source
+medium -> M of a device -> Q -> C, WMR, HIL             what a device renders of it, and what it loses
+medium -> curl, work around loops                       whether its forces could feed a hand with energy
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import count
+from pathlib import Path
+from typing import Any, Final
+
+from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+from touchfield.codec.registry import coder
+from touchfield.codec.segment import RAW_BITS_PER_VECTOR
+from touchfield.compute.threads import Report, silent
+from touchfield.devices import device
+from touchfield.errors import InvalidArgument, require_kinds
+from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
+from touchfield.measure.counts import Counts
+from touchfield.measure.estimators import ESTIMATORS
+from touchfield.measure.field_count import field_counts, shared_counts
+from touchfield.measure.information import (
+    conditional_entropy,
+    entropy,
+    mutual_information,
+    normalised_mutual_information,
+    variation_of_information,
+)
+from touchfield.measure.interaction import interaction_entropy
+from touchfield.measure.limits import CodingLimits, coding_limits
+from touchfield.measure.passivity import Passivity, passivity
+from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.medium import HapticMedium
+from touchfield.medium.trace import Trace, read_trace
+from touchfield.options import option
+from touchfield.pipeline.mapping import SymbolFrames, mapped
+from touchfield.pipeline.preparation import StreamScene, is_stream, prepare
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.scene import Scene
+from touchfield.viewer.information import Bar, draw_information
+
+_IN_TIME: Final[tuple[tuple[Callable[..., Quantity], str], ...]] = (
+    (conditional_entropy, "H(S_t|S_t-1)"),
+    (mutual_information, "I(S_t;S_t-1)"),
+    (normalised_mutual_information, "NMI(S_t;S_t-1)"),
+    (variation_of_information, "VI(S_t,S_t-1)"),
+)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Findings of `measure_medium`, for people, programs and eyes.
+
+    `quantiser` is Q in words, `alphabet` K, its symbols with "no force"; `voxels` are those of one frame,
+    `supported_voxels` those of all frames after Q. `entropy` is H(S) over the weighting that was asked for, `voxel`
+    over all voxels and `object` over the object alone: of the plug-in estimates H_voxel = h2(p) + p H_object holds
+    exactly. `corrected` is `voxel` with the correction of Miller and Madow: how far the estimate may be trusted at
+    all; `per_frame` is H(W), H_voxel times the voxels of a frame. `in_time` is of a frame and the next, over voxels:
+    H(S_t | S_t-1), I(S_t; S_t-1), normalised, and the variation of information; empty for one frame. `capacities` are
+    by device, `passivity` is of the frame with the largest support, `file_bits` are all of the ``.touch`` file.
+    """
+
+    name: str
+    quantiser: str
+    alphabet: int
+    frames: int
+    voxels: int
+    supported_voxels: int
+    entropy: Quantity
+    voxel: Quantity
+    object: Quantity
+    corrected: Quantity
+    per_frame: Quantity
+    in_time: dict[str, Quantity]
+    limits: CodingLimits | None
+    capacities: dict[str, Capacity]
+    passivity: Passivity | None
+    file_bits: int | None
+    notes: tuple[str, ...]
+
+    @cached_property
+    def occupancy(self) -> float:
+        """p, the share of voxels whose quantised force is not zero."""
+        return self.supported_voxels / (self.frames * self.voxels)
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        return {
+            "medium": self.name,
+            **{key: getattr(self, key) for key in ("quantiser", "alphabet", "frames")},
+            "voxels_per_frame": self.voxels,
+            "supported_voxels": self.supported_voxels,
+            "occupancy": self.occupancy,
+            "entropy": self.entropy.summary(),
+            "entropy_voxel": self.voxel.summary(),
+            "entropy_object": self.object.summary(),
+            "entropy_voxel_miller_madow": self.corrected.summary(),
+            "entropy_frame": self.per_frame.summary(),
+            "in_time": {name: q.summary() for name, q in self.in_time.items()},
+            "coding_limits": None if self.limits is None else self.limits.summary(),
+            "capacity": {name: c.summary() for name, c in self.capacities.items()},
+            "passivity": None if self.passivity is None else self.passivity.summary(),
+            "file_bits": self.file_bits,
+        }
+
+    def draw(self, path: str | Path) -> None:
+        """Write the picture, PNG: the bits of the medium beside the limits of coding it, and each device's share."""
+        title = (
+            f"{self.name}: {self.frames} frame{'s' * (self.frames > 1)} of {self.voxels:,} voxels, "
+            f"{self.occupancy:.2%} with a force; Q {self.quantiser}, H(W) = {self.per_frame.value:,.0f} bit/frame"
+        )
+        draw_information(Path(path), title, "bits per supported voxel", self._bars(), self.capacities)
+
+    def _bars(self) -> list[Bar]:
+        """Bits of a supported voxel, from raw numbers to the best limit; telling where it is included."""
+        each = self.frames * self.voxels / self.supported_voxels
+        i = self.voxel.interval
+        ends = None if i is None else (i.low * each, i.high * each)
+        shown = [
+            Bar("three float32 numbers", float(RAW_BITS_PER_VECTOR)),
+            Bar("H(S) over voxels: no neighbours", self.voxel.value * each, ends),
+        ]
+        if self.limits is not None:
+            for c in self.limits.contexts:
+                if c.per_voxel.value > 0 and not c.is_diluted:
+                    shown.append(Bar(c.per_voxel.name, c.per_voxel.value * each))
+        if self.file_bits is not None:
+            shown.append(Bar("this file, everything counted", self.file_bits / self.supported_voxels, is_actual=True))
+        return shown
+
+
+@dataclass(frozen=True)
+class MeasureSpec:
+    """Options of `measure_medium`; InvalidArgument if it makes no sense.
+
+    `quantiser` None takes "distinct" for a ``.touch`` file of coder `paper`, whose decoder made the codewords, and
+    "weber:0.1" for all else (coder `touch` has none, and the receiver interpolates between those of an object) and
+    whenever a device is named. `devices` are the profiles whose capacity, WMR and HIL are wanted; `limits` tells
+    whether the coding limits are, which take most of the time. `encode` makes a medium of a scene; its device is the
+    reference space that W is sampled in. `density` None is as fine as the device's data sheet has it, and no finer
+    than W. The paper's W of 10^12 samples has 5 for one of the 8 10^9 of its device.
+    """
+
+    quantiser: str | None = option(
+        None, "Q: weber:K, uniform:NEWTONS or lloyd-max:BITS, each with /DIRECTIONS; components:NEWTONS."
+    )
+    over: str = option("voxel", "mu: voxel, object, or interaction:TRACE.csv (t_s,x_m,y_m,z_m).")
+    estimator: str = option("plug-in", f"Estimator of entropy: {', '.join(ESTIMATORS)}.")
+    devices: tuple[str, ...] = ()
+    limits: bool = True
+    encode: EncodeSpec = field(default_factory=EncodeSpec)
+    density: float | None = option(
+        None, "Samples of W per axis for one of a point device; the paper's has 5. [default: data sheet]"
+    )
+
+    def __post_init__(self) -> None:
+        require_kinds(self, estimator=ESTIMATORS)
+        kind, _, trace = self.over.partition(":")
+        if kind not in ("voxel", "object", "interaction") or (kind == "interaction") != bool(trace):
+            raise InvalidArgument("over", repr(self.over), "voxel, object, or interaction:TRACE.csv")
+        if self.density is not None and not 1 <= self.density < 1e6:
+            raise InvalidArgument("density", f"{self.density:g}", "1 or more samples of W for one of the device")
+        if self.quantiser is not None:
+            FieldQuantiserSpec.parse(self.quantiser)
+
+
+def measure_medium(
+    source: str | Path | Scene | HapticMedium, spec: MeasureSpec | None = None, report: Report = silent
+) -> Measurement:
+    """Measure a medium as an information source, and what devices render of it.
+
+    A ``.touch`` file and a medium are measured as they are; a scene is first made a medium by ``spec.encode``. Every
+    entropy is of one random variable, the symbol of a voxel of any frame; `in_time` pairs a voxel with itself one
+    frame later. `report` gets ``(done, total)`` in steps of the work.
+    """
+    spec = spec or MeasureSpec()
+    for known in spec.devices:
+        device(known)  # what cannot be is said before the work
+    kind, _, trace = spec.over.partition(":")
+    probe = read_trace(trace) if kind == "interaction" else None
+    medium, name, notes, file_bits, is_of_codewords = _medium(source, spec)
+    is_distinct = is_of_codewords and not spec.devices
+    asked = FieldQuantiserSpec.parse(spec.quantiser or ("distinct" if is_distinct else DEFAULT_QUANTISER))
+    total = 3 + (len(medium) > 1) + spec.limits + len(spec.devices)
+    steps = count()
+
+    def done(counts: bool = True) -> None:
+        if counts:
+            report(next(steps), total)
+
+    done()
+    quantise = asked.fit(medium)
+    frames = SymbolFrames(medium, quantise)
+    done()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
+        counts = field_counts(frames)
+        voxel = entropy(counts["voxel"], estimator=spec.estimator)
+        supported = sum(frames.object_counts.values())
+        if not supported:
+            found, mend = "a medium without any force", "Take other frames, or look at the source."
+            if quantise.top_n > 0:
+                found, mend = f"a medium without any force under {quantise.words}", "Take a finer --quantiser."
+            raise InvalidArgument(name, found, "a support of at least one voxel", mend)
+        on_object = entropy(counts["object"], estimator=spec.estimator)
+        corrected = entropy(counts["voxel"], estimator="miller-madow", interval=False)
+        asked_for = on_object if kind == "object" else voxel
+        if probe is not None:
+            taken, rate_hz = spec.encode.frames, medium.rate_hz
+            moved = Trace(probe.times_s - (taken[0] if taken else 0) / rate_hz, probe.positions_m)  # since the source
+            is_still = len(frames) == 1 and taken is None  # there at all times
+            visited, clock_hz = (frames[0], None) if is_still else (frames, rate_hz)
+            asked_for = interaction_entropy(moved, visited, spec.estimator, rate_hz=clock_hz)
+        done()
+        in_time = {}
+        if len(frames) > 1:
+            both = field_counts(frames[1:], frames[:-1], ("voxel",))["voxel"]  # each beside the one before
+            in_time = {one.__name__: one(both, estimator=spec.estimator).of(name=told) for one, told in _IN_TIME}
+        done(len(frames) > 1)
+        limits = coding_limits(frames) if spec.limits else None
+        done(spec.limits)
+        per_frame = voxel.times(medium.grid.voxel_count, "bit/frame", "H(W)")
+        capacities = {}
+        for device_name in spec.devices:
+            capacities[device_name], more = _capacity(frames, counts["voxel"], per_frame, device_name, asked, spec)
+            notes += tuple(f"{device_name}: {note}" for note in more)
+            done()
+    energy = passivity(medium[max(sorted(frames.object_counts), key=frames.object_counts.__getitem__)])
+    if quantise.words == "distinct" and spec.limits:
+        notes += (f"the limits do not count the table that tells what the {quantise.alphabet - 1:,} vectors are",)
+    done()
+    return Measurement(
+        name, quantise.words, quantise.alphabet, len(medium), medium.grid.voxel_count, supported, asked_for, voxel,
+        on_object, corrected, per_frame, in_time, limits, capacities, energy, file_bits, notes,
+    )  # fmt: skip
+
+
+def _medium(
+    source: str | Path | Scene | HapticMedium, spec: MeasureSpec
+) -> tuple[HapticMedium, str, tuple[str, ...], int | None, bool]:
+    """W, its name, what the user should be told, the bits of its file, and whether its forces are its codewords."""
+    if isinstance(source, HapticMedium):
+        return source, "medium", (), None, False
+    stream = StreamScene(source) if isinstance(source, str | Path) and is_stream(source) else None
+    if stream is not None and not spec.encode.asked():
+        stream.notes = ()  # of options that do nothing
+    prepared = prepare(stream or source, spec.encode)
+    name = Path(source).name if isinstance(source, str | Path) else "scene"
+    if stream is not None:
+        # a part of the frames does not take all of the file
+        file_bits = None if spec.encode.frames else 8 * stream.file_bytes
+        return prepared.medium, name, prepared.notes, file_bits, coder(stream.head.coder).has_codewords
+    note = f"W is sampled on {'x'.join(map(str, prepared.medium.grid.shape))} voxels for {prepared.device.name}"
+    return prepared.medium, name, (*prepared.notes, note), None, False
+
+
+def _capacity(
+    reference: SymbolFrames,
+    counts: Counts,
+    per_frame: Quantity,
+    name: str,
+    asked: FieldQuantiserSpec,
+    spec: MeasureSpec,
+) -> tuple[Capacity, tuple[str, ...]]:
+    """Equations 1 to 3 for one device."""
+    shown = mapped(reference.medium, name, asked, spec.encode, spec.density)
+    quantise = shown.quantiser.fit(shown.medium, shown.device.force_max_n)
+    frames = SymbolFrames(shown.medium, quantise)
+    voxels = shown.medium.grid.voxel_count
+    rendered_counts = field_counts(frames, overs=("voxel",))["voxel"]
+    rendered = entropy(rendered_counts, estimator=spec.estimator).times(voxels, "bit/frame", "H(M(W))")
+    most = codomain_bits(voxels, quantise.alphabet)
+    both = shared_counts((reference, frames), (shown.own_grid, shown.medium.grid), (counts, rendered_counts))
+    per_lattice = reference.medium.grid.voxel_count, voxels
+    ratio = None if both is None else paired_ratio(both, per_lattice, most, spec.estimator)
+    result = capacity(per_frame, rendered, most, ratio=ratio)
+    return result, (*shown.notes, *result.notes, f"its Q is {quantise.words}")

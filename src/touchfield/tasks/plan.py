@@ -1,0 +1,434 @@
+"""The lattice and the settings of the coders that spend a budget best: min R + lambda D (paper section 4).
+
+A medium that moves has a bit rate: R is that of a long stream, from a few pairs of frames that follow each other,
+spread over the scene; the first of a pair tells what a frame alone takes, the second what one that follows takes. A
+still medium is sent once, and has a size in bytes. D is the NMSE on one lattice, that of the greatest n_w: a coarser
+stream is decoded and interpolated there as a receiver does, so that what a coarse lattice leaves out counts. The mask
+is the same for all, whatever k a coder took.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from itertools import chain, pairwise, product
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.registry import coder, field_decoder, field_encoder
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.compute.executors import in_order
+from touchfield.compute.threads import Report, silent
+from touchfield.errors import InvalidArgument, is_finite
+from touchfield.filters.resample import interpolated
+from touchfield.measure.fidelity import FidelityMeter
+from touchfield.medium import ForceField
+from touchfield.pipeline.preparation import open_scene, prepare
+from touchfield.pipeline.spec import NO_FLOOR_N, EncodeSpec
+from touchfield.sources.scene import Scene
+from touchfield.viewer.page import titled_figure, write_png
+
+_BITS: Final = {"bit": 1, "kbit": 1_000, "Mbit": 1_000_000, "B": 8, "kB": 8_000, "MB": 8_000_000}
+_COLOURS: Final = {
+    "touch mask": "#0072b2",
+    "touch mask-direction": "#009e73",
+    "touch nmse": "#e69f00",
+    "paper": "0.45",
+}
+_SHAPES: Final = "os^Dv<>p"
+_SIZE_INCH: Final = (9.5, 5.6)
+_BUDGET: Final = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(?:(bit|kbit|Mbit|B|kB)/s|(B|kB|MB))")
+_PLACES: Final = 3
+_SEGMENT_BYTES: Final = 60  # frame, checksum and index entry of a segment
+_FILE_BYTES: Final = 1340  # head, provenance and end of a file, about
+_MASK_KEPT: Final = 0.95  # where fewer of the voxels are within the mask, the choice is offered with a word on it
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Bits a second of a medium that moves, or bytes of the whole file, one of both."""
+
+    bits_per_s: float | None = None
+    bytes: float | None = None
+
+    def __post_init__(self) -> None:
+        amounts = [amount for amount in (self.bits_per_s, self.bytes) if amount is not None]
+        if len(amounts) != 1 or not (is_finite(amounts[0]) and amounts[0] > 0):
+            raise InvalidArgument("budget", repr(self), "bits a second or bytes, one of both, above 0")
+
+    def of(self, frames: int, rate_hz: float) -> tuple[float, str]:
+        """The amount and its unit: "bytes" for a single frame, else "bit/s"; of a rate that is what 1 s carries."""
+        is_still = frames == 1
+        seconds = 1.0 if is_still else frames / rate_hz
+        size = (self.bits_per_s or 0.0) * seconds / 8 if self.bytes is None else self.bytes
+        return (size, "bytes") if is_still else (self.bits_per_s or 8 * size / seconds, "bit/s")
+
+
+def parse_budget(text: str) -> Budget:
+    """A budget such as ``64kbit/s`` (bit/s, kbit/s, Mbit/s, B/s, kB/s) or ``60kB`` (B, kB, MB)."""
+    parts = _BUDGET.fullmatch(text.strip())
+    if parts is None or not float(parts[1]) > 0:
+        units = "bit/s, kbit/s, Mbit/s, B/s, kB/s, or of bytes B, kB, MB"
+        raise InvalidArgument("--budget", repr(text), f"a positive number and one of {units}: 64kbit/s or 60kB")
+    bits = float(parts[1]) * _BITS[parts[2] or parts[3]]
+    return Budget(bits_per_s=bits) if parts[2] else Budget(bytes=bits / 8)
+
+
+@dataclass(frozen=True)
+class PlanGrid:
+    """The settings to try; InvalidArgument if there is no lattice or no setting.
+
+    n_w of the lattices (an array has its own); Weber fractions of coder `touch`, F_0 in proportion, in the modes
+    "mask" and "mask-direction"; steps of its mode "nmse", newtons; of coder `paper`, every one with every other,
+    codebooks (N_d), Weber fractions and n_q.
+    """
+
+    nw: tuple[int, ...] = (5, 6, 7)
+    k: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
+    step_n: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+    directions: tuple[str, ...] = ("ico3", "ico5")
+    paper_k: tuple[float, ...] = (PaperSpec().k,)
+    nq: tuple[int, ...] = (PaperSpec().nq,)
+
+    def __post_init__(self) -> None:
+        for name in ("nw", "k", "step_n", "directions", "paper_k", "nq"):
+            object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))))
+        if not self.nw or not (self.k or self.step_n or self.directions):
+            raise InvalidArgument("plan", "no setting to try", "a lattice, and a k, a step or a direction codebook")
+
+    @property
+    def coarsest(self) -> PlanGrid:
+        """Of these the settings that take least: the coarsest lattice, the weakest promise, the greatest step."""
+        greatest = {name: (max(axis),) for name in ("k", "step_n", "paper_k") if (axis := getattr(self, name))}
+        return replace(self, nw=(min(self.nw),), nq=self.nq and (min(self.nq),), **greatest)
+
+    def specs(self, asked: EncodeSpec, share: float = 1.0) -> list[EncodeSpec]:
+        """Every setting on the lattice of `asked`; of coder `touch` with this share of the Weber fractions."""
+        touch = asked.touch
+        masks = [replace(touch, k=k, f0_n=touch.f0_n * k / touch.k) for k in (share * k for k in self.k)]
+        coders = [replace(one, mode=mode) for mode in ("mask", "mask-direction") for one in masks]
+        coders += [replace(touch, mode="nmse", step_n=step) for step in self.step_n]
+        length = touch.segment_frames or PaperSpec().segment_frames
+        papers = [
+            PaperSpec(k=k, nq=nq, directions=d, segment_frames=length)
+            for k, nq, d in product(self.paper_k, self.nq, self.directions)
+        ]
+        return [
+            *(replace(asked, touch=one) for one in coders),
+            *(replace(asked, coder="paper", touch=TouchSpec(), paper=one) for one in papers),
+        ]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One setting, as `touchfield.pipeline.encode` takes it, and what came of it.
+
+    `file_bytes` are the file of a still medium, or of a medium that moves a segment of `frames` in a long stream.
+    Measured on the finest lattice are `nmse`, sum |e|^2 / sum |F|^2, and `mask_kept`, the share of the voxels whose
+    error no hand can feel.
+    """
+
+    spec: EncodeSpec
+    file_bytes: int
+    frames: int
+    nmse: float
+    rate_hz: float = 1.0
+    mask_kept: float = 1.0
+
+    @property
+    def bits_per_frame(self) -> float:
+        """R."""
+        return 8 * self.file_bytes / self.frames
+
+    @property
+    def bits_per_s(self) -> float:
+        """R as a rate."""
+        return self.bits_per_frame * self.rate_hz
+
+    @property
+    def nmse_db(self) -> float:
+        """The NMSE in decibels; -inf of no error."""
+        return 10 * math.log10(self.nmse) if self.nmse > 0 else -math.inf
+
+    @property
+    def kind(self) -> str:
+        """The coder, and its mode."""
+        return "paper" if self.spec.coder == "paper" else f"touch {self.spec.touch.mode}"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings of the coder that were varied, by the names of their options."""
+        if self.spec.coder == "paper":
+            names = ["k", "nq", "directions"]
+        else:
+            names = ["mode", "step_n"] if self.spec.touch.mode == "nmse" else ["mode", "k", "f0_n"]
+        return {name: getattr(self.spec.coding, name) for name in names}
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs; None for a setting that the coder or its mode has not."""
+        return {
+            "nw": self.spec.nw,
+            "coder": self.spec.coder,
+            **dict.fromkeys(("mode", "k", "f0_n", "step_n", "nq", "directions")),
+            **self.settings,
+            "file_bytes": self.file_bytes,
+            "bits_per_frame": self.bits_per_frame,
+            "nmse": self.nmse,
+            "nmse_db": self.nmse_db if self.nmse > 0 else None,
+            "mask_kept": self.mask_kept,
+        }
+
+    @property
+    def options(self) -> str:
+        """The options of `touchfield encode` for it."""
+        words = [] if self.spec.nw is None else [f"--nw {self.spec.nw}"]
+        if self.spec.coder == "paper":
+            words.append("--coder paper")
+        for key, value in self.settings.items():
+            if value != "mask":
+                words.append(f"--{key.replace('_', '-')} {value if isinstance(value, str) else f'{value:g}'}")
+        return " ".join(words)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All settings that were tried, in the order of the search, and the best within a budget.
+
+    `k` and `f0_n` are the mask of `Trial.mask_kept`; `unit` is the budget's, "bit/s", or
+    "bytes" for a still medium. InvalidArgument if no setting is within the budget; it names the smallest.
+    """
+
+    trials: tuple[Trial, ...]
+    k: float
+    f0_n: float
+    budget: float
+    source: str
+    frames_tried: int
+    unit: str = "bit/s"
+
+    def __post_init__(self) -> None:
+        if not any(map(self.is_within, self.trials)):
+            least = min(self.trials, key=self.cost)
+            nearest = f"it takes at least {self.cost(least):.0f} {self.unit}, the nearest ({least.options})"
+            raise InvalidArgument(f"--budget of {self.budget:g} {self.unit} is too small: {nearest}")
+
+    def cost(self, trial: Trial) -> float:
+        """Bits a second of a trial, or its bytes, as the budget has it."""
+        return trial.bits_per_s if self.unit == "bit/s" else float(trial.file_bytes)
+
+    def is_within(self, trial: Trial) -> bool:
+        """True of a trial that keeps to the budget."""
+        return self.cost(trial) <= self.budget
+
+    def front(self) -> tuple[Trial, ...]:
+        """Settings that no other beats in both size and NMSE, the smallest first; of equal ones the first tried."""
+        front: list[Trial] = []
+        for trial in sorted(self.trials, key=lambda t: (t.bits_per_s, t.nmse)):
+            if not front or trial.nmse < front[-1].nmse:
+                front.append(trial)
+        return tuple(front)
+
+    @property
+    def chosen(self) -> Trial:
+        """The least NMSE within the budget."""
+        return next(t for t in reversed(self.front()) if self.is_within(t))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A word on a choice that a hand tells from the source, and on what would keep the mask."""
+        if self.chosen.mask_kept >= _MASK_KEPT:
+            return ()
+        share = f"only {100 * self.chosen.mask_kept:.3g} % of the voxels are within the mask"
+        note = f"a hand feels the difference: {share}"
+        keeping = [t for t in self.trials if t.mask_kept >= _MASK_KEPT]
+        if not keeping:
+            return (f"{note}; no setting that was tried keeps it (more --nw, a smaller --k)",)
+        least = min(keeping, key=self.cost)
+        return (f"{note}; {least.options} keeps it, for {amount(self.cost(least), self.unit)}",)
+
+    @property
+    def multiplier(self) -> float | None:
+        """lambda: bits a second (bytes of a still medium) that one unit of NMSE is worth at the choice, if any.
+
+        The slope of the frontier's convex hull there: with it, R + lambda D is least at both ends of that edge.
+        """
+
+        def slope(a: Trial, b: Trial) -> float:
+            return (a.nmse - b.nmse) / (self.cost(b) - self.cost(a))
+
+        hull: list[Trial] = []
+        for t in self.front():
+            while len(hull) > 1 and slope(hull[-2], hull[-1]) <= slope(hull[-2], t):
+                hull.pop()
+            hull.append(t)
+        at = self.cost(self.chosen)
+        edges = [(a, b) for a, b in pairwise(hull) if self.cost(a) <= at <= self.cost(b)]
+        return 1 / slope(*edges[-1]) if edges else None
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs; of a still medium bytes in place of bits a second."""
+        is_rate = self.unit == "bit/s"
+        return {
+            "source": self.source,
+            "budget_bits_per_s" if is_rate else "budget_bytes": self.budget,
+            "frames_tried": self.frames_tried,
+            "k": self.k,
+            "f0_n": self.f0_n,
+            "lambda_bits_per_s" if is_rate else "lambda_bytes": self.multiplier,
+            "chosen": self.trials.index(self.chosen),
+            "encode_options": self.chosen.options,
+            "front": [self.trials.index(t) for t in self.front()],
+            "trials": [t.summary() | ({"bits_per_s": t.bits_per_s} if is_rate else {}) for t in self.trials],
+        }
+
+    def draw(self, path: str | Path) -> None:
+        """Write the picture, PNG: NMSE over the cost, the frontier, the budget and the choice."""
+        chosen = self.chosen
+        title = f"{self.source}: {chosen.options} for {amount(self.budget, self.unit)}"
+        figure = titled_figure("the picture of a plan", title, *_SIZE_INCH)
+        panel = figure.subplots()
+        nws = sorted({t.spec.nw or 0 for t in self.trials})
+        drawn = [t for t in self.trials if t.nmse > 0]
+        for trial in drawn:
+            shape = _SHAPES[nws.index(trial.spec.nw or 0) % len(_SHAPES)]
+            panel.plot(self.cost(trial), trial.nmse_db, shape, ms=6, color=_COLOURS[trial.kind], zorder=2)
+        front = [t for t in self.front() if t.nmse > 0]
+        panel.plot([self.cost(t) for t in front], [t.nmse_db for t in front], color="black", lw=1, zorder=1)
+        panel.axvline(self.budget, color="0.3", lw=1, ls="--", zorder=0)
+        if chosen.nmse > 0:
+            at = self.cost(chosen), chosen.nmse_db
+            panel.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6)
+            cost = f"{amount(at[0], self.unit)}, {100 * chosen.mask_kept:.1f} % in the mask"
+            panel.annotate(f"{chosen.kind}, {chosen.options}\n{cost}", at, (12, 12), textcoords="offset points",
+                           fontsize=8, parse_math=False)  # fmt: skip
+        panel.set_xscale("log")
+        panel.set_xlabel(f"{self.unit} (dashed: the budget; line: the frontier; ring: the choice)", fontsize=8)
+        panel.set_ylabel("NMSE, dB, against the finest lattice", fontsize=8)
+        panel.tick_params(labelsize=8)
+        panel.grid(color="0.92")
+        panel.spines[["top", "right"]].set_visible(False)
+        for kind in dict.fromkeys(t.kind for t in drawn):
+            panel.plot([], [], "o", ms=6, color=_COLOURS[kind], label=kind)
+        for i, nw in enumerate(nws):
+            panel.plot([], [], _SHAPES[i % len(_SHAPES)], ms=6, color="0.2", mfc="none", label=f"nw {nw}")
+        panel.legend(fontsize=8, frameon=False)
+        write_png(figure, Path(path))
+
+
+def plan(
+    source: str | Path | Scene,
+    budget: float | str | Budget,
+    spec: EncodeSpec | None = None,
+    search: PlanGrid | None = None,
+    report: Report = silent,
+    executor: Executor | None = None,
+) -> Plan:
+    """Code a few frames of a source, as voxels, under every setting, and choose the best within a budget.
+
+    A number as `budget` is bits a second, words are such as "64kbit/s" (`parse_budget`); `spec` is of coder `touch`:
+    its k and F_0 are the mask that is reported, its effort that of every trial. `report` gets ``(done, total)`` in
+    settings; with `executor` its workers try them. TouchfieldError if a setting is not possible, the frames hold no
+    force, or nothing is within the budget; the message then names what takes least. The settings that take least are
+    tried first, so that this is told soon.
+    """
+    spec, search = spec or EncodeSpec(), search or PlanGrid()
+    budget = parse_budget(budget) if isinstance(budget, str) else budget
+    budget = budget if isinstance(budget, Budget) else Budget(bits_per_s=budget)
+    if spec.coder != "touch":
+        raise InvalidArgument("plan", f"coder {spec.coder}", "coder touch; the paper's is tried, too")
+    asked = replace(spec, representation="voxel", touch=replace(spec.touch, mode="mask"))
+    scene = open_scene(source, spec.source)
+
+    def searched(grid: PlanGrid, report: Report) -> Plan:
+        total, lattice = 0, None
+
+        def tries() -> Iterator[tuple[Lattice, EncodeSpec]]:
+            nonlocal total, lattice
+            for lattice in _lattices(scene, asked, sorted(grid.nw)):
+                # the coarsest lattice alone may miss a thin scene that the finest one has
+                if grid is search and not any(field.support_count for field in lattice.reference):
+                    raise InvalidArgument("source of a search", "frames without a force", "a force")
+                specs = grid.specs(lattice.spec, lattice.spec.touch.k / spec.touch.k)
+                total = len(specs) * (1 if lattice.is_array else len(grid.nw))
+                yield from ((lattice, one) for one in specs)
+
+        trials: list[Trial] = []
+        for trial in in_order(_trial, tries(), executor=executor):
+            trials.append(trial)
+            report(len(trials), total)
+        assert lattice is not None
+        amount, unit = budget.of(lattice.frames, lattice.rate_hz)
+        touch = lattice.spec.touch
+        return Plan(tuple(trials), touch.k, touch.f0_n, amount, str(source), len(lattice.reference), unit)
+
+    if search.coarsest != search:
+        searched(search.coarsest, silent)  # refuses what cannot be before a finer lattice is made
+    return searched(search, report)
+
+
+class Lattice(NamedTuple):
+    """The frames to try of a medium on one lattice, and the same frames on the finest; it can be sent to a worker."""
+
+    spec: EncodeSpec
+    is_array: bool
+    frames: int
+    rate_hz: float
+    fields: tuple[ForceField, ...]
+    reference: tuple[ForceField, ...]
+
+
+def _lattices(scene: Scene, base: EncodeSpec, nws: Sequence[int]) -> Iterator[Lattice]:
+    """The lattices of several n_w, each made once; an array has its own alone."""
+    finest = prepare(scene, replace(base, nw=max(nws)))
+    reference = tuple(finest.medium[i] for i in chain.from_iterable(_pairs(len(finest.medium))))
+    is_array = finest.device.is_array
+    for nw in nws[:1] if is_array else nws:
+        asked = replace(finest.spec, nw=None if is_array else nw)
+        is_finest = nw == max(nws) or is_array
+        medium = finest.medium if is_finest else prepare(scene, asked).medium
+        count = len(medium)
+        fields = reference if is_finest else tuple(medium[i] for i in chain.from_iterable(_pairs(count)))
+        yield Lattice(asked, is_array, count, medium.rate_hz, fields, reference)
+
+
+def _pairs(count: int) -> tuple[tuple[int, ...], ...]:
+    """Frames that follow each other, spread over all: pairs, or the one frame that there is."""
+    if count == 1:
+        return ((0,),)
+    places = min(_PLACES, count // 2)
+    starts = [(2 * i + 1) * (count - 2) // (2 * places) for i in range(places)]
+    return tuple((start, start + 1) for start in starts)
+
+
+def _trial(setting: tuple[Lattice, EncodeSpec]) -> Trial:
+    """A setting coded, decoded and measured by the mask of k and F_0 that is asked for."""
+    lattice, spec = setting
+    grid, fields, reference = lattice.fields[0].grid, iter(lattice.fields), iter(lattice.reference)
+    encoder = field_encoder(grid, coder(spec.coder).resolve(spec.coding, lattice.is_array))
+    decoder = field_decoder(spec.coder, grid, encoder.parameters)
+    length = min(spec.segment_frames_at(lattice.rate_hz), lattice.frames)
+    mask = lattice.spec.touch
+    meter, bits, pairs = FidelityMeter(mask.k, max(mask.f0_n, NO_FLOOR_N)), 0.0, _pairs(lattice.frames)
+    for pair in pairs:
+        coded = encoder.encode_segment([next(fields) for _ in pair])
+        # a segment of a long stream: a frame alone, as the first of the pair, and others as costly as the second
+        bits += 8 * len(coded.body) + (length - len(pair)) * sum(frame.bits.total for frame in coded.frames[1:])
+        for field in decoder.frames(coded.body, len(pair)):
+            original = next(reference)
+            same = field.grid.shape == original.grid.shape
+            meter.add(original, field if same else interpolated(field, original.grid, border="cell"))
+    size = round(_SEGMENT_BYTES + _FILE_BYTES * length / lattice.frames + bits / 8 / len(pairs))
+    nmse = 0.0 if meter.nmse_db is None else 10 ** (meter.nmse_db / 10)
+    return Trial(spec, size, length, nmse, lattice.rate_hz, 1 - meter.mask_violation_share)
+
+
+def amount(cost: float, unit: str) -> str:
+    """A cost in words."""
+    if unit == "bytes":
+        return f"{cost:,.0f} bytes"
+    size, name = next(((s, n) for s, n in ((1e6, "Mbit/s"), (1e3, "kbit/s")) if cost >= s), (1.0, "bit/s"))
+    return f"{cost / size:.4g} {name}"

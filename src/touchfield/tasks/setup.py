@@ -1,0 +1,152 @@
+"""Setting up a machine: what is installed and what is missing, and every kernel compiled before it is needed."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.touch.warm import GROUPS as TOUCH
+from touchfield.codec.touch.warm import solid
+from touchfield.compute.jit import kernel_folder
+from touchfield.compute.threads import Report, silent, worker_count
+from touchfield.devices.drivers.registry import Check, array_kinds, library_check, point_kinds
+from touchfield.errors import InvalidArgument
+from touchfield.filters.registry import field_filters
+from touchfield.medium import HapticMedium
+from touchfield.pipeline.comparison import compare
+from touchfield.pipeline.encoding import encode
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.render.sampler import FieldSampler
+from touchfield.sources.tiny_scenes import tiny_scenes
+from touchfield.tasks.measure import MeasureSpec, measure_medium
+from touchfield.tasks.play import PlaySpec, play
+
+_LEAST_SHARED_BYTES: Final = 1 << 28
+LIBRARIES: Final = (
+    ("numpy", "numpy", "", "everything"),
+    ("scipy", "scipy", "", "sources and measures"),
+    ("numba", "numba", "", "compiled kernels"),
+    ("matplotlib", "matplotlib", "report", "pictures, and sample:terrain"),
+    ("scikit-image", "skimage", "motorcycle", "sample:motorcycle"),
+    ("mujoco-core", "mujoco", "physics", "simulated bodies"),
+    ("av", "av", "video", "depth video and video"),
+    ("mcap", "mcap", "mcap", "recordings of robots"),
+    ("websockets", "websockets", "devices", "haply and bhaptics"),
+    ("pyserial", "serial", "devices", "pin displays on a serial line"),
+)
+"""Distribution, module, extra (none: the core), what it is for."""
+
+
+def examine(name: str | None = None) -> dict[str, list[Check]]:
+    """Everything there is, by what it is for: the libraries, the machine, and each device; or one device alone.
+
+    InvalidArgument if there is no such device.
+    """
+    kinds = {kind.name: kind.checks for kind in point_kinds()} | {kind.name: kind.checks for kind in array_kinds()}
+    if name is None:
+        devices = {known: checks() for known, checks in kinds.items()}
+        return {"libraries": library_checks(), "machine": host_checks(), **devices}
+    wanted = name.strip().partition(":")[0].lower()
+    if wanted not in kinds:
+        raise InvalidArgument("device", repr(name[:80]), f"one of {', '.join(kinds)}")
+    return {wanted: kinds[wanted]()}
+
+
+def library_checks() -> list[Check]:
+    """The libraries that touchfield needs, and those of its extras; none is imported."""
+    python = Check("python", sys.version_info >= (3, 11), platform.python_version(), "Install Python 3.11 or newer.")
+    return [python] + [library_check(name, extra, module, purpose) for name, module, extra, purpose in LIBRARIES]
+
+
+def host_checks() -> list[Check]:
+    """Checks of the machine for a loop of 1 kHz."""
+    cores = worker_count()
+    mend = "Allow the process a second core."
+    checks = [Check("two cores, one of them for the servo", cores > 1, f"{cores}", mend), _realtime()]
+
+    what, latency = "processors that stay awake while the servo runs", Path("/dev/cpu_dma_latency")
+    is_allowed = os.access(latency, os.W_OK)
+    found = "allowed" if is_allowed else "not allowed" if latency.exists() else f"no {latency}"
+    mend = f"It works without; where it is there, let your user write to {latency} (a udev rule)."
+    checks.append(Check(what, is_allowed, found, mend))
+
+    what = "locked memory, so that no tick waits for a page"
+    try:
+        import resource
+    except ImportError:
+        found = f"{platform.system()} has no such limit to ask"
+        checks.append(Check(what, False, found, "The servo runs without it."))
+    else:
+        soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+        is_endless = soft == resource.RLIM_INFINITY
+        enough = is_endless or soft >= _LEAST_SHARED_BYTES or os.geteuid() == 0
+        found = "no limit" if is_endless else f"up to {soft / 2**20:.0f} MiB"
+        checks.append(Check(what, enough, found, "Add '@realtime - memlock unlimited' to /etc/security/limits.conf."))
+
+    what, folder = "shared memory of 256 MiB for decoded frames", Path("/dev/shm")
+    free = shutil.disk_usage(folder).free if folder.is_dir() else None
+    found = "managed by the system" if free is None else f"{free / 2**20:.0f} MiB free"
+    mend = "Free some of /dev/shm, or enlarge it (mount -o remount,size=1G /dev/shm)."
+    checks.append(Check(what, free is None or free >= _LEAST_SHARED_BYTES, found, mend))
+
+    kernels, mend = kernel_folder(), "Set NUMBA_CACHE_DIR to a folder of yours."
+    found = "not writeable" if kernels is None else f"{kernels}"
+    return [*checks, Check("a folder in which compiled kernels are kept", kernels is not None, found, mend)]
+
+
+def _realtime() -> Check:
+    what = "SCHED_FIFO, the scheduling class that keeps the servo in time"
+    if not hasattr(os, "sched_setscheduler"):
+        return Check(what, False, f"{platform.system()} has none", "The servo runs at normal priority.")
+    before, beside = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except OSError as error:
+        mend = "Add '@realtime - rtprio 80' to /etc/security/limits.conf and yourself to that group"
+        return Check(what, False, error.strerror or str(error), f"{mend}; it works without.")
+    os.sched_setscheduler(0, before, beside)
+    return Check(what, True, "allowed")
+
+
+def _filters() -> None:
+    for kind in field_filters().values():
+        kind.parse(kind.example)(solid())
+
+
+def _measures() -> None:
+    medium = HapticMedium.from_frames([solid()] * 2, 30.0)
+    measure_medium(medium, MeasureSpec(devices=("tshirt-32x32",)))
+    FieldSampler(medium).force_n(0.0, np.zeros((2, 3)))
+
+
+GROUPS: Final[Mapping[str, Callable[[], None]]] = {**TOUCH, "filters": _filters, "measures": _measures}
+"""Kernels that are compiled together, each by a small job."""
+
+
+def warm_up(report: Report = silent) -> None:
+    """Compile and cache every kernel by running what there is on tiny scenes."""
+    scenes = tiny_scenes()
+    jobs = [(scene, EncodeSpec(nw=3)) for scene in scenes]
+    jobs += [(scenes[0], EncodeSpec(device="tshirt-32x32"))]
+    jobs += [(scenes[-1], EncodeSpec(nw=3, representation="voxel", surface_damping_n_s_per_m=1.0))]
+    jobs += [(scenes[1], EncodeSpec(nw=4, touch=asked)) for asked in (TouchSpec(), TouchSpec(mode="nmse"))]
+    total = len(jobs) + len(GROUPS)
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "warm.touch"
+        for i, (scene, spec) in enumerate(jobs):
+            encode(scene, target, spec)
+            compare(scene, target)
+            report(i + 1, total)
+        play(target, PlaySpec(offline=True, seconds=0.1)).checked()
+    for i, group in enumerate(GROUPS.values()):
+        group()
+        report(len(jobs) + i + 1, total)

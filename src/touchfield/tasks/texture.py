@@ -1,0 +1,67 @@
+"""Recorded vibrations as a material's table, and a table put into a stream (`touchfield.render.material`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from touchfield.container import TouchReader, TouchWriter
+from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
+from touchfield.perception.vibrotactile import band_rms, dft321, handle_force_n
+from touchfield.pipeline.decoding import opened
+from touchfield.render.material import KEY, Material, stored_json
+from touchfield.sources.recordings.recording import Recording
+
+
+def texture_of(
+    recordings: Sequence[Recording],
+    speeds_m_s: Sequence[float],
+    forces_n: Sequence[float],
+    name: str = "recorded",
+    friction: float | None = None,
+) -> Material:
+    """The material of accelerations of a tool that slid, one recording for each speed at each force.
+
+    speeds_m_s, forces_n : float [recordings]; of the tool along the surface, and with which it pressed.
+    The three axes become one (`dft321`), that the force that shakes a hand with a stylus likewise (`handle_force_n`),
+    and that its rms in thirds of an octave.
+    Raises `InvalidArgument` if a speed at a force is missing or there twice, or a recording is shorter than 0.5 s.
+    """
+    if not recordings or not len(recordings) == len(speeds_m_s) == len(forces_n):
+        found = f"{len(recordings)} recordings, {len(speeds_m_s)} speeds and {len(forces_n)} forces"
+        raise InvalidArgument("recordings", found, "one speed and one force for each, in the same order")
+    levels = {}
+    for one, speed, force in zip(recordings, speeds_m_s, forces_n, strict=True):
+        shaken_n = handle_force_n(dft321(one.acceleration_m_s2), one.rate_hz)
+        levels[float(speed), float(force)] = tuple(map(float, band_rms(shaken_n, one.rate_hz)))
+    speeds, forces = (tuple(sorted({key[n] for key in levels})) for n in range(2))
+    if not len(levels) == len(recordings) == len(speeds) * len(forces):
+        found = f"{len(recordings)} for {len(speeds)} speeds and {len(forces)} forces"
+        raise InvalidArgument("recordings", found, "each speed at each force, once")
+    table = tuple(tuple(levels[speed, force] for force in forces) for speed in speeds)
+    return Material(name, friction, speeds_m_s=speeds, forces_n=forces, texture_rms_n=table)
+
+
+def merged(*tables: Sequence[Material]) -> tuple[Material, ...]:
+    """The materials of all tables; of those of one name the last."""
+    return tuple({one.name: one for table in tables for one in table}.values())
+
+
+def store_materials(stream: str | Path, materials: Sequence[Material], out: str | Path) -> None:
+    """Write a stream anew with these materials in its provenance; nothing is decoded, all else is as it was.
+
+    Raises `InvalidArgument` if the table is longer than 4096 letters, `FormatError` of the stream, `SourceError` if
+    the system refuses.
+    """
+    require_ending(out, "OUT.touch")
+    text = stored_json(materials)
+    with TouchReader(stream) as reader, TouchWriter(out) as writer:
+        warn_unbounded(opened(reader).error_bound().get("error_bound_note"))
+        writer.write_head(reader.head, {**reader.provenance, KEY: text})
+        for n in range(reader.object_count):
+            writer.write_object(reader.read_object(n))
+        for n, entry in enumerate(reader.segments):
+            vibration = reader.read_vibration(n)
+            if vibration is not None:
+                writer.write_vibration(entry.first_frame, entry.frame_count, vibration)
+            writer.write_segment(entry.first_frame, entry.frame_count, reader.read_segment(n))

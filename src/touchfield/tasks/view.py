@@ -1,0 +1,208 @@
+"""Media and plans to look at: as the page in the browser, one HTML file, and as pictures."""
+
+from __future__ import annotations
+
+import html
+import tempfile
+import webbrowser
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from touchfield.arrays import Float64s
+from touchfield.atomic import atomic_path
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.compute.threads import Report, silent
+from touchfield.devices import device_names
+from touchfield.errors import InvalidArgument
+from touchfield.medium import HapticMedium
+from touchfield.network.mux import demux
+from touchfield.pipeline.comparison import compare, source_medium
+from touchfield.pipeline.decoding import OpenStream, open_stream
+from touchfield.pipeline.encoding import encode, encode_prepared
+from touchfield.pipeline.preparation import Prepared, Source
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.render.point_device import BOX_AXES, axes_matrix
+from touchfield.tasks.measure import MeasureSpec, measure_medium
+from touchfield.viewer.browser import page_of
+from touchfield.viewer.page import write_png
+from touchfield.viewer.picture import shadows
+
+_MOST_FRAMES: Final = 30  # of a medium in memory, which is coded for the page
+_HEIGHT_PX: Final = 640
+_MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
+_DRAWN_FRAMES: Final = 3  # the first, the middle one and the last
+MOST_BYTES: Final = 1 << 25  # of the source within a page
+_SHARES: Final = (0.1, 0.3)
+_LEAST_K: Final = 1e-3
+_FIGURES: Final = ("mode", "masking", "promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
+_COMPARED: Final = (
+    "nmse_db", "worst_mask_ratio", "bits_per_supported_voxel", "hand_vibration_mn",
+    "place_tolerance_um",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page that shows a file, and figures that it tells beyond it; a notebook shows it as a cell's last value."""
+
+    html: str
+    figures: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        return f"<Page: {len(self.html):,} characters of HTML; .open() shows it, .save(path) keeps it>"
+
+    def _repr_html_(self) -> str:
+        style = f"width: 100%; height: {_HEIGHT_PX}px; border: 1px solid #d9dee6; border-radius: 8px"
+        may = 'sandbox="allow-scripts" allow="gamepad *; vibrate *; autoplay *"'  # nothing of the notebook around it
+        return f'<iframe srcdoc="{html.escape(self.html)}" {may} style="{style}" title="touchfield"></iframe>'
+
+    def save(self, path: str | Path) -> Path:
+        """Write the page as one file that opens from a file URL, whole or not at all."""
+        with atomic_path(Path(path)) as temporary:
+            temporary.write_text(self.html, encoding="utf-8")
+        return Path(path)
+
+    def open(self, path: str | Path | None = None) -> Path:
+        """Show the page in the browser, from a file where it was saved or a temporary one; where that is."""
+        shown = Path(path) if path else self.save(Path(tempfile.mkdtemp(prefix="touchfield-")) / "page.html")
+        webbrowser.open(shown.absolute().as_uri())
+        return shown
+
+
+def view(
+    medium: str | Path | HapticMedium,
+    against: Source | None = None,
+    report: Report = silent,
+    devices: tuple[str, ...] = (),
+) -> Page:
+    """The page of a ``.touch`` file, of a movie with touch, or of the first 30 frames of a medium.
+
+    `against` is what was encoded, a path, Scene, medium or field: the page then tells NMSE and the vibration of the
+    coding, and shows the source, and the difference, too; it holds both. `devices` are profiles whose capacity, WMR
+    and HIL are told beside the entropy of the medium; where there is none of these, but a source, that of the
+    stream. TouchfieldError if the file cannot be read, or is of a coder that the page does not know.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        if isinstance(medium, HapticMedium):
+            path, spec = Path(folder) / "medium.touch", EncodeSpec(touch=TouchSpec(effort="fast"))
+            encode(medium[:_MOST_FRAMES], path, spec)
+            page = _page(path, against, report, devices)
+            told = {"frames_of": len(medium)} if len(medium) > _MOST_FRAMES else {}
+            return replace(page, figures={**page.figures, **told})
+        movie = Path(str(medium))
+        kind = _MOVIES.get(movie.suffix.lower())
+        if kind is None:
+            return _page(medium, against, report, devices)
+        path = Path(folder) / f"{movie.stem}.touch"
+        at_s = demux(movie, path).at_s
+        return _page(path, against, report, devices, (movie.read_bytes(), kind, at_s))
+
+
+def _page(
+    path: str | Path,
+    against: Source | None,
+    report: Report,
+    devices: tuple[str, ...],
+    movie: tuple[bytes, str, float] | None = None,
+) -> Page:
+    with open_stream(path) as opened:
+        reader = opened.reader
+        coders = [reader.head.coder, *(reader.read_object(i).field_coder for i in range(reader.object_count))]
+        if "paper" in coders:
+            found, mend = "a file of coder paper", f"Code it again: touchfield encode {path} NEW.touch."
+            raise InvalidArgument(str(path), found, "coder touch, or objects of it, for the page", mend)
+        promises, data, name = opened.summary(), reader.read_all(), PurePath(reader.name).name
+        figures = {key: promises[key] for key in _FIGURES if promises.get(key) is not None}
+        fine = None if against is None else fine_source(against, opened, report)
+        device = reader.head.device_name
+        own = (device,) if fine and device in device_names() else ()
+    try:
+        if devices or own:
+            measured = measure_medium(path, MeasureSpec(devices=devices or own, limits=False))
+            figures |= {
+                "entropy_voxel_bits": measured.voxel.value,
+                "entropy_frame_bits": measured.per_frame.value,
+                "capacity": {
+                    name: {"capacity_bits": c.capacity.value, "wmr": c.wmr.value, "hil": c.hil.value}
+                    for name, c in measured.capacities.items()
+                },
+            }
+    except InvalidArgument:  # such as a medium without any force
+        if devices:
+            raise
+    if against is None or fine is None:
+        return Page(page_of(data, name, figures, movie), figures)
+    figures_of_source = compare(against, path, report=report).summary()
+    figures |= {key: figures_of_source[key] for key in _COMPARED if figures_of_source.get(key) is not None}
+    figures |= {"source_bytes": len(fine.data), "source_share": fine.share}
+    return Page(page_of(data, name, figures, movie, fine.data), figures)
+
+
+def draw_preview(prepared: Prepared, path: str | Path) -> None:
+    """Write a PNG of the forces in the workspace, seen from the viewer, from the side and from above.
+
+    MissingExtra if matplotlib is not installed.
+    """
+    medium, placement = prepared.medium, prepared.placement
+    x, y, z = placement.offset_m
+    up = "lattice" if prepared.device.is_array else "auto"  # as `play` lays it
+    turn = axes_matrix(BOX_AXES, medium.axes, up)
+    where = f"in the workspace of {prepared.device.name}"
+    if (turn != axes_matrix(BOX_AXES, medium.axes)).any():
+        where = f"{'xyz'[int(np.argmax(np.abs(turn[:, 1])))]} up for the hand, {where}"
+    caption = f"{placement.wording}; the middle is the scene's ({x:.4g}, {y:.4g}, {z:.4g}) m; {medium.axes}"
+    write_png(_shadows(medium, where, caption, turn), Path(path))
+
+
+def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
+    """The forces of a medium as a matplotlib figure, as `draw_preview` shows them; a PNG, too, where `path` is given.
+
+    MissingExtra if matplotlib is not installed.
+    """
+    turn = axes_matrix(BOX_AXES, medium.axes, "auto")
+    figure = _shadows(medium, "on the medium's lattice", f"{medium.grid.words}; {medium.axes}", turn)
+    if path is not None:
+        write_png(figure, Path(path))
+    return figure
+
+
+def _shadows(medium: HapticMedium, where: str, caption: str, turn: Float64s) -> Any:
+    """The first frame of a medium, the middle one and the last in one figure."""
+    frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
+    title = (
+        f"frame{'s' * (len(frames) > 1)} {', '.join(str(n + 1) for n in frames)} of {len(medium)}, {where} (dashed)"
+    )
+    return shadows([medium[i] for i in frames], f"{title}\n{caption}", turn)
+
+
+class FineSource(NamedTuple):
+    """A source as the bytes of a ``.touch`` file; `share`: its error, of what the promise of the stream allows."""
+
+    data: bytes
+    share: float
+
+
+def fine_source(source: Source, opened: OpenStream, report: Report = silent) -> FineSource:
+    """Code the source of a stream on the stream's lattice, to a tenth of its mask, or three where that is too large.
+
+    InvalidArgument if the source lies elsewhere, has other frames, or takes more than `MOST_BYTES`.
+    """
+    head, original = opened.reader.head, source_medium(source, opened)
+    size = 0
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "source.touch"
+        for share in _SHARES:
+            k = min(max(share * head.weber_fraction, _LEAST_K), 0.999)
+            spec = EncodeSpec(touch=TouchSpec(k=k, f0_n=share * head.force_threshold_n, effort="fast"))
+            prepared = Prepared(
+                original.medium, opened.told_device, opened.placement, spec, original.notes, original.scene
+            )
+            size = encode_prepared(prepared, out, {}, report).file_bytes
+            if size <= MOST_BYTES:
+                return FineSource(out.read_bytes(), max(share, k / max(head.weber_fraction, k)))
+    mend = "Leave it out, or take fewer frames."
+    raise InvalidArgument("the source", f"{size:,} bytes, coded finely", f"at most {MOST_BYTES:,} in a page", mend)

@@ -1,0 +1,89 @@
+"""A distribution adds a source, a coder, a driver and a filter by entry points, and the commands list and use them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+PLUGIN = Path(__file__).parent / "plugin"
+Command = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the package of `tests/plugin`, installed as pip installs it."""
+    folder = tmp_path_factory.mktemp("site")
+    options = "--quiet --disable-pip-version-check --no-deps --no-build-isolation --target".split()
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, folder, PLUGIN], check=True)
+    return folder
+
+
+@pytest.fixture
+def touchfield(installed: Path, tmp_path: Path) -> Command:
+    """Runs a command in a folder of its own, with the plug-in installed."""
+    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join([str(installed), *filter(None, sys.path)])}
+
+    def run(*words: str, status: int = 0) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "touchfield", *words]
+        done = subprocess.run(command, cwd=tmp_path, env=surroundings, capture_output=True, text=True, check=False)
+        assert done.returncode == status, done.stderr
+        return done
+
+    return run
+
+
+def test_commands_list_what_a_plugin_provides(touchfield: Command) -> None:
+    assert json.loads(touchfield("sources", "--json").stdout)["ball"].startswith("A ball")
+    devices = json.loads(touchfield("devices", "--json").stdout)
+    assert devices["drivers"]["still"] == "a hand that does not move" and "phantom-omni" in devices["profiles"]
+    doctor = json.loads(touchfield("doctor", "--device", "still", "--json").stdout)
+    assert any("built in" in check["found"] for checks in doctor.values() for check in checks)
+    text = touchfield("encode", "--help").stdout
+    assert "--halve" in text and "--scale" in text and "raw" in text
+
+
+def test_a_stream_by_its_source_filter_and_coder_plays_on_its_device(touchfield: Command, tmp_path: Path) -> None:
+    (tmp_path / "b.ball").write_text("0.02")
+    options = "--nw 4 --representation voxel --json".split()
+    touchfield("encode", "b.ball", "full.touch", "--coder", "raw", *options)
+    touchfield("encode", "b.ball", "half.touch", "--coder", "raw", "--scale", "2", "--halve", "0.25", *options)
+    info = json.loads(touchfield("info", "half.touch", "--json").stdout)
+    assert (info["coder"], info["scale"]) == ("raw", 2.0)
+    force_n = {}
+    for name in ("full", "half"):
+        touchfield("decode", f"{name}.touch", f"{name}.npz")
+        force_n[name] = json.loads(touchfield("measure", f"{name}.npz", "--no-limits", "--json").stdout)
+    compared = json.loads(touchfield("compare", "b.ball", "half.touch", "--no-picture", "--json").stdout)
+    assert compared["max_error_n"] < 1e-5  # the spec in the file names filter and coder
+    played = json.loads(touchfield("play", "full.touch", "--device", "still", "--seconds", "0.2", "--json").stdout)
+    assert played["ticks"] > 0
+
+
+def test_without_the_plugin_its_stream_names_what_is_missing(touchfield: Command, tmp_path: Path) -> None:
+    (tmp_path / "b.ball").write_text("0.02")
+    touchfield("encode", "b.ball", "b.touch", "--coder", "raw", "--nw", "3", "--representation", "voxel")
+    done = subprocess.run(
+        [sys.executable, "-m", "touchfield", "info", "b.touch"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode != 0 and "'raw'" in done.stderr and "plug-in" in done.stderr
+
+
+def test_a_plugin_that_fails_is_left_out_with_a_warning(tmp_path: Path) -> None:
+    """Both one that cannot be imported and one that is something else."""
+    metadata = tmp_path / "broken-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    entries = "[touchfield.sources]\ngone = no_such_module:KIND\nother = json:dumps\n"
+    (metadata / "entry_points.txt").write_text(entries)
+    code = "from touchfield.sources.registry import kinds; print(*(kind.name for kind in kinds()))"
+    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])}
+    done = subprocess.run([sys.executable, "-c", code], env=surroundings, capture_output=True, text=True, check=True)
+    assert "tum" in done.stdout.split() and not {"gone", "other"} & {*done.stdout.split()}
+    assert "'gone'" in done.stderr and "no_such_module" in done.stderr
+    assert "'other'" in done.stderr and "is no SourceKind" in done.stderr
