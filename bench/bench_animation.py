@@ -1,13 +1,14 @@
-"""A running model to its force fields: Fox.glb, 576 triangles on 24 joints, a cube of 128^3 samples that holds it.
+"""A running model to its force fields: Fox.glb, 576 triangles on 24 joints, a cube of 128^3 samples that
+holds it.
 
     python bench/bench_animation.py [--quick] [--path FOX.glb] [--samples N]
 
 Ours is timed from the animation to the force field of every frame: joints, skin, surface, distance, sign and
-direction of all samples within 4 voxels, and once more with the damping of the moving surface. Each peer that imports
-here (Open3D, libigl) is given the triangles of the frame, makes its search tree, and tells distance and sign: of all
-samples of the lattice (one frame), as one does who does not know where the surface is, and of those alone that ours
-found in the band and their neighbours. Distances and signs are compared; signs may differ where the legs run through
-one another, as ours is that of the winding number.
+direction of all samples within 4 voxels, and once more with the damping of the moving surface. Each peer that
+imports here (Open3D, libigl) is given the triangles of the frame, makes its search tree, and tells distance
+and sign: of all samples of the lattice (one frame), as one does who does not know where the surface is, and
+of those alone that ours found in the band and their neighbours. Distances and signs are compared; signs may
+differ where the legs run through one another, as ours is that of the winding number.
 """
 
 from __future__ import annotations
@@ -75,7 +76,9 @@ def measure(path: Path, samples: int) -> Figures:
         surfaces.append((scene.surface(frame).vertices_m, scene.surface(frame).triangles))
     rows: dict[str, dict[str, Any]] = {
         "touchfield": timed(lambda: [scene.field(i, grid, law) for i in frames], runs=25, warm=2),
-        "touchfield, with damping": timed(lambda: [scene.field(i, grid, damped) for i in frames], runs=25, warm=2),
+        "touchfield, with damping": timed(
+            lambda: [scene.field(i, grid, damped) for i in frames], runs=25, warm=2
+        ),
         "of it, the vertices": timed(lambda: [scene.vertices_m(i) for i in frames]),
     }
     absent = missing(("open3d", "libigl"))
@@ -100,20 +103,33 @@ def measure(path: Path, samples: int) -> Figures:
         row["frames_per_s"] = 1e3 * len(frames) / row["min_ms"]
         row["times_touchfield"] = row["min_ms"] / rows["touchfield"]["min_ms"]
     counts = [len(phi) for phi in phis]
-    return {"samples": samples, "threads": worker_count(), "band_samples": counts, "rows": rows, "absent": absent}
+    return {
+        "samples": samples,
+        "threads": worker_count(),
+        "band_samples": counts,
+        "rows": rows,
+        "absent": absent,
+    }
 
 
 def bars(figures: Figures) -> list[Bar]:
     """Ahead of the fastest peer, as fast as a depth camera, and the same distances."""
     rows = figures["rows"]
     peers = {name: row for name, row in rows.items() if "version" in row}
-    open3d = min(column({n: r for n, r in peers.items() if n.startswith("open3d")}, "times_touchfield"), default=None)
+    open3d = min(
+        column({n: r for n, r in peers.items() if n.startswith("open3d")}, "times_touchfield"), default=None
+    )
     fastest = min(column(peers, "times_touchfield"), default=None)
     differ = max(column(rows, "largest_difference_voxels"), default=None)
     return [
         at_least("time that Open3D takes over ours", open3d, 5.0),
         at_least("time of the fastest peer over ours", fastest, 1.0),
-        at_least("frames of field, with damping", figure(rows, "touchfield, with damping", "frames_per_s"), 30, "/s"),
+        at_least(
+            "frames of field, with damping",
+            figure(rows, "touchfield, with damping", "frames_per_s"),
+            30,
+            "/s",
+        ),
         at_most("largest difference of a distance to a peer's", differ, 1e-3, "voxels"),
     ]
 

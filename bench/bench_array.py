@@ -2,9 +2,9 @@
 
     python bench/bench_array.py [--quick] [--frames N]
 
-The field is a wavy shell in a lattice of 64^3 that moves a little from frame to frame; conversion is from the decoded
-field to the drives, on an array of 8 x 8 and on a pin display of 60 x 40. The sampler is asked at 1 kHz, as frames
-of 64^3 go by at 30 a second; each takes several milliseconds to be made.
+The field is a wavy shell in a lattice of 64^3 that moves a little from frame to frame; conversion is from the
+decoded field to the drives, on an array of 8 x 8 and on a pin display of 60 x 40. The sampler is asked at 1
+kHz, as frames of 64^3 go by at 30 a second; each takes several milliseconds to be made.
 """
 
 from __future__ import annotations
@@ -46,7 +46,10 @@ def conversion(made: list[ForceField], name: str) -> Figures:
     )
     drives = array_drives(stream, device(name))
     numbers = iter(range(len(made)))
-    return {"lattice": device(name).lattice, **timed(lambda: drives.drives(next(numbers)), runs=len(made) - 1)}
+    return {
+        "lattice": device(name).lattice,
+        **timed(lambda: drives.drives(next(numbers)), runs=len(made) - 1),
+    }
 
 
 def calls(made: list[ForceField]) -> Figures:
@@ -83,7 +86,9 @@ def bars(figures: Figures) -> list[Bar]:
         at_most("a frame of drives of 8 x 8, median", vest, 5.0, "ms"),
         at_most("a frame of drives of 60 x 40, median", pins, 20.0, "ms"),
         at_least("frames of 60 x 40", rate, RATE_HZ, "/s"),
-        at_most("a call of the sampler at 1 kHz, worst", figure(figures, "sampler_at", "worst_ms"), 1.0, "ms"),
+        at_most(
+            "a call of the sampler at 1 kHz, worst", figure(figures, "sampler_at", "worst_ms"), 1.0, "ms"
+        ),
     ]
 
 

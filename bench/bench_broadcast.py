@@ -3,9 +3,9 @@
     python bench/bench_broadcast.py [--quick] [--seconds 600] [--receivers 200] [--messages 8000] [--mib 1024]
                                     [--silent 10000]
 
-The sender is a process of its own that sends segments of a quarter of a second, coded before, at 30 frames a second;
-the receivers are tasks of another process, each of which checks every message. The delay is that of a live medium:
-what the sender's frame is now, beside the one that a playing renderer shows.
+The sender is a process of its own that sends segments of a quarter of a second, coded before, at 30 frames a
+second; the receivers are tasks of another process, each of which checks every message. The delay is that of a
+live medium: what the sender's frame is now, beside the one that a playing renderer shows.
 """
 
 from __future__ import annotations
@@ -103,7 +103,9 @@ def sender_process(link: Connection, seconds: float) -> None:
 
 def resident() -> float:
     """MiB of this process in memory."""
-    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS"))
+    line = next(
+        line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS")
+    )
     return int(line.split()[1]) / 1024
 
 
@@ -154,8 +156,12 @@ def many(count: int, seconds: float, silent: int = 0) -> Figures:
 
 
 def live_process(link: Connection, segment_s: float) -> None:
-    """Put a medium on the air, coded as it goes, until told to end; tell the address, and when its frame 0 began."""
-    medium = HapticMedium.from_frames([ball(i) for i in range(60)], RATE_HZ, "x right, y up, z towards the user")
+    """Put a medium on the air, coded as it goes, until told to end; tell the address, and when its frame 0
+    began.
+    """
+    medium = HapticMedium.from_frames(
+        [ball(i) for i in range(60)], RATE_HZ, "x right, y up, z towards the user"
+    )
     prepared, sender = opened_sender(medium, EncodeSpec())
     began = list[float]()
 
@@ -260,7 +266,9 @@ def large(folder: Path, mib: int) -> Figures:
 
 
 def losses(messages: int) -> Figures:
-    """Messages that come through 5 % of losses, alone and in bursts of five (Gilbert), and bytes beyond theirs."""
+    """Messages that come through 5 % of losses, alone and in bursts of five (Gilbert), and bytes beyond
+    theirs.
+    """
     rng, rows = np.random.default_rng(1), {}
     for size in (5_000, 20_000, 60_000):
         for name, burst in (("alone", 1.0), ("bursts", 5.0)):
@@ -276,7 +284,9 @@ def losses(messages: int) -> Figures:
 
 
 def coarse_share() -> Figures:
-    """What the coarse layer of a photograph's depth takes beside the stream, at nw 6, and what a hand then lacks."""
+    """What the coarse layer of a photograph's depth takes beside the stream, at nw 6, and what a hand then
+    lacks.
+    """
     from touchfield.codec.registry import field_encoder
     from touchfield.tasks.live import coarse_layer
 
@@ -292,7 +302,9 @@ def coarse_share() -> Figures:
 
 
 def layered_losses(messages: int, share: float) -> Figures:
-    """The same losses, with a coarse layer of that share beside: what is there in time, bytes beyond both layers'."""
+    """The same losses, with a coarse layer of that share beside: what is there in time, bytes beyond both
+    layers'.
+    """
     rng, rows = np.random.default_rng(2), {}
     for size in (20_000, 60_000):
         for name, burst in (("alone", 1.0), ("bursts", 5.0)):
@@ -308,8 +320,12 @@ def layered_losses(messages: int, share: float) -> Figures:
                     for one in sending.add(message) if slot < messages else sending.flush():
                         sent += len(one)
                         is_bad = rng.random() > 1 / burst if is_bad else rng.random() < 0.05 / (0.95 * burst)
-                        came = [] if is_bad else [int.from_bytes(m[:4], "big") for m in gathering.receive(one)]
-                        got |= {number for number in came if slot <= number + 8}  # a segment later than the last part
+                        came = (
+                            [] if is_bad else [int.from_bytes(m[:4], "big") for m in gathering.receive(one)]
+                        )
+                        got |= {
+                            number for number in came if slot <= number + 8
+                        }  # a segment later than the last part
             both = in_time[0] | in_time[1]
             rows[f"{size} bytes, {name}"] = {
                 "fine": len(in_time[0]) / messages,
@@ -340,14 +356,19 @@ def measure(seconds: float, receivers: int, messages: int, mib: int, silent: int
 
 def bars(figures: Figures) -> list[Bar]:
     """Those of the issue that asked for a broadcast."""
-    file, delay, air, crowd, lost = (figures[key] for key in ("file", "delay", "receivers", "crowd", "losses"))
+    file, delay, air, crowd, lost = (
+        figures[key] for key in ("file", "delay", "receivers", "crowd", "losses")
+    )
     layered = figures["layered_losses"].values()
     large_ones = [row for name, row in lost.items() if name.startswith("60000")]
     return [
         at_most("bytes before the first segment of a large file", file["before_the_segment_bytes"], 65536),
         at_most("requests to open it", file["opening"]["requests"], 3),
         at_most(
-            "delay from frame to force beyond a segment, median", delay["median_s"] - delay["segment_s"], 0.1, "s"
+            "delay from frame to force beyond a segment, median",
+            delay["median_s"] - delay["segment_s"],
+            0.1,
+            "s",
         ),
         at_most("the same at worst", delay["most_s"] - delay["segment_s"], 0.1, "s"),
         at_most(f"gaps of {air['receivers']} receivers", air["gaps"] + air["skipped"], 0),
@@ -355,11 +376,17 @@ def bars(figures: Figures) -> list[Bar]:
         at_most("cores of the sender", air["cores"], 1),
         at_most("growth of its memory", air["memory_mib"][1] - air["memory_mib"][0], 4, "MiB"),
         at_most(f"gaps of 20 beside {crowd['silent']:,} silent connections", crowd["gaps"], 0),
-        at_least("segments of 60 kB that come through 5 % losses", min(row["came"] for row in large_ones), 0.999),
+        at_least(
+            "segments of 60 kB that come through 5 % losses", min(row["came"] for row in large_ones), 0.999
+        ),
         at_most("bytes beyond theirs", max(row["overhead"] for row in large_ones), 0.3),
-        at_least("segments of 20 kB", min(r["came"] for n, r in lost.items() if n.startswith("20000")), 0.999),
+        at_least(
+            "segments of 20 kB", min(r["came"] for n, r in lost.items() if n.startswith("20000")), 0.999
+        ),
         at_most("bytes of a coarse layer, share of the stream's", figures["coarse"]["share"], 0.25),
-        at_least("segments felt with it, at least coarse, 5 % losses", min(row["felt"] for row in layered), 0.999),
+        at_least(
+            "segments felt with it, at least coarse, 5 % losses", min(row["felt"] for row in layered), 0.999
+        ),
         at_least("of the coarse layer alone", min(row["coarse"] for row in layered), 0.999),
         at_most("bytes beyond those of both layers", max(row["overhead"] for row in layered), 0.3),
     ]

@@ -1,9 +1,10 @@
-"""`c/touch.h`: a frame decoded by one thread beside numba's, a query, and `touchfield decode` with nothing compiled.
+"""`c/touch.h`: a frame decoded by one thread beside numba's, a query, and `touchfield decode` with nothing
+compiled.
 
     python bench/bench_c.py [--quick]
 
-The module of Python is built for the run, with the options of `core/setup.py`; without a C compiler and Python's
-headers nothing is measured.
+The module of Python is built for the run, with the options of `core/setup.py`; without a C compiler and
+Python's headers nothing is measured.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ QUERIES = 1_000_000
 
 
 def build_core(folder: Path) -> None:
-    """Build the module `touchfield_core` into a folder that Python then looks into first, here and in processes."""
+    """Build the module `touchfield_core` into a folder that Python then looks into first, here and in
+    processes.
+    """
     headers = Path(sysconfig.get_path("include"))
     if which("cc") is None or not (headers / "Python.h").is_file():
         leave_out("no C compiler (cc), or no headers of Python")
@@ -46,7 +49,8 @@ def build_core(folder: Path) -> None:
     ]
     source = ROOT / "core" / "touchfield_core.c"
     subprocess.run(
-        ["cc", *options, f"-I{ROOT / 'c'}", "-o", str(folder / "touchfield_core.abi3.so"), str(source)], check=True
+        ["cc", *options, f"-I{ROOT / 'c'}", "-o", str(folder / "touchfield_core.abi3.so"), str(source)],
+        check=True,
     )
     sys.path.insert(0, str(folder))
     os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
@@ -98,7 +102,9 @@ def query_us(stream: Path, folder: Path, runs: int) -> tuple[float, float]:
     subprocess.run(["cc", *options, "-o", str(program), str(ROOT / "bench" / "c_query.c"), "-lm"], check=True)
     measured = []
     for _ in range(runs):
-        line = subprocess.run([program, stream, str(QUERIES)], check=True, capture_output=True, text=True).stdout
+        line = subprocess.run(
+            [program, stream, str(QUERIES)], check=True, capture_output=True, text=True
+        ).stdout
         middle, late = (float(n) / 1e3 for n in line.split()[:2])
         measured.append((middle, late))
     return min(measured)

@@ -2,10 +2,10 @@
 
     python bench/bench_cluster.py [--quick]
 
-Falling bodies as voxels, 2000 frames at 1 kHz, coded by one worker and by two, each of one thread, after both have
-their kernels; the bytes are compared with those of no worker at all. Then a real stereo picture on a lattice of
-2909 x 2182 x 1273 samples as a zarr store of tiles, by two workers; the memory is that of the largest process.
-Quick: 512 frames, and 2^8 samples an axis.
+Falling bodies as voxels, 2000 frames at 1 kHz, coded by one worker and by two, each of one thread, after both
+have their kernels; the bytes are compared with those of no worker at all. Then a real stereo picture on a
+lattice of 2909 x 2182 x 1273 samples as a zarr store of tiles, by two workers; the memory is that of the
+largest process. Quick: 512 frames, and 2^8 samples an axis.
 """
 
 from __future__ import annotations
@@ -82,7 +82,11 @@ def in_a_process(nw: int | None) -> Figures:
     code = "import json, sys, bench_cluster; print(json.dumps(bench_cluster.huge(json.loads(sys.argv[1]))))"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
     done = subprocess.run(
-        [sys.executable, "-c", code, json.dumps(nw)], env=environment, check=True, capture_output=True, text=True
+        [sys.executable, "-c", code, json.dumps(nw)],
+        env=environment,
+        check=True,
+        capture_output=True,
+        text=True,
     )
     most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
     return {**json.loads(done.stdout), "most_bytes": most}
@@ -93,7 +97,11 @@ def measure(frames: int, is_huge: int, rounds: int) -> Figures:
     need_module("zarr")
     os.environ["TOUCHFIELD_THREADS"] = "1"
     shape = device("phantom-omni").lattice
-    return {"nominal": list(shape), "tiles": in_a_process(None if is_huge else 8), "spread": spread(frames, rounds)}
+    return {
+        "nominal": list(shape),
+        "tiles": in_a_process(None if is_huge else 8),
+        "spread": spread(frames, rounds),
+    }
 
 
 def bars(figures: Figures) -> list[Bar]:

@@ -50,7 +50,10 @@ def measure(source: str, nw: int) -> Figures:
     for reading in ("camera", "height"):
         prepared = prepare(source, EncodeSpec(nw=nw, source=SourceOptions(reading=reading)))
         frames = [prepared.medium[i] for i in range(min(4, len(prepared.medium)))]
-        for name, spec in (("default", PaperSpec()), ("k 0.01, octa3", PaperSpec(k=0.01, directions="octa3"))):
+        for name, spec in (
+            ("default", PaperSpec()),
+            ("k 0.01, octa3", PaperSpec(k=0.01, directions="octa3")),
+        ):
             rows[f"{reading}, {name}"] = row_of(prepared.medium.grid, frames, spec)
     return {"source": source if source.startswith("sample:") else "a depth sequence", "nw": nw, "rows": rows}
 
@@ -60,7 +63,9 @@ def bars(figures: Figures) -> list[Bar]:
     rows = figures["rows"]
     slowest = max(column(rows, "encode_ms"), default=None)
     return [
-        at_least("decoding at 128^3, slowest", min(column(rows, "decode_frames_s"), default=None), 30.0, "frames/s"),
+        at_least(
+            "decoding at 128^3, slowest", min(column(rows, "decode_frames_s"), default=None), 30.0, "frames/s"
+        ),
         at_least("encoding at 128^3, slowest", slowest and 1e3 / slowest, 30.0, "frames/s"),
         at_most("NMSE, worst", max(column(rows, "nmse_db"), default=None), -15.0, "dB"),
     ]

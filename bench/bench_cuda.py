@@ -1,12 +1,13 @@
-"""Kernels on a GPU beside the same on the processor: a depth picture on 1000^3 samples, and forces at many points.
+"""Kernels on a GPU beside the same on the processor: a depth picture on 1000^3 samples, and forces at many
+points.
 
     python bench/bench_cuda.py [--quick] [--points N]
 
-The planes of the picture are fitted by the processor and copied before the clock runs; what is timed is which bricks
-hold a force, and their forces, which stay on the device ("gpu"), or planes, bricks and forces there and back
-("gpu_and_back"), as `encode` needs them. Points are random in the box of a field of 128^3 samples, or
-along the path of a wandering hand. The peer is CuPy's `map_coordinates` on the same field held densely, if CuPy is
-there. Without a GPU nothing is measured but the processor, and the bars say so.
+The planes of the picture are fitted by the processor and copied before the clock runs; what is timed is which
+bricks hold a force, and their forces, which stay on the device ("gpu"), or planes, bricks and forces there
+and back ("gpu_and_back"), as `encode` needs them. Points are random in the box of a field of 128^3 samples,
+or along the path of a wandering hand. The peer is CuPy's `map_coordinates` on the same field held densely, if
+CuPy is there. Without a GPU nothing is measured but the processor, and the bars say so.
 """
 
 from __future__ import annotations

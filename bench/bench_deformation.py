@@ -1,16 +1,18 @@
-"""Deformation at the receiver (paper section 6.3): beside fields made anew, its bytes, its time, and hands on it.
+"""Deformation at the receiver (paper section 6.3): beside fields made anew, its bytes, its time, and hands on
+it.
 
     python bench/bench_deformation.py [--nw N] [--every N] [--quick]
 
-A capsule that is bent, whose fields are known, and the fox of the Khronos samples, six frames to each side of a
-pose: the field of one pose, bent by tracks of 8^3 control points, beside the field made anew at each frame, over
-the samples at which either has a force. "still" is the pose as it is; "size kept" the bent force with the length
-that it had, which is a field with curl; "half a sample" what two lookups half a sample off, on both sides, make of
-the stored field: nothing that is looked up between samples comes much nearer. Bytes are of the file of tracks, of
-the fields coded by `touch`, and of their forces as plain float32.
+A capsule that is bent, whose fields are known, and the fox of the Khronos samples, six frames to each side of
+a pose: the field of one pose, bent by tracks of 8^3 control points, beside the field made anew at each frame,
+over the samples at which either has a force. "still" is the pose as it is; "size kept" the bent force with
+the length that it had, which is a field with curl; "half a sample" what two lookups half a sample off, on
+both sides, make of the stored field: nothing that is looked up between samples comes much nearer. Bytes are
+of the file of tracks, of the fields coded by `touch`, and of their forces as plain float32.
 
-A query is one call of `FieldSampler.at` from Python. Loops are closed ones of Gauss-Legendre pieces, each within one
-cell of the control points, in a linear field that the sampler gives back to float64 rounding: work over the work of
+A query is one call of `FieldSampler.at` from Python. Loops are closed ones of Gauss-Legendre pieces, each
+within one cell of the control points, in a linear field that the sampler gives back to float64 rounding: work
+over the work of
 |F| along them. Hands: those of `bench_stability`, on walls that yield by as much again as the hand presses them.
 """
 
@@ -71,10 +73,14 @@ def capsule() -> Moving:
         s = np.clip(np.arctan2(at[..., 0], 1 / bend - at[..., 2]) / bend, -half_m, half_m)
         away = at - axis_m(s, bend)
         far = np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
-        return ForceField.from_dense(grid, (np.maximum(400 * (radius_m - far), 0) * away / far).astype(np.float32))
+        return ForceField.from_dense(
+            grid, (np.maximum(400 * (radius_m - far), 0) * away / far).astype(np.float32)
+        )
 
     def points(bend: float) -> Float64s:
-        s, turn = np.meshgrid(np.linspace(-half_m, half_m, 41), np.linspace(0, 2 * np.pi, 24, False), indexing="ij")
+        s, turn = np.meshgrid(
+            np.linspace(-half_m, half_m, 41), np.linspace(0, 2 * np.pi, 24, False), indexing="ij"
+        )
         out = [-np.sin(bend * s) * np.cos(turn), np.sin(turn), np.cos(bend * s) * np.cos(turn)]
         normal = np.stack(out, axis=-1)
         layers = [axis_m(s, bend) + (radius_m - depth) * normal for depth in (0.0, 0.004, 0.008)]
@@ -148,7 +154,9 @@ def spring() -> HapticMedium:
 
 
 def loop_work(bent: Deformation) -> float:
-    """Work around rectangles over the work of |F| along them, the worst of 20; the pieces end at cells' walls."""
+    """Work around rectangles over the work of |F| along them, the worst of 20; the pieces end at cells'
+    walls.
+    """
     rng, worst = np.random.default_rng(4), 0.0
     corner, cell = np.asarray(bent.corner_m), np.asarray(bent.spacing_m)
     nodes, weights = np.polynomial.legendre.leggauss(12)
@@ -169,7 +177,9 @@ def loop_work(bent: Deformation) -> float:
         work = size = 0.0
         for a, b in itertools.pairwise(corners):
             axis = int(np.abs(b - a).argmax())
-            ends = sorted({a[axis], b[axis], *range(int(min(a[axis], b[axis])) + 1, int(max(a[axis], b[axis])) + 1)})
+            ends = sorted(
+                {a[axis], b[axis], *range(int(min(a[axis], b[axis])) + 1, int(max(a[axis], b[axis])) + 1)}
+            )
             sign = 1.0 if b[axis] > a[axis] else -1.0
             for s, t in itertools.pairwise(ends):
                 p = np.repeat(a[None], len(nodes), axis=0)
@@ -190,7 +200,9 @@ def slope(bent: Deformation, p: Float64s, axis: int) -> Float64s:
     both = [_basis(s[:, a] - cell[:, a]) for a in range(3)]
     w = [both[a][1] / bent.spacing_m[a] if a == axis else both[a][0] for a in range(3)]
     i, j, k = (cell[:, a, None] + np.arange(4) for a in range(3))
-    flat = ((i[:, :, None, None] * shape[1] + j[:, None, :, None]) * shape[2] + k[:, None, None, :]).reshape(-1, 64)
+    flat = ((i[:, :, None, None] * shape[1] + j[:, None, :, None]) * shape[2] + k[:, None, None, :]).reshape(
+        -1, 64
+    )
     share = (w[0][:, :, None, None] * w[1][:, None, :, None] * w[2][:, None, None, :]).reshape(-1, 64)
     change: Float64s = np.einsum("nw,nwc->nc", share, bent.displacement_m[0].reshape(-1, 3)[flat])
     return change
@@ -245,7 +257,9 @@ def pressed(every: int) -> Figures:
     """The grid of hands of `bench_stability`, on walls that yield."""
     rows = []
     for stiffness in hands.WALLS:
-        soft = Deformation.at_rest((-0.07,) * 3, (0.07,) * 3, compliance_m_per_n=GIVE / stiffness, relax_s=0.05)
+        soft = Deformation.at_rest(
+            (-0.07,) * 3, (0.07,) * 3, compliance_m_per_n=GIVE / stiffness, relax_s=0.05
+        )
         block = hands.Bench(
             hands.wall(stiffness, hands.MOST_N), device=hands.STRONG, grid=hands.GRID, deformation=soft
         )
@@ -254,7 +268,9 @@ def pressed(every: int) -> Figures:
             hands.auto(block, stiffness, b, delay, resolution)
             depth = hands.PRESS_N * (1 / stiffness + 1 / k)
             step = hands.moved_by(hands.DEVICE_KG + kg, k, b)
-            told = hands.call(hands.touched, *block.memory.views, block.frame, step, k, b, depth, delay, resolution)
+            told = hands.call(
+                hands.touched, *block.memory.views, block.frame, step, k, b, depth, delay, resolution
+            )
             rows.append((stiffness, b, delay, resolution, kg, k, *told))
     made = hands.told_of(np.array(rows))
     return {key: made[key] for key in ("cases", "cycles", "worst_rms_n", "drives", "gives", "worst_given_mj")}

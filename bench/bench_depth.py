@@ -2,9 +2,9 @@
 
     python bench/bench_depth.py [--quick] [--large N]
 
-Ours is timed as a whole and uncached (noise step, normals, culling, forces); numpy and Warp are given the finished
-planes and fill the dense lattice with the same formula, and their result is checked against ours. Times are wall
-time. The large lattice is ours alone, in a process of its own.
+Ours is timed as a whole and uncached (noise step, normals, culling, forces); numpy and Warp are given the
+finished planes and fill the dense lattice with the same formula, and their result is checked against ours.
+Times are wall time. The large lattice is ours alone, in a process of its own.
 """
 
 from __future__ import annotations
@@ -78,7 +78,9 @@ def with_numpy(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> np.
     plane = surface.planes.reshape(-1, 4)[pixel]
     facing = x * plane[..., 0] + y * plane[..., 1] + z * plane[..., 2]
     phi = facing - plane[..., 3]
-    limit = np.where(phi <= 0, np.float32(-RAY_LIMIT * profile.low_m), np.float32(RAY_LIMIT * max(profile.high_m, 0)))
+    limit = np.where(
+        phi <= 0, np.float32(-RAY_LIMIT * profile.low_m), np.float32(RAY_LIMIT * max(profile.high_m, 0))
+    )
     held = (facing < 0) & (z * np.abs(phi) <= -facing * limit)
     amplitude = np.zeros(grid.shape, np.float32)
     for low, high, intercept, slope in profile.table().astype(np.float32):
@@ -107,7 +109,9 @@ def warp_caller(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> Ca
     ):
         i, j, k = wp.tid()
         p = wp.vec3(
-            origin[0] + spacing[0] * float(i), origin[1] + spacing[1] * float(j), origin[2] + spacing[2] * float(k)
+            origin[0] + spacing[0] * float(i),
+            origin[1] + spacing[1] * float(j),
+            origin[2] + spacing[2] * float(k),
         )
         force = wp.vec3(0.0, 0.0, 0.0)
         u = p[0] / p[2] * camera[0] + camera[2] + 0.5
@@ -157,8 +161,15 @@ def by_itself(n: int) -> Figures:
     field = DepthScene(scene.sequence).field(0, grid, profile)
     elapsed_ms = (perf_counter() - start) * 1e3
     status = Path("/proc/self/status").read_text(encoding="ascii")
-    peak_kb = int(status.split("VmHWM:")[1].split()[0])  # of this process alone, unlike getrusage after a fork
-    return {"ms": elapsed_ms, "peak_mb": peak_kb / 1024, "bricks": len(field.bricks), "support": field.support_count}
+    peak_kb = int(
+        status.split("VmHWM:")[1].split()[0]
+    )  # of this process alone, unlike getrusage after a fork
+    return {
+        "ms": elapsed_ms,
+        "peak_mb": peak_kb / 1024,
+        "bricks": len(field.bricks),
+        "support": field.support_count,
+    }
 
 
 def compare(sequence: Room, n: int) -> Figures:
@@ -183,14 +194,18 @@ def measure(large: int) -> Figures:
     sequence = Room()
     figures: dict[str, Any] = {f"{n}^3": compare(sequence, n) for n in (128, 256)}
     program = f"import json, bench_depth; print(json.dumps(bench_depth.by_itself({large})))"
-    said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, cwd=Path(__file__).parent)
+    said = subprocess.run(
+        [sys.executable, "-c", program], check=True, capture_output=True, cwd=Path(__file__).parent
+    )
     figures[f"{large}^3"] = json.loads(said.stdout)
     return figures
 
 
 def bars(figures: Figures) -> list[Bar]:
     """Ahead of numpy and of Warp, the same field, and a large lattice within its memory."""
-    rows = {f"{n}^3 {peer}": figure(figures, f"{n}^3", peer) for n in (128, 256) for peer in ("numpy", "warp")}
+    rows = {
+        f"{n}^3 {peer}": figure(figures, f"{n}^3", peer) for n in (128, 256) for peer in ("numpy", "warp")
+    }
     differs = [row["differing"] for row in rows.values() if row and "differing" in row]
     return [
         at_most("a frame at 128^3", figure(figures, "128^3", "touchfield", "min_ms"), 6.0, "ms"),

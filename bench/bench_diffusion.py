@@ -2,10 +2,10 @@
 
     python bench/bench_diffusion.py [--quick] [--samples N]
 
-Ten steps on a dense cube of 128 (or the given number of) samples with three components, and on a sphere's wall that
-fills 5 % of the same cube. The peers: the same equation in vectorised numpy, and, where it is installed,
-`medpy.filter.smoothing.anisotropic_diffusion` on each component (a conductance for each component apart: less work
-than one of the vector). Each row is the best of several runs, all in one process.
+Ten steps on a dense cube of 128 (or the given number of) samples with three components, and on a sphere's
+wall that fills 5 % of the same cube. The peers: the same equation in vectorised numpy, and, where it is
+installed, `medpy.filter.smoothing.anisotropic_diffusion` on each component (a conductance for each component
+apart: less work than one of the vector). Each row is the best of several runs, all in one process.
 """
 
 from __future__ import annotations
@@ -33,7 +33,9 @@ def in_numpy(values: Floats) -> Floats:
         for axis in range(3):
             d = np.diff(u, axis=axis)
             d *= LAM * np.exp(-(d**2).sum(axis=-1, keepdims=True) / KAPPA_N**2)
-            low, high = (tuple(slice(*s) if a == axis else slice(None) for a in range(3)) for s in ((-1,), (1, None)))
+            low, high = (
+                tuple(slice(*s) if a == axis else slice(None) for a in range(3)) for s in ((-1,), (1, None))
+            )
             change[low] += d
             change[high] -= d
         u += change
@@ -71,7 +73,9 @@ def measure(samples: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Ahead of the fastest peer with the same numbers, and the sparse wall as fast as frames of a camera come."""
+    """Ahead of the fastest peer with the same numbers, and the sparse wall as fast as frames of a camera
+    come.
+    """
     rows = figures["rows"]
     ours = figure(rows, f"perona_malik, dense {figures['samples']}^3 x 3", "min_ms")
     peers = [row["min_ms"] for name, row in rows.items() if name.startswith("peer")]

@@ -105,10 +105,14 @@ def measure(count: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Look-ups ahead of numpy's, and a dense frame of 128^3 samples through each step in a thirtieth of a second."""
+    """Look-ups ahead of numpy's, and a dense frame of 128^3 samples through each step in a thirtieth of a
+    second.
+    """
     rows, levels = figures["directions"], figures["amplitudes"].values()
     brute = min(row["random_m_per_s"] / row["brute_force_numpy_m_per_s"] for row in rows.values())
-    search = [row["encode_m_per_s"] / row["searchsorted_m_per_s"] for row in levels if "searchsorted_m_per_s" in row]
+    search = [
+        row["encode_m_per_s"] / row["searchsorted_m_per_s"] for row in levels if "searchsorted_m_per_s" in row
+    ]
     gates, frames = column(figures["deadband"], "m_per_s"), 30 * 128**3 / 1e6
     return [
         at_least("directions over numpy's brute force", brute, 10.0),

@@ -2,8 +2,9 @@
 
     python bench/bench_entropy.py [--quick] [--symbols N]
 
-Supports: those of the bands and heights of `rate.py` at 128^3 samples, and always six spheres' walls, smooth and with
-a rough edge. Peers: the mask as bits, by zlib -9 and lzma. Times are the best of several, on one thread.
+Supports: those of the bands and heights of `rate.py` at 128^3 samples, and always six spheres' walls, smooth
+and with a rough edge. Peers: the mask as bits, by zlib -9 and lzma. Times are the best of several, on one
+thread.
 """
 
 from __future__ import annotations
@@ -111,7 +112,11 @@ def fields() -> Iterator[tuple[str, ForceField, ForceField | None]]:
                 for second in others:
                     yield f"support, {case.name}, given the frame before", second, first
     for name, roughness in (("spheres", 0.0), ("rough spheres", 0.5)):
-        yield f"support, {name}", ForceField.from_dense(GRID, spheres(roughness)[..., None] * np.ones(3, "f4")), None
+        yield (
+            f"support, {name}",
+            ForceField.from_dense(GRID, spheres(roughness)[..., None] * np.ones(3, "f4")),
+            None,
+        )
 
 
 def support_row(field: ForceField, before: ForceField | None) -> dict[str, float]:
@@ -145,7 +150,9 @@ def measure(symbols: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Supports shorter than the best peer's and in time for a camera; symbols as fast as 128^3 of them a frame."""
+    """Supports shorter than the best peer's and in time for a camera; symbols as fast as 128^3 of them a
+    frame.
+    """
     rows = figures["rows"]
     supports = {name: row for name, row in rows.items() if name.startswith("support")}
     over = [min(row["zlib_bytes"], row["lzma_bytes"]) / row["bytes"] for row in supports.values()]
@@ -153,9 +160,15 @@ def bars(figures: Figures) -> list[Bar]:
     plain = {name: row for name, row in rows.items() if name.startswith("huffman")}
     runs = {name: row for name, row in rows.items() if name.startswith("runs")}
     return [
-        at_least("bytes of the shorter of zlib and lzma over a support's, worst", min(over, default=None), 1.0),
-        at_most("reading a support, slowest", max(column(supports, "decode_ms"), default=None), 1e3 / 30, "ms"),
-        at_most("writing a support, slowest", max(column(supports, "encode_ms"), default=None), 1e3 / 30, "ms"),
+        at_least(
+            "bytes of the shorter of zlib and lzma over a support's, worst", min(over, default=None), 1.0
+        ),
+        at_most(
+            "reading a support, slowest", max(column(supports, "decode_ms"), default=None), 1e3 / 30, "ms"
+        ),
+        at_most(
+            "writing a support, slowest", max(column(supports, "encode_ms"), default=None), 1e3 / 30, "ms"
+        ),
         at_least("Huffman, read", min(column(plain, "decode_msym_s"), default=None), dense_msym_s, "M/s"),
         at_least("Huffman, written", min(column(plain, "encode_msym_s"), default=None), dense_msym_s, "M/s"),
         at_least("hold runs, read", min(column(runs, "decode_msample_s"), default=None), dense_msym_s, "M/s"),

@@ -36,7 +36,9 @@ def shell(samples: int, low: float, high: float) -> ForceField:
     r = np.sqrt(x * x + y * y + z * z)
     held = np.argwhere((r < high) & (r > low))
     points = grid.to_m(held)
-    return ForceField.from_support(grid, held, points / np.maximum(np.linalg.norm(points, axis=1), 1e-9)[:, None])
+    return ForceField.from_support(
+        grid, held, points / np.maximum(np.linalg.norm(points, axis=1), 1e-9)[:, None]
+    )
 
 
 def scipy_half(dense: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -2,10 +2,11 @@
 
     python bench/bench_fusion.py [--quick] [--frames N] [--rounds N]
 
-"then" are the figures of the first run, each frame alone, by the coder and filter of that time. A voxel changes if it
-differs from frame to frame by more than max(0.05 N, 0.1 |F|); of those held in both frames. Newly seen, and apart: a
-sample of the oversampled lattice within the low-pass's reach is held that was not in the frame before. Peers are run
-by TOUCHFIELD_PEERS, the path of a Python interpreter that has them (default: this one).
+"then" are the figures of the first run, each frame alone, by the coder and filter of that time. A voxel
+changes if it differs from frame to frame by more than max(0.05 N, 0.1 |F|); of those held in both frames.
+Newly seen, and apart: a sample of the oversampled lattice within the low-pass's reach is held that was not in
+the frame before. Peers are run by TOUCHFIELD_PEERS, the path of a Python interpreter that has them (default:
+this one).
 """
 
 from __future__ import annotations
@@ -107,7 +108,12 @@ def standing(name: str, world: str, frames_bytes: int | None, count: int) -> Row
         changes.append(change[both])
         before, raw_before = now, raw
     share, share_seen = (counts[:, 0] / counts[:, 1]).tolist()
-    row: Row = {"sequence": name, "world": world, "share": share, "change_n": float(np.concatenate(changes).mean())}
+    row: Row = {
+        "sequence": name,
+        "world": world,
+        "share": share,
+        "change_n": float(np.concatenate(changes).mean()),
+    }
     row |= {"bytes": done.file_bytes, "of_then": done.file_bytes / THEN[name]["bytes"], "then": THEN[name]}
     row["of_frames"] = done.file_bytes / (frames_bytes or done.file_bytes)
     if world == "causal":
@@ -116,7 +122,9 @@ def standing(name: str, world: str, frames_bytes: int | None, count: int) -> Row
 
 
 def first_contact() -> Row:
-    """Where rays of frame 0 of ICL first meet the filtered fused field, less |F|/K, against the depth; hand mm."""
+    """Where rays of frame 0 of ICL first meet the filtered fused field, less |F|/K, against the depth; hand
+    mm.
+    """
     prepared = prepare(str(FOLDERS[ICL]), spec_of("fused"))
     field, placement = prepared.medium[0], prepared.placement
     sequence = open_source(str(FOLDERS[ICL]), SourceOptions()).sequence  # type: ignore[attr-defined]
@@ -142,7 +150,9 @@ def first_contact() -> Row:
 def _met_m(
     field: ForceField, start_m: NDArray[Any], rays: NDArray[Any], level_n: float, far_m: float
 ) -> NDArray[np.float64]:
-    """Metres along each ray to the surface that the first |F| of that level tells of, NaN where there is none."""
+    """Metres along each ray to the surface that the first |F| of that level tells of, NaN where there is
+    none.
+    """
     found, open_ = np.full(len(rays), np.nan), np.arange(len(rays))
     for way_m in np.arange(0.0, far_m, STEP_M):
         forces = field.sample_n(start_m + way_m * rays[open_]).astype(np.float64)
@@ -217,12 +227,20 @@ def speed(name: str, rounds: int) -> Row:
     in_memory = max(fused()[0] for _ in range(rounds))
     sequence.depth_m = read
     k = sequence.intrinsics
-    given: dict[str, Any] = {"depths_m": np.stack(depths), "poses": np.stack([scene.pose(i) for i in range(count)])}
+    given: dict[str, Any] = {
+        "depths_m": np.stack(depths),
+        "poses": np.stack([scene.pose(i) for i in range(count)]),
+    }
     given |= {"intrinsics": np.array([k.fx, k.fy, k.cx, k.cy]), "voxel_m": np.array(np.mean(fine.spacing_m))}
     with tempfile.TemporaryDirectory() as out:
         np.savez(Path(out) / "depths.npz", **given)
-        command = [os.environ.get("TOUCHFIELD_PEERS", sys.executable), str(Path(__file__).parent / "fusion_peers.py")]
-        told = subprocess.run([*command, f"{out}/depths.npz"], check=True, capture_output=True, text=True).stdout
+        command = [
+            os.environ.get("TOUCHFIELD_PEERS", sys.executable),
+            str(Path(__file__).parent / "fusion_peers.py"),
+        ]
+        told = subprocess.run(
+            [*command, f"{out}/depths.npz"], check=True, capture_output=True, text=True
+        ).stdout
     peers: dict[str, Row] = json.loads(told.splitlines()[-1])
     size = sum(array.nbytes for array in volume.samples)
     return {
@@ -244,7 +262,11 @@ def measure(frames: int, rounds: int) -> Row:
         for world in ("frames", "causal", "fused"):
             rows.append(standing(name, world, frames_bytes, frames))
             frames_bytes = frames_bytes or rows[-1]["bytes"]
-    figures: Row = {"standing": rows, "speed": [speed(name, rounds) for name in here], "truth": contact_errors_mm()}
+    figures: Row = {
+        "standing": rows,
+        "speed": [speed(name, rounds) for name in here],
+        "truth": contact_errors_mm(),
+    }
     figures["absent"] = [name for name in FOLDERS if name not in here]
     if ICL in here:
         figures["first_contact"] = first_contact()
@@ -261,7 +283,9 @@ def bars(figures: Row) -> list[Bar]:
         if world != "frames":
             share = row.get("share_newly_seen_apart", row["share"])
             found.append(at_most(f"{name}: samples that change", share, 0.01 if world == "fused" else 0.05))
-            found.append(at_most(f"{name}: bytes of then", row["of_then"], 0.25 if world == "fused" else 0.45))
+            found.append(
+                at_most(f"{name}: bytes of then", row["of_then"], 0.25 if world == "fused" else 0.45)
+            )
     for row in figures["speed"]:
         fastest = max(column(row["peers"], "frames_per_s"), default=None)
         over = None if fastest is None else row["in_memory_per_s"] / fastest

@@ -1,10 +1,12 @@
-"""Gaussian smoothing, sigma 2 samples, radius 8: a dense field of 256^3 vectors, and sparse ones at 2 % support.
+"""Gaussian smoothing, sigma 2 samples, radius 8: a dense field of 256^3 vectors, and sparse ones at 2 %
+support.
 
     python bench/bench_gaussian.py [--quick] [--samples N]
 
-The peers smooth the dense float32 array: `scipy.ndimage.gaussian_filter`; `scipy.fft` on all cores, periodic and
-without padding, which flatters it; and OpenCV, plane by plane and then over planes, with one thread a core. Each is
-checked against ours with its own boundary. Peers and ours take turns, and each keeps its fastest run.
+The peers smooth the dense float32 array: `scipy.ndimage.gaussian_filter`; `scipy.fft` on all cores, periodic
+and without padding, which flatters it; and OpenCV, plane by plane and then over planes, with one thread a
+core. Each is checked against ours with its own boundary. Peers and ours take turns, and each keeps its
+fastest run.
 """
 
 from __future__ import annotations
@@ -51,7 +53,9 @@ def by_fft(dense: Dense) -> Dense:
 
 
 def by_opencv(pool: ThreadPoolExecutor) -> Callable[[Dense], Dense]:
-    """`sepFilter2D` (`GaussianBlur` is slower); each plane of y, z first, then along x over blocks of columns."""
+    """`sepFilter2D` (`GaussianBlur` is slower); each plane of y, z first, then along x over blocks of
+    columns.
+    """
     import cv2
 
     taps, one = gaussian_taps(SIGMA).astype(np.float32), np.ones(1, np.float32)
@@ -120,7 +124,12 @@ def measure(samples: int) -> Figures:
         jobs[f"touchfield, {name}"] = partial(smooth, field)
     rows = best_ms(jobs, ROUNDS)
     support = {name: field.support_count / samples**3 for name, field in fields.items()}
-    told = {"samples": samples, "threads": worker_count(), "support": support, "largest_difference": max(apart)}
+    told = {
+        "samples": samples,
+        "threads": worker_count(),
+        "support": support,
+        "largest_difference": max(apart),
+    }
     return {**told, "rows_ms": rows, "absent": absent}
 
 

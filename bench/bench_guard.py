@@ -1,16 +1,17 @@
-"""No kernel gets slower unnoticed: its processor time over a frozen loop's of the same kind, beside the stored ratio.
+"""No kernel gets slower unnoticed: its processor time over a frozen loop's of the same kind, beside the
+stored ratio.
 
     python bench/bench_guard.py [--quick] [--only NAME,NAME] [--store]
 
-Ours and the frozen loop (`reference.kernels`) take turns on one thread, and each run of ours is divided by the frozen
-loop's before and after it, in processor time: neither other processes nor a slower machine change the median of these
-ratios much. One that looks too large is measured on, `TRIES` times as long at most, and then in up to `PROCESSES`
-other processes: noise goes, a slow kernel stays.
+Ours and the frozen loop (`reference.kernels`) take turns on one thread, and each run of ours is divided by
+the frozen loop's before and after it, in processor time: neither other processes nor a slower machine change
+the median of these ratios much. One that looks too large is measured on, `TRIES` times as long at most, and
+then in up to `PROCESSES` other processes: noise goes, a slow kernel stays.
 A ratio above `MARGIN` times the stored one is a failure, with exit status 1, in quick runs too.
 
-`--store` makes the ratios of this run those to be held (after a kernel has become faster, or slower on purpose).
-Stored ratios are of one model of processor. On another model the loops may differ otherwise than ours do: the ratios
-are shown there, and none is a failure; store them anew to judge a change.
+`--store` makes the ratios of this run those to be held (after a kernel has become faster, or slower on
+purpose). Stored ratios are of one model of processor. On another model the loops may differ otherwise than
+ours do: the ratios are shown there, and none is a failure; store them anew to judge a change.
 """
 
 from __future__ import annotations
@@ -90,7 +91,8 @@ def depth_pairs() -> dict[str, Pair]:
 
     return {
         "depth, planes": Pair.of(
-            lambda: DepthScene(sequence, step_per_m=step_per_m).planes(0), lambda: frozen.image_planes(image, planes)
+            lambda: DepthScene(sequence, step_per_m=step_per_m).planes(0),
+            lambda: frozen.image_planes(image, planes),
         ),
         "depth, bricks": Pair.of(lambda: holds_force(candidates, query), reference),
         "depth, forces": Pair.of(lambda: fill_bricks(0, len(bricks), bricks, query, out), reference),
@@ -155,7 +157,9 @@ def query_pairs() -> dict[str, Pair]:
 
 
 def coder_pairs() -> dict[str, Pair]:
-    """A segment of two frames of a depth camera, encoded and decoded: as a whole, and the passes over the voxels."""
+    """A segment of two frames of a depth camera, encoded and decoded: as a whole, and the passes over the
+    voxels.
+    """
     grid = Grid.over_box(LOW_M, HIGH_M, (48, 48, 48))
     frames = [DepthScene(Room()).field(0, grid, wall(grid))] * 2
     symbols = (np.abs(np.random.default_rng(0).normal(0, 6, (40, 40, 40))) % 32).astype(np.uint8)
@@ -190,7 +194,9 @@ GROUPS = {
 
 
 def ratio_of(pair: Pair, rounds: int, limit: float) -> dict[str, float]:
-    """Milliseconds of both and the median of their ratios: of `rounds`, or of more until it is within the limit."""
+    """Milliseconds of both and the median of their ratios: of `rounds`, or of more until it is within the
+    limit.
+    """
     pair.ours()
     pair.reference()
     pairs: list[tuple[float, float]] = []
@@ -219,13 +225,18 @@ def measure(only: str, store: bool, rounds: int) -> Figures:
 
 
 def measured_again(figures: Figures, rounds: int) -> Figures:
-    """What looks too slow, again in processes of their own: where their arrays lie in memory makes a difference."""
+    """What looks too slow, again in processes of their own: where their arrays lie in memory makes a
+    difference.
+    """
     rows = dict(figures["rows"])
     for _ in range(PROCESSES):
         slow = {row["group"] for row in rows.values() if row["over_stored"] > MARGIN}
         if not slow:
             break
-        program = f"import json, bench_guard as g; print(json.dumps(g.measure({','.join(slow)!r}, False, {rounds})))"
+        program = (
+            f"import json, bench_guard as g; print(json.dumps(g.measure({','.join(slow)!r}, False, "
+            f"{rounds})))"
+        )
         command, folder = [sys.executable, "-c", program], Path(__file__).parent
         done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder)
         for name, row in json.loads(done.stdout.splitlines()[-1])["rows"].items():
@@ -253,7 +264,9 @@ def main() -> None:
         if stored_on != here:
             print(f"not judged: the ratios were stored on {stored_on}, this is {here}")
             return
-        sys.exit("slower than the stored ratio: see above; on purpose? store it: bench/bench_guard.py --store")
+        sys.exit(
+            "slower than the stored ratio: see above; on purpose? store it: bench/bench_guard.py --store"
+        )
 
 
 if __name__ == "__main__":

@@ -2,8 +2,9 @@
 
     python bench/bench_information.py [--quick] [--count N]
 
-"Read" is the sum of the memory as 64-bit words, once by one thread (numpy) and once by as many as the counting has;
-"int16 sum" is numpy's own reading of the symbols as what they are. Times are the best of several.
+"Read" is the sum of the memory as 64-bit words, once by one thread (numpy) and once by as many as the
+counting has; "int16 sum" is numpy's own reading of the symbols as what they are. Times are the best of
+several.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ def row(x: NDArray[np.int16]) -> dict[str, float]:
     return {
         "entropy_ms": measured,
         "read_ms": read,
-        "read_by_all_threads_ms": timed(lambda: for_chunks(lambda b, e: words[b:e].sum(), len(words)), 15)["min_ms"],
+        "read_by_all_threads_ms": timed(lambda: for_chunks(lambda b, e: words[b:e].sum(), len(words)), 15)[
+            "min_ms"
+        ],
         "int16_sum_ms": timed(lambda: x.sum(), runs=3)["min_ms"],
         "bincount_ms": timed(lambda: np.bincount(unsigned), runs=3)["min_ms"],
         "over_read": measured / read,

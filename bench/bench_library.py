@@ -1,11 +1,12 @@
-"""A library of small media: how fast a folder is described beside the decoder alone, and how fast it is searched.
+"""A library of small media: how fast a folder is described beside the decoder alone, and how fast it is
+searched.
 
     python bench/bench_library.py [--quick] [--files N]
 
-The folder holds 10,000 .touch files: balls and walls of 40 sizes, three frames in a lattice of 32^3, in 250 copies,
-each with a provenance of its own so that none is recognised by its checksum. The decoder's own time is that of
-opening every file and decoding all its frames, on all cores, too; the ten folders are taken in turn. Then the index
-is read again with nothing changed, and searched.
+The folder holds 10,000 .touch files: balls and walls of 40 sizes, three frames in a lattice of 32^3, in 250
+copies, each with a provenance of its own so that none is recognised by its checksum. The decoder's own time
+is that of opening every file and decoding all its frames, on all cores, too; the ten folders are taken in
+turn. Then the index is read again with nothing changed, and searched.
 """
 
 from __future__ import annotations
@@ -96,14 +97,22 @@ def queried(folder: Path) -> dict[str, Any]:
         index.query(row, 10)
         times.append(1e3 * (perf_counter() - began))
     median, worst = float(np.median(times)), max(times)
-    return {"media": len(index), "read_ms": read_ms, "ready_ms": ready_ms, "median_ms": median, "worst_ms": worst}
+    return {
+        "media": len(index),
+        "read_ms": read_ms,
+        "ready_ms": ready_ms,
+        "median_ms": median,
+        "worst_ms": worst,
+    }
 
 
 def right(folder: Path) -> float:
     """The share of queries whose nearest ten are all of the query's own kind."""
     index = Library.load(library_path(folder)).index()
     names = index.names[:: len(index.names) // 50]
-    return float(np.mean([all(m.name[2:8] == name[2:8] for m in index.query(index[name], 10)) for name in names]))
+    return float(
+        np.mean([all(m.name[2:8] == name[2:8] for m in index.query(index[name], 10)) for name in names])
+    )
 
 
 def measure(files: int) -> Figures:

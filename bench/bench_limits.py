@@ -2,9 +2,9 @@
 
     python bench/bench_limits.py [--quick] [--nw N]
 
-Fields: the samples terrain and motorcycle, and three frames of the optional folder ../shared/data where it is there,
-quantised by weber:0.1/ico5. Peers: the symbols as int16 in raster order, by zlib -9 and lzma. Times are the best of
-several, on one thread; a voxel is any sample of the lattice, empty ones among them.
+Fields: the samples terrain and motorcycle, and three frames of the optional folder ../shared/data where it is
+there, quantised by weber:0.1/ico5. Peers: the symbols as int16 in raster order, by zlib -9 and lzma. Times
+are the best of several, on one thread; a voxel is any sample of the lattice, empty ones among them.
 """
 
 from __future__ import annotations

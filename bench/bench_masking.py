@@ -1,11 +1,13 @@
-"""Spatial masking in the coder `touch` (paper section 4.2): bytes, and what a sliding hand feels, with and without.
+"""Spatial masking in the coder `touch` (paper section 4.2): bytes, and what a sliding hand feels, with and
+without.
 
     python bench/bench_masking.py [--nw N ...] [--quick]
 
-Each field of `rate_fields`, one frame at the promise max(F_0, k |F| + beta mean of |F| within 2.5 mm), k 0.1, F_0
-0.05 N. No figure of beta is agreed; three are tried. Beside it the plain promise with k + beta in place of k, which
-allows at least as much wherever the force around is no stronger than here. A hand that slides at 100 mm/s feels the
-error in the band of 40 to 400 Hz. The bar is that of every mechanism: 3 % of the bytes, on the mean of the fields.
+Each field of `rate_fields`, one frame at the promise max(F_0, k |F| + beta mean of |F| within 2.5 mm), k 0.1,
+F_0 0.05 N. No figure of beta is agreed; three are tried. Beside it the plain promise with k + beta in place
+of k, which allows at least as much wherever the force around is no stronger than here. A hand that slides at
+100 mm/s feels the error in the band of 40 to 400 Hz. The bar is that of every mechanism: 3 % of the bytes, on
+the mean of the fields.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
     python bench/bench_mesh.py [--quick] [--samples N]
 
 Ours is timed from the triangles to the force field. Each peer that imports here (Warp, Open3D, libigl,
-point-cloud-utils) is timed with the making of its search tree, and is asked for exactly the samples of the band, with
-sign; none of them has to find out which those are. OpenVDB makes the band itself, in a process of its own
-(`openvdb_peer.py`; also that of Debian's package python3-openvdb). Distances and signs are compared.
+point-cloud-utils) is timed with the making of its search tree, and is asked for exactly the samples of the
+band, with sign; none of them has to find out which those are. OpenVDB makes the band itself, in a process of
+its own (`openvdb_peer.py`; also that of Debian's package python3-openvdb). Distances and signs are compared.
 """
 
 from __future__ import annotations
@@ -34,9 +34,13 @@ Peer = Callable[[Floats, NDArray[np.int32], Floats], Floats]
 BAND = 4  # voxels
 RUNS = 3  # of a peer
 APPROXIMATE = ("point-cloud-utils", "openvdb")
-"""Peers whose distances are not exact. At some samples of its band the signs of OpenVDB differ from all others."""
+"""Peers whose distances are not exact. At some samples of its band the signs of OpenVDB differ from all
+others.
+"""
 OPENVDB = str(Path(__file__).with_name("openvdb_peer.py"))
-_BARE = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}  # of another interpreter
+_BARE = {
+    name: value for name, value in os.environ.items() if not name.startswith("PYTHON")
+}  # of another interpreter
 
 
 def bumpy(subdivisions: int = 5) -> tuple[Floats, NDArray[np.int32]]:
@@ -44,12 +48,16 @@ def bumpy(subdivisions: int = 5) -> tuple[Floats, NDArray[np.int32]]:
     trimesh = import_module("trimesh")
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
     x, y, z = np.asarray(mesh.vertices).T
-    radius = 1 + 0.15 * np.sin(6 * x) * np.sin(5 * y) * np.sin(7 * z) + 0.05 * np.sin(20 * x + 3) * np.cos(17 * y)
+    radius = (
+        1 + 0.15 * np.sin(6 * x) * np.sin(5 * y) * np.sin(7 * z) + 0.05 * np.sin(20 * x + 3) * np.cos(17 * y)
+    )
     return np.asarray(mesh.vertices) * 0.8 * radius[:, None], np.asarray(mesh.faces, np.int32)
 
 
 def igl(vertices: Floats, faces: NDArray[np.int32], points: Floats) -> Floats:
-    """libigl: axis-aligned box tree, sign by the pseudo-normal (with the fast winding number, distances are off)."""
+    """libigl: axis-aligned box tree, sign by the pseudo-normal (with the fast winding number, distances are
+    off).
+    """
     library = import_module("igl")
     kind = library.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
     result = library.signed_distance(points.astype(np.float64), vertices, faces.astype(np.int64), kind)
@@ -114,14 +122,18 @@ def openvdb_python() -> tuple[str, str] | None:
     """The interpreter that has OpenVDB, this one or the system's, and the version; None where neither has it."""
     for interpreter in (sys.executable, "/usr/bin/python3"):
         try:
-            found = subprocess.run([interpreter, OPENVDB], env=_BARE, check=True, capture_output=True, text=True)
+            found = subprocess.run(
+                [interpreter, OPENVDB], env=_BARE, check=True, capture_output=True, text=True
+            )
         except (OSError, subprocess.CalledProcessError):
             continue
         return interpreter, found.stdout.strip()
     return None
 
 
-def openvdb(vertices: Floats, faces: NDArray[np.int32], points: Floats, runs: int) -> tuple[Floats, dict[str, float]]:
+def openvdb(
+    vertices: Floats, faces: NDArray[np.int32], points: Floats, runs: int
+) -> tuple[Floats, dict[str, float]]:
     """OpenVDB, in a process of its own: signed distances, and milliseconds of the runs without the process."""
     found = openvdb_python()
     assert found is not None
@@ -185,7 +197,11 @@ def measure(samples: int) -> Figures:
             continue
         values = peer(vertices, faces, points)
         times = timed(partial(peer, vertices, faces, points), RUNS, warm=0)
-        rows[name] = {**times, "version": metadata.version(name.split(",")[0]), **differences(values, phi, voxel)}
+        rows[name] = {
+            **times,
+            "version": metadata.version(name.split(",")[0]),
+            **differences(values, phi, voxel),
+        }
     found = openvdb_python()
     if found:
         values, times = openvdb(vertices, faces, points, RUNS)
@@ -194,7 +210,12 @@ def measure(samples: int) -> Figures:
         absent.append("openvdb")
     for row in rows.values():
         row["times_touchfield"] = row["min_ms"] / rows["touchfield"]["min_ms"]
-    counts = {"samples": samples, "triangles": len(faces), "band_samples": len(points), "threads": worker_count()}
+    counts = {
+        "samples": samples,
+        "triangles": len(faces),
+        "band_samples": len(points),
+        "threads": worker_count(),
+    }
     return {**counts, "rows": rows, "absent": absent}
 
 

@@ -1,13 +1,14 @@
-"""What a hand that moves feels of coder `touch`, beside what the source itself does: the figures, and the bars.
+"""What a hand that moves feels of coder `touch`, beside what the source itself does: the figures, and the
+bars.
 
     python bench/bench_motion.py [--quick] [--effort NAME] [--largest N]
 
 Slides: a ball and the terrain from n_w 7 to the largest (8), k 0.1, F_0 0.05 N, at 50, 100 and 200 mm/s;
-millinewtons from 40 to 400 Hz, and the margin to the threshold of a hand that holds a stylus in its worst third of an
-octave; inside the ball too, where the force saturates. Holds: bodies at rest as voxels at 1 kHz, and a room at 30 Hz,
-as a receiver plays them that goes over from segment to segment; "decoded" is without that. "before" is
-the first coder `touch` (format version 0), measured by a script of its own on other paths; the bytes before are those
-of the same commands.
+millinewtons from 40 to 400 Hz, and the margin to the threshold of a hand that holds a stylus in its worst
+third of an octave; inside the ball too, where the force saturates. Holds: bodies at rest as voxels at 1 kHz,
+and a room at 30 Hz, as a receiver plays them that goes over from segment to segment; "decoded" is without
+that. "before" is the first coder `touch` (format version 0), measured by a script of its own on other paths;
+the bytes before are those of the same commands.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ REST_BEFORE = {"source_mn": 0.002, "error_mn": 20.5, "step_mn": 249}
 ROOM_BEFORE = {"start_error_mn": 123, "error_step_mn": 30}
 
 
-def measured(source: str | Scene, spec: EncodeSpec, slides: SlideSpec | None = None) -> tuple[HandMotion, Encoded]:
+def measured(
+    source: str | Scene, spec: EncodeSpec, slides: SlideSpec | None = None
+) -> tuple[HandMotion, Encoded]:
     """The hand of a source and its stream."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "it.touch"
@@ -59,7 +62,9 @@ def measured(source: str | Scene, spec: EncodeSpec, slides: SlideSpec | None = N
 
 
 def inside_ball(nw: int, touch: TouchSpec) -> Figures:
-    """Sixteen great circles of 20 mm in the ball of 35 mm (hand metres) at 100 mm/s, where the force saturates."""
+    """Sixteen great circles of 20 mm in the ball of 35 mm (hand metres) at 100 mm/s, where the force
+    saturates.
+    """
     rate_hz, radius_m, speed_m_s, rng = 1000.0, 0.02, 0.1, np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "it.touch"
@@ -85,7 +90,13 @@ def slide_rows(name: str, nw: int, touch: TouchSpec) -> list[Figures]:
     rows = []
     for slide in found.slides:
         margin = margin_of(slide.error_thirds_mn)
-        row = {"field": name, "nw": nw, **slide.summary(), "margin_db": margin.db, "margin_third_hz": margin.third_hz}
+        row = {
+            "field": name,
+            "nw": nw,
+            **slide.summary(),
+            "margin_db": margin.db,
+            "margin_third_hz": margin.third_hz,
+        }
         row |= {"bytes": done.file_bytes, "bytes_before": BYTES_BEFORE[name, nw]}
         rows.append(row | {"before": BEFORE.get((name, nw, slide.speed_mm_s), {})})
     return rows

@@ -2,9 +2,9 @@
 
     python bench/bench_objects.py [--quick] [--queries N]
 
-The objects' own lattices have 30^3 to 64^3 samples. The peer is scipy's `map_coordinates` (order 1) on the same
-fields held densely, one call for each object and component; of a frame it is asked for no more than the samples
-within the box of each object's lattice. Forces are compared.
+The objects' own lattices have 30^3 to 64^3 samples. The peer is scipy's `map_coordinates` (order 1) on the
+same fields held densely, one call for each object and component; of a frame it is asked for no more than the
+samples within the box of each object's lattice. Forces are compared.
 """
 
 from __future__ import annotations
@@ -46,7 +46,9 @@ def scene() -> HapticScene:
         )
         grid = Grid((side,) * 3, (SPACING_M,) * 3, (-(side - 1) * SPACING_M / 2,) * 3)
         field = AnalyticScene([shapes[n % 3]]).field(0, grid, law)
-        track = PoseTrack(Rotation.random(FRAMES, random_state=n).as_quat(), rng.uniform(0.03, 0.098, (FRAMES, 3)))
+        track = PoseTrack(
+            Rotation.random(FRAMES, random_state=n).as_quat(), rng.uniform(0.03, 0.098, (FRAMES, 3))
+        )
         objects.append(HapticObject(f"object {n}", HapticMedium.from_frames([field], 1000.0), track))
     return HapticScene(Grid((128,) * 3, (SPACING_M,) * 3, (0.0,) * 3), 1000.0, tuple(objects), 3.3)
 
@@ -118,7 +120,11 @@ def measure(queries: int) -> Figures:
     rule, moves = ComposedRule(one, 0.1, 0.05), Moves.of(one, [o.track for o in one.objects])
     check = timed(lambda: rule.check(pairs, moves, range(FRAMES)))["min_ms"] / FRAMES
     told = {"queries": queries, "support": frames[1].support_count, "threads": worker_count(), "rows": rows}
-    return told | {"kernel_us": kernel_us(one, middle), "check_ms_a_frame": check, "largest_difference_n": differ}
+    return told | {
+        "kernel_us": kernel_us(one, middle),
+        "check_ms_a_frame": check,
+        "largest_difference_n": differ,
+    }
 
 
 def bars(figures: Figures) -> list[Bar]:
@@ -128,7 +134,9 @@ def bars(figures: Figures) -> list[Bar]:
         at_most("a voxelised frame; the prototype took 24 ms", rows["voxelised frame"]["min_ms"], 24.0, "ms"),
         at_most("a query, kernel alone", figures["kernel_us"], 2.0, "us"),
         at_least("time of scipy over ours, worst of all", min(column(rows, "times")), 10.0),
-        at_most("check of the composed promise, a frame", figure(figures, "check_ms_a_frame"), 1e3 / 30, "ms"),
+        at_most(
+            "check of the composed promise, a frame", figure(figures, "check_ms_a_frame"), 1e3 / 30, "ms"
+        ),
         at_most("largest difference to scipy", max(figures["largest_difference_n"].values()), 1e-5, "N"),
     ]
 

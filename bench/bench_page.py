@@ -1,8 +1,9 @@
-"""The page in headless Chromium: how soon a force is felt and a picture is there, its size, and its decoder's speed.
+"""The page in headless Chromium: how soon a force is felt and a picture is there, its size, and its decoder's
+speed.
 
-The decoder is `c/touch.h` as WebAssembly, in node, against the compiled Python on one thread, on the same files. A
-file that moves plays for some time, and another for an hour of its own time, as fast as the browser draws; the memory
-before and after is told.
+The decoder is `c/touch.h` as WebAssembly, in node, against the compiled Python on one thread, on the same
+files. A file that moves plays for some time, and another for an hour of its own time, as fast as the browser
+draws; the memory before and after is told.
 
     python bench/bench_page.py [--quick] [--minutes N] [--rounds N]
 """
@@ -60,7 +61,9 @@ for _ in range(12):
         times.append(1e3 * (perf_counter() - began))
 print(json.dumps(times))
 """
-SAMPLED = "window.heap = []; setInterval(() => { gc(); heap.push(performance.memory.usedJSHeapSize); }, 500); 0"
+SAMPLED = (
+    "window.heap = []; setInterval(() => { gc(); heap.push(performance.memory.usedJSHeapSize); }, 500); 0"
+)
 
 
 def decoder() -> bytes:
@@ -84,7 +87,9 @@ def decode_ms(folder: Path, stream: Path) -> tuple[float, float]:
 
 
 def opened_ms(folder: Path, name: str, stream: Path, rounds: int) -> dict[str, float]:
-    """A force after a file is opened in a page that is there; a picture after the page with the file is asked for."""
+    """A force after a file is opened in a page that is there; a picture after the page with the file is asked
+    for.
+    """
     empty, whole = folder / "page.html", view(stream).save(folder / f"{name}.html")
     empty.write_text(empty_page(), encoding="utf-8")
     forces, pictures = [], []
@@ -93,7 +98,9 @@ def opened_ms(folder: Path, name: str, stream: Path, rounds: int) -> dict[str, f
         steps += [{"do": "open", "file": str(stream)}, {"do": "state"}]
         marks = drive(folder, *steps).answers[3]["marks"]
         forces.append(marks["felt"] - marks["open"])
-        answers = drive(folder, {"do": "goto", "url": whole.as_uri()}, {"do": "wait", "ms": 500}, {"do": "state"})
+        answers = drive(
+            folder, {"do": "goto", "url": whole.as_uri()}, {"do": "wait", "ms": 500}, {"do": "state"}
+        )
         pictures.append(answers.answers[2]["marks"]["drawn"])
     return {f"{name}_force_ms": median(forces), f"{name}_first_picture_ms": median(pictures)}
 
@@ -101,7 +108,8 @@ def opened_ms(folder: Path, name: str, stream: Path, rounds: int) -> dict[str, f
 def growth(folder: Path, minutes: float) -> dict[str, float]:
     """Memory of the page that plays: the least of the last third against the least of the first.
 
-    What a worker has thrown away and not yet given back is in each sample; the least of many is nearly without it.
+    What a worker has thrown away and not yet given back is in each sample; the least of many is nearly
+    without it.
     """
     moving = folder / "falling.touch"
     encode("sample:falling-4", moving, EncodeSpec(frames=(0, 30)))
@@ -120,7 +128,9 @@ def growth(folder: Path, minutes: float) -> dict[str, float]:
 
 
 def hour(folder: Path) -> dict[str, float]:
-    """Memory of the page after an hour of a medium, against its first half hour without the first ten minutes."""
+    """Memory of the page after an hour of a medium, against its first half hour without the first ten
+    minutes.
+    """
     page = folder / "hour.html"
     page.write_text(empty_page(), encoding="utf-8")
     rows = hour_played(folder, page.as_uri())
@@ -150,17 +160,26 @@ def measure(minutes: float, rounds: int) -> Figures:
             stream = folder / f"{scene}.touch"
             encode(f"sample:{scene}", stream, spec)
             ours, peer = decode_ms(folder, stream)
-            figures |= {f"{scene}_wasm_ms": ours, f"{scene}_numba_ms": peer, f"{scene}_decode_of_numba": peer / ours}
+            figures |= {
+                f"{scene}_wasm_ms": ours,
+                f"{scene}_numba_ms": peer,
+                f"{scene}_decode_of_numba": peer / ours,
+            }
             figures |= opened_ms(folder, scene, stream, rounds)
         return figures | growth(folder, minutes) | hour(folder)
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """A page that is small and there at once, half as fast as compiled code at the least, and that leaks nothing."""
+    """A page that is small and there at once, half as fast as compiled code at the least, and that leaks
+    nothing.
+    """
     waits = {
         f"{scene}, {words}": (figure(figures, f"{scene}_{key}_ms"), limit)
         for scene in ("terrain", "motorcycle")
-        for key, words, limit in (("force", "file to force", 300.0), ("first_picture", "page to picture", 1500.0))
+        for key, words, limit in (
+            ("force", "file to force", 300.0),
+            ("first_picture", "page to picture", 1500.0),
+        )
     }
     return [
         at_most("page, gzip", figures["page_gz_bytes"], 200_000, "bytes"),
@@ -168,11 +187,15 @@ def bars(figures: Figures) -> list[Bar]:
         *(at_most(name, ms, limit, "ms") for name, (ms, limit) in waits.items()),
         at_least("terrain, decoding over numba's", figure(figures, "terrain_decode_of_numba"), 0.6),
         at_least("motorcycle, decoding over numba's", figure(figures, "motorcycle_decode_of_numba"), 0.6),
-        at_most("growth of the heap while it plays", figure(figures, "heap_growth_bytes"), 2_000_000, "bytes"),
+        at_most(
+            "growth of the heap while it plays", figure(figures, "heap_growth_bytes"), 2_000_000, "bytes"
+        ),
         at_most("growth of the decoder while it plays", figure(figures, "wasm_growth_bytes"), 0, "bytes"),
         at_most("growth of the heap in an hour", figure(figures, "hour_heap_growth_bytes"), 500_000, "bytes"),
         at_most("growth of the decoder in an hour", figure(figures, "hour_wasm_growth_bytes"), 0, "bytes"),
-        at_most("growth on the graphics card in an hour", figure(figures, "hour_graphics_growth"), 0, "things"),
+        at_most(
+            "growth on the graphics card in an hour", figure(figures, "hour_graphics_growth"), 0, "things"
+        ),
     ]
 
 

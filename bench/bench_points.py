@@ -1,17 +1,19 @@
-"""The fewest points (paper section 6.2): on modes beside their floor, with a curl-free kernel beside random points.
+"""The fewest points (paper section 6.2): on modes beside their floor, with a curl-free kernel beside random
+points.
 
     python bench/bench_points.py [--quick] [--most N]
 
-"moving": media of many frames. The modes are made of all frames and the error is that of all ("same"), or made of
-the even frames and the error is that of the odd ones ("held out"); the floor is what the same modes cannot write of
-those frames. As many modes as points.
+"moving": media of many frames. The modes are made of all frames and the error is that of all ("same"), or
+made of the even frames and the error is that of the odd ones ("held out"); the floor is what the same modes
+cannot write of those frames. As many modes as points.
 
-"still": the middle frame of media, and a recording of a hand that guides a robot (`shared`); where that folder is not
-there, what is in it is left out. The error is over all samples that hold a force, or were recorded. Random points are
-the median of five draws, and with the best of all kernels that ours are tried with, known afterwards. "times" is how
-many times as many of them it takes for our error, 4 at most. The same of points of greatest variance alone, which
-do not know the forces, likewise with the best kernel: they lie at the rim of what is felt, where forces are weak and
-a point tells of few others, so that they are no better than random ones here.
+"still": the middle frame of media, and a recording of a hand that guides a robot (`shared`); where that
+folder is not there, what is in it is left out. The error is over all samples that hold a force, or were
+recorded. Random points are the median of five draws, and with the best of all kernels that ours are tried
+with, known afterwards. "times" is how many times as many of them it takes for our error, 4 at most. The same
+of points of greatest variance alone, which do not know the forces, likewise with the best kernel: they lie at
+the rim of what is felt, where forces are weak and a point tells of few others, so that they are no better
+than random ones here.
 """
 
 from __future__ import annotations
@@ -113,7 +115,10 @@ def on_kernel(places: Any, forces: Any, count: int) -> Figures:
     began = time.perf_counter()
     _, kernel, back = _kept(places, forces, count)
     took, error = time.perf_counter() - began, share_db(back - forces, forces)
-    extent, some = np.ptp(places, axis=0).max(), np.arange(len(places))[:: -(-len(places) // most_candidates(count))]
+    extent, some = (
+        np.ptp(places, axis=0).max(),
+        np.arange(len(places))[:: -(-len(places) // most_candidates(count))],
+    )
     kernels = [Kernel(part * extent, noise) for part in _LENGTHS for noise in _NOISES]
     by_random = {}
     for times in TIMES:
@@ -175,13 +180,17 @@ def bars(figures: Figures) -> list[Bar]:
     real = {n: r for n, r in still.items() if n.startswith("recording")}
     media = {n: r for n, r in still.items() if n not in real}
     return [
-        at_most("points over the floor of their modes, same frames", max(column(same, "over_floor_db")), 3.0, "dB"),
+        at_most(
+            "points over the floor of their modes, same frames", max(column(same, "over_floor_db")), 3.0, "dB"
+        ),
         at_most("the same, frames held out", max(column(held, "over_floor_db")), 3.0, "dB"),
         at_most("error of a frame over its bound", max(column(rows, "of_bound")), 1.0 + 1e-6),
         at_least("random points for the same error, media", min(column(media, "times")), 2.0, "times"),
         at_least("the same, a recording", min(column(real, "times"), default=None), 2.0, "times"),
         at_least("by variance alone, media", min(column(media, "variance_times")), 2.0, "times"),
-        at_least("by variance alone, a recording", min(column(real, "variance_times"), default=None), 2.0, "times"),
+        at_least(
+            "by variance alone, a recording", min(column(real, "variance_times"), default=None), 2.0, "times"
+        ),
         at_most("200 points of 20,000 by variance", figure(figures, "variance_s"), 30.0, "s"),
     ]
 

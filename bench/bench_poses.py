@@ -2,10 +2,10 @@
 
     python bench/bench_poses.py [--quick] [--frames N]
 
-Tracks of 2000 frames at 1 kHz: the seven bodies of `sample:falling-7`, which tumble and bounce; one that spins; one
-that stands still. Steps are those with which no point of a body of 4 cm leaves its place by more than 100, 10 and 1
-um. Peers: zlib -9 and lzma of the same whole numbers, component by component, the differences of order 1 or 2 as
-int32, whichever is shorter; and the poses as seven float32.
+Tracks of 2000 frames at 1 kHz: the seven bodies of `sample:falling-7`, which tumble and bounce; one that
+spins; one that stands still. Steps are those with which no point of a body of 4 cm leaves its place by more
+than 100, 10 and 1 um. Peers: zlib -9 and lzma of the same whole numbers, component by component, the
+differences of order 1 or 2 as int32, whichever is shorter; and the poses as seven float32.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ def spinning(frames: int) -> PoseTrack:
     """About one axis at 3 turns a second, in place."""
     half = np.pi * 3 * np.arange(frames) / RATE_HZ
     return PoseTrack(
-        np.column_stack([np.cos(half), 0 * half, 0.6 * np.sin(half), 0.8 * np.sin(half)]), np.zeros((frames, 3))
+        np.column_stack([np.cos(half), 0 * half, 0.6 * np.sin(half), 0.8 * np.sin(half)]),
+        np.zeros((frames, 3)),
     )
 
 
@@ -82,10 +83,16 @@ def measure(frames: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Shorter than the best packer, two seconds of a falling body in 3 kB, and poses far faster than they come."""
+    """Shorter than the best packer, two seconds of a falling body in 3 kB, and poses far faster than they
+    come.
+    """
     rows = figures["rows"]
-    over = [min(row["zlib_bytes_a_pose"], row["lzma_bytes_a_pose"]) / row["bytes_a_pose"] for row in rows.values()]
-    falling = [row["bytes"] for name, row in rows.items() if name.startswith("falling") and name.endswith(" 10 um")]
+    over = [
+        min(row["zlib_bytes_a_pose"], row["lzma_bytes_a_pose"]) / row["bytes_a_pose"] for row in rows.values()
+    ]
+    falling = [
+        row["bytes"] for name, row in rows.items() if name.startswith("falling") and name.endswith(" 10 um")
+    ]
     coded, decoded = (min(column(rows, f"{way}_mposes_s")) for way in ("encode", "decode"))
     return [
         at_least("bytes of the shorter of zlib and lzma over ours, worst", min(over), 1.0),

@@ -2,10 +2,10 @@
 
     python bench/bench_promise.py [--quick] [--frames N] [--nw N]
 
-Every scene of the optional folder ../shared/data, and the samples of the package, at n_w 6 for a Phantom Omni, at
-k = 0.05, 0.1 and 0.25 and F_0 = 0.05 N, efforts fast and default, 3 frames of each. The decoded frames
-are compared with the fields before coding by `touchfield.perception.mask`, apart from the coder's own check. Exits
-with 1 where a voxel is beyond.
+Every scene of the optional folder ../shared/data, and the samples of the package, at n_w 6 for a Phantom
+Omni, at k = 0.05, 0.1 and 0.25 and F_0 = 0.05 N, efforts fast and default, 3 frames of each. The decoded
+frames are compared with the fields before coding by `touchfield.perception.mask`, apart from the coder's own
+check. Exits with 1 where a voxel is beyond.
 """
 
 from __future__ import annotations
@@ -57,7 +57,10 @@ def row_of(name: str, grid: Grid, frames: list[ForceField], spec: TouchSpec) -> 
         for before, after in zip(frames, decoded, strict=True)
     ]
     row = {"source": name, "k": spec.k, "effort": spec.effort, "bytes": len(body)}
-    row |= {"worst": max(one.worst_ratio or 0.0 for one in counts), "beyond": sum(one.count for one in counts)}
+    row |= {
+        "worst": max(one.worst_ratio or 0.0 for one in counts),
+        "beyond": sum(one.count for one in counts),
+    }
     print(", ".join(f"{key} {text(value)}" for key, value in row.items()), flush=True)
     return row
 

@@ -1,11 +1,13 @@
-"""The proxy beside the plain field: what holds, how true the force is, what a slide hums, how long a query takes.
+"""The proxy beside the plain field: what holds, how true the force is, what a slide hums, how long a query
+takes.
 
     python bench/bench_proxy.py [--quick] [--seconds S] [--walks N]
 
-A simulated hand of 0.1 kg is pushed with 3 N into plates of 1, 2 and 5 mm, beside their edge, into an inner corner,
-onto an outer edge and, kept on its line by 500 N/m, into the desk of TUM fr1_rpy, rendered by the proxy and as the
-field is. It is held if it comes to rest with the proxy where it came from. Slides at 50 mm/s: what lies
-between 40 and 400 Hz. Energy: 60 s of random pressing, the most that the hand ever got back beyond what it gave.
+A simulated hand of 0.1 kg is pushed with 3 N into plates of 1, 2 and 5 mm, beside their edge, into an inner
+corner, onto an outer edge and, kept on its line by 500 N/m, into the desk of TUM fr1_rpy, rendered by the
+proxy and as the field is. It is held if it comes to rest with the proxy where it came from. Slides at 50
+mm/s: what lies between 40 and 400 Hz. Energy: 60 s of random pressing, the most that the hand ever got back
+beyond what it gave.
 """
 
 from __future__ import annotations
@@ -47,7 +49,9 @@ def is_held(field: ForceField, start: Any, push: Any, is_proxy: bool) -> bool:
     one = Held(field, is_proxy=is_proxy)
     hand, forces, proxy = one.pushed(start, push, 1.5)
     rests = float(np.linalg.norm(hand[-1] - hand[-100])) < 2e-4 and float(np.linalg.norm(forces[-1])) > 1.0
-    outside = not is_proxy or float(np.linalg.norm(field.sample_n(proxy), axis=1).max()) < 6 * one.wall.level_n
+    outside = (
+        not is_proxy or float(np.linalg.norm(field.sample_n(proxy), axis=1).max()) < 6 * one.wall.level_n
+    )
     return rests and outside
 
 
@@ -57,13 +61,19 @@ def holds() -> Figures:
     for mm in (1, 2, 5):
         field = plate(1e-3 * mm)
         cases[f"plate {mm} mm"] = [
-            (field, (x, y, 0.006), ramp_n((0, 0, -1), PUSH_N)) for x in (-0.01, 0.004) for y in (-0.008, 0.003)
+            (field, (x, y, 0.006), ramp_n((0, 0, -1), PUSH_N))
+            for x in (-0.01, 0.004)
+            for y in (-0.008, 0.003)
         ]
-        cases[f"plate {mm} mm, 4 mm from its edge"] = [(field, (0.026, 0.0, 0.006), ramp_n((0, 0, -1), PUSH_N))]
+        cases[f"plate {mm} mm, 4 mm from its edge"] = [
+            (field, (0.026, 0.0, 0.006), ramp_n((0, 0, -1), PUSH_N))
+        ]
     corner = field_of(Box((0, 0, 0), (0.03, 0.02, 0.004)), Box((0.02, 0, 0.012), (0.004, 0.02, 0.016)))
     cases["inner corner"] = [(corner, (0.005, y, 0.0), ramp_n((1, 0, -1), PUSH_N)) for y in (0.0, 0.01)]
     edge = field_of(BLOCK)
-    cases["outer edge"] = [(edge, (0.036, y, 0.021), ramp_n((-1, 0, -1), PUSH_N, 0.3, 500.0)) for y in (0, 0.01)]
+    cases["outer edge"] = [
+        (edge, (0.036, y, 0.021), ramp_n((-1, 0, -1), PUSH_N, 0.3, 500.0)) for y in (0, 0.01)
+    ]
     if DESK.is_dir():
         desk = prepare(str(DESK), EncodeSpec(frames=(0, 10))).medium[0]
         presses: list[tuple[ForceField, Any, Any]] = []
@@ -107,7 +117,11 @@ def truth() -> Figures:
             most = mu * np.linalg.norm(one.word(W.FIELD_FORCE))
             wanted = min(one.wall.stiffness_n_per_m * np.hypot(way, 0.3 * way), most)
             slips.append(abs(np.linalg.norm(one.word(W.FRICTION_FORCE)) - wanted) / most)
-    return {"error": float(np.mean(errors)), "worst_error": float(np.max(errors)), "slip": float(np.max(slips))}
+    return {
+        "error": float(np.mean(errors)),
+        "worst_error": float(np.max(errors)),
+        "slip": float(np.max(slips)),
+    }
 
 
 def energies(damping: float, seconds: int) -> Figures:
@@ -147,7 +161,9 @@ def speeds(fields: dict[str, ForceField], count: int) -> Figures:
     for name, field in fields.items():
         one, rng = Held(field), np.random.default_rng(3)
         walks = surface_walks(field, 0.03, count, rng)
-        points = np.concatenate([ways.swapaxes(0, 1).reshape(-1, 3) for ways in slide_m(walks, 0.1, 0.3, 1000.0)])
+        points = np.concatenate(
+            [ways.swapaxes(0, 1).reshape(-1, 3) for ways in slide_m(walks, 0.1, 0.3, 1000.0)]
+        )
         took = []
         for call in (_query, _nothing):
             call(*one.memory.views, one.frames[0], *points[0])
@@ -199,7 +215,11 @@ def stiffness_of(field: ForceField) -> float:
 
 def measure(seconds: int, walks: int) -> Figures:
     """Everything, on the fields that are here."""
-    fields: dict[str, ForceField] = {"ball": field_of(BALL), "block": field_of(BLOCK), "plate 2 mm": plate(0.002)}
+    fields: dict[str, ForceField] = {
+        "ball": field_of(BALL),
+        "block": field_of(BLOCK),
+        "plate 2 mm": plate(0.002),
+    }
     fields["terrain"] = prepare("sample:terrain", EncodeSpec()).medium[0]
     if DESK.is_dir():
         fields["TUM desk"] = prepare(str(DESK), EncodeSpec(frames=(0, 10))).medium[0]
@@ -217,11 +237,20 @@ def bars(figures: Figures) -> list[Bar]:
     """All presses held, the force that is to be, no energy, and a query far within a tick."""
     missed = {name: row["presses"] - row["proxy"] for name, row in figures["holds"].items()}
     return [
-        *(at_most(f"{name}: presses that the proxy does not hold", count, 0) for name, count in missed.items()),
+        *(
+            at_most(f"{name}: presses that the proxy does not hold", count, 0)
+            for name, count in missed.items()
+        ),
         at_most("mean error of the force beside the closed form", figures["truth"]["error"], 0.01),
         at_most("error of friction, shares of mu N", figures["truth"]["slip"], 0.02),
-        *(at_most(f"{name}: most energy given", row["most_j"], 1e-3, "J") for name, row in figures["energy"].items()),
-        *(at_most(f"{name}: a query, p99.9", row["p99_9_us"], 5.0, "us") for name, row in figures["speed"].items()),
+        *(
+            at_most(f"{name}: most energy given", row["most_j"], 1e-3, "J")
+            for name, row in figures["energy"].items()
+        ),
+        *(
+            at_most(f"{name}: a query, p99.9", row["p99_9_us"], 5.0, "us")
+            for name, row in figures["speed"].items()
+        ),
     ]
 
 

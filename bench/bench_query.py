@@ -1,11 +1,12 @@
-"""The force at a point of a field of 128^3 samples: at random, where there is a force, along a path; and of objects.
+"""The force at a point of a field of 128^3 samples: at random, where there is a force, along a path; and of
+objects.
 
     python bench/bench_query.py [--quick] [--points N]
 
-Peers are scipy's `map_coordinates` (order 1, one call for each component) and `RegularGridInterpolator` on the same
-field held densely, and a compiled trilinear loop over it by all threads; forces are compared. The path is that of a
-hand that wanders through the box; the seven objects are those of `bench_objects`. One query is timed within compiled
-code by the processor's own counter, and from Python.
+Peers are scipy's `map_coordinates` (order 1, one call for each component) and `RegularGridInterpolator` on
+the same field held densely, and a compiled trilinear loop over it by all threads; forces are compared. The
+path is that of a hand that wanders through the box; the seven objects are those of `bench_objects`. One query
+is timed within compiled code by the processor's own counter, and from Python.
 """
 
 from __future__ import annotations
@@ -65,7 +66,9 @@ class Peers:
     def map_coordinates(self, points_m: Floats) -> Floats:
         """Newtons at points [n, 3]."""
         at = np.ascontiguousarray((points_m / SPACING_M).T)
-        return np.stack([map_coordinates(c, at, np.float32, order=1, prefilter=False) for c in self.components], 1)
+        return np.stack(
+            [map_coordinates(c, at, np.float32, order=1, prefilter=False) for c in self.components], 1
+        )
 
     def regular_grid(self, points_m: Floats) -> Floats:
         """Newtons at points [n, 3]."""
@@ -84,7 +87,9 @@ def _counter(context):  # type: ignore[no-untyped-def]
     """The processor's counter."""
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        read = builder.module.declare_intrinsic("llvm.readcyclecounter", fnty=ir.FunctionType(ir.IntType(64), []))
+        read = builder.module.declare_intrinsic(
+            "llvm.readcyclecounter", fnty=ir.FunctionType(ir.IntType(64), [])
+        )
         return builder.call(read, [])
 
     return types.int64(), generate
@@ -208,7 +213,9 @@ def queries(
         "compiled, 7 objects, between": compiled(objects, BETWEEN_S, along),
         "Python": from_python(lambda *p: sampler.at(0.0, *p), along),
         "Python, map_coordinates": from_python(lambda *p: peers.map_coordinates(np.array([p])), along[:5000]),
-        "Python, RegularGridInterpolator": from_python(lambda *p: peers.regular_grid(np.array([p])), along[:2000]),
+        "Python, RegularGridInterpolator": from_python(
+            lambda *p: peers.regular_grid(np.array([p])), along[:2000]
+        ),
     }
 
 
@@ -217,7 +224,9 @@ def measure(points: int) -> Figures:
     rng, first = np.random.default_rng(1), field()
     sampler = FieldSampler(HapticMedium.from_frames([first, first.scaled(0.5)], RATE_HZ))
     objects, peers = FieldSampler(scene()), Peers(first)
-    held = first.positions()[rng.integers(0, first.support_count, points)] + rng.uniform(-0.5, 0.5, (points, 3))
+    held = first.positions()[rng.integers(0, first.support_count, points)] + rng.uniform(
+        -0.5, 0.5, (points, 3)
+    )
     places = {
         "random": rng.uniform(0, (SIDE - 1) * SPACING_M, (points, 3)),
         "in force": np.clip(held, 0, SIDE - 1.001) * SPACING_M,
@@ -232,7 +241,9 @@ def measure(points: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Many points far ahead of scipy, no slower than a dense loop, one query far within a tick; the same forces."""
+    """Many points far ahead of scipy, no slower than a dense loop, one query far within a tick; the same
+    forces.
+    """
     batches, single = figures["batches"], figures["single"]
     alone = [single[f"compiled, {name}"] for name in ("random", "path")]
     return [

@@ -1,15 +1,17 @@
-"""A medium in fewer numbers (paper section 6.1): modes on frames held out, what they cost, what no hand can feel.
+"""A medium in fewer numbers (paper section 6.1): modes on frames held out, what they cost, what no hand can
+feel.
 
     python bench/bench_reduction.py [--quick] [--frames N] [--paths N]
 
-"modes": a skinned fox and a morph target (`shared`; left out without that folder), and bodies that fall. Modes are
-learnt from the even frames, and the odd ones told with them to -30 dB; the share is that of the numbers, without the
-modes and with them. "bytes": the same frames by coder touch at the same error, beside the modes as 16-bit floats and
-the rounded coefficients, both through LZMA, which is no coder made for them, but shows the order.
+"modes": a skinned fox and a morph target (`shared`; left out without that folder), and bodies that fall.
+Modes are learnt from the even frames, and the odd ones told with them to -30 dB; the share is that of the
+numbers, without the modes and with them. "bytes": the same frames by coder touch at the same error, beside
+the modes as 16-bit floats and the rounded coefficients, both through LZMA, which is no coder made for them,
+but shows the order.
 
-"culling": a pillow that a source makes solid (--thickness-m inf), standing, and a solid floor that heaves. Samples
-left out, and forces that differ along paths of hands that do their worst: they press against the force, swing with
-it so that each turn gains energy, and run in from afar.
+"culling": a pillow that a source makes solid (--thickness-m inf), standing, and a solid floor that heaves.
+Samples left out, and forces that differ along paths of hands that do their worst: they press against the
+force, swing with it so that each turn gains energy, and run in from afar.
 """
 
 from __future__ import annotations
@@ -48,7 +50,9 @@ def media(frames: int) -> dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]:
         found["fox"] = medium[: min(2 * frames, len(medium))], ("global",)
         medium = prepare(meshes / "morph_stress_test" / "MorphStressTest.gltf", spec).medium
         found["morph"] = medium[: min(frames, len(medium))], ("global", "bricks")
-    fall = prepare("sample:falling-4", tf.EncodeSpec(nw=6, representation="voxel", frames=(200, 200 + frames))).medium
+    fall = prepare(
+        "sample:falling-4", tf.EncodeSpec(nw=6, representation="voxel", frames=(200, 200 + frames))
+    ).medium
     return {**found, "fall": (fall, ("bricks",))}
 
 
@@ -134,11 +138,15 @@ def floor() -> tf.HapticMedium:
         normal = np.stack([-slope, 0 * slope, 1 + 0 * slope], axis=-1)
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
         deep = np.maximum(0.11 + 0.006 * np.sin(turn) - x[..., 2], 0) * normal[..., 2]
-        fields.append(tf.ForceField.from_dense(grid, (np.minimum(1500 * deep, 8)[..., None] * normal).astype("f4")))
+        fields.append(
+            tf.ForceField.from_dense(grid, (np.minimum(1500 * deep, 8)[..., None] * normal).astype("f4"))
+        )
     return tf.HapticMedium.from_frames(fields, 60.0)
 
 
-def paths(medium: tf.HapticMedium, shell: tf.HapticMedium, hand: Hand, count: int, ticks: int = 600) -> Figures:
+def paths(
+    medium: tf.HapticMedium, shell: tf.HapticMedium, hand: Hand, count: int, ticks: int = 600
+) -> Figures:
     """Forces that differ along paths of a second and less, in ticks of 1 ms."""
     rng, dt, grid = np.random.default_rng(5), 1e-3, medium.grid
     low, high = grid.to_m(np.zeros(3)), grid.to_m(np.array(grid.shape) - 1)

@@ -1,13 +1,14 @@
-"""A rig of 40 joints, 20 thousand triangles and 200 frames, to fields and to a file: rigid links, and a smooth skin.
+"""A rig of 40 joints, 20 thousand triangles and 200 frames, to fields and to a file: rigid links, and a
+smooth skin.
 
     python bench/bench_rig.py [--quick] [--frames N]
 
-Of the rigid rig each link goes with one joint: its links become objects. "Kept" is how many frames a second come from
-the open file to all that a receiver needs of them, a field for each link and a pose for each frame. The smooth rig is
-a tube whose vertices go with two joints each, a field of its own in every frame: timed to the fields on the device's
-lattice of 128^3, part by part, and to the file. Both are coded at the default effort; the smooth one also without the
-coder's guess of the field, whose fit takes most of its time. Beside the seconds by the clock stand those of the
-processor, as other work on the machine lengthens the first.
+Of the rigid rig each link goes with one joint: its links become objects. "Kept" is how many frames a second
+come from the open file to all that a receiver needs of them, a field for each link and a pose for each frame.
+The smooth rig is a tube whose vertices go with two joints each, a field of its own in every frame: timed to
+the fields on the device's lattice of 128^3, part by part, and to the file. Both are coded at the default
+effort; the smooth one also without the coder's guess of the field, whose fit takes most of its time. Beside
+the seconds by the clock stand those of the processor, as other work on the machine lengthens the first.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ FIELDS, CODED = 16, 40
 
 
 def clocked(call: Callable[[], Any], frames: int) -> dict[str, float]:
-    """Seconds by the clock and of the processor, and frames a second by each (of the processor: on all its cores)."""
+    """Seconds by the clock and of the processor, and frames a second by each (of the processor: on all its
+    cores).
+    """
     began, spent = time.perf_counter(), time.process_time()
     call()
     spent, took = time.process_time() - spent, time.perf_counter() - began
@@ -83,9 +86,13 @@ def measure(frames: int) -> Figures:
         out = Path(folder) / "out.touch"
         paths = {}
         for name in ("rigid", "smooth"):
-            small = chain_rig(5, 500, 4, rigid=name == "rigid").save(Path(folder) / f"small {name}.glb", "glb")
+            small = chain_rig(5, 500, 4, rigid=name == "rigid").save(
+                Path(folder) / f"small {name}.glb", "glb"
+            )
             encode(small, out)  # compiles
-            paths[name] = chain_rig(frames=frames, rigid=name == "rigid").save(Path(folder) / f"{name}.glb", "glb")
+            paths[name] = chain_rig(frames=frames, rigid=name == "rigid").save(
+                Path(folder) / f"{name}.glb", "glb"
+            )
 
         def coded(name: str, source: str, count: int, touch: TouchSpec) -> None:
             spec = EncodeSpec(frames=(0, count), touch=touch)
@@ -96,7 +103,9 @@ def measure(frames: int) -> Figures:
         rows["rigid, kept"] = clocked(lambda: prepare(paths["rigid"], EncodeSpec()), frames)
         coded("rigid, to the file", "rigid", frames, TouchSpec())
         medium = prepare(paths["smooth"], EncodeSpec()).medium
-        rows["smooth, fields"] = clocked(lambda: [medium[i] for i in range(min(frames, FIELDS))], min(frames, FIELDS))
+        rows["smooth, fields"] = clocked(
+            lambda: [medium[i] for i in range(min(frames, FIELDS))], min(frames, FIELDS)
+        )
         count = min(frames, CODED)
         coded("smooth, to the file", "smooth", count, TouchSpec())
         coded("smooth, without guess", "smooth", count, TouchSpec(guess="off"))

@@ -2,12 +2,12 @@
 
     python bench/bench_scene_1.py [--quick] [--frames N]
 
-Each representation is simulated, built, coded and written by a process of its own, so that its largest memory is its
-own; the times are of a second run, with kernels compiled. Voxels are coded of the first quarter of the frames, and
-compared with the objects of the same frames. Beside the bytes: what they are for, how near the decoded
-objects come to the voxel representation of the scene (the device's own low-pass, no objects), and zlib and lzma on
-the poses alone as float32; and what the promise of the composed field costs: the bytes of the fields, and those that
-would keep the mask each for itself.
+Each representation is simulated, built, coded and written by a process of its own, so that its largest memory
+is its own; the times are of a second run, with kernels compiled. Voxels are coded of the first quarter of the
+frames, and compared with the objects of the same frames. Beside the bytes: what they are for, how near the
+decoded objects come to the voxel representation of the scene (the device's own low-pass, no objects), and
+zlib and lzma on the poses alone as float32; and what the promise of the composed field costs: the bytes of
+the fields, and those that would keep the mask each for itself.
 """
 
 from __future__ import annotations
@@ -59,14 +59,18 @@ def difference(objects: Path, frames: int) -> dict[str, float]:
         for i in np.linspace(0, frames - 1, LOOKED_AT).astype(int):
             meter.add(voxels[int(i)], stream.medium[int(i)])
         assert stream.scene is not None
-        poses = np.concatenate([np.hstack([o.track.quaternions, o.track.positions_m]) for o in stream.scene.objects])
+        poses = np.concatenate(
+            [np.hstack([o.track.quaternions, o.track.positions_m]) for o in stream.scene.objects]
+        )
         bits = stream.bits
         told = stream.summary()
     raw = poses.astype(np.float32).tobytes()
     spec = EncodeSpec(frames=(0, frames))
     scene = prepare(SCENE, spec).scene
     assert scene is not None
-    alone = [field_encoder(one.medium.grid, spec.touch).encode_segment([one.field(0)]) for one in scene.objects]
+    alone = [
+        field_encoder(one.medium.grid, spec.touch).encode_segment([one.field(0)]) for one in scene.objects
+    ]
     return {
         "worst_mask_ratio": told["worst_mask_ratio"],
         "place_tolerance_um": told["place_tolerance_um"],
@@ -92,14 +96,18 @@ def measure(frames: int) -> Figures:
             out = Path(folder) / f"{name}.touch"
             coded(representation, 2, out)  # compiles
             told = coded(representation, count, out)
-            kept = {k: told[k] for k in ("encode_s", "file_bytes", "peak_mb", "supported_voxels", "grid_shape")}
+            kept = {
+                k: told[k] for k in ("encode_s", "file_bytes", "peak_mb", "supported_voxels", "grid_shape")
+            }
             figures[name] = kept
         figures["object"] |= difference(Path(folder) / "object.touch", frames)
     return figures
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Two seconds in less than a minute, 2 GB and 300 kB at k = 0.1; the promise kept; poses shorter than packed."""
+    """Two seconds in less than a minute, 2 GB and 300 kB at k = 0.1; the promise kept; poses shorter than
+    packed.
+    """
     one = figures["object"]
     quarter, voxels = (figure(figures, f"{name}, a quarter", "file_bytes") for name in ("object", "voxel"))
     over = voxels / quarter if voxels and quarter else None

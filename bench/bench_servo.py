@@ -2,12 +2,12 @@
 
     python bench/bench_servo.py [--quick] [--seconds 150] [--others 45]
 
-A turning body in 64^3 voxels at 30 frames a second is decoded ahead from a file (effort fast) and looped; the device
-only tells where it is, on a circle through the body. Each row is a run of its own. `jitter` is |dT - 1/rate|;
-lateness is that of the beginning of a tick after its deadline, which is absolute. "loaded": as many busy processes
-as there are cores. "bare" is a loop that only sleeps until its deadline, in a process of its own: what the system
-gives. "stolen" is the share of the processors that a virtual machine wanted and did not get. What was not decoded
-ahead is felt after a seek in the time of `seeks`.
+A turning body in 64^3 voxels at 30 frames a second is decoded ahead from a file (effort fast) and looped; the
+device only tells where it is, on a circle through the body. Each row is a run of its own. `jitter` is |dT -
+1/rate|; lateness is that of the beginning of a tick after its deadline, which is absolute. "loaded": as many
+busy processes as there are cores. "bare" is a loop that only sleeps until its deadline, in a process of its
+own: what the system gives. "stolen" is the share of the processors that a virtual machine wanted and did not
+get. What was not decoded ahead is felt after a seek in the time of `seeks`.
 """
 
 from __future__ import annotations
@@ -113,7 +113,9 @@ def write_medium(path: Path) -> None:
 
 
 def cpu_s(pid: int | None) -> float:
-    """What a process has taken of the processors so far, seconds; not a number where the system does not tell."""
+    """What a process has taken of the processors so far, seconds; not a number where the system does not
+    tell.
+    """
     try:
         told = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
         return (int(told[11]) + int(told[12])) / os.sysconf("SC_CLK_TCK")
@@ -121,7 +123,9 @@ def cpu_s(pid: int | None) -> float:
         return math.nan
 
 
-def run(medium: HapticMedium, seconds: float, rate_hz: float, is_realtime: bool, is_loaded: bool) -> dict[str, Any]:
+def run(
+    medium: HapticMedium, seconds: float, rate_hz: float, is_realtime: bool, is_loaded: bool
+) -> dict[str, Any]:
     """One run; its statistics, and the share of a core that the servo took."""
     with ExitStack() as stack:
         if is_loaded:
@@ -140,7 +144,9 @@ def run(medium: HapticMedium, seconds: float, rate_hz: float, is_realtime: bool,
 
 
 def stolen_s() -> float:
-    """Processor time that the host of a virtual machine gave to others so far, seconds; 0 where nothing tells."""
+    """Processor time that the host of a virtual machine gave to others so far, seconds; 0 where nothing
+    tells.
+    """
     try:
         return int(Path("/proc/stat").read_text().split("\n", 1)[0].split()[8]) / os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError, IndexError):
@@ -148,8 +154,12 @@ def stolen_s() -> float:
 
 
 def bare(seconds: float) -> dict[str, float]:
-    """The lateness of a loop of 1 kHz that does nothing, under SCHED_FIFO where that is allowed, microseconds."""
-    told = subprocess.run([sys.executable, "-c", BARE, str(seconds)], capture_output=True, text=True, check=True)
+    """The lateness of a loop of 1 kHz that does nothing, under SCHED_FIFO where that is allowed,
+    microseconds.
+    """
+    told = subprocess.run(
+        [sys.executable, "-c", BARE, str(seconds)], capture_output=True, text=True, check=True
+    )
     names = ("lateness_p50_us", "lateness_p99_us", "lateness_p99_9_us", "lateness_worst_us", "mean_rate_hz")
     return dict(zip(names, map(float, told.stdout.split()), strict=True))
 
@@ -194,7 +204,9 @@ def measure(seconds: float, others: float, offline: float) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """The rate that was asked for, ticks in time on an idle machine, no underrun, and seeks without a long wait."""
+    """The rate that was asked for, ticks in time on an idle machine, no underrun, and seeks without a long
+    wait.
+    """
     first = figures[ROWS[0][0]]
     idle = f"{ROWS[0][0]}: "
     off = abs(first["mean_rate_hz"] / first["rate_hz"] - 1)

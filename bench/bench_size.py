@@ -2,8 +2,8 @@
 
     python bench/bench_size.py [--quick]
 
-Lines are those of the files that git tracks, with docstrings, blank lines and imports. There is no bar: a longer text
-that reads well is better than a short one that does not.
+Lines are those of the files that git tracks, with docstrings, blank lines and imports. There is no bar: a
+longer text that reads well is better than a short one that does not.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ MAX_PARAMETERS, MAX_LINES, MAX_COLUMNS = 10, 80, 110
 
 def texts() -> dict[Path, str]:
     """Text of every Python file of the package, by its path below it."""
-    listed = subprocess.run(["git", "ls-files", PACKAGE], cwd=ROOT, check=True, capture_output=True, text=True)
+    listed = subprocess.run(
+        ["git", "ls-files", PACKAGE], cwd=ROOT, check=True, capture_output=True, text=True
+    )
     names = [name for name in listed.stdout.split() if name.endswith(".py")]
     return {Path(name).relative_to(PACKAGE): (ROOT / name).read_text(encoding="utf-8") for name in names}
 

@@ -2,15 +2,17 @@
 
     python bench/bench_stability.py [--quick] [--every N]
 
-Mass of the device and of the hand in one, the device's damping b, the spring of the hand; exact between the ticks.
-The device tells its place in steps of its resolution, and what is put out acts so many samples later. The hand comes
-from 10 mm before the wall, presses for two seconds or more, until what swings dies out no further, and goes back (the
-hand itself has no damping: what rings down is no limit cycle). Told of each way to render:
+Mass of the device and of the hand in one, the device's damping b, the spring of the hand; exact between the
+ticks. The device tells its place in steps of its resolution, and what is put out acts so many samples later.
+The hand comes from 10 mm before the wall, presses for two seconds or more, until what swings dies out no
+further, and goes back (the hand itself has no damping: what rings down is no limit cycle). Told of each way
+to render:
 
 * rms, N: of the force about its mean in the last second of pressing; "cycles" counts those above 20 mN;
-* held, mJ: what the renderer gave in that second beside its mean force's work; "drives" counts those above 0.01 mJ;
-* given, mJ: what came to the hand in the whole touch, the device's own damping taken off; "gives" counts those above
+* held, mJ: what the renderer gave in that second beside its mean force's work; "drives" counts those above
   0.01 mJ;
+* given, mJ: what came to the hand in the whole touch, the device's own damping taken off; "gives" counts
+  those above 0.01 mJ;
 * soft: cases in which Colgate's b > K T (1/2 + delay) allows the wall and it is felt more than 10 % off K.
 
 `--every` takes one case in so many.
@@ -59,7 +61,9 @@ GRID = Grid((17, 17, 129), (0.01, 0.01, 0.0005), (-0.08, -0.08, -0.048))
 
 @njit(cache=True)
 def touched(i8, u8, f8, f4, frame, step, k, b, depth, delay, resolution):  # type: ignore[no-untyped-def]
-    """One touch: rms, mean and energy of the last second of pressing, what came to the hand, mean depth, seconds."""
+    """One touch: rms, mean and energy of the last second of pressing, what came to the hand, mean depth,
+    seconds.
+    """
     x, v, given, held, first, second, deep = FAR_M, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     late = np.zeros(delay + 1)
     begin, rms, mean, energy, depth_now, ends, n = x, 1e9, 0.0, 0.0, 0.0, 1 << 60, 0
@@ -107,7 +111,9 @@ def run(render: Any, every: int) -> dict[str, Any]:
     began, rows = time.perf_counter(), []
     for stiffness in WALLS:
         block = Bench(wall(stiffness, MOST_N), device=STRONG, grid=GRID)
-        for b, delay, resolution, (kg, k) in [*itertools.product(DAMPINGS, DELAYS, RESOLUTIONS, HANDS)][::every]:
+        for b, delay, resolution, (kg, k) in [*itertools.product(DAMPINGS, DELAYS, RESOLUTIONS, HANDS)][
+            ::every
+        ]:
             render(block, stiffness, b, delay, resolution)
             depth = PRESS_N * (1 / stiffness + 1 / k)
             step = moved_by(DEVICE_KG + kg, k, b)
@@ -136,7 +142,9 @@ def told_of(rows: Any) -> dict[str, Any]:
         "soft": int((off & allowed).sum()),
         "longest_s": float(lasting.max()),
         "least_felt": float(felt[allowed].min()),
-        "worst_case": dict(zip(("K", "b", "delay", "resolution", "kg", "k"), rows[worst, :6].tolist(), strict=True)),
+        "worst_case": dict(
+            zip(("K", "b", "delay", "resolution", "kg", "k"), rows[worst, :6].tolist(), strict=True)
+        ),
     }
 
 

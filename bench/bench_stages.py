@@ -1,10 +1,11 @@
-"""What each stage of the paper's coder is worth: bytes and NMSE of ``--coder paper --stage X``, and beside none.
+"""What each stage of the paper's coder is worth: bytes and NMSE of ``--coder paper --stage X``, and beside
+none.
 
     python bench/bench_stages.py [--quick] [--nw N]
 
-One frame of each field as a segment, as it stands in a file, support and all. First every stage at its default step
-and the coder without one; then the bytes of every stage at the NMSE of the coder without one, its step searched for.
-Fields are those of `rate.py`.
+One frame of each field as a segment, as it stands in a file, support and all. First every stage at its
+default step and the coder without one; then the bytes of every stage at the NMSE of the coder without one,
+its step searched for. Fields are those of `rate.py`.
 """
 
 from __future__ import annotations
@@ -61,7 +62,11 @@ def measure(nw: int) -> Figures:
 def bars(figures: Figures) -> list[Bar]:
     """A predictive stage is worth its while on every field; so is the best of all."""
     over = [
-        {stage: row["equal_error_bytes"] / rows["none"]["bytes"] for stage, row in rows.items() if stage != "none"}
+        {
+            stage: row["equal_error_bytes"] / rows["none"]["bytes"]
+            for stage, row in rows.items()
+            if stage != "none"
+        }
         for rows in figures["fields"].values()
         if "none" in rows
     ]

@@ -2,8 +2,8 @@
 
     python bench/bench_startup.py [--quick]
 
-The first also as one process, without helpers that compile ahead; and the seconds of all cores that each way takes.
-A quick run has its kernels compiled.
+The first also as one process, without helpers that compile ahead; and the seconds of all cores that each way
+takes. A quick run has its kernels compiled.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ def seconds(code: list[str], environment: dict[str, str] | None = None) -> float
 
 def measure(is_cold: int) -> Figures:
     """The import and three encodings."""
-    bare, ours = (median(seconds(["-c", f"import {name}"]) for _ in range(7)) for name in ("numpy", "touchfield"))
+    bare, ours = (
+        median(seconds(["-c", f"import {name}"]) for _ in range(7)) for name in ("numpy", "touchfield")
+    )
     figures = {"import_numpy_s": bare, "import_touchfield_beyond_numpy_s": ours - bare}
     with tempfile.TemporaryDirectory() as folder:
         job = ["-m", "touchfield", "encode", "sample:terrain", str(Path(folder) / "out.touch")]
@@ -38,7 +40,9 @@ def measure(is_cold: int) -> Figures:
             before = os.times()
             figures[f"{name}_s"] = seconds(job, environment)
             after = os.times()
-            spent = after.children_user + after.children_system - before.children_user - before.children_system
+            spent = (
+                after.children_user + after.children_system - before.children_user - before.children_system
+            )
             figures[f"{name}_cpu_s"] = spent
         figures["second_encode_s"] = min(seconds(job, environment) for _ in range(3))
     return figures

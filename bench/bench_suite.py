@@ -1,9 +1,10 @@
-"""Time that the tests take where no kernel is compiled yet, as in a new clone: minutes, and seconds of processors.
+"""Time that the tests take where no kernel is compiled yet, as in a new clone: minutes, and seconds of
+processors.
 
     python bench/bench_suite.py [--quick]
 
-Beside them a loop of Python, before and after: a machine that others share is not as fast at one time as at another.
-Quickly: the tests of one file.
+Beside them a loop of Python, before and after: a machine that others share is not as fast at one time as at
+another. Quickly: the tests of one file.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ def measure(tests: str) -> Figures:
         began = perf_counter()
         command = ("make", "--no-print-directory", "test") if tests == "all" else ONE_FILE
         surroundings = {**os.environ, "NUMBA_CACHE_DIR": cache}
-        done = subprocess.run(command, cwd=ROOT, env=surroundings, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command, cwd=ROOT, env=surroundings, capture_output=True, text=True, check=False
+        )
         clock_s = perf_counter() - began
     if done.returncode:
         failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]

@@ -2,11 +2,11 @@
 
     python bench/bench_tool.py [--quick] [--points N] [--seconds S]
 
-The tool is a sphere of 20 mm of so many points (10,000 unless told) that goes round through a soft ball, turning,
-with about half of its points in contact; one part of voxels, either one frame or a blend of two that differ, and a
-scene of four bodies that move. `kernels.tick`, with all limits, is called at 1 kHz: it waits in between, as the servo
-does, so that caches are as cold as they will be. Beside the time by the clock stands that of the processor, as other
-work on the machine lengthens the first.
+The tool is a sphere of 20 mm of so many points (10,000 unless told) that goes round through a soft ball,
+turning, with about half of its points in contact; one part of voxels, either one frame or a blend of two that
+differ, and a scene of four bodies that move. `kernels.tick`, with all limits, is called at 1 kHz: it waits in
+between, as the servo does, so that caches are as cold as they will be. Beside the time by the clock stands
+that of the processor, as other work on the machine lengthens the first.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ def ball(radius: float, stiffness: float) -> ForceField:
 
 
 def block(tool: Tool, fields: list[ForceField], parts: list[list[FramePart]]) -> tuple[Memory, list[int]]:
-    """Fields, frames (whose parts name a field by its number) and the tool, laid out; and where the frames are."""
+    """Fields, frames (whose parts name a field by its number) and the tool, laid out; and where the frames
+    are.
+    """
     pools = [CellPool.of(field) for field in fields]
     first = W.FREE + tool_words(tool)
     begins = first + np.cumsum([0, *map(field_words, pools)])
@@ -70,7 +72,12 @@ def run(memory: Memory, frames: list[int], blend: float, seconds: float) -> dict
     for n in range(count):
         angle = 2 * math.pi * n / 1000
         half = 0.3 * angle
-        f8[W.ORIENTATION : W.ORIENTATION + 4] = (math.cos(half), 0.6 * math.sin(half), 0.0, 0.8 * math.sin(half))
+        f8[W.ORIENTATION : W.ORIENTATION + 4] = (
+            math.cos(half),
+            0.6 * math.sin(half),
+            0.0,
+            0.8 * math.sin(half),
+        )
         x, y, z = 0.045 * math.cos(angle), 0.045 * math.sin(angle), 0.01 * math.sin(3 * angle)
         deadline += 0.001
         while (left := deadline - time.perf_counter()) > 0:

@@ -2,12 +2,12 @@
 
     python bench/bench_torque.py [--nw N] [--quick]
 
-A tool of points gets its torque from the field of forces, the sum of r x F over its points (`render.tool`), and
-turns as the hand turns. A torque stored at each sample would be that of one tool, held one way. Here it is made for
-a pen of 60 mm and a sphere of 5 mm, held straight, at all samples about a surface, and coded by `touch` as force is
-(k 0.1; F_0 times 10 mm); then the hand tilts, and the stored torque is held against that of the points. A record in
-the medium would be worth its code if at 20 degrees, as a hand that writes tilts a pen, no more than a tenth of the
-places were off by more than a tenth.
+A tool of points gets its torque from the field of forces, the sum of r x F over its points (`render.tool`),
+and turns as the hand turns. A torque stored at each sample would be that of one tool, held one way. Here it
+is made for a pen of 60 mm and a sphere of 5 mm, held straight, at all samples about a surface, and coded by
+`touch` as force is (k 0.1; F_0 times 10 mm); then the hand tilts, and the stored torque is held against that
+of the points. A record in the medium would be worth its code if at 20 degrees, as a hand that writes tilts a
+pen, no more than a tenth of the places were off by more than a tenth.
 """
 
 from __future__ import annotations
@@ -96,7 +96,11 @@ def bars(figures: Figures) -> list[Bar]:
     """Whether a stored torque would do."""
     worst = max(row["off_at_20"] for row in figures["tools"].values())
     return [
-        at_most("torque: places where what is stored is off by a tenth when the tool tilts by 20 degrees", worst, 0.1)
+        at_most(
+            "torque: places where what is stored is off by a tenth when the tool tilts by 20 degrees",
+            worst,
+            0.1,
+        )
     ]
 
 

@@ -1,15 +1,17 @@
-"""Vibration beside force (paper section 6.4): laws of the split, bits of what must be sent, a texture as it is felt.
+"""Vibration beside force (paper section 6.4): laws of the split, bits of what must be sent, a texture as it
+is felt.
 
     python bench/bench_vibrotactile.py [--quick] [--seconds S]
 
-"recordings": the forces of a hand that guides a robot (`shared`, six, about 700 samples a second), split at 30 Hz,
-the high part made one axis and reduced; where that folder is not there they are left out. "made": noise as rough as a
-surface, ridges that are hit, and taps, at 2 kHz. Bits are those of an adaptive code, beside 16 a sample of one axis.
-The margin is how far what is lost stays below the threshold of a hand that holds a stylus, in the third of an octave
-and the half second where it is least, by a measure of thirds that the reduction does not use.
+"recordings": the forces of a hand that guides a robot (`shared`, six, about 700 samples a second), split at
+30 Hz, the high part made one axis and reduced; where that folder is not there they are left out. "made":
+noise as rough as a surface, ridges that are hit, and taps, at 2 kHz. Bits are those of an adaptive code,
+beside 16 a sample of one axis. The margin is how far what is lost stays below the threshold of a hand that
+holds a stylus, in the third of an octave and the half second where it is least, by a measure of thirds that
+the reduction does not use.
 
-"slide": a simulated hand slides over a wall that is made of a table of three speeds and two forces; how far thirds of
-an octave of the force of the device lie from the table, and what a tick takes with it and without.
+"slide": a simulated hand slides over a wall that is made of a table of three speeds and two forces; how far
+thirds of an octave of the force of the device lie from the table, and what a tick takes with it and without.
 """
 
 from __future__ import annotations
@@ -46,10 +48,14 @@ def laws(seconds: float) -> Figures:
         low, high = Crossover(MADE_HZ).split(signal)
         spectrum = (np.abs(np.fft.rfft(high, axis=0)) ** 2).sum(axis=1)
         one = dft321(high)
-        energy = np.abs(np.abs(np.fft.rfft(one)) ** 2 - spectrum) / np.maximum(spectrum, 1e-9 * spectrum.max())
+        energy = np.abs(np.abs(np.fft.rfft(one)) ** 2 - spectrum) / np.maximum(
+            spectrum, 1e-9 * spectrum.max()
+        )
         stft = Stft()
         lost = np.linalg.norm(stft.of_real(stft.real_spectra(one), len(one)) - one)
-        worst["crossover"] = max(worst["crossover"], float(np.abs(low + high - signal).max() / np.abs(signal).max()))
+        worst["crossover"] = max(
+            worst["crossover"], float(np.abs(low + high - signal).max() / np.abs(signal).max())
+        )
         worst["dft321"] = max(worst["dft321"], float(energy.max()))
         worst["stft_db"] = min(worst["stft_db"], float(20 * np.log10(np.linalg.norm(one) / lost)))
     return worst
@@ -108,7 +114,11 @@ def slides() -> Figures:
     force[..., 2] = np.maximum(-300.0 * (GRID.origin_m[2] + GRID.spacing_m[2] * np.arange(GRID.shape[2])), 0)
     medium = tf.HapticMedium.from_array(force, GRID, 30.0)
     profile = replace(device("phantom-omni"), force_max_n=40.0, force_continuous_n=None)
-    levels = 0.004 * np.exp(0.5 * np.random.default_rng(3).normal(size=(3, 2, 16))) * np.arange(1, 4)[:, None, None]
+    levels = (
+        0.004
+        * np.exp(0.5 * np.random.default_rng(3).normal(size=(3, 2, 16)))
+        * np.arange(1, 4)[:, None, None]
+    )
     table = Material("oak", speeds_m_s=(0.03, 0.06, 0.12), forces_n=(0.5, 2.0), texture_rms_n=levels.tolist())
     spec, rows = RenderSpec(render="field", rate_hz=LOOP_HZ, materials=(table,)), {}
     for speed in (0.03, 0.06, 0.09, 0.12):
@@ -122,12 +132,18 @@ def slides() -> Figures:
             run = run_offline(medium, profile, opener, own, seconds=seconds)
             took.append(1e6 * (time.perf_counter() - began) / len(run.log))
             if own is spec:
-                felt = run.log["force_n"][int(0.25 * LOOP_HZ) : int((seconds - 0.01) * LOOP_HZ), 2].astype(float)
+                felt = run.log["force_n"][int(0.25 * LOOP_HZ) : int((seconds - 0.01) * LOOP_HZ), 2].astype(
+                    float
+                )
         share = (300.0 * 0.0025 - 0.5) / 1.5
         pressed = (1 - share) * levels[:, 0] + share * levels[:, 1]
         wanted = np.array([np.interp(speed, table.speeds_m_s, pressed[:, b]) for b in range(len(BANDS_HZ))])
         off = np.abs(20 * np.log10(band_rms(felt - felt.mean(), LOOP_HZ) / wanted))
-        rows[f"{1e3 * speed:g} mm/s"] = {"worst_db": float(off.max()), "tick_us": took[0], "without_us": took[1]}
+        rows[f"{1e3 * speed:g} mm/s"] = {
+            "worst_db": float(off.max()),
+            "tick_us": took[0],
+            "without_us": took[1],
+        }
     return rows
 
 

@@ -2,8 +2,9 @@
 
     python bench/bench_zarr.py [--nw N] [--runs N] [--quick]
 
-The stereo picture on 2^n_w samples an axis. zstd is zarr's own choice; the codec of the coder `touch` promises
-k 0.1, F_0 0.05 N in every chunk, and is written tile by tile from the source. Best of the runs, taken in turn.
+The stereo picture on 2^n_w samples an axis. zstd is zarr's own choice; the codec of the coder `touch`
+promises k 0.1, F_0 0.05 N in every chunk, and is written tile by tile from the source. Best of the runs,
+taken in turn.
 """
 
 from __future__ import annotations
@@ -48,7 +49,11 @@ def measure(nw: int, runs: int) -> Figures:
             folder = Path(name)
             ways: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]]] = {
                 "npz": ("a.npz", lambda path: write_npz(path, held), lambda path: read_npz(path)[0]),
-                "zarr, zstd": ("a.zarr", lambda path: write_zarr(path, held), lambda path: read_zarr(path)[0]),
+                "zarr, zstd": (
+                    "a.zarr",
+                    lambda path: write_zarr(path, held),
+                    lambda path: read_zarr(path)[0],
+                ),
                 "zarr, touch": (
                     "b.zarr",
                     lambda path: encode_tiles(SOURCE, path, spec),
@@ -60,7 +65,12 @@ def measure(nw: int, runs: int) -> Figures:
                 if run:  # the first compiles
                     rows[way] = {k: min(v, rows[way].get(k, v)) for k, v in took.items()}
                     rows[way]["bytes"] = size(folder / file)
-    return {"source": SOURCE, "samples": medium.grid.voxel_count, "supported": frames[0].support_count, "ways": rows}
+    return {
+        "source": SOURCE,
+        "samples": medium.grid.voxel_count,
+        "supported": frames[0].support_count,
+        "ways": rows,
+    }
 
 
 def bars(figures: Figures) -> list[Bar]:

@@ -2,9 +2,9 @@
 
     PYTHON fusion_peers.py DEPTHS.npz
 
-reads depths_m float32 [n, h, w], poses float64 [n, 4, 4] (world from camera), intrinsics float64 [4] (fx, fy, cx,
-cy) and voxel_m, and prints JSON: for each peer the frames a second of the best of nine runs, or why there are none.
-Truncation is Open3D's default of eight voxels. Needs numpy only, and what it measures.
+reads depths_m float32 [n, h, w], poses float64 [n, 4, 4] (world from camera), intrinsics float64 [4] (fx, fy,
+cx, cy) and voxel_m, and prints JSON: for each peer the frames a second of the best of nine runs, or why there
+are none. Truncation is Open3D's default of eight voxels. Needs numpy only, and what it measures.
 """
 
 from __future__ import annotations
@@ -32,10 +32,18 @@ def open3d_rate(data: Any) -> float:
 
     def run() -> None:
         grid = o3d.t.geometry.VoxelBlockGrid(
-            ("tsdf", "weight"), (core.float32, core.float32), ((1), (1)), float(data["voxel_m"]), 16, 20000, device
+            ("tsdf", "weight"),
+            (core.float32, core.float32),
+            ((1), (1)),
+            float(data["voxel_m"]),
+            16,
+            20000,
+            device,
         )
         for depth, extrinsic in zip(depths, extrinsics):
-            blocks = grid.compute_unique_block_coordinates(depth, intrinsic, extrinsic, 1.0, far_m, TRUNCATION_VOXELS)
+            blocks = grid.compute_unique_block_coordinates(
+                depth, intrinsic, extrinsic, 1.0, far_m, TRUNCATION_VOXELS
+            )
             grid.integrate(blocks, depth, intrinsic, extrinsic, 1.0, far_m, TRUNCATION_VOXELS)
 
     return _best(run, len(depths))

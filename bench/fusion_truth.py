@@ -1,4 +1,6 @@
-"""A scene whose surface is known everywhere: a wall, a floor, a ball and a box, seen as a Kinect would see them."""
+"""A scene whose surface is known everywhere: a wall, a floor, a ball and a box, seen as a Kinect would see
+them.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +33,8 @@ def distance_m(points_m: Float64s) -> Float64s:
 
 
 class Room(DepthSequence):
-    """The scene before a camera that turns, with the axial noise of Nguyen, Izadi and Lovell (2012) and the steps of
-    a Kinect's disparity."""
+    """The scene before a camera that turns, with the axial noise of Nguyen, Izadi and Lovell (2012) and the
+    steps of a Kinect's disparity."""
 
     def __init__(self) -> None:
         self.name, self.rate_hz, self.frame_count, self.notes = "room", 30.0, FRAMES, ()
@@ -69,7 +71,8 @@ def _measured(depth_m: Float64s, rng: np.random.Generator) -> NDArray[np.float32
 
 
 def contact_errors_mm() -> dict[str, float]:
-    """Median |error| of where the surface is felt: of a single frame's field, of the fused one, and their ratio.
+    """Median |error| of where the surface is felt: of a single frame's field, of the fused one, and their
+    ratio.
 
     The surface lies |F| / K before a sample; the same samples are asked in both fields.
     """

@@ -2,11 +2,12 @@
 
     python bench/fuzz_touch.py [--seconds N] [--seed S] [--only NAME ...] [--bounds] [--replay SEED CASE]
 
-Good segments of every mode, effort and guess are damaged in the bytes, or in one of their parts with the lengths
-around it made right again, and decoded by a child process. A case fails where anything but a `FormatError` comes
-out, where more memory is taken at once than the bytes and the grid allow (`tracemalloc`, and the limit of the whole
-process), where it takes more time than that, or where the process dies. A case is told by the seed and its number:
-`--replay` runs one again. `--bounds` checks every index in the compiled loops, which is slow.
+Good segments of every mode, effort and guess are damaged in the bytes, or in one of their parts with the
+lengths around it made right again, and decoded by a child process. A case fails where anything but a
+`FormatError` comes out, where more memory is taken at once than the bytes and the grid allow (`tracemalloc`,
+and the limit of the whole process), where it takes more time than that, or where the process dies. A case is
+told by the seed and its number: `--replay` runs one again. `--bounds` checks every index in the compiled
+loops, which is slow.
 
 Not among the figures of `run_all.py`: it measures nothing but faults.
 """
@@ -289,7 +290,9 @@ def watch(arguments: argparse.Namespace) -> Tally:
                 try:
                     tally.add(number, *child.apply_async(work, (arguments.seed, number)).get(PATIENCE))
                 except multiprocessing.TimeoutError:
-                    tally.add(number, "?", f"FAULT: the process died, or said nothing for {PATIENCE:.0f} s", 0, 0)
+                    tally.add(
+                        number, "?", f"FAULT: the process died, or said nothing for {PATIENCE:.0f} s", 0, 0
+                    )
                     patient = False
                 spent += time.monotonic() - began
                 number += 1
@@ -307,7 +310,9 @@ def replayed(names: list[str], seed: int, number: int) -> None:
 
 def main() -> int:
     """Run cases and print what came of them; 1 where one failed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seconds", type=float, default=60.0, help="time of decoding, of one process")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="number of the first case")

@@ -1,4 +1,6 @@
-"""What all benchmarks share: a command line, timing, tables, bars with verdicts, and where the figures are kept."""
+"""What all benchmarks share: a command line, timing, tables, bars with verdicts, and where the figures are
+kept.
+"""
 
 from __future__ import annotations
 
@@ -37,16 +39,19 @@ EXACT = (
 """Patterns of figures that no run changes."""
 NOT_EXACT = ("*peer*", "*_ms*", "*_us*", "*_s", "*_mb", "*per_s*", "*_hz*", "absent*")
 SAME = 0.02
-"""Relative difference of exact figures that counts as none: processors round sums in other orders, and an encoder's
-choices follow them. On one machine the figures do not differ at all."""
+"""Relative difference of exact figures that counts as none: processors round sums in other orders, and an
+encoder's choices follow them. On one machine the figures do not differ at all."""
 VERDICTS = {True: "met", False: "NOT MET", None: "not measured"}
 
 Figures = dict[str, Any]
 Bar = dict[str, Any]
-"""What a figure must be: "bar" (its name), "measured", "way" ("at most" or "at least"), "limit", "unit", "met"."""
+"""What a figure must be: "bar" (its name), "measured", "way" ("at most" or "at least"), "limit", "unit",
+"met".
+"""
 
 
-# -- the machine ----------------------------------------------------------------------------------------------
+# -- the machine
+# ----------------------------------------------------------------------------------------------
 
 
 def machine() -> Figures:
@@ -54,7 +59,9 @@ def machine() -> Figures:
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
-        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        names = [
+            line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line
+        ]
         model = names[0] if names else model
     versions = {}
     for name in ("numpy", "numba", "touchfield"):
@@ -66,7 +73,8 @@ def machine() -> Figures:
     return {"processor": model, "cores": cores, "python": sys.version.split()[0], **versions}
 
 
-# -- bars -----------------------------------------------------------------------------------------------------
+# -- bars
+# -----------------------------------------------------------------------------------------------------
 
 
 def at_most(name: str, measured: float | None, limit: float, unit: str = "") -> Bar:
@@ -106,7 +114,8 @@ def told(bar: Bar) -> str:
     return f"{VERDICTS[bar['met']]:12} {bar['bar']}: {measured} ({bar['way']} {limit})"
 
 
-# -- telling --------------------------------------------------------------------------------------------------
+# -- telling
+# --------------------------------------------------------------------------------------------------
 
 
 def text(value: Any) -> str:
@@ -131,7 +140,9 @@ def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str
 
 def show(figures: Figures, title: str = "") -> None:
     """Print figures: what is one number in lines, what is rows as a table."""
-    single = {key: value for key, value in figures.items() if not isinstance(value, dict) and not _is_rows(value)}
+    single = {
+        key: value for key, value in figures.items() if not isinstance(value, dict) and not _is_rows(value)
+    }
     if single:
         print(f"{title}: " * bool(title) + ", ".join(f"{key} {text(value)}" for key, value in single.items()))
     for key, value in figures.items():
@@ -162,11 +173,14 @@ def _flat(row: Figures) -> Figures:
     """A row without rows in it."""
     flat: Figures = {}
     for key, value in row.items():
-        flat |= {f"{key} {k}": v for k, v in _flat(value).items()} if isinstance(value, dict) else {key: value}
+        flat |= (
+            {f"{key} {k}": v for k, v in _flat(value).items()} if isinstance(value, dict) else {key: value}
+        )
     return flat
 
 
-# -- the command ----------------------------------------------------------------------------------------------
+# -- the command
+# ----------------------------------------------------------------------------------------------
 
 
 def arguments(doc: str | None, options: Mapping[str, tuple[Any, Any]]) -> tuple[Figures, bool]:
@@ -206,7 +220,9 @@ def keep(
     run: Figures | None = None,
     code: dict[str, str] | None = None,
 ) -> None:
-    """Print a verdict for each bar; write ``results/NAME.json``, machine, run and code beside figures and bars."""
+    """Print a verdict for each bar; write ``results/NAME.json``, machine, run and code beside figures and
+    bars.
+    """
     print()
     for bar in bars:
         print(told(bar))
@@ -241,7 +257,8 @@ def stale(name: str) -> list[str]:
     return provenance.changed(code_path(name), stored(name).get("code"))
 
 
-# -- exact figures --------------------------------------------------------------------------------------------
+# -- exact figures
+# --------------------------------------------------------------------------------------------
 
 
 def exact_figures(figures: Figures, without: Iterable[str] = ()) -> dict[str, float]:
@@ -311,7 +328,8 @@ def check_quick(name: str, figures: Figures, without: Iterable[str] = ()) -> Non
         sys.exit("\n".join(["exact figures differ from bench/reference/quick:", *lines, hint]))
 
 
-# -- a benchmark ----------------------------------------------------------------------------------------------
+# -- a benchmark
+# ----------------------------------------------------------------------------------------------
 
 
 def bench(
@@ -324,10 +342,11 @@ def bench(
     without: Iterable[str] = (),
     **options: tuple[Any, Any],
 ) -> list[Bar]:
-    """Run a benchmark's command: figures of `measure(**options)`, told and kept with what `bars(figures)` says.
+    """Run a benchmark's command: figures of `measure(**options)`, told and kept with what `bars(figures)`
+    says.
 
-    `reads` are patterns of files that it measures and Python does not import; `without` are patterns of figures that
-    differ from run to run though they are named like exact ones.
+    `reads` are patterns of files that it measures and Python does not import; `without` are patterns of
+    figures that differ from run to run though they are named like exact ones.
     """
     asked, is_quick = arguments(doc, options)
     trace, run = provenance.Trace(), provenance.Run()

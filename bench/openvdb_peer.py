@@ -2,8 +2,8 @@
 
     PYTHON bench/openvdb_peer.py INPUT.npz OUTPUT.npz RUNS
 
-Debian's package has the module under its own name, built for Debian's Python and numpy: another numpy crashes it.
-Without arguments it prints the version, and fails where the module is missing.
+Debian's package has the module under its own name, built for Debian's Python and numpy: another numpy crashes
+it. Without arguments it prints the version, and fails where the module is missing.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ def version() -> str:
 
 
 def distances(vertices: Any, faces: Any, points: Any, band: float) -> Any:
-    """Signed distances of `points` on a lattice: OpenVDB's own narrow band of `band` voxels, and its values there."""
+    """Signed distances of `points` on a lattice: OpenVDB's own narrow band of `band` voxels, and its values
+    there.
+    """
     vdb = library()
     voxel = float(np.diff(np.unique(points[:, 2])[:2])[0])
     transform = vdb.createLinearTransform(voxelSize=voxel)

@@ -1,9 +1,10 @@
 """Which code a result was measured with, on which commit, and under which load of the machine.
 
-A result's code is every source file that the processes of its benchmark loaded, the files that come with a loaded
-package (profiles, the page) and those that the benchmark names itself (C that it compiles). A file counts by what it
-says to the machine: comments, docstrings and layout of Python, C and TypeScript change no hash, nor does moving a
-file to another folder, for which other files import the same names from another module.
+A result's code is every source file that the processes of its benchmark loaded, the files that come with a
+loaded package (profiles, the page) and those that the benchmark names itself (C that it compiles). A file
+counts by what it says to the machine: comments, docstrings and layout of Python, C and TypeScript change no
+hash, nor does moving a file to another folder, for which other files import the same names from another
+module.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ BENCH: Final = Path(__file__).resolve().parent
 ROOT: Final = BENCH.parent
 FOLDERS: Final = ("src", "bench", "tests", "reproduction")
 NOT_MEASURED: Final = frozenset(
-    f"bench/{name}" for name in ("machine.py", "provenance.py", "run_all.py", "quotes.py", "trace/sitecustomize.py")
+    f"bench/{name}"
+    for name in ("machine.py", "provenance.py", "run_all.py", "quotes.py", "trace/sitecustomize.py")
 )
 """What runs, reports and stores; it takes no part in a measurement."""
 VARIABLE: Final = "TOUCHFIELD_BENCH_TRACE"
@@ -37,7 +39,8 @@ _STRINGS: Final = r"\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'|`(?:\\.|[^`\\])*`"
 _C_TOKENS: Final = re.compile(rf"{_STRINGS}|//[^\n]*|/\*.*?\*/|\s+", re.DOTALL)
 
 
-# -- files and their hashes -----------------------------------------------------------------------------------
+# -- files and their hashes
+# -----------------------------------------------------------------------------------
 
 
 class Trace:
@@ -108,8 +111,8 @@ def digest(file: str) -> str:
 def python_meaning(text: str, is_bench: bool = False) -> str:
     """Python without comments, docstrings and layout, alike in all versions of Python.
 
-    Of imports only the names count, in alphabetical order: the modules that they come from are files of their own.
-    Of a benchmark the function `bars` does not count either: it judges figures that are there.
+    Of imports only the names count, in alphabetical order: the modules that they come from are files of their
+    own. Of a benchmark the function `bars` does not count either: it judges figures that are there.
     """
     tree = ast.parse(text)
     parts = [f"imports {' '.join(sorted(_imported_names(tree)))}\n"]
@@ -151,17 +154,26 @@ def _without_strings(body: list[Any]) -> list[Any]:
     """The statements of a body; a string that stands alone, as a docstring does, says nothing to the machine."""
 
     def is_string(one: Any) -> bool:
-        return isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant) and isinstance(one.value.value, str)
+        return (
+            isinstance(one, ast.Expr)
+            and isinstance(one.value, ast.Constant)
+            and isinstance(one.value.value, str)
+        )
 
     return [one for one in body if not is_string(one)]
 
 
 def c_meaning(text: str) -> str:
     """C or TypeScript without comments; any white space is one blank."""
-    return _C_TOKENS.sub(lambda found: found[0] if found[0][0] in "\"'`" else " ", text).replace("  ", " ").strip()
+    return (
+        _C_TOKENS.sub(lambda found: found[0] if found[0][0] in "\"'`" else " ", text)
+        .replace("  ", " ")
+        .strip()
+    )
 
 
-# -- what is stored, and what of it is stale ------------------------------------------------------------------
+# -- what is stored, and what of it is stale
+# ------------------------------------------------------------------
 
 
 def code_of(files: Iterable[str]) -> dict[str, str]:
@@ -211,7 +223,8 @@ def _all_digests() -> frozenset[str]:
     return frozenset(digest(path.relative_to(ROOT).as_posix()) for path in found)
 
 
-# -- the run --------------------------------------------------------------------------------------------------
+# -- the run
+# --------------------------------------------------------------------------------------------------
 
 
 class Run:

@@ -1,11 +1,12 @@
-"""The figures that README and the docs quote: each a phrase of a page, and the result that its numbers are of.
+"""The figures that README and the docs quote: each a phrase of a page, and the result that its numbers are
+of.
 
     python bench/quotes.py [--write]
 
-Lists the quoted phrases, those that a page does not have, and the results that are stale. `--write` puts the figures
-of the results into the pages. Speeds are quoted as ratios to a peer of the same run: machines change from day to day.
-Exit status 1 if a page lacks a phrase, or README quotes a stale result; so README quotes only
-what is measured in minutes.
+Lists the quoted phrases, those that a page does not have, and the results that are stale. `--write` puts the
+figures of the results into the pages. Speeds are quoted as ratios to a peer of the same run: machines change
+from day to day. Exit status 1 if a page lacks a phrase, or README quotes a stale result; so README quotes
+only what is measured in minutes.
 """
 
 from __future__ import annotations
@@ -65,7 +66,9 @@ def rate_quotes() -> list[Quote]:
     """Bytes beside those of the best peer, bodies in motion, and effort fast beside default."""
     page, rate = "docs/coding.md", stored("rate")
     peers = rate["best_peer_over_ours"]
-    bound, mean = ([f"{value:.2g}" for value in peers[f"default, {at}, 1 frame"]] for at in ("promise", "NMSE"))
+    bound, mean = (
+        [f"{value:.2g}" for value in peers[f"default, {at}, 1 frame"]] for at in ("promise", "NMSE")
+    )
     fields = {speed["field"] for speed in rate["speeds"]}
     faster = [
         row(rate["speeds"], field=name, effort="fast")["encode_frames_s"]
@@ -77,7 +80,12 @@ def rate_quotes() -> list[Quote]:
         Quote(page, "rate", "needs {} to {} times the bytes of effort `default`", tuple(bound)),
         Quote(page, "rate", "it needs {} to {} times those of `default`", tuple(mean)),
         Quote(page, "rate", "take {} kilobytes", (f"{kilobytes:.0f}",)),
-        Quote(page, "rate", "reconstruction; {} to {} times as fast", (f"{min(faster):.1f}", f"{max(faster):.1f}")),
+        Quote(
+            page,
+            "rate",
+            "reconstruction; {} to {} times as fast",
+            (f"{min(faster):.1f}", f"{max(faster):.1f}"),
+        ),
     ]
 
 
@@ -118,7 +126,9 @@ def missing(page: str, text: str) -> list[Quote]:
 
 
 def written(page: str, text: str) -> str:
-    """The text with the figures of the results in every phrase of the page; ValueError if a phrase is not in it."""
+    """The text with the figures of the results in every phrase of the page; ValueError if a phrase is not in
+    it.
+    """
     for quote in quotes():
         if quote.page != page:
             continue

@@ -4,9 +4,9 @@
                          [--keep FOLDER]
 
 Two comparisons of one frame, and of five in one segment: the bytes at the NMSE of coder `paper` (n_q 6, 258
-directions, no deadband), and the bytes under the promise |e| <= max(F_0, k |F|), k = 0.1 and F_0 = 0.05 N, which
-every peer keeps too; among the peers is the source itself, coded (`rate_source`). Then the speed of each
-effort on two cores, and falling bodies as objects. At the end the bars, against the figures of
+directions, no deadband), and the bytes under the promise |e| <= max(F_0, k |F|), k = 0.1 and F_0 = 0.05 N,
+which every peer keeps too; among the peers is the source itself, coded (`rate_source`). Then the speed of
+each effort on two cores, and falling bodies as objects. At the end the bars, against the figures of
 ``reference/rate_before.json``, and the range of the best peer over ours. `--quick` takes one frame of one
 field at n_w 5. A peer that is not installed is named and left out. The speed is measured first, alone, and
 anew in every run; then every core has a process. With `--keep` the other figures are kept in a folder, and a
@@ -44,8 +44,10 @@ DEFAULT = "default"
 MEAN, P_OVER_I = 1.0, 1.0
 """Over the figures before: bytes on the mean of the fields; later frames over frames coded alone."""
 SPEEDS = {
-    ("tum band", DEFAULT, "decode"): 60, ("tum band", DEFAULT, "encode"): 12, ("icl band", DEFAULT, "decode"): 30,
-    ("icl band", DEFAULT, "encode"): 8, ("tum band", "fast", "encode"): 40, ("icl band", "fast", "encode"): 20,
+    ("tum band", DEFAULT, "decode"): 60, ("tum band", DEFAULT, "encode"): 12, ("icl "
+                                                                               "band", DEFAULT, "decode"): 30,
+    ("icl band", DEFAULT, "encode"): 8, ("tum band", "fast", "encode"): 40, ("icl "
+                                                                             "band", "fast", "encode"): 20,
 }  # fmt: skip
 """Frames a second at 128^3 on two cores, at least."""
 SAME_DB = 0.1
@@ -80,9 +82,9 @@ def former_of(before: Figures, row: Figures) -> Any:
 class Report:
     """What was found.
 
-    A row of `sizes` has "field", "kind", "at" ("NMSE" or "promise"), "frames", "nmse_db", "touch" by effort (bytes),
-    "p_over_i" by effort, "peers" and what else its parts told; one of `speeds` has "field", "effort" and the figures
-    of `rate_ours.speed`; `before` are the figures that the bars are held against.
+    A row of `sizes` has "field", "kind", "at" ("NMSE" or "promise"), "frames", "nmse_db", "touch" by effort
+    (bytes), "p_over_i" by effort, "peers" and what else its parts told; one of `speeds` has "field", "effort"
+    and the figures of `rate_ours.speed`; `before` are the figures that the bars are held against.
     """
 
     efforts: tuple[str, ...]
@@ -124,7 +126,9 @@ class Report:
     def _former(self, row: Figures) -> float | None:
         """Bytes of the same field before, if they were measured at the same error."""
         old = self.before[row["at"]].get(row["field"], {})
-        return old.get(DEFAULT) if abs(old.get("nmse_db", row["nmse_db"]) - row["nmse_db"]) < SAME_DB else None
+        return (
+            old.get(DEFAULT) if abs(old.get("nmse_db", row["nmse_db"]) - row["nmse_db"]) < SAME_DB else None
+        )
 
     def bytes(self) -> Figures:
         """Bytes of every effort for each field."""
@@ -220,7 +224,9 @@ def drawn_cases(chosen: Sequence[Case], folder: Path) -> list[Case]:
 
 def arguments() -> Any:
     """What was asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--quick", action="store_true", help="one frame of one field at n_w 5")
     parser.add_argument("--nw", type=int, nargs="+", default=list(SIDES))
     parser.add_argument("--fields", nargs="+", help="names such as 'tum band'")
@@ -270,7 +276,10 @@ def main() -> None:
     where = "TUM desk and ICL living room" if SHARED.is_dir() else "the samples (../shared/data is not there)"
     with tempfile.TemporaryDirectory(prefix="touchfield-rate-") as scratch:
         pool = Pool(asked.keep or Path(scratch))
-        pool.say(f"fields: {where}; a band's wall is {WALL_VOXELS} voxels of the mean spacing; Phantom Omni, 500 N/m")
+        pool.say(
+            f"fields: {where}; a band's wall is {WALL_VOXELS} voxels of the mean spacing; Phantom Omni, 500 "
+            "N/m"
+        )
         report = measured(asked, pool, chosen)
     for one in report.tables():
         print(one)

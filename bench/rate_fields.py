@@ -1,8 +1,9 @@
-"""The force fields of `rate.py`, made by the package itself: real scenes as bands and as heights, and moving ones.
+"""The force fields of `rate.py`, made by the package itself: real scenes as bands and as heights, and moving
+ones.
 
-Everything is made for the Phantom Omni. A *band* is a wall of 4 voxels of the mean spacing behind the surface of a
-depth sequence; a *height* field is the same sequence read as a height map, everything behind it solid. Without the
-optional folder ../shared/data they are made of the samples that the package and its extras carry.
+Everything is made for the Phantom Omni. A *band* is a wall of 4 voxels of the mean spacing behind the surface
+of a depth sequence; a *height* field is the same sequence read as a height map, everything behind it solid.
+Without the optional folder ../shared/data they are made of the samples that the package and its extras carry.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ SEQUENCES = {"tum": "rgbd_tum_fr1_rpy", "icl": "rgbd_iclnuim_livingroom1"}
 
 @dataclass(frozen=True)
 class Case:
-    """A field to code: its name, its kind ("band", "height", "mesh" or "falling"), n_w, and where it comes from."""
+    """A field to code: its name, its kind ("band", "height", "mesh" or "falling"), n_w, and where it comes
+    from.
+    """
 
     name: str
     kind: str

@@ -53,7 +53,9 @@ def paper(frames: list[ForceField], **asked: Any) -> Coded:
 
 def touch(frames: list[ForceField], **asked: Any) -> Coded:
     """Coder `touch`, one segment."""
-    return _coded(TouchEncoder(frames[0].grid, TouchSpec(**{"k": K, "f0_n": F0_N, **asked})), TouchDecoder, frames)
+    return _coded(
+        TouchEncoder(frames[0].grid, TouchSpec(**{"k": K, "f0_n": F0_N, **asked})), TouchDecoder, frames
+    )
 
 
 def _coded(encoder: Any, decoder: Any, frames: list[ForceField]) -> Coded:
@@ -90,12 +92,16 @@ def paper_symbols(frames: list[ForceField]) -> tuple[NDArray[np.int32], int]:
     level = np.unique(np.rint(2000 * np.log(size[held])), return_inverse=True)[1].reshape(-1)
     unit = np.rint(20 * forces[held] / size[held][:, None] + 0.337)
     symbols = np.zeros((*held.shape, 2), np.int32)
-    symbols[held] = np.stack([level + 1, np.unique(unit, axis=0, return_inverse=True)[1].reshape(-1)], axis=-1)
+    symbols[held] = np.stack(
+        [level + 1, np.unique(unit, axis=0, return_inverse=True)[1].reshape(-1)], axis=-1
+    )
     return symbols, 4 * int(symbols[..., 0].max())
 
 
 def object_bytes(nw: int) -> dict[str, float]:
-    """Bytes of 2000 frames of falling bodies: as voxels by coder `paper` (eight in 250), and as files of objects."""
+    """Bytes of 2000 frames of falling bodies: as voxels by coder `paper` (eight in 250), and as files of
+    objects.
+    """
     medium = prepare("sample:falling-7", EncodeSpec(nw=nw)).medium
     groups = [[medium[i] for i in range(start, start + 8)] for start in range(0, len(medium) - 7, 250)]
     voxels = float(np.mean([paper(group).bytes / len(group) for group in groups])) * len(medium)
@@ -109,7 +115,8 @@ def object_bytes(nw: int) -> dict[str, float]:
     return found
 
 
-# -- speed ----------------------------------------------------------------------------------------------------
+# -- speed
+# ----------------------------------------------------------------------------------------------------
 
 
 def speed(frames: list[ForceField], effort: str, runs: int = 3) -> dict[str, float]:
@@ -137,13 +144,14 @@ def speed(frames: list[ForceField], effort: str, runs: int = 3) -> dict[str, flo
     }
 
 
-# -- an equal error -------------------------------------------------------------------------------------------
+# -- an equal error
+# -------------------------------------------------------------------------------------------
 
 Trial = tuple[float, ...]
 """NMSE in dB, then one or more sizes."""
 WITHIN_DB, NEAR_DB, NOISE = 0.5, 0.05, 1.08
-"""Two trials so near to each other, one so near to the target, or steps of that ratio are enough: an encoder that
-weighs bits is off by half a dB at times."""
+"""Two trials so near to each other, one so near to the target, or steps of that ratio are enough: an encoder
+that weighs bits is off by half a dB at times."""
 PAST_DB = 0.15
 """How far beyond the target a trial is aimed, so that the target lies between it and the nearest."""
 

@@ -1,9 +1,9 @@
 """The general-purpose coders of `rate.py`: what is not installed is left out and named.
 
-Lossless ones (zstd -19, xz, brotli, zpaq at its most, JPEG XL) are given symbols in several layouts, the best of
-which counts: the whole box, or a mask and the list of what is in it; components apart or together. Lossy ones (zfp,
-SZ3, SPERR) are given the components of the box as float32, at the promise also companded. The coded source is in
-`rate_source`.
+Lossless ones (zstd -19, xz, brotli, zpaq at its most, JPEG XL) are given symbols in several layouts, the best
+of which counts: the whole box, or a mask and the list of what is in it; components apart or together. Lossy
+ones (zfp, SZ3, SPERR) are given the components of the box as float32, at the promise also companded. The
+coded source is in `rate_source`.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from rate_ours import paper_symbols
 from touchfield.medium import ForceField
 
 MOST_BYTES = 8_000_000
-"""Of the layouts that are given to the coders, the best by a quick xz first; the best is always given. zpaq takes 3 s
-for each megabyte."""
+"""Of the layouts that are given to the coders, the best by a quick xz first; the best is always given. zpaq
+takes 3 s for each megabyte."""
 JPEG_XL_PIXELS = 500_000
 """Of larger pictures JPEG XL searches a little less."""
 
@@ -32,7 +32,8 @@ Symbols = NDArray[np.int32]
 Forces = NDArray[np.float32]
 Lossy = Callable[[Forces, float], tuple[int, Forces]]
 MODULES = {
-    "zstd -19": "zstandard", "brotli": "brotli", "zpaq -m5": "zpaq", "JPEG XL": "imagecodecs", "SPERR": "imagecodecs",
+    "zstd -19": "zstandard", "brotli": "brotli", "zpaq -m5": "zpaq", "JPEG "
+                                                                     "XL": "imagecodecs", "SPERR": "imagecodecs",
     "zfp": "zfpy", "SZ3": "pysz", "Draco": "DracoPy",
 }  # fmt: skip
 
@@ -51,7 +52,8 @@ def absent() -> list[str]:
     return [name for name in MODULES if module(name) is None]
 
 
-# -- bytes to bytes --------------------------------------------------------------------------------------------
+# -- bytes to bytes
+# --------------------------------------------------------------------------------------------
 
 
 def xz(data: bytes) -> int:
@@ -77,7 +79,8 @@ def back_ends() -> dict[str, Callable[[bytes], int]]:
     return {name: back for name, back in every.items() if name == "xz" or module(name)}
 
 
-# -- layouts of symbols ----------------------------------------------------------------------------------------
+# -- layouts of symbols
+# ----------------------------------------------------------------------------------------
 
 
 def plain(symbols: Symbols) -> NDArray[Any]:
@@ -98,9 +101,9 @@ def byte_planes(symbols: NDArray[Any]) -> bytes:
 def layouts(symbols: Symbols) -> Iterator[tuple[bytes, NDArray[np.bool_] | None]]:
     """Bytes, and the mask that must be sent beside them; symbols are [frame, x, y, z, 3].
 
-    The box and the list of what is not zero, each with components in turn and apart. z is fastest, along which a
-    wall is thick. Of several frames also a list for each voxel that any of them holds, its frames side by side:
-    in turn, apart, and as changes.
+    The box and the list of what is not zero, each with components in turn and apart. z is fastest, along
+    which a wall is thick. Of several frames also a list for each voxel that any of them holds, its frames
+    side by side: in turn, apart, and as changes.
     """
     narrow = plain(symbols)
     still = np.moveaxis(narrow, 0, 3)  # [x, y, z, frame, 3]: the frames of a voxel side by side
@@ -154,7 +157,8 @@ def list_bytes(values: Symbols, is_final: bool = True) -> int:
 
 
 def lossless(symbols: Symbols, of_forces: bool = True) -> dict[str, float]:
-    """Bytes by each coder of symbols [frame, x, y, z, components], the best of the layouts that there is time for.
+    """Bytes by each coder of symbols [frame, x, y, z, components], the best of the layouts that there is time
+    for.
 
     Of symbols that are not `of_forces` no picture and no cloud is made; they go to xz and zpaq alone.
     """
@@ -181,10 +185,17 @@ def lossless(symbols: Symbols, of_forces: bool = True) -> dict[str, float]:
 def draco(symbols: Symbols) -> int:
     """A cloud of the voxels that are not zero, their symbols as an attribute, one cloud for each frame."""
     total, bits = 0, max(1, (max(symbols.shape[1:4]) - 1).bit_length())
-    asked = {"quantization_range": float(2**bits - 1), "quantization_origin": [0.0] * 3, "compression_level": 10}
+    asked = {
+        "quantization_range": float(2**bits - 1),
+        "quantization_origin": [0.0] * 3,
+        "compression_level": 10,
+    }
     for frame in symbols:
         held = (frame != 0).any(axis=-1)
-        points, raised = np.argwhere(held).astype(np.float32), (frame[held] - frame.min(initial=0)).astype(np.uint16)
+        points, raised = (
+            np.argwhere(held).astype(np.float32),
+            (frame[held] - frame.min(initial=0)).astype(np.uint16),
+        )
         cloud = module("Draco").encode(
             points, quantization_bits=bits, **asked, preserve_order=False, generic_attributes={0: raised}
         )
@@ -192,11 +203,14 @@ def draco(symbols: Symbols) -> int:
     return total
 
 
-# -- lossy ------------------------------------------------------------------------------------------------------
+# -- lossy
+# ------------------------------------------------------------------------------------------------------
 
 
 def lossy() -> dict[str, Lossy]:
-    """Coders of float32 volumes by an absolute tolerance, newtons: ``(bytes, decoded)`` of [frame, x, y, z, 3]."""
+    """Coders of float32 volumes by an absolute tolerance, newtons: ``(bytes, decoded)`` of [frame, x, y, z,
+    3].
+    """
 
     def coded(code: Lossy, forces_n: Forces, tolerance: float) -> tuple[int, Forces]:
         one = forces_n[0] if len(forces_n) == 1 else forces_n
@@ -232,7 +246,8 @@ def _sperr(volume: Forces, tolerance: float) -> tuple[int, Forces]:
 LOSSY: dict[str, Lossy] = {"zfp": _zfp, "SZ3": _sz3, "SPERR": _sperr}
 """Of one component."""
 
-# -- the contest ------------------------------------------------------------------------------------------------
+# -- the contest
+# ------------------------------------------------------------------------------------------------
 
 
 def at_error(volume: Volume, target_db: float) -> dict[str, float]:
@@ -246,7 +261,9 @@ def at_error(volume: Volume, target_db: float) -> dict[str, float]:
     for name, code in lossy().items():
         made = lattices.coarsest(partial(code, forces), is_good, start / 64, start * 64)
         found[name] = made[0] + Volume.HEAD_BYTES if made else np.nan
-    quantised = lattices.coarsest(lambda step: lattices.uniform(forces, step), is_good, start / 64, start * 64)
+    quantised = lattices.coarsest(
+        lambda step: lattices.uniform(forces, step), is_good, start / 64, start * 64
+    )
     return found | (lossless(quantised.symbols) if quantised else {})
 
 
@@ -262,7 +279,10 @@ def at_promise(volume: Volume) -> dict[str, float]:
         return lattices.is_kept(forces, decode(made[1]))
 
     for name, code in lossy().items():
-        for volume_given, start, decode in ((forces, lattices.F0_N, np.asarray), (bent, 1.0, lattices.expand)):
+        for volume_given, start, decode in (
+            (forces, lattices.F0_N, np.asarray),
+            (bent, 1.0, lattices.expand),
+        ):
             made = lattices.coarsest(
                 partial(code, volume_given), partial(is_kept, decode), start / 16, start * 4,
             )  # fmt: skip

@@ -50,7 +50,9 @@ def draw(curves: Mapping[str, Any], promised: Mapping[str, Mapping[str, Any]], o
             side = 2 ** int(nw)
             _curves(upper, of)
             words = " ".join(WORDS.get(word, word) for word in field.split())
-            upper.set_title(f"{words}, {side}³: bytes of one frame", loc="left", fontweight="bold", fontsize=11)
+            upper.set_title(
+                f"{words}, {side}³: bytes of one frame", loc="left", fontweight="bold", fontsize=11
+            )
             if promised.get(title, {}).get("touch"):
                 _promised(lower, promised[title])
             else:
@@ -77,13 +79,17 @@ def _curves(axis: Any, of: Mapping[str, Any]) -> None:
         ends[name] = (-shown[-1], math.log10(sizes[-1]))
     axis.set_yscale("log")
     axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.yaxis.set_major_formatter(FuncFormatter(lambda s, _: f"{s / 1000:g} kB" if s >= 1000 else f"{s:g} B"))
+    axis.yaxis.set_major_formatter(
+        FuncFormatter(lambda s, _: f"{s / 1000:g} kB" if s >= 1000 else f"{s:g} B")
+    )
     axis.yaxis.set_minor_formatter(NullFormatter())
     axis.set_xlim(coarse + 1, fine - LABELS_DB)
     axis.set_xticks([-15, -20, -25, -30, -35, -40])
     low, high = np.log10(axis.get_ylim())
     gap, top = (high - low) / 18, low  # names from below, none nearer to the next than a line is high
-    for left, (name, (db, height)) in zip(range(len(ends), 0, -1), sorted(ends.items(), key=lambda item: item[1][1])):
+    for left, (name, (db, height)) in zip(
+        range(len(ends), 0, -1), sorted(ends.items(), key=lambda item: item[1][1])
+    ):
         top = min(max(height, top + gap), high - (left - 0.5) * gap)
         axis.annotate(
             NAMES.get(name, name), xy=(db, 10**height), xytext=(fine - 2.6, 10**top), color=STYLES[name][0],
@@ -104,7 +110,9 @@ def _promised(axis: Any, row: Mapping[str, Any]) -> None:
     colours = ["#000000" if size == ours[0][0] else "#707070" if i < len(ours) else "#A8A8A8"
                for i, size in enumerate(sizes)]  # fmt: skip
     bars = axis.barh(range(len(sizes)), sizes, 0.72, color=colours)
-    axis.bar_label(bars, [f"{s:,.0f}" + f"   {s / ours[0][0]:.2f}x" * (s > ours[0][0]) for s in sizes], padding=4)
+    axis.bar_label(
+        bars, [f"{s:,.0f}" + f"   {s / ours[0][0]:.2f}x" * (s > ours[0][0]) for s in sizes], padding=4
+    )
     axis.set_yticks(range(len(names)), names)
     axis.invert_yaxis()
     axis.set_xlim(0, 1.3 * max(sizes))

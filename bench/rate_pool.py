@@ -1,7 +1,8 @@
-"""The parts of `rate.py`, each of one field and apart from the others: a process for each core, and what was kept.
+"""The parts of `rate.py`, each of one field and apart from the others: a process for each core, and what was
+kept.
 
-A kept figure's name holds what it depends on: the frames themselves, what was asked, and the source of what made it.
-So a changed coder is measured again, and the peers are not. Speeds are never kept.
+A kept figure's name holds what it depends on: the frames themselves, what was asked, and the source of what
+made it. So a changed coder is measured again, and the peers are not. Speeds are never kept.
 """
 
 from __future__ import annotations
@@ -69,7 +70,10 @@ def curve(case: Case, frames: list[ForceField]) -> Figures:
     """Points (NMSE in dB, bytes) of one frame by our coders."""
     touch = [ours.touch(frames, mode="nmse", step_n=step) for step in STEPS_N]
     paper = [ours.paper(frames, nq=nq, directions=directions) for nq, directions in PAPER]
-    return {name: [[one.nmse_db, one.bytes] for one in made] for name, made in (("touch", touch), ("paper", paper))}
+    return {
+        name: [[one.nmse_db, one.bytes] for one in made]
+        for name, made in (("touch", touch), ("paper", paper))
+    }
 
 
 def curve_peers(case: Case, frames: list[ForceField]) -> Figures:
@@ -86,7 +90,9 @@ def curve_peers(case: Case, frames: list[ForceField]) -> Figures:
     return points
 
 
-PARTS: dict[str, Callable[..., Figures]] = {part.__name__: part for part in (by_us, by_peers, curve, curve_peers)}
+PARTS: dict[str, Callable[..., Figures]] = {
+    part.__name__: part for part in (by_us, by_peers, curve, curve_peers)
+}
 
 
 @cache
@@ -143,7 +149,9 @@ class Job:
             fingerprint(source),
             source == "peers" and peers.absent(),
         ]
-        return kept(folder, key, lambda: PARTS[self.part](self.case, list(read_npz(path))[: self.count], **self.args))
+        return kept(
+            folder, key, lambda: PARTS[self.part](self.case, list(read_npz(path))[: self.count], **self.args)
+        )
 
 
 class Pool:
@@ -160,7 +168,9 @@ class Pool:
     def run(self, jobs: list[Job]) -> None:
         """All jobs, the largest first; one that fails leaves a gap in its table, and is told at the end."""
         with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
-            for _ in pool.map(Case.path, dict.fromkeys(job.case for job in jobs), repeat(fields_in(self.folder))):
+            for _ in pool.map(
+                Case.path, dict.fromkeys(job.case for job in jobs), repeat(fields_in(self.folder))
+            ):
                 pass  # all fields are there now
             ordered = sorted(jobs, key=lambda job: (job.case.nw, job.count), reverse=True)
             waiting = {pool.submit(job.work, self.folder): job for job in ordered}

@@ -1,11 +1,11 @@
 """The coded source as a peer: the depth maps that a field was made of, by JPEG XL, and the field made again.
 
-The receiver is given the maps, rounded to multiples of a step, and touchfield's own code makes the field. The map is
-taken whole or every second, fourth or eighth pixel a side (the median of a block); it is coded as it is and as
-places in the list of its values, whichever is smaller. Voxels that come out beyond the mask (at silhouettes there
-are some at every step), or as many as an NMSE takes, are sent beside it on the companded lattice; without them only
-the exact map would do. All sizes and steps are tried, and the best counts. Camera, placement, poses and steps count
-as constants.
+The receiver is given the maps, rounded to multiples of a step, and touchfield's own code makes the field. The
+map is taken whole or every second, fourth or eighth pixel a side (the median of a block); it is coded as it
+is and as places in the list of its values, whichever is smaller. Voxels that come out beyond the mask (at
+silhouettes there are some at every step), or as many as an NMSE takes, are sent beside it on the companded
+lattice; without them only the exact map would do. All sizes and steps are tried, and the best counts. Camera,
+placement, poses and steps count as constants.
 """
 
 from __future__ import annotations
@@ -46,7 +46,12 @@ class Decoded(DepthSequence):
     """Depth maps [frame, height, width], metres, in place of those that are stored."""
 
     def __init__(self, depths_m: NDArray[np.float32], camera: Intrinsics, stored: DepthSequence) -> None:
-        self.name, self.rate_hz, self.intrinsics, self.depths_m = "coded source", stored.rate_hz, camera, depths_m
+        self.name, self.rate_hz, self.intrinsics, self.depths_m = (
+            "coded source",
+            stored.rate_hz,
+            camera,
+            depths_m,
+        )
         self.frame_count, self.height, self.width = depths_m.shape
         self.poses = None if stored.poses is None else stored.poses[: len(depths_m)]
 
@@ -89,7 +94,11 @@ class Source:
 
     def frames(self, maps: Maps, shrink: int) -> list[ForceField]:
         """The field made again of maps, stored units, of which a pixel stands for `shrink` x `shrink`."""
-        scene, spec, at = self._scene(maps / self.sequence.metres.units_per_m, shrink), self.case.spec, self._prepared
+        scene, spec, at = (
+            self._scene(maps / self.sequence.metres.units_per_m, shrink),
+            self.case.spec,
+            self._prepared,
+        )
         law = spec.law_spec(at.device.force_max_n)
         profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
         medium = device_medium(scene, at.device, at.medium.grid, at.placement, profile, spec.device_filter)
@@ -105,7 +114,9 @@ class Source:
             at: Any = HeightScene.from_depth_sequence(stored)._cell_m
             moved = {"x0_m": at.x0_m + shift * at.dx_m, "y0_m": at.y0_m + shift * at.dy_m}
             at = replace(at, **moved, dx_m=shrink * at.dx_m, dy_m=shrink * at.dy_m)
-            return HeightScene(np.where(depths_m > 0, depths_m, np.nan), at, axes=CAMERA_AXES, rate_hz=stored.rate_hz)
+            return HeightScene(
+                np.where(depths_m > 0, depths_m, np.nan), at, axes=CAMERA_AXES, rate_hz=stored.rate_hz
+            )
         k = stored.intrinsics
         camera = Intrinsics(k.fx / shrink, k.fy / shrink, (k.cx - shift) / shrink, (k.cy - shift) / shrink)
         step_per_m = shrink * noise_step_per_m(stored.depth_m(0))
@@ -115,16 +126,24 @@ class Source:
 def shrunk(maps: Maps, by: int) -> Maps:
     """The median of the known pixels of each block; unknown where fewer than half are known."""
     n, height, width = maps.shape
-    blocks = maps.reshape(n, height // by, by, width // by, by).swapaxes(2, 3).reshape(n, height // by, -1, by * by)
+    blocks = (
+        maps.reshape(n, height // by, by, width // by, by)
+        .swapaxes(2, 3)
+        .reshape(n, height // by, -1, by * by)
+    )
     blocks, known = np.sort(blocks, axis=-1), (blocks > 0).sum(axis=-1)
     middle = np.minimum(by * by - (known + 1) // 2, by * by - 1)[..., None]
     return np.where(2 * known >= by * by, np.take_along_axis(blocks, middle, -1)[..., 0], 0)
 
 
 def map_bytes(numbers: Maps, is_final: bool) -> int:
-    """By JPEG XL, as they are or as places in the list of values; in one picture, at last also in one a frame."""
+    """By JPEG XL, as they are or as places in the list of values; in one picture, at last also in one a
+    frame.
+    """
     values, places = np.unique(numbers, return_inverse=True)
-    listed = (peers.xz if is_final else peers.quick_xz)(np.diff(values, prepend=0).astype(np.uint16).tobytes())
+    listed = (peers.xz if is_final else peers.quick_xz)(
+        np.diff(values, prepend=0).astype(np.uint16).tobytes()
+    )
     sizes = []
     for symbols, extra in ((numbers, 0), (places.reshape(numbers.shape), listed)):
         pictures = symbols.astype(np.uint8 if symbols.max(initial=0) < 256 else np.uint16)
@@ -135,7 +154,9 @@ def map_bytes(numbers: Maps, is_final: bool) -> int:
 
 
 def patch_bytes(wanted: Forces, made: Forces, target_db: float | None, is_final: bool = True) -> float:
-    """Bytes of the voxels that are sent apart: all beyond the mask, or as few as leave an NMSE of `target_db`."""
+    """Bytes of the voxels that are sent apart: all beyond the mask, or as few as leave an NMSE of
+    `target_db`.
+    """
     error, square = (((a.astype(np.float64)) ** 2).sum(axis=-1) for a in (made - wanted, wanted))
     held = error > (0.9999 * np.maximum(F0_N, K * np.sqrt(square))) ** 2
     step = 1.0
@@ -157,7 +178,8 @@ def patch_bytes(wanted: Forces, made: Forces, target_db: float | None, is_final:
 
 
 def coded_source(case: Case, frames: list[ForceField], target_db: float | None = None) -> dict[str, float]:
-    """The fewest bytes at the promise, or at an NMSE of `target_db`, and the shrinking and the step that they take.
+    """The fewest bytes at the promise, or at an NMSE of `target_db`, and the shrinking and the step that they
+    take.
 
     Of several frames the first chooses, for each size of map, the step.
     """

@@ -1,14 +1,16 @@
 """Forces as small whole numbers for the general-purpose coders of `rate.py`, all in their favour.
 
-Uniform in newtons, for an equal mean error; and two lattices that keep the promise |e| <= max(F_0, k |F|), of which
-each was best on some field:
+Uniform in newtons, for an equal mean error; and two lattices that keep the promise |e| <= max(F_0, k |F|), of
+which each was best on some field:
 
-* *log-polar* (the direct one): a ladder of amplitudes whose steps are F_0 long up to F_0 / k and grow by k beyond,
-  and an octahedral map of directions (as fine at each amplitude as it must be there, it took more bytes);
-* *companded*: y = F g(|F|) / |F| with g(a) = a / F_0 up to F_0 / k and (1 + ln(a k / F_0)) / k beyond, rounded on a
-  cubic lattice. All error balls of the mask become balls of radius 1 or more.
+* *log-polar* (the direct one): a ladder of amplitudes whose steps are F_0 long up to F_0 / k and grow by k
+  beyond, and an octahedral map of directions (as fine at each amplitude as it must be there, it took more
+  bytes);
+* *companded*: y = F g(|F|) / |F| with g(a) = a / F_0 up to F_0 / k and (1 + ln(a k / F_0)) / k beyond,
+  rounded on a cubic lattice. All error balls of the mask become balls of radius 1 or more.
 
-What is at most F_0 long is dropped. Each takes the coarsest step with no violation, found on the field itself.
+What is at most F_0 long is dropped. Each takes the coarsest step with no violation, found on the field
+itself.
 """
 
 from __future__ import annotations
@@ -73,7 +75,9 @@ def coarsest(
     return best
 
 
-def without_small(quantise: Callable[[Forces, float], Quantised], forces_n: Forces, scale: float) -> Quantised:
+def without_small(
+    quantise: Callable[[Forces, float], Quantised], forces_n: Forces, scale: float
+) -> Quantised:
     """Quantised at a scale, and what no mask needs dropped."""
     return dropped(quantise(forces_n, scale), forces_n)
 
@@ -90,7 +94,8 @@ def promised(forces_n: Forces) -> list[Quantised]:
     return [one for one in made if one is not None]
 
 
-# -- companded ------------------------------------------------------------------------------------------------
+# -- companded
+# ------------------------------------------------------------------------------------------------
 
 
 def compand(forces_n: Forces) -> NDArray[np.float64]:
@@ -115,7 +120,8 @@ def companded(forces_n: Forces, step: float) -> Quantised:
     return Quantised(symbols, expand(symbols * step))
 
 
-# -- log-polar ------------------------------------------------------------------------------------------------
+# -- log-polar
+# ------------------------------------------------------------------------------------------------
 
 
 def ladder(top_n: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -3,13 +3,14 @@
     python bench/run_all.py [--quick] [--only NAME,NAME] [--jobs N] [--limit-s SECONDS]
     python bench/run_all.py --stale | --rerun-stale | --verdicts | --store-quick
 
-`--quick` runs each with its smallest settings, keeps nothing, and holds its exact figures (bytes, counts, errors)
-against ``reference/quick``, which `--store-quick` writes. `--stale` runs none: it lists the results whose
-code has changed since, and ends with status 1 if one of them can be measured here; `--rerun-stale` measures these.
-`--verdicts` runs none either: the bars are held against the figures that are kept, and written beside them.
+`--quick` runs each with its smallest settings, keeps nothing, and holds its exact figures (bytes, counts,
+errors) against ``reference/quick``, which `--store-quick` writes. `--stale` runs none: it lists the results
+whose code has changed since, and ends with status 1 if one of them can be measured here; `--rerun-stale`
+measures these. `--verdicts` runs none either: the bars are held against the figures that are kept, and
+written beside them.
 
-A benchmark that fails or exceeds its time is named at the end, and the others run. One that lacks what it needs (a
-GPU, a compiler, a browser) is left out, with the reason.
+A benchmark that fails or exceeds its time is named at the end, and the others run. One that lacks what it
+needs (a GPU, a compiler, a browser) is left out, with the reason.
 """
 
 from __future__ import annotations
@@ -68,7 +69,8 @@ def selected(only: str | None) -> list[str]:
     return requested
 
 
-# -- running --------------------------------------------------------------------------------------------------
+# -- running
+# --------------------------------------------------------------------------------------------------
 
 
 def run(name: str, is_quick: bool, limit_s: float, is_shown: bool = True) -> Outcome:
@@ -90,11 +92,15 @@ def run(name: str, is_quick: bool, limit_s: float, is_shown: bool = True) -> Out
             output.seek(0)
             print(title, output.read().decode(errors="replace"), sep="\n", flush=True)
     verdict = {0: "finished", LEFT_OUT: "left out", None: f"exceeded {limit_s:.0f} s"}
-    return Outcome(name, verdict.get(status, f"failed, status {status}"), time.monotonic() - start, processor_s)
+    return Outcome(
+        name, verdict.get(status, f"failed, status {status}"), time.monotonic() - start, processor_s
+    )
 
 
 def _waited(pid: int, until_s: float) -> tuple[int | None, float]:
-    """Exit status, and processor seconds with those of its own children; its group is killed at `until_s`: None."""
+    """Exit status, and processor seconds with those of its own children; its group is killed at `until_s`:
+    None.
+    """
     is_late = False
     while True:
         ended, status, used = os.wait4(pid, os.WNOHANG)
@@ -118,7 +124,11 @@ def run_each(names: list[str], is_quick: bool, limit_s: float, jobs: int) -> boo
         rest = [name for name in names if name not in alone]
         outcomes += pool.map(lambda name: run(name, is_quick, limit_s, is_shown=False), rest)
     rows = [[one.name, one.verdict, f"{one.seconds:.1f}", f"{one.processor_s:.1f}"] for one in outcomes]
-    total = ["all", "", *(f"{sum(values):.1f}" for values in zip(*((o.seconds, o.processor_s) for o in outcomes)))]
+    total = [
+        "all",
+        "",
+        *(f"{sum(values):.1f}" for values in zip(*((o.seconds, o.processor_s) for o in outcomes))),
+    ]
     print(table("benchmarks", ["", "verdict", "seconds", "processor s"], [*rows, total]))
     failed = [one.name for one in outcomes if one.is_failure]
     if failed:
@@ -126,7 +136,8 @@ def run_each(names: list[str], is_quick: bool, limit_s: float, jobs: int) -> boo
     return not failed
 
 
-# -- kept results ---------------------------------------------------------------------------------------------
+# -- kept results
+# ---------------------------------------------------------------------------------------------
 
 
 def missing_need(name: str) -> str | None:
@@ -163,19 +174,30 @@ def verdicts() -> None:
             figures["bars"] = import_module(stem).bars(figures)
             write(name, figures)
             unmet += [f"{name:12} {told(bar)}" for bar in figures["bars"] if not bar["met"]]
-            print(f"{name:12} {sum(bool(bar['met']) for bar in figures['bars'])} of {len(figures['bars'])} bars met")
+            print(
+                f"{name:12} {sum(bool(bar['met']) for bar in figures['bars'])} of {len(figures['bars'])} "
+                "bars met"
+            )
     print("\n".join(["", *unmet]))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--quick", action="store_true", help="small settings; no result is kept")
     parser.add_argument("--only", metavar="NAME,NAME", help="these benchmarks")
-    parser.add_argument("--jobs", type=int, help="scripts at once: 1; quickly, where times do not count, one a core")
-    parser.add_argument("--limit-s", type=float, help=f"for each script: {LIMIT_S:g}; quickly {QUICK_LIMIT_S:g}")
+    parser.add_argument(
+        "--jobs", type=int, help="scripts at once: 1; quickly, where times do not count, one a core"
+    )
+    parser.add_argument(
+        "--limit-s", type=float, help=f"for each script: {LIMIT_S:g}; quickly {QUICK_LIMIT_S:g}"
+    )
     group = parser.add_mutually_exclusive_group()
     group.add_argument("--stale", action="store_true", help="results older than the code that they measured")
-    group.add_argument("--rerun-stale", action="store_true", help="measure these anew, as far as this machine can")
+    group.add_argument(
+        "--rerun-stale", action="store_true", help="measure these anew, as far as this machine can"
+    )
     group.add_argument("--verdicts", action="store_true", help="bars against the figures that are kept")
     group.add_argument("--store-quick", action="store_true", help="write the exact figures of quick runs")
     options = parser.parse_args()

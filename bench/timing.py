@@ -61,8 +61,8 @@ def inside(module: ModuleType, name: str, call: Callable[[], Any]) -> Clock:
 def paired_cpu_ms(ours: Clock, reference: Clock, rounds: int) -> list[tuple[float, float]]:
     """Processor milliseconds of ours and of the reference, which run in turn: one pair a round.
 
-    The reference's is the mean of the runs before and after ours, so that a processor that changes its speed, and
-    other processes that come and go, change both.
+    The reference's is the mean of the runs before and after ours, so that a processor that changes its speed,
+    and other processes that come and go, change both.
     """
     pairs, before = [], reference()
     for _ in range(rounds):

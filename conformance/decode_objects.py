@@ -1,4 +1,6 @@
-"""The part of the second decoder for coder `objects`: docs/format/objects.md, step by step, in Python and numpy."""
+"""The part of the second decoder for coder `objects`: docs/format/objects.md, step by step, in Python and
+numpy.
+"""
 
 import math
 import struct
@@ -19,7 +21,9 @@ CODERS: dict[str, Any] = {"paper": decode_paper.decode_segment, "touch": decode_
 
 @dataclass
 class Body:
-    """One body: its OBJT, its fields, dense float32 [nx, ny, nz, 3], and its poses in steps, int64 [7] a frame."""
+    """One body: its OBJT, its fields, dense float32 [nx, ny, nz, 3], and its poses in steps, int64 [7] a
+    frame.
+    """
 
     told: dict[str, Any]
     position_step_m: float
@@ -108,7 +112,11 @@ def decode_scene(head: dict[str, Any], objects: list[dict[str, Any]], segments: 
 def worst_of(c: Cursor, frame_count: int) -> tuple[float, int, tuple[int, ...]] | None:
     """The worst voxel of a segment."""
     ratio = c.varint(65537)
-    return ((ratio - 1) / 65535, c.varint(frame_count), tuple(c.varint(1 << 20) for _ in range(3))) if ratio else None
+    return (
+        ((ratio - 1) / 65535, c.varint(frame_count), tuple(c.varint(1 << 20) for _ in range(3)))
+        if ratio
+        else None
+    )
 
 
 def pose_numbers(data: bytes, count: int, one: int) -> Array:
@@ -124,9 +132,14 @@ def pose_numbers(data: bytes, count: int, one: int) -> Array:
             poses[:, c] = np.cumsum(poses[:, c])
         poses[:, c] += head[7 + c]
     bits.end(0)
-    need((abs(poses[:, :3]) <= 1 << 50).all() and (abs(poses[:, 3:]) <= one).all(), "a number beyond its limit")
+    need(
+        (abs(poses[:, :3]) <= 1 << 50).all() and (abs(poses[:, 3:]) <= one).all(), "a number beyond its limit"
+    )
     squares = (poses[:, 3:] ** 2).sum(axis=1)
-    need(((one - 1) ** 2 <= squares).all() and (squares <= (one + 1) ** 2).all(), "a quaternion that is not unit")
+    need(
+        ((one - 1) ** 2 <= squares).all() and (squares <= (one + 1) ** 2).all(),
+        "a quaternion that is not unit",
+    )
     return poses.astype(np.int64)
 
 

@@ -1,4 +1,6 @@
-"""The part of the second decoder for coder `paper`: docs/format/paper.md, step by step, in plain Python and numpy."""
+"""The part of the second decoder for coder `paper`: docs/format/paper.md, step by step, in plain Python and
+numpy.
+"""
 
 import math
 from collections.abc import Iterator
@@ -54,7 +56,9 @@ def octahedron(times: int) -> Array:
 def icosahedron(parts: int) -> Array:
     """All points of its faces, each edge in `parts`."""
     golden = (1 + math.sqrt(5)) / 2
-    corners = unit(np.array([np.roll((0.0, a, b * golden), s) for s in range(3) for a in (1, -1) for b in (1, -1)]))
+    corners = unit(
+        np.array([np.roll((0.0, a, b * golden), s) for s in range(3) for a in (1, -1) for b in (1, -1)])
+    )
     near = corners @ corners.T > 0.4
     faces = [face for face in combinations(range(12), 3) if all(near[pair] for pair in combinations(face, 2))]
     weights = [math.sin(math.atan(2) * i / parts) for i in range(parts + 1)]
@@ -84,7 +88,9 @@ def table_set(c: Cursor, direction_count: int) -> TableSet:
     levels = np.frombuffer(told, "<f4").astype(np.float32)
     need(levels[0] >= 0 and levels[-1] <= MOST_NEWTONS, "the range of the levels")
     need(all(a < b for a, b in zip(levels, levels[1:])), "the order of the levels")
-    return TableSet(levels, huffman_code(c.chunk(), count + RUN_SYMBOLS), huffman_code(c.chunk(), direction_count))
+    return TableSet(
+        levels, huffman_code(c.chunk(), count + RUN_SYMBOLS), huffman_code(c.chunk(), direction_count)
+    )
 
 
 def huffman_code(data: bytes, symbol_count: int) -> Code:
@@ -157,7 +163,9 @@ def frames(c: Cursor, vertices: Array, shape: Place, frame_count: int) -> Iterat
     c.end()
 
 
-def synthesis(c: Cursor, kind: int, tables: Any, samples: list[Place], vertices: Array, before: Forces) -> Forces:
+def synthesis(
+    c: Cursor, kind: int, tables: Any, samples: list[Place], vertices: Array, before: Forces
+) -> Forces:
     """The forces of one frame from its two streams; of a difference frame, the differences."""
     levels = amplitude_stream(Bits(c), tables.amplitude_code, len(tables.levels_n), len(samples))
     directions, held, forces = Bits(c), ZERO, Forces()
@@ -191,7 +199,10 @@ def staged(c: Cursor, stage: str, shape: Place, frame_count: int) -> Iterator[Fo
             bricks = dict(zip(support.bricks, from_coefficients(numbers, stage, len(support.bricks))))
             points = [bricks[brick_of(at)][inside(at)] for at in samples]
         elif stage == "runs":
-            lengths, values = [n + 1 for n in numbers[:runs]], np.reshape(numbers[runs:], (3, runs)).T.tolist()
+            lengths, values = (
+                [n + 1 for n in numbers[:runs]],
+                np.reshape(numbers[runs:], (3, runs)).T.tolist(),
+            )
             need(min(lengths, default=1) > 0 and sum(lengths) == len(samples), "runs of another length")
             points = [value for n, value in zip(lengths, values) for _ in range(n)]
         else:

@@ -1,4 +1,5 @@
-"""The part of the second decoder for coder `touch`: docs/format/touch.md, step by step, in plain Python and numpy.
+"""The part of the second decoder for coder `touch`: docs/format/touch.md, step by step, in plain Python and
+numpy.
 
 `decode_touch_guess` makes guesses and `decode_touch_exact` the frames of the exact mode.
 """
@@ -18,7 +19,12 @@ from touch_frame import Frame, Memory, Units
 from touch_residual import Lattice, borders
 
 MASK = (0.001, 1 - 2**-53), (0, sys.float_info.max)  # bounds of k, F_0
-BOUNDS = MASK, (*MASK, (5e-324, 90 - 2**-46)), ((5e-324, sys.float_info.max),), ()  # of the numbers of each mode
+BOUNDS = (
+    MASK,
+    (*MASK, (5e-324, 90 - 2**-46)),
+    ((5e-324, sys.float_info.max),),
+    (),
+)  # of the numbers of each mode
 MASKING = (5e-324, 1), (1e-6, 1)  # bounds of its share and radius
 
 

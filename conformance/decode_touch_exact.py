@@ -1,4 +1,6 @@
-"""The part of the second decoder for the exact mode of coder `touch`: docs/format/touch-exact.md, step by step."""
+"""The part of the second decoder for the exact mode of coder `touch`: docs/format/touch-exact.md, step by
+step.
+"""
 
 from functools import cache
 from typing import NamedTuple
@@ -17,7 +19,9 @@ Symbols = tuple[int, ...]
 
 
 class Known(NamedTuple):
-    """A frame: forces, bricks, codebook, levels and vertices, symbols by place, and the models as it left them."""
+    """A frame: forces, bricks, codebook, levels and vertices, symbols by place, and the models as it left
+    them.
+    """
 
     forces: Forces
     bricks: list[Place]

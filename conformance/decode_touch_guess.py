@@ -1,4 +1,6 @@
-"""The part of the second decoder for base layers of coder `touch`: docs/format/touch-base-layer.md, step by step."""
+"""The part of the second decoder for base layers of coder `touch`: docs/format/touch-base-layer.md, step by
+step.
+"""
 
 from itertools import combinations, product
 from math import isqrt
@@ -27,7 +29,9 @@ def spline(data: bytes, shape: Place) -> Units:
     bits = Bits(c.rest())
     told = bricks(bits, shape)
     need(told, "a guess without bricks")
-    around = [[range((8 * b >> s) - 1, (8 * b + 7 >> s) + 3) for b, s in zip(brick, shifts)] for brick in told]
+    around = [
+        [range((8 * b >> s) - 1, (8 * b + 7 >> s) + 3) for b, s in zip(brick, shifts)] for brick in told
+    ]
     nodes, sizes = dict[Place, int](), dict[Place, int]()
     for node in sorted({node for ranges in around for node in product(*ranges)}):
         r = residual(bits, 24 * min(sum(sizes.get(beside(node, d), 0) for d in STEPS).bit_length(), 9))
@@ -48,7 +52,9 @@ def beside(node: Place, *steps: Place) -> Place:
 
 def expected(nodes: dict[Place, int], node: Place) -> int:
     faces = [(beside(node, a), beside(node, b), beside(node, a, b)) for a, b in combinations(STEPS, 2)]
-    said = [nodes[one] + nodes[two] - nodes[both] for one, two, both in faces if {one, two, both} <= nodes.keys()]
+    said = [
+        nodes[one] + nodes[two] - nodes[both] for one, two, both in faces if {one, two, both} <= nodes.keys()
+    ]
     said = said or [nodes[beside(node, a)] for a in STEPS if beside(node, a) in nodes] or [0]
     return (2 * sum(said) + len(said)) // (2 * len(said))
 
@@ -169,7 +175,9 @@ def column(head: Told, near: list[list[Surface]]) -> list[Surface]:
 def surface_expected(
     head: Told, near: list[list[Surface]], own: list[Surface], mode: int, count: int
 ) -> tuple[list[int], list[tuple[Surface, int]]]:
-    """X, Y, Z, A that the sides of a surface make likely, and the sides; `own` are those of its column before it."""
+    """X, Y, Z, A that the sides of a surface make likely, and the sides; `own` are those of its column before
+    it.
+    """
     k = 1 if own or mode == 3 else 0
     west, north, corner = (n[k] if len(n) > k else None for n in near[:3])
     if not own and mode:
@@ -204,7 +212,10 @@ def columns(data: bytes, shape: Place) -> Units:
     need(all(b[-1] < n for b, n in zip(box, tiles)) and depth <= 1 << 14, "a box beyond the grid")
     bits = Bits(c.rest())
     need(len(box[0]) * len(box[1]) - 64 <= len(bits.data), "a box of many tiles", TruncatedFile)
-    head, surfaces = Told(top, ramp, ratio_a, ratio_b, xy_step, z_step, a_step, bits), dict[Place, list[Surface]]()
+    head, surfaces = (
+        Told(top, ramp, ratio_a, ratio_b, xy_step, z_step, a_step, bits),
+        dict[Place, list[Surface]](),
+    )
     for a, b in product(*(range(8 * n[0], min(8 * n[-1] + 8, shape[m])) for n, m in zip(box, across))):
         near = [surfaces.get(p, []) for p in ((a, b - 1), (a - 1, b), (a - 1, b - 1), (a - 1, b + 1))]
         if own := column(head, near):
@@ -212,7 +223,9 @@ def columns(data: bytes, shape: Place) -> Units:
     bits.check()
     starts: dict[Place, int] = {}
     for (a, b), own in surfaces.items():
-        starts[a // 8, b // 8] = min(starts.get((a // 8, b // 8), depth), *((s.told[Z] >> 8) + 1 for s in own))
+        starts[a // 8, b // 8] = min(
+            starts.get((a // 8, b // 8), depth), *((s.told[Z] >> 8) + 1 for s in own)
+        )
     told = set[Place]()
     for tile, start in starts.items():
         for n in range(-(-depth // 8)) if start < depth else ():

@@ -1,4 +1,6 @@
-"""The part of the second decoder for VIBR, docs/format/vibration.md: what vibrates, how strongly and how fast."""
+"""The part of the second decoder for VIBR, docs/format/vibration.md: what vibrates, how strongly and how
+fast.
+"""
 
 from collections.abc import Iterator
 

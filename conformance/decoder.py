@@ -17,7 +17,16 @@ from typing import Any, NamedTuple
 import decode_objects
 import decode_vibration
 import numpy as np
-from reading import CorruptFile, Cursor, FaultyFile, ForeignFile, TruncatedFile, UnsupportedVersion, laid_out, need
+from reading import (
+    CorruptFile,
+    Cursor,
+    FaultyFile,
+    ForeignFile,
+    TruncatedFile,
+    UnsupportedVersion,
+    laid_out,
+    need,
+)
 
 MAGIC = b"\x89TOUCH\r\n\x1a\n"
 FLAGS = {"HEAD": 1, "PROV": 0, "OBJT": 1, "VIBR": 0, "SEGM": 1, "INDX": 1, "TEND": 1}
@@ -107,7 +116,11 @@ def check_opening(data: bytes) -> None:
     need(data and magic == wanted, "no .touch file", ForeignFile)
     need(len(data) >= 14, f"{len(data)} bytes", TruncatedFile)
     major, minor = struct.unpack("<HH", data[10:14])
-    need(major >= 1, f"format {major}.{minor}, made by a version before 1.0: encode it again", UnsupportedVersion)
+    need(
+        major >= 1,
+        f"format {major}.{minor}, made by a version before 1.0: encode it again",
+        UnsupportedVersion,
+    )
     need(major == 1, f"format {major}.{minor}", UnsupportedVersion)
 
 
@@ -120,7 +133,10 @@ def read_records(data: bytes) -> list[Record]:
         name, flags, length = file.numbers("4sIQ")
         need(re.fullmatch(rb"[A-Z0-9]{4}", name) and flags <= 1, f"the frame at byte {offset}")
         payload, crc = file.take(length), file.take(4)
-        need(crc == struct.pack("<I", zlib.crc32(data[offset : file.at - 4])), f"the CRC-32 at byte {file.at - 4}")
+        need(
+            crc == struct.pack("<I", zlib.crc32(data[offset : file.at - 4])),
+            f"the CRC-32 at byte {file.at - 4}",
+        )
         name = name.decode("ascii")
         need(name in FLAGS or not flags, f"a required record {name}", UnsupportedVersion)
         if name in FLAGS:
@@ -200,7 +216,9 @@ def vibration_of(file: TouchFile) -> dict[str, Any]:
 
 
 def decode(path: str | Path) -> dict[str, Any]:
-    """All of a file as dense arrays; FaultyFile if it is not what docs/format describes, or too large to lay out."""
+    """All of a file as dense arrays; FaultyFile if it is not what docs/format describes, or too large to lay
+    out.
+    """
     file = read_file(Path(path).read_bytes())
     shape, count = file.head["grid_shape"], file.head["frame_count"]
     need(count * math.prod(shape) <= MOST_DENSE, f"{count} frames of {shape} samples are too many to lay out")

@@ -95,7 +95,9 @@ def bodies(frames: int, rate_hz: float, is_deforming: bool, surface_damping: flo
     i, j, k = samples(ground)
     floor = HapticMedium.from_frames([sloped(ground, (6 - k) / 64, i % 3 - 1, j % 5 - 2, 8)], rate_hz)
     rigid = HapticMedium.from_frames([block(0, own)], rate_hz)
-    other = HapticMedium.from_frames([block(t, own) for t in range(frames)], rate_hz) if is_deforming else rigid
+    other = (
+        HapticMedium.from_frames([block(t, own) for t in range(frames)], rate_hz) if is_deforming else rigid
+    )
     objects = (
         HapticObject("first block", rigid, tumbling(frames, 1)),
         HapticObject("floor", floor, PoseTrack.still(frames)),

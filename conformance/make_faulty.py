@@ -1,4 +1,6 @@
-"""Faulty files made of golden ones, and the error that each must raise; their CRC-32 hold, where that is not it."""
+"""Faulty files made of golden ones, and the error that each must raise; their CRC-32 hold, where that is not
+it.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def records_of(data: bytes) -> list[Record]:
 
 
 def assembled(records: list[Record], late: Record | None = None, shift: int = 0) -> bytes:
-    """A file of records, with an index (of segments `shift` bytes off) and an end; `late` stands before the index."""
+    """A file of records, with an index (of segments `shift` bytes off) and an end; `late` stands before the
+    index.
+    """
     data, entries, chain = b"\x89TOUCH\r\n\x1a\n\x01\0\0\0", b"", b"\x89TOUCH\r\n\x1a\n\x01\0\0\0"
     for record in records:
         one = record.to_bytes()
@@ -82,7 +86,10 @@ def container_faults(golden: Path) -> Iterator[tuple[str, bytes]]:
     yield "cut-before-index", good[: good.rindex(b"INDX")]
     yield "cut-at-end", good[:-1]
     yield "joined", good + good
-    yield "bit-flipped", good[: len(good) // 2] + bytes([good[len(good) // 2] ^ 4]) + good[len(good) // 2 + 1 :]
+    yield (
+        "bit-flipped",
+        good[: len(good) // 2] + bytes([good[len(good) // 2] ^ 4]) + good[len(good) // 2 + 1 :],
+    )
     yield "unknown-required", assembled([*records, Record(b"NEWS", 1, b"")])
     yield "unknown-flags", assembled([*records, Record(b"NEWS", 2, b"")])
     yield "optional-segment", assembled([*records[:-1], records[-1]._replace(flags=0)])
@@ -106,7 +113,9 @@ def container_faults(golden: Path) -> Iterator[tuple[str, bytes]]:
     yield "objects-swapped", objects.replace(one + two, two + one)
     yield "objects-missing", assembled([r for r in records_of(objects) if r.tag != b"OBJT"])
     shape = 2 + int.from_bytes(told[0].payload[:2], "little")
-    large = [r.changed(shape, "3I", 1 << 20, 1 << 16, 513) if r == told[0] else r for r in records_of(objects)]
+    large = [
+        r.changed(shape, "3I", 1 << 20, 1 << 16, 513) if r == told[0] else r for r in records_of(objects)
+    ]
     yield "object-too-large", assembled(large)
 
 

@@ -66,7 +66,9 @@ def head_of(grid: Grid, rate_hz: float, frame_count: int, encoder: Any, **more: 
     )  # fmt: skip
 
 
-def write_frames(stream: Path, make: Callable[[int], ForceField], count: int, spec: PaperSpec | TouchSpec) -> None:
+def write_frames(
+    stream: Path, make: Callable[[int], ForceField], count: int, spec: PaperSpec | TouchSpec
+) -> None:
     """A file of fields; of those of vibration, the second segment is the one in which nothing vibrates."""
     grid, per = make(0).grid, spec.segment_frames or count
     encoder = field_encoder(grid, spec)
@@ -83,20 +85,26 @@ def write_scene(stream: Path, scene: HapticScene, spec: PaperSpec | TouchSpec) -
     """A file of objects."""
     encoder = ObjectsEncoder(scene, spec, 1 / 64)
     names = "axes", "force_max_n", "friction", "damping_n_s_per_m", "tags"
-    head = head_of(scene.grid, scene.rate_hz, len(scene), encoder, **{name: getattr(scene, name) for name in names})
+    head = head_of(
+        scene.grid, scene.rate_hz, len(scene), encoder, **{name: getattr(scene, name) for name in names}
+    )
     with TouchWriter(stream) as writer:
         writer.write_head(head, {"source": "made up"})
         write_objects(writer, encoder, len(scene))
 
 
 def write_expected(stream: Path) -> None:
-    """What a file decodes to: dense, or of a large grid its bricks, with the frame of each; and what vibrates."""
+    """What a file decodes to: dense, or of a large grid its bricks, with the frame of each; and what
+    vibrates.
+    """
     with open_stream(stream) as opened:
         medium, band = opened.medium, opened.medium.vibration
         if opened.grid == LARGE:
             fields = list(medium)
             which = np.repeat(range(len(fields)), [len(f.bricks) for f in fields])
-            bricks, forces_n = (np.concatenate([getattr(f, name) for f in fields]) for name in ("bricks", "forces_n"))
+            bricks, forces_n = (
+                np.concatenate([getattr(f, name) for f in fields]) for name in ("bricks", "forces_n")
+            )
             np.savez_compressed(stream.with_suffix(".npz"), frames=which, bricks=bricks, forces_n=forces_n)
         else:
             write_field(stream.with_suffix(".npz"), medium)

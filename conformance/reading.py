@@ -1,4 +1,6 @@
-"""Bytes read from the first to the last, the errors of a file at fault, and bricks; for all of the second decoder."""
+"""Bytes read from the first to the last, the errors of a file at fault, and bricks; for all of the second
+decoder.
+"""
 
 import re
 import struct
@@ -50,7 +52,11 @@ class Cursor:
         self.data, self.at, self.short = data, 0, short
 
     def take(self, size: int) -> bytes:
-        need(size <= len(self.data) - self.at, f"{size} bytes wanted, {len(self.data) - self.at} left", self.short)
+        need(
+            size <= len(self.data) - self.at,
+            f"{size} bytes wanted, {len(self.data) - self.at} left",
+            self.short,
+        )
         self.at += size
         return self.data[self.at - size : self.at]
 

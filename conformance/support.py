@@ -59,7 +59,9 @@ def numbers(bits: Bits, count: int, name: str = "") -> list[int]:
             negative, length = bit(1), 1
             while bit(1 + min(length, 14)) and length < 62:
                 length += 1
-            value = 1 if length == 1 else (2 | bit(16 + min(length, 15))) << length - 2 | bits.even(length - 2)
+            value = (
+                1 if length == 1 else (2 | bit(16 + min(length, 15))) << length - 2 | bits.even(length - 2)
+            )
             value = -value if negative else value
         out.append(value)
     return out[3:]

@@ -1,4 +1,5 @@
-"""Bits, step by step as docs/format/bits.md: a range decoder, adaptive chances, their mixing; lists of bricks.
+"""Bits, step by step as docs/format/bits.md: a range decoder, adaptive chances, their mixing; lists of
+bricks.
 
 All numbers are Python's; none needs more than 63 bits. Contexts and sets of weights have any names.
 """
@@ -79,7 +80,10 @@ class Bits:
 
     def mix(self, contexts: Sequence[Hashable], chosen: Hashable) -> int:
         """A bit by several contexts, mixed by a set of weights."""
-        chances, weights = self.models.chances, self.models.weights.setdefault(chosen, [14000] * len(contexts))
+        chances, weights = (
+            self.models.chances,
+            self.models.weights.setdefault(chosen, [14000] * len(contexts)),
+        )
         seen = [chances[context] for context in contexts]
         logits = [STRETCH[own[0] >> 10] for own in seen]
         total = sum(map(mul, logits, weights)) >> 16

@@ -1,4 +1,6 @@
-"""The pass over the voxels of a frame of coder `touch`: support and prediction; places and vectors of the scan."""
+"""The pass over the voxels of a frame of coder `touch`: support and prediction; places and vectors of the
+scan.
+"""
 
 from collections.abc import Hashable, Sequence
 from itertools import product
@@ -123,7 +125,9 @@ class Frame:
     def is_off(self, at: Place) -> bool:
         """Whether the reference is more than a step off at a place."""
         cell, old = self.cells.get(at), self.old.get(at)
-        return bool(cell and old is not None and sum((cell.vector - old) ** 2) > self.lattice.step(cell.length) ** 2)
+        return bool(
+            cell and old is not None and sum((cell.vector - old) ** 2) > self.lattice.step(cell.length) ** 2
+        )
 
     def base(self, v: Voxel) -> tuple[Array, int]:
         """The base of the blend, and the step there."""

@@ -1,4 +1,5 @@
-"""How a force of coder `touch` is told: cells, their lattice, residuals; places and vectors are those of the scan.
+"""How a force of coder `touch` is told: cells, their lattice, residuals; places and vectors are those of the
+scan.
 
 Vectors are arrays of Python's whole numbers, [3], units.
 """
@@ -54,7 +55,9 @@ def borders(floor: int, rate: int) -> list[int]:
 
 
 class Cell(NamedTuple):
-    """A voxel that is decoded: its force, what the law makes of its length one step on, and its residual's sizes."""
+    """A voxel that is decoded: its force, what the law makes of its length one step on, and its residual's
+    sizes.
+    """
 
     vector: Array
     length: int
@@ -87,7 +90,9 @@ def digits(length: int, step: int) -> int:
 
 
 def residual(frame: Frame, v: Voxel, expected: Array, blend: Array, followed: int) -> tuple[Array, int, int]:
-    """The force of a voxel, and the sizes of its residual; `followed`: 0 nothing, 1 a neighbour, 2 the reference."""
+    """The force of a voxel, and the sizes of its residual; `followed`: 0 nothing, 1 a neighbour, 2 the
+    reference.
+    """
     cells, lattice = [cell for cell in v.faces if cell], frame.lattice
     m, other = len(cells), expected - blend
     along, across = sum(cell.along for cell in cells), sum(cell.across for cell in cells)
@@ -107,10 +112,14 @@ def residual(frame: Frame, v: Voxel, expected: Array, blend: Array, followed: in
     step, axes = lattice.step(length), axes_along(centre, length)
     r: list[int] = []
     for c, axis in enumerate(axes):
-        sides = [15 if one is None else side(((one - centre) @ axis >> 12) // step) for one in (*v.chains, v.old)]
+        sides = [
+            15 if one is None else side(((one - centre) @ axis >> 12) // step) for one in (*v.chains, v.old)
+        ]
         d = other @ axis >> 14
         toward, certain = digits(abs(d), step), c == 2 and not followed and not any(r)
-        r.append(component(frame, c, certain, cross if c else own, (toward, apart), (toward, d < 0, m), sides))
+        r.append(
+            component(frame, c, certain, cross if c else own, (toward, apart), (toward, d < 0, m), sides)
+        )
     size = lattice.length(lattice.level(length) + 256 * r[0])
     across = max(lattice.cross_floor, abs(size) * lattice.cross_rate >> 16)
     vector = limited(vector_of(size, across * r[1], across * r[2]) @ axes + 8192 >> 14)
@@ -124,7 +133,13 @@ def side(d: int) -> int:
 
 
 def component(
-    frame: Frame, c: int, certain: bool, group: int, apart: tuple[int, ...], lies: tuple[int, ...], sides: list[int]
+    frame: Frame,
+    c: int,
+    certain: bool,
+    group: int,
+    apart: tuple[int, ...],
+    lies: tuple[int, ...],
+    sides: list[int],
 ) -> int:
     """Component c of a residual; a `certain` one is not 0."""
     pairs = tuple(sides[:2]), tuple(sides[2:])

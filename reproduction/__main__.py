@@ -1,8 +1,8 @@
 """`python -m reproduction`, in a checkout: the paper's tables and figures, made again.
 
-Every experiment that was asked for is tried. What cannot be made (a library that is not installed, a source at
-fault) takes one line on standard error and on the page of all; the others are made all the same, and the command ends
-with the exit code of the first that was not.
+Every experiment that was asked for is tried. What cannot be made (a library that is not installed, a source
+at fault) takes one line on standard error and on the page of all; the others are made all the same, and the
+command ends with the exit code of the first that was not.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions
 def reproduce(
     names: Annotated[list[str], typer.Argument(help="Tables and figures, such as table3 fig9; or all.")],
     out: Annotated[Path, typer.Option(help="Folder for pages and pictures.")] = Path("reproduced"),
-    depth: Annotated[list[Path] | None, typer.Option(help="A depth sequence of your own; may be repeated.")] = None,
+    depth: Annotated[
+        list[Path] | None, typer.Option(help="A depth sequence of your own; may be repeated.")
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Smaller sizes: a trial.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -40,7 +42,9 @@ def reproduce(
     run_reproduction(names, out, depth or [], quick, as_json)
 
 
-def run_reproduction(names: Sequence[str], out: Path, depth: Sequence[Path], quick: bool, as_json: bool) -> None:
+def run_reproduction(
+    names: Sequence[str], out: Path, depth: Sequence[Path], quick: bool, as_json: bool
+) -> None:
     """Run experiments and write their pages into a folder.
 
     Raises
@@ -73,11 +77,15 @@ def _check_folders(out: Path, depth: Sequence[Path]) -> None:
     """The folder for the results is there, and none that is read."""
     for folder in depth:
         if out.resolve().is_relative_to(folder.resolve()):
-            raise InvalidArgument(str(out), f"a folder of {folder}, which is read", "another folder for the results")
+            raise InvalidArgument(
+                str(out), f"a folder of {folder}, which is read", "another folder for the results"
+            )
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InvalidArgument(str(out), error.strerror or str(error), "a folder", "Name another one.") from None
+        raise InvalidArgument(
+            str(out), error.strerror or str(error), "a folder", "Name another one."
+        ) from None
 
 
 def _made(one: Experiment, out: Path, depth: tuple[Path, ...], quick: bool) -> Made:

@@ -28,10 +28,11 @@ _FACES = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2
 
 
 def polygons(scene: Scene) -> Float64s | None:
-    """Corners of the faces of one body in its own frame, metres, float64 [faces, 3 or 4, 3], anticlockwise outside.
+    """Corners of the faces of one body in its own frame, metres, float64 [faces, 3 or 4, 3], anticlockwise
+    outside.
 
-    None of a body that is neither a mesh nor one shape. A round shape is seen from its middle in the directions of a
-    codebook, so that it must be star-shaped.
+    None of a body that is neither a mesh nor one shape. A round shape is seen from its middle in the
+    directions of a codebook, so that it must be star-shaped.
     """
     if isinstance(scene, MeshScene):
         found: Float64s = scene.surface.vertices_m[scene.surface.triangles]

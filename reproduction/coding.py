@@ -1,7 +1,7 @@
 """A scene through the main job under many settings of the coder, its fields made once.
 
-Encoded to a file and decoded from it as `touchfield encode` and `touchfield compare` do, so that a compression ratio
-of the whole file counts the whole file.
+Encoded to a file and decoded from it as `touchfield encode` and `touchfield compare` do, so that a
+compression ratio of the whole file counts the whole file.
 """
 
 from __future__ import annotations
@@ -166,7 +166,12 @@ class _Kept(Scene):
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self.frame_count, self.rate_hz, self.axes = scene.frame_count, scene.rate_hz, scene.axes
-        self.notes, self.is_solid, self.finest_m, self.tags = scene.notes, scene.is_solid, scene.finest_m, scene.tags
+        self.notes, self.is_solid, self.finest_m, self.tags = (
+            scene.notes,
+            scene.is_solid,
+            scene.finest_m,
+            scene.tags,
+        )
         self._fields: dict[tuple[int, Grid, ForceProfile], ForceField] = {}
 
     def bounds_m(self) -> NDArray[np.float64]:

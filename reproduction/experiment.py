@@ -1,20 +1,21 @@
 """What an experiment is, and which there are.
 
-An experiment is one module of this room that ends in ``EXPERIMENT = Experiment(name, title, run)``, and one line in
-`MODULES`. ``run(inputs)`` computes, draws its pictures into ``inputs.folder`` (named after itself), and gives a
-`Finding`: the Markdown that lays the paper's printed figures beside ours, and the same as JSON. It reads nothing but
-what `Inputs` names and what comes with the libraries, and gives the same numbers every time.
+An experiment is one module of this room that ends in ``EXPERIMENT = Experiment(name, title, run)``, and one
+line in `MODULES`. ``run(inputs)`` computes, draws its pictures into ``inputs.folder`` (named after itself),
+and gives a `Finding`: the Markdown that lays the paper's printed figures beside ours, and the same as JSON.
+It reads nothing but what `Inputs` names and what comes with the libraries, and gives the same numbers every
+time.
 
-A table has a row for each figure of the paper with the columns *printed* (the paper's), *literal* (ours, read as the
-paper prints it), *corrected* (ours), and one line on why they differ.
+A table has a row for each figure of the paper with the columns *printed* (the paper's), *literal* (ours, read
+as the paper prints it), *corrected* (ours), and one line on why they differ.
 
 The rest of the contract, which `reproduction.page` and `python -m reproduction` rely on:
 
 * The name is short: module ``table_3``, name ``table3``; module ``figure_9``, name ``fig9``. Pictures are
   ``NAME.png`` or ``NAME_WORD.png``, written whole or not at all (`touchfield.viewer.page.write_png`), and the
   Markdown shows them as ``![what it shows](NAME.png)``. Its headings begin at the third level (``###``).
-* Importing the module is cheap; what is heavy is imported in ``run``. A library that is not there is a `MissingExtra`
-  out of ``run``.
+* Importing the module is cheap; what is heavy is imported in ``run``. A library that is not there is a
+  `MissingExtra` out of ``run``.
 * Neither Markdown nor data hold a path, a date or a time taken: a page is the same on every machine. A depth
   sequence is called by its `reproduction.scenes.DepthInput.name`.
 * Data hold what `json` takes; a number that is not finite is None.
@@ -68,7 +69,8 @@ class Inputs:
     folder : Path
         Where pictures go.
     depth : tuple of Path
-        Depth sequences of the user, of any layout that `touchfield.sources` reads, beside the one without download.
+        Depth sequences of the user, of any layout that `touchfield.sources` reads, beside the one without
+        download.
     report : callable
         ``report(done, total)``.
     quick : bool
@@ -164,4 +166,6 @@ def require_drawing(purpose: str) -> None:
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     """A table in Markdown; "|" in a cell is escaped."""
     lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(str(c).replace("|", "\\|") for c in line) + " |" for line in lines) + "\n"
+    return (
+        "\n".join("| " + " | ".join(str(c).replace("|", "\\|") for c in line) + " |" for line in lines) + "\n"
+    )

@@ -37,7 +37,8 @@ def run(inputs: Inputs) -> Finding:
     picture = inputs.folder / "fig2.png"
     draw_masked_signal(picture, t_s, x_n, readings, K)
     why = (
-        f"|x| / Delta = 1/k whatever x is: Q multiplies by k floor(1/k + 1/2) = {jnd_gain(K):g} and is no quantiser",
+        f"|x| / Delta = 1/k whatever x is: Q multiplies by k floor(1/k + 1/2) = {jnd_gain(K):g} and is no "
+        "quantiser",
         "an error up to Delta / 2 keeps the mask for certain only from Delta / (2 k) = "
         f"{mask_kept_from_n(STEP_N, K):g} N on",
         f"borders that grow by (1 + k) / (1 - k) = {ladder.ratio:.3f} keep the relative error within k",
@@ -50,11 +51,21 @@ def run(inputs: Inputs) -> Finding:
         worst = float((error / x_n).max())
         data[label] = {"values": len(np.unique(q)), "beyond_mask": felt, "worst_relative_error": worst}
         rows.append(["never", label, f"{felt:.1%}", f"{worst:.3f}", len(np.unique(q)), reason])
-    head = ["beyond the mask, printed", "reading of eq. 6", "beyond, ours", "worst error / x", "values", "why"]
+    head = [
+        "beyond the mask, printed",
+        "reading of eq. 6",
+        "beyond, ours",
+        "worst error / x",
+        "values",
+        "why",
+    ]
     text = (
-        f'The paper\'s figure is "qualitative": a signal x(t), Q(x), the error and the mask Delta(x) = k x with k = '
-        f"{K:g}, and the condition that the error never leaves the mask. Here the signal is what a hand feels that "
-        "strokes 9 cm over a real mountain in one second (the Jacksboro fault, Tennessee, heights times 5, for a "
+        'The paper\'s figure is "qualitative": a signal x(t), Q(x), the error and the mask Delta(x) = k x '
+        "with k = "
+        f"{K:g}, and the condition that the error never leaves the mask. Here the signal is what a hand "
+        "feels that "
+        "strokes 9 cm over a real mountain in one second (the Jacksboro fault, Tennessee, heights times 5, "
+        "for a "
         f"Phantom Omni): {x_n.min():.2f} to {x_n.max():.2f} N, {len(x_n)} samples.\n\n"
         "![signal, Q(x), error and mask](fig2.png)\n\n"
     )

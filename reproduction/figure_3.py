@@ -44,19 +44,34 @@ def run(inputs: Inputs) -> Finding:
             f"{k:g}", steps, f"{name}, {len(directions)}", words, f"{math.log2(words):.1f}",
             f"{directions.covering_radius_deg:.2f}", f"{math.sqrt(bound):.3f}",
         ])  # fmt: skip
-    head = ["k", "levels, 0.03 to 3.3 N", "directions", "codewords with zero", "bits", "covering angle, degrees"]
+    head = [
+        "k",
+        "levels, 0.03 to 3.3 N",
+        "directions",
+        "codewords with zero",
+        "bits",
+        "covering angle, degrees",
+    ]
     head += ["worst relative error"]
     radii = ", ".join(f"{r:.2f}" for r in ladder.levels_n[1:])
     text = (
-        f"Eq. 7 takes the product codebook {{r_i g_j}}: radii r_i times the vertices g_j of a polyhedron. Drawn are "
-        f"the {ladder.steps} levels of a Weber ladder with k = {K:g} from {FORCE_MIN_N:g} to {FORCE_MAX_N:g} N "
+        f"Eq. 7 takes the product codebook {{r_i g_j}}: radii r_i times the vertices g_j of a polyhedron. "
+        "Drawn are "
+        f"the {ladder.steps} levels of a Weber ladder with k = {K:g} from {FORCE_MIN_N:g} to {FORCE_MAX_N:g} "
+        "N "
         f"({radii} N; each {ladder.ratio:.3f} times the one before, as the perceptual mask grows) and the "
-        f"{len(codebook)} vertices of {DIRECTIONS}. A mask that grows with the force asks for equal ratios of "
+        f"{len(codebook)} vertices of {DIRECTIONS}. A mask that grows with the force asks for equal ratios "
+        "of "
         "neighbouring radii, not for equal distances.\n\n![concentric tessellated icosahedra](fig3.png)\n\n"
-        "The same over the range of a Phantom Omni, with the greatest error of amplitude and direction together, "
+        "The same over the range of a Phantom Omni, with the greatest error of amplitude and direction "
+        "together, "
         "sqrt(k^2 + 2 (1 + k)(1 - cos theta)) of the force, theta the covering angle:\n\n"
     )
-    data: dict[str, Any] = {"radii_n": ladder.levels_n[1:], "directions": len(codebook), "ratio": ladder.ratio}
+    data: dict[str, Any] = {
+        "radii_n": ladder.levels_n[1:],
+        "directions": len(codebook),
+        "ratio": ladder.ratio,
+    }
     return Finding(text + markdown_table(head, rows), data, (picture,))
 
 
@@ -84,7 +99,9 @@ def _draw(path: Path, ladder: WeberLadder, codebook: Codebook) -> Path:
     for radius, edge, colour in zip(radii, ladder.thresholds_n, COLOURS, strict=False):
         flat.plot(radius * np.cos(turn), radius * np.sin(turn), color=colour, lw=2)
         flat.plot(edge * np.cos(turn), edge * np.sin(turn), color="0.5", lw=1, ls="--")
-        flat.text(0, radius, f"r = {radius:.2f} N", ha="center", va="center", fontsize=8, color=colour, bbox=LABEL)
+        flat.text(
+            0, radius, f"r = {radius:.2f} N", ha="center", va="center", fontsize=8, color=colour, bbox=LABEL
+        )
         flat.text(0, -edge, f"{edge:.2f} N", ha="center", va="center", fontsize=8, color="0.4", bbox=LABEL)
     flat.set_aspect("equal")
     flat.set_xlabel("F_x / N")

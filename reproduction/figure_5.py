@@ -1,7 +1,7 @@
 """Figure 5 of the paper: four instants of bodies that fall, and their force fields (section 5.1, scene 1).
 
-Above, the bodies and what a probe feels that has entered them: the force at points a little below their surfaces, as
-arrows from the surface. Below, |F| on a vertical slice of the same instant.
+Above, the bodies and what a probe feels that has entered them: the force at points a little below their
+surfaces, as arrows from the surface. Below, |F| on a vertical slice of the same instant.
 """
 
 from __future__ import annotations
@@ -67,13 +67,16 @@ def run(inputs: Inputs) -> Finding:
         pictures.append(path)
     parts.append(
         "The text has four objects and the figure seven; both are here. Arrows show the force "
-        f"{DEPTH_MM:g} mm of the hand below the surface, F = min(500 N/m x depth, 3.3 N) along the normal. Below "
+        f"{DEPTH_MM:g} mm of the hand below the surface, F = min(500 N/m x depth, 3.3 N) along the normal. "
+        "Below "
         "them |F| on the vertical slice with the most forces. The ground is not felt.\n"
     )
     return Finding("\n".join(parts), data, tuple(pictures))
 
 
-def draw_scene(path: Path, scene: PaperScene, frames: list[int], report: Any = lambda done, total: None) -> None:
+def draw_scene(
+    path: Path, scene: PaperScene, frames: list[int], report: Any = lambda done, total: None
+) -> None:
     """Write the picture of some frames, PNG.
 
     Raises
@@ -83,7 +86,9 @@ def draw_scene(path: Path, scene: PaperScene, frames: list[int], report: Any = l
     """
     from touchfield.viewer.page import titled_figure, write_png
 
-    figure = titled_figure("the picture of scene 1", f"{scene.title}: bodies, forces, and |F| on a slice", 15.0, 5.6)
+    figure = titled_figure(
+        "the picture of scene 1", f"{scene.title}: bodies, forces, and |F| on a slice", 15.0, 5.6
+    )
     low, high = scene.scene.bounds_m()
     grid = figure.add_gridspec(2, len(frames), height_ratios=(1.35, 1.0))
     for column, frame in enumerate(frames):
@@ -112,7 +117,9 @@ def _draw_bodies(panel: Any, scene: PaperScene, frame: int) -> None:
         normals = _normals(moved)
         shade = 0.55 + 0.45 * np.clip(normals @ _LIGHT, -0.3, 1)[:, None]
         colour = np.clip(shade * _rgb(_COLOURS[number % len(_COLOURS)]), 0, 1)
-        drawn = Poly3DCollection(moved, facecolors=colour, edgecolors=colour, linewidths=0.2, zorder=2 * order + 1)
+        drawn = Poly3DCollection(
+            moved, facecolors=colour, edgecolors=colour, linewidths=0.2, zorder=2 * order + 1
+        )
         panel.add_collection3d(drawn)
         points, outward = _spread(moved, normals)
         below = points - outward * DEPTH_MM / 1e3 / scene.placement.scale
@@ -181,7 +188,9 @@ def _draw_slice(panel: Any, scene: PaperScene, frame: int) -> Any:
     y = low[1] + (row + 0.5) / 48 * (high[1] - low[1])
     step = max(high[0] - low[0], high[2] - low[2]) / _SIDE
     nx, nz = (int(np.ceil((high[a] - low[a]) / step)) for a in (0, 2))
-    grid = Grid((nx, 1, nz), (step, step, step), (float(low[0] + step / 2), float(y), float(low[2] + step / 2)))
+    grid = Grid(
+        (nx, 1, nz), (step, step, step), (float(low[0] + step / 2), float(y), float(low[2] + step / 2))
+    )
     force = np.linalg.norm(scene.field(frame, grid).to_dense()[:, 0], axis=-1)
     extent = (low[0], low[0] + nx * step, low[2], low[2] + nz * step)
     felt = np.where(force > 0, force, np.nan)

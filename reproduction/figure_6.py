@@ -38,17 +38,22 @@ def run(inputs: Inputs) -> Finding:
         pictures.append(path)
         data.append({"scene": scene.name, "frames": scene.scene.frame_count})
     parts.append(
-        "The paper's 20 frames are not published. Each depth map is read as a height map: pixels are x and y, depth "
-        "is the height, and all behind the surface is solid. The slice is taken along the line in the depth map; its "
-        "force is F = min(500 N/m x depth, 3.3 N) in the metres of the hand. Grey is free space, and what the frame "
-        "has not seen. The picture is the one that the real depth map belongs to; the frame is seen from a step "
+        "The paper's 20 frames are not published. Each depth map is read as a height map: pixels are x and "
+        "y, depth "
+        "is the height, and all behind the surface is solid. The slice is taken along the line in the depth "
+        "map; its "
+        "force is F = min(500 N/m x depth, 3.3 N) in the metres of the hand. Grey is free space, and what "
+        "the frame "
+        "has not seen. The picture is the one that the real depth map belongs to; the frame is seen from a "
+        "step "
         "beside it.\n"
     )
     return Finding("\n".join(parts), {"scenes": data}, tuple(pictures))
 
 
 def draw_frame(path: Path, scene: PaperScene, picture: NDArray[Any] | None = None) -> None:
-    """Write the first frame of scene 2, PNG: the picture where there is one, the depth map, and |F| on a slice.
+    """Write the first frame of scene 2, PNG: the picture where there is one, the depth map, and |F| on a
+    slice.
 
     Raises
     ------
@@ -61,7 +66,9 @@ def draw_frame(path: Path, scene: PaperScene, picture: NDArray[Any] | None = Non
     depth = scene.scene.sequence.depth_m(0)
     columns = 3 if picture is not None else 2
     low, high = scene.scene.bounds_m()
-    widths = [depth.shape[1] / depth.shape[0]] * (columns - 1) + [max(0.5, (high[0] - low[0]) / (high[2] - low[2]))]
+    widths = [depth.shape[1] / depth.shape[0]] * (columns - 1) + [
+        max(0.5, (high[0] - low[0]) / (high[2] - low[2]))
+    ]
     widths = [width + 0.35 for width in widths]  # room for axes and scales
     figure = titled_figure("the picture of scene 2", scene.title, 3.1 * sum(widths), 3.9)
     panels = list(figure.subplots(1, columns, width_ratios=widths))

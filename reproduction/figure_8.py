@@ -38,7 +38,12 @@ def run(inputs: Inputs) -> Finding:
         count, angle = len(codebook), codebook.covering_radius_deg
         error_db = mean_square_chord_db(codebook, 20_000 if inputs.quick else DRAWS)
         bits = math.ceil(math.log2(count))
-        data[name] = {"vertices": count, "bits": bits, "covering_deg": angle, "mean_square_chord_db": error_db}
+        data[name] = {
+            "vertices": count,
+            "bits": bits,
+            "covering_deg": angle,
+            "mean_square_chord_db": error_db,
+        }
         reading = {"octa3": "literal, high", "ico5": "corrected, high", "ico3": "both, low"}[name]
         chord = 2 * math.sin(math.radians(angle) / 2)
         rows.append([name, wording, reading, count, bits, f"{angle:.2f}", f"{chord:.3f}", f"{error_db:.2f}"])
@@ -47,17 +52,30 @@ def run(inputs: Inputs) -> Finding:
     picture = _draw(inputs.folder / "fig8.png")
     text = (
         "The paper calls both polyhedra tessellated icosahedra with 258 and 92 vertices. An icosahedron has "
-        f"10 T + 2 vertices, T = h^2 + h k + k^2: 92 for T = 9, but never 258; the nearest are {below} and {above}. "
-        "258 = 4 x 8^2 + 2 is an octahedron, each triangle split in four three times. Both are here: the octahedron "
-        "is the literal count, the icosahedron the corrected reading, which takes one bit less when written plainly "
+        f"10 T + 2 vertices, T = h^2 + h k + k^2: 92 for T = 9, but never 258; the nearest are {below} and "
+        f"{above}. "
+        "258 = 4 x 8^2 + 2 is an octahedron, each triangle split in four three times. Both are here: the "
+        "octahedron "
+        "is the literal count, the icosahedron the corrected reading, which takes one bit less when written "
+        "plainly "
         "and covers better.\n\n![the three polyhedra](fig8.png)\n\n"
     )
-    head = ["codebook", "made of", "reading", "vertices", "bits", "covering angle, degrees", "worst chord / |F|"]
+    head = [
+        "codebook",
+        "made of",
+        "reading",
+        "vertices",
+        "bits",
+        "covering angle, degrees",
+        "worst chord / |F|",
+    ]
     head += ["mean square chord, dB"]
     text += markdown_table(head, rows)
     text += (
-        "\nThe covering angle is the largest between any direction and its vertex. The mean square chord is the NMSE "
-        "(10 log10) of directions that point anywhere with amplitudes kept: no coder with these directions does "
+        "\nThe covering angle is the largest between any direction and its vertex. The mean square chord is "
+        "the NMSE "
+        "(10 log10) of directions that point anywhere with amplitudes kept: no coder with these directions "
+        "does "
         "better than that on such a field.\n"
     )
     return Finding(text, data, (picture,))
@@ -82,7 +100,9 @@ def _draw(path: Path) -> Path:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    figure = titled_figure("figure 8", "direction codebooks, each face in the colour of its worst angle", 12.0, 4.6)
+    figure = titled_figure(
+        "figure 8", "direction codebooks, each face in the colour of its worst angle", 12.0, 4.6
+    )
     panels = figure.subplots(1, 3, subplot_kw={"projection": "3d"})
     scale = ScalarMappable(Normalize(7.0, 14.0), "YlOrRd")
     for panel, (name, wording) in zip(panels, CODEBOOKS.items(), strict=True):

@@ -57,11 +57,16 @@ def run(inputs: Inputs) -> Finding:
 
 def _introduction(is_quick: bool) -> str:
     text = (
-        "The paper's two panels hold nine points each, n_w = 5, 6, 7 by n_q = 4, 6, 8, of one depth frame; their "
-        "figures cannot be read off, but its text claims CR < 5 % and NMSE < -30 dB. It does not say whether the "
-        "deadband was on, nor which k. Three readings are drawn: no deadband, for the figure is to show the device "
-        f"filter and the quantisers alone; eq. 8 as printed with k = {K:g}; and our corrected coder with k = {K:g}. "
-        "The field is the wall behind what the camera saw. Directions: high is 258 (literal) or 252 (corrected), low "
+        "The paper's two panels hold nine points each, n_w = 5, 6, 7 by n_q = 4, 6, 8, of one depth frame; "
+        "their "
+        "figures cannot be read off, but its text claims CR < 5 % and NMSE < -30 dB. It does not say whether "
+        "the "
+        "deadband was on, nor which k. Three readings are drawn: no deadband, for the figure is to show the "
+        "device "
+        f"filter and the quantisers alone; eq. 8 as printed with k = {K:g}; and our corrected coder with k = "
+        f"{K:g}. "
+        "The field is the wall behind what the camera saw. Directions: high is 258 (literal) or 252 "
+        "(corrected), low "
         "92.\n"
     )
     return text + ("\n**A quick trial: smaller n_w.**\n" if is_quick else "")
@@ -75,7 +80,9 @@ def _points(one: DepthInput, nws: tuple[int, ...], nqs: tuple[int, ...], step: A
     found: dict[Key, Coded] = {}
     for nw in nws:
         coded = CodedScene(scene, nw)
-        for (reading, (make, asked, directions)), is_high, nq in product(READINGS.items(), (True, False), nqs):
+        for (reading, (make, asked, directions)), is_high, nq in product(
+            READINGS.items(), (True, False), nqs
+        ):
             spec = make(k=K, nq=nq, directions=directions[is_high], **asked)
             found[reading, is_high, nw, nq] = coded.coded(spec)
             step()
@@ -91,10 +98,12 @@ def _claims(points: dict[Key, Coded]) -> str:
             small = sum(c.cr_literal < CLAIMED_CR for c in mine)
             good = {name: sum(c.decibels[name] < CLAIMED_DB for c in mine) for name in mine[0].decibels}
             told = (
-                ", ".join(f"{count} as {name}" for name, count in good.items() if count) or "none in any convention"
+                ", ".join(f"{count} as {name}" for name, count in good.items() if count)
+                or "none in any convention"
             )
             lines.append(
-                f"- {reading}, {'high' if is_high else 'low'}: CR < 5 % at {small} of {len(mine)} points; NMSE < -30 "
+                f"- {reading}, {'high' if is_high else 'low'}: CR < 5 % at {small} of {len(mine)} points; "
+                "NMSE < -30 "
                 f"dB: {told}."
             )
     return "\n".join(lines) + "\n"
@@ -110,10 +119,16 @@ def _table(points: dict[Key, Coded]) -> str:
             cells: list[Any] = [nw, nq, "high" if is_high else "low"]
             for reading in READINGS:
                 c = points[reading, is_high, nw, nq]
-                cells += [f"{c.cr_literal:.5f}", f"{c.cr_full:.5f}", f"{c.nmse_db:.1f}", f"{2 * c.nmse_db:.1f}"]
+                cells += [
+                    f"{c.cr_literal:.5f}",
+                    f"{c.cr_full:.5f}",
+                    f"{c.nmse_db:.1f}",
+                    f"{2 * c.nmse_db:.1f}",
+                ]
             rows.append(cells)
     text = (
-        "Printed: no figures, but CR < 0.05 and NMSE < -30 dB. Why ours differ: a thin wall fills few voxels, so "
+        "Printed: no figures, but CR < 0.05 and NMSE < -30 dB. Why ours differ: a thin wall fills few "
+        "voxels, so "
         "that CR is far below the claim; and the directions set a floor to the NMSE that no n_q moves.\n\n"
     )
     return text + markdown_table(head, rows)
@@ -167,7 +182,8 @@ def _legend(nws: list[Any], nqs: list[Any]) -> list[Any]:
 
     shown = [Line2D([], [], color=c, lw=3, label=f"n_w = {nw}") for nw, c in zip(nws, COLOURS, strict=False)]
     shown += [
-        Line2D([], [], color="0.4", marker=m, ls="", label=f"n_q = {nq}") for nq, m in zip(nqs, MARKERS, strict=False)
+        Line2D([], [], color="0.4", marker=m, ls="", label=f"n_q = {nq}")
+        for nq, m in zip(nqs, MARKERS, strict=False)
     ]
     shown.append(Line2D([], [], color="k", lw=1, label="claimed: CR 5 %, -30 dB"))
     shown.append(Line2D([], [], color="k", lw=1, ls="--", label="-30 dB, if meant as 20 log10 NMSE"))

@@ -1,14 +1,17 @@
-"""Entropy of the frames after the first: a sample that a hand feels no change of needs no bits (paper section 5.1).
+"""Entropy of the frames after the first: a sample that a hand feels no change of needs no bits (paper section
+5.1).
 
-"The entropy of the second frame till the last one is on average 1.6 and 0.8 as far as object-based and voxel-based
-representation is concerned [..] because there are many samples that need zero bits for their representation since
-their respective force value falls within the perceptual mask." Held samples are one symbol of their own, "hold".
+"The entropy of the second frame till the last one is on average 1.6 and 0.8 as far as object-based and
+voxel-based representation is concerned [..] because there are many samples that need zero bits for their
+representation since their respective force value falls within the perceptual mask." Held samples are one
+symbol of their own, "hold".
 
-*corrected*: against what the receiver holds, as a vector; a sample is held if it lies within the mask of that, or has
-the same codeword. Object samples are those where there is a force or the receiver still holds one.
+*corrected*: against what the receiver holds, as a vector; a sample is held if it lies within the mask of
+that, or has the same codeword. Object samples are those where there is a force or the receiver still holds
+one.
 
-*literal*: eq. 8 as printed. Amplitudes alone, against the frame before whether it was sent or not; a held sample is
-written as 0, and so is a force of zero. Object samples are those where there is a force.
+*literal*: eq. 8 as printed. Amplitudes alone, against the frame before whether it was sent or not; a held
+sample is written as 0, and so is a force of zero. Object samples are those where there is a force.
 """
 
 from __future__ import annotations

@@ -1,19 +1,19 @@
 """A huge lattice by samples of it: the size of the support and entropies, with intervals (paper table 1).
 
-The paper's nominal workspace has 10^4 samples along each axis, 12 TB a frame: it is never allocated. The lattice is
-cut into cells of s_x x s_y x s_z samples, every cell is a stratum, and one sample is drawn of each, at the same
-random place in all: a coarser lattice with a random start, which a scene evaluates as any other (systematic sampling
-in three dimensions; W. G. Cochran, Sampling Techniques, 1977, chapter 8). It is drawn many times, the starts
-independent of each other. Every sample of the lattice has the same chance to be drawn, so that counts are unbiased,
-however small or oddly placed the support is; and as no stratum is left out because of a guess where there may be
-forces, no guess can bias it.
+The paper's nominal workspace has 10^4 samples along each axis, 12 TB a frame: it is never allocated. The
+lattice is cut into cells of s_x x s_y x s_z samples, every cell is a stratum, and one sample is drawn of
+each, at the same random place in all: a coarser lattice with a random start, which a scene evaluates as any
+other (systematic sampling in three dimensions; W. G. Cochran, Sampling Techniques, 1977, chapter 8). It is
+drawn many times, the starts independent of each other. Every sample of the lattice has the same chance to be
+drawn, so that counts are unbiased, however small or oddly placed the support is; and as no stratum is left
+out because of a guess where there may be forces, no guess can bias it.
 
-Why not bricks of neighbours, as a sparse field has them: in a huge lattice the 512 samples of a brick are nearly one
-sample. For as many samples their interval is a hundred times as wide (measured on falling bodies).
+Why not bricks of neighbours, as a sparse field has them: in a huge lattice the 512 samples of a brick are
+nearly one sample. For as many samples their interval is a hundred times as wide (measured on falling bodies).
 
-Intervals are those of the jackknife over starts, which knows that the samples of one start are not independent.
-Entropies of many symbols are corrected for their bias (`touchfield.measure.estimators`, Chao, Wang and Jost); their
-interval is widened by as much as the jackknife's own correction differs from it.
+Intervals are those of the jackknife over starts, which knows that the samples of one start are not
+independent. Entropies of many symbols are corrected for their bias (`touchfield.measure.estimators`, Chao,
+Wang and Jost); their interval is widened by as much as the jackknife's own correction differs from it.
 """
 
 from __future__ import annotations
@@ -116,7 +116,9 @@ class LatticeSample:
     def count(self) -> Quantity:
         """L, the samples of the lattice whose force is not zero."""
         each = self.held.astype(np.float64) * float(np.prod(self.spread))
-        return self._quantity("L", float(each.mean()), _half_width(_without(each)), "sample", int(self.held.sum()), 2)
+        return self._quantity(
+            "L", float(each.mean()), _half_width(_without(each)), "sample", int(self.held.sum()), 2
+        )
 
     def entropies(self, words: str) -> LatticeEntropies:
         """Entropies under one of the quantisers.
@@ -130,7 +132,9 @@ class LatticeSample:
             raise InvalidArgument("quantiser", repr(words), f"one of {', '.join(self.counts)}")
         times = self.counts[words].times
         if not times.any():
-            raise InvalidArgument("entropies", f"no force under {words} in {len(times)} starts", "at least one")
+            raise InvalidArgument(
+                "entropies", f"no force under {words} in {len(times)} starts", "at least one"
+            )
         cell = int(np.prod(self.spread))
         each: Float64s = np.minimum(times.sum(axis=1) * cell / self.grid.voxel_count, 1.0)
         total = times.sum(axis=0)
@@ -157,13 +161,17 @@ class LatticeSample:
         bits = estimate_bits(total, _ESTIMATOR)
         rests = [total - one for one in times if total.sum() > one.sum()]
         half = _half_width(np.array([estimate_bits(rest, _ESTIMATOR) for rest in rests]))
-        jackknifed = len(rests) * plug_in - (len(rests) - 1) * float(np.mean([entropy_bits(rest) for rest in rests]))
+        jackknifed = len(rests) * plug_in - (len(rests) - 1) * float(
+            np.mean([entropy_bits(rest) for rest in rests])
+        )
         return bits, half + abs(bits - jackknifed)
 
     def _quantity(self, name: str, value: float, half: float, unit: str, n: int, k: int) -> Quantity:
         interval = None
         if not self.is_whole:
-            method = f"jackknife over {len(self.held)} starts, every {'x'.join(map(str, self.spread))}th sample"
+            method = (
+                f"jackknife over {len(self.held)} starts, every {'x'.join(map(str, self.spread))}th sample"
+            )
             interval = Interval(max(0.0, value - half), value + half, _LEVEL, method)
         return Quantity(name, value, unit, "F is not zero", "voxel", "systematic sample", n, k, interval)
 
@@ -197,17 +205,20 @@ def sample_lattice(
     seed: int = 0,
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> LatticeSample:
-    """Draw from a lattice; see the module. One of at most `per_axis` samples along each axis is counted whole.
+    """Draw from a lattice; see the module. One of at most `per_axis` samples along each axis is counted
+    whole.
 
     Parameters
     ----------
     field : callable
         ``field(part)``: the field at the points of any part of the lattice, such as
-        ``lambda part: scene.field(0, part, profile)``. It must be the same at a point whatever part that is in.
+        ``lambda part: scene.field(0, part, profile)``. It must be the same at a point whatever part that is
+        in.
     grid : Grid
         The lattice, of any size.
     quantisers : mapping of str to callable
-        What each Q is in words, and its symbols, int32 [m], of force vectors, float32 [m, 3]; 0 is "no force".
+        What each Q is in words, and its symbols, int32 [m], of force vectors, float32 [m, 3]; 0 is "no
+        force".
     per_axis : int
         Samples drawn along each axis and start, about; the memory is that of a field of so many.
     starts : int
@@ -239,7 +250,9 @@ def sample_lattice(
             seen, times = np.unique(symbols[symbols != 0], return_counts=True)
             found[words].append((seen.astype(np.int64), times))
         report(done + 1, total)
-    return LatticeSample(grid, spread, np.array(held), {words: _table(parts) for words, parts in found.items()})
+    return LatticeSample(
+        grid, spread, np.array(held), {words: _table(parts) for words, parts in found.items()}
+    )
 
 
 def _vectors(field: Field, grid: Grid, first: Int64s, spread: tuple[int, int, int]) -> NDArray[np.float32]:

@@ -1,7 +1,7 @@
 """From findings to files: NAME.md and NAME.json for each experiment, and one page for all of them.
 
-A page names the command that makes it again and the versions that made it, and nothing of the machine, so that two
-machines give the same page. Every file is there whole or not at all.
+A page names the command that makes it again and the versions that made it, and nothing of the machine, so
+that two machines give the same page. Every file is there whole or not at all.
 """
 
 from __future__ import annotations
@@ -89,7 +89,12 @@ def write_finding(folder: Path, experiment: Experiment, finding: Finding, made_b
 
 def write_page(folder: Path, made: Sequence[Made], made_by: str) -> Path:
     """Write the page of all experiments; what could not be made is told where it would stand."""
-    lines = ["# The paper's tables and figures, made again\n", _INTRODUCTION, _made_by(made_by), "## Contents\n"]
+    lines = [
+        "# The paper's tables and figures, made again\n",
+        _INTRODUCTION,
+        _made_by(made_by),
+        "## Contents\n",
+    ]
     for one in made:
         state = "" if one.error is None else " (not made)"
         lines.append(f"- [{one.experiment.title}](#{anchor(one.experiment.title)}){state}")

@@ -49,7 +49,9 @@ def draw_shells(panel: Any, shells: Sequence[Shell]) -> None:
         normals = corners.mean(axis=1) / shell.radius
         if isinstance(shell.colours, str):
             light = 0.75 + 0.25 * np.clip(normals @ (_LIGHT / np.linalg.norm(_LIGHT)), -0.8, 1)
-            own = np.array(to_rgba(shell.colours)) * np.stack([light, light, light, np.ones_like(light)], axis=1)
+            own = np.array(to_rgba(shell.colours)) * np.stack(
+                [light, light, light, np.ones_like(light)], axis=1
+            )
         else:
             own = shell.colours
         kept = np.ones(len(corners), np.bool_)
@@ -58,7 +60,9 @@ def draw_shells(panel: Any, shells: Sequence[Shell]) -> None:
         faces.append(corners[kept])
         colours.append(own[kept])
     panel.add_collection3d(
-        Poly3DCollection(np.concatenate(faces), facecolors=np.concatenate(colours), edgecolors="0.15", linewidths=0.4)
+        Poly3DCollection(
+            np.concatenate(faces), facecolors=np.concatenate(colours), edgecolors="0.15", linewidths=0.4
+        )
     )
 
 

@@ -1,7 +1,8 @@
 """The printed figures of tables 1 and 2, and what they say of each other.
 
-A field of which a share p holds a force, and whose empty space is one symbol, has H_voxel = h2(p) + p H_object: the
-empty samples tell where the object is, and the others what it is. The printed entropies are not on this curve.
+A field of which a share p holds a force, and whose empty space is one symbol, has H_voxel = h2(p) + p
+H_object: the empty samples tell where the object is, and the others what it is. The printed entropies are not
+on this curve.
 """
 
 from __future__ import annotations
@@ -65,7 +66,9 @@ def density_needed(voxel_bits: float, object_bits: float) -> float | None:
     return high
 
 
-def identity_table(printed: dict[str, PrintedScene], numbers: dict[str, str]) -> tuple[str, list[dict[str, Any]]]:
+def identity_table(
+    printed: dict[str, PrintedScene], numbers: dict[str, str]
+) -> tuple[str, list[dict[str, Any]]]:
     """The identity for the printed figures, in Markdown and as data.
 
     Parameters
@@ -103,5 +106,12 @@ def identity_table(printed: dict[str, PrintedScene], numbers: dict[str, str]) ->
                 "p_needed": needed,
             }
         )
-    head = ["printed", "p of the sizes", "H_object", "H_voxel", "h2(p) + p H_object", "p that would be needed"]
+    head = [
+        "printed",
+        "p of the sizes",
+        "H_object",
+        "H_voxel",
+        "h2(p) + p H_object",
+        "p that would be needed",
+    ]
     return markdown_table(head, rows), data

@@ -1,13 +1,13 @@
 """The depth sequences of the experiments: one that needs no download, and the user's.
 
-The paper's section 5.2 takes consecutive depth frames of SUN3D, a hand-held camera in a hotel. What comes with the
-libraries is a single real depth map (`sample:motorcycle`). `MovingView` shows it to a moving camera: the surface is
-drawn as triangles from nearby viewpoints, through a depth buffer. Where the camera sees past an edge nothing is
-known, and nothing is made up.
+The paper's section 5.2 takes consecutive depth frames of SUN3D, a hand-held camera in a hotel. What comes
+with the libraries is a single real depth map (`sample:motorcycle`). `MovingView` shows it to a moving camera:
+the surface is drawn as triangles from nearby viewpoints, through a depth buffer. Where the camera sees past
+an edge nothing is known, and nothing is made up.
 
-What such a sequence lacks is the noise of a sensor from frame to frame: the noise of the one map sticks to the
-surface and moves with it. `NoisyPair` adds what is missing, of the size that the map itself shows, so that an
-experiment can tell how much of a change is motion and how much is noise.
+What such a sequence lacks is the noise of a sensor from frame to frame: the noise of the one map sticks to
+the surface and moves with it. `NoisyPair` adds what is missing, of the size that the map itself shows, so
+that an experiment can tell how much of a change is motion and how much is noise.
 """
 
 from __future__ import annotations
@@ -78,7 +78,8 @@ class MovingView(DepthSequence):
         self.poses = hand_held_poses(frame_count)
         self.poses.flags.writeable = False
         self.notes = (
-            f"one real depth map, drawn from {frame_count} viewpoints {1e3 * STEP_M:g} mm and {TURN_DEG:g} degrees "
+            f"one real depth map, drawn from {frame_count} viewpoints {1e3 * STEP_M:g} mm and {TURN_DEG:g} "
+            "degrees "
             "apart; its noise moves with the surface",
         )
 
@@ -94,7 +95,8 @@ class MovingView(DepthSequence):
         z = np.maximum(seen[..., 2], 1e-6)
         camera = self.intrinsics
         corners = np.stack(
-            [camera.fx * seen[..., 0] / z + camera.cx, camera.fy * seen[..., 1] / z + camera.cy, 1 / z], axis=-1
+            [camera.fx * seen[..., 0] / z + camera.cx, camera.fy * seen[..., 1] / z + camera.cy, 1 / z],
+            axis=-1,
         )
         inverse = np.zeros((self.height, self.width))
         draw_quads(corners, whole & _all_corners(seen[..., 2] > 0), inverse)
@@ -143,8 +145,8 @@ class FirstFrames(DepthSequence):
 class NoisyPair(DepthSequence):
     """A view that stands still, twice: as it is, and again with the noise of a sensor.
 
-    Inverse depth differs by white noise of sqrt(2) standard deviations, as two readings of one scene do: disparity
-    sensors err alike in disparity wherever they look.
+    Inverse depth differs by white noise of sqrt(2) standard deviations, as two readings of one scene do:
+    disparity sensors err alike in disparity wherever they look.
 
     Parameters
     ----------
@@ -224,7 +226,9 @@ def user_inputs(folders: tuple[Path, ...]) -> tuple[DepthInput, ...]:
         if not isinstance(scene, DepthScene):
             raise SourceError(str(folder), "a source that is no depth sequence", "depth frames of one camera")
         name = folder.resolve().name
-        found.append(DepthInput(f"{name} ({taken.count(name) + 1})" if name in taken else name, scene.sequence))
+        found.append(
+            DepthInput(f"{name} ({taken.count(name) + 1})" if name in taken else name, scene.sequence)
+        )
         taken.append(name)
     return tuple(found)
 
@@ -253,8 +257,8 @@ def hand_held_poses(frame_count: int) -> Float64s:
 def inverse_depth_noise_per_m(depth_m: Float32s) -> float:
     """Standard deviation of the noise of inverse depth, 1/m, from one frame.
 
-    From the second differences along the rows, which vanish on a plane and are sqrt(6) as wide as white noise: their
-    upper quartile, over that of a normal distribution's modulus, so that edges do not count.
+    From the second differences along the rows, which vanish on a plane and are sqrt(6) as wide as white
+    noise: their upper quartile, over that of a normal distribution's modulus, so that edges do not count.
     """
     known = depth_m > 0
     inverse = np.divide(1.0, depth_m, out=np.zeros(depth_m.shape), where=known)

@@ -1,12 +1,12 @@
 """The two scenes of section 5.1 and the lattices on which its tables count.
 
-Scene 1: bodies that fall, four as the text has them and seven as figure 5 shows; the ground is not felt. Scene 2: 20
-depth maps, by linear interpolation 800 frames, read as a height map with all behind the surface solid. Neither of the
-paper's own is published.
+Scene 1: bodies that fall, four as the text has them and seven as figure 5 shows; the ground is not felt.
+Scene 2: 20 depth maps, by linear interpolation 800 frames, read as a height map with all behind the surface
+solid. Neither of the paper's own is published.
 
-*literal*: 10^4 samples along each axis of the scene's own box, and the device's lattice over the same box, which
-stretches it onto the workspace. *corrected*: both lattices over the device's workspace, in which the scene lies with
-its aspect kept. The force law is that of the hand, F = min(K d, F_max), in both.
+*literal*: 10^4 samples along each axis of the scene's own box, and the device's lattice over the same box,
+which stretches it onto the workspace. *corrected*: both lattices over the device's workspace, in which the
+scene lies with its aspect kept. The force law is that of the hand, F = min(K d, F_max), in both.
 """
 
 from __future__ import annotations
@@ -34,7 +34,16 @@ if TYPE_CHECKING:
     from touchfield.sources.camera import DepthSequence
     from touchfield.sources.laws import ForceProfile
 
-__all__ = ["NOMINAL", "READINGS", "DepthHeights", "PaperScene", "depth_scenes", "height_scene", "scene_1", "scenes"]
+__all__ = [
+    "NOMINAL",
+    "READINGS",
+    "DepthHeights",
+    "PaperScene",
+    "depth_scenes",
+    "height_scene",
+    "scene_1",
+    "scenes",
+]
 
 NOMINAL: Final = 10_000
 """Samples along each axis of the paper's "uniform 3D workspace"."""

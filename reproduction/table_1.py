@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 __all__ = ["EXPERIMENT"]
 
 _WHY_ENTROPY = (
-    "18 bits tell apart every direction of a curved surface and every depth below it; 5.2 bits are 37 equally likely "
+    "18 bits tell apart every direction of a curved surface and every depth below it; 5.2 bits are 37 "
+    "equally likely "
     "symbols and 2.3 are five, so that the printed figures are of a coarser Q, which is not stated"
 )
 
@@ -86,14 +87,17 @@ def _object_words(scene: PaperScene) -> str:
         return "The object columns are the bodies; the ground is not felt.\n"
     objects, share = found
     return (
-        "The object columns are the support: all behind a known surface is solid. Segmented by steps of depth, the "
+        "The object columns are the support: all behind a known surface is solid. Segmented by steps of "
+        "depth, the "
         f"first frame has {objects} objects with {100 * share:.0f} % of its known pixels: whole surfaces; "
-        "what is left are small pieces. Segmentation tells the parts of the support apart and hardly makes it "
+        "what is left are small pieces. Segmentation tells the parts of the support apart and hardly makes "
+        "it "
         "smaller.\n"
     )
 
 
-# -- the table of one scene -----------------------------------------------------------------------------------
+# -- the table of one scene
+# -----------------------------------------------------------------------------------
 
 
 def _table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> str:
@@ -103,14 +107,21 @@ def _table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> str:
     why_object = _why_objects(one)
     rows = [
         ["Size (1st frame)", "voxel", "10^12", "10^12", "10^12", "10^4 along each axis"],
-        ["", "object", count(printed.nominal[1]), *(counted(one.nominal[r].count) for r in READINGS), why_object],
+        [
+            "",
+            "object",
+            count(printed.nominal[1]),
+            *(counted(one.nominal[r].count) for r in READINGS),
+            why_object,
+        ],
     ]
     volume_why = "volume over that of a cell: no estimate"
     if one.by_volume:
         volumes = [count(one.by_volume[r, True]) for r in READINGS]
         rows.append(["", "object, by volume", "", *volumes, volume_why])
     rows += [
-        ["Device filter (1st frame)", "voxel", "8·10^9", *[count(on_device)] * 2, f"{lattice}, 0.055 mm apart"],
+        ["Device filter (1st frame)", "voxel", "8·10^9", *[count(on_device)] * 2, f"{lattice}, 0.055 mm "
+                                                                                  "apart"],
         ["", "object", "1.8·10^5" if printed.on_device[1] < 1e6 else count(printed.on_device[1]),
          *(counted(one.on_device[r].count) for r in READINGS), "as above"],
     ]  # fmt: skip
@@ -120,13 +131,16 @@ def _table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> str:
     ratios = [f"{one.nominal[r].count.value / one.on_device[r].count.value:.1f}" for r in READINGS]
     ratio = printed.nominal[1] / printed.on_device[1]
     why = (
-        f"both lattices fill one box: 10^12 over {lattice} is {1e12 / on_device:.1f}; 125 = 5^3 is 10^12 over 8·10^9"
+        f"both lattices fill one box: 10^12 over {lattice} is {1e12 / on_device:.1f}; 125 = 5^3 is 10^12 "
+        "over 8·10^9"
     )
     rows.append(["nominal over device", "object", f"{ratio:.0f}", *ratios, why])
     for name, one_filter in zip(("3 x 6", "6 + 12"), filters):
         rows += _entropy_rows(one, name, one_filter.words)
     rows += _bit_rows(one, filters)
-    return markdown_table(["row", "representation", "printed", "literal", "corrected", "why they differ"], rows)
+    return markdown_table(
+        ["row", "representation", "printed", "literal", "corrected", "why they differ"], rows
+    )
 
 
 def _entropy_rows(one: SceneCounts, name: str, words: str) -> list[list[str]]:
@@ -142,7 +156,8 @@ def _entropy_rows(one: SceneCounts, name: str, words: str) -> list[list[str]]:
          _WHY_ENTROPY],
         [f"Entropy of later frames, {name}", "voxel", "0.8", *(f"{later[r].voxel_bits:.3g}" for r in READINGS),
          "scene and device of the printed figure are not stated"],
-        ["", "object", "1.6", *(f"{later[r].object_bits:.3g}" for r in READINGS), f"held of the object: {held}"],
+        ["", "object", "1.6", *(f"{later[r].object_bits:.3g}" for r in READINGS), "held of the object: "
+                                                                                  f"{held}"],
     ]  # fmt: skip
 
 
@@ -150,13 +165,16 @@ def _bit_rows(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> list[l
     words = filters[0].words
     per_sample, per_frame = _mapping(one, "literal", words), _mapping(one, "corrected", words)
     plain = " and ".join(f"{f.bits}" for f in filters)
-    worst = ", ".join(f"{name}: {percent(one.worst[f.words])}" for name, f in zip(("3 x 6", "6 + 12"), filters))
+    worst = ", ".join(
+        f"{name}: {percent(one.worst[f.words])}" for name, f in zip(("3 x 6", "6 + 12"), filters)
+    )
     return [
         ["Raw storage per sample", "both", "96 bits", *[f"{RAW_BITS} bits"] * 2, "three floats of 32 bits"],
         ["Perceptual filter", "both", "18 bits", *[f"{plain} bits"] * 2,
          f"3 x 6 and 6 + 12; worst relative error of forces from F_0 on, {worst}"],
         ["WMR (eq. 2)", "voxel", "", f"{per_sample[0]:.3g}", f"{per_frame[0]:.3g}",
-         "literal: bits a sample, which mean nothing where the number of samples changes; corrected: bits a frame"],
+         "literal: bits a sample, which mean nothing where the number of samples changes; corrected: bits a "
+         "frame"],
         ["HIL (eq. 3)", "voxel", "", f"{per_sample[1]:.3g}", f"{per_frame[1]:.3g}", "as above"],
     ]  # fmt: skip
 
@@ -175,16 +193,19 @@ def _why_objects(one: SceneCounts) -> str:
     share = one.nominal["literal"].count.value / one.nominal["literal"].grid.voxel_count
     if one.by_volume:
         return (
-            f"our bodies fill {percent(share)} of their box, the paper's 0.0022 %; which bodies in what workspace "
+            f"our bodies fill {percent(share)} of their box, the paper's 0.0022 %; which bodies in what "
+            "workspace "
             "is not stated"
         )
     return (
-        f"{percent(share)} of the box lies behind a known surface; which depth maps, and how deep the solid behind "
+        f"{percent(share)} of the box lies behind a known surface; which depth maps, and how deep the solid "
+        "behind "
         "them is, is not stated"
     )
 
 
-# -- what the entropies are of --------------------------------------------------------------------------------
+# -- what the entropies are of
+# --------------------------------------------------------------------------------
 
 
 def _entropy_table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> str:
@@ -201,9 +222,11 @@ def _entropy_table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> s
     head = ["Q", "lattice", "reading", "H_voxel", "H_object", "p", "n with a force", "symbols seen", "notes"]
     told = (
         f"Later frames: {later.frames} frames in runs of consecutive ones, evenly spaced over the "
-        f"{one.scene.scene.frame_count}, after the device filter on 2^{NW} samples along each axis of the workspace, "
+        f"{one.scene.scene.frame_count}, after the device filter on 2^{NW} samples along each axis of the "
+        "workspace, "
         "each counted whole (plug-in). The first of a run is what the receiver holds; the mask is "
-        f"k = {MASK_K}. Literal is eq. 8 on amplitudes, corrected the vector against what the receiver holds.\n"
+        f"k = {MASK_K}. Literal is eq. 8 on amplitudes, corrected the vector against what the receiver "
+        "holds.\n"
     )
     return f"{markdown_table(head, rows)}\n{told}"
 
@@ -212,21 +235,31 @@ def _arithmetic() -> str:
     printed = PRINTED_1["scene1"]
     assert printed.on_device[0] is not None
     samples, voxels = printed.on_device[1], printed.on_device[0]
-    payload, support = samples * printed.entropy[1] / 1e6, voxels * binary_entropy_bits(samples / voxels) / 1e6
+    payload, support = (
+        samples * printed.entropy[1] / 1e6,
+        voxels * binary_entropy_bits(samples / voxels) / 1e6,
+    )
     side = (printed.nominal[1] / 4) ** (1 / 3)
     return (
-        "The printed H_voxel are far above what the printed sizes allow: they are of something else than the lattice "
+        "The printed H_voxel are far above what the printed sizes allow: they are of something else than the "
+        "lattice "
         "of the sizes (a dense field, a slice, or a part).\n\n"
-        "A floor is not felt in the printed counts: in 10^4 x 10^4 columns a floor of a single sample is 10^8 "
-        f"samples, and the printed object of scene 1 has {count(printed.nominal[1])}, as much as four cubes of "
+        "A floor is not felt in the printed counts: in 10^4 x 10^4 columns a floor of a single sample is "
+        "10^8 "
+        f"samples, and the printed object of scene 1 has {count(printed.nominal[1])}, as much as four cubes "
+        "of "
         f"{side:.0f} samples to a side. It is not felt in ours either.\n\n"
-        f"96/18 = {96 / 18:.1f} is what the perceptual filter takes off a sample. The object representation hides "
-        "the map of where its samples lie. For the printed sizes of scene 1 on the device's lattice that map takes "
-        f"V h2(p) = {support:.1f} Mbit as independent samples, beside {payload:.2f} Mbit for what they hold.\n"
+        f"96/18 = {96 / 18:.1f} is what the perceptual filter takes off a sample. The object representation "
+        "hides "
+        "the map of where its samples lie. For the printed sizes of scene 1 on the device's lattice that map "
+        "takes "
+        f"V h2(p) = {support:.1f} Mbit as independent samples, beside {payload:.2f} Mbit for what they "
+        "hold.\n"
     )
 
 
-# -- as data --------------------------------------------------------------------------------------------------
+# -- as data
+# --------------------------------------------------------------------------------------------------
 
 
 def _data(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> dict[str, Any]:

@@ -58,7 +58,9 @@ class SceneCounts:
     worst: dict[str, float]
 
 
-def counts_of(scene: PaperScene, filters: Sequence[PerceptualFilter], steps: Steps, quick: bool) -> SceneCounts:
+def counts_of(
+    scene: PaperScene, filters: Sequence[PerceptualFilter], steps: Steps, quick: bool
+) -> SceneCounts:
     """Count one scene; `quick` with fewer samples."""
     from touchfield.pipeline.spec import DEFAULT_F0_N
 
@@ -78,7 +80,9 @@ def counts_of(scene: PaperScene, filters: Sequence[PerceptualFilter], steps: Ste
         # of depth maps from one to the next: where one begins, unknown pixels come and go
         asked = (2, 2) if quick else (4, scene.cycle_frames or 40)
         runs = consecutive_runs(scene.scene.frame_count, *asked)
-        later = later_frames(_medium(scene).__getitem__, runs, {one.words: one for one in filters}, MASK_K, report)
+        later = later_frames(
+            _medium(scene).__getitem__, runs, {one.words: one for one in filters}, MASK_K, report
+        )
     low, high = scene.scene.bounds_m()
     forces = scene.field(0, Grid.over_box(low, high, (_SIDE, _SIDE, _SIDE)))
     vectors = forces.forces_n[forces.mask]
@@ -90,7 +94,9 @@ def _by_volume(scene: PaperScene) -> dict[tuple[str, bool], float] | None:
     volume = scene.volume_m3()
     if volume is None:
         return None
-    lattices = {(r, is_nominal): scene.lattice(r, is_nominal) for r in READINGS for is_nominal in (True, False)}
+    lattices = {
+        (r, is_nominal): scene.lattice(r, is_nominal) for r in READINGS for is_nominal in (True, False)
+    }
     return {key: volume / float(np.prod(grid.spacing_m)) for key, grid in lattices.items()}
 
 

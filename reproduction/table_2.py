@@ -1,7 +1,7 @@
 """Table 2 of the paper: sizes, entropies and bits of two scenes for a tactile T-shirt (section 5.1).
 
-1024 actuators, 32 x 32, each of which renders one magnitude: every frame is counted whole. *Literal* has the cut-off
-2/d of the paper's section 3.2, four times the Nyquist rate of the array; *corrected* 1/(2d).
+1024 actuators, 32 x 32, each of which renders one magnitude: every frame is counted whole. *Literal* has the
+cut-off 2/d of the paper's section 3.2, four times the Nyquist rate of the array; *corrected* 1/(2d).
 """
 
 from __future__ import annotations
@@ -79,12 +79,15 @@ def run(inputs: Inputs) -> Finding:
 
 
 _LATER = (
-    "Later frames are runs of consecutive ones, the first of which the receiver holds already. Of depth maps they go "
-    "from one map to the next: linear interpolation knows no pixel that either of the two does not know, so that "
+    "Later frames are runs of consecutive ones, the first of which the receiver holds already. Of depth maps "
+    "they go "
+    "from one map to the next: linear interpolation knows no pixel that either of the two does not know, so "
+    "that "
     "much of what is sent is sent in the two frames around each map.\n"
 )
 _WORDS = (
-    "Of 1024 actuators 672 have a force, p = 21/32: the printed 1.9 bits are even less than p H_object, what the "
+    "Of 1024 actuators 672 have a force, p = 21/32: the printed 1.9 bits are even less than p H_object, what "
+    "the "
     "object alone brings. 64 of 1024 is 1/16.\n"
 )
 
@@ -151,7 +154,9 @@ def _table(scene: PaperScene, both: dict[str, _Found], q: PerceptualFilter, actu
         ["Perceptual filter", "both", "6 bits", *[f"{q.bits} bits"] * 2,
          f"63 levels and zero; worst relative error of forces from F_0 on: {worst}"],
     ]  # fmt: skip
-    return markdown_table(["row", "representation", "printed", "literal", "corrected", "why they differ"], rows)
+    return markdown_table(
+        ["row", "representation", "printed", "literal", "corrected", "why they differ"], rows
+    )
 
 
 def _data(scene: PaperScene, both: dict[str, _Found]) -> dict[str, Any]:

@@ -42,7 +42,9 @@ def run(inputs: Inputs) -> Finding:
     from reproduction.table_3_runs import Settings, run_sequence, steps
 
     require_drawing("the picture of table 3")
-    settings = Settings(4, NQ, FRACTIONS[1:], (1, 2)) if inputs.quick else Settings(NW, NQ, FRACTIONS, FRAME_COUNTS)
+    settings = (
+        Settings(4, NQ, FRACTIONS[1:], (1, 2)) if inputs.quick else Settings(NW, NQ, FRACTIONS, FRAME_COUNTS)
+    )
     sources = depth_inputs(inputs)
     total = sum(steps(settings, one.sequence.poses is not None) for one in sources)
     done = iter(range(1, total + 1))
@@ -64,9 +66,13 @@ def _page(found: tuple[SequenceRuns, ...], is_quick: bool) -> str:
     for one in found:
         parts.append(f"### The table on {one.name}\n")
         size = f"{one.size_px[0]} x {one.size_px[1]} pixels"
-        parts.append(f"{size}; noise {one.noise_mm:.2g} mm at the median depth. {' '.join(_sentence(one.notes))}\n")
+        parts.append(
+            f"{size}; noise {one.noise_mm:.2g} mm at the median depth. {' '.join(_sentence(one.notes))}\n"
+        )
         for runs in one.variants:
-            parts.append(f"{one.name}, {runs.variant}; {runs.support_share:.1%} of the voxels hold a force:\n")
+            parts.append(
+                f"{one.name}, {runs.variant}; {runs.support_share:.1%} of the voxels hold a force:\n"
+            )
             parts.append(_table(runs))
     return "\n".join(parts)
 
@@ -75,7 +81,8 @@ def _sentence(notes: tuple[str, ...]) -> list[str]:
     return [f"{note[:1].upper()}{note[1:].rstrip('.')}." for note in notes]
 
 
-# -- the table ------------------------------------------------------------------------------------------------
+# -- the table
+# ------------------------------------------------------------------------------------------------
 
 
 def _table(runs: Runs) -> str:
@@ -108,15 +115,23 @@ def _convention_table(found: tuple[SequenceRuns, ...]) -> str:
                 cases = [c for c in runs.coded["literal"] if c.m == 1 and c.is_high == is_high]
                 found_db = [runs.coded["literal"][c].decibels for c in cases]
                 off = {
-                    name: sum(abs(db[name] - PRINTED[c].nmse_db) for c, db in zip(cases, found_db)) / len(cases)
+                    name: sum(abs(db[name] - PRINTED[c].nmse_db) for c, db in zip(cases, found_db))
+                    / len(cases)
                     for name in found_db[0]
                 }
                 rows.append(
-                    [one.name, runs.variant, "high" if is_high else "low", *(f"{v:.1f}" for v in off.values())]
+                    [
+                        one.name,
+                        runs.variant,
+                        "high" if is_high else "low",
+                        *(f"{v:.1f}" for v in off.values()),
+                    ]
                 )
     text = (
-        "Mean distance, dB, of our literal single-frame figures to the printed ones, over k. Of directions that "
-        "point anywhere 92 leave -16.6 dB (10 log10 NMSE) at the least and 258 leave -20.8 dB (figure 8); the "
+        "Mean distance, dB, of our literal single-frame figures to the printed ones, over k. Of directions "
+        "that "
+        "point anywhere 92 leave -16.6 dB (10 log10 NMSE) at the least and 258 leave -20.8 dB (figure 8); "
+        "the "
         "printed figures are twice that or nearly.\n\n"
     )
     return text + markdown_table(["sequence", "field", "directions", *found_db[0]], rows)
@@ -136,7 +151,8 @@ def _why(case: Case, printed: Point, literal: Coded) -> str:
     )
 
 
-# -- for programs ---------------------------------------------------------------------------------------------
+# -- for programs
+# ---------------------------------------------------------------------------------------------
 
 
 def _data(found: tuple[SequenceRuns, ...], nw: int) -> dict[str, Any]:
@@ -155,7 +171,10 @@ def _sequence_data(one: SequenceRuns) -> dict[str, Any]:
             runs.variant: {
                 "support_share": runs.support_share,
                 "floors_db": {r: {"high": f[True], "low": f[False]} for r, f in runs.floors_db.items()},
-                **{reading: [_case_data(c, v) for c, v in coded.items()] for reading, coded in runs.coded.items()},
+                **{
+                    reading: [_case_data(c, v) for c, v in coded.items()]
+                    for reading, coded in runs.coded.items()
+                },
                 "trends": {r: {t.name: t.holds for t in trends(points_of(c))} for r, c in runs.coded.items()},
             }
             for runs in one.variants

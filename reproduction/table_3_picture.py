@@ -37,7 +37,10 @@ def draw_gain(path: Path, found: tuple[SequenceRuns, ...]) -> Path:
             for runs in one.variants:
                 style, marker = _LINES[runs.variant]
                 for reading, coded in runs.coded.items():
-                    ratio = [coded[Case(m, k, True)].cr_literal / coded[Case(1, k, True)].cr_literal for m in counts]
+                    ratio = [
+                        coded[Case(m, k, True)].cr_literal / coded[Case(1, k, True)].cr_literal
+                        for m in counts
+                    ]
                     panel.plot(
                         counts, ratio, style, marker=marker, ms=4, lw=1.4, color=_COLOURS[reading],
                         label=f"{reading}: {runs.variant}",

@@ -37,29 +37,40 @@ PRINTED: Final[dict[Case, Point]] = {
 
 
 def impossibility() -> str:
-    """What cannot be among the printed multi-frame figures, computed from the figures themselves, as Markdown."""
+    """What cannot be among the printed multi-frame figures, computed from the figures themselves, as
+    Markdown.
+    """
     found = bounds(PRINTED)
     rows = [
-        [b.case.wording, f"{b.cr:.5f}", f"{b.least_cr:.5f}", f"{b.least_cr / b.cr:.1f}", _possible(b.is_possible)]
+        [
+            b.case.wording,
+            f"{b.cr:.5f}",
+            f"{b.least_cr:.5f}",
+            f"{b.least_cr / b.cr:.1f}",
+            _possible(b.is_possible),
+        ]
         for b in found
     ]
     fewer = [
         f"at k = {k:g} with {'high' if is_high else 'low'} directions, m CR falls from "
-        f"{2 * PRINTED[Case(2, k, is_high)].cr:.5f} (m = 2) to {5 * PRINTED[Case(5, k, is_high)].cr:.5f} (m = 5)"
+        f"{2 * PRINTED[Case(2, k, is_high)].cr:.5f} (m = 2) to {5 * PRINTED[Case(5, k, is_high)].cr:.5f} (m "
+        "= 5)"
         for is_high in (True, False)
         for k in FRACTIONS
         if 5 * PRINTED[Case(5, k, is_high)].cr < 2 * PRINTED[Case(2, k, is_high)].cr
     ]
     below = sum(not b.is_possible for b in found)
     text = (
-        "Eq. 9 divides the bits of all m frames by m frames' raw bits. The first frame is sent like a single one, "
+        "Eq. 9 divides the bits of all m frames by m frames' raw bits. The first frame is sent like a single "
+        "one, "
         "so that CR(m) is CR(1) / m at the least, even if all later frames cost nothing. "
         f"Of the {len(found)} printed multi-frame figures {below} are below that.\n\n"
     )
     text += markdown_table(["setting", "printed CR", "CR(1) / m", "times too small", ""], rows)
     if fewer:
         text += (
-            "\nNor do they count differences alone, without the first frame: five frames hold four differences, two "
+            "\nNor do they count differences alone, without the first frame: five frames hold four "
+            "differences, two "
             "hold one, and yet the total number of bits, m CR in units of a raw frame, goes down: "
             f"{'; '.join(fewer)}. The multi-frame rows must come of other settings or other data than the "
             "single-frame rows; the text does not say which.\n"

@@ -40,7 +40,8 @@ def trend_table(found: tuple[SequenceRuns, ...]) -> str:
     for reading, counts in held.items():
         rows.append(["all", "", reading, *(f"holds in {count} of {tables}" for count in counts.values())])
     text = (
-        "Each is compared pair by pair over all settings of a table; NMSE as 10 log10, the order being the same in "
+        "Each is compared pair by pair over all settings of a table; NMSE as 10 log10, the order being the "
+        "same in "
         "20 log10.\n\n"
     )
     return text + markdown_table(["sequence", "field", "reading", *TRENDS], rows)
@@ -57,7 +58,9 @@ def reason_table(found: tuple[SequenceRuns, ...]) -> str:
                     if trend.holds or trend.name == "multi-frame CR below single-frame":
                         continue  # the latter fails for the reason of "CR falls with m"
                     figure, _ = TRENDS[trend.name]
-                    worst = max(trend.failures, key=lambda pair: points[pair[1]][figure] - points[pair[0]][figure])
+                    worst = max(
+                        trend.failures, key=lambda pair: points[pair[1]][figure] - points[pair[0]][figure]
+                    )
                     by = points[worst[1]][figure] - points[worst[0]][figure]
                     share = f"{by / points[worst[0]].cr:.1%}" if figure == 0 else f"{by:.2f} dB"
                     where = f"{worst[0].wording}, against {worst[1].wording}"
@@ -65,7 +68,9 @@ def reason_table(found: tuple[SequenceRuns, ...]) -> str:
                     rows.append([one.name, runs.variant, reading, trend.name, f"{share} ({where})", reason])
     if not rows:
         return "All hold.\n"
-    return markdown_table(["sequence", "field", "reading", "trend", "fails by at most", "measured reason"], rows)
+    return markdown_table(
+        ["sequence", "field", "reading", "trend", "fails by at most", "measured reason"], rows
+    )
 
 
 def _reason(trend: str, worst: tuple[Case, Case], one: SequenceRuns, runs: Runs, reading: str) -> str:
@@ -79,23 +84,31 @@ def _reason(trend: str, worst: tuple[Case, Case], one: SequenceRuns, runs: Runs,
         if reading == "literal":
             before, later = second.frames[:2]
             return (
-                f"the second frame's difference costs {second.bits(1) / max(1, second.bits(0)):.2f} of the first"
-                f"{said}: it is not zero on {later.supported / max(1, before.supported):.2f} times as many voxels, "
+                f"the second frame's difference costs {second.bits(1) / max(1, second.bits(0)):.2f} of the "
+                "first"
+                f"{said}: it is not zero on {later.supported / max(1, before.supported):.2f} times as many "
+                "voxels, "
                 f"sends {later.sent / max(1, later.supported):.0%} of them against "
-                f"{before.sent / max(1, before.supported):.0%}, at {second.bits(1) / max(1, later.sent):.1f} bits a "
+                f"{before.sent / max(1, before.supported):.0%}, at {second.bits(1) / max(1, later.sent):.1f} "
+                "bits a "
                 f"vector against {second.bits(0) / max(1, before.sent):.1f}"
             )
         later_bits = [second.bits(i) / max(1, second.bits(0)) for i in range(1, worst[1].m)]
-        return f"frames were coded {second.kinds}; later ones cost {np.mean(later_bits):.2f} of the first{said}"
+        return (
+            f"frames were coded {second.kinds}; later ones cost {np.mean(later_bits):.2f} of the first{said}"
+        )
     if trend == "NMSE worsens with k":
         floor = runs.floors_db[reading][worst[0].is_high]
         return (
-            f"nothing held leaves {floor:.1f} dB already, by the quantisers; frames were coded {second.kinds} at "
-            f"k = {worst[1].k:g} and {first.kinds} at k = {worst[0].k:g}, and a P frame mends the error of the "
+            f"nothing held leaves {floor:.1f} dB already, by the quantisers; frames were coded "
+            f"{second.kinds} at "
+            f"k = {worst[1].k:g} and {first.kinds} at k = {worst[0].k:g}, and a P frame mends the error of "
+            "the "
             "frame before"
         )
     return (
-        f"sent per supported voxel {_sent(first):.1%} and {_sent(second):.1%}; frames {first.kinds}, {second.kinds}"
+        f"sent per supported voxel {_sent(first):.1%} and {_sent(second):.1%}; frames {first.kinds}, "
+        f"{second.kinds}"
     )
 
 
@@ -113,17 +126,25 @@ def cause_table(found: tuple[SequenceRuns, ...]) -> str:
     for one in found:
         for cause in one.causes:
             cells = [f"{cause.resent[k]:.1%}" for k in fractions]
-            cells += [f"{cause.cost[reading][k]:.2f}" for reading in ("corrected", "literal") for k in fractions]
+            cells += [
+                f"{cause.cost[reading][k]:.2f}" for reading in ("corrected", "literal") for k in fractions
+            ]
             rows.append([one.name, cause.circumstance, *cells])
     codebook = Codebook.get("ico5")
     chord = 2 * math.sin(math.radians(codebook.covering_radius_deg) / 2)
     text = (
-        "I is a frame coded alone, P the difference in closed loop, D the open difference of the literal reading. "
-        "*Resent* is the share of the second frame's voxels that differ from the decoded first by more than a hand "
-        "can feel; P/I and D/I are the bits C_a + C_d of that frame over those of the first, when it is coded as a "
-        "difference whatever it costs; walls, high directions. That so much of an unchanged frame is sent again at "
-        f"small k is the quantiser's doing: {len(codebook)} directions are off by up to {chord:.1%} of the force, "
-        "more than a mask of k = 0.1, and the difference mends that. *Noise of the sensor* is a still view read "
+        "I is a frame coded alone, P the difference in closed loop, D the open difference of the literal "
+        "reading. "
+        "*Resent* is the share of the second frame's voxels that differ from the decoded first by more than "
+        "a hand "
+        "can feel; P/I and D/I are the bits C_a + C_d of that frame over those of the first, when it is "
+        "coded as a "
+        "difference whatever it costs; walls, high directions. That so much of an unchanged frame is sent "
+        "again at "
+        f"small k is the quantiser's doing: {len(codebook)} directions are off by up to {chord:.1%} of the "
+        "force, "
+        "more than a mask of k = 0.1, and the difference mends that. *Noise of the sensor* is a still view "
+        "read "
         "twice: white noise of inverse depth, of the size that the sequence's own first frame shows.\n\n"
     )
     return f"{text}{markdown_table(head, rows)}\n{_noise_shares(found)}"
@@ -142,7 +163,8 @@ def _noise_shares(found: tuple[SequenceRuns, ...]) -> str:
             if name.startswith(MOVING) and cause.resent[k]:
                 lines.append(
                     f"- {one.name}, {name}: at k = {k:g}, where a still view without noise resends "
-                    f"{causes[STILL].resent[k]:.1%}, noise alone makes {noise.resent[k] / cause.resent[k]:.0%} of "
+                    f"{causes[STILL].resent[k]:.1%}, noise alone makes "
+                    f"{noise.resent[k] / cause.resent[k]:.0%} of "
                     "what is resent."
                 )
     return "\n".join(lines) + "\n"

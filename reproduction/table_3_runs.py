@@ -33,7 +33,9 @@ __all__ = [
 READINGS: Final = ("literal", "corrected")
 
 DIRECTIONS: Final = {"literal": {True: "octa3", False: "ico3"}, "corrected": {True: "ico5", False: "ico3"}}
-"""High and low direction codebook: 258 is the paper's count, 252 the icosahedron's nearest; 92 is one in both."""
+"""High and low direction codebook: 258 is the paper's count, 252 the icosahedron's nearest; 92 is one in
+both.
+"""
 
 
 STILL, NOISE, MOVING = "still view, the same frame twice", "still view, noise of the sensor", "moving camera"

@@ -14,7 +14,9 @@ __all__ = ["TRENDS", "Bound", "Case", "Point", "Trend", "bounds", "trends"]
 
 
 class Case(NamedTuple):
-    """A setting of table 3: frames m, deadband k, and whether directions are fine (258 or 252) or coarse (92)."""
+    """A setting of table 3: frames m, deadband k, and whether directions are fine (258 or 252) or coarse
+    (92).
+    """
 
     m: int
     k: float

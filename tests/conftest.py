@@ -29,7 +29,9 @@ gc.disable()  # until all are collected: what is imported stays
 
 
 def pytest_collection_finish() -> None:
-    """Modules and tests stay until the end: the collector of garbage need not go through them again and again."""
+    """Modules and tests stay until the end: the collector of garbage need not go through them again and
+    again.
+    """
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000)

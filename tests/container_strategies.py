@@ -1,4 +1,6 @@
-"""What may stand in a ``.touch`` file, and what may not: both derived from the table of the format; a small file."""
+"""What may stand in a ``.touch`` file, and what may not: both derived from the table of the format; a small
+file.
+"""
 
 from __future__ import annotations
 
@@ -132,7 +134,9 @@ def _(kind: Array) -> Iterator[tuple[Any, bytes | None]]:
     for value, data in refused(kind.of):
         yield (value,) * kind.count, None if data is None else good * (kind.count - 1) + data
     yield from (((), None), (7, None), ("abc", None), ({1, 2}, None))
-    for shape in () if kind.most_bricks is None else ((4097, 4096, 4096), (1, 1 << 20, 1 << 16), (1 << 20,) * 3):
+    for shape in (
+        () if kind.most_bricks is None else ((4097, 4096, 4096), (1, 1 << 20, 1 << 16), (1 << 20,) * 3)
+    ):
         yield shape, struct.pack("<3I", *shape)
 
 
@@ -299,4 +303,11 @@ def assembled(
     index_offset = len(start) + len(head) + len(middle)
     length = index_offset + len(index) + len(after) + 40
     chain = zlib.crc32(start + head[-4:] + chained + index[-4:])
-    return start + head + middle + index + after + framed("TEND", struct.pack("<QQI", index_offset, length, chain))
+    return (
+        start
+        + head
+        + middle
+        + index
+        + after
+        + framed("TEND", struct.pack("<QQI", index_offset, length, chain))
+    )

@@ -91,7 +91,8 @@ def write_sun3d(folder: Path, colour: int = FRAMES) -> Path:
 def write_threedmatch(folder: Path) -> Path:
     for i, (depth, pose) in enumerate(zip(depths_mm(), poses())):
         write_png(
-            folder / "seq-01" / f"frame-{i:06d}.depth.png", np.where(depth == 0, 65535, depth).astype(np.uint16)
+            folder / "seq-01" / f"frame-{i:06d}.depth.png",
+            np.where(depth == 0, 65535, depth).astype(np.uint16),
         )
         write_matrix(folder / "seq-01" / f"frame-{i:06d}.pose.txt", pose)
     write_intrinsics(folder / "camera-intrinsics.txt")
@@ -113,7 +114,8 @@ def write_pfm(path: Path, values: np.ndarray, order: str = "<") -> Path:
     return path
 
 
-# -- folders as people have them: depth in millimetres, poses and cameras in their ways ------------------------------
+# -- folders as people have them: depth in millimetres, poses and cameras in their ways
+# ------------------------------
 
 
 def write_frames(folder: Path, depth: str = "depth/{:04d}.png", frames: int = FRAMES) -> Path:
@@ -164,7 +166,9 @@ def write_timed(folder: Path, name: str = "trajectory.txt") -> Path:
     for stamp, values in zip(stamps.tolist(), depths_mm()):
         write_png(folder / "depth" / f"{stamp}.png", values)
     write_intrinsics(folder / "intrinsics.txt")
-    lines = [f"{t / 1e9:.6f} " + " ".join(f"{x:.9g}" for x in row[1:]) for t, row in zip(stamps, tum_rows(stamps))]
+    lines = [
+        f"{t / 1e9:.6f} " + " ".join(f"{x:.9g}" for x in row[1:]) for t, row in zip(stamps, tum_rows(stamps))
+    ]
     (folder / name).write_text("# timestamp tx ty tz qx qy qz qw\n" + "\n".join(lines) + "\n")
     return folder
 
@@ -214,12 +218,17 @@ def write_colmap(folder: Path, scale: int = 2) -> Path:
     for i in (3, 0, 4, 1, 2):
         x, y, z, w = turns[i]
         shift = " ".join(f"{v:.9f}" for v in inverse[i, :3, 3])
-        lines += [f"{i + 1} {w:.9f} {x} {y:.9f} {z} {shift} 1 rgb/{i:04d}.jpg", "" if i == 4 else "1.5 2.5 -1 3 4 17"]
+        lines += [
+            f"{i + 1} {w:.9f} {x} {y:.9f} {z} {shift} 1 rgb/{i:04d}.jpg",
+            "" if i == 4 else "1.5 2.5 -1 3 4 17",
+        ]
     model = folder / "sparse" / "0"
     model.mkdir(parents=True)
     (model / "images.txt").write_text("\n".join(lines) + "\n")
     size = f"{scale * WIDTH} {scale * HEIGHT}"
-    camera = f"{scale * 20} {scale * 21} {scale * 6.0} {scale * 4.5}"  # COLMAP's pixel centres lie at one half
+    camera = (
+        f"{scale * 20} {scale * 21} {scale * 6.0} {scale * 4.5}"  # COLMAP's pixel centres lie at one half
+    )
     (model / "cameras.txt").write_text(f"# Camera list\n1 PINHOLE {size} {camera}\n")
     return folder
 
@@ -230,7 +239,11 @@ def write_nerfstudio(folder: Path) -> Path:
     (folder / "intrinsics.txt").unlink()
     turned = poses() @ np.diag([1.0, -1.0, -1.0, 1.0])
     frames = [
-        {"file_path": f"images/{i:04d}.png", "depth_file_path": f"depth/{i:04d}.png", "transform_matrix": m.tolist()}
+        {
+            "file_path": f"images/{i:04d}.png",
+            "depth_file_path": f"depth/{i:04d}.png",
+            "transform_matrix": m.tolist(),
+        }
         for i, m in reversed(list(enumerate(turned)))
     ]
     camera = {"w": 2 * WIDTH, "h": 2 * HEIGHT, "fl_x": 40.0, "fl_y": 42.0, "cx": 12.0, "cy": 9.0, "k1": 0.01}

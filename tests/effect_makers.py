@@ -122,14 +122,20 @@ def read_tact(path: Path) -> list[TactSpan]:
                     begin = one["startTime"]
                     span_ms = (begin + span["startTime"], begin + span["endTime"])
                     spans.append(TactSpan(position, *span_ms, dots.reshape(5, 4)))
-    return sorted((one for one in spans if one.intensities.any()), key=lambda one: (one.start_ms, one.position))
+    return sorted(
+        (one for one in spans if one.intensities.any()), key=lambda one: (one.start_ms, one.position)
+    )
 
 
 def read_force(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """The force that a file holds, at its keyframes: ascending seconds [n], and newtons along x, y, z [n, 3]."""
     document = read_hjif(path)
-    perception = next((one for one in document.perceptions if one.modality == "Force"), document.perceptions[0])
-    ends = [np.zeros(1, np.int64)]  # every tick at which a line begins or ends, and one at which an effect is over
+    perception = next(
+        (one for one in document.perceptions if one.modality == "Force"), document.perceptions[0]
+    )
+    ends = [
+        np.zeros(1, np.int64)
+    ]  # every tick at which a line begins or ends, and one at which an effect is over
     for band in (band for channel in perception.channels for band in channel.bands):
         effects = [effect for effect in band.effects if len(effect.ticks)]
         ends += [effect.position + effect.ticks for effect in effects]

@@ -42,7 +42,10 @@ def rendered_m(pose_bytes: bytes, box: tuple[float, float, float]) -> np.ndarray
     """Depth of each pixel, by sphere tracing; the pose as the bytes of float64 [4, 4]."""
     pose = np.frombuffer(pose_bytes).reshape(4, 4)
     v, u = np.mgrid[: SIZE[0], : SIZE[1]]
-    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(SIZE)], -1) @ pose[:3, :3].T
+    rays = (
+        np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(SIZE)], -1)
+        @ pose[:3, :3].T
+    )
     lengths, depth = np.linalg.norm(rays, axis=-1), np.full(SIZE, 0.3)
     for _ in range(60):
         depth = depth + distance_m(pose[:3, 3] + rays * depth[..., None], box) / lengths
@@ -64,7 +67,9 @@ class Room(DepthSequence):
     def __init__(self, poses: np.ndarray, boxes: list[tuple[float, float, float]] | None = None) -> None:
         self.frame_count, self.poses, rng = len(poses), poses, np.random.default_rng(1)
         self.boxes = boxes or [BOX_M] * len(poses)
-        self._depths = [kinect(rendered_m(p.tobytes(), b), rng) for p, b in zip(poses, self.boxes, strict=True)]
+        self._depths = [
+            kinect(rendered_m(p.tobytes(), b), rng) for p, b in zip(poses, self.boxes, strict=True)
+        ]
         self.first = poses[0]
 
     def depth_m(self, frame: int) -> np.ndarray:

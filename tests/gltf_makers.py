@@ -46,15 +46,22 @@ class Gltf:
         kind = {"count": len(values), "componentType": CODES[dtype], "type": KINDS[values.shape[1]]}
         return self.put("accessors", bufferView=self.view(values.tobytes()), **kind, **members)
 
-    def mesh(self, vertices: Any, faces: Any = None, targets: Any = (), mode: int = 4, **attributes: int) -> int:
-        primitive: dict[str, Any] = {"attributes": {"POSITION": self.array(vertices), **attributes}, "mode": mode}
+    def mesh(
+        self, vertices: Any, faces: Any = None, targets: Any = (), mode: int = 4, **attributes: int
+    ) -> int:
+        primitive: dict[str, Any] = {
+            "attributes": {"POSITION": self.array(vertices), **attributes},
+            "mode": mode,
+        }
         if faces is not None:
             primitive["indices"] = self.array(np.asarray(faces).reshape(-1), "<u2")
         if len(targets):
             primitive["targets"] = [{"POSITION": self.array(target)} for target in targets]
         return self.put("meshes", primitives=[primitive])
 
-    def animate(self, node: int, path: str, times: Any, values: Any, how: str = "LINEAR", to: int = 0) -> None:
+    def animate(
+        self, node: int, path: str, times: Any, values: Any, how: str = "LINEAR", to: int = 0
+    ) -> None:
         """Add a channel to animation `to`, which is made where there is none."""
         if to >= len(self.json.get("animations", [])):
             self.put("animations", name=f"move {to}", samplers=[], channels=[])
@@ -83,7 +90,9 @@ class Gltf:
 
 def glb(text: bytes, data: bytes) -> bytes:
     text, data = text + b" " * (-len(text) % 4), data + bytes(-len(data) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + data
+    chunks = (
+        struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + data
+    )
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
@@ -100,7 +109,9 @@ def everything() -> Gltf:
     gltf = Gltf()
     corners = np.array([[x, y, z] for y in (0, 1, 2) for x in (0, 1) for z in (0, 1)], float)
     joints = gltf.array([[0, 1, 0, 0]] * 12, "u1")
-    weights = gltf.array([[255, 0, 0, 0]] * 4 + [[128, 127, 0, 0]] * 4 + [[0, 255, 0, 0]] * 4, "u1", normalized=True)
+    weights = gltf.array(
+        [[255, 0, 0, 0]] * 4 + [[128, 127, 0, 0]] * 4 + [[0, 255, 0, 0]] * 4, "u1", normalized=True
+    )
     bone = gltf.put("nodes", children=[1])
     tip = gltf.put("nodes", translation=[0, 1, 0])
     faces = [[0, 1, 5], [0, 5, 4], [4, 5, 9], [4, 9, 8], [2, 7, 3], [2, 6, 7], [6, 11, 7], [6, 10, 11]]
@@ -130,10 +141,11 @@ def everything() -> Gltf:
 def chain_rig(
     joints: int = 40, triangles: int = 20_000, frames: int = 200, rate_hz: float = 60.0, rigid: bool = False
 ) -> Gltf:
-    """A snake on a chain of joints that swings: a closed tube of about so many triangles, its last frame at the end.
+    """A snake on a chain of joints that swings: a closed tube of about so many triangles, its last frame at
+    the end.
 
-    Smooth: each vertex goes with the two joints beside it. Rigid: a link for each joint, closed and apart from the
-    others, whose vertices go with that joint alone.
+    Smooth: each vertex goes with the two joints beside it. Rigid: a link for each joint, closed and apart
+    from the others, whose vertices go with that joint alone.
     """
     gltf = Gltf()
     length = joints - 1.0
@@ -153,7 +165,9 @@ def chain_rig(
     pairs = np.stack([low, np.minimum(low + 1, joints - 1), 0 * low, 0 * low], axis=1)
     weights = np.stack([1 - share, share, 0 * share, 0 * share], axis=1)
     nodes = [
-        gltf.put("nodes", translation=[0, float(j > 0), 0], **({"children": [j + 1]} if j + 1 < joints else {}))
+        gltf.put(
+            "nodes", translation=[0, float(j > 0), 0], **({"children": [j + 1]} if j + 1 < joints else {})
+        )
         for j in range(joints)
     ]
     bind = np.tile(np.eye(4), (joints, 1, 1))
@@ -165,7 +179,9 @@ def chain_rig(
     times = np.linspace(0, frames / rate_hz, 9)
     for j in nodes:
         swing = 0.16 * np.sin(2 * np.pi * times / times[-1] + 0.35 * j)
-        gltf.animate(j, "rotation", times, np.stack([0 * swing, 0 * swing, np.sin(swing / 2), np.cos(swing / 2)], 1))
+        gltf.animate(
+            j, "rotation", times, np.stack([0 * swing, 0 * swing, np.sin(swing / 2), np.cos(swing / 2)], 1)
+        )
     return gltf
 
 

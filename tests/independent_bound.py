@@ -1,7 +1,8 @@
-"""The error bound checked in float64, with nothing of the package: fields by numpy, bodies by docs/format/objects.md.
+"""The error bound checked in float64, with nothing of the package: fields by numpy, bodies by
+docs/format/objects.md.
 
-Each function takes dense arrays and returns the largest error in units of what is allowed, so that 1 or less keeps
-the bound. A voxel that may not be off at all, and is, counts as infinite.
+Each function takes dense arrays and returns the largest error in units of what is allowed, so that 1 or less
+keeps the bound. A voxel that may not be off at all, and is, counts as infinite.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ __all__ = [
     "same_support",
 ]
 
-_EDGE = 1e-6  # relative: how near an own force may be to the cut before float64 cannot tell on which side it is
+_EDGE = (
+    1e-6  # relative: how near an own force may be to the cut before float64 cannot tell on which side it is
+)
 _SUMS = 1e-11  # of the forces that are added: what the order of additions, and places in a cell, may change
 _FLOAT32 = 2.0**-21  # of a force: rounding to float32 in both fields, and the limit of the device
 
@@ -63,10 +66,11 @@ def direction_ratio(source: np.ndarray, decoded: np.ndarray, k: float, f0_n: flo
 
 
 def hidden_n(source: np.ndarray, spacing_m: Sequence[float], share: float, radius_m: float) -> np.ndarray:
-    """Share of the mean |F| around, weighted by exp(-2 d^2 / R^2) without the voxel itself; float64 [x, y, z].
+    """Share of the mean |F| around, weighted by exp(-2 d^2 / R^2) without the voxel itself; float64 [x, y,
+    z].
 
-    Around are boxes of as many samples as fit into R along each axis that has more than one. Bricks of 8^3 samples
-    without a force hide nothing.
+    Around are boxes of as many samples as fit into R along each axis that has more than one. Bricks of 8^3
+    samples without a force hide nothing.
     """
     size, shape = _lengths(source), source.shape[:3]
     reach = [int(radius_m / h * (1 + 1e-9)) if n > 1 else 0 for h, n in zip(spacing_m, shape)]
@@ -176,9 +180,9 @@ def composed_ratio(
 ) -> float:
     """Largest |error| / max(F_0, k |F|) of the composed force of a frame, less what float64 cannot tell.
 
-    `pairs` are each body's source and what was decoded of it; `lattice` the shape, spacing and origin of the samples;
-    `limits` k, F_0, the force that sums are cut to, and the surface damping b. The source's fields lie where the
-    decoded poses are, and move as the source's poses do.
+    `pairs` are each body's source and what was decoded of it; `lattice` the shape, spacing and origin of the
+    samples; `limits` k, F_0, the force that sums are cut to, and the surface damping b. The source's fields
+    lie where the decoded poses are, and move as the source's poses do.
     """
     shape, spacing, origin = lattice
     k, f0_n, force_max_n, damping = limits

@@ -51,6 +51,8 @@ def stage_responses(*omegas: Any) -> tuple[NDArray[np.float64], NDArray[np.float
 
 
 def stage_passband(*omegas: Any) -> NDArray[np.bool_]:
-    """Test frequencies (radians a sample, any real): do they lie in the cell that one stage of either chain keeps?"""
+    """Test frequencies (radians a sample, any real): do they lie in the cell that one stage of either chain
+    keeps?
+    """
     folded = [np.abs((np.asarray(w, np.float64) + np.pi) % (2 * np.pi) - np.pi) for w in omegas]
     return np.asarray(sum(folded) <= len(omegas) * np.pi / 2)

@@ -31,7 +31,9 @@ class Torus(Shape):
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
         out = np.hypot(points[:, 0], points[:, 1])
-        across = np.divide(points[:, :2], out[:, None], out=np.zeros((len(points), 2)), where=out[:, None] > 0)
+        across = np.divide(
+            points[:, :2], out[:, None], out=np.zeros((len(points), 2)), where=out[:, None] > 0
+        )
         local = np.column_stack([out - self.ring_m, points[:, 2]])
         far = np.linalg.norm(local, axis=1)
         unit = local / np.maximum(far, 1e-12)[:, None]
@@ -66,9 +68,9 @@ def body(kind: str, r: float, turn: Float64s, shift_m: Float64s, grid: Grid = GR
 def terrain(seed: int) -> ForceField:
     """A wall over hills, felt from above."""
     rng = np.random.default_rng(seed)
-    x, y, z = GRID.to_m(np.stack(np.meshgrid(*(np.arange(n) for n in GRID.shape), indexing="ij"), -1)).transpose(
-        3, 0, 1, 2
-    )
+    x, y, z = GRID.to_m(
+        np.stack(np.meshgrid(*(np.arange(n) for n in GRID.shape), indexing="ij"), -1)
+    ).transpose(3, 0, 1, 2)
     height, slope = np.zeros_like(x), np.zeros((2, *x.shape))
     for k, phase in zip(rng.normal(0, 40, (6, 2)), rng.uniform(0, 2 * np.pi, 6), strict=True):
         wave = k[0] * x + k[1] * y + phase

@@ -26,8 +26,12 @@ def cube(low: float = 0.0, high: float = 1.0) -> Mesh:
     return low + corners * (high - low), CUBE_FACES
 
 
-def measured(scene: MeshScene, grid: Grid, band_m: float, low_m: float | None = None) -> tuple[np.ndarray, ...]:
-    """Points [n, 3], signed distances and directions where a law that is nowhere zero in the band puts a force."""
+def measured(
+    scene: MeshScene, grid: Grid, band_m: float, low_m: float | None = None
+) -> tuple[np.ndarray, ...]:
+    """Points [n, 3], signed distances and directions where a law that is nowhere zero in the band puts a
+    force.
+    """
     law = ForceProfile(((-band_m if low_m is None else low_m, band_m, 4.0, 1 / band_m),))
     field = scene.field(0, grid, law)
     forces = field.vectors_n().astype(float)

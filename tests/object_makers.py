@@ -37,7 +37,9 @@ def moving_scene(frame_count: int = 7, deforming: bool = True, surface_damping: 
     world = Grid((20, 18, 16), (0.002, 0.002, 0.0025), (-0.019, -0.017, 0.0))
     objects = [
         HapticObject(
-            "tumbler", HapticMedium.from_frames([ball(own, 0.0045)], 1000.0), tumbling(frame_count, 0.003, 0.02)
+            "tumbler",
+            HapticMedium.from_frames([ball(own, 0.0045)], 1000.0),
+            tumbling(frame_count, 0.003, 0.02),
         ),
         HapticObject(
             "stand", HapticMedium.from_frames([ball(world, 0.012, 0.5)], 1000.0), PoseTrack.still(frame_count)
@@ -46,16 +48,21 @@ def moving_scene(frame_count: int = 7, deforming: bool = True, surface_damping: 
     if deforming:
         breathing = [ball(own, 0.003 + 0.0002 * i, 1.0 + 0.1 * i) for i in range(frame_count)]
         objects.append(
-            HapticObject("balloon", HapticMedium.from_frames(breathing, 1000.0), tumbling(frame_count, -0.008, -0.01))
+            HapticObject(
+                "balloon", HapticMedium.from_frames(breathing, 1000.0), tumbling(frame_count, -0.008, -0.01)
+            )
         )
-    return HapticScene(world, 1000.0, tuple(objects), 1.25, surface_damping, "x east, y north, z up", 0.2, 0.1)
+    return HapticScene(
+        world, 1000.0, tuple(objects), 1.25, surface_damping, "x east, y north, z up", 0.2, 0.1
+    )
 
 
 def head_of(scene: HapticScene, encoder: ObjectsEncoder, spec: PaperSpec | None = None) -> Head:
     """The head of a file of a scene."""
     return Head(
         grid_shape=scene.grid.shape, spacing_m=scene.grid.spacing_m, origin_m=scene.grid.origin_m,
-        rate_hz=scene.rate_hz, frame_count=scene.frame_count, axes=scene.axes, device_name="made up", device_type=1,
+        rate_hz=scene.rate_hz, frame_count=scene.frame_count, axes=scene.axes, device_name="made "
+                                                                                           "up", device_type=1,
         force_max_n=scene.force_max_n, mapping_scale=1.0, mapping_offset_m=(0.0, 0.0, 0.0),
         weber_fraction=(spec or PaperSpec()).k, force_threshold_n=F0_N, friction=scene.friction,
         damping_n_s_per_m=scene.damping_n_s_per_m, tags=scene.tags, coder=encoder.name,

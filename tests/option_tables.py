@@ -18,8 +18,8 @@ STUB: Final = "<stub>"
 class Case:
     """An option with a value, and the only leaves of the calls that change: end of the path -> new value.
 
-    `beside` are further arguments, without which the option means nothing; they are given in the default run, too.
-    {tmp} in a text stands for the folder of the test.
+    `beside` are further arguments, without which the option means nothing; they are given in the default run,
+    too. {tmp} in a text stands for the folder of the test.
     """
 
     text: str | None
@@ -267,7 +267,11 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "friction": case("0.4", "texture_of.friction", 0.4),
         "full-scale-m-s2": case("20", "read_recording.full_scale_m_s2", 20.0),
         "into": case(
-            "{tmp}/in.touch", "store_materials.stream", "{tmp}/in.touch", store_materials=CALLED, write_table=MISSING
+            "{tmp}/in.touch",
+            "store_materials.stream",
+            "{tmp}/in.touch",
+            store_materials=CALLED,
+            write_table=MISSING,
         ),
         "plot": case(_DRAWN, "draw_textures.path", _DRAWN, draw_textures=CALLED),
     },
@@ -286,7 +290,8 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "source": case("scene.stl", "view.against", "scene.stl"),
         "device": case("phantom-omni", "view.devices", ("phantom-omni",)),
         "out": Case(
-            "{tmp}/page.html", {"view().save": CALLED, "view().save.0": "{tmp}/page.html", "view().open.0": STUB}
+            "{tmp}/page.html",
+            {"view().save": CALLED, "view().save.0": "{tmp}/page.html", "view().open.0": STUB},
         ),
         "no-open": Case(None, {"view().open": MISSING}, "--out {tmp}/page.html"),
     },
@@ -304,7 +309,8 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
             {"play().write_log": CALLED, "play().write_log.0": "{tmp}/log.csv", "spec.is_logged": True},
         ),
         "plot": Case(
-            _DRAWN, {"play().draw": CALLED, "play().draw.0": _DRAWN, "spec.is_logged": True, "spec.is_drawn": True}
+            _DRAWN,
+            {"play().draw": CALLED, "play().draw.0": _DRAWN, "spec.is_logged": True, "spec.is_drawn": True},
         ),
         "check": Case(None, {"play": MISSING, "check_play": CALLED, "check_play.path": "{tmp}/in.touch"}),
         "bridge": Case(None, {"Bridge": CALLED, "Bridge.stream": "{tmp}/in.touch", "play.watch": STUB}),
@@ -338,12 +344,16 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "clutch-mm": case("1,-2,3", "render.clutch_m", (0.001, -0.002, 0.003)),
         "gravity-n": case("0,-1,0.5", "render.gravity_n", (0.0, -1.0, 0.5)),
         "no-blend": case(None, "render.blend", False),
-        "tool": Case("sphere:0.004", {"play.spec.render.tool": MISSING, "render.tool.name": "sphere of 4 mm"}),
+        "tool": Case(
+            "sphere:0.004", {"play.spec.render.tool": MISSING, "render.tool.name": "sphere of 4 mm"}
+        ),
         "materials": Case(
-            "oak.json", {"read_materials": CALLED, "read_materials.path": "oak.json", "render.materials": STUB}
+            "oak.json",
+            {"read_materials": CALLED, "read_materials.path": "oak.json", "render.materials": STUB},
         ),
         "deformation": Case(
-            "bent.npz", {"read_deformation": CALLED, "read_deformation.path": "bent.npz", "render.deformation": STUB}
+            "bent.npz",
+            {"read_deformation": CALLED, "read_deformation.path": "bent.npz", "render.deformation": STUB},
         ),
     },
     "serve": _address("8099"),

@@ -1,6 +1,8 @@
-"""Fields of every source that has a GPU kernel, on the processor and on numba's simulator of a GPU, and what differs.
+"""Fields of every source that has a GPU kernel, on the processor and on numba's simulator of a GPU, and what
+differs.
 
-Run by `test_cuda` in a process of its own: ``NUMBA_ENABLE_CUDASIM`` is read once. Prints one JSON object: newtons.
+Run by `test_cuda` in a process of its own: ``NUMBA_ENABLE_CUDASIM`` is read once. Prints one JSON object:
+newtons.
 """
 
 from __future__ import annotations
@@ -56,7 +58,9 @@ def queries() -> dict[str, Any]:
     """Between two frames and between two others, of voxels and of an object, at points inside and outside."""
     rng = np.random.default_rng(4)
     grid = Grid((20, 18, 16), (0.001, 0.002, 0.003), (0.0, 0.0, 0.0))
-    fields = [ForceField.from_dense(grid, rng.normal(0, 1, (*grid.shape, 3)).astype(np.float32)) for _ in range(4)]
+    fields = [
+        ForceField.from_dense(grid, rng.normal(0, 1, (*grid.shape, 3)).astype(np.float32)) for _ in range(4)
+    ]
     medium = HapticMedium.from_frames(fields, 30.0)
     places = PoseTrack(np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)), rng.normal(0, 0.002, (4, 3)))
     points, out = rng.uniform(-0.002, 0.05, (100, 3)), {}

@@ -67,7 +67,9 @@ def test_exact_distances_never_change_faster_than_the_way(name: str, a: np.ndarr
 @given(st.floats(-180, 180), st.floats(-180, 180), st.floats(-180, 180), points)
 def test_a_turned_box_is_the_box_seen_from_elsewhere(x: float, y: float, z: float, at: np.ndarray) -> None:
     half, turned = (0.03, 0.02, 0.04), Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.04), (x, y, z))
-    rotation = pytest.importorskip("scipy.spatial.transform").Rotation.from_euler("xyz", [x, y, z], degrees=True)
+    rotation = pytest.importorskip("scipy.spatial.transform").Rotation.from_euler(
+        "xyz", [x, y, z], degrees=True
+    )
     seen = rotation.inv().apply(at)
     np.testing.assert_allclose(phi_of(turned, at), phi_of(Box((0.0, 0.0, 0.0), half), seen), atol=1e-12)
 
@@ -101,7 +103,9 @@ def test_superquadric_distance_keeps_its_documented_bounds(name: str) -> None:
 def test_a_round_superquadric_is_the_sphere() -> None:
     at = np.random.default_rng(5).uniform(-0.1, 0.1, (1000, 3))
     sphere, round_ = Sphere((0.01, 0.02, 0.0), 0.05), Superquadric((0.01, 0.02, 0.0), (0.05,) * 3, (1.0, 1.0))
-    for a, b in zip(sphere.signed_distance_and_normal(at), round_.signed_distance_and_normal(at), strict=True):
+    for a, b in zip(
+        sphere.signed_distance_and_normal(at), round_.signed_distance_and_normal(at), strict=True
+    ):
         np.testing.assert_allclose(a, b, atol=1e-14)
 
 
@@ -165,11 +169,15 @@ def test_a_thin_wall_is_found_in_a_fine_grid_without_visiting_all_of_it() -> Non
 def test_bounds() -> None:
     sphere, plane = Sphere((0.0, 0.0, 1.0), 0.5), Plane((0.0, 0.0, -2.0), (0.0, 0.0, 3.0))
     np.testing.assert_allclose(AnalyticScene([sphere]).bounds_m(), [[-0.5, -0.5, 0.5], [0.5, 0.5, 1.5]])
-    turned = AnalyticScene([sphere]).moved(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([2.0, 0, 0]))
+    turned = AnalyticScene([sphere]).moved(
+        np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([2.0, 0, 0])
+    )
     np.testing.assert_allclose(turned.bounds_m(), [[1.5, -0.5, 0.5], [2.5, 0.5, 1.5]], atol=1e-12)
     alone = AnalyticScene([plane]).bounds_m()
     np.testing.assert_allclose(alone, [[-0.5, -0.5, -2.0], [0.5, 0.5, -2.0]], atol=1e-12)
-    np.testing.assert_allclose(AnalyticScene([plane, sphere]).bounds_m(), [[-0.5, -0.5, -2.0], [0.5, 0.5, 1.5]])
+    np.testing.assert_allclose(
+        AnalyticScene([plane, sphere]).bounds_m(), [[-0.5, -0.5, -2.0], [0.5, 0.5, 1.5]]
+    )
     small = AnalyticScene([plane, Sphere((0.0, 0.0, 1.0), 0.25)])  # of the plane its point alone
     np.testing.assert_allclose(small.bounds_m(), [[-0.25, -0.25, -2.0], [0.25, 0.25, 1.25]])
     assert AnalyticScene([sphere]).is_solid
@@ -268,7 +276,9 @@ def test_toml_faults_name_the_file_and_the_field(tmp_path: Path, old: str, new: 
 
 @given(st.binary(max_size=60))
 @settings(max_examples=40)
-def test_any_bytes_give_a_scene_or_a_source_error(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+def test_any_bytes_give_a_scene_or_a_source_error(
+    tmp_path_factory: pytest.TempPathFactory, data: bytes
+) -> None:
     path = tmp_path_factory.mktemp("toml") / "x.toml"
     path.write_bytes(data)
     with pytest.raises(SourceError):

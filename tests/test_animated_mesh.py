@@ -45,11 +45,14 @@ def spinning(vertices: Any, faces: Any, times: Any = (0, 1), degrees: Any = (0, 
     """A mesh that turns about z."""
     gltf = Gltf()
     node = gltf.put("nodes", mesh=gltf.mesh(vertices, faces))
-    gltf.animate(node, "rotation", times, [Rotation.from_euler("z", d, degrees=True).as_quat() for d in degrees])
+    gltf.animate(
+        node, "rotation", times, [Rotation.from_euler("z", d, degrees=True).as_quat() for d in degrees]
+    )
     return gltf
 
 
-# -- opening -------------------------------------------------------------------------------------------------------
+# -- opening
+# -------------------------------------------------------------------------------------------------------
 
 
 def test_a_file_with_an_animation_is_an_animated_mesh_and_others_are_meshes(tmp_path: Path) -> None:
@@ -95,7 +98,15 @@ def test_options_choose_animation_rate_and_unit(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("duration_s", "rate_hz", "count"),
-    [(1, 60, 60), (0.7, 10, 7), (17 / 24, 60, 43), (1 / 3, 30, 10), (0.001, 60, 1), (0, 60, 1), (83 / 24, 24, 83)],
+    [
+        (1, 60, 60),
+        (0.7, 10, 7),
+        (17 / 24, 60, 43),
+        (1 / 3, 30, 10),
+        (0.001, 60, 1),
+        (0, 60, 1),
+        (83 / 24, 24, 83),
+    ],
 )
 def test_the_frames_are_the_times_before_the_end(
     duration_s: float, rate_hz: float, count: int, tmp_path: Path
@@ -122,7 +133,8 @@ def test_frames_may_be_asked_for_in_any_order(tmp_path: Path) -> None:
     np.testing.assert_array_equal(high, np.max(forwards, axis=(0, 1)))
 
 
-# -- which vertices are one ----------------------------------------------------------------------------------------
+# -- which vertices are one
+# ----------------------------------------------------------------------------------------
 
 
 def test_corners_without_indices_are_joined_and_close(tmp_path: Path) -> None:
@@ -178,7 +190,8 @@ def test_a_shape_that_is_a_point_at_rest_is_welded_by_its_motion(tmp_path: Path)
     assert inside.any()
 
 
-# -- fields --------------------------------------------------------------------------------------------------------
+# -- fields
+# --------------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=20)
@@ -186,7 +199,9 @@ def test_a_shape_that_is_a_point_at_rest_is_welded_by_its_motion(tmp_path: Path)
 def test_a_surface_with_other_vertices_is_the_surface_of_those_vertices(seed: int) -> None:
     rng = np.random.default_rng(seed)
     mesh = trimesh.creation.icosphere(subdivisions=1)
-    turned = np.asarray(mesh.vertices) * rng.uniform(0.3, 2, 3) + rng.normal(size=(len(mesh.vertices), 3)) * 0.05
+    turned = (
+        np.asarray(mesh.vertices) * rng.uniform(0.3, 2, 3) + rng.normal(size=(len(mesh.vertices), 3)) * 0.05
+    )
     first = Surface(mesh.vertices, mesh.faces, "mesh")
     reused, fresh = first.with_vertices(turned), Surface(turned, mesh.faces, "mesh")
     np.testing.assert_array_equal(reused.triangles, fresh.triangles)
@@ -227,7 +242,8 @@ def test_a_moved_scene_moves_along(tmp_path: Path) -> None:
         scene.moved(2 * turn, shift)
 
 
-# -- motion --------------------------------------------------------------------------------------------------------
+# -- motion
+# --------------------------------------------------------------------------------------------------------
 
 
 def test_a_translating_mesh_adds_damping_times_its_velocity_where_there_is_a_force(tmp_path: Path) -> None:
@@ -263,16 +279,21 @@ def test_a_spinning_mesh_adds_the_velocity_of_its_nearest_point(tmp_path: Path) 
 
 
 def test_the_ends_of_an_animation_have_the_velocity_of_what_there_is(tmp_path: Path) -> None:
-    step = AnimatedMeshScene(moving_cube([[0, 0, 0], [3, 0, 0], [3, 0, 0]], [0, 0.5, 1]).save(tmp_path / "a.gltf"))
+    step = AnimatedMeshScene(
+        moving_cube([[0, 0, 0], [3, 0, 0], [3, 0, 0]], [0, 0.5, 1]).save(tmp_path / "a.gltf")
+    )
     for frame, expected in ((0, 6.0), (29, 6.0), (30, 3.0), (31, 0.0), (59, 0.0)):
         np.testing.assert_allclose(step.velocities_m_s(frame)[:, 0], expected, atol=1e-9)
-    odd = AnimatedMeshScene(moving_cube([[0, 0, 0], [3, 0, 0]], [0, 1]).save(tmp_path / "c.gltf"), rate_hz=5.3)
+    odd = AnimatedMeshScene(
+        moving_cube([[0, 0, 0], [3, 0, 0]], [0, 1]).save(tmp_path / "c.gltf"), rate_hz=5.3
+    )
     np.testing.assert_allclose(odd.velocities_m_s(5)[:, 0], 3.0, atol=1e-9)  # half a frame later it is over
     still = AnimatedMeshScene(moving_cube([[0, 0, 0]], [0]).save(tmp_path / "b.gltf"))
     np.testing.assert_array_equal(still.velocities_m_s(0), np.zeros((8, 3)))
 
 
-# -- real models ---------------------------------------------------------------------------------------------------
+# -- real models
+# ---------------------------------------------------------------------------------------------------
 
 
 def fox_by_hand(path: Path, animation: int, time_s: float) -> np.ndarray:
@@ -301,7 +322,9 @@ def fox_by_hand(path: Path, animation: int, time_s: float) -> np.ndarray:
 
     def world(number: int) -> np.ndarray:
         node, local = nodes[number], np.eye(4)
-        local[:3, :3] = Rotation.from_quat(node.get("rotation", [0, 0, 0, 1])).as_matrix() * node.get("scale", 1.0)
+        local[:3, :3] = Rotation.from_quat(node.get("rotation", [0, 0, 0, 1])).as_matrix() * node.get(
+            "scale", 1.0
+        )
         local[:3, 3] = node.get("translation", [0, 0, 0])
         parents = [i for i, other in enumerate(nodes) if number in other.get("children", [])]
         return world(parents[0]) @ local if parents else local

@@ -55,7 +55,8 @@ def medium_of(forces: NDArray[np.float64]) -> tf.HapticMedium:
     return tf.HapticMedium.from_array(forces, GRID, 20.0)
 
 
-# -- names ----------------------------------------------------------------------------------------------------------
+# -- names
+# ----------------------------------------------------------------------------------------------------------
 
 
 def test_every_name_is_there_and_the_rooms_open_by_themselves() -> None:
@@ -89,7 +90,14 @@ def test_a_program_of_a_user_is_checked_by_mypy(tmp_path: Path) -> None:
     for name, text in programs.items():
         (tmp_path / name).write_text(text)
     # a checkout on the path stands for what is installed; py.typed makes its types known
-    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--ignore-missing-imports"]
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--strict",
+        "--follow-imports=silent",
+        "--ignore-missing-imports",
+    ]
     command += ["--config-file=", f"--cache-dir={os.devnull}", *programs]
     environment = {"MYPYPATH": str(ROOT / "src"), "PATH": "/usr/bin:/bin"}
     done = subprocess.run(
@@ -97,11 +105,14 @@ def test_a_program_of_a_user_is_checked_by_mypy(tmp_path: Path) -> None:
     )
     assert done.returncode == 1 and done.stderr == "", done.stdout + done.stderr
     *told, total = done.stdout.splitlines()
-    assert "in 1 file (checked 2 source files)" in total and all(line.startswith("bad.py:") for line in told), told
+    assert "in 1 file (checked 2 source files)" in total and all(
+        line.startswith("bad.py:") for line in told
+    ), told
     assert "no_such_name" in done.stdout and "Incompatible types" in done.stdout
 
 
-# -- media ----------------------------------------------------------------------------------------------------------
+# -- media
+# ----------------------------------------------------------------------------------------------------------
 
 
 def test_an_array_becomes_a_medium_that_can_be_cut_and_asked(forces: NDArray[np.float64]) -> None:
@@ -138,17 +149,24 @@ def test_a_plot_is_a_figure_and_a_file(forces: NDArray[np.float64], tmp_path: Pa
     assert (tmp_path / "seen.png").read_bytes().startswith(b"\x89PNG")
 
 
-# -- coding ---------------------------------------------------------------------------------------------------------
+# -- coding
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_media_fields_and_arrays_are_coded_as_they_are(forces: NDArray[np.float64], tmp_path: Path) -> None:
     exact = tf.EncodeSpec(touch=tf.codec.TouchSpec(mode="lossless"))
     out = tmp_path / "x.touch"
-    for source, grid, frames in ((medium_of(forces), None, 3), (medium_of(forces)[0], None, 1), (forces, GRID, 3)):
+    for source, grid, frames in (
+        (medium_of(forces), None, 3),
+        (medium_of(forces)[0], None, 1),
+        (forces, GRID, 3),
+    ):
         done = tf.encode(source, out, exact, grid=grid)
         back = tf.decode(out)
         assert len(back) == frames and back.grid == GRID
-        assert np.array_equal(back[0].to_dense(), forces[0].astype(np.float32)), "5 N, beyond F_max, and not scaled"
+        assert np.array_equal(back[0].to_dense(), forces[0].astype(np.float32)), (
+            "5 N, beyond F_max, and not scaled"
+        )
         assert done.file_bytes == out.stat().st_size
         told = tf.compare(medium_of(forces)[:frames], out).summary()
         assert told["nmse_db"] is None and told["mask_violations"] == 0
@@ -163,7 +181,8 @@ def test_what_a_decoded_medium_is_made_of_stays_open_as_long_as_it_is_used(
     assert tf.decode(out)[1:][0].support_count == 64
 
 
-# -- copies ---------------------------------------------------------------------------------------------------------
+# -- copies
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_values_can_be_copied_and_sent_to_other_processes(forces: NDArray[np.float64]) -> None:
@@ -184,19 +203,27 @@ def test_what_is_no_field_is_not_added(forces: NDArray[np.float64]) -> None:
         medium_of(forces)[0] + 1.0  # type: ignore[operator]
 
 
-# -- words ----------------------------------------------------------------------------------------------------------
+# -- words
+# ----------------------------------------------------------------------------------------------------------
 
 
-def test_values_and_results_tell_of_themselves_in_one_line(forces: NDArray[np.float64], tmp_path: Path) -> None:
+def test_values_and_results_tell_of_themselves_in_one_line(
+    forces: NDArray[np.float64], tmp_path: Path
+) -> None:
     medium = medium_of(forces)
     done = tf.encode(medium, tmp_path / "x.touch")
     compared = tf.compare(medium, tmp_path / "x.touch")
     assert not compared.notes  # no option was given that could do nothing
     with tf.open_stream(tmp_path / "x.touch") as stream:
-        told = [repr(v) for v in (medium, medium[0], done, done.prepared, compared, stream.medium, tf.EncodeSpec())]
+        told = [
+            repr(v)
+            for v in (medium, medium[0], done, done.prepared, compared, stream.medium, tf.EncodeSpec())
+        ]
     assert all("\n" not in words and len(words) < 1600 for words in told)
     assert all(len(words) < 300 for words in told[:-1])
-    assert told[0] == ("<HapticMedium: 3 frames at 20 Hz on 16 x 16 x 16 samples of 6.25 x 6.25 x 6.25 mm; x, y, z>")
+    assert told[0] == (
+        "<HapticMedium: 3 frames at 20 Hz on 16 x 16 x 16 samples of 6.25 x 6.25 x 6.25 mm; x, y, z>"
+    )
     assert "64 of 4,096 samples" in told[1]
 
 

@@ -61,7 +61,9 @@ def test_bars_count_outside_of_benchmarks_only(provenance: Any) -> None:
 
 def test_c_by_its_tokens(provenance: Any) -> None:
     code = 'int a = 1; // one\nchar *s = "// no comment";\n'
-    assert provenance.c_meaning(code) == provenance.c_meaning('int a = 1; /* 1 */\n\n  char *s = "// no comment";')
+    assert provenance.c_meaning(code) == provenance.c_meaning(
+        'int a = 1; /* 1 */\n\n  char *s = "// no comment";'
+    )
     assert provenance.c_meaning(code) != provenance.c_meaning(code.replace("no comment", "a comment"))
     assert provenance.c_meaning(code) != provenance.c_meaning(code.replace("1;", "2;"))
 
@@ -104,12 +106,18 @@ def test_of_imports_the_names_count_and_not_the_modules(provenance: Any) -> None
 def test_a_trace_has_what_a_process_loads_and_the_files_of_its_packages(tmp_path: Path) -> None:
     script = tmp_path / "traced.py"
     script.write_text(
-        f"import subprocess, sys\nsys.path.insert(0, {str(BENCH)!r})\nimport provenance\ntrace = provenance.Trace()\n"
-        "subprocess.run([sys.executable, '-c', 'import touchfield.devices, touchfield.filters.fir'], check=True)\n"
+        f"import subprocess, sys\nsys.path.insert(0, {str(BENCH)!r})\nimport provenance\ntrace = "
+        "provenance.Trace()\n"
+        "subprocess.run([sys.executable, '-c', 'import touchfield.devices, touchfield.filters.fir'], "
+        "check=True)\n"
         "print(*trace.files(['c/*.h']), sep='\\n')\n"
     )
-    files = subprocess.run([sys.executable, script], check=True, capture_output=True, text=True).stdout.split()
-    assert {"src/touchfield/filters/fir.py", "src/touchfield/devices/profiles/omega.3.toml", "c/touch.h"} <= {*files}
+    files = subprocess.run(
+        [sys.executable, script], check=True, capture_output=True, text=True
+    ).stdout.split()
+    assert {"src/touchfield/filters/fir.py", "src/touchfield/devices/profiles/omega.3.toml", "c/touch.h"} <= {
+        *files
+    }
     assert "bench/provenance.py" not in files and "src/touchfield/codec/touch/encoder.py" not in files
 
 
@@ -121,7 +129,12 @@ def test_exact_figures_are_bytes_and_errors_and_no_times(machine: Any) -> None:
         "absent": [],
         "none_db": None,
     }
-    exact = {"object/file_bytes": 19515, "object/nmse_db": -20.5, "rows/a/supported_voxels": 7, "rows/1/voxels": 8}
+    exact = {
+        "object/file_bytes": 19515,
+        "object/nmse_db": -20.5,
+        "rows/a/supported_voxels": 7,
+        "rows/1/voxels": 8,
+    }
     assert machine.exact_figures(figures) == exact
     assert machine.exact_figures(figures, ["rows/*"]) == {k: v for k, v in exact.items() if k[0] == "o"}
 
@@ -157,7 +170,9 @@ def test_how_a_script_ends(
     (tmp_path / "bench_it.py").write_text(code)
     for is_shown in (True, False):
         outcome = (
-            run_all.run("it", True, 1.0, is_shown) if "sleep" in code else run_all.run("it", True, 30.0, is_shown)
+            run_all.run("it", True, 1.0, is_shown)
+            if "sleep" in code
+            else run_all.run("it", True, 30.0, is_shown)
         )
         assert (outcome.verdict, outcome.is_failure) == (verdict, is_failure)
         if "sleep" in code:

@@ -1,4 +1,6 @@
-"""Bodies in motion: against the formula at every sample, against fields that are carried along, and their laws."""
+"""Bodies in motion: against the formula at every sample, against fields that are carried along, and their
+laws.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ seeds = st.integers(0, 2**32 - 1)
 
 def track(seed: int, count: int = 3, spread_m: float = 0.04) -> PoseTrack:
     rng = np.random.default_rng(seed)
-    return PoseTrack(Rotation.random(count, random_state=rng).as_quat(), rng.uniform(-spread_m, spread_m, (count, 3)))
+    return PoseTrack(
+        Rotation.random(count, random_state=rng).as_quat(), rng.uniform(-spread_m, spread_m, (count, 3))
+    )
 
 
 def samples(grid: Grid) -> np.ndarray:
@@ -56,7 +60,9 @@ def by_formula(scene: AnalyticScene, poses: PoseTrack, frame: int, profile: Forc
 @settings(max_examples=6)
 @given(seeds, st.sampled_from([WALL, AROUND]), st.integers(0, 2))
 def test_the_field_is_the_sum_of_the_formulas(seed: int, profile: ForceProfile, frame: int) -> None:
-    bodies = [Body(str(n), scene, track(seed + n, spread_m=0.08)) for n, scene in enumerate((BALL, BOX, PILL))]
+    bodies = [
+        Body(str(n), scene, track(seed + n, spread_m=0.08)) for n, scene in enumerate((BALL, BOX, PILL))
+    ]
     bodies.append(Body("floor", FLOOR, PoseTrack.still(3)))
     field = BodyScene(bodies, RATE_HZ).field(frame, GRID, profile)
     expected = sum(by_formula(body.scene, body.track, frame, profile) for body in bodies)  # type: ignore[arg-type]
@@ -95,10 +101,16 @@ def test_a_mesh_that_is_moved(seed: int, is_open: bool) -> None:
     vertices, faces = TETRA
     kept = faces[1:] if is_open else faces
     scene, poses = MeshScene(vertices, kept, name="tent"), track(seed, 1)
-    scene.field(0, GRID, AROUND)  # what is kept of the mesh at rest must not be taken for that of the moved one
+    scene.field(
+        0, GRID, AROUND
+    )  # what is kept of the mesh at rest must not be taken for that of the moved one
     moved = scene.moved(poses.rotation(0), poses.positions_m[0])
     afresh = MeshScene(poses.to_scene(vertices, 0), kept)
-    assert (moved.is_closed, moved.is_one_sided, moved.name) == (afresh.is_closed, afresh.is_one_sided, "tent")
+    assert (moved.is_closed, moved.is_one_sided, moved.name) == (
+        afresh.is_closed,
+        afresh.is_one_sided,
+        "tent",
+    )
     np.testing.assert_allclose(moved.bounds_m(), afresh.bounds_m(), atol=1e-12)
     found, expected = (one.field(0, GRID, AROUND).to_dense() for one in (moved, afresh))
     off = np.abs(found - expected).max(axis=-1) > 1e-5
@@ -113,7 +125,8 @@ def test_a_motion_that_is_none() -> None:
                 scene.moved(matrix, np.zeros(3))
 
 
-# -- the two ways to a field ----------------------------------------------------------------------------------------
+# -- the two ways to a field
+# ----------------------------------------------------------------------------------------
 
 OWN = Grid.over_box((-0.048,) * 3, (0.048,) * 3, (48,) * 3)
 """The lattice of each body, 2 mm."""
@@ -133,14 +146,17 @@ def carried(bodies: list[Body], profile: ForceProfile, force_max_n: float = 100.
 @settings(max_examples=6)
 @given(seeds, st.sampled_from([BALL, BOX]))
 def test_both_ways_have_their_edges_within_one_voxel(seed: int, scene: AnalyticScene) -> None:
-    """Interpolation has a force where a corner of the cell has one: at most a voxel's diagonal beyond the edge."""
+    """Interpolation has a force where a corner of the cell has one: at most a voxel's diagonal beyond the
+    edge.
+    """
     bodies = [Body("one", scene, track(seed, 2))]
     ours = BodyScene(bodies, RATE_HZ).field(1, GRID, WALL)
     points = samples(GRID)
     own = bodies[0].track.to_body(points, 1)
     phi, _ = scene.shapes[0].signed_distance_and_normal(own)
     has_ours, has_other = (
-        dense.any(axis=-1).reshape(-1) for dense in (ours.to_dense(), carried(bodies, WALL).voxelise()[1].to_dense())
+        dense.any(axis=-1).reshape(-1)
+        for dense in (ours.to_dense(), carried(bodies, WALL).voxelise()[1].to_dense())
     )
     from_edge = np.minimum(np.abs(phi), np.abs(phi - WALL.low_m))
     assert has_ours.sum() > 1000
@@ -150,7 +166,9 @@ def test_both_ways_have_their_edges_within_one_voxel(seed: int, scene: AnalyticS
 @settings(max_examples=6)
 @given(seeds)
 def test_both_ways_have_one_force_to_the_voxel_size(seed: int) -> None:
-    """Away from the edges the two differ by at most L times a voxel's diagonal, L the law's Lipschitz constant."""
+    """Away from the edges the two differ by at most L times a voxel's diagonal, L the law's Lipschitz
+    constant.
+    """
     bodies = [Body("one", BALL, track(seed, 2))]
     ours = BodyScene(bodies, RATE_HZ).field(1, GRID, WALL).to_dense().reshape(-1, 3)
     other = carried(bodies, WALL).voxelise()[1].to_dense().reshape(-1, 3)
@@ -198,7 +216,8 @@ def _phi(body: Body, frame: int) -> np.ndarray:
     return body.scene.shapes[0].signed_distance_and_normal(own)[0]
 
 
-# -- surface damping ------------------------------------------------------------------------------------------------
+# -- surface damping
+# ------------------------------------------------------------------------------------------------
 
 
 def test_a_moving_body_drags_a_hand_that_rests() -> None:
@@ -216,7 +235,8 @@ def test_a_moving_body_drags_a_hand_that_rests() -> None:
     assert (dragged - at_rest)[ball][:, 0].mean() > 1
 
 
-# -- bounds ---------------------------------------------------------------------------------------------------------
+# -- bounds
+# ---------------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=20)
@@ -235,13 +255,19 @@ def test_the_bounds_hold_every_body_in_every_frame(seed: int) -> None:
 
 
 def test_a_plane_counts_with_its_point_among_others() -> None:
-    ball, floor = Body("ball", BALL, PoseTrack.still(2)), Body("floor", FLOOR, PoseTrack.still(2, (0.1, 0.0, 0.0)))
+    ball, floor = (
+        Body("ball", BALL, PoseTrack.still(2)),
+        Body("floor", FLOOR, PoseTrack.still(2, (0.1, 0.0, 0.0))),
+    )
     bounds = BodyScene([ball, floor], RATE_HZ).bounds_m()
     np.testing.assert_allclose(bounds, [[-0.03, -0.03, -0.06], [0.1, 0.03, 0.03]])
-    np.testing.assert_allclose(BodyScene([floor], RATE_HZ).bounds_m(), FLOOR.bounds_m() + np.array([0.1, 0.0, 0.0]))
+    np.testing.assert_allclose(
+        BodyScene([floor], RATE_HZ).bounds_m(), FLOOR.bounds_m() + np.array([0.1, 0.0, 0.0])
+    )
 
 
-# -- what is kept, and what cannot be -------------------------------------------------------------------------------
+# -- what is kept, and what cannot be
+# -------------------------------------------------------------------------------
 
 
 class Counted(Scene):

@@ -18,8 +18,8 @@ the same                                                   1024   32      63 %  
 plug-in I(X;Y), independent AR(1) in 8 levels              4096   64       0 %      100 %
 ========================================================= ===== ==== ========== ==========
 
-Bias-corrected estimators, independent draws in 64 blocks: H of p ~ 1/rank, K = 1000, n = 20 000, and I(X;Y) = 0 of
-independent X and Y uniform over 8, n = 4096 (300 draws; 100 for I):
+Bias-corrected estimators, independent draws in 64 blocks: H of p ~ 1/rank, K = 1000, n = 20 000, and I(X;Y) =
+0 of independent X and Y uniform over 8, n = 4096 (300 draws; 100 for I):
 
 ============== ======= ========= ==============================================================================
 estimator      H basic our own
@@ -29,9 +29,9 @@ miller-madow      64 %      96 % I: 100 %
 chao-wang-jost    59 %      97 % I: 100 %
 ============== ======= ========= ==============================================================================
 
-A ratio H(M(W)) / H(W) of what a mapping M leaves of W is resampled in pairs (`paired_ratio`): the same blocks of
-both. Coverage, and width beside that of the opposite corners of two our own intervals, of W as above and 300
-draws of a plug-in ratio; corners cover 97 % to 100 %:
+A ratio H(M(W)) / H(W) of what a mapping M leaves of W is resampled in pairs (`paired_ratio`): the same blocks
+of both. Coverage, and width beside that of the opposite corners of two our own intervals, of W as above and
+300 draws of a plug-in ratio; corners cover 97 % to 100 %:
 
 ========================================================= ===== ==== ====== ==============
 W and M                                                       n    B paired width/corners
@@ -49,10 +49,11 @@ the same                                                   4096   64   90 %     
 binary Markov chain, the lesser of each two samples        4096   64   92 %           0.16
 ========================================================= ===== ==== ====== ==============
 
-Miller-Madow ratios of the same: 88 % to 97 % (100 draws). Of fields of 64^3 samples in 64 boxes, 150 draws, smoothed
-so that samples 2 (4) apart still agree: half the lattice and half the levels 96 % (91 %) at an eighth of the width of
-corners; an array of 32 x 32 that takes the maximum of the depth 90 % at six tenths (73 % at half). Its boxes are
-columns of 8 x 8 samples, which is too few for a dependence over 4, and corners cover 98 % there.
+Miller-Madow ratios of the same: 88 % to 97 % (100 draws). Of fields of 64^3 samples in 64 boxes, 150 draws,
+smoothed so that samples 2 (4) apart still agree: half the lattice and half the levels 96 % (91 %) at an
+eighth of the width of corners; an array of 32 x 32 that takes the maximum of the depth 90 % at six tenths (73
+% at half). Its boxes are columns of 8 x 8 samples, which is too few for a dependence over 4, and corners
+cover 98 % there.
 """
 
 from __future__ import annotations
@@ -93,7 +94,8 @@ def counted(symbols: Ints, blocks: int, alphabet: int) -> Ints:
     return np.bincount(owner * alphabet + symbols, minlength=blocks * alphabet).reshape(blocks, alphabet)
 
 
-# -- the interval -----------------------------------------------------------------------------------------------
+# -- the interval
+# -----------------------------------------------------------------------------------------------
 
 
 def by_hand(
@@ -107,7 +109,9 @@ def by_hand(
     estimate, centre = statistic(counts.sum(axis=0)), np.mean(values)
     low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
     reach = (
-        math.sqrt(blocks / (blocks - 1)) * stats.t.ppf((1 + level) / 2, blocks - 1) / stats.norm.ppf((1 + level) / 2)
+        math.sqrt(blocks / (blocks - 1))
+        * stats.t.ppf((1 + level) / 2, blocks - 1)
+        / stats.norm.ppf((1 + level) / 2)
     )
     middle = 2 * estimate - centre
     return [min(middle - reach * (high - centre), estimate), max(middle + reach * (centre - low), estimate)]
@@ -171,7 +175,8 @@ def test_coverage_on_dependent_sources(
     assert percentile <= percentile_at_most * 100 and percentile <= ours
 
 
-# -- statistics that take their own bias off -------------------------------------------------------------------
+# -- statistics that take their own bias off
+# -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", [*ESTIMATORS])
@@ -220,9 +225,13 @@ def test_a_width_is_only_missing_where_nothing_varies() -> None:
 
     def information(c: Ints) -> float:
         t = c.reshape(2, 2)
-        return max(0.0, entropy_bits(t.sum(0)) + entropy_bits(t.sum(1)) - entropy_bits(t)) + 1e-3 * (t[0, 0] % 7)
+        return max(0.0, entropy_bits(t.sum(0)) + entropy_bits(t.sum(1)) - entropy_bits(t)) + 1e-3 * (
+            t[0, 0] % 7
+        )
 
-    made = interval(information, joint * [[1], [2], [1], [3], [1], [2], [1], [1], [5], [1]], bounds=(0.0, math.inf))
+    made = interval(
+        information, joint * [[1], [2], [1], [3], [1], [2], [1], [1], [5], [1]], bounds=(0.0, math.inf)
+    )
     assert made.low < made.high
     flat = interval(lambda c: -0.0, joint, corrects_bias=True)
     assert (str(flat.low), str(flat.high)) == ("0.0", "0.0")

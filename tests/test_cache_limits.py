@@ -1,7 +1,9 @@
-"""Every cache with a limit, from both sides: what it keeps is not made again, and it keeps no more than it may.
+"""Every cache with a limit, from both sides: what it keeps is not made again, and it keeps no more than it
+may.
 
-Elsewhere: `tests/stream/test_remote.py` (bytes of a file elsewhere), `test_live_medium.py` (segments of a receiver),
-`tests/job/test_frames_ahead.py` (segments decoded ahead), `tests/render/test_arena.py` (frames of the block).
+Elsewhere: `tests/stream/test_remote.py` (bytes of a file elsewhere), `test_live_medium.py` (segments of a
+receiver), `tests/job/test_frames_ahead.py` (segments decoded ahead), `tests/render/test_arena.py` (frames of
+the block).
 """
 
 from __future__ import annotations
@@ -73,7 +75,9 @@ class Pictures(DepthSequence):
     def __init__(self, count: int) -> None:
         self.name, self.intrinsics, self.rate_hz = "pictures", Intrinsics(20.0, 20.0, 9.5, 7.5), 10.0
         self.frame_count, self.width, self.height, self.notes = count, 20, 16, ()
-        self.made = Made(lambda i: (2.0 - 0.01 * i + 0.002 * np.arange(20) + np.zeros((16, 1))).astype(np.float32))
+        self.made = Made(
+            lambda i: (2.0 - 0.01 * i + 0.002 * np.arange(20) + np.zeros((16, 1))).astype(np.float32)
+        )
 
     def depth_m(self, frame: int) -> np.ndarray:
         depth: np.ndarray = self.made(frame)
@@ -81,7 +85,9 @@ class Pictures(DepthSequence):
 
 
 @pytest.mark.parametrize("room", [0, 3, 100])
-def test_frames_of_a_search_are_kept_as_far_as_memory_allows(room: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_of_a_search_are_kept_as_far_as_memory_allows(
+    room: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(rate_control, "_MOST_BYTES_KEPT", room * field(0).forces_n.nbytes)
     made = Made(field)
     prepared: Any = replace_medium(medium(8, made))
@@ -170,7 +176,9 @@ def test_worlds_are_kept_for_sixteen_lattices(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("room", [0, 4, 1000])
-def test_planes_of_pictures_are_kept_as_far_as_memory_allows(room: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_planes_of_pictures_are_kept_as_far_as_memory_allows(
+    room: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(fused_scene, "_KEPT_PLANES_BYTES", 16 * 20 * 16 * room)
     scene = FusedScene(Pictures(10))
     made: list[int] = []
@@ -214,7 +222,9 @@ def test_datagrams_wait_for_a_lost_message_within_their_memory(
         assert out[-1] == messages[-1] and gathering.lost == len(messages) - len(out) > 0
 
 
-def test_an_index_of_files_is_described_within_its_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_index_of_files_is_described_within_its_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from touchfield.tasks import library
 
     taken = []

@@ -53,7 +53,9 @@ def test_what_is_no_pose_is_refused_by_its_number(matrix: np.ndarray, words: str
     st.lists(st.integers(0, 1000), max_size=20, unique=True), st.lists(st.integers(0, 1000), max_size=20),
     st.integers(0, 60),
 )  # fmt: skip
-def test_nearest_in_time_is_what_brute_force_finds(times: list[int], wanted: list[int], tolerance: int) -> None:
+def test_nearest_in_time_is_what_brute_force_finds(
+    times: list[int], wanted: list[int], tolerance: int
+) -> None:
     known, asked = np.array(sorted(times), float), np.array(wanted, float)
     found = poses.nearest_in_time(known, asked, tolerance)
     for t, i in zip(asked, found):

@@ -29,7 +29,9 @@ def entropy(value: float, low: float | None = None, high: float | None = None, *
 
 
 def joint_bits(shape: tuple[int, int], mapping: Callable[[NDArray[np.int64]], NDArray[np.int64]]) -> float:
-    """H(M(W)) of all binary images of a shape, each as likely as any other: the joint entropy of what M gives."""
+    """H(M(W)) of all binary images of a shape, each as likely as any other: the joint entropy of what M
+    gives.
+    """
     frames = itertools.product((0, 1), repeat=math.prod(shape))
     found = Counter(mapping(np.reshape(f, shape)).tobytes() for f in frames)
     return float(stats.entropy(list(found.values()), base=2))
@@ -44,7 +46,8 @@ def valid_box(image: NDArray[np.int64]) -> NDArray[np.int64]:
     return sum(image[i : i + 2, j : j + 2] for i in range(3) for j in range(3))  # type: ignore[return-value]
 
 
-# -- numbers of the theory --------------------------------------------------------------------------------------
+# -- numbers of the theory
+# --------------------------------------------------------------------------------------
 
 
 def test_box_sum_of_a_periodic_image() -> None:
@@ -73,7 +76,8 @@ def test_the_omni_alone_keeps_one_sample_in_125(per_sample: float) -> None:
     assert found.hil.value == pytest.approx(0.992, rel=1e-12)
 
 
-# -- laws -------------------------------------------------------------------------------------------------------
+# -- laws
+# -------------------------------------------------------------------------------------------------------
 
 
 @given(bits, bits, bits)
@@ -121,7 +125,8 @@ def test_an_interval_that_misses_its_estimate_is_widened_to_it() -> None:
     assert (spread.low, spread.high) == (0.0, 0.5)
 
 
-# -- guards -----------------------------------------------------------------------------------------------------
+# -- guards
+# -----------------------------------------------------------------------------------------------------
 
 
 def test_the_min_guards_against_upsampling_and_says_so() -> None:
@@ -175,7 +180,8 @@ def test_the_summary_is_json() -> None:
     assert table["wmr"]["value"] == 0.6 and table["hil"]["interval"]["low"] == pytest.approx(0.25)
 
 
-# -- bad input --------------------------------------------------------------------------------------------------
+# -- bad input
+# --------------------------------------------------------------------------------------------------
 
 
 def asked(**changes: object) -> Capacity:
@@ -186,7 +192,10 @@ def asked(**changes: object) -> Capacity:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"reference": Quantity("H(S)", 1.2, "bit/sample")}, "reference: found .* bit/sample; expected .*bit/frame"),
+        (
+            {"reference": Quantity("H(S)", 1.2, "bit/sample")},
+            "reference: found .* bit/sample; expected .*bit/frame",
+        ),
         ({"rendered": Quantity("H(S)", 1.2, "bit")}, "rendered: found .* bit; expected .*bit/frame"),
         ({"reference": entropy(-0.1)}, "reference: found H = -0.1"),
         ({"rendered": entropy(math.nan, notes=("none",))}, "rendered: found H = nan"),

@@ -18,6 +18,7 @@ import pytest
 from PIL import Image
 
 import touchfield as tf
+from touchfield import pipeline
 from touchfield.cli.main import _exit_code, open_rooms
 from touchfield.medium.stores.npz import write_npz
 from touchfield.pipeline.comparison import Comparison
@@ -94,7 +95,10 @@ def test_options_reach_the_job(monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
         assert took.pop() == replace(usual, **expected), words
     for command, told in (
         ("encode no.stl s3://b/out.touch --target-bytes 9000", "not with an address"),
-        ("encode no.stl out.touch --target-bytes 9 --workers processes:2", "--workers works without --target-bytes"),
+        (
+            "encode no.stl out.touch --target-bytes 9 --workers processes:2",
+            "--workers works without --target-bytes",
+        ),
         ("encode no.stl out.zarr --target-nmse-db -20", "not with .zarr"),
         ("live no.stl - --coarse", "--coarse: found a pipe"),
         ("live no.stl out.touch", "OUT: found 'out.touch'"),
@@ -354,7 +358,9 @@ def test_compare_leaves_a_picture_that_it_did_not_draw(
     drawn = beside.read_bytes()
     monkeypatch.setattr(Comparison, "draw", lambda self, path: Path(path).write_bytes(drawn + b"again"))
     assert _exit_code(["compare", str(sphere), str(stream)]) == 0
-    assert usual.read_bytes() == holiday and beside.read_bytes() == drawn + b"again", "its own it may draw again"
+    assert usual.read_bytes() == holiday and beside.read_bytes() == drawn + b"again", (
+        "its own it may draw again"
+    )
     capsys.readouterr()
     assert _exit_code(["compare", str(sphere), str(stream), "--picture", str(usual)]) == 2
     assert "left as it is" in capsys.readouterr().err
@@ -395,7 +401,10 @@ def test_bits_of_a_supported_voxel_are_the_same_in_info_and_compare(
     compared = json.loads(capsys.readouterr().out)
     for key in ("decoded_supported_voxels", "bits_per_decoded_voxel"):
         assert info[key] == compared[key] > 0
-    for of in ({**info, "n": info["decoded_supported_voxels"]}, {**compared, "n": compared["supported_voxels"]}):
+    for of in (
+        {**info, "n": info["decoded_supported_voxels"]},
+        {**compared, "n": compared["supported_voxels"]},
+    ):
         each = of.get("bits_per_supported_voxel", of["bits_per_decoded_voxel"])
         assert each * of["n"] == pytest.approx(8 * stream.stat().st_size)
 
@@ -448,7 +457,19 @@ def test_the_help_is_in_groups_and_ends_in_examples(
     assert sum(line.lstrip("│ ").startswith("--") for line in first.splitlines()) == 10
     assert "[default: half" in printed, "what stands in brackets is no markup"
     assert "touchfield encode scan.ply" in printed.split("Examples:")[1]
-    made = ("filter", "field", "plan", "decode", "export", "import", "edit", "splice", "resample", "lod", "partition")
+    made = (
+        "filter",
+        "field",
+        "plan",
+        "decode",
+        "export",
+        "import",
+        "edit",
+        "splice",
+        "resample",
+        "lod",
+        "partition",
+    )
     for command in (*made, "info", "compare", "measure", "play"):
         assert _exit_code([command, "--help"]) == 0
         assert f"touchfield {command} " in capsys.readouterr().out.split("Examples:")[1], command
@@ -491,7 +512,8 @@ def test_each_command_is_found_in_its_room() -> None:
     program = (
         "import sys\n"
         "for name in sys.argv[1:]:\n"
-        "    for old in [one for one in sys.modules if one.partition('.')[0] == 'touchfield']: del sys.modules[old]\n"
+        "    for old in [one for one in sys.modules if one.partition('.')[0] == 'touchfield']: del "
+        "sys.modules[old]\n"
         "    from touchfield.cli.main import COMMANDS, open_rooms\n"
         "    names = [one.name or one.callback.__name__ for one in open_rooms([name]).registered_commands]\n"
         "    rooms = {room for room in COMMANDS.values() if f'touchfield.cli.{room}' in sys.modules}\n"
@@ -499,5 +521,7 @@ def test_each_command_is_found_in_its_room() -> None:
     )
     names = {room: name for name, room in COMMANDS.items()}.values()
     subprocess.run([sys.executable, "-c", program, *names], check=True)
-    everything = [one.name or getattr(one.callback, "__name__", "") for one in open_rooms().registered_commands]
+    everything = [
+        one.name or getattr(one.callback, "__name__", "") for one in open_rooms().registered_commands
+    ]
     assert everything == list(COMMANDS)

@@ -67,7 +67,9 @@ def test_what_measure_prints_is_what_it_tells_as_json(stream: Path, capsys: Capt
     supported = told["voxels_per_frame"] * told["frames"] * told["occupancy"]
 
     def number(row: str) -> float:
-        return float(next(line for line in printed.splitlines() if line.startswith(row))[len(row) :].split()[0])
+        return float(
+            next(line for line in printed.splitlines() if line.startswith(row))[len(row) :].split()[0]
+        )
 
     assert told["frames"] == 2 and supported == pytest.approx(told["supported_voxels"])
     assert number("this file") == pytest.approx(8 * stream.stat().st_size / supported, rel=1e-4)
@@ -81,7 +83,10 @@ def test_what_measure_prints_is_what_it_tells_as_json(stream: Path, capsys: Capt
 def test_measure_of_devices(sphere: Path, capsys: Capture) -> None:
     words = ["measure", str(sphere), "--nw", "5", "--no-limits", "--json"]
     assert (
-        _exit_code([*words, "--device", "tshirt-32x32", "--device", "phantom-omni", "--quantiser", "weber:0.25"]) == 0
+        _exit_code(
+            [*words, "--device", "tshirt-32x32", "--device", "phantom-omni", "--quantiser", "weber:0.25"]
+        )
+        == 0
     )
     found = json.loads(capsys.readouterr().out)
     assert found["coding_limits"] is None and list(found["capacity"]) == ["tshirt-32x32", "phantom-omni"]
@@ -89,12 +94,16 @@ def test_measure_of_devices(sphere: Path, capsys: Capture) -> None:
         wmr, hil = (capacity[key]["value"] for key in ("wmr", "hil"))
         assert wmr + hil == pytest.approx(1, abs=1e-12)
         assert capacity["rendered"]["value"] <= capacity["codomain_bits"] + 1e-9
-    assert found["capacity"]["tshirt-32x32"]["wmr"]["value"] < found["capacity"]["phantom-omni"]["wmr"]["value"]
+    assert (
+        found["capacity"]["tshirt-32x32"]["wmr"]["value"] < found["capacity"]["phantom-omni"]["wmr"]["value"]
+    )
     assert any("finer than the medium's" in note for note in found["notes"])
 
 
 def test_what_the_paper_s_device_loses_of_a_finer_medium(sphere: Path, capsys: Capture) -> None:
-    """Five samples of W along each axis for one of the device's: some 1/125 of the bits are left (docs/theory)."""
+    """Five samples of W along each axis for one of the device's: some 1/125 of the bits are left
+    (docs/theory).
+    """
     words = ["measure", str(sphere), "--nw", "6", "--no-limits", "--json", "--device", "phantom-omni"]
     wmr = {}
     for density in ("1", "2", "5"):
@@ -115,7 +124,15 @@ def test_measure_along_a_trace(stream: Path, tmp_path: Path, capsys: Capture) ->
     places = held[:: len(held) // 60][:60]
     rows = "\n".join(f"{a:.4f},{x:.6f},{y:.6f},{z:.6f}" for a, (x, y, z) in zip(t, places))
     trace.write_text(f"t_s,x_m,y_m,z_m\n{rows}\n")
-    words = ["measure", str(stream), "--no-limits", "--over", f"interaction:{trace}", "--estimator", "miller-madow"]
+    words = [
+        "measure",
+        str(stream),
+        "--no-limits",
+        "--over",
+        f"interaction:{trace}",
+        "--estimator",
+        "miller-madow",
+    ]
     assert _exit_code([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["entropy"]
     assert found["weighting"] == "interaction" and found["samples"] == 60
@@ -149,7 +166,10 @@ def test_measure_takes_a_medium_and_a_scene() -> None:
     ],
 )
 def test_measure_says_what_is_wrong(sphere: Path, words: list[str], says: str, capsys: Capture) -> None:
-    assert _exit_code(["measure", str(sphere), *(["--nw", "4"] if "--nw" not in words else []), *words]) in (1, 2)
+    assert _exit_code(["measure", str(sphere), *(["--nw", "4"] if "--nw" not in words else []), *words]) in (
+        1,
+        2,
+    )
     said = capsys.readouterr().err
     assert says in said and said.count("\n") == 1 and "Traceback" not in said
 
@@ -210,7 +230,9 @@ def test_filter_of_a_stream(stream: Path, tmp_path: Path, capsys: Capture) -> No
 def test_a_still_scene_is_there_for_the_whole_trace(sphere: Path, tmp_path: Path, capsys: Capture) -> None:
     trace = tmp_path / "slow.csv"
     t = np.arange(200) / 100  # two seconds, and a scene of one frame
-    rows = "\n".join(f"{a:.3f},{20 * np.sin(3 * a):.4f},{15 * np.cos(2 * a):.4f},{5 * np.sin(a):.4f}" for a in t)
+    rows = "\n".join(
+        f"{a:.3f},{20 * np.sin(3 * a):.4f},{15 * np.cos(2 * a):.4f},{5 * np.sin(a):.4f}" for a in t
+    )
     trace.write_text(f"t_s,x_mm,y_mm,z_mm\n{rows}\n")
     words = ["measure", str(sphere), "--nw", "5", "--no-limits", "--over", f"interaction:{trace}", "--json"]
     assert _exit_code(words) == 0
@@ -221,7 +243,17 @@ def test_a_report_on_forces_beyond_the_device(stream: Path, tmp_path: Path, caps
     strong = tmp_path / "strong.npz"
     medium = pipeline.prepare(stream).medium
     pipeline.write_field(strong, HapticMedium.from_frames([medium[0].scaled(4.0)], 30.0))
-    words = ["filter", str(strong), str(tmp_path / "o.npz"), "--nw", "5", "--gaussian", "6mm", "--report", "--json"]
+    words = [
+        "filter",
+        str(strong),
+        str(tmp_path / "o.npz"),
+        "--nw",
+        "5",
+        "--gaussian",
+        "6mm",
+        "--report",
+        "--json",
+    ]
     assert _exit_code(words) == 0
     stages = json.loads(capsys.readouterr().out)["report"]["stages"]
     assert all(stage["greatest_n"] <= 3.3 + 1e-6 for stage in stages) and stages[0]["nmse_db"] is None
@@ -235,14 +267,25 @@ def test_filter_says_what_is_wrong_before_it_works(stream: Path, tmp_path: Path,
     assert "OUT.touch" in capsys.readouterr().err
 
 
-def test_a_range_of_frames_keeps_the_clock_of_the_trace(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_range_of_frames_keeps_the_clock_of_the_trace(
+    stream: Path, tmp_path: Path, capsys: Capture
+) -> None:
     with pipeline.open_stream(stream) as opened:
         rate_hz, field = opened.medium.rate_hz, opened.medium[1]
     place = field.grid.to_m(field.positions()[len(field.positions()) // 2])
     t = (1 + np.linspace(0.05, 0.9, 30)) / rate_hz  # while the second frame is there
     trace = tmp_path / "second.csv"
     trace.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{a},{place[0]},{place[1]},{place[2]}\n" for a in t))
-    words = ["measure", str(stream), "--no-limits", "--over", f"interaction:{trace}", "--frames", "1:2", "--json"]
+    words = [
+        "measure",
+        str(stream),
+        "--no-limits",
+        "--over",
+        f"interaction:{trace}",
+        "--frames",
+        "1:2",
+        "--json",
+    ]
     assert _exit_code(words) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["entropy"]["samples"] == 30 and told["file_bits"] is None, "the file has other frames, too"

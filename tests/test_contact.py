@@ -17,7 +17,9 @@ from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Sphere
 
-any_number = st.floats(-1e300, 1e300) | st.floats(-10, 10) | st.sampled_from([0.0, 5e-324, -5e-324, 1e-310, 1e-160])
+any_number = (
+    st.floats(-1e300, 1e300) | st.floats(-10, 10) | st.sampled_from([0.0, 5e-324, -5e-324, 1e-310, 1e-160])
+)
 vectors = st.tuples(any_number, any_number, any_number)
 slip_speeds = st.floats(1e-300, 1e300) | st.just(0.001) | st.just(5e-324)
 
@@ -42,14 +44,17 @@ def power(force: NDArray[np.float64], velocity: tuple[float, ...]) -> tuple[floa
     return math.fsum(f * v), 2 * np.finfo(float).eps * float((np.abs(f) * np.abs(v)).sum())
 
 
-# -- friction ---------------------------------------------------------------------------------------------------
+# -- friction
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_friction_slides_and_sticks() -> None:
     force = np.array([0.0, 0.0, 2.0])
     assert friction_n(force, [0.3, -0.4, 5.0], 0.5) == pytest.approx([-0.6, 0.8, 0.0], rel=1e-12)
     assert friction_n(-force, [0.3, -0.4, 5.0], 0.5) == pytest.approx([-0.6, 0.8, 0.0], rel=1e-12)
-    assert friction_n(force, [3e-4, -4e-4, 1.0], 0.5) == pytest.approx([-0.3, 0.4, 0.0], rel=1e-12)  # half of v_s
+    assert friction_n(force, [3e-4, -4e-4, 1.0], 0.5) == pytest.approx(
+        [-0.3, 0.4, 0.0], rel=1e-12
+    )  # half of v_s
     assert friction_n(force, [3e-4, -4e-4, 1.0], 0.5, 5e-4) == pytest.approx([-0.6, 0.8, 0.0], rel=1e-12)
     for still in (
         friction_n(force, [0, 0, 7.0], 0.5),
@@ -93,7 +98,8 @@ def test_friction_always_takes_energy_and_keeps_to_its_cone(
 def work(force: NDArray[np.float64], velocity: NDArray[np.float64]) -> Fraction:
     """F . v, without any rounding."""
     return sum(
-        (Fraction(f) * Fraction(v) for f, v in zip(force.tolist(), velocity.tolist(), strict=True)), Fraction()
+        (Fraction(f) * Fraction(v) for f, v in zip(force.tolist(), velocity.tolist(), strict=True)),
+        Fraction(),
     )
 
 
@@ -137,7 +143,8 @@ def test_friction_is_odd_in_the_velocity_and_even_in_the_force(
     assert np.array_equal(friction_n(np.negative(force), velocity, 0.7), made)
 
 
-# -- a field that is touched ------------------------------------------------------------------------------------
+# -- a field that is touched
+# ------------------------------------------------------------------------------------
 
 
 def test_a_sliding_point_comes_to_rest_without_gaining_energy() -> None:

@@ -157,7 +157,8 @@ def test_what_is_told_of_a_recording(plain: ContactScene, tmp_path: Path) -> Non
         open_source(written(tmp_path / "a.csv", four), SourceOptions(frame="camera"))
 
 
-# -- MCAP -----------------------------------------------------------------------------------------------------------
+# -- MCAP
+# -----------------------------------------------------------------------------------------------------------
 
 
 def mcap_file(path: Path, messages: list[tuple[str, str, str, float, bytes]]) -> Path:
@@ -224,7 +225,9 @@ def test_mcap_of_json_and_of_ros(tmp_path: Path) -> None:
         open_source(tmp_path / "b.mcap")
     with pytest.raises(SourceError, match=r"c\.mcap"):
         open_source(mcap_file(tmp_path / "c.mcap", [(*ros[0][:4], ros[0][4][:8])]))
-    with pytest.raises(SourceError, match="found a message of 40 bytes; expected a PoseStamped of at least 52"):
+    with pytest.raises(
+        SourceError, match="found a message of 40 bytes; expected a PoseStamped of at least 52"
+    ):
         open_source(mcap_file(tmp_path / "c.mcap", [(*ros[0][:4], ros[0][4][:40])]))
 
 
@@ -232,8 +235,13 @@ def test_the_place_of_a_force_in_mcap_is_that_of_its_time(tmp_path: Path) -> Non
     def message(topic: str, what: str, time_s: float, *values: float) -> tuple[str, str, str, float, bytes]:
         return topic, "Probe", "json", time_s, json.dumps({what: dict(zip("xyz", values))}).encode()
 
-    place = [message("/p", "position", 2, 4, 0, -2), message("/p", "position", 0, 0, 0, 2)]  # not in their order
-    force = [message("/f", "force", time_s, time_s, 5, 6) for time_s in (1.5, 0.5, 9)]  # the last is after the places
+    place = [
+        message("/p", "position", 2, 4, 0, -2),
+        message("/p", "position", 0, 0, 0, 2),
+    ]  # not in their order
+    force = [
+        message("/f", "force", time_s, time_s, 5, 6) for time_s in (1.5, 0.5, 9)
+    ]  # the last is after the places
     others = [message("/q", "position", 3, 7, 7, 7), message("/g", "force", 3, 8, 8, 8)]
     trace = recorded_contacts(mcap_file(tmp_path / "a.mcap", [*place, *force, *others]))
     assert trace is not None
@@ -270,7 +278,8 @@ def test_a_real_recording(tmp_path: Path, shared_data: Path) -> None:
     assert np.sqrt((left**2).mean() / (trace.forces_n**2).mean()) < 0.3
 
 
-# -- played again ---------------------------------------------------------------------------------------------------
+# -- played again
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_a_recording_is_felt_again_along_its_own_path(tmp_path: Path) -> None:

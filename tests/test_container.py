@@ -30,12 +30,16 @@ from touchfield.container.records import RECORDS, Pair, Row, SegmentEntry, rows_
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError
 
 LAYOUTS = [*(record.layout for record in RECORDS), Pair, SegmentEntry]
-ROWS = [pytest.param(row, id=f"{layout.__name__}.{row.name}") for layout in LAYOUTS for row in rows_of(layout)]
+ROWS = [
+    pytest.param(row, id=f"{layout.__name__}.{row.name}") for layout in LAYOUTS for row in rows_of(layout)
+]
 UNITS = {"_n_s_per_m": "N s/m", "_m": "m", "_hz": "Hz", "_n": "N"}
 TYPES = [Whole("u8"), Array(Real(-2, 2), 2), Listed(Text(4), 3)]
 
 
-def write(path: Path, head: Head, bodies: list[tuple[int, bytes]], provenance: dict[str, str] | None = None) -> None:
+def write(
+    path: Path, head: Head, bodies: list[tuple[int, bytes]], provenance: dict[str, str] | None = None
+) -> None:
     """A file of segments of (frame_count, body)."""
     first = 0
     with TouchWriter(path) as writer:
@@ -75,7 +79,9 @@ def test_values_out_of_bounds_are_refused_on_both_sides(row: Row) -> None:
         with pytest.raises(InvalidArgument, match=rf"RECORD\.{row.name}.*found .*; expected "):
             row.kind.encode(value, f"RECORD.{row.name}")
         if data is not None:
-            with pytest.raises(CorruptFile, match=rf"^test: RECORD\.{row.name}.* at byte \d+: found .*; expected "):
+            with pytest.raises(
+                CorruptFile, match=rf"^test: RECORD\.{row.name}.* at byte \d+: found .*; expected "
+            ):
                 row.kind.decode(cursor_on(data), f"RECORD.{row.name}")
 
 

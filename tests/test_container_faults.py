@@ -145,7 +145,12 @@ def test_random_payloads_with_a_right_crc_are_refused_or_read(data: st.DataObjec
     for _ in range(data.draw(st.integers(0, 4))):
         begin = data.draw(st.integers(0, len(payload)))
         payload[begin : begin + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
-    records = {"HEAD": HEAD, "PROV": b"", "SEGM": SEGMENT, tag: framed(tag, bytes(payload), int(tag != "PROV"))}
+    records = {
+        "HEAD": HEAD,
+        "PROV": b"",
+        "SEGM": SEGMENT,
+        tag: framed(tag, bytes(payload), int(tag != "PROV")),
+    }
     offset = 14 + len(records["HEAD"]) + len(records["PROV"])
     records.setdefault("INDX", index_of(entry_of(records["SEGM"], offset)))
     with suppress(CorruptFile):
@@ -162,12 +167,16 @@ def test_an_end_that_is_damaged_is_told_from_one_that_is_missing() -> None:
 def test_what_takes_more_than_the_memory_is_not_read_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A file may have holes: its size says nothing about what was paid for it."""
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", f"{100 / 2**30:.12f}")
-    with pytest.raises(InvalidArgument, match=r"to be read at once; expected at most .* TOUCHFIELD_MEMORY_GIB"):
+    with pytest.raises(
+        InvalidArgument, match=r"to be read at once; expected at most .* TOUCHFIELD_MEMORY_GIB"
+    ):
         content(EXAMPLE)
 
 
 def test_joined_files_are_refused() -> None:
-    refused(EXAMPLE + b"\0" * 100, CorruptFile, "TEND record at byte 416: found 100 bytes after it; expected none")
+    refused(
+        EXAMPLE + b"\0" * 100, CorruptFile, "TEND record at byte 416: found 100 bytes after it; expected none"
+    )
     refused(EXAMPLE + EXAMPLE, CorruptFile, r"TEND.file_length: found 456 in a file of 912 bytes.*joined")
     refused(EXAMPLE[:284] + EXAMPLE[313:], CorruptFile, "TEND.file_length")
 
@@ -233,7 +242,9 @@ CRAFTED = {
     "segment huge": (entries({"length": HUGE}), r"INDX.segments\[0\]"),
     "segment short": (entries({"length": len(SEGMENT) - 1}), "record.tag at byte"),
     "segment long": (
-        assembled(HEAD, SEGMENT + UNKNOWN, index_of(dataclasses.replace(GOOD, length=len(SEGMENT + UNKNOWN)))),
+        assembled(
+            HEAD, SEGMENT + UNKNOWN, index_of(dataclasses.replace(GOOD, length=len(SEGMENT + UNKNOWN)))
+        ),
         "as the index says",
     ),
     "segment empty": (entries({"length": 0}), r"INDX.segments\[0\]"),
@@ -278,7 +289,10 @@ CRAFTED = {
         "flags 0.*expected flags 1",
     ),
     "unknown flag": (with_segment(before=framed("XTRA", b"", 2)), "record.flags at byte"),
-    "bytes after a field": (with_segment(before=framed("PROV", b"\0\0\0", 0)), "1 bytes after the last field"),
+    "bytes after a field": (
+        with_segment(before=framed("PROV", b"\0\0\0", 0)),
+        "1 bytes after the last field",
+    ),
     "gap of zeros": (with_segment(before=bytes(40)), "record.tag at byte"),
     "head too large": (
         assembled(framed("HEAD", bytes(200_000)), SEGMENT, index_of(GOOD)),
@@ -360,7 +374,9 @@ def test_a_required_record_in_the_place_of_another(tag: bytes) -> None:
     if tag == b"SEGM":
         records[b"INDX"] = index_of(entry_of(news, BEGIN))
     records[tag] = news
-    refused(assembled(*records.values()), UnsupportedVersion, r"XTRA record at byte \d+: found a required record")
+    refused(
+        assembled(*records.values()), UnsupportedVersion, r"XTRA record at byte \d+: found a required record"
+    )
 
 
 # -- what the system says ----------------------------------------------------------------------------------
@@ -430,8 +446,12 @@ def write_until(path: Path, error: BaseException | None, body: bytes = b"") -> N
         writer.write_segment(2, 1, body)
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), SystemExit(3), RuntimeError("mine"), FileNotFoundError("x")])
-def test_an_error_within_passes_unchanged_and_leaves_the_older_file(error: BaseException, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), SystemExit(3), RuntimeError("mine"), FileNotFoundError("x")]
+)
+def test_an_error_within_passes_unchanged_and_leaves_the_older_file(
+    error: BaseException, tmp_path: Path
+) -> None:
     path = tmp_path / "a.touch"
     path.write_bytes(b"older")
     with pytest.raises(type(error)) as caught:

@@ -1,4 +1,6 @@
-"""OBJT, the record of an object: written and read in its place only, noticed where it is lost, damaged or swapped."""
+"""OBJT, the record of an object: written and read in its place only, noticed where it is lost, damaged or
+swapped.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from container_strategies import EXAMPLE_HEAD, CountingFile, allowed, assembled, encoded, example_file, framed, heads
+from container_strategies import (
+    EXAMPLE_HEAD,
+    CountingFile,
+    allowed,
+    assembled,
+    encoded,
+    example_file,
+    framed,
+    heads,
+)
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.container import reader as reader_module
 from touchfield.container import writer as writer_module
@@ -60,8 +71,13 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 # -- what comes back --------------------------------------------------------------------------------------
 
 
-@given(head=heads(coder=OBJECTS_CODER, frame_count=7), objects=st.lists(allowed(Struct(ObjectRecord)), min_size=1))
-def test_objects_come_back(tmp_path_factory: pytest.TempPathFactory, head: Any, objects: list[ObjectRecord]) -> None:
+@given(
+    head=heads(coder=OBJECTS_CODER, frame_count=7),
+    objects=st.lists(allowed(Struct(ObjectRecord)), min_size=1),
+)
+def test_objects_come_back(
+    tmp_path_factory: pytest.TempPathFactory, head: Any, objects: list[ObjectRecord]
+) -> None:
     data = write(tmp_path_factory.mktemp("files") / "a.touch", head, objects)
     assert content(data) == (head, {"source": "made up"}, objects, [b"body"])
 
@@ -173,7 +189,9 @@ def encoded_object(one: ObjectRecord, flags: int = 1) -> bytes:
 SEGMENT = framed("SEGM", struct.pack("<IH", 0, 3) + b"body")
 
 
-def crafted(before: bytes, late: bytes = b"", after: bytes = b"", head: Any = HEAD, chain: bool = True) -> bytes:
+def crafted(
+    before: bytes, late: bytes = b"", after: bytes = b"", head: Any = HEAD, chain: bool = True
+) -> bytes:
     """A file of one segment, with records before it, after it, and after the index; `before` may be chained."""
     first = encoded("HEAD", head)
     entry = SegmentEntry(
@@ -216,7 +234,10 @@ CRAFTED = {
     "optional": (crafted(encoded_object(ONE, 0)), r"flags 0; expected flags 1"),
     "short": (crafted(framed("OBJT", b"abc")), r"a payload of 3 bytes"),
     "over a segment": (crafted(framed("OBJT", GOOD[16:-4], length=len(GOOD)), chain=False), "found "),
-    "too many bricks": (crafted(framed("OBJT", LARGE)), r"OBJT.grid_shape at byte .*at most 134217728 bricks"),
+    "too many bricks": (
+        crafted(framed("OBJT", LARGE)),
+        r"OBJT.grid_shape at byte .*at most 134217728 bricks",
+    ),
 }
 
 

@@ -1,4 +1,6 @@
-"""VIBR records: at most one before each segment, skipped by who does not know them, refused in any other place."""
+"""VIBR records: at most one before each segment, skipped by who does not know them, refused in any other
+place.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,10 @@ from touchfield.errors import CorruptFile, FormatError, InvalidArgument, Truncat
 
 HEAD = encoded("HEAD", EXAMPLE_HEAD)
 BEGIN = 14 + len(HEAD)
-FIRST, SECOND = framed("SEGM", struct.pack("<IH", 0, 2) + b"body"), framed("SEGM", struct.pack("<IH", 2, 1) + b"more")
+FIRST, SECOND = (
+    framed("SEGM", struct.pack("<IH", 0, 2) + b"body"),
+    framed("SEGM", struct.pack("<IH", 2, 1) + b"more"),
+)
 
 
 def vibr(first: int, count: int, body: bytes = b"hum", flags: int = 0) -> bytes:
@@ -132,7 +137,11 @@ MISUSES: dict[str, Any] = {
     "twice": lambda w: (begun(w), w.write_vibration(0, 2, b""), w.write_vibration(0, 2, b"")),
     "a gap": lambda w: (begun(w), w.write_vibration(1, 2, b"")),
     "too many frames": lambda w: (begun(w), w.write_vibration(0, 4, b"")),
-    "other frames than the segment": lambda w: (begun(w), w.write_vibration(0, 2, b""), w.write_segment(0, 3, b"")),
+    "other frames than the segment": lambda w: (
+        begun(w),
+        w.write_vibration(0, 2, b""),
+        w.write_segment(0, 3, b""),
+    ),
     "after all segments": lambda w: (begun(w), w.write_segment(0, 3, b""), w.write_vibration(3, 1, b"")),
     "not bytes": lambda w: (begun(w), w.write_vibration(0, 3, "text")),
 }

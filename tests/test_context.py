@@ -26,12 +26,17 @@ OFFSETS = {"none": [], "previous": [(0, 0, -1)], "axes": [(0, 0, -1), (0, -1, 0)
 OFFSETS["corner"] = [d for d in itertools.product((-1, 0), repeat=3) if any(d)]
 
 
-def conditional_by_brute_force(frames: np.ndarray, neighbourhood: str, previous: bool) -> tuple[float, int, int]:
+def conditional_by_brute_force(
+    frames: np.ndarray, neighbourhood: str, previous: bool
+) -> tuple[float, int, int]:
     joint: Counter[tuple[int, ...]] = Counter()
     for t, frame in enumerate(frames):
         padded = np.pad(frame, 1)
         for p in np.ndindex(frame.shape):
-            row = [int(padded[tuple(i + 1 + e for i, e in zip(p, d, strict=True))]) for d in OFFSETS[neighbourhood]]
+            row = [
+                int(padded[tuple(i + 1 + e for i, e in zip(p, d, strict=True))])
+                for d in OFFSETS[neighbourhood]
+            ]
             row += [int(frames[t - 1][p]) if t else 0] * previous
             joint[(*row, int(frame[p]))] += 1
     contexts: Counter[tuple[int, ...]] = Counter()
@@ -80,7 +85,9 @@ def test_to_know_more_never_costs_more(x: np.ndarray) -> None:
 
 
 def test_a_field_whose_axis_neighbours_are_needed_together() -> None:
-    """Each voxel is the parity of its three axis neighbours, but for one in ten: H(S|axes) = h2(.1), H(S|one) = 1."""
+    """Each voxel is the parity of its three axis neighbours, but for one in ten: H(S|axes) = h2(.1),
+    H(S|one) = 1.
+    """
     flips = (np.random.default_rng(3).random((40, 40, 40)) < 0.1).astype(np.int32)
     h = binary_entropy_bits(float(flips.mean()))
     x = np.pad(flips, ((1, 0),) * 3)

@@ -29,11 +29,15 @@ Float64s = NDArray[np.float64]
 
 
 def smooth_noise(seed: int, shape: tuple[int, int] = (64, 64), sigma: float = 1.5) -> Float64s:
-    made: Float64s = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=shape), sigma, mode="wrap")
+    made: Float64s = ndimage.gaussian_filter(
+        np.random.default_rng(seed).normal(size=shape), sigma, mode="wrap"
+    )
     return made
 
 
-def contact_along_axis(field: ForceField, axis: int = 2, from_low: bool = True, reading: str = "first") -> Contact:
+def contact_along_axis(
+    field: ForceField, axis: int = 2, from_low: bool = True, reading: str = "first"
+) -> Contact:
     """Follow the columns of the lattice along an axis, from their low or their high end."""
     grid = field.grid
     across = [np.arange(n) if a != axis else np.zeros(1, np.int64) for a, n in enumerate(grid.shape)]
@@ -45,7 +49,8 @@ def contact_along_axis(field: ForceField, axis: int = 2, from_low: bool = True, 
     return Contact(met.amplitudes_n.squeeze(axis), met.distances_m.squeeze(axis))
 
 
-# -- rays -----------------------------------------------------------------------------------------------------------
+# -- rays
+# -----------------------------------------------------------------------------------------------------------
 
 
 @given(st.integers(0, 200), st.integers(0, 2), st.booleans(), st.sampled_from(["first", "peak"]))
@@ -108,7 +113,8 @@ def test_rays_that_are_refused(wavy_field: ForceField, monkeypatch: pytest.Monke
         contact_along_rays(wavy_field, origin, (0.0, 0.0, 1.0), "mean")
 
 
-# -- classes and lengths --------------------------------------------------------------------------------------------
+# -- classes and lengths
+# --------------------------------------------------------------------------------------------
 
 
 @given(st.integers(0, 500), st.integers(2, 9), st.integers(1, 400))
@@ -131,18 +137,23 @@ def test_correlation_length_of_both() -> None:
     """White noise falls at once, beside whatever; two of autocorrelation exp(-d^2 / 4 s^2) at sqrt 2 s."""
     white, smooth = np.random.default_rng(0).normal(size=(256, 256)), smooth_noise(1, (256, 256), 5.0)
     assert correlation_length_px(white, smooth) == correlation_length_px(smooth, white) == 1
-    assert correlation_length_px(smooth, smooth_noise(2, (256, 256), 5.0)) == pytest.approx(5 * 2**0.5, abs=1.5)
+    assert correlation_length_px(smooth, smooth_noise(2, (256, 256), 5.0)) == pytest.approx(
+        5 * 2**0.5, abs=1.5
+    )
     ramp = np.arange(64.0) + np.zeros((64, 1))
     assert correlation_length_px(ramp, ramp) == 64, "along an axis where neither changes"
     for nothing in (np.full((64, 64), 3.0), np.full((64, 64), np.nan)):
         assert correlation_length_px(ramp, nothing) == 0
 
 
-# -- the test against chance ----------------------------------------------------------------------------------------
+# -- the test against chance
+# ----------------------------------------------------------------------------------------
 
 
 def wall(depth: Float64s) -> ForceField:
-    """A surface z = depth, in samples; before it a guide that is the stronger the farther it is from the hand."""
+    """A surface z = depth, in samples; before it a guide that is the stronger the farther it is from the
+    hand.
+    """
     grid = Grid((*depth.shape, 32), (1e-3,) * 3, (0, 0, 0))
     z = np.arange(32)
     before = (z < depth[..., None]) & (z >= depth[..., None] - 3)
@@ -171,7 +182,9 @@ def test_the_depth_of_the_first_contact_is_the_picture_of_the_surface() -> None:
 
 
 def test_independent_pictures_are_called_related_as_often_as_p_says() -> None:
-    """40 pairs: 5 or more below p = 0.025 come by chance once in 300 times; single pixels say so of nearly all."""
+    """40 pairs: 5 or more below p = 0.025 come by chance once in 300 times; single pixels say so of nearly
+    all.
+    """
     pairs = [(smooth_noise(2 * s + 10), smooth_noise(2 * s + 11)) for s in range(40)]
     by_blocks = [picture_correlation(a, b, shuffles=79, interval=False).p for a, b in pairs]
     assert sum(p <= 0.025 for p in by_blocks) < 5
@@ -220,7 +233,8 @@ def test_pictures_that_are_refused() -> None:
             picture_correlation(a, a, **option)
 
 
-# -- a real scene ---------------------------------------------------------------------------------------------------
+# -- a real scene
+# ---------------------------------------------------------------------------------------------------
 
 
 def to_hand(placement: Placement, points_m: Float64s) -> Float64s:
@@ -248,7 +262,9 @@ def test_the_motorcycle() -> None:
 
     length = np.linalg.norm(rays, axis=-1) * prepared.placement.scale
     off = np.abs(met.distances_m / length + near_m - depth) * prepared.placement.scale
-    assert np.nanmedian(off) < 1.5 * max(prepared.medium.grid.spacing_m), "registered to within a sample or two"
+    assert np.nanmedian(off) < 1.5 * max(prepared.medium.grid.spacing_m), (
+        "registered to within a sample or two"
+    )
     own = picture_correlation(depth, met.distances_m, classes=4)
     assert own.p == 1 / 200 and own.z > 5
     peak = contact_along_rays(prepared.medium[0], begin, end, "peak")

@@ -85,8 +85,12 @@ def test_ranges_of_every_width(low: int, width: int, power: int) -> None:
 
 @pytest.mark.parametrize("widths", [(60,), (60, 120), (60, 300), (1, 60, 1, 20_000)])
 @pytest.mark.parametrize("every", [8 * 128 * 4, 50_000])
-def test_blocks_that_change_their_range(widths: tuple[int, ...], every: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each part of the data has a range of its own, in step with the blocks or not; constant parts among them."""
+def test_blocks_that_change_their_range(
+    widths: tuple[int, ...], every: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each part of the data has a range of its own, in step with the blocks or not; constant parts among
+    them.
+    """
     monkeypatch.setenv("TOUCHFIELD_THREADS", "1")
     monkeypatch.setattr(count, "_SMALL", 1)
     rng = np.random.default_rng(len(widths))
@@ -171,7 +175,9 @@ def test_memory_is_bounded_by_the_symbols(dtype: str, monkeypatch: pytest.Monkey
     assert found.total == samples.size and peak < 1.7 * samples.size
 
 
-@pytest.mark.parametrize("bad", [np.zeros(3), np.array([np.nan, 1]), [0.5], "text", [None], np.zeros(2, complex)])
+@pytest.mark.parametrize(
+    "bad", [np.zeros(3), np.array([np.nan, 1]), [0.5], "text", [None], np.zeros(2, complex)]
+)
 def test_what_is_no_symbol(bad: object) -> None:
     with pytest.raises(InvalidArgument, match="integers or booleans"):
         Counts.of(bad)  # type: ignore[arg-type]
@@ -203,7 +209,8 @@ def test_other_refusals() -> None:
         Counts.of(full, full, full, full)
 
 
-# -- joint ----------------------------------------------------------------------------------------------------------
+# -- joint
+# ----------------------------------------------------------------------------------------------------------
 
 
 @given(
@@ -228,7 +235,8 @@ def test_large_joint_histograms() -> None:
     joint_agrees(Counts.of(*wide), *wide)
 
 
-# -- blocks ---------------------------------------------------------------------------------------------------------
+# -- blocks
+# ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("dtype", ["?", "i1", ">i2", "i2", "i4", "i8"])

@@ -1,6 +1,7 @@
 """Kernels of a GPU: at real size compiled for the processor, and at small sizes on numba's simulator.
 
-One item a thread must give what the loops of the processor give; the simulator shows that arrays go there and back.
+One item a thread must give what the loops of the processor give; the simulator shows that arrays go there and
+back.
 """
 
 from __future__ import annotations
@@ -58,7 +59,9 @@ def scene_of(name: str) -> Any:
 
 @pytest.fixture
 def processors(request: pytest.FixtureRequest) -> tuple[Any, Grid, Any, Any]:
-    """A scene, its lattice, its law, and its last frame by the processor's own loops; asked for before `as_if`."""
+    """A scene, its lattice, its law, and its last frame by the processor's own loops; asked for before
+    `as_if`.
+    """
     name, samples = request.param
     scene = scene_of(name)
     low, high = scene.bounds_m()
@@ -124,7 +127,9 @@ def test_a_source_that_has_none_says_so(monkeypatch: pytest.MonkeyPatch) -> None
     """Where a GPU is asked for, as where another option of the command does nothing."""
     monkeypatch.setenv("TOUCHFIELD_COMPUTE", "cuda")
     assert any("--device-compute" in note for note in open_scene("sample:terrain", SourceOptions()).notes)
-    assert not any("--device-compute" in note for note in open_scene("sample:motorcycle", SourceOptions()).notes)
+    assert not any(
+        "--device-compute" in note for note in open_scene("sample:motorcycle", SourceOptions()).notes
+    )
 
 
 def test_the_place_ends_with_its_block(monkeypatch: pytest.MonkeyPatch) -> None:

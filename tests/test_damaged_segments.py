@@ -1,4 +1,6 @@
-"""A stream one of whose segments is damaged: whoever reads it says so, be it the first, one between or the last."""
+"""A stream one of whose segments is damaged: whoever reads it says so, be it the first, one between or the
+last.
+"""
 
 from __future__ import annotations
 
@@ -120,7 +122,9 @@ def test_a_play_that_an_error_ended_shows_its_figures_and_fails(
     path = tmp_path / "a.touch"
     path.write_bytes(whole)
     figures = {"device": "haply", "stalled_share": 0.5 if is_starved else 0.0}
-    ended = Played(figures, None, None, ("as far as it came",), DeviceError("haply", "a cable pulled", "a device"))
+    ended = Played(
+        figures, None, None, ("as far as it came",), DeviceError("haply", "a cable pulled", "a device")
+    )
     monkeypatch.setattr("touchfield.tasks.play.play", lambda *_: ended)
     capsys.readouterr()
     assert _exit_code(["play", str(path), "--json"]) == 1

@@ -105,7 +105,9 @@ def test_what_is_named_like_poses_and_not_read_is_named(tmp_path: Path) -> None:
         (np.tile(np.diag([1.0, 1, -1, 1]).ravel(), (5, 1)), "mirrors"),
     ],
 )
-def test_poses_at_fault_are_an_error_that_tells_how_to_go_on(tmp_path: Path, rows: np.ndarray, words: str) -> None:
+def test_poses_at_fault_are_an_error_that_tells_how_to_go_on(
+    tmp_path: Path, rows: np.ndarray, words: str
+) -> None:
     folder = make.write_frames(tmp_path / "s", "depth/a{}b.png")
     for i in range(make.FRAMES):
         (folder / "depth" / f"a{i}b.png").rename(folder / "depth" / f"{'vwxyz'[i]}.png")
@@ -152,7 +154,10 @@ def test_a_frame_whose_number_two_pictures_have_is_left_out_and_told(tmp_path: P
     folder = make.write_nerfstudio(tmp_path / "s")
     told = json.loads((folder / "transforms.json").read_text())
     told["frames"] = [
-        {"file_path": f"images/{eye}_{i}.png", "transform_matrix": (m @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist()}
+        {
+            "file_path": f"images/{eye}_{i}.png",
+            "transform_matrix": (m @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist(),
+        }
         for i, m in enumerate(make.poses())
         for eye in (("left", "right") if i == 1 else ("left",))
     ]
@@ -181,7 +186,8 @@ def test_no_text_of_poses_raises_anything_else(text: str) -> None:
     assert np.isfinite(listed.poses).all()
 
 
-# -- where the pictures lie ----------------------------------------------------------------------------------------
+# -- where the pictures lie
+# ----------------------------------------------------------------------------------------
 
 
 def test_one_folder_deeper_is_found_and_told(tmp_path: Path) -> None:
@@ -205,7 +211,9 @@ def test_a_layout_one_folder_deeper_is_not_taken_for_plain_pictures(tmp_path: Pa
 def test_several_folders_of_depth_are_named(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s", "depth_left/{}.png")
     make.write_frames(folder, "depth_right/{}.png")
-    with pytest.raises(SourceError, match=r"2 folders of depth pictures \(depth_left/, depth_right/\).*Name one"):
+    with pytest.raises(
+        SourceError, match=r"2 folders of depth pictures \(depth_left/, depth_right/\).*Name one"
+    ):
         depth_folder.read_sequence(folder, MM)
 
 
@@ -225,12 +233,17 @@ def test_depth_arrays_one_a_frame(tmp_path: Path) -> None:
     assert np.allclose(sequence.depth_m(4), make.depths_mm()[4] / 1000)
 
 
-# -- cameras -------------------------------------------------------------------------------------------------------
+# -- cameras
+# -------------------------------------------------------------------------------------------------------
 
 CAMERAS = {
     "K.txt": "20 0 5.5 0\n0 21 4 0\n0 0 1 0\n",
-    "realsense.json": json.dumps({"width": 12, "height": 9, "ppx": 5.5, "ppy": 4, "fx": 20, "fy": 21, "model": 2}),
-    "opencv.json": json.dumps({"camera_matrix": {"rows": 3, "cols": 3, "data": [20, 0, 5.5, 0, 21, 4, 0, 0, 1]}}),
+    "realsense.json": json.dumps(
+        {"width": 12, "height": 9, "ppx": 5.5, "ppy": 4, "fx": 20, "fy": 21, "model": 2}
+    ),
+    "opencv.json": json.dumps(
+        {"camera_matrix": {"rows": 3, "cols": 3, "data": [20, 0, 5.5, 0, 21, 4, 0, 0, 1]}}
+    ),
     "nested.json": json.dumps({"camera_matrix": [[20, 0, 5.5], [0, 21, 4], [0, 0, 1]]}),
     "ros.json": json.dumps({"height": 9, "width": 12, "K": [20, 0, 5.5, 0, 21, 4, 0, 0, 1]}),
     "nerfstudio.json": json.dumps({"w": 12, "h": 9, "fl_x": 20, "fl_y": 21, "cx": 5.5, "cy": 4}),
@@ -263,7 +276,9 @@ def test_cameras_at_fault_are_refused(text: str, words: str) -> None:
 
 
 def test_a_camera_that_is_mirrored_turns_its_poses_over(tmp_path: Path) -> None:
-    """As ICL-NUIM has it: with fy negative a point lies at P (x, -y, z), the mirror image of where we have it."""
+    """As ICL-NUIM has it: with fy negative a point lies at P (x, -y, z), the mirror image of where we have
+    it.
+    """
     tilted = make.poses().copy()
     tilted[:, :3, :3] = tilted[:, :3, :3] @ np.array([[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]])
     tilted[:, 1, 3] = 0.2

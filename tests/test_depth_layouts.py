@@ -37,7 +37,8 @@ KINDS = [one.kind for one in (tum, redwood, sun3d, threedmatch, depth_folder)]
 CAMERA = SourceOptions(frame="camera")
 
 
-# -- layouts -------------------------------------------------------------------------------------------------------
+# -- layouts
+# -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
@@ -183,7 +184,8 @@ def test_suns_rotated_bits_come_back(depth_mm: int) -> None:
     assert metres[0] == np.float32(depth_mm / 1000)
 
 
-# -- TUM -----------------------------------------------------------------------------------------------------------
+# -- TUM
+# -----------------------------------------------------------------------------------------------------------
 
 
 def test_tum_says_what_is_missing_and_takes_the_rate_from_the_stamps(tmp_path: Path) -> None:
@@ -195,7 +197,9 @@ def test_tum_says_what_is_missing_and_takes_the_rate_from_the_stamps(tmp_path: P
     (tmp_path / "s" / "depth" / "1305031233.580000.png").unlink()  # the third
     fewer = tum.read_sequence(tmp_path / "s", SourceOptions())
     assert fewer.rate_hz == pytest.approx(25, rel=1e-3)
-    assert [np.array_equal(fewer.depth_m(i), sequence.depth_m(of)) for i, of in enumerate((0, 1, 3, 4))] == [True] * 4
+    assert [np.array_equal(fewer.depth_m(i), sequence.depth_m(of)) for i, of in enumerate((0, 1, 3, 4))] == [
+        True
+    ] * 4
 
 
 def test_tum_leaves_out_a_frame_whose_pose_is_too_far_in_time(tmp_path: Path) -> None:
@@ -224,10 +228,14 @@ def test_tum_knows_its_cameras_by_name(tmp_path: Path, name: str, fx: float | No
     else:
         sequence = tum.read_sequence(folder, SourceOptions())
         assert sequence.intrinsics.fx == fx
-        assert any("published" in note for note in sequence.notes) and any("stand still" in n for n in sequence.notes)
+        assert any("published" in note for note in sequence.notes) and any(
+            "stand still" in n for n in sequence.notes
+        )
 
 
-@pytest.mark.parametrize("line", ["1.0 ../other.png", "1.0 /etc/passwd", "1.0", "x depth/1.png", "inf depth/1.png"])
+@pytest.mark.parametrize(
+    "line", ["1.0 ../other.png", "1.0 /etc/passwd", "1.0", "x depth/1.png", "inf depth/1.png"]
+)
 def test_tum_refuses_strange_lines_of_its_list(tmp_path: Path, line: str) -> None:
     folder = make.write_tum(tmp_path / "s")
     with (folder / "depth.txt").open("a") as stream:
@@ -236,7 +244,8 @@ def test_tum_refuses_strange_lines_of_its_list(tmp_path: Path, line: str) -> Non
         tum.read_sequence(folder, SourceOptions())
 
 
-# -- Redwood, SUN3D, 3DMatch, plain folders ------------------------------------------------------------------------
+# -- Redwood, SUN3D, 3DMatch, plain folders
+# ------------------------------------------------------------------------
 
 
 def test_redwood_goes_by_the_numbers_where_the_trajectory_lists_more(tmp_path: Path) -> None:
@@ -263,14 +272,18 @@ def test_sun3d_goes_by_the_colour_frames_and_their_time(tmp_path: Path) -> None:
     for i in range(8):  # numbers that run against the time
         file = tmp_path / "s" / "image" / f"{i + 1:07d}-{33000 * i + 4000:012d}.jpg"
         file.rename(file.with_name(f"{100 - i:07d}{file.name[7:]}"))
-    make.write_matrix(tmp_path / "s" / "extrinsics" / "20140808220511.txt", make.poses(8)[::-1, :3].reshape(-1, 4))
+    make.write_matrix(
+        tmp_path / "s" / "extrinsics" / "20140808220511.txt", make.poses(8)[::-1, :3].reshape(-1, 4)
+    )
     assert np.allclose(sun3d.read_sequence(tmp_path / "s", SourceOptions()).poses, make.poses(), atol=1e-6)
     (tmp_path / "s" / "image" / "0000093-000000235000.jpg").unlink()
     with pytest.raises(SourceError, match="8 poses for 5 depth and 7 colour frames"):
         sun3d.read_sequence(tmp_path / "s", SourceOptions())
 
 
-def test_the_scale_of_a_file_goes_before_that_of_a_layout_and_what_is_asked_before_both(tmp_path: Path) -> None:
+def test_the_scale_of_a_file_goes_before_that_of_a_layout_and_what_is_asked_before_both(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "camera.json").write_text('{"fx": 20, "fy": 21, "cx": 5.5, "cy": 4, "depth_scale": 2000}')
     asked = SourceOptions(intrinsics=str(tmp_path / "camera.json"))
     first, turned = make.write_redwood(tmp_path / "a"), make.write_sun3d(tmp_path / "b")
@@ -305,7 +318,8 @@ def test_a_plain_folder_says_what_it_needs(tmp_path: Path) -> None:
     assert sequence.rate_hz == 12
 
 
-# -- real sequences ------------------------------------------------------------------------------------------------
+# -- real sequences
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.shared
@@ -316,7 +330,9 @@ def test_a_plain_folder_says_what_it_needs(tmp_path: Path) -> None:
 def test_a_real_sequence_agrees_with_itself_after_ten_frames(
     shared_data: Path, module: Layout, name: str, warp_mm: float, rate_hz: float
 ) -> None:
-    """The points of frame 0, seen from frame 10, lie where frame 10 measures them: poses, scale, camera are right."""
+    """The points of frame 0, seen from frame 10, lie where frame 10 measures them: poses, scale, camera are
+    right.
+    """
     folder = shared_data / name
     assert next(m for m in KINDS if m.recognise(folder)).name == module.name
     sequence = module.read_sequence(folder, SourceOptions())
@@ -336,7 +352,8 @@ def test_a_real_sequence_agrees_with_itself_after_ten_frames(
     assert 1000 * np.median(error) < warp_mm
 
 
-# -- scenes --------------------------------------------------------------------------------------------------------
+# -- scenes
+# --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("reading", "kind"), [("camera", DepthScene), ("height", HeightScene)])

@@ -19,7 +19,8 @@ from touchfield.sources.options import SourceOptions
 depth_map = LAYOUTS[5]
 
 
-# -- one picture ---------------------------------------------------------------------------------------------------
+# -- one picture
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_a_depth_map_of_each_kind(tmp_path: Path) -> None:
@@ -52,14 +53,17 @@ def test_a_depth_map_says_what_it_needs(tmp_path: Path, options: SourceOptions, 
         depth_map.read_sequence(tmp_path, options)
 
 
-# -- disparity -----------------------------------------------------------------------------------------------------
+# -- disparity
+# -----------------------------------------------------------------------------------------------------
 
 RIG = SourceOptions(intrinsics="100,100,5.5,4", baseline_m=0.2, disparity_offset_px=2.0)
 
 
 def _disparities() -> tuple[np.ndarray, np.ndarray]:
     """Disparities in pixels, and the depths in metres that they mean with `RIG`."""
-    disparity_px = np.linspace(2, 40, make.WIDTH * make.HEIGHT).reshape(make.HEIGHT, make.WIDTH).astype(np.float32)
+    disparity_px = (
+        np.linspace(2, 40, make.WIDTH * make.HEIGHT).reshape(make.HEIGHT, make.WIDTH).astype(np.float32)
+    )
     disparity_px = np.round(disparity_px * 256) / 256
     depth = 100 * 0.2 / (disparity_px + 2.0)
     disparity_px[0, :3], depth[0, :3] = (0, 0, 0), 0
@@ -99,7 +103,11 @@ def test_middleburys_calibration_beside_the_map_is_used(tmp_path: Path) -> None:
     asked = SourceOptions(disparity_offset_px=0.0, depth_scale=2.0)
     halved = inverse_depth.read_disparity(tmp_path / "disp1.pfm", asked).depth_m(0)
     assert np.allclose(halved[known], 100 * 0.2 / (disparity_px[known] / 2), rtol=1e-6)
-    for bad in (calibration.replace("width=12", "width=13"), calibration.replace("baseline=200", "baseline=-1"), "x"):
+    for bad in (
+        calibration.replace("width=12", "width=13"),
+        calibration.replace("baseline=200", "baseline=-1"),
+        "x",
+    ):
         (tmp_path / "calib.txt").write_text(bad)
         with pytest.raises(SourceError, match=r"calib\.txt"):
             inverse_depth.read_disparity(tmp_path / "disp1.pfm", SourceOptions())

@@ -64,7 +64,9 @@ def test_a_picture_cut_anywhere_is_a_source_error(tmp_path: Path, suffix: str) -
     else:
         Image.fromarray(values).save(whole)
     data = whole.read_bytes()
-    needed = len(data) - (20 if suffix == ".png" else 0)  # without its checksums and last chunk all pixels are there
+    needed = len(data) - (
+        20 if suffix == ".png" else 0
+    )  # without its checksums and last chunk all pixels are there
     for length in range(needed):
         cut.write_bytes(data[:length])
         with pytest.raises(SourceError, match="cut"):
@@ -99,7 +101,8 @@ def _png_of(width: int, height: int) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("width", "height", "words"), [(60000, 60000, "at most"), (8000, 8000, "in .* bytes"), (0, 5, "at least one")]
+    ("width", "height", "words"),
+    [(60000, 60000, "at most"), (8000, 8000, "in .* bytes"), (0, 5, "at least one")],
 )
 def test_a_bomb_is_refused_from_its_header(tmp_path: Path, width: int, height: int, words: str) -> None:
     path = tmp_path / "bomb.png"

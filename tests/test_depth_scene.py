@@ -92,7 +92,9 @@ def angles_deg(surface: SurfacePlanes, normals: np.ndarray) -> np.ndarray:
     return np.where(offsets_m_of(surface) < 0, np.degrees(2 * np.arcsin(np.minimum(chord / 2, 1))), np.nan)
 
 
-def reference(surface: SurfacePlanes, pose: np.ndarray, grid: Grid, profile: ForceProfile) -> tuple[np.ndarray, ...]:
+def reference(
+    surface: SurfacePlanes, pose: np.ndarray, grid: Grid, profile: ForceProfile
+) -> tuple[np.ndarray, ...]:
     """The field on the whole grid in double precision, and where a rounding may decide otherwise."""
     points = grid.to_m(np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), -1))
     p = (points - pose[:3, 3]) @ pose[:3, :3]
@@ -122,7 +124,12 @@ def room(directions: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Depth of three walls and a floor as a camera at `pose` sees them."""
     turn, place = pose[:3, :3], pose[:3, 3]
     best = np.full(directions.shape[:2], np.inf)
-    for normal, offset in (((0, 0, -1), -2.0), ((0, -1, 0), -0.6), ((-0.8, 0, -0.6), -1.5), ((0.8, 0, -0.6), -1.5)):
+    for normal, offset in (
+        ((0, 0, -1), -2.0),
+        ((0, -1, 0), -0.6),
+        ((-0.8, 0, -0.6), -1.5),
+        ((0.8, 0, -0.6), -1.5),
+    ):
         n = np.array(normal, float)
         depth = plane_depth(n @ turn, offset - n @ place, directions)
         best = np.where((depth > 0) & (depth < best), depth, best)
@@ -140,7 +147,9 @@ def test_planes_are_found_exactly_up_to_the_border(normal: tuple[float, ...]) ->
     steep = (rays() @ n) / np.linalg.norm(rays(), axis=-1) > -0.2
     assert (offsets_m_of(surface) < 0)[(depth > 0) & (depth < 4) & ~steep].all()
     assert np.nanmax(np.where(depth < 4, angles_deg(surface, n), np.nan)) < 0.02
-    np.testing.assert_allclose(offsets_m_of(surface)[(offsets_m_of(surface) < 0) & (depth < 4)], -0.8, atol=1e-4)
+    np.testing.assert_allclose(
+        offsets_m_of(surface)[(offsets_m_of(surface) < 0) & (depth < 4)], -0.8, atol=1e-4
+    )
 
 
 @pytest.mark.parametrize(("sigma_per_m", "bound_deg"), [(0.001, 2.5), (0.0025, 6.0)])
@@ -149,7 +158,9 @@ def test_noisy_planes(normal: tuple[float, ...], sigma_per_m: float, bound_deg: 
     n = np.array(normal) / np.linalg.norm(normal)
     camera = Intrinsics(525, 525, 159.5, 119.5)
     exact = plane_depth(n, -1.0, rays(camera, (240, 320)))
-    depth = (exact + sigma_per_m * exact**2 * np.random.default_rng(1).normal(size=exact.shape)).astype(np.float32)
+    depth = (exact + sigma_per_m * exact**2 * np.random.default_rng(1).normal(size=exact.shape)).astype(
+        np.float32
+    )
     surface = surface_planes(depth, camera, noise_step_per_m(depth))
     error = angles_deg(surface, n)
     assert np.nanmean(error) < bound_deg
@@ -229,7 +240,10 @@ def test_the_noise_step_follows_the_noise_and_not_the_edges() -> None:
     assert 0.005 < steps[0] < 0.01 and steps[2] == pytest.approx(0.02)
     assert noise_step_per_m(np.zeros(SIZE, np.float32)) == pytest.approx(FINEST)
     assert noise_step_per_m(np.ones((1, 2), np.float32)) == pytest.approx(FINEST)
-    frames = [exact, exact + np.float32(0.002) * exact**2 * noise]  # that of the first, whichever is asked for first
+    frames = [
+        exact,
+        exact + np.float32(0.002) * exact**2 * noise,
+    ]  # that of the first, whichever is asked for first
     late, both = DepthScene(Frames(frames)), DepthScene(Frames(frames))
     both.planes(0)
     np.testing.assert_array_equal(late.planes(1).planes, both.planes(1).planes)
@@ -241,7 +255,9 @@ def test_the_noise_step_follows_the_noise_and_not_the_edges() -> None:
 @pytest.mark.parametrize("normal", [(0, 0, -1), (0.5, 0.1, -1), (-0.3, 0.9, -1), (0.3, -2.4, -1)])
 @pytest.mark.parametrize("profile", [WALL, GUIDE])
 @pytest.mark.parametrize("is_fine", [False, True])
-def test_a_plane_gives_the_closed_form(normal: tuple[float, ...], profile: ForceProfile, is_fine: bool) -> None:
+def test_a_plane_gives_the_closed_form(
+    normal: tuple[float, ...], profile: ForceProfile, is_fine: bool
+) -> None:
     n = np.array(normal) / np.linalg.norm(normal)
     scene = DepthScene(Frames([plane_depth(n, n[2], rays())]))  # through (0, 0, 1)
     grid = Grid((21, 19, 50), (0.01, 0.012, 0.0071), (-0.1, -0.11, 0.8))  # within the picture
@@ -289,7 +305,9 @@ def test_no_force_where_depth_is_unknown() -> None:
 def test_no_bridge_is_built_across_a_silhouette() -> None:
     depth = np.full(SIZE, 0.6, np.float32)
     depth[:, 80:] = 1.4
-    grid = Grid((40, 20, 60), (0.01, 0.01, 0.01), (-0.2, -0.1, 0.75))  # between the two surfaces, walls left out
+    grid = Grid(
+        (40, 20, 60), (0.01, 0.01, 0.01), (-0.2, -0.1, 0.75)
+    )  # between the two surfaces, walls left out
     field = DepthScene(Frames([depth])).field(0, grid, WALL)
     used = np.unique(grid.axis_m(2)[field.support().positions[:, 2]])
     assert not ((used > 0.7 + 1e-6) & (used < 1.4)).any()
@@ -304,7 +322,9 @@ def test_a_grazing_normal_carries_no_force_far_behind_the_surface() -> None:
     x, y, z = (grid.to_m(p)).T
     u, v = np.floor(x / z * CAMERA.fx + CAMERA.cx + 0.5), np.floor(y / z * CAMERA.fy + CAMERA.cy + 0.5)
     beyond = z - depth[v.astype(int), u.astype(int)]
-    assert len(p) and beyond.max() < 4 * 0.1 + 0.05  # 0.05: from the centre of the pixel to the sample's own ray
+    assert (
+        len(p) and beyond.max() < 4 * 0.1 + 0.05
+    )  # 0.05: from the centre of the pixel to the sample's own ray
 
 
 @st.composite
@@ -367,7 +387,9 @@ def test_a_grid_of_a_thousand_per_axis_costs_what_its_surface_costs() -> None:
 
 
 def test_a_moving_camera_sees_a_standing_world() -> None:
-    first = pose_of(turned((0.2, 1, 0.1), 2.0), (3.0, -1.0, 2.0))  # the recorder's own coordinates are anything
+    first = pose_of(
+        turned((0.2, 1, 0.1), 2.0), (3.0, -1.0, 2.0)
+    )  # the recorder's own coordinates are anything
     motion = pose_of(turned((0.3, 1, 0.2), 0.12), (0.15, -0.05, 0.1))
     poses = np.stack([first, first @ motion])
     scene = DepthScene(Frames([room(rays(), np.eye(4)), room(rays(), motion)], poses=poses))
@@ -391,7 +413,9 @@ def test_bounds_hold_the_surface_and_no_stray_reading() -> None:
     frames = Frames([depth, depth], poses=motion)
     low, high = DepthScene(frames).bounds_m()
     assert low[2] == pytest.approx(1.0) and high[2] == pytest.approx(2.0)
-    assert low[0] == pytest.approx(-80 / 131, abs=0.1) and high[0] == pytest.approx(0.5 + 2 * 80 / 131, abs=0.1)
+    assert low[0] == pytest.approx(-80 / 131, abs=0.1) and high[0] == pytest.approx(
+        0.5 + 2 * 80 / 131, abs=0.1
+    )
     assert DepthScene(frames, "camera").bounds_m()[1][0] == pytest.approx(2 * 80 / 131, abs=0.1)
     tiny = DepthScene(Frames([np.ones((2, 3), np.float32)]))
     assert np.isfinite(tiny.bounds_m()).all()

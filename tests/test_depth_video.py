@@ -1,4 +1,6 @@
-"""Depth videos and stacks: every frame comes back bit for bit in any order, and every fault is one clear error."""
+"""Depth videos and stacks: every frame comes back bit for bit in any order, and every fault is one clear
+error.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def metres(mm: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("name", "codec", "pixels"), LOSSLESS)
-def test_every_frame_comes_back_bit_for_bit_in_any_order(tmp_path: Path, name: str, codec: str, pixels: str) -> None:
+def test_every_frame_comes_back_bit_for_bit_in_any_order(
+    tmp_path: Path, name: str, codec: str, pixels: str
+) -> None:
     pytest.importorskip("av")
     stored = depths_mm() & (0x0FFF if pixels == "gray12le" else 0xFFFF)
     path = write_video(tmp_path / name, stored, pixels, codec)
@@ -69,7 +73,9 @@ def test_frames_are_right_where_seeking_is_not(movie: Path, monkeypatch: pytest.
 def test_a_pass_in_order_decodes_each_frame_once(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     decoded = []
     array = movies.GreyVideo._values
-    monkeypatch.setattr(movies.GreyVideo, "_values", lambda self, p: (decoded.append(p.pts), array(self, p))[1])
+    monkeypatch.setattr(
+        movies.GreyVideo, "_values", lambda self, p: (decoded.append(p.pts), array(self, p))[1]
+    )
     video = movies.GreyVideo(movie)
     for frame in range(20):
         video.values(frame)
@@ -106,7 +112,9 @@ def test_an_ordinary_video_is_told_from_depth(tmp_path: Path, pixels: str, codec
     if codec not in av.codecs_available:
         pytest.skip(f"no {codec}")
     frames = (depths_mm() >> 3).astype(np.uint8)
-    path = write_video(tmp_path / "a.mkv", frames if pixels == "gray" else np.stack([frames] * 3, -1), pixels, codec)
+    path = write_video(
+        tmp_path / "a.mkv", frames if pixels == "gray" else np.stack([frames] * 3, -1), pixels, codec
+    )
     assert not depth_video.kind.recognise(path)
     with pytest.raises(SourceError, match=r"looks like an ordinary video.*saliency.*relative-depth"):
         depth_video.read_sequence(path, TOLD)
@@ -209,7 +217,9 @@ def test_a_frame_of_another_size_is_an_error(movie: Path) -> None:
         video.values(2)
 
 
-def test_without_the_library_the_user_is_told_of_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_library_the_user_is_told_of_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
     path = tmp_path / "a.mkv"
     path.write_bytes(b"anything")
@@ -218,7 +228,8 @@ def test_without_the_library_the_user_is_told_of_the_extra(tmp_path: Path, monke
         depth_video.read_sequence(path, TOLD)
 
 
-# -- stacks --------------------------------------------------------------------------------------------------------
+# -- stacks
+# --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["depth.npy", "depth_f.npy"])

@@ -56,7 +56,8 @@ def turn_of(seed: int) -> Float64s:
     return Rotation.random(random_state=seed).as_matrix()
 
 
-# -- directions -----------------------------------------------------------------------------------------------------
+# -- directions
+# -----------------------------------------------------------------------------------------------------
 
 
 @given(seeds)
@@ -104,7 +105,9 @@ def test_the_42_directions_are_those_of_the_coder() -> None:
 
 
 def test_a_sphere_on_a_lattice_within_the_bound_of_the_lattice() -> None:
-    """A sample stands for points up to half a diagonal of its cell away: over the radius, how far a normal turns."""
+    """A sample stands for points up to half a diagonal of its cell away: over the radius, how far a normal
+    turns.
+    """
     for n in (24, 48):
         grid = Grid.over_box(*GRID.box_m, (n, n, n))
         r, wall_m = 0.055, 0.01
@@ -118,19 +121,26 @@ def test_a_sphere_on_a_lattice_within_the_bound_of_the_lattice() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_power_of_a_body_in_two_poses(kind: str) -> None:
     """The same to a fifth of what tells it from any other kind."""
-    poses = [descriptor(body(kind, 0.055, turn_of(s), np.full(3, 1e-3 * s)))["direction_power"] for s in (1, 2)]
-    others = [descriptor(body(k, 0.055, turn_of(3), np.zeros(3)))["direction_power"] for k in KINDS if k != kind]
+    poses = [
+        descriptor(body(kind, 0.055, turn_of(s), np.full(3, 1e-3 * s)))["direction_power"] for s in (1, 2)
+    ]
+    others = [
+        descriptor(body(k, 0.055, turn_of(3), np.zeros(3)))["direction_power"] for k in KINDS if k != kind
+    ]
     apart = np.linalg.norm(poses[0] - poses[1])
     assert apart < min(np.linalg.norm(poses[0] - other) for other in others) / 5
 
 
-# -- octree ---------------------------------------------------------------------------------------------------------
+# -- octree
+# ---------------------------------------------------------------------------------------------------------
 
 
 def levels_of(shape: tuple[int, int, int], amplitude: float = 1.0) -> tuple[Float64s, Float64s]:
     grid = Grid((64, 64, 64), (1e-3,) * 3, (0, 0, 0))
     positions = np.argwhere(np.ones(shape)).astype(np.int32) + 3
-    return octree_levels(grid, positions, np.full(len(positions), amplitude, np.float32), np.array([0.1, 2.0]))
+    return octree_levels(
+        grid, positions, np.full(len(positions), amplitude, np.float32), np.array([0.1, 2.0])
+    )
 
 
 @pytest.mark.parametrize(("shape", "dimension"), [((32, 32, 32), 3), ((32, 32, 1), 2), ((1, 32, 1), 1)])
@@ -150,7 +160,8 @@ def test_levels_finer_than_the_lattice_repeat() -> None:
     assert entropies == pytest.approx([binary_entropy_bits(p) for p in fractions])
 
 
-# -- invariances of the whole ---------------------------------------------------------------------------------------
+# -- invariances of the whole
+# ---------------------------------------------------------------------------------------
 
 
 def sheet(grid: Grid = GRID, shift: int = 0) -> ForceField:
@@ -209,7 +220,8 @@ def test_entropies_of_levels_are_over_the_most_of_all_classes_and_no_force() -> 
     assert descriptor(sheet())["level_entropy"] == pytest.approx(entropies / math.log2(22))
 
 
-# -- time -----------------------------------------------------------------------------------------------------------
+# -- time
+# -----------------------------------------------------------------------------------------------------------
 
 
 def film(frames: list[ForceField], rate_hz: float) -> HapticMedium:
@@ -231,8 +243,12 @@ def test_frames_count_together_and_their_changes_in_the_mean(monkeypatch: pytest
     a, b, both, step = (
         descriptor(m) for m in (first, second, film([first, second, second], 30), film([first, second], 30))
     )
-    counts = [int((np.linalg.norm(f.vectors_n().astype(float), axis=1) >= 0.05).sum()) for f in (first, second)]
-    assert both["amplitude"] ** 2 == pytest.approx(np.average([a["amplitude"] ** 2, b["amplitude"] ** 2], 0, counts))
+    counts = [
+        int((np.linalg.norm(f.vectors_n().astype(float), axis=1) >= 0.05).sum()) for f in (first, second)
+    ]
+    assert both["amplitude"] ** 2 == pytest.approx(
+        np.average([a["amplitude"] ** 2, b["amplitude"] ** 2], 0, counts)
+    )
     assert both["support"] == pytest.approx((a["support"] + b["support"]) / 2)
     for part in ("change", "turnover"):
         assert step[part][0] > 0 and both[part][0] == pytest.approx(step[part][0] / 2)
@@ -257,13 +273,17 @@ def test_few_frames_are_looked_at() -> None:
 
     descriptor(HapticMedium(GRID, 1000.0, 500, make), frames=3)
     assert asked == [0, 33, 233, 266, 466, 499]
-    for rate_hz, count, places in ((50.0, 9, [0, 2]), (1000.0, 4, [0, 3])):  # two of 20 ms; all where it is shorter
+    for rate_hz, count, places in (
+        (50.0, 9, [0, 2]),
+        (1000.0, 4, [0, 3]),
+    ):  # two of 20 ms; all where it is shorter
         asked.clear()
         descriptor(HapticMedium(GRID, rate_hz, count, make), frames=1)
         assert asked == places
 
 
-# -- the record -----------------------------------------------------------------------------------------------------
+# -- the record
+# -----------------------------------------------------------------------------------------------------
 
 
 def test_parts_fill_the_vector() -> None:

@@ -58,14 +58,18 @@ def test_a_constant_stays_itself() -> None:
     field = constant(wide)
     for n, level in enumerate(pyramid(field, 3)):
         assert level == constant(level.grid)
-        inner = (slice(None) if n < 2 else slice(0, 57),) * 3  # the last sample of level 1 stands beyond its cell
+        inner = (
+            slice(None) if n < 2 else slice(0, 57),
+        ) * 3  # the last sample of level 1 stands beyond its cell
         assert np.abs((rebuilt(level, wide).to_dense() - field.to_dense())[inner]).max() < 1e-6
 
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize(("first", "thick"), [(7, 1), (15, 1), (16, 1), (6, 3), (13, 2)])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_thin_wall_stays_closed_and_never_comes_forward(axis: int, first: int, thick: int, sign: int) -> None:
+def test_a_thin_wall_stays_closed_and_never_comes_forward(
+    axis: int, first: int, thick: int, sign: int
+) -> None:
     dense = np.zeros((*GRID.shape, 3), np.float32)
     lane = np.moveaxis(dense, axis, 0)
     lane[first : first + thick, ..., axis] = sign
@@ -83,7 +87,9 @@ def test_a_wall_that_has_a_sample_is_not_made_thicker() -> None:
     """Every second sample and nothing else, of a solid ball, whose rim passes between samples in many ways."""
     x, y, z = (np.stack(np.meshgrid(*(GRID.axis_m(a) for a in range(3)), indexing="ij"))) / 0.001
     away = np.sqrt(x * x + y * y + z * z)
-    forces = np.where(away < 9.3, 1, 0)[..., None] * np.stack([x, y, z], -1) / np.maximum(away, 0.1)[..., None]
+    forces = (
+        np.where(away < 9.3, 1, 0)[..., None] * np.stack([x, y, z], -1) / np.maximum(away, 0.1)[..., None]
+    )
     (fine, coarse) = pyramid(ForceField.from_dense(GRID, forces), 1)
     assert np.array_equal(coarse.to_dense(), fine.to_dense()[::2, ::2, ::2])
 
@@ -104,13 +110,17 @@ def test_no_level_is_stronger() -> None:
         top = np.linalg.norm(field.vectors_n(), axis=1).max()
         for level in pyramid(field, 5):
             for made in (level, rebuilt(level, GRID)):
-                assert np.linalg.norm(made.vectors_n().astype(float), axis=1).max(initial=0) <= top * (1 + 1e-6)
+                assert np.linalg.norm(made.vectors_n().astype(float), axis=1).max(initial=0) <= top * (
+                    1 + 1e-6
+                )
 
 
 def test_interpolation_is_the_query_and_stays_within_its_cells(wavy_field: ForceField) -> None:
     fine = Grid((30, 41, 33), (0.0007, 0.0011, 0.0009), (-0.012, -0.001, 0.018))
     points = np.stack(np.meshgrid(*(fine.axis_m(a) for a in range(3)), indexing="ij"), axis=-1)
-    np.testing.assert_allclose(interpolated(wavy_field, fine).to_dense(), wavy_field.sample_n(points), atol=1e-6)
+    np.testing.assert_allclose(
+        interpolated(wavy_field, fine).to_dense(), wavy_field.sample_n(points), atol=1e-6
+    )
     assert interpolated(wavy_field, wavy_field.grid) == wavy_field
     held = interpolated(wavy_field, fine, border="cell").to_dense().any(axis=-1)
     low, high = wavy_field.grid.box_m

@@ -64,11 +64,14 @@ def floor_at(height_m: float) -> Formula:
     return Formula(lambda p, f: f(p[..., 1] - height_m)[..., None] * np.array([0.0, 1.0, 0.0]))
 
 
-# -- clip and floor ------------------------------------------------------------------------------------------------
+# -- clip and floor
+# ------------------------------------------------------------------------------------------------
 
 
 @given(
-    arrays(np.float32, (3, 2, 9, 3), elements=st.floats(-1e3, 1e3, width=32)), st.floats(1e-2, 50), st.floats(0, 0.9)
+    arrays(np.float32, (3, 2, 9, 3), elements=st.floats(-1e3, 1e3, width=32)),
+    st.floats(1e-2, 50),
+    st.floats(0, 0.9),
 )
 def test_limits_hold_keep_the_direction_and_do_nothing_twice(
     forces: NDArray[np.float32], force_max: float, share: float
@@ -84,7 +87,8 @@ def test_limits_hold_keep_the_direction_and_do_nothing_twice(
     assert limited(once, force_max, share * force_max) == once
 
 
-# -- the device filter, type 1 -------------------------------------------------------------------------------------
+# -- the device filter, type 1
+# -------------------------------------------------------------------------------------
 
 
 def mapped(
@@ -163,7 +167,8 @@ def test_a_spec_that_is_impossible(wrong: dict[str, object]) -> None:
         DeviceFilterSpec(**wrong)  # type: ignore[arg-type]
 
 
-# -- the device filter, type 2 -------------------------------------------------------------------------------------
+# -- the device filter, type 2
+# -------------------------------------------------------------------------------------
 
 PITCH_M = 0.0125
 
@@ -176,7 +181,9 @@ def stripes(frequency_per_m: float) -> Formula:
     """A sheet at z = 0, 20 mm thick, whose force is 2 + cos along x: |F| is never zero."""
 
     def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
-        amplitude = (2 + np.cos(2 * np.pi * frequency_per_m * points[:, :1, :1, 0])) * (np.abs(points[..., 2]) < 0.01)
+        amplitude = (2 + np.cos(2 * np.pi * frequency_per_m * points[:, :1, :1, 0])) * (
+            np.abs(points[..., 2]) < 0.01
+        )
         return amplitude[..., None] * np.array([0.6, 0.0, -0.8])
 
     return Formula(forces)
@@ -214,7 +221,8 @@ def test_pooling_by_greatest_and_by_mean() -> None:
         return amplitude[..., None] * np.array([0.0, -1.0, 0.0])
 
     dense = {
-        pool: on_array(Formula(forces), DeviceFilterSpec(pool=pool)).to_dense()[..., 2] for pool in ("max", "mean")
+        pool: on_array(Formula(forces), DeviceFilterSpec(pool=pool)).to_dense()[..., 2]
+        for pool in ("max", "mean")
     }
     assert dense["max"] == pytest.approx(4.0, rel=1e-5)
     assert dense["mean"] == pytest.approx(2.0, rel=0.1)  # 20 mm of 1 N and 10 mm of 4 N
@@ -245,7 +253,9 @@ PINS = replace(device("graphiti"), lattice=(42, 3, 1), workspace_mm=(105.0, 7.5,
 @pytest.mark.parametrize("wall_m", [math.inf, 0.0066])
 def test_pins_show_the_height_that_is_met_first(axes: str, wall_m: float) -> None:
     law = profile_of(LawSpec(), wall_m)
-    room_m = 0.0 if math.isinf(wall_m) else wall_m  # so much of the lattice lies beyond the land on both sides
+    room_m = (
+        0.0 if math.isinf(wall_m) else wall_m
+    )  # so much of the lattice lies beyond the land on both sides
     mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * room_m), Placement())
     shown = mapping.frames(terraces(axes), law)(0).to_dense()[:, 1, 0, 2]
     middles = [8 + 6 * n for n in range(5)]
@@ -286,7 +296,9 @@ def test_on_average_pins_are_as_high_as_the_land(axes: str, wall_m: float, is_st
         if is_stored:
             scene = Stored(HapticMedium.from_frames([scene.field(0, fine, law)], 30.0, axes))
             scene.axes = axes
-            height_m = z[np.searchsorted(z, height_m - 0.015)] + 0.015  # linear, it ends at the first sample of zeros
+            height_m = (
+                z[np.searchsorted(z, height_m - 0.015)] + 0.015
+            )  # linear, it ends at the first sample of zeros
         shown = mapping.frames(scene, law)(0).to_dense()[21, 1, 0, 2]
         errors.append(shown / 3.3 - height_m / 0.03)
     assert np.abs(errors).max() <= 0.6 * step and abs(np.mean(errors)) < 0.2 * step
@@ -299,7 +311,9 @@ def test_a_plain_that_ends_is_as_high_at_its_edge() -> None:
         return np.where(is_land, 3.3, 0.0)[..., None] * np.array([0.0, 0.0, 1.0])
 
     mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())
-    shown = mapping.frames(Formula(forces, UP_Z_AXES), profile_of(LawSpec(), math.inf))(0).to_dense()[:, 1, 0, 2]
+    shown = mapping.frames(Formula(forces, UP_Z_AXES), profile_of(LawSpec(), math.inf))(0).to_dense()[
+        :, 1, 0, 2
+    ]
     assert shown[11:27] / 3.3 == pytest.approx(1 / 3, abs=1 / 64), "27 pins of the 42 are on land"
     assert shown[27] < 0.5 * shown[26] and not shown[29:].any(), "beyond it nothing is lifted"
 
@@ -371,7 +385,8 @@ def test_a_deep_array_is_pooled_in_slabs(monkeypatch: pytest.MonkeyPatch) -> Non
     assert scene.asked - before > 5
 
 
-# -- the medium ----------------------------------------------------------------------------------------------------
+# -- the medium
+# ----------------------------------------------------------------------------------------------------
 
 
 class Stored(Formula):
@@ -385,7 +400,9 @@ class Stored(Formula):
 def stored() -> Stored:
     field = random_field(device_grid(OMNI, 4), 3)
     medium = HapticMedium.from_frames([field, field.scaled(0.5)], 25.0)
-    return Stored(replace(medium, friction=0.3, tags=("symbolic",), provenance={"from": "afar", "device": "touch"}))
+    return Stored(
+        replace(medium, friction=0.3, tags=("symbolic",), provenance={"from": "afar", "device": "touch"})
+    )
 
 
 def test_a_medium_is_lazy_and_says_where_it_comes_from() -> None:
@@ -408,7 +425,9 @@ def test_a_stored_medium_on_the_same_lattice_passes_untouched() -> None:
     assert relabelled.friction == 0.3 and scene.asked == 0
     wide = Grid.over_box(*grid.box_m, (8, 8, 8))
     low, high = wide.origin_m, wide.to_m((7, 7, 7))
-    assert not same_lattice(wide, Grid((15, 15, 15), tuple((high - low) / 14), low))  # from corner to corner alike
+    assert not same_lattice(
+        wide, Grid((15, 15, 15), tuple((high - low) / 14), low)
+    )  # from corner to corner alike
     for share, is_same in ((0.9e-6, True), (1.1e-6, False)):
         moved = tuple(o + share * h for o, h in zip(grid.origin_m, grid.spacing_m))
         assert same_lattice(grid, Grid(grid.shape, grid.spacing_m, moved)) == is_same

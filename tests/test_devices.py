@@ -120,7 +120,9 @@ def test_a_users_own_profile(tmp_path: Path) -> None:
     assert mine == device(str(path)) and hash(mine) == hash(device(path))
     assert mine.lattice == (1000, 800, 600) and mine.force_continuous_n is None
     assert mine.sources["rate_hz"] == "me"
-    assert device(written(tmp_path, POINT.replace("value = 1000\n", "value = 1e6\n"))).rate_hz == 1e6  # the most
+    assert (
+        device(written(tmp_path, POINT.replace("value = 1000\n", "value = 1e6\n"))).rate_hz == 1e6
+    )  # the most
 
 
 @pytest.mark.parametrize(
@@ -160,7 +162,9 @@ def test_an_array_shows_forces_or_heights(tmp_path: Path) -> None:
     assert pins == ["dotpad", "graphiti", "hyperbraille"]
     text = (resources.files("touchfield.devices") / "profiles" / "graphiti.toml").read_text()
     mine = written(tmp_path, text.replace('"height"', '"braille"'))
-    with pytest.raises(DeviceError, match=r"mine\.toml: shows\.value: found 'braille'; expected force, or height"):
+    with pytest.raises(
+        DeviceError, match=r"mine\.toml: shows\.value: found 'braille'; expected force, or height"
+    ):
         device(mine)
 
 
@@ -181,12 +185,14 @@ def test_an_array_of_more_actuators_than_are_filtered_in_time_is_refused(
 
     def array(columns: int, rows: int) -> Path:
         return written(
-            tmp_path, f"value = {rows}".join(text.replace("value = 32", f"value = {columns}", 1).split("value = 32"))
+            tmp_path,
+            f"value = {rows}".join(text.replace("value = 32", f"value = {columns}", 1).split("value = 32")),
         )
 
     assert device(array(1024, 16)).lattice == (1024, 16, 1)
     told = (
-        f"mine.toml: columns and rows: found {columns} x {rows} actuators; expected 1024 on a side and 16384 in all"
+        f"mine.toml: columns and rows: found {columns} x {rows} actuators; expected 1024 on a side and 16384 "
+        "in all"
     )
     with pytest.raises(DeviceError, match=told):
         device(array(columns, rows))

@@ -41,7 +41,8 @@ def noisy(shape: tuple[int, ...], seed: int = 0) -> NDArray[np.float32]:
     return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
 
 
-# -- the equation -----------------------------------------------------------------------------------------------
+# -- the equation
+# -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("shape", [(21, 10, 17, 3), (40,), (9, 33), (17, 3, 9), (1, 8, 1, 3)])
@@ -69,7 +70,9 @@ def test_without_edges_it_is_repeated_averaging(shape: tuple[int, ...]) -> None:
 def test_the_blur_is_as_wide_in_metres_along_each_axis() -> None:
     grid = Grid((61, 41, 31), (0.001, 0.002, 0.0015), (-0.03, -0.04, -0.0225))
     field = ForceField.from_support(grid, [[30, 20, 15]], [[0, 2.0, 0]])
-    everywhere = ForceField.from_dense(grid, field.to_dense() + np.float32([1e-30, 0, 0]))  # all space takes part
+    everywhere = ForceField.from_dense(
+        grid, field.to_dense() + np.float32([1e-30, 0, 0])
+    )  # all space takes part
     out = DiffusionFilter(math.inf, steps=25)(everywhere).to_dense()[..., 1].astype(np.float64)
     assert out.sum() == pytest.approx(2.0, rel=1e-6)
     for axis in range(3):
@@ -95,7 +98,8 @@ def test_one_conductance_for_the_vector() -> None:
     assert np.abs(apart @ turn.T - turned_first).max() > 0.1
 
 
-# -- laws -------------------------------------------------------------------------------------------------------
+# -- laws
+# -------------------------------------------------------------------------------------------------------
 
 numbers = st.floats(-1e3, 1e3, width=32)
 shapes = array_shapes(min_dims=3, max_dims=3, max_side=10).map(lambda s: (*s, 3))
@@ -112,7 +116,10 @@ def test_mean_kept_and_maximum_principle(values: NDArray[np.float32], kappa: flo
     assert np.linalg.norm(out, axis=-1).max() <= np.linalg.norm(before, axis=-1).max() + rounding
 
 
-@given(arrays(np.float32, array_shapes(min_dims=1, max_dims=2, max_side=12), elements=numbers), st.floats(0.1, 100))
+@given(
+    arrays(np.float32, array_shapes(min_dims=1, max_dims=2, max_side=12), elements=numbers),
+    st.floats(0.1, 100),
+)
 def test_the_same_of_pictures_and_lines(values: NDArray[np.float32], kappa: float) -> None:
     out = perona_malik(values, steps=5, kappa_n=kappa).astype(np.float64)
     rounding = 5e-6 * float(np.abs(values).max())
@@ -154,7 +161,8 @@ def test_an_edge_is_kept_where_a_gaussian_blurs_it() -> None:
     assert across["gauss"] < 0.8
 
 
-# -- sparse bricks ----------------------------------------------------------------------------------------------
+# -- sparse bricks
+# ----------------------------------------------------------------------------------------------
 
 
 def test_sparse_is_dense(wavy_field: ForceField) -> None:
@@ -167,7 +175,9 @@ def test_sparse_is_dense(wavy_field: ForceField) -> None:
     assert got == ForceField.from_dense(field.grid, expected)  # no brick without a force
 
 
-def test_the_same_bits_for_any_number_of_threads(wavy_field: ForceField, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_bits_for_any_number_of_threads(
+    wavy_field: ForceField, monkeypatch: pytest.MonkeyPatch
+) -> None:
     dense = noisy((70, 50, 41, 3))
     made = []
     for threads in ("1", "2", "5"):
@@ -221,7 +231,8 @@ def test_empty_fields_flat_grids_and_forces_that_cancel() -> None:
     assert len(crossed.bricks) == 4 and gone.bricks.tolist() == [[0, 0, 1], [0, 1, 0], [1, 0, 0]]
 
 
-# -- words and refusals -----------------------------------------------------------------------------------------
+# -- words and refusals
+# -----------------------------------------------------------------------------------------
 
 
 def test_words() -> None:

@@ -58,7 +58,9 @@ class d:
 def probabilities(shape: int | tuple[int, ...]) -> st.SearchStrategy[Vector]:
     """Distributions with zeros and with very small probabilities among them."""
     weights = st.one_of(st.just(0.0), st.floats(1e-6, 1), st.floats(1e-30, 1e-6))
-    return arrays(np.float64, shape, elements=weights).filter(lambda w: w.sum() > 0).map(lambda w: w / w.sum())
+    return (
+        arrays(np.float64, shape, elements=weights).filter(lambda w: w.sum() > 0).map(lambda w: w / w.sum())
+    )
 
 
 def test_numbers_of_the_literature() -> None:

@@ -14,7 +14,11 @@ import pytest
 from touchfield.cli.main import _exit_code
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-PAGES = [DOCS / "index.md", *sorted((DOCS / "tutorial").glob("*.md")), *sorted((DOCS / "how-to").glob("*.md"))]
+PAGES = [
+    DOCS / "index.md",
+    *sorted((DOCS / "tutorial").glob("*.md")),
+    *sorted((DOCS / "how-to").glob("*.md")),
+]
 NEEDS = {"simulation": "mujoco", "broadcast": "av"}
 """Libraries beyond those of pictures that a page is about."""
 

@@ -112,7 +112,8 @@ def test_a_feather_falls_in_a_straight_line() -> None:
     assert ((expected > 0) & (expected < 0.1)).any() and ((expected > 0.9) & (expected < 1)).any()
 
 
-# -- regions --------------------------------------------------------------------------------------------------------
+# -- regions
+# --------------------------------------------------------------------------------------------------------
 
 
 def brute_distance(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -153,7 +154,9 @@ def test_what_lies_on_the_edge_is_within() -> None:
     field = ForceField.from_support(GRID, at, [[0.5, 0, 0], [0, 1.0, 0], [0, 0, 1.5]])
     for low, high, held in ((0.5, 1.5, [1, 1, 1]), (0.5, 1.4, [1, 1, 0]), (1.0, 1.0, [0, 1, 0])):
         assert ForceRange(low, high).on(field).holds(GRID.to_m(np.array(at))).tolist() == held
-    assert (~ball | Voxels(GRID, [[0, 0, 0], [0, 0, 0]])).words == "(not (ball (0, 0, 0) radius 0.5 m)) or (1 voxels)"
+    assert (
+        ~ball | Voxels(GRID, [[0, 0, 0], [0, 0, 0]])
+    ).words == "(not (ball (0, 0, 0) radius 0.5 m)) or (1 voxels)"
 
 
 coordinate = st.floats(-0.05, 0.05)
@@ -204,7 +207,8 @@ def test_what_is_no_region() -> None:
         edited(FIELD, Voxels(other, [[0, 0, 0]]), Erased())
 
 
-# -- operators ------------------------------------------------------------------------------------------------------
+# -- operators
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_compositions_are_what_they_say() -> None:
@@ -274,7 +278,8 @@ def test_what_is_no_operator() -> None:
             edited(FIELD, Everywhere(), Erased(), feather_m)
 
 
-# -- media ----------------------------------------------------------------------------------------------------------
+# -- media
+# ----------------------------------------------------------------------------------------------------------
 
 
 def medium(frames: int, seed: int = 10, rate_hz: float = 25.0) -> HapticMedium:
@@ -289,7 +294,9 @@ def test_a_range_of_frames_is_edited_and_the_provenance_tells() -> None:
         assert y == (edited(x, REGIONS[0], Gain(2.0), 0.001) if 2 <= i < 4 else x)
     assert after[3] == edited(once[3], REGIONS[1], Erased())
     first, second = after.provenance["edits"].split("; ")
-    assert first == "gain 2.0, box (-0.006, 0.004, 0.025) to (0.001, 0.016, 0.036), feather 0.001 m, frames 2:4"
+    assert (
+        first == "gain 2.0, box (-0.006, 0.004, 0.025) to (0.001, 0.016, 0.036), feather 0.001 m, frames 2:4"
+    )
     assert second.startswith("erase, ball (") and "edits" not in before.provenance
     for frames in ((3, 3), (-1, 2), (2, 7)):
         with pytest.raises(InvalidArgument, match="frames to edit"):

@@ -1,7 +1,8 @@
-"""Searches for a voxel beyond the error bound: hostile fields and scenes of bodies, checked by `independent_bound`.
+"""Searches for a voxel beyond the error bound: hostile fields and scenes of bodies, checked by
+`independent_bound`.
 
-``TOUCHFIELD_FUZZ_SEED`` chooses another search, ``TOUCHFIELD_FUZZ_SHARE`` a part of it (0.1 is a tenth). A failure
-names the seed and the case; ``TOUCHFIELD_FUZZ_CASE`` runs that one alone.
+``TOUCHFIELD_FUZZ_SEED`` chooses another search, ``TOUCHFIELD_FUZZ_SHARE`` a part of it (0.1 is a tenth). A
+failure names the seed and the case; ``TOUCHFIELD_FUZZ_CASE`` runs that one alone.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ def _each(count: int, check: Callable[[np.random.Generator], object], what: str)
             raise
 
 
-# -- fields ----------------------------------------------------------------------------------------------------
+# -- fields
+# ----------------------------------------------------------------------------------------------------
 
 
 def _shape(rng: np.random.Generator) -> tuple[int, int, int]:
@@ -184,9 +186,13 @@ def _check_field(rng: np.random.Generator) -> None:
     fields = [ForceField.from_dense(grid, f) for f in frames]
     more = {}
     if rng.random() < 0.15:
-        more["anchor"] = encoder.anchor(ForceField.from_dense(grid, frames[0] * np.float32(1 + 1e-4)), fields[0])
+        more["anchor"] = encoder.anchor(
+            ForceField.from_dense(grid, frames[0] * np.float32(1 + 1e-4)), fields[0]
+        )
     if rng.random() < 0.15:  # as a live stream does
-        more["longest_n"] = 1.5 * float(max(np.linalg.norm(f.astype(np.float64), axis=-1).max() for f in frames))
+        more["longest_n"] = 1.5 * float(
+            max(np.linalg.norm(f.astype(np.float64), axis=-1).max() for f in frames)
+        )
     coded = encoder.encode_segment(fields, **more)
     decoder = TouchDecoder(grid, encoder.parameters)
     decoded = [field.to_dense() for field in decoder.frames(coded.body, len(frames))]
@@ -207,9 +213,12 @@ def _check_field(rng: np.random.Generator) -> None:
         assert worst is not None and worst.ratio >= ratio - 1e-6
     else:
         around = [
-            hidden_n(f, grid.spacing_m, spec.masking, spec.masking_radius_m) if spec.masking else 0.0 for f in frames
+            hidden_n(f, grid.spacing_m, spec.masking, spec.masking_radius_m) if spec.masking else 0.0
+            for f in frames
         ]
-        ratios = [mask_ratio(f, d, spec.k, spec.f0_n, hidden) for (f, d), hidden in zip(pairs, around, strict=True)]
+        ratios = [
+            mask_ratio(f, d, spec.k, spec.f0_n, hidden) for (f, d), hidden in zip(pairs, around, strict=True)
+        ]
         assert max(ratios) <= (1 + 1e-6 if spec.masking else 1)  # what is hidden is float32
         if spec.masking:
             assert worst is not None and worst.ratio >= max(ratios) - 1e-6
@@ -231,11 +240,14 @@ def test_no_voxel_of_a_hostile_field_is_beyond_its_bound() -> None:
     _each(FIELDS, _check_field, "field")
 
 
-# -- scenes of bodies ------------------------------------------------------------------------------------------
+# -- scenes of bodies
+# ------------------------------------------------------------------------------------------
 
 
 def _body_forces(rng: np.random.Generator, grid: Grid, force_max_n: float) -> np.ndarray:
-    """Float32 newtons of a body: solids and shells, which have opposite forces within a cell, and hostile fields."""
+    """Float32 newtons of a body: solids and shells, which have opposite forces within a cell, and hostile
+    fields.
+    """
     kind = str(rng.choice(["solid", "solid", "shell", "noise", "hostile", "thin"]))
     points = np.moveaxis(np.indices(grid.shape), 0, -1) * grid.spacing_m + np.array(grid.origin_m)
     r = np.linalg.norm(points, axis=-1, keepdims=True)
@@ -277,7 +289,9 @@ def _scene(rng: np.random.Generator) -> HapticScene:
         if objects and rng.random() < 0.25:  # one that cancels another, at the same place or nearly so
             other = objects[int(rng.integers(len(objects)))]
             medium = HapticMedium.from_frames([field.scaled(-1.0) for field in other.medium], 200.0)
-            near = PoseTrack(other.track.quaternions, other.track.positions_m + rng.choice([0.0, 0.0, 1e-7, 3e-4]))
+            near = PoseTrack(
+                other.track.quaternions, other.track.positions_m + rng.choice([0.0, 0.0, 1e-7, 3e-4])
+            )
             objects.append(HapticObject(f"body {n}", medium, near))
             continue
         shape = tuple(rng.integers(1, 15, 3).tolist())

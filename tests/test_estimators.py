@@ -38,7 +38,8 @@ def bits_of(p: Probabilities) -> float:
 counts_lists = st.lists(st.integers(0, 10**6), min_size=1, max_size=60).filter(any)
 small_counts = st.lists(st.integers(0, 6), min_size=1, max_size=30).filter(any)
 
-# -- known values -----------------------------------------------------------------------------------------------
+# -- known values
+# -----------------------------------------------------------------------------------------------
 
 
 @given(counts_lists)
@@ -75,7 +76,9 @@ def test_plug_in_of_the_textbook() -> None:
     assert rate == pytest.approx(0.373504, abs=1e-6)
 
 
-@pytest.mark.parametrize(("step", "bits"), [(1, 2.104833), (0.5, 3.061969), (0.25, 4.050843), (0.1, 5.369625)])
+@pytest.mark.parametrize(
+    ("step", "bits"), [(1, 2.104833), (0.5, 3.061969), (0.25, 4.050843), (0.1, 5.369625)]
+)
 def test_a_rounded_gaussian(step: float, bits: float) -> None:
     edges = (np.arange(-round(10 / step), round(10 / step) + 2) - 0.5) * step
     p = np.diff(stats.norm.cdf(edges))
@@ -101,7 +104,9 @@ def test_uniform_quantisation_with_entropy_coding_costs_a_quarter_of_a_bit() -> 
 
 def test_miller_madow_adds_half_a_nat_for_each_observed_symbol() -> None:
     counts = [5, 0, 3, 1, 0, 9]
-    assert estimate_bits(counts, "miller-madow") == pytest.approx(estimate_bits(counts) + 3 / (36 * LN2), abs=1e-14)
+    assert estimate_bits(counts, "miller-madow") == pytest.approx(
+        estimate_bits(counts) + 3 / (36 * LN2), abs=1e-14
+    )
 
 
 @given(small_counts)
@@ -117,7 +122,9 @@ def test_chao_wang_jost_equals_the_printed_formula(counts: list[int]) -> None:
     assert estimate_bits(counts, "chao-wang-jost") == pytest.approx(nats / LN2, abs=1e-7)
 
 
-@pytest.mark.parametrize(("a", "n"), [(0.9, 1), (0.3, 1), (0.3, 2), (0.3, 1000), (0.01, 7), (1e-3, 500), (0.9, 1e9)])
+@pytest.mark.parametrize(
+    ("a", "n"), [(0.9, 1), (0.3, 1), (0.3, 2), (0.3, 1000), (0.01, 7), (1e-3, 500), (0.9, 1e9)]
+)
 def test_the_tail_of_chao_wang_jost_equals_its_sum(a: float, n: float) -> None:
     j = np.arange(1, 60_000)
     expected = math.fsum((1 - a) ** j / (n - 1 + j))
@@ -127,10 +134,13 @@ def test_the_tail_of_chao_wang_jost_equals_its_sum(a: float, n: float) -> None:
 @pytest.mark.parametrize("z", [1e-6, 0.1, 3.0, 200.0])
 def test_the_tail_of_chao_wang_jost_for_many_samples(z: float) -> None:
     n = 1e10  # it becomes e^z E1(z), to 1/n, where the printed difference has lost its digits
-    assert _geometric_tail(z / n, n) == pytest.approx(special.exp1(z) * math.exp(z), rel=2 * (z + 1) / n + 1e-13)
+    assert _geometric_tail(z / n, n) == pytest.approx(
+        special.exp1(z) * math.exp(z), rel=2 * (z + 1) / n + 1e-13
+    )
 
 
-# -- bias -------------------------------------------------------------------------------------------------------
+# -- bias
+# -------------------------------------------------------------------------------------------------------
 
 
 def expected_bits(p: Probabilities, n: int, term: Callable[[Probabilities], Probabilities]) -> float:
@@ -246,10 +256,13 @@ def test_is_biased_low_is_what_happens(name: str) -> None:
     else:
         assert max(biases) > 0
     if name != "plug-in":
-        assert all(abs(own) < abs(other) for own, other in zip(biases, plain, strict=True)), "most of it is taken off"
+        assert all(abs(own) < abs(other) for own, other in zip(biases, plain, strict=True)), (
+            "most of it is taken off"
+        )
 
 
-# -- properties of all of them ----------------------------------------------------------------------------------
+# -- properties of all of them
+# ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
@@ -279,7 +292,8 @@ def test_the_counts_of_the_counts() -> None:
     assert not t.counts.flags.writeable
 
 
-# -- refusals ---------------------------------------------------------------------------------------------------
+# -- refusals
+# ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
@@ -309,7 +323,11 @@ def test_an_alphabet_that_cannot_be(alphabet: float) -> None:
 
 
 def test_an_estimator_that_is_not() -> None:
-    with pytest.raises(InvalidArgument, match="estimator: found 'magic'; expected one of plug-in, miller-madow"):
+    with pytest.raises(
+        InvalidArgument, match="estimator: found 'magic'; expected one of plug-in, miller-madow"
+    ):
         estimate_bits([1, 2], "magic")
-    with pytest.raises(InvalidArgument, match="estimator: found 'nsb'; expected one of plug-in, miller-madow"):
+    with pytest.raises(
+        InvalidArgument, match="estimator: found 'nsb'; expected one of plug-in, miller-madow"
+    ):
         estimate_bits([1, 2], "nsb")

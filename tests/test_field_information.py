@@ -50,7 +50,8 @@ def joint(first: Any, second: Any, over: str = "voxel", interval: bool = True) -
     return field_counts(first, second, (over,), interval=interval)[over]
 
 
-# -- one field ------------------------------------------------------------------------------------------------------
+# -- one field
+# ------------------------------------------------------------------------------------------------------
 
 
 @given(
@@ -83,7 +84,9 @@ def test_voxel_and_object_entropy_of_other_estimators() -> None:
     p = f.object_count / f.voxel_count
     apart = {}
     for estimator in ("plug-in", "miller-madow"):
-        voxel, within = (float(field_entropy(f, o, estimator=estimator, interval=False)) for o in ("voxel", "object"))
+        voxel, within = (
+            float(field_entropy(f, o, estimator=estimator, interval=False)) for o in ("voxel", "object")
+        )
         apart[estimator] = voxel - binary_entropy_bits(p) - p * within
     # (K - 1) / 2n of K symbols and V voxels, and of K - 1 and p V: times p they differ by 1 / 2V
     assert apart["plug-in"] == pytest.approx(0, abs=1e-12)
@@ -135,7 +138,8 @@ def test_when_a_field_has_no_interval() -> None:
         assert small.interval is None and any("too few bricks" in n for n in small.notes)
 
 
-# -- two fields -----------------------------------------------------------------------------------------------------
+# -- two fields
+# -----------------------------------------------------------------------------------------------------
 
 
 @given(st.integers(0, 1000), st.sampled_from([0.0, 0.02, 0.4]))
@@ -155,7 +159,10 @@ def test_joint_measures_are_those_of_the_dense_arrays(seed: int, share: float) -
             (info.conditional_entropy(found, given=0), info.conditional_entropy(b, a, interval=False)),
             (info.mutual_information(found), info.mutual_information(a, b, interval=False)),
             (info.variation_of_information(found), info.variation_of_information(a, b, interval=False)),
-            (info.normalised_mutual_information(found), info.normalised_mutual_information(a, b, interval=False)),
+            (
+                info.normalised_mutual_information(found),
+                info.normalised_mutual_information(a, b, interval=False),
+            ),
         ]
         for q, expected in pairs:
             assert float(q) == pytest.approx(float(expected), abs=1e-12, nan_ok=True), q.name
@@ -181,7 +188,8 @@ def test_a_joint_measure_warns() -> None:
         assert any("few samples" in n for n in info.mutual_information(found).notes)
 
 
-# -- frames that are made when asked for ----------------------------------------------------------------------------
+# -- frames that are made when asked for
+# ----------------------------------------------------------------------------
 
 
 class Unlike(FieldSymbols):
@@ -260,7 +268,9 @@ def test_a_frame_and_the_one_before_are_made_once_a_pass() -> None:
     frames = SymbolFrames(range(6), quantise)  # type: ignore[arg-type]
     found = joint(frames[1:], frames[:-1], interval=False)
     plain = joint(fields[1:], fields[:-1], interval=False)
-    assert info.mutual_information(found) == info.mutual_information(plain) and sorted(asked) == list(range(6))
+    assert info.mutual_information(found) == info.mutual_information(plain) and sorted(asked) == list(
+        range(6)
+    )
 
 
 def test_one_pass_and_two_make_the_same_blocks() -> None:
@@ -305,7 +315,8 @@ def test_each_frame_is_checked_as_it_passes() -> None:
             field_entropy(no_sequence)  # type: ignore[arg-type]
 
 
-# -- refusals -------------------------------------------------------------------------------------------------------
+# -- refusals
+# -------------------------------------------------------------------------------------------------------
 
 
 def test_what_does_not_match() -> None:
@@ -335,12 +346,16 @@ def test_what_does_not_match() -> None:
     assert field_entropy(f, blocks=8).samples == f.voxel_count
     empty = FieldSymbols.from_dense(grid, np.zeros(grid.shape, np.int32), K, "a Q")
     assert float(field_entropy(empty)) == 0
-    for empties in (lambda: field_entropy(empty, "object"), lambda: info.entropy(joint(empty, empty, "object"))):
+    for empties in (
+        lambda: field_entropy(empty, "object"),
+        lambda: info.entropy(joint(empty, empty, "object")),
+    ):
         with pytest.raises(InvalidArgument, match=r"no voxel with a force|no sample"):
             empties()
 
 
-# -- parts of space -------------------------------------------------------------------------------------------------
+# -- parts of space
+# -------------------------------------------------------------------------------------------------
 
 
 @given(st.tuples(*[st.integers(1, 90)] * 3), st.integers(1, 70))
@@ -368,7 +383,9 @@ def test_groups_hold_equally_many_bricks_and_are_compact() -> None:
 
 
 def gaussian_field(rng: np.random.Generator, n: int, length: float) -> np.ndarray:
-    """A periodic Gaussian field of variance 1, correlation exp(-r^2 / 2 length^2), cut to n^3 of (2 n)^3 samples."""
+    """A periodic Gaussian field of variance 1, correlation exp(-r^2 / 2 length^2), cut to n^3 of (2 n)^3
+    samples.
+    """
     k = np.fft.fftfreq(2 * n)
     square = k[:, None, None] ** 2 + k[None, :, None] ** 2 + k[None, None, :] ** 2
     gain = np.exp(-((np.pi * length) ** 2) * square)

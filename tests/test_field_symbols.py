@@ -24,10 +24,13 @@ def grid_of(*shape: int) -> Grid:
 
 def of_bricks(grid: Grid, bricks: Any, symbols: NDArray[np.int32] | None = None) -> FieldSymbols:
     b = np.array(bricks, np.int32).reshape(-1, 3)
-    return FieldSymbols(grid, b, np.ones((len(b), 8, 8, 8), np.int32) if symbols is None else symbols, K, "a Q")
+    return FieldSymbols(
+        grid, b, np.ones((len(b), 8, 8, 8), np.int32) if symbols is None else symbols, K, "a Q"
+    )
 
 
-# -- bricks ---------------------------------------------------------------------------------------------------------
+# -- bricks
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_bricks_out_of_order_twice_or_outside() -> None:
@@ -55,7 +58,9 @@ def test_symbols_beyond_the_last_sample(axis: int) -> None:
     symbols[1][tuple(within)] = 5
     assert of_bricks(grid, [[0, 0, 0], last], symbols).object_count == 513
     symbols[1][tuple(beyond)] = 1
-    with pytest.raises(InvalidArgument, match=f"beyond the grid along {'xyz'[axis]}; expected 0 from sample 13"):
+    with pytest.raises(
+        InvalidArgument, match=f"beyond the grid along {'xyz'[axis]}; expected 0 from sample 13"
+    ):
         of_bricks(grid, [[0, 0, 0], last], symbols)
 
 
@@ -75,10 +80,13 @@ def test_shapes_types_and_range() -> None:
             FieldSymbols(grid, b, s, K, "a Q")
 
 
-# -- dense arrays ---------------------------------------------------------------------------------------------------
+# -- dense arrays
+# ---------------------------------------------------------------------------------------------------
 
 
-@example((16, 16, 16), 0, 0.5)  # whole bricks: beyond a border the key of a brick is that of one in the next row
+@example(
+    (16, 16, 16), 0, 0.5
+)  # whole bricks: beyond a border the key of a brick is that of one in the next row
 @given(st.tuples(*[st.integers(1, 19)] * 3), st.integers(0, 1000), st.sampled_from([0.0, 0.01, 0.5]))
 def test_dense_and_back(shape: tuple[int, int, int], seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
@@ -129,7 +137,8 @@ def test_a_dense_array_of_another_shape() -> None:
         FieldSymbols.from_dense(grid_of(8, 8, 8), np.zeros((8, 8, 9), int), K, "a Q")
 
 
-# -- several --------------------------------------------------------------------------------------------------------
+# -- several
+# --------------------------------------------------------------------------------------------------------
 
 
 def test_pairs_at_the_union_of_their_bricks() -> None:

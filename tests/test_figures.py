@@ -74,7 +74,9 @@ def test_a_result_has_bars_that_follow_from_its_figures(name: str) -> None:
         more, limit = bar["way"] == "at least", bar["limit"]
         assert more or bar["way"] == "at most"
         measured = bar["measured"]
-        assert bar["met"] is (None if measured is None else (measured >= limit if more else measured <= limit))
+        assert bar["met"] is (
+            None if measured is None else (measured >= limit if more else measured <= limit)
+        )
 
 
 def test_every_benchmark_keeps_a_result() -> None:

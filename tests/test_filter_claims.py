@@ -1,4 +1,5 @@
-"""One battery for every registered haptic filter: each claim that it makes is measured; information never grows.
+"""One battery for every registered haptic filter: each claim that it makes is measured; information never
+grows.
 
 Paper section 3.2; the laws of information are the data-processing inequality and the chain rule.
 """
@@ -15,7 +16,14 @@ import pytest
 
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
-from touchfield.filters.registry import Claims, FieldFilter, field_filters, filter_of, filtered, filtered_medium
+from touchfield.filters.registry import (
+    Claims,
+    FieldFilter,
+    field_filters,
+    filter_of,
+    filtered,
+    filtered_medium,
+)
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, Grid, HapticMedium
 
@@ -107,7 +115,9 @@ def test_reach(name: str, text: str) -> None:
 UNEQUAL = Grid((28, 26, 23), (0.0008, 0.001, 0.0014), (-0.008, 0.0, 0.01))
 SWAPPED = (1, 0, 2)
 ORDERS = {"lowpass": [SWAPPED], "multiresolution": [SWAPPED], "texture": []}
-"""Orders of the axes for filters that single out z; others take any. Grains of a texture are drawn for each place."""
+"""Orders of the axes for filters that single out z; others take any. Grains of a texture are drawn for each
+place.
+"""
 PERMUTED = [
     pytest.param(*case.values, order, id=f"{case.id}-{order}")
     for case in CASES
@@ -163,12 +173,16 @@ def test_mean_greatest_force_direction_and_amplitude(name: str, text: str) -> No
     block[12:-12, 12:-12, 12:-12, 0] = 1  # at its edges a kernel with negative lobes rings
     rung = chosen(ForceField.from_dense(GRID, block)).to_dense()
     kept = {
-        "keeps_mean": np.allclose(y.sum(axis=(0, 1, 2)), x.sum(axis=(0, 1, 2)), rtol=0, atol=1e-5 * size.sum()),
+        "keeps_mean": np.allclose(
+            y.sum(axis=(0, 1, 2)), x.sum(axis=(0, 1, 2)), rtol=0, atol=1e-5 * size.sum()
+        ),
         "max_principle": max(other.max() / size.max(), np.linalg.norm(rung, axis=-1).max()) <= 1 + 1e-6,
         "keeps_direction": (across <= 1e-5 * size[both] * other[both]).all(),
         "keeps_amplitude": np.allclose(other[both], size[both], rtol=1e-5, atol=0),
     }
-    assert {claim: bool(held) for claim, held in kept.items()} == {claim: getattr(claims, claim) for claim in kept}
+    assert {claim: bool(held) for claim, held in kept.items()} == {
+        claim: getattr(claims, claim) for claim in kept
+    }
 
 
 @pytest.mark.parametrize(("name", "text"), claiming("linear", "dc_gain"))
@@ -180,7 +194,8 @@ def test_an_impulse_stays_where_it_is(name: str, text: str) -> None:
     np.testing.assert_allclose(centre, [18, 16, 14], atol=1e-4)
 
 
-# -- information ----------------------------------------------------------------------------------------------
+# -- information
+# ----------------------------------------------------------------------------------------------
 
 
 def joint_bits(frames: list[ForceField], words: str | None = None) -> float:
@@ -195,7 +210,9 @@ def joint_bits(frames: list[ForceField], words: str | None = None) -> float:
 
 @pytest.mark.parametrize(("name", "text"), CASES)
 def test_no_filter_and_requantiser_makes_information(name: str, text: str) -> None:
-    """All 2^6 fields with or without a force at six places: 6 bits in, never more out, and less at every step."""
+    """All 2^6 fields with or without a force at six places: 6 bits in, never more out, and less at every
+    step.
+    """
     chosen = filter_of(name, text)
     places = np.add(9, [[2, 2, 2], [2, 2, 4], [4, 2, 2], [4, 4, 4], [5, 4, 4], [3, 3, 3]])
     force = np.float32([[1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 1, 1], [-1, 0, 0], [1, -1, 1]])
@@ -229,7 +246,9 @@ def test_a_chain_is_applied_in_order_and_says_so() -> None:
     assert again.provenance["filters"] == f"{medium.provenance['filters']}; {chain[0].name} {chain[0].words}"
 
 
-@pytest.mark.parametrize("text", ["", "2", "two mm", "2mm,2mm", "2mm,sigma=1mm", "2mm,depth=3", "nanmm", "-1mm"])
+@pytest.mark.parametrize(
+    "text", ["", "2", "two mm", "2mm,2mm", "2mm,sigma=1mm", "2mm,depth=3", "nanmm", "-1mm"]
+)
 def test_bad_words_are_refused(text: str) -> None:
     with pytest.raises(InvalidArgument):
         filter_of("gaussian", text)

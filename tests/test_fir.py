@@ -1,4 +1,6 @@
-"""Equation 4: dense arrays by two methods against scipy, bricks against dense, and what item 11 says of entropy."""
+"""Equation 4: dense arrays by two methods against scipy, bricks against dense, and what item 11 says of
+entropy.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,8 @@ def filter_of_array(taps: ArrayLike, **others: Any) -> FirFilter:
     return FirFilter(f"{'x'.join(str(n) for n in h.shape)}:{text}" if h.ndim != 1 else text, **others)
 
 
-# -- dense ------------------------------------------------------------------------------------------------------
+# -- dense
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_the_literal_sum_of_equation_4() -> None:
@@ -111,7 +114,8 @@ def test_a_signal_that_is_not_finite_is_refused() -> None:
         fir_filter(np.array([1.0, np.nan, 2.0]), np.ones(1))
 
 
-# -- item 11: does filtering lower the entropy? -----------------------------------------------------------------
+# -- item 11: does filtering lower the entropy?
+# -----------------------------------------------------------------
 
 
 def entropy_bits(counts: Counter[object]) -> float:
@@ -144,7 +148,8 @@ def test_the_joint_entropy_of_a_valid_box_of_4_by_4() -> None:
     assert -(share * np.log2(share)).sum() == pytest.approx(8.786455, abs=1e-6)
 
 
-# -- bricks -----------------------------------------------------------------------------------------------------
+# -- bricks
+# -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("taps", [[1.0, 3.0, 2.0], [0.5, -1.0, 0.0, 2.0, 1.0]])
@@ -167,7 +172,9 @@ def test_a_box_of_taps_on_bricks_equals_the_dense_array(shape: tuple[int, int, i
     assert made == ForceField.from_dense(field.grid, made.to_dense())
 
 
-@given(st.tuples(*[st.integers(1, 20)] * 3), st.integers(0, 999), st.sampled_from([0.002, 0.1, 1.0]), st.data())
+@given(
+    st.tuples(*[st.integers(1, 20)] * 3), st.integers(0, 999), st.sampled_from([0.002, 0.1, 1.0]), st.data()
+)
 def test_any_box_of_taps_on_any_field(
     shape: tuple[int, int, int], seed: int, share: float, data: st.DataObject
 ) -> None:
@@ -191,14 +198,17 @@ def test_the_same_bits_for_any_number_of_threads(taps: str, monkeypatch: pytest.
 
 def test_bricks_of_a_lattice_that_could_never_be_dense() -> None:
     grid = Grid((1 << 20, 1 << 20, 1 << 20), (1e-6,) * 3, (0.0,) * 3)
-    field = ForceField.from_support(grid, [[7, 8, 9], [1 << 19, 0, (1 << 20) - 1]], [[1.0, 0, 0], [0, 2.0, 0]])
+    field = ForceField.from_support(
+        grid, [[7, 8, 9], [1 << 19, 0, (1 << 20) - 1]], [[1.0, 0, 0], [0, 2.0, 0]]
+    )
     laplace = "3x3x3:0/0/0/0/1/0/0/0/0/0/1/0/1/-6/1/0/1/0/0/0/0/0/1/0/0/0/0"
     made = FirFilter(laplace, normalise=False)(field)
     assert made.support_count == 7 + 5
     assert made.vectors_n().sum(axis=0) == pytest.approx([0, -4, 0])
 
 
-# -- what it declares -------------------------------------------------------------------------------------------
+# -- what it declares
+# -------------------------------------------------------------------------------------------
 
 
 def test_claims_of_a_smoothing_and_a_high_pass() -> None:
@@ -207,7 +217,9 @@ def test_claims_of_a_smoothing_and_a_high_pass() -> None:
     high = FirFilter("3x1x1:-1/2/-1", normalise=False)
     assert smooth.claims(grid).reach == (1, 1, 1) and smooth.claims(grid).dc_gain == pytest.approx(1)
     assert smooth.claims(grid).keeps_mean and smooth.claims(grid).max_principle
-    assert FirFilter("-100/201/-100").claims(grid).dc_gain == pytest.approx(1)  # a small sum is none that is zero
+    assert FirFilter("-100/201/-100").claims(grid).dc_gain == pytest.approx(
+        1
+    )  # a small sum is none that is zero
     with pytest.raises(InvalidArgument, match="found 0 frequencies"):
         frequency_response(1.0)
     assert high.claims(grid).dc_gain == 0 and not high.claims(grid).keeps_mean
@@ -223,7 +235,9 @@ def test_a_constant_is_multiplied_by_the_gain() -> None:
         gain = filt.claims(grid).dc_gain
         assert filt.claims(grid).keeps_mean == filt.normalise
         assert gain == pytest.approx(1 if filt.normalise else 343)
-        assert filt(field).to_dense()[1:-1, 1:-1, 1:-1] == pytest.approx(np.full((10, 10, 10, 3), gain), rel=1e-6)
+        assert filt(field).to_dense()[1:-1, 1:-1, 1:-1] == pytest.approx(
+            np.full((10, 10, 10, 3), gain), rel=1e-6
+        )
 
 
 def test_a_flat_field_is_filtered_along_its_two_axes() -> None:
@@ -233,7 +247,8 @@ def test_a_flat_field_is_filtered_along_its_two_axes() -> None:
     assert np.abs(FirFilter("1/2/1")(field).to_dense() - expected).max() < 1e-6
 
 
-# -- words ------------------------------------------------------------------------------------------------------
+# -- words
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_words_come_back() -> None:

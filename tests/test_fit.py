@@ -62,7 +62,9 @@ def test_the_frames_that_are_taken_are_those_that_are_fitted(make) -> None:
     assert as_whole.placement == whole.placement and len(as_whole.medium) == 1
     assert other.placement == part.placement and len(other.medium) == 4
     assert any("in frames 0 to 3 fits" in note for note in whole.notes)
-    assert any("in frames 0 to 0 fits" in note and "3.5 mm of it left on every side" in note for note in part.notes)
+    assert any(
+        "in frames 0 to 0 fits" in note and "3.5 mm of it left on every side" in note for note in part.notes
+    )
 
 
 def test_a_scan_that_fills_the_depth_has_its_face_inside_the_workspace() -> None:
@@ -71,7 +73,9 @@ def test_a_scan_that_fills_the_depth_has_its_face_inside_the_workspace() -> None
     face_mm = 1e3 * made.placement.scale * 0.05
     assert face_mm == pytest.approx(35 - 3.5)  # of the Omni's 70 mm
     ahead = made.medium[0].sample_n([[0, 0, 0.0345], [0, 0, 0.030]])
-    assert not ahead[0].any() and ahead[1, 2] > 0  # a hand can be before the face, and is pushed back behind it
+    assert (
+        not ahead[0].any() and ahead[1, 2] > 0
+    )  # a hand can be before the face, and is pushed back behind it
     filled = prepare(box, EncodeSpec(nw=6, mapping="fill"))
     assert 2 * filled.placement.scale * 0.05 == pytest.approx(device("phantom-omni").workspace_m[2])
 
@@ -83,7 +87,8 @@ def test_frames_that_are_not_there_are_refused(spec: dict, words: str) -> None:
     assert EncodeSpec.from_json(EncodeSpec(fit_frames=(1, None)).to_json()).fit_frames == (1, None)
 
 
-# -- scene to hand and back ----------------------------------------------------------------------------------------
+# -- scene to hand and back
+# ----------------------------------------------------------------------------------------
 
 
 def test_points_go_to_the_hand_and_back() -> None:
@@ -121,12 +126,17 @@ def test_the_mapping_is_told_everywhere(tmp_path: Path) -> None:
         assert stored["mapping_scale"].tolist() == [placement.scale]
         assert stored["mapping_offset_m"].tolist() == [0.4, 0.0, 0.0]
     text = (tmp_path / "a.vti").read_bytes().decode("latin-1")
-    assert f'Name="mapping_scale">{placement.scale!r}<' in text and 'Name="mapping_offset_m">0.4 0.0 0.0<' in text
+    assert (
+        f'Name="mapping_scale">{placement.scale!r}<' in text
+        and 'Name="mapping_offset_m">0.4 0.0 0.0<' in text
+    )
     assert prepare(tmp_path / "a.npz", EncodeSpec(nw=4)).medium[0] == done.prepared.medium[0]
 
 
 @pytest.mark.parametrize("axes", [CAMERA_AXES, UP_Z_AXES])
-def test_a_preview_shows_where_the_scene_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, axes: str) -> None:
+def test_a_preview_shows_where_the_scene_lies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, axes: str
+) -> None:
     pytest.importorskip("matplotlib")
     box = AnalyticScene((Box((0.4, 0.0, 0.0), (0.04, 0.02, 0.05)),))
     box.axes = axes

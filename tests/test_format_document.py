@@ -1,4 +1,6 @@
-"""docs/format: its tables of the container are the code's, its example is a file, and its links lead somewhere."""
+"""docs/format: its tables of the container are the code's, its example is a file, and its links lead
+somewhere.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,16 @@ import pytest
 
 from container_strategies import example_file
 from touchfield.container.fields import FieldType, Listed
-from touchfield.container.records import MAX_BRICKS, MAX_OBJECTS, RECORDS, Pair, Record, SegmentEntry, Struct, rows_of
+from touchfield.container.records import (
+    MAX_BRICKS,
+    MAX_OBJECTS,
+    RECORDS,
+    Pair,
+    Record,
+    SegmentEntry,
+    Struct,
+    rows_of,
+)
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "format"
 CONTAINER = (FOLDER / "container.md").read_text(encoding="utf-8")

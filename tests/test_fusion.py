@@ -51,7 +51,9 @@ def test_a_standing_world_is_one_field_and_nearer_to_the_truth(standing: rooms.R
     first = fused.field(0, grid, WALL)
     assert all(fused.field(i, grid, WALL) is first for i in (9, 4, 0))
     errors = np.median(np.abs(standing.contact_errors_m(first, 18.0)))
-    single = [np.median(np.abs(standing.contact_errors_m(alone.field(i, grid, WALL), 18.0))) for i in (0, 5, 9)]
+    single = [
+        np.median(np.abs(standing.contact_errors_m(alone.field(i, grid, WALL), 18.0))) for i in (0, 5, 9)
+    ]
     assert errors <= 0.5 * np.median(single)
     assert fused.learnt() == ()
 
@@ -83,7 +85,12 @@ def test_a_causal_world_is_renewed_eight_times_a_second_and_changes_follow_every
     places = moving.world(np.asarray(grid.to_m(np.stack(np.indices(grid.shape), -1))))
     for i in range(3, 12):  # the box where it is now
         corner = np.abs(places - np.array(MOVED[i])) - rooms.HALF_M
-        inside = (corner.max(-1) < -0.01) & (places[..., 2] < 1.9) & (places[..., 1] < 0.6) & (corner[..., 0] < -0.05)
+        inside = (
+            (corner.max(-1) < -0.01)
+            & (places[..., 2] < 1.9)
+            & (places[..., 1] < 0.6)
+            & (corner[..., 0] < -0.05)
+        )
         inside &= places[..., 0] > 0.0  # the ball hides what is left of it
         assert held(causal.field(i, grid, WALL))[inside].mean() > 0.8, i
     assert causal.field(11, grid, WALL) != causal.field(10, grid, WALL)
@@ -110,7 +117,12 @@ def test_a_box_moves_before_a_wall_that_stands(moving: rooms.Room) -> None:
     fields = {i: fused.field(i, grid, WALL) for i in (0, 4, 8, 11)}
     for i, field in fields.items():
         corner = np.abs(places - np.array(MOVED[i])) - rooms.HALF_M
-        inside = (corner.max(-1) < -0.01) & (places[..., 2] < 1.9) & (places[..., 1] < 0.6) & (corner[..., 0] < -0.05)
+        inside = (
+            (corner.max(-1) < -0.01)
+            & (places[..., 2] < 1.9)
+            & (places[..., 1] < 0.6)
+            & (corner[..., 0] < -0.05)
+        )
         inside &= places[..., 0] > 0.0  # the ball hides what is left of it
         assert held(field)[inside].mean() > 0.9, i
         outside = rooms.distance_m(places, MOVED[i]) > 0.1
@@ -134,7 +146,9 @@ def test_a_world_is_fused_from_the_frames_that_are_asked_for(
 ) -> None:
     alone = copy(standing)
     alone.key_frames = lambda: kept  # type: ignore[method-assign]
-    some, expected = (prepare(FusedScene(one), EncodeSpec(nw=4, frames=frames)).medium for one in (standing, alone))
+    some, expected = (
+        prepare(FusedScene(one), EncodeSpec(nw=4, frames=frames)).medium for one in (standing, alone)
+    )
     assert len(some) == 3 and some[0] == expected[0] and some[0].support_count > 100
 
 

@@ -40,7 +40,8 @@ def by_scipy(dense: NDArray[np.float32], sigmas: tuple[float, ...], boundary: st
     return ndimage.gaussian_filter(dense.astype(float), sigma, mode=SCIPY_MODES[boundary], truncate=truncate)
 
 
-# -- dense arrays -----------------------------------------------------------------------------------------------
+# -- dense arrays
+# -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("boundary", BOUNDARIES)
@@ -56,7 +57,9 @@ def test_a_dense_field_equals_scipy(boundary: str, sigmas: tuple[float, float, f
 @pytest.mark.parametrize(
     ("shape", "sigma"), [((50,), 2.0), ((20, 31), 1.5), ((12, 13, 14), 1.0), ((9, 9, 9, 12), 1.0)]
 )
-def test_scalars_of_any_number_of_axes_equal_scipy(boundary: str, shape: tuple[int, ...], sigma: float) -> None:
+def test_scalars_of_any_number_of_axes_equal_scipy(
+    boundary: str, shape: tuple[int, ...], sigma: float
+) -> None:
     for dtype, tolerance in ((np.float64, 1e-14), (np.float32, 1e-6)):
         signal = np.random.default_rng(2).normal(size=shape).astype(dtype)
         made = gaussian(signal, sigma, boundary=boundary)
@@ -85,7 +88,8 @@ def test_taps_are_symmetric_positive_and_of_unit_sum(sigma: float) -> None:
     assert np.array_equal(taps, taps[::-1])
 
 
-# -- bricks -----------------------------------------------------------------------------------------------------
+# -- bricks
+# -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("shape", [(24, 33, 41), (17, 18, 30), (40, 17, 64)])
@@ -94,7 +98,9 @@ def test_bricks_equal_the_dense_array(shape: tuple[int, int, int]) -> None:
     made = GaussianFilter(1.9)(field)
     expected = by_scipy(field.to_dense(), (1.9,) * 3, "zero")
     assert np.abs(made.to_dense() - expected).max() < 1e-6
-    assert made == ForceField.from_dense(field.grid, made.to_dense())  # no empty brick, nothing beyond the grid
+    assert made == ForceField.from_dense(
+        field.grid, made.to_dense()
+    )  # no empty brick, nothing beyond the grid
 
 
 @given(shapes, st.integers(0, 999), st.sampled_from([0.001, 0.05, 1.0]), st.data())
@@ -152,17 +158,22 @@ def test_the_same_bits_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch
         assert np.array_equal(dense, made[0][1])
 
 
-# -- what the filter declares -----------------------------------------------------------------------------------
+# -- what the filter declares
+# -----------------------------------------------------------------------------------
 
 
 def test_claims_hold_on_a_field_clear_of_the_border(wavy_field: ForceField) -> None:
     grid = Grid((56, 48, 47), wavy_field.grid.spacing_m, wavy_field.grid.origin_m)
-    field = ForceField.from_support(grid, wavy_field.positions() + np.array([16, 12, 14]), wavy_field.vectors_n())
+    field = ForceField.from_support(
+        grid, wavy_field.positions() + np.array([16, 12, 14]), wavy_field.vectors_n()
+    )
     smooth = GaussianFilter.parse("2mm")
     claims, made = smooth.claims(grid), smooth(field)
     assert claims.reach == (8, 4, 5) and claims.linear and claims.dc_gain == 1
     before, after = field.vectors_n(), made.vectors_n()
-    assert after.sum(axis=0, dtype=float) == pytest.approx(before.sum(axis=0, dtype=float), rel=1e-5, abs=1e-4)
+    assert after.sum(axis=0, dtype=float) == pytest.approx(
+        before.sum(axis=0, dtype=float), rel=1e-5, abs=1e-4
+    )
     assert np.linalg.norm(after, axis=1).max() <= np.linalg.norm(before, axis=1).max() * (1 + 1e-6)
     low, high = field.positions().min(axis=0), field.positions().max(axis=0)
     assert (made.positions() >= low - claims.reach).all() and (made.positions() <= high + claims.reach).all()
@@ -193,7 +204,8 @@ def test_factors_of_a_product_and_of_what_is_none() -> None:
     assert factors(np.zeros((3, 3))) is None
 
 
-# -- bad input --------------------------------------------------------------------------------------------------
+# -- bad input
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -252,7 +264,9 @@ def test_sums_of_the_largest_numbers_do_not_overflow() -> None:
     field = ForceField.from_dense(unit_grid((20, 20, 20)), np.full((20, 20, 20, 3), 0.9 * most))
     for boundary in BOUNDARIES:
         assert gaussian(field.to_dense(), 1.0, boundary=boundary).max() == pytest.approx(0.9 * most, rel=1e-6)
-        assert gaussian(np.full(20, 1.7e308), 1.0, boundary=boundary).max() == pytest.approx(1.7e308, rel=1e-12)
+        assert gaussian(np.full(20, 1.7e308), 1.0, boundary=boundary).max() == pytest.approx(
+            1.7e308, rel=1e-12
+        )
     assert GaussianFilter(1.0)(field).forces_n.max() == pytest.approx(0.9 * most, rel=1e-6)
     assert np.isfinite(GaussianFilter(1.0)(field.scaled(0.5)).forces_n).all()
 

@@ -1,4 +1,6 @@
-"""glTF documents: accessors, samplers, node trees, skins and morph targets, against the formulas of the standard."""
+"""glTF documents: accessors, samplers, node trees, skins and morph targets, against the formulas of the
+standard.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ def floats(gltf: Gltf, number: int, kind: str, tmp_path: Path) -> np.ndarray:
     return Document(gltf.save(tmp_path / "a.gltf")).array(number, kind)
 
 
-# -- bytes ---------------------------------------------------------------------------------------------------------
+# -- bytes
+# ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("how", ["base64", "bin", "glb"])
@@ -97,7 +100,8 @@ def test_sparse_changes_are_made(has_base: bool, tmp_path: Path) -> None:
     np.testing.assert_array_equal(floats(gltf, number, "VEC3", tmp_path), base)
 
 
-# -- time ----------------------------------------------------------------------------------------------------------
+# -- time
+# ----------------------------------------------------------------------------------------------------------
 
 TIMES = st.lists(st.integers(0, 400), min_size=1, max_size=6, unique=True).map(lambda t: np.sort(t) / 37)
 
@@ -108,7 +112,9 @@ def test_linear_and_step_are_those_of_the_standard_and_hold_at_both_ends(keys: n
     values = rng.normal(size=(len(keys), 3))
     times = np.append(rng.uniform(-1, 13, 20), keys)
     linear = Sampler(keys, values).at(times)
-    np.testing.assert_allclose(linear, np.stack([np.interp(times, keys, v) for v in values.T], axis=1), atol=1e-12)
+    np.testing.assert_allclose(
+        linear, np.stack([np.interp(times, keys, v) for v in values.T], axis=1), atol=1e-12
+    )
     held = [values[max(i - 1, 0)] for i in np.searchsorted(keys, times, side="right")]
     np.testing.assert_array_equal(Sampler(keys, values, "STEP").at(times), held)
 
@@ -153,7 +159,9 @@ def test_a_cubic_spline_passes_through_any_cubic(seed: int) -> None:
         ),
     ],
 )
-def test_a_translated_node_is_where_the_standard_says(how: str, values: list, middle: list, tmp_path: Path) -> None:
+def test_a_translated_node_is_where_the_standard_says(
+    how: str, values: list, middle: list, tmp_path: Path
+) -> None:
     model = Model(moving_cube(values, [1, 3], how).save(tmp_path / "a.gltf"))
     first = values[1] if how == "CUBICSPLINE" else values[0]
     last = values[4] if how == "CUBICSPLINE" else values[1]
@@ -162,14 +170,17 @@ def test_a_translated_node_is_where_the_standard_says(how: str, values: list, mi
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-# -- places --------------------------------------------------------------------------------------------------------
+# -- places
+# --------------------------------------------------------------------------------------------------------
 
 
 def test_a_tree_of_nodes_multiplies_from_the_root(tmp_path: Path) -> None:
     gltf = Gltf()
     mesh = gltf.mesh(TRIANGLE)
     turn, size = Rotation.from_euler("xyz", [0.3, 0.5, -1.1]), np.array([1.0, 2.0, 0.5])
-    gltf.put("nodes", children=[2], translation=[1, 2, 3], rotation=turn.as_quat().tolist(), scale=size.tolist())
+    gltf.put(
+        "nodes", children=[2], translation=[1, 2, 3], rotation=turn.as_quat().tolist(), scale=size.tolist()
+    )
     gltf.put("nodes", mesh=mesh)
     columns = [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 5, 0, 0, 1]
     gltf.put("nodes", mesh=mesh, matrix=columns)
@@ -239,7 +250,9 @@ def test_a_vertex_without_weights_goes_with_its_first_joint(tmp_path: Path) -> N
     joints = gltf.array([[1, 0, 0, 0]] * 3, "u1")
     weights = gltf.array([[0, 0, 0, 0], [0, 3, 0, 0], [2, 2, 0, 0]])  # and what does not sum to 1 is made to
     gltf.put(
-        "nodes", mesh=gltf.mesh(TRIANGLE, JOINTS_0=joints, WEIGHTS_0=weights), skin=gltf.put("skins", joints=nodes)
+        "nodes",
+        mesh=gltf.mesh(TRIANGLE, JOINTS_0=joints, WEIGHTS_0=weights),
+        skin=gltf.put("skins", joints=nodes),
     )
     found = at(Model(gltf.save(tmp_path / "a.gltf")), [0], None)[0]
     np.testing.assert_allclose((found - TRIANGLE)[:, 0], [1, 0, 0.5], atol=1e-12)

@@ -93,7 +93,8 @@ def refused(gltf: Gltf, tmp_path: Path, *words: str) -> None:
         (drop("animations", 0, "samplers", 0, "input"), ["samplers[0]", "input"]),
         (put("animations", 0, "samplers", 0, "interpolation", value="FAST"), ["'FAST'", "LINEAR"]),
         (put("animations", 0, "channels", 0, "sampler", value=4), ["channels[0]", "sampler: found 4"]),
-        (put("animations", 0, "channels", 0, "target", "path", value="weights"), ["weights", "morph targets"]),
+        (put("animations", 0, "channels", 0, "target", "path", value="weights"), ["weights", "morph "
+                                                                                             "targets"]),
         (put("extensionsRequired", value=["KHR_draco_mesh_compression"]), ["'KHR_draco_mesh_compression'"]),
         (put("extensionsRequired", value=["EXT_meshopt_compression"]), ["'EXT_meshopt_compression'"]),
         (put("asset", "version", value="1.0"), ["version '1.0'"]),
@@ -194,7 +195,11 @@ def test_another_version_is_told_whatever_else_is_in_it(tmp_path: Path) -> None:
 
 def test_extensions_that_are_not_read_are_told(tmp_path: Path) -> None:
     gltf = moving_cube()
-    gltf.json["extensionsUsed"] = ["KHR_materials_unlit", "EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression"]
+    gltf.json["extensionsUsed"] = [
+        "KHR_materials_unlit",
+        "EXT_mesh_gpu_instancing",
+        "KHR_draco_mesh_compression",
+    ]
     path = gltf.save(tmp_path / "a.gltf")
     for scene in (KIND.open(path, SourceOptions()), MESH.open(path, SourceOptions())):
         assert "Not read, and left out: 'EXT_mesh_gpu_instancing'" in scene.notes
@@ -321,13 +326,16 @@ def test_coordinates_that_overflow_in_some_frame_are_reported_there(tmp_path: Pa
         AnimatedMeshScene(path)
 
 
-# -- anything at all -----------------------------------------------------------------------------------------------
+# -- anything at all
+# -----------------------------------------------------------------------------------------------
 
 VALUES = st.one_of(
     st.none(),
     st.booleans(),
     st.integers(-3, 40),
-    st.sampled_from([2**31, 2**63, 10**400, -1, 1e308, float("nan"), float("inf"), "", "VEC3", "SCALAR", "weights"]),
+    st.sampled_from(
+        [2**31, 2**63, 10**400, -1, 1e308, float("nan"), float("inf"), "", "VEC3", "SCALAR", "weights"]
+    ),
     st.lists(st.integers(-1, 6), max_size=5),
     st.lists(st.floats(-10, 10), min_size=3, max_size=16),
     st.just({}),
@@ -335,7 +343,9 @@ VALUES = st.one_of(
 
 
 def places_of(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    entries = (
+        value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    )
     return [place for key, inner in entries for place in ((*path, key), *places_of(inner, (*path, key)))]
 
 

@@ -117,7 +117,11 @@ def test_thresholds_follow_the_points_and_the_model():
     n_per_m = abs(500 - 0.055 * w**2 + 4j * w)
     assert stylus.force_rms_mn(20.0) == pytest.approx(1e3 * 8.5e-6 / np.sqrt(2) * n_per_m)
     for profile in vibration_thresholds().values():
-        assert len(profile.frequency_hz) == len(profile.displacement_um) and profile.source and profile.conditions
+        assert (
+            len(profile.frequency_hz) == len(profile.displacement_um)
+            and profile.source
+            and profile.conditions
+        )
     with pytest.raises(InvalidArgument, match="stylus"):
         vibration_threshold("elbow")
 
@@ -125,7 +129,9 @@ def test_thresholds_follow_the_points_and_the_model():
 def test_margin_names_the_worst_third():
     levels = vibration_threshold().force_rms_mn() / 10
     levels[4] *= 5
-    assert margin_of(levels).db == pytest.approx(20 * np.log10(2)) and margin_of(levels).third_hz == THIRDS_HZ[4]
+    assert (
+        margin_of(levels).db == pytest.approx(20 * np.log10(2)) and margin_of(levels).third_hz == THIRDS_HZ[4]
+    )
     assert margin_of(np.zeros(11)).db == np.inf
     told = HandMotion((Slide(50.0, 1, 1.0, 1, 1, 1, 1, None, levels),), None, vibration_threshold()).summary()
     assert told["threshold_margin_third_hz"] == THIRDS_HZ[4]
@@ -214,7 +220,10 @@ def test_nothing_to_touch_is_nothing_measured():
     assert [s.paths for s in slides(empty, empty, QUICK)] == [0, 0, 0]
     single = ForceField.from_support(GRID, [[9, 9, 9]], [[0.0, 0.0, 1e-30]])
     assert [s.paths for s in slides(single, empty, QUICK)] == [0, 0, 0]
-    assert HandMotion(slides(empty, empty, QUICK), None, vibration_threshold()).summary()["hand_vibration_mn"] is None
+    assert (
+        HandMotion(slides(empty, empty, QUICK), None, vibration_threshold()).summary()["hand_vibration_mn"]
+        is None
+    )
 
 
 @pytest.mark.parametrize(

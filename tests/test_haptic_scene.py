@@ -1,4 +1,6 @@
-"""Haptic scenes: the compiled query and voxels against the plain sum of `ForceField.sample_n`, and their laws."""
+"""Haptic scenes: the compiled query and voxels against the plain sum of `ForceField.sample_n`, and their
+laws.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def tracks(rng: np.random.Generator, count: int, spread_m: float = 0.05) -> Pose
 
 def some_field(rng: np.random.Generator) -> ForceField:
     """A box or a blob of forces on a small lattice whose sides are not multiples of a brick; perhaps empty."""
-    grid = Grid(tuple(rng.integers(1, 20, 3)), tuple(rng.uniform(0.003, 0.02, 3)), tuple(rng.normal(0, 0.05, 3)))
+    grid = Grid(
+        tuple(rng.integers(1, 20, 3)), tuple(rng.uniform(0.003, 0.02, 3)), tuple(rng.normal(0, 0.05, 3))
+    )
     dense = rng.normal(size=(*grid.shape, 3))
     dense[rng.random(grid.shape) > rng.choice([0.0, 0.02, 0.6, 1.0])] = 0
     return ForceField.from_dense(grid, dense)
@@ -174,7 +178,9 @@ def test_a_lattice_that_coincides_gives_the_field_itself() -> None:
     scene = placed(field, (0.25, -1.0, 0.375))
     grid = replace(field.grid, origin_m=tuple(np.add(field.grid.origin_m, (0.25, -1.0, 0.375))))
     found = scene.voxelise(grid)[0]
-    np.testing.assert_array_equal(found.positions(), field.positions())  # no force by rounding beside the support
+    np.testing.assert_array_equal(
+        found.positions(), field.positions()
+    )  # no force by rounding beside the support
     close(found.to_dense(), field.to_dense())
 
 
@@ -207,7 +213,10 @@ def test_what_cannot_be_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert replace(scene, file_bytes=0).voxelise(fine.grid)[0].support_count == 8 * 4097
     for change, found in (
         ({"track": PoseTrack.still(2)}, "object one: found 2 poses; expected 1"),
-        ({"medium": HapticMedium.from_frames([sphere()] * 2, 1.0)}, "object one: found 2 fields; expected 1 or 1"),
+        (
+            {"medium": HapticMedium.from_frames([sphere()] * 2, 1.0)},
+            "object one: found 2 fields; expected 1 or 1",
+        ),
     ):
         with pytest.raises(InvalidArgument, match=found):
             replace(scene, objects=(one, replace(one, **change)))  # type: ignore[arg-type]
@@ -235,8 +244,12 @@ def test_scenes_of_impossible_numbers_are_refused(change: dict[str, object]) -> 
 
 
 def test_no_damping_and_no_speed_makes_a_force_that_is_no_number() -> None:
-    """A file may hold any finite damping, and poses that are 2^50 m apart: no receiver's motor may hear of NaN."""
-    far = PoseTrack(np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)), np.array([[0.0, 0.0, 0.0], [2.0**50, -(2.0**50), 0.0]]))
+    """A file may hold any finite damping, and poses that are 2^50 m apart: no receiver's motor may hear of
+    NaN.
+    """
+    far = PoseTrack(
+        np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)), np.array([[0.0, 0.0, 0.0], [2.0**50, -(2.0**50), 0.0]])
+    )
     one = placed(sphere())
     wild = replace(one, objects=(replace(one.objects[0], track=far),), surface_damping_n_s_per_m=1e300)
     felt = wild.sample_n(0, one.grid.to_m(one.voxelise()[0].positions()))

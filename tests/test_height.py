@@ -18,7 +18,13 @@ from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES
-from touchfield.sources.terrain.height_scene import KIND, HeightLattice, HeightScene, degree_m, jacksboro_scene
+from touchfield.sources.terrain.height_scene import (
+    KIND,
+    HeightLattice,
+    HeightScene,
+    degree_m,
+    jacksboro_scene,
+)
 
 SOLID = profile_of(LawSpec(), np.inf)
 GUIDED = profile_of(LawSpec("penalty+proximity"), 0.008)
@@ -279,7 +285,9 @@ def test_npz_of_metres_and_of_degrees(tmp_path: Path) -> None:
     path = tmp_path / "ground.npz"
     np.savez(path, z=MAP, other=np.zeros((2, 2)), dx=2.0, dy=-3.0)
     np.testing.assert_allclose(opened(path).bounds_m(), [[0, 0, 0], [6, 6, 11]])
-    np.testing.assert_allclose(opened(path, cell_size_m=10, height_scale=0.1).bounds_m(), [[0, 0, 0], [30, 20, 1.1]])
+    np.testing.assert_allclose(
+        opened(path, cell_size_m=10, height_scale=0.1).bounds_m(), [[0, 0, 0], [30, 20, 1.1]]
+    )
     place = {"xmin": 10.0, "xmax": 10.2, "ymin": 60.1, "ymax": 59.9}
     np.savez(path, a=MAP, dx=0.05, **place)
     along, across = degree_m(60)
@@ -363,7 +371,9 @@ def test_a_tiff_of_another_form_is_told_as_such(tmp_path: Path) -> None:
 
 def test_of_several_pages_the_first_is_read_and_told(tmp_path: Path) -> None:
     path, note = tmp_path / "ground.tif", "The file has several pages of this size: the first is read."
-    first, second, small = (Image.fromarray(np.full(shape, 3, np.uint16)) for shape in ((6, 8), (6, 8), (3, 4)))
+    first, second, small = (
+        Image.fromarray(np.full(shape, 3, np.uint16)) for shape in ((6, 8), (6, 8), (3, 4))
+    )
     first.save(path, save_all=True, append_images=[second])
     assert note in opened(path).notes
     first.save(path, save_all=True, append_images=[small])  # a smaller copy is no page of its own
@@ -402,7 +412,9 @@ def test_geotiff_in_feet(tmp_path: Path) -> None:
     tags = {33550: (12, (10.0, 10.0, 0.0)), 34735: (3, keys), 42113: (2, "nan")}
     tiff(tmp_path / "ground.tif", MAP, tags)
     np.testing.assert_allclose(opened(tmp_path / "ground.tif").bounds_m()[1], np.array([30, 20, 11]) * 0.3048)
-    scaled = opened(tmp_path / "ground.tif", height_scale=0.1)  # what is asked for goes before what the file says
+    scaled = opened(
+        tmp_path / "ground.tif", height_scale=0.1
+    )  # what is asked for goes before what the file says
     np.testing.assert_allclose(scaled.bounds_m()[1], [30 * 0.3048, 20 * 0.3048, 1.1])
 
 
@@ -428,8 +440,13 @@ def _broken(path: Path) -> dict[str, Path]:
     made("two.npz", lambda p: np.savez(p, a=np.zeros((3, 3)), b=np.zeros((3, 3))))
     made("none.npz", lambda p: np.savez(p, a=np.zeros(3)))
     made("dx.npz", lambda p: np.savez(p, z=np.zeros((3, 3)), dx=np.zeros(3)))
-    made("pole.npz", lambda p: np.savez(p, z=np.zeros((3, 3)), dx=0.01, xmin=0, xmax=1, ymin=89.9, ymax=89.95))
-    made("south.npz", lambda p: np.savez(p, z=np.zeros((3, 3)), dx=0.01, xmin=0, xmax=1, ymin=-89.9, ymax=-89.95))
+    made(
+        "pole.npz", lambda p: np.savez(p, z=np.zeros((3, 3)), dx=0.01, xmin=0, xmax=1, ymin=89.9, ymax=89.95)
+    )
+    made(
+        "south.npz",
+        lambda p: np.savez(p, z=np.zeros((3, 3)), dx=0.01, xmin=0, xmax=1, ymin=-89.9, ymax=-89.95),
+    )
     made("colour.png", lambda p: Image.fromarray(np.zeros((3, 3, 3), np.uint8)).save(p))
     made("empty.png", lambda p: p.write_bytes(b""))
     made("zip.npz", lambda p: p.write_bytes(b"PK\x05\x06" + b"\0" * 17))

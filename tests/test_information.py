@@ -49,7 +49,8 @@ def cover_thomas(times: int = 10) -> tuple[Symbols, Symbols]:
     return np.repeat(x.ravel(), table.ravel()), np.repeat(y.ravel(), table.ravel())
 
 
-# -- values ---------------------------------------------------------------------------------------------------------
+# -- values
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_numbers_of_the_literature() -> None:
@@ -111,7 +112,9 @@ def test_distance_of_samples_of_any_two_sizes(x: Symbols, y: Symbols) -> None:
 
 def test_distance_of_counts_in_other_blocks_has_no_interval_and_says_so() -> None:
     apart = info.jensen_shannon_distance(*(Counts.of(np.arange(400) % 4, blocks=n) for n in (8, 9)))
-    assert apart.interval is None and "no interval: blocks of one do not match those of the other" in apart.notes
+    assert (
+        apart.interval is None and "no interval: blocks of one do not match those of the other" in apart.notes
+    )
 
 
 @given(st.integers(1, 40).flatmap(lambda n: st.tuples(symbols(n, 3), symbols(n, 3), symbols(n, 1))))
@@ -129,14 +132,19 @@ def test_identities_and_metrics(samples: tuple[Symbols, Symbols, Symbols]) -> No
         assert float(far(x, x, **PLAIN)) == pytest.approx(0, abs=slack)
 
 
-@given(st.integers(1, 40).flatmap(lambda n: st.tuples(symbols(n, 3), symbols(n, 3))), st.sampled_from([*ESTIMATORS]))
+@given(
+    st.integers(1, 40).flatmap(lambda n: st.tuples(symbols(n, 3), symbols(n, 3))),
+    st.sampled_from([*ESTIMATORS]),
+)
 def test_combinations_are_of_one_estimator(samples: tuple[Symbols, Symbols], estimator: str) -> None:
     x, y = samples
     options: dict[str, Any] = {"estimator": estimator, "interval": False}
     hx, hy = float(info.entropy(x, **options)), float(info.entropy(y, **options))
     both = float(info.joint_entropy(x, y, **options))
     assert float(info.mutual_information(x, y, **options)) == pytest.approx(hx + hy - both, abs=1e-12)
-    assert float(info.variation_of_information(x, y, **options)) == pytest.approx(2 * both - hx - hy, abs=1e-12)
+    assert float(info.variation_of_information(x, y, **options)) == pytest.approx(
+        2 * both - hx - hy, abs=1e-12
+    )
     assert float(info.conditional_entropy(x, y, **options)) == pytest.approx(both - hy, abs=1e-12)
     q = info.mutual_information(x, y, **options)
     assert any("negative" in n for n in q.notes) == (float(q) < 0) and q.estimator == estimator
@@ -194,7 +202,8 @@ def test_any_type_and_shape() -> None:
     assert float(info.mutual_information(x > 2, x.astype(">u2"))) == pytest.approx(float(info.entropy(x > 2)))
 
 
-# -- what is said of a value ----------------------------------------------------------------------------------------
+# -- what is said of a value
+# ----------------------------------------------------------------------------------------
 
 
 def test_a_quantity_says_what_it_is_of() -> None:
@@ -204,7 +213,14 @@ def test_a_quantity_says_what_it_is_of() -> None:
     assert (q.samples, q.symbols, q.estimator, q.notes) == (320, 13, "plug-in", ())
     assert q.interval is not None and q.interval.low <= float(q) <= q.interval.high
     names = [two(x, y, interval=False) for two in TWO]
-    assert [q.name for q in names] == ["H(X,Y)", "H(X|Y)", "I(X;Y)", "VI(X,Y)", "NMI_sqrt(X;Y)", "sqrt(JSD(X,Y))"]
+    assert [q.name for q in names] == [
+        "H(X,Y)",
+        "H(X|Y)",
+        "I(X;Y)",
+        "VI(X,Y)",
+        "NMI_sqrt(X;Y)",
+        "sqrt(JSD(X,Y))",
+    ]
     assert [q.unit for q in names] == ["bit/sample"] * 4 + ["1", "sqrt(bit)"]
     assert all(q.interval is None and not q.notes for q in names)
 
@@ -218,7 +234,9 @@ def test_intervals_hold_the_value_and_are_reproducible(two: Callable[..., Quanti
     assert q.interval is not None and "20 blocks" in q.interval.method
     assert q.interval.low < float(q) < q.interval.high
     assert two(x, y, blocks=20) == q
-    repeated = two(np.repeat(x, 50), np.repeat(y, 50), blocks=20)  # a hundred thousand samples that say no more
+    repeated = two(
+        np.repeat(x, 50), np.repeat(y, 50), blocks=20
+    )  # a hundred thousand samples that say no more
     assert repeated.interval is not None
     width, other = (i.high - i.low for i in (q.interval, repeated.interval))
     assert other == pytest.approx(width, rel=0.05)
@@ -265,7 +283,8 @@ def test_resamples_without_variation() -> None:
     assert q.interval is not None and q.interval.high == 1
 
 
-# -- refusals -------------------------------------------------------------------------------------------------------
+# -- refusals
+# -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("two", TWO)
@@ -313,7 +332,12 @@ def test_other_refusals() -> None:
 def test_another_unit_takes_the_interval_along_and_a_summary_tells_both() -> None:
     bits = Quantity("H(S)", 2.0, "bit/sample", "a Q", "voxel", interval=Interval(1.5, 2.75, 0.95, "by hand"))
     told = bits.times(64, "bit/frame", "H(W)").summary()
-    assert [told[name] for name in ("name", "value", "unit", "quantiser")] == ["H(W)", 128.0, "bit/frame", "a Q"]
+    assert [told[name] for name in ("name", "value", "unit", "quantiser")] == [
+        "H(W)",
+        128.0,
+        "bit/frame",
+        "a Q",
+    ]
     assert told["interval"] == {
         "low": 96.0, "high": 176.0, "level": 0.95, "method": "by hand", "population": Interval.population,
     }  # fmt: skip

@@ -25,9 +25,9 @@ from touchfield.medium.trace import Trace, read_trace
 
 GRID = Grid((5, 12, 9), (0.01, 0.02, 0.005), (-0.02, 0.1, 0.0))
 LOW_M, HIGH_M = GRID.box_m
-inside_m = arrays(np.float64, st.tuples(st.integers(1, 80), st.just(3)), elements=st.floats(0.001, 0.999)).map(
-    lambda share: LOW_M + share * (HIGH_M - LOW_M)
-)
+inside_m = arrays(
+    np.float64, st.tuples(st.integers(1, 80), st.just(3)), elements=st.floats(0.001, 0.999)
+).map(lambda share: LOW_M + share * (HIGH_M - LOW_M))
 
 
 def symbols_of(seed: int, alphabet: int = 4, quantiser: str = "given") -> FieldSymbols:
@@ -48,14 +48,17 @@ def quiet(trace: Trace, symbols: FieldSymbols | Sequence[FieldSymbols], **more: 
         return interaction_entropy(trace, symbols, **more)  # type: ignore[arg-type]
 
 
-# -- visits -----------------------------------------------------------------------------------------------------
+# -- visits
+# -----------------------------------------------------------------------------------------------------
 
 
 @given(inside_m)
 def test_visits_are_of_the_nearest_lattice_point(positions: NDArray[np.float64]) -> None:
     found = visits(Trace.regular(positions), GRID)
     axes = [np.abs(positions[:, a, None] - GRID.axis_m(a)) for a in range(3)]
-    for axis, distance in enumerate(axes):  # of every sample, no lattice point is nearer than the one it is given
+    for axis, distance in enumerate(
+        axes
+    ):  # of every sample, no lattice point is nearer than the one it is given
         assert (distance.min(axis=1) <= GRID.spacing_m[axis] * (0.5 + 1e-9)).all()
     nearest = Counter(zip(*(d.argmin(axis=1).tolist() for d in axes)))
     shifted = Counter({tuple(p): n for p, n in zip(found.places.tolist(), found.counts.tolist())})
@@ -69,10 +72,15 @@ def test_visits_are_of_the_nearest_lattice_point(positions: NDArray[np.float64])
 def test_what_lies_outside_is_counted_apart() -> None:
     edge = np.array([LOW_M + 1e-9, LOW_M - 1e-9, HIGH_M - 1e-9, HIGH_M + 1e-9, [1e300, 0, 0], [-1e300] * 3])
     found = visits(Trace.regular(edge), GRID)
-    assert found.places.tolist() == [[0, 0, 0], [4, 11, 8]] and found.counts.tolist() == [1, 1] and found.outside == 4
+    assert (
+        found.places.tolist() == [[0, 0, 0], [4, 11, 8]]
+        and found.counts.tolist() == [1, 1]
+        and found.outside == 4
+    )
 
 
-# -- entropy ----------------------------------------------------------------------------------------------------
+# -- entropy
+# ----------------------------------------------------------------------------------------------------
 
 
 @given(inside_m, st.integers(0, 5))
@@ -110,7 +118,9 @@ def test_the_interval_is_of_blocks_of_time() -> None:
     apart = interaction_entropy(Trace.regular(shuffled), symbols, blocks=16)
     assert apart.value == pytest.approx(together.value, abs=1e-12)
     assert apart.interval is not None
-    assert spread.high - spread.low > 3 * (apart.interval.high - apart.interval.low)  # dependence is not hidden
+    assert spread.high - spread.low > 3 * (
+        apart.interval.high - apart.interval.low
+    )  # dependence is not hidden
 
 
 @pytest.mark.parametrize("estimator", ["plug-in", "miller-madow", "chao-wang-jost"])
@@ -159,7 +169,8 @@ def test_uneven_times_are_noted() -> None:
     assert any("not sampled regularly" in n for n in found.notes)
 
 
-# -- frames -----------------------------------------------------------------------------------------------------
+# -- frames
+# -----------------------------------------------------------------------------------------------------
 
 
 class Asked(list[FieldSymbols]):
@@ -183,7 +194,9 @@ def test_frames_are_felt_while_they_last() -> None:
         frames[n // 10].symbols_at(visits(Trace.regular(p[None]), GRID).places)[0]
         for n, p in enumerate(positions[20:])
     ]
-    assert found.value == pytest.approx(stats.entropy(list(Counter(map(int, met)).values()), base=2), abs=1e-12)
+    assert found.value == pytest.approx(
+        stats.entropy(list(Counter(map(int, met)).values()), base=2), abs=1e-12
+    )
     assert found.samples == 60 and any("20 of 80" in n for n in found.notes)
 
 
@@ -238,7 +251,8 @@ def test_too_few_blocks() -> None:
         interaction_entropy(walk(100), symbols_of(0), blocks=7)
 
 
-# -- traces and their files -------------------------------------------------------------------------------------
+# -- traces and their files
+# -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -278,7 +292,8 @@ EXPECTED = Trace(np.array([0.0, 0.002]), np.array([[0.001, 0.002, 0.003], [0.004
         "x_mm,y_mm,z_mm,t_ms\n1,2,3,0\n4,-5,6,2\n",
         "x_µm,y_cm,z_mm,time_ns\n1000,0.2,3,0\n4000,-0.5,6,2000000\n",
         "\ufeffforce_n;Time [us];X (cm);temp;y_m;z_um\r\n9;0;0.1;;0.002;3000\r\n9;2000;0.4;hot;-0.005;6000",
-        '# a tool\n"t_s"\t"x_m"\t"y_m"\t"z_m"\n\n"0"\t"0.001"\t0.002\t0.003\n# b\n 0.002\t0.004\t-0.005\t0.006\n\n',
+        '# a tool\n"t_s"\t"x_m"\t"y_m"\t"z_m"\n\n"0"\t"0.001"\t0.002\t0.003\n# b\n '
+        "0.002\t0.004\t-0.005\t0.006\n\n",
     ],
 )
 def test_read(tmp_path: Path, text: str) -> None:
@@ -299,7 +314,9 @@ def test_a_file_without_times_has_the_rate_it_is_given(tmp_path: Path) -> None:
 
 
 @given(arrays(np.float64, st.tuples(st.integers(1, 20), st.just(3)), elements=st.floats(-1e6, 1e6)))
-def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, positions: NDArray[np.float64]) -> None:
+def test_what_is_written_is_read(
+    tmp_path_factory: pytest.TempPathFactory, positions: NDArray[np.float64]
+) -> None:
     path = tmp_path_factory.mktemp("traces") / "trace.csv"
     trace = Trace.regular(positions)
     rows = np.column_stack([trace.times_s, positions])
@@ -320,7 +337,10 @@ HEAD = "t_s,x_m,y_m,z_m\n"
         ("x_m,y_m\n1,2\n", "line 1: found no column for z"),
         ("x,y,z\n1,2,3\n", "line 1: found column 'x'; expected x_ and one of m, cm, mm, um"),
         ("x_m,y_m,z_s\n1,2,3\n", "line 1: found column 'z_s'"),
-        ("timestamp,x_m,y_m,z_m\n1,2,3,4\n", "line 1: found column 'timestamp'; expected t_ and one of s, ms"),
+        (
+            "timestamp,x_m,y_m,z_m\n1,2,3,4\n",
+            "line 1: found column 'timestamp'; expected t_ and one of s, ms",
+        ),
         ("x_m,y_m,z_m,x_mm\n1,2,3,4\n", "line 1: found two columns for x"),
         (HEAD + "0,1,2,3\n\n1,1,2\n", "line 4: found 3 columns; expected at least 4"),
         (HEAD + "0,1,2,3\n1,1,two,3\n", "line 3, column y: found 'two'; expected a finite number"),
@@ -355,14 +375,19 @@ def test_a_file_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         read_trace(path)
 
 
-# -- a real hand ------------------------------------------------------------------------------------------------
+# -- a real hand
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.shared
 def test_a_hand_that_traces_a_symbol(shared_data: Path, tmp_path: Path) -> None:
-    """Two recordings of one person: the forces of the first make a field, the second feels its way through it."""
+    """Two recordings of one person: the forces of the first make a field, the second feels its way through
+    it.
+    """
     recordings = io.loadmat(
-        shared_data / "force_panda_comanipulation" / "symbol_data.mat", squeeze_me=True, struct_as_record=False
+        shared_data / "force_panda_comanipulation" / "symbol_data.mat",
+        squeeze_me=True,
+        struct_as_record=False,
     )["symbol_data"]
     first, second = recordings[4], recordings[5]
     margin_m = np.array([1e-4, 1e-4, 1e-3])  # the sheet of paper is flat
@@ -376,7 +401,9 @@ def test_a_hand_that_traces_a_symbol(shared_data: Path, tmp_path: Path) -> None:
     np.add.at(total, tuple(cell.T), np.linalg.norm(first.F, axis=0))
     np.add.at(visited, tuple(cell.T), 1)
     newtons = np.divide(total, visited, out=np.zeros(grid.shape), where=visited > 0)
-    symbols = FieldSymbols.from_dense(grid, np.ceil(newtons / 0.5).astype(int), 20, "mean |F| in steps of 0.5 N")
+    symbols = FieldSymbols.from_dense(
+        grid, np.ceil(newtons / 0.5).astype(int), 20, "mean |F| in steps of 0.5 N"
+    )
 
     path = tmp_path / "hand.csv"
     rows = np.column_stack([np.arange(second.pos.shape[1]) / 0.7, 1e3 * second.pos.T])

@@ -61,5 +61,8 @@ def test_intrinsics_that_are_neither_numbers_nor_a_file(asked: str) -> None:
 
 def test_a_scale_above_a_nested_camera_is_its_own() -> None:
     inner = '"camera": {"fx": 1, "fy": 1, "cx": 1, "cy": 1'
-    for text in (f'{{"depth_scale": 500, {inner}}}}}', f'{{"depth_scale": 500, {inner}, "depth_scale": 2000}}}}'):
+    for text in (
+        f'{{"depth_scale": 500, {inner}}}}}',
+        f'{{"depth_scale": 500, {inner}, "depth_scale": 2000}}}}',
+    ):
         assert intrinsics_file.parse_intrinsics(text, "k.txt").units_per_m == 500

@@ -22,7 +22,9 @@ from numba.core.dispatcher import Dispatcher
 from touchfield.compute import jit
 from touchfield.compute.kernel_sources import PACKAGE, SourceState, kernel_sources, open_folder
 
-INNER = "medium/kernels/__init__.py"  # its `first_at_least` is compiled into `nearest` of codec/paper/kernels.py
+INNER = (
+    "medium/kernels/__init__.py"  # its `first_at_least` is compiled into `nearest` of codec/paper/kernels.py
+)
 CALL = """
 import numpy as np
 from touchfield.codec.paper.kernels import nearest
@@ -56,7 +58,9 @@ def replace(path: Path, old: str, new: str) -> None:
 
 def test_an_edit_of_an_inner_function_reaches_its_callers_in_other_files(package: Path) -> None:
     assert run(package) == "2 0"
-    replace(package / INNER, "    return low\n", "    return keys.shape[0]\n")  # behind the last: nothing is compared
+    replace(
+        package / INNER, "    return low\n", "    return keys.shape[0]\n"
+    )  # behind the last: nothing is compared
     assert run(package) == "0 0"
     assert run(package) == "0 1"
     assert len(list((package / "__pycache__").glob("kernels-*"))) == 2
@@ -75,7 +79,9 @@ def test_the_digest_covers_every_kernel_source(package: Path, path: str) -> None
 def constants_of(module: ModuleType) -> Iterator[str]:
     """Modules from which a kernel file imports what its compiled functions may read as constants."""
     functions = [value.py_func for value in vars(module).values() if isinstance(value, Dispatcher)]
-    names = {name for function in functions if function.__module__ == module.__name__ for name in reads(function)}
+    names = {
+        name for function in functions if function.__module__ == module.__name__ for name in reads(function)
+    }
     for node in ast.walk(ast.parse(Path(str(module.__file__)).read_text())):
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("touchfield."):
             for alias in node.names:
@@ -102,7 +108,9 @@ def test_every_file_whose_constants_are_compiled_in_is_a_kernel_source() -> None
         module = import_module(module_name(path))
         for name in constants_of(module):
             checked.add(name)
-            assert Path(str(import_module(name).__file__)).resolve() in sources, f"{name}, of {module.__name__}"
+            assert Path(str(import_module(name).__file__)).resolve() in sources, (
+                f"{name}, of {module.__name__}"
+            )
     assert {"touchfield.render.block.words", "touchfield.medium.grid", "touchfield.medium.kernels"} <= checked
 
 
@@ -151,7 +159,10 @@ def test_a_folder_that_is_named_has_them(package: Path, tmp_path: Path) -> None:
 def test_a_folder_that_another_process_removes_does_no_harm(package: Path, left: str) -> None:
     """It is written again; where a file has its name, nothing can be read or written."""
     run(package)
-    remove = "import shutil; from touchfield.compute.jit import kernel_folder; folder = kernel_folder(); shutil.rmtree(folder)"
+    remove = (
+        "import shutil; from touchfield.compute.jit import kernel_folder; folder = kernel_folder(); "
+        "shutil.rmtree(folder)"
+    )
     assert run(package, before=remove + left) == "2 0"
     if not left:
         assert run(package) == "2 1"
@@ -184,7 +195,9 @@ def test_folders_of_former_sources_are_removed(tmp_path: Path) -> None:
 
 
 def test_named_tuples_of_other_fields_are_other_variants() -> None:
-    pairs: list[Any] = [types.NamedUniTuple(types.int64, 2, namedtuple("Pair", names)) for names in ("a b", "b a")]
+    pairs: list[Any] = [
+        types.NamedUniTuple(types.int64, 2, namedtuple("Pair", names)) for names in ("a b", "b a")
+    ]
     within: list[Any] = [types.UniTuple(pair, 2) for pair in pairs]
     for first, second in (pairs, within):
         assert jit._fields_of([types.int64, first]) != jit._fields_of([types.int64, second])

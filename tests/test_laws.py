@@ -90,6 +90,11 @@ def test_bad_laws_are_refused(bad: dict) -> None:
 
 
 def test_bad_profiles_are_refused() -> None:
-    for pieces in ((), ((1.0, 0.0, 0.0, 0.0),), ((0.0, 2.0, 0, 0), (1.0, 3.0, 0, 0)), ((0.0, math.inf, 0, 0),)):
+    for pieces in (
+        (),
+        ((1.0, 0.0, 0.0, 0.0),),
+        ((0.0, 2.0, 0, 0), (1.0, 3.0, 0, 0)),
+        ((0.0, math.inf, 0, 0),),
+    ):
         with pytest.raises(InvalidArgument):
             ForceProfile(pieces)

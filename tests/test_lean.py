@@ -1,4 +1,6 @@
-"""Compiled kernels: two processes that compile at once keep their own code; Python calls those with a wrapper."""
+"""Compiled kernels: two processes that compile at once keep their own code; Python calls those with a
+wrapper.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ def test_a_kernel_that_multiplies_matrices_finds_those_of_scipy() -> None:
 def test_every_kernel_is_saved_so() -> None:
     lean = Path(touchfield.compute.jit.__file__)
     files = [*lean.parent.rglob("*.py"), *(HOUSE / "reproduction").rglob("*.py")]
-    assert [path for path in files if re.search(r"^from numba import .*\bnjit\b", path.read_text(), re.M)] == [lean]
+    assert [
+        path for path in files if re.search(r"^from numba import .*\bnjit\b", path.read_text(), re.M)
+    ] == [lean]
 
 
 def names_for_python(tree: ast.AST) -> Iterator[ast.AST]:
@@ -60,7 +64,9 @@ def names_for_python(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 def inner_functions_that_python_names(tree: ast.Module, module: str = "") -> list[str]:
-    """Those without a wrapper among what a file imports of kernels, or of its own, that Python code refers to."""
+    """Those without a wrapper among what a file imports of kernels, or of its own, that Python code refers
+    to.
+    """
     known = vars(import_module(module)).copy() if module else {}
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("touchfield."):
@@ -102,7 +108,11 @@ def test_python_calls_no_function_that_has_no_wrapper(folder: str) -> None:
         if "kernels" in text or "kernels" in path.parts:
             count += 1
             parts = path.relative_to(HOUSE / folder).with_suffix("").parts
-            module = ".".join(parts).removesuffix(".__init__") if folder == "src" and "kernels" in str(path) else ""
+            module = (
+                ".".join(parts).removesuffix(".__init__")
+                if folder == "src" and "kernels" in str(path)
+                else ""
+            )
             assert inner_functions_that_python_names(ast.parse(text), module) == [], path
     assert count, f"{folder} has files that name kernels"
 

@@ -31,13 +31,17 @@ def body(
     kind: str, size_m: float = 0.05, frames: int = 1, grid: tf.Grid = GRID, rate_hz: float = 30.0
 ) -> tf.HapticMedium:
     """A body that stands, or one that swells a little from frame to frame."""
-    made = [AnalyticScene([shape(kind, size_m * (1 + 0.02 * n))]).field(0, grid, PROFILE) for n in range(frames)]
+    made = [
+        AnalyticScene([shape(kind, size_m * (1 + 0.02 * n))]).field(0, grid, PROFILE) for n in range(frames)
+    ]
     return tf.HapticMedium.from_frames(made, rate_hz, "x right, y up, z towards the viewer")
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two sizes of each body, one of them a folder deeper, a damaged file and one without a force."""
+    """A folder with two sizes of each body, one of them a folder deeper, a damaged file and one without a
+    force.
+    """
     folder = tmp_path_factory.mktemp("library") / "media"
     (folder / "deeper").mkdir(parents=True)
     for kind in BODIES:
@@ -68,7 +72,8 @@ def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
-# -- filing ---------------------------------------------------------------------------------------------------------
+# -- filing
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_every_medium_is_filed_and_what_cannot_be_is_told(folder: Path) -> None:
@@ -122,7 +127,9 @@ def test_only_what_changed_is_decoded_again(folder: Path, decoded: list[str]) ->
     assert all(np.array_equal(known.rows[name], fresh.rows[name]) for name in fresh.rows)
 
 
-def test_a_file_that_could_not_be_opened_is_tried_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_could_not_be_opened_is_tried_again(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     opened = Path.open
 
     def refused(self: Path, *words: str, **more: str) -> object:
@@ -202,7 +209,8 @@ def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
         index_folder(tmp_path / "nowhere")
 
 
-# -- searching ------------------------------------------------------------------------------------------------------
+# -- searching
+# ------------------------------------------------------------------------------------------------------
 
 
 def nearest(folder: Path, like: Any, weights: dict[str, float] | None = None) -> str:
@@ -249,7 +257,8 @@ def test_without_an_index_it_is_told_how_to_make_one(folder: Path) -> None:
         search(folder, folder / "sphere.touch")
 
 
-# -- two media ------------------------------------------------------------------------------------------------------
+# -- two media
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_a_medium_is_like_itself_and_less_like_others() -> None:
@@ -275,7 +284,8 @@ def test_media_of_other_lattices_rates_and_axes_are_compared() -> None:
     assert len(found.notes) == 2 and found.shown["frames"] == 3, "those that both have"
 
 
-# -- a video beside -------------------------------------------------------------------------------------------------
+# -- a video beside
+# -------------------------------------------------------------------------------------------------
 
 
 def looks(video: Path, stream: Path, **asked: Any) -> list[dict[str, Any]]:
@@ -313,7 +323,9 @@ def test_a_picture_tells_of_the_touch_of_its_own_scene(axes: str, tmp_path: Path
 def test_the_rays_of_a_camera_find_what_it_saw(tmp_path: Path) -> None:
     medium, hard = wavy(5, "x right, y down, z forward")
     medium = tf.HapticMedium.from_frames(
-        [medium[0].on_grid(tf.Grid(medium.grid.shape, medium.grid.spacing_m, (-0.05, -0.05, 0.2)))], 25.0, medium.axes
+        [medium[0].on_grid(tf.Grid(medium.grid.shape, medium.grid.spacing_m, (-0.05, -0.05, 0.2)))],
+        25.0,
+        medium.axes,
     )
     tf.encode(medium, tmp_path / "slab.touch")
     depth_m = medium.grid.axis_m(2)[3]
@@ -347,17 +359,22 @@ def test_each_time_is_held_beside_the_picture_of_that_time(tmp_path: Path) -> No
     assert all(look["p"] <= 0.01 for look in found)
 
 
-# -- the command line -----------------------------------------------------------------------------------------------
+# -- the command line
+# -----------------------------------------------------------------------------------------------
 
 
-def test_index_search_and_similar_as_their_user_meets_them(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_index_search_and_similar_as_their_user_meets_them(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert _exit_code(["search", str(folder), str(folder / "sphere.touch")]) == 1
     assert "touchfield index" in capsys.readouterr().err
     assert _exit_code(["index", str(folder)]) == 0
     assert "left out: cut.touch" in capsys.readouterr().out
     assert _exit_code(["index", str(folder), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["media"] == 6 and told["described"] == 0 and set(told["faults"]) == {"cut.touch", "still.touch"}
+    assert (
+        told["media"] == 6 and told["described"] == 0 and set(told["faults"]) == {"cut.touch", "still.touch"}
+    )
     asked = ["search", str(folder), str(folder / "sphere.touch"), "--count", "2", "--weight", "amplitude=2"]
     assert _exit_code([*asked, "--any-pose", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)

@@ -47,8 +47,15 @@ def test_integers_come_back_with_the_same_bits(case: tuple[int, NDArray[Any], in
     assert np.array_equal(INVERSE[dimensions](coefficients, stages), values)
 
 
-@given(st.sampled_from((2, 3)), st.lists(st.integers(1, 24), min_size=3, max_size=3), st.integers(0, 12), st.data())
-def test_floats_come_back_to_rounding(dimensions: int, sizes: list[int], stages: int, data: st.DataObject) -> None:
+@given(
+    st.sampled_from((2, 3)),
+    st.lists(st.integers(1, 24), min_size=3, max_size=3),
+    st.integers(0, 12),
+    st.data(),
+)
+def test_floats_come_back_to_rounding(
+    dimensions: int, sizes: list[int], stages: int, data: st.DataObject
+) -> None:
     kind = data.draw(st.sampled_from((np.float16, np.float32, np.float64)))
     scale = data.draw(st.sampled_from((1e-3, 1.0, 1e3)))
     rng = np.random.default_rng(data.draw(st.integers(0, 99)))
@@ -73,9 +80,12 @@ def test_lifting_agrees_with_convolution(dimensions: int) -> None:
             kernel[tuple(np.array(offset) + 1)] = 1
         kernel /= kernel.sum()
         details = before & ~after
-        # the mirror image about an edge sample is scipy's "mirror"; here every edge is a site of the first octave
+        # the mirror image about an edge sample is scipy's "mirror"; here every edge is a site of the first
+        # octave
         expected[details] -= ndimage.convolve(expected, kernel, mode="mirror")[details]
-        expected[after] += 0.5 * ndimage.convolve(np.where(details, expected, 0), kernel, mode="mirror")[after]
+        expected[after] += (
+            0.5 * ndimage.convolve(np.where(details, expected, 0), kernel, mode="mirror")[after]
+        )
     assert np.allclose(FORWARD[dimensions](values, dimensions), expected, atol=1e-14)
 
 
@@ -111,7 +121,10 @@ def test_integer_lifting_rounds_to_the_nearest_of_what_floats_give() -> None:
     for stages in (1, 2, 3):
         whole, exact = fcc_forward(values, stages), fcc_forward(values.astype(float), stages)
         assert np.abs(whole - exact).max() <= 1.0 * stages  # half a unit each step, and what they hand on
-    assert quincunx_forward(np.array([[0, 5], [5, 0]], np.uint8), 1).tolist() == [[3, 5], [5, 3]]  # 2.5 goes up
+    assert quincunx_forward(np.array([[0, 5], [5, 0]], np.uint8), 1).tolist() == [
+        [3, 5],
+        [5, 3],
+    ]  # 2.5 goes up
     assert quincunx_forward(np.array([[0, -5], [-5, 0]], np.int8), 1).tolist() == [[-2, -5], [-5, -2]]
 
 
@@ -124,7 +137,8 @@ def test_the_bits_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.Mon
     assert np.array_equal(made[0], made[1]) and np.array_equal(made[0], made[2])
 
 
-# -- the coarse signal ------------------------------------------------------------------------------------------
+# -- the coarse signal
+# ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
@@ -159,7 +173,8 @@ def test_details_are_small_where_the_field_is_smooth() -> None:
     assert of_noise[:3].min() > 0.5 * of_noise[3]
 
 
-# -- what cannot be lifted --------------------------------------------------------------------------------------
+# -- what cannot be lifted
+# --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("stages", [-1, 61, 1.5, "3", None, True])

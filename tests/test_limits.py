@@ -50,9 +50,12 @@ def test_the_limits_of_a_medium(wavy_field: ForceField) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shape", "axis"), [((32, 20, 1), "y"), ((40, 1, 1), "x"), ((1, 40, 1), "y"), ((9, 1, 11), "z"), ((1, 1, 1), "z")]
+    ("shape", "axis"),
+    [((32, 20, 1), "y"), ((40, 1, 1), "x"), ((1, 40, 1), "y"), ((9, 1, 11), "z"), ((1, 1, 1), "z")],
 )
-def test_flat_media_are_scanned_along_the_last_axis_that_has_samples(shape: tuple[int, ...], axis: str) -> None:
+def test_flat_media_are_scanned_along_the_last_axis_that_has_samples(
+    shape: tuple[int, ...], axis: str
+) -> None:
     """A flat array of actuators has limits, and those of the array without its single sample along z."""
     x = sparse((2, *shape), 4, 0.6)
     x = np.maximum.accumulate(x, axis=1 + "xyz".index(axis))  # neighbours along the lines tell
@@ -63,7 +66,9 @@ def test_flat_media_are_scanned_along_the_last_axis_that_has_samples(shape: tupl
         assert context == context_entropy(
             fields_of(x, 4), context.neighbourhood, previous_frame=context.previous_frame
         )
-        alone = context_entropy(fields_of(dense, 4), context.neighbourhood, previous_frame=context.previous_frame)
+        alone = context_entropy(
+            fields_of(dense, 4), context.neighbourhood, previous_frame=context.previous_frame
+        )
         assert context.per_voxel.value == pytest.approx(alone.per_voxel.value, abs=1e-12)
         assert (context.contexts, context.cells) == (alone.contexts, alone.cells)
     if max(shape) > 1:
@@ -117,4 +122,6 @@ def test_frames_that_do_not_match_are_refused() -> None:
 def test_cells_beyond_the_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.0005")
     with pytest.raises(InvalidArgument, match="coarser quantiser"):
-        context_entropy(fields_of(np.random.default_rng(0).integers(0, 10**6, (1, 30, 30, 30)), 10**6), "corner")
+        context_entropy(
+            fields_of(np.random.default_rng(0).integers(0, 10**6, (1, 30, 30, 30)), 10**6), "corner"
+        )

@@ -49,7 +49,9 @@ def test_a_small_workspace_crops_what_it_cannot_reach() -> None:
     part = w[0].to_dense()[tuple(slice(c, c + n) for c, n in zip(corner, grid.shape))]
     part *= np.minimum(1, 3.3 / np.maximum(np.linalg.norm(part, axis=-1, keepdims=True), 1e-9))
     np.testing.assert_allclose(shown.medium[0].to_dense(), part, atol=1e-5)
-    found = measure_medium(w, MeasureSpec(devices=("phantom-omni",), limits=False, encode=EncodeSpec(mapping="crop")))
+    found = measure_medium(
+        w, MeasureSpec(devices=("phantom-omni",), limits=False, encode=EncodeSpec(mapping="crop"))
+    )
     assert found.capacities["phantom-omni"].wmr.value < 0.1, "most of the scene is out of reach"
 
 
@@ -93,12 +95,16 @@ def bands(shape: tuple[int, int, int], top_n: float) -> HapticMedium:
 @pytest.mark.parametrize("name", ["phantom-omni", "tshirt-32x32"])
 def test_w_and_what_is_rendered_of_it_are_resampled_together(name: str) -> None:
     """A clip, and an array that pools the depth: the ratio is surer than the two intervals beside it are."""
-    found = measure_medium(bands((48, 40, 24), 6.0), MeasureSpec(devices=(name,), limits=False)).capacities[name]
+    found = measure_medium(bands((48, 40, 24), 6.0), MeasureSpec(devices=(name,), limits=False)).capacities[
+        name
+    ]
     i, h, c = found.wmr.interval, found.reference.interval, found.rendered.interval
     assert i is not None and h is not None and c is not None and found.hil.interval is not None
     assert i.method.startswith("paired block bootstrap") and i.level == 0.95
     assert i.low <= found.wmr.value <= i.high <= 1
-    assert (found.hil.interval.low, found.hil.interval.high) == pytest.approx((1 - i.high, 1 - i.low), abs=1e-12)
+    assert (found.hil.interval.low, found.hil.interval.high) == pytest.approx(
+        (1 - i.high, 1 - i.low), abs=1e-12
+    )
     assert i.high - i.low < min(1.0, c.high / h.low) - c.low / h.high
 
 

@@ -32,7 +32,9 @@ def noise(grid: Grid, seed: int, share: float = 0.1) -> ForceField:
 
 def lattice_weights(grid: Grid, radius_m: float) -> NDArray[np.float64]:
     """w_ij around one sample, densely."""
-    reach = [int(radius_m / h + 1e-9) if n > 1 else 0 for h, n in zip(grid.spacing_m, grid.shape, strict=True)]
+    reach = [
+        int(radius_m / h + 1e-9) if n > 1 else 0 for h, n in zip(grid.spacing_m, grid.shape, strict=True)
+    ]
     offsets = np.stack(np.meshgrid(*[np.arange(-r, r + 1) for r in reach], indexing="ij"), axis=-1)
     w = np.exp(-2 * ((offsets * grid.spacing_m / radius_m) ** 2).sum(-1))
     w[tuple(reach)] = 0
@@ -51,7 +53,8 @@ def dense(field: ForceField, masks: NDArray[np.float32]) -> NDArray[np.float64]:
     return filled[tuple(slice(n) for n in field.grid.shape)]
 
 
-# -- of a field -------------------------------------------------------------------------------------------------
+# -- of a field
+# -------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=20)
@@ -61,7 +64,9 @@ def dense(field: ForceField, masks: NDArray[np.float32]) -> NDArray[np.float64]:
     st.sampled_from([0.0021, 0.006, 0.0135]),
     st.sampled_from([0.002, 0.05, 0.6]),
 )
-def test_equals_the_dense_correlation(shape: tuple[int, int, int], seed: int, radius_m: float, share: float) -> None:
+def test_equals_the_dense_correlation(
+    shape: tuple[int, int, int], seed: int, radius_m: float, share: float
+) -> None:
     grid = Grid(shape, (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
     field = noise(grid, seed, share)
     masking = SpatialMasking(0.1, 0.02, 0.4, radius_m)
@@ -120,7 +125,9 @@ def test_the_mask_rises_with_every_force(seed: int, place: tuple[int, int, int],
     after = dense(louder, masking.field_mask_n(louder))
     both = ~np.isnan(before)
     assert (after[both] >= before[both]).all()
-    assert after[place] > (0.0 if np.isnan(before[place]) else before[place]) or after[place] == np.float32(0.02)
+    assert after[place] > (0.0 if np.isnan(before[place]) else before[place]) or after[place] == np.float32(
+        0.02
+    )
 
 
 def test_the_mask_scales_with_the_forces() -> None:
@@ -128,7 +135,8 @@ def test_the_mask_scales_with_the_forces() -> None:
     masks = SpatialMasking(0.1, 0.02, 0.5, 0.005).field_mask_n(field)
     assert np.array_equal(SpatialMasking(0.1, 0.04, 0.5, 0.005).field_mask_n(field.scaled(2)), 2 * masks)
     assert np.array_equal(
-        SpatialMasking(0.1, 0.0, 0.0).field_mask_n(field.scaled(-4)), 4 * SpatialMasking(0.1).field_mask_n(field)
+        SpatialMasking(0.1, 0.0, 0.0).field_mask_n(field.scaled(-4)),
+        4 * SpatialMasking(0.1).field_mask_n(field),
     )
 
 
@@ -145,10 +153,16 @@ def test_the_same_bits_for_any_number_of_threads_and_pieces(monkeypatch: pytest.
 
 
 def test_an_empty_field_has_no_masks() -> None:
-    assert SpatialMasking(0.1, beta=0.5, radius_m=0.01).field_mask_n(ForceField.empty(GRID)).shape == (0, 8, 8, 8)
+    assert SpatialMasking(0.1, beta=0.5, radius_m=0.01).field_mask_n(ForceField.empty(GRID)).shape == (
+        0,
+        8,
+        8,
+        8,
+    )
 
 
-# -- faults -----------------------------------------------------------------------------------------------------
+# -- faults
+# -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bad", [-0.1, math.nan, math.inf])
@@ -157,7 +171,9 @@ def test_parameters_that_make_no_sense(bad: float) -> None:
         with pytest.raises(InvalidArgument, match=name):
             SpatialMasking(**{"k": 0.1, name: bad})
         for word in ("a", None, [0.1]):
-            with pytest.raises(InvalidArgument, match=f"{name}: found .*; expected a (finite|positive) number"):
+            with pytest.raises(
+                InvalidArgument, match=f"{name}: found .*; expected a (finite|positive) number"
+            ):
                 SpatialMasking(**{"k": 0.1, name: word})  # type: ignore[arg-type]
     assert SpatialMasking(np.float32(0.5), beta=np.int64(1)) == SpatialMasking(0.5, beta=1)  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match="radius_m"):
@@ -194,7 +210,9 @@ def test_violations_are_judged_by_what_the_neighbours_hide() -> None:
     y = x * np.float32(1.15)
     plain = violations(x, y, 0.1, 0.01)
     spatial = SpatialMasking(0.1, 0.01, beta=0.2, radius_m=0.003)
-    hidden = spatial.field_mask_n(field)[field.mask].astype(float) - 0.1 * np.linalg.norm(x.astype(float), axis=1)
+    hidden = spatial.field_mask_n(field)[field.mask].astype(float) - 0.1 * np.linalg.norm(
+        x.astype(float), axis=1
+    )
     masked = violations(x, y, 0.1, 0.01, masking_n=np.maximum(hidden, 0))
     error = np.linalg.norm((y - x).astype(float), axis=1)
     assert masked.count == np.count_nonzero(error > spatial.field_mask_n(field)[field.mask] * (1 + 1e-5))
@@ -207,7 +225,9 @@ def test_a_meter_takes_what_hides_from_the_brick_where_it_lies() -> None:
     grid = Grid((40, 8, 8), (0.001,) * 3, (0.0,) * 3)
     dense = rng.normal(size=(*grid.shape, 3)) * np.repeat([4.0, 0.02, 1.0, 0.0, 0.2], 8)[:, None, None, None]
     original = ForceField.from_dense(grid, dense.astype(np.float32))
-    decoded = ForceField.from_dense(grid, (original.to_dense() + rng.normal(0, 0.03, dense.shape)).astype(np.float32))
+    decoded = ForceField.from_dense(
+        grid, (original.to_dense() + rng.normal(0, 0.03, dense.shape)).astype(np.float32)
+    )
     meter = FidelityMeter(0.05, 0.01, masking=(0.3, 0.0025))
     meter.add(original, decoded)
     hidden = np.zeros(grid.shape)

@@ -44,7 +44,8 @@ GRID = tf.Grid((65, 33, 33), (0.005,) * 3, (-0.16, -0.08, -0.08))
 STRONG = replace(device("phantom-omni"), force_max_n=40.0, force_continuous_n=None)
 
 
-# -- recordings ----------------------------------------------------------------------------------------------------
+# -- recordings
+# ----------------------------------------------------------------------------------------------------
 
 
 def wav(path: Path, samples: NDArray[Any], rate_hz: int = 5000) -> Path:
@@ -87,11 +88,19 @@ def test_recordings_are_read_from_sound_and_from_text(tmp_path: Path) -> None:
         ("a.wav", b"", "a.wav: found what is no sound"),
         ("a.csv", b"", "a.csv: found 0 lines"),
         ("a.csv", b"t_s,a_m_s2\n0,1\n", "a.csv: found 2 lines"),
-        ("a.csv", b"t_s,a_m_s2,ax_m_s2,ay_m_s2,az_m_s2\n" + 3 * b"0,1,1,1,1\n", "a.csv line 1: found 't_s,a_m_s2,ax"),
+        (
+            "a.csv",
+            b"t_s,a_m_s2,ax_m_s2,ay_m_s2,az_m_s2\n" + 3 * b"0,1,1,1,1\n",
+            "a.csv line 1: found 't_s,a_m_s2,ax",
+        ),
         ("a.csv", b"\xff\xfe\x00", "a.csv: found bytes that are no text"),
         ("a.csv", b"t_s,ax_g\n0,1\n1,2\n", "a.csv line 1: found 't_s,ax_g'"),
         ("a.csv", b"t_s,a_m_s2\n0,1\n1,nan\n2,1\n", "a.csv line 3: found '1,nan'; expected finite numbers"),
-        ("a.csv", b"t_s,a_m_s2\n0,1\n1\n", "a.csv line 3: found '1'; expected finite numbers, one in each column"),
+        (
+            "a.csv",
+            b"t_s,a_m_s2\n0,1\n1\n",
+            "a.csv line 3: found '1'; expected finite numbers, one in each column",
+        ),
         ("a.csv", b"t_s,a_m_s2\n0,1\n1,1\n2,1\n2.5,1\n3.5,1\n", "a.csv line 5: found a step of 0.5 s"),
         ("a.csv", b"t_s,a_m_s2\n1,1\n1,1\n1,1\n", "a.csv line 3: found a step of 0 s"),
         ("a.mp3", b"x", "a.mp3: found a name that ends in '.mp3'"),
@@ -116,7 +125,8 @@ def test_sound_of_too_many_channels_and_files_that_are_not_there(tmp_path: Path)
         read_recording(wrong)
 
 
-# -- materials -----------------------------------------------------------------------------------------------------
+# -- materials
+# -----------------------------------------------------------------------------------------------------
 
 
 def oak(scale: float = 1.0, **others: Any) -> Material:
@@ -137,7 +147,12 @@ def field(stiffness_n_per_m: float = 300.0) -> tf.HapticMedium:
 
 
 def slide(
-    medium: Any, speed: float, spec: RenderSpec, depth_m: float = 0.0025, profile: Any = STRONG, way: float = 0.28
+    medium: Any,
+    speed: float,
+    spec: RenderSpec,
+    depth_m: float = 0.0025,
+    profile: Any = STRONG,
+    way: float = 0.28,
 ) -> NDArray[Any]:
     """Rows of the log of a hand that slides along x, once it is steady."""
     at = np.array([[-way / 2, 0, -depth_m], [-way / 2, 0, -depth_m], [way / 2, 0, -depth_m]])
@@ -178,7 +193,9 @@ def test_what_the_loop_cannot_show_is_left_out_and_told() -> None:
     trace = Trace(np.array([0.0, 1.0]), np.array([[0, 0, -0.002], [0.1, 0, -0.002]]))
     run = run_offline(field(), STRONG, point_device("sim", trace).opener, spec, seconds=1.0)
     assert any("398 Hz" in note for note in run.notes) and "materials: oak" in run.notes
-    high = np.abs(np.fft.rfft(np.hanning(600) * run.log["force_n"][350:950, 2]))[np.fft.rfftfreq(600, 1e-3) > 460]
+    high = np.abs(np.fft.rfft(np.hanning(600) * run.log["force_n"][350:950, 2]))[
+        np.fft.rfftfreq(600, 1e-3) > 460
+    ]
     assert high.max() < 0.01
     slow = replace(spec, slew_n_per_s=2.0)  # for what is shown alone
     notes = run_offline(field(), STRONG, point_device("sim", trace).opener, slow, seconds=0.01).notes
@@ -194,7 +211,8 @@ def test_the_limits_of_the_device_hold_and_the_spectrum_keeps_its_shape(scale: f
     notes = run_offline(field(), STRONG, point_device("sim", trace).opener, spec, seconds=0.01).notes
     assert not any("ticks a second" in note for note in notes)
     steepest = (
-        MATERIAL_CREST * np.sqrt(((2 * np.pi * np.array(BANDS_HZ) * oak(scale).levels_n) ** 2).sum(axis=-1)).max()
+        MATERIAL_CREST
+        * np.sqrt(((2 * np.pi * np.array(BANDS_HZ) * oak(scale).levels_n) ** 2).sum(axis=-1)).max()
     )
     weaker = f"oak is weaker by up to {20 * np.log10(steepest / 300):.1f} dB"
     assert any(weaker in note and "300 N/s" in note for note in notes)
@@ -213,13 +231,17 @@ def test_the_limits_of_the_device_hold_and_the_spectrum_keeps_its_shape(scale: f
 def test_the_first_material_of_a_place_holds_and_friction_is_its_own() -> None:
     left = oak(friction=0.5, box_m=((-1, -1, -1), (0, 1, 1)))
     right = Material("ice", friction=0.05)
-    rows = slide(field(), 0.1, RenderSpec(render="field", friction=None, rate_hz=RATE_HZ, materials=(left, right)))
+    rows = slide(
+        field(), 0.1, RenderSpec(render="field", friction=None, rate_hz=RATE_HZ, materials=(left, right))
+    )
     x, drag = rows["position_m"][:, 0], np.linalg.norm(rows["friction_n"], axis=1)
     push = np.linalg.norm(rows["field_force_n"], axis=1)
     np.testing.assert_allclose(drag / push, np.where(x <= 0, 0.5, 0.05), atol=1e-4)
     z = rows["force_n"][:, 2].astype(np.float64)
     assert z[x < -0.001].std() > 0.005 and z[x > 0.01].std() < 1e-4
-    own = slide(field(), 0.1, RenderSpec(render="field", friction=0.2, rate_hz=RATE_HZ, materials=(left, right)))
+    own = slide(
+        field(), 0.1, RenderSpec(render="field", friction=0.2, rate_hz=RATE_HZ, materials=(left, right))
+    )
     np.testing.assert_allclose(np.linalg.norm(own["friction_n"], axis=1), 0.2 * push, rtol=1e-4)
 
 
@@ -232,7 +254,9 @@ def test_stick_slip_is_a_sawtooth_over_the_way_that_only_takes_energy() -> None:
     assert np.fft.rfftfreq(len(mu), 1 / RATE_HZ)[tones.argmax()] == pytest.approx(0.05 / 0.002, rel=0.02)
     assert ((rows["friction_n"] * rows["velocity_m_s"]).sum(axis=1) <= 1e-12).all()
     fast = slide(field(), 1.4, RenderSpec(render="field", rate_hz=1000.0, materials=(slips,)))
-    quick = np.linalg.norm(fast["friction_n"], axis=1)[-20:] / np.linalg.norm(fast["field_force_n"], axis=1)[-20:]
+    quick = (
+        np.linalg.norm(fast["friction_n"], axis=1)[-20:] / np.linalg.norm(fast["field_force_n"], axis=1)[-20:]
+    )
     np.testing.assert_allclose(quick, 0.6, atol=1e-3)  # 700 slips a second at 1000 ticks: their mean
 
 
@@ -249,7 +273,9 @@ def test_a_material_may_be_that_of_an_object() -> None:
     rows = slide(scene, 0.1, spec)
     assert vibration(rows).std() > 0.005
     other = tf.medium.HapticScene(GRID, 30.0, tuple(objects[::-1]), 40.0)
-    assert vibration(slide(other, 0.1, replace(spec, materials=(oak(friction=0.3),)))).std() > 0.005  # of any object
+    assert (
+        vibration(slide(other, 0.1, replace(spec, materials=(oak(friction=0.3),)))).std() > 0.005
+    )  # of any object
     below = slide(scene, 0.1, replace(spec, materials=(oak(object="floor"),)))
     assert vibration(below).std() < 1e-3
     with pytest.raises(InvalidArgument, match=r"'chair'; expected one of table, floor"):
@@ -265,7 +291,9 @@ def test_a_table_goes_through_its_file_and_a_stream_unharmed(tmp_path: Path) -> 
     assert materials_json(again) == materials_json(both) and again[1] == both[1]
     np.testing.assert_allclose(again[0].levels_n, both[0].levels_n, rtol=1e-3)
     levels = tuple(0.1 * (n + 1) for n in range(32))  # as many as there may be of one, and of them
-    most = (Material("slate", speeds_m_s=levels, forces_n=(1.0,), texture_rms_n=((((0.001,) * 16),),) * 32),) * 64
+    most = (
+        Material("slate", speeds_m_s=levels, forces_n=(1.0,), texture_rms_n=((((0.001,) * 16),),) * 32),
+    ) * 64
     write_table(tmp_path / "most.json", most)
     assert len(read_materials(tmp_path / "most.json")) == 64
     write_table(tmp_path / "more.json", (*most, Material("one more")))
@@ -283,7 +311,9 @@ def test_a_table_goes_through_its_file_and_a_stream_unharmed(tmp_path: Path) -> 
     x = heard["position_m"][:, 0]
     assert vibration(heard)[x < -0.01].std() > 10 * max(vibration(still)[x < -0.01].std(), 1e-6)
     with pytest.raises(InvalidArgument, match=r"letters; expected at most 4096\. Give it beside the file"):
-        store_materials(tmp_path / "a.touch", [replace(oak(), name=str(n)) for n in range(9)], tmp_path / "c.touch")
+        store_materials(
+            tmp_path / "a.touch", [replace(oak(), name=str(n)) for n in range(9)], tmp_path / "c.touch"
+        )
     room = 4097 - len(materials_json([Material("a")]))
     assert len(stored_json([Material("a" * room)])) == 4096
     with pytest.raises(InvalidArgument, match="4097 letters"):
@@ -305,13 +335,23 @@ BAD_TABLES = [
     ({"materials": [{"name": "a", "friction": -1}]}, r"materials\[0\] material 'a' friction: found -1"),
     ({"materials": [{"name": "a", "friction": "x"}]}, r"materials\[0\]: found a value of another kind"),
     ({"materials": [{"name": "a", "static_friction": 1}]}, "static_friction: found it alone"),
-    ({"materials": [{"name": "a", "friction": 0.5, "static_friction": 0.4}]}, "0.4; expected a finite number, 0.5"),
+    (
+        {"materials": [{"name": "a", "friction": 0.5, "static_friction": 0.4}]},
+        "0.4; expected a finite number, 0.5",
+    ),
     ({"materials": [{"name": "a", "speeds_m_s": list(range(1, 34))}]}, r"speeds_m_s: found .*at most 32"),
     ({"materials": [{"name": "a", "box_m": [[1, 1, 1], [0, 0, 0]]}]}, r"box_m: found"),
     ({"materials": [{"name": "a", "speeds_m_s": [2, 1]}]}, r"speeds_m_s: found \(2, 1\)"),
-    ({"materials": [{"name": "a", "speeds_m_s": [1], "forces_n": [1]}]}, r"texture_rms_n: found shape \(0,\)"),
     (
-        {"materials": [{"name": "a", "speeds_m_s": [1], "forces_n": [1], "texture_rms_n": [[[float("nan")] * 16]]}]},
+        {"materials": [{"name": "a", "speeds_m_s": [1], "forces_n": [1]}]},
+        r"texture_rms_n: found shape \(0,\)",
+    ),
+    (
+        {
+            "materials": [
+                {"name": "a", "speeds_m_s": [1], "forces_n": [1], "texture_rms_n": [[[float("nan")] * 16]]}
+            ]
+        },
         "texture_rms_n: found a number below 0 or not finite",
     ),
     (
@@ -349,7 +389,8 @@ def test_recordings_become_a_table(tmp_path: Path) -> None:
     assert merged((oak(),), (made, replace(oak(), friction=1.0)))[0].friction == 1.0
 
 
-# -- the door ------------------------------------------------------------------------------------------------------
+# -- the door
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_the_command_makes_a_table_puts_it_into_a_stream_and_plays_it(
@@ -358,7 +399,10 @@ def test_the_command_makes_a_table_puts_it_into_a_stream_and_plays_it(
     monkeypatch.chdir(tmp_path)
     for name, size in (("slow", 0.1), ("fast", 0.2)):
         wav(Path(f"{name}.wav"), np.round(32767 * np.clip(size * noise(10_000, 3), -1, 1)).astype(np.int16))
-    words = "texture slow.wav fast.wav -o oak.json --speed-m-s 0.05,0.1 --force-n 1 --name oak --friction 0.4 --json"
+    words = (
+        "texture slow.wav fast.wav -o oak.json --speed-m-s 0.05,0.1 --force-n 1 --name oak --friction 0.4 "
+        "--json"
+    )
     drawn = ["--plot", "oak.png"] if pytest.importorskip("matplotlib") else []
     assert _exit_code([*words.split(), *drawn]) == 0
     assert json.loads(capsys.readouterr().out)["materials"] == ["oak"]

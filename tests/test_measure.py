@@ -33,7 +33,9 @@ def test_voxel_and_object_entropy_obey_their_identity(symbols: list[int], empty:
 
 def test_fidelity_in_the_three_conventions() -> None:
     grid = Grid((16, 8, 8), (1, 1, 1), (0, 0, 0))
-    original = ForceField.from_support(grid, [[0, 0, 0], [1, 0, 0], [9, 0, 0]], [[3, 0, 0], [0, 4, 0], [0, 0, 0.01]])
+    original = ForceField.from_support(
+        grid, [[0, 0, 0], [1, 0, 0], [9, 0, 0]], [[3, 0, 0], [0, 4, 0], [0, 0, 0.01]]
+    )
     decoded = ForceField.from_support(
         grid, [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[3, 0.29, 0], [0, 5, 0], [0.04, 0, 0]]
     )

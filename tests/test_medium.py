@@ -21,7 +21,9 @@ spacings = st.floats(1e-4, 0.5)
 
 @st.composite
 def grids(draw: st.DrawFn) -> Grid:
-    return Grid(draw(shapes), draw(st.tuples(spacings, spacings, spacings)), draw(st.tuples(metres, metres, metres)))
+    return Grid(
+        draw(shapes), draw(st.tuples(spacings, spacings, spacings)), draw(st.tuples(metres, metres, metres))
+    )
 
 
 @st.composite

@@ -74,7 +74,8 @@ def test_damaged_files_are_one_clear_error(tmp_path: Path, suffix: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "what"), [("ply", "20 rows before the end"), ("off", "60 faces .* of 80 faces"), ("stl", "endsolid")]
+    ("kind", "what"),
+    [("ply", "20 rows before the end"), ("off", "60 faces .* of 80 faces"), ("stl", "endsolid")],
 )
 def test_a_text_that_is_cut_between_lines_is_told(tmp_path: Path, kind: str, what: str) -> None:
     ball = trimesh.creation.icosphere(1)
@@ -114,7 +115,9 @@ L_OUTLINE = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))
 @pytest.mark.parametrize("suffix", [".obj", ".ply"])
 @pytest.mark.parametrize("start", range(6))
 def test_concave_polygons_are_not_folded(tmp_path: Path, suffix: str, start: int) -> None:
-    """Of two caps of an L, from whatever corner the file begins with: a fan of the first has triangles outside."""
+    """Of two caps of an L, from whatever corner the file begins with: a fan of the first has triangles
+    outside.
+    """
     points = [(x, y, z) for z in (0, 1) for x, y in L_OUTLINE]
     top = [6 + (start + i) % 6 for i in range(6)]
     faces = [top, [i - 6 for i in top[::-1]], *([i, (i + 1) % 6, (i + 1) % 6 + 6, i + 6] for i in range(6))]
@@ -228,7 +231,9 @@ def test_faces_whose_corners_come_first(tmp_path: Path, order: str, faces: list[
     data = ply(points, faces, order).replace(b"property uchar group\n", b"")
     head, _, rows = data.partition(b"end_header\n")
     for face in faces:  # without the number that stands before their corners
-        rows = rows.replace(bytes([7, len(face)]), bytes([len(face)])).replace(b"7 %d" % len(face), b"%d" % len(face))
+        rows = rows.replace(bytes([7, len(face)]), bytes([len(face)])).replace(
+            b"7 %d" % len(face), b"%d" % len(face)
+        )
     path = tmp_path / "faces.ply"
     path.write_bytes(head + b"end_header\n" + rows)
     vertices, triangles, _ = read_triangles(path)
@@ -350,7 +355,9 @@ def test_real_meshes(shared_data: Path, name: str, is_closed: bool) -> None:
     mesh = scene.surface.vertices_m, scene.surface.triangles
     ends = scene.surface.edges.edge_of.reshape(-1)
     is_rim = np.bincount(ends)[ends] == 1
-    rim = mesh[0][np.stack([mesh[1], np.roll(mesh[1], -1, axis=1)], axis=2).reshape(-1, 2)[is_rim]].mean(axis=1)
+    rim = mesh[0][np.stack([mesh[1], np.roll(mesh[1], -1, axis=1)], axis=2).reshape(-1, 2)[is_rim]].mean(
+        axis=1
+    )
     whole = np.flatnonzero(
         cKDTree(np.append(rim, [[1e9] * 3], axis=0)).query(points)[0] > 7 * pitch
     )  # no fading there

@@ -68,11 +68,15 @@ def felt(scene: MeshScene, count: int = 48) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("holes", HOLES)
 @pytest.mark.parametrize("shape", MAKERS)
 @pytest.mark.parametrize("seen_rad", ABOUT_Z_RAD)
-def test_nothing_is_felt_outside_the_surface_that_had_no_hole(shape: str, seen_rad: float, holes: str) -> None:
+def test_nothing_is_felt_outside_the_surface_that_had_no_hole(
+    shape: str, seen_rad: float, holes: str
+) -> None:
     maker, outside = MAKERS[shape]
     mesh = maker()
     towards = ((0, 0, -1),) if shape != "torus" else ((1, 0.1, -0.2), (-0.4, 1, 0.1))
-    faces = without(mesh, min(seen_rad, 1.6) if shape == "torus" else seen_rad, *towards)  # more leaves scraps
+    faces = without(
+        mesh, min(seen_rad, 1.6) if shape == "torus" else seen_rad, *towards
+    )  # more leaves scraps
     scene = MeshScene(mesh.vertices, faces, holes=holes)
     points, forces = felt(scene)
     if holes == "leave" and len(faces) < len(mesh.faces):
@@ -86,7 +90,9 @@ def test_nothing_is_felt_outside_the_surface_that_had_no_hole(shape: str, seen_r
 
 def _spread(corners: np.ndarray, steps: int = 8) -> np.ndarray:
     """Points all over triangles [m, 3, 3], float64 [n, 3]."""
-    i, j = (each.reshape(-1) for each in np.meshgrid(np.arange(steps + 1), np.arange(steps + 1), indexing="ij"))
+    i, j = (
+        each.reshape(-1) for each in np.meshgrid(np.arange(steps + 1), np.arange(steps + 1), indexing="ij")
+    )
     shares = np.stack([i, j, steps - i - j], axis=1)[i + j <= steps] / steps
     return (shares @ corners).reshape(-1, 3)
 
@@ -98,12 +104,16 @@ def test_the_force_falls_to_zero_at_the_rim_of_a_hole(seen_rad: float) -> None:
     points, forces = felt(scene, 72)
     ends = scene.surface.vertices_m[scene.surface.triangles]
     ends = np.stack([ends, np.roll(ends, -1, axis=1)], axis=2).reshape(-1, 2, 3)
-    rims = ends[np.bincount(scene.surface.edges.edge_of.reshape(-1))[scene.surface.edges.edge_of.reshape(-1)] == 1]
+    rims = ends[
+        np.bincount(scene.surface.edges.edge_of.reshape(-1))[scene.surface.edges.edge_of.reshape(-1)] == 1
+    ]
     length = np.linalg.norm(points, axis=1)
     foot = points / length[:, None]
     to_rim = np.min([segment_distance(a, b, foot) for a, b in rims], axis=0)
     whole = 12 * (1 - length) * np.minimum(to_rim / WALL_M, 1)
-    np.testing.assert_allclose(forces, whole, atol=0.35)  # the sphere is of flat triangles: 12 N/m times 0.01 m
+    np.testing.assert_allclose(
+        forces, whole, atol=0.35
+    )  # the sphere is of flat triangles: 12 N/m times 0.01 m
     assert forces[to_rim < 0.02].max(initial=0) < 0.5
 
 
@@ -115,7 +125,10 @@ def test_small_holes_are_closed_and_told() -> None:
     left = MeshScene(mesh.vertices, faces, holes="leave")
     assert not left.is_closed and "2 open outlines left" in left.notes[0] and "--holes close" in left.notes[0]
     wide = MeshScene(mesh.vertices, without(mesh, 0.9, (0, 0, -1)))
-    assert not wide.is_closed and MeshScene(mesh.vertices, without(mesh, 0.9, (0, 0, -1)), holes="close").is_closed
+    assert (
+        not wide.is_closed
+        and MeshScene(mesh.vertices, without(mesh, 0.9, (0, 0, -1)), holes="close").is_closed
+    )
     with pytest.raises(InvalidArgument, match="holes"):
         MeshScene(mesh.vertices, faces, holes="fill")
 

@@ -44,7 +44,8 @@ def check_against_brute_force(mesh: Mesh, grid: Grid, band_m: float) -> None:
     assert (distance_to(mesh, points - phi[:, None] * normals) < 2e-6 * size).all()
 
 
-# -- distance, direction, sign -------------------------------------------------------------------------------------
+# -- distance, direction, sign
+# -------------------------------------------------------------------------------------
 
 
 def test_box_has_the_analytic_distance_and_direction() -> None:
@@ -62,7 +63,9 @@ def test_box_has_the_analytic_distance_and_direction() -> None:
     two = np.sort(q, axis=1)
     deep = (true < -1e-6) & (two[:, 2] - two[:, 1] > 1e-6)
     axis = q.argmax(1)
-    np.testing.assert_allclose(normals[np.arange(len(q)), axis][deep], np.sign(points)[np.arange(len(q)), axis][deep])
+    np.testing.assert_allclose(
+        normals[np.arange(len(q)), axis][deep], np.sign(points)[np.arange(len(q)), axis][deep]
+    )
     assert deep.sum() > 1000 and beyond.sum() > 1000
 
 
@@ -85,7 +88,9 @@ def test_convex_hulls_on_anisotropic_grids(seed: int) -> None:
     faces = hull.simplices.copy()
     corners = points[faces]
     facing = np.einsum(
-        "ij,ij->i", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), hull.equations[:, :3]
+        "ij,ij->i",
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]),
+        hull.equations[:, :3],
     )
     faces[facing < 0] = faces[facing < 0][:, ::-1]
     if rng.random() < 0.3:
@@ -111,7 +116,9 @@ def test_signs_are_those_of_the_winding_number(seed: int, kind: str) -> None:
     if kind == "cavity":
         check_against_brute_force((vertices, faces), grid, 0.5)
         return
-    points, phi, _ = measured(MeshScene(vertices, faces), grid, 0.5)  # inside, walls are not felt: test_mesh_union
+    points, phi, _ = measured(
+        MeshScene(vertices, faces), grid, 0.5
+    )  # inside, walls are not felt: test_mesh_union
     clear = distance_to((vertices, faces), points) > 1e-6
     is_inside = np.round(winding((vertices, faces), points)) != 0
     assert (np.sign(phi)[clear] == np.where(is_inside, -1, 1)[clear]).all()
@@ -195,7 +202,8 @@ def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fields[0] == fields[1] and fields[0].support_count > 1000
 
 
-# -- open meshes ---------------------------------------------------------------------------------------------------
+# -- open meshes
+# ---------------------------------------------------------------------------------------------------
 
 
 def sheet() -> Mesh:
@@ -245,7 +253,9 @@ def test_a_sheet_that_faces_both_ways_is_two_sided() -> None:
 
 def test_one_sided_signs_at_edges_and_vertices() -> None:
     vertices, faces = cube()
-    points, phi, _ = measured(MeshScene(vertices, faces[:-1], shell="one"), around(vertices, (14, 15, 16)), 0.2)
+    points, phi, _ = measured(
+        MeshScene(vertices, faces[:-1], shell="one"), around(vertices, (14, 15, 16)), 0.2
+    )
     closed = np.round(winding((vertices, faces), points)) != 0
     hole = vertices[faces[-1]].mean(0)
     far = np.linalg.norm(points - hole, axis=1) > 1.0  # where the force does not fade
@@ -280,7 +290,8 @@ def test_directions_on_the_surface_are_pseudo_normals() -> None:
         np.testing.assert_allclose(dense[2, 2, 2], -np.ones(3) / math.sqrt(3), atol=1e-6)
 
 
-# -- faults --------------------------------------------------------------------------------------------------------
+# -- faults
+# --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,9 @@ def test_no_force_leads_to_a_wall_inside() -> None:
     # and none is nearer: the depth is the distance to the parts of all faces that lie in no other box
     union = union_of(Surface(vertices, faces, "boxes"))
     assert union is not None
-    kept = np.concatenate([vertices[Surface(vertices, faces, "boxes").triangles[union.kept]], union.corners_m])
+    kept = np.concatenate(
+        [vertices[Surface(vertices, faces, "boxes").triangles[union.kept]], union.corners_m]
+    )
     felt = kept.reshape(-1, 3), np.arange(3 * len(kept)).reshape(-1, 3)
     np.testing.assert_allclose(np.linalg.norm(forces, axis=1), distance_to(felt, points), atol=1e-5)
 

@@ -1,4 +1,6 @@
-"""MuJoCo models as scenes: which geoms are touched, where they are, how long it runs, and what is said of faults."""
+"""MuJoCo models as scenes: which geoms are touched, where they are, how long it runs, and what is said of
+faults.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 def opened(world: str, rest: str = "", **options: float) -> BodyScene:
     path = Path("model.xml")
-    path.write_text(f"<?xml version='1.0'?>\n<!-- a test -->\n<mujoco>{rest}<worldbody>{world}</worldbody></mujoco>")
+    path.write_text(
+        f"<?xml version='1.0'?>\n<!-- a test -->\n<mujoco>{rest}<worldbody>{world}</worldbody></mujoco>"
+    )
     scene = open_source(path, SourceOptions(**options))  # type: ignore[arg-type]
     assert isinstance(scene, BodyScene)
     return scene
@@ -55,14 +59,22 @@ def test_the_model_may_name_its_beginning() -> None:
     key = '<keyframe><key name="touchfield" qpos="1 2 3 1 0 0 0" qvel="0 0 1 0 0 0"/></keyframe>'
     scene = opened(BALL, key, seconds=0.05)
     assert scene.frame_count == 50
-    np.testing.assert_allclose(scene.bodies()[0].track.positions_m[[0, 10]], [[1, 2, 3], [1, 2, 3.0095]], atol=1e-4)
+    np.testing.assert_allclose(
+        scene.bodies()[0].track.positions_m[[0, 10]], [[1, 2, 3], [1, 2, 3.0095]], atol=1e-4
+    )
     assert opened(BALL, seconds=0.02, rate_hz=500).frame_count == 10
     assert opened(BALL).frame_count == 2000
 
 
 @pytest.mark.parametrize(
     ("timestep", "rate_hz", "step_s"),
-    [(0.002, 1000, 0.001), (0.0003, 1000, 1 / 3000), (0.0006, 1000, 0.0005), (0.002, 50, None), (0.001, 30, None)],
+    [
+        (0.002, 1000, 0.001),
+        (0.0003, 1000, 1 / 3000),
+        (0.0006, 1000, 0.0005),
+        (0.002, 50, None),
+        (0.001, 30, None),
+    ],
 )
 def test_the_step_divides_the_frame(timestep: float, rate_hz: float, step_s: float | None) -> None:
     scene = opened(BALL, f'<option timestep="{timestep}"/>', seconds=0.1, rate_hz=rate_hz)
@@ -144,7 +156,10 @@ def test_a_height_field_is_closed_and_cut_as_mujoco_cuts_it() -> None:
 
 
 def test_a_pendulum_swings_with_its_period() -> None:
-    rod = '<body name="bob" pos="0 0 1"><joint axis="0 1 0" pos="0 0 0"/><geom size=".01" pos=".02 0 -1"/></body>'
+    rod = (
+        '<body name="bob" pos="0 0 1"><joint axis="0 1 0" pos="0 0 0"/><geom size=".01" pos=".02 0 '
+        '-1"/></body>'
+    )
     scene = opened(rod, seconds=2.5)
     turn = scene.bodies()[0].track.quaternions[:, 2]
     middle = np.sign(turn - (turn.max() + turn.min()) / 2)
@@ -159,7 +174,9 @@ def test_the_same_poses_bit_for_bit() -> None:
 
 def test_what_only_looks_is_left_out() -> None:
     looks = '<geom size=".2" contype="0" conaffinity="0"/>'
-    scene = opened(f'<body name="a">{looks}<geom size=".1"/></body><body name="ghost">{looks}</body>', seconds=0.01)
+    scene = opened(
+        f'<body name="a">{looks}<geom size=".1"/></body><body name="ghost">{looks}</body>', seconds=0.01
+    )
     assert [body.name for body in scene.bodies()] == ["a"]
     assert scene.bodies()[0].scene.bounds_m().tolist() == [[-0.1] * 3, [0.1] * 3]
     assert any("only look" in note and "2 geoms" in note for note in scene.notes)
@@ -172,7 +189,10 @@ def test_what_only_looks_is_left_out() -> None:
 
 
 def test_what_is_not_rigid_is_said_and_left_out() -> None:
-    cloth = '<flexcomp name="cloth" type="grid" count="3 3 1" spacing=".1 .1 .1" radius=".01" mass="1" pos="0 0 1"/>'
+    cloth = (
+        '<flexcomp name="cloth" type="grid" count="3 3 1" spacing=".1 .1 .1" radius=".01" mass="1" pos="0 0 '
+        '1"/>'
+    )
     scene = opened(FLOOR + cloth, seconds=0.01)
     assert [body.name for body in scene.bodies()] == ["world"]
     assert any("Left out" in note and "flex" in note for note in scene.notes)
@@ -191,7 +211,11 @@ def test_bodies_without_names_and_several_meshes() -> None:
         ('<geom type="mesh" mesh="m"/>', '<asset><mesh name="m" file="gone.stl"/></asset>', "gone.stl"),
         ('<geom type="cube" size="1"/>', "", "cube"),
         ("<site/>", "", "nothing that can be touched"),
-        ('<body><joint type="slide" stiffness="1e14" springref="1" /><geom size=".1"/></body>', "", "diverges"),
+        (
+            '<body><joint type="slide" stiffness="1e14" springref="1" /><geom size=".1"/></body>',
+            "",
+            "diverges",
+        ),
         (BALL, '<option timestep="1e-300"/>', ""),
     ],
 )
@@ -228,7 +252,9 @@ def test_recognised_by_the_root_element(data: bytes, is_model: bool) -> None:
 
 
 @given(st.binary(max_size=60) | st.text("<mujoco/> =\"'!-?", max_size=60).map(str.encode))
-def test_any_bytes_give_a_scene_or_an_error_of_ours(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+def test_any_bytes_give_a_scene_or_an_error_of_ours(
+    tmp_path_factory: pytest.TempPathFactory, data: bytes
+) -> None:
     path = tmp_path_factory.mktemp("xml") / "x.xml"
     path.write_bytes(data)
     assert KIND.recognise(path) in (True, False)
@@ -238,7 +264,8 @@ def test_any_bytes_give_a_scene_or_an_error_of_ours(tmp_path_factory: pytest.Tem
 
 def test_files_that_name_too_many_others_are_refused(tmp_path: Path) -> None:
     names, folders = (
-        "".join(form.format(i) for i in range(300)) for form in ('<mesh file="{}.stl"/>', '<compiler meshdir="{}"/>')
+        "".join(form.format(i) for i in range(300))
+        for form in ('<mesh file="{}.stl"/>', '<compiler meshdir="{}"/>')
     )
     (tmp_path / "a.xml").write_text(f"<mujoco>{folders}<asset>{names}</asset></mujoco>")
     with pytest.raises(SourceError, match=r"a\.xml: found 300 files in 301 folders"):

@@ -40,7 +40,9 @@ def test_the_bits_are_those_of_the_array(shape: tuple[int, int, int], stages: in
         made = MultiresolutionFilter(stages)(field_of(forces))
         assert np.array_equal(made.to_dense(), coarse_only(forces, FCC, stages))
         assert made.mask.any(axis=(1, 2, 3)).all()
-        assert ForceField.from_bricks(made.grid, made.bricks, made.forces_n) == made  # nothing beyond the grid
+        assert (
+            ForceField.from_bricks(made.grid, made.bricks, made.forces_n) == made
+        )  # nothing beyond the grid
 
 
 @pytest.mark.parametrize("stages", [1, 2, 3, 7])
@@ -109,7 +111,9 @@ def test_an_empty_field_and_one_sample() -> None:
 def test_words() -> None:
     assert issubclass(MultiresolutionFilter, FieldFilter) and MultiresolutionFilter.name == "multiresolution"
     assert MultiresolutionFilter.parse("") == MultiresolutionFilter.parse("3") == MultiresolutionFilter(3)
-    assert MultiresolutionFilter.parse("stages=5,keep=coarse") == MultiresolutionFilter(5)  # as older streams have it
+    assert MultiresolutionFilter.parse("stages=5,keep=coarse") == MultiresolutionFilter(
+        5
+    )  # as older streams have it
     assert MultiresolutionFilter.parse(MultiresolutionFilter(7).words) == MultiresolutionFilter(7)
     for text in ("0", "13", "-1", "2.5", "stages=nan"):
         with pytest.raises(InvalidArgument, match="stages"):

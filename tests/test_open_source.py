@@ -34,7 +34,9 @@ def test_an_error_names_what_lies_there(tmp_path: Path) -> None:
     for i in range(3):
         make.write_png(tmp_path / f"{i}.png", np.zeros((4, 6, 3), np.uint8))
     (tmp_path / "colour").mkdir()
-    with pytest.raises(SourceError, match=r"3 \.png \(a RGB picture of uint8 samples, 6 x 4\), the folders colour/"):
+    with pytest.raises(
+        SourceError, match=r"3 \.png \(a RGB picture of uint8 samples, 6 x 4\), the folders colour/"
+    ):
         open_source(tmp_path)
     for kind in ("tum", "redwood", "sun3d", "3dmatch", "depth-folder"):
         with pytest.raises(SourceError, match=r"but 3 \.png|RGB"):
@@ -57,7 +59,8 @@ def test_depth_in_a_unit_that_cannot_be_is_told(
 
 
 @pytest.mark.parametrize(
-    ("unit_m", "words"), [(1.0, None), (1e-3, "6e-05 m across (--unit-m)."), (1e5, "6e+03 m across (--unit-m).")]
+    ("unit_m", "words"),
+    [(1.0, None), (1e-3, "6e-05 m across (--unit-m)."), (1e5, "6e+03 m across (--unit-m).")],
 )
 def test_a_mesh_in_a_unit_that_cannot_be_is_told(tmp_path: Path, unit_m: float, words: str | None) -> None:
     corners = "v 0 0 0\nv 0.06 0 0\nv 0 0.06 0\nv 0 0 0.06\n"
@@ -70,11 +73,15 @@ def test_a_mesh_in_a_unit_that_cannot_be_is_told(tmp_path: Path, unit_m: float, 
 def test_options_that_do_nothing_are_told(tmp_path: Path) -> None:
     values = np.kron(make.depths_mm()[0], np.ones((8, 8), np.uint16))
     make.write_png(tmp_path / "shot.png", values)  # not named like depth: a height map
-    asked = SourceOptions(depth_scale=1000, intrinsics="160,168,47.5,35.5", exaggeration=2.0, allow_outside=True)
+    asked = SourceOptions(
+        depth_scale=1000, intrinsics="160,168,47.5,35.5", exaggeration=2.0, allow_outside=True
+    )
     notes = prepare(tmp_path / "shot.png", EncodeSpec(nw=3, source=asked)).notes
     assert "Options that do nothing for this source: --depth-scale, --intrinsics." in notes
     (tmp_path / "depth").mkdir()
     (tmp_path / "shot.png").rename(tmp_path / "depth" / "0.png")
     asked = SourceOptions(depth_scale=1000, intrinsics="160,168,47.5,35.5", kind="depth-folder", rate_hz=10.0)
     assert "do nothing" not in " ".join(prepare(tmp_path, EncodeSpec(nw=3, source=asked)).notes)
-    assert "--seconds." in " ".join(prepare("sample:shapes", EncodeSpec(nw=3, source=SourceOptions(seconds=1))).notes)
+    assert "--seconds." in " ".join(
+        prepare("sample:shapes", EncodeSpec(nw=3, source=SourceOptions(seconds=1))).notes
+    )

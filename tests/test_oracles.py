@@ -124,7 +124,9 @@ ROADS: dict[str, dict[str, Road]] = {
     },
     "JSD(X,Y)": {
         "samples": lambda x, y: float(info.jensen_shannon_distance(x, y, interval=False)) ** 2,
-        "probabilities": lambda x, y: float(info.jensen_shannon_distance(exact(shares(x)), exact(shares(y)))) ** 2,
+        "probabilities": lambda x, y: (
+            float(info.jensen_shannon_distance(exact(shares(x)), exact(shares(y)))) ** 2
+        ),
         "fields": lambda x, y: float(info.jensen_shannon_distance(joined(x, y))) ** 2,
     },
 }
@@ -184,7 +186,9 @@ def test_what_a_sequence_says_of_itself_leads_to_the_oracle(samples: tuple[Symbo
     before = np.concatenate([[0], x[:-1]])
     pair = np.bincount(KX * x + before, minlength=KX * KX).reshape(KX, KX) / len(x)
     rate = dit.shannon.conditional_entropy(law_of(pair), [0], [1])
-    assert float(context_entropy([as_field(x, KX)], "previous").per_voxel) == pytest.approx(rate, abs=1e-12, rel=0)
+    assert float(context_entropy([as_field(x, KX)], "previous").per_voxel) == pytest.approx(
+        rate, abs=1e-12, rel=0
+    )
     frames = [as_field(y, KX), as_field(x, KX)]
     now, past = np.concatenate([y, x]), np.concatenate([0 * y, y])
     pair = np.bincount(KX * now + past, minlength=KX * KX).reshape(KX, KX) / len(now)
@@ -194,7 +198,9 @@ def test_what_a_sequence_says_of_itself_leads_to_the_oracle(samples: tuple[Symbo
 
 
 weights = st.one_of(st.just(0.0), st.floats(1e-6, 1))
-tables = arrays(np.float64, (3, 2, 3), elements=weights).filter(lambda w: w.sum() > 0).map(lambda w: w / w.sum())
+tables = (
+    arrays(np.float64, (3, 2, 3), elements=weights).filter(lambda w: w.sum() > 0).map(lambda w: w / w.sum())
+)
 
 
 @given(tables)

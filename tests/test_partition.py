@@ -1,4 +1,6 @@
-"""Workspace partitions: the losses of boxes against a count of every sample, the optimum against every division."""
+"""Workspace partitions: the losses of boxes against a count of every sample, the optimum against every
+division.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +24,16 @@ from touchfield.pipeline.mapping import partition_workspace
 Box = tuple[int, tuple[int, int, int]]
 
 
-def lattice(split: tuple[bool, bool, bool], depth: int, device: tuple[int, int, int] = (2, 3, 1)) -> DyadicLattice:
+def lattice(
+    split: tuple[bool, bool, bool], depth: int, device: tuple[int, int, int] = (2, 3, 1)
+) -> DyadicLattice:
     x, y, z = (m << depth if s else m for m, s in zip(device, split, strict=True))
     return DyadicLattice(Grid.over_box((0, 0, 0), (0.16, 0.12, 0.08), (x, y, z)), device)
 
 
-def divisions(lat: DyadicLattice, depth: int = 0, index: tuple[int, int, int] = (0, 0, 0)) -> Iterator[list[Box]]:
+def divisions(
+    lat: DyadicLattice, depth: int = 0, index: tuple[int, int, int] = (0, 0, 0)
+) -> Iterator[list[Box]]:
     """Every dyadic division of a box."""
     yield [(depth, index)]
     if depth < lat.depth:
@@ -36,7 +42,9 @@ def divisions(lat: DyadicLattice, depth: int = 0, index: tuple[int, int, int] = 
         factor = [b // a for a, b in zip(here, below, strict=True)]
         corners = itertools.product(*steps)
         children = [
-            list(divisions(lat, depth + 1, tuple(i * f + c for i, f, c in zip(index, factor, at, strict=True))))  # type: ignore[arg-type]
+            list(
+                divisions(lat, depth + 1, tuple(i * f + c for i, f, c in zip(index, factor, at, strict=True)))
+            )  # type: ignore[arg-type]
             for at in corners
         ]
         for chosen in itertools.product(*children):
@@ -49,7 +57,12 @@ def random_losses(lat: DyadicLattice, seed: int, whole: bool = False) -> list[ND
     return [np.rint(4 * loss) for loss in found] if whole else found
 
 
-TREES = [((True, True, True), 1), ((True, True, True), 2), ((True, True, False), 2), ((False, True, False), 4)]
+TREES = [
+    ((True, True, True), 1),
+    ((True, True, True), 2),
+    ((True, True, False), 2),
+    ((False, True, False), 4),
+]
 
 
 @pytest.mark.parametrize(("split", "depth"), TREES)
@@ -86,7 +99,9 @@ def slices(made: Partition, box: Any) -> tuple[slice, ...]:
     """The fine samples of a box, by the metres of its own lattice."""
     low, high = (made.lattice.grid.to_index(edge) + 0.5 for edge in made.grid(box).box_m)
     assert np.abs(low - np.rint(low)).max() < 1e-6 and np.abs(high - np.rint(high)).max() < 1e-6
-    return tuple(slice(a, b) for a, b in zip(np.rint(low).astype(int), np.rint(high).astype(int), strict=True))
+    return tuple(
+        slice(a, b) for a, b in zip(np.rint(low).astype(int), np.rint(high).astype(int), strict=True)
+    )
 
 
 def test_each_box_fills_the_device() -> None:
@@ -110,7 +125,8 @@ def test_of_equal_partitions_the_fewer_boxes() -> None:
     assert len(optimal_partition(lat, none, 0.0).boxes) == 1
 
 
-# -- losses ---------------------------------------------------------------------------------------------------------
+# -- losses
+# ---------------------------------------------------------------------------------------------------------
 
 
 def conditional_bits(pairs: list[tuple[int, int]]) -> float:
@@ -149,12 +165,16 @@ def test_an_empty_workspace_loses_nothing() -> None:
     lat = lattice((True, True, True), 2)
     losses = BoxLosses(lat)
     losses.add(
-        [FieldSymbols.from_dense(lat.lattice(d), np.zeros(lat.lattice(d).shape, int), 9, "q") for d in range(3)]
+        [
+            FieldSymbols.from_dense(lat.lattice(d), np.zeros(lat.lattice(d).shape, int), 9, "q")
+            for d in range(3)
+        ]
     )
     assert not any(loss.any() for loss in losses.bits())
 
 
-# -- media ----------------------------------------------------------------------------------------------------------
+# -- media
+# ----------------------------------------------------------------------------------------------------------
 
 
 def corner_medium(frames: int = 2) -> HapticMedium:
@@ -213,11 +233,14 @@ def test_what_is_no_partition() -> None:
         optimal_partition(lat, [np.full(lat.boxes(d), np.nan) for d in range(2)], 1.0)
     with pytest.raises(InvalidArgument, match="no frame"):
         BoxLosses(lat).bits()
-    symbols = [FieldSymbols.from_dense(lat.lattice(d), np.zeros(lat.lattice(d).shape, int), 2, "q") for d in range(2)]
+    symbols = [
+        FieldSymbols.from_dense(lat.lattice(d), np.zeros(lat.lattice(d).shape, int), 2, "q") for d in range(2)
+    ]
     with pytest.raises(InvalidArgument, match="dyadic lattice"):
         BoxLosses(lat).add(symbols[::-1])
     symbols = [
-        [FieldSymbols.from_dense(s.grid, s.to_dense(), *q) for s in symbols] for q in ((2, "p"), (1 << 30, "q"))
+        [FieldSymbols.from_dense(s.grid, s.to_dense(), *q) for s in symbols]
+        for q in ((2, "p"), (1 << 30, "q"))
     ]
     losses = BoxLosses(lat)
     losses.add(symbols[0])

@@ -54,7 +54,8 @@ def with_directions(field: ForceField, name: str) -> ForceField:
     return ForceField.from_support(field.grid, support.positions, turned)
 
 
-# -- curl -------------------------------------------------------------------------------------------------------
+# -- curl
+# -------------------------------------------------------------------------------------------------------
 
 
 @given(vectors)
@@ -88,14 +89,18 @@ def test_a_uniform_force_does_nothing_at_all() -> None:
 
 
 def dense_curl(field: ForceField) -> tuple[Float64s, Float64s]:
-    """Where the support has all its neighbours [m, 3], and the curl everywhere [x, y, z, 3], by numpy.gradient."""
+    """Where the support has all its neighbours [m, 3], and the curl everywhere [x, y, z, 3], by
+    numpy.gradient.
+    """
     dense = field.to_dense().astype(float)
     held = np.pad((dense != 0).any(axis=-1), 1)
     seen = held.copy()
     for axis in range(3):
         seen &= np.roll(held, 1, axis) & np.roll(held, -1, axis)
     d = [np.gradient(dense, h, axis=a) for a, h in enumerate(field.grid.spacing_m)]
-    curl = np.stack([d[1][..., 2] - d[2][..., 1], d[2][..., 0] - d[0][..., 2], d[0][..., 1] - d[1][..., 0]], axis=-1)
+    curl = np.stack(
+        [d[1][..., 2] - d[2][..., 1], d[2][..., 0] - d[0][..., 2], d[0][..., 1] - d[1][..., 0]], axis=-1
+    )
     return np.argwhere(seen[1:-1, 1:-1, 1:-1]), curl
 
 
@@ -111,7 +116,8 @@ def test_curl_against_numpy_within_the_support(wavy_field: ForceField) -> None:
         assert found.rms_curl_n_per_m == pytest.approx(np.sqrt((lengths**2).mean()), rel=1e-6)
 
 
-# -- squares ----------------------------------------------------------------------------------------------------
+# -- squares
+# ----------------------------------------------------------------------------------------------------
 
 
 def squares_by_hand(field: ForceField) -> Float64s:
@@ -129,7 +135,9 @@ def squares_by_hand(field: ForceField) -> Float64s:
             if not all(held[tuple(c)] for c in corners):
                 continue
             f = [dense[tuple(c)] for c in corners]
-            steps = [(np.array(v) - u) * field.grid.spacing_m for u, v in zip(corners, corners[1:] + corners[:1])]
+            steps = [
+                (np.array(v) - u) * field.grid.spacing_m for u, v in zip(corners, corners[1:] + corners[:1])
+            ]
             works.append(sum((f[i] + f[(i + 1) % 4]) @ steps[i] / 2 for i in range(4)))
     return np.array(works)
 
@@ -150,7 +158,8 @@ def test_squares_of_a_rotation() -> None:
     assert found.rms_square_j == pytest.approx(2 * 50 * 0.01 * 0.02 / math.sqrt(3), rel=1e-4)
 
 
-# -- loops ------------------------------------------------------------------------------------------------------
+# -- loops
+# ------------------------------------------------------------------------------------------------------
 
 
 def star(centre_m: Float64s, u: Float64s, v: Float64s, corners: int = 24) -> Float64s:
@@ -207,7 +216,8 @@ def test_a_path_beyond_the_field_does_no_work() -> None:
     assert loop_work_j(field, np.array([[0.001, 0.01, 0.03]] * 3)) == 0  # a hand that rests
 
 
-# -- passive, and not -------------------------------------------------------------------------------------------
+# -- passive, and not
+# -------------------------------------------------------------------------------------------
 
 
 def test_a_penalty_sphere_is_passive_as_far_as_the_lattice_lets_it() -> None:
@@ -233,7 +243,9 @@ def test_the_edge_of_a_wall_is_left_out_and_a_path_across_it_counts() -> None:
 
     def forces(p: Float64s) -> Float64s:
         inside = (np.abs(p[..., 0]) < 0.006) & (p[..., 2] < 0.035)
-        return np.stack([np.zeros(inside.shape), np.zeros(inside.shape), inside * 400 * (0.04 - p[..., 2])], axis=-1)
+        return np.stack(
+            [np.zeros(inside.shape), np.zeros(inside.shape), inside * 400 * (0.04 - p[..., 2])], axis=-1
+        )
 
     field = field_of(forces)
     inner, low, high = passivity(field), *np.array([[0.0, 0.02, 0.021], [0.009, 0.02, 0.031]])
@@ -250,7 +262,8 @@ def test_threads_do_not_change_a_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     assert passivity(field) == one
 
 
-# -- little to see ----------------------------------------------------------------------------------------------
+# -- little to see
+# ----------------------------------------------------------------------------------------------
 
 
 def test_a_sheet_has_squares_and_no_curl() -> None:
@@ -276,14 +289,19 @@ def test_the_summary_is_json() -> None:
     assert passivity(sheet).summary()["rms_curl_n_per_m"] is None
 
 
-# -- bad input --------------------------------------------------------------------------------------------------
+# -- bad input
+# --------------------------------------------------------------------------------------------------
 
 
 def test_of_a_medium_it_is_told_of_the_frame_with_the_largest_support(wavy_field: ForceField) -> None:
-    small = ForceField.from_support(wavy_field.grid, wavy_field.positions()[:300], wavy_field.vectors_n()[:300])
+    small = ForceField.from_support(
+        wavy_field.grid, wavy_field.positions()[:300], wavy_field.vectors_n()[:300]
+    )
     medium = HapticMedium.from_frames([small, wavy_field, small], 30.0)
     told = measure_medium(medium, MeasureSpec(limits=False)).passivity
-    assert told is not None and told.summary() == passivity(wavy_field).summary() != passivity(small).summary()
+    assert (
+        told is not None and told.summary() == passivity(wavy_field).summary() != passivity(small).summary()
+    )
 
 
 def test_an_empty_field_is_refused() -> None:

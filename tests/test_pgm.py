@@ -33,7 +33,8 @@ def test_samples_are_as_they_stand(tmp_path: Path, largest: int, sample: str) ->
 
 
 @pytest.mark.parametrize(
-    "data", [b"P5\n4 3\n", b"P5\n4 3\n0\n" + bytes(24), b"P5\n4 3\n65535\n" + bytes(23), b"P5 999999 999999 255\n"]
+    "data",
+    [b"P5\n4 3\n", b"P5\n4 3\n0\n" + bytes(24), b"P5\n4 3\n65535\n" + bytes(23), b"P5 999999 999999 255\n"],
 )
 def test_what_is_damaged_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "a.pgm"

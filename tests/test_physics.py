@@ -47,7 +47,9 @@ Make = Callable[..., BodyScene]
 
 @pytest.fixture
 def fall(tmp_path: Path) -> Make:
-    def make(physics: str = "", floor: str = "", body: str = "position_m = [0, 0, 0.5]", more: str = "") -> BodyScene:
+    def make(
+        physics: str = "", floor: str = "", body: str = "position_m = [0, 0, 0.5]", more: str = ""
+    ) -> BodyScene:
         path = tmp_path / "scene.toml"
         path.write_text(FALL.format(physics=physics, floor=floor, body=body) + more)
         return open_physics(path, SourceOptions())
@@ -111,7 +113,9 @@ velocity_m_s = [0.5, 0, 0]
 """
 
     def way(friction: float) -> float:
-        return float(np.ptp(fall(f"friction = {friction}", "[floor]", more=slab).bodies()[1].track.positions_m[:, 0]))
+        return float(
+            np.ptp(fall(f"friction = {friction}", "[floor]", more=slab).bodies()[1].track.positions_m[:, 0])
+        )
 
     assert way(0.0) == pytest.approx(0.5 * 0.199, rel=0.02)
     assert way(0.8) == pytest.approx(0.5**2 / (2 * 0.8 * G), rel=0.15)
@@ -213,7 +217,9 @@ def test_every_kind_falls_on_its_own_surface(tmp_path: Path) -> None:
 
 @needs_mujoco
 def test_a_posed_body_pushes_and_a_fixed_one_holds(fall: Make, tmp_path: Path) -> None:
-    (tmp_path / "push.csv").write_text("t_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,-0.2,0,0.05,1,0,0,0\n0.2,0.1,0,0.05,1,0,0,0\n")
+    (tmp_path / "push.csv").write_text(
+        "t_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,-0.2,0,0.05,1,0,0,0\n0.2,0.1,0,0.05,1,0,0,0\n"
+    )
     others = """
 [[body]]
 kind = "box"
@@ -248,14 +254,17 @@ def test_a_posed_body_does_not_fall_between_its_frames(fall: Make, tmp_path: Pat
     ball, _ = fall("rate_hz = 20", body="position_m = [0, 0, 0.13]", more=plate).bodies()
     assert np.ptp(ball.track.positions_m[:, 2]) < 0.002
     (tmp_path / "still.csv").write_text("t_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,0.1,1,0,0,0\n1,0,0,0.3,1,0,0,0\n")
-    rides = "position_m = [0, 0, 0.13]\nvelocity_m_s = [0, 0, 0.2]"  # with a plate that rises from the first frame on
+    # with a plate that rises from the first frame on
+    rides = "position_m = [0, 0, 0.13]\nvelocity_m_s = [0, 0, 0.2]"
     ball, lift = fall("rate_hz = 20\nrestitution = 0", body=rides, more=plate).bodies()
     assert np.ptp((ball.track.positions_m - lift.track.positions_m)[:, 2]) < 0.002
 
 
 @needs_mujoco
 @pytest.mark.parametrize("tilt_deg", [0.0, 60.0, -90.0, 135.0])
-def test_a_posed_body_turns_between_its_frames_as_its_poses_do(fall: Make, tmp_path: Path, tilt_deg: float) -> None:
+def test_a_posed_body_turns_between_its_frames_as_its_poses_do(
+    fall: Make, tmp_path: Path, tilt_deg: float
+) -> None:
     """MuJoCo's own step of a body, with the velocities that it is given, ends at the next pose."""
     import mujoco
 
@@ -290,7 +299,9 @@ def test_a_spin_is_about_the_axes_of_the_scene_however_a_body_lies(
     body = f"position_m = [0, 0, 0.5]\nrotation_deg = {list(turns_deg)}\nspin_deg_s = {spin_deg_s}"
     (ball,) = fall(body=body).bodies()
     first, last = (Rotation.from_quat(ball.track.quaternions[n], scalar_first=True) for n in (0, 100))
-    np.testing.assert_allclose((last * first.inv()).as_rotvec(degrees=True), 0.1 * np.array(spin_deg_s), atol=1e-6)
+    np.testing.assert_allclose(
+        (last * first.inv()).as_rotvec(degrees=True), 0.1 * np.array(spin_deg_s), atol=1e-6
+    )
     x, y, z = turns_deg  # about x, then y, then z of the scene
     expected = Rotation.from_euler("xyz", [x, y, z], degrees=True)
     assert (first * expected.inv()).magnitude() < 1e-9
@@ -339,7 +350,11 @@ BAD = [
     ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nfixed = 1", "body 1.fixed"),
     ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nfixed = true\nmass_kg = 1", "body 1.mass_kg"),
     ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nmass_kg = 0", "body 1.mass_kg"),
-    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nmass_kg = 1\ndensity_kg_m3 = 1", "body 1.density_kg_m3"),
+    (
+        "position_m = [0, 0, 2]",
+        "position_m = [0, 0, 2]\nmass_kg = 1\ndensity_kg_m3 = 1",
+        "body 1.density_kg_m3",
+    ),
     ('kind = "box"\nhalf_extents_m = [1, 1, 1]', 'kind = "mesh"', "body 1: found no 'vertices_m'"),
     ('kind = "box"\nhalf_extents_m = [1, 1, 1]', 'kind = "mesh"\nfile = "none.ply"', "none.ply"),
     (

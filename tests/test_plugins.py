@@ -1,4 +1,6 @@
-"""A distribution adds a source, a coder, a driver and a filter by entry points, and the commands list and use them."""
+"""A distribution adds a source, a coder, a driver and a filter by entry points, and the commands list and use
+them.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ Command = Callable[..., subprocess.CompletedProcess[str]]
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the package of `tests/plugin`, installed as pip installs it."""
     folder = tmp_path_factory.mktemp("site")
-    options = "--quiet --disable-pip-version-check --no-deps --no-build-isolation --target".split()
+    options = ("--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation", "--target")
     subprocess.run([sys.executable, "-m", "pip", "install", *options, folder, PLUGIN], check=True)
     return folder
 
@@ -31,7 +33,9 @@ def touchfield(installed: Path, tmp_path: Path) -> Command:
 
     def run(*words: str, status: int = 0) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "touchfield", *words]
-        done = subprocess.run(command, cwd=tmp_path, env=surroundings, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command, cwd=tmp_path, env=surroundings, capture_output=True, text=True, check=False
+        )
         assert done.returncode == status, done.stderr
         return done
 
@@ -41,18 +45,24 @@ def touchfield(installed: Path, tmp_path: Path) -> Command:
 def test_commands_list_what_a_plugin_provides(touchfield: Command) -> None:
     assert json.loads(touchfield("sources", "--json").stdout)["ball"].startswith("A ball")
     devices = json.loads(touchfield("devices", "--json").stdout)
-    assert devices["drivers"]["still"] == "a hand that does not move" and "phantom-omni" in devices["profiles"]
+    assert (
+        devices["drivers"]["still"] == "a hand that does not move" and "phantom-omni" in devices["profiles"]
+    )
     doctor = json.loads(touchfield("doctor", "--device", "still", "--json").stdout)
     assert any("built in" in check["found"] for checks in doctor.values() for check in checks)
     text = touchfield("encode", "--help").stdout
     assert "--halve" in text and "--scale" in text and "raw" in text
 
 
-def test_a_stream_by_its_source_filter_and_coder_plays_on_its_device(touchfield: Command, tmp_path: Path) -> None:
+def test_a_stream_by_its_source_filter_and_coder_plays_on_its_device(
+    touchfield: Command, tmp_path: Path
+) -> None:
     (tmp_path / "b.ball").write_text("0.02")
-    options = "--nw 4 --representation voxel --json".split()
+    options = ("--nw", "4", "--representation", "voxel", "--json")
     touchfield("encode", "b.ball", "full.touch", "--coder", "raw", *options)
-    touchfield("encode", "b.ball", "half.touch", "--coder", "raw", "--scale", "2", "--halve", "0.25", *options)
+    touchfield(
+        "encode", "b.ball", "half.touch", "--coder", "raw", "--scale", "2", "--halve", "0.25", *options
+    )
     info = json.loads(touchfield("info", "half.touch", "--json").stdout)
     assert (info["coder"], info["scale"]) == ("raw", 2.0)
     force_n = {}
@@ -61,7 +71,9 @@ def test_a_stream_by_its_source_filter_and_coder_plays_on_its_device(touchfield:
         force_n[name] = json.loads(touchfield("measure", f"{name}.npz", "--no-limits", "--json").stdout)
     compared = json.loads(touchfield("compare", "b.ball", "half.touch", "--no-picture", "--json").stdout)
     assert compared["max_error_n"] < 1e-5  # the spec in the file names filter and coder
-    played = json.loads(touchfield("play", "full.touch", "--device", "still", "--seconds", "0.2", "--json").stdout)
+    played = json.loads(
+        touchfield("play", "full.touch", "--device", "still", "--seconds", "0.2", "--json").stdout
+    )
     assert played["ticks"] > 0
 
 
@@ -83,7 +95,9 @@ def test_a_plugin_that_fails_is_left_out_with_a_warning(tmp_path: Path) -> None:
     (metadata / "entry_points.txt").write_text(entries)
     code = "from touchfield.sources.registry import kinds; print(*(kind.name for kind in kinds()))"
     surroundings = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])}
-    done = subprocess.run([sys.executable, "-c", code], env=surroundings, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=surroundings, capture_output=True, text=True, check=True
+    )
     assert "tum" in done.stdout.split() and not {"gone", "other"} & {*done.stdout.split()}
     assert "'gone'" in done.stderr and "no_such_module" in done.stderr
     assert "'other'" in done.stderr and "is no SourceKind" in done.stderr

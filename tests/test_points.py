@@ -1,4 +1,6 @@
-"""The fewest points: Q-DEIM within its bound, greedy variance as it is by definition, a field rebuilt, bad input."""
+"""The fewest points: Q-DEIM within its bound, greedy variance as it is by definition, a field rebuilt, bad
+input.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ def few_modes(rank: int, noise: float = 0.0, seed: int = 1) -> np.ndarray:
     return rng.normal(size=(40, rank)) * 0.7 ** np.arange(rank) @ shapes + noise * rng.normal(size=(40, 300))
 
 
-# -- points on modes -----------------------------------------------------------------------------------------------
+# -- points on modes
+# -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("rank", "count"), [(5, 2), (6, 2), (7, 7), (6, 20), (1, 1)])
@@ -65,7 +68,9 @@ def test_a_point_counts_the_less_the_more_its_modes_miss() -> None:
     modes, missed = pod(rows, 6), RNG(7).uniform(0.1, 4, 100)
     chosen = mode_points(modes, 20, missed)
     own = np.repeat(1 / np.sqrt(missed / missed.mean() + 0.1), 3)[chosen.rows]
-    expected = np.linalg.lstsq(own[:, None] * modes.basis[chosen.rows], own * rows[0, chosen.rows], rcond=None)[0]
+    expected = np.linalg.lstsq(
+        own[:, None] * modes.basis[chosen.rows], own * rows[0, chosen.rows], rcond=None
+    )[0]
     np.testing.assert_allclose(chosen.coefficients(rows[:1, chosen.rows])[0], expected, atol=1e-9)
 
 
@@ -87,14 +92,17 @@ def test_points_that_cannot_be_are_refused() -> None:
         mode_points(pod(few_modes(4)[:, :299], 4), 5)
 
 
-# -- points with a kernel without curl -----------------------------------------------------------------------------
+# -- points with a kernel without curl
+# -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("measured", [0, 4, 40])
 def test_greedy_variance_is_that_of_the_definition_and_never_grows(measured: int) -> None:
     points = RNG(2).uniform(size=(60, 3))
     chosen, variances = variance_points(points, 15, KERNEL, measured)
-    assert len(set(chosen.tolist())) == 15 and chosen.min() >= measured and (np.diff(variances) <= 1e-12).all()
+    assert (
+        len(set(chosen.tolist())) == 15 and chosen.min() >= measured and (np.diff(variances) <= 1e-12).all()
+    )
     every = covariances(points / KERNEL.length_m)
     for n in range(15):
         known = [*range(measured), *chosen[:n].tolist()]
@@ -109,7 +117,9 @@ def test_greedy_variance_is_that_of_the_definition_and_never_grows(measured: int
 def gradient(points: np.ndarray) -> np.ndarray:
     """Of sin(9 x) cos(7 y) z."""
     x, y, z = (points * [9.0, 7.0, 1.0]).T
-    return np.stack([9 * np.cos(x) * np.cos(y) * z, -7 * np.sin(x) * np.sin(y) * z, np.sin(x) * np.cos(y)], axis=1)
+    return np.stack(
+        [9 * np.cos(x) * np.cos(y) * z, -7 * np.sin(x) * np.sin(y) * z, np.sin(x) * np.cos(y)], axis=1
+    )
 
 
 def test_a_field_goes_through_the_points_it_is_rebuilt_from() -> None:
@@ -128,7 +138,9 @@ def test_points_by_error_are_those_of_every_try() -> None:
         missed = {}
         for one in set(range(24)) - set(chosen):
             some = [*chosen, one]
-            back = CurlFree.through(points[some], forces[some], kernel.length_m, kernel.noise).forces_n(points)
+            back = CurlFree.through(points[some], forces[some], kernel.length_m, kernel.noise).forces_n(
+                points
+            )
             missed[one] = float(((back - forces) ** 2).sum())
         chosen.append(min(missed, key=missed.__getitem__))
     assert error_points(points, forces, 12, kernel).tolist() == chosen
@@ -141,7 +153,9 @@ def test_no_point_is_chosen_twice_however_little_a_measurement_tells() -> None:
 
 def test_points_by_error_miss_less_than_twice_as_many_at_random() -> None:
     points = RNG(4).uniform(size=(900, 3))
-    forces = gradient(points) * np.exp(-30 * ((points - 0.5) ** 2).sum(axis=1))[:, None]  # in one corner of all
+    forces = (
+        gradient(points) * np.exp(-30 * ((points - 0.5) ** 2).sum(axis=1))[:, None]
+    )  # in one corner of all
 
     def missed(chosen: np.ndarray, kernel: Kernel) -> float:
         field = CurlFree.through(points[chosen], forces[chosen], kernel.length_m, kernel.noise)
@@ -153,7 +167,8 @@ def test_points_by_error_miss_less_than_twice_as_many_at_random() -> None:
     assert ours < np.median(drawn)
 
 
-# -- media, recordings, the command --------------------------------------------------------------------------------
+# -- media, recordings, the command
+# --------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -185,7 +200,9 @@ def test_a_moving_medium_is_rebuilt_from_its_points(moving: Path, tmp_path: Path
     assert told["criterion"] == "modes" and told["modes"] == 8 and told["bound"] >= 1
     assert told["nmse_db"] < told["floor_db"] + 3  # it may lie below, as what no hand feels is left out
     original, back = (open_source(path).medium for path in (moving, tmp_path / "back.npz"))
-    error = sum(float(((b.to_dense() - a.to_dense()) ** 2).sum()) for a, b in zip(original, back, strict=True))
+    error = sum(
+        float(((b.to_dense() - a.to_dense()) ** 2).sum()) for a, b in zip(original, back, strict=True)
+    )
     whole = sum(float((a.to_dense() ** 2).sum()) for a in original)
     assert 10 * np.log10(error / whole) == pytest.approx(told["nmse_db"], abs=0.01)
     assert fewest_points(moving, 24).summary()["nmse_db"] < -30  # all its modes, but for what no hand feels
@@ -212,7 +229,9 @@ def test_next_is_where_least_was_measured(felt: Path, moving: Path, tmp_path: Pa
     told = next_points(half, 4).summary()
     assert min(row["x_m"] for row in told["next"]) > 0.025
     spread = [row["deviation_n"] for row in told["next"]]
-    assert spread == sorted(spread, reverse=True) and spread[0] <= told["deviation_nowhere_measured_n"] * (1 + 1e-9)
+    assert spread == sorted(spread, reverse=True) and spread[0] <= told["deviation_nowhere_measured_n"] * (
+        1 + 1e-9
+    )
     again = next_points(moving, 3, felt).summary()
     low, high = open_source(moving).medium.grid.box_m
     places = np.array([[row["x_m"], row["y_m"], row["z_m"]] for row in again["next"]])
@@ -245,6 +264,8 @@ def test_the_command(felt: Path, moving: Path, tmp_path: Path, capsys: pytest.Ca
 
 def test_no_force_is_told(tmp_path: Path) -> None:
     grid = tf.Grid((8, 8, 8), (0.01,) * 3, (0.0,) * 3)
-    tf.pipeline.write_field(tmp_path / "empty.npz", tf.HapticMedium.from_array(np.zeros((3, 8, 8, 8, 3)), grid))
+    tf.pipeline.write_field(
+        tmp_path / "empty.npz", tf.HapticMedium.from_array(np.zeros((3, 8, 8, 8, 3)), grid)
+    )
     with pytest.raises(InvalidArgument, match="no force"):
         fewest_points(tmp_path / "empty.npz", 3)

@@ -94,7 +94,9 @@ def test_linear_and_at_constant_angular_velocity() -> None:
 
 
 @given(angles, angles, st.floats(0.01, 1.0), st.booleans())
-def test_the_shorter_way_through_all_poses(first: tuple, second: tuple, gap: float, is_other_sign: bool) -> None:
+def test_the_shorter_way_through_all_poses(
+    first: tuple, second: tuple, gap: float, is_other_sign: bool
+) -> None:
     a, b = quaternion_of_turns(first), quaternion_of_turns(second)
     both = np.array([a, -b if is_other_sign else b])
     track = track_at_rate(Trace(np.array([0.0, gap]), np.zeros((2, 3)), both), 100 / gap, 101)
@@ -119,18 +121,25 @@ def test_a_scene_of_files_needs_no_mujoco(tmp_path: Path, monkeypatch: pytest.Mo
     assert (scene.frame_count, scene.rate_hz, scene.axes) == (1001, 1000.0, "x east, y north, z up")
     finger, box = scene.bodies()
     assert (finger.name, box.name) == ("finger", "body 2")
-    np.testing.assert_allclose(finger.track.positions_m[[0, 250, 1000]], [[0, 0, 0.1], [0, 0, 0.15], [0.1, 0, 0.2]])
+    np.testing.assert_allclose(
+        finger.track.positions_m[[0, 250, 1000]], [[0, 0, 0.1], [0, 0, 0.15], [0.1, 0, 0.2]]
+    )
     assert box.track.is_still
     np.testing.assert_allclose(box.track.rotation(7), rotation_matrix((0, 0, 30)), atol=1e-12)
     assert open_physics(path, SourceOptions(seconds=3.0, rate_hz=10.0)).frame_count == 30
     short = (
-        SCENE.replace("finger", "thumb").replace("track.csv", "short.csv").partition('\n[[body]]\nkind = "box"')[0]
+        SCENE.replace("finger", "thumb")
+        .replace("track.csv", "short.csv")
+        .partition('\n[[body]]\nkind = "box"')[0]
     )
     (tmp_path / "short.csv").write_text(GOOD.replace("1.0,0.1,0,0.2,0,0,0,1\n", ""))
     path.write_text(SCENE + short)
     assert open_physics(path, SourceOptions()).frame_count == 1001  # as long as the longest
     path.write_text("[physics]\nseconds = 2.0\nstep_s = 0.002\n" + SCENE)
-    assert [open_physics(path, SourceOptions(seconds=asked)).frame_count for asked in (None, 0.5)] == [2000, 500]
+    assert [open_physics(path, SourceOptions(seconds=asked)).frame_count for asked in (None, 0.5)] == [
+        2000,
+        500,
+    ]
     assert read_physics(path).world.contact_s == 0.016  # 8 steps
     (tmp_path / "scene.toml").write_text(SCENE.replace("fixed = true", ""))
     with pytest.raises(MissingExtra, match=r"touchfield\[physics\]"):

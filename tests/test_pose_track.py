@@ -1,4 +1,6 @@
-"""Pose tracks: rotations against scipy, motions there and back, velocities of motions with a closed form, faults."""
+"""Pose tracks: rotations against scipy, motions there and back, velocities of motions with a closed form,
+faults.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,9 @@ def test_neighbouring_quaternions_are_near_and_signs_do_not_matter(seed: int) ->
 
 
 @given(vectors, st.floats(0.0, 300.0), st.floats(20.0, 1000.0), seeds)
-def test_velocities_of_a_screw_motion_are_exact(velocity: np.ndarray, spin: float, rate_hz: float, seed: int) -> None:
+def test_velocities_of_a_screw_motion_are_exact(
+    velocity: np.ndarray, spin: float, rate_hz: float, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     axis = rng.normal(size=3)
     axis /= np.linalg.norm(axis)
@@ -90,7 +94,9 @@ def test_scaling_the_scene_scales_the_body_and_its_place() -> None:
     _, track = any_track(4)
     point, offset = np.array([0.1, -0.4, 0.2]), np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(
-        track.scaled(0.5, offset).to_scene(0.5 * point, 1), 0.5 * (track.to_scene(point, 1) - offset), atol=1e-12
+        track.scaled(0.5, offset).to_scene(0.5 * point, 1),
+        0.5 * (track.to_scene(point, 1) - offset),
+        atol=1e-12,
     )
 
 

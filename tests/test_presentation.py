@@ -1,4 +1,6 @@
-"""What the user reads: names as they are, nothing cut off, every note with its quantity, pictures of any name."""
+"""What the user reads: names as they are, nothing cut off, every note with its quantity, pictures of any
+name.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ Capture = pytest.CaptureFixture[str]
 
 @pytest.fixture(scope="module")
 def measured() -> Measurement:
-    return tasks.measure.measure_medium(tiny_scenes()[0], MeasureSpec(devices=("dotpad",), encode=EncodeSpec(nw=5)))
+    return tasks.measure.measure_medium(
+        tiny_scenes()[0], MeasureSpec(devices=("dotpad",), encode=EncodeSpec(nw=5))
+    )
 
 
 def _printed(found: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> str:
@@ -46,7 +50,9 @@ def _printed(found: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatc
 def test_a_name_is_no_formula_in_the_pictures(tmp_path: Path, measured: Measurement) -> None:
     name = r"a$\foo$.touch"
     replace(measured, name=name).draw(tmp_path / "bits.png")
-    draw_information(tmp_path / "names.png", name, "$\\foo$", [Bar(name, 2.0)], {name: measured.capacities["dotpad"]})
+    draw_information(
+        tmp_path / "names.png", name, "$\\foo$", [Bar(name, 2.0)], {name: measured.capacities["dotpad"]}
+    )
     field = pipeline.prepare(tiny_scenes()[0], EncodeSpec(nw=4)).medium[0]
     draw_comparison(tmp_path / "fields.png", field, field, name, "x right, y up", (0.1, 0.02))
     for drawn in ("bits", "names", "fields"):
@@ -127,7 +133,9 @@ def test_zero_has_no_sign(capsys: Capture) -> None:
     assert json.loads(capsys.readouterr().out)["inner"]["notes"] == [1, 2]
 
 
-def test_notes_name_their_quantity(measured: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_notes_name_their_quantity(
+    measured: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert measured.limits is not None
     diluted = [c.per_voxel.name for c in measured.limits.contexts]
     contexts = tuple(
@@ -171,7 +179,9 @@ def test_energy_that_could_not_be_seen(
     assert "no curl: thin" in next(line for line in printed.splitlines() if line.startswith("relative curl"))
 
 
-def test_report_of_filters_on_a_narrow_page(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_report_of_filters_on_a_narrow_page(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "60")
     scene = tmp_path / "s.toml"
     scene.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n')
@@ -184,7 +194,9 @@ def test_report_of_filters_on_a_narrow_page(tmp_path: Path, capsys: Capture, mon
     assert max(map(len, shown.splitlines())) <= 60 and "multiresolution" in shown
 
 
-def test_the_slices_go_through_where_the_most_force_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_slices_go_through_where_the_most_force_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Many weak samples at one height, fewer strong ones at another."""
     grid = Grid.over_box((0, 0, 0), (0.04, 0.02, 0.04), (80, 10, 80))
     dense = np.zeros((80, 10, 80, 3))
@@ -197,7 +209,9 @@ def test_the_slices_go_through_where_the_most_force_is(tmp_path: Path, monkeypat
     titles = [panel.get_title() for panel in drawn[0].axes]
     assert sum("slice at y = 15.0 mm" in title for title in titles) == 4
     arrows = [one for panel in drawn[0].axes for one in panel.findobj(Quiver)]
-    assert [len(one.U) for one in arrows] == [16**2] * 2, "one for each thirtieth of the page that holds a force"
+    assert [len(one.U) for one in arrows] == [16**2] * 2, (
+        "one for each thirtieth of the page that holds a force"
+    )
     assert all((one.V > 0).all() and not one.U.any() for one in arrows)
 
 
@@ -235,6 +249,8 @@ def test_an_axis_that_points_down_is_drawn_downwards(
     draw_comparison(tmp_path / "x.png", field, field, "t\nc", axes, (0.1, 0.02))
     assert [panel.yaxis_inverted() for panel in drawn[0].axes[:2]] == ["down" in axes] * 2
     monkeypatch.setattr(interaction, "write_png", lambda figure, path: drawn.append(figure))
-    draw_interaction(tmp_path / "x.png", InteractionView("t", "c", axes, np.zeros(0, COLUMNS), 1.0, None, field))
+    draw_interaction(
+        tmp_path / "x.png", InteractionView("t", "c", axes, np.zeros(0, COLUMNS), 1.0, None, field)
+    )
     front = [panel for panel in drawn[1].axes if panel.get_ylabel() == "y, mm"]
     assert [panel.yaxis_inverted() for panel in front] == ["down" in axes]

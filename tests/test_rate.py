@@ -177,7 +177,12 @@ def row(at, touch, *, frames=1, ratio=None, peer=300.0, beyond=0):
 
 def report_of(*rows, speeds=()):
     former = {"tum band, nw 7": {"default": 100.0}}
-    before = {"promise": former, "NMSE": former, "p_over_i, promise": {"tum band, nw 7": 0.5}, "p_over_i, NMSE": {}}
+    before = {
+        "promise": former,
+        "NMSE": former,
+        "p_over_i, promise": {"tum band, nw 7": 0.5},
+        "p_over_i, NMSE": {},
+    }
     return reports.Report(reports.EFFORTS, before, list(rows), list(speeds))
 
 
@@ -202,7 +207,9 @@ def test_what_was_not_measured_is_neither_met_nor_missed():
 
 
 def test_later_frames_violations_and_speeds_have_bars():
-    speeds = [{"field": "tum band, nw 7", "effort": "default", "encode_frames_s": 11.0, "decode_frames_s": 61.0}]
+    speeds = [
+        {"field": "tum band, nw 7", "effort": "default", "encode_frames_s": 11.0, "decode_frames_s": 61.0}
+    ]
     found = report_of(row("promise", {}, frames=5, ratio=0.6, beyond=2), speeds=speeds).bars()
     told = {(round(b["measured"], 9), b["limit"], b["met"]) for b in found if b["measured"] is not None}
     assert told == {(1.2, 1.0, False), (2, 0, False), (61.0, 60, True), (11.0, 12, False)}

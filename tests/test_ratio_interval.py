@@ -1,4 +1,6 @@
-"""The paired bootstrap of a ratio: a slow double, coverage where the truth is enumerated, and what has no ratio."""
+"""The paired bootstrap of a ratio: a slow double, coverage where the truth is enumerated, and what has no
+ratio.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,8 @@ def counted(symbols: Ints, blocks: int) -> Ints:
 def both(blocks: tuple[Ints, Ints]) -> tuple[Counts, Counts]:
     """Blocks [B, 64] of W and of M(W), as counts."""
     first, second = (
-        Counts(np.flatnonzero(b.any(0))[:, None], b.sum(0)[b.any(0)], b[:, b.any(0)], alphabet=64) for b in blocks
+        Counts(np.flatnonzero(b.any(0))[:, None], b.sum(0)[b.any(0)], b[:, b.any(0)], alphabet=64)
+        for b in blocks
     )
     return first, second
 
@@ -77,7 +80,10 @@ def test_it_equals_one_resample_of_both_after_the_other() -> None:
     ids=["fewer samples", "fewer levels"],
 )  # fmt: skip
 def test_coverage_where_the_truth_is_enumerated(
-    source: Callable[[np.random.Generator, int], Ints], mapping: Callable[[Ints], Ints], fewer: int, truth: float
+    source: Callable[[np.random.Generator, int], Ints],
+    mapping: Callable[[Ints], Ints],
+    fewer: int,
+    truth: float,
 ) -> None:
     """As often as it says, and far narrower than the corners of two intervals."""
     rng, n, blocks = np.random.default_rng(2), 4096, 32
@@ -128,11 +134,14 @@ def test_too_few_blocks() -> None:
         paired_ratio(both((few, few)), (1, 1), math.inf)
 
 
-# -- in equations 2 and 3 ---------------------------------------------------------------------------------------
+# -- in equations 2 and 3
+# ---------------------------------------------------------------------------------------
 
 
 def frame_bits(value: float) -> Quantity:
-    return Quantity("H", value, "bit/frame", interval=Interval(0.5 * value, 2 * value, 0.95, "block bootstrap"))
+    return Quantity(
+        "H", value, "bit/frame", interval=Interval(0.5 * value, 2 * value, 0.95, "block bootstrap")
+    )
 
 
 def test_wmr_has_the_interval_of_the_pair_and_hil_its_mirror_image() -> None:
@@ -148,7 +157,9 @@ def test_wmr_has_the_interval_of_the_pair_and_hil_its_mirror_image() -> None:
 @pytest.mark.parametrize(
     ("given", "want"), [((0.9, 1.2), (0.9, 1.0)), ((1.05, 1.2), (1.0, 1.0)), ((0.5, 0.8), (0.5, 1.0))]
 )
-def test_it_is_cut_at_one_and_holds_the_estimate(given: tuple[float, float], want: tuple[float, float]) -> None:
+def test_it_is_cut_at_one_and_holds_the_estimate(
+    given: tuple[float, float], want: tuple[float, float]
+) -> None:
     found = capacity(frame_bits(10.0), frame_bits(11.0), 20.0, ratio=Interval(*given, 0.95, "paired"))
     i = found.wmr.interval
     assert found.wmr.value == 1 and i is not None and (i.low, i.high) == want

@@ -41,7 +41,9 @@ def test_the_page_on_scenes_that_move_runs(
     (code,) = re.findall(r"```python\n(.*?)```", MOVING, re.DOTALL)
     line = 'tf.encode("sample:falling-7", "falling.touch"'
     assert f"{line})\n" in code
-    shorter = code.replace(line, f"{line}, tf.EncodeSpec(frames=(0, 501))")  # of 2000; the page looks at frame 500
+    shorter = code.replace(
+        line, f"{line}, tf.EncodeSpec(frames=(0, 501))"
+    )  # of 2000; the page looks at frame 500
     exec(compile(shorter, "moving-scenes.md", "exec"), {})
     said = capsys.readouterr().out
     assert "newtons" in said and "[0. 0. 0.]" not in said

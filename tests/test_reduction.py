@@ -1,4 +1,6 @@
-"""A medium in fewer numbers (paper section 6.1): modes and their error, degrees of freedom, what no hand reaches."""
+"""A medium in fewer numbers (paper section 6.1): modes and their error, degrees of freedom, what no hand
+reaches.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,8 @@ def floor(frames: int = 1, swing_m: float = 0.0) -> tf.HapticMedium:
     return tf.HapticMedium.from_frames(fields, 60.0)
 
 
-# -- modes ---------------------------------------------------------------------------------------------------------
+# -- modes
+# ---------------------------------------------------------------------------------------------------------
 
 
 @given(st.integers(0, 2**20))
@@ -91,7 +94,9 @@ def test_short_snapshots_give_the_same_modes() -> None:
         lambda: pod(np.eye(3)).rebuild(np.ones((2, 4))),
         lambda: reduced(floor(), "columns"),
         lambda: held_out(floor(), "global"),
-        lambda: held_out(tf.HapticMedium.from_frames([floor()[0], tf.ForceField.empty(GRID)], 30.0), "global"),
+        lambda: held_out(
+            tf.HapticMedium.from_frames([floor()[0], tf.ForceField.empty(GRID)], 30.0), "global"
+        ),
         lambda: Hand(-1.0, 0.1, 0.2),
         lambda: ReductionSpec(nmse_db=3.0),
     ],
@@ -123,7 +128,9 @@ def test_frames_that_were_not_learnt_from_are_told_with_what_they_cost() -> None
     energy = sum(float((medium[i].forces_n.astype(float) ** 2).sum()) for i in odd)
     caught = sum(float((learnt.coefficients(i)[:, : found.modes] ** 2).sum()) for i in odd)
     assert found.nmse_db == pytest.approx(10 * np.log10(1 - caught / energy), abs=1e-3)
-    assert held_out(medium[:28], "global", -300.0).modes == 7  # a quarter of the frames, where no number would do
+    assert (
+        held_out(medium[:28], "global", -300.0).modes == 7
+    )  # a quarter of the frames, where no number would do
 
 
 def patchwork() -> tf.HapticMedium:
@@ -136,7 +143,9 @@ def patchwork() -> tf.HapticMedium:
     return tf.HapticMedium.from_array(dense.reshape(frames, *grid.shape, 3).astype(np.float32), grid)
 
 
-def test_of_bricks_the_greatest_coefficients_are_kept_with_their_places(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_bricks_the_greatest_coefficients_are_kept_with_their_places(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     medium, odd = patchwork(), range(1, 20, 2)
     learnt, asked = reduced(medium, "bricks", 8, step=2), []
     monkeypatch.setattr(snapshots, "reduced", lambda *given, step: asked.append((*given[1:], step)) or learnt)
@@ -159,7 +168,10 @@ def test_of_bricks_the_greatest_coefficients_are_kept_with_their_places(monkeypa
 
 def test_degrees_of_freedom_are_those_that_were_put_in() -> None:
     base = [floor(1)[0].to_dense(), floor(30)[7].to_dense()]
-    both = [np.linalg.qr(np.stack([b.ravel() for b in base], axis=1))[0][:, k].reshape(base[0].shape) for k in (0, 1)]
+    both = [
+        np.linalg.qr(np.stack([b.ravel() for b in base], axis=1))[0][:, k].reshape(base[0].shape)
+        for k in (0, 1)
+    ]
     frames = [100 * a * both[0] + 90 * b * both[1] for a in (-1, 1) for b in (-1, 1)] * 8
     medium = tf.HapticMedium.from_array(np.array(frames, np.float32), GRID)
     told = freedom(reduced(medium, "global"), 0.05)
@@ -169,7 +181,8 @@ def test_degrees_of_freedom_are_those_that_were_put_in() -> None:
     assert told.step_n == pytest.approx(0.05 * np.sqrt(12 * held / (32 * 2)))
 
 
-# -- what no hand reaches ------------------------------------------------------------------------------------------
+# -- what no hand reaches
+# ------------------------------------------------------------------------------------------
 
 
 def forces_along(
@@ -192,7 +205,9 @@ def forces_along(
         along = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-9)
         swings = np.where(size > 0, along, [0.0, 0.0, -1.0])  # with the motion: each turn gains energy
         presses = np.where(size > 0, -force / np.maximum(size, 1e-9), [0.0, 0.0, -1.0])
-        v = v + dt / hand.mass_kg * (force + hand.push_n * np.where(np.arange(count)[:, None] % 2, swings, presses))
+        v = v + dt / hand.mass_kg * (
+            force + hand.push_n * np.where(np.arange(count)[:, None] % 2, swings, presses)
+        )
         speed = np.linalg.norm(v, axis=1, keepdims=True)
         v = v * np.minimum(1.0, hand.speed_m_s / np.maximum(speed, 1e-9))
         x = np.clip(x + dt * v, 0, high)
@@ -210,14 +225,18 @@ def test_no_hand_feels_what_is_left_out_of_a_solid(frames: int, swing_m: float) 
     differ, most = forces_along(medium, shell, HAND, 3)
     assert differ == 0 and most > 1.0
     skin = np.linalg.norm(medium[0].to_dense(), axis=-1) < 2.0
-    assert forces_along(medium, culled(medium, skin), HAND, 3, most_different=0)[0] > 0  # these hands do come in
+    assert (
+        forces_along(medium, culled(medium, skin), HAND, 3, most_different=0)[0] > 0
+    )  # these hands do come in
 
 
 def test_a_hand_that_is_stronger_than_the_field_reaches_all() -> None:
     medium = floor()
     assert reach_of(medium, Hand(9.0, 0.1, 0.2)).samples.all()
     assert reach_of(medium, Hand(1.0, 0.1, 5.0)).samples.all()
-    shallow = np.where(floor()[0].to_dense()[..., 2:] > 6, 0, floor()[0].to_dense())  # a skin, and nothing behind
+    shallow = np.where(
+        floor()[0].to_dense()[..., 2:] > 6, 0, floor()[0].to_dense()
+    )  # a skin, and nothing behind
     assert reach_of(tf.HapticMedium.from_array(shallow, GRID), HAND).samples.all()
     flat, full = floor()[0].to_dense()[None, :, :1], np.full((1, *GRID.shape, 3), 4.0)
     for forces in (flat, full):  # of one sample along y; and no place to begin at
@@ -229,8 +248,12 @@ def test_the_strongest_frame_counts_and_frames_that_do_not_fit_together_are_look
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     own = floor(3, 0.003)
-    deep = np.pad(own[1].to_dense()[:, :, 6:], [(0, 0), (0, 0), (0, 6), (0, 0)])  # the floor of a frame is lower
-    medium = tf.HapticMedium.from_frames([own[0].scaled(0.9), tf.ForceField.from_dense(GRID, deep), own[2]], 60.0)
+    deep = np.pad(
+        own[1].to_dense()[:, :, 6:], [(0, 0), (0, 0), (0, 6), (0, 0)]
+    )  # the floor of a frame is lower
+    medium = tf.HapticMedium.from_frames(
+        [own[0].scaled(0.9), tf.ForceField.from_dense(GRID, deep), own[2]], 60.0
+    )
     whole = reach_of(medium, HAND)
     assert whole.stopped_n == pytest.approx(0.4 * 8) and not whole.samples.all()
     monkeypatch.setattr(reach, "_FRAMES_BYTES", 1)
@@ -249,12 +272,18 @@ def test_a_layer_turns_a_hand_by_the_rule_at_the_head_of_the_module(hand: Hand) 
     assert layers
     for layer in layers:
         double_energy = hand.mass_kg * hand.speed_m_s**2
-        least = hand.push_n + double_energy / layer.start_m + double_energy / (2 * (layer.depth_m - layer.start_m))
+        least = (
+            hand.push_n
+            + double_energy / layer.start_m
+            + double_energy / (2 * (layer.depth_m - layer.start_m))
+        )
         assert least <= layer.need_n <= 2 * least
         flood = _Flood(floor(), layer, hand)  # with 5 % to spare, and neither more nor less
         assert flood.turn_nm == pytest.approx(1.05 * double_energy)
         assert flood.need_n == pytest.approx(1.05 * (least - double_energy / layer.start_m))
-    assert len(_layers(floor(), Hand(0.4 * 8.0 / 1.05, 0.01, 0.01), 8.0)) == 1  # nothing to spare in the weaker one
+    assert (
+        len(_layers(floor(), Hand(0.4 * 8.0 / 1.05, 0.01, 0.01), 8.0)) == 1
+    )  # nothing to spare in the weaker one
 
 
 PLACES = np.array([(i, j, 7) for i in (3, 4) for j in (3, 4)])
@@ -274,7 +303,9 @@ def least_held_nm(corners: Any, place: Any, step_m: Any, friction: float, points
     """The least of -(x - a) . F - mu |(x - a) x F| at points of a cell, N m, of forces between its corners."""
     share = np.linspace(0.0, 1.0, points)
     weights = np.stack([1.0 - share, share])
-    forces = np.einsum("ia,jb,kc,ijkn->abcn", weights, weights, weights, corners.astype(np.float32).astype(float))
+    forces = np.einsum(
+        "ia,jb,kc,ijkn->abcn", weights, weights, weights, corners.astype(np.float32).astype(float)
+    )
     x = np.stack(np.meshgrid(share, share, share, indexing="ij"), axis=-1) * step_m
     away = x - (np.array(place) - 3) * step_m
     across = np.linalg.norm(np.cross(away, forces), axis=-1)
@@ -301,7 +332,9 @@ def test_a_cell_that_holds_at_its_corners_is_strong_only_if_it_holds_between_the
 
 @pytest.mark.parametrize("place", PLACES.tolist(), ids=str)
 @pytest.mark.parametrize("axis", range(3))
-def test_a_force_that_rises_from_corner_to_corner_loses_nothing_between_them(axis: int, place: list[int]) -> None:
+def test_a_force_that_rises_from_corner_to_corner_loses_nothing_between_them(
+    axis: int, place: list[int]
+) -> None:
     corners, step_m = np.zeros((2, 2, 2, 3)), (0.002, 0.003, 0.004)
     corners[..., 2] = 3.0
     corners[..., axis] += np.indices((2, 2, 2))[axis] - 0.5
@@ -311,14 +344,17 @@ def test_a_force_that_rises_from_corner_to_corner_loses_nothing_between_them(axi
     assert is_weak(corners, place, step_m, held_nm + 1e-6, 0.0)
 
 
-# -- the command ---------------------------------------------------------------------------------------------------
+# -- the command
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_the_command_tells_and_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     field, log = tmp_path / "floor.npz", tmp_path / "log.csv"
     medium = floor(4)
     tf.write_field(field, medium)
-    log.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{i / 1000},{0.03 + i * 5e-5},0.06,0.088\n" for i in range(100)))
+    log.write_text(
+        "t_s,x_m,y_m,z_m\n" + "".join(f"{i / 1000},{0.03 + i * 5e-5},0.06,0.088\n" for i in range(100))
+    )
     names = [str(tmp_path / name) for name in ("few.touch", "shell.touch")]
     few, shell = names
     hand = ["--push-n", "1", "--mass-kg", "0.1"]
@@ -342,7 +378,13 @@ def test_the_command_tells_and_writes(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     field = tmp_path / "floor.npz"
     tf.write_field(field, floor(2))
-    for wrong in (["--modes", "x"], ["--rank", "0"], ["--push-n", "nan"], ["--nmse-db", "3"], ["--cull", str(field)]):
+    for wrong in (
+        ["--modes", "x"],
+        ["--rank", "0"],
+        ["--push-n", "nan"],
+        ["--nmse-db", "3"],
+        ["--cull", str(field)],
+    ):
         assert _exit_code(["reduce", str(field), *wrong]) in (1, 2)
         assert len(capsys.readouterr().err.strip().splitlines()) == 1
     empty = tmp_path / "empty.npz"

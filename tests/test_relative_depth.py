@@ -1,4 +1,6 @@
-"""Relative depth beside a picture or a video: what its values mean, where it is looked for, what cannot be used."""
+"""Relative depth beside a picture or a video: what its values mean, where it is looked for, what cannot be
+used.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,8 @@ def expected_m(values: np.ndarray, near_m: float = 1.0, far_m: float = 2.0) -> n
     return 1 / np.interp(values, [values.min(), values.max()], [1 / far_m, 1 / near_m])
 
 
-# -- values --------------------------------------------------------------------------------------------------------
+# -- values
+# --------------------------------------------------------------------------------------------------------
 
 
 def test_the_largest_value_is_near_and_the_smallest_far(mapped: Path) -> None:
@@ -69,7 +72,9 @@ def test_a_far_smaller_than_near_turns_the_map_over(mapped: Path) -> None:
     assert depth[0, 0] == 1.0 and depth[-1, -1] == 2.0
 
 
-@pytest.mark.parametrize(("near_m", "far_m", "meant"), [(None, None, (1, 2)), (3, None, (3, 6)), (None, 5, (2.5, 5))])
+@pytest.mark.parametrize(
+    ("near_m", "far_m", "meant"), [(None, None, (1, 2)), (3, None, (3, 6)), (None, 5, (2.5, 5))]
+)
 def test_what_is_not_said_is_taken_and_told(
     mapped: Path, near_m: float | None, far_m: float | None, meant: tuple[float, float]
 ) -> None:
@@ -93,7 +98,9 @@ def test_unit_and_offset_of_the_map_do_not_count(values: np.ndarray, unit: float
     other = InverseDepth(unit * low + offset, unit * high + offset, 1.0, 3.0)(unit * values + offset)
     assert np.allclose(one, other, rtol=1e-4)
     assert one.min() == 1.0 and one.max() == 3.0
-    assert (np.argsort(one, kind="stable") == np.argsort(-values, kind="stable")).all() or np.unique(one).size < 9
+    assert (np.argsort(one, kind="stable") == np.argsort(-values, kind="stable")).all() or np.unique(
+        one
+    ).size < 9
 
 
 def test_floats_may_be_unknown(photo: Path) -> None:
@@ -112,7 +119,8 @@ def test_sixteen_bits_and_grey_stored_as_rgb(photo: Path) -> None:
     assert np.allclose(read_sequence(photo, NOTHING).depth_m(0), fine, rtol=1e-6)
 
 
-# -- where it is looked for ----------------------------------------------------------------------------------------
+# -- where it is looked for
+# ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -161,7 +169,8 @@ def test_the_map_may_lie_elsewhere(mapped: Path, tmp_path: Path) -> None:
     assert isinstance(open_source(alone, SourceOptions(relative_depth=str(other))), DepthScene)
 
 
-# -- the camera ----------------------------------------------------------------------------------------------------
+# -- the camera
+# ----------------------------------------------------------------------------------------------------
 
 
 def test_without_a_camera_sixty_degrees_are_taken(mapped: Path) -> None:
@@ -174,7 +183,9 @@ def test_without_a_camera_sixty_degrees_are_taken(mapped: Path) -> None:
 
 
 def test_intrinsics_are_those_of_the_picture(photo: Path) -> None:
-    """A map of half the size: a pixel of it covers two by two of the picture, and the same rays go through them."""
+    """A map of half the size: a pixel of it covers two by two of the picture, and the same rays go through
+    them.
+    """
     Image.fromarray(SLOPE[::2, ::2]).save(photo.with_name("room_depth.png"))
     sequence = read_sequence(photo, SourceOptions(intrinsics="36,38,21,14"))
     assert (sequence.width, sequence.height) == (WIDTH // 2, HEIGHT // 2)
@@ -196,7 +207,8 @@ def test_a_photograph_taken_upright_fits_its_upright_map(photo: Path) -> None:
     assert read_sequence(photo, NOTHING).width == WIDTH
 
 
-# -- videos --------------------------------------------------------------------------------------------------------
+# -- videos
+# --------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -220,7 +232,9 @@ def test_a_video_with_a_video_or_a_folder_of_maps(clip: Path, form: str) -> None
             Image.fromarray(values).save(where / f"{i}.png")
         options = SourceOptions(relative_depth=str(where))
     else:
-        write_video(clip.with_name("walk_depth.mkv"), stored * np.uint16(200) if "16" in form else stored, form)
+        write_video(
+            clip.with_name("walk_depth.mkv"), stored * np.uint16(200) if "16" in form else stored, form
+        )
         assert KINDS["relative-depth"].recognise(clip)
         options = NOTHING
     sequence = read_sequence(clip, options)
@@ -250,7 +264,8 @@ def test_as_many_maps_as_frames(clip: Path) -> None:
         read_sequence(clip, NOTHING)
 
 
-# -- faults --------------------------------------------------------------------------------------------------------
+# -- faults
+# --------------------------------------------------------------------------------------------------------
 
 
 def test_maps_that_cannot_be_used(photo: Path, tmp_path: Path) -> None:

@@ -1,4 +1,6 @@
-"""`python -m reproduction`: the frame of the experiments, its pages, its errors, and the sequences they run on."""
+"""`python -m reproduction`: the frame of the experiments, its pages, its errors, and the sequences they run
+on.
+"""
 
 from __future__ import annotations
 
@@ -98,7 +100,9 @@ def test_nothing_made_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture
 
 @pytest.mark.usefixtures("toys")
 @pytest.mark.parametrize("name", ["table9", "", "ALL", "good1.png"])
-def test_an_unknown_name_lists_those_that_are(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_name_lists_those_that_are(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     assert _exit_code(["good1", name, "--out", str(out)]) == 2
     assert "good1, bad1, or all" in capsys.readouterr().err
@@ -106,7 +110,9 @@ def test_an_unknown_name_lists_those_that_are(name: str, tmp_path: Path, capsys:
 
 
 @pytest.mark.usefixtures("toys")
-def test_folders_at_fault_are_told_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_folders_at_fault_are_told_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     a_file, depth = tmp_path / "file", tmp_path / "depth"
     a_file.write_text("kept")
     depth.mkdir()
@@ -136,7 +142,9 @@ def test_no_library_to_draw_with_is_told_before_the_work(
 
 
 def test_a_source_that_is_no_depth_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "ball.toml").write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n')
+    (tmp_path / "ball.toml").write_text(
+        '[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n'
+    )
     with pytest.raises(SourceError, match="no depth sequence"):
         scenes.user_inputs((tmp_path / "ball.toml",))
 
@@ -150,7 +158,8 @@ def test_a_bar_in_a_cell_stays_in_its_cell() -> None:
     assert markdown_table(["a"], [["|F|"]]).splitlines()[2] == "| \\|F\\| |"
 
 
-# -- the sequences --------------------------------------------------------------------------------------------
+# -- the sequences
+# --------------------------------------------------------------------------------------------
 
 
 def test_a_moving_view_of_a_plane_is_exact() -> None:
@@ -203,7 +212,8 @@ def test_first_frames_are_the_first(tmp_path: Path) -> None:
         cut.depth_m(2)
 
 
-# -- the figures ----------------------------------------------------------------------------------------------
+# -- the figures
+# ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["figure_2", "figure_3", "figure_8", "figure_9", "table_3"])

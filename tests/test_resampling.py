@@ -32,7 +32,8 @@ def decibels(gain: NDArray[np.complex128]) -> NDArray[np.float64]:
     return 20 * np.log10(np.abs(gain))
 
 
-# -- frequency response, equation 5 --------------------------------------------------------------------------------
+# -- frequency response, equation 5
+# --------------------------------------------------------------------------------
 
 
 def test_frequency_response_of_known_filters() -> None:
@@ -79,7 +80,8 @@ def test_the_table_of_kernels_is_as_documented(
     assert (taps.min() >= 0) == (overshoot == 0)
 
 
-# -- resampling ----------------------------------------------------------------------------------------------------
+# -- resampling
+# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kernel", LOW_PASSES)
@@ -139,7 +141,9 @@ def test_a_constant_passes_unchanged_in_the_interior(kernel: str, factor: int) -
     source = Grid.over_box((0, 0, 0), (1, 1, 1), (50, 50, 50))
     grid = Grid.over_box((0, 0, 0), (1, 1, 1), (50 // factor,) * 3)
     force = np.array([1.0, -2.0, 0.5])
-    dense = resample(ForceField.from_dense(source, np.broadcast_to(force, (50, 50, 50, 3))), grid, kernel).to_dense()
+    dense = resample(
+        ForceField.from_dense(source, np.broadcast_to(force, (50, 50, 50, 3))), grid, kernel
+    ).to_dense()
     rim = math.ceil(2 * LOW_PASSES[kernel].half_width)
     inner = dense[(slice(rim, -rim),) * 3]
     assert inner.size > 0

@@ -1,4 +1,6 @@
-"""Search among media: exact neighbours, files, average precision, and how well a known collection is told apart."""
+"""Search among media: exact neighbours, files, average precision, and how well a known collection is told
+apart.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,13 @@ from touchfield.codec.paper.spec import PaperSpec
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.filters.smoothing import GaussianFilter
 from touchfield.measure import retrieval
-from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, DESCRIPTOR_VERSION, PARTS, Descriptor, descriptor
+from touchfield.measure.descriptors import (
+    DESCRIPTOR_LENGTH,
+    DESCRIPTOR_VERSION,
+    PARTS,
+    Descriptor,
+    descriptor,
+)
 from touchfield.measure.retrieval import (
     ANY_POSE,
     MediumIndex,
@@ -41,10 +49,15 @@ def index_of(entries: dict[str, Descriptor]) -> MediumIndex:
     return index
 
 
-# -- the search -----------------------------------------------------------------------------------------------------
+# -- the search
+# -----------------------------------------------------------------------------------------------------
 
 
-@given(st.integers(0, 500), st.integers(1, 15), st.sampled_from([{}, ANY_POSE, {"support": 2.5, "amplitude": 0.1}]))
+@given(
+    st.integers(0, 500),
+    st.integers(1, 15),
+    st.sampled_from([{}, ANY_POSE, {"support": 2.5, "amplitude": 0.1}]),
+)
 def test_the_nearest_are_those_of_a_plain_search(seed: int, count: int, weights: dict[str, float]) -> None:
     entries = drawn(seed)
     query = drawn(seed + 1, 1)["m0"]
@@ -104,7 +117,8 @@ def test_refusals() -> None:
             index.query(entry, weights=weights)
 
 
-# -- files ----------------------------------------------------------------------------------------------------------
+# -- files
+# ----------------------------------------------------------------------------------------------------------
 
 
 def test_a_file_holds_the_same_bits_twice(tmp_path: Path) -> None:
@@ -176,7 +190,8 @@ def test_other_archives_are_told_apart(tmp_path: Path) -> None:
         MediumIndex.load(tmp_path / "absent.npz")
 
 
-# -- a collection whose kinds are known -----------------------------------------------------------------------------
+# -- a collection whose kinds are known
+# -----------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -208,10 +223,14 @@ def test_kinds_are_found_in_any_size_and_pose(entries: dict[str, Descriptor]) ->
     assert precision(entries, only_power) > 0.9
     assert precision(entries, {}) > chance + 0.4
     only_directions = {part: float(part == "directions") for part in PARTS}
-    assert precision(entries, only_directions) < precision(entries, only_power) - 0.3, "which turn with the body"
+    assert precision(entries, only_directions) < precision(entries, only_power) - 0.3, (
+        "which turn with the body"
+    )
 
 
-def test_a_coded_medium_finds_its_original(fields: dict[str, ForceField], entries: dict[str, Descriptor]) -> None:
+def test_a_coded_medium_finds_its_original(
+    fields: dict[str, ForceField], entries: dict[str, Descriptor]
+) -> None:
     index = index_of(entries)
     for name, field in fields.items():
         encoder = PaperEncoder(field.grid, PaperSpec())
@@ -220,7 +239,9 @@ def test_a_coded_medium_finds_its_original(fields: dict[str, ForceField], entrie
         assert index.query(descriptor(back), 1)[0].name == name
 
 
-def test_a_filtered_medium_finds_its_original(fields: dict[str, ForceField], entries: dict[str, Descriptor]) -> None:
+def test_a_filtered_medium_finds_its_original(
+    fields: dict[str, ForceField], entries: dict[str, Descriptor]
+) -> None:
     """Spheres are all alike but for their size, which the descriptor leaves out: there the kind is enough."""
     index = index_of(entries)
     smooth = GaussianFilter(0.35 * next(iter(fields.values())).grid.spacing_m[0])

@@ -24,7 +24,9 @@ def two_cubes_and_a_swelling(path: Path) -> AnimatedMeshScene:
     """Two cubes on one turning node, one that stands, and one that grows along y."""
     gltf = Gltf()
     mesh = gltf.mesh(CUBE, CUBE_FACES)
-    both = gltf.mesh(np.concatenate([CUBE, CUBE + np.array([3, 0, 0])]), np.concatenate([CUBE_FACES, CUBE_FACES + 8]))
+    both = gltf.mesh(
+        np.concatenate([CUBE, CUBE + np.array([3, 0, 0])]), np.concatenate([CUBE_FACES, CUBE_FACES + 8])
+    )
     turning = gltf.put("nodes", mesh=both)
     gltf.put("nodes", mesh=mesh, translation=[0, 5, 0])
     growing = gltf.put("nodes", mesh=mesh, translation=[0, -5, 0])
@@ -59,7 +61,9 @@ def test_the_bodies_are_felt_as_the_model_is(tmp_path: Path) -> None:
         assert one.any(axis=-1).sum() > 300
 
 
-def test_what_moves_alike_is_one_what_stands_is_still_and_what_deforms_stays_a_mesh_in_motion(tmp_path: Path) -> None:
+def test_what_moves_alike_is_one_what_stands_is_still_and_what_deforms_stays_a_mesh_in_motion(
+    tmp_path: Path,
+) -> None:
     scene = two_cubes_and_a_swelling(tmp_path)
     bodies = scene.bodies()
     assert len(bodies) == 3 and not scene.is_of_bodies

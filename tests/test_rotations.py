@@ -1,4 +1,6 @@
-"""Rotations as quaternions and matrices: against scipy, at turns of no and of half a circle, and what is none."""
+"""Rotations as quaternions and matrices: against scipy, at turns of no and of half a circle, and what is
+none.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium.pose_track import checked_rotation, quaternions_of, rotation_matrices, rotation_vectors, slerp
+from touchfield.medium.pose_track import (
+    checked_rotation,
+    quaternions_of,
+    rotation_matrices,
+    rotation_vectors,
+    slerp,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 IDENTITY = np.array([[1.0, 0.0, 0.0, 0.0]])
@@ -48,7 +56,9 @@ def test_between_two_rotations_as_scipy_has_it(seed: int, share: float) -> None:
     first, second = wxyz(ends)[:, None]
     found = slerp(first, second, np.array([share]))
     expected = Slerp([0.0, 1.0], ends)(share).as_matrix()
-    np.testing.assert_allclose(rotation_matrices(found)[0], expected, atol=1e-7)  # scipy's own digits near half turns
+    np.testing.assert_allclose(
+        rotation_matrices(found)[0], expected, atol=1e-7
+    )  # scipy's own digits near half turns
     turned_round = slerp(first, -second, np.array([share]))  # the same rotation, told by the other quaternion
     np.testing.assert_allclose(rotation_matrices(turned_round), rotation_matrices(found), atol=1e-12)
     in_other_order = slerp(np.roll(first, -1, axis=1), np.roll(second, -1, axis=1), np.array([share]))

@@ -31,7 +31,9 @@ SHAPES: dict[str, Shape] = {
     "egg": Ellipsoid((0.01, 0.0, -0.02), (0.02, 0.03, 0.04), TURN),
     "lens": Ellipsoid((0.0, 0.0, 0.0), (0.04, 0.04, 0.002), TURN),
     "needle": Ellipsoid((0.0, 0.0, 0.0), (0.001, 0.05, 0.001)),
-    "moved": moved(Cylinder((0.01, 0.0, 0.0), 0.02, 0.03, TURN), rotation_matrix((10, 20, 30)), (0.0, 0.01, 0.0)),
+    "moved": moved(
+        Cylinder((0.01, 0.0, 0.0), 0.02, 0.03, TURN), rotation_matrix((10, 20, 30)), (0.0, 0.01, 0.0)
+    ),
 }
 each_shape = pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 sizes = st.tuples(*[st.floats(-3, 0).map(lambda e: 10**e)] * 3)
@@ -74,7 +76,8 @@ def test_normal_is_the_gradient(shape: Shape) -> None:
     at = np.random.default_rng(2).uniform(-0.08, 0.08, (400, 3))
     step = 1e-7
     slope = [
-        (shape.signed_distance_and_normal(at + e)[0] - shape.signed_distance_and_normal(at - e)[0]) / (2 * step)
+        (shape.signed_distance_and_normal(at + e)[0] - shape.signed_distance_and_normal(at - e)[0])
+        / (2 * step)
         for e in step * np.eye(3)
     ]
     apart = np.linalg.norm(np.stack(slope, axis=-1) - shape.signed_distance_and_normal(at)[1], axis=1)
@@ -161,7 +164,9 @@ def test_motions_compose(first: tuple, shift: tuple, second: tuple, other: tuple
         np.testing.assert_allclose(once.signed_distance_and_normal(there)[0], phi, atol=1e-12)
         np.testing.assert_allclose(once.signed_distance_and_normal(there)[1], normal @ turn.T, atol=1e-9)
         twice = moved(once, then, other)
-        np.testing.assert_allclose(twice.signed_distance_and_normal(there @ then.T + other)[0], phi, atol=1e-12)
+        np.testing.assert_allclose(
+            twice.signed_distance_and_normal(there @ then.T + other)[0], phi, atol=1e-12
+        )
         assert type(twice) is type(shape)
 
 
@@ -176,7 +181,8 @@ def test_what_is_no_rotation_is_refused(rotation: np.ndarray) -> None:
     "text",
     [
         'kind = "capsule"\ncenter_m = [0, 0, 0]\nradius_m = 0.01\nhalf_length_m = 0.02',
-        'kind = "cylinder"\ncenter_m = [0, 0, 0]\nradius_m = 0.01\nhalf_length_m = 0.02\nrotation_deg = [0, 90, 0]',
+        'kind = "cylinder"\ncenter_m = [0, 0, 0]\nradius_m = 0.01\nhalf_length_m = 0.02\nrotation_deg = [0, '
+        "90, 0]",
         'kind = "ellipsoid"\ncenter_m = [0, 0, 0]\nhalf_extents_m = [0.01, 0.02, 0.03]',
     ],
 )

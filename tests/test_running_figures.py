@@ -1,4 +1,6 @@
-"""Figures that grow segment by segment: sums, largest ratios and unknown ones, in whatever order segments come."""
+"""Figures that grow segment by segment: sums, largest ratios and unknown ones, in whatever order segments
+come.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ GRID = Grid((8, 8, 8), (0.01,) * 3, (0.0,) * 3)
 
 
 @pytest.mark.parametrize("ratios", [*ORDERS, *permutations((0.875, None, 0.0))], ids=str)
-def test_a_broadcast_counts_every_segment_and_has_their_largest_ratio(ratios: tuple[float | None, ...]) -> None:
+def test_a_broadcast_counts_every_segment_and_has_their_largest_ratio(
+    ratios: tuple[float | None, ...],
+) -> None:
     sent = Sent()
     for i, ratio in enumerate(ratios):
         segment = LiveSegment(7 * sent.frames, 2 + i, bytes(10 + i), bytes(100) if i == 1 else None)

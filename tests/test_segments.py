@@ -67,7 +67,8 @@ def numbers_of(objects: Segmentation, frame: int) -> np.ndarray:
     return np.where(np.any(depths, axis=0), np.argmax(depths, axis=0), 255)
 
 
-# -- the rule ------------------------------------------------------------------------------------------------------
+# -- the rule
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_the_rule_in_words() -> None:
@@ -87,7 +88,8 @@ def test_a_rule_that_cannot_be_is_refused_before_any_frame_is_read(words: str) -
         DepthScene(Frames(lambda _: wall()), segment=words)
 
 
-# -- a frame -------------------------------------------------------------------------------------------------------
+# -- a frame
+# -------------------------------------------------------------------------------------------------------
 
 
 def brute_surfaces(depth: np.ndarray, step: float, noise: float) -> list[set[tuple[int, int]]]:
@@ -111,7 +113,9 @@ def brute_surfaces(depth: np.ndarray, step: float, noise: float) -> list[set[tup
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.1]), st.sampled_from([5e-4, 0.05]))
 def test_surfaces_are_what_a_flood_fill_finds(seed: int, step: float, noise: float) -> None:
     random = np.random.default_rng(seed)
-    depth = random.choice([0, 1.0, 1.05, 1.3, 4.0, 4.15], (7, 9), p=[0.1, 0.3, 0.2, 0.1, 0.2, 0.1]).astype(np.float32)
+    depth = random.choice([0, 1.0, 1.05, 1.3, 4.0, 4.15], (7, 9), p=[0.1, 0.3, 0.2, 0.1, 0.2, 0.1]).astype(
+        np.float32
+    )
     labels, count = surfaces(depth, step, noise)
     ours = {frozenset(zip(*np.nonzero(labels == n))) for n in range(1, count + 1)}
     assert ours == {frozenset(part) for part in brute_surfaces(depth, step, noise)}
@@ -137,12 +141,19 @@ def test_small_surfaces_and_those_beyond_at_most_are_the_background() -> None:
     assert found.object_count == 3
     assert found.pixels[0].tolist() == [16, 60 * 80 - 16 - 144 - 64 - 16, 144, 64]
     numbers = numbers_of(found, 0)
-    assert [numbers[0, 0], numbers[31, 41], numbers[5, 5], numbers[11, 11], numbers[31, 11]] == [255, 0, 1, 2, 3]
+    assert [numbers[0, 0], numbers[31, 41], numbers[5, 5], numbers[11, 11], numbers[31, 11]] == [
+        255,
+        0,
+        1,
+        2,
+        3,
+    ]
     few = segmented(draw, rule="least=0.004,at-most=2")
     assert few.object_count == 2 and few.pixels[0].tolist() == [16 + 64, 60 * 80 - 16 - 144 - 64 - 16, 144]
 
 
-# -- over time -----------------------------------------------------------------------------------------------------
+# -- over time
+# -----------------------------------------------------------------------------------------------------
 
 
 def test_objects_stay_the_same_while_they_move_and_after_they_were_gone() -> None:
@@ -163,7 +174,9 @@ def test_what_comes_back_elsewhere_is_a_new_object() -> None:
     assert found.pixels[:, 2:].tolist() == [[81, 0], [0, 0], [0, 81], [0, 0], [81, 0]]
     assert segmented(lambda f: wall(*places[f]), 5, "least=0.004,at-most=2").object_count == 2
 
-    def alone(frame: int) -> np.ndarray:  # A, B, C, and B again: of those that are gone the latest is remembered
+    def alone(
+        frame: int,
+    ) -> np.ndarray:  # A, B, C, and B again: of those that are gone the latest is remembered
         depth = np.zeros((HEIGHT, WIDTH))
         depth[10:19, (10, 30, 50, 30)[frame] :][:, :9] = 1.0
         return depth
@@ -196,13 +209,16 @@ def test_pixels_are_parted_and_none_is_lost() -> None:
         assert [int((part > 0).sum()) for part in parts] == found.pixels[frame].tolist()
 
 
-# -- bodies --------------------------------------------------------------------------------------------------------
+# -- bodies
+# --------------------------------------------------------------------------------------------------------
 
 GRID = Grid((48, 40, 48), (0.05, 0.05, 0.03), (-1.2, -1.0, 0.8))
 
 
 def share_that_differs(scene: Scene, frame: int, grid: Grid = GRID, behind_m: float = 0.06) -> float:
-    """Of the samples with a force in the whole scene or in the sum of its objects, the share where they differ."""
+    """Of the samples with a force in the whole scene or in the sum of its objects, the share where they
+    differ.
+    """
     profile = profile_of(LawSpec("penalty", 60.0, 3.3), behind_m)
     whole = scene.field(frame, grid, profile)
     total = sum((body.scene.field(frame, grid, profile).to_dense() for body in scene.bodies()), np.float32(0))
@@ -235,7 +251,9 @@ def test_the_user_is_told_that_objects_are_a_guess() -> None:
     scene.bodies()
     scene.bodies()
     assert len(scene.notes) == before + 1
-    assert "3 objects (step=0.03,least=0.004,at-most=16)" in scene.notes[-1] and "ill-posed" in scene.notes[-1]
+    assert (
+        "3 objects (step=0.03,least=0.004,at-most=16)" in scene.notes[-1] and "ill-posed" in scene.notes[-1]
+    )
 
 
 def test_no_depth_is_no_object() -> None:
@@ -259,7 +277,8 @@ def test_a_depth_sequence_goes_through_a_stream_as_objects(tmp_path: Path) -> No
         assert opened.medium[1].support_count > 0
 
 
-# -- real depth ----------------------------------------------------------------------------------------------------
+# -- real depth
+# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.shared

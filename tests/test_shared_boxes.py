@@ -1,4 +1,6 @@
-"""Boxes of space that two lattices share: every sample in one, counts of both, and lattices that share too little."""
+"""Boxes of space that two lattices share: every sample in one, counts of both, and lattices that share too
+little.
+"""
 
 from __future__ import annotations
 

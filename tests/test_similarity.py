@@ -43,7 +43,8 @@ def on_row(*symbols: int) -> FieldSymbols:
 dense = arrays(np.int32, SMALL.shape, elements=st.integers(0, K - 1))
 
 
-# -- metrics --------------------------------------------------------------------------------------------------------
+# -- metrics
+# --------------------------------------------------------------------------------------------------------
 
 
 @given(dense, dense, dense)
@@ -98,7 +99,8 @@ def test_the_triangle_does_not_hold_over_the_object() -> None:
     assert sides["object"][2] > 3 * (sides["object"][0] + sides["object"][1])
 
 
-# -- frames, lattices, errors ---------------------------------------------------------------------------------------
+# -- frames, lattices, errors
+# ---------------------------------------------------------------------------------------
 
 
 def test_frames_are_samples_together() -> None:
@@ -149,7 +151,8 @@ def test_refusals() -> None:
         compression_distance(a, on_row(1, 2))
 
 
-# -- compression ----------------------------------------------------------------------------------------------------
+# -- compression
+# ----------------------------------------------------------------------------------------------------
 
 
 def noise(seed: int, k: int = 200) -> FieldSymbols:
@@ -163,7 +166,9 @@ def test_ncd_of_equal_unrelated_and_shifted_media() -> None:
     assert float(compression_distance(a, b)) == pytest.approx(1, abs=0.05)
     assert float(compression_distance(a, shifted)) < 0.1
     unrelated = float(plain(a, b).normalised)
-    assert float(plain(a, shifted).normalised) == pytest.approx(unrelated, abs=0.01), "voxel by voxel it is not seen"
+    assert float(plain(a, shifted).normalised) == pytest.approx(unrelated, abs=0.01), (
+        "voxel by voxel it is not seen"
+    )
     assert float(compression_distance(a, b)) == float(compression_distance(b, a))
     assert "not a metric" in " ".join(compression_distance(a, b).notes)
 

@@ -145,7 +145,12 @@ def test_npz_of_other_hands(tmp_path: Path, wavy_field: ForceField) -> None:
 
 def test_npz_at_fault(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    good = {"forces_n": np.zeros((2, 3, 4, 5, 3)), "origin_m": np.zeros(3), "spacing_m": np.ones(3), "rate_hz": 5.0}
+    good = {
+        "forces_n": np.zeros((2, 3, 4, 5, 3)),
+        "origin_m": np.zeros(3),
+        "spacing_m": np.ones(3),
+        "rate_hz": 5.0,
+    }
     faults = [
         {"forces_n": np.zeros((3, 4, 5))},
         {"forces_n": np.zeros((2, 3, 4, 5, 2))},
@@ -179,7 +184,9 @@ def test_npz_at_fault(tmp_path: Path) -> None:
 
 
 def test_an_npz_that_claims_more_than_it_holds(tmp_path: Path) -> None:
-    header = repr({"descr": "<f4", "fortran_order": False, "shape": (1, 1 << 20, 1 << 20, 1 << 20, 3)}).encode()
+    header = repr(
+        {"descr": "<f4", "fortran_order": False, "shape": (1, 1 << 20, 1 << 20, 1 << 20, 3)}
+    ).encode()
     header = header.ljust(117) + b"\n"
     entry = b"\x93NUMPY\x01\0" + struct.pack("<H", len(header)) + header + b"\0" * 100
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
@@ -260,7 +267,9 @@ def test_damaged_files_give_a_field_or_a_source_error(
     folder = tmp_path_factory.mktemp("damaged")
     path = folder / "a.npz"
     rng = np.random.default_rng(0)
-    field = ForceField.from_dense(Grid((3, 4, 2), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), rng.normal(size=(3, 4, 2, 3)))
+    field = ForceField.from_dense(
+        Grid((3, 4, 2), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), rng.normal(size=(3, 4, 2, 3))
+    )
     write_npz(path, HapticMedium.from_frames([field, field], 30.0))
     raw = bytearray(path.read_bytes())
     for _ in range(data.draw(st.integers(0, 3))):

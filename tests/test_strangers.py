@@ -97,7 +97,9 @@ def test_nothing_but_a_file_is_opened_anywhere(tmp_path: Path, monkeypatch: pyte
         lambda: read_json(pipe, 1000, "an effect"),
         lambda: read_trace(pipe, 100.0),
         lambda: device(str(pipe)),
-        lambda: open_source(folder, SourceOptions(kind="depth-folder", depth_scale=1000, intrinsics="9,9,4,4")),
+        lambda: open_source(
+            folder, SourceOptions(kind="depth-folder", depth_scale=1000, intrinsics="9,9,4,4")
+        ),
     )
     for read in readers:
         with pytest.raises(TouchfieldError, match="a pipe, a socket or a device"):
@@ -185,7 +187,8 @@ OUTSIDE = {
     "mesh": '<asset><mesh name="m" file="../mine.obj"/></asset>' + MESH,
     "backslash": '<asset><mesh name="m" file="..\\mine.obj"/></asset>' + MESH,
     "folder": '<compiler meshdir=".."/><asset><mesh name="m" file="mine.obj"/></asset>' + MESH,
-    "stripped": '<compiler assetdir=".." strippath="true"/><asset><mesh name="m" file="a/mine.obj"/></asset>' + MESH,
+    "stripped": '<compiler assetdir=".." strippath="true"/><asset><mesh name="m" file="a/mine.obj"/></asset>'
+    + MESH,
     "link": '<asset><mesh name="m" file="link.obj"/></asset>' + MESH,
 }
 
@@ -215,8 +218,14 @@ def test_a_model_may_name_what_lies_in_its_folder(scene: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ('<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>', "hfield: found nrow"),
-        ('<worldbody><replicate count="1e9"><geom size="1"/></replicate></worldbody>', "replicate: found count"),
+        (
+            '<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>',
+            "hfield: found nrow",
+        ),
+        (
+            '<worldbody><replicate count="1e9"><geom size="1"/></replicate></worldbody>',
+            "replicate: found count",
+        ),
         ('<size nkey="2000000000"/>', "size: found nkey"),
         ("<broken", "no XML"),
     ],
@@ -242,10 +251,14 @@ def test_a_model_asks_for_no_more_than_its_bytes_tell(tmp_path: Path, text: str,
         ("0.001", "1e300", r"ball: radius_m: found 1e\+300; expected .*1e\+09 m"),
     ],
 )
-def test_a_number_of_a_model_beyond_bounds_is_named(tmp_path: Path, step_s: str, size: str, match: str) -> None:
+def test_a_number_of_a_model_beyond_bounds_is_named(
+    tmp_path: Path, step_s: str, size: str, match: str
+) -> None:
     pytest.importorskip("mujoco")
     ball = f'<body><freejoint/><geom name="ball" size="{size}" mass="1"/></body>'
-    (tmp_path / "a.xml").write_text(f'<mujoco><option timestep="{step_s}"/><worldbody>{ball}</worldbody></mujoco>')
+    (tmp_path / "a.xml").write_text(
+        f'<mujoco><option timestep="{step_s}"/><worldbody>{ball}</worldbody></mujoco>'
+    )
     with pytest.raises(SourceError, match=match):
         open_source(tmp_path / "a.xml", SourceOptions(seconds=0.01))
 
@@ -382,7 +395,9 @@ def test_what_mujoco_cannot_go_on_with_is_an_error_and_nothing_is_printed(
     pytest.importorskip("mujoco")
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "scene.toml"
-    corners = "vertices_m = [[0,0,0],[1e9,0,0],[0,0.1,0],[0,0,0.1]]\ntriangles = [[0,2,1],[0,1,3],[0,3,2],[1,2,3]]"
+    corners = (
+        "vertices_m = [[0,0,0],[1e9,0,0],[0,0.1,0],[0,0,0.1]]\ntriangles = [[0,2,1],[0,1,3],[0,3,2],[1,2,3]]"
+    )
     for kind, body, physics in (
         ("sphere", "radius_m = 1e9\nmass_kg = 1e-12", ""),
         ("mesh", corners, ""),

@@ -36,7 +36,9 @@ def quantiser() -> FieldQuantiser:
 
 
 def drawn(quantiser: FieldQuantiser, seed: int, per_axis: int = 20, starts: int = 16) -> LatticeSample:
-    return sample_lattice(field, LATTICE, {"Q": quantiser.symbols_of}, per_axis=per_axis, starts=starts, seed=seed)
+    return sample_lattice(
+        field, LATTICE, {"Q": quantiser.symbols_of}, per_axis=per_axis, starts=starts, seed=seed
+    )
 
 
 def test_a_small_lattice_is_counted_whole(quantiser: FieldQuantiser) -> None:
@@ -76,7 +78,9 @@ def test_all_starts_together_are_the_lattice() -> None:
 def test_the_intervals_hold_the_truth_as_often_as_they_say(quantiser: FieldQuantiser) -> None:
     whole = quantiser(field(LATTICE))
     times = np.bincount(whole.object_symbols)
-    truths = np.array([field(LATTICE).support_count, whole.object_count / LATTICE.voxel_count, entropy_bits(times)])
+    truths = np.array(
+        [field(LATTICE).support_count, whole.object_count / LATTICE.voxel_count, entropy_bits(times)]
+    )
     truths = np.append(truths, binary_entropy_bits(truths[1]) + truths[1] * truths[2])
     draws = 40
     held = np.zeros(4)

@@ -1,7 +1,7 @@
 """Every kind of source puts its surface where it is: to a hundredth of a sample, along each axis.
 
-The surface is a plane of known place, tilted so that a shift along any axis moves it. How deep a sample lies is read
-off the force of a linear law.
+The surface is a plane of known place, tilted so that a shift along any axis moves it. How deep a sample lies
+is read off the force of a linear law.
 """
 
 from __future__ import annotations

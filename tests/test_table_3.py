@@ -33,7 +33,8 @@ def plane() -> SequenceRuns:
     return found
 
 
-# -- arithmetic -----------------------------------------------------------------------------------------------
+# -- arithmetic
+# -----------------------------------------------------------------------------------------------
 
 
 def _orderly() -> dict[Case, Point]:
@@ -58,9 +59,11 @@ def test_figures_in_order_follow_every_trend() -> None:
     ("case", "point", "failing"),
     [
         (Case(1, 0.25, True), Point(0.2, -20.5), {"CR falls with k": 1}),
-        (Case(5, 0.1, False), Point(0.5, -19.0), {"CR falls with m": 1, "multi-frame CR below single-frame": 1,
+        (Case(5, 0.1, False), Point(0.5, -19.0), {"CR falls with m": 1, "multi-frame CR below "
+                                                                        "single-frame": 1,
                                                   "CR falls with k": 1}),
-        (Case(2, 0.1, True), Point(0.0892, -17.0), {"NMSE worsens with k": 1, "high directions better than low": 1}),
+        (Case(2, 0.1, True), Point(0.0892, -17.0), {"NMSE worsens with k": 1, "high directions better than "
+                                                                              "low": 1}),
     ],
 )  # fmt: skip
 def test_one_figure_out_of_order_is_found(case: Case, point: Point, failing: dict[str, int]) -> None:
@@ -97,16 +100,21 @@ def test_what_the_paper_prints() -> None:
     assert "from 0.00540 (m = 2) to 0.00478 (m = 5)" in told
 
 
-# -- runs -----------------------------------------------------------------------------------------------------
+# -- runs
+# -----------------------------------------------------------------------------------------------------
 
 
 def test_a_run_is_the_main_job(tmp_path: Path) -> None:
     sequence = Plane(2, noise_per_m=1e-3)
     coded = CodedScene(DepthScene(sequence), 4).coded(PaperSpec(k=0.2, nq=3), 2)
-    spec = EncodeSpec(nw=4, coder="paper", paper=PaperSpec(k=0.2, nq=3), representation="voxel", mapping="fill")
+    spec = EncodeSpec(
+        nw=4, coder="paper", paper=PaperSpec(k=0.2, nq=3), representation="voxel", mapping="fill"
+    )
     encode(DepthScene(sequence), tmp_path / "a.touch", spec)
     job = compare(DepthScene(sequence), tmp_path / "a.touch").summary()
-    assert coded.cr_full == pytest.approx(job["cr_full"], rel=0.02)  # the provenance tells which frames were asked
+    assert coded.cr_full == pytest.approx(
+        job["cr_full"], rel=0.02
+    )  # the provenance tells which frames were asked
     assert coded.cr_literal == pytest.approx(job["cr_literal"])
     assert coded.nmse_db == pytest.approx(job["nmse_db"])
     assert coded.decibels["20 log L"] == pytest.approx(job["nmse_literal_db"])
@@ -124,7 +132,9 @@ def test_every_setting_is_there_and_none_is_impossible(plane: SequenceRuns) -> N
     for runs in plane.variants:
         for reading, coded in runs.coded.items():
             assert set(coded) == set(SMALL.cases)
-            assert all(bound.is_possible for bound in bounds({c: Point(v.cr_literal, 0) for c, v in coded.items()}))
+            assert all(
+                bound.is_possible for bound in bounds({c: Point(v.cr_literal, 0) for c, v in coded.items()})
+            )
             assert all(v.cr_full > v.cr_literal for v in coded.values())
             # nothing held is the best that these quantisers do in a single frame
             for case in (c for c in coded if c.m == 1):
@@ -162,12 +172,15 @@ def test_the_page_has_a_row_for_each_setting(plane: SequenceRuns) -> None:
     assert "quick trial" in text and "/somewhere" not in text
     assert "0.02600" in rows[0], "the printed figure stands beside ours"
     reasons = text.split("### Why trends fail")[1].split("###")[0]
-    all_trends = [t for runs in plane.variants for c in runs.coded.values() for t in trends(table_3.points_of(c))]
+    all_trends = [
+        t for runs in plane.variants for c in runs.coded.values() for t in trends(table_3.points_of(c))
+    ]
     failing = sum(not t.holds for t in all_trends if t.name != "multi-frame CR below single-frame")
     assert reasons.count("| plane |") == failing, "each failing trend has its reason"
 
 
-# -- real inputs ----------------------------------------------------------------------------------------------
+# -- real inputs
+# ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.shared

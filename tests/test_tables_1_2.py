@@ -69,7 +69,8 @@ def wall() -> PaperScene:
     return PaperScene("scene2", "wall", "Scene 2, a wall", height_scene(Wall()))
 
 
-# -- the printed figures ----------------------------------------------------------------------------------------
+# -- the printed figures
+# ----------------------------------------------------------------------------------------
 
 
 def test_the_printed_entropies_are_not_on_the_curve_of_the_identity() -> None:
@@ -89,7 +90,8 @@ def test_the_density_that_is_needed_is_where_the_identity_meets() -> None:
     assert density_needed(5.1, 5.0) is None, "at most log2(1 + 2^5)"
 
 
-# -- the perceptual filter ----------------------------------------------------------------------------------------
+# -- the perceptual filter
+# ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -116,7 +118,8 @@ def test_the_worst_errors_are_those_of_the_ladders() -> None:
     assert 0.045 < six.worst_error(pushes, 0.05) <= 0.05 + 1e-6
 
 
-# -- lattices and counts ------------------------------------------------------------------------------------------
+# -- lattices and counts
+# ------------------------------------------------------------------------------------------
 
 
 def test_both_lattices_fill_one_box(bodies: PaperScene) -> None:
@@ -124,10 +127,14 @@ def test_both_lattices_fill_one_box(bodies: PaperScene) -> None:
         nominal, omni = (bodies.lattice(reading, is_nominal) for is_nominal in (True, False))
         assert nominal.voxel_count == NOMINAL**3 == 10**12
         assert np.allclose(nominal.box_m, omni.box_m)
-        assert np.prod(omni.spacing_m) / np.prod(nominal.spacing_m) == pytest.approx(10**12 / 8.08e9, rel=1e-3)
+        assert np.prod(omni.spacing_m) / np.prod(nominal.spacing_m) == pytest.approx(
+            10**12 / 8.08e9, rel=1e-3
+        )
     assert np.allclose(bodies.lattice("literal", False).box_m, bodies.scene.bounds_m())
     low, high = bodies.lattice("corrected", False).box_m
-    assert np.allclose((high - low) / (0.16, 0.12, 0.07), (high - low)[0] / 0.16), "the aspect of the workspace"
+    assert np.allclose((high - low) / (0.16, 0.12, 0.07), (high - low)[0] / 0.16), (
+        "the aspect of the workspace"
+    )
 
 
 @pytest.mark.parametrize(
@@ -175,7 +182,8 @@ def test_counts_agree_with_volumes_and_with_each_other(bodies: PaperScene) -> No
     assert all(one.frames == 4 and 0 <= one.held_share <= 1 for one in found.later.values())
 
 
-# -- later frames -------------------------------------------------------------------------------------------------
+# -- later frames
+# -------------------------------------------------------------------------------------------------
 
 
 def test_runs_are_of_consecutive_frames() -> None:
@@ -206,24 +214,44 @@ def test_a_slow_drift_is_never_sent_as_printed_and_sent_when_it_is_felt(wavy_fie
 def test_the_end_of_a_force_is_sent(wavy_field: ForceField) -> None:
     frames = [wavy_field, ForceField.empty(wavy_field.grid), ForceField.empty(wavy_field.grid)]
     found = later_frames(frames.__getitem__, [range(3)], {"Q": three_times_six(F_MAX)}, 0.1)["corrected", "Q"]
-    p = np.count_nonzero(three_times_six(F_MAX).symbols_of(wavy_field.vectors_n())) / wavy_field.grid.voxel_count
-    assert found.voxel_bits == pytest.approx(binary_entropy_bits(p) / 2, rel=1e-6), "zero, told once; then held"
+    p = (
+        np.count_nonzero(three_times_six(F_MAX).symbols_of(wavy_field.vectors_n()))
+        / wavy_field.grid.voxel_count
+    )
+    assert found.voxel_bits == pytest.approx(binary_entropy_bits(p) / 2, rel=1e-6), (
+        "zero, told once; then held"
+    )
 
 
-# -- the pages ----------------------------------------------------------------------------------------------------
+# -- the pages
+# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("table", "key"), [(table_1, "bodies"), (table_2, "wall")], ids=["table1", "table2"])
 def test_the_table_of_a_small_scene(
-    table: ModuleType, key: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, request: pytest.FixtureRequest
+    table: ModuleType,
+    key: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    request: pytest.FixtureRequest,
 ) -> None:
     scene: PaperScene = request.getfixturevalue(key)
     monkeypatch.setattr(table, "scenes", lambda inputs: [scene])
     told: list[tuple[int, int]] = []
-    found = table.EXPERIMENT.run(Inputs(tmp_path, report=lambda done, total: told.append((done, total)), quick=True))
+    found = table.EXPERIMENT.run(
+        Inputs(tmp_path, report=lambda done, total: told.append((done, total)), quick=True)
+    )
     json.dumps(plain(found.data), allow_nan=False)
     assert told[-1][0] == told[-1][1] and told == sorted(told)
-    for words in ("printed", "literal", "corrected", "why they differ", "Perceptual filter", "quick", scene.title):
+    for words in (
+        "printed",
+        "literal",
+        "corrected",
+        "why they differ",
+        "Perceptual filter",
+        "quick",
+        scene.title,
+    ):
         assert words in found.markdown
     assert len(found.data["scenes"]) == 1 and str(tmp_path) not in found.markdown
     lines = [line for line in found.markdown.splitlines() if line.startswith("|")]

@@ -68,7 +68,8 @@ def amplitudes(field: ForceField) -> NDArray[np.float64]:
     return np.linalg.norm(field.to_dense().astype(float), axis=-1)
 
 
-# -- salt and pepper --------------------------------------------------------------------------------------------
+# -- salt and pepper
+# --------------------------------------------------------------------------------------------
 
 
 def test_the_hash_is_splitmix64() -> None:
@@ -111,7 +112,9 @@ def test_impulses_are_sparse_balanced_and_independent() -> None:
     assert stats.chisquare(runs).pvalue > 0.01
 
 
-@pytest.mark.parametrize("text", ["rms=0.1", "rms=0.2,density=0.2,seed=9", "rms=0.1,grain=2mm,seed=4", "rms=0"])
+@pytest.mark.parametrize(
+    "text", ["rms=0.1", "rms=0.2,density=0.2,seed=9", "rms=0.1,grain=2mm,seed=4", "rms=0"]
+)
 def test_the_rms_is_the_one_asked_for_and_the_mean_stays(text: str) -> None:
     texture = TextureFilter.parse(text)
     grid = cube(64)
@@ -130,7 +133,9 @@ def test_the_sum_of_the_high_pass_telescopes() -> None:
     added = shares(grid, texture, (1, 1, 1))
     inner = impulses(tuple(np.meshgrid(*[np.arange(32)] * 3, indexing="ij")), 2, 1e-4)
     places = np.argwhere(inner)
-    lone = next(p for p in places if (np.abs(places - p).max(1) < 4).sum() == 1 and p.min() > 1 and p.max() < 30)
+    lone = next(
+        p for p in places if (np.abs(places - p).max(1) < 4).sum() == 1 and p.min() > 1 and p.max() < 30
+    )
     around = tuple(slice(c - 1, c + 2) for c in lone)
     assert np.abs(added[around]).max() > 0.9 and abs(added[around].sum()) < 1e-12
     share = amplitudes(texture(constant(grid)))[around] / 1.3 - 1
@@ -151,7 +156,9 @@ def test_no_force_turns_round_doubles_or_appears() -> None:
 
 def test_no_force_exceeds_the_device() -> None:
     field = noise(cube(20), 6)
-    made = felt_medium(HapticMedium.from_frames([field], 30.0), (TextureFilter(rms=0.5, density=0.5),), 0.75)[0]
+    made = felt_medium(HapticMedium.from_frames([field], 30.0), (TextureFilter(rms=0.5, density=0.5),), 0.75)[
+        0
+    ]
     length = np.linalg.norm(made.vectors_n().astype(float), axis=1)
     assert length.max() <= 0.75 and np.count_nonzero(length > 0.7499) > 100
     huge = constant(cube(9), (3e38, 0.0, 0.0))
@@ -213,7 +220,8 @@ def test_nothing_comes_of_nothing() -> None:
     assert TextureFilter()(ForceField.empty(cube(12))).support_count == 0
 
 
-# -- claims, words, faults --------------------------------------------------------------------------------------
+# -- claims, words, faults
+# --------------------------------------------------------------------------------------
 
 
 def test_claims() -> None:
@@ -226,7 +234,9 @@ def test_words() -> None:
     asked = TextureFilter.parse("salt-pepper:seed=3,density=0.1,rms=0.2,grain=2mm")
     assert asked == TextureFilter("salt-pepper", 3, 0.1, 0.2, 2e-3)
     assert TextureFilter.parse(f"{asked.words},limit=1.0") == asked  # as older streams have it
-    assert TextureFilter.parse("") == TextureFilter.parse("salt-pepper") == TextureFilter.parse("salt-pepper:")
+    assert (
+        TextureFilter.parse("") == TextureFilter.parse("salt-pepper") == TextureFilter.parse("salt-pepper:")
+    )
     field = constant(cube(9))  # 1 mm apart: a grain has whole samples, the nearest
     assert TextureFilter(grain_m=1.9e-3)(field) == TextureFilter(grain_m=2e-3)(field)
     for texture in (asked, TextureFilter(), TextureFilter(grain_m=1e-3)):

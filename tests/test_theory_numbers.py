@@ -54,7 +54,8 @@ def on_a_line(symbols: NDArray[np.int64]) -> FieldSymbols:
     return FieldSymbols.from_dense(grid, symbols.reshape(grid.shape), int(symbols.max()) + 1, "as given")
 
 
-# -- Gaussian sources -----------------------------------------------------------------------------------------------
+# -- Gaussian sources
+# -----------------------------------------------------------------------------------------------
 
 
 def rounded_pair(rho: float, step: float) -> Floats:
@@ -82,9 +83,13 @@ def test_a_rounded_gaussian_tends_to_its_differential_entropy() -> None:
 
 @pytest.mark.parametrize(("rho", "bits"), [(0.6, 0.321928), (0.9, 1.197964)])
 def test_rounding_takes_information_of_gaussians_and_fine_rounding_none(rho: float, bits: float) -> None:
-    found = [float(info.mutual_information(exact(rounded_pair(rho, step)))) for step in (1, 0.5, 0.1, 0.05, 0.025)]
+    found = [
+        float(info.mutual_information(exact(rounded_pair(rho, step)))) for step in (1, 0.5, 0.1, 0.05, 0.025)
+    ]
     assert all(a < b < bits for a, b in itertools.pairwise(found))
-    assert (4 * found[4] - found[3]) / 3 == pytest.approx(bits, abs=1e-6)  # the loss goes with the step squared
+    assert (4 * found[4] - found[3]) / 3 == pytest.approx(
+        bits, abs=1e-6
+    )  # the loss goes with the step squared
 
 
 def test_a_step_of_prediction_gains_7_212_decibels() -> None:
@@ -92,7 +97,9 @@ def test_a_step_of_prediction_gains_7_212_decibels() -> None:
     gains = []
     for step in (0.1, 0.05):
         table = rounded_pair(0.9, step)
-        saved = float(info.entropy(exact(table.sum(axis=0)))) - float(info.conditional_entropy(exact(table), given=0))
+        saved = float(info.entropy(exact(table.sum(axis=0)))) - float(
+            info.conditional_entropy(exact(table), given=0)
+        )
         gains.append(20 * math.log10(2) * saved)
     assert (4 * gains[1] - gains[0]) / 3 == pytest.approx(7.212, abs=5e-4)
 
@@ -111,7 +118,8 @@ def test_a_drawn_chain_has_the_rate_of_its_law() -> None:
     assert float(context_entropy([on_a_line(from_zero)], "previous").per_voxel) == pytest.approx(rate, **near)
 
 
-# -- rate and distortion --------------------------------------------------------------------------------------------
+# -- rate and distortion
+# --------------------------------------------------------------------------------------------
 
 
 def test_even_steps_with_an_entropy_code_are_a_quarter_of_a_bit_from_the_bound() -> None:
@@ -130,7 +138,9 @@ def test_even_steps_with_an_entropy_code_are_a_quarter_of_a_bit_from_the_bound()
 
 
 def test_no_quantiser_beats_the_rate_distortion_bound() -> None:
-    """Lloyd-Max on a Gaussian about 8 N: more error than 2^-2R of its variance at the entropy R of its levels."""
+    """Lloyd-Max on a Gaussian about 8 N: more error than 2^-2R of its variance at the entropy R of its
+    levels.
+    """
     x = stats.norm.ppf((np.arange(40_000) + 0.5) / 40_000, loc=8).astype(np.float32)
     for nq in (1, 2, 3, 4, 5, 6):
         table = lloyd_max_levels(x, nq)
@@ -173,7 +183,8 @@ def test_raw_sizes() -> None:
     assert math.prod(omni.lattice) ** (1 / 3) == pytest.approx(2006, abs=1)
 
 
-# -- the law of data processing -------------------------------------------------------------------------------------
+# -- the law of data processing
+# -------------------------------------------------------------------------------------
 
 
 def joint_codes(frames: NDArray[np.generic]) -> Symbols:
@@ -190,7 +201,9 @@ def binary_frames(*shape: int) -> NDArray[np.float64]:
 
 
 def test_a_box_raises_the_bits_of_a_sample_and_lowers_those_of_a_field() -> None:
-    """Item 11 and the data-processing number of a periodic 3 x 3 image: 1 -> 2.630 bits a sample, 9 -> 2.630 all."""
+    """Item 11 and the data-processing number of a periodic 3 x 3 image: 1 -> 2.630 bits a sample, 9 -> 2.630
+    all.
+    """
     images = binary_frames(3, 3)
     made = np.stack([fir_filter(i, np.ones((3, 3)), boundary="wrap") for i in images])
     sums = np.round(made).astype(np.int64)
@@ -201,7 +214,9 @@ def test_a_box_raises_the_bits_of_a_sample_and_lowers_those_of_a_field() -> None
     before, after = (info.entropy(f.astype(np.int64), interval=False) for f in (images, sums))
     assert float(before) == 1 and float(after) == pytest.approx(2.629928, abs=6e-7)
     of_frames = info.mutual_information(np.arange(512), joint_codes(sums), interval=False)
-    assert float(of_frames) == pytest.approx(float(whole), abs=1e-12)  # I(W; M(W)) = H(M(W)), M having no dice
+    assert float(of_frames) == pytest.approx(
+        float(whole), abs=1e-12
+    )  # I(W; M(W)) = H(M(W)), M having no dice
     found = capacity(Quantity("H(W)", 9.0, "bit/frame"), per_frame(whole), codomain_bits(9, 10))
     assert float(found.wmr) == pytest.approx(0.292214, abs=6e-7)
     assert float(found.hil) == pytest.approx(0.707786, abs=6e-7)
@@ -223,7 +238,9 @@ def test_a_box_within_an_image_and_its_decimation() -> None:
 @pytest.mark.parametrize("kernel", LOW_PASSES)
 @pytest.mark.parametrize("shape", [(3, 3, 1), (6, 5, 1), (13, 12, 1)])
 def test_the_mapping_makes_no_information(kernel: str, shape: tuple[int, int, int]) -> None:
-    """M of paper section 3.1, low-pass, resample, limit, requantise, on all 2^7 fields; finer lattices included."""
+    """M of paper section 3.1, low-pass, resample, limit, requantise, on all 2^7 fields; finer lattices
+    included.
+    """
     grid = Grid((6, 6, 1), (0.001,) * 3, (0.0,) * 3)
     target = Grid(shape, (0.006 / shape[0], 0.006 / shape[1], 0.001), (0.0003, 0.0, 0.0))
     places = np.array([[0, 0, 0], [1, 1, 0], [3, 3, 0], [4, 2, 0], [2, 4, 0], [5, 5, 0], [4, 4, 0]])
@@ -263,12 +280,15 @@ def test_voxel_entropies_that_the_object_entropies_of_the_paper_imply() -> None:
     assert 8e9 * binary_entropy_bits(1.8e5 / 8e9) == pytest.approx(3.0e6, rel=0.02)  # what object mode hides
 
 
-# -- the bias of counting -------------------------------------------------------------------------------------------
+# -- the bias of counting
+# -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("share", [0.5, 0.3, 0.2])
 def test_the_plug_in_is_low_by_half_a_nat_for_each_symbol_but_one(share: float) -> None:
-    """-(K - 1)/(2 n ln 2) of a coin, the expectation being a sum over all counts; Miller and Madow add it back."""
+    """-(K - 1)/(2 n ln 2) of a coin, the expectation being a sum over all counts; Miller and Madow add it
+    back.
+    """
     bias = {}
     for n in (200, 800):
         k = np.arange(n + 1)
@@ -283,7 +303,8 @@ def test_the_plug_in_is_low_by_half_a_nat_for_each_symbol_but_one(share: float) 
     assert bias["miller-madow", 200] / bias["miller-madow", 800] == pytest.approx(16, rel=0.05)
 
 
-# -- quantisers and codebooks ---------------------------------------------------------------------------------------
+# -- quantisers and codebooks
+# ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("k", "steps"), [(0.05, 1090), (0.10, 545)])
@@ -297,7 +318,9 @@ def test_even_steps_that_keep_the_mask_are_many(k: float, steps: int) -> None:
 
 
 def test_what_eighteen_bits_span() -> None:
-    """Six bits for each signed component, 1 + 31 + 31 levels: 503 : 1 at k = 0.1; 63 amplitudes at 0.05: 547 : 1."""
+    """Six bits for each signed component, 1 + 31 + 31 levels: 503 : 1 at k = 0.1; 63 amplitudes at 0.05: 547
+    : 1.
+    """
     ladder = WeberLadder(0.1, 3.3 / 503, 31)
     assert 2 * len(ladder.levels_n) - 1 == 1 + 31 + 31 < 1 << 6  # the zero has no sign
     assert ladder.force_max_n / ladder.force_min_n == pytest.approx(503, abs=0.5)

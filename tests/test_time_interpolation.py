@@ -1,4 +1,6 @@
-"""Depth at another rate: times, holds, what lies between two frames, poses between poses, and who asks for it."""
+"""Depth at another rate: times, holds, what lies between two frames, poses between poses, and who asks for
+it.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,8 @@ depths = hnp.arrays(
 shares = st.floats(0.001, 0.999)
 
 
-# -- times ---------------------------------------------------------------------------------------------------------
+# -- times
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_papers_twenty_frames_become_eight_hundred() -> None:
@@ -128,7 +131,8 @@ def test_one_picture_stays_one_frame() -> None:
     assert np.array_equal(sequence.poses, np.eye(4)[None])
 
 
-# -- between two frames --------------------------------------------------------------------------------------------
+# -- between two frames
+# --------------------------------------------------------------------------------------------
 
 
 @given(depths, shares)
@@ -156,7 +160,8 @@ def test_a_hand_before_a_wall() -> None:
     assert np.array_equal(seen["nearest"], frames[0])
 
 
-# -- poses ---------------------------------------------------------------------------------------------------------
+# -- poses
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_poses_between_poses_turn_and_move_evenly() -> None:
@@ -183,7 +188,8 @@ def test_a_pose_that_is_no_motion_is_an_error() -> None:
         InterpolatedSequence(Kept(ramp(3), poses=poses), 100.0)
 
 
-# -- what was asked ------------------------------------------------------------------------------------------------
+# -- what was asked
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -247,7 +253,8 @@ def test_one_depth_map_takes_the_rate_of_the_medium(tmp_path: Path) -> None:
     assert (scene.frame_count, scene.rate_hz) == (1, 1000.0)
 
 
-# -- the paper's scene 2, with a real sequence ---------------------------------------------------------------------
+# -- the paper's scene 2, with a real sequence
+# ---------------------------------------------------------------------
 
 
 class First(DepthSequence):
@@ -256,7 +263,10 @@ class First(DepthSequence):
     def __init__(self, source: DepthSequence, count: int, rate_hz: float) -> None:
         self.source, self.frame_count, self.rate_hz = source, count, rate_hz
         self.name, self.width, self.height = source.name, source.width, source.height
-        self.intrinsics, self.poses = source.intrinsics, None if source.poses is None else source.poses[:count]
+        self.intrinsics, self.poses = (
+            source.intrinsics,
+            None if source.poses is None else source.poses[:count],
+        )
 
     def depth_m(self, frame: int) -> np.ndarray:
         return self.source.depth_m(frame)
@@ -269,7 +279,9 @@ def test_twenty_real_frames_become_eight_hundred(shared_data: Path) -> None:
     flying, jumped = Counter[str](), 0
     for rule, sequence in by_rule.items():
         assert sequence.frame_count == 800
-        assert sequence.poses is not None and np.allclose(sequence.poses[[0, 400, 799]], source.poses[[0, 10, 19]])
+        assert sequence.poses is not None and np.allclose(
+            sequence.poses[[0, 400, 799]], source.poses[[0, 10, 19]]
+        )
         last = source.depth_m(19)
         assert np.array_equal(sequence.depth_m(760), last) and np.array_equal(sequence.depth_m(799), last)
         for i in (0, 9, 18):

@@ -1,4 +1,6 @@
-"""Type 2 end to end (paper section 5.1, table 2): medium, actuators, perceptual filter, 6 bits a sample, stream."""
+"""Type 2 end to end (paper section 5.1, table 2): medium, actuators, perceptual filter, 6 bits a sample,
+stream.
+"""
 
 from __future__ import annotations
 
@@ -60,19 +62,24 @@ def scenes() -> dict[str, Scene]:
     return {"direct": DepthScene(Room()), "symbolic": blob()}
 
 
-# -- the ladder of 6 bits ------------------------------------------------------------------------------------------
+# -- the ladder of 6 bits
+# ------------------------------------------------------------------------------------------
 
 
 def test_63_steps_and_a_zero_span_547_to_1() -> None:
     ladder = weber_ladder(K, 3.3, 63)
     table = weber_levels(ladder)
     assert len(table) == 64 and table.levels_n[0] == 0
-    assert round(RATIO**63) == 547 and ladder.force_max_n / ladder.force_min_n == pytest.approx(RATIO**63, rel=1e-4)
+    assert round(RATIO**63) == 547 and ladder.force_max_n / ladder.force_min_n == pytest.approx(
+        RATIO**63, rel=1e-4
+    )
     assert ladder.force_max_n == pytest.approx(3.3, rel=1e-6)
 
 
 @given(st.floats(0.01, 0.05), st.integers(1, 9), st.floats(1e-3, 1e3), st.lists(st.floats(0, 1), max_size=30))
-def test_a_ladder_of_so_many_steps_keeps_the_mask_up_to_its_top(k: float, nq: int, top: float, parts: list) -> None:
+def test_a_ladder_of_so_many_steps_keeps_the_mask_up_to_its_top(
+    k: float, nq: int, top: float, parts: list
+) -> None:
     amplitudes = (top * np.array([1.0, *parts])).astype(np.float32)
     table = weber_levels(weber_ladder(k, float(amplitudes.max()), 2**nq - 1))
     assert len(table) == 2**nq  # n_q bits a sample
@@ -102,7 +109,8 @@ def test_arrays_take_all_levels_and_points_as_many_as_k_needs() -> None:
         PaperSpec(weber_levels="most")
 
 
-# -- the whole chain -----------------------------------------------------------------------------------------------
+# -- the whole chain
+# -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("tag", ["direct", "symbolic"])
@@ -194,6 +202,8 @@ def test_an_ordinary_video_on_the_shirt(tmp_path: Path) -> None:
 def test_real_depth_on_the_shirt(shared_data: Path, tmp_path: Path) -> None:
     source, path = shared_data / "rgbd_tum_fr1_rpy", tmp_path / "a.touch"
     alone = SourceOptions(world="frames")
-    done = encode(source, path, EncodeSpec(device=SHIRT, coder="paper", paper=SIX_BITS, frames=(0, 4), source=alone))
+    done = encode(
+        source, path, EncodeSpec(device=SHIRT, coder="paper", paper=SIX_BITS, frames=(0, 4), source=alone)
+    )
     assert 8 * done.file_bytes < 6 * 32 * 32 * 4
     assert compare(source, path).meter.mask_violations == 0

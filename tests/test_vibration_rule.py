@@ -80,5 +80,7 @@ def test_a_lattice_that_differs_by_rounding_keeps_the_vibration() -> None:
     made = vibrating(HapticMedium.from_frames([ForceField.empty(GRID)], 10.0), VibrationRule(), 3.3)
     x, y, z = GRID.origin_m
     near = Grid(GRID.shape, GRID.spacing_m, (x + 1e-10, y, z))
-    passed = device_medium(StoredScene(made), device("phantom-omni"), near, Placement(), profile_of(LawSpec(), 0.01))
+    passed = device_medium(
+        StoredScene(made), device("phantom-omni"), near, Placement(), profile_of(LawSpec(), 0.01)
+    )
     assert passed.grid == near and passed.vibration is not None and passed.vibration(0).grid == near

@@ -23,7 +23,8 @@ from touchfield.perception.vibrotactile import (
 from touchfield.sources.recordings.recording import Recording
 from touchfield.tasks.texture import texture_of
 
-# -- crossover -----------------------------------------------------------------------------------------------------
+# -- crossover
+# -----------------------------------------------------------------------------------------------------
 
 
 @settings(deadline=None, max_examples=30)
@@ -44,7 +45,9 @@ def test_a_crossover_is_of_linear_phase_without_delay_and_6_db_down() -> None:
     impulse[len(h) // 2] = 1
     tall = np.zeros(4 * len(h))
     tall[2 * len(h)] = 1
-    np.testing.assert_allclose(own.split(tall)[1][2 * len(h) - len(h) // 2 :][: len(h)], impulse - h, atol=1e-12)
+    np.testing.assert_allclose(
+        own.split(tall)[1][2 * len(h) - len(h) // 2 :][: len(h)], impulse - h, atol=1e-12
+    )
     f = np.array([0.0, 10.0, 30.0, 60.0, 500.0])
     gains = [abs((taps * np.exp(-2j * np.pi * f[:, None] * np.arange(len(h)) / 2000)).sum(1)) for taps in
              (h, impulse - h)]  # fmt: skip
@@ -61,7 +64,8 @@ def test_a_crossover_is_of_linear_phase_without_delay_and_6_db_down() -> None:
     np.testing.assert_allclose(own.split(short)[0], longer[400:-400], atol=1e-12)
 
 
-# -- DFT321 and spectra --------------------------------------------------------------------------------------------
+# -- DFT321 and spectra
+# --------------------------------------------------------------------------------------------
 
 
 @settings(deadline=None, max_examples=40)
@@ -107,7 +111,9 @@ def test_a_level_is_that_of_the_band_and_of_no_other() -> None:
     share = np.array(BANDS_HZ) * (10**0.05 - 10**-0.05) / (RATE_HZ / 2)
     assert np.abs(10 * np.log10(white / share)).max() < 0.6
     assert band_rms(noise(2000), 1000.0)[12:].max() == 0  # 501 Hz and above do not fit into 1 kHz
-    at_once = band_rms(np.cos(np.pi * np.arange(4500)), 2000 * 10**0.05)  # the last band ends at half the rate
+    at_once = band_rms(
+        np.cos(np.pi * np.arange(4500)), 2000 * 10**0.05
+    )  # the last band ends at half the rate
     assert at_once[15] == pytest.approx(1.0, rel=1e-3) and at_once[:15].max() < 1e-3
     assert not band_rms(np.zeros(1000), 2000.0).any()  # half a second does
 
@@ -122,7 +128,8 @@ def test_a_handle_is_shaken_by_the_force_as_it_was_recorded() -> None:
     assert slow < 1e-9 < felt  # the lowest band begins at 28.2 Hz
 
 
-# -- what must be sent ---------------------------------------------------------------------------------------------
+# -- what must be sent
+# ---------------------------------------------------------------------------------------------
 
 
 def worst_margin_db(error: Float64s, rate_hz: float) -> float:
@@ -160,10 +167,14 @@ def test_what_is_lost_stays_below_the_threshold_in_every_third(kind: str, newton
 
 @pytest.mark.parametrize("margin_db", [0.0, 3.0, 6.0, 12.0])
 @pytest.mark.parametrize("kind", ["white", "tone"])
-def test_what_is_lost_is_as_far_below_the_threshold_as_asked_and_no_farther(kind: str, margin_db: float) -> None:
+def test_what_is_lost_is_as_far_below_the_threshold_as_asked_and_no_farther(
+    kind: str, margin_db: float
+) -> None:
     signal = 0.1 * (noise(6000) if kind == "white" else np.sin(2 * np.pi * 97 * np.arange(6000) / 2000))
     sent = reduced(signal, 2000.0, margin_db=margin_db)
-    assert -1.0 < worst_margin_db(signal - sent.decoded(), 2000.0) - margin_db < 1.5  # windows of another form
+    assert (
+        -1.0 < worst_margin_db(signal - sent.decoded(), 2000.0) - margin_db < 1.5
+    )  # windows of another form
     if margin_db == 3.0:  # the one that is taken where none is asked for
         np.testing.assert_array_equal(reduced(signal, 2000.0).symbols, sent.symbols)
 
@@ -196,13 +207,17 @@ def test_the_bits_are_those_of_a_code_that_learns() -> None:
     assert sent.bits == pytest.approx(total, rel=1e-9)
 
 
-# -- bad input -----------------------------------------------------------------------------------------------------
+# -- bad input
+# -----------------------------------------------------------------------------------------------------
 
 NAN = np.full((8, 3), np.nan)
 
 CALLS = {
     "crossover rate": (lambda: Crossover(0.0), "rate_hz: found 0.0"),
-    "crossover cutoff": (lambda: Crossover(100.0, 50.0), "cutoff_hz: found 50 Hz; expected below half of 100 Hz"),
+    "crossover cutoff": (
+        lambda: Crossover(100.0, 50.0),
+        "cutoff_hz: found 50 Hz; expected below half of 100 Hz",
+    ),
     "crossover long": (lambda: Crossover(1e9, 1.0), "expected a higher one"),
     "split nan": (lambda: Crossover(1000.0).split(NAN), "signal: found nan at sample 0"),
     "split shape": (lambda: Crossover(1000.0).split(np.zeros((3, 4))), r"expected \[n\] or \[n, 3\]"),

@@ -35,7 +35,9 @@ def medium(shape: tuple[int, int, int], frames: int = 2, seed: int = 0) -> Hapti
     """Frames of a few hundred random forces."""
     draw = np.random.default_rng(seed)
     forces = draw.standard_normal((frames, *shape, 3)) * (draw.random((frames, *shape, 1)) < 0.2)
-    made = HapticMedium.from_array(forces.astype(np.float32), Grid(shape, (0.001, 0.002, 0.003), (0.1, 0.0, -0.1)))
+    made = HapticMedium.from_array(
+        forces.astype(np.float32), Grid(shape, (0.001, 0.002, 0.003), (0.1, 0.0, -0.1))
+    )
     return replace(made, axes="x right, y up, z near", friction=0.25, tags=("symbolic",))
 
 
@@ -70,7 +72,12 @@ def test_chunks_of_other_hands_need_be_no_bricks(tmp_path: Path) -> None:
     made, path = medium((20, 9, 17)), tmp_path / "a.zarr"
     write_zarr(path, made)
     array = zarr.create_array(
-        path, name="forces_n", shape=(2, 20, 9, 17, 3), chunks=(2, 5, 4, 17, 3), dtype="float64", overwrite=True
+        path,
+        name="forces_n",
+        shape=(2, 20, 9, 17, 3),
+        chunks=(2, 5, 4, 17, 3),
+        dtype="float64",
+        overwrite=True,
     )
     array[:] = np.stack([field.to_dense() for field in made])
     assert list(read_zarr(path)) == list(made)
@@ -96,10 +103,14 @@ def test_levels_of_detail_follow(tmp_path: Path) -> None:
 def test_an_empty_part_takes_no_bytes(tmp_path: Path) -> None:
     dense = np.zeros((2, 300, 20, 20, 3), np.float32)
     dense[0, 3, 3, 3] = dense[1, 260, 3, 3] = 1
-    write_zarr(tmp_path / "a.zarr", HapticMedium.from_array(dense, Grid((300, 20, 20), (0.001,) * 3, (0.0,) * 3)))
+    write_zarr(
+        tmp_path / "a.zarr", HapticMedium.from_array(dense, Grid((300, 20, 20), (0.001,) * 3, (0.0,) * 3))
+    )
     files = [p for p in (tmp_path / "a.zarr").rglob("*") if p.is_file() and p.name != "zarr.json"]
     assert len(files) == 2 and max(file.stat().st_size for file in files) < 5000
-    assert all(np.array_equal(read.to_dense(), one) for read, one in zip(read_zarr(tmp_path / "a.zarr"), dense))
+    assert all(
+        np.array_equal(read.to_dense(), one) for read, one in zip(read_zarr(tmp_path / "a.zarr"), dense)
+    )
 
 
 def test_parts_cover_a_lattice_once() -> None:
@@ -183,7 +194,9 @@ def test_a_stranger_is_refused_in_one_line(tmp_path: Path) -> None:
         "chunks": lambda group, array: array.update(chunk_grid=huge, codecs=[{"name": "bytes"}]),
         "codec": change("codecs", [{"name": "bytes"}, {"name": "numcodecs.pickle"}]),
         "codecs": change("codecs", {"a": 1}),
-        "inner": lambda group, array: array["codecs"][0]["configuration"]["codecs"].append({"name": "pickle"}),
+        "inner": lambda group, array: array["codecs"][0]["configuration"]["codecs"].append(
+            {"name": "pickle"}
+        ),
         "spacing": about("spacing_m", [0, 1, 1]),
         "missing": lambda group, array: group["attributes"]["touchfield"].pop("rate_hz"),
         "nan": about("rate_hz", "fast"),

@@ -26,7 +26,9 @@ def write_video(
 
 
 def depths_mm(frames: int = 20, height: int = 30, width: int = 40) -> np.ndarray:
-    """Millimetres, uint16 [frames, height, width]: a wall that recedes, noise in its last digits, two odd pixels."""
+    """Millimetres, uint16 [frames, height, width]: a wall that recedes, noise in its last digits, two odd
+    pixels.
+    """
     noise = np.random.default_rng(4).integers(0, 9, (frames, height, width))
     slope = 800 + 7 * np.arange(height)[:, None] + 5 * np.arange(width)
     depth = (slope + noise + 11 * np.arange(frames)[:, None, None]).astype(np.uint16)

@@ -1,9 +1,9 @@
 """Frozen loops that serve as yardsticks: the time of a kernel of ours over theirs is stored and guarded.
 
 Each does the kind of work of one kernel of ours (the memory it reads, its arithmetic, its branches), so
-that another processor, another load or another compiler changes both times alike. They import nothing of the package
-and are compiled by plain numba. Never change them: the stored ratios would mean nothing. Of another kind of work a
-new loop is added, and its ratio stored.
+that another processor, another load or another compiler changes both times alike. They import nothing of the
+package and are compiled by plain numba. Never change them: the stored ratios would mean nothing. Of another
+kind of work a new loop is added, and its ratio stored.
 """
 
 from __future__ import annotations
@@ -34,12 +34,19 @@ def image_planes(depth, out):
                 weight += share * np.float32(n * n)
             a, b = along / weight, across / weight
             scale = np.float32(1) / np.sqrt(a * a + b * b + np.float32(1))
-            out[y, x, 0], out[y, x, 1], out[y, x, 2], out[y, x, 3] = a * scale, b * scale, scale, middle * scale
+            out[y, x, 0], out[y, x, 1], out[y, x, 2], out[y, x, 3] = (
+                a * scale,
+                b * scale,
+                scale,
+                middle * scale,
+            )
 
 
 @frozen(fastmath=True, error_model="numpy")
 def projected_forces(planes, out):
-    """A dense lattice [n, n, n, 3] that looks up a plane of an image [h, w, 4] at each sample: for depth bricks."""
+    """A dense lattice [n, n, n, 3] that looks up a plane of an image [h, w, 4] at each sample: for depth
+    bricks.
+    """
     height, width = planes.shape[:2]
     side = out.shape[0]
     for i in range(side):
@@ -129,7 +136,8 @@ def interpolated(field, points, out):
 def coded_bits(symbols, squash, stretch, out):
     """Bytes of an adaptive binary range coder that mixes three models by their logits: for the coder.
 
-    Symbols uint8 [n, n, n] in raster order; contexts are neighbours. `squash` [4096] and `stretch` [4096] are tables.
+    Symbols uint8 [n, n, n] in raster order; contexts are neighbours. `squash` [4096] and `stretch` [4096] are
+    tables.
     """
     side = symbols.shape[0]
     models = np.full((3, 1 << 14), 2048, np.int32)

@@ -1,4 +1,6 @@
-"""Python imports this at its start where `provenance.Trace` is on: it notes which files the process has loaded."""
+"""Python imports this at its start where `provenance.Trace` is on: it notes which files the process has
+loaded.
+"""
 
 import atexit
 import os

@@ -1,4 +1,6 @@
-"""The low-pass of a tactile T-shirt (paper section 3.2): the printed cut-off, the correct one, and aliasing seen."""
+"""The low-pass of a tactile T-shirt (paper section 3.2): the printed cut-off, the correct one, and aliasing
+seen.
+"""
 
 import sys
 from pathlib import Path
@@ -8,12 +10,13 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 # %%
 # # The low-pass of a tactile T-shirt
 #
-# Section 3.2 of the paper puts an array of vibrators into a T-shirt, a distance $d$ apart, and says that "the maximum
-# frequency that can be rendered is $f = 2\,\frac{1}{d}$". Samples a distance $d$ apart carry waves up to $1/(2d)$:
-# the printed cut-off is four times too high. What lies between the two passes the filter, and the vibrators show it
-# as something that is not there.
+# Section 3.2 of the paper puts an array of vibrators into a T-shirt, a distance $d$ apart, and says that "the
+# maximum frequency that can be rendered is $f = 2\,\frac{1}{d}$". Samples a distance $d$ apart carry waves up
+# to $1/(2d)$: the printed cut-off is four times too high. What lies between the two passes the filter, and
+# the vibrators show it as something that is not there.
 #
-# Here is the proof, with vibrators 35 mm apart and a pattern of ridges 44 mm apart, which is a wave of $0.8/d$.
+# Here is the proof, with vibrators 35 mm apart and a pattern of ridges 44 mm apart, which is a wave of
+# $0.8/d$.
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -30,16 +33,21 @@ for cutoff, h in taps.items():
     spectrum = np.abs(np.fft.rfft(shown - shown.mean())) / len(shown)
     strongest = np.fft.rfftfreq(len(shown))[spectrum.argmax()]
     print(
-        f"{cutoff:8s} cut-off {cutoff_per_m(pitch_m, cutoff) * pitch_m:g}/d, {len(h):4d} taps: the vibrators show",
+        f"{cutoff:8s} cut-off {cutoff_per_m(pitch_m, cutoff) * pitch_m:g}/d, {len(h):4d} taps: the vibrators "
+        "show",
         end=" ",
     )
-    print(f"a wave of {strongest:.2f}/d" if spectrum.max() > 1e-3 else f"no wave, {shown.mean():.2f} N throughout")
+    print(
+        f"a wave of {strongest:.2f}/d"
+        if spectrum.max() > 1e-3
+        else f"no wave, {shown.mean():.2f} N throughout"
+    )
 
 # %%
 # ## On a real scene
 #
-# The motorcycle on a T-shirt of 32 x 32 vibrators: each shows the strongest force in its column of the scene, after
-# the low-pass. Both pictures have the same scale.
+# The motorcycle on a T-shirt of 32 x 32 vibrators: each shows the strongest force in its column of the scene,
+# after the low-pass. Both pictures have the same scale.
 shirts = {}
 for cutoff in ("literal", "nyquist"):
     spec = tf.EncodeSpec(device="tshirt-32x32", cutoff=cutoff)
@@ -50,10 +58,10 @@ print(f"{(apart > 0.1 * shirts['nyquist'].clip(0.5)).mean():.0%} of the vibrator
 # %%
 # ## The figure
 #
-# Above left: the two filters; everything in the grey part cannot be shown by the array, and whatever passes there
-# comes back folded. Above right: the ridges, and what each filter leaves of them at the vibrators: the printed
-# cut-off makes false ridges four times as far apart, the correct one says that there is nothing to feel. Below: the
-# scene.
+# Above left: the two filters; everything in the grey part cannot be shown by the array, and whatever passes
+# there comes back folded. Above right: the ridges, and what each filter leaves of them at the vibrators: the
+# printed cut-off makes false ridges four times as far apart, the correct one says that there is nothing to
+# feel. Below: the scene.
 figure = plt.figure(figsize=(13, 8), layout="constrained")
 upper, lower = figure.subfigures(2, 1, height_ratios=(1, 1.1))
 left, right = upper.subplots(1, 2, width_ratios=(1, 1.3))
@@ -77,7 +85,11 @@ right.plot(1e3 * x_m[part], ridges[part], color="0.7", label="ridges of 0.8/d")
 for cutoff in taps:
     at = slice(0, 32 * 12 + 1, 32)
     right.plot(
-        1e3 * x_m[at], filtered[cutoff][at], "o-", color=colours[cutoff], label=f"at the vibrators, {names[cutoff]}"
+        1e3 * x_m[at],
+        filtered[cutoff][at],
+        "o-",
+        color=colours[cutoff],
+        label=f"at the vibrators, {names[cutoff]}",
     )
 right.set_xlabel("place on the skin / mm")
 right.set_ylabel("force / N")

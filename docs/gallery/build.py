@@ -1,10 +1,11 @@
-"""Make the pages of the gallery: run each narrated script, and set its words, code, output and figures as Markdown.
+"""Make the pages of the gallery: run each narrated script, and set its words, code, output and figures as
+Markdown.
 
     python docs/gallery/build.py [FOLDER]
 
-A script is cells that begin with ``# %%``; the comment lines that open a cell are its words. What a cell prints
-follows it, and every PNG that it writes into the folder ``OUT`` is shown after it. The script is also a script:
-``python docs/gallery/figure_2.py FOLDER`` writes the figures alone.
+A script is cells that begin with ``# %%``; the comment lines that open a cell are its words. What a cell
+prints follows it, and every PNG that it writes into the folder ``OUT`` is shown after it. The script is also
+a script: ``python docs/gallery/figure_2.py FOLDER`` writes the figures alone.
 """
 
 from __future__ import annotations

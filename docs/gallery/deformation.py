@@ -8,11 +8,11 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 # %%
 # # A body that bends at the receiver
 #
-# Section 6.3 of the paper asks for deformation "without closing the loop". Here a receiver holds the field of a body
-# at rest and a lattice of 8 x 8 x 8 control points, which say of every place where in that field it is looked up:
-# psi(x) = x + u(x). The force is turned by the slopes of that map, F' = (I + grad u)^T F(psi(x)), and is free of curl
-# where F was. The body is a capsule, 80 mm long and 20 mm thick; the points on its skin, straight and bent, are all
-# that the control points are fitted to.
+# Section 6.3 of the paper asks for deformation "without closing the loop". Here a receiver holds the field of
+# a body at rest and a lattice of 8 x 8 x 8 control points, which say of every place where in that field it is
+# looked up: psi(x) = x + u(x). The force is turned by the slopes of that map, F' = (I + grad u)^T F(psi(x)),
+# and is free of curl where F was. The body is a capsule, 80 mm long and 20 mm thick; the points on its skin,
+# straight and bent, are all that the control points are fitted to.
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -55,9 +55,9 @@ print(f"{tracks}: to {1e6 * rms_m:.0f} um, least determinant {tracks.least_deter
 # %%
 # ## Beside the field made anew
 #
-# At each step of the bend the field of the bent capsule is made anew, which is what the sender would have to send,
-# and compared with the one that the receiver bends. Most of what is off lies on the axis, where the force turns
-# around from one sample to the next and no lattice of samples tells where.
+# At each step of the bend the field of the bent capsule is made anew, which is what the sender would have to
+# send, and compared with the one that the receiver bends. Most of what is off lies on the axis, where the
+# force turns around from one sample to the next and no lattice of samples tells where.
 player = tf.FieldSampler(rest, deformation=tracks)
 for n in (2, 4, 6, 8):
     bent, anew, still = player.force_n(n / 30, at), force_n(at, bends[n]), force_n(at, bends[0])
@@ -68,8 +68,8 @@ for n in (2, 4, 6, 8):
 # %%
 # ## The figure
 #
-# Left: the straight field that is stored. Middle: bent by the receiver, with the control points of the slice where
-# they now look. Right: what is off, on the same scale of newtons.
+# Left: the straight field that is stored. Middle: bent by the receiver, with the control points of the slice
+# where they now look. Right: what is off, on the same scale of newtons.
 slices = [part[:, 32] for part in (force_n(at, bends[0]), bent, bent - anew)]
 figure, panels = plt.subplots(1, 3, figsize=(14, 4.2), layout="constrained", sharey=True)
 extent = 1e3 * np.array([grid.axis_m(0)[0], grid.axis_m(0)[-1], grid.axis_m(2)[0], grid.axis_m(2)[-1]])

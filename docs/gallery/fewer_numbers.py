@@ -8,9 +8,10 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 # %%
 # # Fewer numbers
 #
-# Section 6.1 of the paper fears the dimensionality of a medium that is sent whole, names "space partitioning and
-# culling", and leaves "a fundamental theoretical treatment of dimensionality reduction" to others. Two parts of an
-# answer: what varies together is told by few modes, and what no hand can reach need not be told at all.
+# Section 6.1 of the paper fears the dimensionality of a medium that is sent whole, names "space partitioning
+# and culling", and leaves "a fundamental theoretical treatment of dimensionality reduction" to others. Two
+# parts of an answer: what varies together is told by few modes, and what no hand can reach need not be told
+# at all.
 import matplotlib
 
 matplotlib.use("Agg")
@@ -24,7 +25,8 @@ from touchfield.tasks.reduction import culled
 # %%
 # ## A solid that breathes, and one that walks
 #
-# A ball of 45 mm, solid, in a box of 144 mm: one changes its radius by 3 mm, the other goes 24 mm to the right.
+# A ball of 45 mm, solid, in a box of 144 mm: one changes its radius by 3 mm, the other goes 24 mm to the
+# right.
 count, step_m = 48, 0.003
 grid = tf.Grid((count,) * 3, (step_m,) * 3, (-0.0705,) * 3)
 x = np.stack(np.meshgrid(*[grid.axis_m(a) for a in range(3)], indexing="ij"), axis=-1)
@@ -42,15 +44,16 @@ turns = 2 * np.pi * np.arange(40) / 40
 breathes = [ball((0, 0, 0), 0.045 + 0.003 * np.sin(t)) for t in turns]
 walks = [ball((0.024 * n / 39 - 0.012, 0, 0), 0.045) for n in range(40)]
 media = {
-    name: tf.HapticMedium.from_frames(frames, 30.0) for name, frames in (("breathes", breathes), ("walks", walks))
+    name: tf.HapticMedium.from_frames(frames, 30.0)
+    for name, frames in (("breathes", breathes), ("walks", walks))
 }
 
 # %%
 # ## Modes
 #
 # Whole frames are the snapshots. What is left after so many modes is the tail of their singular values, known
-# beforehand. The odd frames are told with the modes of the even ones. Of a body that walks each frame is new: it has
-# more degrees of freedom, though it has only one.
+# beforehand. The odd frames are told with the modes of the even ones. Of a body that walks each frame is new:
+# it has more degrees of freedom, though it has only one.
 found = {name: reduced(medium, "global") for name, medium in media.items()}
 for name, medium in media.items():
     told, free = held_out(medium, "global"), freedom(found[name], 0.05)
@@ -62,9 +65,9 @@ for name, medium in media.items():
 # %%
 # ## What no hand reaches
 #
-# For a hand that pushes with 1 N at most, weighs 0.1 kg with its device and is never faster than 0.2 m/s, a layer of
-# the field is sought that stops it wherever it comes from (`touchfield.reduction.reach` has the proof). What lies
-# behind it is left out, and no force that such a hand can meet changes by a bit.
+# For a hand that pushes with 1 N at most, weighs 0.1 kg with its device and is never faster than 0.2 m/s, a
+# layer of the field is sought that stops it wherever it comes from (`touchfield.reduction.reach` has the
+# proof). What lies behind it is left out, and no force that such a hand can meet changes by a bit.
 hand = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
 solid = tf.HapticMedium.from_frames([ball((0, 0, 0), 0.068)], 30.0)
 reach = reach_of(solid, hand)
@@ -74,7 +77,8 @@ print(f"{hand.words}: {shell[0].support_count / solid[0].support_count:.0%} of a
 # %%
 # ## The figure
 #
-# Left: what is left of the energy after so many modes. Right: the middle section of the ball; grey is never felt.
+# Left: what is left of the energy after so many modes. Right: the middle section of the ball; grey is never
+# felt.
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained")
 for n, (name, own) in enumerate(found.items()):
     squares = own.modes.values**2

@@ -1,4 +1,6 @@
-"""The fewest points (paper section 6.2): a moving ball rebuilt from 12 of its samples, beside points at random."""
+"""The fewest points (paper section 6.2): a moving ball rebuilt from 12 of its samples, beside points at
+random.
+"""
 
 import sys
 from pathlib import Path
@@ -8,9 +10,9 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 # %%
 # # The fewest points
 #
-# Section 6.2 of the paper asks for the fewest points from which a medium can be rendered. A ball of 15 mm goes round.
-# Its frames are written with a few modes, and points are sought whose forces tell what each mode has: where they are
-# the farthest from one another (Q-DEIM), and where the modes miss least.
+# Section 6.2 of the paper asks for the fewest points from which a medium can be rendered. A ball of 15 mm
+# goes round. Its frames are written with a few modes, and points are sought whose forces tell what each mode
+# has: where they are the farthest from one another (Q-DEIM), and where the modes miss least.
 # `touchfield points 12 ball.touch rebuilt.touch` does the same with a file.
 import matplotlib.pyplot as plt
 import numpy as np
@@ -33,8 +35,8 @@ print(f"{len(rows)} frames of {len(places)} samples that ever hold a force")
 # %%
 # ## How many
 #
-# The modes are made of the even frames, and the error is that of the odd ones. What the modes cannot write of them is
-# the floor: no choice of points gets below it.
+# The modes are made of the even frames, and the error is that of the odd ones. What the modes cannot write of
+# them is the floor: no choice of points gets below it.
 learnt, seen = rows[::2], rows[1::2]
 
 
@@ -45,10 +47,13 @@ def decibels(error):
 counts, floor, ours, drawn = (4, 6, 8, 12, 16, 20), [], [], []
 for count in counts:
     modes = pod(learnt, count)
-    missed = ((learnt - modes.rebuild(modes.coefficients(learnt))) ** 2).mean(axis=0).reshape(-1, 3).sum(axis=1)
+    missed = (
+        ((learnt - modes.rebuild(modes.coefficients(learnt))) ** 2).mean(axis=0).reshape(-1, 3).sum(axis=1)
+    )
     every = [mode_points(modes, count, missed)]
     every += [
-        ModePoints(modes, np.random.default_rng(s).choice(len(places), count, replace=False)) for s in range(15)
+        ModePoints(modes, np.random.default_rng(s).choice(len(places), count, replace=False))
+        for s in range(15)
     ]
     back = [modes.rebuild(points.coefficients(seen[:, points.rows])) for points in every]
     floor.append(decibels(seen - modes.rebuild(modes.coefficients(seen))))
@@ -61,16 +66,21 @@ for count in counts:
 # %%
 # ## The figure
 #
-# Left: |F| of a frame that was held out, seen from above, and the 12 points, which stand still while the ball goes
-# round. Middle: the frame rebuilt from them. Right: the error by the number of points; of points at random the median
-# of 15 draws, and the best and the worst.
+# Left: |F| of a frame that was held out, seen from above, and the 12 points, which stand still while the ball
+# goes round. Middle: the frame rebuilt from them. Right: the error by the number of points; of points at
+# random the median of 15 draws, and the best and the worst.
 figure, (left, middle, right) = plt.subplots(1, 3, figsize=(14, 4.4), layout="constrained")
 own = seen[0].reshape(-1, 3)
 top = np.linalg.norm(own, axis=1).max()
-for panel, values, name in ((left, own, "a frame, and the points"), (middle, rebuilt, "rebuilt from 12 points")):
+for panel, values, name in (
+    (left, own, "a frame, and the points"),
+    (middle, rebuilt, "rebuilt from 12 points"),
+):
     size = np.linalg.norm(values, axis=1)
     order = np.argsort(size)
-    dots = panel.scatter(*places[order, :2].T, c=size[order], s=60, marker="s", vmin=0, vmax=top, cmap="cividis")
+    dots = panel.scatter(
+        *places[order, :2].T, c=size[order], s=60, marker="s", vmin=0, vmax=top, cmap="cividis"
+    )
     panel.scatter(*places[shown, :2].T, s=70, facecolors="none", edgecolors="#d55e00", lw=1.6)
     panel.set_title(name)
     panel.set_xlabel("x / mm")

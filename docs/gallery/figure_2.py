@@ -8,14 +8,14 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 # %%
 # # A quantiser that a hand cannot feel
 #
-# Figure 2 of the paper shows a force signal $x(t)$, its quantised version $Q(x)$, the error $|Q(x) - x|$ and the mask
-# $\Delta(x) = k\,x$ with $k = 0.25$: "the adaptive quantization step has to be carefully selected so that the
-# quantization error never exceeds the perceptual mask". The paper calls its figure qualitative. Here it is made of a
-# real signal, and the condition is checked.
+# Figure 2 of the paper shows a force signal $x(t)$, its quantised version $Q(x)$, the error $|Q(x) - x|$ and
+# the mask $\Delta(x) = k\,x$ with $k = 0.25$: "the adaptive quantization step has to be carefully selected so
+# that the quantization error never exceeds the perceptual mask". The paper calls its figure qualitative. Here
+# it is made of a real signal, and the condition is checked.
 #
 # The signal is what a hand feels that strokes over a mountain: the elevation model of the Jacksboro fault in
-# Tennessee as a force field in the workspace of a Phantom Omni, and a straight stroke of 9 cm across it in one
-# second, sampled at 1 kHz.
+# Tennessee as a force field in the workspace of a Phantom Omni, and a straight stroke of 9 cm across it in
+# one second, sampled at 1 kHz.
 import numpy as np
 
 import touchfield as tf
@@ -34,14 +34,15 @@ print(f"{x.min():.2f} to {x.max():.2f} N over one second")
 # %%
 # ## Three readings of equation 6
 #
-# Equation 6 is $Q(x) = \mathrm{sgn}(x)\,\Delta\,\lfloor |x|/\Delta + 1/2 \rfloor$ "with $\Delta$ a function of $x$".
+# Equation 6 is $Q(x) = \mathrm{sgn}(x)\,\Delta\,\lfloor |x|/\Delta + 1/2 \rfloor$ "with $\Delta$ a function
+# of $x$".
 #
-# - **As printed**, $\Delta = k|x|$: then $|x|/\Delta = 1/k$ whatever $x$ is, and $Q$ multiplies by a constant. For
-#   $k = 0.25$ the constant is 1: nothing is quantised.
+# - **As printed**, $\Delta = k|x|$: then $|x|/\Delta = 1/k$ whatever $x$ is, and $Q$ multiplies by a
+#   constant. For $k = 0.25$ the constant is 1: nothing is quantised.
 # - **One fixed step**: the error is up to $\Delta/2$ everywhere, so the mask is kept only where
 #   $x \ge \Delta/(2k)$, and is broken by every weak force.
-# - **The Weber ladder**, our default: steps that grow with the force by the ratio $(1+k)/(1-k)$. The relative error
-#   is never more than $k$, and no quantiser with fewer levels can say so.
+# - **The Weber ladder**, our default: steps that grow with the force by the ratio $(1+k)/(1-k)$. The relative
+#   error is never more than $k$, and no quantiser with fewer levels can say so.
 k = 0.25
 step_n = 0.5
 ladder = WeberLadder.spanning(k, 0.03, 3.3)
@@ -59,7 +60,8 @@ print(f"the fixed step keeps the mask from {mask_kept_from_n(step_n, k):g} N on"
 # %%
 # ## The figure
 #
-# Above: the signal and what is left of it. Below: the error, with the mask as a grey area; orange is what a hand
-# could feel. The ladder's error touches the border of the mask and never crosses it, with no more values than the
-# fixed step needs here. That is what the paper's figure 2 asks for, and what its equation 6 does not give.
+# Above: the signal and what is left of it. Below: the error, with the mask as a grey area; orange is what a
+# hand could feel. The ladder's error touches the border of the mask and never crosses it, with no more values
+# than the fixed step needs here. That is what the paper's figure 2 asks for, and what its equation 6 does not
+# give.
 draw_masked_signal(OUT / "figure_2.png", t, x, readings, k)

@@ -8,13 +8,14 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 # %%
 # # Force shading: a coarse mesh that feels smooth
 #
-# A ball of 80 triangles feels like a cut stone: the force jumps wherever the hand passes from one facet to the next.
-# Haptic renderers hide that while the hand moves, by interpolating normals. In a passive haptic medium the field is
-# computed ahead, so that the same is a filter: "Gaussian kernels, or even anisotropic diffusion for smoothing can
-# result in an information theoretic way to perform off-line force shading" (section 3.2).
+# A ball of 80 triangles feels like a cut stone: the force jumps wherever the hand passes from one facet to
+# the next. Haptic renderers hide that while the hand moves, by interpolating normals. In a passive haptic
+# medium the field is computed ahead, so that the same is a filter: "Gaussian kernels, or even anisotropic
+# diffusion for smoothing can result in an information theoretic way to perform off-line force shading"
+# (section 3.2).
 #
-# Direction and amplitude are smoothed apart, and only over the samples that hold a force. A plain Gaussian of the
-# vectors would mix in the empty space outside and make the wall soft; it is shown for comparison.
+# Direction and amplitude are smoothed apart, and only over the samples that hold a force. A plain Gaussian of
+# the vectors would mix in the empty space outside and make the wall soft; it is shown for comparison.
 import matplotlib.pyplot as plt
 import numpy as np
 import trimesh
@@ -40,8 +41,8 @@ fields = {name: faceted if step is None else step(faceted) for name, step in cha
 
 
 # %%
-# The field of a true ball points away from its centre. How far the direction is off, in degrees, says how much of the
-# facets is left; what is left of the amplitude says whether the wall is as stiff as before.
+# The field of a true ball points away from its centre. How far the direction is off, in degrees, says how
+# much of the facets is left; what is left of the amplitude says whether the wall is as stiff as before.
 def direction_error_deg(field: tf.ForceField) -> np.ndarray:
     """The angle between each force and the ball's radius there."""
     force = field.vectors_n().astype(float)
@@ -64,9 +65,9 @@ for name, field in fields.items():
 # %%
 # ## The figure
 #
-# Above: a cut through the middle of the ball, seen from the side; the colour says how far the direction is off.
-# Below: what a fingertip feels that goes once around the ball, 2 mm deep: the sideways part of the force, which is
-# zero on a true ball and pushes the finger over each facet of the model.
+# Above: a cut through the middle of the ball, seen from the side; the colour says how far the direction is
+# off. Below: what a fingertip feels that goes once around the ball, 2 mm deep: the sideways part of the
+# force, which is zero on a true ball and pushes the finger over each facet of the model.
 figure = plt.figure(figsize=(13, 6.4), layout="constrained")
 upper, lower = figure.subfigures(2, 1, height_ratios=(1.25, 1))
 panels = upper.subplots(1, 4, sharey=True)
@@ -95,7 +96,9 @@ panel = lower.subplots()
 colours = ("0.6", "#e69f00", "#0072b2", "#009e73")
 for (name, field), colour in zip(fields.items(), colours, strict=True):
     felt = (field.sample_n(around) * sideways).sum(axis=1)
-    panel.plot(np.degrees(angle), felt, color=colour, lw=1.6, label=f"{name}: {np.abs(felt).max():.2f} N at most")
+    panel.plot(
+        np.degrees(angle), felt, color=colour, lw=1.6, label=f"{name}: {np.abs(felt).max():.2f} N at most"
+    )
 panel.set_xlabel("way around the ball / degrees")
 panel.set_ylabel("sideways force / N")
 panel.set_xlim(0, 360)

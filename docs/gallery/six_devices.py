@@ -8,15 +8,15 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 # %%
 # # How much of a scene does a device let through?
 #
-# The paper's section 3.1 looks at a haptic device as a channel. A scene is an information source with an entropy
-# $H(W)$. The mapping $M$ to a device scales it into the workspace, low-passes and resamples it to what the device can
-# place, clips it to the force that the device can exert, and rounds it to the device's levels. What is left is the
-# workspace capacity $C = H(M(W))$; the *workspace mapping ratio* is $\mathrm{WMR} = C / H(W)$ and the *haptic
-# information loss* is $\mathrm{HIL} = (H(W) - C) / H(W)$.
+# The paper's section 3.1 looks at a haptic device as a channel. A scene is an information source with an
+# entropy $H(W)$. The mapping $M$ to a device scales it into the workspace, low-passes and resamples it to
+# what the device can place, clips it to the force that the device can exert, and rounds it to the device's
+# levels. What is left is the workspace capacity $C = H(M(W))$; the *workspace mapping ratio* is
+# $\mathrm{WMR} = C / H(W)$ and the *haptic information loss* is $\mathrm{HIL} = (H(W) - C) / H(W)$.
 #
-# The scene is a motorcycle, seen by a stereo camera, as a field of forces up to 20 N in the workspace of a strong
-# desktop device (delta.3, 400 x 400 x 260 mm, 128 samples along each axis). That field is $W$. The six devices are
-# three points that a hand moves and three arrays that lie on the skin.
+# The scene is a motorcycle, seen by a stereo camera, as a field of forces up to 20 N in the workspace of a
+# strong desktop device (delta.3, 400 x 400 x 260 mm, 128 samples along each axis). That field is $W$. The six
+# devices are three points that a hand moves and three arrays that lie on the skin.
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -36,9 +36,10 @@ print(f"{found.supported_voxels:,} of {found.voxels:,} voxels hold a force; Q ha
 # %%
 # ## The table
 #
-# Everything is in bits *per frame*: bits per sample would say nothing, because each device has other samples. The
-# range behind each ratio comes from a block bootstrap, since neighbouring voxels are anything but independent.
-# "Could be told" is the literal reading of equation 1, $\log_2$ of the number of states of the device.
+# Everything is in bits *per frame*: bits per sample would say nothing, because each device has other samples.
+# The range behind each ratio comes from a block bootstrap, since neighbouring voxels are anything but
+# independent. "Could be told" is the literal reading of equation 1, $\log_2$ of the number of states of the
+# device.
 print(f"{'device':15s} {'could be told':>14s} {'C':>10s} {'WMR':>9s}  {'95 % ranges, both':>20s} {'HIL':>8s}")
 for name, c in found.capacities.items():
     i = c.wmr.interval
@@ -50,10 +51,11 @@ for name, c in found.capacities.items():
 # %%
 # ## The figure
 #
-# A ratio of one to ten thousand needs a scale of powers, and that is the point: on a scale from 0 to 1 an array of
-# actuators renders nothing of the scene. A point device loses by its force limit and its workspace alone here: its
-# lattice is finer than the 128 samples of $W$, and equation 1's min() sees to it that more samples of the same field
-# do not count as more information. An array keeps one number for each actuator, and loses depth and direction.
+# A ratio of one to ten thousand needs a scale of powers, and that is the point: on a scale from 0 to 1 an
+# array of actuators renders nothing of the scene. A point device loses by its force limit and its workspace
+# alone here: its lattice is finer than the 128 samples of $W$, and equation 1's min() sees to it that more
+# samples of the same field do not count as more information. An array keeps one number for each actuator, and
+# loses depth and direction.
 kept = np.array([c.wmr.value for c in found.capacities.values()])
 ends = np.array([[c.wmr.interval.low, c.wmr.interval.high] for c in found.capacities.values()])
 lost = np.array([c.hil.value for c in found.capacities.values()])

@@ -1,4 +1,6 @@
-"""Vibration with force (paper section 6.4): a texture from a recording to the hand, and what of it must be sent."""
+"""Vibration with force (paper section 6.4): a texture from a recording to the hand, and what of it must be
+sent.
+"""
 
 import sys
 from pathlib import Path
@@ -8,11 +10,12 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 # %%
 # # Vibration with force
 #
-# Section 6.4 of the paper would "process the vibrotactile feedback in the spectral domain and then modulate the force
-# feedback appropriately in the time domain", and leaves it there. Here is one way. A tool that slides over ridges
-# 1 mm apart shakes; its acceleration, three axes at three speeds, is made up here and might as well come from
-# `touchfield texture drag.wav -o oak.json --speed-m-s 0.05 --force-n 0.6`. It becomes one axis (DFT321), a force that
-# shakes a hand likewise, and a table: newtons in thirds of an octave, by speed and force.
+# Section 6.4 of the paper would "process the vibrotactile feedback in the spectral domain and then modulate
+# the force feedback appropriately in the time domain", and leaves it there. Here is one way. A tool that
+# slides over ridges 1 mm apart shakes; its acceleration, three axes at three speeds, is made up here and
+# might as well come from `touchfield texture drag.wav -o oak.json --speed-m-s 0.05 --force-n 0.6`. It becomes
+# one axis (DFT321), a force that shakes a hand likewise, and a table: newtons in thirds of an octave, by
+# speed and force.
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -36,15 +39,18 @@ for speed in speeds_m_s:
 oak = texture_of(recordings, speeds_m_s, (0.6, 0.6, 0.6), "oak", friction=0.3)
 for speed, levels_n in zip(speeds_m_s, oak.levels_n[:, 0], strict=True):
     loudest = int(levels_n.argmax())
-    print(f"{1e3 * speed:3.0f} mm/s: {1e3 * levels_n[loudest]:.1f} mN in the third at {BANDS_HZ[loudest]:.0f} Hz")
+    print(
+        f"{1e3 * speed:3.0f} mm/s: {1e3 * levels_n[loudest]:.1f} mN in the third at {BANDS_HZ[loudest]:.0f} "
+        "Hz"
+    )
 
 # %%
 # ## As it is felt
 #
-# A simulated hand slides over a wall that is made of this oak, at each of the speeds. The field says how hard the
-# wall pushes, the table how it shakes; what the device puts out has passed every limit. So its thirds are those of
-# the table, but at the highest speed, where the force would change faster than the slew limit allows: there all of
-# them are weaker by the same factor, and the player tells it.
+# A simulated hand slides over a wall that is made of this oak, at each of the speeds. The field says how hard
+# the wall pushes, the table how it shakes; what the device puts out has passed every limit. So its thirds are
+# those of the table, but at the highest speed, where the force would change faster than the slew limit
+# allows: there all of them are weaker by the same factor, and the player tells it.
 grid = tf.Grid((65, 17, 17), (0.005,) * 3, (-0.16, -0.04, -0.06))
 force = np.zeros((1, *grid.shape, 3))
 force[..., 2] = np.maximum(-400 * (grid.origin_m[2] + 0.005 * np.arange(17)), 0)
@@ -67,9 +73,9 @@ print(next(note for note in run.notes if "slew" in note))
 # %%
 # ## As it is sent
 #
-# The force of the fastest slide, three axes, is split at 30 Hz into what is felt as a force, which a field codes, and
-# a vibration. Of that goes what a hand that holds a stylus can feel: thirds below its threshold are dropped, the
-# others quantised so that what is lost stays 3 dB below it.
+# The force of the fastest slide, three axes, is split at 30 Hz into what is felt as a force, which a field
+# codes, and a vibration. Of that goes what a hand that holds a stylus can feel: thirds below its threshold
+# are dropped, the others quantised so that what is lost stays 3 dB below it.
 low, high = Crossover(2500.0).split(felt[0.16])
 one = dft321(high)
 sent = reduced(one, 2500.0)
@@ -80,9 +86,9 @@ print(f"{16 * 2.5:.0f} kbit/s of 16-bit samples become {sent.bits_per_s / 1e3:.1
 # %%
 # ## The figure
 #
-# Left: the force of the slide and its two parts, which add up to it. Middle: the vibration by thirds of an octave,
-# and what is lost of it, below the threshold. Right: the table (lines) and the hand (points); ridges 1 mm apart shake
-# at 40, 80 and 160 Hz.
+# Left: the force of the slide and its two parts, which add up to it. Middle: the vibration by thirds of an
+# octave, and what is lost of it, below the threshold. Right: the table (lines) and the hand (points); ridges
+# 1 mm apart shake at 40, 80 and 160 Hz.
 figure, (left, middle, right) = plt.subplots(1, 3, figsize=(14, 4.4), layout="constrained")
 part = slice(600, 1100)
 t = np.arange(len(one))[part] / 2.5

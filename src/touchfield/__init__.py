@@ -7,12 +7,12 @@
         print(stream.medium[0].sample_n([0.0, 0.0, 0.0]), "N")
     tf.compare("sample:terrain", "terrain.touch").draw("terrain.png")
 
-The names in ``__all__`` are the ones that most programs need. Everything else is reached through its package, which
-is imported when it is first used: ``tf.medium`` (grids, fields, media), ``tf.sources``, ``tf.devices``,
-``tf.perception``, ``tf.filters``, ``tf.measure``, ``tf.reduction``, ``tf.codec``, ``tf.container``, ``tf.pipeline``
-(figure 4 of the paper), ``tf.render`` (the receiver), ``tf.viewer``, ``tf.network``, ``tf.exchange``, ``tf.tasks``
-(what each command does), ``tf.cli``. After Moustakas and Lalos, *An information-theoretic treatment of passive haptic
-media*.
+The names in ``__all__`` are the ones that most programs need. Everything else is reached through its package,
+which is imported when it is first used: ``tf.medium`` (grids, fields, media), ``tf.sources``, ``tf.devices``,
+``tf.perception``, ``tf.filters``, ``tf.measure``, ``tf.reduction``, ``tf.codec``, ``tf.container``,
+``tf.pipeline`` (figure 4 of the paper), ``tf.render`` (the receiver), ``tf.viewer``, ``tf.network``,
+``tf.exchange``, ``tf.tasks`` (what each command does), ``tf.cli``. After Moustakas and Lalos, *An
+information-theoretic treatment of passive haptic media*.
 """
 
 from __future__ import annotations
@@ -118,14 +118,33 @@ register(
 
 _PACKAGES = frozenset(
     (
-        *("cli", "codec", "compute", "container", "devices", "exchange", "filters", "measure", "medium", "network"),
+        *(
+            "cli",
+            "codec",
+            "compute",
+            "container",
+            "devices",
+            "exchange",
+            "filters",
+            "measure",
+            "medium",
+            "network",
+        ),
         *("perception", "pipeline", "reduction", "render", "sources", "tasks", "viewer"),
     )
 )
 _MODULES = {
     "touchfield.devices": ("device",),
     "touchfield.medium": ("ForceField", "Grid", "HapticMedium"),
-    "touchfield.pipeline": ("EncodeSpec", "compare", "decode", "encode", "open_stream", "prepare", "write_field"),
+    "touchfield.pipeline": (
+        "EncodeSpec",
+        "compare",
+        "decode",
+        "encode",
+        "open_stream",
+        "prepare",
+        "write_field",
+    ),
     "touchfield.render.player": ("Player",),
     "touchfield.render.sampler": ("FieldSampler",),
     "touchfield.sources.registry": ("open_source",),

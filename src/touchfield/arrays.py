@@ -15,13 +15,17 @@ Float64s = NDArray[np.float64]
 
 
 def lengths_of(vectors: NDArray[Any]) -> NDArray[Any]:
-    """Lengths [...] of vectors [..., 3]: `numpy.linalg.norm`, two to six times as fast along so short an axis."""
+    """Lengths [...] of vectors [..., 3]: `numpy.linalg.norm`, two to six times as fast along so short an
+    axis.
+    """
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 class Travels:
-    """Base of a dataclass made anew of its fields where it is copied or pickled: a read-only mapping cannot be."""
+    """Base of a dataclass made anew of its fields where it is copied or pickled: a read-only mapping cannot
+    be.
+    """
 
     def __reduce__(self) -> tuple[Any, ...]:
         mine: Any = self
@@ -30,7 +34,9 @@ class Travels:
 
 
 class EqualByValue:
-    """Base of a dataclass with arrays (and ``eq=False``): equal to one of its class whose fields are all equal."""
+    """Base of a dataclass with arrays (and ``eq=False``): equal to one of its class whose fields are all
+    equal.
+    """
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):

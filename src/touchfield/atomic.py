@@ -18,13 +18,15 @@ from touchfield.errors import InvalidArgument, SourceError
 def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary name in the folder of `path`, which becomes `path` when the block ends without an error.
 
-    It exists and is empty when the block begins; whatever ends the block early, an interrupt included, removes it.
-    Raises `InvalidArgument` if the folder is not there, or `path` is something else than a plain file; `SourceError`
-    if the system refuses to write: no right to, disk full, name too long.
+    It exists and is empty when the block begins; whatever ends the block early, an interrupt included,
+    removes it. Raises `InvalidArgument` if the folder is not there, or `path` is something else than a plain
+    file; `SourceError` if the system refuses to write: no right to, disk full, name too long.
     """
     target = Path(os.path.realpath(path))  # a link stays a link: what it points to is replaced
     if not os.path.isdir(target.parent):
-        raise InvalidArgument(str(path), f"no folder {target.parent}", "a folder that is there", "Make it first.")
+        raise InvalidArgument(
+            str(path), f"no folder {target.parent}", "a folder that is there", "Make it first."
+        )
     if os.path.exists(target) and not os.path.isfile(target):
         raise InvalidArgument(str(path), "something that is not a plain file", "the name of a file")
     temporary = target.with_name(f".{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
@@ -47,7 +49,9 @@ def atomic_path(path: Path) -> Iterator[Path]:
     except OSError as error:
         reason = error.strerror or type(error).__name__
         elsewhere = error.filename is not None and Path(os.fsdecode(error.filename)) != temporary
-        about = f" ({error.filename!s})" if elsewhere and isinstance(error.filename, str | os.PathLike) else ""
+        about = (
+            f" ({error.filename!s})" if elsewhere and isinstance(error.filename, str | os.PathLike) else ""
+        )
         found, mend = f"that it cannot be written: {reason}{about}", "The older file is untouched."
         raise SourceError(str(path), found, mend=mend) from error
     finally:

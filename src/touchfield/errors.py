@@ -31,8 +31,8 @@ from typing import Any, Final
 class TouchfieldError(Exception):
     """The root of all errors that touchfield raises on purpose.
 
-    `where`: the file, field or option at fault, or alone a sentence; `found` and `expected`: what was there and what
-    should have been; `mend`: one sentence that tells how to mend it.
+    `where`: the file, field or option at fault, or alone a sentence; `found` and `expected`: what was there
+    and what should have been; `mend`: one sentence that tells how to mend it.
     """
 
     exit_code = 1
@@ -158,7 +158,9 @@ def require_up_to(high: float, **values: float) -> None:
 
 
 def require_ending(path: str | Path, *names: str, mend: str = "") -> None:
-    """`InvalidArgument` for a file whose name does not end as one of these, ``OUT.touch`` or ``.touch``, does."""
+    """`InvalidArgument` for a file whose name does not end as one of these, ``OUT.touch`` or ``.touch``,
+    does.
+    """
     ending = Path(path).suffix
     if ending.lower() not in ("." + name.rpartition(".")[2] for name in names):
         raise InvalidArgument(str(path), f"the ending {ending!r}", " or ".join(names), mend)
@@ -179,12 +181,17 @@ KINDS: Final[dict[str, tuple[Any, Any, str]]] = {
 
 
 def require_kinds(spec: Any, **choices: Collection[str]) -> None:
-    """`InvalidArgument` for a field of a dataclass that is not what its annotation, of `KINDS`, or its default is.
+    """`InvalidArgument` for a field of a dataclass that is not what its annotation, of `KINDS`, or its
+    default is.
 
     Of fields that are one of some words these are the `choices`.
     """
     for one in fields(spec):
-        value, own, (name, none, _) = getattr(spec, one.name), one.default_factory, str(one.type).partition(" | None")
+        value, own, (name, none, _) = (
+            getattr(spec, one.name),
+            one.default_factory,
+            str(one.type).partition(" | None"),
+        )
         if isinstance(own, type):
             kind, expected = own, f"{own.__name__}(...)"
         elif name in KINDS:
@@ -200,7 +207,9 @@ def require_kinds(spec: Any, **choices: Collection[str]) -> None:
 
 @contextmanager
 def blamed_on(where: str) -> Iterator[None]:
-    """Within it an `InvalidArgument` is a `SourceError` of the file, or place in a file, that gave the argument."""
+    """Within it an `InvalidArgument` is a `SourceError` of the file, or place in a file, that gave the
+    argument.
+    """
     try:
         yield
     except InvalidArgument as error:

@@ -1,7 +1,8 @@
 """Files that strangers may name: opened only where they are plain files, and where they may lie.
 
-A pipe would be waited for without end, a device read without end. A file that another one names lies in that one's
-folder, or below it, unless the user allows more: who opens a stranger's scene does not expect it to read elsewhere.
+A pipe would be waited for without end, a device read without end. A file that another one names lies in that
+one's folder, or below it, unless the user allows more: who opens a stranger's scene does not expect it to
+read elsewhere.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from touchfield.errors import InvalidArgument, SourceError
 
 
 def require_plain(path: str | os.PathLike[str], expected: str, *, or_folder: bool = False) -> None:
-    """Refuse what is there and is no plain file: a pipe, a socket, a device, and a folder unless that is taken.
+    """Refuse what is there and is no plain file: a pipe, a socket, a device, and a folder unless that is
+    taken.
 
     Nothing is opened; that nothing is there is for who opens it to tell. Raises `SourceError`.
     """
@@ -40,7 +42,9 @@ def is_same_file(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> bool:
 def keep_sources(out: str | os.PathLike[str], *sources: str | os.PathLike[str]) -> None:
     """Refuse to write over what is read, with `InvalidArgument`."""
     if any(is_same_file(source, out) for source in sources):
-        raise InvalidArgument(str(out), "the file that is read", "another name", "Name a new file for the result.")
+        raise InvalidArgument(
+            str(out), "the file that is read", "another name", "Name a new file for the result."
+        )
 
 
 @contextmanager
@@ -76,10 +80,11 @@ def read_bytes(path: str | os.PathLike[str], most_bytes: int, what: str) -> byte
 
 
 def require_beside(folder: Path, name: str | os.PathLike[str], where: str, *, anywhere: bool = False) -> Path:
-    """The path of a file that a scene file in `folder` names, relative to it or absolute; `where` names file and key.
+    """The path of a file that a scene file in `folder` names, relative to it or absolute; `where` names file
+    and key.
 
-    `SourceError` if it lies outside `folder`, by its name or through a link, unless the user allows files `anywhere`,
-    as ``--allow-outside`` does.
+    `SourceError` if it lies outside `folder`, by its name or through a link, unless the user allows files
+    `anywhere`, as ``--allow-outside`` does.
     """
     path = folder / name
     if not anywhere:
@@ -89,12 +94,16 @@ def require_beside(folder: Path, name: str | os.PathLike[str], where: str, *, an
             is_beside = False
         if not is_beside:
             mend = "Copy it there; for models and scene files --allow-outside allows it."
-            raise SourceError(where, repr(os.fspath(name))[:100], f"a file in the folder {folder} or below it", mend)
+            raise SourceError(
+                where, repr(os.fspath(name))[:100], f"a file in the folder {folder} or below it", mend
+            )
     return path
 
 
 def json_of(text: str) -> Any:
-    """Value of JSON text; a whole number of 19 digits or more is a float there, beyond the largest float infinite."""
+    """Value of JSON text; a whole number of 19 digits or more is a float there, beyond the largest float
+    infinite.
+    """
     return json.loads(text, parse_int=lambda digits: int(digits) if len(digits) < 19 else float(digits))
 
 

@@ -1,4 +1,5 @@
-"""JSON and TOML from strangers: each value is taken with its type and range, an error names its place in the file.
+"""JSON and TOML from strangers: each value is taken with its type and range, an error names its place in the
+file.
 
 A place is written as in ``$.perceptions[0].channels[3].gain``.
 """
@@ -91,7 +92,10 @@ class JsonValue:
 
     def whole(self, low: int, high: int) -> int:
         """An integer from `low` to `high`; JSON does not tell 1 from 1.0."""
-        value, is_number = self.value, isinstance(self.value, int | float) and not isinstance(self.value, bool)
+        value, is_number = (
+            self.value,
+            isinstance(self.value, int | float) and not isinstance(self.value, bool),
+        )
         if not (is_number and low <= value <= high and value == int(value)):
             raise self.refused(f"an integer from {low} to {high}")
         return int(value)

@@ -32,5 +32,7 @@ def address(words: str, where: str, default: Address | None = None) -> Address:
         host = ""
     is_port = port.isascii() and port.isdigit() and len(port) <= 5 and 0 < int(port) < 65536
     if not host or not is_port or not host.isprintable() or any(c in host for c in " /[]@"):
-        raise InvalidArgument(where, repr(words[:80]), "a host and a port from 1 to 65535, such as 127.0.0.1:9000")
+        raise InvalidArgument(
+            where, repr(words[:80]), "a host and a port from 1 to 65535, such as 127.0.0.1:9000"
+        )
     return host, int(port)

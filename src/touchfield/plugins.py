@@ -1,6 +1,7 @@
 """Plug-ins: sources, coders, drivers and filters that other distributions provide by entry points.
 
-A distribution names them in its ``pyproject.toml``; the value is what the built-in module of that kind holds::
+A distribution names them in its ``pyproject.toml``; the value is what the built-in module of that kind
+holds::
 
     [project.entry-points."touchfield.sources"]
     las = "touchfield_las:KIND"
@@ -31,7 +32,8 @@ def plugins(group: str, kind: type) -> dict[str, Any]:
     group : str
         One of `GROUPS`.
     kind : type
-        Of the objects; or, where it derives from `type`, the base of the classes. What is of another is left out.
+        Of the objects; or, where it derives from `type`, the base of the classes. What is of another is left
+        out.
     """
     found: dict[str, Any] = {}
     for entry in entry_points(group=group):
@@ -39,7 +41,9 @@ def plugins(group: str, kind: type) -> dict[str, Any]:
         try:
             loaded = entry.load()
         except Exception as error:  # a stranger's module may raise anything
-            warnings.warn(f"{source} is left out: {type(error).__name__}: {error}", PluginWarning, stacklevel=2)
+            warnings.warn(
+                f"{source} is left out: {type(error).__name__}: {error}", PluginWarning, stacklevel=2
+            )
             continue
         is_of_kind = isinstance(loaded, kind) or (isinstance(loaded, type) and issubclass(loaded, kind))
         if is_of_kind:

@@ -19,7 +19,17 @@ def built(name: str, folder: Path) -> Path:
     if compiler is None:
         pytest.skip("no C compiler (cc, gcc or clang), which builds the fake driver")
     library = folder / f"lib{name}.so"
-    command = [compiler, "-O1", "-shared", "-fPIC", "-o", str(library), str(HERE / f"{name}.c"), "-lpthread", "-lm"]
+    command = [
+        compiler,
+        "-O1",
+        "-shared",
+        "-fPIC",
+        "-o",
+        str(library),
+        str(HERE / f"{name}.c"),
+        "-lpthread",
+        "-lm",
+    ]
     subprocess.run(command, check=True, capture_output=True, text=True)
     return library
 

@@ -19,7 +19,9 @@ from websockets.sync.server import ServerConnection, serve
 class FakeHaply:
     """What it got, what was wrong about it, and how it answers."""
 
-    def __init__(self, first: Any = None, answer: Callable[[int, ServerConnection], Any] | None = None) -> None:
+    def __init__(
+        self, first: Any = None, answer: Callable[[int, ServerConnection], Any] | None = None
+    ) -> None:
         self.first = self.state(0) if first is None else first
         self.answer = answer or (lambda n, _: self.state(n))
         self.forces: list[tuple[float, float, float]] = []
@@ -33,7 +35,11 @@ class FakeHaply:
         zero = {"x": 0.0, "y": 0.0, "z": 0.0}
         config = {"config": {"handedness": "right"}} if n == 0 else {}
         state = {"cursor_position": cursor, "cursor_velocity": zero}
-        return {"session_id": 7, "inverse3": [{"device_id": "04BA", **config, "state": state}], "verse_grip": []}
+        return {
+            "session_id": 7,
+            "inverse3": [{"device_id": "04BA", **config, "state": state}],
+            "verse_grip": [],
+        }
 
     def talk(self, connection: ServerConnection) -> None:
         """One connection, to its end."""
@@ -58,9 +64,13 @@ class FakeHaply:
             assert isinstance(text, str), "not text"
             (device,) = json.loads(text).pop("inverse3")
             assert set(json.loads(text)) == {"inverse3"} and set(device) == {"device_id", "commands"}, "keys"
-            assert device["device_id"] == "04BA" and set(device["commands"]) == {"set_cursor_force"}, "command"
+            assert device["device_id"] == "04BA" and set(device["commands"]) == {"set_cursor_force"}, (
+                "command"
+            )
             (values,) = device["commands"]["set_cursor_force"].values()
-            assert list(device["commands"]["set_cursor_force"]) == ["values"] and set(values) == set("xyz"), "values"
+            assert list(device["commands"]["set_cursor_force"]) == ["values"] and set(values) == set("xyz"), (
+                "values"
+            )
             assert all(isinstance(v, float) and math.isfinite(v) for v in values.values()), "numbers"
             self.forces.append((values["x"], values["y"], values["z"]))
         except Exception as error:

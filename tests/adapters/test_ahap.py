@@ -17,7 +17,9 @@ from touchfield.exchange.ahap import SHARPNESS_HZ, read_ahap
 from touchfield.exchange.symbolic import TRANSIENT_S, ArrayEffect
 
 
-def event(kind: str, time_s: float = 0.0, duration_s: float | None = None, **parameters: Any) -> dict[str, Any]:
+def event(
+    kind: str, time_s: float = 0.0, duration_s: float | None = None, **parameters: Any
+) -> dict[str, Any]:
     told = [{"ParameterID": name, "ParameterValue": value} for name, value in parameters.items()]
     length = {} if duration_s is None else {"EventDuration": duration_s}
     return {"Event": {"Time": time_s, "EventType": kind, "EventParameters": told, **length}}
@@ -47,9 +49,18 @@ def test_a_continuous_event_has_its_intensity_and_frequency(tmp_path: Path) -> N
 
 def test_defaults_and_clamping(tmp_path: Path) -> None:
     assert drives(tmp_path, event("HapticContinuous", -1.0, 0.02)).tolist() == [1, 1, 1, 0]
-    assert drives(tmp_path, event("HapticContinuous", 0.017, 0.001)).tolist() == [0, 0, 1, 0]  # between two frames
+    assert drives(tmp_path, event("HapticContinuous", 0.017, 0.001)).tolist() == [
+        0,
+        0,
+        1,
+        0,
+    ]  # between two frames
     made = read(tmp_path, event("HapticContinuous", 0.0, 0.02, HapticIntensity=7, HapticSharpness=-3))
-    assert made.drives.max() == 1 and made.frequencies_hz is not None and made.frequencies_hz[0] == SHARPNESS_HZ[0]
+    assert (
+        made.drives.max() == 1
+        and made.frequencies_hz is not None
+        and made.frequencies_hz[0] == SHARPNESS_HZ[0]
+    )
     loud = event("HapticContinuous", 0, 0.1, HapticIntensity=7, HapticSharpness=9, Sustained=False)
     low = curve("HapticSharpnessControl", 0, (0, -0.5))
     made = read(tmp_path, loud, low)  # it is clamped before anything acts on it
@@ -94,7 +105,9 @@ def test_controls_multiply_intensity_and_add_to_sharpness(tmp_path: Path) -> Non
     assert at == pytest.approx([0.8, 0.8, 0.6, 0.4, 0.2, 0.2])
     low, high = SHARPNESS_HZ
     assert made.frequencies_hz is not None
-    assert made.frequencies_hz[[0, 20, 40], 0, 0] == pytest.approx([low + s * (high - low) for s in (0.5, 0.3, 0.1)])
+    assert made.frequencies_hz[[0, 20, 40], 0, 0] == pytest.approx(
+        [low + s * (high - low) for s in (0.5, 0.3, 0.1)]
+    )
 
 
 def test_events_that_meet_add_up_and_the_strongest_sings(tmp_path: Path) -> None:

@@ -45,7 +45,9 @@ class Player:
                 self.check(message)
                 with suppress(ConnectionClosed):  # what came before is still to be checked
                     for _ in range(self.answers):
-                        line.send(json.dumps({"RegisteredKeys": [], "ActiveKeys": [], "ConnectedDeviceCount": 1}))
+                        line.send(
+                            json.dumps({"RegisteredKeys": [], "ActiveKeys": [], "ConnectedDeviceCount": 1})
+                        )
                 if self.closes_after is not None and len(self.frames) >= self.closes_after:
                     return
         except ConnectionClosed:
@@ -80,7 +82,8 @@ class Player:
 @contextmanager
 def running(player: Player) -> Iterator[Player]:
     # a closing handshake of a second: on a busy machine the usual ten would be all that a test waits for
-    # no bound of the queue: with one, a server of websockets 17 that answers a line just closed waits for ever
+    # no bound of the queue: with one, a server of websockets 17 that answers a line just closed waits for
+    # ever
     with serve(player, "127.0.0.1", 0, max_queue=None, close_timeout=1) as server:
         player.port = server.socket.getsockname()[1]
         thread = threading.Thread(target=server.serve_forever)
@@ -123,7 +126,9 @@ def test_a_pro_has_16_steps_and_four_rows() -> None:
         vest = array_device(f"bhaptics:127.0.0.1:{player.port}", PRO)
         vest.open()
         for step in range(16):
-            vest.put_drives(drives(PRO, f00=step / 15 + 0.02, f31=step / 15, b11=step / 15 - 0.02), None, 0.02)
+            vest.put_drives(
+                drives(PRO, f00=step / 15 + 0.02, f31=step / 15, b11=step / 15 - 0.02), None, 0.02
+            )
         vest.close()
         assert player.is_gone.wait(60)
     for step, shown in enumerate(player.frames[:16]):
@@ -146,7 +151,9 @@ def test_an_x16_through_all_20_dots() -> None:
     assert player.lasts_ms == {10000, 50}
 
 
-@given(st.lists(st.floats(width=32), min_size=40, max_size=40), st.sampled_from([X40, replace(X40, levels=None)]))
+@given(
+    st.lists(st.floats(width=32), min_size=40, max_size=40), st.sampled_from([X40, replace(X40, levels=None)])
+)
 def test_whatever_the_drives_intensities_are_whole_and_bounded(values: list[float], profile: object) -> None:
     class Told:
         sent, waits = "", 5
@@ -165,7 +172,10 @@ def test_whatever_the_drives_intensities_are_whole_and_bounded(values: list[floa
     fake.check(told.sent)
     assert not told.waits and fake.lasts_ms == {10000}  # all that waits is read; of a time that is no number
     expected = [0 if not v > 0 else 100 if v >= 1 else int(np.floor(v * 100 + 0.5)) for v in values]
-    assert np.concatenate([fake.frames[0]["VestFront"], fake.frames[0]["VestBack"]]).reshape(-1).tolist() == expected
+    assert (
+        np.concatenate([fake.frames[0]["VestFront"], fake.frames[0]["VestBack"]]).reshape(-1).tolist()
+        == expected
+    )
 
 
 def test_a_player_that_talks_without_end_is_read_and_left_aside() -> None:
@@ -193,7 +203,9 @@ def test_a_player_that_goes_ends_the_play_with_one_line() -> None:
         vest = array_device(f"bhaptics:127.0.0.1:{player.port}")
         with (
             ArrayPlayer(Frames(), vest, rate_hz=100) as playing,
-            pytest.raises(DeviceError, match=r"^bHaptics Player: found that it is gone .*Start the bHaptics Player"),
+            pytest.raises(
+                DeviceError, match=r"^bHaptics Player: found that it is gone .*Start the bHaptics Player"
+            ),
         ):
             playing.wait(20)
         with pytest.raises(DeviceError, match="no connection"):

@@ -1,4 +1,6 @@
-"""Force Dimension against a fake library: every force arrives, calls come in order, a failure is one clear line."""
+"""Force Dimension against a fake library: every force arrives, calls come in order, a failure is one clear
+line.
+"""
 
 from __future__ import annotations
 
@@ -190,7 +192,9 @@ def test_without_the_library_it_says_how_to_get_it(monkeypatch, tmp_path) -> Non
     broken.write_bytes(b"no library at all")
     for path in (broken, tmp_path / "missing.so"):
         monkeypatch.setenv(VARIABLE, str(path))
-        with pytest.raises(DeviceError, match="Install the maker's SDK, or name its file in TOUCHFIELD_FORCE"):
+        with pytest.raises(
+            DeviceError, match="Install the maker's SDK, or name its file in TOUCHFIELD_FORCE"
+        ):
             ForceDimension().open()
         (check,) = forcedimension.DRIVER.checks()
         assert not check.is_there and VARIABLE in check.mend

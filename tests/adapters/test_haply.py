@@ -1,4 +1,6 @@
-"""The Inverse3 over a loopback: forces arrive as they were put, and whatever the service says is one clear line."""
+"""The Inverse3 over a loopback: forces arrive as they were put, and whatever the service says is one clear
+line.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,9 @@ def test_it_opens_again_after_a_close() -> None:
 
 
 def send_limit_s(line: socket.socket) -> float:
-    """The time-out of a send, as the system keeps it: seconds and microseconds in the machine's own byte order."""
+    """The time-out of a send, as the system keeps it: seconds and microseconds in the machine's own byte
+    order.
+    """
     limit = line.getsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, 2 * ctypes.sizeof(ctypes.c_long))
     half = len(limit) // 2
     seconds, microseconds = (int.from_bytes(part, sys.byteorder) for part in (limit[:half], limit[half:]))
@@ -249,7 +253,9 @@ def test_nobody_there_is_told_with_how_to_mend_it() -> None:
             Haply(taken.getsockname()).open()
 
 
-@pytest.mark.parametrize("words", [b"", b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nhi", b"SSH-2.0-x\r\n" * 9])
+@pytest.mark.parametrize(
+    "words", [b"", b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nhi", b"SSH-2.0-x\r\n" * 9]
+)
 def test_a_port_in_use_by_something_else_is_told(words) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
 
@@ -297,7 +303,9 @@ def test_the_place_is_read_from_the_words(words, host, port) -> None:
     assert (device._service, choice.profile) == ((host, port), "haply-inverse3")
 
 
-@pytest.mark.parametrize("words", ["haply:9000", "haply:a:0", "haply:a:65536", "haply:a b", "haply:a:b", "haply:a/b"])
+@pytest.mark.parametrize(
+    "words", ["haply:9000", "haply:a:0", "haply:a:65536", "haply:a b", "haply:a:b", "haply:a/b"]
+)
 def test_a_place_that_is_none_is_refused(words) -> None:
     with pytest.raises(InvalidArgument, match="haply:HOST:PORT"):
         point_device(words)
@@ -311,7 +319,10 @@ def test_the_checks_name_library_and_service() -> None:
 
 def gripped(n: int, **state) -> dict:
     """A state with a grip."""
-    given = {"orientation": {"w": 0.6, "x": 0.0, "y": 0.8, "z": 0.0}, "buttons": {"a": True, "b": False, "c": True}}
+    given = {
+        "orientation": {"w": 0.6, "x": 0.0, "y": 0.8, "z": 0.0},
+        "buttons": {"a": True, "b": False, "c": True},
+    }
     grip = {"device_id": "61576", "state": {**given, **state}}
     return {**FakeHaply.state(n), "wireless_verse_grip": [grip]}
 
@@ -319,7 +330,10 @@ def gripped(n: int, **state) -> dict:
 def test_a_grip_tells_how_it_is_turned_and_its_buttons_and_when_it_is_lost() -> None:
     def answer(n: int, _: object) -> dict:
         if n == 2:
-            wired = {"device_id": 3, "state": {"orientation": {"w": 1, "x": 0, "y": 0, "z": 0}, "button": True}}
+            wired = {
+                "device_id": 3,
+                "state": {"orientation": {"w": 1, "x": 0, "y": 0, "z": 0}, "button": True},
+            }
             return {**FakeHaply.state(n), "verse_grip": [wired]}
         return gripped(n) if n == 1 else FakeHaply.state(n)
 

@@ -75,7 +75,10 @@ def test_a_tap_is_an_emphasis_and_a_transient(tmp_path: Path) -> None:
     drives[[10, 50, 51]] = 0.4, 0.7, 0.9
     write_haptic(tmp_path / "a.haptic", track(drives))
     told = [p for p in check_clip(load(tmp_path / "a.haptic")) if "emphasis" in p]
-    assert [(p["time"], p["amplitude"], p["emphasis"]["amplitude"]) for p in told] == [(0.1, 0, 0.4), (0.51, 0, 0.9)]
+    assert [(p["time"], p["amplitude"], p["emphasis"]["amplitude"]) for p in told] == [
+        (0.1, 0, 0.4),
+        (0.51, 0, 0.9),
+    ]
     write_ahap(tmp_path / "a.ahap", track(drives))
     kinds = [entry["Event"]["EventType"] for entry in load(tmp_path / "a.ahap")["Pattern"]]
     assert kinds == ["HapticTransient"] * 2
@@ -96,7 +99,9 @@ def test_a_pattern_comes_back_with_its_frequencies_and_in_parts(tmp_path: Path) 
     for some in (slice(0, 3000), slice(3001, 3500)):  # at 30 s one event ends and the next begins
         assert read.drives[some, 0, 0] == pytest.approx(drives[some], abs=2e-4)
     between = read_ahap(tmp_path / "a.ahap", 200.0).effect.drives[1:5999:2, 0, 0]
-    assert between == pytest.approx((drives[:2999] + drives[1:3000]) / 2, abs=2e-4)  # also from curve to curve
+    assert between == pytest.approx(
+        (drives[:2999] + drives[1:3000]) / 2, abs=2e-4
+    )  # also from curve to curve
     assert read.frequencies_hz is not None and read.frequencies_hz[5:3000] == pytest.approx(120, abs=0.1)
 
 

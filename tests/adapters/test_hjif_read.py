@@ -37,7 +37,9 @@ def test_a_wave_between_its_keyframes(tmp_path: Path) -> None:
     made = read(tmp_path, channel(band("VectorialWave", effect(LINE)))).effect
     assert made.drives[:, 0, 0] == pytest.approx(np.arange(11) / 10)
     assert made.frequencies_hz is not None
-    assert made.frequencies_hz[:, 0, 0] == pytest.approx([0, *range(110, 201, 10)], rel=1e-6)  # none without a drive
+    assert made.frequencies_hz[:, 0, 0] == pytest.approx(
+        [0, *range(110, 201, 10)], rel=1e-6
+    )  # none without a drive
 
 
 def test_a_later_effect_takes_over_and_silence_follows(tmp_path: Path) -> None:
@@ -61,7 +63,9 @@ def test_transients_fall_and_add_up(tmp_path: Path) -> None:
     assert made[0] == 0.5 and made[1] == pytest.approx(0.5 * (1 - 0.01 / TRANSIENT_S)) and made[3] == 0
     assert made[10] == 1 and made[12] > 0
     both = drives(
-        tmp_path, band("Transient", effect([keyframe(0, 0.5)])), band("Transient", effect([keyframe(0, 0.25)]))
+        tmp_path,
+        band("Transient", effect([keyframe(0, 0.5)])),
+        band("Transient", effect([keyframe(0, 0.25)])),
     )
     assert both[0] == 0.75
 
@@ -105,10 +109,14 @@ def test_targets_lie_columns_from_the_left_and_rows_from_below(tmp_path: Path) -
 
 
 def test_channels_without_an_array_lie_in_a_row_and_body_parts_side_by_side(tmp_path: Path) -> None:
-    assert read(tmp_path, channel(steady(0.25)), channel(steady(0.5))).effect.drives[0].tolist() == [[0.25, 0.5]]
+    assert read(tmp_path, channel(steady(0.25)), channel(steady(0.5))).effect.drives[0].tolist() == [
+        [0.25, 0.5]
+    ]
     made = read(
         tmp_path,
-        channel(steady(0.25), body_part_target=["Chest", "Front"], actuator_target=[{"X": 0, "Y": 1, "Z": 0}]),
+        channel(
+            steady(0.25), body_part_target=["Chest", "Front"], actuator_target=[{"X": 0, "Y": 1, "Z": 0}]
+        ),
         channel(steady(0.5), body_part_target=["Chest", "Back"]),
         channel(steady(0.75), body_part_target=["Chest", "Back"]),
     )
@@ -144,7 +152,9 @@ def test_perceptions_that_cannot_be_shown_are_left_out_or_refused(tmp_path: Path
         read(tmp_path, channel(steady(1.0)), modality="Temperature")
 
 
-def force_channel(direction: tuple[int, int, int], *points: dict[str, Any], gain: float = 0.5) -> dict[str, Any]:
+def force_channel(
+    direction: tuple[int, int, int], *points: dict[str, Any], gain: float = 0.5
+) -> dict[str, Any]:
     x, y, z = direction
     return channel(band("Curve", effect(list(points))), gain=gain, direction={"X": x, "Y": y, "Z": z})
 
@@ -165,7 +175,9 @@ def test_a_force_along_any_direction(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="direction"):
         read_force(written(tmp_path / "g.hjif", document(bare, modality="Force")))
     turned = channel(steady(0.5), direction={"X": 127, "Y": 0, "Z": 0})
-    assert read(tmp_path, bare, modality="Force").effect.drives[0, 0, 0] == 0.5  # actuators, as no direction is told
+    assert (
+        read(tmp_path, bare, modality="Force").effect.drives[0, 0, 0] == 0.5
+    )  # actuators, as no direction is told
     assert read(tmp_path, turned).effect.drives[0, 0, 0] == 0.5  # a direction is nothing to a vibration
     mighty = force_channel((127, 0, 0), keyframe(0, 1.0), keyframe(10, 1.0), gain=1.1e6)
     with pytest.raises(SourceError, match="a greatest force of"):
@@ -202,10 +214,19 @@ BLOCKS = (
 
 def wavelets(*streams: str, **more: Any) -> dict[str, Any]:
     made = [
-        {"effect_type": "Basis", "position": 64 * n, "wavelet_stream": base64.b64encode(bytes.fromhex(one)).decode()}
+        {
+            "effect_type": "Basis",
+            "position": 64 * n,
+            "wavelet_stream": base64.b64encode(bytes.fromhex(one)).decode(),
+        }
         for n, one in enumerate(streams)
     ]
-    told: dict[str, Any] = {"block_length": 64, "lower_frequency_limit": 72, "upper_frequency_limit": 1000, **more}
+    told: dict[str, Any] = {
+        "block_length": 64,
+        "lower_frequency_limit": 72,
+        "upper_frequency_limit": 1000,
+        **more,
+    }
     return {**band("WaveletWave", *made), **told}
 
 
@@ -246,7 +267,8 @@ def test_wavelets_that_cannot_be(tmp_path: Path, more: dict[str, Any], told: str
         read(tmp_path, channel(wavelets(*BLOCKS, **more)))
 
 
-# -- what is wrong with a file ---------------------------------------------------------------------------------------
+# -- what is wrong with a file
+# ---------------------------------------------------------------------------------------
 
 P, C = ("perceptions", 0), ("perceptions", 0, "channels", 0)
 B = (*C, "bands", 0)
@@ -330,7 +352,16 @@ def test_keyframes_that_go_back_in_time(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "nonsense", "[" * 100_000, '{"version": NaN}', '{"version": ' + "9" * 5000 + "}", "[]", "3", "\ud800"],
+    [
+        "",
+        "nonsense",
+        "[" * 100_000,
+        '{"version": NaN}',
+        '{"version": ' + "9" * 5000 + "}",
+        "[]",
+        "3",
+        "\ud800",
+    ],
 )
 def test_files_that_are_no_hjif(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.hjif").write_bytes(text.encode("utf-8", "surrogatepass"))

@@ -36,7 +36,9 @@ def load(path: Path) -> dict[str, Any]:
 
 
 def bands_of(document: dict[str, Any]) -> list[dict[str, Any]]:
-    return [band for one in document["perceptions"] for channel in one["channels"] for band in channel["bands"]]
+    return [
+        band for one in document["perceptions"] for channel in one["channels"] for band in channel["bands"]
+    ]
 
 
 def check_reference_rules(document: dict[str, Any]) -> None:
@@ -75,11 +77,14 @@ def check_band(band: dict[str, Any], gain: float) -> None:
             assert all(type(one["frequency_modulation"]) is int for one in keyframes)
 
 
-# -- arrays ---------------------------------------------------------------------------------------------------------
+# -- arrays
+# ---------------------------------------------------------------------------------------------------------
 
 
 @given(made=effects())
-def test_an_array_comes_back_to_within_a_step(tmp_path_factory: pytest.TempPathFactory, made: ArrayEffect) -> None:
+def test_an_array_comes_back_to_within_a_step(
+    tmp_path_factory: pytest.TempPathFactory, made: ArrayEffect
+) -> None:
     path = tmp_path_factory.mktemp("hjif") / "a.hjif"
     write_hjif_array(path, made)
     check_reference_rules(load(path))
@@ -158,7 +163,8 @@ def test_options_of_an_array_that_cannot_be(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-# -- forces ---------------------------------------------------------------------------------------------------------
+# -- forces
+# ---------------------------------------------------------------------------------------------------------
 
 
 @given(trace=traces())
@@ -181,7 +187,9 @@ def test_a_trace_comes_back_to_within_a_step(
 
 
 def test_small_forces_survive_the_eight_bits_of_the_binary_form(tmp_path: Path) -> None:
-    forces = np.stack([0.02 * np.sin(np.arange(200) / 9), np.zeros(200), 2 * np.cos(np.arange(200) / 30)], axis=1)
+    forces = np.stack(
+        [0.02 * np.sin(np.arange(200) / 9), np.zeros(200), 2 * np.cos(np.arange(200) / 30)], axis=1
+    )
     write_hjif_force(tmp_path / "f.hjif", forces, 100)
     channels = load(tmp_path / "f.hjif")["perceptions"][0]["channels"]
     for axis, one in enumerate(channels):
@@ -197,7 +205,9 @@ def test_a_full_scale_keeps_sound_from_clipping(tmp_path: Path) -> None:
     write_hjif_force(tmp_path / "f.hjif", forces, 100, full_scale_n=3.0)
     perception = load(tmp_path / "f.hjif")["perceptions"][0]
     unit = 10 ** perception["perception_unit_exponent"]
-    assert max(one["gain"] for one in perception["channels"]) * unit <= 1 and "3 N" in perception["description"]
+    assert (
+        max(one["gain"] for one in perception["channels"]) * unit <= 1 and "3 N" in perception["description"]
+    )
     with pytest.raises(InvalidArgument, match="full_scale_n"):
         write_hjif_force(tmp_path / "f.hjif", forces, 100, full_scale_n=0.0)
 
@@ -219,7 +229,8 @@ def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-# -- the published schemas ------------------------------------------------------------------------------------------
+# -- the published schemas
+# ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.shared
@@ -250,5 +261,7 @@ def test_a_shirt_of_1024_is_level_2_and_valid(tmp_path: Path, shared_data: Path)
 def test_the_schemas_do_refuse(tmp_path: Path, shared_data: Path) -> None:
     write_hjif_force(tmp_path / "f.hjif", np.zeros((1, 3)), 1000)
     document = load(tmp_path / "f.hjif")
-    document["perceptions"][0]["channels"][0]["bands"][0]["effects"][0]["keyframes"][0]["relative_position"] = 0.5
+    document["perceptions"][0]["channels"][0]["bands"][0]["effects"][0]["keyframes"][0][
+        "relative_position"
+    ] = 0.5
     assert len(schema_errors(document, shared_data / "hjif_schemas")) == 1

@@ -64,7 +64,9 @@ def band(number: int, of: int, kind: int, more: Fields) -> bytes:
     return packet(4, [(number, 8), (0, 8), (of, 16), (0, 8), (kind, 3), *more, (0, 16), (1000, 16), (1, 16)])
 
 
-def curve(position: int, *keyframes: tuple[int, float], effect: int = 7, of: int = 0, number: int = 0) -> bytes:
+def curve(
+    position: int, *keyframes: tuple[int, float], effect: int = 7, of: int = 0, number: int = 0
+) -> bytes:
     told = [item for tick, value in keyframes for item in (share(value, -1, 1, 8), (tick, 16))]
     begin = [(0, 1), (0, 8), (of, 16), (number, 8), (1, 16), (effect, 16), (0, 2), (position, 25), (0, 1)]
     return packet(5, [*begin, (len(keyframes), 16), *told])
@@ -93,7 +95,9 @@ def test_an_effect_in_several_units(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("kind", "begin"), [(1, 15), (2, 2)])
-def test_an_effect_counts_from_its_unit_and_one_in_space_from_nowhere(tmp_path: Path, kind: int, begin: int) -> None:
+def test_an_effect_counts_from_its_unit_and_one_in_space_from_nowhere(
+    tmp_path: Path, kind: int, begin: int
+) -> None:
     told = head(6, channel(0, 1.0), band(0, 0, 1, LINEAR), packet(6, [(0, 24)]))  # with a library of nothing
     data = told + unit(kind, 128) + unit(kind, 128, curve(22, (0, 1.0)))
     made = read_hjif_array(written(tmp_path / "a.hmpg", data))
@@ -106,7 +110,9 @@ def test_numbers_are_the_words_of_the_standard(tmp_path: Path) -> None:
         "Force", "Vibrotactile Texture", "Stiffness", "Friction", "Electrotactile",
     )  # fmt: skip
     for number, modality in enumerate(modalities):
-        data = head(number, channel(0, 1.0), *(band(n, 0, 1, [(n, 4)]) for n in (0, 1, 2, 3)), band(9, 0, 0, []))
+        data = head(
+            number, channel(0, 1.0), *(band(n, 0, 1, [(n, 4)]) for n in (0, 1, 2, 3)), band(9, 0, 0, [])
+        )
         (perception,) = read_hjif(written(tmp_path / "a.hmpg", data)).perceptions
         assert perception.modality == modality
         told = [(one.kind, one.curve) for one in perception.channels[0].bands]
@@ -133,7 +139,9 @@ def test_a_force_comes_in_with_its_gain(tmp_path: Path) -> None:
 
 
 def test_wavelets_and_waves(tmp_path: Path) -> None:
-    stream = bytes.fromhex("c74800643dd4ae76bcf880035af04ad119389999cca7d3d2950038a13da51f52533f2ddff5e431cacbafbd19")
+    stream = bytes.fromhex(
+        "c74800643dd4ae76bcf880035af04ad119389999cca7d3d2950038a13da51f52533f2ddff5e431cacbafbd19"
+    )
     block = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 1), (len(stream), 16)]
     data = packet(5, [*block, *((one, 8) for one in stream)])
     waves = head(6, channel(0, 1.0), band(0, 0, 3, [(64, 8)])) + unit(1, 128, data, data)
@@ -141,10 +149,25 @@ def test_wavelets_and_waves(tmp_path: Path) -> None:
     assert made.frequencies_hz is not None and made.frequencies_hz[3, 0, 0] == pytest.approx(200, abs=5)
     assert len(made.drives) == 13 and made.drives[2:12].min() > 0.4  # one block behind the other
     keyframes: Fields = [(3, 2), share(0.6, -1, 1, 8), (0, 16), (80, 16), (2, 2), (50, 16), (120, 16)]
-    fields = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 25), (0, 1), (2, 16), (0, 16), (1, 4)]
+    fields = [
+        (0, 1),
+        (0, 8),
+        (0, 16),
+        (0, 8),
+        (1, 16),
+        (0, 16),
+        (0, 2),
+        (0, 25),
+        (0, 1),
+        (2, 16),
+        (0, 16),
+        (1, 4),
+    ]
     wave = head(6, channel(0, 1.0), band(0, 0, 2, [])) + unit(1, 128, packet(5, [*fields, *keyframes]))
     told = read_hjif_array(written(tmp_path / "v.hmpg", wave)).effect
-    assert told.frequencies_hz is not None and told.frequencies_hz[:, 0, 0] == pytest.approx(np.arange(80, 121, 8))
+    assert told.frequencies_hz is not None and told.frequencies_hz[:, 0, 0] == pytest.approx(
+        np.arange(80, 121, 8)
+    )
     assert told.drives == pytest.approx(0.6, abs=0.005)
     taps = [share(0.6, -1, 1, 8), (0, 16), (80, 16), share(0.3, -1, 1, 8), (50, 16), (10001, 16)]
     fields = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 25), (0, 1), (2, 16)]

@@ -1,4 +1,6 @@
-"""OpenHaptics against a fake driver that calls from a thread of its own: order, millimetres, clock, and the end."""
+"""OpenHaptics against a fake driver that calls from a thread of its own: order, millimetres, clock, and the
+end.
+"""
 
 from __future__ import annotations
 
@@ -79,7 +81,9 @@ def test_the_driver_calls_the_cycle_and_the_last_force_is_zero(fake, block) -> N
     ticks = int(block.i8[TICKS])
     assert fake.log == "IESRTD"
     assert len(forces) == ticks + 1  # and one more frame, of zero
-    assert (np.abs(np.diff(forces[:, 0], prepend=0.0)) <= 0.1 + 1e-9).all()  # down the ramp, and not by a step
+    assert (
+        np.abs(np.diff(forces[:, 0], prepend=0.0)) <= 0.1 + 1e-9
+    ).all()  # down the ramp, and not by a step
     assert forces[:, 0].max() == pytest.approx(2.0) and (forces[:, 1] == -forces[:, 0]).all()
     assert not forces[-2:].any()
     assert block.f8[PLACE : PLACE + 3] == pytest.approx([0.0005 * (ticks % 200), -0.02, 0.03])  # metres
@@ -183,7 +187,9 @@ def test_a_driver_that_never_calls_is_told_and_let_go(fake, block, monkeypatch) 
     ("hdScheduleAsynchronous", "IESTUD"),
     ("hdStartScheduler", "IESRTUD"),
 ])  # fmt: skip
-@pytest.mark.parametrize(("code", "words"), [(0x0301, "device already initiated"), (0x0303, "no reason given")])
+@pytest.mark.parametrize(
+    ("code", "words"), [(0x0301, "device already initiated"), (0x0303, "no reason given")]
+)
 def test_a_function_that_fails_is_told_and_the_device_let_go(
     fake, block, function, log, code, words, monkeypatch
 ) -> None:

@@ -40,7 +40,11 @@ def test_a_frame_is_one_datagram_and_the_end_is_told_three_times() -> None:
         told = heard(line, X40, 5)
         array.open()
         array.close()
-        assert [int(f["number"]) for f in heard(line, X40, 3).frames] == [0, 0, 0]  # counted from its opening on
+        assert [int(f["number"]) for f in heard(line, X40, 3).frames] == [
+            0,
+            0,
+            0,
+        ]  # counted from its opening on
     assert len(told.sizes) == 5 and told.seconds == sorted(told.seconds)
     assert [int(f["number"]) for f in told.frames] == [0, 1, 2, 2, 2]
     assert np.abs(told.frames[0]["drives"] - drives).max() <= 0.005 + 1e-6  # 101 levels
@@ -105,7 +109,9 @@ def test_nobody_listens_no_such_host_and_bad_addresses() -> None:
             array.put_drives(off, None, 0.05)
         except DeviceError as error:
             told = str(error)
-    assert told.startswith(f"osc:127.0.0.1:{port}: found that nothing listens") and "Start what listens" in told
+    assert (
+        told.startswith(f"osc:127.0.0.1:{port}: found that nothing listens") and "Start what listens" in told
+    )
     array.close()
     with pytest.raises(DeviceError, match="no connection"):
         array.put_drives(off, None, 0.05)

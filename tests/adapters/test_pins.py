@@ -63,7 +63,9 @@ class Display:
         assert word == b"pins" and self.shape is not None and len(values) == 2
         rows, columns = self.shape
         heights = [int(chr(digit), 36) for digit in values[1]]
-        assert values[1] == values[1].lower() and len(heights) == rows * columns and max(heights) < self.levels
+        assert (
+            values[1] == values[1].lower() and len(heights) == rows * columns and max(heights) < self.levels
+        )
         self.shown.append([heights[r * columns : (r + 1) * columns] for r in range(rows)])
         assert int(values[0]) == len(self.shown)
         return self.answer(len(self.shown))
@@ -114,7 +116,9 @@ def over_serial(display: Display) -> Iterator[str]:
                 return os.read(outer, 4096)
         return b""
 
-    thread = threading.Thread(target=display.serve, args=(read, lambda data: os.write(outer, data)), daemon=True)
+    thread = threading.Thread(
+        target=display.serve, args=(read, lambda data: os.write(outer, data)), daemon=True
+    )
     thread.start()
     try:
         yield f"pins:{os.ttyname(inner)}@9600"
@@ -137,7 +141,9 @@ def test_heights_row_after_row_and_down_at_the_end(over: Callable[[Display], obj
         pad = array_device(words, SMALL)
         pad.open()
         pad.put_drives(drives(SMALL, [[0, 0.3, 0.5], [0.8, 0.84, 1]]), None, 0.1)
-        pad.put_drives(drives(SMALL, [[0, 0.3, 0.5], [0.8, 0.84, 1]]), None, 0.1)  # no pin moves: nothing is sent
+        pad.put_drives(
+            drives(SMALL, [[0, 0.3, 0.5], [0.8, 0.84, 1]]), None, 0.1
+        )  # no pin moves: nothing is sent
         pad.put_drives(drives(SMALL, 0.1), np.full((1, 2, 3), 80, np.float32), 0.1)
         pad.put_drives(drives(SMALL, 1.0), None, 0.1)
         pad.close()
@@ -147,7 +153,9 @@ def test_heights_row_after_row_and_down_at_the_end(over: Callable[[Display], obj
 
 
 def test_what_was_shown_before_a_refusal_is_sent_again_after_it() -> None:
-    with over_tcp(display := Display(lambda number: b"err busy\n" if number == 2 else b"ok %d\n" % number)) as words:
+    with over_tcp(
+        display := Display(lambda number: b"err busy\n" if number == 2 else b"ok %d\n" % number)
+    ) as words:
         pad = array_device(words, SMALL)
         pad.open()
         pad.put_drives(drives(SMALL, 1.0), None, 0.1)
@@ -210,7 +218,9 @@ def test_displays_from_profiles() -> None:
 
 def test_a_board_that_starts_when_its_port_is_opened() -> None:
     sizes: list[bytes | None] = [None, b"ok 0\nok 0\n"]
-    with over_tcp(display := Display(lambda number: b"ok %d\n" % number if number else sizes.pop(0))) as words:
+    with over_tcp(
+        display := Display(lambda number: b"ok %d\n" % number if number else sizes.pop(0))
+    ) as words:
         pad = array_device(words, SMALL)
         pad._patience_s = 0.1
         pad.open()
@@ -235,7 +245,10 @@ def test_the_lines_of_the_documentation() -> None:
 
 
 @given(
-    st.integers(1, 9), st.integers(1, 9), st.none() | st.integers(2, 100), st.lists(st.floats(width=32), min_size=1)
+    st.integers(1, 9),
+    st.integers(1, 9),
+    st.none() | st.integers(2, 100),
+    st.lists(st.floats(width=32), min_size=1),
 )
 def test_whatever_the_drives_the_line_keeps_the_grammar(
     columns: int, rows: int, levels: int | None, values: list[float]
@@ -266,7 +279,10 @@ WRONG = {
     "another number": (b"ok 2\n", r"found the answer 'ok 2'; expected ok 1"),
     "no number": (b"ok\n", r"found the answer 'ok'"),
     "an empty line": (b"\n", r"found the answer ''"),
-    "err": (b"err pin 3 is \x07stuck\xff\r\n", r"found that it refuses line 1: pin 3 is \?stuck\?; expected ok 1"),
+    "err": (
+        b"err pin 3 is \x07stuck\xff\r\n",
+        r"found that it refuses line 1: pin 3 is \?stuck\?; expected ok 1",
+    ),
     "no line": (b"\x00\xff" * 3000, r"found the answer '[?]{80}'"),
     "silence": (None, r"found no answer within 0.2 s; expected ok 1\. Check that it is on"),
 }
@@ -301,7 +317,10 @@ def test_a_display_that_goes_ends_the_play_with_one_line() -> None:
 
     with over_tcp(Display(answer)) as words:
         pad = array_device(words, SMALL)
-        with ArrayPlayer(Frames(), pad, rate_hz=100) as player, pytest.raises(DeviceError, match="that it is gone"):
+        with (
+            ArrayPlayer(Frames(), pad, rate_hz=100) as player,
+            pytest.raises(DeviceError, match="that it is gone"),
+        ):
             player.wait(20)
     with pytest.raises(DeviceError, match="no connection"):
         pad.put_drives(drives(SMALL, 0.0), None, 0.1)
@@ -326,7 +345,9 @@ def test_nothing_there() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     pad = array_device(f"pins:127.0.0.1:{port}")
-    with pytest.raises(DeviceError, match=rf"^pins:127.0.0.1:{port}: found no connection .*Check that it is on"):
+    with pytest.raises(
+        DeviceError, match=rf"^pins:127.0.0.1:{port}: found no connection .*Check that it is on"
+    ):
         pad.open()
     pad.close()
     for port in ("/dev/no-such-port", "/dev/no-such-port:1"):  # a colon in its path makes no host of it
@@ -338,7 +359,9 @@ def test_words_that_name_no_device() -> None:
     assert [kind.name for kind in array_kinds()] == ["bhaptics", "osc", "pins"]
     assert is_array_device("osc:anything") and is_array_device("pins") and not is_array_device("sim")
     assert is_array_device(" BHaptics:vest") and isinstance(array_device(" Pins:/dev/none", SMALL), Pins)
-    with pytest.raises(InvalidArgument, match=r"bhaptics\[:HOST:PORT\], osc:HOST:PORT, pins:.*Did you mean bhaptics"):
+    with pytest.raises(
+        InvalidArgument, match=r"bhaptics\[:HOST:PORT\], osc:HOST:PORT, pins:.*Did you mean bhaptics"
+    ):
         array_device("bhaptic:1")
     with pytest.raises(InvalidArgument, match=r"^--device: found 'vest'; expected sim.*bhaptics.*PORT$"):
         array_device("vest")
@@ -377,8 +400,12 @@ def test_addresses() -> None:
     assert address("[fe80::1]:80", "x") == ("fe80::1", 80) and address("host:65535", "x") == ("host", 65535)
 
 
-@pytest.mark.parametrize(("words", "asked"), [("/dev/x", ("/dev/x", 115200)), ("/dev/x@9600", ("/dev/x", 9600))])
-def test_the_usual_rate_of_a_serial_port(words: str, asked: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("words", "asked"), [("/dev/x", ("/dev/x", 115200)), ("/dev/x@9600", ("/dev/x", 9600))]
+)
+def test_the_usual_rate_of_a_serial_port(
+    words: str, asked: tuple[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(pins, "SerialLine", lambda *given: pytest.fail(f"{given[:2]}"))
     with pytest.raises(pytest.fail.Exception) as told:
         array_device(f"pins:{words}", SMALL).open()

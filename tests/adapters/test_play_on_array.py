@@ -37,7 +37,9 @@ def test_a_file_is_felt_frame_by_frame(tmp_path: Path) -> None:
         held = [frames.drives(i) for i in range(len(frames))]
     assert max(one.max() for one in held) > 0.1
     sent = [frame["drives"] for frame in listener.frames]
-    assert not sent[-1].any() and len(sent) == player.statistics()["sent"] + 4  # the last frame, and three goodbyes
+    assert (
+        not sent[-1].any() and len(sent) == player.statistics()["sent"] + 4
+    )  # the last frame, and three goodbyes
     between = [*held, *((a + b) / 2 for a, b in zip(held, held[1:]))]  # at half the speed
     for shown in sent[:-4]:
         near = min(float(np.abs(shown - one).max()) for one in between)

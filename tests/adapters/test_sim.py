@@ -74,7 +74,9 @@ def test_follow_agrees_with_linear_interpolation(times, data) -> None:
 @pytest.mark.parametrize("kind", ["follow", "spring"])
 @given(st.lists(st.sampled_from([-1.0, 1.0]), min_size=4, max_size=4), st.integers(0, 2**31))
 def test_the_hand_turns_the_shorter_way_whatever_the_signs_of_its_quaternions(kind, signs, seed) -> None:
-    """q and -q are one orientation: between samples too, where the hand turns at even speed within half a degree."""
+    """q and -q are one orientation: between samples too, where the hand turns at even speed within half a
+    degree.
+    """
     rng = np.random.default_rng(seed)
     steps = rng.normal(size=(4, 3))
     steps *= rng.uniform(0.1, 0.6, (4, 1)) / np.linalg.norm(steps, axis=1, keepdims=True)

@@ -68,13 +68,22 @@ def test_the_shape_of_a_project(tmp_path: Path) -> None:
     assert project["name"] == "wave" and project["layout"]["type"] == "Tactot"
     assert project["mediaFileDuration"] == 1  # whole seconds, begun
     layout = project["layout"]["layouts"]["VestFront"]
-    assert [one["index"] for one in layout] == list(range(20)) and layout[-1] == {"index": 19, "x": 1.0, "y": 1.0}
+    assert [one["index"] for one in layout] == list(range(20)) and layout[-1] == {
+        "index": 19,
+        "x": 1.0,
+        "y": 1.0,
+    }
     ((effect,),) = [track["effects"] for track in project["tracks"]]
     assert (effect["startTime"], effect["offsetTime"]) == (0, 100)
     back, front = effect["modes"]["VestBack"], effect["modes"]["VestFront"]
     assert back["mode"] == "DOT_MODE" and [one["pointList"] for one in front["dotMode"]["feedback"]] == [[]]
     assert back["dotMode"]["feedback"] == [
-        {"startTime": 0, "endTime": 100, "playbackType": "NONE", "pointList": [{"index": 19, "intensity": 1.0}]}
+        {
+            "startTime": 0,
+            "endTime": 100,
+            "playbackType": "NONE",
+            "pointList": [{"index": 19, "intensity": 1.0}],
+        }
     ]
 
 

@@ -103,7 +103,9 @@ def test_a_medium_is_touched_as_it_is_when_the_probe_arrives_and_within_its_time
     trace = touch_down(medium)
     assert trace.times_s[-1] == 1.5
     assert forces_of(wall, trace.positions_m).max() > 1
-    late = HapticMedium.from_frames([empty] * 14 + [wall], 10.0)  # empty when it arrives: the frame that is not
+    late = HapticMedium.from_frames(
+        [empty] * 14 + [wall], 10.0
+    )  # empty when it arrives: the frame that is not
     assert forces_of(wall, touch_down(late).positions_m).max() > 1
     assert touch_down(HapticMedium.from_frames([wall], 1000.0)).times_s[-1] == 3.0
     assert touch_down(medium, start_s=0.5, speed=2.0).times_s[-1] == 0.5
@@ -128,7 +130,9 @@ def test_an_object_that_moves_and_turns_is_met_all_the_time(start_s: float, spee
     turns = np.linspace(0, 2, 4000)
     quaternions = np.stack([np.cos(turns), 0 * turns, np.sin(turns), 0 * turns], axis=1)
     places = np.stack([0.3 * np.sin(3 * turns), 0.1 * turns, -0.2 * turns], axis=1)
-    weak = HapticMedium.from_frames([ForceField.from_dense(GRID, SOLID).scaled(0.3)], 1000.0)  # a body beside it
+    weak = HapticMedium.from_frames(
+        [ForceField.from_dense(GRID, SOLID).scaled(0.3)], 1000.0
+    )  # a body beside it
     beside = PoseTrack(np.tile([1.0, 0, 0, 0], (4000, 1)), np.tile([-0.3, 0.0, 0.0], (4000, 1)))
     objects = HapticObject("weak", weak, beside), HapticObject("ball", body, PoseTrack(quaternions, places))
     scene = HapticScene(GRID, 1000.0, objects, 3.3)
@@ -159,7 +163,9 @@ def test_the_hand_comes_from_where_the_user_sits(name: str, axes: str) -> None:
 def test_a_wall_that_pushes_away_from_the_user_is_met_from_behind() -> None:
     dense = np.zeros((40, 40, 40, 3))
     dense[:, :, 20:23, 2] = -2.0
-    trace = touch_down(HapticMedium.from_frames([ForceField.from_dense(GRID, dense)], 30.0, "x right, y up, z back"))
+    trace = touch_down(
+        HapticMedium.from_frames([ForceField.from_dense(GRID, dense)], 30.0, "x right, y up, z back")
+    )
     assert trace.positions_m[0][2] < trace.positions_m[1000][2]
 
 

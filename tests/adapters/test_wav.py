@@ -38,7 +38,10 @@ def test_each_actuator_is_a_sine_of_its_drive_and_frequency(tmp_path: Path) -> N
 
 
 def test_a_frequency_that_moves_has_no_jump_and_what_is_too_fast_is_told(tmp_path: Path) -> None:
-    drives, hertz = np.ones((100, 1, 1), np.float32), np.linspace(50, 200, 100, dtype=np.float32).reshape(-1, 1, 1)
+    drives, hertz = (
+        np.ones((100, 1, 1), np.float32),
+        np.linspace(50, 200, 100, dtype=np.float32).reshape(-1, 1, 1),
+    )
     hertz[40:60] = 0  # not known: as before
     write_wav_array(tmp_path / "a.wav", ArrayEffect(20.0, drives, hertz))
     assert np.abs(np.diff(heard(tmp_path / "a.wav")[:, 0])).max() < 2 * np.pi * 201 / RATE_HZ

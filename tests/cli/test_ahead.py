@@ -1,4 +1,6 @@
-"""Helpers that compile ahead: started only where something must be compiled, gone with the job, and never needed."""
+"""Helpers that compile ahead: started only where something must be compiled, gone with the job, and never
+needed.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,10 @@ def test_helpers_start_with_the_first_kernel_to_be_compiled_and_end_with_the_job
     with compilation_told(lambda line: None, ("passes", "columns", "filters")):
         assert not started
         assert kernel(2) == 3
-        assert [one.args[-2:] for one in started] == [["passes", "filters"], ["touchfield.cli.ahead", "columns"]]
+        assert [one.args[-2:] for one in started] == [
+            ["passes", "filters"],
+            ["touchfield.cli.ahead", "columns"],
+        ]
         assert all(one.poll() is None for one in started)
     assert all(one.returncode is not None for one in started)
     assert not compiled_passes(tmp_path)
@@ -66,7 +71,9 @@ def test_no_helper_where_none_is_wanted_or_only_one_core_is_there(
     assert not started
 
 
-def test_a_broken_helper_does_not_matter(started: Started, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_broken_helper_does_not_matter(
+    started: Started, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     with ahead.helpers(["no such group"]) as start:
         start()
         assert started[0].wait(60) == 1
@@ -76,7 +83,9 @@ def test_a_broken_helper_does_not_matter(started: Started, monkeypatch: pytest.M
     assert len(started) == 1
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="what has become of a process is read from /proc")
+@pytest.mark.skipif(
+    not Path("/proc/self/stat").exists(), reason="what has become of a process is read from /proc"
+)
 def test_a_helper_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     code = """if True:
         import subprocess, time
@@ -92,7 +101,12 @@ def test_a_helper_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
             start()
             time.sleep(600)
     """
-    there = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "TOUCHFIELD_THREADS": "2", "TOUCHFIELD_HELPERS": "1"}
+    there = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path),
+        "TOUCHFIELD_THREADS": "2",
+        "TOUCHFIELD_HELPERS": "1",
+    }
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, env=there) as parent:
         assert parent.stdout is not None
         helper = Path("/proc") / parent.stdout.readline().decode().strip() / "stat"

@@ -1,8 +1,8 @@
 """Every option of every command reaches its task, with the value that was given, and touches nothing else.
 
-The commands run with the functions behind them replaced by recorders. One run has the defaults, the other one option
-more; what differs between the two records must be the leaf that `option_tables.EXPECTED` names, and it alone: an
-option that is ignored, swapped with another or converted to another unit differs elsewhere.
+The commands run with the functions behind them replaced by recorders. One run has the defaults, the other one
+option more; what differs between the two records must be the leaf that `option_tables.EXPECTED` names, and it
+alone: an option that is ignored, swapped with another or converted to another unit differs elsewhere.
 """
 
 from __future__ import annotations
@@ -220,7 +220,9 @@ def test_the_table_names_every_option_of_every_command() -> None:
 @pytest.mark.parametrize("command", [name for name, cases in EXPECTED.items() if cases])
 def test_every_option_reaches_its_task(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usual: dict[str, dict[str, Any]] = {}
-    faults = [check(command, name, one, usual, folder, monkeypatch) for name, one in EXPECTED[command].items()]
+    faults = [
+        check(command, name, one, usual, folder, monkeypatch) for name, one in EXPECTED[command].items()
+    ]
     assert not [fault for fault in faults if fault], "\n".join(filter(None, faults))
 
 
@@ -265,7 +267,9 @@ def test_who_receives_is_told_the_end_of_a_live_stream(folder: Path, monkeypatch
 
     assert run("live", ["scene.stl"], folder, monkeypatch)["LiveServer().end"] == CALLED
     servers: list[Stub] = []
-    monkeypatch.setattr("touchfield.network.live_server.LiveServer", lambda *_: servers.append(Stub()) or servers[0])
+    monkeypatch.setattr(
+        "touchfield.network.live_server.LiveServer", lambda *_: servers.append(Stub()) or servers[0]
+    )
     monkeypatch.setattr("touchfield.tasks.live.opened_sender", lambda *_: RESULTS["opened_sender"])
     monkeypatch.setattr("touchfield.tasks.live.broadcast", breaks)
     assert _exit_code(["live", "scene.stl"]) == 1

@@ -1,4 +1,6 @@
-"""Whatever the system refuses, of every command: an exit code above 0, one clear line, and no file left behind."""
+"""Whatever the system refuses, of every command: an exit code above 0, one clear line, and no file left
+behind.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ WRITING = {
     "encode": ("sphere.toml {out}.touch --nw 3",),
     "filter": ("sphere.touch {out}.touch --gaussian 2mm", "sphere.touch {out}.npz --gaussian 2mm"),
     "field": (
-        "sphere.toml {out}.npz --nw 3", "sphere.toml {out}.vti --nw 3", "sphere.toml --preview {out}.png --nw 3",
+        "sphere.toml {out}.npz --nw 3", "sphere.toml {out}.vti --nw 3", "sphere.toml --preview {out}.png "
+                                                                        "--nw 3",
     ),
     "plan": ("sphere.toml --budget 60kB --nw 3 --plot {out}.png",),
     "decode": ("sphere.touch {out}.npz", "sphere.touch {out}.vti"),
@@ -110,7 +113,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return here
 
 
-def refused(words: list[str], capsys: pytest.CaptureFixture[str], where: Path, code: int | None = None) -> str:
+def refused(
+    words: list[str], capsys: pytest.CaptureFixture[str], where: Path, code: int | None = None
+) -> str:
     """The one line with which a command ends that must fail, and leave nothing new in a folder."""
     before = sorted(where.rglob("*"))
     capsys.readouterr()
@@ -146,7 +151,9 @@ def test_an_error_of_the_system_is_told_and_never_exit_code_0(
     words = [command, *ARGUMENTS[command].format(tmp=tmp_path).split()]
     told = refused(words, capsys, tmp_path, 1)
     if command not in ("partition", "texture"):  # these read their files first
-        assert told == "touchfield: there: Permission denied. Check the path, the permissions and the free space"
+        assert (
+            told == "touchfield: there: Permission denied. Check the path, the permissions and the free space"
+        )
 
 
 @pytest.mark.parametrize("command", sorted(READING))

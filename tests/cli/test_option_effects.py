@@ -1,7 +1,7 @@
 """Options that reach their task (`test_every_option`) also change what comes out of it.
 
-Each case is a command that really runs, without and with an option: its JSON, or what its files hold, must differ.
-Options of one mechanism, such as those of a coder, are tried on one of the commands that take them.
+Each case is a command that really runs, without and with an option: its JSON, or what its files hold, must
+differ. Options of one mechanism, such as those of a coder, are tried on one of the commands that take them.
 """
 
 from __future__ import annotations
@@ -213,7 +213,12 @@ def content(path: Path) -> Any:
         with open_stream(path) as stream:
             head = stream.reader.head
             fields = [field.forces_n.tobytes() for field in stream.medium]
-            coefficients = (head.friction, head.damping_n_s_per_m, head.weber_fraction, head.force_threshold_n)
+            coefficients = (
+                head.friction,
+                head.damping_n_s_per_m,
+                head.weber_fraction,
+                head.force_threshold_n,
+            )
             spans = [(one.first_frame, one.frame_count) for one in stream.reader.segments]
             return fields, coefficients, spans, stream.bits
     return path.read_bytes()
@@ -274,4 +279,6 @@ def test_a_scene_is_measured_in_the_workspace_of_the_reference(
         words = ["measure", "sphere.toml", "--nw", "4", "--no-limits", "--json", *more]
         assert _exit_code(words) == 0
         found.append(json.loads(capsys.readouterr().out))
-    assert found[0]["occupancy"] != found[1]["occupancy"], "the sphere fills another share of another workspace"
+    assert found[0]["occupancy"] != found[1]["occupancy"], (
+        "the sphere fills another share of another workspace"
+    )

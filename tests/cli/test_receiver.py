@@ -59,7 +59,18 @@ def _columns(log: Path) -> dict[str, np.ndarray]:
 def test_contact_friction_and_release(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     pytest.importorskip("matplotlib", reason="the picture needs the extra report")
     log, plot = tmp_path / "forces.csv", tmp_path / "forces.png"
-    asked = ["play", str(stream), "--offline", "--friction", "0.5", "--log", str(log), "--plot", str(plot), "--json"]
+    asked = [
+        "play",
+        str(stream),
+        "--offline",
+        "--friction",
+        "0.5",
+        "--log",
+        str(log),
+        "--plot",
+        str(plot),
+        "--json",
+    ]
     assert _exit_code(asked) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["underruns"] == 0 and 0.1 < told["contact_share"] < 0.95 and told["last_force_n"] == 0
@@ -86,9 +97,16 @@ def test_the_picture_has_millimetres_and_newtons(
     drawn: list[Any] = []
     monkeypatch.setattr("touchfield.viewer.interaction.write_png", lambda figure, path: drawn.append(figure))
     log = tmp_path / "forces.csv"
-    assert _exit_code(["play", str(stream), "--offline", "--log", str(log), "--plot", str(tmp_path / "a.png")]) == 0
+    assert (
+        _exit_code(["play", str(stream), "--offline", "--log", str(log), "--plot", str(tmp_path / "a.png")])
+        == 0
+    )
     at, (hand, force, parts) = _columns(log), drawn[0].axes[:3]
-    assert (hand.get_ylabel(), force.get_ylabel(), parts.get_ylabel()[:10]) == ("hand, mm", "|F|, N", "put out, N")
+    assert (hand.get_ylabel(), force.get_ylabel(), parts.get_ylabel()[:10]) == (
+        "hand, mm",
+        "|F|, N",
+        "put out, N",
+    )
     for axis, c in enumerate("xyz"):
         np.testing.assert_allclose(hand.lines[axis].get_ydata(), 1e3 * at[f"{c}_m"], rtol=1e-6)
         np.testing.assert_allclose(parts.lines[axis].get_ydata(), at[f"force_{c}_n"], atol=1e-6)
@@ -121,7 +139,9 @@ def test_a_log_is_a_trajectory(stream: Path, tmp_path: Path, capsys: Capture) ->
     first, second = tmp_path / "one.csv", tmp_path / "two.csv"
     assert _exit_code(["play", str(stream), "--offline", "--log", str(first)]) == 0
     trace = read_trace(first)
-    assert _exit_code(["play", str(stream), "--offline", "--trajectory", str(first), "--log", str(second)]) == 0
+    assert (
+        _exit_code(["play", str(stream), "--offline", "--trajectory", str(first), "--log", str(second)]) == 0
+    )
     capsys.readouterr()
     one, two = _columns(first), _columns(second)
     count = min(len(trace), len(two["t_s"]))
@@ -165,7 +185,17 @@ def test_a_tool_in_the_hand_and_the_torque_that_it_gets(
     rows = zip(at["t_s"], at["x_m"], at["y_m"], at["z_m"], strict=True)
     turned = "".join(f"{t},{x},{y},{z},0.7071,0,0.7071,0\n" for t, x, y, z in rows)
     path.write_text("t_s,x_m,y_m,z_m,qw,qx,qy,qz\n" + turned)
-    asked = ["play", str(stream), "--offline", "--log", str(log), "--profile", "sigma.7", "--trajectory", str(path)]
+    asked = [
+        "play",
+        str(stream),
+        "--offline",
+        "--log",
+        str(log),
+        "--profile",
+        "sigma.7",
+        "--trajectory",
+        str(path),
+    ]
     assert _exit_code([*asked, "--tool", tool.replace("MESH", str(mesh)), "--peak-nm", "0.05"]) == 0
     capsys.readouterr()
     at = _columns(log)
@@ -179,7 +209,15 @@ def test_a_tool_in_the_hand_and_the_torque_that_it_gets(
 
 @pytest.mark.parametrize(
     "tool",
-    ["sphere", "sphere:x", "sphere:-1", "sphere:0.01,points=0", "point,points=3", "sphere:0.01,points=x", "no.obj"],
+    [
+        "sphere",
+        "sphere:x",
+        "sphere:-1",
+        "sphere:0.01,points=0",
+        "point,points=3",
+        "sphere:0.01,points=x",
+        "no.obj",
+    ],
 )
 def test_what_is_no_tool_is_one_clear_line(stream: Path, tool: str, capsys: Capture) -> None:
     assert _exit_code(["play", str(stream), "--offline", "--tool", tool]) == 2
@@ -225,7 +263,9 @@ def test_one_clear_line(stream: Path, asked: list[str], words: str, capsys: Capt
     ("rows", "words"),
     [("0,0,0,0\n0.1,nan,0,0\n", "nan"), ("0,0,0,0\n0.2,0,0,0\n0.1,0,0,0\n", "0.1")],
 )
-def test_a_trajectory_that_cannot_be(stream: Path, tmp_path: Path, rows: str, words: str, capsys: Capture) -> None:
+def test_a_trajectory_that_cannot_be(
+    stream: Path, tmp_path: Path, rows: str, words: str, capsys: Capture
+) -> None:
     path, log = tmp_path / "probe.csv", tmp_path / "log.csv"
     path.write_text("t_s,x_m,y_m,z_m\n" + rows)
     assert _exit_code(["play", str(stream), "--offline", "--trajectory", str(path), "--log", str(log)]) != 0
@@ -261,7 +301,9 @@ def test_the_log_is_written_also_when_the_stream_fails_half_way(
     assert len(at["t_s"]) > 50 and not any(at[f"force_{c}_n"][-1] for c in "xyz")
 
 
-def test_a_stream_that_came_too_late_is_told(stream: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_a_stream_that_came_too_late_is_told(
+    stream: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
     import touchfield.tasks.play as job
 
     for share, code in ((0.02, 1), (0.005, 0)):
@@ -271,12 +313,26 @@ def test_a_stream_that_came_too_late_is_told(stream: Path, monkeypatch: pytest.M
         assert ("frames came too late" in capsys.readouterr().out) == bool(code)
 
 
-def test_what_is_asked_for_in_words_reaches_the_renderer(stream: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_asked_for_in_words_reaches_the_renderer(
+    stream: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import touchfield.tasks.play as job
 
     took: list[PlaySpec] = []
-    monkeypatch.setattr(job, "play", lambda path, spec, *_: took.append(spec) or job.Played({}, None, None, ()))
-    asked = ["play", str(stream), "--gravity-n", "0,-1,0.5", "--clutch-mm", "1,2,-3", "--no-blend", "--speed", "2"]
+    monkeypatch.setattr(
+        job, "play", lambda path, spec, *_: took.append(spec) or job.Played({}, None, None, ())
+    )
+    asked = [
+        "play",
+        str(stream),
+        "--gravity-n",
+        "0,-1,0.5",
+        "--clutch-mm",
+        "1,2,-3",
+        "--no-blend",
+        "--speed",
+        "2",
+    ]
     assert _exit_code(asked) == _exit_code(asked[:2]) == 0
     spec, usual = took
     expected = RenderSpec(gravity_n=(0.0, -1.0, 0.5), clutch_m=(0.001, 0.002, -0.003), blend=False)

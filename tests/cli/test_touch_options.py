@@ -33,7 +33,9 @@ def out(tmp_path: Path) -> str:
 
 
 def test_what_is_asked_is_in_the_file(sphere: str, out: str, capsys: pytest.CaptureFixture[str]) -> None:
-    words = "--nw 4 --k 0.2 --f0-n 0.1 --mode mask-direction --direction-jnd-deg 25 --support exact --effort fast"
+    words = (
+        "--nw 4 --k 0.2 --f0-n 0.1 --mode mask-direction --direction-jnd-deg 25 --support exact --effort fast"
+    )
     assert _exit_code(["encode", sphere, out, *words.split()]) == 0
     capsys.readouterr()
     assert _exit_code(["info", out, "--json"]) == 0
@@ -130,7 +132,9 @@ def test_a_plan_for_a_budget(sphere: str, tmp_path: Path, capsys: pytest.Capture
     capsys.readouterr()
     assert _exit_code(["plan", sphere, "--nw", "3", "--budget", "1Mbit/s", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert {"chosen", "front", "trials", "encode_options", "lambda_bytes"} <= set(found), "a still medium has bytes"
+    assert {"chosen", "front", "trials", "encode_options", "lambda_bytes"} <= set(found), (
+        "a still medium has bytes"
+    )
     for words in ("--budget 1bit/s", "--budget fast", "--budget 64kbit/s --nominal"):
         assert _exit_code(["plan", sphere, "--nw", "3", *words.split()]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -1,4 +1,6 @@
-"""The bits of coder `touch`: what is written is read, in the fewest bytes, and garbage stays within its buffer."""
+"""The bits of coder `touch`: what is written is read, in the fewest bytes, and garbage stays within its
+buffer.
+"""
 
 from __future__ import annotations
 
@@ -84,7 +86,9 @@ def test_what_is_written_is_read(script: tuple[np.ndarray, np.ndarray]) -> None:
 
 
 @given(st.binary(max_size=80), scripts())
-def test_a_reader_of_garbage_stays_within_its_buffer(data: bytes, script: tuple[np.ndarray, np.ndarray]) -> None:
+def test_a_reader_of_garbage_stays_within_its_buffer(
+    data: bytes, script: tuple[np.ndarray, np.ndarray]
+) -> None:
     """Behind the end there are zeros, for ever; values stay in their ranges."""
     calls, _ = script
     bits = reader(data, models())

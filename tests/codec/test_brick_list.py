@@ -25,7 +25,9 @@ def written(shape: tuple[int, int, int], bricks: np.ndarray, before: np.ndarray 
     return padded(end_of(bits), len(bricks))
 
 
-def read(data: bytes, shape: tuple[int, int, int], before: np.ndarray | None = None) -> tuple[np.ndarray, int]:
+def read(
+    data: bytes, shape: tuple[int, int, int], before: np.ndarray | None = None
+) -> tuple[np.ndarray, int]:
     """The list, and the bit."""
     bits = reader(data, fresh(AT + LIST_CONTEXTS, SETS_AT + LIST_SETS))
     return code_bricks(bits, AT, SETS_AT, shape, None, before), int(code(bits, 0, 0))
@@ -43,7 +45,9 @@ def lists(shape: tuple[int, int, int]) -> st.SearchStrategy[np.ndarray]:
             np.array(c[0]) + np.stack(np.indices((c[1],) * 3), -1).reshape(-1, 3), np.array(shape) - 1
         )
     )
-    return st.lists(near, max_size=5).map(lambda boxes: ascending(np.concatenate([np.zeros((0, 3), int), *boxes])))
+    return st.lists(near, max_size=5).map(
+        lambda boxes: ascending(np.concatenate([np.zeros((0, 3), int), *boxes]))
+    )
 
 
 @given(st.data())

@@ -88,7 +88,10 @@ def test_the_command_line_asks_the_registry() -> None:
 
 
 def test_what_is_no_coder_of_fields_is_refused() -> None:
-    assert registry.coder_of_spec(PaperSpec()).name == "paper" and registry.coder_of_spec(TouchSpec()).name == "touch"
+    assert (
+        registry.coder_of_spec(PaperSpec()).name == "paper"
+        and registry.coder_of_spec(TouchSpec()).name == "touch"
+    )
     with pytest.raises(InvalidArgument, match="spec of a coder"):
         registry.coder_of_spec(object())
     for name in ("count", "objects"):

@@ -39,7 +39,9 @@ def support_of(dense: np.ndarray) -> Support:
 
 
 def same(a: Support, b: Support) -> bool:
-    return a[1].dtype == b[1].dtype == np.bool_ and all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+    return a[1].dtype == b[1].dtype == np.bool_ and all(
+        np.array_equal(x, y) for x, y in zip(a, b, strict=True)
+    )
 
 
 @st.composite
@@ -90,7 +92,11 @@ def test_lossless_given_the_previous_frame(data: st.DataObject) -> None:
 
 
 @given(
-    st.lists(st.tuples(st.integers(0, 9_999), st.integers(0, 9_998), st.integers(0, 9_999)), min_size=1, max_size=30),
+    st.lists(
+        st.tuples(st.integers(0, 9_999), st.integers(0, 9_998), st.integers(0, 9_999)),
+        min_size=1,
+        max_size=30,
+    ),
     st.booleans(),
 )
 def test_lossless_in_a_large_grid(points: list[tuple[int, int, int]], full: bool) -> None:
@@ -120,7 +126,9 @@ def test_the_bytes_are_fixed() -> None:
     moved = np.roll(tiny, 1, axis=1)
     inter = encode_support(grid_of(tiny.shape), *support_of(moved), support_of(tiny))
     assert inter.hex() == "1892532c4cb4aecf528b"
-    far = ForceField.from_support(grid_of((9000, 9000, 9000)), [[7, 8, 9], [8999, 8999, 8999]], np.ones((2, 3)))
+    far = ForceField.from_support(
+        grid_of((9000, 9000, 9000)), [[7, 8, 9], [8999, 8999, 8999]], np.ones((2, 3))
+    )
     assert encode_support(far.grid, far.bricks, far.mask).hex() == "3d97af2eefcd6d33288b"
     ball = encode_support(grid_of((64, 64, 64)), *support_of(shell(64)))
     assert (len(ball), f"{zlib.crc32(ball):08x}") == (966, "50ead99c")
@@ -153,14 +161,18 @@ def test_changed_bytes_are_an_error_or_another_support(samples: int) -> None:
                 assert_fault_or_support(bytes(wrong[:cut]), grid)
 
 
-@given(st.binary(max_size=200), st.sampled_from([(30, 20, 17), (1, 1, 1), (9000, 9000, 9000), (1 << 20,) * 3]))
+@given(
+    st.binary(max_size=200), st.sampled_from([(30, 20, 17), (1, 1, 1), (9000, 9000, 9000), (1 << 20,) * 3])
+)
 def test_random_bytes_are_an_error_or_a_support(data: bytes, shape: tuple[int, int, int]) -> None:
     assert_fault_or_support(data, grid_of(shape))
 
 
 @pytest.mark.parametrize("shape", [(512, 512, 512), (1 << 20, 1 << 20, 1 << 20)])
 def test_few_bytes_never_ask_for_much_memory(shape: tuple[int, int, int]) -> None:
-    decode_support(encode_support(grid_of((9, 9, 9)), *support_of(shell(9))), grid_of((9, 9, 9)))  # compile first
+    decode_support(
+        encode_support(grid_of((9, 9, 9)), *support_of(shell(9))), grid_of((9, 9, 9))
+    )  # compile first
     solid = np.ones((96, 96, 96), np.bool_)  # of which the code is a byte, and the rest zeros
     bombs = [bytes(60), bytes(5000), b"\1" * 4096, encode_support(grid_of(shape), *support_of(solid))]
     assert len(bombs[-1]) == (12**3 - 64) // 16

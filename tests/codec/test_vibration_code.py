@@ -71,7 +71,9 @@ def test_amplitudes_within_a_ninth_and_frequencies_within_half_a_hertz(
     count = len(amplitudes)
     positions = np.stack([np.zeros(count), np.zeros(count), np.arange(count)], axis=1).astype(np.int32)
     grid = Grid((1, 1, 20), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
-    frame = VibrationFrame(grid, positions, np.array(amplitudes, np.float32), np.full(count, frequency, np.float32))
+    frame = VibrationFrame(
+        grid, positions, np.array(amplitudes, np.float32), np.full(count, frequency, np.float32)
+    )
     [found] = decode_vibration(encode_vibration([frame]), grid, 1)
     kept = np.isin(positions[:, 2], found.positions[:, 2])
     assert (frame.amplitudes_n[~kept] < 2.0**-20).all()
@@ -161,7 +163,9 @@ def test_more_frames_or_bricks_than_bytes_are_refused() -> None:
         decode_symbols(body[:-1], WIDE, 100)
 
 
-@pytest.mark.parametrize(("amplitude", "frequency"), [(AMPLITUDE_STEPS, 1), (-1, 1), (0, 0), (0, 10001)], ids=str)
+@pytest.mark.parametrize(
+    ("amplitude", "frequency"), [(AMPLITUDE_STEPS, 1), (-1, 1), (0, 0), (0, 10001)], ids=str
+)
 def test_values_out_of_range_are_corrupt(amplitude: int, frequency: int) -> None:
     one = VibrationSymbols(
         np.array([[1, 2, 3]], np.int32), np.array([amplitude], np.int32), np.array([frequency], np.int32)

@@ -116,13 +116,17 @@ def test_golden_files_decode_alike(stream: Path, program: Path, tmp_path: Path) 
 def test_faulty_files_are_refused_for_the_same_reason(name: str, program: Path, tmp_path: Path) -> None:
     stream = CONFORMANCE / "faulty" / f"{name}.touch"
     code, words = run(program, stream, tmp_path / "raw")
-    assert CODES[code] == ("UnsupportedVersion" if is_paper(stream) and not is_container(name) else FAULTY[name])
+    assert CODES[code] == (
+        "UnsupportedVersion" if is_paper(stream) and not is_container(name) else FAULTY[name]
+    )
     assert words.partition(" ")[2]
 
 
 def is_container(name: str) -> bool:
     """Whether a faulty file is at fault before a coder is asked for."""
-    return not name.startswith(("paper", "objects-rigid-", "vibration-cut", "vibration-flipped", "vibration-long"))
+    return not name.startswith(
+        ("paper", "objects-rigid-", "vibration-cut", "vibration-flipped", "vibration-long")
+    )
 
 
 def test_mutated_files_touch_no_memory_that_is_not_theirs(tmp_path: Path) -> None:
@@ -142,7 +146,9 @@ def test_mutated_files_touch_no_memory_that_is_not_theirs(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("is_watched", [False, pytest.param(True, marks=pytest.mark.thorough)])
-def test_an_arena_that_is_too_small_is_told_as_such_wherever_it_ends(is_watched: bool, tmp_path: Path) -> None:
+def test_an_arena_that_is_too_small_is_told_as_such_wherever_it_ends(
+    is_watched: bool, tmp_path: Path
+) -> None:
     """Each piece of memory in turn is the last that is given: the decoder says so, and touches no other."""
     options = ["-Og", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"] if is_watched else ["-O2"]
     probe = tmp_path / "probe.c"

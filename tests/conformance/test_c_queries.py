@@ -1,8 +1,8 @@
 """Force, gradient and vibration at a point: `c/touch.h`, the package and the format's own words say the same.
 
-The third answer is written here from docs/format, in float64: trilinear samples of what the second decoder finds.
-Points lie where mistakes hide: on samples, faces and edges of cells, at the borders of bricks and of the lattice,
-beside samples without a force, where a sum of forces is cut, and where no number is.
+The third answer is written here from docs/format, in float64: trilinear samples of what the second decoder
+finds. Points lie where mistakes hide: on samples, faces and edges of cells, at the borders of bricks and of
+the lattice, beside samples without a force, where a sum of forces is cut, and where no number is.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ class Answers(NamedTuple):
     vibration: np.ndarray
 
 
-# -- the format's own words ------------------------------------------------------------------------------------------
+# -- the format's own words
+# ------------------------------------------------------------------------------------------
 
 
 class Lattice:
@@ -52,7 +53,9 @@ class Lattice:
         self.shape = np.array(told["grid_shape"])
 
     def cells(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Corners [8, n, c] of the cell about each point, zeros where there is none, and its place in it [n, 3]."""
+        """Corners [8, n, c] of the cell about each point, zeros where there is none, and its place in it [n,
+        3].
+        """
         index = (points_m - self.origin_m) / self.spacing_m
         low = np.floor(index + ON_PLANE).astype(int)
         inside = ((low >= -1) & (low < self.shape)).all(axis=1)
@@ -127,10 +130,13 @@ def objects_at(scene: Any, frame: int, points: np.ndarray) -> tuple[np.ndarray, 
     size = np.where(is_cut, size, 1.0)
     way = total / size
     across = slopes - way[:, :, None] * np.einsum("ni,nij->nj", way, slopes)[:, None, :]
-    return np.where(is_cut, most * way, total), np.where(is_cut[..., None], (most / size)[..., None] * across, slopes)
+    return np.where(is_cut, most * way, total), np.where(
+        is_cut[..., None], (most / size)[..., None] * across, slopes
+    )
 
 
-# -- the other two ---------------------------------------------------------------------------------------------------
+# -- the other two
+# ---------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -160,11 +166,14 @@ def by_the_package(path: Path, points: np.ndarray) -> Answers:
     return Answers(force, gradient, vibration)
 
 
-# -- points ----------------------------------------------------------------------------------------------------------
+# -- points
+# ----------------------------------------------------------------------------------------------------------
 
 
 def lattices_of(path: Path) -> list[tuple[dict[str, Any], np.ndarray, np.ndarray]]:
-    """Lattices of a file, each with a rotation and a place in the scene: HEAD's, and those of bodies at the start."""
+    """Lattices of a file, each with a rotation and a place in the scene: HEAD's, and those of bodies at the
+    start.
+    """
     file = decoder.read_file(path.read_bytes())
     out = [(file.head, np.eye(3), np.zeros(3))]
     if file.objects:
@@ -196,10 +205,11 @@ def points_of(path: Path) -> np.ndarray:
 
 
 def is_plain(path: Path, points: np.ndarray) -> np.ndarray:
-    """Where a slope is one number: away from the planes of lattices that lie turned, and from where forces begin.
+    """Where a slope is one number: away from the planes of lattices that lie turned, and from where forces
+    begin.
 
-    On such a plane the rounding of a rotation decides which cell a point is in. Lattices that lie straight have no
-    such rounding, and a rule: the cell towards greater indices.
+    On such a plane the rounding of a rotation decides which cell a point is in. Lattices that lie straight
+    have no such rounding, and a rule: the cell towards greater indices.
     """
     file = decoder.read_file(path.read_bytes())
     if not file.objects:
@@ -224,7 +234,14 @@ def clipped_scene(folder: Path) -> Path:
     return path
 
 
-NAMES = ("touch-mask", "touch-lossless", "vibration-touch", "objects-touch", "objects-touch-deforming", "clipped")
+NAMES = (
+    "touch-mask",
+    "touch-lossless",
+    "vibration-touch",
+    "objects-touch",
+    "objects-touch-deforming",
+    "clipped",
+)
 
 
 @pytest.fixture(scope="module")
@@ -252,7 +269,9 @@ def test_three_say_the_same_at_points(name: str, program: Path, folder: Path, tm
         is_cut = (size > 0.3 - 1e-9) & is_slope & (np.abs(expected.gradient).max(axis=(-2, -1)) > 1)
         assert is_cut.sum() > 500
     if name.startswith("vibration"):
-        assert (np.unique(expected.vibration[..., 1]).size > 20) and (expected.vibration[..., 0] == 0).mean() > 0.1
+        assert (np.unique(expected.vibration[..., 1]).size > 20) and (
+            expected.vibration[..., 0] == 0
+        ).mean() > 0.1
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300, -1e300])

@@ -94,7 +94,10 @@ def test_what_it_refuses_within_a_segment_python_decodes_from_there(monkeypatch:
     frame = expected[0]
     numbers = np.ravel_multi_index(frame.bricks.T, frame.grid.brick_shape).astype(np.uint32)
     # in any order, one brick of them without a force; told from those of Python by their size
-    empty, expected[0] = np.setdiff1d(np.arange(math.prod(frame.grid.brick_shape)), numbers)[:1], frame.scaled(2)
+    empty, expected[0] = (
+        np.setdiff1d(np.arange(math.prod(frame.grid.brick_shape)), numbers)[:1],
+        frame.scaled(2),
+    )
     forces = np.concatenate([np.zeros_like(frame.forces_n[:1]), 2 * frame.forces_n[::-1]])
     told = np.append(empty, numbers[::-1]).astype(np.uint32), forces
 

@@ -1,4 +1,6 @@
-"""Crafted bodies and parameters of the coder `touch`, at the ends of their bounds: three decoders say the same."""
+"""Crafted bodies and parameters of the coder `touch`, at the ends of their bounds: three decoders say the
+same.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,11 @@ def lattice(*numbers: int) -> bytes:
 
 def force(gap: int, sample: int, *newtons: float) -> bytes:
     """A force that is sent apart, or none."""
-    return write_varint(gap) + write_varint(2 * sample + (not newtons)) + struct.pack(f"<{len(newtons)}f", *newtons)
+    return (
+        write_varint(gap)
+        + write_varint(2 * sample + (not newtons))
+        + struct.pack(f"<{len(newtons)}f", *newtons)
+    )
 
 
 def voxel(x: int, y: int, z: int) -> dict[str, Any]:
@@ -98,7 +104,10 @@ BODIES: dict[str, tuple[dict[str, Any], str]] = {
     "no exceptions": ({"apart": b""}, "CorruptFile"),
     "a byte more": ({"behind": b"\0"}, "CorruptFile"),
     "no axis": ({"payload": b"\3" + FRAME.payload[1:]}, "CorruptFile"),
-    "another bit of the course": ({"payload": bytes([32 | FRAME.payload[0]]) + FRAME.payload[1:]}, "CorruptFile"),
+    "another bit of the course": (
+        {"payload": bytes([32 | FRAME.payload[0]]) + FRAME.payload[1:]},
+        "CorruptFile",
+    ),
     "too steep": ({"payload": FRAME.payload[:1] + write_varint(1 << 17) + FRAME.payload[2:]}, "CorruptFile"),
     "a payload cut": ({"payload": FRAME.payload[: len(FRAME.payload) // 2]}, "TruncatedFile"),
     "no floor": ({"lattice": lattice(0, 7000, 1, 7000)}, "CorruptFile"),

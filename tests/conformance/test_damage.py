@@ -24,7 +24,9 @@ NAMES = st.sampled_from(sorted(STREAMS) or [""])
 def decode(data: bytes) -> int:
     with TouchReader(io.BytesIO(data)) as reader:
         medium = opened(reader).medium
-        band = map(medium.vibration, range(len(medium))) if medium.vibration else ()  # read apart from the frames
+        band = (
+            map(medium.vibration, range(len(medium))) if medium.vibration else ()
+        )  # read apart from the frames
         return sum(frame.support_count for frame in medium) + sum(map(len, band))
 
 
@@ -73,7 +75,8 @@ def test_payloads_changed_behind_a_crc_that_holds(name: str, draw: st.DataObject
     for _ in range(draw.draw(st.integers(1, 3))):
         at = draw.draw(st.integers(0, len(payload) - 1))
         put = draw.draw(
-            st.sampled_from([b"\0\0\x10\0", b"\xff" * 4, bytes(7) + b"\x7f"]) | st.binary(min_size=1, max_size=3)
+            st.sampled_from([b"\0\0\x10\0", b"\xff" * 4, bytes(7) + b"\x7f"])
+            | st.binary(min_size=1, max_size=3)
         )
         payload[at : at + len(put)] = put[: len(payload) - at]
     records[one] = records[one]._replace(payload=bytes(payload))

@@ -30,7 +30,9 @@ def test_the_files_are_those_that_are_made(tmp_path: Path) -> None:
         shutil.copy(path, tmp_path)
     (tmp_path / "stale.touch").write_bytes(b"")
     faults.write_faulty(GOLDEN[0].parent, tmp_path)
-    made, stored = ({path.name: path.read_bytes() for path in folder.iterdir()} for folder in (tmp_path, FOLDER))
+    made, stored = (
+        {path.name: path.read_bytes() for path in folder.iterdir()} for folder in (tmp_path, FOLDER)
+    )
     assert made == stored
 
 
@@ -62,7 +64,9 @@ def test_second(name: str) -> None:
     ],
 )  # fmt: skip
 def test_both_refuse_bounds_of_objects(tag: str, back: int, code: str, value: float) -> None:
-    """A number of HEAD's parameters, or of the steps of a body that deforms, is out of bounds; or it has a field."""
+    """A number of HEAD's parameters, or of the steps of a body that deforms, is out of bounds; or it has a
+    field.
+    """
     faults: Any = importlib.import_module("make_faulty")
     records = faults.records_of((CONFORMANCE / "v1" / "objects-deforming.touch").read_bytes())
     at = max(i for i, record in enumerate(records) if record.tag == tag.encode())
@@ -77,7 +81,10 @@ def test_both_refuse_bounds_of_objects(tag: str, back: int, code: str, value: fl
 
 @pytest.mark.parametrize("name", [name for name in FAULTY if name.startswith("older")])
 def test_older_files_are_told_to_be_encoded_again(name: str) -> None:
-    for program in ([sys.executable, "-m", "touchfield", "info"], [sys.executable, CONFORMANCE / "decoder.py"]):
+    for program in (
+        [sys.executable, "-m", "touchfield", "info"],
+        [sys.executable, CONFORMANCE / "decoder.py"],
+    ):
         more = [] if program[-1] == "info" else ["out.npz"]
         command = [*program, FOLDER / f"{name}.touch", *more]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120)

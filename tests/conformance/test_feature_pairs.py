@@ -1,7 +1,8 @@
-"""Every pair of optional features of a stream: three decoders find the same, or the pair is refused in one line.
+"""Every pair of optional features of a stream: three decoders find the same, or the pair is refused in one
+line.
 
-A feature is what `encode` may be asked for, or what may be done with a stream afterwards. Two that set the same
-option to different values are no pair.
+A feature is what `encode` may be asked for, or what may be done with a stream afterwards. Two that set the
+same option to different values are no pair.
 """
 
 from __future__ import annotations
@@ -83,7 +84,9 @@ def scene() -> BodyScene:
     block = Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.015))
     bodies = [
         Body("ball", AnalyticScene((ball,), "union", UP_Z_AXES), way),
-        Body("block", AnalyticScene((block,), "union", UP_Z_AXES), PoseTrack.still(FRAMES, (-0.03, 0.0, -0.01))),
+        Body(
+            "block", AnalyticScene((block,), "union", UP_Z_AXES), PoseTrack.still(FRAMES, (-0.03, 0.0, -0.01))
+        ),
     ]
     return BodyScene(bodies, 50.0)
 
@@ -125,7 +128,9 @@ def by_c(program: Path, path: Path, like: Decoded) -> Decoded:
     shape = like.forces.shape[1:4]
     raw, forces, both = Raw(path.with_suffix(".raw").read_bytes(), shape), [], []
     for _ in range(len(like.forces)):
-        forces.append(raw.numbers("<f4", 3 * int(np.prod(shape))).reshape(*shape, 3) if is_placed else raw.field())
+        forces.append(
+            raw.numbers("<f4", 3 * int(np.prod(shape))).reshape(*shape, 3) if is_placed else raw.field()
+        )
         both.append(raw.field()[..., :2])
     assert raw.at == len(raw.data)
     return Decoded(np.stack(forces), None if like.vibration is None else np.stack(both))
@@ -198,7 +203,9 @@ def test_a_feature_alone(name: str, program: Path | None, tmp_path: Path) -> Non
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("pair", PAIRS, ids=" x ".join)
-def test_a_pair_is_decoded_alike_or_refused(pair: tuple[str, str], program: Path | None, tmp_path: Path) -> None:
+def test_a_pair_is_decoded_alike_or_refused(
+    pair: tuple[str, str], program: Path | None, tmp_path: Path
+) -> None:
     if frozenset(pair) not in REFUSED:
         check(pair, program, tmp_path)
         return

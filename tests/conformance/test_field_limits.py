@@ -1,7 +1,8 @@
-"""Every number of the format just inside and just outside its limits: three decoders accept and refuse the same.
+"""Every number of the format just inside and just outside its limits: three decoders accept and refuse the
+same.
 
-The table of records is that of docs/format/container.md (`test_format_document` holds both together); the limits of
-vibrations and of poses are those of their chapters, written here once more.
+The table of records is that of docs/format/container.md (`test_format_document` holds both together); the
+limits of vibrations and of poses are those of their chapters, written here once more.
 """
 
 from __future__ import annotations
@@ -54,7 +55,8 @@ class Case(NamedTuple):
     is_right: bool
 
 
-# -- the records -----------------------------------------------------------------------------------------------------
+# -- the records
+# -----------------------------------------------------------------------------------------------------
 
 
 @singledispatch
@@ -76,7 +78,9 @@ def _(kind: Real) -> list[bytes]:
 @limits.register
 def _(kind: Array) -> list[bytes]:
     if kind.most_bricks is not None:  # a whole number of bricks, as many as there may be
-        return [struct.pack("<3I", *shape) for shape in ((1, 1, 1), (4096, 4096, 4096), (1 << 20, 1 << 13, 8))]
+        return [
+            struct.pack("<3I", *shape) for shape in ((1, 1, 1), (4096, 4096, 4096), (1 << 20, 1 << 13, 8))
+        ]
     return [data * kind.count for data in limits(kind.of)]
 
 
@@ -140,7 +144,9 @@ def split(data: bytes) -> list[tuple[str, bytes]]:
 def joined(records: list[tuple[str, bytes]]) -> bytes:
     """A file of records whose CRCs, index and end are right, whatever stands in them."""
     required = {tag: int(record.required) for tag, record in RECORD_OF.items()}
-    coded = [(tag, framed(tag, payload, required[tag])) for tag, payload in records if tag not in ("INDX", "TEND")]
+    coded = [
+        (tag, framed(tag, payload, required[tag])) for tag, payload in records if tag not in ("INDX", "TEND")
+    ]
     at, entries = len(OPENING), []
     for tag, record in coded:
         if tag == "SEGM":
@@ -159,7 +165,8 @@ def with_payload(records: list[tuple[str, bytes]], tag: str, payload: bytes) -> 
     return joined([*records[:place], (tag, payload), *records[place + 1 :]])
 
 
-# names of the files whose own numbers decide about others, so that a limit of one field is refused for another's sake
+# names of the files whose own numbers decide about others, so that a limit of one field is refused for
+# another's sake
 UNFIT = {"HEAD.frame_count", "SEGM.first_frame", "SEGM.frame_count", "VIBR.first_frame", "VIBR.frame_count"}
 UNFIT |= {"HEAD.coder"}  # `touch_open` refuses coders that it has not
 
@@ -171,7 +178,9 @@ def record_cases() -> Iterator[Case]:
         records = split(data)
         for tag in tags:
             payload, rows = dict(reversed(records))[tag], rows_of(RECORD_OF[tag].kind.layout)
-            parts = [row.kind.encode(value, "") for row, value in zip(rows, values_of(tag, payload), strict=True)]
+            parts = [
+                row.kind.encode(value, "") for row, value in zip(rows, values_of(tag, payload), strict=True)
+            ]
             assert b"".join(parts) == payload
             for i, row in enumerate(rows):
                 name = f"{tag}.{row.name}"
@@ -195,7 +204,9 @@ def story_cases() -> Iterator[Case]:
     records = split(voxels())
 
     def story(*pairs: tuple[int, int]) -> bytes:
-        texts = [(f"{n:{size}}"[-size:] if size else "", "b" * length) for n, (size, length) in enumerate(pairs)]
+        texts = [
+            (f"{n:{size}}"[-size:] if size else "", "b" * length) for n, (size, length) in enumerate(pairs)
+        ]
         coded = [struct.pack("<H", len(text)) + text.encode() for pair in texts for text in pair]
         return struct.pack("<H", len(pairs)) + b"".join(coded)
 
@@ -214,7 +225,10 @@ def object_count_cases() -> Iterator[Case]:
     records = split(scene_file())
     own = [record for record in records if record[0] == "OBJT"]
     others = [record for record in records[1:] if record[0] != "OBJT"]
-    small = ("OBJT", own[0][1][: 2 + len("first block") + 60] + b"\0" + struct.pack("<H", 1) + b"a" + bytes(8))
+    small = (
+        "OBJT",
+        own[0][1][: 2 + len("first block") + 60] + b"\0" + struct.pack("<H", 1) + b"a" + bytes(8),
+    )
     for count, is_right in ((1, True), (4096, True), (4097, False), (0, False)):
         yield Case(f"{count} OBJT", joined([records[0], *[small] * count, *others]), is_right)
     plain = split(voxels())
@@ -230,9 +244,13 @@ def end_cases() -> Iterator[Case]:
     for offset, size in ((0, 4), (4, 4), (8, 2), (10, 8), (18, 8), (26, 4)):
         for step in (-1, 1):
             number = (int.from_bytes(payload[offset : offset + size], "little") + step) % (1 << 8 * size)
-            record = framed("INDX", payload[:offset] + number.to_bytes(size, "little") + payload[offset + size :])
+            record = framed(
+                "INDX", payload[:offset] + number.to_bytes(size, "little") + payload[offset + size :]
+            )
             end = struct.pack("<QQI", index, len(data), zlib.crc32(record[-4:], chain))
-            yield Case(f"INDX at {offset} {step:+}", data[:index] + record + framed("TEND", end), is_right=False)
+            yield Case(
+                f"INDX at {offset} {step:+}", data[:index] + record + framed("TEND", end), is_right=False
+            )
     numbers = struct.unpack("<QQI", data[-24:-4])
     for place in range(3):
         for step in (-1, 0, 1):
@@ -282,11 +300,14 @@ def second_says(data: bytes) -> str:
     return ""
 
 
-# -- vibrations ------------------------------------------------------------------------------------------------------
+# -- vibrations
+# ------------------------------------------------------------------------------------------------------
 
 
 def vibration_cases() -> Iterator[Case]:
-    """Amplitudes 0 to 159 and whole hertz 1 to 10000, in the first and last sample of the first and last frame."""
+    """Amplitudes 0 to 159 and whole hertz 1 to 10000, in the first and last sample of the first and last
+    frame.
+    """
     places = np.array([[0, 0, 0], [4, 4, 4], [8, 7, 9]], np.int32)
     for row, low, high in ((1, 0, 159), (2, 1, 10000)):
         for value, is_right in ((low, True), (high, True), (low - 1, False), (high + 1, False)):
@@ -302,7 +323,8 @@ def vibration_cases() -> Iterator[Case]:
                 yield Case(f"{what} {value}, frame {frame}, sample {sample}", data, is_right)
 
 
-# -- bodies ----------------------------------------------------------------------------------------------------------
+# -- bodies
+# ----------------------------------------------------------------------------------------------------------
 
 OWN = Grid((4, 3, 3), (0.01,) * 3, (0.0,) * 3)
 SCENE = HapticScene(
@@ -358,7 +380,9 @@ def body_file(
         head = values_of("HEAD", records["HEAD"])
         head_rows = rows_of(Head)
         head[[row.name for row in head_rows].index("coder_parameters")] = parameters
-        records["HEAD"] = b"".join(row.kind.encode(value, "") for row, value in zip(head_rows, head, strict=True))
+        records["HEAD"] = b"".join(
+            row.kind.encode(value, "") for row, value in zip(head_rows, head, strict=True)
+        )
     return joined(list(records.items()))
 
 

@@ -62,7 +62,9 @@ def test_forces(stream: Path) -> None:
     file = decoder.read_file(stream.read_bytes())
     with open_stream(stream) as opened, np.load(stream.with_suffix(".npz")) as expected:
         assert opened.grid.shape == file.head["grid_shape"]
-        assert opened.grid.spacing_m == file.head["spacing_m"] and opened.grid.origin_m == file.head["origin_m"]
+        assert (
+            opened.grid.spacing_m == file.head["spacing_m"] and opened.grid.origin_m == file.head["origin_m"]
+        )
         written = golden_frames(expected, file.head["frame_count"])
         for ours, second, golden in zip(opened.medium, decoder.frames_of(file), written, strict=True):
             assert_alike(bricks_of(ours), golden, slack(stream))
@@ -87,4 +89,7 @@ def test_vibration(stream: Path) -> None:
 def test_every_golden_file_is_one_that_is_made() -> None:
     made = importlib.import_module("make_golden")
     assert {path.stem for path in GOLDEN} == made.FIELDS.keys() | made.SCENES.keys()
-    assert {path.name for path in CONFORMANCE.iterdir() if path.is_dir()} - {"__pycache__"} == {"v1", "faulty"}
+    assert {path.name for path in CONFORMANCE.iterdir() if path.is_dir()} - {"__pycache__"} == {
+        "v1",
+        "faulty",
+    }

@@ -1,7 +1,9 @@
-"""The recorded error ratio of a segment is the true one, from both sides: never less, and attained to rounding.
+"""The recorded error ratio of a segment is the true one, from both sides: never less, and attained to
+rounding.
 
-The truth is computed here in float64 over every sample of every frame, by code that shares nothing with the package,
-from what three decoders find. Frames are such that all errors are in the first, a middle or the last of them.
+The truth is computed here in float64 over every sample of every frame, by code that shares nothing with the
+package, from what three decoders find. Frames are such that all errors are in the first, a middle or the last
+of them.
 """
 
 from __future__ import annotations
@@ -74,7 +76,9 @@ def contents(kind: str) -> Iterator[tuple[str, list[ForceField]]]:
 
 
 def ratios_of(source: np.ndarray, decoded: np.ndarray, spec: TouchSpec) -> np.ndarray:
-    """Error by what is allowed, float64 [frames, x, y, z], of forces [frames, x, y, z, 3] (docs/format/touch.md)."""
+    """Error by what is allowed, float64 [frames, x, y, z], of forces [frames, x, y, z, 3]
+    (docs/format/touch.md).
+    """
     force, other = source.astype(np.float64), decoded.astype(np.float64)
     if spec.mode == "lossless":
         return np.where((source.view(np.uint32) == decoded.view(np.uint32)).all(-1), 0.0, np.inf)
@@ -125,7 +129,9 @@ def test_the_recorded_ratio_is_the_true_one(kind: str, rule: str, effort: str) -
         assert_recorded(body, encoder.parameters, ratios, len(frames))
         if spec.mode != "lossless" and kind == "dense" and name in ("first", "middle", "last"):
             is_there = np.array([frame.support_count > 0 for frame in frames])
-            assert ratios[is_there].max() > 0.5 and not ratios[~is_there].any()  # the errors are where they are due
+            assert (
+                ratios[is_there].max() > 0.5 and not ratios[~is_there].any()
+            )  # the errors are where they are due
         records = BodyReader(body, GRID, exact=spec.mode == "lossless").records(len(frames))
         apart += sum(bool(record.exceptions) for record in records)
     assert apart > 0 if (kind, rule) == ("huge", "no F_0") else True
@@ -136,7 +142,10 @@ def test_a_ratio_beside_outliers_is_that_of_the_samples_that_are_left(effort: st
     """Samples sent apart have no error: what they had before must not be recorded."""
     spec = TouchSpec(k=0.1, f0_n=0.0, effort=effort)
     dense_n = np.zeros((*GRID.shape, 3), np.float32)
-    dense_n[2, 3, 4], dense_n[9, 8, 9] = (1e20, 0, 0), (1e-20, 0, 0)  # the second is below the step of the first
+    dense_n[2, 3, 4], dense_n[9, 8, 9] = (
+        (1e20, 0, 0),
+        (1e-20, 0, 0),
+    )  # the second is below the step of the first
     frames = [EMPTY, ForceField.from_dense(GRID, dense_n)]
     encoder = TouchEncoder(GRID, spec)
     body = encoder.encode_segment(frames).body
@@ -153,7 +162,9 @@ def test_a_ratio_beside_outliers_is_that_of_the_samples_that_are_left(effort: st
 def test_a_body_that_decodes_to_something_else_is_not_written(
     mode: str, effort: str, index: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The check of the finished body fires, whichever frame is wrong (effort fast: where samples are sent apart)."""
+    """The check of the finished body fires, whichever frame is wrong (effort fast: where samples are sent
+    apart).
+    """
 
     class Wrong(TouchDecoder):
         def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
@@ -168,7 +179,9 @@ def test_a_body_that_decodes_to_something_else_is_not_written(
         encoder.encode_segment(frames)
 
 
-@pytest.mark.parametrize("rule", ["no F_0", *(pytest.param(rule, marks=pytest.mark.thorough) for rule in SLOW)])
+@pytest.mark.parametrize(
+    "rule", ["no F_0", *(pytest.param(rule, marks=pytest.mark.thorough) for rule in SLOW)]
+)
 def test_other_decoders_find_the_same_ratio(rule: str, tmp_path: Path) -> None:
     """A file of several segments; the second decoder and C are measured by the same ruler."""
     spec = replace(RULES[rule], effort="fast")

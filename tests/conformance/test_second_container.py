@@ -1,4 +1,6 @@
-"""docs/format/container.md is enough: the second decoder reads what the package writes, and refuses what it does."""
+"""docs/format/container.md is enough: the second decoder reads what the package writes, and refuses what it
+does.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def ours(data: bytes) -> Any:
     with TouchReader(io.BytesIO(data)) as reader:
         objects = [vars(reader.read_object(i)) for i in range(reader.object_count)]
         count = range(len(reader.segments))
-        told = [(reader.segments[i].frame_count, reader.read_segment(i), reader.read_vibration(i)) for i in count]
+        told = [
+            (reader.segments[i].frame_count, reader.read_segment(i), reader.read_vibration(i)) for i in count
+        ]
         return vars(reader.head), objects, told
 
 
@@ -45,7 +49,9 @@ def both(data: bytes) -> tuple[Any, Any]:
 
 @given(data=st.data())
 def test_the_same_content(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
-    bodies = data.draw(st.lists(st.tuples(st.integers(1, 65535), st.binary(), st.none() | st.binary()), min_size=1))
+    bodies = data.draw(
+        st.lists(st.tuples(st.integers(1, 65535), st.binary(), st.none() | st.binary()), min_size=1)
+    )
     objects = data.draw(st.lists(allowed(Struct(ObjectRecord)), max_size=3))
     head = data.draw(heads(frame_count=sum(count for count, _, _ in bodies)))
     head = dataclasses.replace(head, coder=OBJECTS_CODER if objects else "touch")
@@ -63,7 +69,9 @@ def test_the_same_content(tmp_path_factory: pytest.TempPathFactory, data: st.Dat
     assert mine == second is not None
 
 
-@given(changes=st.lists(st.tuples(st.integers(0, len(EXAMPLE) - 1), st.integers(0, 255)), min_size=1, max_size=4))
+@given(
+    changes=st.lists(st.tuples(st.integers(0, len(EXAMPLE) - 1), st.integers(0, 255)), min_size=1, max_size=4)
+)
 def test_changed_bytes(changes: list[tuple[int, int]]) -> None:
     damaged = bytearray(EXAMPLE)
     for place, value in changes:

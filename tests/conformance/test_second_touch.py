@@ -1,4 +1,6 @@
-"""docs/format/touch.md is enough: a decoder that follows it finds the same forces, and refuses the same bytes."""
+"""docs/format/touch.md is enough: a decoder that follows it finds the same forces, and refuses the same
+bytes.
+"""
 
 from __future__ import annotations
 
@@ -113,7 +115,9 @@ def test_the_same_forces(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["ball", "noise", "solid"])
 def test_both_refuse_the_same_bytes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(globals(), "GRID", Grid((9, 8, 10), GRID.spacing_m, GRID.origin_m))  # the second is slow
+    monkeypatch.setitem(
+        globals(), "GRID", Grid((9, 8, 10), GRID.spacing_m, GRID.origin_m)
+    )  # the second is slow
     parameters, body = encoded(name)
     rng, refused = np.random.default_rng(len(body)), 0
     for _ in range(25):
@@ -147,7 +151,9 @@ LATTICES = ((65535, 131071, 65535, 131071), (1, 64, 1, 131071), (21, 0, 1, 0), (
 
 @pytest.mark.parametrize("steps", LATTICES)
 def test_no_number_overflows(steps: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    """What Python's numbers make of random codes, by extreme lattices and slopes, numbers of 64 bits make, too."""
+    """What Python's numbers make of random codes, by extreme lattices and slopes, numbers of 64 bits make,
+    too.
+    """
     rng, parameters, used = np.random.default_rng(steps), TouchEncoder(SMALL, TouchSpec()).parameters, [0]
     lattice = Lattice(2.0**-16, *steps)
 

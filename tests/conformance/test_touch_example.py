@@ -98,7 +98,10 @@ def example(parameters: bytes, body: bytes, monkeypatch: Any) -> list[str]:
 def test_the_example(monkeypatch: Any) -> None:
     block = CHAPTER.read_text().split("## Example")[1].split("```text\n")[1].split("```")[0]
     lines = [" ".join(line.split()) for line in block.splitlines()]
-    parameters, body = bytes.fromhex(lines[0].split()[0]), bytes.fromhex("".join(n.split()[0] for n in lines[1:9]))
+    parameters, body = (
+        bytes.fromhex(lines[0].split()[0]),
+        bytes.fromhex("".join(n.split()[0] for n in lines[1:9])),
+    )
     assert example(parameters, body, monkeypatch) == lines
     (ours,) = TouchDecoder(GRID, parameters).frames(body, 1)
     (theirs,) = part.decode_segment(body, parameters, GRID.shape, 1)

@@ -36,7 +36,9 @@ def made(name: str, folder: Path, *words: str) -> Path:
 
 def plain() -> dict[str, str]:
     """The environment without what a `make` around this one left in it."""
-    return {name: value for name, value in os.environ.items() if not name.startswith("MAKE") and name != "MFLAGS"}
+    return {
+        name: value for name, value in os.environ.items() if not name.startswith("MAKE") and name != "MFLAGS"
+    }
 
 
 def run(*words: object, given: str = "") -> subprocess.CompletedProcess[str]:
@@ -75,7 +77,9 @@ def frame_count(name: str) -> int:
 
 
 def asked_at(name: str, program: list[object], count: int = 200) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frames, points, and forces of a program that answers lines `seconds x y z`; a quarter of them at a frame."""
+    """Frames, points, and forces of a program that answers lines `seconds x y z`; a quarter of them at a
+    frame.
+    """
     places = np.random.default_rng(3).uniform(0, frame_count(name) - 1, count)
     places[::4] = np.round(places[::4])
     places.sort()

@@ -56,13 +56,17 @@ def test_forces_are_those_of_python(loop: Path, name: str) -> None:
     assert here[-1, 0] == pytest.approx(frame_count(name) - 1)
     assert frame_count(name) == 1 or (here[:, 0] % 1 > 0.1).any()
     assert np.abs(here[:, 4:]).max() > 0.05
-    np.testing.assert_allclose(here[:, 4:], python_forces(name, here[:, 0], here[:, 1:4]), atol=ATOL_N, rtol=0)
+    np.testing.assert_allclose(
+        here[:, 4:], python_forces(name, here[:, 0], here[:, 1:4]), atol=ATOL_N, rtol=0
+    )
     assert not rows[~np.isfinite(rows[:, 1]), 4:].any()  # before the hand is known
 
 
 def test_a_force_is_no_longer_than_the_device_can_bear(loop: Path) -> None:
     points = some_points("touch-block", TICKS)
-    rows = felt(loop, "touch-block", "-s", 10, "-p", 0.25, "-x", speed_for("touch-block", TICKS), points=points)
+    rows = felt(
+        loop, "touch-block", "-s", 10, "-p", 0.25, "-x", speed_for("touch-block", TICKS), points=points
+    )
     sizes = np.linalg.norm(rows[:, 4:], axis=-1)
     assert sizes.max() == pytest.approx(0.25)
     expected = python_forces("touch-block", rows[:, 0], rows[:, 1:4], 0.25)

@@ -1,4 +1,6 @@
-"""The node of `integrations/ros2` against stand-ins of rclpy and geometry_msgs: the forces of Python's sampler."""
+"""The node of `integrations/ros2` against stand-ins of rclpy and geometry_msgs: the forces of Python's
+sampler.
+"""
 
 from __future__ import annotations
 
@@ -117,7 +119,9 @@ def test_wrenches_are_the_samplers(name: str, play: Any, monkeypatch: pytest.Mon
     node.destroy_node()
 
 
-def test_a_hand_that_falls_silent_or_is_nowhere_gets_no_force(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hand_that_falls_silent_or_is_nowhere_gets_no_force(
+    play: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     stream = GOLDEN / "touch-block.touch"
     monkeypatch.setattr(StubNode, "told", {"file": str(stream), "force_max_n": 0.01})
     node = play()

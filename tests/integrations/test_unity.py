@@ -29,7 +29,9 @@ def told(text: str) -> Layouts:
 def layouts_of_cs() -> Layouts:
     """Sizes and offsets as `LayoutKind.Sequential` gives them: each field at a multiple of its alignment."""
     sizes, out = dict(BASIC), {}
-    for name, body in re.findall(r"LayoutKind\.Sequential\)\]\s+public struct (\w+)\s+{(.*?)}", SOURCE, re.DOTALL):
+    for name, body in re.findall(
+        r"LayoutKind\.Sequential\)\]\s+public struct (\w+)\s+{(.*?)}", SOURCE, re.DOTALL
+    ):
         end, widest = 0, 1
         for kind, fields in re.findall(r"public (\w+) ([^;]+);", body):
             size, alignment = sizes[kind]
@@ -42,7 +44,9 @@ def layouts_of_cs() -> Layouts:
     return {name: lies for name, lies in out.items() if name.startswith("touch_")}
 
 
-@pytest.mark.skipif(platform.machine() not in ("x86_64", "aarch64"), reason="pointers here are of another size")
+@pytest.mark.skipif(
+    platform.machine() not in ("x86_64", "aarch64"), reason="pointers here are of another size"
+)
 def test_structs_lie_as_in_c(built: Path) -> None:
     in_c = told(run(built / "layouts").stdout)
     assert in_c == layouts_of_cs()

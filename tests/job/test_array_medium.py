@@ -52,9 +52,9 @@ def with_band(medium: HapticMedium, values: dict[tuple[int, int, int], tuple[flo
 
 
 def test_row_0_is_the_top_whichever_way_y_points() -> None:
-    assert [is_top_first(a) for a in (CAMERA_AXES, UP_Y_AXES, UP_Z_AXES, "x, y, z", "", "Down")] == [True] + 5 * [
-        False
-    ]
+    assert [is_top_first(a) for a in (CAMERA_AXES, UP_Y_AXES, UP_Z_AXES, "x, y, z", "", "Down")] == [
+        True
+    ] + 5 * [False]
     for axes, row in ((UP_Y_AXES, 4), (UP_Z_AXES, 4), (CAMERA_AXES, 0)):
         drives = array_drives(stream(on_lattice(VEST, {(1, 0): 1.0}, axes)), VEST).drives(0)
         assert drives.shape == (2, 5, 4) and drives.dtype == np.float32
@@ -67,7 +67,9 @@ def test_a_stream_of_the_same_array_goes_through_as_it_is() -> None:
     assert frames.medium is medium and frames.force_max_n == 2.0
     assert (frames.rate_hz, len(frames), frames.device) == (20.0, 1, VEST)
     drives = frames.drives(0)
-    assert drives[0].max() == 0.0 and drives[1, 4, 0] == 0.5 and drives[1, 0, 3] == 1.0  # the sign does not matter
+    assert (
+        drives[0].max() == 0.0 and drives[1, 4, 0] == 0.5 and drives[1, 0, 3] == 1.0
+    )  # the sign does not matter
     assert frames.frequencies(0) is None
 
 
@@ -110,7 +112,9 @@ def test_an_array_is_played_as_it_was_asked_for(tmp_path: Path, monkeypatch: pyt
         assert played.statistics["stalled_share"] == 0.05 and played.is_starved
         assert SHOWN[-1].times == times and played.notes == Shown.notes
         assert SHOWN[-1].told == played.statistics["profile"] == (profile or VEST.name)
-        assert [f"made for {VEST.name}, and is shown on {profile}" in note for note in said] == [True] * bool(profile)
+        assert [f"made for {VEST.name}, and is shown on {profile}" in note for note in said] == [True] * bool(
+            profile
+        )
     for wrong in ({"offline": True}, {"trace": path}, {"trajectory": path}, {"is_logged": True}):
         with pytest.raises(InvalidArgument, match="with a point device"):
             play(path, PlaySpec("osc:127.0.0.1:9", **wrong))  # type: ignore[arg-type]
@@ -220,13 +224,18 @@ def test_a_band_of_another_lattice_reaches_the_actuators_over_it(nx: int, ny: in
     assert frequencies is not None and (frequencies[0] > 0).tolist() == (drives > 0).tolist()
     strongest = max(np.float32(a) for a, _ in values.values())
     full = np.float32(float(strongest) / VEST.force_max_n)
-    at_hz = {np.float32(f) for a, f in values.values() if np.float32(a) == strongest}  # of equal ones any may stay
-    assert drives.max() == full and at_hz & set(frequencies[0][drives == full])  # nothing is lost, nothing is added
+    at_hz = {
+        np.float32(f) for a, f in values.values() if np.float32(a) == strongest
+    }  # of equal ones any may stay
+    assert drives.max() == full and at_hz & set(
+        frequencies[0][drives == full]
+    )  # nothing is lost, nothing is added
     extent = max(nx / 4, ny / 5)  # samples to one actuator, the aspect kept
     for (i, j, _), (a, _) in values.items():
         column = 1.5 + (i - (nx - 1) / 2) / extent
         row = 2.0 + (j - (ny - 1) / 2) / extent
         near = drives[
-            max(0, round(row - 0.5)) : round(row + 0.5) + 1, max(0, round(column - 0.5)) : round(column + 0.5) + 1
+            max(0, round(row - 0.5)) : round(row + 0.5) + 1,
+            max(0, round(column - 0.5)) : round(column + 0.5) + 1,
         ]
         assert near.max() >= np.float32(a / VEST.force_max_n) * (1 - 1e-6)

@@ -40,7 +40,9 @@ def ball(grid: tf.Grid, centre_m: tuple[float, float, float], radius_m: float = 
     return (np.minimum(200 * depth, 2.0) * places / np.maximum(away, 1e-9)).astype(np.float32)
 
 
-def rolling(grid: tf.Grid = GRID, frames: int = 6, rate_hz: float = 30.0, axes: str = AXES) -> tf.HapticMedium:
+def rolling(
+    grid: tf.Grid = GRID, frames: int = 6, rate_hz: float = 30.0, axes: str = AXES
+) -> tf.HapticMedium:
     """The ball as it goes 12 mm a tenth of a second along x."""
     places = [(-0.015 + 0.12 * n / rate_hz, 0.004, -0.003) for n in range(frames)]
     return tf.HapticMedium.from_array(np.stack([ball(grid, p) for p in places]), grid, rate_hz, axes)
@@ -62,7 +64,8 @@ def points() -> NDArray[np.float64]:
     return GRID.to_m(np.stack(np.meshgrid(*(np.arange(n) for n in GRID.shape), indexing="ij"), axis=-1))
 
 
-# -- words ----------------------------------------------------------------------------------------------------------
+# -- words
+# ----------------------------------------------------------------------------------------------------------
 
 
 def test_regions_in_words_are_the_regions() -> None:
@@ -76,7 +79,10 @@ def test_regions_in_words_are_the_regions() -> None:
         ("ball:10mm,0,0,10mm", around),
         ("half-space:0,2,0,0,2mm,0", above),
         ("box:-10mm,-inf,-inf,10mm,inf,5mm | ball:10mm,0mm,0mm,10mm", box | around),
-        ("ball:10mm,0,0,1cm & ~half-space:0,1,0,0,2mm,0 | box:-10mm,-inf,-inf,10mm,inf,5mm", around & ~above | box),
+        (
+            "ball:10mm,0,0,1cm & ~half-space:0,1,0,0,2mm,0 | box:-10mm,-inf,-inf,10mm,inf,5mm",
+            around & ~above | box,
+        ),
     ):
         assert np.array_equal(region_of(text).holds(points()), expected), text
     field = rolling()[0]
@@ -113,7 +119,9 @@ def test_operators_in_words_are_the_operators(stream: Path) -> None:
     assert_near(made["mirror:1,0,0"], dense[::-1] * [-1, 1, 1])
     assert_near(made["turn:0,0,1,90"], np.rot90(dense, 1, (0, 1))[..., [1, 0, 2]] * [-1, 1, 1])
     assert_near(made["mirror:1,0,0,5mm,0,0"][4:], dense[::-1][:-4] * [-1, 1, 1])
-    assert np.array_equal(made["gaussian:sigma=3mm"], tf.filters.filter_of("gaussian", "sigma=3mm")(field).to_dense())
+    assert np.array_equal(
+        made["gaussian:sigma=3mm"], tf.filters.filter_of("gaussian", "sigma=3mm")(field).to_dense()
+    )
     for words in (
         "",
         "gain",
@@ -129,7 +137,8 @@ def test_operators_in_words_are_the_operators(stream: Path) -> None:
             operator_of(words, given)
 
 
-# -- edit -----------------------------------------------------------------------------------------------------------
+# -- edit
+# -----------------------------------------------------------------------------------------------------------
 
 
 def test_an_edit_is_exact_outside_its_region_and_its_frames(stream: Path, tmp_path: Path) -> None:
@@ -151,13 +160,19 @@ def test_an_edit_is_exact_outside_its_region_and_its_frames(stream: Path, tmp_pa
     assert again.medium[0].support_count == 0
     history = tf.decode(tmp_path / "f.touch").provenance["edits"]
     assert history.index("gain") < history.index("erase"), "a file tells all that was done to it"
-    edit(stream, tmp_path / "g.touch", " | ".join(["everywhere"] * 400), ["gain:2"], frames=(0, 1), spec=EXACT)
-    assert len(tf.decode(tmp_path / "g.touch").provenance["edits"]) == 1000, "or as much of it as a file holds"
+    edit(
+        stream, tmp_path / "g.touch", " | ".join(["everywhere"] * 400), ["gain:2"], frames=(0, 1), spec=EXACT
+    )
+    assert len(tf.decode(tmp_path / "g.touch").provenance["edits"]) == 1000, (
+        "or as much of it as a file holds"
+    )
 
 
 def test_another_medium_is_composed_over_one(stream: Path, tmp_path: Path) -> None:
     grid = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (16, 16, 16))
-    tf.encode(tf.HapticMedium.from_array(ball(grid, (0.0, 0.0, 0.0)), grid, 30.0, AXES), tmp_path / "o.touch", EXACT)
+    tf.encode(
+        tf.HapticMedium.from_array(ball(grid, (0.0, 0.0, 0.0)), grid, 30.0, AXES), tmp_path / "o.touch", EXACT
+    )
     edit(stream, tmp_path / "x.npz", operators=[f"add:{tmp_path / 'o.touch'}"], frames=(2, 4))
     made = read_medium(tmp_path / "x.npz").medium
     for n in (2, 3):  # a still one is there in each
@@ -167,8 +182,12 @@ def test_another_medium_is_composed_over_one(stream: Path, tmp_path: Path) -> No
     tf.encode(rolling(frames=2), tmp_path / "short.touch", EXACT)
     with pytest.raises(InvalidArgument, match="2 frames"):
         edit(stream, tmp_path / "x.touch", operators=[f"over:{tmp_path / 'short.touch'}"])
-    both = edit(stream, tmp_path / "y.npz", operators=[f"max:{tmp_path / 'short.touch'}"], frames=(3, 5)).medium
-    assert float(both[4].support().amplitudes_n.max()) <= 2.0 and both[4].support_count > both[2].support_count
+    both = edit(
+        stream, tmp_path / "y.npz", operators=[f"max:{tmp_path / 'short.touch'}"], frames=(3, 5)
+    ).medium
+    assert (
+        float(both[4].support().amplitudes_n.max()) <= 2.0 and both[4].support_count > both[2].support_count
+    )
 
 
 def test_nothing_is_written_over_what_is_read_and_nothing_half(stream: Path, tmp_path: Path) -> None:
@@ -193,7 +212,8 @@ def _sphere(folder: Path) -> Path:
     return path
 
 
-# -- other lattices, rates and axes ---------------------------------------------------------------------------------
+# -- other lattices, rates and axes
+# ---------------------------------------------------------------------------------
 
 
 def test_another_rate_is_linear_between_the_frames() -> None:
@@ -236,8 +256,12 @@ def test_media_are_joined_in_space_time_and_axes() -> None:
     assert_near(back[2].to_dense(), like[2].to_dense())
     assert "turned" in notes[0]
     flat, high = ((0.04, 0.03, 0.02), (32, 24, 16)), ((0.04, 0.02, 0.03), (32, 16, 24))
-    lying, standing = (tf.Grid.over_box([-n for n in corner], corner, shape) for corner, shape in (flat, high))
-    turned = tf.HapticMedium.from_array(rolling(standing)[0].to_dense(), standing, 30.0, "x right, y forward, z up")
+    lying, standing = (
+        tf.Grid.over_box([-n for n in corner], corner, shape) for corner, shape in (flat, high)
+    )
+    turned = tf.HapticMedium.from_array(
+        rolling(standing)[0].to_dense(), standing, 30.0, "x right, y forward, z up"
+    )
     back, notes = joined(turned, rolling(lying))
     swapped = turned[0].to_dense().transpose(0, 2, 1, 3)[:, :, ::-1, [0, 2, 1]] * np.float32([1, 1, -1])
     assert back.grid == lying and len(notes) == 1
@@ -287,7 +311,9 @@ def test_forces_beyond_the_first_device_are_shortened(stream: Path, tmp_path: Pa
 
 def test_a_file_is_brought_onto_another_lattice_and_its_error_told(stream: Path, tmp_path: Path) -> None:
     coarse = resample_file(stream, tmp_path / "c.touch", (4, None, None), spec=EXACT).summary()
-    fine = resample_file(stream, tmp_path / "f.touch", (None, (64, 64, 64), None), 15.0, "trilinear", EXACT).summary()
+    fine = resample_file(
+        stream, tmp_path / "f.touch", (None, (64, 64, 64), None), 15.0, "trilinear", EXACT
+    ).summary()
     assert coarse["grid_shape"] == [16, 16, 16] and coarse["nmse_db"] < -5
     assert fine["grid_shape"] == [64, 64, 64] and fine["frames"] == 3 and fine["nmse_db"] < coarse["nmse_db"]
     assert fine["mask_violation_share"] < coarse["mask_violation_share"] < 1
@@ -304,7 +330,8 @@ def test_a_file_is_brought_onto_another_lattice_and_its_error_told(stream: Path,
             resample_file(stream, tmp_path / "x.touch", lattice, rate)
 
 
-# -- levels and boxes -----------------------------------------------------------------------------------------------
+# -- levels and boxes
+# -----------------------------------------------------------------------------------------------
 
 
 def test_each_level_of_detail_tells_its_bytes_and_its_error(stream: Path, tmp_path: Path) -> None:
@@ -338,7 +365,8 @@ def test_levels_that_are_broken_off_leave_no_folder(stream: Path, tmp_path: Path
     assert not (tmp_path / "new").exists() and mine.is_dir()
 
 
-# -- the command line -----------------------------------------------------------------------------------------------
+# -- the command line
+# -----------------------------------------------------------------------------------------------
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, object]:
@@ -402,7 +430,9 @@ def test_of_options_that_do_nothing_is_told_where_there_are_some(
         assert isinstance(notes, list) and any("options of the scene" in note for note in notes) == is_told
 
 
-def test_a_play_that_would_begin_behind_the_end_is_refused(stream: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_play_that_would_begin_behind_the_end_is_refused(
+    stream: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     play = ["play", str(stream), "--offline", "--start-s"]
     assert _exit_code([*play, "0.2"]) == 2
     assert "--start-s: found 0.2 s; expected 0 to below 0.2 s, the medium's end" in capsys.readouterr().err
@@ -415,7 +445,9 @@ def test_a_play_that_would_begin_behind_the_end_is_refused(stream: Path, capsys:
 
 def test_places_are_no_sizes(stream: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _exit_code(["info", str(stream)]) == 0
-    shown = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines() if len(line.split()) > 1)
+    shown = dict(
+        line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines() if len(line.split()) > 1
+    )
     assert shown["grid_shape"].strip() == "32 x 32 x 32" and shown["spacing_mm"].strip() == "2.5 x 2.5 x 2.5"
     assert shown["mapping_offset_m"].strip() == "0, 0, 0"
 

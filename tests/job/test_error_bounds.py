@@ -62,7 +62,9 @@ UNBOUNDED = ("nmse", "paper")
 
 
 def is_bounded(name: str, is_composed: bool = False) -> bool:
-    """Which bounds are known, in this test's own words: none of nmse and paper, nor of directions that are added."""
+    """Which bounds are known, in this test's own words: none of nmse and paper, nor of directions that are
+    added.
+    """
     return not any(word in name for word in UNBOUNDED) and not (is_composed and "direction" in name)
 
 
@@ -95,7 +97,9 @@ def rolling(frames: int = 3) -> tf.HapticMedium:
     for n in range(frames):
         away = places - np.array([0.004 * n, 0.003, 0.0])
         length = np.linalg.norm(away, axis=-1, keepdims=True)
-        dense.append(np.minimum(100 * np.clip(0.025 - length, 0, None), 2.0) * away / np.maximum(length, 1e-9))
+        dense.append(
+            np.minimum(100 * np.clip(0.025 - length, 0, None), 2.0) * away / np.maximum(length, 1e-9)
+        )
     return tf.HapticMedium.from_array(np.stack(dense).astype(np.float32), grid, 30.0)
 
 
@@ -105,11 +109,14 @@ def falling() -> BodyScene:
     turns = np.stack([np.cos(4 * t), np.sin(4 * t), 0 * t, 0 * t], axis=1)
     ways = np.stack([0 * t, 0.02 + 0 * t, 0.03 - 4.905 * t**2], axis=1)
     box = Body("box", AnalyticScene((Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.01)),)), PoseTrack(turns, ways))
-    ball = Body("ball", AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02),)), PoseTrack.still(4, (0.0, 0.02, 0.01)))
+    ball = Body(
+        "ball", AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02),)), PoseTrack.still(4, (0.0, 0.02, 0.01))
+    )
     return BodyScene((box, ball), 200.0)
 
 
-# -- the tables are whole ---------------------------------------------------------------------------------------
+# -- the tables are whole
+# ---------------------------------------------------------------------------------------
 
 WRITERS = {
     "codec/zarr_codec.py": "test_chunks_of_zarr_keep_the_law",
@@ -128,7 +135,9 @@ WRITERS = {
 }
 """Modules that write or code segments, beside the test of each."""
 
-_WRITES = re.compile(r"\b(TouchWriter|ObjectsEncoder|encode_prepared|write_objects|encode_segment)\(|\bdef mux\(")
+_WRITES = re.compile(
+    r"\b(TouchWriter|ObjectsEncoder|encode_prepared|write_objects|encode_segment)\(|\bdef mux\("
+)
 
 
 def test_every_module_that_writes_is_in_the_table() -> None:
@@ -148,7 +157,9 @@ def test_every_module_that_writes_is_in_the_table() -> None:
 def test_every_coder_and_mode_is_in_the_table() -> None:
     assert {spec.coder for spec in SPECS.values()} == set(field_coders()) == set(ENTRIES) - {"objects"}
     touch = [spec.touch for spec in SPECS.values() if spec.coder == "touch"]
-    assert {(one.mode, one.effort) for one in touch} == {(mode, effort) for mode in MODES for effort in EFFORTS}
+    assert {(one.mode, one.effort) for one in touch} == {
+        (mode, effort) for mode in MODES for effort in EFFORTS
+    }
 
 
 def test_a_coder_that_names_no_rule_guarantees_nothing() -> None:
@@ -157,7 +168,8 @@ def test_a_coder_that_names_no_rule_guarantees_nothing() -> None:
         assert (rule.text is not None) == is_bounded(name) and bool(rule.reason) != is_bounded(name)
 
 
-# -- parts of the mechanism ---------------------------------------------------------------------------------------
+# -- parts of the mechanism
+# ---------------------------------------------------------------------------------------
 
 
 def test_what_is_not_known_of_one_segment_is_not_known_of_the_file() -> None:
@@ -180,7 +192,8 @@ def test_a_ratio_is_rounded_up(ratio: float, steps: int) -> None:
     assert Worst(ratio, 0, (0, 0, 0)).rounded_up == steps
 
 
-# -- writers ------------------------------------------------------------------------------------------------------
+# -- writers
+# ------------------------------------------------------------------------------------------------------
 
 
 def keys_of(path: Path) -> dict[str, Any]:
@@ -251,7 +264,9 @@ def test_what_is_made_of_a_file_keeps_the_law(name: str, tmp_path: Path) -> None
     with caught() as texts:
         culled = reduce_medium(source, None, tmp_path / "culled.touch", coder=spec).summary()
     assert_law(
-        {key[7:]: value for key, value in culled.items() if key.startswith("culled_")}, texts, is_bounded(name)
+        {key[7:]: value for key, value in culled.items() if key.startswith("culled_")},
+        texts,
+        is_bounded(name),
     )
     with caught() as texts:
         levels_of_detail(source, tmp_path / "levels", 1, spec=spec)
@@ -314,7 +329,8 @@ def test_a_copy_keeps_the_law(name: str, tmp_path: Path) -> None:
     assert keys_of(out) == keys_of(source)
 
 
-# -- on the command line ------------------------------------------------------------------------------------------
+# -- on the command line
+# ------------------------------------------------------------------------------------------
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[str, str]:
@@ -343,7 +359,8 @@ def test_commands_print_the_bound_or_warn(
         )
 
 
-# -- numbers for people -------------------------------------------------------------------------------------------
+# -- numbers for people
+# -------------------------------------------------------------------------------------------
 
 
 def test_no_field_stops_an_encoding_by_its_statistics() -> None:

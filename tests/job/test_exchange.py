@@ -11,7 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from effect_makers import band, channel, document, effect, keyframe, read_force, read_tact, schema_errors, written
+from effect_makers import (
+    band,
+    channel,
+    document,
+    effect,
+    keyframe,
+    read_force,
+    read_tact,
+    schema_errors,
+    written,
+)
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import MOST_RELATIVE_ERROR
 from touchfield.compute.threads import silent
@@ -70,19 +80,28 @@ def test_a_stream_for_a_vest_as_hjif_and_back(tmp_path: Path) -> None:
     path, drives = vest_stream(tmp_path / "a.touch")
     done = export(path, tmp_path / "a.hjif")
     assert done.shown["device"] == "tactsuit-x40" and done.shown["seconds"] == pytest.approx(0.3)
-    assert done.summary()["columns"] == 4 and done.summary()["file_bytes"] == (tmp_path / "a.hjif").stat().st_size
+    assert (
+        done.summary()["columns"] == 4
+        and done.summary()["file_bytes"] == (tmp_path / "a.hjif").stat().st_size
+    )
     read = read_hjif_array(tmp_path / "a.hjif", 20.0)
     assert read.effect.drives == pytest.approx(drives, rel=K, abs=2e-5)
     import_effect(tmp_path / "a.hjif", tmp_path / "b.touch", FINE, rate_hz=20.0)
     with open_stream(tmp_path / "b.touch") as opened:
         summary = opened.summary()
-        assert (summary["device"], summary["device_type"], summary["tags"]) == ("tactsuit-x40", 2, ["symbolic"])
+        assert (summary["device"], summary["device_type"], summary["tags"]) == (
+            "tactsuit-x40",
+            2,
+            ["symbolic"],
+        )
         assert summary["force_max_n"] == device("tactsuit-x40").force_max_n and summary["rate_hz"] == 20
     export(tmp_path / "b.touch", tmp_path / "b.hjif")
     back = read_hjif_array(tmp_path / "b.hjif", 20.0).effect
     assert back.drives == pytest.approx(drives, rel=MOST_RELATIVE_ERROR + 2 * K, abs=1e-4)
     assert (back.drives >= drives * (1 - 3 * K) - 1e-4).all()
-    assert back.frequencies_hz is not None and set(back.frequencies_hz[back.drives > 0]) == {DEFAULT_CARRIER_HZ}
+    assert back.frequencies_hz is not None and set(back.frequencies_hz[back.drives > 0]) == {
+        DEFAULT_CARRIER_HZ
+    }
 
 
 def test_a_stream_for_a_vest_as_a_pattern(tmp_path: Path) -> None:
@@ -90,7 +109,11 @@ def test_a_stream_for_a_vest_as_a_pattern(tmp_path: Path) -> None:
     for profile in (None, "tactsuit-x40"):  # one panel as the stream tells it, and both of the vest
         done = export(path, tmp_path / "a.tact", profile, panel="back")
         spans = read_tact(tmp_path / "a.tact")
-        assert done.shown["panel"] == "back" and len(spans) == 6 and {one.position for one in spans} == {"VestBack"}
+        assert (
+            done.shown["panel"] == "back"
+            and len(spans) == 6
+            and {one.position for one in spans} == {"VestBack"}
+        )
         for one, wanted in zip(spans, drives):
             assert one.intensities == pytest.approx(wanted, abs=K + 0.0051)
 
@@ -98,7 +121,9 @@ def test_a_stream_for_a_vest_as_a_pattern(tmp_path: Path) -> None:
 def test_fields_in_space_are_pooled_onto_the_array(tmp_path: Path) -> None:
     path = wall_stream(tmp_path / "a.touch")
     done = export(path, tmp_path / "a.tact")
-    assert done.shown["device"] == "tactsuit-x40" and read_tact(tmp_path / "a.tact")[0].intensities.max() > 0.9
+    assert (
+        done.shown["device"] == "tactsuit-x40" and read_tact(tmp_path / "a.tact")[0].intensities.max() > 0.9
+    )
     assert export(path, tmp_path / "a.hjif", "tshirt-32x32").shown["columns"] == 32
     assert json.loads((tmp_path / "a.hjif").read_text())["level"] == 2
 
@@ -116,7 +141,9 @@ def test_a_force_along_a_trajectory(tmp_path: Path) -> None:
     rows = [(0.0, 0, 0, -0.035), (0.05, 0, 0, 0.005), (0.1, 0, 0, 0.005), (0.2, 0, 0, 0.02), (0.3, 9, 9, 9)]
     done = export(path, tmp_path / "f.hjif", trajectory=probe(tmp_path / "p.csv", rows))
     times, forces = read_force(tmp_path / "f.hjif")
-    expected = np.array([0, 2.0 * 0.75, 2.0 * 0.5, 2.75 * 0.5, 0])  # frame 1 holds half of frame 0, from 0.1 s on
+    expected = np.array(
+        [0, 2.0 * 0.75, 2.0 * 0.5, 2.75 * 0.5, 0]
+    )  # frame 1 holds half of frame 0, from 0.1 s on
     found = np.interp([0, 0.05, 0.1, 0.2, 0.3], times, forces[:, 2])
     assert found == pytest.approx(expected, rel=2 * K, abs=1e-4) and np.abs(forces[:, :2]).max() < 0.01
     assert done.shown["samples"] == 301 and done.shown["greatest_n"] == pytest.approx(1.5, rel=2 * K)
@@ -181,7 +208,10 @@ def test_what_exceeds_the_peak_is_shortened(tmp_path: Path) -> None:
     peak_n = device("phantom-omni").force_max_n
     shortened = np.mean(np.linalg.norm(forces, axis=1) > peak_n * (1 - 1e-6))
     assert np.abs(forces).max() == pytest.approx(peak_n) and 0.5 < shortened < 1
-    assert done.notes[0] == f"{100 * shortened:.3g} % of the samples exceed {peak_n:g} N and are shortened to it."
+    assert (
+        done.notes[0]
+        == f"{100 * shortened:.3g} % of the samples exceed {peak_n:g} N and are shortened to it."
+    )
     other = export(path, tmp_path / "g.hjif", "novint-falcon", deep)
     assert other.shown["force_max_n"] == device("novint-falcon").force_max_n
 
@@ -203,7 +233,9 @@ def test_each_note_on_a_force_stands_beside_the_others(
     depth_m: float, name: str, full_scale_n: float, expected: tuple[str, ...], tmp_path: Path
 ) -> None:
     path = probe(tmp_path / "p.csv", [(t, 0, 0, depth_m) for t in (0.0, 0.05)])
-    done = export(wall_stream(tmp_path / "a.touch"), tmp_path / name, trajectory=path, full_scale_n=full_scale_n)
+    done = export(
+        wall_stream(tmp_path / "a.touch"), tmp_path / name, trajectory=path, full_scale_n=full_scale_n
+    )
     assert [text in note for text, note in zip(expected, done.notes, strict=True)] == [True] * len(expected)
 
 

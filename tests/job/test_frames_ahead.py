@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import touchfield.pipeline.decoded_frames as module
 from hypothesis import given
 from hypothesis import strategies as st
 
+import touchfield.pipeline.decoded_frames as module
 from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid
 from touchfield.pipeline.decoded_frames import SegmentFrames
@@ -65,7 +65,9 @@ def test_in_sequence_every_segment_is_decoded_once(
     frames = frames_of(begun.append)
     assert [number_of(frames(i)) for i in range(LENGTH * COUNT)] == list(range(LENGTH * COUNT))
     assert sorted(begun) == list(range(COUNT))
-    assert number_of(frames(LENGTH * COUNT - 1)) == LENGTH * COUNT - 1 and len(begun) == COUNT, "the latest is kept"
+    assert number_of(frames(LENGTH * COUNT - 1)) == LENGTH * COUNT - 1 and len(begun) == COUNT, (
+        "the latest is kept"
+    )
 
 
 def test_the_next_segments_are_decoded_by_other_threads(monkeypatch: pytest.MonkeyPatch) -> None:

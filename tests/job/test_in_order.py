@@ -30,7 +30,9 @@ def test_it_is_done_by_several_threads(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(("most_weight", "most"), [(0, 4), (5, 1), (10, 2)])
-def test_no_more_is_under_way_than_asked(most_weight: int, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_more_is_under_way_than_asked(
+    most_weight: int, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("TOUCHFIELD_THREADS", "3")
     drawn, given_back, seen = 0, 0, 0
 

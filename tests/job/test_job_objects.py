@@ -145,7 +145,9 @@ def test_a_stream_of_objects_compares_with_its_source_and_is_measured(stream: Pa
     assert measured.frames == FRAMES and measured.object.value > 0
     with pipeline.open_stream(stream) as opened:
         told = opened.summary()
-        assert opened.scene is not None and opened.scene.file_bytes == opened.file_bytes == stream.stat().st_size
+        assert (
+            opened.scene is not None and opened.scene.file_bytes == opened.file_bytes == stream.stat().st_size
+        )
         assert all(one.medium.rate_hz == 1000.0 for one in opened.scene.objects)
         assert told["bits_fields"] + told["bits_poses"] == opened.bits.total < 8 * opened.file_bytes
     assert told["frame_kinds"] == {"object": FRAMES} and told["place_tolerance_um"] == pytest.approx(10)
@@ -189,12 +191,16 @@ def test_what_is_too_small_to_be_felt_is_named(tmp_path: Path) -> None:
 
 def test_the_voxel_representation_is_offered_only_where_none_was_asked_for(stream: Path) -> None:
     assert "--representation voxel" in pipeline.prepare(falling(), SPEC).notes[-1]
-    assert "--representation" not in pipeline.prepare(falling(), replace(SPEC, representation="object")).notes[-1]
+    assert (
+        "--representation"
+        not in pipeline.prepare(falling(), replace(SPEC, representation="object")).notes[-1]
+    )
     assert "--representation" not in pipeline.compare(falling(), stream).notes[-1]
 
 
 @pytest.mark.parametrize(
-    ("name", "kept"), [("two\nlines", "two lines"), ("\u00e9" * 200, "\u00e9" * 128), ("\ud800", " "), ("", "")]
+    ("name", "kept"),
+    [("two\nlines", "two lines"), ("\u00e9" * 200, "\u00e9" * 128), ("\ud800", " "), ("", "")],
 )
 def test_any_name_of_a_body_can_be_stored(name: str, kept: str, tmp_path: Path) -> None:
     box, ball = falling().bodies()
@@ -228,7 +234,8 @@ def test_a_filter_wider_than_a_body_finds_room_and_loses_no_force() -> None:
     assert not np.array_equal(before.grid.shape, after.grid.shape)
     positions, shape = after.positions(), np.array(after.grid.shape)
     assert (positions > 0).all() and (positions < shape - 1).all()  # it falls to zero within the lattice
-    # the filter keeps the sum of the forces, and the moment about the body's origin shows that nothing was shifted
+    # the filter keeps the sum of the forces, and the moment about the body's origin shows that nothing was
+    # shifted
     for one in (before, after):
         points = one.grid.to_m(one.positions())
         spread = np.einsum("na,na->", points, one.vectors_n().astype(np.float64))
@@ -243,7 +250,9 @@ def test_the_report_of_a_filter_is_of_the_objects_that_are_coded(tmp_path: Path)
     spec = replace(plain, filters=(("gaussian", "3mm"),))
     report = pipeline.filter_report(falling(), spec).shown["stages"]
     coded = pipeline.prepare(falling(), spec).medium
-    assert report[0]["supported_voxels"] == sum(f.support_count for f in pipeline.prepare(falling(), plain).medium)
+    assert report[0]["supported_voxels"] == sum(
+        f.support_count for f in pipeline.prepare(falling(), plain).medium
+    )
     greatest_n = max(float(f.support().amplitudes_n.max()) for f in coded)
     assert report[1]["greatest_n"] == pytest.approx(greatest_n) and greatest_n < 1
     assert report[1]["supported_voxels"] == sum(f.support_count for f in coded)
@@ -252,18 +261,23 @@ def test_the_report_of_a_filter_is_of_the_objects_that_are_coded(tmp_path: Path)
     )
 
 
-def test_what_is_interpolated_between_codewords_is_measured_by_the_ladder(stream: Path, tmp_path: Path) -> None:
+def test_what_is_interpolated_between_codewords_is_measured_by_the_ladder(
+    stream: Path, tmp_path: Path
+) -> None:
     voxels = tmp_path / "voxels.touch"
     spec = replace(SPEC, representation="voxel", frames=(0, 1))
     pipeline.encode(falling(), voxels, replace(spec, coder="paper"))
     pipeline.encode(falling(), tmp_path / "touch.touch", spec)
     paths = (stream, voxels, tmp_path / "touch.touch")
     taken = {
-        path: tasks.measure.measure_medium(path, tasks.measure.MeasureSpec(limits=False)).quantiser for path in paths
+        path: tasks.measure.measure_medium(path, tasks.measure.MeasureSpec(limits=False)).quantiser
+        for path in paths
     }
     assert taken[voxels] == "distinct" and taken[stream].startswith("weber")
     assert taken[paths[2]] == taken[stream], "coder touch has no codewords"
-    as_voxels = tasks.measure.MeasureSpec(limits=False, encode=EncodeSpec(representation="voxel", frames=(0, 1)))
+    as_voxels = tasks.measure.MeasureSpec(
+        limits=False, encode=EncodeSpec(representation="voxel", frames=(0, 1))
+    )
     assert tasks.measure.measure_medium(stream, as_voxels).quantiser == taken[stream]
 
 
@@ -295,7 +309,9 @@ def test_the_damping_of_a_surface_is_that_of_its_velocity_under_the_hand(scale_m
     spec = replace(SPEC, stiffness_n_per_m=20.0, thickness_m=1.0)  # solid, and far from F_max
 
     def made(representation: str, b: float) -> pipeline.Prepared:
-        return pipeline.prepare(scene, replace(spec, representation=representation, surface_damping_n_s_per_m=b))
+        return pipeline.prepare(
+            scene, replace(spec, representation=representation, surface_damping_n_s_per_m=b)
+        )
 
     track = scene.bodies()[0].track
     for representation in ("object", "voxel"):
@@ -305,7 +321,9 @@ def test_the_damping_of_a_surface_is_that_of_its_velocity_under_the_hand(scale_m
         assert placement.scale != 1 and np.abs(placement.offset_m).max() > scale_m
         velocity, spin = (values[frame] for values in track.velocities(1000.0))
         expected = damping * placement.scale * (velocity + np.cross(spin, points - track.positions_m[frame]))
-        depth_m = np.array([1.5, 1.0, 0.5]) * scale_m - np.abs(track.to_body(points, frame) - [0.25 * scale_m, 0, 0])
+        depth_m = np.array([1.5, 1.0, 0.5]) * scale_m - np.abs(
+            track.to_body(points, frame) - [0.25 * scale_m, 0, 0]
+        )
         deep = depth_m.min(axis=-1) > 3.5 * max(grid.spacing_m) / placement.scale
         before = plain.medium[frame].to_dense()
         added = damped.medium[frame].to_dense() - before

@@ -75,7 +75,9 @@ def test_objects(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ending", [".npz", ".vti"])
-def test_a_dense_frame_beyond_memory_is_refused(tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dense_frame_beyond_memory_is_refused(
+    tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "1")
     grid = grid_of(LARGEST)
     path = written(tmp_path / "a.touch", grid, TouchSpec(), [ForceField.empty(grid)])
@@ -89,5 +91,7 @@ def test_a_dense_frame_beyond_memory_is_refused(tmp_path: Path, ending: str, mon
 
 def test_a_larger_grid_is_not_written(tmp_path: Path) -> None:
     grid = grid_of((4097, 4096, 4096))
-    with pytest.raises(InvalidArgument, match=r"HEAD\.grid_shape: found \(4097, 4096, 4096\); expected .* bricks"):
+    with pytest.raises(
+        InvalidArgument, match=r"HEAD\.grid_shape: found \(4097, 4096, 4096\); expected .* bricks"
+    ):
         written(tmp_path / "a.touch", grid, TouchSpec(), [ForceField.empty(grid)])

@@ -41,7 +41,9 @@ def decoded(path: Path) -> tuple[Grid, np.ndarray]:
 
 
 @pytest.mark.parametrize("origin_m", [(0.0, 0.0, 0.0), (-0.01, 0.013, -0.02)])
-def test_a_stored_field_keeps_its_lattice_and_every_bit(tmp_path: Path, origin_m: tuple[float, float, float]) -> None:
+def test_a_stored_field_keeps_its_lattice_and_every_bit(
+    tmp_path: Path, origin_m: tuple[float, float, float]
+) -> None:
     shape, spacing_m = SMALL
     forces = quantised(shape)
     source = stored(tmp_path / "a.npz", forces, spacing_m, origin_m)
@@ -83,7 +85,9 @@ def test_a_field_larger_than_the_workspace_is_refused(tmp_path: Path) -> None:
     source = stored(tmp_path / "a.npz", quantised(shape), 10 * spacing_m)
     for mapping in ("fit", "1"):
         spec = EncodeSpec(nw=4, mapping=mapping, touch=TouchSpec(mode="lossless"))
-        with pytest.raises(InvalidArgument, match=r"220 x 180 x 200 mm in a workspace of 160 x 120 x 70.*--device"):
+        with pytest.raises(
+            InvalidArgument, match=r"220 x 180 x 200 mm in a workspace of 160 x 120 x 70.*--device"
+        ):
             encode(source, tmp_path / "a.touch", spec)
     with pytest.raises(InvalidArgument, match="mapping: found 'large'"):
         encode(source, tmp_path / "a.touch", EncodeSpec(mapping="large", touch=TouchSpec(mode="lossless")))

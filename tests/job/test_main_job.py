@@ -45,7 +45,8 @@ def test_frames_that_are_decoded_without_a_force_are_told(tmp_path: Path) -> Non
     alone = EncodeSpec(touch=TouchSpec(segment_frames=1))
     for frames, told in (
         ((strong, weak, empty), "In 1 of 3 frames nothing"), ((strong, empty, strong), ""),
-        ((weak, strong, weak), "In 2 of 3 frames nothing"), ((weak, weak, strong), "In 2 of 3 frames nothing"),
+        ((weak, strong, weak), "In 2 of 3 frames nothing"), ((weak, weak, strong), "In 2 of 3 frames "
+                                                                                   "nothing"),
     ):  # fmt: skip
         notes = encode(HapticMedium.from_frames(frames, 30.0), tmp_path / "out.touch", alone).notes
         assert [told in note and "--f0-n" in note for note in notes[1:]] == [True] * bool(told)
@@ -183,7 +184,14 @@ def test_the_spec_survives_the_provenance() -> None:
         EncodeSpec(), frames=(1, None), thickness_m=math.inf, coder="paper", paper=PaperSpec.literal(k=0.2)
     )
     assert EncodeSpec.from_json(spec.to_json()) == spec
-    for text in ("", "{}", "[]", "null", '{"nw": 3}', spec.to_json().replace("literal", "x").replace('"k"', '"kk"')):
+    for text in (
+        "",
+        "{}",
+        "[]",
+        "null",
+        '{"nw": 3}',
+        spec.to_json().replace("literal", "x").replace('"k"', '"kk"'),
+    ):
         with pytest.raises(CorruptFile, match="spec"):
             EncodeSpec.from_json(text)
 

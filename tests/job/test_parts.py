@@ -125,7 +125,9 @@ def test_bytes_are_those_of_one_process_in_any_order(source: Path, alone: bytes,
         assert not list(tmp_path.glob("*.parts"))
 
 
-def test_a_part_may_have_several_segments(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_part_may_have_several_segments(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(segments, "STRETCH", 2)
     here = encode(source, tmp_path / "a.touch", SPEC)
     there = encode(source, tmp_path / "b.touch", SPEC, executor=Straight())
@@ -152,7 +154,10 @@ def test_vibrating_media_and_the_paper_s_coder_travel_too(source: Path, tmp_path
 def test_segments_of_a_world_that_stands_begin_with_the_same_bytes(alone: bytes) -> None:
     with TouchReader(io.BytesIO(alone)) as reader:
         bodies = [BodyReader(reader.read_segment(i), GRID, exact=False) for i in range(7)]
-        firsts = [body.records(one.frame_count)[0].payload for body, one in zip(bodies, reader.segments, strict=True)]
+        firsts = [
+            body.records(one.frame_count)[0].payload
+            for body, one in zip(bodies, reader.segments, strict=True)
+        ]
     assert firsts[2] == firsts[3] == firsts[4] and len(set(firsts)) == 5
 
 
@@ -183,11 +188,15 @@ def test_frames_without_a_force_are_told_of_where_parts_were_there(source: Path,
         encode(source, out, asked, executor=Straight(4))
     notes = encode(source, out, asked, executor=Straight()).notes
     assert any("4 of 7 parts" in note for note in notes)
-    told = [note for note in encode(source, tmp_path / "b.touch", asked).notes if "nothing can be felt" in note]
+    told = [
+        note for note in encode(source, tmp_path / "b.touch", asked).notes if "nothing can be felt" in note
+    ]
     assert told and set(told) <= set(notes) and f"{FRAMES} of {FRAMES}" in told[0]
 
 
-def test_parts_that_are_damaged_or_of_another_job_are_made_again(source: Path, alone: bytes, tmp_path: Path) -> None:
+def test_parts_that_are_damaged_or_of_another_job_are_made_again(
+    source: Path, alone: bytes, tmp_path: Path
+) -> None:
     out = tmp_path / "a.touch"
     with pytest.raises(SourceError):
         encode(source, out, SPEC, executor=Straight(5))
@@ -253,7 +262,11 @@ def test_what_cannot_be_is_said(source: Path, tmp_path: Path, monkeypatch: pytes
 
 
 def test_errors_travel_between_processes() -> None:
-    for error in (InvalidArgument("a", "b", "c", "d"), MissingExtra("x", "lib", "extra"), SourceError("alone")):
+    for error in (
+        InvalidArgument("a", "b", "c", "d"),
+        MissingExtra("x", "lib", "extra"),
+        SourceError("alone"),
+    ):
         again = pickle.loads(pickle.dumps(error))
         assert type(again) is type(error) and str(again) == str(error) and again.exit_code == error.exit_code
         assert again.where == error.where

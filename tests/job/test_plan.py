@@ -74,7 +74,9 @@ def test_every_setting_is_tried_and_the_best_within_the_budget_taken() -> None:
     within = [t for t in tried.trials if t.file_bytes <= 3750]
     assert tried.chosen.nmse == min(t.nmse for t in within)
     assert 0 < len(within) < len(tried.trials), "the budget cuts"
-    finest = [t for t in tried.trials if t.spec.nw == 5 and t.spec.coder == "touch" and t.spec.touch.mode == "mask"]
+    finest = [
+        t for t in tried.trials if t.spec.nw == 5 and t.spec.coder == "touch" and t.spec.touch.mode == "mask"
+    ]
     assert finest[0].mask_kept == 1, "the promise, where nothing is interpolated"
     coarse = [t for t in tried.trials if t.spec.nw == 4]
     assert all(t.mask_kept < 1 for t in coarse), "what a coarse lattice leaves out counts"
@@ -112,7 +114,9 @@ def test_a_scene_that_the_coarsest_lattice_misses_is_planned_all_the_same() -> N
         plan(scene, Budget(bytes=60000), spec, PlanGrid((3,), (0.1, 0.2), (), ()))
 
 
-@given(st.lists(st.tuples(st.integers(1, 60), st.integers(0, 30)), min_size=1, max_size=20), st.integers(1, 60))
+@given(
+    st.lists(st.tuples(st.integers(1, 60), st.integers(0, 30)), min_size=1, max_size=20), st.integers(1, 60)
+)
 def test_lambda_makes_the_choice_where_it_lies_on_the_hull(rows: list[tuple[int, int]], budget: int) -> None:
     trials = tuple(Trial(SPEC, size, 8, nmse / 30, 1.0, 1.0) for size, nmse in rows)
     if all(t.bits_per_s > budget for t in trials):
@@ -158,7 +162,10 @@ def test_the_settings_of_the_paper_are_tried_in_order_and_told() -> None:
     asked = [(s["nw"], s["k"], s["nq"], s["directions"]) for s in of_the_paper().summary()["trials"]]
     expected = [(w, k, q, d) for w in (4, 5) for k in (0.02, 0.25) for q in (3, 6) for d in ("ico1", "ico5")]
     assert asked == expected
-    assert of_the_paper().trials == plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), 1e9, SPEC, PAPER).trials
+    assert (
+        of_the_paper().trials
+        == plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), 1e9, SPEC, PAPER).trials
+    )
 
 
 def test_a_trial_is_what_encode_and_a_meter_make(tmp_path: Path) -> None:

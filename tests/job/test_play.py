@@ -62,7 +62,9 @@ def test_a_file_of_one_s_own_forces_has_walls_as_stiff_as_these(stiffness: float
     assert stated_n_per_m(tf.decode(out).provenance) is None
 
 
-def test_a_stream_coded_anew_keeps_the_walls_that_it_states_and_an_edited_one_has_its_own(tmp_path: Path) -> None:
+def test_a_stream_coded_anew_keeps_the_walls_that_it_states_and_an_edited_one_has_its_own(
+    tmp_path: Path,
+) -> None:
     plate, again, edited = tmp_path / "plate.toml", tmp_path / "again.touch", tmp_path / "edited.touch"
     plate.write_text(PLATE)
     first = tmp_path / "first.touch"

@@ -54,7 +54,9 @@ def test_a_sample_of_segments_is_held_against_real_time(stream: Path) -> None:
     assert [check_play(stream, speed, Clock(0.05))["needed_rate_hz"] for speed in (1.0, 0.5)] == [30.0, 15.0]
 
 
-def test_a_short_file_is_decoded_whole_and_a_still_one_can_always_be_played(stream: Path, tmp_path: Path) -> None:
+def test_a_short_file_is_decoded_whole_and_a_still_one_can_always_be_played(
+    stream: Path, tmp_path: Path
+) -> None:
     for count in (5, 1):
         encode(decode(stream)[:count], tmp_path / "a.touch", EncodeSpec(touch=TouchSpec(segment_frames=3)))
         assert check_play(tmp_path / "a.touch", clock_s=Clock(0.05))["frames_decoded"] == count

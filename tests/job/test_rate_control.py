@@ -102,7 +102,9 @@ def test_bytes_are_reached_by_the_step(tmp_path: Path) -> None:
         (EncodeSpec(coder="paper", paper=PaperSpec()), Target(bytes=5000), "coder paper"),
     ],
 )
-def test_what_cannot_be_reached_is_one_error(spec: EncodeSpec, target: Target, word: str, tmp_path: Path) -> None:
+def test_what_cannot_be_reached_is_one_error(
+    spec: EncodeSpec, target: Target, word: str, tmp_path: Path
+) -> None:
     with pytest.raises(InvalidArgument, match=word):
         encode_to_target(rough(1), tmp_path / "s.touch", spec, target)
     assert list(tmp_path.iterdir()) == []

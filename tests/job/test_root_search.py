@@ -11,7 +11,11 @@ from touchfield.pipeline.rate_control import RootSearch
 
 
 @given(
-    st.floats(-3.0, 3.0), st.floats(0.3, 3.0), st.floats(-0.12, 0.12), st.floats(-4.0, 4.0), st.floats(-0.002, 0.002)
+    st.floats(-3.0, 3.0),
+    st.floats(0.3, 3.0),
+    st.floats(-0.12, 0.12),
+    st.floats(-4.0, 4.0),
+    st.floats(-0.002, 0.002),
 )
 def test_a_bent_curve_is_found_in_few_values(
     root: float, fall: float, bend: float, start: float, noise: float

@@ -47,7 +47,11 @@ def test_a_segment_lasts_half_a_second(rate_hz: float, frames: int) -> None:
 
 
 def test_files_have_segments_by_their_rate_or_as_asked(tmp_path: Path) -> None:
-    for rate_hz, asked, lengths in ((60.0, None, [30, 3]), (30.0, None, [15, 15, 3]), (60.0, 10, [10, 10, 10, 3])):
+    for rate_hz, asked, lengths in (
+        (60.0, None, [30, 3]),
+        (30.0, None, [15, 15, 3]),
+        (60.0, 10, [10, 10, 10, 3]),
+    ):
         spec = replace(SPEC, touch=replace(FAST, segment_frames=asked))
         encode(noisy(33, rate_hz), tmp_path / "a.touch", spec)
         with open_stream(tmp_path / "a.touch") as opened:
@@ -103,7 +107,17 @@ def test_the_player_can_leave_it_out(tmp_path: Path, capsys: pytest.CaptureFixtu
     where = tmp_path / "held.csv"
     where.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{t},0.0,0.0,0.022\n" for t in (0.0, 0.5)))
     for log, more in zip(logs, ([], ["--no-blend"])):
-        asked = ["play", str(path), "--offline", "--trajectory", str(where), "--log", str(log), "--json", *more]
+        asked = [
+            "play",
+            str(path),
+            "--offline",
+            "--trajectory",
+            str(where),
+            "--log",
+            str(log),
+            "--json",
+            *more,
+        ]
         assert _exit_code(asked) == 0
     capsys.readouterr()
     one, other = (log.read_text().splitlines() for log in logs)

@@ -64,18 +64,29 @@ def test_a_stream_tells_what_its_head_and_its_segments_say(tmp_path: Path) -> No
         assert held == sum(field.support_count for field in medium) == 2 * medium[4].support_count > 0
     assert notes == [(i + 1, 5) for i in range(5)]
     for key, value in {
-        "frames": 5, "seconds": 0.1, "segments": 2, "grid_shape": [16, 8, 24], "axes": "x y z", "device": "mine",
+        "frames": 5, "seconds": 0.1, "segments": 2, "grid_shape": [16, 8, 24], "axes": "x y "
+                                                                                       "z", "device": "mine",
         "device_type": 2, "force_max_n": 7.0, "mapping_scale": 0.5, "mapping_offset_m": [1.0, 2.0, 3.0], "k": 0.2,
-        "f0_n": 0.07, "tags": ["direct", "mine"], "promise_against": "my own", "provenance": {"reference": "my own"},
+        "f0_n": 0.07, "tags": ["direct", "mine"], "promise_against": "my "
+                                                                     "own", "provenance": {"reference": "my own"},
         "cr_full": size / (5 * 3072 * 96), "guesses": 0,
     }.items():  # fmt: skip
         assert told[key] == value, key
     assert told["spacing_mm"] == pytest.approx([10, 20, 5]) and told["worst_frame"] in (3, 4)
     assert told["cr_literal"] == (told["bits_amplitude"] + told["bits_direction"]) / (5 * 3072 * 96)
-    assert sum(told[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "models", "side")) == size
+    assert (
+        sum(told[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "models", "side")) == size
+    )
     kinds, each = told["frame_kinds"], told["bits_per_frame_by_kind"]
-    assert sum(kinds.values()) == 5 and size - 8 * 600 < sum(kinds[kind] * each[kind] for kind in kinds) < size
-    assert (medium.rate_hz, medium.axes, medium.friction, medium.damping_n_s_per_m) == (50.0, "x y z", 0.3, 0.4)
+    assert (
+        sum(kinds.values()) == 5 and size - 8 * 600 < sum(kinds[kind] * each[kind] for kind in kinds) < size
+    )
+    assert (medium.rate_hz, medium.axes, medium.friction, medium.damping_n_s_per_m) == (
+        50.0,
+        "x y z",
+        0.3,
+        0.4,
+    )
     assert medium.tags == ("direct", "mine") and medium.provenance == {"reference": "my own"}
     assert (device.name, device.type, device.lattice, device.force_max_n) == ("mine", 2, (16, 8, 24), 7.0)
     assert device.workspace_mm == pytest.approx((160, 160, 120))
@@ -105,7 +116,8 @@ def test_the_file_tells_the_promise_it_keeps(tmp_path: Path) -> None:
         decoded = list(opened.medium)
     assert told["mode"] == "mask" and told["promise_kept"] is True
     assert (
-        sum(told[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "side")) == 8 * told["file_bytes"]
+        sum(told[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "side"))
+        == 8 * told["file_bytes"]
     )
     assert sum(told["frame_kinds"].values()) == 7 and told["guesses"] == 0
     # what the file says of its worst voxel is what a receiver finds there

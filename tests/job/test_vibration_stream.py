@@ -36,7 +36,9 @@ def ball(t: int) -> ForceField:
     """Forces within a ball that moves."""
     i, j, k = np.meshgrid(*(np.arange(n) - n / 2 for n in GRID.shape), indexing="ij")
     depth = np.maximum(0, 5 - np.sqrt((i - t) ** 2 + j * j + k * k))
-    return ForceField.from_dense(GRID, np.stack([0 * depth, 0 * depth, depth / 2], axis=-1).astype(np.float32))
+    return ForceField.from_dense(
+        GRID, np.stack([0 * depth, 0 * depth, depth / 2], axis=-1).astype(np.float32)
+    )
 
 
 def medium(frames: int = 5) -> HapticMedium:
@@ -77,11 +79,20 @@ def test_a_rule_makes_a_band_that_its_stream_has(tmp_path: Path) -> None:
         told = opened.summary()
         assert told["vibration_samples"] == sum(map(len, frames_of(path)))
         hertz = np.concatenate([frame.frequencies_hz for frame in frames_of(path)])
-        assert 80 <= told["vibration_lowest_hz"] == hertz.min() < told["vibration_highest_hz"] == hertz.max() <= 240
+        assert (
+            80
+            <= told["vibration_lowest_hz"]
+            == hertz.min()
+            < told["vibration_highest_hz"]
+            == hertz.max()
+            <= 240
+        )
         bodies = [opened.reader.read_vibration(i) or b"" for i in range(3)]
         assert told["bits_vibration"] == 8 * sum(map(len, bodies))
         parts = ("support", "amplitude", "direction", "models", "side", "vibration")
-        assert sum(told[f"bits_{part}"] for part in parts) == 8 * told["file_bytes"] == 8 * path.stat().st_size
+        assert (
+            sum(told[f"bits_{part}"] for part in parts) == 8 * told["file_bytes"] == 8 * path.stat().st_size
+        )
         assert told["seconds"] == told["frames"] / 50.0 == 0.1
 
 
@@ -126,7 +137,9 @@ def test_a_size_to_reach_counts_the_vibration(tmp_path: Path) -> None:
     path = tmp_path / "a.touch"
     pipeline.encode(StoredScene(medium()), path, spec(vibration=WORDS))
     size = path.stat().st_size
-    done = pipeline.encode_to_target(StoredScene(medium()), path, spec(vibration=WORDS), Target(size + 50, None))
+    done = pipeline.encode_to_target(
+        StoredScene(medium()), path, spec(vibration=WORDS), Target(size + 50, None)
+    )
     assert done.file_bytes == path.stat().st_size <= size + 50
     assert len(frames_of(path)) == 5
 
@@ -147,7 +160,8 @@ def test_vibration_of_a_file_of_objects_is_read(tmp_path: Path) -> None:
     path, scene, asked = tmp_path / "a.touch", moving_scene(3), PaperSpec(segment_frames=3)
     encoder = ObjectsEncoder(scene, asked, F0_N)
     hums = [
-        VibrationRule(low_hz=hz, high_hz=hz).of(field, 1.0) for hz, field in zip((40, 400, 150), scene.voxelise())
+        VibrationRule(low_hz=hz, high_hz=hz).of(field, 1.0)
+        for hz, field in zip((40, 400, 150), scene.voxelise())
     ]
     with TouchWriter(path) as writer:
         writer.write_head(head_of(scene, encoder, asked), {})
@@ -161,7 +175,10 @@ def test_vibration_of_a_file_of_objects_is_read(tmp_path: Path) -> None:
     with pipeline.open_stream(path) as opened:
         told = opened.summary()
         assert told["vibration_samples"] == sum(map(len, hums))
-        assert (told["vibration_lowest_hz"], told["vibration_highest_hz"]) == (40, 400)  # not those of the last frame
+        assert (told["vibration_lowest_hz"], told["vibration_highest_hz"]) == (
+            40,
+            400,
+        )  # not those of the last frame
     again = pipeline.prepare(path)  # and told where it cannot be kept
     assert again.medium.vibration is None and any("vibration" in note for note in again.notes)
     kept = pipeline.prepare(path, EncodeSpec(representation="voxel"))
@@ -190,7 +207,9 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert _exit_code(["info", str(out), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["vibration_lowest_hz"] == told["vibration_highest_hz"] == 150 and told["bits_vibration"] > 0
-    assert _exit_code(["filter", str(out), str(again), "--effort", "fast", "--vibration", "frequency=60"]) == 0
+    assert (
+        _exit_code(["filter", str(out), str(again), "--effort", "fast", "--vibration", "frequency=60"]) == 0
+    )
     assert {frame.frequencies_hz.max() for frame in frames_of(again)} == {60}
     capsys.readouterr()
     assert _exit_code(["filter", str(out), str(tmp_path / "f.npz"), "--vibration", "gain=0.1"]) == 2

@@ -39,7 +39,10 @@ class RawEncoder:
     def encode_segment(self, frames):
         body = b"".join((frame.to_dense() / self.spec.scale).astype("<f4").tobytes() for frame in frames)
         counts = [int(frame.support().amplitudes_n.size) for frame in frames]
-        stats = (FrameStats(FrameKind.INTRA, n, n, BitAccount(amplitude=8 * len(body) // len(frames))) for n in counts)
+        stats = (
+            FrameStats(FrameKind.INTRA, n, n, BitAccount(amplitude=8 * len(body) // len(frames)))
+            for n in counts
+        )
         return CodedSegment(body, tuple(stats))
 
 
@@ -99,7 +102,9 @@ class Halve(FieldFilter):
     factor: float = 0.5
 
     def claims(self, grid):
-        return Claims(reach=(0, 0, 0), linear=True, dc_gain=self.factor, keeps_support=True, keeps_direction=True)
+        return Claims(
+            reach=(0, 0, 0), linear=True, dc_gain=self.factor, keeps_support=True, keeps_direction=True
+        )
 
     def __call__(self, field):
         return ForceField(field.grid, field.bricks, field.forces_n * np.float32(self.factor))

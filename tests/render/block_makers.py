@@ -41,7 +41,9 @@ class Block:
 def some_field(rng: np.random.Generator, grid: Grid | None = None) -> ForceField:
     """Forces here and there on a small lattice whose sides are not multiples of a brick; perhaps none at all."""
     if grid is None:
-        grid = Grid(tuple(rng.integers(1, 20, 3)), tuple(rng.uniform(0.003, 0.02, 3)), tuple(rng.normal(0, 0.05, 3)))
+        grid = Grid(
+            tuple(rng.integers(1, 20, 3)), tuple(rng.uniform(0.003, 0.02, 3)), tuple(rng.normal(0, 0.05, 3))
+        )
     dense = rng.normal(size=(*grid.shape, 3))
     dense[rng.random(grid.shape) > rng.choice([0.0, 0.02, 0.6, 1.0])] = 0
     return ForceField.from_dense(grid, dense)

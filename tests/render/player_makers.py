@@ -1,4 +1,5 @@
-"""What the tests of the player share: a small medium whose force tells its frame, devices that keep what they get.
+"""What the tests of the player share: a small medium whose force tells its frame, devices that keep what they
+get.
 
 Devices are classes of a module, because the servo's process makes them there.
 """
@@ -97,7 +98,9 @@ class Hung(Still):
 
 
 class Noted(Still):
-    """Writes down, in a file named by the environment, each opening and force; its reads hang after some ticks."""
+    """Writes down, in a file named by the environment, each opening and force; its reads hang after some
+    ticks.
+    """
 
     def open(self) -> None:
         super().open()
@@ -125,7 +128,9 @@ class Absent(Still):
         raise DeviceError("fake device", "nothing on the bus", "a device", "Plug it in.")
 
 
-def laid_out(medium: HapticMedium, spec: RenderSpec | None = None, **options: object) -> tuple[Session, Memory]:
+def laid_out(
+    medium: HapticMedium, spec: RenderSpec | None = None, **options: object
+) -> tuple[Session, Memory]:
     """A session and its block within this process, not yet fed."""
     session = Session(medium, OMNI, RenderSpec() if spec is None else spec, **options)  # type: ignore[arg-type]
     memory = Memory.empty(session.layout.words)

@@ -34,7 +34,8 @@ def field_of(*shapes: Shape, nw: int = 7, mapping: str = "1") -> ForceField:
 class Held:
     """A field, rendered by the proxy or as it is.
 
-    Poses, if any, place the field as a body, (w, x, y, z) and metres a frame; `at_s` goes from one to the next.
+    Poses, if any, place the field as a body, (w, x, y, z) and metres a frame; `at_s` goes from one to the
+    next.
     """
 
     def __init__(
@@ -53,7 +54,11 @@ class Held:
         write_field(self.memory, W.FREE, pool)
         for n, frame in enumerate(self.frames):
             write_frame(
-                self.memory, frame, [FramePart(W.FREE, *poses[n]) if poses else FramePart.voxels(W.FREE)], np.inf, 0
+                self.memory,
+                frame,
+                [FramePart(W.FREE, *poses[n]) if poses else FramePart.voxels(W.FREE)],
+                np.inf,
+                0,
             )
         spec = RenderSpec(slew_n_per_s=1e9, ramp_s=DT_S, render="field")
         write_parameters(self.memory, spec, STRONG, mu, damping, STRONG.axes)
@@ -103,7 +108,9 @@ class Held:
 def ramp_n(
     direction: Sequence[float], newtons: float = 3.0, rise_s: float = 0.3, guided_n_per_m: float = 0.0
 ) -> Callable[[float, Vector], Vector]:
-    """A push along a direction that rises to so many newtons, by a hand that a spring keeps on its line, or none."""
+    """A push along a direction that rises to so many newtons, by a hand that a spring keeps on its line, or
+    none.
+    """
     unit = np.array(direction, np.float64) / np.linalg.norm(direction)
     line: list[Vector] = []
 

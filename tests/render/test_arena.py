@@ -61,7 +61,10 @@ def test_no_more_memory_than_the_medium_needs() -> None:
     few, many = FrameSource(telling(2)), FrameSource(telling(2000))
     assert arena_words(few, 1 << 40) < arena_words(many, 1 << 40)
     assert arena_words(many, 1 << 20) == 1 << 17
-    slots = [Session(telling(2000), device("phantom-omni"), RenderSpec(), speed=s).layout.slots for s in (0.1, 1, 9)]
+    slots = [
+        Session(telling(2000), device("phantom-omni"), RenderSpec(), speed=s).layout.slots
+        for s in (0.1, 1, 9)
+    ]
     assert slots == [256, 256, 2048], "frames of four seconds of the hand, and no fewer than that"
     with pytest.raises(InvalidArgument, match=r"memory_bytes.*frame 3.*Ask for more memory"):
         check_fits(11, 10, "frame 3")

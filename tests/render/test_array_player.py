@@ -25,7 +25,9 @@ SHAPE = (2, 3, 2)
 class Recorder(ArrayDevice):
     """Writes down what it is told; gone after so many frames, or slow."""
 
-    def __init__(self, gone_after: int | None = None, error: Exception | None = None, slow_s: float = 0.0) -> None:
+    def __init__(
+        self, gone_after: int | None = None, error: Exception | None = None, slow_s: float = 0.0
+    ) -> None:
         self.profile = VEST
         self.gone_after, self.slow_s = gone_after, slow_s
         self.error = error or DeviceError("recorder", "that it is gone")
@@ -97,7 +99,15 @@ def test_the_mean_rate_is_that_of_the_intervals_between_frames() -> None:
 def test_linear_between_frames_and_the_last_is_held() -> None:
     ahead = DrivesAhead(Frames(lambda i: [0.0, 1.0, 0.5][i], 3), SHAPE, 0.0, 0.25, 50, False)
     ahead.thread.start()
-    for position, drive in ((0.0, 0.0), (0.25, 0.25), (0.75, 0.75), (1.0, 1.0), (1.5, 0.75), (2.0, 0.5), (2.75, 0.5)):
+    for position, drive in (
+        (0.0, 0.0),
+        (0.25, 0.25),
+        (0.75, 0.75),
+        (1.0, 1.0),
+        (1.5, 0.75),
+        (2.0, 0.5),
+        (2.75, 0.5),
+    ):
         ahead.wait_for(position)
         shown = ahead.at(position)
         assert shown is not None and shown[1] is None and (shown[0] == np.float32(drive)).all()
@@ -135,7 +145,9 @@ def test_usual_rates() -> None:
 
 
 def test_speed_start_and_loop() -> None:
-    shown, _ = played(Frames(lambda i: i / 100, 100, 1000.0), Recorder(), rate_hz=100, speed=2.0, start_s=0.02)
+    shown, _ = played(
+        Frames(lambda i: i / 100, 100, 1000.0), Recorder(), rate_hz=100, speed=2.0, start_s=0.02
+    )
     steps = [s for s in shown if s]
     assert steps[0] == np.float32(0.2) and len(steps) <= 4
     assert all(b - a > 0.19 for a, b in zip(steps, steps[1:]))  # 20 frames of the medium to one of the player
@@ -179,7 +191,9 @@ def test_a_stall_of_the_feed_is_all_off_and_nothing_is_left_out() -> None:
         assert not recorder.shown[-1].any()
         released.set()
         assert player.wait(20)
-    assert max(float(one.max()) for one in recorder.shown) == pytest.approx(0.4) and not recorder.shown[-1].any()
+    assert (
+        max(float(one.max()) for one in recorder.shown) == pytest.approx(0.4) and not recorder.shown[-1].any()
+    )
 
 
 @pytest.mark.parametrize("loop", [False, True])
@@ -199,7 +213,10 @@ def test_preparation_is_told_from_play() -> None:
         assert not player.wait_begun(0.05)
         released.set()
         assert player.wait_begun(20)
-    with pytest.raises(SourceError), ArrayPlayer(Frames(lambda i: SourceError("a", "b"), 1), Recorder()) as player:
+    with (
+        pytest.raises(SourceError),
+        ArrayPlayer(Frames(lambda i: SourceError("a", "b"), 1), Recorder()) as player,
+    ):
         assert player.wait_begun(20) and player.wait(20)
 
 
@@ -239,7 +256,10 @@ def test_frames_of_another_shape_and_bad_numbers() -> None:
         def drives(self, frame: int) -> np.ndarray:
             return np.zeros((1, 3, 2), np.float32)
 
-    with ArrayPlayer(Wrong(lambda i: 0, 3), Recorder()) as player, pytest.raises(InvalidArgument, match="frame 0"):
+    with (
+        ArrayPlayer(Wrong(lambda i: 0, 3), Recorder()) as player,
+        pytest.raises(InvalidArgument, match="frame 0"),
+    ):
         player.wait(20)
     for options in (
         {"rate_hz": 0.0},
@@ -279,7 +299,9 @@ while not player.statistics()["sent"]:
 
 
 def test_a_program_that_ends_without_close_leaves_no_actuator_on() -> None:
-    done = subprocess.run([sys.executable, "-c", FORGOTTEN], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", FORGOTTEN], capture_output=True, text=True, timeout=60, check=True
+    )
     assert done.stdout.split()[0] == "1.0" and done.stdout.split()[-2:] == ["0.0", "closed"]
 
 
@@ -311,7 +333,9 @@ def test_whatever_happens_drives_are_bounded_and_the_last_is_off(
     player = ArrayPlayer(Frames(make, len(drives), 500.0), recorder, rate_hz=500, loop=loop)
     player.start()
     will_end = (
-        not (loop or len(drives) == 1) or gone_after is not None or (broken is not None and broken < len(drives))
+        not (loop or len(drives) == 1)
+        or gone_after is not None
+        or (broken is not None and broken < len(drives))
     )
     if close_after_s is None and will_end:
         with_error = gone_after is not None or broken is not None

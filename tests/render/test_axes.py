@@ -1,4 +1,6 @@
-"""Axes in words: what every shipped profile and every kind of source says, round trips, and what cannot be read."""
+"""Axes in words: what every shipped profile and every kind of source says, round trips, and what cannot be
+read.
+"""
 
 from __future__ import annotations
 
@@ -93,8 +95,20 @@ def test_every_shipped_point_says_its_axes_in_words_that_are_read() -> None:
 
 
 UNREADABLE = (
-    *("", "x, y, z", "x right, y up", "x right, y left, z up", "x right, x up, z back", "x right, y up, z up"),
-    *("x right, y up, z sideways", "x right up, y, z back", "x right, y up, z back, w down", "a right, y up, z back"),
+    *(
+        "",
+        "x, y, z",
+        "x right, y up",
+        "x right, y left, z up",
+        "x right, x up, z back",
+        "x right, y up, z up",
+    ),
+    *(
+        "x right, y up, z sideways",
+        "x right up, y, z back",
+        "x right, y up, z back, w down",
+        "a right, y up, z back",
+    ),
     "x" * 999,
 )
 
@@ -120,7 +134,8 @@ def test_all_48_ways_are_told_apart() -> None:
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((0, 1), repeat=3):
             parts = [
-                f"{'xyz'[n]} {WORDS[axis][sign]}" for n, (axis, sign) in enumerate(zip(order, signs, strict=True))
+                f"{'xyz'[n]} {WORDS[axis][sign]}"
+                for n, (axis, sign) in enumerate(zip(order, signs, strict=True))
             ]
             found.add(tuple(axes_matrix(", ".join(parts), BOX_AXES).ravel()))
     assert len(found) == 48

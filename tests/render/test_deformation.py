@@ -51,7 +51,9 @@ def wavy(frames: int = 1, size_m: float = 0.0006, rate_hz: float = 10.0, control
 
 def controls_m(lattice: Deformation) -> Float64s:
     """Places of the control points, [nx, ny, nz, 3]."""
-    index = np.stack(np.meshgrid(*(np.arange(n) for n in lattice.displacement_m.shape[1:4]), indexing="ij"), axis=-1)
+    index = np.stack(
+        np.meshgrid(*(np.arange(n) for n in lattice.displacement_m.shape[1:4]), indexing="ij"), axis=-1
+    )
     return np.asarray(lattice.corner_m) + (index - 1) * np.asarray(lattice.spacing_m)
 
 
@@ -64,7 +66,8 @@ def moved(lattice: Deformation, u: Float64s, p: Float64s) -> Float64s:
     return np.einsum("nw,nwc->nc", weights, u.reshape(-1, 3)[flat])
 
 
-# -- the map ------------------------------------------------------------------------------------------------------
+# -- the map
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_at_rest_every_bit_is_as_without() -> None:
@@ -78,7 +81,10 @@ def test_at_rest_every_bit_is_as_without() -> None:
 
 def test_an_affine_map_is_that_map_and_turns_forces_with_it() -> None:
     lattice = Deformation.at_rest(*BOX)
-    a, shift = np.array([[0.1, -0.05, 0.02], [0.03, -0.08, 0.04], [-0.02, 0.06, 0.12]]), [0.001, -0.0005, 0.0008]
+    a, shift = (
+        np.array([[0.1, -0.05, 0.02], [0.03, -0.08, 0.04], [-0.02, 0.06, 0.12]]),
+        [0.001, -0.0005, 0.0008],
+    )
     bent = replace(lattice, displacement_m=(controls_m(lattice) @ a.T + shift)[None])
     p = places(reach_m=0.0149)
     made = FieldSampler(medium(spring), deformation=bent).force_n(np.zeros(len(p)), p).astype(float)
@@ -100,7 +106,9 @@ def test_force_and_slopes_are_those_of_the_formula() -> None:
 
     def expected(p: Float64s) -> Float64s:
         step = 1e-6 * np.eye(3)
-        j = np.stack([(moved(bent, u, p + d) - moved(bent, u, p - d)) / 2e-6 for d in step], axis=-1) + np.eye(3)
+        j = np.stack(
+            [(moved(bent, u, p + d) - moved(bent, u, p - d)) / 2e-6 for d in step], axis=-1
+        ) + np.eye(3)
         return np.einsum("nki,nk->ni", j, spring(p + moved(bent, u, p)))
 
     made = np.array([sampler.at(t, *q) for q in p])
@@ -134,7 +142,8 @@ def test_beyond_the_lattice_it_is_flat_and_joins_on() -> None:
     far = np.array(sampler.at(0.0, edge + 0.003, 0.002, 0.001))
     u = moved(bent, bent.displacement_m[0], np.array([[edge, 0.002, 0.001]]))[0]
     assert (
-        np.linalg.norm(moved(bent, bent.displacement_m[0], np.array([[edge + 0.003, 0.002, 0.001]]))[0] - u) < 1e-12
+        np.linalg.norm(moved(bent, bent.displacement_m[0], np.array([[edge + 0.003, 0.002, 0.001]]))[0] - u)
+        < 1e-12
     )
     assert np.isfinite(far).all() and np.linalg.norm(outer - inner) < 0.5 * np.linalg.norm(inner)
     assert not np.array(sampler.at(0.0, np.nan, 0.0, 0.0)).any()
@@ -197,7 +206,8 @@ def test_a_file_keeps_whole_steps_and_strangers_are_refused(tmp_path: Path) -> N
         read_deformation(tmp_path / "d.npz")
 
 
-# -- tracks ---------------------------------------------------------------------------------------------------------
+# -- tracks
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_tracks_make_the_frames_of_a_still_medium_and_follow_those_of_another() -> None:
@@ -222,7 +232,9 @@ def test_a_fit_finds_an_affine_motion_to_the_last_and_carries_it_on() -> None:
     a = np.array([[0.95, -0.2, 0], [0.2, 0.95, 0], [0, 0, 1.05]])
     now = rest @ a.T + [0.001, 0, 0]
     reported: list[int] = []
-    made, rms = fitted(rest, [rest, now], Deformation.at_rest((-0.013,) * 3, (0.013,) * 3), 25.0, reported.append)
+    made, rms = fitted(
+        rest, [rest, now], Deformation.at_rest((-0.013,) * 3, (0.013,) * 3), 25.0, reported.append
+    )
     assert reported == [1, 2] and rms < 2e-6 and not made.displacement_m[0].any() and made.rate_hz == 25.0
     p = places(200, 0.006, seed=9) @ a.T + [0.001, 0, 0]
     back = p + moved(made, made.displacement_m[1], p)
@@ -233,11 +245,14 @@ def test_a_fit_finds_an_affine_motion_to_the_last_and_carries_it_on() -> None:
         fitted(rest, [rest * [-1, 1, 1]], Deformation.at_rest(*BOX), 25.0)
 
 
-# -- what gives way -------------------------------------------------------------------------------------------------
+# -- what gives way
+# -------------------------------------------------------------------------------------------------
 
 
 def soft(compliance: float, relax_s: float = 0.02, controls: int = 8) -> Deformation:
-    return Deformation.at_rest((-0.07,) * 3, (0.07,) * 3, controls, compliance_m_per_n=compliance, relax_s=relax_s)
+    return Deformation.at_rest(
+        (-0.07,) * 3, (0.07,) * 3, controls, compliance_m_per_n=compliance, relax_s=relax_s
+    )
 
 
 @pytest.mark.parametrize("compliance", [0.0005, 0.002])
@@ -307,23 +322,30 @@ def test_the_player_takes_it() -> None:
     assert 0.3 * np.abs(made[0]).max() < np.abs(made[2][:499]).max() < 0.9 * np.abs(made[0]).max()
 
 
-# -- the command ----------------------------------------------------------------------------------------------------
+# -- the command
+# ----------------------------------------------------------------------------------------------------
 
 
-def test_an_animated_model_bends_the_stream_of_a_pose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_animated_model_bends_the_stream_of_a_pose(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     model = chain_rig(joints=10, triangles=1500, frames=20).save(tmp_path / "snake.glb", "glb")
     stream, tracks = tmp_path / "snake.touch", tmp_path / "snake.npz"
     asked = ["--frames", "0:1", "--nw", "5", "--representation", "voxel"]
     assert _exit_code(["encode", str(model), str(stream), *asked]) == 0
     capsys.readouterr()
-    assert _exit_code(["deform", str(stream), str(model), "-o", str(tracks), "--frames", "0:5", "--json"]) == 0
+    assert (
+        _exit_code(["deform", str(stream), str(model), "-o", str(tracks), "--frames", "0:5", "--json"]) == 0
+    )
     told = json.loads(capsys.readouterr().out)
     assert told["frames"] == 5 and told["control_points"] == [8, 8, 8] and told["least_determinant"] > 0
     bent = read_deformation(tracks)
     assert not bent.displacement_m[0].any() and bent.displacement_m[-1].any()
     with pipeline.open_stream(stream) as opened:
         spacing_mm = 1e3 * float(np.mean(opened.grid.spacing_m))
-    assert 0.02 * spacing_mm < told["rms_mm"] < 0.2 * spacing_mm, "millimetres, as few controls cannot follow it all"
+    assert 0.02 * spacing_mm < told["rms_mm"] < 0.2 * spacing_mm, (
+        "millimetres, as few controls cannot follow it all"
+    )
     play = ["play", str(stream), "--offline", "--seconds", "0.1", "--deformation"]
     assert _exit_code([*play, str(tracks)]) == 0
     for words, said in (

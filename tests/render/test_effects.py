@@ -34,7 +34,9 @@ def gained_j(bench: Bench, path: Vector) -> float:
     return float((forces[:-1] * np.diff(places_m, axis=0)).sum())
 
 
-def released_m(bench: Bench, hand_kg: float, damping_n_s_per_m: float, start_m: Vector, seconds: float) -> Vector:
+def released_m(
+    bench: Bench, hand_kg: float, damping_n_s_per_m: float, start_m: Vector, seconds: float
+) -> Vector:
     """Places of a free hand that the ticks push, float64 [n, 3]."""
     place, velocity, way = np.array(start_m, np.float64), np.zeros(3), []
     for _ in range(int(seconds / bench.dt)):
@@ -46,7 +48,8 @@ def released_m(bench: Bench, hand_kg: float, damping_n_s_per_m: float, start_m: 
     return np.array(way)
 
 
-# -- friction, damping ------------------------------------------------------------------------------------------
+# -- friction, damping
+# ------------------------------------------------------------------------------------------
 
 
 def test_friction_and_damping_of_a_hand_that_slides() -> None:
@@ -71,7 +74,9 @@ def test_friction_and_damping_only_take(way: list[tuple[float, ...]], mu: float,
         FIELD.tick(x, y, z, dt)
         v, f, t = (FIELD.state(p) for p in (W.VELOCITY, W.FIELD_FORCE, W.FRICTION_FORCE))
         assert math.fsum(t * v) <= 2e-16 * float(np.abs(t * v).sum())
-        assert math.hypot(*t) <= mu * math.hypot(*f) * (1 + 1e-12) + 1e-300  # squares of less than 1e-154 are lost
+        assert (
+            math.hypot(*t) <= mu * math.hypot(*f) * (1 + 1e-12) + 1e-300
+        )  # squares of less than 1e-154 are lost
         assert (FIELD.state(W.WANTED) - f - t) @ v <= 1e-9 * (1 + np.abs(f).sum()) * (1 + b * (v @ v))
 
 
@@ -95,7 +100,8 @@ def test_the_velocity_follows_true_times() -> None:
     assert bench.word(W.VELOCITY) == pytest.approx(0.05 * (1 - math.exp(-2 * math.pi * 20 * 0.008)))
 
 
-# -- coupling ---------------------------------------------------------------------------------------------------
+# -- coupling
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_a_coupling_gives_the_force_of_the_field_in_steady_contact() -> None:
@@ -136,7 +142,9 @@ def test_a_stiff_field_that_buzzes_is_steady_with_a_coupling(law: object) -> Non
 @pytest.mark.parametrize("depth_m", [0.0001, 0.0003, 0.0007, 0.0011, 0.0015])
 @pytest.mark.parametrize("k", [300.0, 1000.0, 4000.0])
 def test_a_proxy_at_a_step_of_the_force_does_not_leap_to_and_fro(depth_m: float, k: float) -> None:
-    fine = Grid((33, 33, 33), (0.0001,) * 3, (-0.0016,) * 3)  # 1 N from one sample to the next: 10 N/mm, then level
+    fine = Grid(
+        (33, 33, 33), (0.0001,) * 3, (-0.0016,) * 3
+    )  # 1 N from one sample to the next: 10 N/mm, then level
     bench = Bench(wall(1e9, 1.0), RenderSpec(coupling_n_per_m=k, **QUICK), device=STRONG, grid=fine)
     bench.settled(0.0, 0.0, -depth_m, 150)
     forces = [bench.tick(0.0, 0.0, -depth_m)[2] for _ in range(100)]
@@ -184,7 +192,8 @@ def test_a_coupling_does_not_drag_in_free_space() -> None:
     assert np.abs([f for _, f in bench.along(path)]).max() < 1e-12
 
 
-# -- passivity --------------------------------------------------------------------------------------------------
+# -- passivity
+# --------------------------------------------------------------------------------------------------
 
 CURL = 40.0 * np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]])  # 0.8 N along the way at 20 mm
 
@@ -205,7 +214,8 @@ def test_what_was_put_in_may_come_out_again() -> None:
     press = 0.02 * np.sin(np.linspace(0, 2 * np.pi, 2000))
     path = np.stack([0 * press, 0 * press, -np.abs(press)], axis=-1)
     free, watched = (
-        np.array([f for _, f in Bench(wall(60.0), RenderSpec(passivity=p)).along(path)]) for p in (False, True)
+        np.array([f for _, f in Bench(wall(60.0), RenderSpec(passivity=p)).along(path)])
+        for p in (False, True)
     )
     # a spring gives back what it took; what sampling adds to that is braked on the last of the way
     apart = np.abs(free - watched).max(axis=1)
@@ -255,7 +265,8 @@ def test_the_weight_of_the_handle_is_no_gain() -> None:
     assert forces == pytest.approx(np.broadcast_to([0, 0.5, 0], forces.shape))
 
 
-# -- vibration --------------------------------------------------------------------------------------------------
+# -- vibration
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("force", "axis"), [((0.0, 0.0, 0.0), 2), ((1.5, 0.0, 0.0), 0)])
@@ -276,7 +287,9 @@ def test_its_phase_runs_on_however_uneven_the_ticks() -> None:
     rng, t, start = np.random.default_rng(5), 0.0, bench.word(W.PHASE)
     for dt in rng.uniform(0.0001, 0.0019, 300):
         t += dt
-        assert bench.tick(0, 0, 0, dt)[2] == pytest.approx(0.4 * math.sin(start + 2 * math.pi * 80 * t), abs=1e-6)
+        assert bench.tick(0, 0, 0, dt)[2] == pytest.approx(
+            0.4 * math.sin(start + 2 * math.pi * 80 * t), abs=1e-6
+        )
 
 
 def test_between_two_frames_amplitudes_are_blended() -> None:

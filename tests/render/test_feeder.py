@@ -105,7 +105,9 @@ def test_a_seek_back_gives_the_room_of_later_frames_to_earlier_ones() -> None:
         feeder.seek(generation, frame)
         memory.i8[W.NEEDS] = tag(generation, frame)
         run_dry(feeder)
-        assert shown(session, memory, generation, frame + 2) == 0.5 + (frame + 2) / 64 and feeder.error is None
+        assert (
+            shown(session, memory, generation, frame + 2) == 0.5 + (frame + 2) / 64 and feeder.error is None
+        )
 
 
 def test_frames_that_are_past_are_not_decoded() -> None:
@@ -123,7 +125,9 @@ def test_frames_that_are_past_are_not_decoded() -> None:
 
 
 class Desk:
-    """A servo of the plainest kind, which ticks on while frames are decoded, each in as many ticks as it takes."""
+    """A servo of the plainest kind, which ticks on while frames are decoded, each in as many ticks as it
+    takes.
+    """
 
     def __init__(self, count: int, ticks: int, starts: tuple[int, ...] = (), room: float = 1000.0) -> None:
         self.count, self.ticks, self.now_s, self.late, self.decoded = (
@@ -135,11 +139,15 @@ class Desk:
         )
         medium = replace(telling(count), make_frame=self.make)
         words = FrameSource(telling()).prepare(0).words
-        self.session, self.memory = laid_out(medium, RenderSpec(render="field"), memory_bytes=int(8 * room * words))
+        self.session, self.memory = laid_out(
+            medium, RenderSpec(render="field"), memory_bytes=int(8 * room * words)
+        )
         self.session.source.starts = starts
         self.memory.i8[W.MODE_NOW] = W.PLAYING
         self.memory.f8[W.SPEED_NOW] = 1.0
-        self.feeder = Feeder(self.session.source, self.memory, self.session.layout, clock_s=lambda: self.now_s)
+        self.feeder = Feeder(
+            self.session.source, self.memory, self.session.layout, clock_s=lambda: self.now_s
+        )
         self.at = -1
 
     def make(self, frame: int) -> ForceField:
@@ -159,7 +167,9 @@ class Desk:
         f8[W.MEDIA_S] += 0.001
         wanted = int(f8[W.MEDIA_S] * 50 + 1e-6)
         if wanted < self.count:
-            found = [shown(self.session, self.memory, 1, min(n, self.count - 1)) for n in (wanted, wanted + 1)]
+            found = [
+                shown(self.session, self.memory, 1, min(n, self.count - 1)) for n in (wanted, wanted + 1)
+            ]
             self.late.append(None if found[0] is None or found[1] is None else wanted - 64 * (found[0] - 0.5))
             i8[W.NEEDS] = tag(1, wanted)
 

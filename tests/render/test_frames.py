@@ -32,7 +32,9 @@ def test_voxels_are_the_interpolated_field(seed: int) -> None:
     frame = block.voxels(field)
     low, high = field.grid.box_m
     points = rng.uniform(low - 0.03, high + 0.03, (60, 3))
-    np.testing.assert_allclose(forces(block, frame, frame, 0.0, points), field.sample_n(points), atol=1e-6, rtol=0)
+    np.testing.assert_allclose(
+        forces(block, frame, frame, 0.0, points), field.sample_n(points), atol=1e-6, rtol=0
+    )
 
 
 @settings(max_examples=20)
@@ -64,9 +66,12 @@ def test_fields_that_change_are_blended(seed: int, blend: float) -> None:
 def test_objects_are_the_scene_at_its_frames(seed: int, damping: float, limit_n: float) -> None:
     rng = np.random.default_rng(seed)
     fields = [some_field(rng) for _ in range(2)]
-    tracks = [PoseTrack(Rotation.random(2, random_state=rng).as_quat(), rng.normal(0, 0.05, (2, 3))) for _ in fields]
+    tracks = [
+        PoseTrack(Rotation.random(2, random_state=rng).as_quat(), rng.normal(0, 0.05, (2, 3))) for _ in fields
+    ]
     objects = [
-        HapticObject(str(n), HapticMedium.from_frames([f], 50.0), t) for n, (f, t) in enumerate(zip(fields, tracks))
+        HapticObject(str(n), HapticMedium.from_frames([f], 50.0), t)
+        for n, (f, t) in enumerate(zip(fields, tracks))
     ]
     scene = HapticScene(GRID, 50.0, tuple(objects), limit_n, damping)
     block = Block()
@@ -135,11 +140,15 @@ def test_vibration_has_the_frequency_of_the_corner_that_adds_most() -> None:
     views = block.memory.views
     assert vibration_at(*views, frame, 0.01, 0.01, 0.02) == (1.0, 80.0)
     assert vibration_at(*views, frame, 0.01, 0.01, 0.035) == pytest.approx((2.5, 250.0))
-    assert vibration_at(*views, frame, 0.018, 0.01, 0.029) == pytest.approx((1.0 * 0.11 + 3 * 0.09 + 2 * 0.44, 120.0))
+    assert vibration_at(*views, frame, 0.018, 0.01, 0.029) == pytest.approx(
+        (1.0 * 0.11 + 3 * 0.09 + 2 * 0.44, 120.0)
+    )
     assert vibration_at(*views, frame, 0.001, 0.01, 0.02) == pytest.approx((0.1, 80.0))
     nearer = vibration_at(*views, frame, 0.01, 0.01, 0.026)  # 0.7 N of the near one, 0.9 N of the far one
     assert nearer == pytest.approx((1.6, 250.0))
-    equal = vibration_at(*views, frame, 0.01 + 0.01 / 3, 0.01, 0.02)  # 2/3 N of both: the first in raster order
+    equal = vibration_at(
+        *views, frame, 0.01 + 0.01 / 3, 0.01, 0.02
+    )  # 2/3 N of both: the first in raster order
     assert equal == pytest.approx((4 / 3, 80.0))
     assert vibration_at(*views, frame, 0.0, 0.0, 0.0) == (0.0, 0.0)
     assert vibration_at(*views, block.frame([]), 0.01, 0.01, 0.02) == (0.0, 0.0)

@@ -27,7 +27,9 @@ SPEC = RenderSpec(tool=STICK)
 
 
 class Wrist(Still):
-    """Turns by a tenth of a radian a tick about z, with a button and a gripper; keeps the torques that it gets."""
+    """Turns by a tenth of a radian a tick about z, with a button and a gripper; keeps the torques that it
+    gets.
+    """
 
     def __init__(self) -> None:
         super().__init__()

@@ -50,7 +50,11 @@ def _children() -> list[str]:
 
 def test_a_medium_is_played_to_its_end_and_again() -> None:
     with Player(telling(10), OMNI, Still, start_s=0.1) as player:
-        assert not player.wait(0.05) and player.media_s == pytest.approx(0.1) and not player.log()["force_n"].any()
+        assert (
+            not player.wait(0.05)
+            and player.media_s == pytest.approx(0.1)
+            and not player.log()["force_n"].any()
+        )
         player.play()
         assert player.wait(30) and player.is_ended and player.error is None
         assert player.media_s == pytest.approx(0.2)
@@ -77,7 +81,9 @@ def test_a_medium_is_played_to_its_end_and_again() -> None:
     assert counts["priority"] and counts["memory"] and counts["processors"] and counts["decode_median_s"] > 0
     player.close()  # twice is once
     assert player.is_ended
-    assert not [one for one in threading.enumerate() if one.name in ("touchfield-feeder", "touchfield-player")]
+    assert not [
+        one for one in threading.enumerate() if one.name in ("touchfield-feeder", "touchfield-player")
+    ]
     assert player.servo_pid is None
     for use in (player.play, player.pause, player.__enter__):
         with pytest.raises(InvalidArgument, match="player"):
@@ -87,7 +93,9 @@ def test_a_medium_is_played_to_its_end_and_again() -> None:
 def test_a_device_that_fails_is_told_and_the_force_is_zero() -> None:
     with Player(telling(1), OMNI, Failing) as player:
         player.play()
-        with pytest.raises(DeviceError, match=r"fake device: found no answer; expected a position. Plug it in."):
+        with pytest.raises(
+            DeviceError, match=r"fake device: found no answer; expected a position. Plug it in."
+        ):
             player.wait(30)
     assert isinstance(player.error, DeviceError)
     log = player.log()
@@ -129,7 +137,9 @@ def test_a_corrupt_segment_in_the_middle_is_told() -> None:
         pytest.fail("there is no first frame")
 
 
-def test_an_error_is_raised_at_the_end_also_where_the_watch_had_no_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_is_raised_at_the_end_also_where_the_watch_had_no_turn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(Player, "_watch", lambda player: None)
     with Player(telling(20, corrupt_from=6), OMNI, Simulated) as player:
         player.play()
@@ -196,9 +206,14 @@ def test_what_cannot_be_is_refused_before_anything_is_begun(monkeypatch: pytest.
             Player(telling(), OMNI, Still, **options)  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match="pickled"), Player(telling(), OMNI, lambda: Still()):
         pytest.fail("a lambda cannot be sent to another process")
-    with pytest.raises(InvalidArgument, match="memory_bytes"), Player(telling(), OMNI, Still, memory_bytes=5000):
+    with (
+        pytest.raises(InvalidArgument, match="memory_bytes"),
+        Player(telling(), OMNI, Still, memory_bytes=5000),
+    ):
         pytest.fail("no frame fits")
-    monkeypatch.setattr("touchfield.render.player.free_bytes", lambda: 5000)  # of which nine tenths may be taken
+    monkeypatch.setattr(
+        "touchfield.render.player.free_bytes", lambda: 5000
+    )  # of which nine tenths may be taken
     body = HapticScene(GRID, 50.0, (HapticObject("body", telling(1), PoseTrack.still(2)),), 4.0)
     with pytest.raises(InvalidArgument, match=r"memory_bytes: found 0\.00 MiB of room"):
         Player(body, OMNI, Still)
@@ -257,9 +272,13 @@ with Player(telling(1), OMNI, partial(SimHand, Trace.regular(np.zeros((100_000, 
 def test_a_program_without_its_guard_is_told_whatever_goes_to_the_device(tmp_path: Path) -> None:
     script = tmp_path / "unguarded.py"
     script.write_text(UNGUARDED.format(folder=str(Path(__file__).parent)))
-    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=100, check=False)
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, timeout=100, check=False
+    )
     assert done.returncode == 1
-    assert done.stderr.rstrip().endswith('Begin the player under `if __name__ == "__main__":` of your program.')
+    assert done.stderr.rstrip().endswith(
+        'Begin the player under `if __name__ == "__main__":` of your program.'
+    )
 
 
 def _runs(pid: int) -> bool:

@@ -1,4 +1,6 @@
-"""The proxy: what is thin holds, what is thick is felt as the field has it, friction drags, what moves carries."""
+"""The proxy: what is thin holds, what is thick is felt as the field has it, friction drags, what moves
+carries.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,9 @@ def test_edges_and_corners_hold() -> None:
     push = ramp_n((-1, 0, -1), guided_n_per_m=500.0)
     hand, forces, proxy = Held(block).pushed((0.036, 0.0, 0.021), push, 1.0)  # onto an edge
     assert (np.linalg.norm(block.sample_n(proxy), axis=1) < level).all() and np.linalg.norm(forces[-1]) > 2.0
-    assert np.linalg.norm(hand[-1] - hand[-200]) < 1e-3 and proxy[-1, 2] > 0.0145  # it stays, on the edge or above
+    assert (
+        np.linalg.norm(hand[-1] - hand[-200]) < 1e-3 and proxy[-1, 2] > 0.0145
+    )  # it stays, on the edge or above
 
 
 def test_forces_of_thick_things_are_the_field_s() -> None:
@@ -88,8 +92,12 @@ def test_forces_of_thick_things_are_the_field_s() -> None:
     assert np.mean(errors) < 0.01 and max(errors) < 0.02
 
 
-@pytest.mark.parametrize(("stiffness", "spacing_m"), [(500, 0.0044), (2000, 0.00125), (1000, 0.0022), (500, 0.001)])
-def test_a_wall_that_is_full_within_two_samples_is_felt_from_its_surface(stiffness: float, spacing_m: float) -> None:
+@pytest.mark.parametrize(
+    ("stiffness", "spacing_m"), [(500, 0.0044), (2000, 0.00125), (1000, 0.0022), (500, 0.001)]
+)
+def test_a_wall_that_is_full_within_two_samples_is_felt_from_its_surface(
+    stiffness: float, spacing_m: float
+) -> None:
     grid = Grid((24, 24, 24), (spacing_m,) * 3, (-11.5 * spacing_m,) * 3)
     forces = np.zeros((*grid.shape, 3), np.float32)
     forces[..., 2] = np.minimum(stiffness * np.maximum(-grid.axis_m(2), 0.0), 3.3)
@@ -203,14 +211,18 @@ def test_walls_are_found_where_there_are_some() -> None:
     for law, more in (("constant", {}), ("penalty", {"edits": "gain 2"})):
         assert stated_n_per_m({"spec": json.dumps({"law": law, "stiffness_n_per_m": 700}), **more}) is None
     track = PoseTrack([[1.0, 0, 0, 0]], [[0.0, 0, 0]])
-    bodies = [HapticObject(str(n), HapticMedium.from_frames([ball.scaled(n)], 30.0), track) for n in (0.1, 3, 2)]
+    bodies = [
+        HapticObject(str(n), HapticMedium.from_frames([ball.scaled(n)], 30.0), track) for n in (0.1, 3, 2)
+    ]
     found = FrameSource(HapticScene(ball.grid, 30.0, tuple(bodies), 20.0)).wall()
     assert found is not None and found.stiffness_n_per_m == pytest.approx(1500, rel=0.02)  # of the stiffest
     weakest = wall_of(ball.scaled(0.1))  # and the force of the weakest
     assert weakest is not None and found.level_n == weakest.level_n < wall.level_n
     coarse = HapticObject("coarse", HapticMedium.from_frames([field_of(BALL, nw=5)], 30.0), track)
     found = FrameSource(HapticScene(ball.grid, 30.0, (coarse, bodies[1]), 20.0)).wall()
-    assert found is not None and found.spacing_m == (min(ball.grid.spacing_m),) * 3  # whichever way they are turned
+    assert (
+        found is not None and found.spacing_m == (min(ball.grid.spacing_m),) * 3
+    )  # whichever way they are turned
     still = VibrationFrame.empty(ball.grid)
     found = FrameSource(HapticMedium(ball.grid, 30.0, 1, lambda i: ball, vibration=lambda i: still)).wall()
     assert found == wall  # what is beside it is no second body
@@ -252,6 +264,8 @@ def test_a_session_chooses_and_tells() -> None:
     assert _peak_n(body, RenderSpec())[0] > 1.0
     drawn = ForceField(field.grid, field.bricks, -field.forces_n)
     with pytest.raises(InvalidArgument, match="no wall"):
-        _peak_n(HapticMedium(field.grid, 30.0, 1, lambda i: drawn, axes=STRONG.axes), RenderSpec(render="proxy"))
+        _peak_n(
+            HapticMedium(field.grid, 30.0, 1, lambda i: drawn, axes=STRONG.axes), RenderSpec(render="proxy")
+        )
     with pytest.raises(InvalidArgument, match="render"):
         RenderSpec(render="both")

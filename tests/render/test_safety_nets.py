@@ -1,7 +1,8 @@
-"""Every safety net of the servo, made to fire while force and torque push: both go to zero, and stay within limits.
+"""Every safety net of the servo, made to fire while force and torque push: both go to zero, and stay within
+limits.
 
-A device with a tool in the hand, so that there is a torque, is served on a clock of its own. Each net is fired by the
-fault that it is there for.
+A device with a tool in the hand, so that there is a torque, is served on a clock of its own. Each net is
+fired by the fault that it is there for.
 """
 
 from __future__ import annotations
@@ -189,7 +190,9 @@ def test_force_and_torque_push_before_and_are_zero_behind(name: str) -> None:
     times_s = 1e-9 * np.diff(hand.times_ns)
     for part, slew in ((wrenches[:, :3], W.SLEW), (wrenches[:, 3:], W.TORQUE_SLEW)):
         steps = np.linalg.norm(np.diff(part, axis=0), axis=1)
-        assert (steps <= float(memory.f8[slew]) * times_s * (1 + 1e-9) + 1e-9).all(), "no faster than the slew limit"
+        assert (steps <= float(memory.f8[slew]) * times_s * (1 + 1e-9) + 1e-9).all(), (
+            "no faster than the slew limit"
+        )
 
 
 @pytest.mark.parametrize("slow", [{"slew_n_per_s": 4.0}, {"slew_nm_per_s": 0.1}])
@@ -204,7 +207,9 @@ def test_an_end_waits_for_the_slower_of_force_and_torque(slow: dict[str, float])
 def test_heat_and_peak_limit_force_and_torque_from_both_sides(name: str) -> None:
     """As much as the peak at first, and in the long run the continuous limit, no more and hardly less."""
     limits = {"force": (0.9, 0.3, 9.0, 5.0), "torque": (9.0, 5.0, 0.012, 0.004)}[name]
-    spec = replace(SPEC, **dict(zip(("peak_n", "continuous_n", "peak_nm", "continuous_nm"), limits, strict=True)))
+    spec = replace(
+        SPEC, **dict(zip(("peak_n", "continuous_n", "peak_nm", "continuous_nm"), limits, strict=True))
+    )
     known = replace(SIGMA, force_max_n=20.0, torque_max_nm=9.0)
     session = Session(medium(force_n=6.0), known, spec)
     memory = Memory.empty(session.layout.words)

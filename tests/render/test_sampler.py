@@ -28,7 +28,9 @@ def some_scene(rng: np.random.Generator, count: int = 3, limit_n: float = 1.5) -
     """A rigid body in motion, one that changes as it moves, and one that stays."""
     rigid = HapticMedium.from_frames([full_field(rng)], RATE_HZ)
     soft = HapticMedium.from_frames([full_field(rng) for _ in range(count)], RATE_HZ)
-    tracks = [PoseTrack(Rotation.random(count, random_state=rng).as_quat(), rng.normal(0, 0.02, (count, 3)))] * 2
+    tracks = [
+        PoseTrack(Rotation.random(count, random_state=rng).as_quat(), rng.normal(0, 0.02, (count, 3)))
+    ] * 2
     objects = (
         HapticObject("rigid", rigid, tracks[0]),
         HapticObject("soft", soft, tracks[1]),
@@ -46,7 +48,9 @@ def some_points(rng: np.random.Generator, *shape: int) -> np.ndarray:
     return rng.uniform(low - 0.02, high + 0.02, (*shape, 3))
 
 
-HELD = FieldSampler(HapticMedium.from_frames([full_field(np.random.default_rng(7)) for _ in range(3)], RATE_HZ))
+HELD = FieldSampler(
+    HapticMedium.from_frames([full_field(np.random.default_rng(7)) for _ in range(3)], RATE_HZ)
+)
 
 
 def between(medium: HapticMedium, place: float, points: np.ndarray) -> np.ndarray:
@@ -144,7 +148,9 @@ def test_gradient_on_a_plane_is_the_one_ahead() -> None:
     sampler = FieldSampler(HapticMedium.from_frames([full_field(np.random.default_rng(5))], RATE_HZ))
     for index in ((3, 4, 5), (8, 8, 8), (7, 0, 15)):
         point = GRID.to_m(index)
-        np.testing.assert_allclose(sampler.gradient_n_per_m(0, point), difference(sampler, 0, point, 1e-6), atol=1e-3)
+        np.testing.assert_allclose(
+            sampler.gradient_n_per_m(0, point), difference(sampler, 0, point, 1e-6), atol=1e-3
+        )
 
 
 def test_few_frames_are_kept_and_the_rest_made_again() -> None:
@@ -190,7 +196,10 @@ def test_what_does_not_fit_is_told() -> None:
 def test_a_band_of_vibration_between_frames() -> None:
     at = np.array([[3, 4, 5]], np.int32)
     values = [([2.0], [80.0]), ([4.0], [160.0]), ([], [])]
-    frames = [VibrationFrame(GRID, at[: len(a)], np.array(a, np.float32), np.array(f, np.float32)) for a, f in values]
+    frames = [
+        VibrationFrame(GRID, at[: len(a)], np.array(a, np.float32), np.array(f, np.float32))
+        for a, f in values
+    ]
     fields = [ForceField.empty(GRID)] * 3
     medium = HapticMedium(GRID, RATE_HZ, 3, fields.__getitem__, vibration=frames.__getitem__)
     sampler, point = FieldSampler(medium), GRID.to_m(at[0])
@@ -208,7 +217,9 @@ def test_a_band_of_vibration_between_frames() -> None:
 @settings(max_examples=100)
 @given(st.tuples(*[st.floats()] * 3), st.floats(allow_nan=False, allow_infinity=False))
 def test_any_number_is_a_place(point: tuple[float, float, float], time_s: float) -> None:
-    """Whatever the coordinates: a finite force, and none out of the box; whatever the finite time: some frame."""
+    """Whatever the coordinates: a finite force, and none out of the box; whatever the finite time: some
+    frame.
+    """
     found = HELD.at(time_s / RATE_HZ, *point)
     assert np.isfinite(found).all()
     low, high = GRID.box_m
@@ -239,7 +250,11 @@ def test_numbers_of_any_kind_take_one_compiled_query() -> None:
     field = ForceField.from_dense(grid, np.random.default_rng(3).normal(size=(3, 3, 3, 3)))
     sampler = FieldSampler(HapticMedium.from_frames([field] * 3, 1.0), 1e6)  # type: ignore[arg-type]
     found = sampler.at(0.5, 1.0, 2.0, 1.0)
-    for one in ((0.5, 1, 2, 1), (0.5, np.float32(1), np.int8(2), True), (np.array(0.5), np.array(1), 2.0, "1")):
+    for one in (
+        (0.5, 1, 2, 1),
+        (0.5, np.float32(1), np.int8(2), True),
+        (np.array(0.5), np.array(1), 2.0, "1"),
+    ):
         assert sampler.at(*one) == found  # type: ignore[arg-type]
     assert len(force_at_once.signatures) == 1
     with pytest.raises(InvalidArgument, match="time_s, x_m, y_m, z_m"):

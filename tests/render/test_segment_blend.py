@@ -1,4 +1,6 @@
-"""From one segment into the next: no step where the source stands, its own steps at once, nothing after a seek."""
+"""From one segment into the next: no step where the source stands, its own steps at once, nothing after a
+seek.
+"""
 
 from __future__ import annotations
 
@@ -56,12 +58,15 @@ def steps(frames: list[np.ndarray]) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("rate_hz", "length", "most"), [(30.0, 8, 0.51), (1000.0, 64, 0.06)])
-def test_where_the_source_stands_a_segment_starts_without_a_step(rate_hz: float, length: int, most: float) -> None:
+def test_where_the_source_stands_a_segment_starts_without_a_step(
+    rate_hz: float, length: int, most: float
+) -> None:
     rng = np.random.default_rng(4)
     source = some_source(rng)
     of_segment = [within(rng, source, 0.8) for _ in range(3)]
     frames = [
-        of_segment[n // length] + 0.1 * (within(rng, source) - source).astype(np.float32) for n in range(3 * length)
+        of_segment[n // length] + 0.1 * (within(rng, source) - source).astype(np.float32)
+        for n in range(3 * length)
     ]
     got = played(frames, rate_hz, length)
     at_start = np.arange(1, 3 * length) % length == 0
@@ -181,7 +186,9 @@ def test_a_loop_goes_over_into_its_beginning() -> None:
     near = replace(SEGMENTED, make_frame=lambda n: told(n % 10 // 2))
     feeder, _, z_of = in_order(near, loop=True)
     feeder.keep_ahead(35)
-    assert z_of(0) == 0.5 and z_of(30) == pytest.approx(0.5 + 4 / 64 * (0.5 + 0.5 * np.cos(np.pi / 5)), abs=1e-6)
+    assert z_of(0) == 0.5 and z_of(30) == pytest.approx(
+        0.5 + 4 / 64 * (0.5 + 0.5 * np.cos(np.pi / 5)), abs=1e-6
+    )
 
 
 def test_it_can_be_left_out() -> None:

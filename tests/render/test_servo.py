@@ -20,7 +20,10 @@ from touchfield.render.servo import VirtualClock, serve
 from touchfield.render.spec import RenderSpec
 
 TICK_S = 1e-3
-PEAK_N, SLEW_N_PER_S = 0.8, 120.0  # both are met often: the fields reach 0.5 to 0.8 N, and gravity comes on top
+PEAK_N, SLEW_N_PER_S = (
+    0.8,
+    120.0,
+)  # both are met often: the fields reach 0.5 to 0.8 N, and gravity comes on top
 
 
 class Late(VirtualClock):
@@ -103,7 +106,9 @@ def test_whatever_happens_forces_keep_their_limits_and_the_last_is_zero(
     loop: bool,
     corrupt_from: int | None,
 ) -> None:
-    spec = RenderSpec(peak_n=PEAK_N, slew_n_per_s=SLEW_N_PER_S, gravity_n=(0.1, 0.3, 0.0), damping_n_s_per_m=2.0)
+    spec = RenderSpec(
+        peak_n=PEAK_N, slew_n_per_s=SLEW_N_PER_S, gravity_n=(0.1, 0.3, 0.0), damping_n_s_per_m=2.0
+    )
     session, memory = laid_out(telling(corrupt_from=corrupt_from), spec, loop=loop)
     feeder, clock = session.feeder(memory, is_timed=False), Late(delays_ns)
     device = Ordeal(clock, **faulty)  # type: ignore[arg-type]
@@ -269,7 +274,8 @@ def test_a_driver_that_calls_no_more_is_told(monkeypatch: pytest.MonkeyPatch) ->
     assert device.closed == 1
 
 
-# -- without a process --------------------------------------------------------------------------------------------
+# -- without a process
+# --------------------------------------------------------------------------------------------
 
 
 def test_offline_the_whole_medium_is_felt_and_the_same_twice() -> None:
@@ -284,7 +290,9 @@ def test_offline_the_whole_medium_is_felt_and_the_same_twice() -> None:
     assert np.array_equal(log["force_n"], runs[1].log["force_n"])
     assert np.array_equal(log["force_n"], made[0].forces)
     running = log[50:400]
-    assert frame_of(running["field_force_n"][:, 2]) == pytest.approx(np.minimum(running["time_s"] * 50, 19), abs=1e-4)
+    assert frame_of(running["field_force_n"][:, 2]) == pytest.approx(
+        np.minimum(running["time_s"] * 50, 19), abs=1e-4
+    )
     assert not log["force_n"][-1].any() and 400 < len(log) < 460
     assert runs[0].statistics["underruns"] == runs[0].statistics["waits"] == 0
 

@@ -33,7 +33,9 @@ def told(b: float, delay: int = 1, resolution_m: float = 0.0) -> Device:
 def pressed(
     bench: Bench, b: float, delay: int, resolution_m: float, kg: float = 0.1, k: float = 100.0
 ) -> tuple[float, float]:
-    """Deviation of the force, newtons, and work beside its mean, joules, in the fifth second of pressing with 2 N."""
+    """Deviation of the force, newtons, and work beside its mean, joules, in the fifth second of pressing with
+    2 N.
+    """
     stiffness, mass = -float((bench.law(np.array([[0.0, 0, -1e-4]]))[0, 2]) / -1e-4), DEVICE_KG + kg
     depth = 2.0 * (1 / stiffness + 1 / k)
     step = expm(np.array([[0, 1, 0], [-k / mass, -b / mass, 1 / mass], [0, 0, 0]]) * 1e-3)
@@ -62,7 +64,8 @@ def chosen(bench: Bench, device: Device, stiffness: float, spec: RenderSpec | No
     return bench
 
 
-# -- what is repaired -------------------------------------------------------------------------------------------
+# -- what is repaired
+# -------------------------------------------------------------------------------------------
 
 
 def test_a_coupling_on_a_soft_field_is_still_where_positions_come_in_steps() -> None:
@@ -93,7 +96,8 @@ def test_passivity_with_a_sample_of_delay_keeps_what_a_wall_would_give() -> None
     assert kept < 0.1 * leaking
 
 
-# -- what is chosen ---------------------------------------------------------------------------------------------
+# -- what is chosen
+# ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("stiffness", [200.0, 2000.0])
@@ -150,7 +154,8 @@ def test_of_a_scaled_field_the_device_feels_the_same() -> None:
     assert scaled.brake_n_s_per_m * 1.5 == pytest.approx(once.brake_n_s_per_m)
 
 
-# -- the damper in contact --------------------------------------------------------------------------------------
+# -- the damper in contact
+# --------------------------------------------------------------------------------------
 
 
 def test_the_damper_acts_along_the_force_alone_and_takes_no_more() -> None:
@@ -166,7 +171,9 @@ def test_the_damper_acts_along_the_force_alone_and_takes_no_more() -> None:
 
 @pytest.mark.parametrize("speed_m_s", [-1.0, -0.11, -0.04, 0.04, 0.09, 1.0])
 @pytest.mark.parametrize("axis", [0, 2])
-def test_the_damper_is_no_more_than_the_force_however_fast_a_hand_comes_or_goes(axis: int, speed_m_s: float) -> None:
+def test_the_damper_is_no_more_than_the_force_however_fast_a_hand_comes_or_goes(
+    axis: int, speed_m_s: float
+) -> None:
     """At 0.5 N and 5 N s/m the limit is 0.1 m/s: a faster hand feels 0 N as it leaves, and 1 N as it comes."""
     direction = np.eye(3)[axis]
     bench = Bench(constant(*(0.5 * direction)), device=STRONG)
@@ -185,7 +192,8 @@ def test_in_free_space_nothing_is_damped() -> None:
     assert not np.array([f for _, f in bench.along(path)]).any()
 
 
-# -- the medium's stiffest slope --------------------------------------------------------------------------------
+# -- the medium's stiffest slope
+# --------------------------------------------------------------------------------
 
 
 def field(stiffness: float, most_n: float = np.inf) -> ForceField:
@@ -202,7 +210,9 @@ def test_a_medium_that_damps_needs_no_more_than_the_rest() -> None:
     brakes = [stability_of(device, spec, damping, 700.0).brake_n_s_per_m for damping in (0.0, 0.2, 50.0)]
     assert brakes == pytest.approx([2 * 700 * 0.0015 - 0.3, 2 * 700 * 0.0015 - 0.5, 0])
     asked = RenderSpec(coupling_n_per_m=200.0, scale=2.0, force_scale=3.0)
-    assert stability_of(device, asked, 0.0, 700.0).coupling_n_per_m == pytest.approx(200)  # in the field's units
+    assert stability_of(device, asked, 0.0, 700.0).coupling_n_per_m == pytest.approx(
+        200
+    )  # in the field's units
 
 
 def test_a_field_without_force_has_no_slope() -> None:

@@ -35,10 +35,13 @@ def test_a_hand_at_rest_gets_the_force_of_the_field() -> None:
     assert not bench.settled(9e5, 0.0, -0.02).any()
 
 
-# -- mapping ----------------------------------------------------------------------------------------------------
+# -- mapping
+# ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("device_axes", ["x right, y away from the user, z up", "x towards the user, y right, z up"])
+@pytest.mark.parametrize(
+    "device_axes", ["x right, y away from the user, z up", "x towards the user, y right, z up"]
+)
 @pytest.mark.parametrize("field_axes", [CAMERA_AXES, UP_Z_AXES, "x right, y up, z forward"])
 def test_axes_scale_clutch_and_gravity(device_axes: str, field_axes: str) -> None:
     spec = RenderSpec(scale=2.0, clutch_m=(0.01, -0.02, 0.005), force_scale=0.5, gravity_n=(0.1, 0.2, 0.3))
@@ -51,8 +54,14 @@ def test_axes_scale_clutch_and_gravity(device_axes: str, field_axes: str) -> Non
         assert bench.state(W.POSITION) == pytest.approx(inside)
 
 
-@given(st.floats(0.2, 5), st.floats(0.1, 3), st.sampled_from(["x right, y down, z forward", "x left, y up, z back"]))
-def test_friction_and_damping_take_from_the_hand_in_any_axes(scale: float, force_scale: float, axes: str) -> None:
+@given(
+    st.floats(0.2, 5),
+    st.floats(0.1, 3),
+    st.sampled_from(["x right, y down, z forward", "x left, y up, z back"]),
+)
+def test_friction_and_damping_take_from_the_hand_in_any_axes(
+    scale: float, force_scale: float, axes: str
+) -> None:
     spec = RenderSpec(scale=scale, force_scale=force_scale, friction=0.4, damping_n_s_per_m=1.0)
     bench = MAPPED
     bench.axes = axes
@@ -67,7 +76,8 @@ def test_friction_and_damping_take_from_the_hand_in_any_axes(scale: float, force
 MAPPED = Bench(constant(0.0, 0.0, 0.5))
 
 
-# -- ramps ------------------------------------------------------------------------------------------------------
+# -- ramps
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_the_force_comes_and_goes_within_the_ramp() -> None:
@@ -139,7 +149,8 @@ def test_the_same_ticks_give_the_same_forces() -> None:
     assert (once == np.array([f for _, f in bench.along(path)])).all()
 
 
-# -- parameters -------------------------------------------------------------------------------------------------
+# -- parameters
+# -------------------------------------------------------------------------------------------------
 
 
 def written(spec: RenderSpec, **device_changes: object) -> tuple[Memory, tuple[str, ...]]:
@@ -165,7 +176,12 @@ def test_limits_are_those_of_the_device_unless_lower_ones_are_asked_for() -> Non
 
 @pytest.mark.parametrize(
     "spec",
-    [RenderSpec(peak_n=4.1), RenderSpec(continuous_n=1.1), RenderSpec(peak_n=1e-9), RenderSpec(continuous_n=1e-9)],
+    [
+        RenderSpec(peak_n=4.1),
+        RenderSpec(continuous_n=1.1),
+        RenderSpec(peak_n=1e-9),
+        RenderSpec(continuous_n=1e-9),
+    ],
 )
 def test_limits_beyond_the_device_are_refused(spec: RenderSpec) -> None:
     with pytest.raises(InvalidArgument, match="phantom-omni"):

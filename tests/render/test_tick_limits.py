@@ -57,7 +57,8 @@ def check_step(before: Vector, after: Vector, peak: float, slew: float, dt: floa
     assert np.isfinite(after).all()
     assert square(after) <= Fraction(peak) ** 2
     step = sum(
-        ((Fraction(float(a)) - Fraction(float(b))) ** 2 for a, b in zip(after, before, strict=True)), Fraction(0)
+        ((Fraction(float(a)) - Fraction(float(b))) ** 2 for a, b in zip(after, before, strict=True)),
+        Fraction(0),
     )
     room = Fraction(slew) * Fraction(dt) if math.isfinite(dt) and dt > 0 else Fraction(0)
     assert step <= room**2
@@ -178,5 +179,7 @@ SPRING = Bench(linear(-2000 * np.eye(3)))
 
 
 def test_without_a_continuous_limit_the_peak_stays() -> None:
-    bench = Bench(constant(0.0, 0.0, 30.0), device=OMNI.__class__(**{**vars(OMNI), "force_continuous_n": None}))
+    bench = Bench(
+        constant(0.0, 0.0, 30.0), device=OMNI.__class__(**{**vars(OMNI), "force_continuous_n": None})
+    )
     assert bench.settled(0, 0, 0, 5000)[2] == pytest.approx(4.0, rel=1e-9)

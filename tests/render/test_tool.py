@@ -1,4 +1,6 @@
-"""A tool of many points: its force and torque are those of the integral over its surface, wherever it is turned."""
+"""A tool of many points: its force and torque are those of the integral over its surface, wherever it is
+turned.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def unit(*wxyz: float) -> Vector:
 
 
 def integral(sides: Vector, place: Vector, turn: Vector, law: Law, steps: int = 200) -> tuple[Vector, Vector]:
-    """Force and torque of a box, by the midpoint rule on each face: dA max(0, -n F / |F|) F over a quarter of A."""
+    """Force and torque of a box, by the midpoint rule on each face: dA max(0, -n F / |F|) F over a quarter of
+    A.
+    """
     force, torque, area = np.zeros(3), np.zeros(3), 0.0
     middles = (np.arange(steps) + 0.5) / steps - 0.5
     for axis in range(3):
@@ -77,7 +81,9 @@ class Held:
     """A block with one frame, or two, of one part each, and a tool; without ticks."""
 
     def __init__(self, tool: Tool, grid: Grid, *laws: Law, parts: tuple[FramePart, ...] = ()) -> None:
-        pools = [CellPool.of(ForceField.from_dense(grid, law(points(grid)).astype(np.float32))) for law in laws]
+        pools = [
+            CellPool.of(ForceField.from_dense(grid, law(points(grid)).astype(np.float32))) for law in laws
+        ]
         first = W.FREE + tool_words(tool)
         begins = first + np.cumsum([0, *map(field_words, pools)])
         self.frames = [int(begins[-1]) + n * frame_words(2) for n in range(max(len(pools), 1))]
@@ -85,7 +91,9 @@ class Held:
         for place, pool in zip(begins, pools, strict=False):
             write_field(self.memory, int(place), pool)
         for n, frame in enumerate(self.frames):
-            own = [replace(part, field_at=int(begins[n])) for part in parts] or [FramePart.voxels(int(begins[n]))]
+            own = [replace(part, field_at=int(begins[n])) for part in parts] or [
+                FramePart.voxels(int(begins[n]))
+            ]
             write_frame(self.memory, frame, own, np.inf if not parts else 1e3)
         write_tool(self.memory, W.FREE, tool)
         self.tool = tool
@@ -100,7 +108,9 @@ class Held:
         force, torque = np.zeros(3), np.zeros(3)
         for own, normal in zip(self.tool.points_m, self.tool.normals, strict=True):
             lever = turn @ own
-            f = np.array(force_at(*self.memory.views, self.frames[0], self.frames[-1], blend, *(place + lever)))
+            f = np.array(
+                force_at(*self.memory.views, self.frames[0], self.frames[-1], blend, *(place + lever))
+            )
             size = np.linalg.norm(f)
             if size > 0:
                 f = f * max(0.0, -(turn @ normal) @ f / size)
@@ -158,7 +168,9 @@ def test_a_small_sphere_feels_what_a_point_feels_and_a_convex_tool_does_in_the_m
     assert np.abs(torque).max() < 1e-8
     held = Held(box(0.02, 0.01, 0.005, 3000), GRID, constant(0.0, 0.0, 1.0))
     rng = np.random.default_rng(5)
-    shares = [held.wrench(np.zeros(3), rotation_matrices(unit(*rng.normal(size=4))))[0][2] for _ in range(400)]
+    shares = [
+        held.wrench(np.zeros(3), rotation_matrices(unit(*rng.normal(size=4))))[0][2] for _ in range(400)
+    ]
     assert np.mean(shares) == pytest.approx(1.0, rel=0.05)
 
 
@@ -166,7 +178,9 @@ def test_what_comes_from_behind_a_thin_plate_does_not_pull_the_tool_through() ->
     def plate(p: Vector) -> Vector:  # 4 mm thick, out at the nearer side
         force = np.zeros_like(p)
         z = p[..., 2]
-        force[..., 2] = np.where(np.abs(z) < 0.002, 500 * (0.002 - np.abs(z)) * np.where(z >= 0, 1.0, -1.0), 0.0)
+        force[..., 2] = np.where(
+            np.abs(z) < 0.002, 500 * (0.002 - np.abs(z)) * np.where(z >= 0, 1.0, -1.0), 0.0
+        )
         return force
 
     fine = Grid((25, 25, 161), (0.002, 0.002, 0.0005), (-0.024, -0.024, -0.04))
@@ -222,7 +236,8 @@ def test_what_is_no_tool_is_refused(make: Callable[[], object]) -> None:
         make()
 
 
-# -- through the tick ----------------------------------------------------------------------------------------------
+# -- through the tick
+# ----------------------------------------------------------------------------------------------
 
 
 class Grip(Bench):
@@ -300,7 +315,10 @@ def test_a_grip_that_tells_no_orientation_is_let_go_and_comes_back() -> None:
         grip.turn(*odd)
         grip.tick(0.0, 0.0, 0.0)
         first = grip.torque
-        assert 0 < np.linalg.norm(first) < np.linalg.norm(held) and grip.state(W.FIELD_TORQUE).tolist() == [0] * 3
+        assert (
+            0 < np.linalg.norm(first) < np.linalg.norm(held)
+            and grip.state(W.FIELD_TORQUE).tolist() == [0] * 3
+        )
         grip.settled(0.0, 0.0, 0.0)
         assert not grip.torque.any() and not grip.state(W.FORCE).any()
         grip.turn(1, 0, 0, 0)
@@ -320,10 +338,14 @@ def test_a_released_torque_goes_to_zero_in_a_line() -> None:
 
 
 odd_numbers = st.sampled_from([np.nan, np.inf, -np.inf, 1e300, 0.0])
-quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1).map(lambda q: unit(*q))
+quaternions = (
+    st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1).map(lambda q: unit(*q))
+)
 turns = quaternions.map(tuple) | st.tuples(*[odd_numbers] * 4)
 offsets = st.floats(-0.08, 0.08) | odd_numbers
-moves = st.tuples(st.booleans(), offsets, offsets, offsets, turns, st.sampled_from([0.001, 0.0, 0.5, 1e-18, np.nan]))
+moves = st.tuples(
+    st.booleans(), offsets, offsets, offsets, turns, st.sampled_from([0.001, 0.0, 0.5, 1e-18, np.nan])
+)
 
 WILD = Grip(lambda p: 900.0 * p[..., ::-1] * np.array([1.0, -1.0, 3.0]), Tool.sphere(0.03, 40))
 
@@ -351,9 +373,9 @@ def test_limits_of_torque_hold_of_the_numbers_handed_out(
     for _ in range(5000):
         WILD.release()
         torque = WILD.torque
-        assert np.linalg.norm(torque - before) <= slew_nm_s * 0.001 and np.linalg.norm(torque) <= np.linalg.norm(
-            before
-        )
+        assert np.linalg.norm(torque - before) <= slew_nm_s * 0.001 and np.linalg.norm(
+            torque
+        ) <= np.linalg.norm(before)
         before = torque
         if not torque.any():
             break

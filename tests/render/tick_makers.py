@@ -76,7 +76,9 @@ class Bench:
     deformation: Deformation | None = None
 
     def __post_init__(self) -> None:
-        pools = [CellPool.of(ForceField.from_dense(self.grid, self.law(points(self.grid)).astype(np.float32)))]
+        pools = [
+            CellPool.of(ForceField.from_dense(self.grid, self.law(points(self.grid)).astype(np.float32)))
+        ]
         if self.vibration[0]:
             every = np.stack(np.meshgrid(*[np.arange(n) for n in self.grid.shape], indexing="ij"), axis=-1)
             amplitudes, frequencies = (np.full(every[..., 0].size, v, np.float32) for v in self.vibration)

@@ -30,7 +30,13 @@ from touchfield.network.live import LiveReceiver, LiveSegment, messages, write_m
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import CodedSequence, DepthCode
 from touchfield.sources.depth import capture
-from touchfield.sources.depth.capture import CapturedSequence, CaptureEnd, GrowingFolder, PipedPictures, captured
+from touchfield.sources.depth.capture import (
+    CapturedSequence,
+    CaptureEnd,
+    GrowingFolder,
+    PipedPictures,
+    captured,
+)
 from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.depth.fused_scene import FusedScene
 from touchfield.sources.laws import ForceProfile
@@ -70,7 +76,9 @@ def piped(data: bytes, options: SourceOptions = OPTIONS) -> CapturedSequence:
     return CapturedSequence(PipedPictures(io.BytesIO(data)), options)
 
 
-def test_a_folder_that_grows_shows_the_newest_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_grows_shows_the_newest_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(capture, "PATIENCE_S", 60.0)  # however slow the machine is
     put(tmp_path, 0)
     scene = captured(f"watch:{tmp_path}", OPTIONS)
@@ -98,7 +106,9 @@ def test_a_folder_that_goes_is_the_end_at_once(tmp_path: Path) -> None:
         folder.next()
 
 
-def test_a_picture_that_is_never_finished_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_that_is_never_finished_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(capture, "PATIENCE_S", 5.0)
     monkeypatch.setattr(capture, "_UNFINISHED_S", 0.05)
     (tmp_path / "depth8.png").write_bytes(png(0)[:-30])
@@ -137,9 +147,14 @@ def test_a_picture_of_another_size_is_refused() -> None:
     file = io.BytesIO()
     Image.fromarray(depth_mm(1)[:-1]).save(file, "PNG")
     scene = DepthScene(piped(png(0) + file.getvalue()), "camera")
-    grid, profile = Grid.over_box((-0.4, -0.3, 0.7), (0.4, 0.3, 1.1), (8, 8, 8)), ForceProfile(((-0.1, 0, 0, -18.0),))
+    grid, profile = (
+        Grid.over_box((-0.4, -0.3, 0.7), (0.4, 0.3, 1.1), (8, 8, 8)),
+        ForceProfile(((-0.1, 0, 0, -18.0),)),
+    )
     assert scene.field(0, grid, profile).support_count
-    with pytest.raises(SourceError, match=r"frame 1: found a picture of shape \(47, 64\); expected \(48, 64\)"):
+    with pytest.raises(
+        SourceError, match=r"frame 1: found a picture of shape \(47, 64\); expected \(48, 64\)"
+    ):
         scene.field(1, grid, profile)
 
 
@@ -213,7 +228,8 @@ def test_a_camera_needs_opencv(monkeypatch: pytest.MonkeyPatch) -> None:
         captured("camera:0", OPTIONS)
 
 
-# -- through a pipe -------------------------------------------------------------------------------------------
+# -- through a pipe
+# -------------------------------------------------------------------------------------------
 
 
 def test_messages_of_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,9 +251,21 @@ def test_messages_of_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_one_process_feels_what_another_sends_through_a_pipe() -> None:
     program = [sys.executable, "-c", "from touchfield.cli.main import run; run()"]
-    camera = ["--intrinsics", "60,60,31.5,23.5", "--depth-scale", "1000", "--source-rate-hz", "50", "--nw", "4"]
+    camera = [
+        "--intrinsics",
+        "60,60,31.5,23.5",
+        "--depth-scale",
+        "1000",
+        "--source-rate-hz",
+        "50",
+        "--nw",
+        "4",
+    ]
     sender = subprocess.Popen(
-        [*program, "live", "-", "-", *camera], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [*program, "live", "-", "-", *camera],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     )
     hand = subprocess.Popen(
         [*program, "play", "-", "--device", "sim", "--seconds", "9"], stdin=sender.stdout, stdout=subprocess.PIPE,
@@ -249,7 +277,9 @@ def test_one_process_feels_what_another_sends_through_a_pipe() -> None:
     sender.stdin.close()
     out, told = hand.communicate(timeout=120)
     assert sender.wait(60) == 0 and "frames_used" in out and "the sender has ended the stream" in out, told
-    assert hand.returncode == ("this has failed" in out)  # a busy machine, whose frames come too late, is told
+    assert hand.returncode == (
+        "this has failed" in out
+    )  # a busy machine, whose frames come too late, is told
 
 
 def test_a_pipe_gets_the_opening_the_segments_and_the_end(
@@ -273,7 +303,18 @@ def test_datagrams_go_out_beside_the_server(tmp_path: Path) -> None:
         receiver.bind(("127.0.0.1", 0))
         receiver.setblocking(False)
         to = f"127.0.0.1:{receiver.getsockname()[1]}"
-        words = ["live", str(tmp_path / "m.npz"), "--port", "0", "--udp", to, "--segment-s", "0.1", "--nw", "4"]
+        words = [
+            "live",
+            str(tmp_path / "m.npz"),
+            "--port",
+            "0",
+            "--udp",
+            to,
+            "--segment-s",
+            "0.1",
+            "--nw",
+            "4",
+        ]
         assert _exit_code(words) == 0
         sizes = dict[int, int]()  # of messages, by their numbers
         with suppress(BlockingIOError):

@@ -1,4 +1,6 @@
-"""Datagrams: what a network loses, bursts, repeats, mixes up, damages or forges, and what comes out all the same."""
+"""Datagrams: what a network loses, bursts, repeats, mixes up, damages or forges, and what comes out all the
+same.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ from touchfield.network.datagrams import MOST_DATAGRAM, Datagrams, Gathering
 from touchfield.network.live_client import open_live
 from touchfield.network.udp import UdpSender, _place_of, listen
 
-MESSAGES = [np.random.default_rng(i).bytes(n) for i, n in enumerate((300, 40_000, 1, 5_000, 70_000, 128, 12_345, 20))]
+MESSAGES = [
+    np.random.default_rng(i).bytes(n) for i, n in enumerate((300, 40_000, 1, 5_000, 70_000, 128, 12_345, 20))
+]
 
 
 def sent(messages: list[bytes]) -> list[bytes]:
@@ -70,7 +74,9 @@ def test_repeated_mixed_up_damaged_and_foreign_datagrams() -> None:
     foreign = Datagrams(8).add(MESSAGES[1])
     gathering = Gathering()
     out = [m for one in (*bad, mixed[0], *foreign, *mixed[1:], *own[::3]) for m in gathering.receive(one)]
-    assert len(out) >= 7 and out == MESSAGES[-len(out) :] and gathering.refused >= len(bad) + len(foreign) > 20
+    assert (
+        len(out) >= 7 and out == MESSAGES[-len(out) :] and gathering.refused >= len(bad) + len(foreign) > 20
+    )
 
 
 def test_a_sender_that_is_started_again_takes_the_place_of_the_one_before() -> None:
@@ -95,7 +101,12 @@ def test_an_opening_that_is_told_again_holds_up_no_short_segment() -> None:
     sender.open(HEAD, {"source": "".join(map(str, range(300)))})
     opening = sender.opening
     datagrams, gathering, out, late = Datagrams(7), Gathering(), list[bytes](), list[int]()
-    messages = [opening, *(bytes([i]) * 200 for i in range(20)), opening, *(bytes([i]) * 200 for i in range(20, 28))]
+    messages = [
+        opening,
+        *(bytes([i]) * 200 for i in range(20)),
+        opening,
+        *(bytes([i]) * 200 for i in range(20, 28)),
+    ]
     for message in messages:
         out += [whole for one in datagrams.add(message) for whole in gathering.receive(one)]
         late.append(len(late) + 1 - len(out))
@@ -111,7 +122,9 @@ def test_an_opening_that_is_told_again_holds_up_no_short_segment() -> None:
 
 
 def test_what_is_lost_is_counted_and_the_rest_goes_on() -> None:
-    numbered = [(int.from_bytes(one[6:10], "little"), one) for one in sent([bytes([i]) * 3000 for i in range(60)])]
+    numbered = [
+        (int.from_bytes(one[6:10], "little"), one) for one in sent([bytes([i]) * 3000 for i in range(60)])
+    ]
     out, gathering = received([one for number, one in numbered if number not in (5, 6, 30)])
     assert [m[0] for m in out] == [i for i in range(60) if i not in (5, 6, 30)] and gathering.lost == 3
     silence = [one for number, one in numbered if number == 0 or number >= 36]
@@ -124,7 +137,9 @@ def test_what_is_lost_is_counted_and_the_rest_goes_on() -> None:
 def test_whatever_comes_nothing_is_raised(coming: list[bytes | int]) -> None:
     own = sent(MESSAGES[:4])
     gathering = Gathering()
-    out = [m for one in coming for m in gathering.receive(one if isinstance(one, bytes) else own[one % len(own)])]
+    out = [
+        m for one in coming for m in gathering.receive(one if isinstance(one, bytes) else own[one % len(own)])
+    ]
     assert all(m in MESSAGES for m in out)
 
 
@@ -208,7 +223,10 @@ def test_two_datagrams_bear_out_another_stream_once_the_first_is_silent() -> Non
 def test_addresses_that_are_none(text: str) -> None:
     with pytest.raises(InvalidArgument, match="a host and a port from 1 to 65535"):
         _place_of(text)
-    assert _place_of(f"udp://[::1]:{1}/") == ("::1", 1) and _place_of("HOST.example.:65535")[0] == "host.example."
+    assert (
+        _place_of(f"udp://[::1]:{1}/") == ("::1", 1)
+        and _place_of("HOST.example.:65535")[0] == "host.example."
+    )
 
 
 def free_port() -> int:
@@ -322,7 +340,9 @@ FORGED = {
 @pytest.mark.parametrize("length", [1, 3000, 1 << 26])
 @pytest.mark.parametrize("place", [0, 1, 100])
 def test_one_forged_datagram_costs_one_message_at_most(claim: str, length: int, place: int) -> None:
-    """Told twice by the network; where it is the first of all, a window. Numbers of the messages begin at 101."""
+    """Told twice by the network; where it is the first of all, a window. Numbers of the messages begin
+    at 101.
+    """
     own, forger, messages = Datagrams(7), Datagrams(FORGED[claim][0]), [bytes([i]) * 3000 for i in range(60)]
     own._number, forger._number = 100, 100 + FORGED[claim][1] & 0xFFFFFFFF
     forger._number = forger._number if FORGED[claim][1] else 0
@@ -356,13 +376,17 @@ def test_a_forged_opening_or_segment_far_off_is_not_believed() -> None:
         out, _ = received(sent_all)
         events = [event for message in out for event in receiver.receive(message)]
         assert [e.first_frame for e in events if isinstance(e, LiveSegment)] == [5 * i for i in range(9)]
-        assert sum(isinstance(e, Opened) for e in events) == 1 and not any(isinstance(e, Lost) for e in events)
+        assert sum(isinstance(e, Opened) for e in events) == 1 and not any(
+            isinstance(e, Lost) for e in events
+        )
 
 
 def test_after_a_long_outage_the_second_segment_bears_out_the_first() -> None:
     _, (opening, *segments) = sender_of(40)
     receiver = LiveReceiver(is_open=True)
-    events = [event for message in (opening, *segments[:2], segments[30]) for event in receiver.receive(message)]
+    events = [
+        event for message in (opening, *segments[:2], segments[30]) for event in receiver.receive(message)
+    ]
     assert events[1:] == [segment(0), segment(5)]
     assert receiver.receive(segments[31]) == [Lost(10, 140), segment(150), segment(155)]
     assert receiver.receive(segments[33]) == [Lost(160, 5), segment(165)]
@@ -378,7 +402,9 @@ def test_after_a_long_outage_the_second_segment_bears_out_the_first() -> None:
     assert receiver.receive(other[9]) == [Lost(5, 35), segment(40)], "no more than eight segments ahead"
 
 
-def test_the_end_is_told_by_datagrams_too_and_is_none_where_more_follows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_end_is_told_by_datagrams_too_and_is_none_where_more_follows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(udp, "_LAST_S", 1.6)
     port, sender, taken = free_port(), sender_of(0)[0], list[bytes]()
     first, second = (sender.add(segment(5 * i)) for i in range(2))

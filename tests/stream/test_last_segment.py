@@ -1,4 +1,6 @@
-"""The end of a live stream, seen from both ends: whoever lags still gets the newest segment, and then the end."""
+"""The end of a live stream, seen from both ends: whoever lags still gets the newest segment, and then the
+end.
+"""
 
 from __future__ import annotations
 
@@ -40,16 +42,22 @@ def test_a_receiver_that_has_read_so_many_gets_the_last_segment_and_the_end(read
     behind = taken(sender, slow)
     assert behind[-1] == END and behind.count(END) == 1 and taken(sender, slow) == []
     receiver = LiveReceiver()
-    events = [event for message in (*early, *behind) if message is not None for event in receiver.receive(message)]
+    events = [
+        event for message in (*early, *behind) if message is not None for event in receiver.receive(message)
+    ]
     assert (
-        isinstance(events[0], Opened) and events[-2:] == [segment(5 * (COUNT - 1)), Ended()] if read < COUNT else True
+        isinstance(events[0], Opened) and events[-2:] == [segment(5 * (COUNT - 1)), Ended()]
+        if read < COUNT
+        else True
     )
     got = [event.first_frame // 5 for event in events if isinstance(event, LiveSegment)]
     left = COUNT - read
     kept = list(range(read, COUNT)) if left <= KEPT else [COUNT - 1]
     assert got == [*range(read), *kept], "all that is kept, or the newest alone"
     lost = sum(event.frame_count for event in events if isinstance(event, Lost))
-    assert lost == (0 if left <= KEPT or not read else 5 * (left - 1)), "a receiver that had none knows of none"
+    assert lost == (0 if left <= KEPT or not read else 5 * (left - 1)), (
+        "a receiver that had none knows of none"
+    )
     assert slow.skipped == (0 if left <= KEPT else left - 1)
 
 

@@ -43,7 +43,9 @@ UNDER_HEAD = replace(
 OPENED = Opened(replace(HEAD, frame_count=ENDLESS), {})
 FINE = {5 * i: segment(5 * i) for i in range(8)}
 COARSE = {
-    5 * i: LiveSegment(5 * i, 5, UNDER.encode_segment([pyramid(field(5 * i + n), 1)[-1] for n in range(5)]).body)
+    5 * i: LiveSegment(
+        5 * i, 5, UNDER.encode_segment([pyramid(field(5 * i + n), 1)[-1] for n in range(5)]).body
+    )
     for i in range(8)
 }
 
@@ -87,7 +89,14 @@ def test_what_was_lost_is_felt_coarse() -> None:
         pair.under.take(event)
     for one in (FINE[0], Lost(5, 10), FINE[15]):
         pair.frames.take(one)
-    assert [pair.kind(i) for i in (4, 5, 9, 10, 14, 15)] == ["fine", "coarse", "coarse", "nothing", "nothing", "fine"]
+    assert [pair.kind(i) for i in (4, 5, 9, 10, 14, 15)] == [
+        "fine",
+        "coarse",
+        "coarse",
+        "nothing",
+        "nothing",
+        "fine",
+    ]
     assert pair.frames.covered == 2 and pair.frames.lost == 10
 
 
@@ -177,7 +186,9 @@ def test_what_only_the_coarse_layer_could_have_is_nothing_where_it_lost_it() -> 
     pair.now_s = 200.0
     assert pair.frames(10_001).support_count, "the coarse layer alone has been felt for minutes"
     pair.under.take(replace(COARSE[0], first_frame=10_005))
-    assert not pair.frames.is_there(10_010) and pair.notes == ["nothing has come for 200 s: its coarse layer is felt"]
+    assert not pair.frames.is_there(10_010) and pair.notes == [
+        "nothing has come for 200 s: its coarse layer is felt"
+    ]
 
 
 def test_a_layer_of_another_lattice_is_refused() -> None:
@@ -237,7 +248,9 @@ TestLayers.settings = settings(max_examples=30, stateful_step_count=25, deadline
 
 @settings(max_examples=60, deadline=None)
 @given(st.tuples(*[st.integers(1, 20)] * 3), st.integers(0, 2**32 - 1), st.floats(0, 1))
-def test_twice_as_fine_is_what_interpolation_gives(shape: tuple[int, int, int], seed: int, share: float) -> None:
+def test_twice_as_fine_is_what_interpolation_gives(
+    shape: tuple[int, int, int], seed: int, share: float
+) -> None:
     rng = np.random.default_rng(seed)
     fine = Grid(shape, (0.002, 0.003, 0.001), (0.1, 0.2, -0.3))
     dense = rng.normal(size=(*halved(fine).shape, 3)) * (rng.random((*halved(fine).shape, 1)) < share)
@@ -246,11 +259,14 @@ def test_twice_as_fine_is_what_interpolation_gives(shape: tuple[int, int, int], 
     np.testing.assert_allclose(rebuilt(level, fine).to_dense(), expected, atol=2e-6)
 
 
-# -- the sending end ------------------------------------------------------------------------------------------
+# -- the sending end
+# ------------------------------------------------------------------------------------------
 
 
 class Paced:
-    """A clock that goes on where it is waited for, once whoever codes has sent all segments that are complete."""
+    """A clock that goes on where it is waited for, once whoever codes has sent all segments that are
+    complete.
+    """
 
     def __init__(self, frames: int, *sent: Sized) -> None:
         self.now_s, self._frames, self._sent = 0.0, frames, sent
@@ -271,7 +287,9 @@ def test_both_layers_go_on_the_air() -> None:
     took: tuple[list[LiveSegment], list[LiveSegment]] = ([], [])
     paced, spec = Paced(5, *took), LiveSpec(0.1, loop=True, seconds=2.0)
     layer = (coarse, took[1].append)
-    sent = broadcast(prepared, took[0].append, spec, clock_s=lambda: paced.now_s, pause=paced.pause, coarse=layer)
+    sent = broadcast(
+        prepared, took[0].append, spec, clock_s=lambda: paced.now_s, pause=paced.pause, coarse=layer
+    )
     assert sent.segments == len(took[0]) == len(took[1]) == 20 and sent.left_out == 0
     assert sent.coarse_bytes == sum(len(one.body) for one in took[1]) > 0
     assert sent.sent_bytes == sum(len(one.body) + len(one.vibration or b"") for one in took[0])
@@ -281,7 +299,9 @@ def test_both_layers_go_on_the_air() -> None:
     band = [float(f.frequencies_hz[0]) for f in decode_vibration(last.vibration, GRID, 5)]
     assert band == [145, 146, 147, 148, 149]
     decoder = TouchDecoder(GRID, field_encoder(GRID, prepared.coding).parameters)
-    assert [f.support_count for f in decoder.frames(last.body, 5)] == [field(45 + i).support_count for i in range(5)]
+    assert [f.support_count for f in decoder.frames(last.body, 5)] == [
+        field(45 + i).support_count for i in range(5)
+    ]
     receiver = LiveReceiver()
     (opened,) = receiver.receive(under.opening)
     assert isinstance(opened, Opened) and "NMSE" in opened.provenance["layer"]
@@ -315,13 +335,16 @@ def test_a_layer_beside_it_changes_no_byte_of_a_stream(monkeypatch: pytest.Monke
 
 def test_what_cannot_be_halved_is_refused() -> None:
     grid = Grid((1, 1, 1), (0.01,) * 3, (0.0,) * 3)
-    one = HapticMedium.from_frames([ForceField.from_dense(grid, np.ones((1, 1, 1, 3), np.float32))], 30.0, HEAD.axes)
+    one = HapticMedium.from_frames(
+        [ForceField.from_dense(grid, np.ones((1, 1, 1, 3), np.float32))], 30.0, HEAD.axes
+    )
     prepared, _ = opened_sender(one, EncodeSpec())
     with pytest.raises(InvalidArgument, match="halved"):
         coarse_layer(one, prepared)
 
 
-# -- through a network ----------------------------------------------------------------------------------------
+# -- through a network
+# ----------------------------------------------------------------------------------------
 
 pytest.importorskip("aiohttp", reason="live streams need the extra broadcast")
 pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
@@ -436,7 +459,8 @@ def coded_rough() -> dict[str, list[bytes]]:
 
 
 class OnAir:
-    """A medium with its coarse layer on a server, and by datagrams at two ports, coded before it goes on the air.
+    """A medium with its coarse layer on a server, and by datagrams at two ports, coded before it goes on the
+    air.
 
     The fine layer is no longer sent half a second after `keep_back` has been called.
     """
@@ -445,7 +469,9 @@ class OnAir:
         source = medium() if port is None else rough()
         prepared, self._sender = opened_sender(source, EncodeSpec())
         coarse, self._under = coarse_layer(source, prepared)
-        self._bodies = (bodies_of(prepared), bodies_of(coarse)) if port is None else tuple(coded_rough().values())
+        self._bodies = (
+            (bodies_of(prepared), bodies_of(coarse)) if port is None else tuple(coded_rough().values())
+        )
         self.server = LiveServer(self._sender, Access(port=0), coarse=self._under)
         self._port, self._sent, self._last = port, 0, math.inf
         self._thread, self._is_over = threading.Thread(target=self._run, daemon=True), threading.Event()
@@ -467,7 +493,9 @@ class OnAir:
                 by_datagrams.append(held.enter_context(UdpSender(self._under, to, "coarse")))
             began = time.monotonic()
             while not self._is_over.wait(max(0.0, began + 0.1 * (self._sent + 1) - time.monotonic())):
-                fine, coarse = (LiveSegment(5 * self._sent, 5, own[self._sent % len(own)]) for own in self._bodies)
+                fine, coarse = (
+                    LiveSegment(5 * self._sent, 5, own[self._sent % len(own)]) for own in self._bodies
+                )
                 messages = [self.server.add(fine), self.server.add(coarse, is_coarse=True)]
                 for one, message in zip(by_datagrams, messages, strict=False):
                     if message is messages[1] or self._sent < self._last:
@@ -500,8 +528,12 @@ def test_a_hand_goes_on_feeling_where_only_the_coarse_layer_comes(
 ) -> None:
     hand, port, notes = tmp_path / "hand.csv", free_port(), list[str]()
     hand.write_text("t_s,x_m,y_m,z_m\n0,0,0,-0.07\n60,0,0,-0.07\n")
-    spec = PlaySpec("sim", seconds=60.0, trajectory=hand, is_logged=True, coarse=f"udp://127.0.0.1:{port + 1}")
-    alone: list[tuple[float, int]] = []  # place of play, and frames felt coarse, once nothing fine came any more
+    spec = PlaySpec(
+        "sim", seconds=60.0, trajectory=hand, is_logged=True, coarse=f"udp://127.0.0.1:{port + 1}"
+    )
+    alone: list[
+        tuple[float, int]
+    ] = []  # place of play, and frames felt coarse, once nothing fine came any more
     with OnAir(port) as air:
         keep_up = LiveStream.keep_up
 
@@ -529,7 +561,10 @@ def test_a_coarse_layer_that_is_not_there_is_told_and_one_of_a_file_refused(tmp_
         with given as stream:
             assert stream.medium[0].support_count
     assert "without its coarse layer" in notes[0]
-    with pytest.raises(InvalidArgument, match="coarse"), open_stream(tmp_path / "a.touch", coarse="ws://x/coarse"):
+    with (
+        pytest.raises(InvalidArgument, match="coarse"),
+        open_stream(tmp_path / "a.touch", coarse="ws://x/coarse"),
+    ):
         pass
 
 

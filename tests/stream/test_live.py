@@ -53,7 +53,14 @@ def test_a_message_that_is_lost_late_told_twice_or_damaged_costs_only_itself() -
     damaged[40] ^= 1
     assert isinstance(receiver.receive(bytes(damaged))[0], Refused)
     assert receiver.receive(segments[4]) == [Lost(15, 5), segment(20)]
-    for garbage in (b"x", segments[5][:-1], segments[5] + b"x", opening[:-3], opening + segments[5], bytes(100)):
+    for garbage in (
+        b"x",
+        segments[5][:-1],
+        segments[5] + b"x",
+        opening[:-3],
+        opening + segments[5],
+        bytes(100),
+    ):
         assert [type(e) for e in receiver.receive(garbage)] == [Refused]
     assert receiver.receive(segments[5]) == [segment(25)]
 
@@ -84,7 +91,9 @@ def test_what_is_no_live_stream_or_too_long_is_refused(monkeypatch: pytest.Monke
     monkeypatch.setattr(live, "MOST_BYTES", len(messages[1]))
     with pytest.raises(InvalidArgument, match="shorter segments"):
         sender.add(replace(following, vibration=b""))
-    assert receiver.receive(messages[1]) == [segment(0)] and receiver.receive(sender.add(following)) == [following]
+    assert receiver.receive(messages[1]) == [segment(0)] and receiver.receive(sender.add(following)) == [
+        following
+    ]
     monkeypatch.setattr(live, "MOST_BYTES", len(messages[1]) - 1)
     (refused,) = LiveReceiver().receive(messages[0])
     assert isinstance(refused, Refused) and "bytes; expected at most" in refused.reason
@@ -98,12 +107,16 @@ def test_a_sender_that_is_started_again_begins_anew() -> None:
     receiver = LiveReceiver()
     for message in before:
         receiver.receive(message)
-    events = [event for message in (again[0], again[1], again[0], again[2]) for event in receiver.receive(message)]
+    events = [
+        event for message in (again[0], again[1], again[0], again[2]) for event in receiver.receive(message)
+    ]
     assert isinstance(events[0], Opened) and events[1:] == [segment(0), segment(5)]
 
 
 @settings(max_examples=200, deadline=None)
-@given(st.lists(st.one_of(st.binary(max_size=200), st.integers(0, 6).map(lambda i: _MESSAGES[i])), max_size=12))
+@given(
+    st.lists(st.one_of(st.binary(max_size=200), st.integers(0, 6).map(lambda i: _MESSAGES[i])), max_size=12)
+)
 def test_whatever_comes_is_an_event_and_no_error(messages: list[bytes]) -> None:
     receiver = LiveReceiver()
     for message in messages:
@@ -188,4 +201,8 @@ def test_who_is_slow_is_moved_on_to_the_newest() -> None:
     assert message is not None and receiver.receive(message) == [segment(95)] and slow.skipped == 19
     assert sender.next(slow) is None
     told = {"number": 19, "first_frame": 95, "frames": 5, "bytes": len(message)}
-    assert sender.manifest()["segments"][-1] == told and sender.message(19) == message and sender.message(15) is None
+    assert (
+        sender.manifest()["segments"][-1] == told
+        and sender.message(19) == message
+        and sender.message(15) is None
+    )

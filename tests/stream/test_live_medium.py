@@ -58,7 +58,9 @@ def test_who_has_fallen_behind_goes_on_with_the_newest() -> None:
 
 @pytest.mark.parametrize("begins_s", [-1.5, -0.2, 0.0, 0.2, 4.0])
 def test_play_stays_at_what_is_due(begins_s: float) -> None:
-    """Segments of a tenth of a second come up to 30 ms late: soon play is behind the latest of them, and not far."""
+    """Segments of a tenth of a second come up to 30 ms late: soon play is behind the latest of them, and not
+    far.
+    """
     now, rng = [0.0], np.random.default_rng(4)
     opened = Opened(replace(HEAD, frame_count=ENDLESS), {})
     frames = LiveFrames(opened, clock_s=lambda: now[0])
@@ -84,9 +86,13 @@ def test_play_stays_at_what_is_due(begins_s: float) -> None:
 
 @pytest.mark.parametrize(("here_s", "there_s"), [(1000.0, 0.0), (0.0, 60.0), (-300.0, 0.0)])
 def test_a_clock_that_jumps_is_followed(here_s: float, there_s: float) -> None:
-    """The receiver's clock jumps after two seconds, or the sender's: half a second later play is where it was."""
+    """The receiver's clock jumps after two seconds, or the sender's: half a second later play is where it
+    was.
+    """
     now, sent = 0.0, 0
-    frames = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), clock_s=lambda: now + here_s * (now >= 2))
+    frames = LiveFrames(
+        Opened(replace(HEAD, frame_count=ENDLESS), {}), clock_s=lambda: now + here_s * (now >= 2)
+    )
     live, hand = LiveStream("live", frames), Hand(0.0)
     bodies = [segment(5 * i) for i in range(12)]
     for step in range(500):

@@ -60,7 +60,9 @@ def test_frames_go_on_the_air_in_time() -> None:
             time.sleep(0.01)  # the coder's thread
         now[0] += seconds
 
-    sent = broadcast(prepared, send, LiveSpec(0.1, loop=True, seconds=3.0), clock_s=lambda: now[0], pause=pause)
+    sent = broadcast(
+        prepared, send, LiveSpec(0.1, loop=True, seconds=3.0), clock_s=lambda: now[0], pause=pause
+    )
     assert sent.frames + sent.left_out == 150 and sent.segments == len(took) >= 3
     assert all(one.first_frame % 5 == 0 for _, one in took)
     assert all(at - one.stop / 50 >= -1e-9 for at, one in took)  # nothing before its time
@@ -113,7 +115,9 @@ def test_who_makes_frames_too_slowly_is_told_at_once() -> None:
     slow_medium = HapticMedium(grid=GRID, rate_hz=50.0, axes=HEAD.axes, frame_count=50, make_frame=slow)
     prepared, sender = opened_sender(slow_medium, EncodeSpec())
     spec = LiveSpec(0.1, loop=True, seconds=1.9)
-    sent = broadcast(prepared, sender.add, spec, notes.append, lambda: now[0], ready=lambda: notes.append("ready"))
+    sent = broadcast(
+        prepared, sender.add, spec, notes.append, lambda: now[0], ready=lambda: notes.append("ready")
+    )
     assert sent.frames + sent.left_out == 95 and sent.left_out > 50
     assert "makes some 10 frames a second, and the medium has 50" in notes[0] and notes[1] == "ready"
 
@@ -122,7 +126,9 @@ def test_a_broadcast_has_one_frame_at_least_and_so_has_a_segment() -> None:
     prepared, sender = opened_sender(replace(medium(), rate_hz=20.0), EncodeSpec())
     looks = iter(range(10_000))
     spec = LiveSpec(0.01, seconds=0.01)
-    sent = broadcast(prepared, sender.add, spec, clock_s=lambda: 1e-6 * next(looks), pause=lambda seconds: None)
+    sent = broadcast(
+        prepared, sender.add, spec, clock_s=lambda: 1e-6 * next(looks), pause=lambda seconds: None
+    )
     assert (sent.frames, sent.segments, sent.left_out) == (1, 1, 0)
 
 
@@ -143,7 +149,9 @@ pytest.importorskip("aiohttp", reason="live streams need the extra broadcast")
 
 
 @contextmanager
-def on_air(access: Access = Access(port=0), is_over: Callable[[], bool] = lambda: False) -> Iterator[LiveServer]:
+def on_air(
+    access: Access = Access(port=0), is_over: Callable[[], bool] = lambda: False
+) -> Iterator[LiveServer]:
     """A server that sends a segment of five frames every tenth of a second."""
     done, sender = threading.Event(), sender_of(0)[0]
     bodies = [segment(5 * i) for i in range(12)]
@@ -166,9 +174,12 @@ def on_air(access: Access = Access(port=0), is_over: Callable[[], bool] = lambda
 
 
 @pytest.mark.parametrize(
-    ("numbers", "said"), [(["1e999"], "that is none"), ([3, 3], "ascend"), ([4, 3], "ascend"), ([-1, 0], "ascend")]
+    ("numbers", "said"),
+    [(["1e999"], "that is none"), ([3, 3], "ascend"), ([4, 3], "ascend"), ([-1, 0], "ascend")],
 )
-def test_a_manifest_whose_numbers_have_no_end_or_do_not_ascend_is_told(numbers: list[object], said: str) -> None:
+def test_a_manifest_whose_numbers_have_no_end_or_do_not_ascend_is_told(
+    numbers: list[object], said: str
+) -> None:
     segments = ", ".join(f'{{"number": {n}}}' for n in numbers)
     with pytest.raises(SourceError, match=said):
         _manifest(f'{{"is_ended": false, "segments": [{segments}]}}'.encode(), "live.json")
@@ -193,7 +204,10 @@ def test_what_is_live_is_played_until_its_end() -> None:
 
     with on_air(is_over=is_felt) as server:
         played = play(
-            f"ws://{server.address}/live", PlaySpec("sim", seconds=60.0), tell=notes.append, watch=players.append
+            f"ws://{server.address}/live",
+            PlaySpec("sim", seconds=60.0),
+            tell=notes.append,
+            watch=players.append,
         )
     assert played.error is None and "the sender has ended the stream" in played.notes
     assert played.statistics["frames_used"] > 20 and played.statistics["last_force_n"] == 0
@@ -212,7 +226,9 @@ def test_what_is_live_is_shown_on_an_array_until_its_end() -> None:
 
 
 def test_connections_that_say_nothing_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A hundred connections where sixty fit: the others are closed, and soon the sixty, and a receiver hears all."""
+    """A hundred connections where sixty fit: the others are closed, and soon the sixty, and a receiver hears
+    all.
+    """
     monkeypatch.setattr("touchfield.network.access._most_connections", lambda: 60)
     monkeypatch.setattr("touchfield.network.access._PATIENCE_S", 0.5)
 
@@ -255,7 +271,9 @@ UPGRADE = (
 
 
 def test_no_more_are_served_than_can_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A connection too many is closed at once; an answer too many is refused, and none once others have ended."""
+    """A connection too many is closed at once; an answer too many is refused, and none once others have
+    ended.
+    """
     monkeypatch.setattr("touchfield.network.access._most_connections", lambda: 3)
     monkeypatch.setattr("touchfield.network.access._MOST_BUSY", 1)
     monkeypatch.setattr("touchfield.network.access._ENDING_S", 0.01)
@@ -454,7 +472,9 @@ def test_another_programme_with_another_head_is_to_be_opened_anew() -> None:
     client, other = live_client._Client("ws://127.0.0.1:1/live", lambda note: None), LiveSender()
     other.open(replace(HEAD, rate_hz=25.0))
     client._take(sender_of(0)[0].opening)
-    with pytest.raises(SourceError, match=r"another programme; expected the one that was opened\. Open it again"):
+    with pytest.raises(
+        SourceError, match=r"another programme; expected the one that was opened\. Open it again"
+    ):
         client._take(other.opening)
     client._loop.close()
 
@@ -557,7 +577,9 @@ def test_a_server_that_is_started_again_is_felt_again(form: str, monkeypatch: py
             got, number = live.medium[i], frames.stream_frame(i)  # type: ignore[attr-defined]
             np.testing.assert_allclose(got.to_dense(), field(number % 60).to_dense(), atol=0.2)
     assert "another programme begins" in notes and not any("of no use" in note for note in notes), notes
-    assert sum("connecting again" in note for note in notes[: notes.index("another programme begins")]) == 1, notes
+    assert (
+        sum("connecting again" in note for note in notes[: notes.index("another programme begins")]) == 1
+    ), notes
 
 
 def test_a_server_that_is_gone_for_good_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:

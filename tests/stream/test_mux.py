@@ -32,17 +32,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("movies")
     rng = np.random.default_rng(5)
     grid = Grid((40, 40, 40), (0.003,) * 3, (-0.06,) * 3)
-    frames = [ForceField.from_dense(grid, rng.normal(0, 1, (40, 40, 40, 3)).astype(np.float32)) for _ in range(9)]
+    frames = [
+        ForceField.from_dense(grid, rng.normal(0, 1, (40, 40, 40, 3)).astype(np.float32)) for _ in range(9)
+    ]
     medium = HapticMedium.from_frames(frames, 10.0)
     encode(
-        medium, folder / "noise.touch", EncodeSpec(touch=TouchSpec(segment_frames=3, effort="fast"), vibration=None)
+        medium,
+        folder / "noise.touch",
+        EncodeSpec(touch=TouchSpec(segment_frames=3, effort="fast"), vibration=None),
     )
     walls = np.zeros((6, 16, 16, 16, 3), np.float32)
     for i, wall in enumerate(walls):
         wall[:, :, : 4 + i, 2] = 1.0 + 0.1 * i
     sinking = HapticMedium.from_array(walls, Grid((16,) * 3, (0.004,) * 3, (-0.03,) * 3), 10.0)
     touch = TouchSpec(segment_frames=2, effort="fast")
-    encode(sinking, folder / "vibrating.touch", EncodeSpec(touch=touch, vibration="gain=0.25,frequency=80..240"))
+    encode(
+        sinking, folder / "vibrating.touch", EncodeSpec(touch=touch, vibration="gain=0.25,frequency=80..240")
+    )
     encode("sample:falling-4", folder / "bodies.touch", EncodeSpec(nw=5, frames=(0, 900)))
     with av.open(str(folder / "movie.mp4"), "w") as sink:
         video, audio = sink.add_stream("mpeg4", rate=25), sink.add_stream("aac", rate=8000)
@@ -102,7 +108,9 @@ def test_what_is_taken_out_is_what_was_put_in(folder: Path, tmp_path: Path, form
 
 def test_the_movie_is_decoded_as_before(folder: Path, tmp_path: Path) -> None:
     out, notes, shown = tmp_path / "both.mp4", list[tuple[int, int]](), list[list[bytes]]()
-    mux(folder / "movie.mp4", folder / "noise.touch", out, 1.5, lambda *at: notes.append(at))  # beyond its end, too
+    mux(
+        folder / "movie.mp4", folder / "noise.touch", out, 1.5, lambda *at: notes.append(at)
+    )  # beyond its end, too
     assert notes == [(1, 3), (2, 3), (3, 3)]
     demux(out, tmp_path / "back.TOUCH")
     assert (tmp_path / "back.TOUCH").read_bytes() == (folder / "noise.touch").read_bytes()
@@ -115,7 +123,10 @@ def test_the_movie_is_decoded_as_before(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("stem", ["film", "sight & touch"])
 def test_a_manifest_names_the_movie_and_the_touch(folder: Path, tmp_path: Path, stem: str) -> None:
     out = tmp_path / f"{stem}.mpd"
-    done, size = mux(folder / "movie.mp4", folder / "noise.touch", out, 0.5), (folder / "noise.touch").stat().st_size
+    done, size = (
+        mux(folder / "movie.mp4", folder / "noise.touch", out, 0.5),
+        (folder / "noise.touch").stat().st_size,
+    )
     assert (done.other_tracks, done.at_s, done.touch_bytes) == (("video", "audio"), 0.5, size)
     space = "{urn:mpeg:dash:schema:mpd:2011}"
     sets = ElementTree.parse(out).getroot().findall(f"{space}Period/{space}AdaptationSet")

@@ -33,7 +33,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("streams")
     rng = np.random.default_rng(2)
     grid = Grid((20, 20, 20), (0.006,) * 3, (-0.057,) * 3)
-    frames = [ForceField.from_dense(grid, rng.normal(0, 1, (20, 20, 20, 3)).astype(np.float32)) for _ in range(24)]
+    frames = [
+        ForceField.from_dense(grid, rng.normal(0, 1, (20, 20, 20, 3)).astype(np.float32)) for _ in range(24)
+    ]
     medium = HapticMedium.from_frames(frames, 30.0, "x right, y up, z towards the user")
     encode(medium, folder / "noise.touch", EncodeSpec(touch=TouchSpec(segment_frames=3, effort="fast")))
     encode("sample:falling-4", folder / "bodies.touch", EncodeSpec(nw=5, frames=(0, 8)))
@@ -244,7 +246,10 @@ OPENING = b"\x89TOUCH\r\n\x1a\n\x01\x00\x00\x00"
         ((b"nonsense\r\n\r\n",), "nonsense"),
         ((partial(OPENING.ljust(4096), 0, 1 << 50),), "bytes 0 to 4095"),
         ((partial(OPENING + bytes(4082), 0, 20000), partial(bytes(4096), 15904, 30000)), "bytes 15904"),
-        ((partial(OPENING + bytes(4082), 0, 20000), partial(bytes(15904), 4096, 20000, '"b"')), "another file now"),
+        (
+            (partial(OPENING + bytes(4082), 0, 20000), partial(bytes(15904), 4096, 20000, '"b"')),
+            "another file now",
+        ),
         ((partial(OPENING + bytes(4082), 0, 20000)[:900],), "timed out|Incomplete|expected"),
         ((lambda link: None,), "closed"),
         ((_drip,), "hardly more"),
@@ -346,7 +351,9 @@ def test_addresses_of_a_folder_are_told(tmp_path: Path, monkeypatch: pytest.Monk
 def test_beyond_this_machine_only_with_a_token(folder: Path) -> None:
     with pytest.raises(TouchfieldError, match="--token"):
         Access("0.0.0.0")
-    assert Access("0.0.0.0", token="12345678") and Access("::", is_open=True) and Access("localhost", port=65535)
+    assert (
+        Access("0.0.0.0", token="12345678") and Access("::", is_open=True) and Access("localhost", port=65535)
+    )
     for port in (-1, 65536):
         with pytest.raises(TouchfieldError, match="0 to 65535"):
             Access(port=port)

@@ -45,7 +45,9 @@ def drive(folder: Path, *steps: dict[str, Any], **context: Any) -> Told:
     seconds = SECONDS + sum(one.get("ms", 0) for one in steps) / 1000
     asked.write_text(json.dumps({"steps": steps, "context": context}, default=str))
     command = [str(NODE), str(ROOT / "tests" / "viewer" / "drive.mjs"), str(CHROMIUM), str(asked), str(told)]
-    done = subprocess.run(command, cwd=ROOT / "web", capture_output=True, text=True, check=False, timeout=seconds)
+    done = subprocess.run(
+        command, cwd=ROOT / "web", capture_output=True, text=True, check=False, timeout=seconds
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     return Told(**json.loads(told.read_text()))
 
@@ -69,7 +71,8 @@ FAST = """(() => {
 def hour_played(folder: Path, page: str) -> np.ndarray:
     """A minute of a floor that moves, played sixty times, as fast as the browser draws.
 
-    Ten times a second: seconds of the medium, bytes of the page, bytes of its decoder, things on the graphics card.
+    Ten times a second: seconds of the medium, bytes of the page, bytes of its decoder, things on the graphics
+    card.
     """
     dense = np.zeros((1200, 16, 16, 16, 3), np.float32)
     for i in range(1200):

@@ -87,7 +87,9 @@ def _within(field: Any, rng: np.random.Generator) -> np.ndarray:
         return np.zeros((0, 3))
     chosen = support.positions[rng.integers(0, len(support.positions), 60)]
     grid = field.grid
-    return np.asarray(grid.origin_m) + (chosen + rng.uniform(-0.6, 0.6, chosen.shape)) * np.asarray(grid.spacing_m)
+    return np.asarray(grid.origin_m) + (chosen + rng.uniform(-0.6, 0.6, chosen.shape)) * np.asarray(
+        grid.spacing_m
+    )
 
 
 def test_a_faulty_file_is_refused_in_words(page: str, tmp_path: Path) -> None:
@@ -158,7 +160,13 @@ def test_a_hand_that_slides_hears_the_material(page: str, tmp_path: Path) -> Non
     opening = [step("goto", url=page), step("open", file=stream), step("press", key="j")]
     slides = [step("press", key=key) for key in ("ArrowRight", "ArrowLeft", "ArrowRight")]
     told = drive(
-        tmp_path, *opening, *slides, step("state"), step("wait", ms=400), step("press", key="j"), step("state")
+        tmp_path,
+        *opening,
+        *slides,
+        step("state"),
+        step("wait", ms=400),
+        step("press", key="j"),
+        step("state"),
     )
     assert told.errors == []
     sliding, still = (told.answers[n]["sound"] for n in (6, 9))
@@ -167,7 +175,22 @@ def test_a_hand_that_slides_hears_the_material(page: str, tmp_path: Path) -> Non
 
 
 def test_all_of_it_by_keys_and_told_in_words(page: str, tmp_path: Path) -> None:
-    keys = ["ArrowUp", "ArrowRight", "Shift+ArrowLeft", "PageDown", "]", "y", "c", "+", "a", ">", "m", "v", "h", "j"]
+    keys = [
+        "ArrowUp",
+        "ArrowRight",
+        "Shift+ArrowLeft",
+        "PageDown",
+        "]",
+        "y",
+        "c",
+        "+",
+        "a",
+        ">",
+        "m",
+        "v",
+        "h",
+        "j",
+    ]
     pressed = [one for key in keys for one in (step("press", key=key), step("state"))]
     told = drive(tmp_path, step("goto", url=page), step("open", file=MOVING), step("state"), *pressed,
                  step("press", key="t"), step("text", id="spoken"), step("press", key="?"), step("text", id="help"),
@@ -227,7 +250,11 @@ def test_the_difference_is_that_between_the_file_and_its_source(tmp_path: Path) 
     np.testing.assert_allclose(between[:, 3], allowed, rtol=0.04)
     assert (told.answers[5], told.answers[9]) == ("N", "of what is allowed") and "0.1" in told.answers[11]
     assert told.answers[10]["triangles"] > 0 and told.answers[10]["cones"] > 0
-    assert told.answers[13]["state"] == "ready" and told.answers[13]["what"] == "decoded" and told.answers[14] is None
+    assert (
+        told.answers[13]["state"] == "ready"
+        and told.answers[13]["what"] == "decoded"
+        and told.answers[14] is None
+    )
 
 
 def test_a_difference_of_bodies_and_of_an_array_is_shown(tmp_path: Path) -> None:
@@ -294,7 +321,9 @@ def test_the_pressure_of_a_pen_is_depth(page: str, tmp_path: Path) -> None:
     """At half its pressure the probe is as deep as that of a pointer, and it goes deeper in proportion."""
     presses = [("mousePressed", 0.1), ("mouseMoved", 0.5), ("mouseMoved", 0.9), ("mouseReleased", 0.0)]
     pens = [
-        one for kind, force in presses for one in (step("pen", type=kind, x=479, y=420, force=force), step("state"))
+        one
+        for kind, force in presses
+        for one in (step("pen", type=kind, x=479, y=420, force=force), step("state"))
     ]
     told = drive(tmp_path, step("goto", url=page), step("open", file=SOLID), step("press", key="c"),
                  step("move", x=479, y=420), step("state"), *pens)  # fmt: skip
@@ -330,17 +359,21 @@ def test_a_notebook_shows_it_in_a_frame_of_its_own(tmp_path: Path, policy: str) 
     head = f'<meta http-equiv="Content-Security-Policy" content="{policy}">' if policy else ""
     cell = tf.view(MOVING)._repr_html_()
     out.write_text(
-        f'<!doctype html><html data-state="ready"><head>{head}</head><body>{cell}</body></html>', encoding="utf-8"
+        f'<!doctype html><html data-state="ready"><head>{head}</head><body>{cell}</body></html>',
+        encoding="utf-8",
     )
     around = "(() => { try { return parent.document.title; } catch { return 'closed'; } })()"
     told = drive(tmp_path, step("goto", url=out.as_uri()),
                  step("until", frame=1, code="window.touchfield?.state().state == 'ready'"),
                  step("within", code="window.touchfield.state()"), step("within", code=around),
-                 step("within", code="[...document.querySelectorAll('button')].find((b) => b.id == 'play').click()"),
+                 step("within", code="[...document.querySelectorAll('button')].find((b) => b.id == "
+                                     "'play').click()"),
                  step("until", frame=1, code="window.touchfield.state().time > 0"))  # fmt: skip
     assert told.answers[2]["state"] == "ready" and told.answers[2]["triangles"] > 0, told.errors
     assert told.answers[3] == "closed"
-    assert all("worker" in error.lower() for error in told.errors) and bool(told.errors) == ("worker-src" in policy)
+    assert all("worker" in error.lower() for error in told.errors) and bool(told.errors) == (
+        "worker-src" in policy
+    )
 
 
 def test_memory_grows_with_what_a_file_needs(page: str, tmp_path: Path) -> None:
@@ -356,7 +389,9 @@ def test_memory_grows_with_what_a_file_needs(page: str, tmp_path: Path) -> None:
 
 
 def test_a_movie_and_its_touch_are_on_one_clock(tmp_path: Path) -> None:
-    """The picture tells its time by its brightness, and the touch by its height; both are there from one file."""
+    """The picture tells its time by its brightness, and the touch by its height; both are there from one
+    file.
+    """
     av = pytest.importorskip("av", reason="movies need the extra video")
     from touchfield.network.mux import mux
 
@@ -387,11 +422,15 @@ def test_a_movie_and_its_touch_are_on_one_clock(tmp_path: Path) -> None:
                  step("run", code=sought),
                  step("wait", ms=400), step("state"), step("shot", path=str(tmp_path / "movie.png")))  # fmt: skip
     first, playing, last = told.answers[2], told.answers[5:14:2], told.answers[17]
-    assert told.errors == [] and not [url for url in told.requests if not url.startswith(("file:", "blob:", "data:"))]
+    assert told.errors == [] and not [
+        url for url in told.requests if not url.startswith(("file:", "blob:", "data:"))
+    ]
     assert first["state"] == "ready" and first["movie"] == 0
     shown = [(one["movie"], one["time"]) for one in playing]
     assert all(0 < a < b for (a, _), (b, _) in zip(shown, shown[1:], strict=False))
     for film, touch in shown:
-        assert touch == pytest.approx(min(max(film - 1, 0), 29 / 30), abs=0.35)  # a frame that is drawn slowly
+        assert touch == pytest.approx(
+            min(max(film - 1, 0), 29 / 30), abs=0.35
+        )  # a frame that is drawn slowly
     assert not last["playing"] and last["movie"] == pytest.approx(1.5, abs=0.05)
     assert last["time"] == pytest.approx(0.5)

@@ -31,7 +31,15 @@ WHOLE_GZ, WASM_GZ = 200_000, 60_000
 
 def sources() -> list[str]:
     """As build.mjs names them."""
-    own = ["../c/touch.h", "build.mjs", "build_wasm.sh", "package-lock.json", "page.css", "page.html", "surface.h"]
+    own = [
+        "../c/touch.h",
+        "build.mjs",
+        "build_wasm.sh",
+        "package-lock.json",
+        "page.css",
+        "page.html",
+        "surface.h",
+    ]
     folders = [f"{p.parent.name}/{p.name}" for p in sorted((WEB / "freestanding").iterdir())]
     return [
         *own,
@@ -81,7 +89,9 @@ def test_the_page_lets_no_script_run_but_its_own_and_asks_no_network() -> None:
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     assert f"'sha256-{digest}'" in rules["script-src"]
     markup = page.replace(script, "")
-    assert not re.search(r"\son\w+=|<(link|iframe|img)\b|(src|href)=", re.sub(r'id="\w+">[^<]+</script', "", markup))
+    assert not re.search(
+        r"\son\w+=|<(link|iframe|img)\b|(src|href)=", re.sub(r'id="\w+">[^<]+</script', "", markup)
+    )
 
 
 def test_words_of_a_stranger_stay_words() -> None:
@@ -131,7 +141,9 @@ def test_a_page_tells_what_devices_render(tmp_path: Path, capsys: pytest.Capture
     assert within and json.loads(within[1])["capacity"] == told["capacity"]
     assert "capacity" not in tf.view(stream).figures
     assert "capacity" in tf.view(tf.decode(stream), devices=names[:1]).figures
-    assert _exit_code(["view", str(GOLDEN / "touch-empty.touch"), *asked, "--out", str(out), "--no-open"]) == 2
+    assert (
+        _exit_code(["view", str(GOLDEN / "touch-empty.touch"), *asked, "--out", str(out), "--no-open"]) == 2
+    )
 
 
 def test_a_page_with_the_source_tells_its_bytes(
@@ -165,7 +177,9 @@ def test_a_page_with_the_source_tells_its_bytes(
     tf.encode(nothing, tmp_path / "nothing.touch")
     assert "capacity" not in tf.view(tmp_path / "nothing.touch", nothing).figures
     other = str(tmp_path / "other.npz")
-    tf.write_field(other, tf.HapticMedium.from_array(force[:8], tf.Grid((8, 16, 8), grid.spacing_m, grid.origin_m)))
+    tf.write_field(
+        other, tf.HapticMedium.from_array(force[:8], tf.Grid((8, 16, 8), grid.spacing_m, grid.origin_m))
+    )
     assert _exit_code(["view", stream, "--source", other, "--out", out, "--no-open"]) == 2
     assert "Name its own source" in capsys.readouterr().err
 

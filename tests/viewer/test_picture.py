@@ -29,7 +29,11 @@ def drawn(axes: str, decoded: ForceField) -> tuple[_Panels, list[np.ndarray], li
     row = page.subplots(1, 3)
     panels.draw_contact(page, row)
     images = [panel.images[0] for panel in row]
-    return panels, [np.ma.filled(one.get_array(), np.nan) for one in images], [one.get_extent() for one in images]
+    return (
+        panels,
+        [np.ma.filled(one.get_array(), np.nan) for one in images],
+        [one.get_extent() for one in images],
+    )
 
 
 @pytest.mark.parametrize(
@@ -47,9 +51,13 @@ def test_a_picture_lies_where_the_samples_are() -> None:
     panels, _, extents = drawn("x right, y up, z towards the user", plate(1.0))
     for low_mm, high_mm, axis in ((extents[0][0], extents[0][1], 0), (extents[0][2], extents[0][3], 1)):
         own = PLATE[axis]
-        first, last = (1e3 * (GRID.origin_m[axis] + i * GRID.spacing_m[axis]) for i in (own.start, own.stop - 1))
+        first, last = (
+            1e3 * (GRID.origin_m[axis] + i * GRID.spacing_m[axis]) for i in (own.start, own.stop - 1)
+        )
         half = 500 * GRID.spacing_m[axis]
-        assert low_mm == pytest.approx(first - 3 * half) and high_mm == pytest.approx(last + 3 * half), "one around"
+        assert low_mm == pytest.approx(first - 3 * half) and high_mm == pytest.approx(last + 3 * half), (
+            "one around"
+        )
     assert panels._slice_name() == f"slice at y = {1e3 * (GRID.origin_m[1] + 4 * GRID.spacing_m[1]):.1f} mm"
 
 

@@ -81,7 +81,9 @@ def test_a_file_of_a_folder_is_shown_by_its_name(tmp_path: Path) -> None:
             tmp_path, {"do": "goto", "url": page + "?token=a-long-word"}, {"do": "run", "code": f"{INNER}.state()"},
             {"do": "run", "code": f"{INNER}.feel([0, -0.035, 0])"}, offline=False,
         )  # fmt: skip
-    assert told.errors == [] and {url.split("/")[2] for url in told.requests if url.startswith("http")} == {address}
+    assert told.errors == [] and {url.split("/")[2] for url in told.requests if url.startswith("http")} == {
+        address
+    }
     assert told.answers[1]["state"] == "ready" and told.answers[1]["name"] == "a room/rise.touch"
     assert told.answers[2][1] == pytest.approx(0.5, abs=0.06)
 
@@ -95,7 +97,9 @@ def noise(count: int) -> tf.HapticMedium:
 
 
 class _Ranges(ThreadingHTTPServer):
-    """One file by ranges, and the pages; every range that is asked for is noted, and `spoil` may change an answer."""
+    """One file by ranges, and the pages; every range that is asked for is noted, and `spoil` may change an
+    answer.
+    """
 
     def __init__(self, data: bytes, spoil: Callable[[int, bytes], bytes] = lambda begin, data: data) -> None:
         self.data, self.spoil, self.asked = data, spoil, list[tuple[int, int]]()
@@ -131,7 +135,9 @@ class _Answers(BaseHTTPRequestHandler):
             begin, end = int(asked[1]), min(int(asked[2]) + 1, len(self.server.data))
             self.server.asked.append((begin, end))
             data = self.server.spoil(begin, self.server.data[begin:end])
-            self._send(206, data, "haptics/vnd.touchfield", f"bytes {begin}-{end - 1}/{len(self.server.data)}")
+            self._send(
+                206, data, "haptics/vnd.touchfield", f"bytes {begin}-{end - 1}/{len(self.server.data)}"
+            )
         else:
             self._send(404, b"no such file", "text/plain")
 
@@ -165,7 +171,8 @@ def test_of_a_large_file_only_what_is_played_is_fetched(tmp_path: Path) -> None:
         first_asked = list(server.asked)
         played = drive(
             tmp_path, {"do": "goto", "url": server.view},
-            {"do": "run", "code": f"{INNER}.seek(1).then(() => [...document.querySelector('iframe').contentDocument"
+            {"do": "run", "code": f"{INNER}.seek(1).then(() => "
+                                  "[...document.querySelector('iframe').contentDocument"
              ".querySelectorAll('button')].find((b) => b.id == 'play').click())"},
             {"do": "until", "code": f"{INNER}.state().time > 2"}, {"do": "run", "code": f"{INNER}.state()"},
             offline=False,
@@ -190,12 +197,15 @@ def _in_parts(data: str) -> str:
     """What opens a file, base64, by reading parts of it."""
     return (
         f"(async () => {{ const all = Uint8Array.from(atob('{data}'), (c) => c.charCodeAt(0));"
-        "await touchfield.read(all.length, 'parts', async (from, to) => all.subarray(from, to)); return 0; })()"
+        "await touchfield.read(all.length, 'parts', async (from, to) => all.subarray(from, to)); return 0; "
+        "})()"
     )
 
 
 @needs_browser
-@pytest.mark.parametrize("name", ["objects-touch", "objects-touch-deforming", "vibration-touch", "touch-solid"])
+@pytest.mark.parametrize(
+    "name", ["objects-touch", "objects-touch-deforming", "vibration-touch", "touch-solid"]
+)
 def test_files_in_parts_are_the_same_files(tmp_path: Path, name: str) -> None:
     """Bodies and vibrations too, read in parts by the page itself, are what the whole file is."""
     whole, parts = f"{name}.touch", base64.b64encode((GOLDEN / f"{name}.touch").read_bytes()).decode()
@@ -230,7 +240,9 @@ def _longer(begin: int, data: bytes) -> bytes:
 
 
 @needs_browser
-@pytest.mark.parametrize(("spoil", "words"), [(_cut, "other bytes"), (_flipped, "corrupt"), (_longer, "more than")])
+@pytest.mark.parametrize(
+    ("spoil", "words"), [(_cut, "other bytes"), (_flipped, "corrupt"), (_longer, "more than")]
+)
 def test_what_a_server_answers_is_not_believed(
     tmp_path: Path, spoil: Callable[[int, bytes], bytes], words: str
 ) -> None:
@@ -239,7 +251,9 @@ def test_what_a_server_answers_is_not_believed(
         fault = "document.querySelector('iframe').contentDocument.getElementById('fault').textContent"
         told = drive(tmp_path, {"do": "goto", "url": server.view}, {"do": "run", "code": f"{INNER}.state().state"},
                      {"do": "run", "code": fault}, offline=False)  # fmt: skip
-    assert told.answers[1] == "fault" and (words in told.answers[2] or "cut short" in told.answers[2]), told.answers
+    assert told.answers[1] == "fault" and (words in told.answers[2] or "cut short" in told.answers[2]), (
+        told.answers
+    )
 
 
 @needs_browser
@@ -253,7 +267,9 @@ def test_faulty_files_in_parts_are_refused(tmp_path: Path) -> None:
         steps += [{"do": "run", "code": _in_parts(data)}, {"do": "through"}, {"do": "state"}]
     told = drive(tmp_path, *steps)
     assert told.errors == []
-    assert [name for name, state in zip(names, told.answers[3::3], strict=True) if state["state"] != "fault"] == []
+    assert [
+        name for name, state in zip(names, told.answers[3::3], strict=True) if state["state"] != "fault"
+    ] == []
 
 
 @needs_browser
@@ -293,7 +309,10 @@ def test_a_hand_on_a_device_is_shown_where_it_is(tmp_path: Path) -> None:
     class Hand:
         media_s, position_m = 0.0, (0.01, 0.02, 0.0)
 
-    place = {"do": "run", "code": f"[...{INNER}.state().point, ...{INNER}.state().force, {INNER}.state().time]"}
+    place = {
+        "do": "run",
+        "code": f"[...{INNER}.state().point, ...{INNER}.state().force, {INNER}.state().time]",
+    }
     with Bridge(tmp_path / "rise.touch", Access(port=0), PAGES) as bridge:
         bridge.follow(Hand())
         low = threading.Timer(

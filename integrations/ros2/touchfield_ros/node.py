@@ -64,7 +64,10 @@ class Play(Node):
     def _hear(self, pose: PoseStamped) -> None:
         """A place of the hand; one that is no number, or told in another frame, is as good as none."""
         if pose.header.frame_id not in ("", self.frame_id):
-            words = f"a hand in frame '{pose.header.frame_id}' feels nothing; the medium lies in '{self.frame_id}'"
+            words = (
+                f"a hand in frame '{pose.header.frame_id}' feels nothing; the medium lies in "
+                f"'{self.frame_id}'"
+            )
             self.get_logger().warning(words, throttle_duration_sec=5.0)
             self.hand = None
             return

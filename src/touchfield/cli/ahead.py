@@ -1,7 +1,8 @@
-"""Helpers of a first run: processes that compile what a job needs later while it compiles what it needs first.
+"""Helpers of a first run: processes that compile what a job needs later while it compiles what it needs
+first.
 
-They fill numba's cache, where the job finds the kernels when it comes to them. Run as a program, this file is one of
-them: ``python -m touchfield.cli.ahead GROUP...``.
+They fill numba's cache, where the job finds the kernels when it comes to them. Run as a program, this file is
+one of them: ``python -m touchfield.cli.ahead GROUP...``.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ _NICE: Final = 5
 def helpers(groups: Sequence[str]) -> Iterator[Callable[[], None]]:
     """Yields what starts them, one for each core but one; they end with the block, and with this process.
 
-    `groups` are of `touchfield.tasks.setup.GROUPS`, what takes longest first. ``TOUCHFIELD_HELPERS`` gives the most
-    helpers, 3 where it is not set; 0: none.
+    `groups` are of `touchfield.tasks.setup.GROUPS`, what takes longest first. ``TOUCHFIELD_HELPERS`` gives
+    the most helpers, 3 where it is not set; 0: none.
     """
     started: list[subprocess.Popen[bytes]] = []
 

@@ -46,18 +46,23 @@ def _access(asked: dict[str, Any]) -> Access:
     return Access(asked["host"], asked["port"], asked["token"], asked["open"], tuple(asked["cors"] or ()))
 
 
-@command("Broadcast", "live sample:falling-4 --rate-hz 20", "live watch:pictures --world causal --depth-scale 1000")
+@command(
+    "Broadcast", "live sample:falling-4 --rate-hz 20", "live watch:pictures --world causal --depth-scale 1000"
+)
 @asks(address_rows(8076, "receive"), SCENE)
 def live(
     asked: Asked,
     source: Annotated[str, typer.Argument(help=_LIVE)],
     out: Annotated[
-        str | None, typer.Argument(help="-: to standard output, for `touchfield play -` behind a pipe; no server.")
+        str | None,
+        typer.Argument(help="-: to standard output, for `touchfield play -` behind a pipe; no server."),
     ] = None,
     segment_s: Annotated[float, "Seconds of a segment, which is the delay."] = 0.25,
     loop: Annotated[bool, "Begin again at the end."] = False,
     udp: Annotated[str | None, "HOST:PORT that gets datagrams with parity, too."] = None,
-    coarse: Annotated[bool, "A coarse layer beside it, at /coarse/live and at the next port of --udp."] = False,
+    coarse: Annotated[
+        bool, "A coarse layer beside it, at /coarse/live and at the next port of --udp."
+    ] = False,
     on_air_s: Annotated[float | None, "How long; default: to the end."] = None,
 ) -> Answer | None:
     """Send SOURCE live: coded as its frames come, for any number of receivers (touchfield play ws://...)."""
@@ -117,7 +122,11 @@ def _counts(summary: dict[str, Any]) -> str:
 
 
 def _sending(
-    add: Callable[[LiveSegment], bytes], sender: LiveSender, address: str | None, layer: Layer, stack: ExitStack
+    add: Callable[[LiveSegment], bytes],
+    sender: LiveSender,
+    address: str | None,
+    layer: Layer,
+    stack: ExitStack,
 ) -> Callable[[LiveSegment], bytes]:
     """A call that has a segment sent, by datagrams too where an address is given."""
     if address is None:
@@ -134,7 +143,11 @@ def _sending(
     return send
 
 
-@command("Broadcast", "mux movie.mp4 room.touch with-touch.mp4", "mux movie.mp4 room.touch with-touch.ts --at-s 12.5")
+@command(
+    "Broadcast",
+    "mux movie.mp4 room.touch with-touch.mp4",
+    "mux movie.mp4 room.touch with-touch.ts --at-s 12.5",
+)
 def mux(
     movie: Annotated[Path, "A movie; its tracks are copied as they are."],
     stream: Stream,

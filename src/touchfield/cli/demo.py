@@ -23,7 +23,10 @@ from touchfield.tasks.view import view
 FRICTION: Final = 0.4
 
 SCENES: Final = {
-    "motorcycle": ("a real motorcycle, seen by a stereo camera, for a Phantom Omni", EncodeSpec(friction=FRICTION)),
+    "motorcycle": (
+        "a real motorcycle, seen by a stereo camera, for a Phantom Omni",
+        EncodeSpec(friction=FRICTION),
+    ),
     "terrain": (
         "the Jacksboro fault, Tennessee, heights times 5, for a Phantom Omni",
         EncodeSpec(source=SourceOptions(exaggeration=5.0), friction=FRICTION),
@@ -38,7 +41,9 @@ def run_demo(folder: Path, as_json: bool) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InvalidArgument(str(folder), error.strerror or str(error), "a folder", "Name another one.") from None
+        raise InvalidArgument(
+            str(folder), error.strerror or str(error), "a folder", "Name another one."
+        ) from None
     results: dict[str, Any] = {}
     missing: list[TouchfieldError] = []
     draws = find_spec("matplotlib") is not None
@@ -61,7 +66,9 @@ def run_demo(folder: Path, as_json: bool) -> None:
 
 def _made(stem: Path, draws: bool) -> list[str]:
     """Things to look at."""
-    pictures = f"look at {stem}.png, and at {stem}.forces.png: a simulated hand comes, presses, slides and leaves"
+    pictures = (
+        f"look at {stem}.png, and at {stem}.forces.png: a simulated hand comes, presses, slides and leaves"
+    )
     page = f"open {stem}.html in a browser: see it, cut it open, probe it, hear it"
     return [f"stream: {stem}.touch, report: {stem}.json", page, *([pictures] if draws else [])]
 

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 RUBBED = tuple(row for row in BESIDE if row.name != "vibration")
 
-Medium = Annotated[str, typer.Argument(help="A .touch file, or a stored field (.npz, .vti).", metavar="MEDIUM")]
+Medium = Annotated[
+    str, typer.Argument(help="A .touch file, or a stored field (.npz, .vti).", metavar="MEDIUM")
+]
 Out = Annotated[Path, typer.Argument(help="OUT.touch, or a field: FIELD.npz, FIELD.vti.")]
 Kernel = Annotated[str, typer.Option(help="Of the resampler: spline, box, sinc, or trilinear for none.")]
 
@@ -38,7 +40,8 @@ def edit(
     operator: Annotated[
         list[str],
         typer.Option(
-            help="gain:2, erase, limit:1.5, move:DX,DY,DZ, turn:AX,AY,AZ,DEG[,X,Y,Z], mirror:NX,NY,NZ[,X,Y,Z]; "
+            help="gain:2, erase, limit:1.5, move:DX,DY,DZ, turn:AX,AY,AZ,DEG[,X,Y,Z], "
+            "mirror:NX,NY,NZ[,X,Y,Z]; "
             "over:, add:, max: or replace:FILE; or a filter, gaussian:sigma=2mm. May be repeated."
         ),
     ],
@@ -71,7 +74,9 @@ def splice(
 ) -> Answer:
     """Join media one after the other, all on the lattice and at the rate of the first."""
     if len(media) < 2:
-        raise InvalidArgument("touchfield splice", f"{len(media)} file", "media to join, and OUT.touch behind them")
+        raise InvalidArgument(
+            "touchfield splice", f"{len(media)} file", "media to join, and OUT.touch behind them"
+        )
     with progress("splice") as report:
         done = editing.splice(media[:-1], Path(media[-1]), fade_s, kernel, coder_spec(asked), report)
     return Answer(done.summary(), str(done.path), done.notes)
@@ -104,7 +109,9 @@ def lod(
     medium: Medium,
     folder: Annotated[
         Path | None,
-        typer.Argument(help="Folder for level-0.touch, ..., or OUT.zarr with all levels; without it, figures only."),
+        typer.Argument(
+            help="Folder for level-0.touch, ..., or OUT.zarr with all levels; without it, figures only."
+        ),
     ] = None,
     levels: Annotated[int | None, "How often the lattice is halved; default: to 8 samples."] = None,
     most_bytes: Annotated[int | None, "Name the finest level that takes no more."] = None,
@@ -219,7 +226,9 @@ def deform(
     asked: Asked,
     stream: Annotated[Path, "Stream of voxels, .touch."],
     model: Annotated[Path | None, typer.Argument(help="Animated glTF that STREAM shows at rest.")] = None,
-    out: Annotated[Path, typer.Option("-o", "--out", help="Deformation to write, .npz.")] = Path("deformation.npz"),
+    out: Annotated[Path, typer.Option("-o", "--out", help="Deformation to write, .npz.")] = Path(
+        "deformation.npz"
+    ),
     controls: Annotated[int, "Control points along each axis, 4 to 32."] = 8,
     yield_m_per_n: Annotated[float, "Metres that the medium gives way for a newton."] = 0.0,
     relax_s: Annotated[float, "Time constant with which it does, seconds."] = 0.05,
@@ -232,7 +241,13 @@ def deform(
     motion = Motion(model, **moved) if model else None
     with progress("deform") as report:
         done = tracks_of(
-            stream, out, motion, controls=controls, compliance_m_per_n=yield_m_per_n, relax_s=relax_s, report=report
+            stream,
+            out,
+            motion,
+            controls=controls,
+            compliance_m_per_n=yield_m_per_n,
+            relax_s=relax_s,
+            report=report,
         )
     return Answer(done.summary(), str(out))
 
@@ -247,10 +262,14 @@ def deform(
 def reduce(
     asked: Asked,
     medium: Medium,
-    out: Annotated[Path | None, typer.Argument(help="OUT.touch of the modes that are kept; none without it.")] = None,
+    out: Annotated[
+        Path | None, typer.Argument(help="OUT.touch of the modes that are kept; none without it.")
+    ] = None,
     cull: Annotated[Path | None, "OUT.touch without what the hand can never feel."] = None,
 ) -> Answer:
-    """Tell in how few numbers MEDIUM varies, how many bits a degree of freedom has, and what no hand can feel."""
+    """Tell in how few numbers MEDIUM varies, how many bits a degree of freedom has, and what no hand can
+    feel.
+    """
     from touchfield.tasks.reduction import reduce_medium
 
     check_results((medium,), out, cull)

@@ -25,9 +25,24 @@ RENDER: Final = rows_of(RenderSpec, "Renderer") + rows(
     ("clutch-mm", str | None, None, "Point of the field at the device's origin, X,Y,Z in millimetres."),
     ("gravity-n", str | None, None, "A steady force for the weight of the handle, X,Y,Z in newtons."),
     ("no-blend", bool, False, "Play every frame as it was decoded, with the steps where a segment starts."),
-    ("tool", str, "point", "In the hand: point, sphere:RADIUS_M, or MESH.obj in metres; ,points=N behind it."),
-    ("materials", Path | None, None, "What surfaces are made of, JSON (touchfield texture); default: the stream's."),
-    ("deformation", Path | None, None, "What bends the medium: tracks, or a body that yields (touchfield deform)."),
+    (
+        "tool",
+        str,
+        "point",
+        "In the hand: point, sphere:RADIUS_M, or MESH.obj in metres; ,points=N behind it.",
+    ),
+    (
+        "materials",
+        Path | None,
+        None,
+        "What surfaces are made of, JSON (touchfield texture); default: the stream's.",
+    ),
+    (
+        "deformation",
+        Path | None,
+        None,
+        "What bends the medium: tracks, or a body that yields (touchfield deform).",
+    ),
 )
 
 _TRIPLE: Final = "three numbers, X,Y,Z"
@@ -116,7 +131,9 @@ def render_spec(asked: dict[str, Any]) -> RenderSpec:
     if asked["deformation"] is not None:
         values["deformation"] = read_deformation(asked["deformation"])
     if asked["clutch_mm"] is not None:
-        values["clutch_m"] = tuple(v / 1000 for v in numbers_of("--clutch-mm", asked["clutch_mm"], (3,), _TRIPLE))
+        values["clutch_m"] = tuple(
+            v / 1000 for v in numbers_of("--clutch-mm", asked["clutch_mm"], (3,), _TRIPLE)
+        )
     if asked["gravity_n"] is not None:
         values["gravity_n"] = numbers_of("--gravity-n", asked["gravity_n"], (3,), _TRIPLE)
     return RenderSpec(**values, blend=not asked["no_blend"])
@@ -125,10 +142,11 @@ def render_spec(asked: dict[str, Any]) -> RenderSpec:
 def tool_of(words: str) -> Tool | None:
     """The tool that `words` name; None is a point.
 
-    A mesh is in metres of the field, its origin is the device's point and its axes are the field's where the grip is
-    not turned.
+    A mesh is in metres of the field, its origin is the device's point and its axes are the field's where the
+    grip is not turned.
 
-    InvalidArgument if the words name none or a number is out of range, SourceError if the mesh cannot be read.
+    InvalidArgument if the words name none or a number is out of range, SourceError if the mesh cannot be
+    read.
     """
     name, comma, option = words.rpartition(",") if ",points=" in words else (words, "", "")
     points = SPHERE_POINTS

@@ -15,7 +15,8 @@ from touchfield.errors import InvalidArgument
 
 Folder = Annotated[Path, typer.Argument(help="A folder of .touch files, with the folders in it.")]
 IndexFile = Annotated[
-    Path | None, typer.Option("--index", help="File of the index; default: FOLDER.index.npz beside the folder.")
+    Path | None,
+    typer.Option("--index", help="File of the index; default: FOLDER.index.npz beside the folder."),
 ]
 
 _TOLD = 20
@@ -43,7 +44,9 @@ def search(
     like: Annotated[Path, "A .touch file, in FOLDER or not."],
     count: Annotated[int, "How many are wanted."] = 10,
     any_pose: Annotated[bool, "Leave out the directions, which turn with a body."] = False,
-    weight: Annotated[list[str] | None, "PART=NUMBER, such as amplitude=2 or change=0; may be repeated."] = None,
+    weight: Annotated[
+        list[str] | None, "PART=NUMBER, such as amplitude=2 or change=0; may be repeated."
+    ] = None,
     index_file: IndexFile = None,
 ) -> Answer:
     """List the media of FOLDER that are most like LIKE, the nearest first; index it before."""
@@ -75,17 +78,28 @@ def similar(
     asked: Asked,
     first: Annotated[str, "A .touch file, or any SOURCE."],
     second: Annotated[str, "Another; it is brought onto the lattice of the first."],
-    quantiser: Annotated[str, "Q, the same for both; coarse, lest a coder's error counts."] = ("weber:0.25/ico1"),
+    quantiser: Annotated[str, "Q, the same for both; coarse, lest a coder's error counts."] = (
+        "weber:0.25/ico1"
+    ),
     over: Annotated[str, "mu of NMI and VI: voxel, or object (where one has a force)."] = "object",
     looks: Annotated[int, "Frames that are compared, evenly spaced."] = 8,
 ) -> Answer:
-    """Tell how alike two media are: voxel by voxel, as histograms, to a compressor, and as `search` ranks them."""
+    """Tell how alike two media are: voxel by voxel, as histograms, to a compressor, and as `search` ranks
+    them.
+    """
     from touchfield.tasks.library import similar as run
 
     with progress("similar") as report:
-        done = run(first, second, encode_spec(asked), quantiser=quantiser, over=over, frames=looks, report=report)
+        done = run(
+            first, second, encode_spec(asked), quantiser=quantiser, over=over, frames=looks, report=report
+        )
     figures = done.summary()
-    names = {"normalised": "NMI", "variation": "VI / bit", "jensen_shannon": "sqrt(JSD)", "compression": "NCD"}
+    names = {
+        "normalised": "NMI",
+        "variation": "VI / bit",
+        "jensen_shannon": "sqrt(JSD)",
+        "compression": "NCD",
+    }
     short = {names.get(k, k): v["value"] if k in names and v else v for k, v in figures.items()}
     title = f"{first} and {second}"
     return Answer(figures, title, done.notes, people=Answer(short, title, done.notes).show)
@@ -97,10 +111,14 @@ def correlate(
     stream: Stream,
     looks: Annotated[int, "Times that are looked at, evenly spaced."] = 4,
     reading: Annotated[str, "|F| along the sight: peak (how hard it can push) or first."] = "peak",
-    intrinsics: Annotated[str | None, "fx,fy,cx,cy of the camera, pixels; default: seen from the front."] = None,
+    intrinsics: Annotated[
+        str | None, "fx,fy,cx,cy of the camera, pixels; default: seen from the front."
+    ] = None,
     source_rate_hz: Annotated[float | None, "Pictures a second, where the video does not say."] = None,
 ) -> Answer:
-    """Tell how much pictures tell of their scene's touch: I(luma; |F|) in bits a pixel, and whether by chance."""
+    """Tell how much pictures tell of their scene's touch: I(luma; |F|) in bits a pixel, and whether by
+    chance.
+    """
     from touchfield.tasks.library import correlate as run
 
     camera = None if intrinsics is None else numbers_of("--intrinsics", intrinsics, (4,), "fx,fy,cx,cy")
@@ -125,9 +143,9 @@ def points(
         Path | None, typer.Argument(help="The medium rebuilt (.touch, .npz, .vti), or the points (.csv).")
     ] = None,
     modes: Annotated[int | None, "Modes of a medium that moves; default: COUNT."] = None,
-    is_next: Annotated[bool, typer.Option("--next", help="Where to record next, and how little is known there.")] = (
-        False
-    ),
+    is_next: Annotated[
+        bool, typer.Option("--next", help="Where to record next, and how little is known there.")
+    ] = (False),
     measured: Annotated[Path | None, "With --next: a recording of what was measured of IN."] = None,
 ) -> Answer:
     """Find the fewest points of IN that tell the rest, or where to measure next."""
@@ -143,4 +161,6 @@ def points(
     else:
         with progress("points") as report:
             done = fewest_points(source, count, out, modes, coder_spec(asked), report)
-    return Answer(done.summary(), f"{count} points of {source}", done.notes, {"next": "places, the first one first"})
+    return Answer(
+        done.summary(), f"{count} points of {source}", done.notes, {"next": "places, the first one first"}
+    )

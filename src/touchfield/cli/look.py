@@ -34,8 +34,12 @@ if TYPE_CHECKING:
 @command("Look", "view room.touch", "view room.touch --source scan.ply --out room.html --no-open")
 def view(
     stream: Stream,
-    source: Annotated[str | None, "SOURCE of the file: shown too, and the difference; NMSE, vibration."] = None,
-    device: Annotated[list[str] | None, "Tell its capacity, WMR and HIL, and the entropy; may be repeated."] = None,
+    source: Annotated[
+        str | None, "SOURCE of the file: shown too, and the difference; NMSE, vibration."
+    ] = None,
+    device: Annotated[
+        list[str] | None, "Tell its capacity, WMR and HIL, and the entropy; may be repeated."
+    ] = None,
     out: Annotated[Path | None, "HTML file to write; default: a temporary one."] = None,
     no_open: Annotated[bool, "Open no browser."] = False,
 ) -> Answer:
@@ -69,7 +73,9 @@ def compare(
     check_results((source, stream), target)
     if not no_picture and target.exists() and not is_our_picture(target):
         mend = "Name another --picture, or take --no-picture."
-        raise InvalidArgument(f"{target} is there, and touchfield did not draw it: it is left as it is", mend=mend)
+        raise InvalidArgument(
+            f"{target} is there, and touchfield did not draw it: it is left as it is", mend=mend
+        )
     with progress("compare") as report:
         compared = pipeline.compare(
             source, stream, k=k, f0_n=f0_n, frame=frame, allow_outside=allow_outside, report=report
@@ -103,7 +109,9 @@ def _free_name(source: str, stream: str) -> Path:
 def measure(
     asked: Asked,
     medium: Annotated[str, typer.Argument(help="A .touch file, or any SOURCE.", metavar="MEDIUM")],
-    device: Annotated[list[str] | None, "Device whose capacity, WMR and HIL are wanted; may be repeated."] = None,
+    device: Annotated[
+        list[str] | None, "Device whose capacity, WMR and HIL are wanted; may be repeated."
+    ] = None,
     reference: Annotated[str, "Device in whose workspace a SOURCE is sampled as W."] = "phantom-omni",
     no_limits: Annotated[bool, "Leave out the coding limits."] = False,
     plot: Annotated[Path | None, "PNG to draw."] = None,
@@ -122,7 +130,8 @@ def measure(
     return Answer(measurement.summary(), "", told, people=lambda: show_measurement(measurement, notes))
 
 
-# -- a measurement in lines: each quantity with its interval and its unit --------------------------------------------
+# -- a measurement in lines: each quantity with its interval and its unit
+# --------------------------------------------
 
 Row = tuple[str, str, str, str]
 """Name, value, interval, what it is."""
@@ -150,7 +159,9 @@ def show_measurement(m: Measurement, notes: tuple[str, ...]) -> None:
             show_table(rows, title=title, right=(1,), whole=3)
     interval = m.entropy.interval
     if interval is not None:
-        literal_console().print(f"intervals ({interval.level:.0%}) speak of {interval.population}", soft_wrap=True)
+        literal_console().print(
+            f"intervals ({interval.level:.0%}) speak of {interval.population}", soft_wrap=True
+        )
     show_notes(_notes(m, notes))
 
 
@@ -212,7 +223,11 @@ def _capacities(m: Measurement) -> list[Row]:
         # no interval where that of H(M(W)) is unknown: it would speak of H(W) alone, and be too narrow
         unknown = c.rendered.interval is None
         of = f"of the {c.codomain_bits:,.0f} that it could be told"
-        for quantity, label, what in ((c.capacity, name, of), (c.wmr, "  WMR", "rendered"), (c.hil, "  HIL", "lost")):
+        for quantity, label, what in (
+            (c.capacity, name, of),
+            (c.wmr, "  WMR", "rendered"),
+            (c.hil, "  HIL", "lost"),
+        ):
             rows.append(_row(quantity.of(name=label, interval=None if unknown else quantity.interval), what))
     return rows
 

@@ -95,7 +95,9 @@ def doctor(
             console.print(name, style="bold")
             for one in checks:
                 state, mend = "ok     " if one.is_there else "missing", f". {one.mend}" if one.mend else ""
-                console.print(f"  {state}  {one.what}: {one.found}{'' if one.is_there else mend}", soft_wrap=True)
+                console.print(
+                    f"  {state}  {one.what}: {one.found}{'' if one.is_there else mend}", soft_wrap=True
+                )
 
     told = {name: [asdict(one) for one in checks] for name, checks in report.items()}
     return Answer(told, "", people=people)

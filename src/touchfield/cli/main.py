@@ -1,7 +1,8 @@
-"""The `touchfield` command: a command's room is opened when the command is asked for, all of them for the help.
+"""The `touchfield` command: a command's room is opened when the command is asked for, all of them for the
+help.
 
-Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error is one line on stderr, of a command
-with ``--json`` one object.
+Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error is one line on stderr, of a
+command with ``--json`` one object.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ _SAMPLES = ", ".join(f"sample:{name}" for name in SAMPLES)
 Asked = dict[str, Any]
 """What was asked for by the options of `touchfield.cli.options.asks`."""
 
-Json = Annotated[bool, typer.Option("--json", help="Print one machine-readable object; an error, too, as one.")]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print one machine-readable object; an error, too, as one.")
+]
 Source = Annotated[str, typer.Argument(help=f"File or folder, or {_SAMPLES}.")]
 Stream = Annotated[str, typer.Argument(help="A .touch file, or the address of one: https://...")]
 
@@ -41,10 +44,13 @@ Stream = Annotated[str, typer.Argument(help="A .touch file, or the address of on
 def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Callable[..., Any]], Any]:
     """Make a function a command, in a panel of the help, with examples at the end of its own help.
 
-    A parameter ``Annotated[TYPE, "words"]`` is an argument, or with a default an option of its name; `asked` are
-    those of `touchfield.cli.options.asks`. One that returns an `Answer` is given ``--json``, and that is printed.
+    A parameter ``Annotated[TYPE, "words"]`` is an argument, or with a default an option of its name; `asked`
+    are those of `touchfield.cli.options.asks`. One that returns an `Answer` is given ``--json``, and that is
+    printed.
     """
-    epilog = "\n\n".join(["Examples:", *(f"touchfield {example}" for example in examples)]) if examples else None
+    epilog = (
+        "\n\n".join(["Examples:", *(f"touchfield {example}" for example in examples)]) if examples else None
+    )
 
     def register(function: Any) -> Any:
         signature = inspect.signature(function, eval_str=True)
@@ -110,7 +116,8 @@ def _described(parameter: inspect.Parameter) -> inspect.Parameter:
     return parameter.replace(kind=BY_NAME, annotation=Annotated[parameter.annotation.__origin__, declaration])
 
 
-# typer carries a click of its own in some versions and imports it in others; its errors' base is found either way
+# typer carries a click of its own in some versions and imports it in others; its errors' base is found either
+# way
 USAGE_ERROR: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 TYPER_INTERRUPTED = 130
@@ -165,7 +172,9 @@ def run(arguments: list[str] | None = None, commands: typer.Typer = app) -> None
     """The console entry point."""
     # a request to end (a job scheduler, `timeout`) cleans up as Ctrl-C does
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    if isinstance(sys.stdout, io.TextIOWrapper):  # a name may have letters that the terminal's encoding has not
+    if isinstance(
+        sys.stdout, io.TextIOWrapper
+    ):  # a name may have letters that the terminal's encoding has not
         sys.stdout.reconfigure(errors="backslashreplace")
     sys.exit(_exit_code(arguments, commands))
 
@@ -177,7 +186,9 @@ def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
 
     def say(text: str, code: int, kind: str) -> int:
         line = " ".join(text.split())
-        told = json.dumps({"error": line, "kind": kind, "exit_code": code}) if as_json else f"touchfield: {line}"
+        told = (
+            json.dumps({"error": line, "kind": kind, "exit_code": code}) if as_json else f"touchfield: {line}"
+        )
         sys.stderr.write(told + "\n")
         return code
 

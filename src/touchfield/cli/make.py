@@ -54,7 +54,9 @@ def encode(
     source: Source,
     to: Annotated[
         str,
-        typer.Argument(metavar="OUT", help="The .touch file, also s3://...; or OUT.zarr, tiles of a huge lattice."),
+        typer.Argument(
+            metavar="OUT", help="The .touch file, also s3://...; or OUT.zarr, tiles of a huge lattice."
+        ),
     ],
     workers: Workers = None,
     device_compute: DeviceCompute = "cpu",
@@ -67,11 +69,17 @@ def encode(
     if is_remote(to) and (target is not None or out.suffix == ".zarr"):
         raise InvalidArgument("targets and .zarr work with a path, not with an address")
     if target is not None and workers is not None:
-        raise InvalidArgument(f"--workers works without {target.option}: one encoding after another finds a target")
+        raise InvalidArgument(
+            f"--workers works without {target.option}: one encoding after another finds a target"
+        )
     if target is not None and out.suffix == ".zarr":
         raise InvalidArgument(f"{target.option} works with OUT.touch, not with .zarr")
     later = LATER.get(spec.coder, ())
-    with computing(device_compute), progress("encode", later=later) as report, executor_of(workers) as executor:
+    with (
+        computing(device_compute),
+        progress("encode", later=later) as report,
+        executor_of(workers) as executor,
+    ):
         if out.suffix == ".zarr":
             tiled = pipeline.encode_tiles(source, out, spec, report, executor)
             return Answer(tiled.summary(), str(out), tiled.notes)
@@ -89,7 +97,8 @@ def filter_(
     source: Source,
     out: Annotated[Path, "OUT.touch, or the filtered field: FIELD.npz, FIELD.vti."],
     with_report: Annotated[
-        bool, typer.Option("--report", help="Also measure what each filter does: bits, energy, what a hand feels.")
+        bool,
+        typer.Option("--report", help="Also measure what each filter does: bits, energy, what a hand feels."),
     ] = False,
     workers: Workers = None,
 ) -> Answer:
@@ -138,9 +147,13 @@ def field(
     preview: Annotated[Path | None, "PNG to draw: where the scene lies in the workspace."] = None,
     device_compute: DeviceCompute = "cpu",
 ) -> Answer:
-    """Write the device-filtered force field before coding, what `encode` starts from; or draw it, with --preview."""
+    """Write the device-filtered force field before coding, what `encode` starts from; or draw it, with
+    --preview.
+    """
     if out is None and preview is None:
-        raise InvalidArgument("touchfield field makes FIELD.npz or FIELD.vti, or draws --preview PNG: name one")
+        raise InvalidArgument(
+            "touchfield field makes FIELD.npz or FIELD.vti, or draws --preview PNG: name one"
+        )
     check_results((source,), preview, out)
     shown: dict[str, Any] = {}
     with computing(device_compute), progress("field") as report:
@@ -159,7 +172,8 @@ def plan(
     asked: Asked,
     source: Source,
     budget: Annotated[
-        str, typer.Option(help="What to keep to: a rate such as 64kbit/s, or bytes of the file, such as 60kB.")
+        str,
+        typer.Option(help="What to keep to: a rate such as 64kbit/s, or bytes of the file, such as 60kB."),
     ],
     k: Annotated[list[float] | None, "Weber fraction to try; may be repeated."] = None,
     effort: Annotated[str, "fast or default, as of encode."] = "fast",
@@ -183,7 +197,9 @@ def plan(
 
 
 def _options(plan: Plan, asked: dict[str, Any]) -> list[str]:
-    """The options with which `encode` makes the choice: its settings, and those of the scene as they were given."""
+    """The options with which `encode` makes the choice: its settings, and those of the scene as they were
+    given.
+    """
     words = [*plan.chosen.options.split(), "--representation", "voxel"]
     if plan.chosen.spec.coder == "touch":
         words += ["--effort", plan.chosen.spec.touch.effort]
@@ -229,14 +245,20 @@ def _cells(plan: Plan, trial: Trial) -> tuple[str, ...]:
 )
 def export(
     stream: Stream,
-    out: Annotated[Path, "OUT.hjif (ISO/IEC 23090-31), .tact (bHaptics), .wav, .haptic (Meta), .ahap or .html."],
-    device: Annotated[str | None, "Profile: the array whose drives are written; default: the stream's."] = None,
+    out: Annotated[
+        Path, "OUT.hjif (ISO/IEC 23090-31), .tact (bHaptics), .wav, .haptic (Meta), .ahap or .html."
+    ],
+    device: Annotated[
+        str | None, "Profile: the array whose drives are written; default: the stream's."
+    ] = None,
     trajectory: Annotated[Path | None, "Where the probe goes: CSV of t_s,x_m,y_m,z_m."] = None,
     panel: Annotated[str, "Of an array with two panels: front or back."] = "front",
     full_scale_n: Annotated[float, "A force as .hjif: newtons told as 1, for readers that clip there."] = 1.0,
     source: Annotated[str | None, "SOURCE of the file: the page shows it, and the difference, too."] = None,
 ) -> Answer:
-    """Write STREAM in another format: drives of an array, the force along --trajectory, or a page for any browser."""
+    """Write STREAM in another format: drives of an array, the force along --trajectory, or a page for any
+    browser.
+    """
     from touchfield.tasks.exchange import export as run
 
     check_results((stream, trajectory, source), out)

@@ -23,14 +23,17 @@ from touchfield.sources.options import SourceOptions
 DeviceCompute = Annotated[
     str,
     typer.Option(
-        "--device-compute", help="Where forces of depth pictures are computed: cpu, cuda (extra cuda), or auto."
+        "--device-compute",
+        help="Where forces of depth pictures are computed: cpu, cuda (extra cuda), or auto.",
     ),
 ]
 """Of a command that makes fields of a scene."""
 
 Workers = Annotated[
     str | None,
-    typer.Option("--workers", help="Who does the work: processes:N of this machine, or dask:ADDRESS, a scheduler."),
+    typer.Option(
+        "--workers", help="Who does the work: processes:N of this machine, or dask:ADDRESS, a scheduler."
+    ),
 ]
 
 
@@ -50,7 +53,9 @@ class Row(NamedTuple):
 
 
 def _kind(annotation: Any) -> Any:
-    """By the annotation of a field its type on the command line; what is none of `KINDS` is asked for in words."""
+    """By the annotation of a field its type on the command line; what is none of `KINDS` is asked for in
+    words.
+    """
     words = annotation.__name__ if isinstance(annotation, type) else str(annotation)
     name, none, _ = words.partition(" | None")
     kind, *_ = KINDS.get(name, KINDS["str"])
@@ -60,7 +65,9 @@ def _kind(annotation: Any) -> Any:
 def rows_of(spec: Any, panel: str | None = None, *names: str) -> tuple[Row, ...]:
     """The fields of a spec that are options (`touchfield.options`): all, or those of these names."""
     asked = [one for one in fields(spec) if one.metadata and (not names or one.name in names)]
-    return tuple(Row(dashed(one.name), _kind(one.type), one.default, one.metadata["help"], panel) for one in asked)
+    return tuple(
+        Row(dashed(one.name), _kind(one.type), one.default, one.metadata["help"], panel) for one in asked
+    )
 
 
 def rows(panel: str, *options: tuple[str, Any, Any, str]) -> tuple[Row, ...]:
@@ -119,8 +126,18 @@ CODER: Final = _coder_rows()
 
 TARGET: Final = rows(
     "Coder",
-    ("target-nmse-db", float | None, None, "touch: the NMSE to reach, dB, such as -25; mode nmse unless asked."),
-    ("target-bytes", int | None, None, "touch: the size to reach: k (mode nmse: the step) is raised until it fits."),
+    (
+        "target-nmse-db",
+        float | None,
+        None,
+        "touch: the NMSE to reach, dB, such as -25; mode nmse unless asked.",
+    ),
+    (
+        "target-bytes",
+        int | None,
+        None,
+        "touch: the size to reach: k (mode nmse: the step) is raised until it fits.",
+    ),
 )
 
 
@@ -132,7 +149,12 @@ def address_rows(port: int, verb: str) -> tuple[Row, ...]:
         ("port", int, port, "Port; 0: a free one."),
         ("token", str | None, None, "Word that a receiver must bring: ...?token=WORD."),
         ("open", bool, False, f"Let anyone {verb} who reaches the address."),
-        ("cors", list[str] | None, None, "Origin of web pages that may read, such as https://example.org; or *."),
+        (
+            "cors",
+            list[str] | None,
+            None,
+            "Origin of web pages that may read, such as https://example.org; or *.",
+        ),
     )
 
 
@@ -175,7 +197,9 @@ def frames_of(option: str, text: str | None) -> Frames | None:
     return first, last
 
 
-def numbers_of(option: str, text: str | None, counts: Sequence[int], expected: str, kind: type = float) -> Any:
+def numbers_of(
+    option: str, text: str | None, counts: Sequence[int], expected: str, kind: type = float
+) -> Any:
     """The numbers between commas, as a tuple; there must be as many as one of `counts`."""
     try:
         numbers = tuple(kind(word) for word in (text or "").split(","))
@@ -196,7 +220,9 @@ def _coder(asked: dict[str, Any]) -> dict[str, Any]:
     word, coders = asked["coder"], field_coders().values()
     own = next((one for one in coders if word in one.makers), None)
     if own is None:
-        raise InvalidArgument("--coder", repr(word), f"one of {', '.join(w for one in coders for w in one.makers)}")
+        raise InvalidArgument(
+            "--coder", repr(word), f"one of {', '.join(w for one in coders for w in one.makers)}"
+        )
     values = {key: value for key, value in asked.items() if value is not None and value is not False}
     taken = {*_options_of(own), *own.hints}
     for other in coders:

@@ -48,5 +48,9 @@ def decode(stream: Stream, out: Annotated[Path, "FIELD.npz, or FIELD.vti for Par
     keep_sources(out, stream)
     with open_stream(stream) as opened, progress("decode", compiles=not opened.is_native) as report:
         written = write_field(out, opened.medium, report, opened.placement)
-        shown = {"file": str(written), "frames": len(opened.medium), "grid_shape": list(opened.medium.grid.shape)}
+        shown = {
+            "file": str(written),
+            "frames": len(opened.medium),
+            "grid_shape": list(opened.medium.grid.shape),
+        }
     return Answer(shown, str(written))

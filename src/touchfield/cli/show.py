@@ -1,4 +1,6 @@
-"""The command line as its user meets it: tables, notes, one JSON object, progress bars; and no source overwritten."""
+"""The command line as its user meets it: tables, notes, one JSON object, progress bars; and no source
+overwritten.
+"""
 
 from __future__ import annotations
 
@@ -44,10 +46,11 @@ def literal_console() -> Console:
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer of a command: for programs values by stable keys and notes, as one object; for people under a title.
+    """Answer of a command: for programs values by stable keys and notes, as one object; for people under a
+    title.
 
-    Of `tables` each is the key of rows that people see beside each other, and the words above them; where `people` is
-    given it prints in place of all this.
+    Of `tables` each is the key of rows that people see beside each other, and the words above them; where
+    `people` is given it prints in place of all this.
     """
 
     values: Mapping[str, Any]
@@ -66,7 +69,9 @@ class Answer:
             self.people()
         else:
             literal_console().print(self.title, style="bold", soft_wrap=True)
-            lines = [(name, _text(value, name)) for name, value in self.values.items() if name not in self.tables]
+            lines = [
+                (name, _text(value, name)) for name, value in self.values.items() if name not in self.tables
+            ]
             if lines:
                 show_table(lines)
             show_notes(self.notes)
@@ -157,7 +162,9 @@ def _text(value: Any, name: str = "") -> str:
 
 
 @contextmanager
-def progress(what: str, later: Sequence[str] = (), compiles: bool = True) -> Iterator[Callable[[int, int], None]]:
+def progress(
+    what: str, later: Sequence[str] = (), compiles: bool = True
+) -> Iterator[Callable[[int, int], None]]:
     """A bar with the time left on a terminal, nothing elsewhere; yields ``report(done, total)``.
 
     `later` are the kernels that helpers compile ahead, if any need be compiled; without `compiles` none does.
@@ -185,8 +192,9 @@ def compilation_told(tell: Callable[[str], None], later: Sequence[str] = ()) -> 
     """Tell, in one line, that kernels are compiled, and have helpers compile those of `later`.
 
     Where all come from the cache nothing is told, and no helper started.
-    While they are, no garbage is collected: a compiler makes little of it, and a seventh of its time went there. An
-    interrupt that comes where a compiler lets none out, and would go on or fail, ends the job like any other.
+    While they are, no garbage is collected: a compiler makes little of it, and a seventh of its time went
+    there. An interrupt that comes where a compiler lets none out, and would go on or fail, ends the job like
+    any other.
     """
     import gc
 
@@ -202,7 +210,10 @@ def compilation_told(tell: Callable[[str], None], later: Sequence[str] = ()) -> 
             self.depth += 1
             if not self.told:
                 self.told = True
-                tell("compiling kernels, once: some 10 to 30 s, kept for later runs (touchfield warmup compiles all)")
+                tell(
+                    "compiling kernels, once: some 10 to 30 s, kept for later runs (touchfield warmup "
+                    "compiles all)"
+                )
                 start_helpers()
             gc.disable()
 

@@ -1,4 +1,6 @@
-"""Coders: `registry` lists them; `touch` is the default, `paper` the paper's, `objects` codes bodies with poses."""
+"""Coders: `registry` lists them; `touch` is the default, `paper` the paper's, `objects` codes bodies with
+poses.
+"""
 
 from typing import TYPE_CHECKING
 

@@ -1,13 +1,13 @@
 """Bits: a binary range coder, adaptive chances, and their mixing (docs/format/bits.md).
 
-A range coder of 48 bits that moves words of 16: `X` is the low end of the interval (encoder, with a carry into what
-is written) or the distance of the code from it (decoder). A chance has 22 bits and a count of what it has seen in
-one number of 32 bits. Several chances are mixed on the logistic scale by weights that learn as well. All is of whole
-numbers below 2^62, the tables too: equal bytes on every machine. The same functions write and read: a caller gives
-the bit, or anything when reading, and takes what is returned.
+A range coder of 48 bits that moves words of 16: `X` is the low end of the interval (encoder, with a carry
+into what is written) or the distance of the code from it (decoder). A chance has 22 bits and a count of what
+it has seen in one number of 32 bits. Several chances are mixed on the logistic scale by weights that learn as
+well. All is of whole numbers below 2^62, the tables too: equal bytes on every machine. The same functions
+write and read: a caller gives the bit, or anything when reading, and takes what is returned.
 
-On these stand the loops of the support (a bit for each box of the octree of bricks, and for each sample) and of whole
-numbers, each told by its sign and its binary digits in contexts of the three before it.
+On these stand the loops of the support (a bit for each box of the octree of bricks, and for each sample) and
+of whole numbers, each told by its sign and its binary digits in contexts of the three before it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,11 @@ def _logistic_tables() -> tuple[Int32s, Int32s, Int32s]:
     squash = np.array([65536 - p for p in reversed(half[1:])] + half, np.int64)
     stretch = np.searchsorted(squash, 16 * np.arange(4096) + 8) - _REACH
     rates = (1 << 20) // (2 * np.arange(1024) + 3)
-    return np.clip(squash, _FLOOR, 65536 - _FLOOR).astype(np.int32), stretch.astype(np.int32), rates.astype(np.int32)
+    return (
+        np.clip(squash, _FLOOR, 65536 - _FLOOR).astype(np.int32),
+        stretch.astype(np.int32),
+        rates.astype(np.int32),
+    )
 
 
 SQUASH, STRETCH, RATES = _logistic_tables()
@@ -236,7 +240,9 @@ class Level(NamedTuple):
     left: Int64s  # left, found: [parents]; children not told yet, and those that hold bricks
     found: Int64s
     before: NDArray[np.uint8]  # [n + 1]; 1 where the list known before has bricks; the last is 0
-    state: NDArray[np.uint8]  # [n + 1]; `UNKNOWN`, and when told 1 or 0; the last, of all that is not listed, is 0
+    state: NDArray[
+        np.uint8
+    ]  # [n + 1]; `UNKNOWN`, and when told 1 or 0; the last, of all that is not listed, is 0
     steps: Int64s  # steps, places: [12]; from a key to its neighbours', and where in `keys` they are
     places: Int64s
 
@@ -287,11 +293,12 @@ _LATE: Final = (0, -1, 1, -12, 12, -144, 144)
 class Samples(NamedTuple):
     """The samples of n bricks, beside m that both sides know."""
 
-    # [n + 1, 512]; 1 where a sample is set, as far as it is told; the last brick, of all that are not listed, is 0
+    # [n + 1, 512]; 1 where a sample is set, as far as it is told; the last brick, of all that are not listed,
+    # is 0
     held: NDArray[np.uint8]
     before: NDArray[np.uint8]  # [m + 1, 512]; the same of the support before
-    # around, around_before: [n, 27]; places in both of each brick and of those around it, x slowest; -1 of those not
-    # listed
+    # around, around_before: [n, 27]; places in both of each brick and of those around it, x slowest; -1 of
+    # those not listed
     around: Int64s
     around_before: Int64s
     inside: Int64s  # [n, 3]; samples of a brick within the grid
@@ -302,7 +309,9 @@ class Samples(NamedTuple):
 
 @entry
 def code_samples(bits, contexts_at, sets_at, samples, wanted):
-    """Tell which samples are set, when writing those `wanted`, uint8 [n, 512]; a code that is too short ends it."""
+    """Tell which samples are set, when writing those `wanted`, uint8 [n, 512]; a code that is too short ends
+    it.
+    """
     held, window, old = samples.held, samples.window, samples.old
     for brick in range(wanted.shape[0]):
         if bits.state[TASK] == READING and bits.state[PLACE] > bits.buffer.shape[0] + 6:
@@ -323,7 +332,9 @@ def code_samples(bits, contexts_at, sets_at, samples, wanted):
                         late |= np.int64(old[here + _LATE[k]]) << k
                     bits.inputs[0] = contexts_at + mask
                     bits.inputs[1] = contexts_at + _OLD + (late << 3 | mask & 7)
-                    window[here] = mix(bits, np.int64(2), sets_at + (mask & 7), np.int64(wanted[brick, place]))
+                    window[here] = mix(
+                        bits, np.int64(2), sets_at + (mask & 7), np.int64(wanted[brick, place])
+                    )
                     held[brick, place] = window[here]
 
 

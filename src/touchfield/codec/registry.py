@@ -1,8 +1,8 @@
 """The coders: one entry each, by the name that a file gives.
 
-An entry is a `Coder`: of this package ``CODER`` of a module in `ENTRIES`, of other distributions an entry point of
-the group ``touchfield.coders``, whose name is the coder's. Entries are light: classes that code are named, and
-imported when they are first used.
+An entry is a `Coder`: of this package ``CODER`` of a module in `ENTRIES`, of other distributions an entry
+point of the group ``touchfield.coders``, whose name is the coder's. Entries are light: classes that code are
+named, and imported when they are first used.
 """
 
 from __future__ import annotations
@@ -63,7 +63,9 @@ class AmendingEncoder(FieldEncoder, Protocol):
     def with_exact_samples(
         self, segment: CodedSegment, frames: Sequence[ForceField], samples: Sequence[Int64s]
     ) -> CodedSegment:
-        """The segment with these samples exact; numbers 512 key of the brick + sample, int64 [m] of each frame."""
+        """The segment with these samples exact; numbers 512 key of the brick + sample, int64 [m] of each
+        frame.
+        """
 
 
 class FieldDecoder(Protocol):
@@ -90,9 +92,11 @@ class Coder:
     decoder: str
     # what may be asked of it, a frozen dataclass with `k` and `segment_frames`; None for what codes no fields
     spec: type[Any] | None = None
-    # the words of ``--coder`` that mean this coder, each with what makes a spec of the options that were given
+    # the words of ``--coder`` that mean this coder, each with what makes a spec of the options that were
+    # given
     makers: Mapping[str, Callable[[dict[str, Any]], Any]] = field(default_factory=dict)
-    # words of the makers that are no field of the spec, each with its type and its help (`touchfield.options`)
+    # words of the makers that are no field of the spec, each with its type and its help
+    # (`touchfield.options`)
     words: Mapping[str, tuple[type, str]] = field(default_factory=dict)
     options: tuple[str, ...] = ()  # the order of both on the command line, if it is another
     hints: tuple[str, ...] = ()  # keys of options of other rooms that its makers want to see
@@ -138,9 +142,13 @@ def coder(name: str, where: str = "HEAD.coder") -> Coder:
     """The entry of a coder; UnsupportedVersion if there is none, `where` being the field that names it."""
     if name not in names():
         known = " or ".join(map(repr, names()))
-        raise UnsupportedVersion(where, repr(name), known, "A newer touchfield reads it, or a plug-in for this coder.")
+        raise UnsupportedVersion(
+            where, repr(name), known, "A newer touchfield reads it, or a plug-in for this coder."
+        )
     entry: Coder = (
-        resolve_name(f"{ENTRIES[name]}:CODER") if name in ENTRIES else plugins("touchfield.coders", Coder)[name]
+        resolve_name(f"{ENTRIES[name]}:CODER")
+        if name in ENTRIES
+        else plugins("touchfield.coders", Coder)[name]
     )
     return entry
 
@@ -162,7 +170,8 @@ def field_encoder(grid: Grid, spec: object) -> FieldEncoder:
 def field_decoder(name: str, grid: Grid, parameters: bytes, where: str = "OBJT") -> FieldDecoder:
     """A decoder of the fields of an object, on its own lattice; `where` is its record.
 
-    UnsupportedVersion if there is no such coder of fields, CorruptFile if the parameters are not those of the coder.
+    UnsupportedVersion if there is no such coder of fields, CorruptFile if the parameters are not those of the
+    coder.
     """
     found = coder(name, f"{where} field_coder")
     if found.spec is None:

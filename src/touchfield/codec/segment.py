@@ -1,8 +1,8 @@
 """A segment: its length where nobody asks for one, its bytes, and what each of its frames cost.
 
-Paper eq. 9, literal: CR = (C_a + C_d) / (m V 96) with C_a, C_d the lengths in bits of the coded amplitudes and
-directions (the paper calls them vectors), m frames, V voxels of the device lattice, 96 bits a vector. It omits
-the support, the code tables and the headers; CR full counts every bit of the file.
+Paper eq. 9, literal: CR = (C_a + C_d) / (m V 96) with C_a, C_d the lengths in bits of the coded amplitudes
+and directions (the paper calls them vectors), m frames, V voxels of the device lattice, 96 bits a vector. It
+omits the support, the code tables and the headers; CR full counts every bit of the file.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
 SEGMENT_S: Final = 0.5
-"""Seconds of the medium that a receiver which joins in the middle, or seeks, decodes before its first frame."""
+"""Seconds of the medium that a receiver which joins in the middle, or seeks, decodes before its first frame.
+
+"""
 
 LEAST_FRAMES: Final = 8
 """Of slow media: what a first frame takes more than one that follows is spread over so many."""
@@ -24,7 +26,9 @@ MOST_FRAMES: Final = 64
 
 
 STILL_S: Final = 1.0
-"""Of a world that stands: a frame that is the one before again costs a few bytes and no time, and ends no segment."""
+"""Of a world that stands: a frame that is the one before again costs a few bytes and no time, and ends no
+segment.
+"""
 
 
 def segment_length(asked: int | None, rate_hz: float, seconds: float = SEGMENT_S) -> int:
@@ -109,7 +113,9 @@ RATIO_STEPS: Final = 65535
 
 
 class Worst(NamedTuple):
-    """The voxel of a segment whose error is the largest share of what is allowed, 0 to 1: share, frame and index."""
+    """The voxel of a segment whose error is the largest share of what is allowed, 0 to 1: share, frame and
+    index.
+    """
 
     ratio: float
     frame: int
@@ -117,7 +123,8 @@ class Worst(NamedTuple):
 
     @property
     def rounded_up(self) -> int:
-        """The ratio in steps of 1 / `RATIO_STEPS`; AssertionError if it proves no bound, as NaN or one above 1.
+        """The ratio in steps of 1 / `RATIO_STEPS`; AssertionError if it proves no bound, as NaN or one
+        above 1.
 
         It is the guarantee itself and no statistic: to saturate it would state a bound that is not kept.
         """
@@ -136,7 +143,12 @@ def promise_kept(segments: Iterable[tuple[int, Worst | None]]) -> dict[str, Any]
     if not known or len(known) < len(every):
         return dict.fromkeys(PROMISE_KEYS)
     ratio, frame, voxel = max(known, key=lambda worst: worst.ratio)
-    return {"promise_kept": ratio <= 1, "worst_mask_ratio": ratio, "worst_frame": frame, "worst_voxel": list(voxel)}
+    return {
+        "promise_kept": ratio <= 1,
+        "worst_mask_ratio": ratio,
+        "worst_frame": frame,
+        "worst_voxel": list(voxel),
+    }
 
 
 class BoundRule(NamedTuple):
@@ -163,10 +175,13 @@ BOUND_KEYS: Final = ("error_bound", "error_bound_note", *PROMISE_KEYS)
 def bound_keys(rule: BoundRule, promise: Mapping[str, Any]) -> dict[str, Any]:
     """Keys of the error bound that is proved, of a coder's rule and the keys of `promise_kept`.
 
-    ``error_bound`` is the rule in words, or None; then ``error_bound_note`` says why, which commands print as a
-    warning.
+    ``error_bound`` is the rule in words, or None; then ``error_bound_note`` says why, which commands print as
+    a warning.
     """
     if rule.text is not None and promise.get("promise_kept"):
         return {"error_bound": rule.text}
-    reason = rule.reason or "a segment states no largest error: it was not written by touchfield, or it was changed"
+    reason = (
+        rule.reason
+        or "a segment states no largest error: it was not written by touchfield, or it was changed"
+    )
     return {"error_bound": None, "error_bound_note": f"no error bound is proved: {reason}"}

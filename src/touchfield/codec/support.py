@@ -1,11 +1,12 @@
-"""The support, coded without loss: which bricks of a frame there are, and which of their samples hold a force.
+"""The support, coded without loss: which bricks of a frame there are, and which of their samples hold a
+force.
 
 Paper section 5.2 codes amplitudes and directions of the supported samples and forgets to say where they are
-(docs/theory.md 42). The list of bricks is an octree, box by box and level by level: a box of 2^l bricks a side is
-told at level l; those below it only where it holds bricks. Each level runs in raster order (x slowest), so that a box
-knows half of its neighbours; of the others it knows whether their parents hold any. Then come the samples of each
-brick, x slowest, each with a chance learnt from its neighbours within two samples and, where it is given, from a
-support that is known already. Samples beyond the grid are not coded.
+(docs/theory.md 42). The list of bricks is an octree, box by box and level by level: a box of 2^l bricks a
+side is told at level l; those below it only where it holds bricks. Each level runs in raster order (x
+slowest), so that a box knows half of its neighbours; of the others it knows whether their parents hold any.
+Then come the samples of each brick, x slowest, each with a chance learnt from its neighbours within two
+samples and, where it is given, from a support that is known already. Samples beyond the grid are not coded.
 
 Whole numbers are bytes by the same arithmetic code (`encode_numbers`).
 """
@@ -61,11 +62,11 @@ def code_bricks(
 ) -> Int32s:  # fmt: skip
     """Write or read a list of bricks.
 
-    A reader holds the whole payload of the frame, whose length bounds the list; a writer has room for 320 bytes a
-    brick. `LIST_CONTEXTS` chances and `LIST_SETS` weights of the list begin at `contexts_at` and `sets_at`; the grid
-    has 2^20 bricks along an axis at most. `bricks`, int32 [n, 3], are distinct and within it, or None when reading;
-    `before`, int32 [m, 3], a list that both sides know. Returns int32 [n, 3], ascending, x slowest. CorruptFile if
-    the bytes tell of more bricks than they may.
+    A reader holds the whole payload of the frame, whose length bounds the list; a writer has room for 320
+    bytes a brick. `LIST_CONTEXTS` chances and `LIST_SETS` weights of the list begin at `contexts_at` and
+    `sets_at`; the grid has 2^20 bricks along an axis at most. `bricks`, int32 [n, 3], are distinct and within
+    it, or None when reading; `before`, int32 [m, 3], a list that both sides know. Returns int32 [n, 3],
+    ascending, x slowest. CorruptFile if the bytes tell of more bricks than they may.
     """
     none = np.zeros((0, 3), np.int32)
     wanted, known = none if bricks is None else bricks, none if before is None else before
@@ -128,10 +129,11 @@ def code_support(
 ) -> Bricks:
     """Write or read a support.
 
-    A reader's length bounds the bricks, as `code_bricks` says; a writer has `ROOM` bytes a brick, and 64. `CONTEXTS`
-    chances and `SETS` weights begin at `contexts_at` and `sets_at`. The bricks `wanted` ascend, with a sample in each
-    and none beyond the grid, or are None when reading; `before` is a support that both sides know, of the same grid.
-    TruncatedFile or CorruptFile if the code ends too early, lists more bricks than it may, or one without a sample.
+    A reader's length bounds the bricks, as `code_bricks` says; a writer has `ROOM` bytes a brick, and 64.
+    `CONTEXTS` chances and `SETS` weights begin at `contexts_at` and `sets_at`. The bricks `wanted` ascend,
+    with a sample in each and none beyond the grid, or are None when reading; `before` is a support that both
+    sides know, of the same grid. TruncatedFile or CorruptFile if the code ends too early, lists more bricks
+    than it may, or one without a sample.
     """
     none = np.zeros((0, 3), np.int32), np.zeros((0, BRICK, BRICK, BRICK), np.bool_)
     known = none if before is None else before
@@ -163,13 +165,19 @@ def encode_support(grid: Grid, bricks: Int32s, mask: Bools, previous: Bricks | N
     """The bytes of a support by itself; InvalidArgument if it is none that `code_support` takes."""
     bits = writer(len(bricks) * ROOM + 64, fresh(CONTEXTS, SETS))
     told = code_support(bits, 0, 0, grid, (bricks, mask), previous)
-    if not (np.array_equal(told[0], bricks) and np.array_equal(told[1], mask) and mask.any(axis=(1, 2, 3)).all()):
-        raise InvalidArgument("support", "bricks out of order, or samples beyond the grid", "those of a field")
+    if not (
+        np.array_equal(told[0], bricks) and np.array_equal(told[1], mask) and mask.any(axis=(1, 2, 3)).all()
+    ):
+        raise InvalidArgument(
+            "support", "bricks out of order, or samples beyond the grid", "those of a field"
+        )
     return padded(end_of(bits), len(bricks))
 
 
 def decode_support(data: bytes, grid: Grid, previous: Bricks | None = None) -> Bricks:
-    """The inverse of `encode_support`; TruncatedFile or CorruptFile for other bytes. A byte takes 40 KiB at most."""
+    """The inverse of `encode_support`; TruncatedFile or CorruptFile for other bytes. A byte takes 40 KiB at
+    most.
+    """
     bits = reader(data, fresh(CONTEXTS, SETS))
     found = code_support(bits, 0, 0, grid, None, previous)
     check_end(bits, len(found[0]), _WHERE)
@@ -183,14 +191,18 @@ def encode_numbers(numbers: NDArray[np.integer]) -> bytes:
     """The code of whole numbers [n]. InvalidArgument if one is beyond `LARGEST`."""
     told = np.array(numbers, np.int64)
     if told.ndim != 1 or (len(told) and np.abs(told).max() > LARGEST):
-        raise InvalidArgument("numbers", f"shape {told.shape}, or one beyond 2^30 - 1", "one axis of smaller ones")
+        raise InvalidArgument(
+            "numbers", f"shape {told.shape}, or one beyond 2^30 - 1", "one axis of smaller ones"
+        )
     bits = writer(NUMBER_ROOM * len(told) + 64, fresh(NUMBER_CONTEXTS, NUMBER_SETS))
     code_numbers(bits, 0, 0, told)
     return end_of(bits)
 
 
 def decode_numbers(data: bytes, count: int) -> Int64s:
-    """The inverse of `encode_numbers`: int64 [count], a sound one; TruncatedFile or CorruptFile for other bytes."""
+    """The inverse of `encode_numbers`: int64 [count], a sound one; TruncatedFile or CorruptFile for other
+    bytes.
+    """
     bits, numbers = reader(data, fresh(NUMBER_CONTEXTS, NUMBER_SETS)), np.zeros(count, np.int64)
     code_numbers(bits, 0, 0, numbers)
     check_end(bits, 0, "whole numbers")

@@ -12,7 +12,9 @@ VARINT_LIMIT = 1 << 56  # values lie below this: eight bytes at most
 
 
 def write_varint(value: int) -> bytes:
-    """`value`, 0 to below `VARINT_LIMIT` (else InvalidArgument), as bytes: one below 128, two below 16384, ..."""
+    """`value`, 0 to below `VARINT_LIMIT` (else InvalidArgument), as bytes: one below 128, two below 16384,
+    ...
+    """
     if not 0 <= value < VARINT_LIMIT:
         raise InvalidArgument("varint", repr(value), f"0 to {VARINT_LIMIT - 1}")
     out = bytearray()
@@ -26,7 +28,8 @@ def write_varint(value: int) -> bytes:
 def read_varint(
     data: bytes, offset: int, where: str = "varint", limit: int = VARINT_LIMIT, least: int = 0
 ) -> tuple[int, int]:
-    """The value at `offset` of `data`, and the offset behind it; TruncatedFile or CorruptFile, which name `where`.
+    """The value at `offset` of `data`, and the offset behind it; TruncatedFile or CorruptFile, which name
+    `where`.
 
     It must be `least` or more, below `limit`, and in its shortest form.
     """

@@ -1,10 +1,11 @@
-"""Vibration beside force, coded: which samples vibrate, how strongly and how fast (start of paper section 6.4).
+"""Vibration beside force, coded: which samples vibrate, how strongly and how fast (start of paper section
+6.4).
 
-Only whole numbers travel. The amplitude is one of four steps an octave, so that it is off by a ninth at most: less
-than the least difference that is felt (a fifth, perception/human.toml). The frequency is in whole hertz. Where
-samples vibrate is a support as that of the force, each given the frame before; amplitude and frequency are
-differences to the same sample in the frame before, or else to the sample before. docs/format/vibration.md tells the
-bytes.
+Only whole numbers travel. The amplitude is one of four steps an octave, so that it is off by a ninth at most:
+less than the least difference that is felt (a fifth, perception/human.toml). The frequency is in whole hertz.
+Where samples vibrate is a support as that of the force, each given the frame before; amplitude and frequency
+are differences to the same sample in the frame before, or else to the sample before. docs/format/vibration.md
+tells the bytes.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationFrame
 
 _IN_OCTAVE: Final = 4
 _LEAST_EXPONENT: Final = -22
-AMPLITUDE_STEPS: Final = 160  # step s is (4 + s mod 4) 2^(s // 4 - 22) newtons: 1 micronewton to 0.9 meganewton
+AMPLITUDE_STEPS: Final = (
+    160  # step s is (4 + s mod 4) 2^(s // 4 - 22) newtons: 1 micronewton to 0.9 meganewton
+)
 MOST_RELATIVE_ERROR: Final = 1 / 9  # of an amplitude: in the middle between steps 4 and 5 of an octave
 _MOST_HZ: Final = int(MAX_FREQUENCY_HZ)
 _BYTES_PER_SAMPLE: Final = 128  # what decoding takes for each sample at its height
@@ -42,7 +45,9 @@ _CHANGED: Final = "The file was changed or cut."
 
 
 class VibrationSymbols(NamedTuple):
-    """One frame in whole numbers, int32: samples [L, 3] in raster order, steps below `AMPLITUDE_STEPS`, and hertz."""
+    """One frame in whole numbers, int32: samples [L, 3] in raster order, steps below `AMPLITUDE_STEPS`, and
+    hertz.
+    """
 
     positions: Int32s
     amplitudes: Int32s
@@ -90,7 +95,10 @@ def encode_symbols(grid: Grid, frames: Sequence[VibrationSymbols]) -> bytes:
     supports = [_bricks_of(grid, one.positions) for one in frames]
     differences, before = [np.zeros((2, 0), np.int64)], _NOTHING
     for one in frames:
-        places, values = _places(grid, one.positions), np.stack([one.amplitudes, one.frequencies]).astype(np.int64)
+        places, values = (
+            _places(grid, one.positions),
+            np.stack([one.amplitudes, one.frequencies]).astype(np.int64),
+        )
         guess = np.append(np.zeros((2, 1), np.int64), values, axis=1)[:, :-1]
         same, past = _same_samples(before, places)
         guess[:, same] = past
@@ -98,7 +106,9 @@ def encode_symbols(grid: Grid, frames: Sequence[VibrationSymbols]) -> bytes:
         before = places, values
     numbers = np.concatenate(differences, axis=1)
     brick_count = sum(len(bricks) for bricks, _ in supports)
-    bits = writer(brick_count * support.ROOM + numbers.size * kernels.NUMBER_ROOM + 64, fresh(_CONTEXTS, _SETS))
+    bits = writer(
+        brick_count * support.ROOM + numbers.size * kernels.NUMBER_ROOM + 64, fresh(_CONTEXTS, _SETS)
+    )
     known: Bricks | None = None
     for bricks in supports:
         known = support.code_support(bits, 0, 0, grid, bricks, known)
@@ -109,9 +119,9 @@ def encode_symbols(grid: Grid, frames: Sequence[VibrationSymbols]) -> bytes:
 def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationSymbols]:
     """The inverse of `encode_symbols`.
 
-    Whatever the bytes, each asks for no more than 8192 samples, and the first for 32768. TruncatedFile or CorruptFile
-    if the bytes are not what `encode_symbols` writes. InvalidArgument if the samples would take more memory than
-    `memory_budget_bytes`.
+    Whatever the bytes, each asks for no more than 8192 samples, and the first for 32768. TruncatedFile or
+    CorruptFile if the bytes are not what `encode_symbols` writes. InvalidArgument if the samples would take
+    more memory than `memory_budget_bytes`.
     """
     bits = reader(body, fresh(_CONTEXTS, _SETS))
     known: Bricks | None = None
@@ -120,11 +130,16 @@ def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationS
         known = support.code_support(bits, 0, 0, grid, None, known)
         brick_count += _FRAME + len(known[0])
         if len(body) < len(padded(b"", brick_count)):
-            raise TruncatedFile(_WHERE, f"{len(body)} bytes", f"{len(padded(b'', brick_count))} or more to frame {i}")
+            raise TruncatedFile(
+                _WHERE, f"{len(body)} bytes", f"{len(padded(b'', brick_count))} or more to frame {i}"
+            )
         positions.append(_positions(*known))
         needed, allowed = sum(map(len, positions)) * _BYTES_PER_SAMPLE, memory_budget_bytes()
         if needed > allowed:
-            found, expected = f"{needed / 2**30:.1f} GiB of samples", f"at most {allowed / 2**30:.1f} GiB a segment"
+            found, expected = (
+                f"{needed / 2**30:.1f} GiB of samples",
+                f"at most {allowed / 2**30:.1f} GiB a segment",
+            )
             raise InvalidArgument(_WHERE, found, expected, "Set TOUCHFIELD_MEMORY_GIB.")
     numbers = np.zeros((2, sum(map(len, positions))), np.int64)
     _code_numbers(bits, numbers)

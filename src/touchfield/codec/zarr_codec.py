@@ -1,7 +1,7 @@
 """The coder `touch` as a codec of zarr, version 3: any program with zarr reads a field whose promise holds.
 
-A chunk [t, x, y, z, 3] of float32 newtons is one segment of t frames, with nothing around it; what a decoder must
-know beside it is the codec's configuration. Found by zarr through the entry point ``touchfield.touch``.
+A chunk [t, x, y, z, 3] of float32 newtons is one segment of t frames, with nothing around it; what a decoder
+must know beside it is the codec's configuration. Found by zarr through the entry point ``touchfield.touch``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ _recorded: list[list[float | None]] = []
 
 @contextmanager
 def recorded_ratios() -> Iterator[list[float | None]]:
-    """Largest errors, in units of the bound, of all chunks that are coded within the block; None of one without any.
+    """Largest errors, in units of the bound, of all chunks that are coded within the block; None of one
+    without any.
 
     Chunks are coded in threads of zarr's, so a block has those of all threads.
     """
@@ -93,7 +94,9 @@ class TouchCodec(ArrayBytesCodec):
         told = data.get("configuration") or {}
         known = (*_OPTIONS, "spacing_m")
         if not isinstance(told, dict) or not set(told) <= set(known):
-            raise InvalidArgument(f"codec {NAME}", f"a configuration {told!r}", f"values of {', '.join(known)}")
+            raise InvalidArgument(
+                f"codec {NAME}", f"a configuration {told!r}", f"values of {', '.join(known)}"
+            )
         if told.get("effort") == "max":  # of older arrays, which decode as others do
             told = {**told, "effort": TouchSpec.effort}
         return cls(**told)
@@ -106,7 +109,9 @@ class TouchCodec(ArrayBytesCodec):
     def validate(self, *, shape: tuple[int, ...], dtype: Any, chunk_grid: Any) -> None:
         """Refuse an array that holds no forces."""
         if len(shape) != 5 or shape[-1] != 3 or np.dtype(dtype.to_native_dtype()) != np.float32:
-            raise InvalidArgument(f"codec {NAME}", f"an array {dtype} {shape}", "float32 [t, x, y, z, 3], newtons")
+            raise InvalidArgument(
+                f"codec {NAME}", f"an array {dtype} {shape}", "float32 [t, x, y, z, 3], newtons"
+            )
 
     def compute_encoded_size(self, input_byte_length: int, _chunk_spec: Any) -> int:
         """Not known beforehand."""
@@ -114,7 +119,9 @@ class TouchCodec(ArrayBytesCodec):
 
     def _grid(self, shape: tuple[int, ...]) -> Grid:
         if len(shape) != 5 or shape[-1] != 3 or np.prod(shape) > 3 * _MOST_SAMPLES:
-            raise InvalidArgument(f"codec {NAME}", f"a chunk {shape}", "[t, x, y, z, 3], of 2^25 forces at most")
+            raise InvalidArgument(
+                f"codec {NAME}", f"a chunk {shape}", "[t, x, y, z, 3], of 2^25 forces at most"
+            )
         x, y, z = shape[1:4]
         return Grid((x, y, z), self.spacing_m, (0.0, 0.0, 0.0))
 

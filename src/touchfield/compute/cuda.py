@@ -1,8 +1,9 @@
 """Kernels on a GPU (extra ``cuda``): the processor's own functions, compiled once more for it by numba-cuda.
 
-A kernel is a loop ``kernel(begin, end, *arguments)`` over items that do not touch each other (`parallel.for_chunks`).
-Here each item gets a thread of its own, which runs the same loop from i to i + 1, so that there is one source for
-both. Such a kernel makes no array and takes its functions from `math`. No other module knows the library.
+A kernel is a loop ``kernel(begin, end, *arguments)`` over items that do not touch each other
+(`parallel.for_chunks`). Here each item gets a thread of its own, which runs the same loop from i to i + 1, so
+that there is one source for both. Such a kernel makes no array and takes its functions from `math`. No other
+module knows the library.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ def computing(where: str) -> Iterator[None]:
     if where not in COMPUTE:
         raise InvalidArgument("device compute", repr(where), f"one of {', '.join(COMPUTE)}")
     if where == "cuda" and not _cuda().is_available():
-        raise InvalidArgument("device compute", "cuda, and no GPU", "a GPU with its driver", "Take cpu, or auto.")
+        raise InvalidArgument(
+            "device compute", "cuda, and no GPU", "a GPU with its driver", "Take cpu, or auto."
+        )
     before = os.environ.get(_VARIABLE)
     os.environ[_VARIABLE] = where
     try:
@@ -74,8 +77,9 @@ def for_each(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
     """Call ``kernel(i, i + 1, *arguments)`` for each i of 0..count, each by a thread of the GPU.
 
     kernel : function compiled by numba for the processor, that makes no array.
-    arguments : numbers; arrays, or named tuples of them, that lie on the device: `on_device`, `empty`, or whatever
-        another library has there (``__dlpack__``, ``__cuda_array_interface__``), which is taken as it lies.
+    arguments : numbers; arrays, or named tuples of them, that lie on the device: `on_device`, `empty`, or
+        whatever another library has there (``__dlpack__``, ``__cuda_array_interface__``), which is taken as
+        it lies.
     """
     if count > 0:
         blocks = -(-count // _THREADS)
@@ -96,7 +100,9 @@ def empty(shape: int | tuple[int, ...], dtype: Any) -> Any:
 
 
 def filled(kernel: Callable[..., Any], count: int, arguments: tuple[Any, ...], shape: Any, dtype: Any) -> Any:
-    """An array on the device, all of which a kernel writes: its last argument. Those before it are copied there."""
+    """An array on the device, all of which a kernel writes: its last argument. Those before it are copied
+    there.
+    """
     out = empty(shape, dtype)
     for_each(kernel, count, *on_device(arguments), out)
     return out
@@ -108,7 +114,8 @@ def on_host(array: Any) -> np.ndarray[Any, Any]:
     return host
 
 
-# -- one source ----------------------------------------------------------------------------------------------------
+# -- one source
+# ----------------------------------------------------------------------------------------------------
 def _each(count, arguments):  # type: ignore[no-untyped-def]
     """The kernel of the GPU: `body` for the item whose turn this thread is."""
     i = cuda.grid(1)  # type: ignore[name-defined]  # noqa: F821
@@ -119,7 +126,9 @@ def _each(count, arguments):  # type: ignore[no-untyped-def]
 @cache
 def _launched(kernel: Any) -> Any:
     """A kernel of the GPU that runs one item of `kernel` a thread."""
-    return _cuda().jit(FunctionType(_each.__code__, {"cuda": _cuda(), "body": _for_device(kernel)}, kernel.__name__))
+    return _cuda().jit(
+        FunctionType(_each.__code__, {"cuda": _cuda(), "body": _for_device(kernel)}, kernel.__name__)
+    )
 
 
 @cache
@@ -127,7 +136,9 @@ def _for_device(kernel: Any) -> Any:
     """The function of a kernel for the GPU: the same code, its globals those functions' own for the GPU."""
     function = kernel.py_func
     own = {**function.__globals__, **_named(function.__globals__, function.__code__.co_names)}
-    copy = FunctionType(function.__code__, own, function.__name__, function.__defaults__, function.__closure__)
+    copy = FunctionType(
+        function.__code__, own, function.__name__, function.__defaults__, function.__closure__
+    )
     return _cuda().jit(copy, device=True)
 
 

@@ -20,14 +20,17 @@ from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, imp
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_MOST_SUBMITTED: Final = 256  # tasks that an executor is given before the first of their results is waited for
+_MOST_SUBMITTED: Final = (
+    256  # tasks that an executor is given before the first of their results is waited for
+)
 _MOST_PROCESSES: Final = 1024
 _PATIENCE_S: Final = 5  # for a scheduler that does not answer
 
 
 @contextmanager
 def executor_of(words: str | None) -> Iterator[Executor | None]:
-    """The executor of ``--workers``: ``processes:N`` of this machine, ``dask:ADDRESS``, dask's scheduler, or None.
+    """The executor of ``--workers``: ``processes:N`` of this machine, ``dask:ADDRESS``, dask's scheduler, or
+    None.
 
     InvalidArgument if the words are neither; SourceError if there is no scheduler at the address.
     """
@@ -51,7 +54,9 @@ def executor_of(words: str | None) -> Iterator[Executor | None]:
         with client:
             yield client.get_executor(pure=False)
     else:
-        raise InvalidArgument("--workers", repr(words), "processes:N, or dask:ADDRESS such as dask:tcp://host:8786")
+        raise InvalidArgument(
+            "--workers", repr(words), "processes:N, or dask:ADDRESS such as dask:tcp://host:8786"
+        )
 
 
 def in_order(
@@ -63,12 +68,12 @@ def in_order(
 ) -> Iterator[Result]:
     """``work(item)`` of each item in threads or by an executor, the results in the order of the items.
 
-    The items are drawn by the caller's thread, one at a time and only as there is room: at most one more than there
-    are threads is under way, and no second one while their weights, for example their bytes, exceed `most_weight` (0:
-    any). With one thread everything happens in the caller's. The first error, in the order of the items, ends it;
-    what was not begun is left. In threads `work` gains where it releases the interpreter's lock. Work and items are
-    sent to the workers of an `executor`, and weights are not looked at. SourceError if a worker is lost and its
-    executor cannot go on without it.
+    The items are drawn by the caller's thread, one at a time and only as there is room: at most one more than
+    there are threads is under way, and no second one while their weights, for example their bytes, exceed
+    `most_weight` (0: any). With one thread everything happens in the caller's. The first error, in the order
+    of the items, ends it; what was not begun is left. In threads `work` gains where it releases the
+    interpreter's lock. Work and items are sent to the workers of an `executor`, and weights are not looked
+    at. SourceError if a worker is lost and its executor cannot go on without it.
     """
     workers = worker_count()
     if executor is None and workers == 1:
@@ -84,7 +89,9 @@ def in_order(
             if executor is None:
                 raise
             found = f"that one ended before its work was done ({type(error).__name__}: {str(error)[:300]})"
-            raise SourceError("a worker", found, mend="The same command goes on from what is finished.") from error
+            raise SourceError(
+                "a worker", found, mend="The same command goes on from what is finished."
+            ) from error
 
     pool = executor or ThreadPoolExecutor(workers, thread_name_prefix="touchfield-job")
     most = workers + 1 if executor is None else _MOST_SUBMITTED

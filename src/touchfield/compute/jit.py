@@ -1,7 +1,7 @@
 """How kernels are compiled: by who calls them, and without what they do not need; and where they are stored.
 
-Constants stay constants: numba compiles a function once more for each whole number that a caller writes out, such as
-the stride of a loop. The compiler needs them to turn loops into vector code (see decision 20).
+Constants stay constants: numba compiles a function once more for each whole number that a caller writes out,
+such as the stride of a loop. The compiler needs them to turn loops into vector code (see decision 20).
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _SOURCES: Final = SourceState(kernel_sources(), _VERSIONS)
 def kernel_folder() -> Path | None:
     """The folder of compiled kernels of these sources, created when first needed; None where none can be.
 
-    It lies where numba would keep this file's kernels: in NUMBA_CACHE_DIR, else beside the package, else in the
-    user's cache.
+    It lies where numba would keep this file's kernels: in NUMBA_CACHE_DIR, else beside the package, else in
+    the user's cache.
     """
     try:
         root = _CACHING.CompileResultCacheImpl(kernel_folder.__wrapped__).locator.get_cache_path()
@@ -51,7 +51,9 @@ class _Locator(_CACHING.InTreeCacheLocator):  # type: ignore[misc]
         super().__init__(function, file)
         parent = Path(file).parent
         is_ours = parent.is_relative_to(PACKAGE)
-        name = ".".join(parent.relative_to(PACKAGE).parts) if is_ours else self.get_suitable_cache_subpath(file)
+        name = (
+            ".".join(parent.relative_to(PACKAGE).parts) if is_ours else self.get_suitable_cache_subpath(file)
+        )
         self._cache_path = str((kernel_folder() or PACKAGE) / name)
 
     @classmethod
@@ -68,7 +70,9 @@ class KernelFiles(_CACHING.IndexDataCacheFile):  # type: ignore[misc]
     """The files of one function, one for each variant that is compiled."""
 
     def save(self, key: Any, data: Any) -> None:
-        """Save a variant by its own name: two processes that compile two at once might take one number for both."""
+        """Save a variant by its own name: two processes that compile two at once might take one number for
+        both.
+        """
         self._data_name_pattern = f"{self._index_name[:-4]}.{crc32(repr(key).encode()):08x}.{{number}}.nbc"
         super().save(key, data)
 
@@ -76,8 +80,8 @@ class KernelFiles(_CACHING.IndexDataCacheFile):  # type: ignore[misc]
 class _KernelCache(_CACHING.FunctionCache):  # type: ignore[misc]
     """numba's cache of one function, in a folder that only these sources have.
 
-    It looks for the folder when a kernel is first called, not when it is imported. A failure to read or write is no
-    failure of the kernel, which is compiled again: another process may remove the folder at any time.
+    It looks for the folder when a kernel is first called, not when it is imported. A failure to read or write
+    is no failure of the kernel, which is compiled again: another process may remove the folder at any time.
     """
 
     def __init__(self, function: Any) -> None:
@@ -138,7 +142,9 @@ def _cached(function: Any = None, **options: Any) -> Any:
 
 _LINALG: Any = linalg
 _ensure_blas = _LINALG.ensure_blas
-_LINALG.ensure_blas = lambda: None  # numba loads SciPy's when a kernel runs; one that multiplies matrices still does
+_LINALG.ensure_blas = lambda: (
+    None
+)  # numba loads SciPy's when a kernel runs; one that multiplies matrices still does
 importlib.import_module("numba.np.arraymath")
 _LINALG.ensure_blas = _ensure_blas
 
@@ -169,16 +175,16 @@ kernel: Any = partial(_cached, nogil=True, no_cfunc_wrapper=True)
 """Of a function that Python calls."""
 
 inner: Any = partial(njit, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Of one that only kernels call: to unpack its arguments for Python takes as long to compile as most do themselves.
-It is kept within those who call it, not by itself."""
+"""Of one that only kernels call: to unpack its arguments for Python takes as long to compile as most do
+themselves. It is kept within those who call it, not by itself."""
 
 uncounted: Any = partial(inner, _nrt=False)
-"""The same of a tick, where no array is made: numba counts the references to every array at each call otherwise. A
-query of the field takes a fifth of the time."""
+"""The same of a tick, where no array is made: numba counts the references to every array at each call
+otherwise. A query of the field takes a fifth of the time."""
 
 _LEAN: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False, "pipeline_class": _Quick}
-"""For the coder's functions, that make no array: a quarter of the time of a pass was to count references. Division by
-zero is not looked for; no divisor of these kernels can be zero."""
+"""For the coder's functions, that make no array: a quarter of the time of a pass was to count references.
+Division by zero is not looked for; no divisor of these kernels can be zero."""
 
 entry: Any = partial(kernel, **_LEAN)
 """Of one that Python calls."""

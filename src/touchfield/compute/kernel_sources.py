@@ -1,7 +1,8 @@
 """Where compiled kernels are stored on disk: a folder named by a digest of all sources that enter them.
 
-A kernel holds the machine code of the functions it calls, and the constants it reads, of other files as well. numba's
-own cache compares the file of the called function alone, so that it goes on using old code of the others.
+A kernel holds the machine code of the functions it calls, and the constants it reads, of other files as well.
+numba's own cache compares the file of the called function alone, so that it goes on using old code of the
+others.
 """
 
 from __future__ import annotations
@@ -17,15 +18,21 @@ from typing import Final
 
 PACKAGE: Final = Path(__file__).parents[1]
 _CONSTANTS: Final = ("compute/jit.py", "medium/grid.py", "render/block/words.py", "render/tool.py")
-"""Files other than of kernels whose constants or rules are compiled in; a test compares them with the imports."""
-_MAX_FORMER: Final = 2  # folders of other versions that stay: whoever goes to and fro between branches compiles once
+"""Files other than of kernels whose constants or rules are compiled in; a test compares them with the
+imports.
+"""
+_MAX_FORMER: Final = (
+    2  # folders of other versions that stay: whoever goes to and fro between branches compiles once
+)
 _PREFIX: Final = "kernels-"
 
 
 def kernel_sources(package: Path = PACKAGE) -> tuple[Path, ...]:
     """Every source that is compiled into kernels, sorted; empty where the package is not a folder of files."""
     files = {package / name for name in _CONSTANTS}
-    files |= {path for path in package.rglob("*.py") if path.stem == "kernels" or path.parent.name == "kernels"}
+    files |= {
+        path for path in package.rglob("*.py") if path.stem == "kernels" or path.parent.name == "kernels"
+    }
     return tuple(sorted(path for path in files if path.is_file()))
 
 
@@ -63,8 +70,8 @@ class SourceState:
 def open_folder(root: Path, digest: str) -> Path:
     """Create the folder of these sources within `root`, and remove the oldest of other sources.
 
-    Another process may use what is removed: it then compiles again (see `touchfield.compute.jit`). Raises OSError if the
-    folder cannot be created.
+    Another process may use what is removed: it then compiles again (see `touchfield.compute.jit`). Raises
+    OSError if the folder cannot be created.
     """
     folder = root / f"{_PREFIX}{digest}"
     is_new = not folder.is_dir()

@@ -40,8 +40,9 @@ def for_chunks(kernel: Callable[..., Any], count: int, *arguments: Any, chunk: i
     """Call ``kernel(begin, end, *arguments)`` over 0..count in pieces on all cores; results in order.
 
     `kernel` must release the lock (``nogil=True``) and write only what belongs to its range. `chunk` is the
-    smallest piece worth a thread. The caller's thread works too, so that one core costs no hand-over and a call
-    from within a call cannot wait for itself. The first error is raised after all pieces that were begun.
+    smallest piece worth a thread. The caller's thread works too, so that one core costs no hand-over and a
+    call from within a call cannot wait for itself. The first error is raised after all pieces that were
+    begun.
     """
     workers = worker_count()
     pieces = min(workers * 4, max(1, count // max(1, chunk)))

@@ -1,4 +1,6 @@
-"""The container: `.touch` files, all from one table (`records`); docs/format/container.md describes the bytes."""
+"""The container: `.touch` files, all from one table (`records`); docs/format/container.md describes the
+bytes.
+"""
 
 from touchfield.container.reader import TouchReader
 from touchfield.container.records import Head, ObjectRecord, SegmentEntry

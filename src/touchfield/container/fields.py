@@ -1,9 +1,10 @@
-"""The field types of a ``.touch`` file and their wire form (docs/format/container.md); numbers are little-endian.
+"""The field types of a ``.touch`` file and their wire form (docs/format/container.md); numbers are
+little-endian.
 
-A type knows its bytes, its bounds and how to say both in words, so that the writer, the reader and the tests all
-follow from one row of the table. A value out of bounds is refused on both sides: InvalidArgument when it is written,
-CorruptFile when it is read. A length is compared with the bytes that are there, and with its bound, before anything
-is allocated for it.
+A type knows its bytes, its bounds and how to say both in words, so that the writer, the reader and the tests
+all follow from one row of the table. A value out of bounds is refused on both sides: InvalidArgument when it
+is written, CorruptFile when it is read. A length is compared with the bytes that are there, and with its
+bound, before anything is allocated for it.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ class Cursor:
     `where` is the file's name in messages, `offset` the position of the first of `data` in the file.
     """
 
-    def __init__(self, data: bytes, where: str, offset: int = 0, begin: int = 0, end: int | None = None) -> None:
+    def __init__(
+        self, data: bytes, where: str, offset: int = 0, begin: int = 0, end: int | None = None
+    ) -> None:
         self._data, self._where, self._offset = data, where, offset
         self._place, self._end, _ = slice(begin, end).indices(len(data))
 
@@ -52,7 +55,9 @@ class Cursor:
 
     def corrupt(self, field: str, found: str, expected: str, back: int = 0) -> CorruptFile:
         """The error of a field that begins `back` bytes before the place."""
-        return CorruptFile(f"{self._where}: {field} at byte {self._offset + self._place - back}", found, expected)
+        return CorruptFile(
+            f"{self._where}: {field} at byte {self._offset + self._place - back}", found, expected
+        )
 
 
 class FieldType(ABC):
@@ -73,7 +78,9 @@ class FieldType(ABC):
 class Number(FieldType):
     """A number from `low` to `high`, in the bytes of `packing`; `words` say of what kind."""
 
-    def __init__(self, wire: str, bounds: str, packing: struct.Struct, low: float, high: float, words: str) -> None:
+    def __init__(
+        self, wire: str, bounds: str, packing: struct.Struct, low: float, high: float, words: str
+    ) -> None:
         self.packing, self.low, self.high, self.words = packing, low, high, words
         super().__init__(wire, bounds, packing.size, packing.size)
 

@@ -51,14 +51,14 @@ MOST_EXPECTED: Final = 1 << 24
 class TouchReader:
     """Reads one ``.touch`` file; a context manager, and safe to use from several threads.
 
-    Opening it costs what the head and the index cost, whatever the objects and the segments weigh. `FormatError`, or
-    `SourceError` if it cannot be opened or read.
+    Opening it costs what the head and the index cost, whatever the objects and the segments weigh.
+    `FormatError`, or `SourceError` if it cannot be opened or read.
 
     Parameters
     ----------
     file : str, path or open binary file
-        A path, or an address such as https://host/x.touch, of which only what is asked for is fetched. A file that
-        is already open must be seekable; it is left open.
+        A path, or an address such as https://host/x.touch, of which only what is asked for is fetched. A file
+        that is already open must be seekable; it is left open.
 
     Attributes
     ----------
@@ -185,10 +185,17 @@ class TouchReader:
                     surplus = f"{source.size - found.end} bytes after it"
                     raise CorruptFile(found.where, surplus, "none", AGAIN) from error
             expected = "a TEND record, last"
-            raise TruncatedFile(self.name, f"no end record in {source.size} bytes", expected, AGAIN) from error
+            raise TruncatedFile(
+                self.name, f"no end record in {source.size} bytes", expected, AGAIN
+            ) from error
         if end.file_length != source.size:
-            where, size = f"{self.name}: TEND.file_length", f"{end.file_length} in a file of {source.size} bytes"
-            raise CorruptFile(where, size, "its length", "It was joined to another file, or cut within; " + AGAIN)
+            where, size = (
+                f"{self.name}: TEND.file_length",
+                f"{end.file_length} in a file of {source.size} bytes",
+            )
+            raise CorruptFile(
+                where, size, "its length", "It was joined to another file, or cut within; " + AGAIN
+            )
         if not head_end <= end.index_offset <= found.offset - FRAME_SIZE:
             where, bounds = f"{self.name}: TEND.index_offset", f"{head_end} to {found.offset - FRAME_SIZE}"
             raise CorruptFile(where, str(end.index_offset), bounds, AGAIN)
@@ -242,7 +249,9 @@ class TouchReader:
                     check_crc(self._source, found)
                     if (record := known_record(found)) is not None:
                         expected = f"{found.tag} {record.place}"
-                        raise CorruptFile(found.where, "a record that the index does not name", expected, AGAIN)
+                        raise CorruptFile(
+                            found.where, "a record that the index does not name", expected, AGAIN
+                        )
             if provenance is not None:
                 self.provenance = MappingProxyType(provenance)
             if vibration is not None:

@@ -1,8 +1,8 @@
 """The table of the ``.touch`` format, version 1: every record, every field.
 
-The writer, the reader, the fuzzing strategies and the truncation tests follow from it. The bytes of a record never
-change: what a later minor version adds is a record with a new tag, which a reader of 1.0 skips, or refuses if it is
-required.
+The writer, the reader, the fuzzing strategies and the truncation tests follow from it. The bytes of a record
+never change: what a later minor version adds is a record with a new tag, which a reader of 1.0 skips, or
+refuses if it is required.
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ class Struct(FieldType):
     def __init__(self, layout: type) -> None:
         self.layout, rows = layout, rows_of(layout)
         smallest, largest = (sum(getattr(row.kind, name) for row in rows) for name in ("smallest", "largest"))
-        wire, bounds = ([f"`{row.name}` {getattr(row.kind, name)}" for row in rows] for name in ("wire", "bounds"))
+        wire, bounds = (
+            [f"`{row.name}` {getattr(row.kind, name)}" for row in rows] for name in ("wire", "bounds")
+        )
         super().__init__(", ".join(wire), "; ".join(bounds), smallest, largest)
 
     def encode(self, value: Any, where: str) -> bytes:
@@ -118,9 +120,15 @@ class Head:
     device_type: int = row(Whole("u8", 1, 2), "1 a point in the field, 2 an array of actuators.")
     force_max_n: float = row(POSITIVE, "Peak force of the device.", "N")
     mapping_scale: float = row(POSITIVE, "Metres that the hand moves for one metre of the scene.")
-    mapping_offset_m: tuple[float, float, float] = row(PLACE_M, "Point of the scene at the device's origin.", "m")
-    weber_fraction: float = row(Real(0, 1), "The k that was asked of the coder; what it keeps is the coder's claim.")
-    force_threshold_n: float = row(COEFFICIENT, "F_0: differences up to it count as not felt; 0 if not used.", "N")
+    mapping_offset_m: tuple[float, float, float] = row(
+        PLACE_M, "Point of the scene at the device's origin.", "m"
+    )
+    weber_fraction: float = row(
+        Real(0, 1), "The k that was asked of the coder; what it keeps is the coder's claim."
+    )
+    force_threshold_n: float = row(
+        COEFFICIENT, "F_0: differences up to it count as not felt; 0 if not used.", "N"
+    )
     friction: float = row(COEFFICIENT, "Friction coefficient, for the receiver.")
     damping_n_s_per_m: float = row(COEFFICIENT, "Damping coefficient, for the receiver.", "N s/m")
     tags: tuple[str, ...] = row(Listed(Text(64), 16), 'Media tags, such as "direct" or "symbolic".')
@@ -155,7 +163,9 @@ class ObjectRecord:
     field_coder: str = row(CODER, "Who made the object's fields.")
     field_parameters: bytes = row(CODER_PARAMETERS, "What that coder needs, in its own form.")
     pose_steps: bytes = row(Octets(64), "Steps of the object's poses, in the form of the coder `objects`.")
-    field: bytes = row(Rest(), "If rigid, its field as the body of a segment of one frame; otherwise nothing.")
+    field: bytes = row(
+        Rest(), "If rigid, its field as the body of a segment of one frame; otherwise nothing."
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,7 +212,9 @@ class End:
 
     index_offset: int = row(Whole("u64"), "Position of the INDX record.")
     file_length: int = row(Whole("u64"), "Bytes of the whole file, this record included.")
-    chain_crc32: int = row(Whole("u32"), "CRC-32 of the first 14 bytes and the CRC-32 of HEAD, each OBJT, and INDX.")
+    chain_crc32: int = row(
+        Whole("u32"), "CRC-32 of the first 14 bytes and the CRC-32 of HEAD, each OBJT, and INDX."
+    )
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,9 @@
-"""A ``.touch`` file on a web server or in a store of objects, read by ranges: any server that knows them broadcasts.
+"""A ``.touch`` file on a web server or in a store of objects, read by ranges: any server that knows them
+broadcasts.
 
-Opening takes three requests: the head with the length of the file, the end with the index, and what of the index is
-before that. A server is a stranger: nothing is read that was not asked for, no answer may take longer than its size
-justifies, and a file that changes meanwhile is told.
+Opening takes three requests: the head with the length of the file, the end with the index, and what of the
+index is before that. A server is a stranger: nothing is read that was not asked for, no answer may take
+longer than its size justifies, and a file that changes meanwhile is told.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ def is_remote(name: object) -> bool:
 
 
 def is_live(name: object) -> bool:
-    """True for a live stream: ws://HOST:PORT/live, http://HOST:PORT/live.json, udp://HOST:PORT, or - for a pipe."""
+    """True for a live stream: ws://HOST:PORT/live, http://HOST:PORT/live.json, udp://HOST:PORT, or - for a
+    pipe.
+    """
     return isinstance(name, str) and (
         name == "-"
         or name.lower().startswith(("ws://", "wss://", "udp://"))
@@ -66,16 +69,18 @@ def sender(url: str) -> Callable[[Path], None]:
     InvalidArgument for a web server, which has no such way; SourceError, then or later, if the store refuses.
     """
     if url.lower().startswith(("http://", "https://")) or is_live(url):
-        raise InvalidArgument(without_secret(url), "an address that is only read", "s3://, gs://, az://, or a path")
+        raise InvalidArgument(
+            without_secret(url), "an address that is only read", "s3://, gs://, az://, or a path"
+        )
     return _ObjectStore(url).put
 
 
 class RemoteFile:
     """Bytes at a place of a file elsewhere; the latest 32 MiB are kept. Safe to use from several threads.
 
-    `url` is http or https; s3, gs, az and others with the extra ``remote``. `size` is the length of the file, bytes;
-    `requests` and `received` count requests and bytes so far. `SourceError` if there is no such file, the server does
-    not answer ranges, or it takes too long.
+    `url` is http or https; s3, gs, az and others with the extra ``remote``. `size` is the length of the file,
+    bytes; `requests` and `received` count requests and bytes so far. `SourceError` if there is no such file,
+    the server does not answer ranges, or it takes too long.
     """
 
     def __init__(self, url: str) -> None:
@@ -83,7 +88,9 @@ class RemoteFile:
         self._lock = Lock()
         self._kept: OrderedDict[int, bytes] = OrderedDict()
         self._store: _Http | _ObjectStore
-        self._store = _Http(url, self.name) if url.lower().startswith(("http://", "https://")) else _ObjectStore(url)
+        self._store = (
+            _Http(url, self.name) if url.lower().startswith(("http://", "https://")) else _ObjectStore(url)
+        )
         first = self._store.get(0, _HEAD)
         self.size, self._tag = first.size, first.tag
         self._keep(0, first)
@@ -185,7 +192,9 @@ class _Http:
             self._link = None
 
     def _asked(self, offset: int, size: int) -> http.client.HTTPResponse:
-        """The answer to a request for a range, on the connection that is there or, where it has ended, a new one."""
+        """The answer to a request for a range, on the connection that is there or, where it has ended, a new
+        one.
+        """
         to = urlsplit(self._url)
         if to.scheme not in ("http", "https") or not to.hostname:
             raise self._failed("an address that is not http or https")
@@ -216,7 +225,9 @@ class _Http:
             raise self._failed(f"{answer.status} {answer.reason}"[:80], mend)
         begin, last, whole = map(int, content.groups())
         if begin != offset or not begin <= last < min(begin + size, whole):
-            raise self._failed(f"bytes {begin} to {last} of {whole}, where {size} from {offset} were asked for")
+            raise self._failed(
+                f"bytes {begin} to {last} of {whole}, where {size} from {offset} were asked for"
+            )
         data = bytearray()
         while len(data) <= last - begin:
             more = answer.read1(min(_CHUNK, last - begin + 1 - len(data)))

@@ -18,7 +18,15 @@ from threading import Lock
 from typing import Any, BinaryIO, Final, NamedTuple, TypeVar
 
 from touchfield.container.fields import Cursor, shown
-from touchfield.container.records import MAGIC, RECORD_OF, REQUIRED, TAG_OF, VERSION_MAJOR, VERSION_MINOR, Record
+from touchfield.container.records import (
+    MAGIC,
+    RECORD_OF,
+    REQUIRED,
+    TAG_OF,
+    VERSION_MAJOR,
+    VERSION_MINOR,
+    Record,
+)
 from touchfield.container.remote import RemoteFile, is_remote
 from touchfield.errors import (
     CorruptFile,
@@ -34,11 +42,12 @@ from touchfield.medium.budget import memory_budget_bytes
 
 
 class ByteSource:
-    """A file that is read at any place: a path, an address such as https://host/x.touch, or an open binary file.
+    """A file that is read at any place: a path, an address such as https://host/x.touch, or an open binary
+    file.
 
-    One that is open already must be seekable; it is read from its first byte and left open. `name` is its name in
-    messages, `size` its length in bytes, `remote` where it lies elsewhere. `SourceError` if it cannot be opened or
-    read, `InvalidArgument` if it is none of these.
+    One that is open already must be seekable; it is read from its first byte and left open. `name` is its
+    name in messages, `size` its length in bytes, `remote` where it lies elsewhere. `SourceError` if it cannot
+    be opened or read, `InvalidArgument` if it is none of these.
     """
 
     def __init__(self, file: str | os.PathLike[str] | BinaryIO) -> None:
@@ -54,19 +63,23 @@ class ByteSource:
         else:
             self.name = str(getattr(file, "name", "open file"))
             if isinstance(file, io.TextIOBase):
-                raise InvalidArgument(self.name, "a file that is open for text", mend='Open it with the mode "rb".')
+                raise InvalidArgument(
+                    self.name, "a file that is open for text", mend='Open it with the mode "rb".'
+                )
             self._file = file
         try:
             self.size = self._file.seek(0, os.SEEK_END)
         except (OSError, ValueError, AttributeError, TypeError) as error:
             self.close()
-            raise InvalidArgument(self.name, reason(error), "a path or an open, seekable, binary file") from None
+            raise InvalidArgument(
+                self.name, reason(error), "a path or an open, seekable, binary file"
+            ) from None
 
     def read_at(self, offset: int, size: int) -> bytes:
         """`size` bytes from `offset` on; TruncatedFile if the file ends before.
 
-        The size is compared with the file's, which may have holes, and with `memory_budget_bytes` before anything is
-        allocated.
+        The size is compared with the file's, which may have holes, and with `memory_budget_bytes` before
+        anything is allocated.
         """
         if offset + size > self.size:
             found = f"{max(0, self.size - offset)} bytes at byte {offset}, then the end of the file"
@@ -86,7 +99,9 @@ class ByteSource:
             raise SourceError(self.name, reason(error), f"{size} readable bytes at byte {offset}") from None
         if len(data) < size:
             found = f"{len(data)} bytes at byte {offset}, where there were more before"
-            raise TruncatedFile(self.name, found, f"{size} bytes", "Let nothing write to the file while it is read.")
+            raise TruncatedFile(
+                self.name, found, f"{size} bytes", "Let nothing write to the file while it is read."
+            )
         return data
 
     def expect(self, begin: int, end: int) -> None:
@@ -141,7 +156,9 @@ def encode_record(tag: str, value: Any) -> bytes:
 
 
 class FoundRecord(NamedTuple):
-    """A record whose frame has been read, but not its payload; `offset` is the position of its tag in the `file`."""
+    """A record whose frame has been read, but not its payload; `offset` is the position of its tag in the
+    `file`.
+    """
 
     file: str
     tag: str
@@ -168,8 +185,8 @@ class FoundRecord(NamedTuple):
 def read_opening(source: ByteSource) -> bytes:
     """The bytes of magic and version, both checked.
 
-    `ForeignFile`, `CorruptFile`, `TruncatedFile` or `UnsupportedVersion` if it is something else, was changed as
-    text, is too short, or has another major version than ours.
+    `ForeignFile`, `CorruptFile`, `TruncatedFile` or `UnsupportedVersion` if it is something else, was changed
+    as text, is too short, or has another major version than ours.
     """
     start = source.read_at(0, min(source.size, OPENING_SIZE))
     magic = start[: len(MAGIC)]
@@ -184,7 +201,10 @@ def read_opening(source: ByteSource) -> bytes:
         raise TruncatedFile(source.name, f"{len(start)} bytes", f"at least {OPENING_SIZE}", AGAIN)
     major, minor = VERSION.unpack(start[len(MAGIC) :])
     if major < VERSION_MAJOR:
-        found, mend = f"format {major}.{minor}, made by a version before 1.0", "Encode it again from its source."
+        found, mend = (
+            f"format {major}.{minor}, made by a version before 1.0",
+            "Encode it again from its source.",
+        )
         raise UnsupportedVersion(source.name, found, f"format {VERSION_MAJOR}", mend)
     if major > VERSION_MAJOR:
         mend = f"Read it with a touchfield that reads format {major}.{minor}."
@@ -195,7 +215,8 @@ def read_opening(source: ByteSource) -> bytes:
 def find_record(source: ByteSource, offset: int, end: int) -> FoundRecord:
     """The record at `offset`, which must end by `end`; its payload is not read.
 
-    `TruncatedFile` if the file ends before it does, `CorruptFile` if its frame makes no sense or it passes `end`.
+    `TruncatedFile` if the file ends before it does, `CorruptFile` if its frame makes no sense or it passes
+    `end`.
     """
     tag, flags, length = FRAME.unpack(source.read_at(offset, FRAME_SIZE))
     if not re.fullmatch(rb"[A-Z0-9]{4}", tag):
@@ -245,7 +266,10 @@ def known_record(found: FoundRecord) -> Record | None:
     record = RECORD_OF.get(found.tag)
     if record is None:
         if found.flags & REQUIRED:
-            expected, mend = f"those of format {VERSION_MAJOR}.{VERSION_MINOR}", "Read it with a later touchfield."
+            expected, mend = (
+                f"those of format {VERSION_MAJOR}.{VERSION_MINOR}",
+                "Read it with a later touchfield.",
+            )
             raise UnsupportedVersion(found.where, "a required record", expected, mend)
     elif found.flags != (REQUIRED if record.required else 0):
         raise CorruptFile(found.where, f"flags {found.flags}", f"flags {1 - found.flags}", AGAIN)
@@ -255,8 +279,8 @@ def known_record(found: FoundRecord) -> Record | None:
 def read_record(source: ByteSource, found: FoundRecord, layout: type[_Layout]) -> tuple[_Layout, int]:
     """The value and the CRC-32 of a record that must be of this layout.
 
-    `CorruptFile` if it is another one, its CRC-32 does not hold, or a field is out of bounds; `UnsupportedVersion` if
-    it needs a later version.
+    `CorruptFile` if it is another one, its CRC-32 does not hold, or a field is out of bounds;
+    `UnsupportedVersion` if it needs a later version.
     """
     length, tag = found.payload_length, TAG_OF[layout]
     kind = RECORD_OF[tag].kind

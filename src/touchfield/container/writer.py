@@ -38,11 +38,13 @@ class TouchWriter:
     """Writes one ``.touch`` file; a context manager.
 
     Segments go straight to a temporary file beside a path, so that memory holds one segment and the index. At
-    the end of the ``with`` block the index and the end record follow, and the file gets its name, in place of one
-    that is there already; after any exception nothing is left. A file that is open for bytes is left open.
+    the end of the ``with`` block the index and the end record follow, and the file gets its name, in place of
+    one that is there already; after any exception nothing is left. A file that is open for bytes is left
+    open.
 
-    Every method raises `InvalidArgument` if a value is out of the format's bounds, the calls come in the wrong order,
-    or there is no such folder, and `SourceError` if the system refuses to write (no permission, no space).
+    Every method raises `InvalidArgument` if a value is out of the format's bounds, the calls come in the
+    wrong order, or there is no such folder, and `SourceError` if the system refuses to write (no permission,
+    no space).
 
     Examples
     --------
@@ -93,7 +95,9 @@ class TouchWriter:
         if self._entries:
             raise InvalidArgument("write_object", "a call after the first segment", "all objects before it")
         if self._objects == MAX_OBJECTS:
-            raise InvalidArgument("write_object", f"more than {MAX_OBJECTS} objects", f"at most {MAX_OBJECTS}")
+            raise InvalidArgument(
+                "write_object", f"more than {MAX_OBJECTS} objects", f"at most {MAX_OBJECTS}"
+            )
         record = encode_record("OBJT", one)
         self._put(record)
         self._objects += 1
@@ -187,7 +191,9 @@ def opening_of(head: Head, provenance: Mapping[str, str]) -> tuple[bytes, bytes,
 
 
 def index_and_end(entries: Iterable[SegmentEntry], place: int, chain: bytes) -> bytes:
-    """The last records of a file: `place` is where they begin, `chain` what `chain_crc32` covers beside the index."""
+    """The last records of a file: `place` is where they begin, `chain` what `chain_crc32` covers beside the
+    index.
+    """
     index = encode_record("INDX", Index(segments=tuple(entries)))
     length = place + len(index) + FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
     chain_crc32 = zlib.crc32(chain + index[-CRC_SIZE:])

@@ -37,11 +37,15 @@ MAX_SAMPLES_PER_AXIS: Final = 1 << 20
 LARGEST: Final = 1e6
 MAX_PROFILE_BYTES: Final = 1 << 16
 MOST_ON_A_SIDE: Final = 1 << 10
-MOST_ACTUATORS: Final = 1 << 14  # an array's frame is filtered on 64 samples to each, and as deep as its law is thin
+MOST_ACTUATORS: Final = (
+    1 << 14
+)  # an array's frame is filtered on 64 samples to each, and as deep as its law is thin
 
 
 class _Rule(NamedTuple):
-    """Form of one value of a profile: for which types it is needed, for which it may be there, and how it is told."""
+    """Form of one value of a profile: for which types it is needed, for which it may be there, and how it is
+    told.
+    """
 
     needed: tuple[int, ...] = ()
     allowed: tuple[int, ...] = (1, 2)
@@ -63,8 +67,9 @@ Triple = tuple[float, float, float]
 class Device(Travels):
     """A haptic display; a value that is not known is None. A field with a rule is a key of a profile.
 
-    Units stand in the names. Boxes lie along x right, y up, z towards the user, whatever `axes` the own driver
-    has; `lattice` are samples along the nominal one. Of an array `force_max_n` is what drives an actuator fully.
+    Units stand in the names. Boxes lie along x right, y up, z towards the user, whatever `axes` the own
+    driver has; `lattice` are samples along the nominal one. Of an array `force_max_n` is what drives an
+    actuator fully.
     """
 
     name: str  # what ``--device`` takes
@@ -79,20 +84,30 @@ class Device(Travels):
     rate_hz: float | None = field(default=None, metadata={"rule": _Rule((1,))})  # of updates
     resolution_mm: float | None = field(default=None, metadata=_POINT_NEEDS)  # of the position
     physical_mm: Triple | None = field(default=None, metadata=_POINT_BOX)  # the box that the arm can reach
-    stiffness_n_per_m: Triple | None = field(default=None, metadata=_POINT_BOX)  # that it can show along x, y, z
+    stiffness_n_per_m: Triple | None = field(
+        default=None, metadata=_POINT_BOX
+    )  # that it can show along x, y, z
     pitch_mm: float | None = field(default=None, metadata=_ARRAY_NEEDS)  # between neighbours of an array
     levels: int | None = field(default=None, metadata=_ARRAY_COUNT)  # steps of one actuator, zero included
-    shows: str = field(default="force", metadata={"rule": _Rule(allowed=(2,), text=True)})  # or "height": of pins
-    panels: int = field(default=1, metadata=_ARRAY_COUNT)  # such arrays, as front and back; the filter fills one
+    shows: str = field(
+        default="force", metadata={"rule": _Rule(allowed=(2,), text=True)}
+    )  # or "height": of pins
+    panels: int = field(
+        default=1, metadata=_ARRAY_COUNT
+    )  # such arrays, as front and back; the filter fills one
     torque_max_nm: float | None = field(default=None, metadata=_POINT)
     torque_continuous_nm: float | None = field(default=None, metadata=_POINT)
     # of what is not known of these four `render.spec` assumes the worst
     inertia_kg: float | None = field(default=None, metadata=_POINT)  # apparent mass at the tip
     damping_n_s_per_m: float | None = field(default=None, metadata=_POINT)  # viscous
     friction_n: float | None = field(default=None, metadata=_POINT)
-    delay_ms: float | None = field(default=None, metadata=_POINT)  # from a place told to a force that acts, beside
+    delay_ms: float | None = field(
+        default=None, metadata=_POINT
+    )  # from a place told to a force that acts, beside
     # sampling and holding
-    sources: Mapping[str, str] = field(default_factory=dict, repr=False, hash=False)  # where each value comes from
+    sources: Mapping[str, str] = field(
+        default_factory=dict, repr=False, hash=False
+    )  # where each value comes from
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
@@ -120,8 +135,8 @@ _RULES: Final[Mapping[str, _Rule]] = {
 def device_of_table(table: Mapping[str, Any], where: str) -> Device:
     """The device that a parsed profile describes; `where` names the file in messages.
 
-    `DeviceError` if a key is unknown or missing, a value has no source or is out of range, or the nominal lattice
-    contradicts the workspace and the resolution.
+    `DeviceError` if a key is unknown or missing, a value has no source or is out of range, or the nominal
+    lattice contradicts the workspace and the resolution.
     """
     kind = table.get("type")
     if isinstance(kind, bool) or kind not in (1, 2):
@@ -136,7 +151,9 @@ def device_of_table(table: Mapping[str, Any], where: str) -> Device:
         if key in table:
             values[key], sources[key] = _value(table[key], rule, f"{where}: {key}")
         elif kind in rule.needed:
-            raise DeviceError(f"{where}: {key}", "nothing", f"a value and its source in a type {kind} profile")
+            raise DeviceError(
+                f"{where}: {key}", "nothing", f"a value and its source in a type {kind} profile"
+            )
     name, title = (_text(table.get(key), f"{where}: {key}") for key in ("name", "title"))
     if kind == 1:
         computed = tuple(round(extent / values["resolution_mm"]) for extent in values["workspace_mm"])
@@ -192,7 +209,9 @@ def _value(entry: object, rule: _Rule, where: str) -> tuple[Any, str]:
 def devices() -> tuple[Device, ...]:
     """All devices that come with touchfield, sorted by name."""
     profiles = (resources.files("touchfield.devices") / "profiles").iterdir()
-    return tuple(sorted((_parsed(one.read_bytes(), one.name) for one in profiles), key=lambda device: device.name))
+    return tuple(
+        sorted((_parsed(one.read_bytes(), one.name) for one in profiles), key=lambda device: device.name)
+    )
 
 
 def device_names() -> tuple[str, ...]:

@@ -1,4 +1,6 @@
-"""Haptic effects in files of other tools: HJIF and HMPG (MPEG haptics), AHAP, .haptic and .tact (bHaptics), WAV."""
+"""Haptic effects in files of other tools: HJIF and HMPG (MPEG haptics), AHAP, .haptic and .tact (bHaptics),
+WAV.
+"""
 
 from touchfield._lazy import lazy_attributes
 

@@ -1,20 +1,23 @@
-"""AHAP, Apple's haptic and audio patterns (JSON), read as the drive of one actuator: a symbolic medium of 1 x 1.
+"""AHAP, Apple's haptic and audio patterns (JSON), read as the drive of one actuator: a symbolic medium of 1
+x 1.
 
-The keys are those of Apple's "Representing haptic patterns in AHAP files". As there, what is missing takes its
-default, what is out of range is clamped, and keys that are not known are passed over; so are the events of sound.
+The keys are those of Apple's "Representing haptic patterns in AHAP files". As there, what is missing takes
+its default, what is out of range is clamped, and keys that are not known are passed over; so are the events
+of sound.
 
 **Intensity** is the drive. Apple publishes no relation of intensity to a physical amplitude.
 
-**Sharpness** 0 to 1 is mapped linearly to 65 to 300 Hz, as in the public reference encoder of ISO/IEC 23090-31; Apple
-says only that it runs from dull to sharp.
+**Sharpness** 0 to 1 is mapped linearly to 65 to 300 Hz, as in the public reference encoder of ISO/IEC
+23090-31; Apple says only that it runs from dull to sharp.
 
-**Transients** are bursts that fall to nothing within `TRANSIENT_S`, and are told at the frame nearest to them.
+**Transients** are bursts that fall to nothing within `TRANSIENT_S`, and are told at the frame nearest to
+them.
 
-**Continuous** events last for their duration. With an attack the drive rises linearly over it; one that is not
-sustained falls linearly to nothing over its duration, one that is falls over its release behind the end. Parameters
-and parameter curves act on all events from their time on: the control of intensity multiplies, the control of
-sharpness adds; a curve is linear between its points and holds its last. Where events meet, drives add up to 1 at
-most, and the frequency is that of the strongest.
+**Continuous** events last for their duration. With an attack the drive rises linearly over it; one that is
+not sustained falls linearly to nothing over its duration, one that is falls over its release behind the end.
+Parameters and parameter curves act on all events from their time on: the control of intensity multiplies, the
+control of sharpness adds; a curve is linear between its points and holds its last. Where events meet, drives
+add up to 1 at most, and the frequency is that of the strongest.
 """
 
 from __future__ import annotations
@@ -64,7 +67,11 @@ class _Event:
     def end_s(self) -> float:
         if self.is_transient:
             return self.start_s + TRANSIENT_S
-        return self.start_s + self.length_s + (self.values["ReleaseTime"] if self.values["Sustained"] > 0 else 0.0)
+        return (
+            self.start_s
+            + self.length_s
+            + (self.values["ReleaseTime"] if self.values["Sustained"] > 0 else 0.0)
+        )
 
     def envelope(self, after_s: Float64s) -> Float64s:
         """The share of its intensity, so many seconds after its start."""
@@ -91,9 +98,9 @@ class _Curve:
 def read_ahap(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEffect:
     """An ``.ahap`` file as the drive of one actuator, so many frames a second.
 
-    Raises SourceError if the file cannot be read, is longer than 8 MiB, is no JSON, or a value is of the wrong type;
-    if no event can be felt, or it is longer than an hour. InvalidArgument if the rate is out of range, or there would
-    be too many drives.
+    Raises SourceError if the file cannot be read, is longer than 8 MiB, is no JSON, or a value is of the
+    wrong type; if no event can be felt, or it is longer than an hour. InvalidArgument if the rate is out of
+    range, or there would be too many drives.
     """
     check_rate(rate_hz)
     root = read_json(path, _MAX_BYTES, "an AHAP file")
@@ -112,7 +119,9 @@ def read_ahap(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEff
         if curve is not None:
             curves += _curve(curve, _seconds(curve, "Time"), curve.at("ParameterCurveControlPoints").each())
     if not events:
-        raise pattern.wrong(f"{sounds} events of sound and none to feel" if sounds else "no event", "haptic events")
+        raise pattern.wrong(
+            f"{sounds} events of sound and none to feel" if sounds else "no event", "haptic events"
+        )
     notes = (f"Left out: {sounds} events of sound.",) if sounds else ()
     return ImportedEffect(_sampled(pattern, events, curves, rate_hz), notes=notes)
 
@@ -120,7 +129,8 @@ def read_ahap(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEff
 def _sampled(pattern: JsonValue, events: list[_Event], curves: list[_Curve], rate_hz: float) -> ArrayEffect:
     # a transient is felt from the frame that it is told at; any other where it is
     events = [
-        replace(one, start_s=round(one.start_s * rate_hz) / rate_hz) if one.is_transient else one for one in events
+        replace(one, start_s=round(one.start_s * rate_hz) / rate_hz) if one.is_transient else one
+        for one in events
     ]
     seconds = max(one.end_s for one in events)
     if seconds > MAX_SECONDS:
@@ -134,7 +144,9 @@ def _sampled(pattern: JsonValue, events: list[_Event], curves: list[_Curve], rat
     if (len(curves) + 1) * frames > _MOST_WORK or sum(
         one.end_s - one.start_s for one in events
     ) * rate_hz > _MOST_WORK:
-        raise pattern.wrong(f"{len(events)} events and {len(curves)} curves over {seconds:g} s", "fewer of them")
+        raise pattern.wrong(
+            f"{len(events)} events and {len(curves)} curves over {seconds:g} s", "fewer of them"
+        )
     controls = {name: np.full(frames, neutral) for name, neutral in _NEUTRAL.items()}
     for curve in sorted(curves, key=lambda one: one.times_s[0]):
         begin = int(np.searchsorted(times, curve.times_s[0] - 1e-9))
@@ -159,7 +171,9 @@ def _event(one: JsonValue) -> _Event | None:
     for entry in one.at("EventParameters", []).each():
         name, value = entry.at("ParameterID").text(), entry.at("ParameterValue")
         if name in values:
-            values[name] = float(value.value) if isinstance(value.value, bool) else min(max(value.number(), 0), 1)
+            values[name] = (
+                float(value.value) if isinstance(value.value, bool) else min(max(value.number(), 0), 1)
+            )
     return _Event(kind == "HapticTransient", _seconds(one, "Time"), _seconds(one, "EventDuration"), values)
 
 

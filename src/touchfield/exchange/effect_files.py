@@ -1,36 +1,37 @@
 """Effects written for others: ``.tact`` of bHaptics, ``.wav``, ``.haptic`` of Meta and ``.ahap`` of Apple.
 
 **.tact** (JSON, dot mode). No specification is published. The shape rests on what the maker's open SDKs parse
-(project with layout and tracks, a track's effects, their modes by position, dot mode with its feedback) and on
-projects of its designer that others have published: times in milliseconds from the beginning of the effect,
-intensities 0 to 1, `VestFront` and `VestBack` with four columns and five rows each, index = 4 * row + column from the
-top left, `Tactot` the type of the layout.
+(project with layout and tracks, a track's effects, their modes by position, dot mode with its feedback) and
+on projects of its designer that others have published: times in milliseconds from the beginning of the
+effect, intensities 0 to 1, `VestFront` and `VestBack` with four columns and five rows each, index = 4 * row +
+column from the top left, `Tactot` the type of the layout.
 
-A project is written as one effect on one track: its feedback is a list of spans, each with the dots that are on.
+A project is written as one effect on one track: its feedback is a list of spans, each with the dots that are
+on.
 
 A vest with fewer rows is written to all 20 dots, as `touchfield.devices.drivers.bhaptics` drives it.
 
-**Resolution.** Intensities are whole hundredths. A span is at least `LEAST_SPAN_MS` long, the designer's interval; of
-the frames that fall into one span each dot takes its greatest drive, so that no tap is lost. Times are whole
-milliseconds. Frequencies have no place: a vest shakes at its own.
+**Resolution.** Intensities are whole hundredths. A span is at least `LEAST_SPAN_MS` long, the designer's
+interval; of the frames that fall into one span each dot takes its greatest drive, so that no tap is lost.
+Times are whole milliseconds. Frequencies have no place: a vest shakes at its own.
 
-**.wav**, PCM, is what game pads, OpenXR, web pages and sound cards take: 8000 samples a second of 16 bits, one
-channel an actuator (row by row from the top), or x, y and z of a force. An actuator is a sine of its drive and
-frequency, both linear between frames and without a jump of phase; where none is told it is
+**.wav**, PCM, is what game pads, OpenXR, web pages and sound cards take: 8000 samples a second of 16 bits,
+one channel an actuator (row by row from the top), or x, y and z of a force. An actuator is a sine of its
+drive and frequency, both linear between frames and without a jump of phase; where none is told it is
 `symbolic.DEFAULT_CARRIER_HZ`. A force is a share of its full scale: sound has no newtons.
 
-**.haptic** (JSON, version 1.0.0, of Haptics Studio). A clip has one continuous signal: an envelope of amplitude, one
-of frequency (both 0 to 1, lines between points in seconds), and at a point of amplitude an emphasis, a tap whose
-amplitude is no less than the point's. That is the published data model of its open player; relations to newtons and
-hertz are not published, `OneTrack` tells ours.
+**.haptic** (JSON, version 1.0.0, of Haptics Studio). A clip has one continuous signal: an envelope of
+amplitude, one of frequency (both 0 to 1, lines between points in seconds), and at a point of amplitude an
+emphasis, a tap whose amplitude is no less than the point's. That is the published data model of its open
+player; relations to newtons and hertz are not published, `OneTrack` tells ours.
 
-A pattern has a continuous event for each 30 seconds, the longest that Apple allows, and curves of its intensity and
-sharpness of at most 16 points each. Curves act on everything, so that taps lie in the curve; a pattern of nothing but
-taps has transients and no curve.
+A pattern has a continuous event for each 30 seconds, the longest that Apple allows, and curves of its
+intensity and sharpness of at most 16 points each. Curves act on everything, so that taps lie in the curve; a
+pattern of nothing but taps has transients and no curve.
 
-Both hold one track, as a telephone or a controller can play it. Of several actuators the strongest is heard at each
-frame, with its frequency. A drive that rises from nothing and is gone within `TRANSIENT_S` is a tap; the rest is an
-envelope. Frequencies are shares of `SHARPNESS_HZ`.
+Both hold one track, as a telephone or a controller can play it. Of several actuators the strongest is heard
+at each frame, with its frequency. A drive that rises from nothing and is gone within `TRANSIENT_S` is a tap;
+the rest is an envelope. Frequencies are shares of `SHARPNESS_HZ`.
 """
 
 from __future__ import annotations
@@ -85,10 +86,16 @@ def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front") -
     length_ms = max(1, round(1000 * len(effect) / effect.rate_hz))
     silence = [(0, length_ms, np.zeros((ROWS, COLUMNS), np.int64))]
     spans = list(_spans(effect)) or silence
-    modes = {position: _dot_mode(spans if panel == side else silence) for side, position in zip(_PANELS, POSITIONS)}
+    modes = {
+        position: _dot_mode(spans if panel == side else silence) for side, position in zip(_PANELS, POSITIONS)
+    }
     called = Path(path).stem
     layout = [
-        {"index": COLUMNS * row + column, "x": round(column / (COLUMNS - 1), 3), "y": round(row / (ROWS - 1), 3)}
+        {
+            "index": COLUMNS * row + column,
+            "x": round(column / (COLUMNS - 1), 3),
+            "y": round(row / (ROWS - 1), 3),
+        }
         for row in range(ROWS)
         for column in range(COLUMNS)
     ]
@@ -138,7 +145,8 @@ def _dot_mode(spans: list[tuple[int, int, Int64s]]) -> dict[str, Any]:
     }
 
 
-# -- sound --------------------------------------------------------------------------------------------------------
+# -- sound
+# --------------------------------------------------------------------------------------------------------
 
 RATE_HZ: Final = 8000
 MAX_HZ: Final = 0.45 * RATE_HZ
@@ -153,9 +161,9 @@ _FULL: Final = 32767
 def write_wav(path: str | Path, samples: Iterable[Float64s], channels: int, count: int) -> None:
     """Write samples as ``.wav``, whole or not at all.
 
-    They come in parts, float64 [n, channels] from -1 to 1, what is beyond is cut; `count` are those of a channel in
-    all parts. Raises InvalidArgument if there are too many channels, or 2 GiB and more; SourceError if the system
-    refuses to write.
+    They come in parts, float64 [n, channels] from -1 to 1, what is beyond is cut; `count` are those of a
+    channel in all parts. Raises InvalidArgument if there are too many channels, or 2 GiB and more;
+    SourceError if the system refuses to write.
     """
     if not 1 <= channels <= _MOST_CHANNELS or 2 * channels * count >= _MOST_BYTES:
         found = f"{channels} channels of {count} samples"
@@ -196,7 +204,8 @@ def _sines(effect: ArrayEffect, count: int) -> Iterator[Float64s]:
         phase = (phase + cycles[-1]) % 1
 
 
-# -- clips --------------------------------------------------------------------------------------------------------
+# -- clips
+# --------------------------------------------------------------------------------------------------------
 
 DIGITS: Final = 4
 _HALF_STEP: Final = 0.5 * 10.0**-DIGITS
@@ -214,7 +223,9 @@ class OneTrack:
 
     @classmethod
     def of(cls, effect: ArrayEffect, has_taps: bool = True) -> OneTrack:
-        """The track of an effect; an only frame is held for the time of a frame, taps may stay in the envelope."""
+        """The track of an effect; an only frame is held for the time of a frame, taps may stay in the
+        envelope.
+        """
         frames, actuators = len(effect), effect.drives[0].size
         every, frequencies = effect.drives.reshape(frames, -1), effect.frequencies_hz
         strongest = np.arange(frames), np.argmax(every, axis=1)
@@ -260,7 +271,9 @@ _MOST_POINTS: Final = 16
 _LONGEST_S: Final = 30.0
 
 
-def write_haptic(path: str | Path, effect: ArrayEffect, name: str = "", description: str = "") -> tuple[str, ...]:
+def write_haptic(
+    path: str | Path, effect: ArrayEffect, name: str = "", description: str = ""
+) -> tuple[str, ...]:
     """Write the drives of an array as ``.haptic``.
 
     Returns tuple of str: what is lost on the way. Raises SourceError if the system refuses to write.
@@ -270,7 +283,9 @@ def write_haptic(path: str | Path, effect: ArrayEffect, name: str = "", descript
         time: {"time": time, "amplitude": amplitude} for time, amplitude in track.amplitudes
     }
     for at, amplitude, sharpness in track.taps:
-        own = points.setdefault(time := round(at, 6), {"time": time, "amplitude": 0.0})  # nothing is left there
+        own = points.setdefault(
+            time := round(at, 6), {"time": time, "amplitude": 0.0}
+        )  # nothing is left there
         own["emphasis"] = {"amplitude": amplitude, "frequency": sharpness}
     document = {
         "version": {"major": 1, "minor": 0, "patch": 0},
@@ -291,7 +306,9 @@ def write_haptic(path: str | Path, effect: ArrayEffect, name: str = "", descript
     return track.notes
 
 
-def write_ahap(path: str | Path, effect: ArrayEffect, name: str = "", description: str = "") -> tuple[str, ...]:
+def write_ahap(
+    path: str | Path, effect: ArrayEffect, name: str = "", description: str = ""
+) -> tuple[str, ...]:
     """Write the drives of an array as ``.ahap``; returns and errors as `write_haptic`."""
     track = OneTrack.of(effect)
     if any(amplitude > 0 for _, amplitude in track.amplitudes):
@@ -323,7 +340,13 @@ def _curves(parameter: str, points: Points) -> Iterator[dict[str, Any]]:
         some = points[first : first + _MOST_POINTS]
         begin = some[0][0]
         controls = [{"Time": round(time - begin, 6), "ParameterValue": value} for time, value in some]
-        yield {"ParameterCurve": {"ParameterID": parameter, "Time": begin, "ParameterCurveControlPoints": controls}}
+        yield {
+            "ParameterCurve": {
+                "ParameterID": parameter,
+                "Time": begin,
+                "ParameterCurveControlPoints": controls,
+            }
+        }
 
 
 def _write(path: str | Path, document: dict[str, Any], indent: int | None = None) -> None:

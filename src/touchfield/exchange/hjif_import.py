@@ -1,22 +1,24 @@
 """HJIF (ISO/IEC 23090-31) as drives of an array, and as a force over time.
 
-An array is made of the channels of the first perception that is felt (`MODALITIES`). A channel drives the actuators
-that it targets; one without targets drives all of its array, and where no channel tells of an array, the channels lie
-in a row. Body parts lie side by side, in the order in which they come. Where several channels meet, amplitudes add
-up, to 1 at most, and the frequency is that of the strongest.
+An array is made of the channels of the first perception that is felt (`MODALITIES`). A channel drives the
+actuators that it targets; one without targets drives all of its array, and where no channel tells of an
+array, the channels lie in a row. Body parts lie side by side, in the order in which they come. Where several
+channels meet, amplitudes add up, to 1 at most, and the frequency is that of the strongest.
 
-Drives are sampled at the frames of a rate; between frames they are linear, so that what moves faster is smoothed.
+Drives are sampled at the frames of a rate; between frames they are linear, so that what moves faster is
+smoothed.
 
-What counts is what an actuator is driven with, not the wave that it makes of it: of a VectorialWave the amplitude and
-the frequency, whatever its base signal; of a Transient a burst that falls to nothing within `TRANSIENT_S`; of a block
-of wavelets envelope and frequency (`wave_drive`), and so of a Curve that is a vibration drawn point by point, as the
-reference encoder draws what lies below 72 Hz. Any other Curve is its magnitude, without a frequency. In a band the
-latest effect that has begun is the one that is felt, as in the reference decoder. What is too short to meet a frame
-is told at the nearest one.
+What counts is what an actuator is driven with, not the wave that it makes of it: of a VectorialWave the
+amplitude and the frequency, whatever its base signal; of a Transient a burst that falls to nothing within
+`TRANSIENT_S`; of a block of wavelets envelope and frequency (`wave_drive`), and so of a Curve that is a
+vibration drawn point by point, as the reference encoder draws what lies below 72 Hz. Any other Curve is its
+magnitude, without a frequency. In a band the latest effect that has begun is the one that is felt, as in the
+reference decoder. What is too short to meet a frame is told at the nearest one.
 
-**Waves told as samples.** Between two crossings lies half a wave. Its greatest value is told at its place, and lines
-between these places are the envelope; the half waves that pass in a window are the frequency there. A signal of fewer
-than two crossings, or one slower than `SLOWEST_HZ`, is no vibration: it has a magnitude and no frequency.
+**Waves told as samples.** Between two crossings lies half a wave. Its greatest value is told at its place,
+and lines between these places are the envelope; the half waves that pass in a window are the frequency there.
+A signal of fewer than two crossings, or one slower than `SLOWEST_HZ`, is no vibration: it has a magnitude and
+no frequency.
 """
 
 from __future__ import annotations
@@ -55,9 +57,9 @@ _MOST_WORK: Final = 1 << 28
 def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEffect:
     """An ``.hjif`` or ``.hmpg`` file as the drives of an array, so many frames a second.
 
-    A force of several directions becomes the drive of one actuator, its magnitude. Raises SourceError as `read_hjif`,
-    and if nothing in it can be felt, or it is longer than an hour; InvalidArgument if the rate is out of range, or
-    there would be too many drives.
+    A force of several directions becomes the drive of one actuator, its magnitude. Raises SourceError as
+    `read_hjif`, and if nothing in it can be felt, or it is longer than an hour; InvalidArgument if the rate
+    is out of range, or there would be too many drives.
     """
     check_rate(rate_hz)
     document = read_hjif(path)
@@ -86,7 +88,9 @@ def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> Impor
     unknown = (strongest > 0) & (hertz == 0)
     if unknown.any():
         share = 100 * float(unknown.sum() / (strongest > 0).sum())
-        notes += (f"{share:.3g} % of what is felt has no frequency of its own, and is played at a device's own.",)
+        notes += (
+            f"{share:.3g} % of what is felt has no frequency of its own, and is played at a device's own.",
+        )
     drives, frequencies = (_images(of, rows, columns) for of in (total, hertz))
     effect = ArrayEffect(float(rate_hz), drives, frequencies if frequencies.any() else None)
     return ImportedEffect(effect, perception.device_name, notes=notes)
@@ -119,7 +123,9 @@ def _magnitude(
     magnitude_n = np.linalg.norm(force_n(perception, ticks), axis=1)
     greatest_n = float(magnitude_n.max())
     if not 0 < greatest_n <= 1e6:
-        raise perception.place.wrong(f"a greatest force of {greatest_n:g} N", "newtons above 0, up to a million")
+        raise perception.place.wrong(
+            f"a greatest force of {greatest_n:g} N", "newtons above 0, up to a million"
+        )
     drives = (magnitude_n / greatest_n).astype(np.float32).reshape(-1, 1, 1)
     notes += ("Of the force its magnitude is taken, as the drive of one actuator.",)
     return ImportedEffect(ArrayEffect(float(rate_hz), drives), perception.device_name, greatest_n, notes)
@@ -135,10 +141,14 @@ def _notes(document: Hjif, perception: Perception) -> tuple[str, ...]:
 
 def _frames(document: Hjif, perception: Perception, rate_hz: float) -> int:
     bands = [band for channel in perception.channels for band in channel.bands]
-    seconds: float = max((end_tick(band, document.timescale) for band in bands), default=0) / document.timescale
+    seconds: float = (
+        max((end_tick(band, document.timescale) for band in bands), default=0) / document.timescale
+    )
     if seconds > MAX_SECONDS:
         raise perception.place.wrong(f"an effect of {seconds:g} s", f"at most {MAX_SECONDS:g} s")
-    frames = math.floor((seconds + 0.5 / document.timescale) * rate_hz + 1e-6) + 1  # the last may be half a tick late
+    frames = (
+        math.floor((seconds + 0.5 / document.timescale) * rate_hz + 1e-6) + 1
+    )  # the last may be half a tick late
     _check_work(perception, frames)
     return checked_frames(document.place.file, frames, 1)
 
@@ -151,7 +161,9 @@ def _check_work(perception: Perception, instants: int) -> None:
 
 
 def _cells(perception: Perception, frames: int) -> tuple[list[Int64s], int, int, int]:
-    """For each channel the actuators that it drives, counted row by row from the lower left; rows, columns, parts."""
+    """For each channel the actuators that it drives, counted row by row from the lower left; rows, columns,
+    parts.
+    """
     channels = perception.channels
     parts: dict[tuple[str, ...], list[int]] = {}
     for n, channel in enumerate(channels):
@@ -185,17 +197,21 @@ def _images(of: Float32s, rows: int, columns: int) -> Float32s:
     return np.ascontiguousarray(of.reshape(rows, columns, -1).transpose(2, 0, 1)[:, ::-1])
 
 
-# -- a band at the frames of a medium ------------------------------------------------------------------------------
+# -- a band at the frames of a medium
+# ------------------------------------------------------------------------------
 
 SLOWEST_HZ: Final = 1.0
 _LEAST_WINDOW_S: Final = 0.02
 
 
-def wave_drive(times_s: Float64s, values: Float64s, at_s: Float64s, window_s: float) -> tuple[Float64s, Float64s]:
-    """Amplitudes and frequencies [m] at ascending seconds of a wave, lines between its samples [n], n at least 1.
+def wave_drive(
+    times_s: Float64s, values: Float64s, at_s: Float64s, window_s: float
+) -> tuple[Float64s, Float64s]:
+    """Amplitudes and frequencies [m] at ascending seconds of a wave, lines between its samples [n], n at
+    least 1.
 
-    A frequency is counted over `window_s`, at least 0.02 s. It is 0 Hz where the signal is too slow for a vibration;
-    the amplitude is then its magnitude.
+    A frequency is counted over `window_s`, at least 0.02 s. It is 0 Hz where the signal is too slow for a
+    vibration; the amplitude is then its magnitude.
     """
     slow = np.abs(np.interp(at_s, times_s, values)), np.zeros(len(at_s))
     nonzero = np.flatnonzero(values)
@@ -208,7 +224,9 @@ def wave_drive(times_s: Float64s, values: Float64s, at_s: Float64s, window_s: fl
     bounds = np.concatenate([[0], after, [len(values)]])
     magnitudes = np.abs(values)
     peaks = np.maximum.reduceat(magnitudes, bounds[:-1])
-    places = np.array([first + int(np.argmax(magnitudes[first:stop])) for first, stop in zip(bounds, bounds[1:])])
+    places = np.array(
+        [first + int(np.argmax(magnitudes[first:stop])) for first, stop in zip(bounds, bounds[1:])]
+    )
     half = max(window_s, _LEAST_WINDOW_S) / 2
     low, high = (np.clip(at_s + side, crossings_s[0], crossings_s[-1]) for side in (-half, half))
     passed = np.arange(len(crossings_s), dtype=np.float64)
@@ -232,9 +250,13 @@ _SLACK: Final = 0.5
 def end_tick(band: Band, timescale: int) -> float:
     """The tick at which the last effect of a band is over; 0 for a band without any."""
     if band.kind == "WaveletWave":
-        return max((one.position + len(one.samples) * timescale / band.upper_hz for one in band.effects), default=0)
+        return max(
+            (one.position + len(one.samples) * timescale / band.upper_hz for one in band.effects), default=0
+        )
     after = math.ceil(TRANSIENT_S * timescale) if band.kind == "Transient" else 0
-    return max((one.position + int(one.ticks[-1]) + after for one in band.effects if len(one.ticks)), default=0)
+    return max(
+        (one.position + int(one.ticks[-1]) + after for one in band.effects if len(one.ticks)), default=0
+    )
 
 
 def drive_of(bands: Iterable[Band], frames: int, ticks_per_frame: float, timescale: int) -> Drive:
@@ -253,7 +275,10 @@ def drive_of(bands: Iterable[Band], frames: int, ticks_per_frame: float, timesca
 def _governed(band: Band, places: Float64s) -> Iterable[tuple[Effect, int, int]]:
     """Each effect with the places, from and to, at which it is felt."""
     effects = [one for one in band.effects if len(one.ticks)]
-    low, high = [one.position - _SLACK for one in effects], [one.position + one.ticks[-1] + _SLACK for one in effects]
+    low, high = (
+        [one.position - _SLACK for one in effects],
+        [one.position + one.ticks[-1] + _SLACK for one in effects],
+    )
     begins = np.searchsorted(places, low, side="left").tolist()
     ends = np.searchsorted(places, high, side="right").tolist()
     for effect, first, stop, following in zip(effects, begins, ends, [*begins[1:], len(places)]):
@@ -300,7 +325,9 @@ def _continuous(band: Band, places: Float64s, ticks_per_frame: float, timescale:
             amplitudes, hertz = _drawn(band, effect, at, ticks_per_frame, timescale)
         else:
             amplitudes = np.abs(_linear(effect, effect.amplitudes, at, 1.0))
-            hertz = np.clip(_linear(effect, effect.frequencies_hz, at, _DEFAULT_HZ), band.lower_hz, band.upper_hz)
+            hertz = np.clip(
+                _linear(effect, effect.frequencies_hz, at, _DEFAULT_HZ), band.lower_hz, band.upper_hz
+            )
         if first == stop:
             strongest = int(np.argmax(amplitudes))
             if amplitudes[strongest] <= drive.amplitudes[where][0]:
@@ -343,7 +370,9 @@ def _drawn(
     if not known.any():
         return magnitudes, np.zeros(len(at))
     times_s = effect.ticks[known] / timescale
-    amplitudes, hertz = wave_drive(times_s, effect.amplitudes[known], at / timescale, ticks_per_frame / timescale)
+    amplitudes, hertz = wave_drive(
+        times_s, effect.amplitudes[known], at / timescale, ticks_per_frame / timescale
+    )
     is_wave = hertz > 0
     return (
         np.where(is_wave, amplitudes, magnitudes),

@@ -1,13 +1,14 @@
-"""HJIF (ISO/IEC 23090-31) read into values: every member that is used is checked as the published schemas have it.
+"""HJIF (ISO/IEC 23090-31) read into values: every member that is used is checked as the published schemas
+have it.
 
-The file comes from strangers: its length is bounded before it is read, whatever is made of it is bounded by its
-bytes, and what breaks the schema is told in one line that names the place in the JSON.
+The file comes from strangers: its length is bounded before it is read, whatever is made of it is bounded by
+its bytes, and what breaks the schema is told in one line that names the place in the JSON.
 
-**Blocks of wavelets** are 2^m samples of their band's upper frequency limit a second. A stream holds, least bit of a
-byte first, the codes of an adaptive binary arithmetic coder of ten bits with a counter for each of seven contexts;
-they are the number of bit planes (4), the greatest coefficient (1 + 7), and the bit planes of the coefficients in the
-order of Said and Pearlman's set partitioning in hierarchical trees (1996). The coefficients are those of a
-biorthogonal 9/7 wavelet over log2(n / 4) levels, symmetric at the ends.
+**Blocks of wavelets** are 2^m samples of their band's upper frequency limit a second. A stream holds, least
+bit of a byte first, the codes of an adaptive binary arithmetic coder of ten bits with a counter for each of
+seven contexts; they are the number of bit planes (4), the greatest coefficient (1 + 7), and the bit planes of
+the coefficients in the order of Said and Pearlman's set partitioning in hierarchical trees (1996). The
+coefficients are those of a biorthogonal 9/7 wavelet over log2(n / 4) levels, symmetric at the ends.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ class Effect:
     """One effect of a band, from `position` on.
 
     The ticks of its keyframes count from there and never fall; amplitudes and frequencies [n] are NaN where a
-    keyframe has none. A block of wavelets has samples instead, else none: so many of the band's upper limit a second.
+    keyframe has none. A block of wavelets has samples instead, else none: so many of the band's upper limit a
+    second.
     """
 
     position: int
@@ -84,8 +86,8 @@ class Band:
 class Channel:
     """One channel.
 
-    `resolution` is (columns, rows) or None, `targets` are (column, row) from the lower left, and `body` names the
-    body part, whatever way it is told.
+    `resolution` is (columns, rows) or None, `targets` are (column, row) from the lower left, and `body` names
+    the body part, whatever way it is told.
     """
 
     gain: float
@@ -128,8 +130,9 @@ class _Clock:
 def read_hjif(path: str | Path) -> Hjif:
     """The perceptions of an ``.hjif`` file, or of its binary form ``.hmpg``.
 
-    Raises SourceError if the file cannot be read, is longer than 64 MiB, is no JSON or breaks the schema; and where
-    an effect refers to a library or is composed of others, or a curve is of a type that nobody draws alike.
+    Raises SourceError if the file cannot be read, is longer than 64 MiB, is no JSON or breaks the schema; and
+    where an effect refers to a library or is composed of others, or a curve is of a type that nobody draws
+    alike.
     """
     is_binary = Path(path).suffix.lower() == ".hmpg"
     root = read_hmpg(path) if is_binary else read_json(path, MAX_BYTES, "an HJIF file")
@@ -172,7 +175,9 @@ def _channel(one: JsonValue, clock: _Clock) -> Channel:
     )
 
 
-def _targets(targets: JsonValue | None, size: tuple[int, int, int] | None) -> tuple[tuple[int, int], ...] | None:
+def _targets(
+    targets: JsonValue | None, size: tuple[int, int, int] | None
+) -> tuple[tuple[int, int], ...] | None:
     if targets is None:
         return None
     places = []
@@ -234,7 +239,9 @@ def _wavelets(one: JsonValue, rate_hz: float, clock: _Clock) -> list[Effect]:
 def _basis(one: JsonValue) -> None:
     kind = one.at("effect_type").text(KINDS)
     if kind != "Basis":
-        raise one.wrong(f"an effect of type {kind}", "Basis", "Effect libraries and compositions are not read.")
+        raise one.wrong(
+            f"an effect of type {kind}", "Basis", "Effect libraries and compositions are not read."
+        )
 
 
 def _effect(one: JsonValue) -> Effect:
@@ -348,8 +355,12 @@ def _coefficients(bits: _Coder, length: int, planes: int) -> list[int]:
     return out
 
 
-def _look(bits: _Coder, context: int, at: int, step: int, out: list[int], known: list[int], lone: list[int]) -> None:
-    """Read one coefficient's bit of this plane: once it is set, the sign is known; else it is looked at again."""
+def _look(
+    bits: _Coder, context: int, at: int, step: int, out: list[int], known: list[int], lone: list[int]
+) -> None:
+    """Read one coefficient's bit of this plane: once it is set, the sign is known; else it is looked at
+    again.
+    """
     if bits.bit(context):
         out[at] = step if bits.bit(_SIGN) else -step
         known.append(at)

@@ -1,22 +1,26 @@
 """Arrays and forces written as HJIF, the JSON of MPEG haptics (ISO/IEC 23090-31).
 
-Valid against the published schemas, and within what the public reference decoder takes: whole numbers wherever it
-reads whole numbers, keyframes within 65535 ticks of their effect, a Curve as one effect of three keyframes or more.
+Valid against the published schemas, and within what the public reference decoder takes: whole numbers
+wherever it reads whole numbers, keyframes within 65535 ticks of their effect, a Curve as one effect of three
+keyframes or more.
 
-**Resolution.** Times are whole ticks, amplitudes multiples of 1e-5 of full scale, frequencies whole hertz. Keyframes
-are left out where a straight line between others passes within half such a step, so that a sample on a tick comes
-back to within one step of amplitude and one hertz. A sample between two ticks is told at the nearer one. A thousand
-ticks a second are usual, which a decoder that knows only milliseconds reads correctly, too.
+**Resolution.** Times are whole ticks, amplitudes multiples of 1e-5 of full scale, frequencies whole hertz.
+Keyframes are left out where a straight line between others passes within half such a step, so that a sample
+on a tick comes back to within one step of amplitude and one hertz. A sample between two ticks is told at the
+nearer one. A thousand ticks a second are usual, which a decoder that knows only milliseconds reads correctly,
+too.
 
-**An array** is a perception of vibration with a channel for each actuator, and in it one VectorialWave: a sine of the
-frequency and drive at each keyframe, both linear in between. What is longer than 65535 ticks goes into several
-effects, each of which begins where the one before it ended, with the value and the phase that it had there. The
-reference decoder takes the latest effect that has begun, so that nothing is heard twice. Targets count columns from
-the left and rows from below (`Y` is "up" in the schema of vectors); the channels lie row by row from the top.
+**An array** is a perception of vibration with a channel for each actuator, and in it one VectorialWave: a
+sine of the frequency and drive at each keyframe, both linear in between. What is longer than 65535 ticks goes
+into several effects, each of which begins where the one before it ended, with the value and the phase that it
+had there. The reference decoder takes the latest effect that has begun, so that nothing is heard twice.
+Targets count columns from the left and rows from below (`Y` is "up" in the schema of vectors); the channels
+lie row by row from the top.
 
-**A force** is a perception with three channels, along x, y and z, in each one Curve, linear between keyframes.
-The gain of a channel is its greatest force: F = amplitude * gain newtons. The binary form keeps an amplitude in steps
-of 2/255, so that it misses a small force by as little of it as a large one, and an axis without force not at all.
+**A force** is a perception with three channels, along x, y and z, in each one Curve, linear between
+keyframes. The gain of a channel is its greatest force: F = amplitude * gain newtons. The binary form keeps an
+amplitude in steps of 2/255, so that it misses a small force by as little of it as a large one, and an axis
+without force not at all.
 """
 
 from __future__ import annotations
@@ -58,12 +62,17 @@ _LARGEST_PHASE: Final = 6.28318
 
 
 def write_hjif_array(
-    path: str | Path, effect: ArrayEffect, device_name: str = "", *, panel: str = "front", description: str = ""
+    path: str | Path,
+    effect: ArrayEffect,
+    device_name: str = "",
+    *,
+    panel: str = "front",
+    description: str = "",
 ) -> None:
     """Write the drives of an array as ``.hjif``.
 
-    Raises InvalidArgument if the array has more than 127 columns or rows, there is no such panel, or a frame takes
-    less than one tick of a millisecond or more than 65535; SourceError if the system refuses to write.
+    Raises InvalidArgument if the array has more than 127 columns or rows, there is no such panel, or a frame
+    takes less than one tick of a millisecond or more than 65535; SourceError if the system refuses to write.
 
     Parameters
     ----------
@@ -78,12 +87,16 @@ def write_hjif_array(
     """
     columns, rows, _ = effect.lattice
     if max(columns, rows) > LARGEST_VECTOR:
-        raise InvalidArgument("array", f"{columns} x {rows} actuators", "at most 127 columns and rows in HJIF")
+        raise InvalidArgument(
+            "array", f"{columns} x {rows} actuators", "at most 127 columns and rows in HJIF"
+        )
     require_one_of("panel", panel, _PANELS)
     gap = DEFAULT_TIMESCALE / effect.rate_hz
     if not 1 <= gap <= MAX_SPAN_TICKS:
         found = f"{effect.rate_hz:g} frames a second, {gap:g} ticks to a frame"
-        raise InvalidArgument("array", found, f"1 to {MAX_SPAN_TICKS} ticks to a frame, of a millisecond each")
+        raise InvalidArgument(
+            "array", found, f"1 to {MAX_SPAN_TICKS} ticks to a frame, of a millisecond each"
+        )
     ticks = np.round(np.arange(max(len(effect), 2)) * gap).astype(np.int64)
     side, mask = _PANELS[panel]
 
@@ -104,7 +117,8 @@ def write_hjif_array(
 
     size = f"{columns} x {rows} actuators"
     _write(
-        path, description or f"array of {size}", DEFAULT_TIMESCALE, ("Vibrotactile", f"{size}, {panel} of the chest"),
+        path, description or f"array of {size}", DEFAULT_TIMESCALE, ("Vibrotactile", f"{size}, {panel} of "
+                                                                                     "the chest"),
         device_name, channels(), columns * rows,
     )  # fmt: skip
 
@@ -132,8 +146,8 @@ def write_hjif_force(
     device_name : str
         Goes in as the reference device.
     full_scale_n : float
-        Newtons that are told as 1; 1 tells newtons. Readers that put newtons out as sound, the reference synthesiser
-        among them, clip them at 1; with another value the file tells shares of it.
+        Newtons that are told as 1; 1 tells newtons. Readers that put newtons out as sound, the reference
+        synthesiser among them, clip them at 1; with another value the file tells shares of it.
     description : str
     """
     require_up_to(_LARGEST_FORCE_N, full_scale_n=full_scale_n)
@@ -151,7 +165,9 @@ def write_hjif_force(
         for axis, name in enumerate("XYZ")
     ]
     perception = "Force", f"force at a point, in units of {full_scale_n:g} N"
-    _write(path, description or "force over time", timescale, perception, device_name, channels, len(channels))
+    _write(
+        path, description or "force over time", timescale, perception, device_name, channels, len(channels)
+    )
 
 
 def _write(
@@ -233,10 +249,14 @@ def _curve(shares: Float64s, timescale: int) -> dict[str, Any]:
     amplitudes = np.round(shares, _DIGITS)
     kept = thinned(np.arange(len(shares)), amplitudes[:, None], (AMPLITUDE_STEP / 2,))
     line = list(zip(kept.tolist(), amplitudes[kept].tolist()))
-    if len(line) == 2 and line[1][0] > 1:  # one more on the line, not rounded: a Curve of two breaks the reference
+    if (
+        len(line) == 2 and line[1][0] > 1
+    ):  # one more on the line, not rounded: a Curve of two breaks the reference
         middle, share = line[1][0] // 2, line[1][1] - line[0][1]
         line.insert(1, (middle, line[0][1] + share * middle / line[1][0]))
-    line += [(line[-1][0] + n, line[-1][1]) for n in range(1, 4 - len(line))]  # too short for it: the last is held
+    line += [
+        (line[-1][0] + n, line[-1][1]) for n in range(1, 4 - len(line))
+    ]  # too short for it: the last is held
     return {
         "band_type": "Curve",
         "curve_type": "Linear",
@@ -249,8 +269,8 @@ def _curve(shares: Float64s, timescale: int) -> dict[str, Any]:
 def thinned(ticks: Int64s, values: Float64s, tolerances: Sequence[float]) -> Int64s:
     """The samples to keep so that straight lines between them miss no sample by more than the tolerance.
 
-    The first and the last are always kept. Each line reaches as far as the tolerances allow (the cone of slopes that
-    pass all samples on the way); one pass, in time proportional to the samples.
+    The first and the last are always kept. Each line reaches as far as the tolerances allow (the cone of
+    slopes that pass all samples on the way); one pass, in time proportional to the samples.
 
     Returns int64 [k]: indices of the samples that are kept, ascending.
 

@@ -1,9 +1,10 @@
 """The binary form of MPEG haptics (ISO/IEC 23090-31), ``.hmpg``, read as the document that HJIF would be.
 
-A file is units, each a head of nine bytes (type 6 bits, sync 2, layer 4, duration 24, length 32, reserved 4) and
-packets, each a head of three (type 6, length 17, reserved 1). Packets tell the timescale, perceptions, channels and
-bands; a packet of data holds effects of one band, whose positions count from the beginning of its unit, and an effect
-that goes on in another unit keeps its number. Checksums are passed over, as the reference decoder's default is.
+A file is units, each a head of nine bytes (type 6 bits, sync 2, layer 4, duration 24, length 32, reserved 4)
+and packets, each a head of three (type 6, length 17, reserved 1). Packets tell the timescale, perceptions,
+channels and bands; a packet of data holds effects of one band, whose positions count from the beginning of
+its unit, and an effect that goes on in another unit keeps its number. Checksums are passed over, as the
+reference decoder's default is.
 
 Everything is bounded by the bytes of the file: each thing that is counted takes some of them.
 """
@@ -86,8 +87,8 @@ class _Document:
 def read_hmpg(path: str | Path) -> JsonValue:
     """The document in a ``.hmpg`` file, in the words of HJIF.
 
-    Raises SourceError if the file cannot be read, is longer than 4 MiB, ends within something, or refers to what it
-    has not told.
+    Raises SourceError if the file cannot be read, is longer than 4 MiB, ends within something, or refers to
+    what it has not told.
     """
     data = read_bytes(path, _MOST_BYTES, _WHAT)
     document, at, unit = _Document(), 0, 0
@@ -115,7 +116,9 @@ def _unit(document: _Document, data: bytes, where: str) -> None:
         kind, length, _ = (head.whole(n) for n in (6, 17, 1))
         at += _PACKET_HEAD
         if length > len(data) - at:
-            raise SourceError(head.where, f"{len(data) - at} bytes left", f"the {length} of the packet's length")
+            raise SourceError(
+                head.where, f"{len(data) - at} bytes left", f"the {length} of the packet's length"
+            )
         bits = _Bits(data[at : at + length], f"{head.where}, packet of type {kind}")
         if kind in _READERS:
             _READERS[kind](document, bits)
@@ -210,7 +213,9 @@ def _data(document: _Document, bits: _Bits) -> None:
         if band["band_type"] == "WaveletWave":
             _semantic(bits)
             own["position"] = len(band["effects"]) * band["block_length"]
-            own["wavelet_stream"] = base64.b64encode(bytes(bits.whole(8) for _ in range(bits.whole(16)))).decode()
+            own["wavelet_stream"] = base64.b64encode(
+                bytes(bits.whole(8) for _ in range(bits.whole(16)))
+            ).decode()
             band["effects"].append(own)
             return  # one to a packet
         own["position"] = bits.signed(25) + (0 if document.is_spatial else document.time)

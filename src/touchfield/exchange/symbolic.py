@@ -1,11 +1,12 @@
 """Effects: how strongly each actuator of an array is driven over time, and at which frequency.
 
-A symbolic medium of figure 1: an effect stands for something and was not measured. `ArrayEffect` is the one value
-that all formats are written from and read into; it lies between them and the medium of a stream.
+A symbolic medium of figure 1: an effect stands for something and was not measured. `ArrayEffect` is the one
+value that all formats are written from and read into; it lies between them and the medium of a stream.
 
-An actuator has one drive: as in `touchfield.pipeline.array_medium` the greater of |F| and of the vibration's amplitude,
-over the force that drives it fully. A medium made of an effect therefore holds the drive twice: as the force along
-the array's normal, for whatever knows only forces, and as the vibration's amplitude, with the frequency beside it.
+An actuator has one drive: as in `touchfield.pipeline.array_medium` the greater of |F| and of the vibration's
+amplitude, over the force that drives it fully. A medium made of an effect therefore holds the drive twice: as
+the force along the array's normal, for whatever knows only forces, and as the vibration's amplitude, with the
+frequency beside it.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ MAX_MEDIUM_VALUES: Final = 1 << 26
 """Most drives that are made of a medium of our own: 256 MiB."""
 
 TRANSIENT_S: Final = 0.022
-"""How long a transient is felt, seconds; as long as the public reference decoder of ISO/IEC 23090-31 lets it ring."""
+"""How long a transient is felt, seconds; as long as the public reference decoder of ISO/IEC 23090-31 lets it
+ring.
+"""
 
 _PITCH_MM: Final = 20.0
 _FORCE_MAX_N: Final = 3.3
@@ -78,14 +81,18 @@ class ArrayEffect:
         drives, frequencies = self.drives, self.frequencies_hz
         require_positive(rate_hz=self.rate_hz)
         if drives.dtype != np.float32 or drives.ndim != 3 or not drives.size:
-            raise InvalidArgument("drives", f"{drives.dtype} {drives.shape}", "float32 [frames, rows, columns]")
+            raise InvalidArgument(
+                "drives", f"{drives.dtype} {drives.shape}", "float32 [frames, rows, columns]"
+            )
         if not ((drives >= 0).all() and (drives <= 1).all()):
             raise InvalidArgument("drives", "a number below 0, above 1 or not finite", "0 to 1")
         object.__setattr__(self, "drives", frozen(np.ascontiguousarray(drives)))
         if frequencies is None:
             return
         if frequencies.dtype != np.float32 or frequencies.shape != drives.shape:
-            raise InvalidArgument("frequencies_hz", f"{frequencies.dtype} {frequencies.shape}", f"{drives.shape}")
+            raise InvalidArgument(
+                "frequencies_hz", f"{frequencies.dtype} {frequencies.shape}", f"{drives.shape}"
+            )
         if not ((frequencies >= 0).all() and (frequencies <= MAX_FREQUENCY_HZ).all()):
             raise InvalidArgument("frequencies_hz", "a number out of range", f"0 to {MAX_FREQUENCY_HZ:g} Hz")
         object.__setattr__(self, "frequencies_hz", frozen(np.ascontiguousarray(frequencies)))
@@ -104,8 +111,8 @@ class ArrayEffect:
 class ImportedEffect:
     """An effect as its file tells it.
 
-    With it the device that the file names ("": none), the force that a full drive stands for, where that is told, and
-    notes for the user on what was left out or read in our way.
+    With it the device that the file names ("": none), the force that a full drive stands for, where that is
+    told, and notes for the user on what was left out or read in our way.
     """
 
     effect: ArrayEffect
@@ -164,7 +171,8 @@ def checked_frames(where: str, frames: int, actuators: int, most: int = MAX_VALU
 def effect_device(lattice: tuple[int, int, int], name: str = "", force_max_n: float | None = None) -> Device:
     """The device of an effect: the profile of that name if its array is the same, else one of our own.
 
-    `lattice` is columns, rows, 1; `force_max_n` the force that a full drive stands for, None the profile's or 3.3 N.
+    `lattice` is columns, rows, 1; `force_max_n` the force that a full drive stands for, None the profile's or
+    3.3 N.
     """
     if name in device_names():
         known = device(name)
@@ -184,7 +192,9 @@ def effect_device(lattice: tuple[int, int, int], name: str = "", force_max_n: fl
     )
 
 
-def effect_medium(effect: ArrayEffect, grid: Grid, force_max_n: float, provenance: Mapping[str, str]) -> HapticMedium:
+def effect_medium(
+    effect: ArrayEffect, grid: Grid, force_max_n: float, provenance: Mapping[str, str]
+) -> HapticMedium:
     """An effect as a symbolic medium on (columns, rows, 1) samples, x right and y up.
 
     The force along z is the drive's share of `force_max_n`, which drives an actuator fully.

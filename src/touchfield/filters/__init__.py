@@ -1,4 +1,5 @@
-"""Filters: the device filter, the paper's mapping M (sections 3.1 and 4.1), and the haptic filters of section 3.2.
+"""Filters: the device filter, the paper's mapping M (sections 3.1 and 4.1), and the haptic filters of section
+3.2.
 
 ==================  ===========================================================================================
 M of a device       `DeviceFilter`, `device_medium`, `resample`, `LOW_PASSES`, `device_grid`, `Placement`
@@ -39,8 +40,24 @@ from touchfield.filters.lifting import (
     quincunx_forward,
     quincunx_inverse,
 )
-from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, RigidMotion, Voxels
-from touchfield.filters.registry import Claims, FieldFilter, field_filters, filter_of, filtered, filtered_medium
+from touchfield.filters.region import (
+    Ball,
+    Box,
+    Everywhere,
+    ForceRange,
+    HalfSpace,
+    Region,
+    RigidMotion,
+    Voxels,
+)
+from touchfield.filters.registry import (
+    Claims,
+    FieldFilter,
+    field_filters,
+    filter_of,
+    filtered,
+    filtered_medium,
+)
 from touchfield.filters.resample import (
     LOW_PASSES,
     LowPass,

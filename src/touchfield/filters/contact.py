@@ -1,28 +1,31 @@
-"""Effects that a surface adds to a force (paper section 3.2): friction, damping, texture; and vibration (6.4).
+"""Effects that a surface adds to a force (paper section 3.2): friction, damping, texture; and vibration
+(6.4).
 
-The coefficients mu and b travel beside the frames of a medium, and no frame changes. With the force F of the field
-where the point is, and its velocity v, the receiver adds (`filters/kernels/forces.py`, `render/kernels/tick.py`) ::
+The coefficients mu and b travel beside the frames of a medium, and no frame changes. With the force F of the
+field where the point is, and its velocity v, the receiver adds (`filters/kernels/forces.py`,
+`render/kernels/tick.py`) ::
 
     n = F / |F|,  v_t = v - (v . n) n,  F_t = -mu |F| v_t / max(|v_t|, v_s),      F_d = -b v
 
-Our addition: below the slip speed v_s friction falls in proportion to v_t; without it the force would jump from one
-side to the other as the hand rests. A loop of step dt that moves a mass m is steady if v_s >= mu |F| dt / m. Both
-take energy out, whatever F and v are: F_t . v <= 0, F_d . v <= 0, and |F_t| <= mu |F|. Damping acts everywhere;
-friction needs a force. F / |F| is the normal of a sphere to 0.8 degrees between samples, and to 3.7 at its rim.
+Our addition: below the slip speed v_s friction falls in proportion to v_t; without it the force would jump
+from one side to the other as the hand rests. A loop of step dt that moves a mass m is steady if v_s >= mu |F|
+dt / m. Both take energy out, whatever F and v are: F_t . v <= 0, F_d . v <= 0, and |F_t| <= mu |F|. Damping
+acts everywhere; friction needs a force. F / |F| is the normal of a sphere to 0.8 degrees between samples, and
+to 3.7 at its rim.
 
-Vibration: a sine whose amplitude is a share of |F|, its frequency the same everywhere, or rising with |F| up to
-F_max. It stands behind the haptic filters, and is no filter itself: a filter makes a field of a field.
+Vibration: a sine whose amplitude is a share of |F|, its frequency the same everywhere, or rising with |F| up
+to F_max. It stands behind the haptic filters, and is no filter itself: a filter makes a field of a field.
 
-Texture: section 3.2, "convolving the force field with a high-pass kernel". Departure: of a field the kernel would
-leave its edges alone. It takes impulses, and what comes out is added to the amplitude along the force's own
-direction, where there is a force::
+Texture: section 3.2, "convolving the force field with a high-pass kernel". Departure: of a field the kernel
+would leave its edges alone. It takes impulses, and what comes out is added to the amplitude along the force's
+own direction, where there is a force::
 
     y = x (1 + t),    t = clip(g (h * s), -1, 1),    g = rms / sqrt(density (1 - 1/taps))
 
-s is +1 or -1 at a share `density` of all grains and 0 at the others, drawn by a hash of the seed and the grain's
-place in the lattice, like the grain of wood: the texture neither flickers from frame to frame nor moves when a brick
-comes or goes. The clip, which keeps a force from being turned round, acts from about rms > sqrt(density) on; what is
-added then has less than the RMS asked for.
+s is +1 or -1 at a share `density` of all grains and 0 at the others, drawn by a hash of the seed and the
+grain's place in the lattice, like the grain of wood: the texture neither flickers from frame to frame nor
+moves when a brick comes or goes. The clip, which keeps a force from being turned round, acts from about rms >
+sqrt(density) on; what is added then has less than the RMS asked for.
 """
 
 from __future__ import annotations
@@ -101,7 +104,9 @@ class VibrationRule:
 
 def vibrating(medium: HapticMedium, rule: VibrationRule, force_max_n: float) -> HapticMedium:
     """The medium with a vibration by a rule beside it, in place of any that it has; F_max is in newtons."""
-    latest = lru_cache(maxsize=1)(medium.__getitem__)  # its force and its vibration are asked for one after the other
+    latest = lru_cache(maxsize=1)(
+        medium.__getitem__
+    )  # its force and its vibration are asked for one after the other
     return replace(medium, make_frame=latest, vibration=lambda i: rule.of(latest(i), force_max_n))
 
 
@@ -114,10 +119,10 @@ _GOLDEN: Final = np.uint64(0x9E3779B97F4A7C15)
 class TextureFilter(FieldFilter):
     """A rough surface.
 
-    grain_m : float, optional; width of a grain, metres, rounded to whole samples along each axis; by default one
-        sample.
-    Raises `InvalidArgument` if a number is out of range; on a call, if the grain fits neither the samples nor the
-    field.
+    grain_m : float, optional; width of a grain, metres, rounded to whole samples along each axis; by default
+        one sample.
+    Raises `InvalidArgument` if a number is out of range; on a call, if the grain fits neither the samples nor
+    the field.
     """
 
     kind: str = "salt-pepper"
@@ -168,10 +173,16 @@ class TextureFilter(FieldFilter):
         """g (h * s) at the samples of some bricks, float64 [n, 8, 8, 8], not yet limited."""
         first = bricks.astype(np.int64) * BRICK // grain
         samples = bricks[:, :, None] * BRICK + np.arange(BRICK)
-        x, y, z = (samples[:, a] // grain[a] - first[:, a, None] + half[a] for a in range(3))  # grains, from `first`
+        x, y, z = (
+            samples[:, a] // grain[a] - first[:, a, None] + half[a] for a in range(3)
+        )  # grains, from `first`
         # -1, 0 or 1 at grains -1 to 2^20: the splitmix64 stream of the seed, jumped into
-        i, j, k = ((first[:, a, None] + np.arange(1, BRICK + 3) - half[a]).astype(np.uint64) for a in range(3))
-        number = i[:, :, None, None] | j[:, None, :, None] << np.uint64(21) | k[:, None, None] << np.uint64(42)
+        i, j, k = (
+            (first[:, a, None] + np.arange(1, BRICK + 3) - half[a]).astype(np.uint64) for a in range(3)
+        )
+        number = (
+            i[:, :, None, None] | j[:, None, :, None] << np.uint64(21) | k[:, None, None] << np.uint64(42)
+        )
         with np.errstate(over="ignore"):
             bits = mixed(mixed(np.uint64(self.seed) + _GOLDEN) + (number + np.uint64(1)) * _GOLDEN)
         is_there = (bits >> np.uint64(11)) * 2.0**-53 < self.density

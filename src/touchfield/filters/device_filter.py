@@ -1,21 +1,24 @@
 """The device filter: the mapping M of the paper's section 3.1, "scale or crop, anti-alias, resample, clip".
 
-Type 1 (a point that the hand moves): the scene is asked for its field on a lattice `oversample` times finer than the
-device's, a little beyond the workspace too; a low-pass takes it to the device's own, and every force is clipped to
-F_max with its direction kept. Type 2 (an array): the greatest or mean |F| along the third axis of the scene makes an
-image, a 2-D low-pass filters it (`touchfield.filters.smoothing`), and the actuators sample it (section 5.1).
+Type 1 (a point that the hand moves): the scene is asked for its field on a lattice `oversample` times finer
+than the device's, a little beyond the workspace too; a low-pass takes it to the device's own, and every force
+is clipped to F_max with its direction kept. Type 2 (an array): the greatest or mean |F| along the third axis
+of the scene makes an image, a 2-D low-pass filters it (`touchfield.filters.smoothing`), and the actuators
+sample it (section 5.1).
 
-Of pins, which show heights, |F| is no image: it grows with the depth below the surface as far as F_max, and is as
-great under a plain as under a mountain. Our addition: theirs is the *relief*, the height at which a finger that comes
-from above, of a camera's scene from the camera, meets it: the lowest 0 and the highest F_max.
+Of pins, which show heights, |F| is no image: it grows with the depth below the surface as far as F_max, and
+is as great under a plain as under a mountain. Our addition: theirs is the *relief*, the height at which a
+finger that comes from above, of a camera's scene from the camera, meets it: the lowest 0 and the highest
+F_max.
 
-Our addition: forces below a share of F_max (1 % by default) are dropped at the end: the tail of a low-pass would
-otherwise spread the support by samples that no hand can feel and every coder must send.
+Our addition: forces below a share of F_max (1 % by default) are dropped at the end: the tail of a low-pass
+would otherwise spread the support by samples that no hand can feel and every coder must send.
 
-x_hand = scale * (x_scene - offset), with one scale for all axes: honest, where the paper's mapping may stretch. The
-workspace is centred on the origin of the hand's space: along x right, y up, z towards the user; the scene's x, y, z
-lie along them. The lattice is "2^n_w samples per dimension" over the nominal workspace, or the nominal lattice of its
-position resolution, or the N x M actuators of an array on their pitch, laid on the scene's x and y.
+x_hand = scale * (x_scene - offset), with one scale for all axes: honest, where the paper's mapping may
+stretch. The workspace is centred on the origin of the hand's space: along x right, y up, z towards the user;
+the scene's x, y, z lie along them. The lattice is "2^n_w samples per dimension" over the nominal workspace,
+or the nominal lattice of its position resolution, or the N x M actuators of an array on their pitch, laid on
+the scene's x and y.
 """
 
 from __future__ import annotations
@@ -55,7 +58,8 @@ def require_nw(nw: int | None) -> None:
 def device_grid(device: Device, nw: int | None = None, depth_m: float | None = None) -> Grid:
     """The lattice of a device over its workspace, centred on the origin, hand metres.
 
-    nw : int or None; 2^nw samples along each axis; None for the nominal lattice, and of no effect for an array.
+    nw : int or None; 2^nw samples along each axis; None for the nominal lattice, and of no effect for an
+        array.
     depth_m : float or None; of an array: how much of the hand's depth is pooled; None for the profile's.
     Raises `InvalidArgument` if `nw` is not within `NW_RANGE`.
     """
@@ -73,7 +77,8 @@ def device_grid(device: Device, nw: int | None = None, depth_m: float | None = N
 def exact_forces(
     scene: AnalyticScene, placement: Placement, profile_hand: ForceProfile, force_max_n: float
 ) -> Callable[[Float64s], Float64s]:
-    """The force of shapes with a formula, clipped to F_max: ``forces(points_m float64 [n, 3]) -> newtons [n, 3]``.
+    """The force of shapes with a formula, clipped to F_max: ``forces(points_m float64 [n, 3]) -> newtons [n,
+    3]``.
 
     Points and the force law are in metres of the hand.
     """
@@ -89,7 +94,9 @@ def exact_forces(
 
 
 ARRAY_OVERSAMPLE: Final = 8  # least samples to a pitch: the literal cut-off 2/d asks for more than 4
-DEPTHS_PER_PIECE: Final = 8  # across the narrowest piece of the law: what "max" may miss is an eighth of its rise
+DEPTHS_PER_PIECE: Final = (
+    8  # across the narrowest piece of the law: what "max" may miss is an eighth of its rise
+)
 RELIEF_DEPTHS: Final = 128  # at least, from the lowest surface to the highest
 MAX_DEPTHS: Final = 4096
 MAX_SLAB_SAMPLES: Final = 1 << 25
@@ -100,11 +107,13 @@ POOLS: Final = ("auto", "max", "mean", "relief")
 class DeviceFilterSpec:
     """The options of the device filter."""
 
-    oversample: int = 2  # samples of the scene to one of the device along an axis, 1 to 8; an array's at least 8
+    oversample: int = (
+        2  # samples of the scene to one of the device along an axis, 1 to 8; an array's at least 8
+    )
     force_floor_share: float = 0.01  # forces below this share of F_max are dropped; 0 keeps all
     low_pass: str = "spline"  # a name of `touchfield.filters.LOW_PASSES`
-    # of an array: "max" or "mean" of the forces along the depth, the "relief" of what is met from above, or "auto":
-    # relief where the device shows heights, else max
+    # of an array: "max" or "mean" of the forces along the depth, the "relief" of what is met from above, or
+    # "auto": relief where the device shows heights, else max
     pool: str = "auto"
     cutoff: str = "nyquist"  # of an array of pitch d: 1/(2d), or "literal", 2/d as the paper prints
 
@@ -113,7 +122,9 @@ class DeviceFilterSpec:
         if not 1 <= self.oversample <= 8:
             raise InvalidArgument("oversample", repr(self.oversample), "a whole number from 1 to 8")
         if not 0 <= self.force_floor_share < 1:
-            raise InvalidArgument("force_floor_share", repr(self.force_floor_share), "a share from 0 to below 1")
+            raise InvalidArgument(
+                "force_floor_share", repr(self.force_floor_share), "a share from 0 to below 1"
+            )
         low_pass(self.low_pass)
 
 
@@ -144,7 +155,10 @@ class DeviceFilter:
             nonlocal latest
             source, last = scene.field(i, asked, law), latest
             if last is None or last[0] is not source:
-                last = latest = source, self._limited(resample(source.on_grid(fine), self.grid, self.spec.low_pass))
+                last = latest = (
+                    source,
+                    self._limited(resample(source.on_grid(fine), self.grid, self.spec.low_pass)),
+                )
             return last[1]
 
         return frame
@@ -161,13 +175,17 @@ class DeviceFilter:
             image = {"max": greatest, "mean": mean, "relief": rise}[pool]
         else:
             law, low_m = profile_hand, -DEPTHS_PER_PIECE * fine.spacing_m[2]
-            if pool == "relief" and low_m < law.low_m:  # what is met from above does not tell how thick its wall is
+            if (
+                pool == "relief" and low_m < law.low_m
+            ):  # what is met from above does not tell how thick its wall is
                 law = replace(law, pieces=((low_m, law.low_m, 1.0, 0.0), *law.pieces))
             image = self._columns(scene, frame, law.rescaled(self.placement.scale), pool, fine)
         return (self._relief(image, fine, profile_hand) if pool == "relief" else image), fine
 
     def _columns(self, scene: Scene, frame: int, law: ForceProfile, pool: str, fine: Grid) -> Float64s:
-        """Of the columns of a lattice the greatest or mean |F|, or how many samples from the far end they begin."""
+        """Of the columns of a lattice the greatest or mean |F|, or how many samples from the far end they
+        begin.
+        """
         bricks_x, bricks_y, _ = fine.brick_shape
         image, count = np.zeros((2, bricks_x, bricks_y, BRICK, BRICK))
         nx, ny, nz = fine.shape
@@ -188,11 +206,14 @@ class DeviceFilter:
             else:
                 np.add.at(image, columns, lengths.sum(axis=-1))
                 np.add.at(count, columns, np.count_nonzero(field.mask, axis=-1))
-        dense = (image / np.maximum(count, 1)).transpose(0, 2, 1, 3).reshape(bricks_x * BRICK, bricks_y * BRICK)
+        dense = (
+            (image / np.maximum(count, 1)).transpose(0, 2, 1, 3).reshape(bricks_x * BRICK, bricks_y * BRICK)
+        )
         return dense[:nx, :ny]
 
     def _relief(self, rise: Float64s, fine: Grid, law: ForceProfile) -> Float64s:
-        """Newtons of pins whose columns have their first force `rise` samples from the far end; NaN without any.
+        """Newtons of pins whose columns have their first force `rise` samples from the far end; NaN without
+        any.
 
         Samples are the middles of cells: the surface lies about where the last cell with a force ends.
         """
@@ -210,7 +231,8 @@ class DeviceFilter:
         low, high = self.grid.box_m
         finest = [h * self.placement.scale / 2 for h in scene.finest_m or (0.0, 0.0, 0.0)]
         fx, fy = (
-            min(factor, max(1, math.ceil(s / max(f, s / factor)))) for s, f in zip(self.grid.spacing_m, finest[:2])
+            min(factor, max(1, math.ceil(s / max(f, s / factor))))
+            for s, f in zip(self.grid.spacing_m, finest[:2])
         )
         steps = [s / factor for s in self.grid.spacing_m[:2]]
         if array_pool(scene, self.device, self.spec.pool) == "relief":
@@ -226,7 +248,8 @@ class DeviceFilter:
     def _at_actuators(self, image_n: Float64s, fine: Grid) -> ForceField:
         """The image through the low-pass, at the actuators, as forces along the array's normal.
 
-        A pin on land shows its height, and is not lower where the land ends: of NaN the low-pass takes no account.
+        A pin on land shows its height, and is not lower where the land ends: of NaN the low-pass takes no
+        account.
         """
         is_land = np.isfinite(image_n)
         amplitude = self._low_passed(np.where(is_land, image_n, 0.0), fine)
@@ -275,7 +298,9 @@ def relief_m(grid: Grid, law: ForceProfile) -> tuple[float, float]:
 
 
 def is_met_from_low(axes: str) -> bool:
-    """True where who looks at a scene stands at low z, a camera's "..., z forward"; else z is up or to the viewer."""
+    """True where who looks at a scene stands at low z, a camera's "..., z forward"; else z is up or to the
+    viewer.
+    """
     return "forward" in axis_words(axes, 2)
 
 
@@ -291,7 +316,8 @@ def _axis_matrix(
 
 
 def limited(field: ForceField, force_max_n: float, floor_n: float = 0.0) -> ForceField:
-    """Forces longer than `force_max_n` shortened to it, their direction kept, and those below `floor_n` dropped.
+    """Forces longer than `force_max_n` shortened to it, their direction kept, and those below `floor_n`
+    dropped.
 
     No force of the result is longer than `force_max_n`, and doing it again changes nothing.
     """
@@ -311,7 +337,8 @@ def device_medium(
     profile_hand: ForceProfile,
     spec: DeviceFilterSpec | None = None,
 ) -> HapticMedium:
-    """The scene as the device can show it, a lazy medium on the device's lattice; grid and law in hand metres.
+    """The scene as the device can show it, a lazy medium on the device's lattice; grid and law in hand
+    metres.
 
     A stored medium whose lattice is already this one (to within a millionth of a sample) passes untouched.
     """

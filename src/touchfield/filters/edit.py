@@ -1,8 +1,9 @@
-"""Haptic editing (paper section 4): operators that act in a region of a field, and pieces of media put together.
+"""Haptic editing (paper section 4): operators that act in a region of a field, and pieces of media put
+together.
 
-Outside the region, and beyond its feather, every sample keeps its bits. Inside it is what the operator makes of the
-whole field; in the feather the two are blended, F + w (G - F). An operator takes a field to a field on the same grid;
-every haptic filter is one, too. Frames stay lazy: nothing is made before it is asked for.
+Outside the region, and beyond its feather, every sample keeps its bits. Inside it is what the operator makes
+of the whole field; in the feather the two are blended, F + w (G - F). An operator takes a field to a field on
+the same grid; every haptic filter is one, too. Frames stay lazy: nothing is made before it is asked for.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ class EditOperator(Protocol):
 
 @dataclass(frozen=True)
 class Gain:
-    """Every force times a factor; a negative one turns it round; `InvalidArgument` if the factor is not finite."""
+    """Every force times a factor; a negative one turns it round; `InvalidArgument` if the factor is not
+    finite.
+    """
 
     name: ClassVar[str] = "gain"
     factor: float
@@ -110,9 +113,10 @@ class Composed:
     """The field together with another one.
 
     other : ForceField or HapticMedium; on the grid of the field; a frame of a medium for each that is edited.
-    how : str; "replace": the other alone. "over": the other where it has a force, and the field elsewhere. "add": the
-        sum. "max": the longer of the two forces, the field's where they are equal.
-    Raises `InvalidArgument` if `how` is unknown; on a call, if the grids differ or the other has several frames.
+    how : str; "replace": the other alone. "over": the other where it has a force, and the field elsewhere.
+        "add": the sum. "max": the longer of the two forces, the field's where they are equal.
+    Raises `InvalidArgument` if `how` is unknown; on a call, if the grids differ or the other has several
+    frames.
     """
 
     name: ClassVar[str] = "compose"
@@ -136,7 +140,9 @@ class Composed:
         other = self.other
         if isinstance(other, HapticMedium):
             if len(other) != 1:
-                raise InvalidArgument("compose", f"a medium of {len(other)} frames", "a field, or a single frame")
+                raise InvalidArgument(
+                    "compose", f"a medium of {len(other)} frames", "a field, or a single frame"
+                )
             other = other[0]
         if other.grid != field.grid:
             raise InvalidArgument("compose", f"a field on {other.grid}", f"one on {field.grid}")
@@ -149,7 +155,9 @@ class Composed:
         if self.how == "over":
             is_shown = (above != 0).any(axis=-1)
         else:
-            squares = (np.einsum("...c,...c->...", forces, forces, dtype=np.float64) for forces in (above, below))
+            squares = (
+                np.einsum("...c,...c->...", forces, forces, dtype=np.float64) for forces in (above, below)
+            )
             is_shown = np.greater(*squares)
         forces_n = np.where(is_shown[..., None], above, below)
         return ForceField.from_bricks(field.grid, bricks_of(field.grid, keys), forces_n)
@@ -160,7 +168,8 @@ def edited(field: ForceField, region: Region, operator: EditOperator, feather_m:
 
     operator : EditOperator; one of this file, or a `FieldFilter`.
     feather_m : float; width of the transition outside the region, metres; beyond it the field keeps its bits.
-    Raises `InvalidArgument` if the feather is negative, or the operator or the region belongs to another grid.
+    Raises `InvalidArgument` if the feather is negative, or the operator or the region belongs to another
+    grid.
     """
     require_not_negative(feather_m=feather_m)
     after = operator(field)
@@ -190,7 +199,8 @@ def edited_medium(
 ) -> HapticMedium:
     """The medium with every frame of a range edited when it is asked for; the provenance names the edit.
 
-    region, operator, feather_m; as of `edited`; frame 0 of the medium of a `Composed` goes to the first edited frame.
+    region, operator, feather_m; as of `edited`; frame 0 of the medium of a `Composed` goes to the first
+    edited frame.
     frames : (int, int or None), optional; start and stop of the range; all frames by default.
     Raises `InvalidArgument` if there is no such range, or the medium of a `Composed` does not fit it.
     """
@@ -220,9 +230,11 @@ def edited_medium(
 def cross_faded(first: HapticMedium, second: HapticMedium, frames: int) -> HapticMedium:
     """The first medium into the second, the last `frames` of the one mixed with as many of the other.
 
-    frames : int; of the transition, 0 or more; 0 puts one after the other. Frame i of it is (1 - w) F + w G with
-        w = (i + 1) / (frames + 1): the frames before and after it are those of one medium, and go on in equal steps.
-    Raises `InvalidArgument` if a medium is shorter than the transition, or they differ in grid, rate, axes, friction,
+    frames : int; of the transition, 0 or more; 0 puts one after the other. Frame i of it is (1 - w) F + w G
+        with w = (i + 1) / (frames + 1): the frames before and after it are those of one medium, and go on in
+        equal steps.
+    Raises `InvalidArgument` if a medium is shorter than the transition, or they differ in grid, rate, axes,
+    friction,
         damping or tags.
     """
     shortest = min(len(first), len(second))
@@ -246,4 +258,6 @@ def cross_faded(first: HapticMedium, second: HapticMedium, frames: int) -> Hapti
     words = f"{len(first)} frames into {len(second)} over {frames}"
     provenance = noted({**first.provenance, "splices": before}, "splices", words)
     count = begin + len(second)
-    return replace(first, frame_count=count, make_frame=make, provenance=provenance, vibration=None, segments=None)
+    return replace(
+        first, frame_count=count, make_frame=make, provenance=provenance, vibration=None, segments=None
+    )

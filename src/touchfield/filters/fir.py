@@ -1,10 +1,10 @@
 """Equation 4, the finite impulse response filter of a haptic medium, and 5, what it does to each frequency.
 
-y[n] = sum over k of h[k] x[n - k], componentwise, along any number of axes of space and time. Printed like this,
-with k = 0 .. N - 1, it is causal and moves the signal by (N - 1)/2 samples; that is ``anchor="causal"``. The default,
-``anchor="centred"``, and the only one for a field, puts the middle tap over the sample, and needs an odd number of
-taps along each axis. What lies beyond the border, which the paper leaves open, is said by name
-(`touchfield.filters.separable`).
+y[n] = sum over k of h[k] x[n - k], componentwise, along any number of axes of space and time. Printed like
+this, with k = 0 .. N - 1, it is causal and moves the signal by (N - 1)/2 samples; that is
+``anchor="causal"``. The default, ``anchor="centred"``, and the only one for a field, puts the middle tap over
+the sample, and needs an odd number of taps along each axis. What lies beyond the border, which the paper
+leaves open, is said by name (`touchfield.filters.separable`).
 
 H(w1, ..) = sum over n of h[n] exp(-i (w1 n1 + ..)), frequencies in radians per sample (paper section 3.2).
 """
@@ -53,10 +53,12 @@ def fir_filter(
 
     signal : float32, or taken as float64, M-D; its leading axes are filtered, as many as `taps` has.
     taps : float, N-D, N <= M; h, the kernel.
-    anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as printed.
+    anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as
+        printed.
     boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
-    Returns float32 or float64 of the signal's shape and type. Raises `InvalidArgument` if the kernel is empty, not
-    finite, larger than the signal, or even and to be centred; if the signal or a sum is not finite; for other words.
+    Returns float32 or float64 of the signal's shape and type. Raises `InvalidArgument` if the kernel is
+    empty, not finite, larger than the signal, or even and to be centred; if the signal or a sum is not
+    finite; for other words.
     """
     x, h = checked_signal(signal, boundary), _checked_taps(taps, anchor)
     if h.ndim > x.ndim:
@@ -70,7 +72,9 @@ def fir_filter(
 
 
 def checked_signal(signal: ArrayLike, boundary: str) -> NDArray[Any]:
-    """A dense array in float32 or float64; `InvalidArgument` for other boundaries, or a number that is not finite."""
+    """A dense array in float32 or float64; `InvalidArgument` for other boundaries, or a number that is not
+    finite.
+    """
     require_one_of("boundary", boundary, BOUNDARIES)
     kind = np.float32 if getattr(signal, "dtype", None) == np.float32 else np.float64
     x = numbers_of("signal", signal, kind)
@@ -80,7 +84,9 @@ def checked_signal(signal: ArrayLike, boundary: str) -> NDArray[Any]:
 
 
 def without_overflow(sums: NDArray[Any], where: str) -> NDArray[Any]:
-    """The result of a filter of finite numbers; `InvalidArgument` naming `where` if a sum went beyond its type."""
+    """The result of a filter of finite numbers; `InvalidArgument` naming `where` if a sum went beyond its
+    type.
+    """
     if not _is_all_finite(sums):
         expected = f"sums below {np.finfo(sums.dtype).max:.3g}"
         mend = "Scale the signal or the taps down."
@@ -102,7 +108,9 @@ def _is_all_finite(x: NDArray[Any]) -> bool:
 def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
     h = numbers_of("taps", taps, is_finite=True)
     if not h.size or not h.ndim:
-        raise InvalidArgument("taps", f"an array {h.shape}", "at least one tap along each of one or more axes")
+        raise InvalidArgument(
+            "taps", f"an array {h.shape}", "at least one tap along each of one or more axes"
+        )
     require_one_of("anchor", anchor, ANCHORS)
     if anchor == "centred" and any(n % 2 == 0 for n in h.shape):
         mend = "An even kernel has no middle tap: add a zero."
@@ -110,7 +118,9 @@ def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
     return h
 
 
-def direct_sums(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[int], boundary: str) -> NDArray[Any]:
+def direct_sums(
+    x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[int], boundary: str
+) -> NDArray[Any]:
     """The sums of a box of taps, by `scipy.ndimage`, or of one row after the other."""
     if isinstance(taps, list):
         return _separable_sums(x, taps, origins, boundary)
@@ -120,11 +130,15 @@ def direct_sums(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[
     places = [n - 1 - o - n // 2 for n, o in zip(taps.shape, origins, strict=True)]
     beside = x.ndim - taps.ndim
     mirrored = np.flip(taps).reshape(*taps.shape, *[1] * beside)
-    return np.asarray(ndimage.correlate(x, mirrored, mode=SCIPY_MODES[boundary], origin=[*places, *[0] * beside]))
+    return np.asarray(
+        ndimage.correlate(x, mirrored, mode=SCIPY_MODES[boundary], origin=[*places, *[0] * beside])
+    )
 
 
 _Along = tuple[Int64s, Int64s, NDArray[Any], tuple[int, int, int]]
-"""Of an axis: runs, places, weights and sizes, as `touchfield.filters.kernels.separable.sums_along` takes them."""
+"""Of an axis: runs, places, weights and sizes, as `touchfield.filters.kernels.separable.sums_along` takes
+them.
+"""
 
 
 def _separable_sums(x: NDArray[Any], taps: list[Float64s], origins: list[int], boundary: str) -> NDArray[Any]:
@@ -138,9 +152,16 @@ def _separable_sums(x: NDArray[Any], taps: list[Float64s], origins: list[int], b
     ]
     counts = [math.prod(x.shape[:axis]) for axis in range(len(taps))]  # of the rows that an axis has
     has_planes = is_float32 and len(taps) > 2 and counts[-2] >= 2 * worker_count()
-    for (runs, places, weights, sizes), count in list(zip(along, counts, strict=True))[: -2 if has_planes else None]:
-        blocks, arrays = -(-sizes[1] // sizes[2]), (frozen(source).reshape(count, -1), runs, places, weights, sizes)
-        for_chunks(sums_along_float32 if is_float32 else sums_along, count * blocks, *arrays, out.reshape(count, -1))
+    for (runs, places, weights, sizes), count in list(zip(along, counts, strict=True))[
+        : -2 if has_planes else None
+    ]:
+        blocks, arrays = (
+            -(-sizes[1] // sizes[2]),
+            (frozen(source).reshape(count, -1), runs, places, weights, sizes),
+        )
+        for_chunks(
+            sums_along_float32 if is_float32 else sums_along, count * blocks, *arrays, out.reshape(count, -1)
+        )
         source = out
     if has_planes:
         rows, lines = (out.reshape(count, -1) for count in counts[-2:])
@@ -159,7 +180,10 @@ def _along(x: NDArray[Any], weights: Float64s, origin: int, axis: int, boundary:
     begins = held if beside > COLUMNS else held[np.diff(line[held], prepend=-2) != 1]
     runs = np.stack([begins, line[begins], np.diff(begins, append=held[-1:] + 1)], axis=1)
     places = np.flatnonzero(weights)
-    fill = 0, 0 if x.dtype == np.float32 else -len(places) % 4  # the kernel of float64 takes four weights at once
+    fill = (
+        0,
+        0 if x.dtype == np.float32 else -len(places) % 4,
+    )  # the kernel of float64 takes four weights at once
     some, places = np.pad(weights[places].astype(x.dtype), fill), np.pad(places, fill)
     return runs, places, some, (len(line), beside, max(1, min(beside, COLUMNS)))
 
@@ -168,11 +192,11 @@ def _along(x: NDArray[Any], weights: Float64s, origin: int, axis: int, boundary:
 class FirFilter(FieldFilter):
     """Equation 4 on the sparse bricks of a field; nothing is made dense.
 
-    taps : str; the taps of one axis, ``1/2/1``, applied along all three but those of a single sample; or a box of
-        taps in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``.
+    taps : str; the taps of one axis, ``1/2/1``, applied along all three but those of a single sample; or a
+        box of taps in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``.
     normalise : bool; scale the taps to unit sum, so that a constant field stays itself.
-    Raises `InvalidArgument` if the taps cannot be read, are not finite, even, or of sum zero and to be normalised;
-    on use, if the kernel is larger than the field, or a sum is beyond float32.
+    Raises `InvalidArgument` if the taps cannot be read, are not finite, even, or of sum zero and to be
+    normalised; on use, if the kernel is larger than the field, or a sum is beyond float32.
     """
 
     name: ClassVar[str] = "fir"
@@ -187,7 +211,9 @@ class FirFilter(FieldFilter):
         nothing = abs(total) <= 1e-12 * float(np.abs(self.kernel).sum())
         if (self.normalise and nothing) or not self.kernel.any():
             mend = "Take normalise=false for a high-pass."
-            raise InvalidArgument("--fir taps", f"{self.taps!r}, of sum {total:g}", "a sum that is not zero", mend)
+            raise InvalidArgument(
+                "--fir taps", f"{self.taps!r}, of sum {total:g}", "a sum that is not zero", mend
+            )
 
     @cached_property
     def kernel(self) -> Float64s:
@@ -267,13 +293,17 @@ def _read_taps(text: str) -> Float64s:
 
 
 def frequency_response(taps: ArrayLike, *omegas: ArrayLike) -> NDArray[np.complex128]:
-    """Equation 5: H(w1, ..) of a kernel [n1, ...] at frequencies in radians per sample, complex128 of their shape.
+    """Equation 5: H(w1, ..) of a kernel [n1, ...] at frequencies in radians per sample, complex128 of their
+    shape.
 
-    One of `omegas` for each axis of the kernel; `InvalidArgument` for more or fewer. 20 log10 |H| is the gain in dB.
+    One of `omegas` for each axis of the kernel; `InvalidArgument` for more or fewer. 20 log10 |H| is the gain
+    in dB.
     """
     kernel = numbers_of("taps", taps)
     if kernel.ndim != len(omegas) or not omegas:
-        raise InvalidArgument("frequency_response", f"{len(omegas)} frequencies", f"{kernel.ndim}, one for each axis")
+        raise InvalidArgument(
+            "frequency_response", f"{len(omegas)} frequencies", f"{kernel.ndim}, one for each axis"
+        )
     frequencies = np.broadcast_arrays(*(numbers_of("omegas", w) for w in omegas))
     response: Any = np.broadcast_to(kernel, (*frequencies[0].shape, *kernel.shape))
     for omega, count in zip(reversed(frequencies), reversed(kernel.shape), strict=True):

@@ -1,12 +1,12 @@
 """Where an edit acts: boxes, balls, half-spaces, sets of voxels, ranges of force, and what is made of them.
 
-Lengths are metres of the hand. ``a | b`` is the union of two regions, ``a & b`` what they share, and ``~a`` all that
-is not in `a`. A region knows its samples exactly. Its distance, by which a feather fades, is the true one of a shape
-and of a set of voxels; of a union it is the smaller of the two and of an intersection the larger, which at a corner
-is less than the true one.
+Lengths are metres of the hand. ``a | b`` is the union of two regions, ``a & b`` what they share, and ``~a``
+all that is not in `a`. A region knows its samples exactly. Its distance, by which a feather fades, is the
+true one of a shape and of a set of voxels; of a union it is the smaller of the two and of an intersection the
+larger, which at a corner is less than the true one.
 
-Forces turn with a motion x -> R x + t: the moved field is F'(x) = R F(R^T (x - t)). A mirror image is allowed, with
-det R = -1.
+Forces turn with a motion x -> R x + t: the moved field is F'(x) = R F(R^T (x - t)). A mirror image is
+allowed, with det R = -1.
 """
 
 from __future__ import annotations
@@ -94,7 +94,9 @@ class Box(Region):
         for name in ("low_m", "high_m"):
             object.__setattr__(self, name, _point(f"box {name}", getattr(self, name), may_be_infinite=True))
         if any(low > high for low, high in zip(self.low_m, self.high_m, strict=True)):
-            raise InvalidArgument("box", f"low {self.low_m}, high {self.high_m}", "low <= high along each axis")
+            raise InvalidArgument(
+                "box", f"low {self.low_m}, high {self.high_m}", "low <= high along each axis"
+            )
 
     @property
     def words(self) -> str:
@@ -169,7 +171,8 @@ class Voxels(Region):
 
     grid : Grid; of the fields to be edited.
     positions : int [m, 3]; in any order and perhaps several times.
-    Raises `InvalidArgument` if they are not whole numbers within the grid; from `on`, if a field has another grid.
+    Raises `InvalidArgument` if they are not whole numbers within the grid; from `on`, if a field has another
+    grid.
     """
 
     grid: Grid
@@ -190,7 +193,9 @@ class Voxels(Region):
 
     def on(self, field: ForceField) -> Region:
         if field.grid != self.grid:
-            raise InvalidArgument("region of voxels", f"a field on {field.grid}", f"the region's own {self.grid}")
+            raise InvalidArgument(
+                "region of voxels", f"a field on {field.grid}", f"the region's own {self.grid}"
+            )
         return self
 
     def holds(self, points_m: Float64s) -> Bools:
@@ -230,7 +235,8 @@ class Voxels(Region):
 
 @dataclass(frozen=True)
 class ForceRange(Region):
-    """The samples of the edited field whose |F| lies from `low_n` to `high_n`; with low_n = 0 empty space, too.
+    """The samples of the edited field whose |F| lies from `low_n` to `high_n`; with low_n = 0 empty space,
+    too.
 
     Raises `InvalidArgument` if the range is empty or a bound is negative.
     """
@@ -255,7 +261,9 @@ class ForceRange(Region):
         return ~Voxels(field.grid, field.positions()[~within])
 
     def distance_m(self, points_m: Float64s) -> Float64s:
-        raise InvalidArgument(self.words, "no field to look at", "a field", "Ask the region that on(field) gives.")
+        raise InvalidArgument(
+            self.words, "no field to look at", "a field", "Ask the region that on(field) gives."
+        )
 
 
 _HELD: Final[dict[str, Any]] = {"or": np.logical_or, "and": np.logical_and, "not": np.logical_not}
@@ -307,7 +315,9 @@ class RigidMotion:
         if r.shape != (3, 3) or not np.isfinite(r).all() or np.abs(r @ r.T - np.eye(3)).max() > _ORTHOGONAL:
             raise InvalidArgument("rigid motion matrix", repr(self.matrix), "an orthogonal 3 x 3 matrix")
         if t.shape != (3,) or not np.isfinite(t).all():
-            raise InvalidArgument("rigid motion offset_m", repr(self.offset_m), "three finite coordinates in metres")
+            raise InvalidArgument(
+                "rigid motion offset_m", repr(self.offset_m), "three finite coordinates in metres"
+            )
         r = np.where(np.abs(r - np.rint(r)) < _WHOLE, np.rint(r), r) + 0.0
         object.__setattr__(self, "matrix", tuple(tuple(row) for row in r.tolist()))
         object.__setattr__(self, "offset_m", tuple(t.tolist()))
@@ -323,7 +333,9 @@ class RigidMotion:
         x, y, z = _unit("turn axis", axis)
         angle = math.radians(angle_deg)
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        return cls._about(np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross), about_m)
+        return cls._about(
+            np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross), about_m
+        )
 
     @classmethod
     def mirror(cls, normal: ArrayLike, through_m: ArrayLike = (0.0, 0.0, 0.0)) -> RigidMotion:
@@ -345,7 +357,9 @@ class RigidMotion:
     def then(self, second: RigidMotion) -> RigidMotion:
         """This motion, and then another."""
         r: Any = np.asarray(second.matrix)
-        return RigidMotion(r @ np.asarray(self.matrix), r @ np.asarray(self.offset_m) + np.asarray(second.offset_m))
+        return RigidMotion(
+            r @ np.asarray(self.matrix), r @ np.asarray(self.offset_m) + np.asarray(second.offset_m)
+        )
 
     @property
     def inverse(self) -> RigidMotion:
@@ -372,8 +386,12 @@ def _unit(where: str, given: ArrayLike) -> Float64s:
 
 def _point(where: str, given: Any, may_be_infinite: bool = False) -> tuple[float, float, float]:
     values = numbers_of(where, given).tolist()
-    if np.shape(given) != (3,) or any(math.isnan(v) or (math.isinf(v) and not may_be_infinite) for v in values):
-        raise InvalidArgument(where, repr(given), "three numbers" if may_be_infinite else "three finite numbers")
+    if np.shape(given) != (3,) or any(
+        math.isnan(v) or (math.isinf(v) and not may_be_infinite) for v in values
+    ):
+        raise InvalidArgument(
+            where, repr(given), "three numbers" if may_be_infinite else "three finite numbers"
+        )
     return (values[0], values[1], values[2])
 
 

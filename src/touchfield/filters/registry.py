@@ -1,7 +1,9 @@
-"""Haptic filters (paper section 3.2): what one is and declares, how it is asked for in words, and chains of them.
+"""Haptic filters (paper section 3.2): what one is and declares, how it is asked for in words, and chains of
+them.
 
-A filter is a frozen dataclass of what was asked, in metres and newtons, and a call that takes a field to a field on
-the same grid. It declares what it does (`Claims`), and one shared test measures every claim on every filter.
+A filter is a frozen dataclass of what was asked, in metres and newtons, and a call that takes a field to a
+field on the same grid. It declares what it does (`Claims`), and one shared test measures every claim on every
+filter.
 """
 
 from __future__ import annotations
@@ -68,9 +70,9 @@ class FieldFilter(ABC):
     def parse(cls, text: str) -> Self:
         """A filter of words: the first field's value alone, or "field=value,field=value", or both.
 
-        A field that ends in ``_m`` takes a length with its unit, ``2mm``, one in ``_n`` newtons; both may be named
-        without the ending. An empty text takes every default. Of the words of older streams those that were the
-        default of a field no longer there are passed over.
+        A field that ends in ``_m`` takes a length with its unit, ``2mm``, one in ``_n`` newtons; both may be
+        named without the ending. An empty text takes every default. Of the words of older streams those that
+        were the default of a field no longer there are passed over.
 
         Raises `InvalidArgument` if a field is unknown, missing, there twice or not of its type.
         """
@@ -109,7 +111,9 @@ class FieldFilter(ABC):
 
 
 def length_m(text: str, where: str) -> float:
-    """A length such as ``2mm`` in metres; `InvalidArgument` naming `where` if the number or its unit is missing."""
+    """A length such as ``2mm`` in metres; `InvalidArgument` naming `where` if the number or its unit is
+    missing.
+    """
     match = re.fullmatch(r"\s*([-+0-9.eE]+?)\s*(um|mm|cm|m)\s*", text)
     try:
         value = float(match[1]) * _UNITS_M[match[2]] if match else math.nan
@@ -129,10 +133,14 @@ def _value(where: str, name: str, kind: Any, text: str) -> Any:
         return length_m(text, where)
     try:
         if kind is bool:
-            return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
+            return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[
+                text.lower()
+            ]
         return kind(text)
     except (ValueError, KeyError):
-        expected = {int: "a whole number", float: "a number", bool: "true or false"}.get(kind, "another value")
+        expected = {int: "a whole number", float: "a number", bool: "true or false"}.get(
+            kind, "another value"
+        )
         raise InvalidArgument(where, repr(text), expected) from None
 
 
@@ -145,7 +153,9 @@ _CLASSES = (
     "smoothing.GaussianFilter", "fir.FirFilter", "smoothing.ActuatorLowPass", "shading.ShadingFilter",
     "shading.DiffusionFilter", "lifting.MultiresolutionFilter", "contact.TextureFilter",
 )  # fmt: skip
-"""The filters of this package, each a class of a module; plug-ins add theirs by the group ``touchfield.filters``."""
+"""The filters of this package, each a class of a module; plug-ins add theirs by the group
+``touchfield.filters``.
+"""
 
 
 @cache
@@ -201,7 +211,9 @@ def noted(provenance: Mapping[str, str], key: str, words: str) -> dict[str, str]
 
 
 def felt_medium(medium: HapticMedium, chain: Sequence[FieldFilter], force_max_n: float) -> HapticMedium:
-    """The medium through the haptic filters; what they add beyond F_max is clipped, as the device filter clips."""
+    """The medium through the haptic filters; what they add beyond F_max is clipped, as the device filter
+    clips.
+    """
     if not chain:
         return medium
     result = filtered_medium(medium, chain)

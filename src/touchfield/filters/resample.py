@@ -1,13 +1,15 @@
-"""A force field on another lattice: through a low-pass, the middle of the mapping M (section 3.1), or trilinear.
+"""A force field on another lattice: through a low-pass, the middle of the mapping M (section 3.1), or
+trilinear.
 
-One separable low-pass takes the field to any lattice with the same axes: smoothing at the same rate, decimation by a
-whole number, or any other ratio and shift. Only output bricks that an input brick reaches are made. What lies beyond
-the source's grid counts as zero (a source that should not fade at its border is to be sampled beyond the target's).
+One separable low-pass takes the field to any lattice with the same axes: smoothing at the same rate,
+decimation by a whole number, or any other ratio and shift. Only output bricks that an input brick reaches are
+made. What lies beyond the source's grid counts as zero (a source that should not fade at its border is to be
+sampled beyond the target's).
 
-A kernel is a function of distance with a cut-off in cycles per metre. For each sample of the target lattice it is
-sampled at the source's positions around it and scaled to unit sum, so that a constant passes unchanged. Departure
-from the paper: equation 4 is causal, the kernels here are centred. Measured on the continuous kernels (f_c is the
-cut-off; overshoot in per cent of a step):
+A kernel is a function of distance with a cut-off in cycles per metre. For each sample of the target lattice
+it is sampled at the source's positions around it and scaled to unit sum, so that a constant passes unchanged.
+Departure from the paper: equation 4 is causal, the kernels here are centred. Measured on the continuous
+kernels (f_c is the cut-off; overshoot in per cent of a step):
 
 ======== ======== ======= ========= ========= ========= ==========
 kernel   -3 dB at at f_c  at 1.5f_c at 2f_c   overshoot half width
@@ -17,17 +19,17 @@ box      0.89 f_c -3.9 dB -10.5 dB  none left 0         0.25 / f_c
 sinc     0.90 f_c -6.0 dB -54 dB    -78 dB    7.6       2.00 / f_c
 ======== ======== ======= ========= ========= ========= ==========
 
-The default is the cubic B-spline. A field of forces jumps at a contact, and a kernel with negative lobes rings there;
-one that is never negative gives a mean of the forces around: no force turns round, none exceeds what was there, and
-the price is a blunter edge in frequency.
+The default is the cubic B-spline. A field of forces jumps at a contact, and a kernel with negative lobes
+rings there; one that is never negative gives a mean of the forces around: no force turns round, none exceeds
+what was there, and the price is a blunter edge in frequency.
 
 Trilinear interpolation is what a receiver renders between samples; it has no low-pass.
 
-Levels of detail (paper section 4): level 0 is the field; each next level keeps every second sample of the one before
-along each axis, as it is: a force ends at a surface and bends there, and a low-pass takes the bend to all that is
-around (`bench/bench_detail.py`). What a lattice twice as coarse misses is a wall that passes between its samples. So
-a sample without a force, right behind such a wall, takes the mean of the forces on it: the wall stays closed, thicker
-behind and never in front.
+Levels of detail (paper section 4): level 0 is the field; each next level keeps every second sample of the one
+before along each axis, as it is: a force ends at a surface and bends there, and a low-pass takes the bend to
+all that is around (`bench/bench_detail.py`). What a lattice twice as coarse misses is a wall that passes
+between its samples. So a sample without a force, right behind such a wall, takes the mean of the forces on
+it: the wall stays closed, thicker behind and never in front.
 """
 
 from __future__ import annotations
@@ -70,7 +72,9 @@ class LowPass:
 
     name: str
     half_width: float  # beyond this distance, in units of 1 / cut-off, the kernel is zero
-    shape: Callable[[Float64s, float], Float64s]  # (x, h): weights at distances x of samples h apart, in that unit
+    shape: Callable[
+        [Float64s, float], Float64s
+    ]  # (x, h): weights at distances x of samples h apart, in that unit
 
 
 def _spline(x: Float64s, h: float) -> Float64s:
@@ -131,8 +135,8 @@ def axis_weights(
 
     source, target : (int, float, float); samples, spacing in metres, and position of the first one in metres.
     cutoff_per_m : float; cycles per metre; a cut-off above the source's own Nyquist rate is taken down to it.
-    Raises `InvalidArgument` if the cut-off is not positive, or so low for the source that the table would be too
-    large.
+    Raises `InvalidArgument` if the cut-off is not positive, or so low for the source that the table would be
+    too large.
     """
     source_count, spacing, origin = source
     target_count, target_spacing, target_origin = target
@@ -147,7 +151,9 @@ def axis_weights(
     if not taps * target_count <= MAX_WEIGHTS:
         expected = f"up to {MAX_WEIGHTS} weights"
         mend = "Take a coarser source lattice, or resample in several steps."
-        raise InvalidArgument("low-pass", f"{taps:.3g} source samples to each of {target_count}", expected, mend)
+        raise InvalidArgument(
+            "low-pass", f"{taps:.3g} source samples to each of {target_count}", expected, mend
+        )
     centre = (target_origin - origin) / spacing + np.arange(target_count) * (target_spacing / spacing)
     first = np.ceil(centre - radius).astype(np.int64)
     distance = first[:, None] + np.arange(math.floor(taps)) - centre[:, None]
@@ -252,7 +258,8 @@ def most_levels(grid: Grid) -> int:
 def pyramid(field: ForceField, levels: int) -> tuple[ForceField, ...]:
     """The levels of detail of a field, the finest first.
 
-    levels : int; how often it is halved, 0 to `most_levels`; each level has 1/8 of the samples of the one before.
+    levels : int; how often it is halved, 0 to `most_levels`; each level has 1/8 of the samples of the one
+        before.
     Raises `InvalidArgument` if the grid cannot be halved so often.
     """
     most = most_levels(field.grid)
@@ -271,7 +278,9 @@ def pyramid(field: ForceField, levels: int) -> tuple[ForceField, ...]:
         for span, wide in blocks_around(last, last.forces_n, bricks, (2, 2, 2), (1, 1, 1)):
             (x, y, z), at = quarter[span].T, slot.reshape(-1)[span]
             forces[at, x, :, y, :, z] = _kept(wide, np.asarray(last.grid.spacing_m, np.float32))
-        fields.append(ForceField.from_bricks(grid, bricks_of(grid, coarse), forces.reshape(-1, *[BRICK] * 3, 3)))
+        fields.append(
+            ForceField.from_bricks(grid, bricks_of(grid, coarse), forces.reshape(-1, *[BRICK] * 3, 3))
+        )
     return tuple(fields)
 
 
@@ -287,7 +296,8 @@ def _kept(wide: NDArray[Any], spacing: Float32s) -> Float32s:
     total, count = np.zeros(samples.shape), np.zeros(there.shape, np.int32)
     for offset in _OFFSETS:
         force, beyond = at(wide, offset), at(is_held, (2 * offset[0], 2 * offset[1], 2 * offset[2]))
-        # on a wall before this sample: the force points away from here, and the kept sample behind the wall has none
+        # on a wall before this sample: the force points away from here, and the kept sample behind the wall
+        # has none
         is_wall = ~beyond & ((force * (spacing * np.array(offset, np.float32))).sum(axis=-1) > 0)
         total += np.where(is_wall[..., None], force, 0.0)
         count += is_wall
@@ -322,7 +332,9 @@ def _doubled(level: ForceField, grid: Grid) -> ForceField:
             wide = np.moveaxis(fine, 1, axis + 1)
         cut = wide.reshape(-1, 2, BRICK, 2, BRICK, 2, BRICK, 3).transpose(0, 1, 3, 5, 2, 4, 6, 7)
         parts.append(cut.reshape(-1, 8, BRICK, BRICK, BRICK, 3))
-    places = (2 * bricks[:, None] + np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)).reshape(-1, 3)
+    places = (2 * bricks[:, None] + np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)).reshape(
+        -1, 3
+    )
     inside = (places < np.array(grid.brick_shape)).all(axis=1)
     forces = np.concatenate(parts).reshape(-1, BRICK, BRICK, BRICK, 3)[inside]
     return ForceField.from_bricks(grid, places[inside], forces)

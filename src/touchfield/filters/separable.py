@@ -1,10 +1,11 @@
-"""Equation 4 where its kernel is a product of one row of taps for each axis (paper section 3.2), and the border.
+"""Equation 4 where its kernel is a product of one row of taps for each axis (paper section 3.2), and the
+border.
 
-Three passes of N taps instead of one of N^3; each adds only the bricks that it reaches along its own axis. Departure
-from equation 4: the taps stand about the sample, so that a filter does not shift the field.
+Three passes of N taps instead of one of N^3; each adds only the bricks that it reaches along its own axis.
+Departure from equation 4: the taps stand about the sample, so that a filter does not shift the field.
 
-What a filter sees beyond the border equation 4 leaves open. Four continuations of samples a b c d, with the names of
-`scipy.ndimage`, which calls "zero" "constant":
+What a filter sees beyond the border equation 4 leaves open. Four continuations of samples a b c d, with the
+names of `scipy.ndimage`, which calls "zero" "constant":
 
 ======== =====================================================
 zero     0 0 0 | a b c d | 0 0 0
@@ -35,7 +36,12 @@ Axes = tuple["AxisTaps", "AxisTaps", "AxisTaps"]
 SCIPY_MODES: Final = {"zero": "constant", "nearest": "nearest", "reflect": "reflect", "wrap": "wrap"}
 """The name of each in `scipy.ndimage`."""
 
-NUMPY_MODES: Final[dict[str, Any]] = {"zero": "constant", "nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}
+NUMPY_MODES: Final[dict[str, Any]] = {
+    "zero": "constant",
+    "nearest": "edge",
+    "reflect": "symmetric",
+    "wrap": "wrap",
+}
 """And in `numpy.pad`."""
 
 BOUNDARIES: Final = tuple(SCIPY_MODES)
@@ -85,10 +91,11 @@ def factors(kernel: Float64s) -> list[Float64s] | None:
 
 
 def filter_field(field: ForceField, axes: Axes) -> tuple[ForceField, bool]:
-    """A field filtered brick by brick, on the same grid, and whether all sums were finite while they were made.
+    """A field filtered brick by brick, on the same grid, and whether all sums were finite while they were
+    made.
 
-    Only bricks that a force reaches are made; the same bits for any number of threads. A sum that is not finite may
-    be one outside the grid. No axis may have more taps than samples (`AxisTaps.check_fits`).
+    Only bricks that a force reaches are made; the same bits for any number of threads. A sum that is not
+    finite may be one outside the grid. No axis may have more taps than samples (`AxisTaps.check_fits`).
     """
     if not len(field.bricks):
         return field, True
@@ -99,7 +106,9 @@ def filter_field(field: ForceField, axes: Axes) -> tuple[ForceField, bool]:
 
 
 def keys_of_passes(field: ForceField, axes: Axes) -> list[Int64s]:
-    """Ascending keys of the field's bricks, and of those that hold something after the passes along x, y and z."""
+    """Ascending keys of the field's bricks, and of those that hold something after the passes along x, y and
+    z.
+    """
     lattice = field.grid.brick_shape
     keys = [brick_keys(field.grid, field.bricks)]
     for axis in range(3):
@@ -128,12 +137,18 @@ def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s
     count, (_, columns, depth) = len(keys[3]), grid.brick_shape
     require_memory("force field", f"{count} bricks", count * BYTES_PER_BRICK)
     out = np.empty((count, BRICK, BRICK, BRICK, 3), np.float32)  # the kernel sets every row
-    tops, flat, masks = np.zeros(count, np.uint32), frozen(forces_n).reshape(-1), np.empty(len(forces_n), np.uint64)
+    tops, flat, masks = (
+        np.zeros(count, np.uint32),
+        frozen(forces_n).reshape(-1),
+        np.empty(len(forces_n), np.uint64),
+    )
     for_chunks(kernels.row_masks, len(masks), flat.view(np.uint64), masks, chunk=64)
     tile = min(depth, kernels.TILE)
     tiles, sizes = -(-depth // tile), (tile, -(-max(before[2], deep[2] - before[2]) // BRICK))
     every = np.unique(keys[3] // (columns * depth) * tiles + keys[3] % depth // tile)
-    hands = 4 * worker_count()  # the pieces of `for_chunks`: slabs are dealt out in turn, so that all cost the same
+    hands = (
+        4 * worker_count()
+    )  # the pieces of `for_chunks`: slabs are dealt out in turn, so that all cost the same
     items = np.stack(np.divmod(np.concatenate([every[hand::hands] for hand in range(hands)]), tiles), axis=1)
     target, law = out.reshape(-1), (grid.brick_shape, before, deep, sizes, (places, weights, counts))
     arguments = items, (flat, masks), tuple(keys), *law, target, target.view(np.uint32), tops
@@ -142,9 +157,11 @@ def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s
 
 
 def brick_field(grid: Grid, bricks: Int32s, forces_n: Float32s, is_held: Bools) -> ForceField:
-    """The field of the bricks that a kernel made: without what lies beyond the grid, and without empty bricks.
+    """The field of the bricks that a kernel made: without what lies beyond the grid, and without empty
+    bricks.
 
-    `forces_n` float32 [n, 8, 8, 8, 3] and `is_held` bool [n], which bricks hold a force, are changed in place.
+    `forces_n` float32 [n, 8, 8, 8, 3] and `is_held` bool [n], which bricks hold a force, are changed in
+    place.
     """
     for axis, count in enumerate(grid.shape):
         rest = count % BRICK

@@ -1,28 +1,29 @@
 """Force shading (paper section 3.2): direction and amplitude smoothed apart, and anisotropic diffusion.
 
-The paper lists "off-line force shading" among the haptic filters and gives no formula. On-line it is the rule of
-Morgenbesser and Srinivasan, "Force shading for haptic shape perception", 1996: the direction of the force is
-interpolated over the facets of a coarse surface while its amplitude still tells how deep the hand is. Here both are
-taken from the field itself, with the Gaussian weights w and the support S::
+The paper lists "off-line force shading" among the haptic filters and gives no formula. On-line it is the rule
+of Morgenbesser and Srinivasan, "Force shading for haptic shape perception", 1996: the direction of the force
+is interpolated over the facets of a coarse surface while its amplitude still tells how deep the hand is. Here
+both are taken from the field itself, with the Gaussian weights w and the support S::
 
     u_i = sum_S w_ij F_j/|F_j|                      direction u_i / |u_i|
     a_i = sum_S w_ij |F_j| / sum_S w_ij             amplitude
 
-Directions are unit vectors, so that the amplitudes have no say in them. The sums run over the support (a normalised
-convolution, Knutsson and Westin 1993): empty space neither pulls forces down nor blunts a contact. Where the
-directions around cancel a sample keeps its own.
+Directions are unit vectors, so that the amplitudes have no say in them. The sums run over the support (a
+normalised convolution, Knutsson and Westin 1993): empty space neither pulls forces down nor blunts a contact.
+Where the directions around cancel a sample keeps its own.
 
-Diffusion: Perona and Malik, "Scale-space and edge detection using anisotropic diffusion", IEEE PAMI 12(7), 1990,
-equations 7 to 9, for vectors. In each step a sample takes from each neighbour j along the axes ::
+Diffusion: Perona and Malik, "Scale-space and edge detection using anisotropic diffusion", IEEE PAMI 12(7),
+1990, equations 7 to 9, for vectors. In each step a sample takes from each neighbour j along the axes ::
 
     F_i  <-  F_i + sum_j lambda_ij g(|F_j - F_i|) (F_j - F_i)
     g(d) = exp(-(d/kappa)^2)
 
-with one conductance g for the three components: a change of direction is an edge as much as one of amplitude. The sum
-of the forces stays, and no |F| exceeds what was there as long as lambda <= 1/(2 axes); at that limit a checkerboard
-never fades, and lambda is 1/(2 axes + 1). With g = 1 (kappa = inf) n steps blur as a Gaussian of sigma = spacing
-sqrt(2 lambda n). Where spacings differ lambda along an axis is less by (finest spacing / spacing)^2, a diffusion in
-metres; kappa is not divided by the spacing. Nothing crosses the border of the grid, nor the edge of the support.
+with one conductance g for the three components: a change of direction is an edge as much as one of amplitude.
+The sum of the forces stays, and no |F| exceeds what was there as long as lambda <= 1/(2 axes); at that limit
+a checkerboard never fades, and lambda is 1/(2 axes + 1). With g = 1 (kappa = inf) n steps blur as a Gaussian
+of sigma = spacing sqrt(2 lambda n). Where spacings differ lambda along an axis is less by (finest spacing /
+spacing)^2, a diffusion in metres; kappa is not divided by the spacing. Nothing crosses the border of the
+grid, nor the edge of the support.
 """
 
 from __future__ import annotations
@@ -56,7 +57,8 @@ _CANCELLED: Final = 1e-4  # a mean of unit vectors shorter than this has no dire
 class ShadingFilter(FieldFilter):
     """Gaussian force shading.
 
-    sigma_m : float; of the Gaussian, metres, cut off at 4 sigma. Facets vanish from about 0.4 of their edge on.
+    sigma_m : float; of the Gaussian, metres, cut off at 4 sigma. Facets vanish from about 0.4 of their edge
+        on.
     smooth : str; "both"; "direction" keeps every amplitude, "amplitude" keeps every direction.
     Raises `InvalidArgument` if a value is out of range; on a call, if sigma reaches too many samples.
     """
@@ -65,7 +67,9 @@ class ShadingFilter(FieldFilter):
     smooth: str = "both"
 
     name: ClassVar[str] = "shading"
-    summary: ClassVar[str] = "smooth direction and amplitude apart within the support, 2mm or 2mm,smooth=direction"
+    summary: ClassVar[str] = (
+        "smooth direction and amplitude apart within the support, 2mm or 2mm,smooth=direction"
+    )
     example: ClassVar[str] = "2mm"
 
     def __post_init__(self) -> None:
@@ -97,7 +101,9 @@ class ShadingFilter(FieldFilter):
         masses[field.mask, 0], masses[field.mask, 1] = 1, lengths_n / scale_n
         keys = keys_of_passes(field, axes)
         keys[3] = keys[0]  # the bricks around the support need not be made
-        mean_masses, mean_directions = (sums_of_bricks(field.grid, v, axes, keys)[0] for v in (masses, directions))
+        mean_masses, mean_directions = (
+            sums_of_bricks(field.grid, v, axes, keys)[0] for v in (masses, directions)
+        )
         reached = field.mask
         weights = mean_masses[reached][:, 0]
         if self.smooth != "direction":
@@ -130,8 +136,8 @@ _LEAST_KAPPA: Final = 1e-30
 class DiffusionFilter(FieldFilter):
     """Perona-Malik diffusion of a force field.
 
-    kappa_n : float; newtons: of a difference to the next sample well below it little is left, well above it is an
-        edge. inf makes every conductance 1.
+    kappa_n : float; newtons: of a difference to the next sample well below it little is left, well above it
+        is an edge. inf makes every conductance 1.
     steps : int; 1 to 10000.
     Raises `InvalidArgument` if a value is out of range; on a call, if the forces are too great for float32.
     """
@@ -171,20 +177,24 @@ class DiffusionFilter(FieldFilter):
         return ForceField.from_bricks(field.grid, field.bricks, forces)
 
 
-def perona_malik(values: ArrayLike, *, steps: int, kappa_n: float, where: ArrayLike | None = None) -> Float32s:
+def perona_malik(
+    values: ArrayLike, *, steps: int, kappa_n: float, where: ArrayLike | None = None
+) -> Float32s:
     """Perona-Malik diffusion of a dense array, sample by sample; see the head of this module.
 
     values : float array [nx, ny, nz, 3], or [nx], [nx, ny] or [nx, ny, nz]; taken as float32.
     steps : int; 1 to 10000.
     kappa_n : float; in the unit of the values; inf makes every conductance 1.
-    where : bool array of the shape of space, optional; the samples that take part; nothing flows to or from the
-        others. By default all.
+    where : bool array of the shape of space, optional; the samples that take part; nothing flows to or from
+        the others. By default all.
     Returns float32: Of the shape of `values`; the same bits for any number of threads.
     Raises `InvalidArgument` if a value is out of range or not finite, or shapes do not fit.
     """
     law, array = DiffusionFilter(kappa_n, steps), numbers_of("values", values, np.float32, is_finite=True)
     if array.size == 0 or array.ndim not in (1, 2, 3, 4) or (array.ndim == 4 and array.shape[3] != 3):
-        raise InvalidArgument("values", f"shape {array.shape}", "[nx, ny, nz, 3], or scalars with one to three axes")
+        raise InvalidArgument(
+            "values", f"shape {array.shape}", "[nx, ny, nz, 3], or scalars with one to three axes"
+        )
     space = array.shape[:3]
     mask = np.ones(space, np.bool_) if where is None else np.array(where)
     if mask.shape != space or mask.dtype != np.bool_:

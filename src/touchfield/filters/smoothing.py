@@ -1,12 +1,12 @@
 """Linear low-passes of a field: the Gaussian, and what an array of actuators can show (paper section 3.2).
 
-The Gaussian, with the kernel of `scipy.ndimage.gaussian_filter`, acts on each component alone; the paper's force
-shading smooths direction and amplitude apart (`touchfield.filters.shading`).
+The Gaussian, with the kernel of `scipy.ndimage.gaussian_filter`, acts on each component alone; the paper's
+force shading smooths direction and amplitude apart (`touchfield.filters.shading`).
 
-Actuators a pitch d apart can show waves up to 1/(2d); what is finer must be taken away before the field is sampled
-there, or it comes back as a false coarse wave. The paper prints the cut-off 2/d for its T-shirt, four times too high:
-a wave of 0.8/d passes it and appears as one of 0.2/d. Both are here, "nyquist" by default and "literal". For samples
-a distance delta apart the cut-off is pi delta/d radians a sample, or four times that.
+Actuators a pitch d apart can show waves up to 1/(2d); what is finer must be taken away before the field is
+sampled there, or it comes back as a false coarse wave. The paper prints the cut-off 2/d for its T-shirt, four
+times too high: a wave of 0.8/d passes it and appears as one of 0.2/d. Both are here, "nyquist" by default and
+"literal". For samples a distance delta apart the cut-off is pi delta/d radians a sample, or four times that.
 """
 
 from __future__ import annotations
@@ -59,15 +59,18 @@ def gaussian_taps(sigma_samples: float) -> Float64s:
     return np.asarray(taps / taps.sum())
 
 
-def gaussian(signal: ArrayLike, sigma_samples: float | Sequence[float], *, boundary: str = "zero") -> NDArray[Any]:
+def gaussian(
+    signal: ArrayLike, sigma_samples: float | Sequence[float], *, boundary: str = "zero"
+) -> NDArray[Any]:
     """A dense array smoothed by a Gaussian.
 
     signal : float32, or taken as float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes.
-    sigma_samples : float or one for each leading axis; standard deviation in samples. One number holds for every axis
-        but the components of a field: those are the last axis, of length 3, of an array of four.
+    sigma_samples : float or one for each leading axis; standard deviation in samples. One number holds for
+        every axis but the components of a field: those are the last axis, of length 3, of an array of four.
     boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
     Returns float32 or float64: Of the signal's shape; the same bits for any number of threads.
-    Raises `InvalidArgument` if a number is out of range or not finite, or the kernel is larger than the signal.
+    Raises `InvalidArgument` if a number is out of range or not finite, or the kernel is larger than the
+    signal.
     """
     x = checked_signal(signal, boundary)
     if isinstance(sigma_samples, int | float | np.integer | np.floating):
@@ -75,11 +78,15 @@ def gaussian(signal: ArrayLike, sigma_samples: float | Sequence[float], *, bound
     else:
         sigmas = [float(s) for s in sigma_samples]
     if not 1 <= len(sigmas) <= x.ndim:
-        raise InvalidArgument("sigma_samples", f"{len(sigmas)} for an array {x.shape}", "one for each leading axis")
+        raise InvalidArgument(
+            "sigma_samples", f"{len(sigmas)} for an array {x.shape}", "one for each leading axis"
+        )
     axes = [AxisTaps(gaussian_taps(s)) for s in sigmas]
     for axis, row in enumerate(axes):
         row.check_fits(x.shape[axis], f"sigma_samples of axis {axis}")
-    return without_overflow(direct_sums(x, [a.taps for a in axes], [a.reach for a in axes], boundary), "signal")
+    return without_overflow(
+        direct_sums(x, [a.taps for a in axes], [a.reach for a in axes], boundary), "signal"
+    )
 
 
 class _LowPass(FieldFilter):
@@ -140,14 +147,18 @@ def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
     return CUTOFFS[cutoff] / pitch_m
 
 
-def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", kernel: str = "sinc") -> Float64s:
+def actuator_taps(
+    spacing_m: float, pitch_m: float, cutoff: str = "nyquist", kernel: str = "sinc"
+) -> Float64s:
     """The centred taps of one axis, unit sum, float64 [odd].
 
-    spacing_m, pitch_m : float; distance between the field's samples, and between neighbouring actuators, metres.
+    spacing_m, pitch_m : float; distance between the field's samples, and between neighbouring actuators,
+        metres.
     cutoff : {"nyquist", "literal"}; see `cutoff_per_m`.
-    kernel : str; of `touchfield.filters.LOW_PASSES`. "sinc" has negative lobes: beside a contact they leave up to
-        some per cent of its force turned round.
-    Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a value is out of range.
+    kernel : str; of `touchfield.filters.LOW_PASSES`. "sinc" has negative lobes: beside a contact they leave
+        up to some per cent of its force turned round.
+    Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a value is out of
+    range.
     """
     require_positive(spacing_m=spacing_m)
     wanted, most = cutoff_per_m(pitch_m, cutoff), 0.5 / spacing_m
@@ -165,13 +176,15 @@ def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", ker
 
 @dataclass(frozen=True)
 class ActuatorLowPass(_LowPass):
-    """The part of a field that an array of actuators of this pitch along x and y can show, on its own lattice.
+    """The part of a field that an array of actuators of this pitch along x and y can show, on its own
+    lattice.
 
     pitch_m : float; distance between neighbouring actuators, metres, positive.
     cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d, which aliases.
     kernel : str; of `touchfield.filters.LOW_PASSES`: "spline" spans 2.6 pitches for "nyquist", "sinc" 8. An
         axis of a single sample is left as it is.
-    Raises `InvalidArgument` if a value is out of range; on use, for a cut-off or a kernel beyond the field's own.
+    Raises `InvalidArgument` if a value is out of range; on use, for a cut-off or a kernel beyond the field's
+    own.
     """
 
     name: ClassVar[str] = "lowpass"

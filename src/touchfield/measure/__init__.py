@@ -1,4 +1,5 @@
-"""Measures: information (paper section 3, eq. 1 to 3), coding limits, fidelity (eq. 10, the mask), rate (eq. 9).
+"""Measures: information (paper section 3, eq. 1 to 3), coding limits, fidelity (eq. 10, the mask), rate (eq.
+9).
 
 =====================  ================================================================================
 counts                 `Counts` of arrays or of given probabilities; `field_counts`, `interaction_counts`

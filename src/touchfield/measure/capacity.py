@@ -1,19 +1,20 @@
 """Workspace capacity, mapping ratio and information loss (paper section 3.1, eq. 1-3).
 
-Eq. 1 as printed, C(M) = min(C(M(W)), H(W)), has C on both sides. Literally read it is min(C_dev, H(W)) with C_dev =
-log2 |codomain|, all that the device could be told in one frame: of two numbers that stand here the less. What is made
-of it is C = I(W; M(W)) = H(M(W)) for a mapping without randomness, what it is told of this medium, bits per frame.
+Eq. 1 as printed, C(M) = min(C(M(W)), H(W)), has C on both sides. Literally read it is min(C_dev, H(W)) with
+C_dev = log2 |codomain|, all that the device could be told in one frame: of two numbers that stand here the
+less. What is made of it is C = I(W; M(W)) = H(M(W)) for a mapping without randomness, what it is told of this
+medium, bits per frame.
 
-No mapping exceeds H(W), by the data-processing inequality, and the printed min() is empty. It stays as a guard
-against a biased estimate of either entropy and against a lattice finer than the medium's own ("active mappings" in
-the paper); `Capacity` notes when it acted. "Passive" means this inequality and nothing else: whether a field gives
-energy to the hand is asked in `touchfield.measure.passivity`.
+No mapping exceeds H(W), by the data-processing inequality, and the printed min() is empty. It stays as a
+guard against a biased estimate of either entropy and against a lattice finer than the medium's own ("active
+mappings" in the paper); `Capacity` notes when it acted. "Passive" means this inequality and nothing else:
+whether a field gives energy to the hand is asked in `touchfield.measure.passivity`.
 
 Eq. 2: WMR = C / H(W). Eq. 3: HIL = max(H(W) - C, 0) / H(W). They sum to 1, because eq. 1 keeps C <= H(W).
 
-Departures. Entropies per sample are refused: the mapping changes how many samples there are, so that their ratio
-means nothing (the paper's Table 1 would give 2.3 / 1.2 > 1). The paper asks for C > 0 as well; C = 0 has the plain
-meaning WMR = 0, HIL = 1 and is allowed.
+Departures. Entropies per sample are refused: the mapping changes how many samples there are, so that their
+ratio means nothing (the paper's Table 1 would give 2.3 / 1.2 > 1). The paper asks for C > 0 as well; C = 0
+has the plain meaning WMR = 0, HIL = 1 and is allowed.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ _ROUNDING: Final = 1e-9
 class Capacity(Told):
     """Eq. 1 to 3 for one medium, device and mapping, all in bits per frame but for the ratios.
 
-    `reference`: H(W). `rendered`: H(M(W)). `codomain_bits`: C_dev. `capacity`: C. `wmr`, `hil`: workspace mapping
-    ratio and haptic information loss; NaN where H(W) = 0.
+    `reference`: H(W). `rendered`: H(M(W)). `codomain_bits`: C_dev. `capacity`: C. `wmr`, `hil`: workspace
+    mapping ratio and haptic information loss; NaN where H(W) = 0.
     """
 
     reference: Quantity
@@ -62,9 +63,11 @@ class Capacity(Told):
 
 
 def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
-    """C_dev = log2 |codomain| of a device, bits per frame; InvalidArgument if a number is not whole or below 1.
+    """C_dev = log2 |codomain| of a device, bits per frame; InvalidArgument if a number is not whole or
+    below 1.
 
-    `samples_per_frame`: lattice points or actuators. `alphabet`: symbols that each can be told, with "no force".
+    `samples_per_frame`: lattice points or actuators. `alphabet`: symbols that each can be told, with "no
+    force".
     """
     for where, count in (("samples_per_frame", samples_per_frame), ("alphabet", alphabet)):
         if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
@@ -77,29 +80,33 @@ def capacity(
 ) -> Capacity:
     """C, WMR and HIL of a mapping M of a medium W into a haptic workspace (paper eq. 1-3).
 
-    `reference`, `rendered`: H(W) and H(M(W)), "bit/frame", of one weighting: of the whole quantised frame, or of a
-    sample times the samples of a frame (`Quantity.times`). `codomain_bits`: C_dev, from the function of this name.
-    `ratio`: an interval of H(M(W)) / H(W), resampled together (`paired_ratio`): WMR has it, cut at 1, and HIL its
-    mirror image.
+    `reference`, `rendered`: H(W) and H(M(W)), "bit/frame", of one weighting: of the whole quantised frame, or
+    of a sample times the samples of a frame (`Quantity.times`). `codomain_bits`: C_dev, from the function of
+    this name. `ratio`: an interval of H(M(W)) / H(W), resampled together (`paired_ratio`): WMR has it, cut at
+    1, and HIL its mirror image.
 
-    Without it the intervals of the two entropies are carried over by interval arithmetic: min(C / H, 1) rises with C
-    and falls with H, so that its bounds are those of opposite corners, at the level 1 - a - b of Bonferroni. It is
-    wider than need be, since the two estimates come from one medium and err together. That of C is always made so.
+    Without it the intervals of the two entropies are carried over by interval arithmetic: min(C / H, 1) rises
+    with C and falls with H, so that its bounds are those of opposite corners, at the level 1 - a - b of
+    Bonferroni. It is wider than need be, since the two estimates come from one medium and err together. That
+    of C is always made so.
 
-    InvalidArgument if a unit is not "bit/frame", a number is negative or not finite, the weightings differ, or a
-    rendered entropy that cannot be overestimated is above C_dev (the codomain is then another's).
+    InvalidArgument if a unit is not "bit/frame", a number is negative or not finite, the weightings differ,
+    or a rendered entropy that cannot be overestimated is above C_dev (the codomain is then another's).
     """
     for where, entropy in (("reference", reference), ("rendered", rendered)):
         if entropy.unit != _UNIT:
             raise InvalidArgument(
                 where, f"{entropy.name} in {entropy.unit}", f"an entropy in {_UNIT}",
-                "A mapping changes the number of samples: multiply by the samples of a frame with Quantity.times.",
+                "A mapping changes the number of samples: multiply by the samples of a frame with "
+                "Quantity.times.",
             )  # fmt: skip
         if not (math.isfinite(entropy.value) and entropy.value >= 0):
             raise InvalidArgument(where, f"{entropy.name} = {entropy.value}", "a finite entropy, 0 or more")
     if reference.weighting != rendered.weighting:
         raise InvalidArgument(
-            "rendered", f"weighting {rendered.weighting}", f"{reference.weighting}, the weighting of the reference"
+            "rendered",
+            f"weighting {rendered.weighting}",
+            f"{reference.weighting}, the weighting of the reference",
         )
     require_not_negative(codomain_bits=codomain_bits)
     excess = rendered.value > codomain_bits * (1 + _ROUNDING) + _ROUNDING
@@ -118,11 +125,11 @@ def paired_ratio(
 ) -> Interval | None:
     """An interval of min(H(M(W)), C_dev) / H(W) from blocks of space that hold the same places of both.
 
-    M(W) is a function of W, so that their estimates err together: where a medium is rich, so is what a device renders
-    of it, and their ratio varies less than either. `counts`: of W and of M(W) over voxels, in the same blocks
-    (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): of a frame of W and of M(W).
-    `codomain_bits`: C_dev, bits per frame. `estimator`: of both entropies. None where W is a single symbol in all the
-    blocks of a resample. InvalidArgument as of `touchfield.measure.quantity.interval`.
+    M(W) is a function of W, so that their estimates err together: where a medium is rich, so is what a device
+    renders of it, and their ratio varies less than either. `counts`: of W and of M(W) over voxels, in the
+    same blocks (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): of a frame of W and of
+    M(W). `codomain_bits`: C_dev, bits per frame. `estimator`: of both entropies. None where W is a single
+    symbol in all the blocks of a resample. InvalidArgument as of `touchfield.measure.quantity.interval`.
     """
     medium, rendered = counts
     assert medium.blocks is not None and rendered.blocks is not None
@@ -132,7 +139,9 @@ def paired_ratio(
         below = voxels[0] * estimate_bits(both[:cells], estimator, medium.alphabet)
         if below == 0:
             raise ZeroDivisionError
-        return min(voxels[1] * estimate_bits(both[cells:], estimator, rendered.alphabet), codomain_bits) / below
+        return (
+            min(voxels[1] * estimate_bits(both[cells:], estimator, rendered.alphabet), codomain_bits) / below
+        )
 
     together = np.concatenate([medium.blocks, rendered.blocks], axis=1)
     try:
@@ -174,7 +183,8 @@ def _guards(reference: Quantity, rendered: Quantity, device_bits: float) -> tupl
     notes = []
     if rendered.value > device_bits * (1 + _ROUNDING):
         notes.append(
-            f"H(M(W)) was estimated as {rendered.value:.6g} bit/frame, more than the {device_bits:.6g} that the "
+            f"H(M(W)) was estimated as {rendered.value:.6g} bit/frame, more than the {device_bits:.6g} that "
+            "the "
             "device can be told, which stand in its place: the estimator overshoots"
         )
     if min(rendered.value, device_bits) > reference.value * (1 + _ROUNDING):

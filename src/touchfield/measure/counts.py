@@ -1,10 +1,11 @@
-"""`Counts`: how often each cell was seen, the one value that every entropy is a quantity of (paper section 3).
+"""`Counts`: how often each cell was seen, the one value that every entropy is a quantity of (paper section
+3).
 
 It is made of arrays, of given probabilities, of quantised fields (`field_counts`) or of a trace
-(`interaction_counts`). The memory is bounded by the different symbols, not by the samples: these are looked at in
-stretches, which for a `numpy.memmap` are read as they are counted. 8- and 16-bit symbols, and all whose range is at
-most 2^22, are counted in tables, on all cores; others are sorted, stretch after stretch, and merged. A joint symbol
-is the number of a cell in the box of the symbols' ranges, so that nothing is hashed.
+(`interaction_counts`). The memory is bounded by the different symbols, not by the samples: these are looked
+at in stretches, which for a `numpy.memmap` are read as they are counted. 8- and 16-bit symbols, and all whose
+range is at most 2^22, are counted in tables, on all cores; others are sorted, stretch after stretch, and
+merged. A joint symbol is the number of a cell in the box of the symbols' ranges, so that nothing is hashed.
 """
 
 from __future__ import annotations
@@ -53,13 +54,13 @@ _NO_BLOCKS = "no interval: fewer than 8 blocks, for there are too few samples or
 class Counts:
     """How often each cell (symbol or joint symbol) was seen, and what they are of.
 
-    `cells` int64 [K, d]: the symbols of d variables, rows in strictly ascending order, the first column slowest.
-    `weights` int64 [K] or float64 [K]: counts of at least 1 each, or probabilities above 0 that add up to 1.
-    `blocks` int64 [B, K]: the same counts in each of at least 8 parts that a bootstrap may draw; None for no
-    interval. `quantiser`, `weighting`: Q and mu, as in `Quantity`. `variables`: their letters, ("X", "Y") of arrays,
-    ("S", "T") of fields. `alphabet`: how many different cells there can be, where it is known: no entropy of all
-    variables is above its log2. `notes`: what a reader must know, such as why there are no blocks. InvalidArgument if
-    shapes, order or weights are wrong.
+    `cells` int64 [K, d]: the symbols of d variables, rows in strictly ascending order, the first column
+    slowest. `weights` int64 [K] or float64 [K]: counts of at least 1 each, or probabilities above 0 that add
+    up to 1. `blocks` int64 [B, K]: the same counts in each of at least 8 parts that a bootstrap may draw;
+    None for no interval. `quantiser`, `weighting`: Q and mu, as in `Quantity`. `variables`: their letters,
+    ("X", "Y") of arrays, ("S", "T") of fields. `alphabet`: how many different cells there can be, where it is
+    known: no entropy of all variables is above its log2. `notes`: what a reader must know, such as why there
+    are no blocks. InvalidArgument if shapes, order or weights are wrong.
     """
 
     cells: Int64s
@@ -74,7 +75,9 @@ class Counts:
     def __post_init__(self) -> None:
         s, w = np.asarray(self.cells), np.asarray(self.weights)
         if s.dtype != np.int64 or s.ndim != 2 or w.dtype.kind not in "if" or w.shape != s.shape[:1]:
-            raise InvalidArgument("Counts", f"{s.dtype} {s.shape} and {w.dtype} {w.shape}", "int64 [K, d] and [K]")
+            raise InvalidArgument(
+                "Counts", f"{s.dtype} {s.shape} and {w.dtype} {w.shape}", "int64 [K, d] and [K]"
+            )
         if not _rows_ascend(s):
             raise InvalidArgument("Counts cells", "rows out of order or twice", "ascending order")
         if len(w) and not w.min() > 0:
@@ -88,10 +91,10 @@ class Counts:
     def of(cls, *samples: ArrayLike, blocks: int = 0) -> Counts:
         """Count the (joint) symbols of arrays of one shape, sample by sample.
 
-        `samples`: integers or booleans, any shape, size and byte order. `blocks`: how many contiguous blocks of the
-        samples in C order are wanted, 0 for none; fewer are made where 2^24 counts would not hold them or there are
-        fewer samples, and none, with a note, where there would be fewer than 8. InvalidArgument if there is no
-        array, the shapes differ, or a symbol is not a whole number below 2^63.
+        `samples`: integers or booleans, any shape, size and byte order. `blocks`: how many contiguous blocks
+        of the samples in C order are wanted, 0 for none; fewer are made where 2^24 counts would not hold them
+        or there are fewer samples, and none, with a note, where there would be fewer than 8. InvalidArgument
+        if there is no array, the shapes differ, or a symbol is not a whole number below 2^63.
         """
         if not samples:
             raise InvalidArgument("samples", "no array", "at least one")
@@ -107,7 +110,9 @@ class Counts:
         numbers, counts = count(0, n)
         table = _blocks(count, n, numbers, blocks)
         cells = numbers[:, None] if keys is None else keys.symbols(numbers)
-        return cls(cells, counts, table, variables=names, notes=(_NO_BLOCKS,) if blocks and table is None else ())
+        return cls(
+            cells, counts, table, variables=names, notes=(_NO_BLOCKS,) if blocks and table is None else ()
+        )
 
     @classmethod
     def of_stream(cls, parts: Iterable[NDArray[Any]]) -> Counts:
@@ -144,10 +149,11 @@ class Counts:
 
     @classmethod
     def side_by_side(cls, first: Counts, second: Counts) -> Counts:
-        """Two variables that are never seen together, each `ABSENT` beside the other: for `jensen_shannon_distance`.
+        """Two variables that are never seen together, each `ABSENT` beside the other: for
+        `jensen_shannon_distance`.
 
-        Block b of one is drawn together with block b of the other, which is right for samples taken side by side and
-        for independent ones. InvalidArgument if one of them is empty.
+        Block b of one is drawn together with block b of the other, which is right for samples taken side by
+        side and for independent ones. InvalidArgument if one of them is empty.
         """
         if not (len(first.cells) and len(second.cells)):
             raise InvalidArgument("samples", "no sample", "at least one of each")
@@ -206,8 +212,8 @@ def merged(parts: Sequence[Histogram]) -> Histogram:
 def checked_symbols(samples: ArrayLike, where: str = "samples") -> NDArray[Any]:
     """`samples` as an array of whole numbers, not copied where it is one already.
 
-    InvalidArgument if they are not whole numbers, or lists that differ in length; floats are refused even where
-    whole, for they are seldom meant as symbols.
+    InvalidArgument if they are not whole numbers, or lists that differ in length; floats are refused even
+    where whole, for they are seldom meant as symbols.
     """
     x = as_array(samples, where)
     if x.dtype.kind in "biu":
@@ -220,7 +226,8 @@ def checked_symbols(samples: ArrayLike, where: str = "samples") -> NDArray[Any]:
     raise InvalidArgument(where, found, "symbols: integers or booleans", "Quantise them first.")
 
 
-# -- counting -----------------------------------------------------------------------------------------------------
+# -- counting
+# -----------------------------------------------------------------------------------------------------
 
 
 def _stretch(x: NDArray[Any], begin: int, end: int) -> NDArray[Any]:
@@ -234,7 +241,8 @@ def _stretch(x: NDArray[Any], begin: int, end: int) -> NDArray[Any]:
 class _Keys:
     """The samples of d arrays of one shape as numbers 0 .. span - 1, in the order of the symbols.
 
-    `columns`: of each array its lowest symbol, its range, and its symbols by rank where the range is too wide.
+    `columns`: of each array its lowest symbol, its range, and its symbols by rank where the range is too
+    wide.
     """
 
     arrays: tuple[NDArray[Any], ...]
@@ -296,7 +304,9 @@ def _range(x: NDArray[Any]) -> tuple[int, int]:
 
 
 def _count_small(x: NDArray[Any], begin: int, end: int) -> Histogram:
-    """Symbols and counts of 8- or 16-bit samples begin .. end in C order, by a table of all that there can be."""
+    """Symbols and counts of 8- or 16-bit samples begin .. end in C order, by a table of all that there can
+    be.
+    """
     from touchfield.measure.kernels import counts_of_8_bits, counts_of_16_bits
 
     wide = x.dtype.itemsize == 2
@@ -326,7 +336,9 @@ def _count_keys(keys: _Keys, begin: int, end: int) -> Histogram:
             add_counts(keys.numbers(begin + b, begin + min(last, b + STRETCH)), table)
         return table
 
-    total = sum(for_chunks(piece, end - begin, chunk=max(STRETCH, 4 * keys.span)), np.zeros(keys.span, np.int64))
+    total = sum(
+        for_chunks(piece, end - begin, chunk=max(STRETCH, 4 * keys.span)), np.zeros(keys.span, np.int64)
+    )
     seen = np.flatnonzero(total)
     return seen, total[seen]
 
@@ -336,7 +348,9 @@ def _sorted(read: Callable[[int, int], Int64s], begin: int, end: int) -> Histogr
 
     def piece(first: int, last: int, offset: int) -> Histogram:
         starts = range(offset + first, offset + last, STRETCH)
-        return merged([np.unique(read(b, min(offset + last, b + STRETCH)), return_counts=True) for b in starts])
+        return merged(
+            [np.unique(read(b, min(offset + last, b + STRETCH)), return_counts=True) for b in starts]
+        )
 
     total: Histogram = (_NOTHING, _NOTHING)
     for b in range(begin, end, 16 * STRETCH):

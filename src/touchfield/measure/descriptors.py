@@ -1,4 +1,5 @@
-"""Descriptor of a haptic medium: a short vector of numbers (paper section 4: "indexing"; 5.1: "data indexing").
+"""Descriptor of a haptic medium: a short vector of numbers (paper section 4: "indexing"; 5.1: "data
+indexing").
 
 The paper names no descriptor. This one has seven named parts, of fixed lengths:
 
@@ -22,16 +23,16 @@ turnover             1  share of the voxels felt at t or t + 1/30 s that    the 
                         are felt at one of them alone
 ================  ====  ==================================================  ====================================
 
-Both histograms are soft: a voxel is shared between the two nearest levels, and between the directions around it, so
-that a small error moves a small share. A voxel is *felt* where |F| is 0.05 N or more: what is weaker no hand can tell
-from nothing, and a filter or a coder may spread it over much of the lattice or take it away.
+Both histograms are soft: a voxel is shared between the two nearest levels, and between the directions around
+it, so that a small error moves a small share. A voxel is *felt* where |F| is 0.05 N or more: what is weaker
+no hand can tell from nothing, and a filter or a coder may spread it over much of the lattice or take it away.
 
-"Does not change" holds up to the lattice: a body that is turned or scaled is sampled at other points of it. Square
-roots of shares are as far apart as the Hellinger distance says (times sqrt 2), and sqrt(P_l) is a length, so that
-Euclidean distances between parts mean something and are metrics.
+"Does not change" holds up to the lattice: a body that is turned or scaled is sampled at other points of it.
+Square roots of shares are as far apart as the Hellinger distance says (times sqrt 2), and sqrt(P_l) is a
+length, so that Euclidean distances between parts mean something and are metrics.
 
-A medium of many frames is looked at in a few, evenly spaced; the shares are of all of them together, the levels and
-changes are their means. Friction and damping, which travel beside the field, are not told.
+A medium of many frames is looked at in a few, evenly spaced; the shares are of all of them together, the
+levels and changes are their means. Friction and damping, which travel beside the field, are not told.
 """
 
 from __future__ import annotations
@@ -65,9 +66,9 @@ class DirectionSums:
     """Adds up forces by direction: around 42 icosahedral directions, and harmonics up to a degree.
 
     `degree`: the highest, 1 or more. `by_direction` float64 [42]: sum of the amplitudes around each of
-    `icosahedral_directions`, newtons. A force is shared between them in proportion to exp(cos(angle) / `SPREAD`^2),
-    so that a small turn moves a small part of it. `coefficients` float64 [(degree + 1)^2]: a_lm, newtons; a_lm at l
-    (l + 1) + m, with cos(m phi), and with sin(|m| phi) for m < 0.
+    `icosahedral_directions`, newtons. A force is shared between them in proportion to exp(cos(angle) /
+    `SPREAD`^2), so that a small turn moves a small part of it. `coefficients` float64 [(degree + 1)^2]: a_lm,
+    newtons; a_lm at l (l + 1) + m, with cos(m phi), and with sin(|m| phi) for m < 0.
     """
 
     def __init__(self, degree: int) -> None:
@@ -82,7 +83,9 @@ class DirectionSums:
         from touchfield.measure.kernels import sums_by_direction
 
         forces, around = np.ascontiguousarray(vectors_n, np.float64), icosahedral_directions()
-        by_direction, coefficients = sums_by_direction(forces, around, 1 / SPREAD**2, _harmonic_norms(self.degree))
+        by_direction, coefficients = sums_by_direction(
+            forces, around, 1 / SPREAD**2, _harmonic_norms(self.degree)
+        )
         self.by_direction += by_direction
         self.coefficients += coefficients
 
@@ -110,7 +113,8 @@ def _harmonic_norms(degree: int) -> Float64s:
 
 @cache
 def icosahedral_directions() -> Float64s:
-    """The 12 corners of an icosahedron and the middles of its 30 edges, unit vectors, float64 [42, 3], ascending.
+    """The 12 corners of an icosahedron and the middles of its 30 edges, unit vectors, float64 [42, 3],
+    ascending.
 
     Those of the coder's codebook "ico2", which lies in a higher layer.
     """
@@ -134,9 +138,9 @@ def octree_levels(
 ) -> tuple[Float64s, Float64s]:
     """Support fractions, float64 [LEVELS], and entropies in bits a cell, float64 [LEVELS], of one frame.
 
-    `positions` int32 [L, 3]: indices of the samples of the support that count; one or more. `amplitudes_n` float32
-    [L]: newtons. `thresholds_n` float64 [K]: ascending borders of the classes of amplitude, newtons; what is below
-    the first is a class, too.
+    `positions` int32 [L, 3]: indices of the samples of the support that count; one or more. `amplitudes_n`
+    float32 [L]: newtons. `thresholds_n` float64 [K]: ascending borders of the classes of amplitude, newtons;
+    what is below the first is a class, too.
     """
     spacing = np.asarray(grid.spacing_m)
     low, high = positions.min(axis=0), positions.max(axis=0)
@@ -167,12 +171,13 @@ DESCRIPTOR_VERSION: Final = 1
 DEGREE: Final = 8
 WEBER_FRACTION: Final = 0.1
 FORCES_N: Final = (0.05, 3.3)
-"""From where to where the amplitude is told apart: F_0 of the mask as it was for version 1, and what a desktop device
-gives (the last Weber step below it). Written down here, for another F_0 would be another descriptor."""
+"""From where to where the amplitude is told apart: F_0 of the mask as it was for version 1, and what a
+desktop device gives (the last Weber step below it). Written down here, for another F_0 would be another
+descriptor."""
 
 LAG_S: Final = 1 / 30
-"""Between the two frames that are compared for change; one frame where the medium has fewer a second, and all of it
-where it is shorter."""
+"""Between the two frames that are compared for change; one frame where the medium has fewer a second, and all
+of it where it is shorter."""
 
 PARTS: Final = MappingProxyType(
     {
@@ -290,7 +295,9 @@ def _shared(amplitudes_n: Float32s) -> Float64s:
 
 
 def _change(before: ForceField, after: ForceField) -> tuple[float, float]:
-    """sqrt(sum |b - a|^2 / sum (|a|^2 + |b|^2) / 2) / 2, and |A xor B| / |A or B| of what is felt; 0 without any."""
+    """sqrt(sum |b - a|^2 / sum (|a|^2 + |b|^2) / 2) / 2, and |A xor B| / |A or B| of what is felt; 0 without
+    any.
+    """
     grid = before.grid
     keys = np.union1d(brick_keys(grid, before.bricks), brick_keys(grid, after.bricks))
     moved = power = 0.0

@@ -1,11 +1,13 @@
-"""Entropy from counts: three estimators (paper section 3, which defines the entropy of known probabilities only).
+"""Entropy from counts: three estimators (paper section 3, which defines the entropy of known probabilities
+only).
 
-The paper takes frequencies for probabilities, the plug-in estimate. It is low by about (K - 1)/(2 n ln 2) bits for
-K symbols and n samples, and half a bit low for a thousand codewords and as many samples, so other estimators stand
-beside it. All of them see only how many symbols were counted how often, and all converge on the entropy for large n.
+The paper takes frequencies for probabilities, the plug-in estimate. It is low by about (K - 1)/(2 n ln 2)
+bits for K symbols and n samples, and half a bit low for a thousand codewords and as many samples, so other
+estimators stand beside it. All of them see only how many symbols were counted how often, and all converge on
+the entropy for large n.
 
-Measured bias in bits, mean of 3000 draws. ``zipf``: p ~ 1/rank, K = n = 1000, H = 7.489, one draw spreads by 0.10.
-``sparse``: 97 % zeros and 512 symbols as 1/rank, n = 10 000, H = 0.4006, one draw spreads by 0.02.
+Measured bias in bits, mean of 3000 draws. ``zipf``: p ~ 1/rank, K = n = 1000, H = 7.489, one draw spreads by
+0.10. ``sparse``: 97 % zeros and 512 symbols as 1/rank, n = 10 000, H = 0.4006, one draw spreads by 0.02.
 
 ============== ===== ====== =================================================================
 estimator       zipf sparse use
@@ -35,11 +37,15 @@ from touchfield.medium.field import frozen
 
 
 def as_array(values: ArrayLike, where: str) -> NDArray[Any]:
-    """`values` as an array, not copied where it is one already; InvalidArgument for lists that differ in length."""
+    """`values` as an array, not copied where it is one already; InvalidArgument for lists that differ in
+    length.
+    """
     try:
         return np.asarray(values)
     except ValueError:
-        raise InvalidArgument(where, "lists that differ in length or depth", "an array, or lists alike") from None
+        raise InvalidArgument(
+            where, "lists that differ in length or depth", "an array, or lists alike"
+        ) from None
 
 
 def entropy_bits(counts: ArrayLike) -> float:
@@ -58,7 +64,9 @@ def _bits(counts: Float64s, times: Float64s) -> float:
     log_p = np.log2(counts / total)
     rest = float(np.delete(counts * times, most).sum())
     if times[most] == 1 and rest < counts[most]:
-        log_p[most] = np.log1p(-rest / total) / np.log(2)  # its p is nearly 1, and the logarithm would be rounding
+        log_p[most] = np.log1p(-rest / total) / np.log(
+            2
+        )  # its p is nearly 1, and the logarithm would be rounding
     return float(-(times * counts / total * log_p).sum()) + 0.0  # 0, and not -0
 
 
@@ -71,8 +79,8 @@ def binary_entropy_bits(p: float) -> float:
 class Tally:
     """Counts as an estimator sees them: how many symbols were counted how often.
 
-    `counts` float64 [d]: the different counts, whole numbers of at least 1, ascending. `times` float64 [d]: how
-    many symbols were counted so often.
+    `counts` float64 [d]: the different counts, whole numbers of at least 1, ascending. `times` float64 [d]:
+    how many symbols were counted so often.
     """
 
     counts: Float64s
@@ -107,7 +115,9 @@ def tally(counts: ArrayLike) -> Tally:
     if n.size and n.min() < 0:
         raise InvalidArgument("counts", f"{n.min()}", "whole numbers of at least 0")
     if n.dtype.kind == "f" and (fractions := n[n != np.floor(n)]).size:
-        raise InvalidArgument("counts", f"{fractions[0]}", "whole numbers", "Probabilities have an exact entropy.")
+        raise InvalidArgument(
+            "counts", f"{fractions[0]}", "whole numbers", "Probabilities have an exact entropy."
+        )
     values, times = np.unique(n[n > 0], return_counts=True)
     if not values.size:
         raise InvalidArgument("counts", "no sample", "at least one count above 0")
@@ -115,7 +125,9 @@ def tally(counts: ArrayLike) -> Tally:
 
 
 def plug_in(t: Tally) -> float:
-    """-sum p ln p at p = count/n, the maximum-likelihood estimate (paper section 3). Low for every n, by Jensen."""
+    """-sum p ln p at p = count/n, the maximum-likelihood estimate (paper section 3). Low for every n, by
+    Jensen.
+    """
     return _bits(t.counts, t.times) * math.log(2)
 
 
@@ -130,9 +142,9 @@ def miller_madow(t: Tally) -> float:
 def chao_wang_jost(t: Tally) -> float:
     """sum n_i/n [psi(n) - psi(n_i)] + the tail of the species accumulation curve, from f_1 and f_2.
 
-    A. Chao, Y. T. Wang and L. Jost, "Entropy and the species accumulation curve", Methods in Ecology and Evolution
-    4, 2013. Its last term is written as the sum over j >= 1 of (1 - A)^j/(n - 1 + j), which loses no
-    digits, where the printed difference of a logarithm and a finite sum loses all for large n.
+    A. Chao, Y. T. Wang and L. Jost, "Entropy and the species accumulation curve", Methods in Ecology and
+    Evolution 4, 2013. Its last term is written as the sum over j >= 1 of (1 - A)^j/(n - 1 + j), which loses
+    no digits, where the printed difference of a logarithm and a finite sum loses all for large n.
     """
     from scipy.special import digamma
 
@@ -150,8 +162,9 @@ def chao_wang_jost(t: Tally) -> float:
 def _geometric_tail(a: float, n: float) -> float:
     """sum over j >= 1 of (1 - a)^j/(n - 1 + j), for 0 < a <= 1 and n >= 1.
 
-    It is the integral over s > 0 of x e^-s/(n (1 - x e^(-s/n))), x = 1 - a, by the trapezoidal rule in ln s: the
-    integrand is analytic for |arg s| < pi/2 and dies on both sides, so that the rule is exact to rounding.
+    It is the integral over s > 0 of x e^-s/(n (1 - x e^(-s/n))), x = 1 - a, by the trapezoidal rule in ln s:
+    the integrand is analytic for |arg s| < pi/2 and dies on both sides, so that the rule is exact to
+    rounding.
     """
     if a >= 1:
         return 0.0
@@ -168,16 +181,16 @@ ESTIMATORS: Final[Mapping[str, Callable[[Tally], float]]] = MappingProxyType(
         "chao-wang-jost": chao_wang_jost,
     }
 )
-"""The registered estimators by name: each of a `Tally`, in nats. All but the plug-in take most of their bias off, so
-that an interval must not take it off again (`touchfield.measure.quantity.interval`)."""
+"""The registered estimators by name: each of a `Tally`, in nats. All but the plug-in take most of their bias
+off, so that an interval must not take it off again (`touchfield.measure.quantity.interval`)."""
 
 
 def estimate_bits(counts: ArrayLike, estimator: str = "plug-in", alphabet: int | None = None) -> float:
     """The entropy that counts speak of, bits a sample.
 
-    An estimate outside 0 .. log2 K is taken to the nearer end, which can only mend it; the upper end holds where
-    `alphabet`, K, is given. InvalidArgument if the estimator is unknown, the counts are negative, not whole, not
-    finite or without a sample, or the alphabet is smaller than the number of observed symbols.
+    An estimate outside 0 .. log2 K is taken to the nearer end, which can only mend it; the upper end holds
+    where `alphabet`, K, is given. InvalidArgument if the estimator is unknown, the counts are negative, not
+    whole, not finite or without a sample, or the alphabet is smaller than the number of observed symbols.
     """
     require_one_of("estimator", estimator, ESTIMATORS)
     t = tally(counts)

@@ -33,8 +33,9 @@ _CHUNK = 4096  # bricks at a time: 25 MB of float32 forces
 class FidelityMeter:
     """Adds up the error of decoded frames against their originals.
 
-    `k`: Weber fraction of the mask. `f0_n`: F_0, absolute threshold of the mask, newtons, positive. `masking`: share
-    of the forces around, and radius in metres, of a mask with spatial masking (`perception.mask`).
+    `k`: Weber fraction of the mask. `f0_n`: F_0, absolute threshold of the mask, newtons, positive.
+    `masking`: share of the forces around, and radius in metres, of a mask with spatial masking
+    (`perception.mask`).
     """
 
     def __init__(self, k: float, f0_n: float, masking: tuple[float, float] | None = None) -> None:

@@ -1,17 +1,18 @@
-"""Counting the symbols of quantised frames, over all voxels and over the object (paper section 3.1, tables 1 and 2).
+"""Counting the symbols of quantised frames, over all voxels and over the object (paper section 3.1, tables 1
+and 2).
 
-The paper never says what is drawn at random. Here it is S = Q(F(X)), X uniform over all V voxels of all frames
-("voxel", empty space being symbol 0), or over those where Q(F) is not zero ("object"), or as often as a probe was
-there ("interaction", `touchfield.measure.interaction`). The first two obey H_voxel = h2(p) + p H_object, p being the
-density of the support: that identity is what the paper calls "artificially escalated". It holds exactly for the
-plug-in estimates; others are corrected apart from each other, and obey it only as n grows. Empty space that no brick
-covers is counted and never allocated.
+The paper never says what is drawn at random. Here it is S = Q(F(X)), X uniform over all V voxels of all
+frames ("voxel", empty space being symbol 0), or over those where Q(F) is not zero ("object"), or as often as
+a probe was there ("interaction", `touchfield.measure.interaction`). The first two obey H_voxel = h2(p) + p
+H_object, p being the density of the support: that identity is what the paper calls "artificially escalated".
+It holds exactly for the plug-in estimates; others are corrected apart from each other, and obey it only as n
+grows. Empty space that no brick covers is counted and never allocated.
 
-Frames may be a lazy sequence; none is held once it is counted. The first pass counts, the second makes the blocks of
-a bootstrap, which need to know the symbols that occur; over voxels alone one pass makes both, where a table of all
-symbols that there can be holds every block. The object's counts are those of the voxels without symbol 0. Blocks hold
-all frames of a part of space: over "voxel" boxes of bricks that fill the lattice, over "object" equal numbers of
-neighbouring bricks of the support.
+Frames may be a lazy sequence; none is held once it is counted. The first pass counts, the second makes the
+blocks of a bootstrap, which need to know the symbols that occur; over voxels alone one pass makes both, where
+a table of all symbols that there can be holds every block. The object's counts are those of the voxels
+without symbol 0. Blocks hold all frames of a part of space: over "voxel" boxes of bricks that fill the
+lattice, over "object" equal numbers of neighbouring bricks of the support.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ from touchfield.medium.field import brick_keys, bricks_of
 from touchfield.medium.grid import BRICK, Grid
 
 BLOCKS = 27
-"""Three along each side of a cube: fewer, larger blocks cover more of what neighbours share, see `bootstrap`."""
+"""Three along each side of a cube: fewer, larger blocks cover more of what neighbours share, see `bootstrap`.
+
+"""
 
 # -- parts of space for a block bootstrap: boxes of a lattice, or groups of bricks of the support
 
@@ -47,7 +50,8 @@ LEAST_BLOCK_BRICKS = 8
 class BrickGroups:
     """Equal numbers of the bricks of a support, neighbours along a Morton curve, so that groups are compact.
 
-    `keys` int64 [n]: `brick_keys` of the support, ascending, at least one. `owners` int64 [n]: the block of each.
+    `keys` int64 [n]: `brick_keys` of the support, ascending, at least one. `owners` int64 [n]: the block of
+    each.
     """
 
     grid: Grid
@@ -87,7 +91,11 @@ def _cuts(sides: ArrayLike, room: Sequence[int], most: int) -> tuple[int, int, i
     cuts = [1, 1, 1]
     while True:
         longest_first = np.argsort(np.asarray(sides) / cuts)[::-1]
-        open_ = [a for a in longest_first if cuts[a] < room[a] and math.prod(cuts) // cuts[a] * (cuts[a] + 1) <= most]
+        open_ = [
+            a
+            for a in longest_first
+            if cuts[a] < room[a] and math.prod(cuts) // cuts[a] * (cuts[a] + 1) <= most
+        ]
         if not open_:
             return cuts[0], cuts[1], cuts[2]
         cuts[open_[0]] += 1
@@ -124,7 +132,9 @@ class Boxes:
 
     @cached_property
     def _of_bricks(self) -> list[Int64s]:
-        """The cut of each brick of an axis, int64 [n, 1]; of its samples, [n, 8], where boxes end within bricks."""
+        """The cut of each brick of an axis, int64 [n, 1]; of its samples, [n, 8], where boxes end within
+        bricks.
+        """
         rows = [np.pad(o, (0, -len(o) % BRICK), "edge").reshape(-1, BRICK) for o in self.along]
         return [r[:, :1] for r in rows] if all((r == r[:, :1]).all() for r in rows) else rows
 
@@ -148,9 +158,10 @@ def field_entropy(
 ) -> Quantity:
     """H(S) of a quantised field, bits a sample: a voxel, or a voxel of the support.
 
-    `fields`: FieldSymbols or a sequence of them, all of one grid and one Q. `over`: mu, "voxel" for all voxels or
-    "object" for those whose symbol is not 0; over visits there is `interaction_entropy`. `blocks`: of the bootstrap,
-    8 or more; about as many are made. InvalidArgument as of `field_counts`, and if over "object" there is no support.
+    `fields`: FieldSymbols or a sequence of them, all of one grid and one Q. `over`: mu, "voxel" for all
+    voxels or "object" for those whose symbol is not 0; over visits there is `interaction_entropy`. `blocks`:
+    of the bootstrap, 8 or more; about as many are made. InvalidArgument as of `field_counts`, and if over
+    "object" there is no support.
     """
     counts = supported(field_counts(fields, overs=(over,), interval=interval, blocks=blocks)[over])
     return entropy(counts, estimator=estimator, interval=interval)
@@ -164,27 +175,33 @@ def field_counts(
     interval: bool = True,
     blocks: int = BLOCKS,
 ) -> dict[str, Counts]:
-    """The symbols of all frames over each weighting of `overs`, or the joint symbols of two media, voxel by voxel.
+    """The symbols of all frames over each weighting of `overs`, or the joint symbols of two media, voxel by
+    voxel.
 
-    `first`, `second`: FieldSymbols, or sequences of as many, S and T, of one grid; their quantisers may differ.
-    Sequences may make their frames when asked for them: they are asked for one by one, in order, the second's before
-    the first's, and none is held longer than it is counted. Each is asked for once without an interval, and over
-    "voxel" alone if `blocks` times the alphabet is at most 2^24; twice otherwise. `overs`: "voxel" for all voxels,
-    "object" for those whose symbol is not 0, of two media those where one of the two has a force; no cells if there
-    is none. `interval`: whether blocks are wanted. `blocks`: how many, 8 or more. InvalidArgument if the frames
-    differ in grid or Q, or from one pass to the next, or the two media in grid or length; a weighting is unknown;
-    there are 2^63 voxels or more.
+    `first`, `second`: FieldSymbols, or sequences of as many, S and T, of one grid; their quantisers may
+    differ. Sequences may make their frames when asked for them: they are asked for one by one, in order, the
+    second's before the first's, and none is held longer than it is counted. Each is asked for once without an
+    interval, and over "voxel" alone if `blocks` times the alphabet is at most 2^24; twice otherwise. `overs`:
+    "voxel" for all voxels, "object" for those whose symbol is not 0, of two media those where one of the two
+    has a force; no cells if there is none. `interval`: whether blocks are wanted. `blocks`: how many, 8 or
+    more. InvalidArgument if the frames differ in grid or Q, or from one pass to the next, or the two media in
+    grid or length; a weighting is unknown; there are 2^63 voxels or more.
     """
     if not overs or any(over not in ("voxel", "object") for over in overs):
         raise InvalidArgument("over", repr(overs), '"voxel" or "object"')
     if interval and blocks < LEAST_BLOCKS:
-        raise InvalidArgument("blocks", f"{blocks}", f"{LEAST_BLOCKS} or more", "Give interval=False for none.")
+        raise InvalidArgument(
+            "blocks", f"{blocks}", f"{LEAST_BLOCKS} or more", "Give interval=False for none."
+        )
     if second is None:
         return _count(Frames(first, "fields"), overs, interval, blocks)
     a, b = Frames(first, "first"), Frames(second, "second")
     if a.count != b.count:
         raise InvalidArgument(
-            "second", f"{b.count} frames", f"{a.count}, as many as the first", "Take the frames that both have."
+            "second",
+            f"{b.count} frames",
+            f"{a.count}, as many as the first",
+            "Take the frames that both have.",
         )
     if a.grid != b.grid:
         raise InvalidArgument("second", f"the grid {b.grid}", f"{a.grid}, as of the first")
@@ -197,12 +214,17 @@ def supported(counts: Counts) -> Counts:
     """The counts; InvalidArgument if they are of an object that there is none of."""
     if not len(counts.cells):
         raise InvalidArgument(
-            "fields", "no voxel with a force in any frame", "a support to be uniform over", 'Take over="voxel".'
+            "fields",
+            "no voxel with a force in any frame",
+            "a support to be uniform over",
+            'Take over="voxel".',
         )
     return counts
 
 
-def _count(frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, blocks: int) -> dict[str, Counts]:
+def _count(
+    frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, blocks: int
+) -> dict[str, Counts]:
     everywhere = frames.grid.voxel_count * frames.count
     if everywhere >= 1 << 63:
         raise InvalidArgument("fields", f"{everywhere} voxels in all frames", "fewer than 2^63")
@@ -211,7 +233,11 @@ def _count(frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, 
         boxes = Boxes.of_bricks(frames.grid, blocks)
         if boxes.count >= LEAST_BLOCKS:
             seen, each = _in_one_pass(frames, boxes)
-            return {"voxel": of(seen[:, None], each.sum(axis=0), each, weighting="voxel", alphabet=frames.alphabet)}
+            return {
+                "voxel": of(
+                    seen[:, None], each.sum(axis=0), each, weighting="voxel", alphabet=frames.alphabet
+                )
+            }
     held, support = _held_symbols(frames, interval and "object" in overs)
     symbols, weights = held.cells[:, 0], np.asarray(held.weights, np.int64)
     tallies = {"object": (symbols, weights), "voxel": (symbols, weights)}
@@ -220,7 +246,11 @@ def _count(frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, 
     parts: dict[str, Boxes | BrickGroups] = {}
     for over in overs if interval else ():
         most = min(blocks, MOST_BLOCK_CELLS // max(1, len(tallies[over][0])))
-        part = BrickGroups.of(frames.grid, support, most) if over == "object" else Boxes.of_bricks(frames.grid, most)
+        part = (
+            BrickGroups.of(frames.grid, support, most)
+            if over == "object"
+            else Boxes.of_bricks(frames.grid, most)
+        )
         if min(most, part.count) >= LEAST_BLOCKS:
             parts[over] = part
     tables = _held_by_part(frames, symbols, parts)
@@ -276,7 +306,9 @@ def _held_symbols(frames: Frames | FramePairs, keep_support: bool) -> tuple[Coun
 def _held_by_part(
     frames: Frames | FramePairs, known: Int64s, parts: Mapping[str, Boxes | BrickGroups]
 ) -> dict[str, Int64s]:
-    """The counts of the `known` symbols in each part, int64 [B, K], for every way to part the space: one pass."""
+    """The counts of the `known` symbols in each part, int64 [B, K], for every way to part the space: one
+    pass.
+    """
     from touchfield.measure.kernels import add_counts
 
     k = len(known)
@@ -293,27 +325,33 @@ def _held_by_part(
 
 
 LEAST_SAMPLES = (BRICK, 2)
-"""Along each side of a box, of the medium and of what is rendered of it: their neighbours depend on each other."""
+"""Along each side of a box, of the medium and of what is rendered of it: their neighbours depend on each
+other.
+"""
 
 
 def shared_boxes(grid: Grid, other: Grid, most: int) -> tuple[Boxes, Boxes] | None:
-    """At most so many boxes of two lattices in one space, which hold samples of both, or None for fewer than 8.
+    """At most so many boxes of two lattices in one space, which hold samples of both, or None for fewer
+    than 8.
 
-    They are equal boxes of that of `grid`, which is cut again and again across the longest side, while 8 samples of
-    `grid` and 2 of `other` are left along it: an axis along which the other has a single sample, as an array of
-    actuators has, is not cut. What lies beyond belongs to the nearest.
+    They are equal boxes of that of `grid`, which is cut again and again across the longest side, while 8
+    samples of `grid` and 2 of `other` are left along it: an axis along which the other has a single sample,
+    as an array of actuators has, is not cut. What lies beyond belongs to the nearest.
     """
     low, high = grid.box_m
     places = [other.axis_m(axis) for axis in range(3)]
     inside = [int(((x >= lo) & (x < hi)).sum()) for x, lo, hi in zip(places, low, high, strict=True)]
     room = [
-        max(1, min(n // LEAST_SAMPLES[0], m // LEAST_SAMPLES[1])) for n, m in zip(grid.shape, inside, strict=True)
+        max(1, min(n // LEAST_SAMPLES[0], m // LEAST_SAMPLES[1]))
+        for n, m in zip(grid.shape, inside, strict=True)
     ]
     cuts = _cuts(high - low, room, most)
 
     def boxes_of(g: Grid) -> Boxes:
         shares = [(g.axis_m(a) - low[a]) / (high[a] - low[a]) * cuts[a] for a in range(3)]
-        return Boxes(cuts, tuple(np.clip(s, 0, n - 1).astype(np.int64) for s, n in zip(shares, cuts, strict=True)))
+        return Boxes(
+            cuts, tuple(np.clip(s, 0, n - 1).astype(np.int64) for s, n in zip(shares, cuts, strict=True))
+        )
 
     own, others = boxes_of(grid), boxes_of(other)
     return (own, others) if own.count >= LEAST_BLOCKS and own.voxels.all() and others.voxels.all() else None
@@ -322,17 +360,21 @@ def shared_boxes(grid: Grid, other: Grid, most: int) -> tuple[Boxes, Boxes] | No
 def shared_counts(
     fields: tuple[Fields, Fields], grids: tuple[Grid, Grid], counts: tuple[Counts, Counts], most: int = 64
 ) -> tuple[Counts, Counts] | None:
-    """The counts over "voxel" of two media, with blocks that are the same boxes of space, for a joint bootstrap.
+    """The counts over "voxel" of two media, with blocks that are the same boxes of space, for a joint
+    bootstrap.
 
-    `fields` two of FieldSymbols or a sequence of them: a medium, and what is rendered of it, frame by frame. Each
-    frame is asked for once, those of the medium first. `grids` (Grid, Grid): their lattices in one space, such as
-    hand metres. `counts`: of all voxels of all frames of each. `most`: boxes that are wanted. Fewer are made where
-    2^24 counts would not hold them. None where there would be fewer than 8 boxes, or one of them held samples of one
-    lattice alone. InvalidArgument if there are not as many frames of each, or the counts are not those of the frames.
+    `fields` two of FieldSymbols or a sequence of them: a medium, and what is rendered of it, frame by frame.
+    Each frame is asked for once, those of the medium first. `grids` (Grid, Grid): their lattices in one
+    space, such as hand metres. `counts`: of all voxels of all frames of each. `most`: boxes that are wanted.
+    Fewer are made where 2^24 counts would not hold them. None where there would be fewer than 8 boxes, or one
+    of them held samples of one lattice alone. InvalidArgument if there are not as many frames of each, or the
+    counts are not those of the frames.
     """
     frames = Frames(fields[0], "medium"), Frames(fields[1], "rendered")
     if frames[0].count != frames[1].count:
-        raise InvalidArgument("rendered", f"{frames[1].count} frames", f"{frames[0].count}, as many as the medium")
+        raise InvalidArgument(
+            "rendered", f"{frames[1].count} frames", f"{frames[0].count}, as many as the medium"
+        )
     both = shared_boxes(*grids, min(most, MOST_BLOCK_CELLS // sum(len(c.cells) for c in counts)))
     if both is None:
         return None

@@ -1,9 +1,10 @@
 """S = Q(F): a quantised field as symbols, sparse in the bricks of its field (paper section 3.1).
 
-Symbol 0 is "no force" and fills all space that no brick covers; 1 .. K-1 are the codewords of Q. Departure from the
-text of the paper's tables: the *object* is where Q(F) is not zero, and not where F is not zero. A force that Q takes
-to zero is empty space to whoever receives it, and H_voxel = h2(p) + p H_object then holds for every Q: exactly for
-the entropies themselves and for their plug-in estimates, but not for bias-corrected ones.
+Symbol 0 is "no force" and fills all space that no brick covers; 1 .. K-1 are the codewords of Q. Departure
+from the text of the paper's tables: the *object* is where Q(F) is not zero, and not where F is not zero. A
+force that Q takes to zero is empty space to whoever receives it, and H_voxel = h2(p) + p H_object then holds
+for every Q: exactly for the entropies themselves and for their plug-in estimates, but not for bias-corrected
+ones.
 """
 
 from __future__ import annotations
@@ -24,10 +25,11 @@ from touchfield.medium.grid import BRICK, Grid
 class FieldSymbols:
     """The symbols of one frame, of a quantiser that `quantiser` names in words.
 
-    `bricks` int32 [n, 3]: strictly ascending (x slowest, z fastest) and within the grid, as in `ForceField`; bricks
-    without any symbol but 0 are allowed. `symbols` int32 [n, 8, 8, 8]: 0 .. alphabet - 1; 0 beyond the grid.
-    `alphabet`: K, the number of codewords of Q with "no force". InvalidArgument if shapes, types or symbols do not
-    fit, bricks are out of order, given twice or outside the grid, or a symbol lies beyond its last sample.
+    `bricks` int32 [n, 3]: strictly ascending (x slowest, z fastest) and within the grid, as in `ForceField`;
+    bricks without any symbol but 0 are allowed. `symbols` int32 [n, 8, 8, 8]: 0 .. alphabet - 1; 0 beyond the
+    grid. `alphabet`: K, the number of codewords of Q with "no force". InvalidArgument if shapes, types or
+    symbols do not fit, bricks are out of order, given twice or outside the grid, or a symbol lies beyond its
+    last sample.
     """
 
     grid: Grid
@@ -40,9 +42,12 @@ class FieldSymbols:
         b, s = self.bricks, self.symbols
         check_bricks("FieldSymbols", self.grid, b, "symbols", s, "int32")
         if s.size and not (s.min() >= 0 and s.max() < self.alphabet):
-            raise InvalidArgument("FieldSymbols symbols", f"{s.min()} to {s.max()}", f"0 to {self.alphabet - 1}")
+            raise InvalidArgument(
+                "FieldSymbols symbols", f"{s.min()} to {s.max()}", f"0 to {self.alphabet - 1}"
+            )
         for axis, (size, bricks) in enumerate(zip(self.grid.shape, self.grid.brick_shape, strict=True)):
-            # only the last bricks of an axis can reach beyond the grid, and only where 8 does not divide its samples
+            # only the last bricks of an axis can reach beyond the grid, and only where 8 does not divide its
+            # samples
             if size % BRICK and np.moveaxis(s, axis + 1, 1)[b[:, axis] == bricks - 1, size % BRICK :].any():
                 found = f"a symbol beyond the grid along {'xyz'[axis]}"
                 raise InvalidArgument("FieldSymbols symbols", found, f"0 from sample {size} on")
@@ -51,15 +56,19 @@ class FieldSymbols:
 
     @classmethod
     def from_dense(cls, grid: Grid, symbols: ArrayLike, alphabet: int, quantiser: str) -> FieldSymbols:
-        """From a dense array of symbols, integers or booleans [nx, ny, nz]; bricks without a force are left out.
+        """From a dense array of symbols, integers or booleans [nx, ny, nz]; bricks without a force are left
+        out.
 
-        InvalidArgument if the shape is not that of the grid, or the symbols are no integers of 0 .. alphabet - 1.
+        InvalidArgument if the shape is not that of the grid, or the symbols are no integers of 0 ..
+        alphabet - 1.
         """
         dense = np.asarray(symbols)
         if dense.shape != grid.shape:
             raise InvalidArgument("symbols", f"shape {dense.shape}", f"{grid.shape}, as the grid says")
         if dense.dtype.kind not in "biu":
-            raise InvalidArgument("symbols", f"{dense.dtype}", "integers or booleans", "Quantise the values first.")
+            raise InvalidArgument(
+                "symbols", f"{dense.dtype}", "integers or booleans", "Quantise the values first."
+            )
         low, high, last = int(dense.min()), int(dense.max()), min(alphabet, 1 << 31) - 1
         if low < 0 or high > last:  # before the cast, which would wrap them into the range
             raise InvalidArgument("symbols", f"{low} to {high}", f"0 to {last}")
@@ -133,7 +142,9 @@ class Frames:
     def check_like(
         self, other: FieldSymbols | Frames, where: str, of: str, mends: tuple[str, str] = ("", "")
     ) -> None:
-        """InvalidArgument naming `where` if another has not the grid and Q of these, which are those `of` a name."""
+        """InvalidArgument naming `where` if another has not the grid and Q of these, which are those `of` a
+        name.
+        """
         if other.grid != self.grid:
             raise InvalidArgument(where, f"the grid {other.grid}", f"{self.grid}, as of {of}", mends[0])
         if (other.quantiser, other.alphabet) != (self.quantiser, self.alphabet):
@@ -164,7 +175,9 @@ class FramePairs:
         self.quantiser = "; ".join(dict.fromkeys((first.quantiser, second.quantiser)))
 
     def parts(self) -> Iterator[Part]:
-        """One pass. The second is usually the frame before: asked for first, it is still there if two are kept."""
+        """One pass. The second is usually the frame before: asked for first, it is still there if two are
+        kept.
+        """
         for n in range(self.count):
             yield from _joint_parts(second=self._second.take(n), first=self._first.take(n))
 
@@ -190,4 +203,6 @@ def _joint_parts(first: FieldSymbols, second: FieldSymbols) -> Iterator[Part]:
 
 
 def frames_changed() -> InvalidArgument:
-    return InvalidArgument("fields", "other symbols in the second pass", "a sequence whose frames stay the same")
+    return InvalidArgument(
+        "fields", "other symbols in the second pass", "a sequence whose frames stay the same"
+    )

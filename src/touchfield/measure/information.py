@@ -1,16 +1,18 @@
-"""Information measures of `Counts` (paper section 3: H(X), H(X,Y), H(X|Y), I(X;Y)), and those that compare media.
+"""Information measures of `Counts` (paper section 3: H(X), H(X,Y), H(X|Y), I(X;Y)), and those that compare
+media.
 
-Each function takes `Counts`, or arrays of integers or booleans, of any size and shape, to count them; samples at the
-same place of several arrays are one joint sample. It returns a `Quantity`: the value with its unit, estimator and
-interval. Beside the paper's four stand variation of information (M. Meila, J. Multivariate Analysis 98, 2007),
-normalised mutual information and the root of the Jensen-Shannon divergence (D. M. Endres and J. E. Schindelin, IEEE
-Trans. Inf. Theory 49, 2003).
+Each function takes `Counts`, or arrays of integers or booleans, of any size and shape, to count them; samples
+at the same place of several arrays are one joint sample. It returns a `Quantity`: the value with its unit,
+estimator and interval. Beside the paper's four stand variation of information (M. Meila, J. Multivariate
+Analysis 98, 2007), normalised mutual information and the root of the Jensen-Shannon divergence (D. M. Endres
+and J. E. Schindelin, IEEE Trans. Inf. Theory 49, 2003).
 
-Quantities of several variables are made of entropies by one estimator, I = H(X) + H(Y) - H(X,Y) and so on, so that
-the identities between them hold whatever the estimator. A bias-corrected I(X;Y) may then be negative; it is reported
-so, with a note, and never clipped. The interval comes from a block bootstrap: neighbours are seldom independent, so
-give `blocks` so that a block is many times as long as the dependence. FewSamplesWarning if there are fewer than ten
-samples to a symbol; InvalidArgument if there is no sample, one is not a whole number, or an option is out of range.
+Quantities of several variables are made of entropies by one estimator, I = H(X) + H(Y) - H(X,Y) and so on, so
+that the identities between them hold whatever the estimator. A bias-corrected I(X;Y) may then be negative; it
+is reported so, with a note, and never clipped. The interval comes from a block bootstrap: neighbours are
+seldom independent, so give `blocks` so that a block is many times as long as the dependence.
+FewSamplesWarning if there are fewer than ten samples to a symbol; InvalidArgument if there is no sample, one
+is not a whole number, or an option is out of range.
 """
 
 from __future__ import annotations
@@ -45,9 +47,9 @@ def entropy(
     """H(X) of one variable, bits a sample, or H(X,Y,..) of all; of one `column` of counts where it is named.
 
     `samples`: Counts, or arrays of integers or booleans of one shape. `estimator`: one of
-    `touchfield.measure.estimators.ESTIMATORS`; given probabilities have an exact entropy. `interval`: whether to make
-    one; it takes about as long again as the counting, and 200 evaluations of the estimator. `blocks`: of the
-    bootstrap of arrays, 8 or more.
+    `touchfield.measure.estimators.ESTIMATORS`; given probabilities have an exact entropy. `interval`: whether
+    to make one; it takes about as long again as the counting, and 200 evaluations of the estimator. `blocks`:
+    of the bootstrap of arrays, 8 or more.
     """
     e = _Entropies(samples, estimator, interval, blocks)
     if column is not None:
@@ -116,9 +118,10 @@ def jensen_shannon_distance(
 ) -> Quantity:
     """sqrt(JSD) between the distributions of two variables, 0 to 1, each of weight 1/2; a metric.
 
-    Two arrays may differ in size and shape, and two `Counts` of one variable each are taken side by side; of `Counts`
-    of two variables it is between the two columns. A symbol `absent` is none: what it stands beside is seen alone.
-    Always plug-in: the mixture has no counts that another estimator could correct. High for small samples.
+    Two arrays may differ in size and shape, and two `Counts` of one variable each are taken side by side; of
+    `Counts` of two variables it is between the two columns. A symbol `absent` is none: what it stands beside
+    is seen alone. Always plug-in: the mixture has no counts that another estimator could correct. High for
+    small samples.
     """
     if len(samples) == 2:
         one, other = (_counted((s,), interval, blocks) for s in samples)
@@ -212,7 +215,9 @@ class _Entropies:
         total = math.fsum(terms)
         return total + 0.0 if self.estimator not in ("exact", "plug-in") else max(0.0, total)  # 0, and not -0
 
-    def measured(self, name: str, statistic: Statistic, unit: str = "bit/sample", most: float = math.inf) -> Quantity:
+    def measured(
+        self, name: str, statistic: Statistic, unit: str = "bit/sample", most: float = math.inf
+    ) -> Quantity:
         """A statistic of the weights with its interval and notes; `most`: the greatest value, the least is 0."""
         c = self.counts
         if not len(c.weights):
@@ -222,9 +227,13 @@ class _Entropies:
         if math.isnan(value):
             notes.append("0/0: nothing varies, so there is nothing to be divided by")
         elif value < 0:
-            notes.append(f"negative, which no true value is: the bias correction of {self.estimator} is larger")
+            notes.append(
+                f"negative, which no true value is: the bias correction of {self.estimator} is larger"
+            )
         elif value > most + 1e-9:
-            notes.append(f"above {most:g}, which no true value is: the bias correction of {self.estimator} did it")
+            notes.append(
+                f"above {most:g}, which no true value is: the bias correction of {self.estimator} did it"
+            )
         if self.estimator != "exact" and self.fewest < _FEW * self.symbols:
             few = f"few samples: {self.fewest} for {self.symbols} symbols, fewer than {_FEW} to each"
             notes.append(few)
@@ -246,7 +255,9 @@ class _Entropies:
             notes=tuple(notes),
         )
 
-    def _interval(self, statistic: Statistic, blocks: Int64s, most: float) -> tuple[Interval | None, list[str]]:
+    def _interval(
+        self, statistic: Statistic, blocks: Int64s, most: float
+    ) -> tuple[Interval | None, list[str]]:
         filled = int(np.count_nonzero(blocks.any(axis=1)))
         if filled < LEAST_BLOCKS:
             return None, [f"no interval: {filled} blocks with samples, fewer than {LEAST_BLOCKS}"]

@@ -1,13 +1,15 @@
-"""mu = where a hand was: entropy weighted by a recorded interaction (paper section 6.1; theory: three weightings).
+"""mu = where a hand was: entropy weighted by a recorded interaction (paper section 6.1; theory: three
+weightings).
 
-Section 6.1 sees that "the probability mass function of the haptic medium, theoretically depends on the interaction"
-and leaves it open. Here X, the place at which the field is felt, has the visit histogram of a recorded probe: each
-lattice point counts as often as a sample of the trace lies in its cell. S = Q(F_t(X)) then has an entropy that says
-how much a hand was told, empty space being one more symbol, since a hand in empty space is told just that.
+Section 6.1 sees that "the probability mass function of the haptic medium, theoretically depends on the
+interaction" and leaves it open. Here X, the place at which the field is felt, has the visit histogram of a
+recorded probe: each lattice point counts as often as a sample of the trace lies in its cell. S = Q(F_t(X))
+then has an entropy that says how much a hand was told, empty space being one more symbol, since a hand in
+empty space is told just that.
 
-A visit is a sample of the trace, and not a duration: a trace whose samples are not equally far apart in time weights
-slow stretches wrongly, and the result carries a note. The samples of a trace depend on each other (a hand stays where
-it is), so that the interval comes from blocks of consecutive samples.
+A visit is a sample of the trace, and not a duration: a trace whose samples are not equally far apart in time
+weights slow stretches wrongly, and the result carries a note. The samples of a trace depend on each other (a
+hand stays where it is), so that the interval comes from blocks of consecutive samples.
 """
 
 from __future__ import annotations
@@ -27,15 +29,18 @@ from touchfield.medium.field import frozen
 from touchfield.medium.grid import Grid
 from touchfield.medium.trace import Trace
 
-_LATE: Final = 1e-6  # share of a frame by which a time stamp may fall short of it, for stamps rounded to decimals
+_LATE: Final = (
+    1e-6  # share of a frame by which a time stamp may fall short of it, for stamps rounded to decimals
+)
 _UNEVEN: Final = 2.0  # longest step of a trace over its median step that is still "sampled regularly"
 
 
 class Visits(NamedTuple):
     """The visit histogram mu, up to its sum.
 
-    `places` int64 [m, 3]: indices of the visited lattice points in raster order (x slowest, z fastest). `counts`
-    int64 [m]: samples of the trace in the cell of each. `outside`: samples of the trace in no cell of the grid.
+    `places` int64 [m, 3]: indices of the visited lattice points in raster order (x slowest, z fastest).
+    `counts` int64 [m]: samples of the trace in the cell of each. `outside`: samples of the trace in no cell
+    of the grid.
     """
 
     places: Int64s
@@ -46,9 +51,9 @@ class Visits(NamedTuple):
 def visits(trace: Trace, grid: Grid) -> Visits:
     """How often a probe was nearest to each lattice point.
 
-    A sample belongs to the lattice point in whose cell it lies (`Grid.box_m`: the cells of a grid reach half a
-    spacing beyond its outermost samples; a cell holds its lower faces, up to rounding). Memory follows the trace,
-    not the grid.
+    A sample belongs to the lattice point in whose cell it lies (`Grid.box_m`: the cells of a grid reach half
+    a spacing beyond its outermost samples; a cell holds its lower faces, up to rounding). Memory follows the
+    trace, not the grid.
     """
     cells = _cells(trace.positions_m, grid)
     keys, counts = np.unique(cells[cells >= 0], return_counts=True)
@@ -78,15 +83,15 @@ def interaction_counts(
 ) -> Counts:
     """The symbols that a probe met, one for each sample of its trace that lies in the medium.
 
-    Samples before the first frame or after the last are left out, and so are those during the frames that lie outside
-    the box of the grid; a note counts each of the two.
+    Samples before the first frame or after the last are left out, and so are those during the frames that lie
+    outside the box of the grid; a note counts each of the two.
 
-    `symbols`: the quantised field; or a sequence of one for each frame, of one grid and one quantiser, which may be
-    made when asked for. Frame f is felt from f / rate_hz until (f + 1) / rate_hz; only the first frame and those that
-    the trace meets are asked for. `interval`: with blocks over time for a bootstrap. `rate_hz`: frames per second;
-    needed for a sequence. `blocks`: of consecutive samples, at least 8. A block should last longer than a hand stays
-    in one place: take fewer for a short trace. InvalidArgument if no sample meets the field, the frames do not fit
-    each other, or an argument is out of range.
+    `symbols`: the quantised field; or a sequence of one for each frame, of one grid and one quantiser, which
+    may be made when asked for. Frame f is felt from f / rate_hz until (f + 1) / rate_hz; only the first frame
+    and those that the trace meets are asked for. `interval`: with blocks over time for a bootstrap.
+    `rate_hz`: frames per second; needed for a sequence. `blocks`: of consecutive samples, at least 8. A block
+    should last longer than a hand stays in one place: take fewer for a short trace. InvalidArgument if no
+    sample meets the field, the frames do not fit each other, or an argument is out of range.
     """
     if blocks < LEAST_BLOCKS:
         raise InvalidArgument("blocks", repr(blocks), f"at least {LEAST_BLOCKS}")
@@ -94,7 +99,9 @@ def interaction_counts(
     if isinstance(symbols, FieldSymbols):
         rate_hz = None
     elif rate_hz is None or not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise InvalidArgument("rate_hz", repr(rate_hz), "the positive number of frames per second of the medium")
+        raise InvalidArgument(
+            "rate_hz", repr(rate_hz), "the positive number of frames per second of the medium"
+        )
     met, in_time = _met(trace, frames, rate_hz)
     if not len(met):
         raise InvalidArgument("trace", *_where_it_was(trace, frames.grid, rate_hz))
@@ -143,7 +150,8 @@ def _where_it_was(trace: Trace, grid: Grid, rate_hz: float | None) -> tuple[str,
 
     when = "" if rate_hz is None else f" from {trace.times_s[0]:.6g} to {trace.times_s[-1]:.6g} s"
     found = (
-        f"positions from {box(trace.positions_m.min(0), trace.positions_m.max(0))}{when}, none of them in the field"
+        f"positions from {box(trace.positions_m.min(0), trace.positions_m.max(0))}{when}, none of them in "
+        "the field"
     )
     return found, f"positions within {box(*grid.box_m)}, in the medium's time", "Shift or scale the trace."
 
@@ -153,17 +161,20 @@ def _notes(trace: Trace, in_time: int, samples: int) -> list[str]:
     notes = []
     if early_or_late := len(trace) - in_time:
         notes.append(
-            f"{early_or_late} of {len(trace)} samples of the trace are before the first frame or after the last and "
+            f"{early_or_late} of {len(trace)} samples of the trace are before the first frame or after the "
+            "last and "
             "were left out"
         )
     if outside := in_time - samples:
         notes.append(
-            f"{outside} of {len(trace)} samples of the trace lie outside the box of the field and were left out"
+            f"{outside} of {len(trace)} samples of the trace lie outside the box of the field and were left "
+            "out"
         )
     steps = np.diff(trace.times_s)
     if len(steps) and steps.max() > _UNEVEN * max(np.median(steps), 0.0):
         notes.append(
-            f"the trace is not sampled regularly (steps of {steps.min():.3g} to {steps.max():.3g} s): a visit is a "
+            f"the trace is not sampled regularly (steps of {steps.min():.3g} to {steps.max():.3g} s): a "
+            "visit is a "
             "sample and not a duration"
         )
     return notes

@@ -1,4 +1,5 @@
-"""Compiled loops: counting symbols in tables, causal neighbours as packed rows, curl and squares, sums by direction.
+"""Compiled loops: counting symbols in tables, causal neighbours as packed rows, curl and squares, sums by
+direction.
 
 Imported only when first needed, because it imports numba.
 """
@@ -15,9 +16,9 @@ from touchfield.arrays import Int64s
 from touchfield.compute.jit import inner, kernel
 from touchfield.compute.threads import for_chunks
 
-# -- symbols in tables. One add to a table costs one or two cycles, and waits for an add to the same place just before
-# it: hence four tables, taken in turn, and eight bytes of symbols loaded at once. Stretches of one symbol, most of a
-# field, take four adds.
+# -- symbols in tables. One add to a table costs one or two cycles, and waits for an add to the same place
+# just before it: hence four tables, taken in turn, and eight bytes of symbols loaded at once. Stretches of
+# one symbol, most of a field, take four adds.
 
 _SPAN = 1 << 16
 _PAD = 16  # entries between tables, so that they do not share the sets of the cache
@@ -38,7 +39,9 @@ def _count_words(words, tables):
     t0, t1, t2, t3 = tables[0], tables[1], tables[2], tables[3]
     for start in range(_0, np.uint64(len(words)), _S):
         usual = words[start] & _FFFF
-        if words[start] == usual * _SAME:  # of a stretch of mostly one symbol its adds take turns over spare entries
+        if (
+            words[start] == usual * _SAME
+        ):  # of a stretch of mostly one symbol its adds take turns over spare entries
             differ = _0
             for i in range(start, start + _S):
                 differ |= words[i] ^ words[start]
@@ -124,11 +127,11 @@ def _fill_corner(local, symbols, slots):
 def field_rows(slots, symbols, slots_before, before, extents, columns, bits, out):
     """The rows of some bricks that are not all 0 into `out`, uint64 [512 n, words]; how many.
 
-    A row holds `columns` symbols of `bits` bits, as many whole symbols to a word as fit, the first in the lowest
-    bits: the symbol itself, its seven neighbours in `CORNER`, and the voxel of the previous frame.
+    A row holds `columns` symbols of `bits` bits, as many whole symbols to a word as fit, the first in the
+    lowest bits: the symbol itself, its seven neighbours in `CORNER`, and the voxel of the previous frame.
 
-    `slots` int64 [n, 27] in the frame and in the one before, -1 for none; `symbols` int32 [., 8, 8, 8] of both;
-    `extents` int64 [n, 3] samples of each brick within the grid.
+    `slots` int64 [n, 27] in the frame and in the one before, -1 for none; `symbols` int32 [., 8, 8, 8] of
+    both; `extents` int64 [n, 3] samples of each brick within the grid.
     """
     per_word = 64 // bits
     cells, local = np.zeros(9, np.uint64), np.zeros((9, 9, 9), np.int32)
@@ -159,9 +162,11 @@ def field_rows(slots, symbols, slots_before, before, extents, columns, bits, out
 
 @kernel
 def insert(rows, weights, begin, slots, keys, counts, used):
-    """Count rows uint64 [n, words] from `begin` on, until all are counted or `keys` is full: next row, keys in use.
+    """Count rows uint64 [n, words] from `begin` on, until all are counted or `keys` is full: next row, keys
+    in use.
 
-    `weights` int64 [n] or [0] (each row once); the table is slots int32 [2^b] (-1: free), keys, counts int64 [m].
+    `weights` int64 [n] or [0] (each row once); the table is slots int32 [2^b] (-1: free), keys, counts int64
+    [m].
     """
     mask = np.uint64(slots.shape[0] - 1)
     words = rows.shape[1]
@@ -217,8 +222,8 @@ def _fill(slots, forces, halo, held):
 
 @kernel
 def curl_and_squares(begin, end, slots, spacing, forces, sums):
-    """Of each brick the samples with a curl, sums of |curl|^2 and |gradient|^2 there; the squares, and the sum of
-    W^2 around them; the largest |curl|^2 and |W|: float64 [n, 7], SI units.
+    """Of each brick the samples with a curl, sums of |curl|^2 and |gradient|^2 there; the squares, and the
+    sum of W^2 around them; the largest |curl|^2 and |W|: float64 [n, 7], SI units.
 
     `slots` int32 [n, 27] are where in `forces` each neighbour of a brick lies, -1 for none.
     """
@@ -265,8 +270,9 @@ def curl_and_squares(begin, end, slots, spacing, forces, sums):
 def sums_by_direction(forces, around, sharpness, norms):
     """Sums of the lengths of forces [n, 3] around directions [k, 3], float64 [k], and times each harmonic.
 
-    A force is shared between the directions by exp(`sharpness` cos(angle)). A harmonic is (sin(theta) exp(i phi))^m
-    times the m-th derivative of the Legendre polynomial of degree l, which rises in l by the three-term recurrence.
+    A force is shared between the directions by exp(`sharpness` cos(angle)). A harmonic is (sin(theta) exp(i
+    phi))^m times the m-th derivative of the Legendre polynomial of degree l, which rises in l by the
+    three-term recurrence.
     """
     by_direction, coefficients = np.zeros(len(around)), np.zeros(len(norms) ** 2)
     near = np.empty(len(around))

@@ -1,12 +1,13 @@
-"""The limits of coding a medium, so that a codec can be placed against its own data (theory sections 4 and 5).
+"""The limits of coding a medium, so that a codec can be placed against its own data (theory sections 4 and
+5).
 
-Beside each other stand, of the same symbols S = Q(F) over all voxels of all frames: H(S) of the voxel and of the
-object; H(S | causal neighbours), with and without the previous frame. All are plug-in estimates of what an ideal
-coder with that context would need. What a real coder surely reaches is what one did: the bytes of a file of coder
-`touch` in its exact mode.
+Beside each other stand, of the same symbols S = Q(F) over all voxels of all frames: H(S) of the voxel and of
+the object; H(S | causal neighbours), with and without the previous frame. All are plug-in estimates of what
+an ideal coder with that context would need. What a real coder surely reaches is what one did: the bytes of a
+file of coder `touch` in its exact mode.
 
-A coder that visits the voxels in raster order (x slowest, z fastest) knows, of each voxel, the neighbours with no
-greater index along any axis. Neighbourhoods are nested corners of the 2^3 cube of such neighbours:
+A coder that visits the voxels in raster order (x slowest, z fastest) knows, of each voxel, the neighbours
+with no greater index along any axis. Neighbourhoods are nested corners of the 2^3 cube of such neighbours:
 
 ========== ========== ==========================================================
 name       neighbours which
@@ -17,13 +18,13 @@ axes       3          one before along each axis
 corner     7          all of {-1, 0}^3 but the voxel itself
 ========== ========== ==========================================================
 
-and each may take in the co-located voxel of the previous frame. What lies outside the grid, and before the first
-frame, is symbol 0, so that all quantities are over the same voxels. The estimate is H(S, c) - H(c) over one exact
-count, so that with the plug-in H(S | c) falls as c grows, whatever the data. The same law makes it *too low*:
-contexts dilute, and a context seen once costs nothing. `ContextEntropy` says how diluted it is.
+and each may take in the co-located voxel of the previous frame. What lies outside the grid, and before the
+first frame, is symbol 0, so that all quantities are over the same voxels. The estimate is H(S, c) - H(c) over
+one exact count, so that with the plug-in H(S | c) falls as c grows, whatever the data. The same law makes it
+*too low*: contexts dilute, and a context seen once costs nothing. `ContextEntropy` says how diluted it is.
 
-Time: one pass over the frames, which may be made when asked for. Memory: two frames and the different joint cells
-(`CellCounter`).
+Time: one pass over the frames, which may be made when asked for. Memory: two frames and the different joint
+cells (`CellCounter`).
 """
 
 from __future__ import annotations
@@ -72,7 +73,8 @@ class CellCounter:
         needed = size * (8 * self.words + 16)
         if size > _MOST_KEYS or needed > memory_budget_bytes() // 2:
             raise InvalidArgument(
-                "joint cells", f"more than {size // 2} different ones", f"up to {memory_budget_bytes() // 2} bytes",
+                "joint cells", f"more than {size // 2} different ones", f"up to {memory_budget_bytes() // 2} "
+                                                                        "bytes",
                 "Give fewer frames or a coarser quantiser, or set TOUCHFIELD_MEMORY_GIB.",
             )  # fmt: skip
         self._slots = np.full(2 * size, -1, np.int32)
@@ -136,9 +138,9 @@ class ContextEntropy:
     """H(S | c) and how far to trust it.
 
     `neighbourhood`: one of `NEIGHBOURHOODS`. `previous_frame`: whether c takes in the co-located voxel of the
-    previous frame. `per_voxel`: bit/sample over all voxels. `contexts`: how many different c were seen. `cells`: how
-    many different (S, c) were seen; K of the dilution. `informed`: voxels where S or any part of c is not 0: n of the
-    dilution. The others are all one cell. `once`: cells that were seen only once.
+    previous frame. `per_voxel`: bit/sample over all voxels. `contexts`: how many different c were seen.
+    `cells`: how many different (S, c) were seen; K of the dilution. `informed`: voxels where S or any part of
+    c is not 0: n of the dilution. The others are all one cell. `once`: cells that were seen only once.
     """
 
     neighbourhood: str
@@ -156,7 +158,8 @@ class ContextEntropy:
 
 
 class ContextCounter:
-    """Counts voxels with the widest context, frame after frame; every narrower one is a marginal of that count.
+    """Counts voxels with the widest context, frame after frame; every narrower one is a marginal of that
+    count.
 
     Memory beyond the frames grows with the different cells that are there (see `CellCounter`), never with the
     lattice. `of`: frames of the grid and the Q of those to be counted. `previous_frame`: whether to count the
@@ -167,7 +170,9 @@ class ContextCounter:
         self._bits = max(1, (of.alphabet - 1).bit_length())
         self._cells = CellCounter(9 if previous_frame else 8, self._bits)
         self._previous_frame, self._quantiser = previous_frame, of.quantiser
-        self._before = 3 - scan_axis(of.grid)  # column of the one neighbour; 1 to 3 are those along z, y and x
+        self._before = 3 - scan_axis(
+            of.grid
+        )  # column of the one neighbour; 1 to 3 are those along z, y and x
 
     def add(self, frame: FieldSymbols, previous: FieldSymbols | None) -> None:
         """Count the voxels of a frame; space away from its bricks in closed form."""
@@ -176,11 +181,16 @@ class ContextCounter:
         grid, before = frame.grid, previous if self._previous_frame else None
         bricks = _reached_bricks(frame, before)
         old_bricks = bricks[:0] if before is None else before.bricks
-        symbols, old_symbols = np.array(frame.symbols), _NO_FRAME if before is None else np.array(before.symbols)
+        symbols, old_symbols = (
+            np.array(frame.symbols),
+            _NO_FRAME if before is None else np.array(before.symbols),
+        )
         counted = 0
         for start in range(0, len(bricks), _BRICKS_AT_ONCE):
             part = bricks[start : start + _BRICKS_AT_ONCE]
-            slots, old_slots = (slots_around(part, b, grid.brick_shape, 14) for b in (frame.bricks, old_bricks))
+            slots, old_slots = (
+                slots_around(part, b, grid.brick_shape, 14) for b in (frame.bricks, old_bricks)
+            )
             extents = np.clip(np.asarray(grid.shape) - part.astype(np.int64) * BRICK, 0, BRICK)
             rows = np.empty((BRICK**3 * len(part), self._cells.words), np.uint64)
             packing = self._cells.columns, self._bits
@@ -207,7 +217,9 @@ class ContextCounter:
         informed = joint.samples - joint.zeros
         notes = [f"{len(contexts)} contexts"]
         if informed < 10 * len(cells):
-            notes.append(f"diluted: {informed} voxels not all 0 for {len(cells)} cells, fewer than ten each; too low")
+            notes.append(
+                f"diluted: {informed} voxels not all 0 for {len(cells)} cells, fewer than ten each; too low"
+            )
         conditions = [f"{neighbours} neighbour{'s' * (neighbours > 1)}"] * (neighbours > 0)
         conditions += ["previous frame"] * previous_frame
         name = f"H(S|{', '.join(conditions)})" if conditions else "H(S)"
@@ -216,17 +228,19 @@ class ContextCounter:
             tuple(notes),
         )  # fmt: skip
         once = int((cells == 1).sum())
-        return ContextEntropy(neighbourhood, previous_frame, quantity, len(contexts), len(cells), informed, once)
+        return ContextEntropy(
+            neighbourhood, previous_frame, quantity, len(contexts), len(cells), informed, once
+        )
 
 
 @dataclass(frozen=True)
 class CodingLimits:
     """Rates that a coder of these frames can hope for.
 
-    Of `voxels` in all frames `supported` are not 0. `voxel_entropy` and `object_entropy`: H(S) over all and over the
-    supported voxels (NaN where there is none), bit/sample. `contexts`: 1, 3 and 7 neighbours; and with the previous
-    frame, where there is one, 0, 1, 3 and 7. The one neighbour lies along `scan_axis`: "z", or the last axis that has
-    more than one sample.
+    Of `voxels` in all frames `supported` are not 0. `voxel_entropy` and `object_entropy`: H(S) over all and
+    over the supported voxels (NaN where there is none), bit/sample. `contexts`: 1, 3 and 7 neighbours; and
+    with the previous frame, where there is one, 0, 1, 3 and 7. The one neighbour lies along `scan_axis`: "z",
+    or the last axis that has more than one sample.
     """
 
     frame_count: int
@@ -250,7 +264,9 @@ class CodingLimits:
         def plain(per_voxel: float) -> dict[str, float | None]:
             return {
                 "bits_per_voxel": per_voxel,
-                "bits_per_supported_voxel": per_voxel * self.voxels / self.supported if self.supported else None,
+                "bits_per_supported_voxel": per_voxel * self.voxels / self.supported
+                if self.supported
+                else None,
                 "bits_per_frame": per_voxel * self.voxels / self.frame_count,
             }
 
@@ -274,10 +290,11 @@ class CodingLimits:
 def coding_limits(frames: Fields) -> CodingLimits:
     """The coding limits of quantised frames, of one grid and one Q, looked at once, in order.
 
-    The raster's lines run along z, and the one neighbour lies there. Where z has a single sample, as on a flat array
-    of actuators, they go along the last axis that has more, as in an array without z: `scan_axis`.
+    The raster's lines run along z, and the one neighbour lies there. Where z has a single sample, as on a
+    flat array of actuators, they go along the last axis that has more, as in an array without z: `scan_axis`.
 
-    InvalidArgument if there is no frame, frames differ in grid or Q, or the joint cells outgrow the memory budget.
+    InvalidArgument if there is no frame, frames differ in grid or Q, or the joint cells outgrow the memory
+    budget.
     """
     given, last = Frames(frames, "frames"), None
     contexts = ContextCounter(given, previous_frame=True)
@@ -296,9 +313,24 @@ def coding_limits(frames: Fields) -> CodingLimits:
         supported + empty,
         supported,
         Quantity(
-            "H(S)", entropy_bits(every), unit, quantiser, "voxel", samples=supported + empty, symbols=len(every)
+            "H(S)",
+            entropy_bits(every),
+            unit,
+            quantiser,
+            "voxel",
+            samples=supported + empty,
+            symbols=len(every),
         ),
-        Quantity("H(S | S != 0)", bits, unit, quantiser, "object", samples=supported, symbols=len(held), notes=notes),
+        Quantity(
+            "H(S | S != 0)",
+            bits,
+            unit,
+            quantiser,
+            "object",
+            samples=supported,
+            symbols=len(held),
+            notes=notes,
+        ),
         tuple(contexts.result(name, previous_frame=before) for name, before in asked),
         "xyz"[scan_axis(given.grid)],
     )

@@ -1,15 +1,15 @@
 """Adaptive workspace partitioning: the best division into dyadic boxes (paper section 4).
 
-"Optimal adaptive workspace partitioning in disjoint subspaces so as to minimize information loss taking into account
-the rendering device". Each box fills the device's own lattice, so that a small box is rendered finely and a large one
-coarsely. More boxes lose less and cost more: each one is another view that the hand must be taken to. What is
-minimised is
+"Optimal adaptive workspace partitioning in disjoint subspaces so as to minimize information loss taking into
+account the rendering device". Each box fills the device's own lattice, so that a small box is rendered finely
+and a large one coarsely. More boxes lose less and cost more: each one is another view that the hand must be
+taken to. What is minimised is
 
     J = sum of the losses of the boxes + lambda * number of boxes,
 
 lambda in bits a box. J is a sum over boxes, so that the best division of a box is the box itself or the best
-divisions of its children, whichever is less: pruning from the smallest boxes up finds the optimum among all dyadic
-divisions. Of equal ones it takes the fewer boxes.
+divisions of its children, whichever is less: pruning from the smallest boxes up finds the optimum among all
+dyadic divisions. Of equal ones it takes the fewer boxes.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ MOST_DEPTH = 7
 class DyadicLattice:
     """A fine lattice and how a device's lattice divides it.
 
-    `grid`: the fine lattice over the workspace. `device_shape` (int, int, int): samples of the device along each
-    axis. An axis with as many samples as the grid is not split; along all others the grid has 2^D as many, with one
-    D. InvalidArgument if the grid is not such a multiple, or D is greater than 7.
+    `grid`: the fine lattice over the workspace. `device_shape` (int, int, int): samples of the device along
+    each axis. An axis with as many samples as the grid is not split; along all others the grid has 2^D as
+    many, with one D. InvalidArgument if the grid is not such a multiple, or D is greater than 7.
     """
 
     grid: Grid
@@ -67,7 +67,9 @@ class DyadicLattice:
 
     def boxes(self, depth: int) -> tuple[int, int, int]:
         """How many boxes of a depth there are along each axis."""
-        x, y, z = (1 if n == m else 1 << depth for n, m in zip(self.grid.shape, self.device_shape, strict=True))
+        x, y, z = (
+            1 if n == m else 1 << depth for n, m in zip(self.grid.shape, self.device_shape, strict=True)
+        )
         return (x, y, z)
 
     def lattice(self, depth: int) -> Grid:
@@ -91,17 +93,21 @@ class BoxLosses:
     def add(self, levels: Sequence[FieldSymbols]) -> None:
         """Count one frame.
 
-        `levels` sequence of FieldSymbols: of one Q, on ``lattice.lattice(d)`` for d = 0 .. D. InvalidArgument if
-        there are others, they differ in Q, or there are too many boxes and symbols to count.
+        `levels` sequence of FieldSymbols: of one Q, on ``lattice.lattice(d)`` for d = 0 .. D. InvalidArgument
+        if there are others, they differ in Q, or there are too many boxes and symbols to count.
         """
         d_most, last = self.lattice.depth, levels[-1]
         if [s.grid.shape for s in levels] != [self.lattice.lattice(d).shape for d in range(d_most + 1)]:
-            raise InvalidArgument("levels", f"shapes {[s.grid.shape for s in levels]}", "those of the dyadic lattice")
+            raise InvalidArgument(
+                "levels", f"shapes {[s.grid.shape for s in levels]}", "those of the dyadic lattice"
+            )
         self._alphabet, self._quantiser = self._alphabet or last.alphabet, self._quantiser or last.quantiser
         if any((s.alphabet, s.quantiser) != (self._alphabet, self._quantiser) for s in levels):
             raise InvalidArgument("levels", "several quantisers", f"{self._quantiser} for all")
         if 8**d_most * self._alphabet**2 >= 1 << 63:
-            raise InvalidArgument("quantiser", f"{self._alphabet} symbols", "fewer", "Take a coarser quantiser.")
+            raise InvalidArgument(
+                "quantiser", f"{self._alphabet} symbols", "fewer", "Take a coarser quantiser."
+            )
         places, symbols = _held(last)
         for d in range(d_most):
             ratio: Int64s = np.array(self.lattice.grid.shape) // np.array(self.lattice.lattice(d).shape)
@@ -171,8 +177,8 @@ def _xlog2x(counts: Int64s) -> Float64s:
 class DyadicBox:
     """One box of a partition.
 
-    `depth`: how often the workspace was halved along each axis. `index` (int, int, int): which of the 2^depth boxes
-    along each axis. `lost_bits`: what the device leaves out of it, bits a frame.
+    `depth`: how often the workspace was halved along each axis. `index` (int, int, int): which of the 2^depth
+    boxes along each axis. `lost_bits`: what the device leaves out of it, bits a frame.
     """
 
     depth: int
@@ -222,9 +228,10 @@ class Partition:
 def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalty_bits: float) -> Partition:
     """The partition with the least J.
 
-    `losses` sequence of float64 arrays: for each depth 0 .. D the loss of its boxes, of shape ``lattice.boxes(d)``,
-    bits a frame (`BoxLosses.bits`). `penalty_bits`: lambda, 0 or more. A greater one never gives more boxes, nor a
-    smaller sum of losses. InvalidArgument if lambda is negative, or the losses have other shapes or are not finite.
+    `losses` sequence of float64 arrays: for each depth 0 .. D the loss of its boxes, of shape
+    ``lattice.boxes(d)``, bits a frame (`BoxLosses.bits`). `penalty_bits`: lambda, 0 or more. A greater one
+    never gives more boxes, nor a smaller sum of losses. InvalidArgument if lambda is negative, or the losses
+    have other shapes or are not finite.
     """
     require_not_negative(penalty_bits=penalty_bits)
     shapes = [lattice.boxes(d) for d in range(lattice.depth + 1)]
@@ -237,7 +244,9 @@ def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalt
     for d in reversed(range(lattice.depth)):
         (bx, by, bz), (nx, ny, nz) = shapes[d], cost.shape
         alone = losses[d] + penalty_bits
-        parted = cost.reshape(bx, nx // bx, by, ny // by, bz, nz // bz).sum(axis=(1, 3, 5))  # over the children
+        parted = cost.reshape(bx, nx // bx, by, ny // by, bz, nz // bz).sum(
+            axis=(1, 3, 5)
+        )  # over the children
         kept.insert(0, alone <= parted)
         cost = np.minimum(alone, parted)
     boxes = []

@@ -1,20 +1,22 @@
 """Energy that a field could feed to a hand: curl, and work around closed loops (theory: apart from eq. 1).
 
-The paper calls a mapping "passive" when it creates no information (eq. 1). That says nothing of energy: a field gives
-none to a hand that moves in a circle if and only if the integral of F dl vanishes around every closed loop, that is,
-if its curl is zero. Penalty forces of a distance are such fields; quantising their directions, resampling them and
-clipping components is not, and what a loop gains a hand can pump out of the device, again and again.
+The paper calls a mapping "passive" when it creates no information (eq. 1). That says nothing of energy: a
+field gives none to a hand that moves in a circle if and only if the integral of F dl vanishes around every
+closed loop, that is, if its curl is zero. Penalty forces of a distance are such fields; quantising their
+directions, resampling them and clipping components is not, and what a loop gains a hand can pump out of the
+device, again and again.
 
 Two looks, both of the field as a renderer that interpolates trilinearly (`ForceField.sample_n`) plays it:
 
 * the curl at lattice points, by central differences, beside the gradient;
-* the work around each square of four lattice edges, by the trapezoid rule, which is exact for that interpolation.
-  A loop along lattice edges gains what the squares within it do.
+* the work around each square of four lattice edges, by the trapezoid rule, which is exact for that
+  interpolation. A loop along lattice edges gains what the squares within it do.
 
-Only what lies wholly within the support is looked at. At the edge of a wall the stored field ends in a step of one
-spacing, which is the lattice's doing and not the wall's, and would drown all else; `loop_work_j` counts it, as the
-hand would, around any closed path: by Gauss's rule on each piece between two lattice planes, where F is cubic at most
-along a line, so that the rule is exact, too (but for the float32 of the forces).
+Only what lies wholly within the support is looked at. At the edge of a wall the stored field ends in a step
+of one spacing, which is the lattice's doing and not the wall's, and would drown all else; `loop_work_j`
+counts it, as the hand would, around any closed path: by Gauss's rule on each piece between two lattice
+planes, where F is cubic at most along a line, so that the rule is exact, too (but for the float32 of the
+forces).
 """
 
 from __future__ import annotations
@@ -41,10 +43,11 @@ _GAUSS: Final = (0.5 - math.sqrt(1 / 12), 0.5 + math.sqrt(1 / 12))  # two points
 
 
 def loop_work_j(force_field: ForceField, path_m: ArrayLike) -> float:
-    """The work of a field on a hand that goes once round a closed polyline, joules, exact for `ForceField.sample_n`.
+    """The work of a field on a hand that goes once round a closed polyline, joules, exact for
+    `ForceField.sample_n`.
 
-    `path_m` float [n, 3]: corners in metres, at least three; the last is joined to the first. Beyond the grid there
-    is no force. InvalidArgument if there are fewer corners, or one is not finite or 10^9 spacings away.
+    `path_m` float [n, 3]: corners in metres, at least three; the last is joined to the first. Beyond the grid
+    there is no force. InvalidArgument if there are fewer corners, or one is not finite or 10^9 spacings away.
     """
     path = np.asarray(path_m, np.float64)
     if path.ndim != 2 or path.shape[1] != 3 or len(path) < 3:
@@ -52,7 +55,9 @@ def loop_work_j(force_field: ForceField, path_m: ArrayLike) -> float:
     with np.errstate(over="ignore", invalid="ignore"):
         far = ~(np.abs(force_field.grid.to_index(path)) < _FAR).all(axis=1)
     if far.any():
-        raise InvalidArgument("path_m", f"corner {path[far][0].tolist()}", "finite metres, not far from the grid")
+        raise InvalidArgument(
+            "path_m", f"corner {path[far][0].tolist()}", "finite metres, not far from the grid"
+        )
     grid = force_field.grid
     starts = grid.to_index(path)
     ends = np.roll(starts, -1, axis=0)
@@ -60,7 +65,9 @@ def loop_work_j(force_field: ForceField, path_m: ArrayLike) -> float:
     works = np.zeros(len(starts))
     for segment, begin, end in _pieces(starts, ends, grid.shape):
         for node in _GAUSS:
-            place = starts[segment] + (begin + node * (end - begin))[:, None] * (ends[segment] - starts[segment])
+            place = starts[segment] + (begin + node * (end - begin))[:, None] * (
+                ends[segment] - starts[segment]
+            )
             forces = force_field.sample_n(grid.to_m(place)).astype(np.float64)
             power = (forces * steps_m[segment]).sum(axis=1) * (end - begin) / 2
             works += np.bincount(segment, power, minlength=len(starts))
@@ -70,9 +77,11 @@ def loop_work_j(force_field: ForceField, path_m: ArrayLike) -> float:
 def _pieces(
     starts: Float64s, ends: Float64s, shape: tuple[int, int, int]
 ) -> Iterator[tuple[Int64s, Float64s, Float64s]]:
-    """Segments [n, 3] in samples, cut where they cross a lattice plane: segment, and from and to which share of it.
+    """Segments [n, 3] in samples, cut where they cross a lattice plane: segment, and from and to which share
+    of it.
 
-    Beyond one sample from the grid there is no force, and nothing to cut. A bounded number of pieces at a time.
+    Beyond one sample from the grid there is no force, and nothing to cut. A bounded number of pieces at a
+    time.
     """
     low, high = np.minimum(starts, ends), np.maximum(starts, ends)
     first = np.maximum(np.floor(low) + 1, -1).astype(np.int64)
@@ -99,11 +108,12 @@ def _pieces(
 class Passivity(Told):
     """How far a field is from conservative; NaN where nothing could be seen, `notes` then say why.
 
-    `support_count`: L, samples whose force is not zero; `points`: samples at which a curl was taken; `share_seen`:
-    the supported ones among them over L. `rms_curl_n_per_m`, `worst_curl_n_per_m`: of the length of the curl;
-    `rms_gradient_n_per_m`: of the Frobenius norm of dF_i/dx_j; `relative_curl`: rms curl / (sqrt 2 rms gradient), the
-    share of the gradient that turns: 0 conservative, 1 a pure rotation. `squares` of lattice edges, and the work
-    around them (in the better of the two senses), `rms_square_j`, `worst_square_j`, joules.
+    `support_count`: L, samples whose force is not zero; `points`: samples at which a curl was taken;
+    `share_seen`: the supported ones among them over L. `rms_curl_n_per_m`, `worst_curl_n_per_m`: of the
+    length of the curl; `rms_gradient_n_per_m`: of the Frobenius norm of dF_i/dx_j; `relative_curl`: rms curl
+    / (sqrt 2 rms gradient), the share of the gradient that turns: 0 conservative, 1 a pure rotation.
+    `squares` of lattice edges, and the work around them (in the better of the two senses), `rms_square_j`,
+    `worst_square_j`, joules.
     """
 
     support_count: int
@@ -160,7 +170,9 @@ def _notes(grid: Grid, points: int, squares: int) -> tuple[str, ...]:
     notes = []
     if not points:
         thin = [f"{name} has {n}" for name, n in zip("xyz", grid.shape, strict=True) if n < 3]
-        why = f"the lattice is too thin (axis {', '.join(thin)} samples)" if thin else "the support is too thin"
+        why = (
+            f"the lattice is too thin (axis {', '.join(thin)} samples)" if thin else "the support is too thin"
+        )
         notes.append(f"no curl: no sample has neighbours along all three axes; {why}")
     if not squares:
         notes.append("no square: no four neighbouring samples lie in the support")

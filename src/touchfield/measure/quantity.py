@@ -1,23 +1,28 @@
-"""A measured quantity with its interval: never a bare number (paper section 3.1, which names neither Q nor X).
+"""A measured quantity with its interval: never a bare number (paper section 3.1, which names neither Q nor
+X).
 
 Every measure of this room returns a `Quantity`, which says what the number is an estimate of: the unit, the
-quantiser Q, the weighting mu of the samples, the estimator, how many samples and symbols it saw, and an interval.
+quantiser Q, the weighting mu of the samples, the estimator, how many samples and symbols it saw, and an
+interval.
 
 Intervals are of a block bootstrap (the paper gives no spread). Neighbouring voxels say much the same, so that
-resampling single voxels would promise far too narrow an interval: whole blocks are drawn instead, with replacement,
-as many as there are (E. Carlstein, Annals of Statistics 14, 1986; S. N. Lahiri, Resampling Methods for Dependent
-Data, 2003, chapter 12). Blocks that do not overlap let every statistic of counts be resampled from B tables.
+resampling single voxels would promise far too narrow an interval: whole blocks are drawn instead, with
+replacement, as many as there are (E. Carlstein, Annals of Statistics 14, 1986; S. N. Lahiri, Resampling
+Methods for Dependent Data, 2003, chapter 12). Blocks that do not overlap let every statistic of counts be
+resampled from B tables.
 
-Of plug-in estimates the interval is the *basic* one, 2 E - q_high .. 2 E - q_low for the estimate E and the quantiles
-q of the resamples: a resample sees fewer symbols than the data, as the data saw fewer than there are, which the
-percentile interval q_low .. q_high would count twice. Its reach from its centre is multiplied by sqrt(B/(B - 1)) t/z,
-Student's t with B - 1 degrees of freedom over the normal quantile, and it is stretched to hold E. A bias-corrected
-estimate has the *normal* interval, E -+ t sqrt(B/(B - 1)) times the standard deviation of the resamples.
+Of plug-in estimates the interval is the *basic* one, 2 E - q_high .. 2 E - q_low for the estimate E and the
+quantiles q of the resamples: a resample sees fewer symbols than the data, as the data saw fewer than there
+are, which the percentile interval q_low .. q_high would count twice. Its reach from its centre is multiplied
+by sqrt(B/(B - 1)) t/z, Student's t with B - 1 degrees of freedom over the normal quantile, and it is
+stretched to hold E. A bias-corrected estimate has the *normal* interval, E -+ t sqrt(B/(B - 1)) times the
+standard deviation of the resamples.
 
-The measured coverage stands at the head of `tests/test_bootstrap.py`: 89 % to 94 % for plug-in estimates of dependent
-samples where the percentile interval has 58 % to 94 %; 94 % to 97 % for bias-corrected H;
-87 % to 95 % for ratios. Of plug-in H of Gaussian fields of correlation exp(-r^2/2L^2) 27 blocks cover 92 % at 64^3
-samples with L = 5, and 77 % with L = 8: blocks should be many times as long as the dependence, and 16 or more.
+The measured coverage stands at the head of `tests/test_bootstrap.py`: 89 % to 94 % for plug-in estimates of
+dependent samples where the percentile interval has 58 % to 94 %; 94 % to 97 % for bias-corrected H;
+87 % to 95 % for ratios. Of plug-in H of Gaussian fields of correlation exp(-r^2/2L^2) 27 blocks cover 92 % at
+64^3 samples with L = 5, and 77 % with L = 8: blocks should be many times as long as the dependence, and 16 or
+more.
 """
 
 from __future__ import annotations
@@ -40,8 +45,8 @@ _CHUNK_VALUES: Final = 1 << 22
 
 
 WEIGHTINGS = ("samples", "voxel", "object", "interaction")
-"""mu: each sample of an array as often as it is there; each voxel of the lattice; each voxel whose quantised force
-is not zero; each voxel as often as a probe was there."""
+"""mu: each sample of an array as often as it is there; each voxel of the lattice; each voxel whose quantised
+force is not zero; each voxel as often as a probe was there."""
 
 
 class Told:
@@ -64,8 +69,8 @@ def _plain(value: Any) -> Any:
 class Interval(Told):
     """A range for a quantity, in its unit, from a resampling.
 
-    `level`: share of the resamples between `low` and `high`, such as 0.95. `method`: how it was made, with its
-    numbers: "block bootstrap, 27 blocks, 200 resamples".
+    `level`: share of the resamples between `low` and `high`, such as 0.95. `method`: how it was made, with
+    its numbers: "block bootstrap, 27 blocks, 200 resamples".
     """
 
     population: ClassVar[str] = "media from the source of this one, of which it is a single draw"
@@ -89,11 +94,11 @@ class FewSamplesWarning(UserWarning):
 class Quantity(Told):
     """A number with what it means.
 
-    `name` is the usual notation: "H(S)", "I(X;Y)", "WMR". `value` is NaN where the quantity does not exist; `notes`
-    then says why. `unit`: "bit/sample", "bit/supported voxel", "bit/frame", "bit", "1", "sqrt(bit)". `quantiser` is
-    Q, `weighting` mu, one of `WEIGHTINGS`; `estimator` its registered name, "exact" for given probabilities.
-    `samples` is n, `symbols` K, how many different ones were seen (of pairs for a joint quantity). `notes`: what a
-    reader must know, such as few samples, or which guard acted.
+    `name` is the usual notation: "H(S)", "I(X;Y)", "WMR". `value` is NaN where the quantity does not exist;
+    `notes` then says why. `unit`: "bit/sample", "bit/supported voxel", "bit/frame", "bit", "1", "sqrt(bit)".
+    `quantiser` is Q, `weighting` mu, one of `WEIGHTINGS`; `estimator` its registered name, "exact" for given
+    probabilities. `samples` is n, `symbols` K, how many different ones were seen (of pairs for a joint
+    quantity). `notes`: what a reader must know, such as few samples, or which guard acted.
     """
 
     name: str
@@ -116,11 +121,15 @@ class Quantity(Told):
         return float(self.value)
 
     def of(self, **changes: Any) -> Quantity:
-        """The same quantity with other fields, such as the quantiser and the weighting that only the caller knows."""
+        """The same quantity with other fields, such as the quantiser and the weighting that only the caller
+        knows.
+        """
         return replace(self, **changes)
 
     def times(self, factor: float, unit: str, name: str | None = None) -> Quantity:
-        """The quantity and its interval in another unit: bits a sample times samples a frame are bits a frame."""
+        """The quantity and its interval in another unit: bits a sample times samples a frame are bits a
+        frame.
+        """
         i = self.interval
         scaled = None if i is None else Interval(i.low * factor, i.high * factor, i.level, i.method)
         return replace(self, name=name or self.name, value=self.value * factor, unit=unit, interval=scaled)
@@ -147,18 +156,19 @@ def interval(
 ) -> Interval:
     """An interval for a statistic of counts, from blocks drawn with replacement.
 
-    It always holds the statistic of the sum of the blocks, and has no width only where the statistic is the same for
-    every resample. Blocks without a sample are left out. The memory is 16 bytes for each of the B x cells counts, and
-    64 MiB.
+    It always holds the statistic of the sum of the blocks, and has no width only where the statistic is the
+    same for every resample. Blocks without a sample are left out. The memory is 16 bytes for each of the B x
+    cells counts, and 64 MiB.
 
     `statistic`: ``statistic(counts)``, a finite number, of counts int64 [*cells] (such as a joint histogram).
-    `block_counts` int [B, *cells]: the counts of each block, at least 8 of them with a sample. `replicates`: how many
-    resamples, at least 50; the statistic is called once for each. `level`: inside (0, 1). `seed`: of the draws; the
-    same seed gives the same bits on any number of threads. `bounds`: the least and the greatest value that what is
-    estimated can have. The interval is cut there; where the estimate lies beyond one of them, the interval reaches
-    from it to that bound at least. `corrects_bias`: whether the statistic takes its own bias off: the interval is
-    then the normal one, not the basic. InvalidArgument if there are fewer than 8 blocks with a sample or 50
-    replicates; a count is negative or not whole; the level is outside (0, 1); or the statistic is not finite.
+    `block_counts` int [B, *cells]: the counts of each block, at least 8 of them with a sample. `replicates`:
+    how many resamples, at least 50; the statistic is called once for each. `level`: inside (0, 1). `seed`: of
+    the draws; the same seed gives the same bits on any number of threads. `bounds`: the least and the
+    greatest value that what is estimated can have. The interval is cut there; where the estimate lies beyond
+    one of them, the interval reaches from it to that bound at least. `corrects_bias`: whether the statistic
+    takes its own bias off: the interval is then the normal one, not the basic. InvalidArgument if there are
+    fewer than 8 blocks with a sample or 50 replicates; a count is negative or not whole; the level is outside
+    (0, 1); or the statistic is not finite.
     """
     from scipy.special import ndtri, stdtrit
 
@@ -181,7 +191,9 @@ def interval(
         middle = 2 * estimate - centre
         ends = cut(middle - wider * float(high - centre), middle + wider * float(centre - low))
     if corrects_bias or ends[0] == ends[1]:  # what the bias takes to a bound has a spread nevertheless
-        deviation = float(values.std(ddof=1)) if values.min() < values.max() else 0.0  # no rounding where all agree
+        deviation = (
+            float(values.std(ddof=1)) if values.min() < values.max() else 0.0
+        )  # no rounding where all agree
         half = wider * float(ndtri(upper)) * deviation
         kind, ends = "normal", cut(estimate - half, estimate + half)
     return Interval(*ends, level, f"block bootstrap ({kind}), {blocks} blocks, {replicates} resamples")
@@ -202,7 +214,10 @@ def _checked(block_counts: ArrayLike, replicates: int, level: float) -> Int64s:
     filled = counts[counts.any(axis=tuple(range(1, counts.ndim)))]
     if len(filled) < LEAST_BLOCKS:
         raise InvalidArgument(
-            "block_counts", f"{len(filled)} blocks with a sample", f"at least {LEAST_BLOCKS}", "Take smaller blocks."
+            "block_counts",
+            f"{len(filled)} blocks with a sample",
+            f"at least {LEAST_BLOCKS}",
+            "Take smaller blocks.",
         )
     return filled.astype(np.int64, copy=False)
 
@@ -214,11 +229,15 @@ def _finite(value: float) -> float:
 
 
 def _resampled(statistic: Callable[[Int64s], float], counts: Int64s, replicates: int, seed: int) -> Float64s:
-    """The statistic of each resample [replicates]: multinomial weights times counts, a bounded part at a time."""
+    """The statistic of each resample [replicates]: multinomial weights times counts, a bounded part at a
+    time.
+    """
     blocks, cells = len(counts), counts.shape[1:]
     flat = counts.reshape(blocks, -1)
     used = np.flatnonzero(flat.any(axis=0))
-    floats = flat[:, used].astype(np.float64)  # products and sums of whole numbers below 2^53 are exact, in any order
+    floats = flat[:, used].astype(
+        np.float64
+    )  # products and sums of whole numbers below 2^53 are exact, in any order
     rng = np.random.default_rng(seed)
     weights = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=replicates).astype(np.float64)
     at_once = max(1, _CHUNK_VALUES // max(1, flat.shape[1]))

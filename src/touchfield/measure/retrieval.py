@@ -1,13 +1,13 @@
 """Search in a collection of haptic media: an index of descriptors, and the nearest of them (paper 4 and 5.1).
 
 "Search and retrieval" is named by the paper and not described. A medium is filed under its descriptor
-(`touchfield.measure.descriptors`); a query is another descriptor, and the answer the names in the order of their
-distance::
+(`touchfield.measure.descriptors`); a query is another descriptor, and the answer the names in the order of
+their distance::
 
     d(x, y)^2 = sum over the parts p of weight_p |x_p - y_p|^2
 
-which is a metric between descriptors. The search is exact, one pass over all entries: in 83 dimensions a k-d tree
-looks at nearly every one, too, and takes longer to be made than a command has queries.
+which is a metric between descriptors. The search is exact, one pass over all entries: in 83 dimensions a k-d
+tree looks at nearly every one, too, and takes longer to be made than a command has queries.
 """
 
 from __future__ import annotations
@@ -25,11 +25,19 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.atomic import atomic_path
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_not_negative, require_one_of
-from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, DESCRIPTOR_VERSION, PARTS, Descriptor, part_slots
+from touchfield.measure.descriptors import (
+    DESCRIPTOR_LENGTH,
+    DESCRIPTOR_VERSION,
+    PARTS,
+    Descriptor,
+    part_slots,
+)
 from touchfield.medium.stores.npz import NpzArchive
 
 ANY_POSE: Final[Mapping[str, float]] = MappingProxyType({"directions": 0.0})
-"""Weights that leave out what turns with the body; the octree levels still depend on the pose, but far less."""
+"""Weights that leave out what turns with the body; the octree levels still depend on the pose, but far less.
+
+"""
 
 MOST_MEDIA: Final = 1 << 20
 _MOST_NAME: Final = 1000  # characters
@@ -86,11 +94,12 @@ class MediumIndex:
     def query(
         self, entry: Descriptor, count: int | None = None, weights: Mapping[str, float] | None = None
     ) -> tuple[Match, ...]:
-        """The media nearest to a descriptor, the nearest first; of equally near ones that which was added first.
+        """The media nearest to a descriptor, the nearest first; of equally near ones that which was added
+        first.
 
-        `count`: how many are wanted; all, where it is not given. `weights` mapping of str to float: of the parts by
-        name, 0 or more; 1 for those that are not named. `ANY_POSE` is such a mapping. InvalidArgument if the index
-        is empty, `count` is below 1, or a weight is out of range or of no part.
+        `count`: how many are wanted; all, where it is not given. `weights` mapping of str to float: of the
+        parts by name, 0 or more; 1 for those that are not named. `ANY_POSE` is such a mapping.
+        InvalidArgument if the index is empty, `count` is below 1, or a weight is out of range or of no part.
         """
         if not self._rows:
             raise InvalidArgument("index", "no medium", "at least one", "Add some first.")
@@ -104,7 +113,9 @@ class MediumIndex:
             apart = (self._values[start : start + _BLOCK] - entry.values) * factors
             distances[start : start + _BLOCK] = np.sqrt(np.einsum("ij,ij->i", apart, apart))
         names = self.names
-        return tuple(Match(names[i], float(distances[i])) for i in np.argsort(distances, kind="stable")[:count])
+        return tuple(
+            Match(names[i], float(distances[i])) for i in np.argsort(distances, kind="stable")[:count]
+        )
 
     def save(self, path: str | Path) -> None:
         """Write the index as ``.npz``, whole or not at all; equal indices give equal bytes.
@@ -126,8 +137,8 @@ class MediumIndex:
     def load(cls, path: str | Path) -> MediumIndex:
         """Read what `save` wrote.
 
-        SourceError if the file is no such index, is cut short or damaged, or was made by another version of the
-        descriptor.
+        SourceError if the file is no such index, is cut short or damaged, or was made by another version of
+        the descriptor.
         """
         archive = NpzArchive(Path(path))
         names = _names(archive)
@@ -153,7 +164,9 @@ def _names(archive: NpzArchive) -> list[str]:
         head: Any = json.loads(archive.read("head").tobytes())
         kind, version, parts, names = (head[k] for k in ("format", "descriptor_version", "parts", "names"))
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise SourceError(where, f"text that cannot be read ({error})", "the head of a medium index") from None
+        raise SourceError(
+            where, f"text that cannot be read ({error})", "the head of a medium index"
+        ) from None
     if kind != _FORMAT or not isinstance(names, list):
         raise SourceError(where, f"{str(kind)[:80]!r}", repr(_FORMAT))
     if (version, parts) != (DESCRIPTOR_VERSION, dict(PARTS)):

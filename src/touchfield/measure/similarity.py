@@ -1,5 +1,6 @@
-"""How alike two haptic media are, and how much a picture tells of one (paper section 4: "similarity estimation",
-"correlation analysis between haptic media and visual media"). The paper names no measure of either.
+"""How alike two haptic media are, and how much a picture tells of one (paper section 4: "similarity
+estimation", "correlation analysis between haptic media and visual media"). The paper names no measure of
+either.
 
 Two quantised media S and T on one lattice:
 
@@ -14,19 +15,21 @@ NCD                  what one medium tells a compressor of the   no; see `compre
                      other, at any shift
 ===================  ==========================================  ==================================================
 
-"Metric" is said of the plug-in estimates, and holds up to what a measure cannot see: VI and NMI are blind to another
-name for each symbol, and sqrt(JSD) to where symbols lie. Over "object", NMI and VI look at the voxels where one of
-the two has a force; that set differs from pair to pair, and the triangle inequality no longer holds.
+"Metric" is said of the plug-in estimates, and holds up to what a measure cannot see: VI and NMI are blind to
+another name for each symbol, and sqrt(JSD) to where symbols lie. Over "object", NMI and VI look at the voxels
+where one of the two has a force; that set differs from pair to pair, and the triangle inequality no longer
+holds.
 
-A picture: I(V;A), V the luma or depth of a pixel, A the |F| that a hand meets along the pixel's ray, both in classes
-of equal shares, mu uniform over the pixels where both are known. A pixel whose ray meets nothing is left out, so that
-the outline of a body alone makes no correlation. *Is it chance?* Pixels depend on their neighbours, so that whole
-square blocks of the second picture are shuffled (P. Good, Permutation, Parametric, and Bootstrap Tests of Hypotheses,
-2005). They must be larger than the distance over which both are like themselves: by default their side is the
-smallest power of two of at least four times the shift at which the product of their autocorrelations (M. S. Bartlett,
-1946) falls to 1/e. Where the picture does not hold 16 such blocks a smaller one is taken, and a note says that p is
-then too small. Dependence across the borders of blocks is lost in any case: of 60 pairs of independent pictures (64 x
-64, smoothed by 1.5 pixels) 7 % had p <= 0.05. A trend across both is dependence in the sense of this test.
+A picture: I(V;A), V the luma or depth of a pixel, A the |F| that a hand meets along the pixel's ray, both in
+classes of equal shares, mu uniform over the pixels where both are known. A pixel whose ray meets nothing is
+left out, so that the outline of a body alone makes no correlation. *Is it chance?* Pixels depend on their
+neighbours, so that whole square blocks of the second picture are shuffled (P. Good, Permutation, Parametric,
+and Bootstrap Tests of Hypotheses, 2005). They must be larger than the distance over which both are like
+themselves: by default their side is the smallest power of two of at least four times the shift at which the
+product of their autocorrelations (M. S. Bartlett, 1946) falls to 1/e. Where the picture does not hold 16 such
+blocks a smaller one is taken, and a note says that p is then too small. Dependence across the borders of
+blocks is lost in any case: of 60 pairs of independent pictures (64 x 64, smoothed by 1.5 pixels) 7 % had p <=
+0.05. A trend across both is dependence in the sense of this test.
 """
 
 from __future__ import annotations
@@ -74,9 +77,9 @@ _NOT_A_METRIC: Final = "not a metric: NCD(x,x) is not 0, and the triangle inequa
 def compression_distance(first: Fields, second: Fields) -> Quantity:
     """NCD of two media of one lattice and one Q, by lzma; about 0 for equal ones, about 1 for unrelated ones.
 
-    `first`, `second`: FieldSymbols or sequences of them, each frame asked for once; they may differ in length. Gives
-    "NCD(S,T)", unit "1", mu "voxel". InvalidArgument if lattice or Q differ, or both together take more than 32 MiB
-    when packed.
+    `first`, `second`: FieldSymbols or sequences of them, each frame asked for once; they may differ in
+    length. Gives "NCD(S,T)", unit "1", mu "voxel". InvalidArgument if lattice or Q differ, or both together
+    take more than 32 MiB when packed.
     """
     a, b = Frames(first, "first"), Frames(second, "second")
     a.check_like(b, "second", "the first", _MENDS)
@@ -94,8 +97,8 @@ def compression_distance(first: Fields, second: Fields) -> Quantity:
 def packed(frames: Frames, most_bytes: int = MOST_BYTES) -> bytes:
     """The symbols of all frames as bytes, the same for the same symbols however they are stored.
 
-    For each frame the number of bricks that hold a force, the place of each as the distance from the one before it,
-    and its 512 symbols, in whole bytes, the low bytes of a brick before the high ones.
+    For each frame the number of bricks that hold a force, the place of each as the distance from the one
+    before it, and its 512 symbols, in whole bytes, the low bytes of a brick before the high ones.
 
     InvalidArgument if there are more than `most_bytes`.
     """
@@ -114,7 +117,10 @@ def packed(frames: Frames, most_bytes: int = MOST_BYTES) -> bytes:
         keys = brick_keys(field.grid, field.bricks[is_held])
         symbols = field.symbols[is_held].reshape(len(keys), BRICK**3).astype("<u4")
         planes = symbols.view(np.uint8).reshape(len(keys), BRICK**3, 4)[:, :, :width].transpose(0, 2, 1)
-        parts += [len(keys).to_bytes(_COUNT_BYTES, "little"), np.diff(keys, prepend=0).astype("<u8").tobytes()]
+        parts += [
+            len(keys).to_bytes(_COUNT_BYTES, "little"),
+            np.diff(keys, prepend=0).astype("<u8").tobytes(),
+        ]
         parts.append(planes.tobytes())
     return b"".join(parts)
 
@@ -124,8 +130,8 @@ class Similarity(Told):
     """Measures that tell two media apart; each a `Quantity`.
 
     `normalised` I(S;T): 1 where each symbol of one medium tells that of the other, 0 where it tells nothing.
-    `variation`: VI(S,T), bits a sample. `jensen_shannon`: sqrt(JSD) between the histograms of symbols, 0 to 1.
-    `compression`: NCD, about 0 to 1; None where it was not asked for.
+    `variation`: VI(S,T), bits a sample. `jensen_shannon`: sqrt(JSD) between the histograms of symbols, 0
+    to 1. `compression`: NCD, about 0 to 1; None where it was not asked for.
     """
 
     normalised: Quantity
@@ -137,15 +143,17 @@ class Similarity(Told):
 def similarity(
     first: Fields, second: Fields, over: str = "voxel", *, compressed: bool = True, interval: bool = True
 ) -> Similarity:
-    """Compare two media of one lattice and one Q, by plug-in counts: the bias-corrected estimates are no metrics.
+    """Compare two media of one lattice and one Q, by plug-in counts: the bias-corrected estimates are no
+    metrics.
 
-    `first`, `second`: FieldSymbols or sequences of as many, S and T, compared frame by frame. "One Q" means that a
-    symbol is the same codeword in both: a quantiser that is fitted to data is to be fitted to both. Each frame
-    is asked for at most twice, and once more for the NCD. `over`: mu of NMI and VI, "voxel" for all voxels or
-    "object" for those where one of the two has a force; sqrt(JSD) over "object" compares the symbols of the forces of
-    each medium. `compressed`: whether to make the NCD, which takes the longest. `interval`: whether the others get
-    one, of 27 parts of space. InvalidArgument if the media differ in lattice, Q or length, an option is unknown, over
-    "object" one of them has no force, or the symbols are too many to compress.
+    `first`, `second`: FieldSymbols or sequences of as many, S and T, compared frame by frame. "One Q" means
+    that a symbol is the same codeword in both: a quantiser that is fitted to data is to be fitted to both.
+    Each frame is asked for at most twice, and once more for the NCD. `over`: mu of NMI and VI, "voxel" for
+    all voxels or "object" for those where one of the two has a force; sqrt(JSD) over "object" compares the
+    symbols of the forces of each medium. `compressed`: whether to make the NCD, which takes the longest.
+    `interval`: whether the others get one, of 27 parts of space. InvalidArgument if the media differ in
+    lattice, Q or length, an option is unknown, over "object" one of them has no force, or the symbols are too
+    many to compress.
     """
     Frames(first, "first").check_like(Frames(second, "second"), "second", "the first", _MENDS)
     counts = supported(field_counts(first, second, (over,), interval=interval)[over])
@@ -153,7 +161,9 @@ def similarity(
     if math.isnan(apart.value):
         supported(replace(counts, cells=counts.cells[:0], weights=counts.weights[:0]))
     compression = compression_distance(first, second) if compressed else None
-    return Similarity(normalised_mutual_information(counts), variation_of_information(counts), apart, compression)
+    return Similarity(
+        normalised_mutual_information(counts), variation_of_information(counts), apart, compression
+    )
 
 
 # -- a picture and a medium
@@ -168,21 +178,23 @@ _RAYS = 1 << 16  # at a time
 class Contact:
     """Points that rays meet first.
 
-    `amplitudes_n` float64 [...]: |F|, newtons; NaN where a ray meets no force. `distances_m` float64 [...]: from the
-    start of the ray to that sample's step, metres; NaN likewise.
+    `amplitudes_n` float64 [...]: |F|, newtons; NaN where a ray meets no force. `distances_m` float64 [...]:
+    from the start of the ray to that sample's step, metres; NaN likewise.
     """
 
     amplitudes_n: Float64s
     distances_m: Float64s
 
 
-def contact_along_rays(field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike, reading: str = "first") -> Contact:
+def contact_along_rays(
+    field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike, reading: str = "first"
+) -> Contact:
     """Follow straight rays through a field, to the first force or to the greatest.
 
-    `starts_m`, `ends_m` float [..., 3]: of each ray, in the metres of the field, of shapes that broadcast: one start
-    is a camera, many a plane. `reading`: "first" or "peak". Gives a `Contact` of the shape of the rays.
-    InvalidArgument if a point is not finite, the shapes do not fit, the reading is unknown, or rays and steps are too
-    many.
+    `starts_m`, `ends_m` float [..., 3]: of each ray, in the metres of the field, of shapes that broadcast:
+    one start is a camera, many a plane. `reading`: "first" or "peak". Gives a `Contact` of the shape of the
+    rays. InvalidArgument if a point is not finite, the shapes do not fit, the reading is unknown, or rays and
+    steps are too many.
     """
     require_one_of("reading", reading, READINGS)
     begin, end = (numbers_of("rays", p, is_finite=True) for p in (starts_m, ends_m))
@@ -208,7 +220,9 @@ def contact_along_rays(field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike
     return Contact(amplitudes.reshape(shape[:-1]), (at * lengths).reshape(shape[:-1]))
 
 
-def _followed(field: ForceField, begin: Float64s, end: Float64s, looked_at: Float64s, first: bool) -> Float64s:
+def _followed(
+    field: ForceField, begin: Float64s, end: Float64s, looked_at: Float64s, first: bool
+) -> Float64s:
     """|F| and the share of the way, float64 [2, n], NaN where there is none."""
     low, across = field.grid.to_index(begin), (end - begin) / np.asarray(field.grid.spacing_m)
     best = np.full((2, len(begin)), np.nan)
@@ -239,10 +253,10 @@ _ESTIMATOR: Final = "miller-madow"  # plug-in is high by about (classes - 1)^2 /
 class Correlation(Told):
     """Information of a picture about a haptic medium.
 
-    `mutual`: I(V;A), bits a pixel. `null_mean_bits`, `null_spread_bits`: mean and standard deviation of I over the
-    shuffles. `z`: (I - mean) / standard deviation; NaN where the shuffles do not differ. `p`: share of the shuffles,
-    with the picture itself as one of them, whose I is no less. `block_px`: side of a block; `blocks`: how many were
-    shuffled. `share`: of all pixels, those where both are known, within whole blocks.
+    `mutual`: I(V;A), bits a pixel. `null_mean_bits`, `null_spread_bits`: mean and standard deviation of I
+    over the shuffles. `z`: (I - mean) / standard deviation; NaN where the shuffles do not differ. `p`: share
+    of the shuffles, with the picture itself as one of them, whose I is no less. `block_px`: side of a block;
+    `blocks`: how many were shuffled. `share`: of all pixels, those where both are known, within whole blocks.
     """
 
     mutual: Quantity
@@ -268,11 +282,12 @@ def picture_correlation(
 ) -> Correlation:
     """I(V;A) of a picture and a haptic medium, with a test against chance.
 
-    `picture` float [height, width]: luma, depth in metres, or any other number a pixel; `touched`, alike: |F| in
-    newtons, or another number of the medium; NaN where unknown or none. `classes`: of equal shares, for each of the
-    two, 2 to 256; equal values stay together. `shuffles`: of blocks, 19 or more. `block_px`: side of a block, see the
-    module. `interval`: whether I gets one, over groups of these blocks. `seed`: of the shuffles.
-    InvalidArgument if the shapes differ, no pixel or fewer than four blocks hold both, or an option is out of range.
+    `picture` float [height, width]: luma, depth in metres, or any other number a pixel; `touched`, alike: |F|
+    in newtons, or another number of the medium; NaN where unknown or none. `classes`: of equal shares, for
+    each of the two, 2 to 256; equal values stay together. `shuffles`: of blocks, 19 or more. `block_px`: side
+    of a block, see the module. `interval`: whether I gets one, over groups of these blocks. `seed`: of the
+    shuffles. InvalidArgument if the shapes differ, no pixel or fewer than four blocks hold both, or an option
+    is out of range.
     """
     v, a = _maps(picture, touched)
     require_between(2, 256, classes=classes)
@@ -293,7 +308,9 @@ def picture_correlation(
     no_less = int((null >= value - 1e-12).sum())
     notes += (f"{classes} classes of equal share each",)
     return Correlation(
-        mutual.of(name="I(V;A)", quantiser=f"{classes} classes of equal share", notes=(*mutual.notes, *notes)),
+        mutual.of(
+            name="I(V;A)", quantiser=f"{classes} classes of equal share", notes=(*mutual.notes, *notes)
+        ),
         mean,
         spread,
         (value - mean) / spread if spread > 0 else math.nan,
@@ -321,10 +338,11 @@ def classes_of_equal_share(values: ArrayLike, count: int) -> Int64s:
 
 
 def correlation_length_px(first: ArrayLike, second: ArrayLike) -> float:
-    """The shift at which the product of the autocorrelations of two pictures falls to 1/e, pixels, of the worse axis.
+    """The shift at which the product of the autocorrelations of two pictures falls to 1/e, pixels, of the
+    worse axis.
 
-    Unknown pixels (NaN) count as the mean. 0 where one of them does not vary; a whole side where it never falls so
-    far.
+    Unknown pixels (NaN) count as the mean. 0 where one of them does not vary; a whole side where it never
+    falls so far.
     """
     maps = [np.asarray(m, np.float64) for m in (first, second)]
     longest = 0.0
@@ -355,7 +373,9 @@ def _maps(picture: ArrayLike, touched: ArrayLike) -> tuple[Float64s, Float64s]:
     for name, values in (("picture", picture), ("touched", touched)):
         numbers = np.asarray(values)
         if numbers.ndim != 2 or numbers.dtype.kind not in "biuf" or not numbers.size:
-            raise InvalidArgument(name, f"{numbers.dtype} {numbers.shape}", "one number a pixel, [height, width]")
+            raise InvalidArgument(
+                name, f"{numbers.dtype} {numbers.shape}", "one number a pixel, [height, width]"
+            )
         maps.append(numbers.astype(np.float64))
         if np.isinf(maps[-1]).any():
             raise InvalidArgument(name, "infinity", "finite numbers, NaN where unknown")
@@ -381,7 +401,9 @@ def _block_side(v: Float64s, a: Float64s, asked_px: int | None) -> tuple[int, tu
         block //= 2
     if block == wanted:
         return block, ()
-    note = f"blocks of {block} pixels for a correlation length of {length:.3g}: p is too small, and z too large"
+    note = (
+        f"blocks of {block} pixels for a correlation length of {length:.3g}: p is too small, and z too large"
+    )
     return block, (note,)
 
 
@@ -398,5 +420,7 @@ def _bits(x: Int64s, y: Int64s, classes: int) -> float:
     if not both.any():
         return 0.0
     table = np.bincount(x[both] * classes + y[both], minlength=classes * classes).reshape(classes, classes)
-    x_bits, y_bits, joint = (estimate_bits(n, _ESTIMATOR) for n in (table.sum(axis=1), table.sum(axis=0), table))
+    x_bits, y_bits, joint = (
+        estimate_bits(n, _ESTIMATOR) for n in (table.sum(axis=1), table.sum(axis=0), table)
+    )
     return math.fsum((x_bits, y_bits, -joint))

@@ -1,4 +1,6 @@
-"""The values: `Grid`, `ForceField` (one instant), `HapticMedium` (W_t, paper section 4), `HapticScene` (objects)."""
+"""The values: `Grid`, `ForceField` (one instant), `HapticMedium` (W_t, paper section 4), `HapticScene`
+(objects).
+"""
 
 from touchfield.medium.field import ForceField, Support
 from touchfield.medium.grid import BRICK, Grid

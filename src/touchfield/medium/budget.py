@@ -1,7 +1,7 @@
 """Memory that a field may take: forces are allocated here, after a look at what the machine has.
 
-Without it a nominal lattice of 8e9 samples, or a small file that claims a large field, would drive the machine
-into swapping before any error came.
+Without it a nominal lattice of 8e9 samples, or a small file that claims a large field, would drive the
+machine into swapping before any error came.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from touchfield.medium.grid import BRICK
 
 BYTES_PER_BRICK = BRICK**3 * 3 * 4
 _UNKNOWN_MACHINE_BYTES = 4 << 30
-_LESS = "Set TOUCHFIELD_MEMORY_GIB; what is encoded takes less with a smaller --nw or a thinner --thickness-m."
+_LESS = (
+    "Set TOUCHFIELD_MEMORY_GIB; what is encoded takes less with a smaller --nw or a thinner --thickness-m."
+)
 
 
 @cache

@@ -1,7 +1,7 @@
 """Fields in motion as the compiled queries read them: *cells* of 9^3 samples, found by a hash table.
 
-Each brick of 8^3 samples is kept with the first samples of the bricks behind it, so that the eight corners of any
-point lie in one place.
+Each brick of 8^3 samples is kept with the first samples of the bricks behind it, so that the eight corners of
+any point lie in one place.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ _FLOOR_SHARE: Final = 1e-9
 
 _MEETINGS_FREE: Final = 4096
 _MEETINGS_PER_BYTE: Final = 32
-"""A frame of a file of n bytes meets at most `_MEETINGS_FREE` + 32 n bricks of the workspace, each once an object."""
+"""A frame of a file of n bytes meets at most `_MEETINGS_FREE` + 32 n bricks of the workspace, each once an
+object.
+"""
 
 _JOINED: Final = ("lattices", "bricks", "cells", "held")
 _ANY: Final = 1 << 50
@@ -57,7 +59,9 @@ class CellPool:
 
     @classmethod
     def of(cls, field: ForceField, beside: ForceField | None = None) -> CellPool:
-        """The pool of one field; with room for `beside`, too, so that both pools have their cells in one order."""
+        """The pool of one field; with room for `beside`, too, so that both pools have their cells in one
+        order.
+        """
         from touchfield.medium.kernels import placed as kernels
 
         spacing = np.asarray(field.grid.spacing_m)
@@ -65,9 +69,13 @@ class CellPool:
         if not every_field:
             lattice = np.concatenate([spacing, field.grid.origin_m])[None]
             none = np.zeros((0, 3), np.int32), np.zeros(0, np.float32), np.zeros((0, 8), np.uint64)
-            return cls(lattice, np.zeros((1, 5), np.int64), np.zeros(2, np.int64), *none, np.zeros((0, 2), np.int64))
+            return cls(
+                lattice, np.zeros((1, 5), np.int64), np.zeros(2, np.int64), *none, np.zeros((0, 2), np.int64)
+            )
         near = [one.bricks for one in every_field]
-        for one in every_field:  # samples at the beginning of a brick are corners of cells of the brick before
+        for (
+            one
+        ) in every_field:  # samples at the beginning of a brick are corners of cells of the brick before
             for corner in CORNERS[1:]:
                 begins = tuple(0 if c else slice(None) for c in corner)
                 is_near = one.mask[(slice(None), *begins)].reshape(len(one.bricks), -1).any(axis=1)
@@ -150,14 +158,18 @@ class PlacedFields:
         lattice, shape = np.array([*grid.origin_m, *grid.spacing_m]), np.array(grid.shape)
         brick_count, allowed = math.prod(grid.brick_shape), memory_budget_bytes() // 4
         if brick_count > allowed:
-            raise InvalidArgument("grid shape", f"{grid.shape}, {brick_count} bricks", f"at most {allowed} bricks")
+            raise InvalidArgument(
+                "grid shape", f"{grid.shape}, {brick_count} bricks", f"at most {allowed} bricks"
+            )
         stamps = np.zeros(brick_count, np.int32)
         most = _MEETINGS_FREE + _MEETINGS_PER_BYTE * file_bytes if file_bytes is not None else _ANY
         beside = pool.boxes, placed, pool.starts, pool.bricks, stamps, most
         count, pairs = kernels.meetings(lattice, shape, *beside)
         if count < 0:
             found = f"objects that reach more than {most} bricks of the {grid.shape} samples"
-            raise CorruptFile(f"objects, frame {frame}", found, f"at most that in a file of {file_bytes} bytes")
+            raise CorruptFile(
+                f"objects, frame {frame}", found, f"at most that in a file of {file_bytes} bytes"
+            )
         reached = np.unique(pairs[:count, 0])
         stamps[reached] = np.arange(len(reached))
         slots = stamps[pairs[:count, 0]]

@@ -1,16 +1,17 @@
-"""A deformation of a medium at the receiver: control points bend the field, nothing is sent upstream (paper 6.3).
+"""A deformation of a medium at the receiver: control points bend the field, nothing is sent upstream (paper
+6.3).
 
-What lies at x is looked up at psi(x) = x + u(x) in the medium as it is stored; u is a cubic B-spline over a small
-lattice of control points, and flat beyond it along each axis. With F = -grad f the force is
+What lies at x is looked up at psi(x) = x + u(x) in the medium as it is stored; u is a cubic B-spline over a
+small lattice of control points, and flat beyond it along each axis. With F = -grad f the force is
 
     F'(x) = (I + grad u)^T F(psi(x)) = -grad (f o psi),
 
-as free of curl as F was: a field that is bent gives no energy away, as one would whose forces kept their size. The
-map goes backwards, from where the hand is to where the medium was, so that a query inverts nothing.
+as free of curl as F was: a field that is bent gives no energy away, as one would whose forces kept their
+size. The map goes backwards, from where the hand is to where the medium was, so that a query inverts nothing.
 
-The control points move by **tracks**, a lattice of displacements for each frame, blended linearly in time; or they
-**yield**: a body that gives way under the finger, as a spring of `compliance_m_per_n` in series with the field that
-follows with the time constant `relax_s`. Both add up.
+The control points move by **tracks**, a lattice of displacements for each frame, blended linearly in time; or
+they **yield**: a body that gives way under the finger, as a spring of `compliance_m_per_n` in series with the
+field that follows with the time constant `relax_s`. Both add up.
 """
 
 from __future__ import annotations
@@ -35,9 +36,13 @@ if TYPE_CHECKING:
 
 MOST_CONTROLS: Final = 32  # along an axis
 MOST_CELLS: Final = 1 << 18
-"""Over all frames: a second or two, to see that none of them folds; 8 x 8 x 8 control points for 35 s at 60 Hz."""
+"""Over all frames: a second or two, to see that none of them folds; 8 x 8 x 8 control points for 35 s at 60
+Hz.
+"""
 
-STEP_M: Final = 2e-5  # of displacements in a file: what no hand tells from nothing, and no slope of a map feels
+STEP_M: Final = (
+    2e-5  # of displacements in a file: what no hand tells from nothing, and no slope of a map feels
+)
 _MOST_BYTES: Final = MOST_CELLS * 4**3 * 3 * 2  # of the least lattice, whose one cell has most control points
 _FINE: Final = 3  # places along each side of a cell at which the determinant is looked at
 _ARRAYS: Final = {"corner_m": 3, "spacing_m": 3, "rate_hz": 1, "compliance_m_per_n": 1, "relax_s": 1}
@@ -47,14 +52,14 @@ _ARRAYS: Final = {"corner_m": 3, "spacing_m": 3, "rate_hz": 1, "compliance_m_per
 class Deformation:
     """Displacements of control points, and how they yield.
 
-    displacement_m : float [T, nx, ny, nz, 3]; u at the control points of each frame, metres: from where the hand is
-        to where the medium was. 4 to 32 along each axis.
-    corner_m, spacing_m : float [3]; where the cells of the lattice begin (control point 1 of each axis), and their
-        sides, metres.
+    displacement_m : float [T, nx, ny, nz, 3]; u at the control points of each frame, metres: from where the
+        hand is to where the medium was. 4 to 32 along each axis.
+    corner_m, spacing_m : float [3]; where the cells of the lattice begin (control point 1 of each axis), and
+        their sides, metres.
     compliance_m_per_n : float; metres that the medium gives way for a newton; 0: it does not yield.
     relax_s : float; time constant with which it does, and comes back, seconds.
-    Raises `InvalidArgument` if a shape does not fit, a number is out of range or not finite, or the map folds: the
-    determinant of I + grad u is not positive somewhere.
+    Raises `InvalidArgument` if a shape does not fit, a number is out of range or not finite, or the map
+    folds: the determinant of I + grad u is not positive somewhere.
     """
 
     displacement_m: Float64s
@@ -66,7 +71,12 @@ class Deformation:
 
     def __post_init__(self) -> None:
         u = np.array(self.displacement_m, np.float64)
-        if u.ndim != 5 or u.shape[4] != 3 or not len(u) or not all(4 <= n <= MOST_CONTROLS for n in u.shape[1:4]):
+        if (
+            u.ndim != 5
+            or u.shape[4] != 3
+            or not len(u)
+            or not all(4 <= n <= MOST_CONTROLS for n in u.shape[1:4])
+        ):
             expected = f"[frames, nx, ny, nz, 3] with 4 to {MOST_CONTROLS} control points along each axis"
             raise InvalidArgument("displacement_m", f"shape {u.shape}", expected)
         cells = len(u) * math.prod(n - 3 for n in u.shape[1:4])
@@ -76,18 +86,26 @@ class Deformation:
             three = tuple(map(float, getattr(self, name)))
             low, high = (1e-6, 10.0) if name == "spacing_m" else (-1e3, 1e3)
             if len(three) != 3 or not all(low <= value <= high for value in three):
-                raise InvalidArgument(name, repr(getattr(self, name)), f"three lengths from {low:g} to {high:g} m")
+                raise InvalidArgument(
+                    name, repr(getattr(self, name)), f"three lengths from {low:g} to {high:g} m"
+                )
             object.__setattr__(self, name, three)
         if not np.isfinite(u).all() or np.abs(u).max() > 0.5:
             raise InvalidArgument("displacement_m", "a number that is not finite or beyond 0.5 m", "metres")
-        for name, low, high in (("rate_hz", 1e-3, 1e4), ("relax_s", 1e-3, 60.0), ("compliance_m_per_n", 0.0, 1.0)):
+        for name, low, high in (
+            ("rate_hz", 1e-3, 1e4),
+            ("relax_s", 1e-3, 60.0),
+            ("compliance_m_per_n", 0.0, 1.0),
+        ):
             if not low <= getattr(self, name) <= high:
                 raise InvalidArgument(name, repr(getattr(self, name)), f"a number from {low:g} to {high:g}")
         object.__setattr__(self, "displacement_m", frozen(u))
         least, frame = self.least_determinant()
         if least <= 0:
             expected = "a positive determinant of I + grad u everywhere"
-            raise InvalidArgument(f"displacement_m, frame {frame}", f"a fold: {least:.3g}", expected, "Bend it less.")
+            raise InvalidArgument(
+                f"displacement_m, frame {frame}", f"a fold: {least:.3g}", expected, "Bend it less."
+            )
         if self.compliance_m_per_n and self.most_yield_m <= 0:
             found = "tracks that bend by their utmost"
             raise InvalidArgument("compliance_m_per_n", found, "none, or tracks that bend less")
@@ -111,18 +129,24 @@ class Deformation:
     def most_yield_m(self) -> float:
         """Most that a control point may yield along an axis, metres, so that the map surely does not fold.
 
-        The map does not fold where |grad u| < 1. Of a B-spline that slope is at most the difference of neighbouring
-        control points over their distance, and that of the tracks is taken off first.
+        The map does not fold where |grad u| < 1. Of a B-spline that slope is at most the difference of
+        neighbouring control points over their distance, and that of the tracks is taken off first.
         """
         u, square = self.displacement_m, 0.0
         for axis in range(3):
-            square += float((np.linalg.norm(np.diff(u, axis=axis + 1), axis=-1).max() / self.spacing_m[axis]) ** 2)
-        slope = sum(3 * (2.0 / h) ** 2 for h in self.spacing_m)  # of control points that differ by up to twice 1 m
+            square += float(
+                (np.linalg.norm(np.diff(u, axis=axis + 1), axis=-1).max() / self.spacing_m[axis]) ** 2
+            )
+        slope = sum(
+            3 * (2.0 / h) ** 2 for h in self.spacing_m
+        )  # of control points that differ by up to twice 1 m
         return max(0.0, (0.95 - math.sqrt(square)) / math.sqrt(slope))
 
     @cached_property
     def most_stretch(self) -> float:
-        """A bound of the greatest singular value of I + grad u, where the determinant is looked at: of Gershgorin."""
+        """A bound of the greatest singular value of I + grad u, where the determinant is looked at: of
+        Gershgorin.
+        """
         squares = (np.abs(np.swapaxes(j, -2, -1) @ j).sum(axis=-1).max() for j in self._jacobians())
         return math.sqrt(max(squares))
 
@@ -161,23 +185,34 @@ class Deformation:
     def write(self, path: str | Path) -> None:
         """Write it as ``.npz``, displacements as whole steps of 20 um, whole or not at all.
 
-        What stands there are second differences in time, int16 which wraps, their signs in the lowest bit, all low
-        bytes before all high ones: half of what first differences take.
+        What stands there are second differences in time, int16 which wraps, their signs in the lowest bit,
+        all low bytes before all high ones: half of what first differences take.
         """
         steps = np.rint(self.displacement_m / STEP_M).astype(np.int16)
-        second = np.diff(steps, n=2, axis=0, prepend=np.zeros((2, *steps.shape[1:]), np.int16)).astype(np.int64)
+        second = np.diff(steps, n=2, axis=0, prepend=np.zeros((2, *steps.shape[1:]), np.int16)).astype(
+            np.int64
+        )
         folded = (second << 1) ^ (second >> 15)
         arrays: dict[str, Any] = {name: np.array(getattr(self, name)) for name in _ARRAYS}
         with atomic_path(Path(path)) as temporary, temporary.open("wb") as stream:
-            np.savez_compressed(stream, displacement=np.stack([folded, folded >> 8]).astype(np.uint8), **arrays)
+            np.savez_compressed(
+                stream, displacement=np.stack([folded, folded >> 8]).astype(np.uint8), **arrays
+            )
 
 
 def read_deformation(path: str | Path) -> Deformation:
     """Read what `Deformation.write` wrote; `SourceError` that names file and array where it is none."""
     archive = NpzArchive(Path(path))
     header, where = archive.header("displacement"), f"{path}, array displacement"
-    if header.dtype != np.uint8 or len(header.shape) != 6 or header.shape[0] != 2 or header.data_bytes > _MOST_BYTES:
-        raise SourceError(where, header.words, f"bytes [2, frame, nx, ny, nz, 3], at most {_MOST_BYTES >> 20} MiB")
+    if (
+        header.dtype != np.uint8
+        or len(header.shape) != 6
+        or header.shape[0] != 2
+        or header.data_bytes > _MOST_BYTES
+    ):
+        raise SourceError(
+            where, header.words, f"bytes [2, frame, nx, ny, nz, 3], at most {_MOST_BYTES >> 20} MiB"
+        )
     arrays = {name: archive.numbers(name, count) for name, count in _ARRAYS.items()}
     beside: dict[str, Any] = {
         name: tuple(values) if len(values) > 1 else values[0] for name, values in arrays.items()
@@ -207,7 +242,9 @@ def _along(u: Float64s, rows: Float64s, axis: int) -> Float64s:
 
 
 _SMOOTH: Final = (3e-3, 3e-2, 0.3)
-"""Weights of the second differences, over the mean weight of a vertex; the first that does not fold is taken."""
+"""Weights of the second differences, over the mean weight of a vertex; the first that does not fold is taken.
+
+"""
 
 
 def fitted(
@@ -221,7 +258,8 @@ def fitted(
 
     rest_m : float64 [n, 3]; the vertices in the medium as it is stored, metres.
     frames_m : of float64 [n, 3]; the vertices of each frame.
-    Raises `InvalidArgument` if the vertices are not the same in number, or no fit of a frame is without a fold.
+    Raises `InvalidArgument` if the vertices are not the same in number, or no fit of a frame is without a
+    fold.
     """
     tracks, square = [], 0.0
     for number, now in enumerate(frames_m):
@@ -249,7 +287,9 @@ def _frame(
     design = sparse.csr_matrix((weights.ravel(), (rows, flat.ravel())), shape=(len(now), int(np.prod(shape))))
     normal, right = design.T @ design, design.T @ wanted
     bends, eyes = 1e-9 * sparse.identity(int(np.prod(shape))), [sparse.identity(n) for n in shape]
-    for axis, n in enumerate(shape):  # squares of second differences along each axis, and a little of the first
+    for axis, n in enumerate(
+        shape
+    ):  # squares of second differences along each axis, and a little of the first
         second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n))
         first = sparse.diags([1.0, -1.0], [0, 1], shape=(n - 1, n))
         own = second.T @ second + 1e-3 * (first.T @ first)

@@ -67,7 +67,9 @@ def bricks_within(grid: Grid, spans: Int64s) -> Int32s:
     return bricks_of(grid, np.unique(keys))
 
 
-def bricks_reached(field: ForceField, grid: Grid, place: Callable[[Float64s], Float64s] | None = None) -> Int32s:
+def bricks_reached(
+    field: ForceField, grid: Grid, place: Callable[[Float64s], Float64s] | None = None
+) -> Int32s:
     """The bricks of `grid` that a field may reach: its samples act within one spacing.
 
     ``place(points_m)`` moves the field on the way.
@@ -85,8 +87,8 @@ def bricks_reached(field: ForceField, grid: Grid, place: Callable[[Float64s], Fl
 def check_bricks(
     owner: str, grid: Grid, bricks: Int32s, name: str, values: NDArray[Any], kind: str, *components: int
 ) -> None:
-    """`InvalidArgument` if bricks are not int32 [n, 3], ascending and within the grid, or the values of their samples
-    not [n, 8, 8, 8, *components] of a kind, "float32"; it names the owner of both, and the values.
+    """`InvalidArgument` if bricks are not int32 [n, 3], ascending and within the grid, or the values of their
+    samples not [n, 8, 8, 8, *components] of a kind, "float32"; it names the owner of both, and the values.
     """
     if bricks.dtype != np.int32 or bricks.ndim != 2 or bricks.shape[1] != 3:
         raise InvalidArgument(f"{owner} bricks", f"{bricks.dtype} {bricks.shape}", "int32 [n, 3]")
@@ -116,8 +118,12 @@ def tiled(dense: NDArray[Any]) -> NDArray[Any]:
     return np.moveaxis(padded.reshape(x, BRICK, y, BRICK, z, BRICK, *dense.shape[3:]), (2, 4), (1, 2))
 
 
-def values_at(grid: Grid, bricks: Int32s, values: NDArray[Any], places: NDArray[np.integer[Any]]) -> NDArray[Any]:
-    """Values [n, 8, 8, 8, ...] of ascending bricks at lattice points int [m, 3], [m, ...]; 0 where no brick is."""
+def values_at(
+    grid: Grid, bricks: Int32s, values: NDArray[Any], places: NDArray[np.integer[Any]]
+) -> NDArray[Any]:
+    """Values [n, 8, 8, 8, ...] of ascending bricks at lattice points int [m, 3], [m, ...]; 0 where no brick
+    is.
+    """
     inside = ((places >= 0) & (places < grid.shape)).all(axis=1)
     slots = np.full(len(places), -1)
     slots[inside] = slots_of(brick_keys(grid, bricks), brick_keys(grid, places[inside] // BRICK))
@@ -140,7 +146,9 @@ def slots_around(
     count : 3 int; bricks along each axis.
     neighbours : int; how many of the 27, in raster order; 13 is the brick itself.
     """
-    pitch = np.array([(count[1] + 2) * (count[2] + 2), count[2] + 2, 1], np.int64)  # with room between the rows
+    pitch = np.array(
+        [(count[1] + 2) * (count[2] + 2), count[2] + 2, 1], np.int64
+    )  # with room between the rows
     keys, known = bricks @ pitch, others @ pitch
     out = np.empty((len(bricks), neighbours), np.int64)
     for s in range(neighbours):
@@ -155,7 +163,8 @@ def keys_of_both(first: ForceField, second: ForceField) -> Int64s:
 
 
 def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
-    """The bricks, int32 [m, 3], that a force may reach from `bricks` [n, 3] by moving up to `reach` samples an axis.
+    """The bricks, int32 [m, 3], that a force may reach from `bricks` [n, 3] by moving up to `reach` samples
+    an axis.
 
     Ascending, all within the grid, `bricks` among them.
     Raises `InvalidArgument` if the reach makes more than 2^27 pairs of bricks.
@@ -168,7 +177,8 @@ def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
 
 
 def spread_keys(keys: Int64s, lattice: tuple[int, int, int], axis: int, margins: tuple[int, int]) -> Int64s:
-    """Ascending keys of bricks, int64 [m], each once: `keys` [n] and, on `axis`, up to `margins` before and behind.
+    """Ascending keys of bricks, int64 [m], each once: `keys` [n] and, on `axis`, up to `margins` before and
+    behind.
 
     Raises `InvalidArgument` if that makes more than 2^27 pairs of bricks.
     """
@@ -186,9 +196,11 @@ def spread_keys(keys: Int64s, lattice: tuple[int, int, int], axis: int, margins:
 def blocks_around(
     field: ForceField, values: NDArray[Any], bricks: Int32s, before: Sequence[int], after: Sequence[int]
 ) -> Iterator[tuple[slice, NDArray[Any]]]:
-    """Values of a field's bricks [n, 8, 8, 8, ...] at some bricks [m, 3], and so many samples before and after them.
+    """Values of a field's bricks [n, 8, 8, 8, ...] at some bricks [m, 3], and so many samples before and
+    after them.
 
-    They are zero where there is no brick, and come some bricks at a time: which, and float [.., 8 + before + after].
+    They are zero where there is no brick, and come some bricks at a time: which, and float [.., 8 + before +
+    after].
     """
     grid, own = field.grid, brick_keys(field.grid, field.bricks)
     low, high = ([-(-n // BRICK) for n in side] for side in (before, after))
@@ -215,7 +227,9 @@ def numbers_of(
     *,
     is_finite: bool = False,
 ) -> NDArray[Any]:
-    """An argument as an array of a kind and shape; `InvalidArgument` for what would lose something on the way."""
+    """An argument as an array of a kind and shape; `InvalidArgument` for what would lose something on the
+    way.
+    """
     try:
         given = np.asarray(values)
         if given.dtype.kind in "cMm" or np.ma.is_masked(values):
@@ -247,8 +261,8 @@ class ForceField(EqualByValue):
     """Forces in newtons on a grid, sparse in bricks; what no brick covers is zero.
 
     bricks : int32 [n, 3]; brick coordinates in strictly ascending order (x slowest, z fastest).
-    forces_n : float32 [n, 8, 8, 8, 3]; force at each sample, axes (brick, x, y, z, component). Samples beyond the
-        grid are zero, and every brick holds at least one force; `from_bricks` sees to both.
+    forces_n : float32 [n, 8, 8, 8, 3]; force at each sample, axes (brick, x, y, z, component). Samples beyond
+        the grid are zero, and every brick holds at least one force; `from_bricks` sees to both.
     Raises `InvalidArgument` if the shapes, types or the order of the bricks are wrong.
     """
 
@@ -334,7 +348,8 @@ class ForceField(EqualByValue):
         return np.concatenate(list(self.slabs(0)))
 
     def slabs(self, axis: int) -> Iterator[Float32s]:
-        """Dense pieces across `axis`, ascending, newtons float32 [nx, ny, nz, 3], each 8 samples thick but the last.
+        """Dense pieces across `axis`, ascending, newtons float32 [nx, ny, nz, 3], each 8 samples thick but
+        the last.
 
         A dense 256^3 frame takes 201 MB, a slab of it 6 MB.
         """
@@ -373,11 +388,15 @@ class ForceField(EqualByValue):
         amplitudes = lengths_of(vectors.astype(np.float64))
         directions = vectors / amplitudes[:, None]
         return Support(
-            frozen(self.positions()), frozen(amplitudes.astype(np.float32)), frozen(directions.astype(np.float32))
+            frozen(self.positions()),
+            frozen(amplitudes.astype(np.float32)),
+            frozen(directions.astype(np.float32)),
         )
 
     def forces_at(self, keys: Int64s) -> Float32s:
-        """The forces of the bricks with these keys (`brick_keys`), zero if not stored, float32 [n, 8, 8, 8, 3]."""
+        """The forces of the bricks with these keys (`brick_keys`), zero if not stored, float32 [n, 8, 8, 8,
+        3].
+        """
         slot, forces = slots_of(brick_keys(self.grid, self.bricks), keys), zero_forces(len(keys))
         forces[slot >= 0] = self.forces_n[slot[slot >= 0]]
         return forces
@@ -432,7 +451,8 @@ class ForceField(EqualByValue):
 def field_of_points(
     grid: Grid, bricks: Int32s, forces_n: Callable[[Float64s], NDArray[np.floating[Any]]]
 ) -> ForceField:
-    """The forces of a function of points in metres, float64 [n, 3], at the samples of bricks, int32 [m, 3] ascending.
+    """The forces of a function of points in metres, float64 [n, 3], at the samples of bricks, int32 [m, 3]
+    ascending.
 
     Outside the bricks there is no force; those that hold none are left out.
     """
@@ -453,4 +473,8 @@ def field_of_points(
 def field_that_holds(grid: Grid, bricks: Int32s, forces_n: Float32s) -> ForceField:
     """The field of bricks, int32 [n, 3] ascending, without those that hold no force."""
     holds = forces_n.any(axis=(1, 2, 3, 4))
-    return ForceField(grid, bricks, forces_n) if holds.all() else ForceField(grid, bricks[holds], forces_n[holds])
+    return (
+        ForceField(grid, bricks, forces_n)
+        if holds.all()
+        else ForceField(grid, bricks[holds], forces_n[holds])
+    )

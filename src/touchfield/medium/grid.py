@@ -1,4 +1,5 @@
-"""A regular lattice: index and metres; and the place of a scene in a workspace, from scene metres to hand metres.
+"""A regular lattice: index and metres; and the place of a scene in a workspace, from scene metres to hand
+metres.
 
 The paper's workspace sampled "with 2^n_w samples per dimension" (section 5.2). Sample (i, j, k) lies at
 ``origin_m + (i, j, k) * spacing_m``; it stands for the cell of that size around it, so that the box of a
@@ -20,7 +21,9 @@ from touchfield.errors import InvalidArgument
 BRICK = 8
 """Samples along each edge of a brick (docs/decisions/0001)."""
 
-ON_A_SAMPLE: Final = 1e-6  # of the spacing: as near to a sample a point lies on it, so that whole steps are exact
+ON_A_SAMPLE: Final = (
+    1e-6  # of the spacing: as near to a sample a point lies on it, so that whole steps are exact
+)
 
 CORNERS: Final = np.indices((2, 2, 2), np.int32).reshape(3, 8).T.copy()
 """The corners of a cube of edge 1, z fastest, int32 [8, 3]."""
@@ -53,8 +56,14 @@ class Grid:
         except (TypeError, ValueError, OverflowError):
             found = f"{self.shape!r}, {self.spacing_m!r}, {self.origin_m!r}"
             raise InvalidArgument("grid", found, "three numbers each: samples, spacing_m, origin_m") from None
-        if len(shape) != 3 or any(not 1 <= n <= MAX_SAMPLES_PER_AXIS for n in shape) or shape != tuple(self.shape):
-            raise InvalidArgument("grid shape", repr(self.shape), f"three counts from 1 to {MAX_SAMPLES_PER_AXIS}")
+        if (
+            len(shape) != 3
+            or any(not 1 <= n <= MAX_SAMPLES_PER_AXIS for n in shape)
+            or shape != tuple(self.shape)
+        ):
+            raise InvalidArgument(
+                "grid shape", repr(self.shape), f"three counts from 1 to {MAX_SAMPLES_PER_AXIS}"
+            )
         if len(spacing) != 3 or any(not (h > 0 and math.isfinite(h)) for h in spacing):
             raise InvalidArgument("grid spacing_m", repr(self.spacing_m), "three positive lengths in metres")
         if len(origin) != 3 or not all(math.isfinite(x) for x in origin):
@@ -76,7 +85,9 @@ class Grid:
             low, high, count = (np.asarray(v, float).reshape(3) for v in (low_m, high_m, shape))
         except (TypeError, ValueError):
             found = f"{low_m!r}, {high_m!r}, {shape!r}"
-            raise InvalidArgument("grid over a box", found, "three numbers each: low_m, high_m, shape") from None
+            raise InvalidArgument(
+                "grid over a box", found, "three numbers each: low_m, high_m, shape"
+            ) from None
         spacing = (high - low) / count
         origin = low + spacing / 2
         return cls(shape, tuple(spacing.tolist()), tuple(origin.tolist()))
@@ -106,7 +117,9 @@ class Grid:
 
     def to_m(self, index: ArrayLike) -> Float64s:
         """Positions in metres, float64 [..., 3], of (fractional) indices [..., 3]."""
-        return np.asarray(np.asarray(self.spacing_m) * np.asarray(index, np.float64) + np.asarray(self.origin_m))
+        return np.asarray(
+            np.asarray(self.spacing_m) * np.asarray(index, np.float64) + np.asarray(self.origin_m)
+        )
 
     def to_index(self, position_m: ArrayLike) -> Float64s:
         """Fractional indices, float64 [..., 3], of positions in metres [..., 3]."""
@@ -134,7 +147,8 @@ class Placement:
     """The similarity from scene metres to hand metres.
 
     scale : float; hand metres for one scene metre, positive.
-    offset_m : (float, float, float); the point of the scene that lies at the centre of the workspace, scene metres.
+    offset_m : (float, float, float); the point of the scene that lies at the centre of the workspace, scene
+        metres.
     Raises `InvalidArgument` if a number is out of range or not finite.
     """
 
@@ -146,7 +160,9 @@ class Placement:
         if not (scale > 0 and math.isfinite(scale) and math.isfinite(1 / scale)):
             raise InvalidArgument("placement scale", repr(self.scale), "a positive number")
         if len(offset) != 3 or not all(map(math.isfinite, offset)):
-            raise InvalidArgument("placement offset_m", repr(self.offset_m), "three finite coordinates in metres")
+            raise InvalidArgument(
+                "placement offset_m", repr(self.offset_m), "three finite coordinates in metres"
+            )
         object.__setattr__(self, "scale", scale)
         object.__setattr__(self, "offset_m", offset)
 
@@ -182,7 +198,9 @@ class Placement:
     @overload
     def to_hand(self, what: ArrayLike) -> Float64s: ...
     def to_hand(self, what: Grid | ArrayLike) -> Grid | Float64s:
-        """Points of the scene [..., 3], or a grid, metres, where the hand finds them, metres, float64 [..., 3]."""
+        """Points of the scene [..., 3], or a grid, metres, where the hand finds them, metres, float64 [...,
+        3].
+        """
         if isinstance(what, Grid):
             return what.moved(self.scale, -self.scale * np.asarray(self.offset_m))
         return np.asarray(self.scale * (np.asarray(what, np.float64) - np.asarray(self.offset_m)))
@@ -210,7 +228,9 @@ class Placement:
 
 
 def axis_words(axes: str, axis: int) -> list[str]:
-    """The words of one axis in those of a medium, ["y", "down"] of "x right, y down"; none where it is not told."""
+    """The words of one axis in those of a medium, ["y", "down"] of "x right, y down"; none where it is not
+    told.
+    """
     words = axes.lower().split(",")
     return words[axis].split() if axis < len(words) else []
 

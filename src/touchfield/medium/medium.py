@@ -79,7 +79,9 @@ class VibrationFrame:
         return len(self.positions)
 
     def as_field(self) -> ForceField:
-        """The same as a sparse field whose three numbers are amplitude, frequency and zero: for looking it up."""
+        """The same as a sparse field whose three numbers are amplitude, frequency and zero: for looking it
+        up.
+        """
         both = np.stack([self.amplitudes_n, self.frequencies_hz, np.zeros_like(self.amplitudes_n)], axis=1)
         return ForceField.from_support(self.grid, self.positions, both)
 
@@ -121,14 +123,16 @@ class HapticMedium(Travels):
 
     grid : Grid; the lattice of every frame.
     rate_hz : float; frames a second.
-    make_frame : callable; ``make_frame(i) -> ForceField`` on `grid`, 0 <= i < frame_count; the same for the same i.
+    make_frame : callable; ``make_frame(i) -> ForceField`` on `grid`, 0 <= i < frame_count; the same for the
+        same i.
     axes : str; what x, y, z mean, for example "x right, y down, z forward".
     friction, damping_n_s_per_m : float; coefficients mu and b, rendered by the receiver (paper section 3.2).
     tags : tuple of str; media tags of figure 1: "direct" or "symbolic".
     provenance : mapping of str to str; where the medium comes from and what was done to it.
-    vibration : callable or None; ``vibration(i) -> VibrationFrame`` on `grid`, what vibrates beside the force of a
-        frame (paper section 6.4).
-    segments : Segments or None; of a medium whose coder keeps a mask; a receiver makes no step where one starts.
+    vibration : callable or None; ``vibration(i) -> VibrationFrame`` on `grid`, what vibrates beside the force
+        of a frame (paper section 6.4).
+    segments : Segments or None; of a medium whose coder keeps a mask; a receiver makes no step where one
+        starts.
     """
 
     grid: Grid
@@ -154,7 +158,9 @@ class HapticMedium(Travels):
         """A medium of fields that are already there."""
         kept = tuple(frames)
         if not kept or not all(isinstance(one, ForceField) for one in kept):
-            raise InvalidArgument("frames", "none, or what is no field", "ForceFields", "`from_array` takes newtons.")
+            raise InvalidArgument(
+                "frames", "none, or what is no field", "ForceFields", "`from_array` takes newtons."
+            )
         if any(f.grid != kept[0].grid for f in kept):
             raise InvalidArgument("frames", "fields on different grids", "one grid for all")
         return cls(kept[0].grid, rate_hz, len(kept), kept.__getitem__, axes)
@@ -176,8 +182,12 @@ class HapticMedium(Travels):
 
     @property
     def beside(self) -> dict[str, Any]:
-        """The values that travel beside the frames, by their names in files: rate, axes, tags, friction, damping."""
-        return {name: getattr(self, name) for name in ("rate_hz", "axes", "tags", "friction", "damping_n_s_per_m")}
+        """The values that travel beside the frames, by their names in files: rate, axes, tags, friction,
+        damping.
+        """
+        return {
+            name: getattr(self, name) for name in ("rate_hz", "axes", "tags", "friction", "damping_n_s_per_m")
+        }
 
     def __repr__(self) -> str:
         frames = f"{self.frame_count} frame{'s' * (self.frame_count != 1)} at {self.rate_hz:g} Hz"
@@ -267,9 +277,11 @@ class HapticMedium(Travels):
         return medium
 
     def to_xarray(self) -> Any:
-        """The medium as an `xarray.Dataset`: ``forces_n`` float32 [t, x, y, z, component] with axes in s and m.
+        """The medium as an `xarray.Dataset`: ``forces_n`` float32 [t, x, y, z, component] with axes in s and
+        m.
 
-        Raises `MissingExtra` without xarray; `InvalidArgument` if the dense frames are beyond `memory_budget_bytes`.
+        Raises `MissingExtra` without xarray; `InvalidArgument` if the dense frames are beyond
+        `memory_budget_bytes`.
         """
         xarray = import_extra("xarray", "a medium as a Dataset", "xarray", "xarray")
         needed = 12 * self.grid.voxel_count * self.frame_count
@@ -320,11 +332,12 @@ class HapticScene(Travels):
 
     grid : Grid; the device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
     force_max_n : float; F_max, to which the sum of overlapping objects is clipped.
-    surface_damping_n_s_per_m : float; b of a moving surface: where an object has a force, b times the velocity of
-        the body there is added to it (with the receiver's damping b this makes F_d = -b (v_hand - v_surface)).
+    surface_damping_n_s_per_m : float; b of a moving surface: where an object has a force, b times the
+        velocity of the body there is added to it (with the receiver's damping b this makes F_d = -b (v_hand -
+        v_surface)).
     axes, friction, damping_n_s_per_m, tags, provenance; As of `HapticMedium`.
-    file_bytes : int or None; the length of the file that it comes from, bytes: it bounds what `voxelise` does on the
-        scene's own grid.
+    file_bytes : int or None; the length of the file that it comes from, bytes: it bounds what `voxelise` does
+        on the scene's own grid.
     """
 
     grid: Grid
@@ -370,7 +383,8 @@ class HapticScene(Travels):
     def between(self, start: int, stop: int) -> HapticScene:
         """Frames start to stop - 1 as a scene of their own.
 
-        Velocities are those of its own poses: one-sided at its first and last frame, and none of a single frame.
+        Velocities are those of its own poses: one-sided at its first and last frame, and none of a single
+        frame.
         """
 
         def cut(one: HapticObject) -> HapticObject:
@@ -380,7 +394,8 @@ class HapticScene(Travels):
         return replace(self, objects=tuple(map(cut, self.objects)))
 
     def sample_n(self, frame: int, positions_m: ArrayLike) -> Float32s:
-        """Force at points of the scene in metres [..., 3], newtons, float32 [..., 3]: the receiver's own query.
+        """Force at points of the scene in metres [..., 3], newtons, float32 [..., 3]: the receiver's own
+        query.
 
         Each object's field is interpolated in its own frame as `ForceField.sample_n` does.
         """
@@ -389,8 +404,9 @@ class HapticScene(Travels):
     def voxelise(self, grid: Grid | None = None) -> HapticMedium:
         """The voxel representation: a lazy medium on `grid` (by default the scene's own).
 
-        Each sample is `sample_n` at its point. On its own grid a frame of a scene from a file raises CorruptFile
-        where its objects reach more bricks than the bytes of the file justify (docs/format/objects.md).
+        Each sample is `sample_n` at its point. On its own grid a frame of a scene from a file raises
+        CorruptFile where its objects reach more bricks than the bytes of the file justify
+        (docs/format/objects.md).
         """
         on, placed = self.grid if grid is None else grid, self._placed
         file_bytes = self.file_bytes if on == self.grid else None

@@ -1,7 +1,7 @@
 """The motion of a rigid body: one pose a frame (paper section 4.3, the "object" source model).
 
-A pose takes points of the body's own frame into the scene: x_scene = R x_body + t. Rotations are unit quaternions
-(w, x, y, z) or matrices, many at once, reckoned by SciPy's `Rotation`.
+A pose takes points of the body's own frame into the scene: x_scene = R x_body + t. Rotations are unit
+quaternions (w, x, y, z) or matrices, many at once, reckoned by SciPy's `Rotation`.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ _UNIT = 1e-3  # tolerance of a quaternion's length: what three digits in a text 
 class PoseTrack(EqualByValue):
     """Rigid poses over time, one a frame.
 
-    quaternions : float64 [n, 4]; unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two
-        that mean the same rotation the one nearer to the frame before (the first has w >= 0).
+    quaternions : float64 [n, 4]; unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of
+        two that mean the same rotation the one nearer to the frame before (the first has w >= 0).
     positions_m : float64 [n, 3]; t, where the body's origin lies, metres.
-    Raises `InvalidArgument` if shapes differ, a number is not finite, or a quaternion is not of length 1 +- 0.001.
+    Raises `InvalidArgument` if shapes differ, a number is not finite, or a quaternion is not of length 1 +-
+    0.001.
     """
 
     quaternions: Float64s
@@ -36,12 +37,18 @@ class PoseTrack(EqualByValue):
         q = np.array(self.quaternions, np.float64)
         t = np.array(self.positions_m, np.float64)
         if q.ndim != 2 or q.shape[1] != 4 or not len(q):
-            raise InvalidArgument("pose track quaternions", f"shape {q.shape}", "float64 [n, 4], n at least 1")
+            raise InvalidArgument(
+                "pose track quaternions", f"shape {q.shape}", "float64 [n, 4], n at least 1"
+            )
         if t.shape != (len(q), 3):
-            raise InvalidArgument("pose track positions_m", f"shape {t.shape}", f"({len(q)}, 3), one for each frame")
+            raise InvalidArgument(
+                "pose track positions_m", f"shape {t.shape}", f"({len(q)}, 3), one for each frame"
+            )
         odd = np.flatnonzero(~(np.isfinite(q).all(axis=1) & np.isfinite(t).all(axis=1)))
         if len(odd):
-            raise InvalidArgument(f"pose track, frame {odd[0]}", "a number that is not finite", "finite poses")
+            raise InvalidArgument(
+                f"pose track, frame {odd[0]}", "a number that is not finite", "finite poses"
+            )
         length = np.sqrt((q * q).sum(axis=1))
         odd = np.flatnonzero(np.abs(length - 1) > _UNIT)
         if len(odd):
@@ -121,8 +128,8 @@ def _rotation(quaternions: Float64s) -> Any:
 def slerp(first: Float64s, second: Float64s, share: Float64s) -> Float64s:
     """Between unit quaternions [n, 4] along the shorter way, at constant angular velocity, float64 [n, 4].
 
-    `share` float64 [n] is 0 at the first and 1 at the second; the components may stand in any order, as what lies
-    between two points of a sphere does not depend on it.
+    `share` float64 [n] is 0 at the first and 1 at the second; the components may stand in any order, as what
+    lies between two points of a sphere does not depend on it.
     """
     begin = _rotation(first)
     turn = (begin.inv() * _rotation(second)).as_rotvec()
@@ -130,7 +137,9 @@ def slerp(first: Float64s, second: Float64s, share: Float64s) -> Float64s:
 
 
 def rotation_vectors(before: Float64s, after: Float64s) -> Float64s:
-    """The turns that lead from quaternions to others, float64 [n, 3]: along the axis, as long as the angle, rad."""
+    """The turns that lead from quaternions to others, float64 [n, 3]: along the axis, as long as the angle,
+    rad.
+    """
     return np.asarray((_rotation(after) * _rotation(before).inv()).as_rotvec())
 
 

@@ -12,7 +12,9 @@ from touchfield.medium.medium import HapticMedium
 
 def evenly_spaced(count: int, maximum: int) -> list[int]:
     """At most `maximum` of the indices below `count`, evenly spaced, with the first and the last."""
-    indices: list[int] = np.unique(np.linspace(0, count - 1, min(maximum, count)).round().astype(int)).tolist()
+    indices: list[int] = np.unique(
+        np.linspace(0, count - 1, min(maximum, count)).round().astype(int)
+    ).tolist()
     return indices
 
 

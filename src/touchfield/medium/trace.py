@@ -1,17 +1,18 @@
 """A recorded interaction: where a probe was, over time, and the text file that holds one.
 
-No standard exists, so the file is comma-separated text as every tool writes it. Its first line names the columns,
-with units, in any order; other columns are ignored::
+No standard exists, so the file is comma-separated text as every tool writes it. Its first line names the
+columns, with units, in any order; other columns are ignored::
 
     t_s,x_m,y_m,z_m,force_n
     0.000,0.0112,-0.0340,0.0051,0.42
     0.001,0.0113,-0.0341,0.0051,0.44
 
-A recorded contact tells force, too, as it acts on the probe: ``fx_n``, ``force_x_n`` or ``field_x_n`` and so on, in N
-or mN; of these the field's, where there are several, as in the log of a play. Columns ``qw,qx,qy,qz``, all four or
-none, tell how the probe was turned: a quaternion, made a unit one when read. ``x_mm``, ``x [mm]`` and ``x (mm)``
-mean the same, as do ``t_s`` and ``time_s``; lengths in m, cm, mm or um, time in s, ms, us or ns. Time may be left
-out. Semicolons or tabs may stand for the commas; empty lines, and lines that begin with ``#``, are skipped.
+A recorded contact tells force, too, as it acts on the probe: ``fx_n``, ``force_x_n`` or ``field_x_n`` and so
+on, in N or mN; of these the field's, where there are several, as in the log of a play. Columns
+``qw,qx,qy,qz``, all four or none, tell how the probe was turned: a quaternion, made a unit one when read.
+``x_mm``, ``x [mm]`` and ``x (mm)`` mean the same, as do ``t_s`` and ``time_s``; lengths in m, cm, mm or um,
+time in s, ms, us or ns. Time may be left out. Semicolons or tabs may stand for the commas; empty lines, and
+lines that begin with ``#``, are skipped.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ from touchfield.medium.field import frozen, numbers_of
 
 Lines = Iterator[tuple[int, str]]
 
-HAPTIC_RATE_HZ: Final = 1000.0  # the usual rate of a haptic loop (paper section 4); that of a trace without times
+HAPTIC_RATE_HZ: Final = (
+    1000.0  # the usual rate of a haptic loop (paper section 4); that of a trace without times
+)
 MAX_SAMPLES: Final = 1 << 24  # of one file: 4.6 hours at 1 kHz, 512 MiB in memory
 _MAX_LINE: Final = 1 << 16
 _LINES_AT_ONCE: Final = 1 << 16
@@ -73,7 +76,9 @@ class Trace(EqualByValue):
         for where, values in (("times_s", t), ("positions_m", p)):
             wrong = np.argwhere(~np.isfinite(values))
             if len(wrong):
-                raise InvalidArgument(where, f"{values[tuple(wrong[0])]} at sample {wrong[0][0]}", "finite numbers")
+                raise InvalidArgument(
+                    where, f"{values[tuple(wrong[0])]} at sample {wrong[0][0]}", "finite numbers"
+                )
         fall = np.flatnonzero(t[1:] < t[:-1])
         if len(fall):
             n = int(fall[0])
@@ -118,8 +123,8 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
     """Read a trace of the form above.
 
     rate_hz : float; samples per second of a file without a time column.
-    Raises `SourceError` if the file cannot be read, a column or a unit is missing, a line holds something else than
-    finite numbers or goes back in time, or there is no sample or more than 2^24. It names the line.
+    Raises `SourceError` if the file cannot be read, a column or a unit is missing, a line holds something
+    else than finite numbers or goes back in time, or there is no sample or more than 2^24. It names the line.
     """
     where = Path(path)
     require_positive(rate_hz=rate_hz)
@@ -141,7 +146,9 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
     if len(fall):
         n = int(fall[0])
         found = f"{times[n + 1]} s after {times[n]} s"
-        raise SourceError(f"{where} line {numbers[n + 1]}", found, "times that never fall", "Sort the lines by time.")
+        raise SourceError(
+            f"{where} line {numbers[n + 1]}", found, "times that never fall", "Sort the lines by time."
+        )
     return Trace(times, positions, quaternions)
 
 
@@ -193,7 +200,9 @@ def _lines(file: TextIO, where: str) -> Lines:
         if not line:
             return
         if len(line) == _MAX_LINE and not line.endswith("\n"):
-            raise SourceError(f"{where} line {number}", "a line without end", f"lines below {_MAX_LINE} characters")
+            raise SourceError(
+                f"{where} line {number}", "a line without end", f"lines below {_MAX_LINE} characters"
+            )
         text = line.strip()
         if text and not text.startswith("#"):
             yield number, text
@@ -232,7 +241,9 @@ def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...]
     if missing:
         shown = text if len(text) <= 80 else f"{text[:80]} ..."
         example = ",".join(["t_s,x_m,y_m,z_m", *(f"{axis}_n" for axis in forces)])
-        raise SourceError(at, f"no column for {', '.join(missing)} in {shown!r}", f"a header such as {example}")
+        raise SourceError(
+            at, f"no column for {', '.join(missing)} in {shown!r}", f"a header such as {example}"
+        )
     turn = [name for name in _TURN if name in columns]
     if 0 < len(turn) < len(_TURN):
         raise SourceError(at, f"{', '.join(turn)} alone", f"all of {', '.join(_TURN)}, or none")
@@ -261,7 +272,9 @@ def _fault(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> Sourc
     for number, text in chunk:
         at, words = f"{where} line {number}", text.split(columns.delimiter)
         if len(words) <= max(columns.places):
-            return SourceError(at, f"{len(words)} columns", f"at least {max(columns.places) + 1}, as the header has")
+            return SourceError(
+                at, f"{len(words)} columns", f"at least {max(columns.places) + 1}, as the header has"
+            )
         for name, place in zip(columns.names, columns.places, strict=True):
             word = words[place].strip().strip('"')
             try:
@@ -271,4 +284,6 @@ def _fault(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> Sourc
             if not finite:
                 return SourceError(f"{at}, column {name}", repr(word[:40]), "a finite number")
     last = chunk[-1][0]
-    return SourceError(f"{where} lines {chunk[0][0]} to {last}", "something that is no table", "rows of numbers")
+    return SourceError(
+        f"{where} lines {chunk[0][0]} to {last}", "something that is no table", "rows of numbers"
+    )

@@ -1,4 +1,6 @@
-"""Who may read over the network, and how a web application here is run; the same for files and for what is live."""
+"""Who may read over the network, and how a web application here is run; the same for files and for what is
+live.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,11 @@ except ImportError:
     raise MissingExtra("a server of streams", "aiohttp", "broadcast") from None
 
 
-_OWN: Final = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache", "X-Frame-Options": "SAMEORIGIN"}
+_OWN: Final = {
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-cache",
+    "X-Frame-Options": "SAMEORIGIN",
+}
 _PATIENCE_S: Final = 10.0
 _ENDING_S: Final = 2.0  # half of what answers that are under way may take once a server ends
 _MOST_CONNECTIONS: Final = 1 << 15
@@ -62,7 +68,9 @@ class Access:
         if not 0 <= self.port <= 65535:
             raise InvalidArgument("--port", f"{self.port}", "0 to 65535")
         if self.token is not None and len(self.token) < 8:
-            raise InvalidArgument("--token", f"{len(self.token)} characters", "8 or more, that nobody guesses")
+            raise InvalidArgument(
+                "--token", f"{len(self.token)} characters", "8 or more, that nobody guesses"
+            )
         if not (_is_loopback(self.host) or self.token or self.is_open):
             mend = "Add --token WORD, or --open if anyone may read."
             raise InvalidArgument("--host", f"{self.host}, which others reach", "a token", mend)
@@ -163,8 +171,8 @@ async def run(
 ) -> None:
     """Run a web application until an event; `ready` gets its address, without an end.
 
-    A connection that asks for nothing for ten seconds is left, and beyond what the system gives to a process, one in
-    eight of which is kept for others, connections are closed as they come.
+    A connection that asks for nothing for ten seconds is left, and beyond what the system gives to a process,
+    one in eight of which is kept for others, connections are closed as they come.
 
     Raises InvalidArgument if the address cannot be listened at.
     """

@@ -53,7 +53,11 @@ class Bridge(Background):
     async def _file(self, request: web.Request) -> web.StreamResponse:
         if request.match_info["name"] != self._stream.name:
             raise web.HTTPNotFound
-        headers = {"Content-Type": MEDIA_TYPE, "X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache"}
+        headers = {
+            "Content-Type": MEDIA_TYPE,
+            "X-Content-Type-Options": "nosniff",
+            "Cache-Control": "no-cache",
+        }
         return web.FileResponse(self._stream, headers=headers)
 
     async def _tell(self, request: web.Request) -> web.StreamResponse:

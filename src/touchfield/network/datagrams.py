@@ -1,11 +1,12 @@
 """Messages over a network that loses, delays, repeats and damages: datagrams with parity, sent interleaved.
 
-A message (`touchfield.network.live`) is cut into symbols, to which RaptorQ (RFC 6330) adds repair symbols; any that
-are as many as the first, and rarely one or two more, give it back. The datagrams of a message are spread over the
-time of the next ones too, so that a burst of losses takes a few of each. No sockets here: datagrams in, messages out.
+A message (`touchfield.network.live`) is cut into symbols, to which RaptorQ (RFC 6330) adds repair symbols;
+any that are as many as the first, and rarely one or two more, give it back. The datagrams of a message are
+spread over the time of the next ones too, so that a burst of losses takes a few of each. No sockets here:
+datagrams in, messages out.
 
-A datagram: magic, stream u32, number u32, bytes of the message u32, bytes of a symbol u16, CRC-32 of the rest u32,
-then RaptorQ's packet of 4 bytes and a symbol.
+A datagram: magic, stream u32, number u32, bytes of the message u32, bytes of a symbol u16, CRC-32 of the rest
+u32, then RaptorQ's packet of 4 bytes and a symbol.
 """
 
 from __future__ import annotations
@@ -86,7 +87,9 @@ class Datagrams:
         return datagrams
 
     def _due(self) -> list[bytes]:
-        turns = zip_longest(*(shares.pop(0) for shares in self._waiting))  # one of each in turn: bursts are shared
+        turns = zip_longest(
+            *(shares.pop(0) for shares in self._waiting)
+        )  # one of each in turn: bursts are shared
         datagrams = [datagram for turn in turns for datagram in turn if datagram is not None]
         while self._waiting and not self._waiting[0]:
             self._waiting.popleft()
@@ -120,12 +123,14 @@ class _Part:
 
 
 class Gathering:
-    """The receiving end of the first stream that comes: datagrams in, messages out, in their order, whatever comes.
+    """The receiving end of the first stream that comes: datagrams in, messages out, in their order, whatever
+    comes.
 
-    Where none of its datagrams has come for two seconds, another stream that comes takes its place. One datagram
-    alone, forged, costs one message: another datagram must bear out what it tells of another stream, or of a number
-    further than `_SPREAD` above the newest or `MOST_OPEN` below it, and a stream has one opening. Where it is the
-    first of all, it costs as many messages as are waited for, or the first two seconds.
+    Where none of its datagrams has come for two seconds, another stream that comes takes its place. One
+    datagram alone, forged, costs one message: another datagram must bear out what it tells of another stream,
+    or of a number further than `_SPREAD` above the newest or `MOST_OPEN` below it, and a stream has one
+    opening. Where it is the first of all, it costs as many messages as are waited for, or the first two
+    seconds.
 
     Parameters
     ----------
@@ -162,7 +167,9 @@ class Gathering:
             self._came_s = now
             return self._taken(one)
         doubted, self._doubted = self._doubted or one, one
-        is_borne_out = doubted != one and doubted.stream == one.stream and abs(doubted.number - one.number) <= _SPREAD
+        is_borne_out = (
+            doubted != one and doubted.stream == one.stream and abs(doubted.number - one.number) <= _SPREAD
+        )
         is_borne_out &= one.stream == self._stream or now - self._came_s > _SILENT_S
         if not is_borne_out and self._stream is not None:
             self.refused += 1
@@ -222,6 +229,9 @@ def _told(datagram: bytes) -> _Datagram | None:
     is_ours = magic == _MAGIC and 0 < length <= MOST_BYTES
     is_ours &= symbol % 8 == 0 and _LEAST_SYMBOL <= symbol <= _MOST_SYMBOL and len(packet) == symbol + _PACKET
     is_ours &= packet[0] * _BLOCK * symbol < length <= symbol * 65536
-    if not is_ours or zlib.crc32(packet, zlib.crc32(_HEAD.pack(magic, stream, number, length, symbol, 0))) != crc:
+    if (
+        not is_ours
+        or zlib.crc32(packet, zlib.crc32(_HEAD.pack(magic, stream, number, length, symbol, 0))) != crc
+    ):
         return None
     return _Datagram(stream, number, length, symbol, packet)

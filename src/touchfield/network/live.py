@@ -1,12 +1,13 @@
 """A live stream without sockets: messages in, events out; who carries the messages is another's matter.
 
-A live stream is the beginning of a file that does not end (docs/format/live.md): its *opening*, which is magic,
-version, HEAD with the greatest frame count there is, and PROV; then *segments*, each a SEGM, and before it a VIBR
-where something vibrates. Every message holds one opening or one segment whole, so that a message that is lost, late,
-told twice or damaged costs only itself. An empty message says that the stream has ended.
+A live stream is the beginning of a file that does not end (docs/format/live.md): its *opening*, which is
+magic, version, HEAD with the greatest frame count there is, and PROV; then *segments*, each a SEGM, and
+before it a VIBR where something vibrates. Every message holds one opening or one segment whole, so that a
+message that is lost, late, told twice or damaged costs only itself. An empty message says that the stream has
+ended.
 
-The sender keeps the opening and the latest segments, and nothing for a receiver but how far it is: one that is slow
-is moved on to the newest segment.
+The sender keeps the opening and the latest segments, and nothing for a receiver but how far it is: one that
+is slow is moved on to the newest segment.
 """
 
 from __future__ import annotations
@@ -46,13 +47,16 @@ KEPT: Final = 4
 """Segments that a sender keeps for those who come late."""
 
 _FAR: Final = 8
-"""Where anyone may send, one that ends so many segments beyond the latest counts once a later one comes next."""
+"""Where anyone may send, one that ends so many segments beyond the latest counts once a later one comes next.
+
+"""
 
 END: Final = b""
 """The message that the stream has ended."""
 
 
-# -- events ---------------------------------------------------------------------------------------------------
+# -- events
+# ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -167,7 +171,9 @@ def _segment(message: bytes) -> LiveSegment:
     *beside, frames = _values(_source(message, "segment"), 0, layouts)
     if any((one.first_frame, one.frame_count) != (frames.first_frame, frames.frame_count) for one in beside):
         raise CorruptFile("segment", "a VIBR of other frames", "one of its own")
-    return LiveSegment(frames.first_frame, frames.frame_count, frames.body, beside[0].body if beside else None)
+    return LiveSegment(
+        frames.first_frame, frames.frame_count, frames.body, beside[0].body if beside else None
+    )
 
 
 def _values(source: ByteSource, place: int, layouts: tuple[type, ...]) -> list[Any]:
@@ -204,7 +210,8 @@ def _source(message: bytes, name: str) -> ByteSource:
     return ByteSource(data)
 
 
-# -- sending --------------------------------------------------------------------------------------------------
+# -- sending
+# --------------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -299,7 +306,12 @@ class LiveSender:
         """The latest segments, for those who come by HTTP: stable keys."""
         with self._lock:
             segments = [
-                {"number": number, "first_frame": one.first_frame, "frames": one.frame_count, "bytes": len(message)}
+                {
+                    "number": number,
+                    "first_frame": one.first_frame,
+                    "frames": one.frame_count,
+                    "bytes": len(message),
+                }
                 for number, one, message in self._kept
             ]
             return {"is_ended": self._is_ended, "segments": segments}

@@ -37,8 +37,8 @@ def open_live(
 ) -> Iterator[LiveStream]:
     """Open a live stream; it is received in a thread until the block ends.
 
-    `coarse` is the address of its coarse layer, felt where the stream itself has lost something, or is late; where
-    that layer has not come some seconds after the stream, it is told, and the stream is felt alone.
+    `coarse` is the address of its coarse layer, felt where the stream itself has lost something, or is late;
+    where that layer has not come some seconds after the stream, it is told, and the stream is felt alone.
 
     Raises SourceError if there is none, or no first segment has come for a minute.
     """
@@ -80,7 +80,9 @@ class _Client:
     def stream(self) -> LiveStream:
         """The stream, once a first segment is there."""
         if not self._begun.wait(TOLD_S):
-            self._tell(f"waiting for a first segment of {self._name}, a minute at most: its sender may be starting")
+            self._tell(
+                f"waiting for a first segment of {self._name}, a minute at most: its sender may be starting"
+            )
             self._begun.wait(PATIENCE_S - TOLD_S)
         if self._frames is None:
             raise self._error
@@ -127,7 +129,9 @@ class _Client:
                     self._tell("another programme begins")
                     self._frames.begin_anew()
                 else:  # who plays the old one opens anew
-                    raise SourceError(self._name, "another programme", "the one that was opened", "Open it again.")
+                    raise SourceError(
+                        self._name, "another programme", "the one that was opened", "Open it again."
+                    )
             elif self._frames is None:
                 self._error = SourceError(self._name, getattr(event, "reason", "its end"), "a live stream")
             else:
@@ -155,7 +159,9 @@ class _Client:
                     found = "a connection that ended"
                 except (aiohttp.ClientError, OSError, TimeoutError) as error:
                     found = reason(error)
-                    if isinstance(error, aiohttp.ClientResponseError):  # whose text has the address, with its word
+                    if isinstance(
+                        error, aiohttp.ClientResponseError
+                    ):  # whose text has the address, with its word
                         found = f"{error.status} {error.message}"
                 came_s = -math.inf if self._frames is None else self._frames.came_s
                 silent_s = time.monotonic() - came_s
@@ -170,9 +176,13 @@ class _Client:
         """Receive until the connection ends; True where the stream is over."""
         import aiohttp
 
-        async with session.ws_connect(self._url, max_msg_size=MOST_BYTES, heartbeat=_ANSWER_S, compress=0) as socket:
+        async with session.ws_connect(
+            self._url, max_msg_size=MOST_BYTES, heartbeat=_ANSWER_S, compress=0
+        ) as socket:
             async for message in socket:
-                if message.type is aiohttp.WSMsgType.BINARY and await asyncio.to_thread(self._take, message.data):
+                if message.type is aiohttp.WSMsgType.BINARY and await asyncio.to_thread(
+                    self._take, message.data
+                ):
                     return True
         return False
 

@@ -1,9 +1,10 @@
-"""A live stream as a medium that a renderer plays: its frames are there when they have come, and are waited for.
+"""A live stream as a medium that a renderer plays: its frames are there when they have come, and are waited
+for.
 
-Frame 0 is the first of the segment with which the receiver joined. Frames count on in time; where play has fallen
-behind what the sender has, it is moved on to the newest segment. A frame that was lost holds no force, so that the
-force eases out and in again within the renderer's slew limit. Where a coarse layer is received as well, its frame
-stands for one that was lost, or is late; the force goes over within the same limit.
+Frame 0 is the first of the segment with which the receiver joined. Frames count on in time; where play has
+fallen behind what the sender has, it is moved on to the newest segment. A frame that was lost holds no force,
+so that the force eases out and in again within the renderer's slew limit. Where a coarse layer is received as
+well, its frame stands for one that was lost, or is late; the force goes over within the same limit.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ TOLD_S: Final = 3.0
 """From here on, beyond the length of a segment, it is told that one is waited for."""
 
 FORGOTTEN: Final = 0.2
-"""Share of a delay that is forgotten with each segment that came sooner: one that was late once holds nobody back for
-long, and the delays that keep coming do."""
+"""Share of a delay that is forgotten with each segment that came sooner: one that was late once holds nobody
+back for long, and the delays that keep coming do."""
 
 ANEW_S: Final = 1.0
 """Where a segment comes so much sooner, a clock has jumped, or a hold-up is over: all is forgotten."""
@@ -159,7 +160,9 @@ class LiveFrames:
             self.fail(LiveEnd("the sender has ended the stream"))
 
     def begin_anew(self) -> None:
-        """Another programme on the same lattice follows: its frames count on behind the latest one that is there."""
+        """Another programme on the same lattice follows: its frames count on behind the latest one that is
+        there.
+        """
         self._programmes += 1
 
     def fail(self, error: TouchfieldError) -> None:
@@ -178,7 +181,11 @@ class LiveFrames:
         self.vibrates |= segment.vibration is not None
         begins_s = came - first / self._rate_hz  # when the stream's frame 0 would have been in time
         try:
-            band = decode_vibration(segment.vibration, self.grid, segment.frame_count) if segment.vibration else []
+            band = (
+                decode_vibration(segment.vibration, self.grid, segment.frame_count)
+                if segment.vibration
+                else []
+            )
             for field in self._decoder.frames(segment.body, segment.frame_count):
                 fields.append(field)
                 with self._news:
@@ -192,7 +199,9 @@ class LiveFrames:
         with self._news:
             before_s = begins_s if self._begins_s is None else self._begins_s
             is_anew = before_s - begins_s > ANEW_S
-            self._begins_s = begins_s if is_anew else max(begins_s, before_s + FORGOTTEN * (begins_s - before_s))
+            self._begins_s = (
+                begins_s if is_anew else max(begins_s, before_s + FORGOTTEN * (begins_s - before_s))
+            )
 
     def _keep(self, one: _Decoded) -> None:
         """Keep a segment whose first frame has been decoded, and of the others what there is room for."""
@@ -274,8 +283,8 @@ class LiveFrames:
     def __call__(self, index: int) -> ForceField:
         """A frame, once it has come; one that was lost holds no force.
 
-        Raises LiveEnd where the sender has ended the stream before it; SourceError where nothing came for a minute,
-        or the frame lies far ahead.
+        Raises LiveEnd where the sender has ended the stream before it; SourceError where nothing came for a
+        minute, or the frame lies far ahead.
         """
         wanted, one = self._place_of(index)
         if one is not None:
@@ -320,7 +329,9 @@ class LiveFrames:
     def vibration(self, index: int) -> VibrationFrame:
         """Vibrations in a frame; see `__call__`."""
         wanted, one = self._place_of(index)
-        return one.band[wanted - one.first] if one is not None and one.band else VibrationFrame.empty(self.grid)
+        return (
+            one.band[wanted - one.first] if one is not None and one.band else VibrationFrame.empty(self.grid)
+        )
 
     def _place_of(self, index: int) -> tuple[int, _Decoded | None]:
         """The stream's number of a frame, and the segment that holds it, if it came: once it is known."""
@@ -341,7 +352,9 @@ class LiveFrames:
                 if self._error is not None and self._is_over:
                     raise self._error
                 if self._is_silent:
-                    raise SourceError("live stream", f"no segment for {PATIENCE_S:g} s", "one that comes in time")
+                    raise SourceError(
+                        "live stream", f"no segment for {PATIENCE_S:g} s", "one that comes in time"
+                    )
                 self._news.wait(SPARE_S)  # what is due tells nobody
 
 
@@ -361,7 +374,9 @@ class LiveStream(OpenStream):
         self.frames = frames
 
     def keep_up(self, player: Player) -> bool:
-        """Have a player stay at what is due; to be asked some times a second. True where it goes there at once."""
+        """Have a player stay at what is due; to be asked some times a second. True where it goes there at
+        once.
+        """
         due_s = self.frames.due_s(self.reader.head.rate_hz)
         if due_s is None:
             return False

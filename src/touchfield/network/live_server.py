@@ -1,7 +1,7 @@
 """A live stream on the web: segments to any number of receivers by WebSocket, and a rolling manifest by HTTP.
 
-The sender never waits: what is coded is put before all receivers, and each takes what it can in its own time. Who
-does not read is left.
+The sender never waits: what is coded is put before all receivers, and each takes what it can in its own time.
+Who does not read is left.
 """
 
 from __future__ import annotations

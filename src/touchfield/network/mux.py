@@ -1,14 +1,15 @@
-"""Touch beside sound and picture: a stream as a timed data track of a movie, and out of it again (paper section 6).
+"""Touch beside sound and picture: a stream as a timed data track of a movie, and out of it again (paper
+section 6).
 
-The track's samples are the file cut behind each of its segments, told at the time of their first frame; index and end
-are made again. So a file that is taken out is the one that was put in, byte for byte. Players that know nothing of
-touch play the rest as before. In MPEG-TS, which is joined in the middle, each sample begins with the head again, and
-is the value of a KLV triplet (SMPTE 336M): of data without a registered name ffmpeg guesses from some bytes that it
-is video.
+The track's samples are the file cut behind each of its segments, told at the time of their first frame; index
+and end are made again. So a file that is taken out is the one that was put in, byte for byte. Players that
+know nothing of touch play the rest as before. In MPEG-TS, which is joined in the middle, each sample begins
+with the head again, and is the value of a KLV triplet (SMPTE 336M): of data without a registered name ffmpeg
+guesses from some bytes that it is video.
 
-A DASH manifest (ISO/IEC 23009-1) has sound and picture as ffmpeg cuts them, and the touch as an AdaptationSet of its
-own, whose one Representation is the whole ``.touch`` file, as captions have it: receivers read ranges of it. A
-SupplementalProperty tells the second of the movie at which it begins.
+A DASH manifest (ISO/IEC 23009-1) has sound and picture as ffmpeg cuts them, and the touch as an AdaptationSet
+of its own, whose one Representation is the whole ``.touch`` file, as captions have it: receivers read ranges
+of it. A SupplementalProperty tells the second of the movie at which it begins.
 """
 
 from __future__ import annotations
@@ -29,7 +30,14 @@ from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Report, silent
 from touchfield.container import SegmentEntry, TouchReader
 from touchfield.container.records import MAGIC, OBJECTS_CODER, Segment
-from touchfield.container.wire import CRC_SIZE, OPENING_SIZE, ByteSource, read_opening, read_record, records_between
+from touchfield.container.wire import (
+    CRC_SIZE,
+    OPENING_SIZE,
+    ByteSource,
+    read_opening,
+    read_record,
+    records_between,
+)
 from touchfield.container.writer import index_and_end
 from touchfield.errors import (
     CorruptFile,
@@ -71,7 +79,9 @@ class Muxed:
         return {**self.__dict__, "other_tracks": list(self.other_tracks)}
 
 
-def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.0, report: Report = silent) -> Muxed:
+def mux(
+    movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.0, report: Report = silent
+) -> Muxed:
     """Put a ``.touch`` file beside the tracks of a movie, which are copied as they are.
 
     Raises InvalidArgument if the ending of `out` is another, or the form cannot hold a track of the movie;
@@ -107,7 +117,9 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
         kept = [one for one in source.streams if one.type in ("video", "audio", "subtitle")]
         names = tuple(one.type for one in kept)
         with atomic_path(out) as temporary:
-            _copy(source, kept, out, temporary, "mpegts" if kind == ".ts" else "mp4", options, samples, report)
+            _copy(
+                source, kept, out, temporary, "mpegts" if kind == ".ts" else "mp4", options, samples, report
+            )
     size = sum(len(data) for _, _, data in samples)
     return Muxed(str(out), len(samples), size, seconds, at_s, names)
 
@@ -115,8 +127,8 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
 def demux(movie: str | Path, out: str | Path) -> Muxed:
     """Take the touch out of a movie: the ``.touch`` file that was put in, of which each segment is checked.
 
-    Raises SourceError if the movie cannot be read, or has no touch; FormatError if the touch is damaged, or its
-    beginning is missing.
+    Raises SourceError if the movie cannot be read, or has no touch; FormatError if the touch is damaged, or
+    its beginning is missing.
     """
     require_ending(out, "OUT.touch")
     if Path(movie).suffix.lower() == ".mpd":
@@ -196,8 +208,12 @@ def _copy(
 
 
 def _found(source: Any, name: str) -> tuple[list[bytes], float]:
-    """The samples of the first track of touch, from its first head on, and the movie's second at which that is."""
-    begins = min((float(one.start_time * one.time_base) for one in source.streams if one.start_time), default=0.0)
+    """The samples of the first track of touch, from its first head on, and the movie's second at which that
+    is.
+    """
+    begins = min(
+        (float(one.start_time * one.time_base) for one in source.streams if one.start_time), default=0.0
+    )
     times: dict[int, float] = {}
     data = [one for one in source.streams if one.type == "data"]
     tracks: dict[int, list[bytearray]] = {}
@@ -218,7 +234,9 @@ def _found(source: Any, name: str) -> tuple[list[bytes], float]:
     first = next(((index, track) for index, track in tracks.items() if track), None)
     if first is None:
         raise SourceError(name, "no track of touch", "a movie that touchfield mux made")
-    return [bytes(one) for one in first[1]], max(0.0, times[first[0]] - (begins if name.endswith(".ts") else 0.0))
+    return [bytes(one) for one in first[1]], max(
+        0.0, times[first[0]] - (begins if name.endswith(".ts") else 0.0)
+    )
 
 
 def _joined(samples: list[bytes], name: str) -> bytes:
@@ -275,8 +293,12 @@ def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: fl
             shutil.copyfile(stream, Path(folder) / f"{out.stem}.touch")
             for path in Path(folder).iterdir():
                 if (out.parent / path.name).exists() and (out.parent / path.name).samefile(source.name):
-                    raise InvalidArgument(str(out.parent / path.name), "the movie that is read", "another name")
-            for path in sorted(Path(folder).iterdir(), key=lambda path: path.suffix == ".mpd"):  # what it names first
+                    raise InvalidArgument(
+                        str(out.parent / path.name), "the movie that is read", "another name"
+                    )
+            for path in sorted(
+                Path(folder).iterdir(), key=lambda path: path.suffix == ".mpd"
+            ):  # what it names first
                 os.replace(path, out.parent / path.name)
     return tuple(one.type for one in kept)
 

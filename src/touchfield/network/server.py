@@ -1,7 +1,8 @@
 """A folder of streams on the web, for people without a server: ranges of plain files, and nothing else.
 
-What comes from the network is a stranger's. A name in a request is compared with the files that may be served and
-never becomes a path by itself; there is no listing; a client that does not read is left after what its bytes justify.
+What comes from the network is a stranger's. A name in a request is compared with the files that may be served
+and never becomes a path by itself; there is no listing; a client that does not read is left after what its
+bytes justify.
 """
 
 from __future__ import annotations
@@ -76,7 +77,10 @@ def serve(
         for name in names[:_MOST_NAMED]:
             tell(f"http://{address}/{quote(name)}" + ("?token=..." if access.token else ""))
         if names and pages:
-            tell(f"in a browser: http://{address}/view/{quote(names[0])}" + ("?token=..." if access.token else ""))
+            tell(
+                f"in a browser: http://{address}/view/{quote(names[0])}"
+                + ("?token=..." if access.token else "")
+            )
         if len(names) > _MOST_NAMED:
             tell(f"and {len(names) - _MOST_NAMED} more")
 
@@ -84,8 +88,14 @@ def serve(
 
 
 def _plain_file(root: Path, name: str) -> Path | None:
-    """The file of a name, if it is one that may be served: plain, of a known kind, in the folder and not hidden."""
-    if "\0" in name or "\\" in name or any(part in ("", "..") or part.startswith(".") for part in name.split("/")):
+    """The file of a name, if it is one that may be served: plain, of a known kind, in the folder and not
+    hidden.
+    """
+    if (
+        "\0" in name
+        or "\\" in name
+        or any(part in ("", "..") or part.startswith(".") for part in name.split("/"))
+    ):
         return None
     try:
         path = (root / name).resolve()

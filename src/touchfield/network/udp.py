@@ -24,14 +24,15 @@ _OPENED_EVERY: Final = 4
 """Segments, before which the opening is told again for those who come."""
 
 _LAYERED_OPEN: Final = 11
-"""Messages that are waited for where another layer is felt meanwhile: eight, over whose time one is spread, and
-three for what is overtaken."""
+"""Messages that are waited for where another layer is felt meanwhile: eight, over whose time one is spread,
+and three for what is overtaken."""
 
 Layer = Literal["alone", "fine", "coarse"]
 
 REPAIR: Final[Mapping[Layer, float]] = {"alone": 0.22, "fine": 0.15, "coarse": 0.4}
-"""Share of parity. Where a coarse layer is sent beside, what is lost of the fine one is felt coarse: that layer, a
-seventh of the bytes, is protected more, and both together take no larger a share than a stream alone."""
+"""Share of parity. Where a coarse layer is sent beside, what is lost of the fine one is felt coarse: that
+layer, a seventh of the bytes, is protected more, and both together take no larger a share than a stream
+alone."""
 
 
 def _place_of(text: str) -> Address:
@@ -93,7 +94,10 @@ async def listen(place: str, take: Callable[[bytes], bool], is_layered: bool = F
     With `is_layered` another layer is felt for what is lost: it is given up once it could have come.
     """
     host, port = _place_of(place)
-    gathering, coming = Gathering(most_open=_LAYERED_OPEN if is_layered else MOST_OPEN), asyncio.Queue[bytes](1 << 14)
+    gathering, coming = (
+        Gathering(most_open=_LAYERED_OPEN if is_layered else MOST_OPEN),
+        asyncio.Queue[bytes](1 << 14),
+    )
     loop = asyncio.get_running_loop()
     transport, _ = await loop.create_datagram_endpoint(lambda: _Protocol(coming), local_addr=(host, port))
     is_last = False

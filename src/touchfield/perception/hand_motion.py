@@ -1,20 +1,22 @@
 """The difference between two fields as a hand feels it that slides along a surface, or holds still on it.
 
-A mask bounds the error of each sample. A hand that moves meets one sample after another, so that an error that
-differs from one to the next becomes vibration: e(t) = F_decoded(x(t)) - F_source(x(t)), both interpolated as the
-receiver does, along seeded paths at three speeds, in the band from 40 to 400 Hz (Butterworth of order 4, forwards
-and backwards; thirds of an octave: the power of a Hann window's spectrum). Beside it stand what the source itself has
-in that band, and what its lattice adds to the field that it samples, where that is known.
+A mask bounds the error of each sample. A hand that moves meets one sample after another, so that an error
+that differs from one to the next becomes vibration: e(t) = F_decoded(x(t)) - F_source(x(t)), both
+interpolated as the receiver does, along seeded paths at three speeds, in the band from 40 to 400 Hz
+(Butterworth of order 4, forwards and backwards; thirds of an octave: the power of a Hann window's spectrum).
+Beside it stand what the source itself has in that band, and what its lattice adds to the field that it
+samples, where that is known.
 
-A path starts at a random sample of the support and is brought to the level |F| = 1 N along the force, then steps
-along the surface by one spacing at a time and is brought back each time; its direction turns at random where the
-surface ends. Of these points one every 50 ms is kept, and a cubic spline runs through them, so that the path itself
-holds next to nothing above 20 Hz.
+A path starts at a random sample of the support and is brought to the level |F| = 1 N along the force, then
+steps along the surface by one spacing at a time and is brought back each time; its direction turns at random
+where the surface ends. Of these points one every 50 ms is kept, and a cubic spline runs through them, so that
+the path itself holds next to nothing above 20 Hz.
 
-Where nothing moves the source makes no step; a coder whose errors differ from frame to frame does. Points are seeded
-on the surface of a frame and held until the next points are, and the force at each is kept for source, for what a
-receiver plays, and for what is decoded. A step is the change from one frame to the next; for the band the frames are
-blended linearly up to 1000 samples a second, as the receiver does. Nothing here tells that an error cannot be felt.
+Where nothing moves the source makes no step; a coder whose errors differ from frame to frame does. Points are
+seeded on the surface of a frame and held until the next points are, and the force at each is kept for source,
+for what a receiver plays, and for what is decoded. A step is the change from one frame to the next; for the
+band the frames are blended linearly up to 1000 samples a second, as the receiver does. Nothing here tells
+that an error cannot be felt.
 """
 
 from __future__ import annotations
@@ -86,7 +88,9 @@ def points_on_surface(field: ForceField, count: int, rng: np.random.Generator) -
 
 
 def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random.Generator) -> SurfaceWalks:
-    """Walk along the surface from `count` random points, `length_m` each; one that finds no way on is shorter."""
+    """Walk along the surface from `count` random points, `length_m` each; one that finds no way on is
+    shorter.
+    """
     level, step_m = level_of(field), min(field.grid.spacing_m)
     at = points_on_surface(field, count, rng)
     steps = max(1, round(length_m / step_m)) + 1
@@ -111,15 +115,20 @@ def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random
     return SurfaceWalks(points, done, step_m)
 
 
-def slide_m(walks: SurfaceWalks, speed_m_per_s: float, duration_s: float, rate_hz: float) -> Iterator[Float64s]:
-    """Where hands are that slide along the walks, metres, some of one length together, float64 [samples, hands, 3].
+def slide_m(
+    walks: SurfaceWalks, speed_m_per_s: float, duration_s: float, rate_hz: float
+) -> Iterator[Float64s]:
+    """Where hands are that slide along the walks, metres, some of one length together, float64 [samples,
+    hands, 3].
 
     None slides along a walk below four knots.
     """
     from scipy.interpolate import CubicSpline
 
     per_step_s = walks.step_m / speed_m_per_s
-    knots = np.ceil((np.minimum(duration_s, (walks.steps - 1) * per_step_s) + 1e-9) / _KNOT_S).astype(np.int64)
+    knots = np.ceil((np.minimum(duration_s, (walks.steps - 1) * per_step_s) + 1e-9) / _KNOT_S).astype(
+        np.int64
+    )
     for count in np.unique(knots[knots >= 4]):
         knots_s, points = _KNOT_S * np.arange(count), walks.points_m[:, knots == count]
         at = knots_s / per_step_s
@@ -148,9 +157,11 @@ def _unit(vectors: Float64s) -> Float64s:
     return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
 
 
-# -- what lies in the band -------------------------------------------------------------------------------------
+# -- what lies in the band
+# -------------------------------------------------------------------------------------
 def in_band(signal: Float64s, rate_hz: float) -> Float64s:
-    """The part of a signal [samples, ...] from 40 to 400 Hz, without its margins, float64 [samples - 2 margin, ...].
+    """The part of a signal [samples, ...] from 40 to 400 Hz, without its margins, float64 [samples - 2
+    margin, ...].
 
     Raises `InvalidArgument` if the rate is below 1000 samples a second or the signal too short.
     """
@@ -189,14 +200,18 @@ def _check(samples: int, rate_hz: float) -> None:
 
 
 class BandSums:
-    """Signals of some kinds from 40 to 400 Hz: sums of squares, peaks; of one kind thirds of an octave by weight."""
+    """Signals of some kinds from 40 to 400 Hz: sums of squares, peaks; of one kind thirds of an octave by
+    weight.
+    """
 
     def __init__(self, kinds: int) -> None:
         self.samples, self._power, self._peak = np.zeros((3, kinds))
         self._weight, self._thirds = 0, np.zeros(len(THIRDS_HZ))
 
     def add(self, kind: int, signals: Float64s, rate_hz: float, weight: int = 0) -> None:
-        """Count signals of one length in newtons [samples, signals, 3]; a `weight` of 0 leaves their thirds out."""
+        """Count signals of one length in newtons [samples, signals, 3]; a `weight` of 0 leaves their thirds
+        out.
+        """
         squares = (in_band(signals, rate_hz) ** 2).sum(axis=2)
         self.samples[kind] += squares.size
         self._power[kind] += squares.sum()
@@ -215,7 +230,8 @@ class BandSums:
         return np.asarray(1e3 * np.sqrt(self._thirds / max(1, self._weight)))
 
 
-# -- a hand that slides ------------------------------------------------------------------------------------------
+# -- a hand that slides
+# ------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class SlideSpec:
     """The slides to measure."""
@@ -277,7 +293,8 @@ class SlideMeter:
     def add(self, surface: ForceField, source: Forces, decoded: Forces, exact: Forces | None = None) -> None:
         """Measure one frame; without a surface in it nothing is added.
 
-        surface : ForceField; of the source, which the paths follow, so that they are the same for several codings.
+        surface : ForceField; of the source, which the paths follow, so that they are the same for several
+            codings.
         exact : callable, optional; the field that the source samples.
         """
         spec = self._spec
@@ -304,7 +321,9 @@ class SlideMeter:
             error, source, lattice = (total.mn(kind) for kind in range(3))
             seconds = float(total.samples[0]) / self._spec.rate_hz
             lattice_mn = lattice[0] if total.samples[2] else None
-            results.append(Slide(speed, self._paths[speed], seconds, *error, *source, lattice_mn, total.thirds_mn()))
+            results.append(
+                Slide(speed, self._paths[speed], seconds, *error, *source, lattice_mn, total.thirds_mn())
+            )
         return tuple(results)
 
 
@@ -317,10 +336,13 @@ def slides(
     return meter.slides()
 
 
-# -- both, and a hand that holds still -----------------------------------------------------------------------------
+# -- both, and a hand that holds still
+# -----------------------------------------------------------------------------
 @dataclass(frozen=True)
 class HandMotion:
-    """Decoded less source as a hand feels it that moves, and (but for a single frame) as one that holds still."""
+    """Decoded less source as a hand feels it that moves, and (but for a single frame) as one that holds
+    still.
+    """
 
     slides: tuple[Slide, ...]
     hold: Hold | None
@@ -368,7 +390,9 @@ class Hold(NamedTuple):
     step_source_mn: float
     start_step_mn: float  # the same where a segment starts
     start_step_source_mn: float
-    start_error_mn: float  # step of played less source, rms over points: where a segment starts, and elsewhere
+    start_error_mn: (
+        float  # step of played less source, rms over points: where a segment starts, and elsewhere
+    )
     error_step_mn: float
     still_step_mn: float  # the largest, and over max(F_0, k |F|), where the source makes none (`STILL_N`)
     still_step_ratio: float
@@ -385,8 +409,8 @@ class Hold(NamedTuple):
 class HoldMeter:
     """The holds over the frames of a medium; steps are measured by the mask max(F_0, k |F|), F_0 positive.
 
-    Frames are felt in parts, each at points of its own; forces of a part are float64 [source and what is felt,
-    frames, points, 3].
+    Frames are felt in parts, each at points of its own; forces of a part are float64 [source and what is
+    felt, frames, points, 3].
     """
 
     def __init__(self, frame_count: int, rate_hz: float, k: float, f0_n: float, points: int = 64) -> None:
@@ -408,7 +432,8 @@ class HoldMeter:
         felt = (source, played)
         self._feel(felt, starts_segment)
         self._left -= 1
-        # the last of a part is the first of the next one, so that no step is missed; a rest too short joins the part
+        # the last of a part is the first of the next one, so that no step is missed; a rest too short joins
+        # the part
         if (len(self._starts) > self._part and self._left >= self._part // 2) or not self._starts:
             self._close()
             self._points_m = points_on_surface(surface, self._count, self._rng)

@@ -1,8 +1,9 @@
 """The limits of human touch (paper section 4.2): thresholds and just noticeable differences, with sources.
 
 The figures stand in ``human.toml``; the force at which a vibration is just felt, by thirds of an octave, in
-``vibration_threshold.toml``. The literature gives the displacement of the handle at the threshold. A hand with its
-device is taken as a mass, a damper and a spring: a force of amplitude F moves it by F / |k - m w^2 + i b w|.
+``vibration_threshold.toml``. The literature gives the displacement of the handle at the threshold. A hand
+with its device is taken as a mass, a damper and a spring: a force of amplitude F moves it by F / |k - m w^2 +
+i b w|.
 """
 
 from __future__ import annotations
@@ -59,12 +60,16 @@ def figure(name: str) -> float:
 DEFAULT_HAND: Final = "stylus"
 
 THIRDS_HZ: Final = tuple(float(1000 * 10 ** (n / 10)) for n in range(-14, -3))
-"""Centres of the eleven thirds of an octave from 40 to 400 Hz; a band reaches a factor 10 ** 0.05 either way."""
+"""Centres of the eleven thirds of an octave from 40 to 400 Hz; a band reaches a factor 10 ** 0.05 either way.
+
+"""
 
 
 @dataclass(frozen=True)
 class VibrationThreshold:
-    """A threshold of detection, peak displacements of a sine, and the hand and device that it is felt through."""
+    """A threshold of detection, peak displacements of a sine, and the hand and device that it is felt
+    through.
+    """
 
     name: str
     title: str

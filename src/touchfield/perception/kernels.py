@@ -1,7 +1,7 @@
 """Compiled deadbands, and ways to a level; imported only when first needed.
 
-The gates along a scan run in one thread, because each sample depends on what was sent before it. Products and sums
-are in float64; a comparison is written so that a NaN would be sent, not held.
+The gates along a scan run in one thread, because each sample depends on what was sent before it. Products and
+sums are in float64; a comparison is written so that a NaN would be sent, not held.
 """
 
 from __future__ import annotations
@@ -65,7 +65,8 @@ def gate_in_time(begin, end, vectors, reference, fraction, sent):
 def to_level(points, met, metres, shape, brick_shape, keys, forces, limits, rounds, force):
     """Move `points` [n, 3] along the force to a level; `met` where it came within 2 %.
 
-    `metres` are spacing and origin of the grid, `limits` the level and how far a round moves; `force` [3] is room.
+    `metres` are spacing and origin of the grid, `limits` the level and how far a round moves; `force` [3] is
+    room.
     """
     dx, dy, dz, x0, y0, z0 = metres
     level, most = limits
@@ -84,7 +85,9 @@ def to_level(points, met, metres, shape, brick_shape, keys, forces, limits, roun
             x, y, z = x - most * fx, y - most * fy, z - most * fz
             force_at((x - x0) / dx, (y - y0) / dy, (z - z0) / dz, shape, brick_shape, keys, forces, force)
             gx, gy, gz = np.float32(force[0]), np.float32(force[1]), np.float32(force[2])
-            per_m = max((math.sqrt(gx * gx + gy * gy + gz * gz) - size) / most, 1e-9)  # saturated: the way out alone
+            per_m = max(
+                (math.sqrt(gx * gx + gy * gy + gz * gz) - size) / most, 1e-9
+            )  # saturated: the way out alone
             way = min(max((level - size) / per_m, -most), most)
             points[p, 0] -= fx * way
             points[p, 1] -= fy * way

@@ -1,15 +1,16 @@
-"""The perceptual mask max(F_0, k |F|), where a decoded field leaves it, and spatial masking (paper section 4.2).
+"""The perceptual mask max(F_0, k |F|), where a decoded field leaves it, and spatial masking (paper section
+4.2).
 
-The paper draws Delta(x) = k x alone (figure 2), which allows no error at all where the force is zero. Departure: an
-absolute floor F_0 below which nothing is felt; F_0 = 0 gives the paper's mask.
+The paper draws Delta(x) = k x alone (figure 2), which allows no error at all where the force is zero.
+Departure: an absolute floor F_0 below which nothing is felt; F_0 = 0 gives the paper's mask.
 
 What is felt hides what is close by; the paper says so and gives no formula. Ours::
 
     Delta_i = max(F_0, k |F_i| + beta sum_j w_ij |F_j|),    w_ii = 0,  sum_j w_ij = 1
 
-w_ij falls with the distance d as exp(-2 d^2 / R^2) and is zero where the distance along some axis is beyond R, the
-distance within which two points are felt as one; the cut at a cube lets the sum run axis by axis. beta has no agreed
-figure: it is 0 by default, which is the plain mask to the last bit.
+w_ij falls with the distance d as exp(-2 d^2 / R^2) and is zero where the distance along some axis is beyond
+R, the distance within which two points are felt as one; the cut at a cube lets the sum run axis by axis. beta
+has no agreed figure: it is 0 by default, which is the plain mask to the last bit.
 
 The j are all the samples around, and space without a force counts as a stimulus of 0 N, beyond the grid too.
 """
@@ -34,7 +35,9 @@ if TYPE_CHECKING:
     from touchfield.medium import ForceField
 
 ROUNDING = 1e-9
-"""An error counts as a violation beyond mask (1 + ROUNDING), which is above the rounding of the comparison."""
+"""An error counts as a violation beyond mask (1 + ROUNDING), which is above the rounding of the comparison.
+
+"""
 
 _CHUNK = 1 << 16
 
@@ -42,8 +45,8 @@ _CHUNK = 1 << 16
 class Violations(NamedTuple):
     """The samples of a decoded field that leave the mask: how many, their share, and how far.
 
-    worst_ratio : float or None; the largest |error| / mask; 1 or less means that the promise is kept. None where a
-        force was decoded and the mask is zero (F = 0 and F_0 = 0).
+    worst_ratio : float or None; the largest |error| / mask; 1 or less means that the promise is kept. None
+        where a force was decoded and the mask is zero (F = 0 and F_0 = 0).
     """
 
     count: int  # type: ignore[assignment]
@@ -68,13 +71,16 @@ def violations(
 ) -> Violations:
     """Compare two fields sample by sample, in float64.
 
-    original_n, decoded_n : float32 [L, 3]; forces at the same samples, newtons, those without force among them.
+    original_n, decoded_n : float32 [L, 3]; forces at the same samples, newtons, those without force among
+        them.
     k, f0_n, masking_n; as of `mask_n`; a masking for each sample.
     Raises `InvalidArgument` if the shapes differ, a force is not finite, or `k` or `f0_n` is out of range.
     """
     require_not_negative(k=k, f0_n=f0_n)
     if original_n.shape != decoded_n.shape or original_n.ndim != 2 or original_n.shape[1] != 3:
-        raise InvalidArgument("forces to compare", f"{original_n.shape} and {decoded_n.shape}", "twice [L, 3]")
+        raise InvalidArgument(
+            "forces to compare", f"{original_n.shape} and {decoded_n.shape}", "twice [L, 3]"
+        )
     hidden = np.broadcast_to(np.asarray(masking_n, np.float64), len(original_n))
     count, worst, beyond = 0, 0.0, False
     for begin in range(0, len(original_n), _CHUNK):
@@ -121,14 +127,17 @@ class SpatialMasking:
         require_positive(radius_m=self.radius_m)
 
     def hidden_n(self, field: ForceField) -> Float32s:
-        """Beta times the mean of |F| around, at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]."""
+        """Beta times the mean of |F| around, at every sample of the stored bricks, newtons, float32 [n, 8, 8,
+        8].
+        """
         return replace(self, k=0.0, f0_n=0.0).field_mask_n(field)
 
     def field_mask_n(self, field: ForceField) -> Float32s:
-        """Delta at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]; beta = 0 looks at no neighbour.
+        """Delta at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]; beta = 0 looks at no
+        neighbour.
 
-        Raises `InvalidArgument` if beta > 0 and R is below the spacing along every axis of more than one sample, or
-        above 64 samples.
+        Raises `InvalidArgument` if beta > 0 and R is below the spacing along every axis of more than one
+        sample, or above 64 samples.
         """
         levels = lengths_of(field.forces_n.astype(np.float64))
         if not self.beta or max(field.grid.shape) == 1 or not len(levels):
@@ -151,16 +160,19 @@ class SpatialMasking:
         share = self.beta / float(np.prod([2 * row.sum() - 1 for row in factors]) - 1)
         masks = np.empty(levels.shape, np.float32)
         for span, blocks in blocks_around(field, levels, field.bricks, reach, reach):
-            hidden_n = _neighbour_sums(blocks, factors)[(slice(None), *(slice(r, r + BRICK) for r in reach))] * share
+            hidden_n = (
+                _neighbour_sums(blocks, factors)[(slice(None), *(slice(r, r + BRICK) for r in reach))] * share
+            )
             masks[span] = mask_n(levels[span], self.k, self.f0_n, masking_n=hidden_n)
         return masks
 
 
 def _neighbour_sums(levels: Float64s, factors: Sequence[Float64s]) -> Float64s:
-    """The weighted sum of the others around each sample of the last axes, a row of factors at 0, 1, .. for each.
+    """The weighted sum of the others around each sample of the last axes, a row of factors at 0, 1, .. for
+    each.
 
-    No weight is negative and the sample itself is never added and taken off again, so that the sum rises with every
-    level to the last bit.
+    No weight is negative and the sample itself is never added and taken off again, so that the sum rises with
+    every level to the last bit.
     """
     from scipy import ndimage
 

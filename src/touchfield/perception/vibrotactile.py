@@ -1,16 +1,17 @@
-"""Vibration beside a force, as signals: what is force and what vibration, one axis for three, what must be sent.
+"""Vibration beside a force, as signals: what is force and what vibration, one axis for three, what must be
+sent.
 
-The paper (section 6.4) leaves it open: "process the vibrotactile feedback in the spectral domain and then modulate
-the force feedback appropriately in the time domain". Here a `Crossover` splits a recorded force in two that add up to
-it again; `dft321` makes one axis of three, as a hand does not tell the direction of a vibration; a `Stft` is the
-spectral domain; and `reduced` leaves of a vibration what a hand can feel::
+The paper (section 6.4) leaves it open: "process the vibrotactile feedback in the spectral domain and then
+modulate the force feedback appropriately in the time domain". Here a `Crossover` splits a recorded force in
+two that add up to it again; `dft321` makes one axis of three, as a hand does not tell the direction of a
+vibration; a `Stft` is the spectral domain; and `reduced` leaves of a vibration what a hand can feel::
 
     force -> Crossover -> low: the medium's force
                        -> high -> dft321 -> reduced -> symbols and steps -> decoded
 
-What is sent is off by less than the threshold of a hand (`perception.human`) in every third of an octave and every
-half second. A threshold is that of a sine alone: that a sum of thirds below it, or a vibration beside another one,
-is not felt either is likely, and not told by it.
+What is sent is off by less than the threshold of a hand (`perception.human`) in every third of an octave and
+every half second. A threshold is that of a sine alone: that a sum of thirds below it, or a vibration beside
+another one, is not felt either is likely, and not told by it.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ if TYPE_CHECKING:
 
 
 BANDS_HZ: Final = tuple(float(1000 * 10 ** (n / 10)) for n in range(-15, 1))
-"""Centres of the sixteen thirds of an octave from 31.6 Hz to 1 kHz; a band reaches a factor 10 ** 0.05 either way."""
+"""Centres of the sixteen thirds of an octave from 31.6 Hz to 1 kHz; a band reaches a factor 10 ** 0.05 either
+way.
+"""
 
 WINDOW_S: Final = 0.5
 """In which a level is taken."""
@@ -62,17 +65,20 @@ def _signal(where: str, values: ArrayLike, shapes: tuple[str, ...], rate_hz: flo
     return x
 
 
-# -- force and vibration ------------------------------------------------------------------------------------------
+# -- force and vibration
+# ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Crossover:
     """A split of a signal into what lies below a frequency and what lies above, which add up to it again.
 
-    The low-pass h is a windowed sinc of an odd number of taps (Hamming), of linear phase; the high-pass is the
-    impulse at its middle less h. Both are 6 dB down at `cutoff_hz` and in phase there; `split` takes their delay off.
+    The low-pass h is a windowed sinc of an odd number of taps (Hamming), of linear phase; the high-pass is
+    the impulse at its middle less h. Both are 6 dB down at `cutoff_hz` and in phase there; `split` takes
+    their delay off.
 
-    Raises `InvalidArgument` if a number is not positive and finite, or the cut-off is half of `rate_hz` or more.
+    Raises `InvalidArgument` if a number is not positive and finite, or the cut-off is half of `rate_hz` or
+    more.
     """
 
     rate_hz: float  # samples a second
@@ -83,7 +89,9 @@ class Crossover:
         if not 2 * self.cutoff_hz < self.rate_hz:
             raise InvalidArgument("cutoff_hz", f"{self.cutoff_hz:g} Hz", f"below half of {self.rate_hz:g} Hz")
         if _TAPS * self.rate_hz / self.cutoff_hz > _MOST_TAPS:
-            raise InvalidArgument("cutoff_hz", f"{self.cutoff_hz:g} Hz at {self.rate_hz:g} Hz", "a higher one")
+            raise InvalidArgument(
+                "cutoff_hz", f"{self.cutoff_hz:g} Hz at {self.rate_hz:g} Hz", "a higher one"
+            )
 
     @cached_property
     def low_taps(self) -> Float64s:
@@ -98,8 +106,8 @@ class Crossover:
         """The low part and the high part, without delay, each float64 as `signal`, in its unit.
 
         signal : float [n] or [n, 3]; beyond its ends it is taken to stay as it is there.
-        Their sum is the signal to the rounding of one addition. Raises `InvalidArgument` if the shape is another or a
-        number is not finite.
+        Their sum is the signal to the rounding of one addition. Raises `InvalidArgument` if the shape is
+        another or a number is not finite.
         """
         from scipy.signal import oaconvolve
 
@@ -115,10 +123,10 @@ def dft321(signal: ArrayLike) -> Float64s:
     """One axis for three, with the energy of the three in each bin of the spectrum, float64 [n].
 
     signal : float [n, 3]; any unit, which stays.
-    The phase is that of the sum of the axes, of Landin, Romano, McMahan and Kuchenbecker 2010, Dimensional reduction
-    of high-frequency accelerations for haptic rendering (EuroHaptics). The whole signal is one transform, and what
-    happens at a time happens near it, no more: a tap that the axes feel at different times is smeared.
-    Raises `InvalidArgument` if the shape is another or a number is not finite.
+    The phase is that of the sum of the axes, of Landin, Romano, McMahan and Kuchenbecker 2010, Dimensional
+    reduction of high-frequency accelerations for haptic rendering (EuroHaptics). The whole signal is one
+    transform, and what happens at a time happens near it, no more: a tap that the axes feel at different
+    times is smeared. Raises `InvalidArgument` if the shape is another or a number is not finite.
     """
     spectra = np.fft.rfft(_signal("signal", signal, ("[n, 3]",)), axis=0)
     size = np.sqrt((np.abs(spectra) ** 2).sum(axis=1))
@@ -128,13 +136,15 @@ def dft321(signal: ArrayLike) -> Float64s:
     return np.fft.irfft(size * np.exp(1j * angle), len(np.asarray(signal)))
 
 
-def handle_force_n(acceleration_m_s2: ArrayLike, rate_hz: float, hand: VibrationThreshold | None = None) -> Float64s:
+def handle_force_n(
+    acceleration_m_s2: ArrayLike, rate_hz: float, hand: VibrationThreshold | None = None
+) -> Float64s:
     """The force that shakes a handle in a hand as it was recorded, newtons, float64 [n].
 
     acceleration_m_s2 : float [n]; of the handle, at `rate_hz`.
     hand : VibrationThreshold, optional; whose mass, damper and spring are taken, by default the stylus.
-    F = a (m + b / (i w) - k / w^2); what lies below the lowest of `BANDS_HZ` is left out. Raises `InvalidArgument` if
-    the shape is another or a number is not finite.
+    F = a (m + b / (i w) - k / w^2); what lies below the lowest of `BANDS_HZ` is left out. Raises
+    `InvalidArgument` if the shape is another or a number is not finite.
     """
     a = _signal("acceleration_m_s2", acceleration_m_s2, ("[n]",), rate_hz)
     own = hand or vibration_threshold()
@@ -145,7 +155,8 @@ def handle_force_n(acceleration_m_s2: ArrayLike, rate_hz: float, hand: Vibration
     return np.fft.irfft(np.where(is_felt, -n_per_m / w**2, 0.0) * np.fft.rfft(a), len(a))
 
 
-# -- levels -------------------------------------------------------------------------------------------------------
+# -- levels
+# -------------------------------------------------------------------------------------------------------
 
 
 def _edges(rate_hz: float) -> Float64s:
@@ -172,7 +183,9 @@ def band_rms(signal: ArrayLike, rate_hz: float) -> Float64s:
     """
     x = _signal("signal", signal, ("[n]",), rate_hz)
     if len(x) < WINDOW_S * rate_hz:
-        raise InvalidArgument("signal", f"{len(x) / rate_hz:.3g} s", f"{WINDOW_S:g} s or more", "Record longer.")
+        raise InvalidArgument(
+            "signal", f"{len(x) / rate_hz:.3g} s", f"{WINDOW_S:g} s or more", "Record longer."
+        )
     edges = _edges(rate_hz)
     longest_s = min(_LONG_S, len(x) / rate_hz)
     length = 4 * max(int(longest_s * rate_hz / 4), 1)
@@ -183,15 +196,17 @@ def band_rms(signal: ArrayLike, rate_hz: float) -> Float64s:
     return whole
 
 
-# -- the spectral domain ------------------------------------------------------------------------------------------
+# -- the spectral domain
+# ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Stft:
     """Spectra of frames, half of each shared with the next; the real ones give the signal back.
 
-    A sine is the window before and after, whose squares add up to 1 (constant overlap-add); transforms keep energy,
-    so that the squares of all coefficients, those between the ends counted twice, are those of the signal.
+    A sine is the window before and after, whose squares add up to 1 (constant overlap-add); transforms keep
+    energy, so that the squares of all coefficients, those between the ends counted twice, are those of the
+    signal.
 
     Raises `InvalidArgument` if `length` is not a multiple of 4.
     """
@@ -207,7 +222,8 @@ class Stft:
         return np.asarray(np.fft.rfft(self._frames(signal), axis=1, norm="ortho"))
 
     def real_spectra(self, signal: ArrayLike) -> Float64s:
-        """As many coefficients as samples, float64 [frames, length / 2]: the modified discrete cosine transform.
+        """As many coefficients as samples, float64 [frames, length / 2]: the modified discrete cosine
+        transform.
 
         Bin k is at (k + 1/2) / length of the rate. What each frame folds over is undone where frames add up.
         """
@@ -239,7 +255,8 @@ class Stft:
         return np.asarray(np.lib.stride_tricks.sliding_window_view(wide, self.length)[::hop] * self.window)
 
 
-# -- what must be sent --------------------------------------------------------------------------------------------
+# -- what must be sent
+# --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -265,8 +282,8 @@ class Reduced:
     def bits(self) -> float:
         """Bits of the symbols by an arithmetic coder that learns each band as it goes, and 16 for each step.
 
-        The length of the code of Krichevsky and Trofimov, over the values from the least to the greatest of a band;
-        these two take 32 bits.
+        The length of the code of Krichevsky and Trofimov, over the values from the least to the greatest of a
+        band; these two take 32 bits.
         """
         from scipy.special import gammaln
 
@@ -275,7 +292,9 @@ class Reduced:
             values, counts = np.unique(self.symbols[:, band == b], return_counts=True)
             if len(values):
                 n, wide = counts.sum(), int(values[-1]) - int(values[0]) + 1
-                nats = gammaln(n + wide / 2) - gammaln(wide / 2) - (gammaln(counts + 0.5) - gammaln(0.5)).sum()
+                nats = (
+                    gammaln(n + wide / 2) - gammaln(wide / 2) - (gammaln(counts + 0.5) - gammaln(0.5)).sum()
+                )
                 total += 32 + nats / math.log(2)
         return float(total)
 
@@ -304,7 +323,10 @@ def _bands_of_bins(length: int, rate_hz: float) -> Int64s:
 
 
 def reduced(
-    vibration_n: ArrayLike, rate_hz: float, threshold: VibrationThreshold | None = None, margin_db: float = 3.0
+    vibration_n: ArrayLike,
+    rate_hz: float,
+    threshold: VibrationThreshold | None = None,
+    margin_db: float = 3.0,
 ) -> Reduced:
     """Reduce a vibration to what must be sent, so that a hand does not feel that the rest is missing.
 
@@ -312,10 +334,10 @@ def reduced(
     threshold : VibrationThreshold, optional; of the hand, by default the stylus.
     margin_db : float; how far what is lost stays below the threshold in each third of an octave, 0 or more.
 
-    Bands whose level is below that are not sent. In the others a coefficient below 0.6 steps is left out and the rest
-    is rounded to steps, which shrink until the error that is there keeps below the threshold in every band and every
-    window of half a second. Raises `InvalidArgument` if the shape is another, a number is not finite or out of range,
-    or the rate is below 100 Hz.
+    Bands whose level is below that are not sent. In the others a coefficient below 0.6 steps is left out and
+    the rest is rounded to steps, which shrink until the error that is there keeps below the threshold in
+    every band and every window of half a second. Raises `InvalidArgument` if the shape is another, a number
+    is not finite or out of range, or the rate is below 100 Hz.
     """
     x = _signal("vibration_n", vibration_n, ("[n]",), rate_hz)
     if rate_hz < 100:
@@ -359,7 +381,9 @@ def reduced(
 def _fine_enough(
     exponents: NDArray[np.int16], begin: NDArray[np.int16], beyond: Callable[[NDArray[np.int16]], Bools]
 ) -> NDArray[np.int16]:
-    """Steps that shrink until no band is `beyond` its limit; a band that was not sent is, if nothing else helps."""
+    """Steps that shrink until no band is `beyond` its limit; a band that was not sent is, if nothing else
+    helps.
+    """
     failed = np.zeros(len(begin), np.int64)
     for _ in range(_ROUNDS):
         wrong = beyond(exponents)
@@ -371,4 +395,6 @@ def _fine_enough(
         silent = exponents == _NOTHING
         finer = np.where(near, exponents - 1, exponents)
         exponents = np.where(silent, np.where(woken, begin, _NOTHING), finer).astype(np.int16)
-    raise InvalidArgument("vibration_n", "what no step makes fine enough", "forces of a hand", "Check its unit.")
+    raise InvalidArgument(
+        "vibration_n", "what no step makes fine enough", "forces of a hand", "Check its unit."
+    )

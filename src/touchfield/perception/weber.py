@@ -1,37 +1,41 @@
-"""Steps that a Weber fraction k makes imperceptible (paper section 4.2): quantisers (eq. 6) and the deadband (eq. 8).
+"""Steps that a Weber fraction k makes imperceptible (paper section 4.2): quantisers (eq. 6) and the deadband
+(eq. 8).
 
 Q(x) = sgn(x) Delta [|x| / Delta + 1/2]; the bracket must be the floor. As printed, with Delta = k |x|, it is
-k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the mask k |x| is kept for certain only
-from |x| = Delta / (2 k) on.
+k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the mask k |x| is kept for certain
+only from |x| = Delta / (2 k) on.
 
-What figure 2 asks for, an error that never leaves the mask k |x|, is met with the fewest levels by a ladder of cells
-whose borders grow by a constant ratio::
+What figure 2 asks for, an error that never leaves the mask k |x|, is met with the fewest levels by a ladder
+of cells whose borders grow by a constant ratio::
 
     t_i = F_min rho^i     rho = (1 + kappa) / (1 - kappa)     r_i = (1 + kappa) t_i
 
-The relative error in a cell is at most kappa, reached at both of its ends; (r_i + r_{i+1}) / 2 = t_{i+1}, so that
-the ladder is also a nearest-neighbour quantiser. (Geometric midpoints as borders break the mask: 0.1055 at 0.1.)
-Below F_min is a zero bin; the sign belongs to the direction.
+The relative error in a cell is at most kappa, reached at both of its ends; (r_i + r_{i+1}) / 2 = t_{i+1}, so
+that the ladder is also a nearest-neighbour quantiser. (Geometric midpoints as borders break the mask: 0.1055
+at 0.1.) Below F_min is a zero bin; the sign belongs to the direction.
 
-Of the paper's criteria "error" (figure 2, default) keeps the error within the mask, kappa = k; "neighbours" (text of
-section 4.2) puts two neighbouring levels within the mask of each other, rho = 1 + k, with about twice the levels.
+Of the paper's criteria "error" (figure 2, default) keeps the error within the mask, kappa = k; "neighbours"
+(text of section 4.2) puts two neighbouring levels within the mask of each other, rho = 1 + k, with about
+twice the levels.
 
-The deadband says which samples are sent, and which repeat the last one. Eq. 8 compares a_i with a_{i-1} and transmits
-0 for "hold". It leaves open what a_{i-1} is; a drift that stays below k a sample is never sent, the 0 collides with a
-true zero, and a change of direction alone goes unseen. The readings, by what a sample is compared with:
+The deadband says which samples are sent, and which repeat the last one. Eq. 8 compares a_i with a_{i-1} and
+transmits 0 for "hold". It leaves open what a_{i-1} is; a drift that stays below k a sample is never sent, the
+0 collides with a true zero, and a change of direction alone goes unseen. The readings, by what a sample is
+compared with:
 
 * ``previous`` (as printed): the amplitude of the sample before, sent or not. The drift is unbounded.
 * ``zero``: the same, where the zero has been written in place. After a held sample always comes a sent one.
-* ``last-sent``: the amplitude of the last sample that was sent. The error can reach k / (1 - k) of the true value.
+* ``last-sent``: the amplitude of the last sample that was sent. The error can reach k / (1 - k) of the true
+  value.
 * ``closed`` (default): the *vector*, against what the decoder holds, x_ref after quantisation::
 
       send iff |x - x_ref| > k' |x_ref|,    k' = k / (1 + k)
 
   A held sample then has |x| >= |x_ref| (1 - k') = |x_ref| / (1 + k), and so |x - x_ref| <= k |x|.
 
-The first three have the strict inequality of eq. 8: after a zero nothing is held, not even another zero. ``closed``
-holds on equality. "Hold" is a flag of its own here; the first sample is always sent; comparisons are in float64. In
-time (`gate_in_time`) the reference is the decoded frame before at the same voxel.
+The first three have the strict inequality of eq. 8: after a zero nothing is held, not even another zero.
+``closed`` holds on equality. "Hold" is a flag of its own here; the first sample is always sent; comparisons
+are in float64. In time (`gate_in_time`) the reference is the decoded frame before at the same voxel.
 """
 
 from __future__ import annotations
@@ -45,11 +49,18 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float32s, Float64s
 from touchfield.compute.threads import for_chunks
-from touchfield.errors import InvalidArgument, require_between, require_one_of, require_positive, require_up_to
+from touchfield.errors import (
+    InvalidArgument,
+    require_between,
+    require_one_of,
+    require_positive,
+    require_up_to,
+)
 
 
 def jnd_gain(k: float) -> float:
-    """k floor(1/k + 1/2), the gain that eq. 6 with Delta = k |x| comes to, and by which a force is multiplied.
+    """k floor(1/k + 1/2), the gain that eq. 6 with Delta = k |x| comes to, and by which a force is
+    multiplied.
 
     Sample by sample |x| / (k |x|) would be rounded, and decide the floor where 1/k + 1/2 is whole (k = 0.4).
     """
@@ -108,7 +119,9 @@ class WeberLadder:
             raise InvalidArgument("Weber ladder", f"{self.steps} steps", "levels below 1e30 N")
 
     @classmethod
-    def spanning(cls, k: float, force_min_n: float, force_max_n: float, criterion: str = "error") -> WeberLadder:
+    def spanning(
+        cls, k: float, force_min_n: float, force_max_n: float, criterion: str = "error"
+    ) -> WeberLadder:
         """The ladder with the fewest levels from `force_min_n` to `force_max_n`, newtons.
 
         N = ceil(ln(F_max / F_min) / ln rho), at least 1.
@@ -131,7 +144,8 @@ class WeberLadder:
 
     @cached_property
     def thresholds_n(self) -> Float64s:
-        """t_0 .. t_{N-1}, newtons, float64 [N]: an amplitude of t_i or more and less than t_{i+1} takes level i + 1.
+        """t_0 .. t_{N-1}, newtons, float64 [N]: an amplitude of t_i or more and less than t_{i+1} takes level
+        i + 1.
 
         By multiplication one after the other, so that every machine has the same bits.
         """
@@ -180,8 +194,8 @@ def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s
     vectors : float32 [L, 3]; forces in scan order, newtons.
     k : float; deadband parameter, 0 <= k < 1.
     reading : str; one of `READINGS`.
-    decoded : float32 [L, 3], optional; what each sample would decode to if it were sent. Used by "closed" alone;
-        without it the quantiser is taken to be lossless.
+    decoded : float32 [L, 3], optional; what each sample would decode to if it were sent. Used by "closed"
+        alone; without it the quantiser is taken to be lossless.
     Returns bool [L]: True for a sample that is sent.
     Raises `InvalidArgument` for an unknown reading, a `k` out of range, or arrays of other shapes or types.
     """
@@ -201,7 +215,8 @@ def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s
 def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
     """The samples that differ perceptibly from the decoded frame before.
 
-    vectors, reference : float32 [L, 3]; of this frame, and decoded of the one before, zero where there was none.
+    vectors, reference : float32 [L, 3]; of this frame, and decoded of the one before, zero where there was
+        none.
     k : float; deadband parameter, 0 <= k < 1: a held sample has |x - reference| <= k |x|.
     Returns bool [L]: True where |x - reference| > k / (1 + k) |reference|.
     Raises `InvalidArgument` for a `k` out of range, or arrays of other shapes or types.

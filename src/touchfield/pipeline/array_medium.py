@@ -1,10 +1,10 @@
 """A stream on an array of actuators (type 2, paper section 5.1): its medium there, and the drives.
 
-A stream for an array of the same columns and rows goes through as it is; any other is pooled onto the actuators as
-the device filter does it for any stored field, the placement being "fit". The drive of an actuator is |F| over the
-force that drives it fully, cut to 0 to 1, or the amplitude of the vibration band where that is greater: their sum
-would count a band that was made from the force twice. Departure from the paper: its array has one panel. Of a device
-with several the medium fills one, in front by default.
+A stream for an array of the same columns and rows goes through as it is; any other is pooled onto the
+actuators as the device filter does it for any stored field, the placement being "fit". The drive of an
+actuator is |F| over the force that drives it fully, cut to 0 to 1, or the amplitude of the vibration band
+where that is greater: their sum would count a band that was made from the force twice. Departure from the
+paper: its array has one panel. Of a device with several the medium fills one, in front by default.
 """
 
 from __future__ import annotations
@@ -33,13 +33,15 @@ PANELS: Final = ("front", "back")
 class Drives:
     """Drives of the actuators of a device, frame by frame; a frame is made when it is asked for.
 
-    `medium` is on (columns, rows, 1) samples, and so is its vibration band, if it has one. Sample (i, j, 0) is column
-    i; if j counts from the top tells `is_top_first`. `force_max_n` drives an actuator fully: that of the stream where
-    it was made for an array, else of the device. The medium fills one `panel` of the device, of `PANELS`; the others
-    stay off. InvalidArgument if the device has no such panel.
+    `medium` is on (columns, rows, 1) samples, and so is its vibration band, if it has one. Sample (i, j, 0)
+    is column i; if j counts from the top tells `is_top_first`. `force_max_n` drives an actuator fully: that
+    of the stream where it was made for an array, else of the device. The medium fills one `panel` of the
+    device, of `PANELS`; the others stay off. InvalidArgument if the device has no such panel.
     """
 
-    def __init__(self, medium: HapticMedium, device: Device, force_max_n: float, panel: str = PANELS[0]) -> None:
+    def __init__(
+        self, medium: HapticMedium, device: Device, force_max_n: float, panel: str = PANELS[0]
+    ) -> None:
         there = PANELS[: device.panels]
         if panel not in there:
             raise InvalidArgument("panel", f"{panel!r} of {device.name}", " or ".join(there))
@@ -53,7 +55,9 @@ class Drives:
         return self.frame_count
 
     def drives(self, frame: int) -> Float32s:
-        """Drives of one frame, float32 [panels, rows, columns], 0 to 1; row 0 is the top one, column 0 the left."""
+        """Drives of one frame, float32 [panels, rows, columns], 0 to 1; row 0 is the top one, column 0 the
+        left.
+        """
         support = self.medium[frame].support()
         image_n = np.zeros(self._shape[:0:-1], np.float32)
         image_n[support.positions[:, 0], support.positions[:, 1]] = support.amplitudes_n
@@ -98,7 +102,8 @@ def stream_device(stream: OpenStream) -> Device:
 def array_drives(stream: OpenStream, device: Device, panel: str = PANELS[0]) -> Drives:
     """A stream on the actuators of a device of type 2; it must stay open as long as frames are asked for.
 
-    InvalidArgument if the device is not an array, or the stream's box has no extent that could be laid over it.
+    InvalidArgument if the device is not an array, or the stream's box has no extent that could be laid over
+    it.
     """
     if not device.is_array:
         raise InvalidArgument("device", f"{device.name}, a point", "an array of actuators (type 2)")
@@ -114,7 +119,8 @@ def array_drives(stream: OpenStream, device: Device, panel: str = PANELS[0]) -> 
 
 
 def is_top_first(axes: str) -> bool:
-    """True where the lattice's y counts from the top: "x right, y down, ..." as a camera has it; else y is up.
+    """True where the lattice's y counts from the top: "x right, y down, ..." as a camera has it; else y is
+    up.
 
     "y north" of a map is up, too: the north is at the top.
     """
@@ -129,7 +135,9 @@ def _pooled_band(
 
     def make(frame: int) -> VibrationFrame:
         one = band(frame)
-        order = np.argsort(one.amplitudes_n, kind="stable")  # of samples that share an actuator the last one stays
+        order = np.argsort(
+            one.amplitudes_n, kind="stable"
+        )  # of samples that share an actuator the last one stays
         (first_x, stop_x), (first_y, stop_y) = (
             (first[one.positions[order, axis]], stop[one.positions[order, axis]])
             for axis, (first, stop) in enumerate(reached)
@@ -149,7 +157,9 @@ def _pooled_band(
 
 
 def _reached(source: Grid, placement: Placement, grid: Grid, axis: int) -> tuple[Int64s, Int64s]:
-    """First and behind the last actuator along an axis in whose area a sample lies, or whose middle in its cell."""
+    """First and behind the last actuator along an axis in whose area a sample lies, or whose middle in its
+    cell.
+    """
     hand = placement.to_hand(source)
     middle = (hand.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis]
     half = hand.spacing_m[axis] / grid.spacing_m[axis] / 2

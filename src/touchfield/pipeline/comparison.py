@@ -1,4 +1,6 @@
-"""A stream against its source, also as a hand feels it; and a medium before and after each haptic filter (3.2)."""
+"""A stream against its source, also as a hand feels it; and a medium before and after each haptic filter
+(3.2).
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,9 @@ class Comparison:
     voxels: dict[str, Any]
     """Bits for each voxel, as `OpenStream.bits_of_voxels`."""
     composed: tuple[Found, float] | None = None
-    """Of objects: the mask against the source with its bodies where the file has them, and how far that is, m."""
+    """Of objects: the mask against the source with its bodies where the file has them, and how far that is,
+    m.
+    """
 
     def __repr__(self) -> str:
         figures = self.summary()
@@ -73,10 +77,15 @@ class Comparison:
         return {
             **{key: s[key] for key in ("file_bytes", "frames", "grid_shape", "device")},
             "supported_voxels": m.supported_voxels,
-            "bits_per_supported_voxel": 8 * s["file_bytes"] / m.supported_voxels if m.supported_voxels else None,
+            "bits_per_supported_voxel": 8 * s["file_bytes"] / m.supported_voxels
+            if m.supported_voxels
+            else None,
             "cr_full": s["cr_full"],
             "cr_literal": s["cr_literal"],
-            **{key: getattr(m, key) for key in ("nmse_db", "nmse_literal_db", "nmse_forensic_db", "k", "f0_n")},
+            **{
+                key: getattr(m, key)
+                for key in ("nmse_db", "nmse_literal_db", "nmse_forensic_db", "k", "f0_n")
+            },
             "mask_violations": beyond,
             "mask_violation_share": beyond / max(1, m.compared_voxels),
             "worst_mask_ratio": worst,
@@ -94,7 +103,9 @@ class Comparison:
         values = self.summary()
         each = values["bits_per_supported_voxel"] or 0.0
         nmse = "exact" if values["nmse_db"] is None else f"NMSE {values['nmse_db']:.1f} dB"
-        title = f"frame {frame + 1} of {values['frames']} for {values['device']}, {values['file_bytes']:,} bytes"
+        title = (
+            f"frame {frame + 1} of {values['frames']} for {values['device']}, {values['file_bytes']:,} bytes"
+        )
         caption = (
             f"{each:.3g} bits per supported voxel, CR {values['cr_full']:.3g}, {nmse}, "
             f"{100 * values['mask_violation_share']:.1f} % of voxels beyond the mask"
@@ -116,10 +127,10 @@ def compare(
 ) -> Comparison:
     """Measure a stream against its source, filtered again as the stream's provenance says.
 
-    `source` is what was encoded, a path, scene, medium or field; or its field, as the command `field` writes it. The
-    mask max(F_0, k |F|) is by default the stream's, with its spatial masking; `frame`, which `Comparison.draw` shows,
-    is the middle one. `allow_outside` lets the source name files outside its own folder; `slides` are other ways of
-    the hand.
+    `source` is what was encoded, a path, scene, medium or field; or its field, as the command `field` writes
+    it. The mask max(F_0, k |F|) is by default the stream's, with its spatial masking; `frame`, which
+    `Comparison.draw` shows, is the middle one. `allow_outside` lets the source name files outside its own
+    folder; `slides` are other ways of the hand.
     """
     with open_stream(stream) as opened:
         head = opened.reader.head
@@ -146,7 +157,8 @@ def compare(
         if scene is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
             composed = compare_scenes(scene, opened.scene, meter.k, floor_n)
             text = (
-                f"the mask is that of the source with each body where the file has it, {1e6 * composed[1]:.1f} um off"
+                "the mask is that of the source with each body where the file has it, "
+                f"{1e6 * composed[1]:.1f} um off"
             )
             notes = (*notes, f"{text} at most; *_in_place are without that tolerance")
         bits, summary = opened.bits, opened.summary()
@@ -172,7 +184,9 @@ def source_medium(source: Source, opened: OpenStream, allow_outside: bool = Fals
         field = open_scene(source, replace(spec.source, kind=None))
         stored = stored_medium(field)
     if stored is not None and stored.grid == opened.grid:
-        if len(stored) != head.frame_count and spec.frames is not None:  # the range that was asked of `encode`
+        if (
+            len(stored) != head.frame_count and spec.frames is not None
+        ):  # the range that was asked of `encode`
             stored = stored.between(spec.frames[0], spec.frames[0] + head.frame_count)
         original = Prepared(stored, opened.told_device, opened.placement, spec, field.notes)
     else:
@@ -198,10 +212,10 @@ def source_medium(source: Source, opened: OpenStream, allow_outside: bool = Fals
 class HandMeter:
     """The hand of one stream, given its frames in order.
 
-    Slides are measured in up to four frames, evenly spread, as they were decoded; holds over all, as a receiver plays
-    them, blended where a segment starts. Voxels are felt as their fields are interpolated, objects by the receiver's
-    own query of both scenes. `scene` are the source's objects, `exact` the field that it samples, as
-    `Prepared.exact`.
+    Slides are measured in up to four frames, evenly spread, as they were decoded; holds over all, as a
+    receiver plays them, blended where a segment starts. Voxels are felt as their fields are interpolated,
+    objects by the receiver's own query of both scenes. `scene` are the source's objects, `exact` the field
+    that it samples, as `Prepared.exact`.
     """
 
     def __init__(
@@ -233,7 +247,9 @@ class HandMeter:
         if self._hold is not None:
             felt, played = self._played, theirs
             if self._blends:
-                played = partial(felt.sample_n, frame) if isinstance(felt, HapticScene) else felt[frame].sample_n
+                played = (
+                    partial(felt.sample_n, frame) if isinstance(felt, HapticScene) else felt[frame].sample_n
+                )
             self._hold.add(source, ours, played, frame in self._starts)
 
     def motion(self) -> HandMotion:
@@ -245,9 +261,10 @@ class HandMeter:
 def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Report = silent) -> Result:
     """Measure a medium before and after each filter of ``spec.filters``, frame by frame.
 
-    ``spec.paper.k`` is the Weber fraction of the mask; Q of the entropies is weber:0.1, up to the device's F_max, for
-    all stages. Each of ``stages`` tells its name, support, greatest and root-mean-square force, entropies, and what
-    changed against the medium before the chain: NMSE in dB, and the share of voxels beyond the mask.
+    ``spec.paper.k`` is the Weber fraction of the mask; Q of the entropies is weber:0.1, up to the device's
+    F_max, for all stages. Each of ``stages`` tells its name, support, greatest and root-mean-square force,
+    entropies, and what changed against the medium before the chain: NMSE in dB, and the share of voxels
+    beyond the mask.
     """
     prepared = prepare(source, replace(spec, filters=()))
     medium = prepared.medium

@@ -1,7 +1,8 @@
-"""The frames of a stream by their number, forces and vibration: a cursor within the segment that was asked for last.
+"""The frames of a stream by their number, forces and vibration: a cursor within the segment that was asked
+for last.
 
-Frames that are asked for in sequence are decoded ahead: while one segment is read, the next ones are decoded on the
-other cores.
+Frames that are asked for in sequence are decoded ahead: while one segment is read, the next ones are decoded
+on the other cores.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ class SegmentFrames:
     ----------
     reader : TouchReader
     decode : callable
-        ``decode(segment) -> iterator`` over the fields of one segment, which reads its body to the end; safe to be
-        called from several threads.
+        ``decode(segment) -> iterator`` over the fields of one segment, which reads its body to the end; safe
+        to be called from several threads.
     """
 
     def __init__(self, reader: TouchReader, decode: Decode) -> None:
@@ -80,7 +81,9 @@ class SegmentFrames:
             self._ahead.pop(later).cancel()
 
     def _begin(self, segment: int) -> Iterator[ForceField]:
-        """The fields of a segment from its first; one that failed ahead is decoded again, and fails in its place."""
+        """The fields of a segment from its first; one that failed ahead is decoded again, and fails in its
+        place.
+        """
         ahead = self._ahead.pop(segment, None)
         if ahead is None or ahead.cancel():
             return self._decode(segment)
@@ -110,9 +113,11 @@ def _begun(decode: Decode, segment: int) -> Iterator[ForceField]:
 
 
 def segments_of(reader: TouchReader, keys: Mapping[str, Any]) -> Segments | None:
-    """The first frames of a stream's segments, by what its field coder tells (`describe`); None if it keeps no mask.
+    """The first frames of a stream's segments, by what its field coder tells (`describe`); None if it keeps
+    no mask.
 
-    A mask that bounds length and direction apart is none here: what lies between two of its forces may leave it.
+    A mask that bounds length and direction apart is none here: what lies between two of its forces may leave
+    it.
     """
     if keys.get("mode") != "mask":
         return None

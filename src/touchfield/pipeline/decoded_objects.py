@@ -1,4 +1,6 @@
-"""file <-> haptic scene: streams of coder `objects`, whose poses are decoded at once and fields when asked for."""
+"""file <-> haptic scene: streams of coder `objects`, whose poses are decoded at once and fields when asked
+for.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ _BYTES_PER_POSE: Final = 2 * 7 * 8
 """Seven float64, held twice while the segments are put together."""
 
 
-def write_objects(writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int, report: Report = silent) -> None:
+def write_objects(
+    writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int, report: Report = silent
+) -> None:
     """Write the objects and all segments of a scene, after the head."""
     for one in encoder.objects():
         writer.write_object(record_of(one))
@@ -56,8 +60,8 @@ class SceneStream(OpenStream):
 
     It is open for reading as long as fields of objects that deform are asked for.
 
-    Raises FormatError if its bytes contradict themselves; InvalidArgument if its poses would take more memory than
-    `memory_budget_bytes`.
+    Raises FormatError if its bytes contradict themselves; InvalidArgument if its poses would take more memory
+    than `memory_budget_bytes`.
     """
 
     def __init__(self, reader: TouchReader) -> None:
@@ -147,7 +151,9 @@ class SceneStream(OpenStream):
         if not self._modes:
             return {}
         segments = enumerate(self.reader.segments)
-        return promise_kept((entry.first_frame, self.decoder.parts(self._body(i)).worst) for i, entry in segments)
+        return promise_kept(
+            (entry.first_frame, self.decoder.parts(self._body(i)).worst) for i, entry in segments
+        )
 
     def _medium(self, index: int, one: CodedObject) -> HapticMedium:
         """The fields of one object."""

@@ -83,7 +83,10 @@ class OpenStream(ABC):
     def _beside(self) -> dict[str, Any]:
         """Companions of the frames, as a medium and a scene have it."""
         names = ("rate_hz", "axes", "friction", "damping_n_s_per_m", "tags")
-        return {**{name: getattr(self.reader.head, name) for name in names}, "provenance": self.reader.provenance}
+        return {
+            **{name: getattr(self.reader.head, name) for name in names},
+            "provenance": self.reader.provenance,
+        }
 
     @property
     @abstractmethod
@@ -146,7 +149,9 @@ class OpenStream(ABC):
         """Stable keys for people and programs; those of the vibration only where there is one."""
         head = self.reader.head
         size, bits, keys = self.file_bytes, self.bits, self._coder() | self.error_bound()
-        keys |= {f"bits_{name}": getattr(bits, name) for name in ("support", "amplitude", "direction", "models")}
+        keys |= {
+            f"bits_{name}": getattr(bits, name) for name in ("support", "amplitude", "direction", "models")
+        }
         keys["bits_side"] = 8 * size - (bits.total - bits.side)
         band = {} if self._vibration is None else self._vibration.summary()
         if band:
@@ -174,7 +179,9 @@ class OpenStream(ABC):
             "representation": "voxel" if self.scene is None else "object",
             **keys,
             "cr_full": compression_ratio(8 * size, head.frame_count, self.grid.voxel_count),
-            "cr_literal": compression_ratio(bits.amplitude + bits.direction, head.frame_count, self.grid.voxel_count),
+            "cr_literal": compression_ratio(
+                bits.amplitude + bits.direction, head.frame_count, self.grid.voxel_count
+            ),
             **band,
             "provenance": dict(self.reader.provenance),
         }
@@ -218,7 +225,9 @@ class VoxelStream(OpenStream):
         """Costs of all frames; reads every segment once, and decodes none."""
         segments = enumerate(self.reader.segments)
         return tuple(
-            cost for i, s in segments for cost in self.decoder.costs(self.reader.read_segment(i), s.frame_count)
+            cost
+            for i, s in segments
+            for cost in self.decoder.costs(self.reader.read_segment(i), s.frame_count)
         )
 
     @property
@@ -259,7 +268,8 @@ def open_stream(
 ) -> Iterator[OpenStream]:
     """Open a ``.touch`` file, the address of one, or of a live stream; decoding takes no configuration.
 
-    `tell` gets notes on what a live stream lost; `coarse` is the address of its coarse layer, which is felt there.
+    `tell` gets notes on what a live stream lost; `coarse` is the address of its coarse layer, which is felt
+    there.
     """
     if coarse is not None and not is_live(path):
         raise InvalidArgument("coarse", f"a layer of {path}", "one of a live stream, such as ws://HOST/live")
@@ -290,8 +300,8 @@ def write_field(
 
     Several frames as ``.vti`` are numbered files and a ``.pvd`` that lists them: that is the one to open.
 
-    Raises InvalidArgument if the ending is another, or a dense frame would take more than `memory_budget_bytes`: a
-    small file may tell of a large grid.
+    Raises InvalidArgument if the ending is another, or a dense frame would take more than
+    `memory_budget_bytes`: a small file may tell of a large grid.
     """
     from touchfield.medium.stores.npz import write_npz
     from touchfield.medium.stores.vti import write_vti

@@ -41,10 +41,11 @@ from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec
 
 @dataclass(frozen=True)
 class Encoded:
-    """The result of `encode`; of objects, the supported voxels are the samples of their own fields, coded once each.
+    """The result of `encode`; of objects, the supported voxels are the samples of their own fields, coded
+    once each.
 
-    `told` are notes about the coding, and `search` what `encode_to_target` adds to the summary. `bound` tells the
-    error bound that the written file states (`OpenStream.error_bound`).
+    `told` are notes about the coding, and `search` what `encode_to_target` adds to the summary. `bound` tells
+    the error bound that the written file states (`OpenStream.error_bound`).
     """
 
     prepared: Prepared
@@ -56,7 +57,10 @@ class Encoded:
     bound: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        return f"<Encoded: {self.file_bytes:,} bytes by coder {self.prepared.spec.coder} of {self.prepared.medium!r}>"
+        return (
+            f"<Encoded: {self.file_bytes:,} bytes by coder {self.prepared.spec.coder} of "
+            f"{self.prepared.medium!r}>"
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -97,18 +101,21 @@ def encode(
 ) -> Encoded:
     """Turn a source into a ``.touch`` file.
 
-    A path, a scene, a medium, a field or an array: a medium and a field keep their lattice and forces; an array of
-    newtons [nx, ny, nz, 3] or, at 30 frames a second, [frame, nx, ny, nz, 3] is one on `grid`. `report` gets ``(done,
-    total)`` in frames. With `executor`, any of `concurrent.futures`, its workers open a path and code stretches of
-    its frames; the bytes are the same. What they finished before an error stays in ``OUT.parts``, and the same call
-    goes on from there. `out` may lie in a store of objects (``s3://...``, extra ``remote``): the
-    file is made as ``NAME.unsent`` in the working folder, sent as a whole, and removed; it stays there if it cannot
-    be sent. TouchfieldError if anything is at fault; nothing is then left under the name `out`.
+    A path, a scene, a medium, a field or an array: a medium and a field keep their lattice and forces; an
+    array of newtons [nx, ny, nz, 3] or, at 30 frames a second, [frame, nx, ny, nz, 3] is one on `grid`.
+    `report` gets ``(done, total)`` in frames. With `executor`, any of `concurrent.futures`, its workers open
+    a path and code stretches of its frames; the bytes are the same. What they finished before an error stays
+    in ``OUT.parts``, and the same call goes on from there. `out` may lie in a store of objects (``s3://...``,
+    extra ``remote``): the file is made as ``NAME.unsent`` in the working folder, sent as a whole, and
+    removed; it stays there if it cannot be sent. TouchfieldError if anything is at fault; nothing is then
+    left under the name `out`.
     """
     began = time.perf_counter()
     spec = spec or EncodeSpec()
     if not (isinstance(out, str | Path) and isinstance(spec, EncodeSpec)):
-        raise InvalidArgument("out, spec", f"{out!r:.80}, a {type(spec).__name__}", "a path and an EncodeSpec")
+        raise InvalidArgument(
+            "out, spec", f"{out!r:.80}, a {type(spec).__name__}", "a path and an EncodeSpec"
+        )
     require_ending(out, "OUT.touch", mend="A field is written by `write_field`.")
     send, here = (sender(str(out)), Path(f"{Path(out).name}.unsent")) if is_remote(out) else (None, Path(out))
     scene = as_source(source, spec.device, grid)
@@ -131,7 +138,8 @@ def encode(
 def encode_prepared(
     prepared: Prepared, out: str | Path, provenance: Mapping[str, str], report: Report = silent
 ) -> Encoded:
-    """Write what `prepare` made as a ``.touch`` file, coded as its spec says; the bytes are the same on any machine.
+    """Write what `prepare` made as a ``.touch`` file, coded as its spec says; the bytes are the same on any
+    machine.
 
     TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
@@ -151,11 +159,15 @@ def encode_prepared(
             def tell(count: int) -> None:
                 nonlocal ready
                 ready = count
-                report((ready + done) // 2, len(medium))  # a frame is done half when made, and half when coded
+                report(
+                    (ready + done) // 2, len(medium)
+                )  # a frame is done half when made, and half when coded
 
             encoder = field_encoder(medium.grid, prepared.coding)
             writer.write_head(head_of(prepared, encoder), provenance)
-            groups = (groups_of(medium, spec, encoder, *one, tell) for one in stretches(medium, spec, encoder))
+            groups = (
+                groups_of(medium, spec, encoder, *one, tell) for one in stretches(medium, spec, encoder)
+            )
             coded = coded_segments(encoder, medium.vibration is not None, chain.from_iterable(groups))
             for one in written(writer, coded):
                 done, supported, lost = done + one.frames, supported + one.supported, lost + one.lost

@@ -1,9 +1,11 @@
-"""A medium as a device can render it, in bits: the mapping M of the paper's section 3.1 applied to a stored W.
+"""A medium as a device can render it, in bits: the mapping M of the paper's section 3.1 applied to a stored
+W.
 
-W is a medium on its own lattice, the reference space. For each device it is scaled into the workspace, low-passed and
-resampled to the device's lattice, clipped to F_max and quantised; equations 1 to 3 then compare the two. A point
-device is given the lattice over as much of W's box as its workspace holds, and no finer one than W's: more samples of
-the same field would not be more information (the "active mappings" that the paper's min() excludes).
+W is a medium on its own lattice, the reference space. For each device it is scaled into the workspace,
+low-passed and resampled to the device's lattice, clipped to F_max and quantised; equations 1 to 3 then
+compare the two. A point device is given the lattice over as much of W's box as its workspace holds, and no
+finer one than W's: more samples of the same field would not be more information (the "active mappings" that
+the paper's min() excludes).
 """
 
 from __future__ import annotations
@@ -38,8 +40,9 @@ _COARSE_QUANTISER: Final = "weber:0.25/ico1"  # ten amplitudes by twelve directi
 class Mapped:
     """M(W) for one device.
 
-    `own_grid` is the lattice of W in the hand metres of `medium`, so that both can be asked about the same places;
-    `quantiser` the force levels that the device is given: its own steps where the profile counts them, else Q.
+    `own_grid` is the lattice of W in the hand metres of `medium`, so that both can be asked about the same
+    places; `quantiser` the force levels that the device is given: its own steps where the profile counts
+    them, else Q.
     """
 
     device: Device
@@ -56,14 +59,16 @@ def mapped(
     spec: EncodeSpec | None = None,
     density: float | None = None,
 ) -> Mapped:
-    """A medium, whose forces are used as they are, through the mapping M of one device: a profile, or a TOML file.
+    """A medium, whose forces are used as they are, through the mapping M of one device: a profile, or a TOML
+    file.
 
-    `asked` is Q of W; of `spec` the mapping, oversample, pool and cutoff are used. `density`: samples of W along each
-    axis for one of a point device, in place of what its data sheet says.
+    `asked` is Q of W; of `spec` the mapping, oversample, pool and cutoff are used. `density`: samples of W
+    along each axis for one of a point device, in place of what its data sheet says.
     """
     spec = replace(spec or EncodeSpec(), device=name, nw=None)
     chosen, scene = device(name), StoredScene(medium)
-    # a stored field has no law; this one only says how thin a wall the depth pooling of an array must not miss
+    # a stored field has no law; this one only says how thin a wall the depth pooling of an array must not
+    # miss
     law = profile_of(LawSpec("penalty", 500.0, chosen.force_max_n), math.inf)
     mapping = mapping_of(scene, chosen, spec, law)
     shown, notes = _shown(scene, mapping, density)
@@ -80,7 +85,9 @@ def mapped(
     return Mapped(chosen, clipped, own, asked, (*notes, scale_note))
 
 
-def _shown(scene: StoredScene, mapping: Mapping, density: float | None) -> tuple[HapticMedium, tuple[str, ...]]:
+def _shown(
+    scene: StoredScene, mapping: Mapping, density: float | None
+) -> tuple[HapticMedium, tuple[str, ...]]:
     """W on the lattice that the device is given; that of `mapping` is the device's own."""
     if mapping.device.is_array:
         return mapping.medium(scene), ()
@@ -120,8 +127,8 @@ def _cropped(medium: HapticMedium, own: Grid, low: Int64s, high: Int64s) -> Hapt
 class SymbolFrames(Sequence[FieldSymbols]):
     """The frames of a medium through Q, each made when it is asked for; the last two are kept.
 
-    `object_counts` tells how many voxels of each that was made are not 0. A slice makes nothing yet, and shares what
-    is kept.
+    `object_counts` tells how many voxels of each that was made are not 0. A slice makes nothing yet, and
+    shares what is kept.
     """
 
     def __init__(self, medium: HapticMedium, quantiser: FieldQuantiser) -> None:
@@ -154,16 +161,19 @@ def partition_workspace(
     quantiser: str | FieldQuantiserSpec = _COARSE_QUANTISER,
     report: Report = silent,
 ) -> Partition:
-    """Divide the workspace into the dyadic boxes, each of the device's lattice, that lose least (paper section 4).
+    """Divide the workspace into the dyadic boxes, each of the device's lattice, that lose least (paper
+    section 4).
 
     The medium lies on 2^D times the samples that the device shows at once, `device_shape`
-    (`touchfield.measure.partition`). `penalty_bits` is lambda, bits a frame that another box must save; what a box is
-    told of a cell is Q of its mean force. InvalidArgument if the lattice does not fit, lambda is negative or the
-    quantiser knows no forces but those of the medium.
+    (`touchfield.measure.partition`). `penalty_bits` is lambda, bits a frame that another box must save; what
+    a box is told of a cell is Q of its mean force. InvalidArgument if the lattice does not fit, lambda is
+    negative or the quantiser knows no forces but those of the medium.
     """
     asked = FieldQuantiserSpec.parse(quantiser) if isinstance(quantiser, str) else quantiser
     if asked.form == "distinct":
-        raise InvalidArgument("quantiser", "distinct", "one that also knows mean forces, such as weber:0.25/ico1")
+        raise InvalidArgument(
+            "quantiser", "distinct", "one that also knows mean forces, such as weber:0.25/ico1"
+        )
     lattice = DyadicLattice(medium.grid, device_shape)
     losses, quantise = BoxLosses(lattice), asked.fit(medium)
     for i, frame in enumerate(medium):

@@ -1,6 +1,8 @@
-"""Frames by `touchfield_core`, where it is installed: ``c/touch.h`` in place of kernels that would first be compiled.
+"""Frames by `touchfield_core`, where it is installed: ``c/touch.h`` in place of kernels that would first be
+compiled.
 
-Its forces are those of the decoder in Python to the bit. What it refuses that one decodes, or refuses in words.
+Its forces are those of the decoder in Python to the bit. What it refuses that one decodes, or refuses in
+words.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """The place of a scene in a device's workspace, the lattice over it, and the same for each of its objects.
 
-The mapping M is of the paper's section 3.1, the object source model of figure 4 (4.3, 5.1). The device filter works
-on each body in its own frame, once for a rigid one: two thousand frames cost one field a body. A body that stays, or
-deforms, is filtered on the device's own lattice; one that moves on a finer lattice of its own, of cubes if it turns.
+The mapping M is of the paper's section 3.1, the object source model of figure 4 (4.3, 5.1). The device filter
+works on each body in its own frame, once for a rigid one: two thousand frames cost one field a body. A body
+that stays, or deforms, is filtered on the device's own lattice; one that moves on a finer lattice of its own,
+of cubes if it turns.
 """
 
 from __future__ import annotations
@@ -35,12 +36,14 @@ from touchfield.sources.registry import unit_notes
 from touchfield.sources.scene import Body, Scene
 
 FIT_MARGIN: Final = 0.05
-"""Of the workspace's shortest side, what a fit leaves free on every side: a hand comes from outside the surface."""
+"""Of the workspace's shortest side, what a fit leaves free on every side: a hand comes from outside the
+surface.
+"""
 _ROUNDING_M: Final = 1e-9
 _MOST_WORKSPACES: Final = 32
 _ROOMY: Final = 1 << 24
-"""A body that moves has its whole field, also what never comes into the workspace: samples it may have, as a multiple
-of the workspace's, and in any case (200 MB)."""
+"""A body that moves has its whole field, also what never comes into the workspace: samples it may have, as a
+multiple of the workspace's, and in any case (200 MB)."""
 _NAME_BYTES: Final = 256
 _ROOM: Final = 2  # samples around a body, beyond the reach of its force and of the low-pass
 _VAST: Final = 1 << 16  # samples along an axis on which any filter fits
@@ -50,9 +53,9 @@ _VAST: Final = 1 << 16  # samples along an axis on which any filter fits
 class Mapping:
     """The mapping M of one device, for scenes in any frame.
 
-    `grid` is the lattice over the workspace and `profile` the force law, both in hand metres; of `spec` the device
-    filter is used, and not the haptic filters; `notes` are on the scale, and on units that look odd. `is_own` tells
-    that the lattice is that of a stored field, which is kept without loss.
+    `grid` is the lattice over the workspace and `profile` the force law, both in hand metres; of `spec` the
+    device filter is used, and not the haptic filters; `notes` are on the scale, and on units that look odd.
+    `is_own` tells that the lattice is that of a stored field, which is kept without loss.
     """
 
     device: Device
@@ -65,13 +68,19 @@ class Mapping:
 
     def medium(self, scene: Scene) -> HapticMedium:
         """A scene where it is, through the device filter."""
-        return device_medium(scene, self.device, self.grid, self.placement, self.profile, self.spec.device_filter)
+        return device_medium(
+            scene, self.device, self.grid, self.placement, self.profile, self.spec.device_filter
+        )
 
 
-def mapping_of(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfile | None = None) -> Mapping:
-    """The mapping of a scene to the workspace of a device; `profile` is by default that of the force law of `spec`.
+def mapping_of(
+    scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfile | None = None
+) -> Mapping:
+    """The mapping of a scene to the workspace of a device; `profile` is by default that of the force law of
+    `spec`.
 
-    InvalidArgument if the mapping is unknown, or a field that is kept without loss is larger than the workspace.
+    InvalidArgument if the mapping is unknown, or a field that is kept without loss is larger than the
+    workspace.
     """
     own, law = None, spec.law_spec(chosen.force_max_n)
     of_law = profile or profile_of(law, math.inf if scene.is_solid else law.saturation_m)
@@ -82,8 +91,13 @@ def mapping_of(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForcePro
     length = _wording(scene, chosen, placement, spec)
     if chosen.is_array and array_pool(scene, chosen, spec.pool) == "relief":
         far_m, sign = (grid.box_m[1][2], -1) if is_met_from_low(scene.axes) else (grid.box_m[0][2], 1)
-        ends = [placement.to_scene((0, 0, far_m + sign * z))[2] / scene.exaggeration for z in relief_m(grid, of_law)]
-        one, low, high = ("a pin", "down", "up") if chosen.shows == "height" else ("an actuator", "off", "full on")
+        ends = [
+            placement.to_scene((0, 0, far_m + sign * z))[2] / scene.exaggeration
+            for z in relief_m(grid, of_law)
+        ]
+        one, low, high = (
+            ("a pin", "down", "up") if chosen.shows == "height" else ("an actuator", "off", "full on")
+        )
         low_m, high_m = np.round(ends, 9)
         length += f"; {one} is {low} at z = {low_m:.4g} m of the scene and {high} at {high_m:.4g} m"
     if own:
@@ -106,7 +120,9 @@ def stored_medium(scene: Scene) -> HapticMedium | None:
 
 
 def _lattice(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfile) -> tuple[Placement, Grid]:
-    """The device's own lattice over the scene; an array pools all of its depth, which sets no limit to the scale."""
+    """The device's own lattice over the scene; an array pools all of its depth, which sets no limit to the
+    scale.
+    """
     box = scene.bounds_between_m(*_fitted(scene, spec))
     is_stored = stored_medium(scene) is not None
     workspace = chosen.workspace_m
@@ -120,7 +136,9 @@ def _lattice(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfi
 
 
 def _own_lattice(scene: Scene, chosen: Device, spec: EncodeSpec) -> tuple[Placement, Grid] | None:
-    """The lattice of a stored field that is kept without loss, moved to the middle or scaled; None of all else."""
+    """The lattice of a stored field that is kept without loss, moved to the middle or scaled; None of all
+    else.
+    """
     stored = stored_medium(scene)
     if spec.coder != "touch" or spec.touch.mode != "lossless" or chosen.is_array or stored is None:
         return None
@@ -129,7 +147,9 @@ def _own_lattice(scene: Scene, chosen: Device, spec: EncodeSpec) -> tuple[Placem
     if factor == 1.0 and (np.abs(box) <= half).all():
         return Placement(), stored.grid
     if not (factor * np.ptp(box, axis=0) <= 2 * half).all():
-        size, room = (" x ".join(f"{1e3 * side:.4g}" for side in s) for s in (factor * np.ptp(box, axis=0), 2 * half))
+        size, room = (
+            " x ".join(f"{1e3 * side:.4g}" for side in s) for s in (factor * np.ptp(box, axis=0), 2 * half)
+        )
         raise InvalidArgument(
             "--lossless-quantised",
             f"a stored field of {size} mm in a workspace of {room} mm",
@@ -145,7 +165,10 @@ def _fitted(scene: Scene, spec: EncodeSpec) -> tuple[int, int]:
     start, stop = spec.fit_frames or spec.frames or (0, None)
     end = scene.frame_count if stop is None else stop
     if not 0 <= start < end <= scene.frame_count:
-        name, expected = "fit_frames" if spec.fit_frames else "frames", f"a range within 0:{scene.frame_count}"
+        name, expected = (
+            "fit_frames" if spec.fit_frames else "frames",
+            f"a range within 0:{scene.frame_count}",
+        )
         raise InvalidArgument(name, f"{start}:{end}", expected, "Name frames that are there.")
     return start, end
 
@@ -162,7 +185,8 @@ def _wording(scene: Scene, chosen: Device, placement: Placement, spec: EncodeSpe
     frames = " in the first picture" if scene.is_captured else frames
     margin_mm = 1e3 * FIT_MARGIN * min(chosen.workspace_m)
     return (
-        f"{length}: {scene.box_wording}{frames} fits into the workspace, {margin_mm:.3g} mm of it left on every side"
+        f"{length}: {scene.box_wording}{frames} fits into the workspace, {margin_mm:.3g} mm of it left on "
+        "every side"
     )
 
 
@@ -175,15 +199,17 @@ def _placement(
 
 
 _FINER: Final = 0.75
-"""Spacing of a lattice that moves, of the device's. The receiver interpolates between its samples, which is a second
-low-pass: at 1 the forces of `sample:falling-7` differ by 16.6 % (root mean square) from those of the voxel
-representation, at 0.75 by 10.0 %, and below 0.5 by more again, because the device's own low-pass is then missed."""
+"""Spacing of a lattice that moves, of the device's. The receiver interpolates between its samples, which is a
+second low-pass: at 1 the forces of `sample:falling-7` differ by 16.6 % (root mean square) from those of the
+voxel representation, at 0.75 by 10.0 %, and below 0.5 by more again, because the device's own low-pass is
+then missed."""
 
 
 def felt_objects(scene: HapticScene, chain: Sequence[FieldFilter]) -> HapticScene:
     """The scene with each object's own field through the haptic filters, clipped to F_max behind them.
 
-    A lattice of an object's own grows by what the filters reach; that of the workspace ends where the workspace does.
+    A lattice of an object's own grows by what the filters reach; that of the workspace ends where the
+    workspace does.
     """
     if not chain:
         return scene
@@ -203,7 +229,9 @@ def _kept(medium: HapticMedium) -> HapticMedium:
 def _with_room(medium: HapticMedium, chain: Sequence[FieldFilter]) -> HapticMedium:
     """The medium on a lattice larger by what the filters reach together, by whole bricks at its beginning."""
     grid = medium.grid
-    vast = Grid((_VAST,) * 3, grid.spacing_m, (0.0, 0.0, 0.0))  # the filter's own reach, not a small lattice's
+    vast = Grid(
+        (_VAST,) * 3, grid.spacing_m, (0.0, 0.0, 0.0)
+    )  # the filter's own reach, not a small lattice's
     reach = np.sum([step.claims(vast).reach for step in chain], axis=0)
     before = -(-reach // BRICK)
     x, y, z = (before * BRICK + grid.shape + reach).tolist()
@@ -243,7 +271,9 @@ def _object(body: Body, mapping: Mapping) -> HapticObject:
         placed = body.scene if is_placed else body.scene.moved(rotation, shift)
         return HapticObject(name, _kept(mapping.medium(placed)), PoseTrack.still(count))
     place = mapping.placement
-    own = replace(mapping, grid=_body_lattice(body, mapping), placement=Placement(place.scale))  # about its origin
+    own = replace(
+        mapping, grid=_body_lattice(body, mapping), placement=Placement(place.scale)
+    )  # about its origin
     return HapticObject(name, _kept(own.medium(body.scene)), body.track.scaled(place.scale, place.offset_m))
 
 

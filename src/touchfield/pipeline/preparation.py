@@ -35,20 +35,25 @@ _HEIGHTS: Final = 36
 """Of pins that state none: as many as adapter `pins` tells apart."""
 
 Source = str | Path | Scene | HapticMedium | ForceField
-"""Sources of an encoding: a path or "sample:NAME", a scene, a medium, or a field, which is a medium of one frame."""
+"""Sources of an encoding: a path or "sample:NAME", a scene, a medium, or a field, which is a medium of one
+frame.
+"""
 
 
 def is_stream(source: Source) -> bool:
     """True if a source is a ``.touch`` file, by its name; a scene is none."""
     if is_remote(source):
         return True
-    return isinstance(source, str | Path) and Path(source).suffix.lower() == ".touch" and Path(source).is_file()
+    return (
+        isinstance(source, str | Path) and Path(source).suffix.lower() == ".touch" and Path(source).is_file()
+    )
 
 
 class KeptScene(StoredScene):
     """A medium on its own lattice in the metres of the hand: neither scaled nor resampled nor clipped.
 
-    It is for a device, whose F_max holds for what haptic filters add, and has its objects if it is made of any.
+    It is for a device, whose F_max holds for what haptic filters add, and has its objects if it is made of
+    any.
     """
 
     def __init__(
@@ -65,7 +70,8 @@ class KeptScene(StoredScene):
 
 
 class StreamScene(KeptScene):
-    """A stream's decoded medium, its objects if it has any, and the device, lattice and placement it was made for.
+    """A stream's decoded medium, its objects if it has any, and the device, lattice and placement it was made
+    for.
 
     The file is closed when the scene and its medium are no longer used. FormatError if it cannot be read.
     """
@@ -74,12 +80,15 @@ class StreamScene(KeptScene):
         reader = TouchReader(path)
         stream = opened(reader)
         self.head, self.file_bytes = reader.head, reader.size
-        notes = ("A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",)
+        notes = (
+            "A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",
+        )
         super().__init__(stream.medium, stream.told_device, notes, stream.placement, stream.scene)
 
 
 def as_source(source: object, device_name: str, grid: Grid | None = None) -> str | Path | Scene:
-    """A path or a scene as it is, a medium as a `KeptScene`; newtons [.., nx, ny, nz, 3] are one with their grid.
+    """A path or a scene as it is, a medium as a `KeptScene`; newtons [.., nx, ny, nz, 3] are one with their
+    grid.
 
     InvalidArgument if it is none of these, or an array without its grid.
     """
@@ -94,13 +103,19 @@ def as_source(source: object, device_name: str, grid: Grid | None = None) -> str
         return KeptScene(source, chosen, notes)
     if isinstance(source, str | Path | Scene):
         return source
-    found = f"an array {source.shape} without its grid" if isinstance(source, np.ndarray) else type(source).__name__
+    found = (
+        f"an array {source.shape} without its grid"
+        if isinstance(source, np.ndarray)
+        else type(source).__name__
+    )
     expected = "a path, a scene, a HapticMedium, a ForceField, or an array of newtons and grid="
     raise InvalidArgument("source", found, expected)
 
 
 def decode(path: str | Path) -> HapticMedium:
-    """The medium of a ``.touch`` file, whose frames are decoded when asked for; FormatError if it cannot be read."""
+    """The medium of a ``.touch`` file, whose frames are decoded when asked for; FormatError if it cannot be
+    read.
+    """
     return StreamScene(path).medium
 
 
@@ -111,12 +126,13 @@ _MOST_NAMES: Final = 8
 class Prepared:
     """A source after the device filter and the haptic filters.
 
-    `medium` is the voxel representation on the device's lattice; `scene` the objects, where these are to be coded and
-    `medium` is made of them. ``exact(points_m [n, 3]) -> newtons [n, 3]`` is the field that the lattice samples,
-    where it has a formula and no haptic filter changes it; `source` what the frames are made of through `mapping`:
-    it tells how far it is, and what was learnt once they are made; `reference` what a promise of the coder is held
-    against, `OWN_FORCES` of `touchfield.pipeline.spec` where nothing changed these, else `FILTERED`; `has_law` tells
-    whether the force law of the spec made the forces, or the source had its own.
+    `medium` is the voxel representation on the device's lattice; `scene` the objects, where these are to be
+    coded and `medium` is made of them. ``exact(points_m [n, 3]) -> newtons [n, 3]`` is the field that the
+    lattice samples, where it has a formula and no haptic filter changes it; `source` what the frames are made
+    of through `mapping`: it tells how far it is, and what was learnt once they are made; `reference` what a
+    promise of the coder is held against, `OWN_FORCES` of `touchfield.pipeline.spec` where nothing changed
+    these, else `FILTERED`; `has_law` tells whether the force law of the spec made the forces, or the source
+    had its own.
     """
 
     medium: HapticMedium
@@ -163,7 +179,9 @@ class Prepared:
 
 
 def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
-    """A path, ``sample:NAME`` or a scene, as a scene; options that do nothing for what it is are told in a note."""
+    """A path, ``sample:NAME`` or a scene, as a scene; options that do nothing for what it is are told in a
+    note.
+    """
     if isinstance(source, Scene):
         return source
     if not isinstance(source, str | Path):
@@ -187,8 +205,8 @@ def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
 def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
     """A source, filtered for a device (paper 3.1, 3.2, 4.1): a lazy medium on the device's lattice.
 
-    A ``.touch`` file has been filtered for its device before: it keeps its device, lattice and placement. A medium or
-    a field keeps its lattice and its forces.
+    A ``.touch`` file has been filtered for its device before: it keeps its device, lattice and placement. A
+    medium or a field keeps its lattice and its forces.
     """
     spec = spec or EncodeSpec()
     scene = open_scene(as_source(source, spec.device), spec.source)
@@ -234,11 +252,15 @@ def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
         is_own = mapping is None or same_lattice(mapping.placement.to_scene(mapping.grid), stored.grid)
         reference = OWN_FORCES if is_own else FILTERED
     made_of = origin if mapping else None
-    return Prepared(medium, chosen, placement, spec, notes, None, exact, made_of, reference, scene.has_law, mapping)
+    return Prepared(
+        medium, chosen, placement, spec, notes, None, exact, made_of, reference, scene.has_law, mapping
+    )
 
 
 def _suited(spec: EncodeSpec, chosen: Device) -> tuple[EncodeSpec, tuple[str, ...]]:
-    """The spec with the promise that pins need where none is asked for: half a step; and a note that tells it."""
+    """The spec with the promise that pins need where none is asked for: half a step; and a note that tells
+    it.
+    """
     usual, touch, levels = TouchSpec(), spec.touch, chosen.levels or _HEIGHTS
     k = 0.5 / max(levels - 1, 1)
     is_asked = spec.coder != "touch" or (touch.k, touch.f0_n, touch.mode) != (usual.k, usual.f0_n, usual.mode)
@@ -250,16 +272,25 @@ def _suited(spec: EncodeSpec, chosen: Device) -> tuple[EncodeSpec, tuple[str, ..
 
 
 def _objects(scene: Scene, chosen: Device, mapping: Mapping | None, spec: EncodeSpec) -> HapticScene | None:
-    """The object representation behind the haptic filters; None where the voxel representation is to be coded."""
+    """The object representation behind the haptic filters; None where the voxel representation is to be
+    coded.
+    """
     is_asked = spec.representation == "object"
     if is_asked and chosen.is_array:
         said = f"representation object works with a point device, not with {chosen.name}"
         raise InvalidArgument(f"{said}: an array pools the depth of the whole scene; take voxel or auto")
     if not is_asked:  # objects have no samples that could vibrate
         is_of_bodies = isinstance(scene, BodyScene | KeptScene) or getattr(scene, "is_of_bodies", False)
-        if spec.representation == "voxel" or chosen.is_array or spec.vibration is not None or not is_of_bodies:
+        if (
+            spec.representation == "voxel"
+            or chosen.is_array
+            or spec.vibration is not None
+            or not is_of_bodies
+        ):
             return None
-    objects = scene.objects if isinstance(scene, KeptScene) else haptic_scene(scene, mapping) if mapping else None
+    objects = (
+        scene.objects if isinstance(scene, KeptScene) else haptic_scene(scene, mapping) if mapping else None
+    )
     if objects is None and is_asked:
         raise InvalidArgument("representation", "object for a stream of voxels", "voxel or auto")
     return objects and felt_objects(objects, spec.chain)

@@ -1,8 +1,9 @@
 """A size or an error to reach: the control of coder `touch` is searched, on a few segments first.
 
-In mode "nmse" the control is the step of the lattice; in the other modes it is k, with F_0 in proportion. Bytes are
-those of the whole file and a budget, of which at least 97 % are used where the control allows; the NMSE is reached
-within 0.13 dB, which is 3 % of the error's energy. With a promise and a size, k is only ever raised.
+In mode "nmse" the control is the step of the lattice; in the other modes it is k, with F_0 in proportion.
+Bytes are those of the whole file and a budget, of which at least 97 % are used where the control allows; the
+NMSE is reached within 0.13 dB, which is 3 % of the error's energy. With a promise and a size, k is only ever
+raised.
 """
 
 from __future__ import annotations
@@ -49,7 +50,9 @@ class Target:
 
     def __post_init__(self) -> None:
         if (self.bytes is None) == (self.nmse_db is None):
-            raise InvalidArgument("--target-bytes and --target-nmse-db are one target: name one, not none or both")
+            raise InvalidArgument(
+                "--target-bytes and --target-nmse-db are one target: name one, not none or both"
+            )
         if self.bytes is not None and self.bytes < 1:
             raise InvalidArgument("--target-bytes", repr(self.bytes), "a number of bytes, such as 60000")
         if self.nmse_db is not None and not math.isfinite(self.nmse_db):
@@ -71,7 +74,8 @@ class Target:
 class RootSearch:
     """Search for the x in `low` to `high` where a falling y(x) is zero, each value of which is dear.
 
-    `slope` is dy/dx where nothing better is known, negative; `points` are x and y known so far, the last the latest.
+    `slope` is dy/dx where nothing better is known, negative; `points` are x and y known so far, the last the
+    latest.
     """
 
     low: float
@@ -79,8 +83,12 @@ class RootSearch:
     slope: float
     points: list[tuple[float, float]] = field(default_factory=list)
 
-    def run(self, value: Callable[[float], float], start: float, is_near: Callable[[float], bool], most: int) -> bool:
-        """Evaluate from `start` on until `is_near(y)`, no guess is left or `most` values are known; if it is near."""
+    def run(
+        self, value: Callable[[float], float], start: float, is_near: Callable[[float], bool], most: int
+    ) -> bool:
+        """Evaluate from `start` on until `is_near(y)`, no guess is left or `most` values are known; if it is
+        near.
+        """
         x: float | None = min(max(start, self.low), self.high)
         while x is not None and len(self.points) < most:
             self.points.append((x, value(x)))
@@ -135,11 +143,15 @@ class _Tries:
         low, high = (top / _STEPS, top) if self.is_step else _K_BOUNDS
         if self.only_up:
             low, high = self.asked, max(self.asked, high)
-        usual = -0.6 if self.target.bytes is not None else -8.7  # bytes fall slower than the step; 20 dB a decade
+        usual = (
+            -0.6 if self.target.bytes is not None else -8.7
+        )  # bytes fall slower than the step; 20 dB a decade
         self.search = RootSearch(math.log(low), math.log(high), usual)
 
     def spec(self, log_control: float) -> EncodeSpec:
-        """The spec with its control set, exactly as it was asked for where the search begins; F_0 goes with k."""
+        """The spec with its control set, exactly as it was asked for where the search begins; F_0 goes with
+        k.
+        """
         spec, touch = self.prepared.spec, self.prepared.spec.touch
         control = self.asked if log_control == math.log(self.asked) else math.exp(log_control)
         if self.is_step:
@@ -150,17 +162,23 @@ class _Tries:
         """Encode with a control."""
         self.count += 1
         prepared = replace(self.prepared, spec=self.spec(log_control))
-        self.last = encode_prepared(prepared, self.temporary, provenance_of(self.source, prepared), self.report)
+        self.last = encode_prepared(
+            prepared, self.temporary, provenance_of(self.source, prepared), self.report
+        )
         return self.last
 
     def excess(self, log_control: float) -> float:
         """Encode with a control; how far that is from what is aimed at, above 0 where it must be raised."""
         done, medium = self.encode(log_control), self.prepared.medium
         if not done.supported_voxels and self.target.bytes is None:
-            raise InvalidArgument(self.target.option, "frames without a force", "a force to measure the error by")
+            raise InvalidArgument(
+                self.target.option, "frames without a force", "a force to measure the error by"
+            )
         with open_stream(self.temporary) as opened:
             reader, head = opened.reader, opened.reader.head
-            coded = sum(e.length + len(reader.read_vibration(i) or b"") for i, e in enumerate(reader.segments))
+            coded = sum(
+                e.length + len(reader.read_vibration(i) or b"") for i, e in enumerate(reader.segments)
+            )
             size = done.file_bytes + (self.whole - 1) * coded
             if self.target.bytes is not None:
                 self.reached[log_control] = round(size), None
@@ -180,12 +198,17 @@ class _Tries:
 
 
 def encode_to_target(
-    source: str | Path | Scene, out: str | Path, spec: EncodeSpec | None, target: Target, report: Report = silent
+    source: str | Path | Scene,
+    out: str | Path,
+    spec: EncodeSpec | None,
+    target: Target,
+    report: Report = silent,
 ) -> Encoded:
     """Turn a source into a ``.touch`` file of a given size or error, in at most 8 encodings.
 
     `spec` is of coder `touch`, in any mode but "lossless"; `report` gets ``(done, total)`` in frames, for one
-    encoding after another. InvalidArgument says what the nearest is; nothing is then left under the name `out`.
+    encoding after another. InvalidArgument says what the nearest is; nothing is then left under the name
+    `out`.
     """
     began = time.perf_counter()
     spec = spec or EncodeSpec()
@@ -198,7 +221,9 @@ def encode_to_target(
         control = _on_all(tries, _first_guess(tries))
         assert tries.last is not None
     figures, note = _wording(tries, control)
-    return replace(tries.last, encode_s=time.perf_counter() - began, told=(*tries.last.told, note), search=figures)
+    return replace(
+        tries.last, encode_s=time.perf_counter() - began, told=(*tries.last.told, note), search=figures
+    )
 
 
 def _first_guess(tries: _Tries) -> float:
@@ -209,7 +234,9 @@ def _first_guess(tries: _Tries) -> float:
     if prepared.scene is not None or count < 2 * _SUBSET_SEGMENTS:  # hardly more than a part, or objects
         return start
     firsts = [length * (count * (2 * i + 1) // (2 * _SUBSET_SEGMENTS)) for i in range(_SUBSET_SEGMENTS)]
-    part = replace(prepared, medium=select_frames(prepared.medium, [n + j for n in firsts for j in range(length)]))
+    part = replace(
+        prepared, medium=select_frames(prepared.medium, [n + j for n in firsts for j in range(length)])
+    )
     of_part = replace(tries, prepared=part, whole=len(prepared.medium) / len(part.medium), reached={})
     search, within = of_part.search, NMSE_WITHIN_DB if tries.target.bytes is None else 1 - LEAST_SHARE
 
@@ -279,4 +306,6 @@ def _kept(prepared: Prepared) -> Prepared:
             room -= fresh.forces_n.nbytes
         return fresh
 
-    return replace(prepared, medium=replace(prepared.medium, make_frame=frame, vibration=band and cache(band)))
+    return replace(
+        prepared, medium=replace(prepared.medium, make_frame=frame, vibration=band and cache(band))
+    )

@@ -1,8 +1,8 @@
 """medium -> coder -> segments: the encoding half of figure 4, in stretches that do not need each other.
 
-A segment is coded alone, but where it ends, and what it begins with where the world stands, depends on what is before
-it. So a medium is cut into stretches of whole segments, at places that only its rate tells; each is coded without the
-others, in this process or another, to the same bytes.
+A segment is coded alone, but where it ends, and what it begins with where the world stands, depends on what
+is before it. So a medium is cut into stretches of whole segments, at places that only its rate tells; each is
+coded without the others, in this process or another, to the same bytes.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ from touchfield.pipeline.spec import EncodeSpec
 Group = tuple[list[ForceField], list["VibrationFrame"], ForceField | None]
 """The frames of one segment; what vibrates in each, none where the medium does not vibrate; and an anchor."""
 
-MOST_BYTES_HELD = 1 << 27  # a segment ends once its fields take more: eight of the largest are coded at a time
+MOST_BYTES_HELD = (
+    1 << 27
+)  # a segment ends once its fields take more: eight of the largest are coded at a time
 MOST_BYTES_UNDER_WAY = 1 << 30  # no further segment is begun while the fields of those being coded take more
 
 STRETCH = 4
@@ -52,7 +54,9 @@ class Stretch(NamedTuple):
 
 
 class Coded(NamedTuple):
-    """A segment: its bytes, those of what vibrates if anything does, its frames, and its samples with a force."""
+    """A segment: its bytes, those of what vibrates if anything does, its frames, and its samples with a
+    force.
+    """
 
     body: bytes
     vibration: bytes | None
@@ -66,7 +70,8 @@ def stretches(
 ) -> Iterator[tuple[Stretch, tuple[ForceField, ForceField] | None]]:
     """The stretches of a medium, each with its first frame and its anchor where these had to be made.
 
-    The anchor of a stretch is that of the one before where its first frame is as good (`AnchoringEncoder.anchor`).
+    The anchor of a stretch is that of the one before where its first frame is as good
+    (`AnchoringEncoder.anchor`).
     """
     length, longest = spec.segment_frames_at(medium.rate_hz), spec.longest_segment_at(medium.rate_hz)
     each = STRETCH * -(-longest // length) * length
@@ -93,9 +98,9 @@ def groups_of(
 ) -> Iterator[Group]:
     """The frames of a stretch in groups, each small enough to be held in memory while it is coded.
 
-    A frame that is the very one before does not count to a segment's length, up to that of a world that stands. Such
-    a world has an anchor, the field that a segment is to begin with. `made` are the first frame and the anchor, where
-    they are there; ``tell(count)`` how many frames of the medium have been made.
+    A frame that is the very one before does not count to a segment's length, up to that of a world that
+    stands. Such a world has an anchor, the field that a segment is to begin with. `made` are the first frame
+    and the anchor, where they are there; ``tell(count)`` how many frames of the medium have been made.
     """
     length, longest = spec.segment_frames_at(medium.rate_hz), spec.longest_segment_at(medium.rate_hz)
     first = made[0] if made else medium[stretch.start]
@@ -211,7 +216,9 @@ _prepared: dict[str, Prepared] = {}
 def prepared_here(job: str, source: str, spec: EncodeSpec, version: str) -> Prepared:
     """The source of a job, prepared once in each process; InvalidArgument if another version began the job."""
     if version != __version__:
-        raise InvalidArgument("a worker", f"touchfield {__version__}", f"{version}, as where the job was begun")
+        raise InvalidArgument(
+            "a worker", f"touchfield {__version__}", f"{version}, as where the job was begun"
+        )
     if job not in _prepared:
         _prepared.clear()
         _prepared[job] = prepare(source, spec)
@@ -221,7 +228,8 @@ def prepared_here(job: str, source: str, spec: EncodeSpec, version: str) -> Prep
 def code_part(task: Task) -> Part:
     """Code a stretch, in whichever process this is.
 
-    At most the source, a frame and 1 GiB of fields are held. InvalidArgument if another version sent the task.
+    At most the source, a frame and 1 GiB of fields are held. InvalidArgument if another version sent the
+    task.
     """
     with ALONE:
         prepared = prepared_here(task.job, task.source, task.spec, task.version)
@@ -232,7 +240,12 @@ def code_part(task: Task) -> Part:
 
 
 def spread_voxels(
-    out: Path, source: str, prepared: Prepared, provenance: Mapping[str, str], executor: Executor, report: Report
+    out: Path,
+    source: str,
+    prepared: Prepared,
+    provenance: Mapping[str, str],
+    executor: Executor,
+    report: Report,
 ) -> tuple[int, tuple[str, ...]]:
     """Write the voxel representation with the workers of an executor; samples with a force, and notes.
 
@@ -288,7 +301,11 @@ class _Parts:
     def part(self, stretch: Stretch) -> tuple[Path, Head, dict[str, str]]:
         """The file of a stretch, its head, and the least of its provenance."""
         first, story = stretch.start, {"job": self._job, "first_frame": str(stretch.start)}
-        return self._folder / f"{first:010d}.touch", replace(self._head, frame_count=stretch.stop - first), story
+        return (
+            self._folder / f"{first:010d}.touch",
+            replace(self._head, frame_count=stretch.stop - first),
+            story,
+        )
 
     def has(self, stretch: Stretch) -> bool:
         """True if the part is there, of this job, and whole; one that is not is made again."""

@@ -32,7 +32,9 @@ from touchfield.sources.options import SourceOptions
 CODERS: Final = tuple(field_coders())  # of fields, those of plug-ins last; the first is the default
 BUILT_IN_CODERS: Final = ("touch", "paper")
 DEFAULT_F0_N = figure("force_threshold_n")
-"""F_0, the absolute force threshold of the mask of coder `paper`, newtons; its source is in perception/human.toml."""
+"""F_0, the absolute force threshold of the mask of coder `paper`, newtons; its source is in
+perception/human.toml.
+"""
 
 Frames = tuple[int, int | None]
 """The first of some frames, and the one behind the last; None: the end."""
@@ -42,7 +44,9 @@ COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
 _OPTIONAL: Final = ("vibration", "fit_frames", *COEFFICIENTS)
 NO_FLOOR_N: Final = 1e-30  # in place of F_0 = 0 where a measure takes none: less than any force
 OWN_FORCES: Final = "the source's own forces, sample by sample"
-"""Likewise where the source is a stored field on the lattice of the file, and no haptic filter is asked for."""
+"""Likewise where the source is a stored field on the lattice of the file, and no haptic filter is asked for.
+
+"""
 
 
 def require_frames(where: str, frames: Any) -> None:
@@ -67,21 +71,31 @@ class EncodeSpec:
     """Everything asked of the main job.
 
     Lengths and stiffness are in the metres that the hand moves. `nw` None means the device's nominal lattice;
-    `representation` "auto" is "object" where the scene is of rigid bodies that move and the device is a point;
-    `mapping` "fill" leaves no margin; `coder` is one of `CODERS`, and `touch` or `paper` what is asked of it;
-    `filters` are the haptic filters that follow the device filter, each its name and its words
-    (`touchfield.filters.registry`); `vibration` (`touchfield.filters.contact`) takes the voxel representation;
-    `friction` and `damping_n_s_per_m` are mu and b of paper 3.2.
+    `representation` "auto" is "object" where the scene is of rigid bodies that move and the device is a
+    point; `mapping` "fill" leaves no margin; `coder` is one of `CODERS`, and `touch` or `paper` what is asked
+    of it; `filters` are the haptic filters that follow the device filter, each its name and its words
+    (`touchfield.filters.registry`); `vibration` (`touchfield.filters.contact`) takes the voxel
+    representation; `friction` and `damping_n_s_per_m` are mu and b of paper 3.2.
     InvalidArgument if there is no such coder, or something is asked of the coder that is not taken.
     """
 
-    device: str = option("phantom-omni", "Device profile (see `touchfield devices`), or a TOML file of your own.")
+    device: str = option(
+        "phantom-omni", "Device profile (see `touchfield devices`), or a TOML file of your own."
+    )
     nw: int | None = option(7, "2^nw samples per axis of the device's workspace, 3 to 10.")
-    frames: Frames | None = option(None, "Frames to take, START:STOP; also those that are fitted into the workspace.")
-    fit_frames: Frames | None = option(None, "Frames to fit into the workspace, START:STOP, if others than --frames.")
-    law: str = option("penalty", "Force law: penalty, proximity, magnetic, or a sum such as penalty+proximity.")
+    frames: Frames | None = option(
+        None, "Frames to take, START:STOP; also those that are fitted into the workspace."
+    )
+    fit_frames: Frames | None = option(
+        None, "Frames to fit into the workspace, START:STOP, if others than --frames."
+    )
+    law: str = option(
+        "penalty", "Force law: penalty, proximity, magnetic, or a sum such as penalty+proximity."
+    )
     stiffness_n_per_m: float = option(500.0, "Stiffness K, newtons per metre that the hand moves.")
-    thickness_m: float | None = option(None, "Wall behind the surface, metres that the hand moves; inf is solid.")
+    thickness_m: float | None = option(
+        None, "Wall behind the surface, metres that the hand moves; inf is solid."
+    )
     band_m: float = option(0.004, "Reach of the proximity and magnetic laws, metres that the hand moves.")
     surface_damping_n_s_per_m: float = option(0.0, "Drag of a moving surface: b times its velocity is added.")
     representation: str = option("auto", "voxel, object (fields and pose tracks), or auto.")
@@ -89,7 +103,9 @@ class EncodeSpec:
         "fit", "Scene to workspace: fit (5 % room is left), fill, crop, or a factor such as 0.05."
     )
     oversample: int = option(2, "Samples per axis and device sample before the anti-alias low-pass.")
-    pool: str = option("auto", "Depth of an array: max, mean, relief (heights, from above), or auto: what suits it.")
+    pool: str = option(
+        "auto", "Depth of an array: max, mean, relief (heights, from above), or auto: what suits it."
+    )
     cutoff: str = option("nyquist", "Low-pass of an actuator array: nyquist = 1/(2d), or literal = 2/d.")
     source: SourceOptions = field(default_factory=SourceOptions)
     coder: str = CODERS[0]
@@ -97,9 +113,13 @@ class EncodeSpec:
     paper: PaperSpec = field(default_factory=PaperSpec)
     extension: Any = None  # the spec of a coder that a plug-in provides
     filters: tuple[tuple[str, str], ...] = ()
-    vibration: str | None = option(None, "Beside the force: gain=0.1,frequency=150, or rising: frequency=80..250.")
+    vibration: str | None = option(
+        None, "Beside the force: gain=0.1,frequency=150, or rising: frequency=80..250."
+    )
     friction: float | None = option(None, "Friction mu, which the receiver renders; default: the source's.")
-    damping_n_s_per_m: float | None = option(None, "Damping b, which the receiver renders; default: the source's.")
+    damping_n_s_per_m: float | None = option(
+        None, "Damping b, which the receiver renders; default: the source's."
+    )
 
     def __post_init__(self) -> None:
         require_kinds(self, representation=REPRESENTATIONS, coder=CODERS)
@@ -112,7 +132,9 @@ class EncodeSpec:
         require_nw(self.nw)
         is_list = isinstance(self.filters, tuple | list)
         if not (is_list and all(isinstance(one, tuple | list) and len(one) == 2 for one in self.filters)):
-            raise InvalidArgument("filters", repr(self.filters), 'names and words, such as (("gaussian", "2mm"),)')
+            raise InvalidArgument(
+                "filters", repr(self.filters), 'names and words, such as (("gaussian", "2mm"),)'
+            )
         for name, _ in self.filters:  # not the words: those of a stranger's stream may name a file
             require_one_of("filters", name, field_filters())
         _ = self.factor, self.device_filter, self.law_spec(1.0)  # each says what cannot be
@@ -124,7 +146,9 @@ class EncodeSpec:
         self._require_spec_of_coder()
 
     def _require_spec_of_coder(self) -> None:
-        """InvalidArgument if a plug-in's coder has no spec, or something is asked of a coder that is not taken."""
+        """InvalidArgument if a plug-in's coder has no spec, or something is asked of a coder that is not
+        taken.
+        """
         expected = field_coders()[self.coder].spec
         if not isinstance(self.coding, expected or object):
             where = self.coder if self.coder in BUILT_IN_CODERS else "extension"
@@ -146,7 +170,9 @@ class EncodeSpec:
 
     @property
     def f0_n(self) -> float:
-        """F_0 of the mask, newtons: what the coder is asked to keep, or, where it keeps none, what a hand feels."""
+        """F_0 of the mask, newtons: what the coder is asked to keep, or, where it keeps none, what a hand
+        feels.
+        """
         return float(getattr(self.coding, "f0_n", DEFAULT_F0_N))
 
     def segment_frames_at(self, rate_hz: float) -> int:
@@ -229,14 +255,17 @@ class EncodeSpec:
             values["filters"] = tuple((str(name), str(words)) for name, words in values.get("filters", ()))
             return cls(**values)
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
-            raise CorruptFile("PROV spec", f"a spec that cannot be read ({error})", "what encode wrote") from None
+            raise CorruptFile(
+                "PROV spec", f"a spec that cannot be read ({error})", "what encode wrote"
+            ) from None
 
 
 @dataclass(frozen=True)
 class ReductionSpec:
     """Wishes of `touchfield.tasks.reduction.reduce_medium`: its modes, and the hand.
 
-    By default the hand pushes with the continuous force of `device`, has its mass with a light hand's, and 0.2 m/s.
+    By default the hand pushes with the continuous force of `device`, has its mass with a light hand's, and
+    0.2 m/s.
     """
 
     modes: str = option("global", "global: of whole frames; bricks: of bricks of 8^3 samples.")
@@ -256,12 +285,16 @@ class ReductionSpec:
 
 @dataclass(frozen=True)
 class Motion:
-    """Frames of an animated model that become tracks, first and behind the last, and the one that a stream shows."""
+    """Frames of an animated model that become tracks, first and behind the last, and the one that a stream
+    shows.
+    """
 
     model: str | Path
     animation: str | None = option(None, "Name or number of MODEL's animation; default: the first.")
     frames: Frames | None = option(None, "Frames of the animation to take, START:STOP.")
-    rest_frame: int | None = option(None, "Frame of MODEL that STREAM shows; default: the first that is taken.")
+    rest_frame: int | None = option(
+        None, "Frame of MODEL that STREAM shows; default: the first that is taken."
+    )
     rate_hz: float = option(60.0, "Frames a second of the tracks.")
 
     def __post_init__(self) -> None:

@@ -2,8 +2,9 @@
 
 source -> mapping -> tile of the lattice -> device filter -> coder `touch` (a codec of zarr) -> shard
 
-A worker opens the source itself, makes the field of its tile with the rim that the low-pass needs, and writes one
-shard. Nothing is as large as the lattice: a tile has at most 256^3 samples, and is made in blocks of 128^3.
+A worker opens the source itself, makes the field of its tile with the rim that the low-pass needs, and writes
+one shard. Nothing is as large as the lattice: a tile has at most 256^3 samples, and is made in blocks of
+128^3.
 """
 
 from __future__ import annotations
@@ -63,7 +64,12 @@ class Tiled(Encoded):
         """Stable keys for people and programs."""
         told = {"coder": "touch, a codec of zarr", "k": self.prepared.spec.k, "f0_n": self.prepared.spec.f0_n}
         names = ("tiles", "file_bytes", "supported_voxels", "encode_s")
-        return {**self.prepared.summary(), **told, **self.bound, **{name: getattr(self, name) for name in names}}
+        return {
+            **self.prepared.summary(),
+            **told,
+            **self.bound,
+            **{name: getattr(self, name) for name in names},
+        }
 
 
 def encode_tiles(
@@ -71,9 +77,9 @@ def encode_tiles(
 ) -> Tiled:
     """Write a source as a zarr store whose chunks are of coder `touch`, tile by tile.
 
-    The folder appears when it is whole; after an error the tiles that are written stay in ``OUT.parts``, and the same
-    call goes on from there. InvalidArgument if what is asked needs more than a tile knows: haptic filters, vibration,
-    another coder, an array of actuators.
+    The folder appears when it is whole; after an error the tiles that are written stay in ``OUT.parts``, and
+    the same call goes on from there. InvalidArgument if what is asked needs more than a tile knows: haptic
+    filters, vibration, another coder, an array of actuators.
     """
     began = time.perf_counter()
     require_ending(out, "OUT.zarr")
@@ -129,7 +135,8 @@ def _bound(spec: TouchSpec, ratios: Sequence[float | None]) -> dict[str, Any]:
 class _Finished:
     """Tiles that are written, a line each in a file; those of another job go.
 
-    A line has the place, the samples with a force, and the largest error in units of the bound; "-" if not known.
+    A line has the place, the samples with a force, and the largest error in units of the bound; "-" if not
+    known.
     """
 
     def __init__(self, store: Path, job: str) -> None:
@@ -169,8 +176,8 @@ def _ratio(text: str) -> float | None:
 def make_tile(tile: Tile) -> tuple[int, float | None]:
     """Make, code and write a tile, in whichever process this is.
 
-    Returns how many of its samples hold a force, and the largest error in units of the bound; None where none is
-    known. A tile without a force, of which nothing is written, has no error.
+    Returns how many of its samples hold a force, and the largest error in units of the bound; None where none
+    is known. A tile without a force, of which nothing is written, has no error.
     """
     from touchfield.codec.zarr_codec import recorded_ratios  # needs zarr
 

@@ -1,4 +1,5 @@
-"""A medium in fewer numbers (paper section 6): what varies together, what no hand can reach, the fewest points.
+"""A medium in fewer numbers (paper section 6): what varies together, what no hand can reach, the fewest
+points.
 
 modes          snapshots as a few modes, their error known beforehand; points that tell their coefficients
 snapshots      a medium as such: frames, or bricks; degrees of freedom

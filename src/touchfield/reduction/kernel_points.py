@@ -2,14 +2,16 @@
 
 There are no modes over time to go by, but a field of forces has no curl (`CurlFree`). Two criteria:
 
-* variance: the next point is where the Gaussian process knows least, whatever the forces are. It tells a robot or a
-  hand where to record next. What is known shrinks everywhere, so the variances of those chosen never grow.
-* error: where the forces are known, and the fewest are to be kept, the next point is the one after which least of the
-  field is missed. It is looked for among those of the greatest residual and as many drawn at random ("stochastic
-  greedy", Mirzasoleiman et al. 2015), and what is missed is added up over some places spread over all.
+* variance: the next point is where the Gaussian process knows least, whatever the forces are. It tells a
+  robot or a hand where to record next. What is known shrinks everywhere, so the variances of those chosen
+  never grow.
+* error: where the forces are known, and the fewest are to be kept, the next point is the one after which
+  least of the field is missed. It is looked for among those of the greatest residual and as many drawn at
+  random ("stochastic greedy", Mirzasoleiman et al. 2015), and what is missed is added up over some places
+  spread over all.
 
-Both go by rows of a Cholesky factor that are added a point at a time: a step takes time in proportion to candidates
-times points chosen, and no matrix of all candidates is made.
+Both go by rows of a Cholesky factor that are added a point at a time: a step takes time in proportion to
+candidates times points chosen, and no matrix of all candidates is made.
 """
 
 from __future__ import annotations
@@ -91,10 +93,12 @@ def _components(at: Sequence[int] | Int64s) -> Int64s:
     return (3 * np.asarray(at)[:, None] + np.arange(3)).reshape(-1)
 
 
-def variance_points(points_m: Float64s, count: int, kernel: Kernel, measured: int = 0) -> tuple[Int64s, Float64s]:
+def variance_points(
+    points_m: Float64s, count: int, kernel: Kernel, measured: int = 0
+) -> tuple[Int64s, Float64s]:
     """Candidates, each the one of greatest variance once those before it are measured, int64 [count], and the
-    variance that each had, the sum over three components, of a field of variance 1. `points_m` float64 [m, 3]; the
-    first `measured` of them are known already. InvalidArgument if there are fewer candidates.
+    variance that each had, the sum over three components, of a field of variance 1. `points_m` float64 [m,
+    3]; the first `measured` of them are known already. InvalidArgument if there are fewer candidates.
     """
     require_between(1, len(points_m) - measured, points=count)
     known = _Posterior(points_m, kernel, measured + count)
@@ -137,12 +141,16 @@ def error_points(
 
 
 def best_kernel(points_m: Float64s, forces_n: Float64s, count: int) -> Kernel:
-    """The kernel with which so many points miss least of a known field [m, 3], by trying on some of its places."""
+    """The kernel with which so many points miss least of a known field [m, 3], by trying on some of its
+    places.
+    """
     some = slice(None, None, -(-len(points_m) // max(_PILOT, min(4 * count, len(points_m)))))
     points, forces = points_m[some], forces_n[some]
     extent, tried = float(np.ptp(points, axis=0).max()) or 1.0, []
     for kernel in (Kernel(part * extent, noise) for part in _LENGTHS for noise in _NOISES):
         chosen = error_points(points, forces, min(count, len(points)), kernel, _PILOT // 2)
-        back = CurlFree.through(points[chosen], forces[chosen], kernel.length_m, kernel.noise).forces_n(points)
+        back = CurlFree.through(points[chosen], forces[chosen], kernel.length_m, kernel.noise).forces_n(
+            points
+        )
         tried.append((float(((back - forces) ** 2).sum()), kernel))
     return min(tried, key=itemgetter(0))[1]

@@ -1,4 +1,6 @@
-"""Compiled: whether a field stops a hand within a cell of a lattice (`touchfield.reduction.reach` has the proof)."""
+"""Compiled: whether a field stops a hand within a cell of a lattice (`touchfield.reduction.reach` has the
+proof).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ _MOST = 1024  # nearest places of one cell; a cell with more is taken as weak
 
 @inner
 def _candidates(edge, cell, step_m, reach_m, found, count):
-    """Nodes within a distance of the cell's centre, metres from it, into `found` behind `count`; how many then.
+    """Nodes within a distance of the cell's centre, metres from it, into `found` behind `count`; how many
+    then.
 
     Only those to which no other one is nearer from everywhere in the cell; -1: too many.
     """
@@ -65,7 +68,9 @@ def _bent(block, step_m, friction):
     for axis in range(3):
         most, whole = 0.0, 0.0
         for n in range(4):
-            i, j, k = (0, n & 1, n >> 1) if axis == 0 else ((n & 1, 0, n >> 1) if axis == 1 else (n & 1, n >> 1, 0))
+            i, j, k = (
+                (0, n & 1, n >> 1) if axis == 0 else ((n & 1, 0, n >> 1) if axis == 1 else (n & 1, n >> 1, 0))
+            )
             f, g = block[i, j, k], block[i + (axis == 0), j + (axis == 1), k + (axis == 2)]
             most = max(most, f[axis] - g[axis])
             whole = max(whole, (f[0] - g[0]) ** 2 + (f[1] - g[1]) ** 2 + (f[2] - g[2]) ** 2)
@@ -93,13 +98,16 @@ def _holds(block, places, count, step_m, need_n, turn_nm, friction):
 
 
 @kernel
-def weak_cells(begin, end, cells, far_m, edges, later_m, beyond, frames, step_m, need_n, turn_nm, friction, weak):
-    """Into `weak`, bool [m], the cells begin to end - 1 of int [m, 3], where some frame does not hold a hand back.
+def weak_cells(
+    begin, end, cells, far_m, edges, later_m, beyond, frames, step_m, need_n, turn_nm, friction, weak
+):
+    """Into `weak`, bool [m], the cells begin to end - 1 of int [m, 3], where some frame does not hold a hand
+    back.
 
-    `far_m` [m]: no place of a cell is farther from A. `edges`, bool [2, nx, ny, nz]: nodes that A began with and
-    those that joined it, which count as `later_m` farther, of both those with a neighbour that is none; `beyond` of
-    them on each side are outside of the box of `frames`, float32 [f, ...]. `need_n` is P + m v^2 / (2 D), `turn_nm`
-    m v^2.
+    `far_m` [m]: no place of a cell is farther from A. `edges`, bool [2, nx, ny, nz]: nodes that A began with
+    and those that joined it, which count as `later_m` farther, of both those with a neighbour that is none;
+    `beyond` of them on each side are outside of the box of `frames`, float32 [f, ...]. `need_n` is P + m v^2
+    / (2 D), `turn_nm` m v^2.
     """
     found = np.empty((_MOST, 3))
     half = 0.5 * math.sqrt(step_m[0] ** 2 + step_m[1] ** 2 + step_m[2] ** 2)

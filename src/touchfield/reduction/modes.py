@@ -1,19 +1,19 @@
 """Snapshots as a few modes, and the fewest points that tell their coefficients (paper sections 6.1 and 6.2).
 
-A snapshot is a vector of d values: a frame on the union of its bricks, or one brick. The best r vectors to write n of
-them with are the first r right singular vectors of the n x d matrix, and the squared error is the sum of the squared
-singular values beyond r (Eckart and Young), known before anything is written. What is decomposed is the smaller Gram
-matrix, added up in float64 block by block: n x n of few long snapshots (Sirovich's method of snapshots, `pod`),
-d x d of many short ones (`klt`). It squares the singular values, so that those below 1e-8 of the first are noise;
-modes of them are not made.
+A snapshot is a vector of d values: a frame on the union of its bricks, or one brick. The best r vectors to
+write n of them with are the first r right singular vectors of the n x d matrix, and the squared error is the
+sum of the squared singular values beyond r (Eckart and Young), known before anything is written. What is
+decomposed is the smaller Gram matrix, added up in float64 block by block: n x n of few long snapshots
+(Sirovich's method of snapshots, `pod`), d x d of many short ones (`klt`). It squares the singular values, so
+that those below 1e-8 of the first are noise; modes of them are not made.
 
-Points: Q-DEIM, a point at a time. A point measures a vector, three rows of the modes U at once, so that the pivots of
-the QR factorisation are blocks (Drmac and Gugercin 2016; Manohar et al. 2018). The next point is the one whose rows
-are farthest from the span of those chosen. Once they span all coefficients, a further point is that which lessens
-most the sum of the variances of the coefficients, trace((P^T U)^T W^2 P^T U)^-1. What the modes cannot write at a
-point is its noise: W has one over its deviation there, so that points are sought where the modes tell most of what is
-felt. With U orthonormal, what weighted least squares rebuilds is off by at most ||(W P^T U)^+ W|| times what the
-modes cannot write: `bound`.
+Points: Q-DEIM, a point at a time. A point measures a vector, three rows of the modes U at once, so that the
+pivots of the QR factorisation are blocks (Drmac and Gugercin 2016; Manohar et al. 2018). The next point is
+the one whose rows are farthest from the span of those chosen. Once they span all coefficients, a further
+point is that which lessens most the sum of the variances of the coefficients, trace((P^T U)^T W^2 P^T U)^-1.
+What the modes cannot write at a point is its noise: W has one over its deviation there, so that points are
+sought where the modes tell most of what is felt. With U orthonormal, what weighted least squares rebuilds is
+off by at most ||(W P^T U)^+ W|| times what the modes cannot write: `bound`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ from touchfield.errors import InvalidArgument, require_between
 from touchfield.medium.field import frozen
 
 _BLOCK_VALUES: Final = 1 << 21
-_NOISE: Final = 1e-15  # of the greatest eigenvalue, times the order of the matrix: below it there is rounding only
+_NOISE: Final = (
+    1e-15  # of the greatest eigenvalue, times the order of the matrix: below it there is rounding only
+)
 _LEAST_NOISE: Final = 0.1  # of the mean over all points
 _WEAK: Final = 0.1  # of the first row of a point: weaker ones count only where points are too few
 _FLAT: Final = 1e-12  # of the first pivot, squared: rows below it lie in the span of those chosen
@@ -70,13 +72,17 @@ class Modes:
         if given.shape[1] != len(self.basis):
             found, expected = given.shape[1], len(self.basis)
             raise InvalidArgument("snapshots", f"{found} values each", f"{expected}, as the modes have")
-        return np.asarray(sum((given[:, p] @ self.basis[p] for p in _pieces(given)), np.zeros((1, self.rank))))
+        return np.asarray(
+            sum((given[:, p] @ self.basis[p] for p in _pieces(given)), np.zeros((1, self.rank)))
+        )
 
     def rebuild(self, coefficients: ArrayLike) -> Float64s:
         """The snapshots of these coefficients [n, r], float64 [n, d]."""
         given = np.asarray(coefficients, np.float64)
         if given.ndim != 2 or given.shape[1] != self.rank:
-            raise InvalidArgument("coefficients", f"shape {given.shape}", f"[n, {self.rank}], one for each mode")
+            raise InvalidArgument(
+                "coefficients", f"shape {given.shape}", f"[n, {self.rank}], one for each mode"
+            )
         return given @ self.basis.T
 
     def tail(self, rank: int) -> float:
@@ -90,10 +96,11 @@ class Modes:
 
 
 def pod(snapshots: ArrayLike, rank: int | None = None) -> Modes:
-    """The modes of n snapshots [n, d] that are longer than many, `rank` of them or all: the Gram matrix is n x n.
+    """The modes of n snapshots [n, d] that are longer than many, `rank` of them or all: the Gram matrix is n
+    x n.
 
-    A few columns are made float64 at a time. InvalidArgument if there is no value, one is not finite, or the rank is
-    none of 1 to n.
+    A few columns are made float64 at a time. InvalidArgument if there is no value, one is not finite, or the
+    rank is none of 1 to n.
     """
     given = _matrix(snapshots)
     if not given.size:
@@ -112,12 +119,16 @@ def pod(snapshots: ArrayLike, rank: int | None = None) -> Modes:
 
 
 def klt(rows: Iterable[NDArray[Any]], rank: int | None = None) -> Modes:
-    """The modes of many short snapshots, blocks [m, d] that are gone through once; rank and errors as of `pod`."""
+    """The modes of many short snapshots, blocks [m, d] that are gone through once; rank and errors as of
+    `pod`.
+    """
     gram, count = np.zeros((0, 0)), 0
     for given in rows:
         block = _matrix(given).astype(np.float64)
         if len(gram) and len(gram) != block.shape[1]:
-            raise InvalidArgument("snapshots", f"{block.shape[1]} values each", f"{len(gram)}, as the first have")
+            raise InvalidArgument(
+                "snapshots", f"{block.shape[1]} values each", f"{len(gram)}, as the first have"
+            )
         gram = block.T @ block if not len(gram) else gram + block.T @ block
         count += len(block)
     if not count:
@@ -143,7 +154,9 @@ def _pieces(snapshots: NDArray[Any]) -> list[slice]:
 
 
 def _decomposed(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, int]:
-    """Eigenvalues, descending, none negative; eigenvectors as columns; the modes of those asked that can be made."""
+    """Eigenvalues, descending, none negative; eigenvectors as columns; the modes of those asked that can be
+    made.
+    """
     found, vectors = scipy.linalg.eigh(gram, overwrite_a=True, check_finite=False)
     squares, vectors = np.maximum(found[::-1], 0.0), vectors[:, ::-1]
     kept = int(np.count_nonzero(squares > _NOISE * len(squares) * squares[0]))
@@ -159,8 +172,9 @@ def _decomposed(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, i
 class ModePoints:
     """Points whose forces tell the coefficients of modes.
 
-    `modes`: of snapshots of d / 3 points, x, y and z of a point side by side. `points` int64 [n]: which of these
-    points, in the order they were chosen. `weights` float64 [n]: W, how much each counts; all the same without it.
+    `modes`: of snapshots of d / 3 points, x, y and z of a point side by side. `points` int64 [n]: which of
+    these points, in the order they were chosen. `weights` float64 [n]: W, how much each counts; all the same
+    without it.
     """
 
     modes: Modes
@@ -189,9 +203,9 @@ class ModePoints:
 def mode_points(modes: Modes, count: int, missed_n2: Float64s | None = None) -> ModePoints:
     """The points that tell the coefficients of some modes best, chosen one after the other.
 
-    `count`: a third of the number of modes or more, at most the points there are. `missed_n2` float64 [d / 3]: mean
-    square of what the modes cannot write at each point; alike without it. InvalidArgument if the count is out of that
-    range, or modes of d values are no modes of vectors.
+    `count`: a third of the number of modes or more, at most the points there are. `missed_n2` float64 [d /
+    3]: mean square of what the modes cannot write at each point; alike without it. InvalidArgument if the
+    count is out of that range, or modes of d values are no modes of vectors.
     """
     length, rank = modes.basis.shape
     if length % 3:
@@ -221,7 +235,9 @@ def _pivots(blocks: Float64s, count: int) -> list[int]:
             raise InvalidArgument("modes", f"{rank} of rank {spanned}", "modes that are independent")
         _, sizes, rows = scipy.linalg.svd(left[best], full_matrices=False)
         needed = -(-(rank - spanned) // (count - len(chosen)))  # of each point that is left
-        rows = rows[(sizes > _WEAK * sizes[0]) | (np.arange(len(sizes)) < needed) & (sizes**2 > _FLAT * first)]
+        rows = rows[
+            (sizes > _WEAK * sizes[0]) | (np.arange(len(sizes)) < needed) & (sizes**2 > _FLAT * first)
+        ]
         left -= (left @ rows.T) @ rows
         squares = np.einsum("pkr,pkr->p", left, left)
         chosen.append(best)

@@ -1,24 +1,26 @@
 """Where a hand can get to in a medium, and where never: that need not be sent (paper section 6.1, "culling").
 
-The hand is a mass m that pushes with at most P in any direction, and is never faster than v. A is a set of places,
-d(x) the distance to it, e the direction from the nearest of them. d is the least of the distances to the places of A,
-and so along any path, in the sense of an upper bound, d'' <= (v^2 - d'^2) / d + e . (P + F) / m. Where
+The hand is a mass m that pushes with at most P in any direction, and is never faster than v. A is a set of
+places, d(x) the distance to it, e the direction from the nearest of them. d is the least of the distances to
+the places of A, and so along any path, in the sense of an upper bound, d'' <= (v^2 - d'^2) / d + e . (P + F)
+/ m. Where
 
     -e . F - mu |F across e|  >=  P + m v^2 / d + m v^2 / (2 D)                                                    (*)
 
-all over the layer from d0 to d0 + D, d'' is below -v^2 / (2 D) there: a hand that passes d0 with d' <= v turns before
-d0 + D. Whatever it does, also with a run-up or off another wall, it is never farther from A. So A begins as the space
-without force that a hand can start from, less what is nearer than r to a force; cells of the layer where (*) fails
-join A, until none does. What joins counts as r farther off than it is, so that the layer lies as deep below it as a
-surface; in (*) d stays the distance. Damping only helps. The work against the field would prove nothing: a hand that
-swings in it gains energy with each turn. Its speed is bounded, and what must be stopped is its way inwards.
+all over the layer from d0 to d0 + D, d'' is below -v^2 / (2 D) there: a hand that passes d0 with d' <= v
+turns before d0 + D. Whatever it does, also with a run-up or off another wall, it is never farther from A. So
+A begins as the space without force that a hand can start from, less what is nearer than r to a force; cells
+of the layer where (*) fails join A, until none does. What joins counts as r farther off than it is, so that
+the layer lies as deep below it as a surface; in (*) d stays the distance. Damping only helps. The work
+against the field would prove nothing: a hand that swings in it gains energy with each turn. Its speed is
+bounded, and what must be stopped is its way inwards.
 
-(*) is tested in whole cells, times |x - a|, for each a that is nearest to some point x of the cell. F is trilinear:
-the mean of the samples' own -(c - a) . F(c), weighted as F is, exceeds -(x - a) . F by at most h / 4 times what F
-loses from a sample to the next along each axis; and the mean of |c - a| is not below |x - a|.
+(*) is tested in whole cells, times |x - a|, for each a that is nearest to some point x of the cell. F is
+trilinear: the mean of the samples' own -(c - a) . F(c), weighted as F is, exceeds -(x - a) . F by at most h /
+4 times what F loses from a sample to the next along each axis; and the mean of |c - a| is not below |x - a|.
 
-A medium that moves has one A, of the space that is free in any of its frames, and (*) must hold in all of them: what
-a body passes through is open.
+A medium that moves has one A, of the space that is free in any of its frames, and (*) must hold in all of
+them: what a body passes through is open.
 """
 
 from __future__ import annotations
@@ -53,7 +55,9 @@ _ALL = np.ones((3, 3, 3), bool)
 
 @dataclass(frozen=True)
 class Hand:
-    """A hand with its device: what it pushes with at most, its mass, the speed it never exceeds; each above 0."""
+    """A hand with its device: what it pushes with at most, its mass, the speed it never exceeds; each
+    above 0.
+    """
 
     push_n: float
     mass_kg: float
@@ -71,7 +75,10 @@ class Hand:
     def words(self) -> str:
         """For whom a promise holds."""
         grams, push, speed = 1e3 * self.mass_kg, self.push_n, self.speed_m_s
-        return f"a hand of {grams:g} g with its device that pushes with {push:g} N and moves at {speed:g} m/s at most"
+        return (
+            f"a hand of {grams:g} g with its device that pushes with {push:g} N and moves at {speed:g} m/s "
+            "at most"
+        )
 
 
 class _Layer(NamedTuple):
@@ -84,8 +91,8 @@ class _Layer(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """Samples that a hand feels, bool [nx, ny, nz]: corners of cells that it comes into, and a sample more on every
-    side; a force that stops it, 0 where nothing is found to.
+    """Samples that a hand feels, bool [nx, ny, nz]: corners of cells that it comes into, and a sample more on
+    every side; a force that stops it, 0 where nothing is found to.
     """
 
     samples: Bools
@@ -142,7 +149,9 @@ class _Flood:
         self.need_n = _MARGIN * (hand.push_n + 0.5 * hand.lunge_nm / (layer.depth_m - layer.start_m))
         self.step_m = np.array(medium.grid.spacing_m)
         self.diagonal_m = float(np.linalg.norm(self.step_m))
-        self.beyond = int(layer.retreat_m / float(self.step_m.min()))  # A may lie outside of the box, if no hand does
+        self.beyond = int(
+            layer.retreat_m / float(self.step_m.min())
+        )  # A may lie outside of the box, if no hand does
         self.free = self._free()
         apart = self.free & (self._distance(~self.free) >= layer.retreat_m)
         self.began = apart if apart.any() else self.free
@@ -159,7 +168,9 @@ class _Flood:
             if not weak.any():
                 reached = self._inner(self._bounds()[0]) <= self.layer.depth_m
                 # corners of these cells, and a sample more on every side
-                return np.asarray(binary_dilation(np.pad(reached, (0, 1)), np.ones((4, 4, 4), bool), origin=-1))
+                return np.asarray(
+                    binary_dilation(np.pad(reached, (0, 1)), np.ones((4, 4, 4), bool), origin=-1)
+                )
             changed = self._distance(weak) + self.layer.retreat_m
             self.joined |= weak
             self.away_m = self._away()
@@ -186,7 +197,9 @@ class _Flood:
         return np.asarray(distance_transform_edt(~nodes, self.step_m))
 
     def _away(self) -> Float64s:
-        """d at the nodes, metres: what joined A lies where a force begins, and so as far from it as that does."""
+        """d at the nodes, metres: what joined A lies where a force begins, and so as far from it as that
+        does.
+        """
         return np.minimum(self._distance(self.began), self._distance(self.joined) + self.layer.retreat_m)
 
     def _bounds(self) -> tuple[Float64s, Float64s]:
@@ -202,7 +215,9 @@ class _Flood:
         return cells[tuple(slice(self.beyond, n - self.beyond) for n in cells.shape)]
 
     def _weak(self, changed: Float64s | None) -> tuple[Bools, float]:
-        """Nodes of cells of the layer where the field does not hold, of those that `changed` is near; their share."""
+        """Nodes of cells of the layer where the field does not hold, of those that `changed` is near; their
+        share.
+        """
         from touchfield.reduction import kernels
 
         layer = self.layer
@@ -212,7 +227,9 @@ class _Flood:
         if changed is not None:
             is_tested &= changed[tuple(slice(n - 1) for n in changed.shape)] <= high + 2 * self.diagonal_m
         cells = np.argwhere(is_tested)
-        edges = np.stack([own & ~binary_erosion(own, _ALL, border_value=1) for own in (self.began, self.joined)])
+        edges = np.stack(
+            [own & ~binary_erosion(own, _ALL, border_value=1) for own in (self.began, self.joined)]
+        )
         weak = np.zeros(len(cells), bool)
         for part in self._parts() if len(cells) else ():
             left = np.flatnonzero(~weak)

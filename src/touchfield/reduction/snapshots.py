@@ -1,7 +1,8 @@
 """A medium as snapshots for `modes`: whole frames on the union of their bricks, or every brick for itself.
 
-Frames are the snapshots of what deforms in place. A body that moves is somewhere else in each frame, and no few
-frames add up to it; its bricks look alike wherever it is. Numbers are counted with and without those of the modes.
+Frames are the snapshots of what deforms in place. A body that moves is somewhere else in each frame, and no
+few frames add up to it; its bricks look alike wherever it is. Numbers are counted with and without those of
+the modes.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ BRICK_VALUES: Final = 3 * BRICK**3
 
 @dataclass(frozen=True)
 class Reduced:
-    """A medium by its modes. `keys` int64: of "global" the `brick_keys` of the union of bricks; none of "bricks"."""
+    """A medium by its modes. `keys` int64: of "global" the `brick_keys` of the union of bricks; none of
+    "bricks".
+    """
 
     medium: HapticMedium
     kind: str
@@ -56,7 +59,9 @@ def _bricks(field: ForceField) -> Float32s:
 
 
 def reduced(medium: HapticMedium, kind: str = "global", rank: int | None = None, step: int = 1) -> Reduced:
-    """The modes of every `step`-th frame of a medium, all of them or the first `rank`; `kind` is one of `KINDS`."""
+    """The modes of every `step`-th frame of a medium, all of them or the first `rank`; `kind` is one of
+    `KINDS`.
+    """
     require_one_of("modes", kind, KINDS)
     places = range(0, len(medium), step)
     if kind == "bricks":
@@ -65,7 +70,9 @@ def reduced(medium: HapticMedium, kind: str = "global", rank: int | None = None,
     if not len(keys):
         raise InvalidArgument("medium", "no frame with a force", "a force somewhere")
     most = min(rank or len(places), len(places))
-    require_memory("frames and modes", f"{len(keys)} bricks", 4 * BRICK_VALUES * len(keys) * (len(places) + 2 * most))
+    require_memory(
+        "frames and modes", f"{len(keys)} bricks", 4 * BRICK_VALUES * len(keys) * (len(places) + 2 * most)
+    )
     frames = np.stack([medium[i].forces_at(keys).ravel() for i in places])
     return Reduced(medium, kind, pod(frames, rank), keys)
 
@@ -73,10 +80,10 @@ def reduced(medium: HapticMedium, kind: str = "global", rank: int | None = None,
 class HeldOut(NamedTuple):
     """Frames that were not learnt from, by modes of the others.
 
-    `modes` are used, `numbers` the coefficients of a snapshot, the mean. `share` are all numbers that a receiver
-    needs of the medium, to those without modes: coefficients, of each that is one of several its place (the entropy
-    of the places, in numbers of 32 bits), and the modes; `share_of_coefficients` is without these. Of bricks
-    coefficients below `least_n` were not kept.
+    `modes` are used, `numbers` the coefficients of a snapshot, the mean. `share` are all numbers that a
+    receiver needs of the medium, to those without modes: coefficients, of each that is one of several its
+    place (the entropy of the places, in numbers of 32 bits), and the modes; `share_of_coefficients` is
+    without these. Of bricks coefficients below `least_n` were not kept.
     """
 
     modes: int
@@ -88,10 +95,11 @@ class HeldOut(NamedTuple):
 
 
 def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOut:
-    """Modes of the even frames, and how many numbers the odd ones need for this error; all that there are may not do.
+    """Modes of the even frames, and how many numbers the odd ones need for this error; all that there are may
+    not do.
 
-    Of "global" the first modes are used, of "bricks" of each brick the greatest coefficients: those above one bound.
-    Raises `InvalidArgument` as `reduced` does, or for a medium of one frame.
+    Of "global" the first modes are used, of "bricks" of each brick the greatest coefficients: those above one
+    bound. Raises `InvalidArgument` as `reduced` does, or for a medium of one frame.
     """
     if len(medium) < 2:
         raise InvalidArgument("medium", "one frame", "frames to learn from and others")
@@ -109,7 +117,11 @@ def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOu
     length, modes = len(learnt.modes.basis), used if is_global else learnt.modes.rank
     numbers = used if is_global else used / len(squares)
     chosen = numbers / modes
-    places = 0.0 if is_global or chosen >= 1 else (-chosen * math.log2(chosen) - (1 - chosen) * math.log2(1 - chosen))
+    places = (
+        0.0
+        if is_global or chosen >= 1
+        else (-chosen * math.log2(chosen) - (1 - chosen) * math.log2(1 - chosen))
+    )
     of_coefficients = (numbers + places * modes / 32) / length
     least = 0.0 if is_global else math.sqrt(float(caught[used - 1]))
     nmse = 10 * math.log10(float(left[used - 1]))
@@ -117,8 +129,8 @@ def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOu
 
 
 class Freedom(NamedTuple):
-    """`effective` degrees of freedom, exp of the entropy of the normalised squared singular values; the step of the
-    coefficients, newtons; `bits` of one, the mean over the `modes` that have one that is not 0.
+    """`effective` degrees of freedom, exp of the entropy of the normalised squared singular values; the step
+    of the coefficients, newtons; `bits` of one, the mean over the `modes` that have one that is not 0.
     """
 
     effective: float
@@ -130,8 +142,9 @@ class Freedom(NamedTuple):
 def freedom(found: Reduced, f0_n: float) -> Freedom:
     """How many numbers a snapshot has, effectively, and how many bits each of them.
 
-    The step is the one whose rounding makes an error of F_0 rms at each supported sample: rounding makes a squared
-    error of rank step^2 / 12 in a snapshot. Bits are the plug-in entropy of each mode's rounded coefficients.
+    The step is the one whose rounding makes an error of F_0 rms at each supported sample: rounding makes a
+    squared error of rank step^2 / 12 in a snapshot. Bits are the plug-in entropy of each mode's rounded
+    coefficients.
     """
     modes = found.modes
     share = modes.values**2 / max(float((modes.values**2).sum()), 1e-300)

@@ -1,12 +1,13 @@
-"""The player of type 2 devices: frames of drives, decoded ahead, to an array of actuators at the device's own rate.
+"""The player of type 2 devices: frames of drives, decoded ahead, to an array of actuators at the device's own
+rate.
 
     frames -> `DrivesAhead` (a thread that decodes) -> the sender (a thread): linear in time, 0 to 1 -> device
 
-An array has no loop that closes through a hand and needs a tenth of the rate of a point (docs/decisions/0010), so
-that threads of the user's process do. What comes out of them is safe whatever goes in: each drive is from 0 to 1, and
-the last frame is all off, be it the end, a call of `close`, an error of the frames or of the device. While the feed
-stalls the actuators are off and time stands still; it goes on with the frame that was missing. A medium of a single
-frame has no end: it stays until it is closed.
+An array has no loop that closes through a hand and needs a tenth of the rate of a point
+(docs/decisions/0010), so that threads of the user's process do. What comes out of them is safe whatever goes
+in: each drive is from 0 to 1, and the last frame is all off, be it the end, a call of `close`, an error of
+the frames or of the device. While the feed stalls the actuators are off and time stands still; it goes on
+with the frame that was missing. A medium of a single frame has no end: it stays until it is closed.
 """
 
 from __future__ import annotations
@@ -59,9 +60,9 @@ class DriveFrames(Protocol):
 class DrivesAhead:
     """Decodes the frames that a player will need next, in a thread of its own.
 
-    A *position* counts frames from the beginning and goes on through the repeats of a loop; it need not be whole.
-    `shape` is that of every frame; `first` is the position of the player's first frame, and `stride` how far it goes
-    from one to the next, at `rate_hz`.
+    A *position* counts frames from the beginning and goes on through the repeats of a loop; it need not be
+    whole. `shape` is that of every frame; `first` is the position of the player's first frame, and `stride`
+    how far it goes from one to the next, at `rate_hz`.
     """
 
     def __init__(
@@ -99,8 +100,8 @@ class DrivesAhead:
     def at(self, position: float) -> Shown | None:
         """Drives and frequencies at a position, linear between frames; None while the feed stalls.
 
-        Frequencies are those of the nearer frame, and of the other one where that has none. What the frames raised is
-        raised once they are needed.
+        Frequencies are those of the nearer frame, and of the other one where that has none. What the frames
+        raised is raised once they are needed.
         """
         with self._changed:
             self._position = position
@@ -131,8 +132,12 @@ class DrivesAhead:
                 frame = at % self._frames.frame_count
                 drives = self._frames.drives(frame)
                 if drives.shape != self._shape:
-                    raise InvalidArgument(f"drives of frame {frame}", f"shape {drives.shape}", f"{self._shape}")
-                drives = np.clip(np.nan_to_num(drives, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(np.float32)
+                    raise InvalidArgument(
+                        f"drives of frame {frame}", f"shape {drives.shape}", f"{self._shape}"
+                    )
+                drives = np.clip(np.nan_to_num(drives, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(
+                    np.float32
+                )
                 shown = drives, self._frames.frequencies(frame)
                 with self._changed:
                     self._buffer[at] = shown
@@ -143,7 +148,9 @@ class DrivesAhead:
                 self._changed.notify_all()
 
     def _next(self) -> int | None:
-        """The first position that the player will need and that is not held; forgets those that it left behind."""
+        """The first position that the player will need and that is not held; forgets those that it left
+        behind.
+        """
         coming = self._needed(self._position)
         later = np.floor(self._position + self._steps).astype(np.int64)
         plan = np.unique(np.concatenate([coming, later, later + 1]))
@@ -168,9 +175,10 @@ class DrivesAhead:
 class ArrayPlayer:
     """Plays frames of drives on an array; a context manager, which closes it.
 
-    `frames` are such as `touchfield.pipeline.array_medium.Drives`; `rate_hz`, frames a second to the device, is by default
-    the profile's, up to 100, or 50 where it states none; `speed` is seconds of the medium in a second, `start_s`
-    where in it to begin. `InvalidArgument` if a number is out of range, or the medium does not last until `start_s`.
+    `frames` are such as `touchfield.pipeline.array_medium.Drives`; `rate_hz`, frames a second to the device,
+    is by default the profile's, up to 100, or 50 where it states none; `speed` is seconds of the medium in a
+    second, `start_s` where in it to begin. `InvalidArgument` if a number is out of range, or the medium does
+    not last until `start_s`.
     """
 
     def __init__(
@@ -189,7 +197,9 @@ class ArrayPlayer:
         require_between(0.001, 1000.0, speed=speed)
         seconds = frames.frame_count / frames.rate_hz
         if not (is_finite(start_s) and 0 <= start_s < seconds):
-            raise InvalidArgument("start_s", f"{start_s:g} s", f"0 to below {seconds:g} s, the end of the medium")
+            raise InvalidArgument(
+                "start_s", f"{start_s:g} s", f"0 to below {seconds:g} s, the end of the medium"
+            )
         self.rate_hz, self._device, self._loop = rate, device, loop
         self._first, self._count = start_s * frames.rate_hz, frames.frame_count
         self._stride = speed * frames.rate_hz / rate
@@ -250,11 +260,15 @@ class ArrayPlayer:
             self._ahead.thread.join(_LONGEST_CLOSE_S)
 
     def statistics(self) -> dict[str, float]:
-        """Frames ``sent``, of these ``late`` by more than half a period, ``skipped`` as the one before took too long,
-        of those sent ``stalled``, all off as the feed had nothing; ``mean_rate_hz``, 0 before the second.
+        """Frames ``sent``, of these ``late`` by more than half a period, ``skipped`` as the one before took
+        too long, of those sent ``stalled``, all off as the feed had nothing; ``mean_rate_hz``, 0 before the
+        second.
         """
         sent = self._counts["sent"]
-        return {**self._counts, "mean_rate_hz": (sent - 1) / self._span_s if sent > 1 and self._span_s > 0 else 0.0}
+        return {
+            **self._counts,
+            "mean_rate_hz": (sent - 1) / self._span_s if sent > 1 and self._span_s > 0 else 0.0,
+        }
 
     def __enter__(self) -> ArrayPlayer:
         self.start()
@@ -317,12 +331,15 @@ class ArrayDevice(ABC):
     def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
         """Show drives, float32 [panels, rows, columns] from 0 to 1, for about so many seconds.
 
-        Row 0 is the top row as one looks at the panel, column 0 the left one; panel 0 is the front. The frequencies
-        of the vibration band have the same shape; None where the medium has none. `DeviceError` if it is gone.
+        Row 0 is the top row as one looks at the panel, column 0 the left one; panel 0 is the front. The
+        frequencies of the vibration band have the same shape; None where the medium has none. `DeviceError`
+        if it is gone.
         """
 
     def close(self) -> None:
-        """All actuators off, then let it go; must not raise, and may be called twice, or after a failed `open`."""
+        """All actuators off, then let it go; must not raise, and may be called twice, or after a failed
+        `open`.
+        """
         if self._line is None:
             return
         columns, rows, _ = self.profile.lattice

@@ -1,7 +1,9 @@
-"""The feeder: frames are decoded ahead of the servo and written into the block, in order, as long as there is room.
+"""The feeder: frames are decoded ahead of the servo and written into the block, in order, as long as there is
+room.
 
-Frames are counted on where a medium is looped (*unrolled*), and begin anew with each seek (*generation*). Nothing is
-written over that the servo has not given up, and nothing of a new generation before the servo has taken it up.
+Frames are counted on where a medium is looped (*unrolled*), and begin anew with each seek (*generation*).
+Nothing is written over that the servo has not given up, and nothing of a new generation before the servo has
+taken it up.
 
 Where frames take longer to be decoded than they last, those that could not be there in time are left out
 (`Pace`): the frame before is held in their place, and the next one comes at its own time.
@@ -22,7 +24,14 @@ from touchfield.errors import TouchfieldError
 from touchfield.medium import HapticScene
 from touchfield.render.block import Layout, Memory, Ring, check_fits, too_little
 from touchfield.render.block import words as W
-from touchfield.render.block.frames import VIBRATION, FieldName, FrameParts, field_words, require_medium, write_fields
+from touchfield.render.block.frames import (
+    VIBRATION,
+    FieldName,
+    FrameParts,
+    field_words,
+    require_medium,
+    write_fields,
+)
 from touchfield.render.segment_blend import with_blends
 from touchfield.render.spec import Wall, stated_n_per_m, stiffest_n_per_m, wall_of
 
@@ -44,10 +53,10 @@ _SHORTEST_PAUSE_S: Final = 0.001
 class Pace:
     """Cost of decoding on this machine, and the next frame that can be there in time.
 
-    A frame in the middle of a segment costs every frame from the one decoded last, or from the segment's start
-    (`starts`, as of `FrameSource`): where a frame takes longer than it lasts, the start of a segment to come can
-    still be reached. `frame_s` is what a frame takes; 0 before the second, as the first one also loads or compiles
-    code.
+    A frame in the middle of a segment costs every frame from the one decoded last, or from the segment's
+    start (`starts`, as of `FrameSource`): where a frame takes longer than it lasts, the start of a segment to
+    come can still be reached. `frame_s` is what a frame takes; 0 before the second, as the first one also
+    loads or compiles code.
     """
 
     def __init__(self, starts: Sequence[int], frame_count: int, rate_hz: float) -> None:
@@ -64,7 +73,9 @@ class Pace:
         self._latest = frame
 
     def in_time(self, frame: int, stop: int, media_s: float, speed: float) -> int:
-        """The first frame from `frame` on that can be ready at its time; else `stop`, or `frame` where it goes on."""
+        """The first frame from `frame` on that can be ready at its time; else `stop`, or `frame` where it
+        goes on.
+        """
         for at in range(frame, min(stop, frame + _MOST_TRIED)):
             left_s = (at / self._rate_hz - media_s) / speed
             if _SPARE * self.frame_s * self._needed(at) <= left_s or not self.frame_s:
@@ -82,19 +93,22 @@ class Pace:
 
 
 def arena_words(source: FrameSource, memory_bytes: int) -> int:
-    """Words that the arena takes: what the bound allows, and not more than all frames need; an error if too few."""
+    """Words that the arena takes: what the bound allows, and not more than all frames need; an error if too
+    few.
+    """
     allowed = memory_bytes // W.WORD
     check_fits(source.shared_words, allowed, "the fields of the rigid objects")
     return min(allowed, source.shared_words + (source.frame_count + 2) * source.most_words)
 
 
 class Feeder:
-    """Writes frames ahead of the servo; by `step` in the caller's thread, or in a thread of its own after `start`.
+    """Writes frames ahead of the servo; by `step` in the caller's thread, or in a thread of its own after
+    `start`.
 
     ``reserve(words)`` sees to it that so many words of the block can be written. With `is_timed` frames
     that come too late are left out. ``tell_stiffness(k)`` is told the stiffest slope
-    of each frame, N/m. `error` is what ended the feed, `decode_s` what the latest frames took, `left_out` how many
-    would have come too late.
+    of each frame, N/m. `error` is what ended the feed, `decode_s` what the latest frames took, `left_out` how
+    many would have come too late.
     """
 
     def __init__(
@@ -221,9 +235,15 @@ class Feeder:
     def note(self) -> str:
         """Note for the user where frames are left out."""
         wanted, most = self._source.rate_hz, 1 / max(self._pace.frame_s, 1e-6)
-        why = f"This machine decodes {most:.3g} frames a second at present, and {wanted:g} are needed at speed 1"
+        why = (
+            f"This machine decodes {most:.3g} frames a second at present, and {wanted:g} are needed at speed "
+            "1"
+        )
         if most >= wanted * float(self._memory.f8[W.SPEED_NOW]):
-            why = "Frames were not there in time, as they had to be fetched, or other work held up their decoding"
+            why = (
+                "Frames were not there in time, as they had to be fetched, or other work held up their "
+                "decoding"
+            )
         return f"{why}: frames that would come too late are left out, so that time is kept"
 
     @property
@@ -276,13 +296,16 @@ class Prepared:
 class FrameSource(FrameParts):
     """Frames by their number; with `is_blended` one segment goes over into the next (`segment_blend`).
 
-    `starts` are frames that need no frame before them to be decoded, ascending from 0, those after need all from
-    there on; empty where every frame stands alone. `shared_words` is what all frames share, `stiffest_n_per_m` of
-    those fields, and beside that no frame takes more than `most_words`.
+    `starts` are frames that need no frame before them to be decoded, ascending from 0, those after need all
+    from there on; empty where every frame stands alone. `shared_words` is what all frames share,
+    `stiffest_n_per_m` of those fields, and beside that no frame takes more than `most_words`.
     """
 
     def __init__(
-        self, medium: HapticMedium | HapticScene, is_blended: bool = True, deformation: Deformation | None = None
+        self,
+        medium: HapticMedium | HapticScene,
+        is_blended: bool = True,
+        deformation: Deformation | None = None,
     ) -> None:
         require_medium(medium)
         self.axes = medium.axes
@@ -353,7 +376,9 @@ class FrameSource(FrameParts):
 
 
 def _starts(medium: HapticMedium | HapticScene) -> tuple[int, ...]:
-    """Where segments begin; of a scene, those of the first object that changes: all are cut at the same frames."""
+    """Where segments begin; of a scene, those of the first object that changes: all are cut at the same
+    frames.
+    """
     if isinstance(medium, HapticScene):
         return next((_starts(one.medium) for one in medium.objects if not one.is_rigid), ())
     if medium.segments is not None:

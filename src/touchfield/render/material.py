@@ -1,15 +1,17 @@
-"""Materials of surfaces: a small table of friction, stick-slip and vibration by speed and force (section 6.4).
+"""Materials of surfaces: a small table of friction, stick-slip and vibration by speed and force (section
+6.4).
 
-A field tells how hard a surface pushes, not how it feels to slide along it. A `Material` tells that, for the whole
-field, a box or an object: mu, stick-slip, and the rms of the vibration in thirds of an octave at some speeds of the
-hand and some forces that it presses with. Tables are JSON::
+A field tells how hard a surface pushes, not how it feels to slide along it. A `Material` tells that, for the
+whole field, a box or an object: mu, stick-slip, and the rms of the vibration in thirds of an octave at some
+speeds of the hand and some forces that it presses with. Tables are JSON::
 
     {"bands_hz": [31.6, ..., 1000], "materials": [
         {"name": "wood", "friction": 0.4, "object": "table", "speeds_m_s": [0.05, 0.1], "forces_n": [1],
          "texture_rms_n": [[[0.001, ...]], [[0.002, ...]]]}]}
 
-They lie in a file of their own, or travel with a medium: as the entry ``materials.json`` of its provenance, which
-every reader of the format allows and only the renderer looks at. A medium without it is the same to the last byte.
+They lie in a file of their own, or travel with a medium: as the entry ``materials.json`` of its provenance,
+which every reader of the format allows and only the renderer looks at. A medium without it is the same to the
+last byte.
 """
 
 from __future__ import annotations
@@ -49,18 +51,24 @@ _SINES: Final = W.MATERIAL_SINES // len(BANDS_HZ)
 class Material:
     """Material of a surface.
 
-    Raises `InvalidArgument` if a number is out of range or not finite, or the table is no [speeds, forces, 16].
+    Raises `InvalidArgument` if a number is out of range or not finite, or the table is no [speeds, forces,
+    16].
     """
 
     name: str
     friction: float | None = None  # mu of a hand that slides, 0 or more; None: that of the medium
-    static_friction: float | None = None  # mu just before it gives way, `friction` or more; None: no stick-slip
+    static_friction: float | None = (
+        None  # mu just before it gives way, `friction` or more; None: no stick-slip
+    )
     slip_length_m: float = 0.001  # way of the hand from one slip to the next, positive
     object: str | None = None  # of a scene of objects, the one that is made of it; None: any
-    box_m: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # least and greatest x, y, z; None: everywhere
+    box_m: tuple[tuple[float, ...], tuple[float, ...]] | None = (
+        None  # least and greatest x, y, z; None: everywhere
+    )
     speeds_m_s: tuple[float, ...] = ()  # of the table, rising from above 0
     forces_n: tuple[float, ...] = ()  # that press, likewise
-    texture_rms_n: Levels = ()  # [speeds, forces, 16], newtons rms in each of `perception.vibrotactile.BANDS_HZ`
+    # [speeds, forces, 16], newtons rms in each of `perception.vibrotactile.BANDS_HZ`
+    texture_rms_n: Levels = ()
 
     def __post_init__(self) -> None:
         whose = f"material {self.name!r} "
@@ -74,17 +82,29 @@ class Material:
             raise InvalidArgument(whose + "slip_length_m", repr(self.slip_length_m), "metres, 1e-6 or more")
         box = None if self.box_m is None else np.array(self.box_m, np.float64)
         if box is not None and (box.shape != (2, 3) or not (box[0] <= box[1]).all()):
-            raise InvalidArgument(whose + "box_m", repr(self.box_m), "[[x, y, z], [x, y, z]], least and greatest")
+            raise InvalidArgument(
+                whose + "box_m", repr(self.box_m), "[[x, y, z], [x, y, z]], least and greatest"
+            )
         for name in ("speeds_m_s", "forces_n"):
             row = np.array(getattr(self, name), np.float64)
-            if len(row) > MOST_LEVELS or not (np.diff(row, prepend=0.0) > 0).all() or not np.isfinite(row).all():
-                raise InvalidArgument(whose + name, repr(getattr(self, name)), "rising numbers above 0, at most 32")
+            if (
+                len(row) > MOST_LEVELS
+                or not (np.diff(row, prepend=0.0) > 0).all()
+                or not np.isfinite(row).all()
+            ):
+                raise InvalidArgument(
+                    whose + name, repr(getattr(self, name)), "rising numbers above 0, at most 32"
+                )
         shape = len(self.speeds_m_s), len(self.forces_n), len(BANDS_HZ)
         levels = self.levels_n
         if levels.shape != (shape if levels.size else (0,)) or (not levels.size and shape[0] + shape[1]):
-            raise InvalidArgument(whose + "texture_rms_n", f"shape {levels.shape}", f"{shape}, speeds, forces, bands")
+            raise InvalidArgument(
+                whose + "texture_rms_n", f"shape {levels.shape}", f"{shape}, speeds, forces, bands"
+            )
         if not (np.isfinite(levels) & (levels >= 0)).all():
-            raise InvalidArgument(whose + "texture_rms_n", "a number below 0 or not finite", "newtons rms, 0 or more")
+            raise InvalidArgument(
+                whose + "texture_rms_n", "a number below 0 or not finite", "newtons rms, 0 or more"
+            )
 
     @property
     def levels_n(self) -> Float64s:
@@ -96,9 +116,15 @@ def materials_json(materials: Iterable[Material]) -> str:
     """The table as JSON, levels to four digits; what is as by default is left out."""
     usual, entries = Material(""), []
     for one in materials:
-        own = {f.name: getattr(one, f.name) for f in fields(one) if getattr(one, f.name) != getattr(usual, f.name)}
+        own = {
+            f.name: getattr(one, f.name)
+            for f in fields(one)
+            if getattr(one, f.name) != getattr(usual, f.name)
+        }
         if one.texture_rms_n:
-            own["texture_rms_n"] = [[[float(f"{v:.4g}") for v in row] for row in rows] for rows in one.texture_rms_n]
+            own["texture_rms_n"] = [
+                [[float(f"{v:.4g}") for v in row] for row in rows] for rows in one.texture_rms_n
+            ]
         entries.append(own)
     bands = [float(f"{hz:.4g}") for hz in BANDS_HZ]
     return json.dumps({"bands_hz": bands, "materials": entries}, separators=(",", ":"), allow_nan=False)
@@ -139,7 +165,9 @@ def _material_of(row: Any, where: str) -> Material:
         except (TypeError, ValueError) as error:
             if isinstance(error, InvalidArgument):
                 raise
-            raise SourceError(where, f"a value of another kind ({error})", "numbers, and rows of numbers") from None
+            raise SourceError(
+                where, f"a value of another kind ({error})", "numbers, and rows of numbers"
+            ) from None
 
 
 def _plain(value: Any) -> Any:
@@ -164,7 +192,9 @@ def write_table(path: str | Path, materials: Iterable[Material]) -> None:
 
 
 def stored_materials(provenance: Mapping[str, str]) -> tuple[Material, ...]:
-    """The materials that travel with a medium; none where there is no such entry, `SourceError` if it is damaged."""
+    """The materials that travel with a medium; none where there is no such entry, `SourceError` if it is
+    damaged.
+    """
     return _materials_of(provenance[KEY], f"provenance, {KEY}") if KEY in provenance else ()
 
 
@@ -186,12 +216,16 @@ def material_words(materials: Sequence[Material]) -> int:
 
 
 def write_materials(
-    memory: Memory, at: int, materials: Sequence[Material], objects: Sequence[str] = (), own_friction: bool = True
+    memory: Memory,
+    at: int,
+    materials: Sequence[Material],
+    objects: Sequence[str] = (),
+    own_friction: bool = True,
 ) -> tuple[str, ...]:
     """Write materials at word `at`, with silent sines; notes for the user.
 
-    `objects` are the names of the parts of each frame. With `own_friction` false mu is that of the field everywhere.
-    `InvalidArgument` if a material is that of an object that is not there.
+    `objects` are the names of the parts of each frame. With `own_friction` false mu is that of the field
+    everywhere. `InvalidArgument` if a material is that of an object that is not there.
     """
     i8, f8 = memory.i8, memory.f8
     i8[W.MATERIAL], i8[W.MATERIAL_COUNT] = at, len(materials)
@@ -205,7 +239,9 @@ def write_materials(
     place = row + W.MATERIAL_WORDS * len(materials)
     for one in materials:
         if one.object is not None and one.object not in objects:
-            expected = f"one of {', '.join(objects)}" if objects else "none: this medium is a field, not objects"
+            expected = (
+                f"one of {', '.join(objects)}" if objects else "none: this medium is a field, not objects"
+            )
             raise InvalidArgument(f"material {one.name!r} object", repr(one.object), expected)
         mu = one.friction if own_friction and one.friction is not None else math.nan
         f8[row + W.MATERIAL_FRICTION], f8[row + W.MATERIAL_SLIP] = mu, one.slip_length_m
@@ -227,7 +263,10 @@ def _notes(materials: Sequence[Material], rate_hz: float, slew_n_per_s: float) -
     notes, bands = [f"materials: {', '.join(one.name for one in materials)}"], np.array(BANDS_HZ)
     shown = 2 * 10**0.05 * bands < rate_hz
     for one in (one for one in materials if one.texture_rms_n):
-        change = W.MATERIAL_CREST * np.sqrt(((2 * np.pi * bands * one.levels_n) ** 2)[..., shown].sum(axis=-1)).max()
+        change = (
+            W.MATERIAL_CREST
+            * np.sqrt(((2 * np.pi * bands * one.levels_n) ** 2)[..., shown].sum(axis=-1)).max()
+        )
         if change > slew_n_per_s:
             weaker = f"up to {20 * math.log10(change / slew_n_per_s):.1f} dB"
             notes.append(

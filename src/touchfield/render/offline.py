@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OfflineRun:
-    """Outcome of a run: a row of `block.COLUMNS` for each tick, statistics as of `Player.statistics` with times of
-    the virtual clock, notes for the user, and the error of the medium, where it was to be kept.
+    """Outcome of a run: a row of `block.COLUMNS` for each tick, statistics as of `Player.statistics` with
+    times of the virtual clock, notes for the user, and the error of the medium, where it was to be kept.
     """
 
     log: NDArray[Any]
@@ -49,10 +49,10 @@ def run_offline(
 ) -> OfflineRun:
     """Play a medium to a device in this process, as fast as it goes; other arguments as of `Player`.
 
-    The device must not have a rhythm of its own. `seconds` are of the device; None plays to the end of the medium,
-    which must have one. With `keeps_error` an error of the medium, as a corrupt segment, is kept beside what was felt
-    before it, and else raised once the force is zero. `InvalidArgument` if a number is out of range, a frame does not
-    fit, or the run has no end; `DeviceError` of the device.
+    The device must not have a rhythm of its own. `seconds` are of the device; None plays to the end of the
+    medium, which must have one. With `keeps_error` an error of the medium, as a corrupt segment, is kept
+    beside what was felt before it, and else raised once the force is zero. `InvalidArgument` if a number is
+    out of range, a frame does not fit, or the run has no end; `DeviceError` of the device.
     """
     spec = RenderSpec() if spec is None else spec
     session = Session(medium, device_profile, spec, memory_bytes, loop, speed, start_s)

@@ -53,13 +53,14 @@ _JOIN_S: Final = 5.0
 class Player:
     """Plays a medium to a type 1 device.
 
-    Entering it opens the device, which is then without force until `play`; leaving it brings the force to zero and
-    closes the device, whatever happened.
+    Entering it opens the device, which is then without force until `play`; leaving it brings the force to
+    zero and closes the device, whatever happened.
 
-    `device_profile` is of type 1; `opener` makes the device in the servo's process and can be pickled. `memory_bytes`
-    bounds what is decoded ahead, `speed` is media seconds for one second (above 0, up to 100), `start_s` the media
-    time at which it begins. Of the log the latest `log_rows` are kept; `is_realtime`: SCHED_FIFO is asked for.
-    `InvalidArgument` if a number is out of range, or there is no memory for the frames.
+    `device_profile` is of type 1; `opener` makes the device in the servo's process and can be pickled.
+    `memory_bytes` bounds what is decoded ahead, `speed` is media seconds for one second (above 0, up to 100),
+    `start_s` the media time at which it begins. Of the log the latest `log_rows` are kept; `is_realtime`:
+    SCHED_FIFO is asked for. `InvalidArgument` if a number is out of range, or there is no memory for the
+    frames.
     """
 
     def __init__(
@@ -204,18 +205,20 @@ class Player:
     def statistics(self) -> dict[str, Any]:
         """Counts and times so far, also after the end.
 
-        ``ticks``, ``seconds``, ``rate_hz``, ``mean_rate_hz``; ``jitter_`` (|dT - 1/rate|) and ``lateness_`` each with
-        ``p50_us``, ``p99_us``, ``p99_9_us`` and ``worst_us``; ``late_ticks`` (by more than half a period),
-        ``missed_ticks``; ``underruns``, ``stalled_ticks``; ``waits`` (after start and seeks), ``waiting_ticks``;
-        ``frames_used``; ``decode_median_s`` of one frame; ``frames_left_out``, which could not be decoded in time;
-        ``stalled_share`` of the ticks of play that had nothing; ``log_rows_lost``; ``priority``, ``memory``,
-        ``processors``.
+        ``ticks``, ``seconds``, ``rate_hz``, ``mean_rate_hz``; ``jitter_`` (|dT - 1/rate|) and ``lateness_``
+        each with ``p50_us``, ``p99_us``, ``p99_9_us`` and ``worst_us``; ``late_ticks`` (by more than half a
+        period), ``missed_ticks``; ``underruns``, ``stalled_ticks``; ``waits`` (after start and seeks),
+        ``waiting_ticks``; ``frames_used``; ``decode_median_s`` of one frame; ``frames_left_out``, which could
+        not be decoded in time; ``stalled_share`` of the ticks of play that had nothing; ``log_rows_lost``;
+        ``priority``, ``memory``, ``processors``.
         """
         with self._lock:
             if self._block is not None and self._servo is not None and self._log is not None and self._feeder:
                 self._statistics = {
                     **statistics_of(self._block.memory),
-                    "decode_median_s": float(np.median(self._feeder.decode_s)) if self._feeder.decode_s else 0.0,
+                    "decode_median_s": float(np.median(self._feeder.decode_s))
+                    if self._feeder.decode_s
+                    else 0.0,
                     "frames_left_out": self._feeder.left_out,
                     "log_rows_lost": self._log.lost,
                     **self._servo.report,
@@ -292,7 +295,9 @@ _LONGEST_RAMP_S: Final = 10.0
 
 @dataclass(frozen=True)
 class Orders:
-    """Wishes of the player to the servo at one time: a generation, which begins at a media time, and its mode."""
+    """Wishes of the player to the servo at one time: a generation, which begins at a media time, and its
+    mode.
+    """
 
     generation: int
     start_s: float
@@ -383,7 +388,9 @@ class Session:
         )
         write_tool(memory, self.layout.tool, spec.tool)
         own_friction = spec.friction is None
-        self._notes += write_materials(memory, self.layout.material, self._materials, self._objects, own_friction)
+        self._notes += write_materials(
+            memory, self.layout.material, self._materials, self._objects, own_friction
+        )
         f8 = memory.f8
         if self._yield_words:
             f8[self.layout.yields : self.layout.yields + self._yield_words] = 0.0
@@ -391,7 +398,10 @@ class Session:
         if self._wall is not None:
             f8[W.WALL], f8[W.WALL_LEVEL] = self._wall.stiffness_n_per_m, self._wall.level_n
             f8[W.WALL_SPACING : W.WALL_SPACING + 3] = self._wall.spacing_m
-            self._notes = (*self._notes, f"a proxy holds the hand at walls of {self._wall.stiffness_n_per_m:.0f} N/m")
+            self._notes = (
+                *self._notes,
+                f"a proxy holds the hand at walls of {self._wall.stiffness_n_per_m:.0f} N/m",
+            )
         limits = ((W.PEAK, W.SLEW), (W.TORQUE_PEAK, W.TORQUE_SLEW))
         ramps_s = [ramp_limit_s(float(f8[a]), float(f8[b]), spec.ramp_s) for a, b in limits if f8[a] > 0]
         memory.i8[W.RAMP_LIMIT_NS] = round(1e9 * max(ramps_s))
@@ -401,8 +411,12 @@ class Session:
         self.order(memory, mode=mode)
 
     def _adapt(self, memory: Memory, stiffness_n_per_m: float) -> None:
-        """Choose damping and coupling anew for a frame that is stiffer than those before; the ticks follow slowly."""
-        if stiffness_n_per_m <= self._stiffest_n_per_m or (self._wall is not None and self._stability is not None):
+        """Choose damping and coupling anew for a frame that is stiffer than those before; the ticks follow
+        slowly.
+        """
+        if stiffness_n_per_m <= self._stiffest_n_per_m or (
+            self._wall is not None and self._stability is not None
+        ):
             return
         self._stiffest_n_per_m = stiffness_n_per_m
         chosen = stability_of(self._device, self._spec, self.source.damping_n_s_per_m, stiffness_n_per_m)
@@ -422,14 +436,20 @@ class Session:
         give_order(memory.i8, memory.f8, *order)
         return one
 
-    def feeder(self, memory: Memory, reserve: Callable[[int], None] | None = None, is_timed: bool = True) -> Feeder:
+    def feeder(
+        self, memory: Memory, reserve: Callable[[int], None] | None = None, is_timed: bool = True
+    ) -> Feeder:
         """The feeder of this block, not yet begun."""
         first, tell = self.frame_at(self.orders.start_s), partial(self._adapt, memory)
-        return Feeder(self.source, memory, self.layout, first, self.is_loop, reserve, is_timed, tell_stiffness=tell)
+        return Feeder(
+            self.source, memory, self.layout, first, self.is_loop, reserve, is_timed, tell_stiffness=tell
+        )
 
 
 def is_over(memory: Memory) -> bool:
-    """True if the medium is over, or its feed has failed and all that was fed is shown, and the force is zero."""
+    """True if the medium is over, or its feed has failed and all that was fed is shown, and the force is
+    zero.
+    """
     i8 = memory.i8
     if i8[W.SEQUENCE_SEEN] != i8[W.SEQUENCE]:  # read first, and written last: the rest is of this order
         return False

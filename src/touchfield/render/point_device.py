@@ -1,7 +1,8 @@
-"""A type 1 device as the servo sees it: where it is, and to push; of some also how it is turned, and to twist.
+"""A type 1 device as the servo sees it: where it is, and to push; of some also how it is turned, and to
+twist.
 
-A new device is one file in `touchfield.devices.drivers` with a class of this kind (docs/devices.md). Forces that arrive here
-have passed every limit; an adapter changes none of them.
+A new device is one file in `touchfield.devices.drivers` with a class of this kind (docs/devices.md). Forces
+that arrive here have passed every limit; an adapter changes none of them.
 """
 
 from __future__ import annotations
@@ -23,8 +24,12 @@ class PointDevice(ABC):
     Used by one thread, within the servo's process: it is made there, by a callable that can be pickled.
     """
 
-    is_paced: ClassVar[bool] = False  # whether `position_m` waits for the device and so sets the rate of the loop
-    is_driven: ClassVar[bool] = False  # whether the vendor's driver calls us, by `drive`: it asks for no position
+    is_paced: ClassVar[bool] = (
+        False  # whether `position_m` waits for the device and so sets the rate of the loop
+    )
+    is_driven: ClassVar[bool] = (
+        False  # whether the vendor's driver calls us, by `drive`: it asks for no position
+    )
 
     @abstractmethod
     def open(self) -> None:
@@ -59,8 +64,8 @@ class PointDevice(ABC):
     def put_wrench(self, fx: float, fy: float, fz: float, tx: float, ty: float, tz: float) -> None:
         """Push as `put_force_n`, and twist with a torque in newton metres, in its own axes, about its point.
 
-        A device that shows no torque leaves it out; its profile states none, so that there is none. `DeviceError` if
-        it is gone.
+        A device that shows no torque leaves it out; its profile states none, so that there is none.
+        `DeviceError` if it is gone.
         """
         self.put_force_n(fx, fy, fz)
 
@@ -117,8 +122,8 @@ _LONGEST: Final = 256
 def axes_of_text(text: str) -> Float64s | None:
     """A signed permutation P, float64 [3, 3], with v_box = P v; None if the text cannot be read.
 
-    The text is such as "x right, y up, z towards the user", in any order and case, with or without "the user". The
-    determinant is -1 for left-handed axes.
+    The text is such as "x right, y up, z towards the user", in any order and case, with or without "the
+    user". The determinant is -1 for left-handed axes.
     """
     matrix, seen = np.zeros((3, 3)), set()
     if len(text) > _LONGEST:
@@ -139,11 +144,13 @@ def axes_of_text(text: str) -> Float64s | None:
 def axes_matrix(device_axes: str, field_axes: str, up: str = "lattice") -> Float64s:
     """A signed permutation, float64 [3, 3]: what turns a vector in the device's axes into one in the field's.
 
-    The axes are those of the profile (`touchfield.devices.Device.axes`) and of the medium; `up` is one of `UPS`. The
-    determinant is -1 if the handedness differs.
+    The axes are those of the profile (`touchfield.devices.Device.axes`) and of the medium; `up` is one of
+    `UPS`. The determinant is -1 if the handedness differs.
     """
     device, field = axes_of_text(device_axes), _field(field_axes, up)
-    matrix: Float64s = (field if field is not None else np.eye(3)).T @ (device if device is not None else np.eye(3))
+    matrix: Float64s = (field if field is not None else np.eye(3)).T @ (
+        device if device is not None else np.eye(3)
+    )
     return matrix
 
 

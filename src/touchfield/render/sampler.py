@@ -1,7 +1,8 @@
-"""F(x, t) of a decoded medium at any point and time: what the servo asks at each tick, for a program in one process.
+"""F(x, t) of a decoded medium at any point and time: what the servo asks at each tick, for a program in one
+process.
 
-Trilinear in space, zero outside, exact at the samples. Between two frames, a body that moves is at the pose between
-and a field that changes is blended linearly; exact at the frames.
+Trilinear in space, zero outside, exact at the samples. Between two frames, a body that moves is at the pose
+between and a field that changes is blended linearly; exact at the frames.
 """
 
 from __future__ import annotations
@@ -42,12 +43,13 @@ _NOWHERE: Final = 8  # words in front that nothing takes: place 0 means none
 class FieldSampler:
     """The force at a point and a time.
 
-    Frame i lies at i / rate_hz. Before the first and after the last frame the field is that of the first and the
-    last. One thread at a time; a batch itself runs on all cores.
+    Frame i lies at i / rate_hz. Before the first and after the last frame the field is that of the first and
+    the last. One thread at a time; a batch itself runs on all cores.
 
-    `memory_bytes` are for the latest fields, which are kept; blocks of two frames, one for `at`, one that it begins
-    and one for all other queries, take as much each at most. A `deformation` bends a medium of voxels by its tracks.
-    A query raises `InvalidArgument` if a time is not finite, shapes do not fit, or two frames do not fit there.
+    `memory_bytes` are for the latest fields, which are kept; blocks of two frames, one for `at`, one that it
+    begins and one for all other queries, take as much each at most. A `deformation` bends a medium of voxels
+    by its tracks. A query raises `InvalidArgument` if a time is not finite, shapes do not fit, or two frames
+    do not fit there.
     """
 
     def __init__(
@@ -63,11 +65,14 @@ class FieldSampler:
         self._latest: Pair | None = None
         self._at = 0, 0
         self._words: Any = None
-        self._low, self._high, self._base = _NEVER  # between which instants, in frames, `at` has all that it needs
+        self._low, self._high, self._base = (
+            _NEVER  # between which instants, in frames, `at` has all that it needs
+        )
         self._point: Any = None
 
     def force_n(self, time_s: ArrayLike, points_m: ArrayLike) -> Float32s:
-        """Force, newtons, float32 [..., 3], at points float [..., 3], metres; one that is not finite has none.
+        """Force, newtons, float32 [..., 3], at points float [..., 3], metres; one that is not finite has
+        none.
 
         `time_s`, seconds, is one time for all points, or one for each.
         """
@@ -79,7 +84,8 @@ class FieldSampler:
         return self._each(kernels.forces_at_points, times, points_m, 3, np.float32)
 
     def gradient_n_per_m(self, time_s: ArrayLike, points_m: ArrayLike) -> Float64s:
-        """dF_i/dx_j, N/m, float64 [..., 3, 3]: the derivative of the interpolation; zeros where no force can be.
+        """dF_i/dx_j, N/m, float64 [..., 3, 3]: the derivative of the interpolation; zeros where no force can
+        be.
 
         On a plane of the lattice it is the one towards greater indices.
         """
@@ -89,7 +95,9 @@ class FieldSampler:
         return rows.reshape(*rows.shape[:-1], 3, 3)
 
     def vibration(self, time_s: ArrayLike, points_m: ArrayLike) -> tuple[Float32s, Float32s]:
-        """Amplitudes, newtons, and frequencies, Hz, of the vibration, each float32 [...]; zeros where none is."""
+        """Amplitudes, newtons, and frequencies, Hz, of the vibration, each float32 [...]; zeros where none
+        is.
+        """
         from touchfield.render.kernels import points as kernels
 
         both: Float32s = self._each(kernels.vibrations_at_points, time_s, points_m, 2, np.float32)
@@ -125,7 +133,8 @@ class FieldSampler:
         self._pairs.begin(b, b + 1)
         if not force_at_once.signatures:
             force_at_once(memory.u8, first, second, 0.0, 0.0, 0.0, 0.0)
-            force_at_once.disable_compile()  # a whole number becomes a float, and takes no compiled code of its own
+            # a whole number becomes a float, and takes no compiled code of its own
+            force_at_once.disable_compile()
         self._words, self._at, self._point = memory.u8, (first, second), force_at_once
         self._base = float(a)
         self._low = float(a) if a > 0 else -_ALWAYS
@@ -198,11 +207,15 @@ def _points(points_m: ArrayLike, *others: type[np.float32]) -> NDArray[Any]:
     points = np.ascontiguousarray(numbers_of("points_m", points_m, kind))
     if points.ndim == 0 or points.shape[-1] != 3:
         raise InvalidArgument("points_m", f"shape {points.shape}", "points [..., 3] in metres")
-    return points if points.flags.writeable else points.copy()  # to the compiler read-only arrays are another type
+    return (
+        points if points.flags.writeable else points.copy()
+    )  # to the compiler read-only arrays are another type
 
 
 class Pair(NamedTuple):
-    """Two frames, perhaps the same: their block and their places in it, as the kernels take them; and its fields."""
+    """Two frames, perhaps the same: their block and their places in it, as the kernels take them; and its
+    fields.
+    """
 
     memory: Memory
     first: int
@@ -213,14 +226,16 @@ class Pair(NamedTuple):
     def shares(self, blend: float) -> list[tuple[int, float]]:
         """Of frames of voxels the place of the field of each, and its share between the two."""
         ends = ((self.first, 1.0 - blend), (self.second, blend))[: 1 + (blend > 0.0)]
-        return [(int(self.memory.views[0][frame + W.FRAME_WORDS + W.PART_FIELD]), share) for frame, share in ends]
+        return [
+            (int(self.memory.views[0][frame + W.FRAME_WORDS + W.PART_FIELD]), share) for frame, share in ends
+        ]
 
 
 class Pairs:
     """Pairs (a, b) of frames, each in a block of its own, made when asked for or begun before.
 
-    Cells of the latest fields are kept in `memory_bytes`, about twice those of their bricks, and copied into the
-    pairs that need them. Frames are made by one thread at a time, the caller's or a background one.
+    Cells of the latest fields are kept in `memory_bytes`, about twice those of their bricks, and copied into
+    the pairs that need them. Frames are made by one thread at a time, the caller's or a background one.
     """
 
     def __init__(self, parts: FrameParts, memory_bytes: int) -> None:
@@ -278,7 +293,9 @@ class Pairs:
             if oldest in needed:
                 found = f"{self._words * W.WORD / 2**20:.1f} MiB for the fields of one instant"
                 allowed = f"at most {self._most_words * W.WORD / 2**20:.1f} MiB"
-                raise InvalidArgument("memory_bytes", found, allowed, "Allow more memory, or take a coarser grid.")
+                raise InvalidArgument(
+                    "memory_bytes", found, allowed, "Allow more memory, or take a coarser grid."
+                )
             self._words -= field_words(self._cells.pop(oldest))
 
 

@@ -1,10 +1,10 @@
 """A medium as a receiver plays it on from segment to segment: without the step where one starts.
 
-Each segment is coded anew, so that the force of a world that stands still jumps at its start, within the mask. Here
-the last frame of the segment before goes over into the new one by a raised cosine in `BLEND_S`, or half the segment
-where that is shorter, voxel by voxel, where both forces can be of one source; elsewhere the new one is taken at once.
-Where the source stands, both keep its mask, which is a ball, and so does all between. One that moves by less than two
-masks is shown later by `BLEND_S` at most.
+Each segment is coded anew, so that the force of a world that stands still jumps at its start, within the
+mask. Here the last frame of the segment before goes over into the new one by a raised cosine in `BLEND_S`, or
+half the segment where that is shorter, voxel by voxel, where both forces can be of one source; elsewhere the
+new one is taken at once. Where the source stands, both keep its mask, which is a ball, and so does all
+between. One that moves by less than two masks is shown later by `BLEND_S` at most.
 
 The frames depend on what was played before; `HapticMedium` itself, and all that reads it, stays exact.
 """
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from touchfield.medium import Segments
 
 BLEND_S: Final = 0.1
-"""Seconds of the medium; half of the way is done in half of it. At 30 Hz these are three frames, none of which makes
-more than half of the way; with 0.05 s the first makes three quarters. Of fast media, the edge of a raised cosine that
-lasts T has 1 / (4 f^2 T^2 - 1) of what a step has at a frequency f at most: 36 dB less at 40 Hz, where the band in
-which a hand feels vibration best begins. Longer gained nothing on a room at 30 Hz, and shows later what moves by less
-than the mask."""
+"""Seconds of the medium; half of the way is done in half of it. At 30 Hz these are three frames, none of
+which makes more than half of the way; with 0.05 s the first makes three quarters. Of fast media, the edge of
+a raised cosine that lasts T has 1 / (4 f^2 T^2 - 1) of what a step has at a frequency f at most: 36 dB less
+at 40 Hz, where the band in which a hand feels vibration best begins. Longer gained nothing on a room at 30
+Hz, and shows later what moves by less than the mask."""
 
 SLOW_HZ: Final = 20.0
 """At this rate and below nothing is done: from frame to frame the receiver interpolates for 50 ms or more."""
@@ -40,8 +40,8 @@ _BRICKS_AT_ONCE: Final = 64
 class SegmentBlend:
     """The frames of a decoded medium in the order of play; asked for by one thread.
 
-    A frame that does not follow the one asked for before, but in its own segment or a loop, is as it was decoded, and
-    so are those after it, up to the next segment.
+    A frame that does not follow the one asked for before, but in its own segment or a loop, is as it was
+    decoded, and so are those after it, up to the next segment.
     """
 
     def __init__(self, medium: HapticMedium, segments: Segments) -> None:
@@ -81,7 +81,8 @@ def with_blends(
 ) -> tuple[HapticMedium | HapticScene, tuple[SegmentBlend, ...]]:
     """A medium or a scene whose fields are asked for in the order of play, and what blends them.
 
-    Rigid bodies have one field, which is coded once; of those that deform, each field is blended in its own frame.
+    Rigid bodies have one field, which is coded once; of those that deform, each field is blended in its own
+    frame.
     """
     if isinstance(medium, HapticMedium):
         return _with_blend(medium)

@@ -1,7 +1,7 @@
 """The servo: tick after tick, from the device's position to its force; and every way in which that can end.
 
-However it ends, the device gets forces that go to zero within the slew limit, then zero, and is closed: at an order,
-at a signal, when the player is gone, when the device itself fails (as far as it still listens).
+However it ends, the device gets forces that go to zero within the slew limit, then zero, and is closed: at an
+order, at a signal, when the player is gone, when the device itself fails (as far as it still listens).
 """
 
 from __future__ import annotations
@@ -65,7 +65,9 @@ Clock = WallClock | VirtualClock
 
 
 class Grip:
-    """Traffic between a device and the block beside its place; a device that tells no more is not asked for it."""
+    """Traffic between a device and the block beside its place; a device that tells no more is not asked for
+    it.
+    """
 
     def __init__(self, memory: Memory, device: PointDevice) -> None:
         self._f8, self._i8, self._device = memory.f8, memory.i8, device
@@ -137,7 +139,9 @@ def _let_go(memory: Memory, device: PointDevice, grip: Grip, clock: Clock, cycle
         if now_ns > ends_ns:  # it takes its time to answer; zero, but no sooner than the slew limit allows
             limits = ((W.FORCE, W.SLEW), (W.TORQUE, W.TORQUE_SLEW))
             forces = [(math.hypot(*f8[at : at + 3]), float(f8[slew])) for at, slew in limits]
-            clock.sleep_until(now_ns + math.ceil(1e9 * max(size / slew if size else 0.0 for size, slew in forces)))
+            clock.sleep_until(
+                now_ns + math.ceil(1e9 * max(size / slew if size else 0.0 for size, slew in forces))
+            )
             f8[W.TORQUE : W.TORQUE + 3] = 0.0
             with contextlib.suppress(Exception):
                 grip.put((0.0, 0.0, 0.0))
@@ -164,7 +168,10 @@ def _watch(memory: Memory, device: PointDevice, must_stop: Callable[[], bool]) -
                 seen, seen_s = ticks, now_s
             elif now_s - seen_s > _MOST_SILENT_S:
                 raise DeviceError(
-                    "driver of the device", f"no call for {_MOST_SILENT_S:g} s", "its own rate", "Plug it in again."
+                    "driver of the device",
+                    f"no call for {_MOST_SILENT_S:g} s",
+                    "its own rate",
+                    "Plug it in again.",
                 )
     finally:
         i8[W.STOP_HERE] = 1
@@ -173,11 +180,19 @@ def _watch(memory: Memory, device: PointDevice, must_stop: Callable[[], bool]) -
             time.sleep(_WATCH_S)
 
 
-_BEGIN_S: Final = 180.0  # in which interpreter and code are loaded; on a fresh machine the code is compiled first
-_SILENT_S: Final = 0.03  # without a tick for so long, a process that waits for something is one whose device hangs
+_BEGIN_S: Final = (
+    180.0  # in which interpreter and code are loaded; on a fresh machine the code is compiled first
+)
+_SILENT_S: Final = (
+    0.03  # without a tick for so long, a process that waits for something is one whose device hangs
+)
 _MOST_STARVED_S: Final = 2.0  # the same of one that could run, and has only not got the processor
-FIFO_PRIORITY: Final = 50  # in the middle: above all ordinary processes, below what the kernel itself runs there
-_LATENCY: Final = "/dev/cpu_dma_latency"  # while it is open, no processor takes longer to wake than was written, us
+FIFO_PRIORITY: Final = (
+    50  # in the middle: above all ordinary processes, below what the kernel itself runs there
+)
+_LATENCY: Final = (
+    "/dev/cpu_dma_latency"  # while it is open, no processor takes longer to wake than was written, us
+)
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4
 _PR_SET_TIMERSLACK: Final = 29
 
@@ -217,7 +232,9 @@ def _main(path: str, is_realtime: bool, pipe: Connection) -> None:
         pipe.send(("done", None))
     except BaseException as error:
         own = (
-            error if isinstance(error, TouchfieldError) else DeviceError("device", f"{type(error).__name__}: {error}")
+            error
+            if isinstance(error, TouchfieldError)
+            else DeviceError("device", f"{type(error).__name__}: {error}")
         )
         with contextlib.suppress(OSError):
             pipe.send(("error", own))
@@ -241,8 +258,8 @@ def warm_up(memory: Memory) -> None:
 def prefer(is_realtime: bool = True) -> dict[str, str]:
     """Make this process punctual; what was had is told, and what was not is no error.
 
-    No collector, wake-ups by themselves, and with `is_realtime` SCHED_FIFO, locked memory, and processors that stay
-    awake until it ends. ``priority``, ``memory`` and ``processors`` tell what there is, or why not.
+    No collector, wake-ups by themselves, and with `is_realtime` SCHED_FIFO, locked memory, and processors
+    that stay awake until it ends. ``priority``, ``memory`` and ``processors`` tell what there is, or why not.
     """
     gc.collect()
     gc.disable()
@@ -260,7 +277,11 @@ def prefer(is_realtime: bool = True) -> dict[str, str]:
 
     report = {"priority": f"SCHED_FIFO {FIFO_PRIORITY}", "memory": "locked", "processors": "kept awake"}
     for key, otherwise, act in (
-        ("priority", "normal", lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))),
+        (
+            "priority",
+            "normal",
+            lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY)),
+        ),
         ("memory", "not locked", lock),  # on Linux alone, as its flags
         ("processors", "may sleep", lambda: os.write(os.open(_LATENCY, os.O_WRONLY), struct.pack("i", 0))),
     ):
@@ -304,7 +325,10 @@ def zero_afresh(opener: Opener) -> str:
         mine.close()
         process.close()
     if answer:
-        return f"A force of zero was tried through a fresh connection, which failed ({answer}): switch the device off"
+        return (
+            f"A force of zero was tried through a fresh connection, which failed ({answer}): switch the "
+            "device off"
+        )
     return "A force of zero was written through a fresh connection to the device"
 
 
@@ -322,8 +346,8 @@ def is_waiting(pid: int) -> bool:
 class ServoProcess:
     """The process as its parent holds it; the block is laid out, with the first order in it.
 
-    `report` is that of `prefer`, once it is ready; `error` is what ended it; `is_done`: it ended in order; `is_lost`:
-    without having brought the force to zero.
+    `report` is that of `prefer`, once it is ready; `error` is what ended it; `is_done`: it ended in order;
+    `is_lost`: without having brought the force to zero.
     """
 
     def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
@@ -333,7 +357,9 @@ class ServoProcess:
         try:
             self._opener = ForkingPickler.dumps(opener)
         except (AttributeError, TypeError, ImportError, PickleError) as error:  # of a local function, say
-            raise InvalidArgument("opener", f"{opener!r} ({error})", "a callable that can be pickled") from error
+            raise InvalidArgument(
+                "opener", f"{opener!r} ({error})", "a callable that can be pickled"
+            ) from error
         self.report: dict[str, str] = {}
         self.error: TouchfieldError | None = None
         self.is_ready = self.is_done = self.is_lost = self._is_joined = False
@@ -353,14 +379,18 @@ class ServoProcess:
         return None if self._is_joined else self._process.pid
 
     def notice(self, ticks: int, has_released: bool) -> None:
-        """End the process of a device that hangs: no tick has come since long ago, and the force is not at zero."""
+        """End the process of a device that hangs: no tick has come since long ago, and the force is not at
+        zero.
+        """
         now_s = time.monotonic()
         is_over = self._is_joined or self.error or self.is_done or not self._process.is_alive()
         if ticks != self._ticks or has_released or is_over:
             self._ticks, self._ticked_s = ticks, now_s
             return
         silent_s = now_s - self._ticked_s
-        if silent_s < self._silent_s or (silent_s < _MOST_STARVED_S and self.pid and not is_waiting(self.pid)):
+        if silent_s < self._silent_s or (
+            silent_s < _MOST_STARVED_S and self.pid and not is_waiting(self.pid)
+        ):
             return
         self.error = DeviceError(
             "device", f"no answer for {1e3 * silent_s:.0f} ms", "a position at each tick", "Plug it in again."
@@ -377,7 +407,8 @@ class ServoProcess:
             while self._pipe.poll():
                 kind, content = self._pipe.recv()
                 if kind == "attached":
-                    # not as an argument: `start` would wait for ever to hand a long one to a process that is gone
+                    # not as an argument: `start` would wait for ever to hand a long one to a process that is
+                    # gone
                     self._pipe.send_bytes(self._opener)
                     if os.name == "posix":
                         self._block.unlink()
@@ -393,7 +424,9 @@ class ServoProcess:
                 "servo process",
                 f"its end with exit code {self._process.exitcode}",
                 "a process that runs until it is told to stop",
-                "" if self.is_ready else 'Begin the player under `if __name__ == "__main__":` of your program.',
+                ""
+                if self.is_ready
+                else 'Begin the player under `if __name__ == "__main__":` of your program.',
             )
 
     def wait_ready(self) -> None:

@@ -40,9 +40,13 @@ if TYPE_CHECKING:
 
 Triple = tuple[float, float, float]
 
-PEAK_RISE_S: Final = 0.005  # a slew limit that is not given lets the force rise from zero to its peak in this time
+PEAK_RISE_S: Final = (
+    0.005  # a slew limit that is not given lets the force rise from zero to its peak in this time
+)
 _LEAST_N: Final = 1e-6
-_MOST_N: Final = 1e6  # A limit out of this range is a mistake; within it no square of a force or torque is lost
+_MOST_N: Final = (
+    1e6  # A limit out of this range is a mistake; within it no square of a force or torque is lost
+)
 _FROM_ZERO: Final = ("force_scale", "friction", "damping_n_s_per_m", "coupling_n_per_m")
 _NUMBERS: Final = (
     *("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz", "wall_n_per_m"),
@@ -56,47 +60,73 @@ _NUMBERS: Final = (
 class RenderSpec:
     """Wishes of a receiver to the renderer; every default is safe for a hand.
 
-    `InvalidArgument` if a number is out of range or not finite, or a tool is asked for together with a coupling.
+    `InvalidArgument` if a number is out of range or not finite, or a tool is asked for together with a
+    coupling.
     """
 
     rate_hz: float = option(1000.0, "Ticks of the servo a second.")
     friction: float | None = option(None, "mu; default: the stream's.")
-    damping_n_s_per_m: float | None = option(None, "b everywhere; default: the stream's, in contact what is stable.")
+    damping_n_s_per_m: float | None = option(
+        None, "b everywhere; default: the stream's, in contact what is stable."
+    )
     slip_speed_m_s: float = 0.001  # v_s of `touchfield.filters.contact`
-    coupling_n_per_m: float | None = option(None, "A virtual coupling's stiffness; 0: none; default: what is stable.")
-    passivity: bool = option(False, "Take out the energy that the loop makes (time-domain passivity control).")
+    coupling_n_per_m: float | None = option(
+        None, "A virtual coupling's stiffness; 0: none; default: what is stable."
+    )
+    passivity: bool = option(
+        False, "Take out the energy that the loop makes (time-domain passivity control)."
+    )
     scale: float = option(1.0, "Metres of the field for one metre of the device.")
-    clutch_m: Triple = (0.0, 0.0, 0.0)  # point of the field that lies at the device's origin, the field's axes
+    clutch_m: Triple = (
+        0.0,
+        0.0,
+        0.0,
+    )  # point of the field that lies at the device's origin, the field's axes
     force_scale: float = option(1.0, "Newtons of the device for one of the field.")
     gravity_n: Triple = (0.0, 0.0, 0.0)  # a steady force for the weight of the handle, the device's axes
     peak_n: float | None = option(None, "Limit of |F|; default: the device's, which it cannot pass.")
     continuous_n: float | None = option(None, "Limit of |F| in the long run; default: the device's.")
     slew_n_per_s: float | None = option(None, "Limit of |dF/dt|; default: to the peak in 5 ms.")
-    thermal_s: float = 1.0  # time constant of the heat that lets the force exceed the continuous limit for a while
+    thermal_s: float = (
+        1.0  # time constant of the heat that lets the force exceed the continuous limit for a while
+    )
     ramp_s: float = 0.02  # in which the force goes to zero when the feed stalls, and comes back
     velocity_cutoff_hz: float = 100.0  # of the low-pass on the velocity that is estimated from positions
     blend: bool = True  # whether one segment of a stream goes over into the next (`render.segment_blend`)
-    render: str = option("auto", "proxy (thin walls hold), field (the stored force) or auto (proxy where walls are).")
+    render: str = option(
+        "auto", "proxy (thin walls hold), field (the stored force) or auto (proxy where walls are)."
+    )
     wall_n_per_m: float | None = option(None, "Stiffness of the proxy's spring; default: the field's own.")
     tool: Tool | None = None  # that the hand holds into the field; None: a point
-    peak_nm: float | None = option(None, "Limit of the torque, N m; default: the device's, which it cannot pass.")
+    peak_nm: float | None = option(
+        None, "Limit of the torque, N m; default: the device's, which it cannot pass."
+    )
     continuous_nm: float | None = option(None, "Limit of the torque in the long run; default: the device's.")
     slew_nm_per_s: float | None = option(None, "Limit of its change; default: to the peak in 5 ms.")
-    up: str = option("auto", "Up for the hand: x to -z; auto: as the stream says; lattice: y or -y, as it was laid.")
+    up: str = option(
+        "auto", "Up for the hand: x to -z; auto: as the stream says; lattice: y or -y, as it was laid."
+    )
     materials: tuple[Material, ...] | None = None  # None: those that travel with the medium
-    deformation: Deformation | None = None  # bends the medium, or lets it yield; it is rendered as a field then
+    deformation: Deformation | None = (
+        None  # bends the medium, or lets it yield; it is rendered as a field then
+    )
 
     def __post_init__(self) -> None:
         require_kinds(self, render=("auto", "proxy", "field"), up=UPS)
         for name in _NUMBERS:
-            value, check = getattr(self, name), require_not_negative if name in _FROM_ZERO else require_positive
+            value, check = (
+                getattr(self, name),
+                require_not_negative if name in _FROM_ZERO else require_positive,
+            )
             if value is not None:
                 check(**{name: value})
         if self.tool is not None and self.coupling_n_per_m:
             both = f"{self.coupling_n_per_m:g} N/m with {self.tool.name}"
             raise InvalidArgument("coupling_n_per_m", both, "0 with a tool: the coupling is that of a point")
         if self.tool is not None and self.render == "proxy":
-            raise InvalidArgument("render", f"'proxy' with {self.tool.name}", "field: the proxy is that of a point")
+            raise InvalidArgument(
+                "render", f"'proxy' with {self.tool.name}", "field: the proxy is that of a point"
+            )
         if self.deformation is not None and (self.tool is not None or self.render == "proxy"):
             raise InvalidArgument("deformation", "it with a tool or a proxy", "a point in the field as it is")
         for name in ("clutch_m", "gravity_n"):
@@ -107,12 +137,18 @@ class RenderSpec:
 
 
 def write_parameters(
-    memory: Memory, spec: RenderSpec, device: Device, medium_friction: float, medium_damping: float, field_axes: str
+    memory: Memory,
+    spec: RenderSpec,
+    device: Device,
+    medium_friction: float,
+    medium_damping: float,
+    field_axes: str,
 ) -> tuple[str, ...]:
     """Write the parameters of the ticks to come, and begin their state anew; notes for the user.
 
-    Not while a servo runs; mu and b of the medium are taken where `spec` gives none. `InvalidArgument` if a limit is
-    beyond the device's or a coefficient negative or not finite; `DeviceError` if it is no point, or states no force.
+    Not while a servo runs; mu and b of the medium are taken where `spec` gives none. `InvalidArgument` if a
+    limit is beyond the device's or a coefficient negative or not finite; `DeviceError` if it is no point, or
+    states no force.
     """
     if device.is_array:
         raise DeviceError(device.name, "a type 2 device", "a type 1 device: a point that the hand moves")
@@ -173,7 +209,12 @@ def _write_limits(words: Float64s, spec: RenderSpec, device: Device) -> None:
         peak = _limit(keys[0], peak, stated, f"{name}, the limit of {device.name}")
         long = math.inf if stated_long is None else stated_long
         long = _limit(keys[1], continuous, long, f"in the long run, the limit of {device.name}")
-        words[list(at)] = peak, long if long < peak else 0.0, peak / PEAK_RISE_S if slew is None else slew, peak
+        words[list(at)] = (
+            peak,
+            long if long < peak else 0.0,
+            peak / PEAK_RISE_S if slew is None else slew,
+            peak,
+        )
 
 
 def _limit(name: str, asked: float | None, stated: float, whose: str) -> float:
@@ -199,12 +240,13 @@ _STEP_N: Final = 0.035
 _FELT: Final = 0.92  # Of what Colgate's rule allows the bare device: at least so much is felt
 
 
-# A force that is sampled, held and late by d is -K x (t - T/2 - d) for slow movements: beside the spring a negative
-# damper of K (T/2 + d), which the device must bear (Colgate and Schenkel 1997). The renderer brakes with
-# B = 2 K (T/2 + d) - b in contact, along the force, never with more than that force (`kernels.effects.braked`). The
-# damper lags by L: against a mass m (the device and a light hand) B is kept below m / 2L and K below 0.4 m / L^2. One
-# step of the encoder moves the force by q (K + B / T share): below 35 mN and twice the friction (Diolaiti 2006).
-# A stiffer field is felt through a coupling; but what Colgate's rule allows the bare device is felt within 8 %.
+# A force that is sampled, held and late by d is -K x (t - T/2 - d) for slow movements: beside the spring a
+# negative damper of K (T/2 + d), which the device must bear (Colgate and Schenkel 1997). The renderer brakes
+# with B = 2 K (T/2 + d) - b in contact, along the force, never with more than that force
+# (`kernels.effects.braked`). The damper lags by L: against a mass m (the device and a light hand) B is kept
+# below m / 2L and K below 0.4 m / L^2. One step of the encoder moves the force by q (K + B / T share): below
+# 35 mN and twice the friction (Diolaiti 2006). A stiffer field is felt through a coupling; but what Colgate's
+# rule allows the bare device is felt within 8 %.
 
 
 @dataclass(frozen=True)
@@ -221,7 +263,9 @@ def delay_s(device: Device) -> float:
     return _DELAY_S if device.delay_ms is None else 1e-3 * device.delay_ms
 
 
-def stability_of(device: Device, spec: RenderSpec, medium_damping: float, stiffest_n_per_m: float) -> Stability:
+def stability_of(
+    device: Device, spec: RenderSpec, medium_damping: float, stiffest_n_per_m: float
+) -> Stability:
     """Damper in contact and coupling for a field of this stiffest slope; what `spec` states stays as it is."""
     tick, late = 1 / spec.rate_hz, delay_s(device)
     scale = spec.scale * spec.force_scale
@@ -241,12 +285,16 @@ def stability_of(device: Device, spec: RenderSpec, medium_damping: float, stiffe
     if spec.damping_n_s_per_m is None:
         note += f": damping in contact {brake:.2g} N s/m"
     if spec.coupling_n_per_m is None:
-        note += f", coupling {coupling:.0f} N/m, so that {felt:.0f} N/m are felt" if coupling else ", no coupling"
+        note += (
+            f", coupling {coupling:.0f} N/m, so that {felt:.0f} N/m are felt" if coupling else ", no coupling"
+        )
     return Stability(brake / scale if scale else 0.0, coupling / scale if scale else 0.0, note)
 
 
 def _stiffest(device: Device, spec: RenderSpec, k: float, hold: float) -> float:
-    """Most of a field of k that a damper makes stable and the encoder's steps let be still; N/m of the device."""
+    """Most of a field of k that a damper makes stable and the encoder's steps let be still; N/m of the
+    device.
+    """
     tick, own = 1 / spec.rate_hz, device.damping_n_s_per_m or 0.0
     share = -math.expm1(-2 * math.pi * spec.velocity_cutoff_hz * tick)
     lag = hold + tick / 2 + tick * (1 - share) / share
@@ -260,13 +308,16 @@ def _stiffest(device: Device, spec: RenderSpec, k: float, hold: float) -> float:
     return max(min(by_damper, by_steps), _FELT * k if k * hold < own else 0.0)
 
 
-# -- what a field tells ----------------------------------------------------------------------------------------
+# -- what a field tells
+# ----------------------------------------------------------------------------------------
 
 _SHARE: Final = 1e-3  # of the cells that push back may be stiffer: edges, corners, noise
 
 
 def stiffest_n_per_m(pools: Iterable[CellPool]) -> float:
-    """Growth of a force with a way against it, N/m: what one cell in a thousand of a field passes, at the most."""
+    """Growth of a force with a way against it, N/m: what one cell in a thousand of a field passes, at the
+    most.
+    """
     from touchfield.render.kernels.points import BINS, count_slopes, slope_of_bin
 
     stiffest = 0.0
@@ -301,10 +352,11 @@ class Wall:
 
 
 def wall_of(field: ForceField) -> Wall | None:
-    """The wall that a field tells of; None where most of it does not grow against its force, as a steady pull.
+    """The wall that a field tells of; None where most of it does not grow against its force, as a steady
+    pull.
 
-    Where most samples are less by K for each metre farther out and point alike it is a wall's; its stiffness is that
-    of the steeper ones, as edges, thin walls and the low-pass lessen it.
+    Where most samples are less by K for each metre farther out and point alike it is a wall's; its stiffness
+    is that of the steeper ones, as edges, thin walls and the low-pass lessen it.
     """
     sizes = lengths_of(field.forces_n)
     if not sizes.any():

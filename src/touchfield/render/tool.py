@@ -1,14 +1,14 @@
 """The tool in the hand: points with normals about the device's point, and how they lie in the block.
 
-What a field gives to a tool is the sum over its points of s max(0, -n . F / |F|) F, with F the field's force at the
-point and n the outward normal of the tool there. So a piece of the tool's surface counts by the area that it shows
-to the force (McNeely, Puterbaugh and Troy 1999 and Barbic and James 2007 take normals likewise), and what comes from
-behind, as at the far side of a thin plate, does not pull the tool through.
+What a field gives to a tool is the sum over its points of s max(0, -n . F / |F|) F, with F the field's force
+at the point and n the outward normal of the tool there. So a piece of the tool's surface counts by the area
+that it shows to the force (McNeely, Puterbaugh and Troy 1999 and Barbic and James 2007 take normals
+likewise), and what comes from behind, as at the far side of a thin plate, does not pull the tool through.
 
-The share s of a point is four times its part of the tool's area: over all directions, a quarter of a convex body's
-area is what it shows (Cauchy). So the weights of a convex tool within one and the same force add up to 1 in the mean
-over its orientations, and to 1 always for a sphere: a small sphere feels what a point feels, however many points it
-is made of.
+The share s of a point is four times its part of the tool's area: over all directions, a quarter of a convex
+body's area is what it shows (Cauchy). So the weights of a convex tool within one and the same force add up to
+1 in the mean over its orientations, and to 1 always for a sphere: a small sphere feels what a point feels,
+however many points it is made of.
 """
 
 from __future__ import annotations
@@ -40,9 +40,10 @@ _GOLDEN: Final = (1 + 5**0.5) / 2
 class Tool:
     """Points of a surface, each for the same area of it.
 
-    float64 [n, 3] each: places in metres from the device's point, in the tool's axes, neighbours in space near each
-    other in the list; outward normals of length 1. `InvalidArgument` if there is no point or there are more
-    than `MOST_POINTS`, shapes differ, a number is not finite, a point is farther than 10 m or a normal not unit.
+    float64 [n, 3] each: places in metres from the device's point, in the tool's axes, neighbours in space
+    near each other in the list; outward normals of length 1. `InvalidArgument` if there is no point or there
+    are more than `MOST_POINTS`, shapes differ, a number is not finite, a point is farther than 10 m or a
+    normal not unit.
     """
 
     points_m: Float64s
@@ -52,7 +53,9 @@ class Tool:
     def __post_init__(self) -> None:
         points, normals = np.array(self.points_m, np.float64), np.array(self.normals, np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not 1 <= len(points) <= MOST_POINTS:
-            raise InvalidArgument("points_m", f"shape {points.shape}", f"[n, 3] with n from 1 to {MOST_POINTS}")
+            raise InvalidArgument(
+                "points_m", f"shape {points.shape}", f"[n, 3] with n from 1 to {MOST_POINTS}"
+            )
         if not np.abs(points).max() <= _LONGEST_M:
             raise InvalidArgument("points_m", f"{np.abs(points).max():g} m", f"at most {_LONGEST_M:g} m")
         lengths = lengths_of(normals)
@@ -78,7 +81,9 @@ class Tool:
         return cls(radius_m * normals, normals, f"sphere of {1000 * radius_m:g} mm")
 
     @classmethod
-    def of_triangles(cls, vertices_m: Float64s, triangles: NDArray[np.integer], points: int, name: str) -> Tool:
+    def of_triangles(
+        cls, vertices_m: Float64s, triangles: NDArray[np.integer], points: int, name: str
+    ) -> Tool:
         """Points spread evenly over a surface, float64 [n, 3] and int [m, 3]: each stands for the same area.
 
         Triangles are counter-clockwise from outside; a closed surface that is inside out is turned.

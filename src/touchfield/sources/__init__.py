@@ -1,4 +1,6 @@
-"""Sources: scenes of all kinds as generators of force fields; `registry` opens them, `laws` turn depth into force."""
+"""Sources: scenes of all kinds as generators of force fields; `registry` opens them, `laws` turn depth into
+force.
+"""
 
 from typing import TYPE_CHECKING
 

@@ -1,13 +1,14 @@
 """A pinhole camera; depth sequences, whatever their layout on disk; and a sequence at another rate.
 
-The paper (section 5.1, scene 2) makes 800 frames at 1 kHz of 20 depth maps by linear interpolation and gives no
-formula. Here frame j shows the source at t = j / rate, and a source frame i stands at t = i / source rate, so that
-20 frames at 25 Hz are 20 / 25 s * 1000 Hz = 800 frames. There are only 19 intervals: from the last picture on, it is
-held (the last 40 of those 800).
+The paper (section 5.1, scene 2) makes 800 frames at 1 kHz of 20 depth maps by linear interpolation and gives
+no formula. Here frame j shows the source at t = j / rate, and a source frame i stands at t = i / source rate,
+so that 20 frames at 25 Hz are 20 / 25 s * 1000 Hz = 800 frames. There are only 19 intervals: from the last
+picture on, it is held (the last 40 of those 800).
 
-Depth maps are interpolated pixel by pixel, without regard to motion. Between a near and a far thing that take turns
-at a pixel, a linear rule gives depths at which there is nothing: a surface that floats between the two, which
-"nearest" avoids. A lower rate than the source's picks and interpolates in the same way, without a low-pass.
+Depth maps are interpolated pixel by pixel, without regard to motion. Between a near and a far thing that take
+turns at a pixel, a linear rule gives depths at which there is nothing: a surface that floats between the two,
+which "nearest" avoids. A lower rate than the source's picks and interpolates in the same way, without a
+low-pass.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ class Intrinsics:
         for name in ("fx", "fy", "cx", "cy"):
             value = float(getattr(self, name))
             if not math.isfinite(value) or (name[0] == "f" and value <= 0):
-                raise InvalidArgument("intrinsics", f"{name} = {value}", "finite pixels, focal lengths positive")
+                raise InvalidArgument(
+                    "intrinsics", f"{name} = {value}", "finite pixels, focal lengths positive"
+                )
 
 
 def require_frame(frame: int, count: int, name: str = "") -> None:
@@ -85,8 +88,9 @@ def noise_step_per_m(depth_m: Float32s) -> float:
     """The step g, 1/m, up to which neighbouring inverse depths are taken for one surface.
 
     2.5 times the upper quartile of the second differences of w along about 16 rows. Measured, that
-    is 0.0073 for a Kinect (TUM fr1; its quantum is 0.0029) and 0.0005 for rendered depth in millimetres (ICL-NUIM);
-    edges begin at the 98th percentile and hardly move it. The smoother a sensor, the lower the steps that are seen.
+    is 0.0073 for a Kinect (TUM fr1; its quantum is 0.0029) and 0.0005 for rendered depth in millimetres
+    (ICL-NUIM); edges begin at the 98th percentile and hardly move it. The smoother a sensor, the lower the
+    steps that are seen.
     """
     depth = depth_m[:: max(1, depth_m.shape[0] // 16)]
     known = depth > 0
@@ -121,13 +125,15 @@ class DepthCode:
     def __call__(self, values: NDArray[Any]) -> Float32s:
         """Depth in metres, float32, of stored values of any numeric type; 0 where unknown.
 
-        Unknown are 0, negative values and what is not finite; and 65535 in 16 bits, by the 7-Scenes and 3DMatch
-        convention and as the end of the scale elsewhere.
+        Unknown are 0, negative values and what is not finite; and 65535 in 16 bits, by the 7-Scenes and
+        3DMatch convention and as the end of the scale elsewhere.
         """
         if self.is_rotated:
             values = ((values >> 3) | (values << 13)).astype(np.uint16)
         with np.errstate(over="ignore"):  # what float32 cannot hold becomes inf, and so unknown
-            depth: Float32s = np.divide(values, self.units_per_m, dtype=np.float64).astype(np.float32, order="C")
+            depth: Float32s = np.divide(values, self.units_per_m, dtype=np.float64).astype(
+                np.float32, order="C"
+            )
         depth[~(np.isfinite(depth) & (depth > 0))] = 0
         if values.dtype == np.uint16:
             depth[values == 0xFFFF] = 0
@@ -158,10 +164,11 @@ class CodedSequence(DepthSequence):
 class InterpolatedSequence(DepthSequence):
     """A depth sequence at another rate; frame j shows the source at t = j / rate.
 
-    It has round(count / source rate * rate) frames, at least one; one that is past the last picture shows that
-    picture. A sequence of a single picture has no duration: it stays one frame. Positions are interpolated
-    linearly and rotations along the shortest arc at constant speed (slerp), whatever the rule for depth. A pass in
-    order decodes each source frame once. `positions`, float64 [frame_count], is where each lies in source frames.
+    It has round(count / source rate * rate) frames, at least one; one that is past the last picture shows
+    that picture. A sequence of a single picture has no duration: it stays one frame. Positions are
+    interpolated linearly and rotations along the shortest arc at constant speed (slerp), whatever the rule
+    for depth. A pass in order decodes each source frame once. `positions`, float64 [frame_count], is where
+    each lies in source frames.
     """
 
     def __init__(self, source: DepthSequence, rate_hz: float, interpolation: str = "linear") -> None:
@@ -170,7 +177,9 @@ class InterpolatedSequence(DepthSequence):
         frames = 1.0 if source.frame_count == 1 else source.frame_count / source.rate_hz * rate_hz
         if frames > MAX_FRAMES:
             found = f"{rate_hz:g} Hz: {frames:.3g} frames of {source.frame_count} at {source.rate_hz:.4g} Hz"
-            raise InvalidArgument("rate_hz", found, f"at most {MAX_FRAMES} frames", "Ask for a lower --rate-hz.")
+            raise InvalidArgument(
+                "rate_hz", found, f"at most {MAX_FRAMES} frames", "Ask for a lower --rate-hz."
+            )
         self.source, self.interpolation = source, interpolation
         self.name, self.intrinsics = source.name, source.intrinsics
         self.width, self.height = source.width, source.height
@@ -181,7 +190,9 @@ class InterpolatedSequence(DepthSequence):
         self._decoded = lru_cache(maxsize=_KEPT)(source.depth_m)
         if source.poses is not None:
             known = checked_poses(np.asarray(source.poses, np.float64), f"{self.name}, poses")
-            turns, positions_m = poses_between(quaternions_of(known[:, :3, :3]), known[:, :3, 3], self.positions)
+            turns, positions_m = poses_between(
+                quaternions_of(known[:, :3, :3]), known[:, :3, 3], self.positions
+            )
             self.poses = np.tile(np.eye(4), (self.frame_count, 1, 1))
             self.poses[:, :3, :3], self.poses[:, :3, 3] = rotation_matrices(turns), positions_m
             self.poses.flags.writeable = False
@@ -211,7 +222,8 @@ class InterpolatedSequence(DepthSequence):
 
 
 def blend(before_m: Float32s, after_m: Float32s, share: float) -> Float32s:
-    """Depth between two frames, as in the paper: before + share (after - before), float32 [height, width], metres.
+    """Depth between two frames, as in the paper: before + share (after - before), float32 [height, width],
+    metres.
 
     A pixel that is unknown (0) in either frame is unknown.
     """
@@ -223,7 +235,9 @@ def blend(before_m: Float32s, after_m: Float32s, share: float) -> Float32s:
 
 
 def at_rate(sequence: DepthSequence, rate_hz: float | None, interpolation: str = "linear") -> DepthSequence:
-    """A sequence at the rate asked for; the sequence itself where nothing was asked, or it has that rate already."""
+    """A sequence at the rate asked for; the sequence itself where nothing was asked, or it has that rate
+    already.
+    """
     if rate_hz is None or rate_hz == sequence.rate_hz:
         return sequence
     return InterpolatedSequence(sequence, rate_hz, interpolation)

@@ -1,9 +1,10 @@
 """Force laws: how a surface pushes, guides or pulls a point (paper section 4; its [21] gives no formula).
 
-Every law acts along the outward surface normal n and depends on the signed distance phi alone (negative inside, d =
--phi the penetration depth), so that F = f(phi) n. f is piecewise linear and may jump; that is what kernels evaluate,
-so a new law needs no new kernel. A law is asked for in the metres that the *hand* moves: a wall of 500 N/m feels the
-same whether the scene is a room or a coin. Laws may be summed: ``penalty+proximity``.
+Every law acts along the outward surface normal n and depends on the signed distance phi alone (negative
+inside, d = -phi the penetration depth), so that F = f(phi) n. f is piecewise linear and may jump; that is
+what kernels evaluate, so a new law needs no new kernel. A law is asked for in the metres that the *hand*
+moves: a wall of 500 N/m feels the same whether the scene is a room or a coin. Laws may be summed:
+``penalty+proximity``.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ from touchfield.errors import InvalidArgument, require_positive
 class ForceProfile:
     """f(phi), piecewise linear: on each piece f = intercept + slope * phi; zero elsewhere.
 
-    pieces : tuple of (low_m, high_m, intercept_n, slope_n_per_m); A piece holds for low_m < phi <= high_m. The
-        pieces are in ascending order and do not overlap; the first low_m may be -inf.
-    surface_damping_n_s_per_m : float; b of a moving surface: where f acts, b times the velocity of the surface is
-        added to the force, so that with the receiver's own damping b (paper section 3.2) F_d = -b (v_hand -
-        v_surface). A scene that stands still has nothing to add.
+    pieces : tuple of (low_m, high_m, intercept_n, slope_n_per_m); A piece holds for low_m < phi <= high_m.
+        The pieces are in ascending order and do not overlap; the first low_m may be -inf.
+    surface_damping_n_s_per_m : float; b of a moving surface: where f acts, b times the velocity of the
+        surface is added to the force, so that with the receiver's own damping b (paper section 3.2) F_d = -b
+        (v_hand - v_surface). A scene that stands still has nothing to add.
     """
 
     pieces: tuple[tuple[float, float, float, float], ...]
@@ -38,7 +39,9 @@ class ForceProfile:
         end = -np.inf
         for low, high, intercept, slope in self.pieces:
             if not (end <= low < high < np.inf and np.isfinite(intercept) and np.isfinite(slope)):
-                raise InvalidArgument("force profile", f"piece {(low, high, intercept, slope)}", "ascending pieces")
+                raise InvalidArgument(
+                    "force profile", f"piece {(low, high, intercept, slope)}", "ascending pieces"
+                )
             end = high
         if not (self.surface_damping_n_s_per_m >= 0 and np.isfinite(self.surface_damping_n_s_per_m)):
             found = repr(self.surface_damping_n_s_per_m)
@@ -79,7 +82,9 @@ class ForceProfile:
             inside = [p for p in (*self.pieces, *other.pieces) if p[0] <= low and high <= p[1]]
             if inside:
                 pieces.append((low, high, sum(p[2] for p in inside), sum(p[3] for p in inside)))
-        return ForceProfile(tuple(pieces), max(self.surface_damping_n_s_per_m, other.surface_damping_n_s_per_m))
+        return ForceProfile(
+            tuple(pieces), max(self.surface_damping_n_s_per_m, other.surface_damping_n_s_per_m)
+        )
 
 
 # -- laws --------------------------------------------------------------------------------------------------
@@ -90,10 +95,11 @@ class LawSpec:
     Parameters
     ----------
     law : str; A name of `LAWS`, or several joined by "+".
-    stiffness_n_per_m : float; K, newtons per metre of hand motion; the Phantom Omni can show about 1000 to 2300.
+    stiffness_n_per_m : float; K, newtons per metre of hand motion; the Phantom Omni can show about 1000
+        to 2300.
     force_max_n : float; F_max, newtons, where the law saturates.
-    thickness_m : float or None; Thickness of a wall behind the surface; ``inf`` for a solid; None lets the source
-        choose.
+    thickness_m : float or None; Thickness of a wall behind the surface; ``inf`` for a solid; None lets the
+        source choose.
     band_m : float; Reach of the proximity and magnetic laws, metres.
     surface_damping_n_s_per_m : float; b of a moving surface, see `ForceProfile`; 0 for none.
     """
@@ -109,9 +115,13 @@ class LawSpec:
         for name in self.names:
             if name not in LAWS:
                 raise InvalidArgument("force law", repr(name), f"one of {', '.join(LAWS)}, joined by +")
-        require_positive(**{name: getattr(self, name) for name in ("stiffness_n_per_m", "force_max_n", "band_m")})
+        require_positive(
+            **{name: getattr(self, name) for name in ("stiffness_n_per_m", "force_max_n", "band_m")}
+        )
         if self.thickness_m is not None and not self.thickness_m > 0:
-            raise InvalidArgument("thickness_m", repr(self.thickness_m), "a positive length, or inf for a solid")
+            raise InvalidArgument(
+                "thickness_m", repr(self.thickness_m), "a positive length, or inf for a solid"
+            )
 
     @property
     def names(self) -> tuple[str, ...]:

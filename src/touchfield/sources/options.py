@@ -16,54 +16,63 @@ class SourceOptions:
     Parameters
     ----------
     kind : str or None; Name of a source kind; None recognises it.
-    depth_scale : float or None; Units of a stored depth value in one metre (1000 for millimetres, 5000 for TUM).
+    depth_scale : float or None; Units of a stored depth value in one metre (1000 for millimetres, 5000 for
+        TUM).
     intrinsics : str or None; "fx,fy,cx,cy" in pixels, or the path of a file that holds them.
-    poses : str or None; Of a depth sequence: path of its camera poses (`touchfield.sources.depth.frame_poses`); None
-        looks for them.
+    poses : str or None; Of a depth sequence: path of its camera poses
+        (`touchfield.sources.depth.frame_poses`); None looks for them.
     frame : str; "world": poses are used where there are any, so that a moving camera sees a standing world;
         "camera": the workspace moves with the camera.
-    world : str; Of a depth sequence in world coordinates: "fused" (one world of all frames), "causal" (of what
-        was seen so far) or "frames" (each frame alone, as the paper reads it).
-    reading : str; Of a depth map: "camera" (back-projected, perspective, a wall of some thickness) or "height"
-        (the paper's height map: everything behind the surface is solid).
+    world : str; Of a depth sequence in world coordinates: "fused" (one world of all frames), "causal" (of
+        what was seen so far) or "frames" (each frame alone, as the paper reads it).
+    reading : str; Of a depth map: "camera" (back-projected, perspective, a wall of some thickness) or
+        "height" (the paper's height map: everything behind the surface is solid).
     shell : str; Of an open mesh: "one" (behind the surface as its triangles face), "two" sided, or "auto".
     holes : str; Of a mesh, the holes to close: "small" ones, all ("close") or none ("leave").
     cell_size_m : float or None; Of a height map: metres between neighbouring samples.
     height_scale : float or None; Of a height map: metres of one stored unit.
     exaggeration : float; Of a height map: factor on heights (1 is honest).
     unit_m : float or None; Of a mesh: metres of one unit of its coordinates.
-    rate_hz : float or None; Frames a second of the medium. A source that moves by a formula or a simulation is
-        evaluated at this rate; a depth sequence whose own rate is known is interpolated in time; where a source
-        does not say its own rate, and `source_rate_hz` does not either, this is it.
+    rate_hz : float or None; Frames a second of the medium. A source that moves by a formula or a simulation
+        is evaluated at this rate; a depth sequence whose own rate is known is interpolated in time; where a
+        source does not say its own rate, and `source_rate_hz` does not either, this is it.
     seconds : float or None; Of a simulation: its duration.
     source_rate_hz : float or None; Frames a second of the source, where it does not say.
-    interpolation : str; Of a depth sequence between two of its frames: "linear" (the paper's) or "nearest" (the
-        frame nearest in time).
+    interpolation : str; Of a depth sequence between two of its frames: "linear" (the paper's) or "nearest"
+        (the frame nearest in time).
     animation : str or None; Of an animated model: name or number of the animation; None for the first.
     relative_depth : str or None; Of a picture or video: path of the relative depth that lies beside it.
     near_m, far_m : float or None; Of a relative depth: metres of its nearest and its farthest value.
     segment : str or None; Of a depth sequence in the object representation: the rule of its segmentation, as
         `touchfield.sources.depth.segments` reads it; None for its default.
-    baseline_m, disparity_offset_px : float or None; Of a disparity map: depth = fx * baseline_m / (disparity +
-        disparity_offset_px).
-    allow_outside : bool; Whether a model or scene file may name files outside its own folder. Never taken from a
-        ``.touch`` file.
+    baseline_m, disparity_offset_px : float or None; Of a disparity map: depth = fx * baseline_m /
+        (disparity + disparity_offset_px).
+    allow_outside : bool; Whether a model or scene file may name files outside its own folder. Never taken
+        from a ``.touch`` file.
     """
 
     kind: str | None = None
     depth_scale: float | None = option(None, "Stored depth units in a metre.")
     intrinsics: str | None = option(None, "Camera: fx,fy,cx,cy in pixels, or a file.")
-    poses: str | None = option(None, "Depth sequences: camera poses, a file or folder; found if they lie beside it.")
+    poses: str | None = option(
+        None, "Depth sequences: camera poses, a file or folder; found if they lie beside it."
+    )
     frame: str = option("world", "Depth sequences: world (poses are used) or camera.")
-    world: str = option("fused", "Depth sequences: fused (one of all frames), causal (of those so far), frames.")
+    world: str = option(
+        "fused", "Depth sequences: fused (one of all frames), causal (of those so far), frames."
+    )
     reading: str = option("camera", "Depth maps: camera (metric, a wall) or height (solid, as in the paper).")
     shell: str = option("auto", "Open meshes: one or two sided.")
-    holes: str = option("small", "Holes of meshes: close, leave, or small (close those below 5 % of the area).")
+    holes: str = option(
+        "small", "Holes of meshes: close, leave, or small (close those below 5 % of the area)."
+    )
     cell_size_m: float | None = option(None, "Height maps: metres between samples.")
     height_scale: float | None = option(None, "Height maps: metres of one stored unit.")
     exaggeration: float = option(1.0, "Height maps: factor on heights.")
     unit_m: float | None = option(None, "Meshes: metres of one unit.")
-    rate_hz: float | None = option(None, "Frames a second of the medium; depth frames are interpolated in time.")
+    rate_hz: float | None = option(
+        None, "Frames a second of the medium; depth frames are interpolated in time."
+    )
     seconds: float | None = option(None, "Simulations: their duration.")
     source_rate_hz: float | None = option(None, "Frames a second of the source, where it does not say.")
     interpolation: str = option("linear", "Between depth frames: linear or nearest.")
@@ -92,7 +101,9 @@ class SourceOptions:
             "depth_scale", "cell_size_m", "height_scale", "exaggeration", "unit_m", "rate_hz", "seconds",
             "source_rate_hz", "near_m", "far_m", "baseline_m",
         )  # fmt: skip
-        require_positive(**{name: getattr(self, name) for name in positive if getattr(self, name) is not None})
+        require_positive(
+            **{name: getattr(self, name) for name in positive if getattr(self, name) is not None}
+        )
 
 
 class WatchedOptions:

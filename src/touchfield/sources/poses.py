@@ -10,8 +10,8 @@ The form of a text is told by its content:
 * nerfstudio's ``transforms.json``: 4x4 matrices in the axes of OpenGL, and the names of pictures;
 * SUN3D's stacked 3x4 ``extrinsics``, and the one pose of a file a frame, where the layout says so.
 
-All others are taken as scene from camera, metres, in the axes of the pictures: x right, y down, z forward. A rotation
-that is off by up to 1 % is made exactly orthonormal (text rounds).
+All others are taken as scene from camera, metres, in the axes of the pictures: x right, y down, z forward. A
+rotation that is off by up to 1 % is made exactly orthonormal (text rounds).
 """
 
 from __future__ import annotations
@@ -32,12 +32,15 @@ if TYPE_CHECKING:
     from touchfield.sources.shapes.shapes import Triple
 
 MAX_TIME_S: Final = 1e12  # time stamps stay below this: 32 thousand years
-IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."  # the way on from a pose at fault
+IGNORE_POSES: Final = (
+    "Mend the file, or ignore the poses with --frame camera."  # the way on from a pose at fault
+)
 
 _MAX_TEXT_BYTES: Final = 1 << 26
 _ROTATION_TOLERANCE: Final = 0.01
 _FORMS: Final = (
-    "12 or 16 numbers a line (3x4, 4x4), 8 or 7 ([time] tx ty tz qx qy qz qw), a Redwood log, or COLMAP's images.txt"
+    "12 or 16 numbers a line (3x4, 4x4), 8 or 7 ([time] tx ty tz qx qy qz qw), a Redwood log, or COLMAP's "
+    "images.txt"
 )
 _FROM_CAMERA: Final = "scene from camera"
 
@@ -65,13 +68,19 @@ def read_text(path: Path, most_bytes: int = _MAX_TEXT_BYTES) -> str:
                 raise SourceError(str(path), f"{size} bytes", f"a text file up to {most_bytes} bytes")
             return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise SourceError(str(path), f"bytes that are no text at offset {error.start}", "a text file") from error
+        raise SourceError(
+            str(path), f"bytes that are no text at offset {error.start}", "a text file"
+        ) from error
 
 
 def words_of(text: str, where: str, between: str | None = None) -> list[tuple[str, list[str]]]:
-    """Place and words of each line that has any: blanks, or what is said, stand `between`; ``#`` begins a comment."""
+    """Place and words of each line that has any: blanks, or what is said, stand `between`; ``#`` begins a
+    comment.
+    """
     plain = ((number, line.partition("#")[0].strip()) for number, line in enumerate(text.splitlines(), 1))
-    return [(f"{where} line {n}", [word.strip() for word in line.split(between)]) for n, line in plain if line]
+    return [
+        (f"{where} line {n}", [word.strip() for word in line.split(between)]) for n, line in plain if line
+    ]
 
 
 def floats(words: list[str], where: str, expected: str = "numbers") -> list[float]:
@@ -97,10 +106,11 @@ def _refuse(bad: Any, where: str, found: str, expected: str) -> None:
 
 
 def checked_poses(matrices: Float64s, where: str) -> Float64s:
-    """Poses whose rotations are rotations, float64 [n, 4, 4], of matrices float64 [n, 3, 4] or [n, 4, 4], metres.
+    """Poses whose rotations are rotations, float64 [n, 4, 4], of matrices float64 [n, 3, 4] or [n, 4, 4],
+    metres.
 
-    Raises `SourceError`, which names the entry, if a number is not finite, a fourth row is not 0 0 0 1, or a rotation
-    is off by more than 1 % or mirrors.
+    Raises `SourceError`, which names the entry, if a number is not finite, a fourth row is not 0 0 0 1, or a
+    rotation is off by more than 1 % or mirrors.
     """
     poses = np.tile(np.eye(4), (len(matrices), 1, 1))
     poses[:, : matrices.shape[1]] = matrices
@@ -121,9 +131,13 @@ def checked_poses(matrices: Float64s, where: str) -> Float64s:
 
 def quaternion_poses(quaternions: Float64s, positions_m: Float64s, where: str) -> Float64s:
     """Poses float64 [n, 4, 4] of quaternions (x, y, z, w), float64 [n, 4], of length 1, and positions [n, 3]."""
-    _refuse(~(np.abs(quaternions) < 2).all(axis=1), where, "a quaternion that is not finite and small", "norm 1")
+    _refuse(
+        ~(np.abs(quaternions) < 2).all(axis=1), where, "a quaternion that is not finite and small", "norm 1"
+    )
     norm = np.linalg.norm(quaternions, axis=1)
-    _refuse(np.abs(norm - 1) > _ROTATION_TOLERANCE, where, "a quaternion of another norm", "norm 1 (qx qy qz qw)")
+    _refuse(
+        np.abs(norm - 1) > _ROTATION_TOLERANCE, where, "a quaternion of another norm", "norm 1 (qx qy qz qw)"
+    )
     rotations = rotation_matrices(np.roll(quaternions / norm[:, None], 1, axis=-1))
     return checked_poses(np.concatenate([rotations, positions_m[:, :, None]], axis=2), where)
 
@@ -131,12 +145,16 @@ def quaternion_poses(quaternions: Float64s, positions_m: Float64s, where: str) -
 def seconds(stamps: Float64s) -> Float64s:
     """Time stamps in seconds: those too large for seconds since 1970 are milli-, micro- or nanoseconds."""
     size = float(np.abs(stamps).max(initial=0.0))
-    unit = next((unit for least, unit in ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3)) if least <= size < 1e20), 1.0)
+    unit = next(
+        (unit for least, unit in ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3)) if least <= size < 1e20), 1.0
+    )
     return stamps / unit
 
 
 def nearest_in_time(times_s: Float64s, wanted_s: Float64s, tolerance_s: float) -> Int64s:
-    """Index of the nearest of the ascending `times_s` for each of `wanted_s`, int64 [m]; -1 beyond the tolerance."""
+    """Index of the nearest of the ascending `times_s` for each of `wanted_s`, int64 [m]; -1 beyond the
+    tolerance.
+    """
     if not len(times_s):
         return np.full(len(wanted_s), -1, np.int64)
     after = np.clip(np.searchsorted(times_s, wanted_s), 0, len(times_s) - 1)
@@ -156,7 +174,9 @@ def read_pose_file(path: Path) -> Float64s | None:
     """The 4x4 or 3x4 pose of one frame, float64 [4, 4]; None where tracking was lost (numbers not finite)."""
     values = np.array(floats(read_text(path).replace(",", " ").split(), str(path)), np.float64)
     if len(values) not in (12, 16):
-        raise SourceError(str(path), f"{len(values)} numbers", "16 of one 4x4 matrix, or 12 of a 3x4", IGNORE_POSES)
+        raise SourceError(
+            str(path), f"{len(values)} numbers", "16 of one 4x4 matrix, or 12 of a 3x4", IGNORE_POSES
+        )
     return checked_poses(values.reshape(1, -1, 4), str(path))[0] if np.isfinite(values).all() else None
 
 
@@ -171,7 +191,9 @@ def parse_poses(text: str, where: str) -> PoseList:
     if [len(words) for _, words in lines[:5]] == [3, 4, 4, 4, 4]:
         rows = _entries(text, 19, where, "entry (3 and a 4x4 matrix)")
         poses, first = checked_poses(rows[:, 3:].reshape(-1, 4, 4), where), rows[:, 0]
-        _refuse(~((first >= 0) & (first < 2**53) & (first % 1 == 0)), where, "no frame number", "a whole number")
+        _refuse(
+            ~((first >= 0) & (first < 2**53) & (first % 1 == 0)), where, "no frame number", "a whole number"
+        )
         return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=first.astype(np.int64))
     if columns not in (4, 7, 8, 12, 16):
         raise SourceError(where, f"{columns} numbers in its first line", _FORMS, IGNORE_POSES)
@@ -193,7 +215,9 @@ def parse_poses(text: str, where: str) -> PoseList:
         height = 4 if len(rows) % 4 == 0 and bool((rows[3::4] == (0, 0, 0, 1)).all()) else 3
         if len(rows) % height:
             raise SourceError(where, f"{len(rows)} lines of 4 numbers", "3 or 4 for each pose", IGNORE_POSES)
-        return PoseList(checked_poses(rows.reshape(-1, height, 4), where), f"{height}x4 matrices, {_FROM_CAMERA}")
+        return PoseList(
+            checked_poses(rows.reshape(-1, height, 4), where), f"{height}x4 matrices, {_FROM_CAMERA}"
+        )
     poses = checked_poses(rows.reshape(len(rows), -1, 4), where)
     return PoseList(poses, f"a {columns // 4}x4 matrix a line, {_FROM_CAMERA}")
 
@@ -203,7 +227,9 @@ def _of_transforms(text: str, where: str) -> PoseList:
     try:
         frames = json.loads(text)["frames"]
         names = tuple(str(frame.get("depth_file_path", frame["file_path"])) for frame in frames)
-        matrices = np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(len(frames), 4, 4)
+        matrices = np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(
+            len(frames), 4, 4
+        )
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         expected = "frames, each with file_path and transform_matrix"
         raise SourceError(where, f"JSON without poses ({error})", expected, IGNORE_POSES) from error
@@ -259,7 +285,8 @@ def poses_between(quaternions: Float64s, positions_m: Float64s, at: Float64s) ->
 def track_at_rate(trace: Trace, rate_hz: float, frame_count: int) -> PoseTrack:
     """The poses at the times 0, 1 / rate, ..., one a frame, of a recorded motion.
 
-    Before its first and after its last pose a body stands still; one that is never turned keeps the scene's axes.
+    Before its first and after its last pose a body stands still; one that is never turned keeps the scene's
+    axes.
     """
     at = np.interp(np.arange(frame_count) / rate_hz, trace.times_s, np.arange(len(trace)))
     turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(trace), 1)) if trace.quaternions is None else trace.quaternions

@@ -1,9 +1,9 @@
 """The source kinds: which there are, which one a path is, and how it is opened.
 
-Other distributions add kinds by entry points of the group ``touchfield.sources``, each a `SourceKind`. A kind of
-this package is a module that ends in ``KIND = SourceKind(...)`` and a line in `MODULES`, or a row of the table of
-depth layouts (``touchfield.sources.depth.layouts``) and a line that names module and row. The modules must be cheap
-to import: what is heavy (numba, Pillow) is imported when it is used.
+Other distributions add kinds by entry points of the group ``touchfield.sources``, each a `SourceKind`. A kind
+of this package is a module that ends in ``KIND = SourceKind(...)`` and a line in `MODULES`, or a row of the
+table of depth layouts (``touchfield.sources.depth.layouts``) and a line that names module and row. The
+modules must be cheap to import: what is heavy (numba, Pillow) is imported when it is used.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 
 from touchfield.errors import SourceError, require_one_of
 from touchfield.files import require_plain
-from touchfield.sources.images.pictures import contents
 from touchfield.plugins import plugins
+from touchfield.sources.images.pictures import contents
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import Scene
 
@@ -74,7 +74,9 @@ class SourceKind:
 
 @cache
 def kinds() -> tuple[SourceKind, ...]:
-    """All source kinds, the particular before the general: plug-ins, which were installed on purpose, come first."""
+    """All source kinds, the particular before the general: plug-ins, which were installed on purpose, come
+    first.
+    """
     built_in = tuple(_kind(*entry.split(":")) for entry in MODULES)
     return (*plugins("touchfield.sources", SourceKind).values(), *built_in)
 
@@ -88,8 +90,8 @@ def _kind(module: str, row: str | None = None) -> SourceKind:
 def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene:
     """Open a file or folder as a scene.
 
-    Raises `SourceError` if there is no file or folder at `path`, no kind recognises it, or its data are at fault;
-    `InvalidArgument` if ``options.kind`` names no kind.
+    Raises `SourceError` if there is no file or folder at `path`, no kind recognises it, or its data are at
+    fault; `InvalidArgument` if ``options.kind`` names no kind.
     """
     path, options = Path(path), options or SourceOptions()
     by_name = {kind.name: kind for kind in kinds()}
@@ -99,7 +101,9 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     if not os.path.exists(path):  # unlike Path.exists, it answers for a name that is too long as well
         raise SourceError(str(path), "nothing there", "a file or folder", "Check the path.")
     require_plain(path, "a file or folder", or_folder=True)
-    kind = by_name[name] if name is not None else next((kind for kind in kinds() if kind.recognise(path)), None)
+    kind = (
+        by_name[name] if name is not None else next((kind for kind in kinds() if kind.recognise(path)), None)
+    )
     if kind is None:
         found = "no kind of source that is known" + (f", but {contents(path)}" if path.is_dir() else "")
         mend = "Name its kind with --as, or a folder in it." if path.is_dir() else "Name its kind with --as."
@@ -114,5 +118,7 @@ def unit_notes(scene: Scene, start: int, stop: int) -> tuple[str, ...]:
     option, low, high = scene.unit
     size_m = float(np.ptp(scene.bounds_between_m(start, stop), axis=0).max())
     return (
-        () if low <= size_m <= high else (f"Is the unit right? The scene measures {size_m:.3g} m across ({option}).",)
+        ()
+        if low <= size_m <= high
+        else (f"Is the unit right? The scene measures {size_m:.3g} m across ({option}).",)
     )

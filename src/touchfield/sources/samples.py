@@ -1,4 +1,6 @@
-"""Scenes for a first run with no download: real ones that well-known libraries carry, and Scene 1 of the paper."""
+"""Scenes for a first run with no download: real ones that well-known libraries carry, and Scene 1 of the
+paper.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,13 @@ def sample(name: str, options: SourceOptions | None = None) -> Scene:
     "shapes" is a tray of six shapes with a formula, which needs no library beside the core.
     "terrain" is the elevation model of the Jacksboro fault, Tennessee, that matplotlib carries (344 x 403
     samples of the Shuttle Radar Topography Mission); "motorcycle" is the Middlebury 2014 stereo pair that
-    scikit-image carries, as a depth map. "falling-4" and "falling-7" are Scene 1 of the paper (section 5.1), bodies
-    of low complexity that fall on the ground, 2000 frames in 2 s: four as its text has it, seven as its figure 5. The
-    ground itself is not felt. The shapes and their places are not the paper's, which gives none.
+    scikit-image carries, as a depth map. "falling-4" and "falling-7" are Scene 1 of the paper (section 5.1),
+    bodies of low complexity that fall on the ground, 2000 frames in 2 s: four as its text has it, seven as
+    its figure 5. The ground itself is not felt. The shapes and their places are not the paper's, which gives
+    none.
 
-    Raises `InvalidArgument` if there is no such sample, or the library that carries or simulates it is not installed.
+    Raises `InvalidArgument` if there is no such sample, or the library that carries or simulates it is not
+    installed.
     """
     options = options or SourceOptions()
     if name == "terrain":

@@ -32,8 +32,8 @@ DEPTH_UNIT: Final = ("--depth-scale", 0.02, 200.0)
 def bricks_that(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -> Int32s:
     """Bricks that may hold a force, int32 [n, 3] ascending: blocks of bricks, halved where one may.
 
-    ``may_hold(blocks, size)``, bool [n]: whether there may be a force in blocks, int32 [n, 3] in units of their
-    `size`, bricks along each axis.
+    ``may_hold(blocks, size)``, bool [n]: whether there may be a force in blocks, int32 [n, 3] in units of
+    their `size`, bricks along each axis.
     """
     size = 1 << max(grid.brick_shape).bit_length()
     blocks = np.zeros((1, 3), np.int32)
@@ -68,18 +68,18 @@ class Scene(ABC):
     notes : tuple of str; What the user should be told about how the source was read.
     has_law : bool; Whether a force law makes the forces; False where they are the source's own.
     is_solid : bool; Whether everything behind the surface is solid unless a thickness is asked for.
-    finest_m : (float, float, float) or None; Between samples closer than this the scene has nothing to tell; None
-        for a continuous one.
+    finest_m : (float, float, float) or None; Between samples closer than this the scene has nothing to tell;
+        None for a continuous one.
     box_wording : str; What `bounds_m` is the box of, in a note about the workspace that it fills.
-    unit : (str, float, float) or None; The option that says the unit, and the bounds of sizes in metres that are
-        usual; None where any size is.
-    tags : tuple of str; Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for
-        something else.
+    unit : (str, float, float) or None; The option that says the unit, and the bounds of sizes in metres that
+        are usual; None where any size is.
+    tags : tuple of str; Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand
+        for something else.
     exaggeration : float; Factor on the heights of a height map, in which its z is told.
     is_captured : bool; Frames are taken as they are asked for (`touchfield.sources.depth.capture`).
     has_gpu : bool; Forces are computed on a GPU where one is asked for (`touchfield.compute.cuda.computing`).
-    report : callable; ``report(done, total)`` is called while a scene prepares itself for the first field; set by
-        who wants to know.
+    report : callable; ``report(done, total)`` is called while a scene prepares itself for the first field;
+        set by who wants to know.
     """
 
     frame_count: int = 1
@@ -128,7 +128,9 @@ class Scene(ABC):
 
         `rotation` float64 [3, 3]; `shift_m` float64 [3].
         """
-        raise InvalidArgument(type(self).__name__, "a rigid motion asked of it", "a mesh or shapes with a formula")
+        raise InvalidArgument(
+            type(self).__name__, "a rigid motion asked of it", "a mesh or shapes with a formula"
+        )
 
 
 class MovingScene(Scene):

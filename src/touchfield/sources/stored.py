@@ -25,7 +25,8 @@ from touchfield.sources.scene import Scene
 class StoredScene(Scene):
     """A medium as a scene: looked up by trilinear interpolation wherever it is asked.
 
-    ``to_the_bit()`` gives the same medium with bricks of nothing but -0.0, which are no forces; by default `medium`.
+    ``to_the_bit()`` gives the same medium with bricks of nothing but -0.0, which are no forces; by default
+    `medium`.
     """
 
     has_law = False

@@ -40,7 +40,9 @@ def tiny_scenes() -> list[Scene]:
     heights = np.fromfunction(lambda i, j: 0.1 * np.sin(i / 3) * np.cos(j / 4), (24, 24))
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    turning = PoseTrack(np.array([[1.0, 0.0, 0.0, 0.0], [0.8, 0.6, 0.0, 0.0]]), np.array([[0.0, 0, 0], [0.1, 0, 0]]))
+    turning = PoseTrack(
+        np.array([[1.0, 0.0, 0.0, 0.0], [0.8, 0.6, 0.0, 0.0]]), np.array([[0.0, 0, 0], [0.1, 0, 0]])
+    )
     return [
         DepthScene(_Ramp()),
         HeightScene(heights, (0.1, 0.1)),

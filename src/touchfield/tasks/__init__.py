@@ -1,4 +1,6 @@
-"""Tasks: the function behind each command that is more than one step of the pipeline, a module for each group."""
+"""Tasks: the function behind each command that is more than one step of the pipeline, a module for each
+group.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -16,4 +18,6 @@ _MODULES = {
     "plan": ("Budget", "PlanGrid", "parse_budget"),
     "play": ("PlaySpec",),
 }
-__getattr__ = lazy_attributes(__name__, {name: module for module, names in _MODULES.items() for name in names})
+__getattr__ = lazy_attributes(
+    __name__, {name: module for module, names in _MODULES.items() for name in names}
+)

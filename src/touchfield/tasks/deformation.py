@@ -28,7 +28,9 @@ def lattice_of(low_m: Float64s, high_m: Float64s, controls: int, **yields: float
 
 
 def body_points_m(scene: AnimatedMeshScene, frame: int, behind_m: float) -> Float64s:
-    """Vertices of a frame, and as many so far behind them, along the normals: what moves with the skin, [n, 3]."""
+    """Vertices of a frame, and as many so far behind them, along the normals: what moves with the skin, [n,
+    3].
+    """
     vertices, triangles = scene.vertices_m(frame), scene.surface(frame).triangles
     a, b, c = (vertices[triangles[:, n]] for n in range(3))
     faces, normals = np.cross(b - a, c - a), np.zeros_like(vertices)
@@ -51,9 +53,9 @@ def tracks_of(
 ) -> Result:
     """Write the deformation of a stream: the motion of a model, which it shows at rest, and what it yields.
 
-    What moves far from rest folds: a long motion is stretches, each with a rest of its own. Without a motion the
-    lattice lies over what holds a force in the first frame. InvalidArgument if neither a model nor a compliance
-    is given, or the stream holds objects; SourceError if the model has no animation.
+    What moves far from rest folds: a long motion is stretches, each with a rest of its own. Without a motion
+    the lattice lies over what holds a force in the first frame. InvalidArgument if neither a model nor a
+    compliance is given, or the stream holds objects; SourceError if the model has no animation.
     """
     require_ending(out, "DEFORMATION.npz")
     if motion is None and not compliance_m_per_n:
@@ -81,11 +83,17 @@ def tracks_of(
         first_frame, stop = motion.frames or (0, None)
         taken = range(scene.frame_count)[first_frame:stop]
         if not taken:
-            raise InvalidArgument("frames", f"{first_frame}:{stop}", f"some of the model's {scene.frame_count}")
-        looks = np.concatenate([points(taken[n]) for n in np.unique(np.linspace(0, len(taken) - 1, 16).astype(int))])
+            raise InvalidArgument(
+                "frames", f"{first_frame}:{stop}", f"some of the model's {scene.frame_count}"
+            )
+        looks = np.concatenate(
+            [points(taken[n]) for n in np.unique(np.linspace(0, len(taken) - 1, 16).astype(int))]
+        )
         lattice = lattice_of(looks.min(axis=0), looks.max(axis=0), controls)
         rest = points(taken[0] if motion.rest_frame is None else motion.rest_frame)
-        bend, rms = fitted(rest, map(points, taken), lattice, motion.rate_hz, lambda done: report(done, len(taken)))
+        bend, rms = fitted(
+            rest, map(points, taken), lattice, motion.rate_hz, lambda done: report(done, len(taken))
+        )
         bend = replace(bend, compliance_m_per_n=compliance_m_per_n, relax_s=relax_s)
     bend.write(out)
     size = Path(out).stat().st_size

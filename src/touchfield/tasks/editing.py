@@ -40,7 +40,15 @@ from touchfield.filters.edit import (
 )
 from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, RigidMotion
 from touchfield.filters.registry import field_filters, filter_of, length_m, noted
-from touchfield.filters.resample import LOW_PASSES, halved, interpolated, most_levels, pyramid, rebuilt, resample
+from touchfield.filters.resample import (
+    LOW_PASSES,
+    halved,
+    interpolated,
+    most_levels,
+    pyramid,
+    rebuilt,
+    resample,
+)
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.selection import evenly_spaced
@@ -79,10 +87,14 @@ def retimed(medium: HapticMedium, rate_hz: float) -> HapticMedium:
     if medium.rate_hz == rate_hz:
         return medium
     require_positive(rate_hz=rate_hz)
-    near = replace(medium, make_frame=lru_cache(2)(medium.__getitem__))  # a frame serves several that are asked for
+    near = replace(
+        medium, make_frame=lru_cache(2)(medium.__getitem__)
+    )  # a frame serves several that are asked for
     count = max(1, round(len(medium) * rate_hz / medium.rate_hz))
     words = noted(medium.provenance, "resampled", f"{medium.rate_hz:g} Hz to {rate_hz:g} Hz")
-    timed = replace(medium, rate_hz=rate_hz, frame_count=count, vibration=None, segments=None, provenance=words)
+    timed = replace(
+        medium, rate_hz=rate_hz, frame_count=count, vibration=None, segments=None, provenance=words
+    )
     return replace(timed, make_frame=lambda i: near.at(i / rate_hz))
 
 
@@ -121,7 +133,9 @@ def joined(
         places, (low, high) = result.grid.to_m(result[len(result) // 2].positions()), like.grid.box_m
         is_outside = ((places < low) | (places > high)).any(axis=1)
         if is_outside.any():
-            notes.append(f"{name}: {100 * is_outside.mean():.3g} % of its samples lie outside, and are left out")
+            notes.append(
+                f"{name}: {100 * is_outside.mean():.3g} % of its samples lie outside, and are left out"
+            )
         result = resampled(result, like.grid, kernel)
     if result.rate_hz != like.rate_hz:
         notes.append(f"{name}: {result.rate_hz:g} Hz to {like.rate_hz:g} Hz")
@@ -160,7 +174,12 @@ class Written(Result):
 
 
 def _write(
-    like: Prepared, sources: Sequence[str | Path], medium: HapticMedium, to: str | Path, report: Report, **shown: Any
+    like: Prepared,
+    sources: Sequence[str | Path],
+    medium: HapticMedium,
+    to: str | Path,
+    report: Report,
+    **shown: Any,
 ) -> Written:
     """Write a medium that was made of one, coded as its spec says; with the notes of the coder."""
     out = Path(to)
@@ -190,11 +209,12 @@ def edit(
     spec: EncodeSpec | None = None,
     report: Report = silent,
 ) -> Written:
-    """Operators at work within a region of a medium, one after the other; outside it every sample stays as it was.
+    """Operators at work within a region of a medium, one after the other; outside it every sample stays as it
+    was.
 
-    `region` and `operators` are in the words of `region_of` and `operator_of`; `feather_m` is the width of the
-    transition outside the region, metres, `frames` the (start, stop) of those to be edited, `spec` the coder's.
-    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
+    `region` and `operators` are in the words of `region_of` and `operator_of`; `feather_m` is the width of
+    the transition outside the region, metres, `frames` the (start, stop) of those to be edited, `spec` the
+    coder's. TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     if not operators:
         raise InvalidArgument("--operator", "none", "at least one")
@@ -227,9 +247,9 @@ def splice(
 ) -> Written:
     """Media one after the other, on the lattice and at the rate of the first; see `joined`.
 
-    Each source is FILE, or FILE@START:STOP for some of its frames; `fade_s` are the seconds in which one fades into
-    the next, `kernel` is the resampler's, and `spec` the coder's, whose friction and damping are those of all.
-    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
+    Each source is FILE, or FILE@START:STOP for some of its frames; `fade_s` are the seconds in which one
+    fades into the next, `kernel` is the resampler's, and `spec` the coder's, whose friction and damping are
+    those of all. TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     if not sources:
         raise InvalidArgument("media to splice", "none", "at least one")
@@ -282,14 +302,17 @@ def resample_file(
     spec: EncodeSpec | None = None,
     report: Report = silent,
 ) -> Written:
-    """A medium on another lattice over its box (`lattice_of`), or at another rate, and what a receiver then lacks.
+    """A medium on another lattice over its box (`lattice_of`), or at another rate, and what a receiver then
+    lacks.
 
     TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     prepared = read_medium(source, spec)
     grid = lattice_of(prepared.medium.grid, *lattice)
     if grid == prepared.medium.grid and rate_hz in (None, prepared.medium.rate_hz):
-        raise InvalidArgument("touchfield resample", "the lattice and the rate it has", "another lattice or rate")
+        raise InvalidArgument(
+            "touchfield resample", "the lattice and the rate it has", "another lattice or rate"
+        )
     on_grid = resampled(prepared.medium, grid, kernel)
     medium = retimed(on_grid, prepared.medium.rate_hz if rate_hz is None else rate_hz)
     meter = fidelity_of(prepared, on_grid)
@@ -311,9 +334,10 @@ def levels_of_detail(
 ) -> Result:
     """Each level of detail of a medium as a file of its own, with its bytes and what a receiver of it lacks.
 
-    `out` is a folder for level-0.touch, level-1.touch, ..., or OUT.zarr, a store of them all (extra ``zarr``);
-    without it they are only measured. `levels` is how often the lattice is halved (until 8 samples are left). Of the
-    result ``levels`` are rows of figures, the finest first, and ``level`` is the finest of `most_bytes` or less.
+    `out` is a folder for level-0.touch, level-1.touch, ..., or OUT.zarr, a store of them all (extra
+    ``zarr``); without it they are only measured. `levels` is how often the lattice is halved (until 8 samples
+    are left). Of the result ``levels`` are rows of figures, the finest first, and ``level`` is the finest of
+    `most_bytes` or less.
     """
     prepared = read_medium(source, spec)
     medium, most = prepared.medium, most_levels(prepared.medium.grid)
@@ -328,7 +352,9 @@ def levels_of_detail(
         folder = kept or Path(leaving.enter_context(tempfile.TemporaryDirectory()))
         if not folder.is_dir():
             folder.mkdir()
-            leaving.callback(shutil.rmtree, folder, ignore_errors=True)  # what is broken off leaves no folder behind
+            leaving.callback(
+                shutil.rmtree, folder, ignore_errors=True
+            )  # what is broken off leaves no folder behind
         for level in range(wanted + 1):
             one = detail_level(medium, level)
             path = _write(prepared, [source], one, folder / f"level-{level}.touch", silent).path
@@ -347,7 +373,11 @@ def levels_of_detail(
             leaving.pop_all()
     fits = [row["level"] for row in rows if most_bytes is None or row["file_bytes"] <= most_bytes]
     best = min(fits, default=None)
-    note = f"no level takes {most_bytes} bytes or less" if best is None else f"level {best} is the finest that fits"
+    note = (
+        f"no level takes {most_bytes} bytes or less"
+        if best is None
+        else f"level {best} is the finest that fits"
+    )
     notes: tuple[str, ...] = () if most_bytes is None else (note,)
     if medium.vibration is not None and wanted > 0:
         notes += ("levels from 1 on: the vibration is left out",)
@@ -377,9 +407,10 @@ REGIONS: Final[Mapping[str, tuple[str, Callable[..., Region]]]] = {
 def region_of(text: str) -> Region:
     """A region in words; `|` is the union, `&` what both share, `~` all that is not in it.
 
-    ``everywhere``; ``box:X,Y,Z,X,Y,Z``, low and high corner; ``ball:X,Y,Z,RADIUS``; ``half-space:NX,NY,NZ,X,Y,Z``,
-    the side that the normal points to, and a point; ``force:LOW..HIGH`` newtons. Lengths have a unit: 2mm, -0.5cm;
-    bounds of a box may be inf. InvalidArgument if the words make no sense.
+    ``everywhere``; ``box:X,Y,Z,X,Y,Z``, low and high corner; ``ball:X,Y,Z,RADIUS``;
+    ``half-space:NX,NY,NZ,X,Y,Z``, the side that the normal points to, and a point; ``force:LOW..HIGH``
+    newtons. Lengths have a unit: 2mm, -0.5cm; bounds of a box may be inf. InvalidArgument if the words make
+    no sense.
     """
     for sign in "|&":
         parts = text.split(sign)
@@ -397,7 +428,9 @@ def region_of(text: str) -> Region:
     if name in REGIONS:
         form, make = REGIONS[name]
         return make(*_numbers(f"--region {name}", values, form))
-    raise InvalidArgument("--region", repr(text), "everywhere, box:, ball:, half-space: or force:, with | & ~")
+    raise InvalidArgument(
+        "--region", repr(text), "everywhere, box:, ball:, half-space: or force:, with | & ~"
+    )
 
 
 OPERATORS: Final[Mapping[str, tuple[tuple[str, ...], Callable[..., EditOperator]]]] = {
@@ -414,9 +447,9 @@ def operator_of(text: str, like: Prepared) -> EditOperator:
 
     ``gain:2``; ``erase``; ``limit:1.5`` newtons; ``move:DX,DY,DZ``; ``turn:AX,AY,AZ,DEGREES`` and
     ``mirror:NX,NY,NZ``, each with a point ``,X,Y,Z`` that stays; ``over:FILE``, ``add:FILE``, ``max:FILE`` or
-    ``replace:FILE``, another medium, frame by frame or a still one; or a haptic filter, ``gaussian:sigma=2mm``.
-    `like` is the medium to be edited: another one is brought onto its lattice. InvalidArgument if the words make no
-    sense.
+    ``replace:FILE``, another medium, frame by frame or a still one; or a haptic filter,
+    ``gaussian:sigma=2mm``. `like` is the medium to be edited: another one is brought onto its lattice.
+    InvalidArgument if the words make no sense.
     """
     name, _, values = text.strip().partition(":")
     if name == "erase" and not values:

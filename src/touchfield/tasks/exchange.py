@@ -6,8 +6,9 @@ stream -> the page in the browser -> .html                                      
 .hjif, .hmpg, .ahap -> drives -> symbolic medium -> stream   `import_effect`
 
 The force over time is that of the field where the probe is, at every tick of the file, a thousand a second
-(fewer beyond 65 s), the probe going straight from one sample to the next and waiting at the first. What the receiver
-adds, friction, damping and its device's limits, depends on the hand: only what exceeds the peak is shortened to it.
+(fewer beyond 65 s), the probe going straight from one sample to the next and waiting at the first. What the
+receiver adds, friction, damping and its device's limits, depends on the hand: only what exceeds the peak is
+shortened to it.
 """
 
 from __future__ import annotations
@@ -73,13 +74,13 @@ def export(
     """Write a stream in another format, by the ending of `out`.
 
     ``.hjif`` (ISO/IEC 23090-31) and ``.wav`` (a channel an actuator) hold the drives of an array, or with
-    `trajectory`, where the probe is over time (`touchfield.medium.trace.read_trace`), a force over time; ``.tact`` is
-    for a vest of bHaptics; ``.haptic`` (Meta) and ``.ahap`` (Apple) have one track; ``.html`` is the page, with the
-    stream within. `device_name` is a profile, of an array or with `trajectory` of a point: by default the device that
-    the stream was made for, and for ``.tact`` a TactSuit X40 where it was made for another. `panel` is that of an
-    array, "front" or "back"; `against`, of the page, what was encoded; `full_scale_n`, of a force as ``.hjif``, are
-    the newtons that are told as 1; 1 tells newtons. TouchfieldError if anything is at fault; nothing is then left
-    under the name `out`.
+    `trajectory`, where the probe is over time (`touchfield.medium.trace.read_trace`), a force over time;
+    ``.tact`` is for a vest of bHaptics; ``.haptic`` (Meta) and ``.ahap`` (Apple) have one track; ``.html`` is
+    the page, with the stream within. `device_name` is a profile, of an array or with `trajectory` of a point:
+    by default the device that the stream was made for, and for ``.tact`` a TactSuit X40 where it was made for
+    another. `panel` is that of an array, "front" or "back"; `against`, of the page, what was encoded;
+    `full_scale_n`, of a force as ``.hjif``, are the newtons that are told as 1; 1 tells newtons.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     path = Path(out)
     kind = path.suffix.lower()
@@ -113,12 +114,13 @@ def import_effect(
 ) -> Encoded:
     """Turn an effect of others into a ``.touch`` file: a symbolic medium for an array of actuators.
 
-    A stream keeps a drive as exactly as its coder is asked to keep the force, and beside it the frequency in whole
-    hertz with the drive to within a ninth (`touchfield.codec.vibration`); what is shown is the greater of the two.
-    `source` is ``.hjif``, ``.hmpg`` (its binary form) or ``.ahap``; of `spec` are taken the coder, its haptic
-    filters, frames and vibration in place of the effect's own; the device is that of the effect. `rate_hz` are the
-    frames a second, and `force_max_n` the force that a full drive stands for: None takes what the file tells, or else
-    3.3 N. TouchfieldError if anything is at fault; nothing is then left under the name `out`.
+    A stream keeps a drive as exactly as its coder is asked to keep the force, and beside it the frequency in
+    whole hertz with the drive to within a ninth (`touchfield.codec.vibration`); what is shown is the greater
+    of the two. `source` is ``.hjif``, ``.hmpg`` (its binary form) or ``.ahap``; of `spec` are taken the
+    coder, its haptic filters, frames and vibration in place of the effect's own; the device is that of the
+    effect. `rate_hz` are the frames a second, and `force_max_n` the force that a full drive stands for: None
+    takes what the file tells, or else 3.3 N. TouchfieldError if anything is at fault; nothing is then left
+    under the name `out`.
     """
     asked = spec or EncodeSpec()
     if force_max_n is not None and not 0 < force_max_n <= 1e6:
@@ -173,9 +175,18 @@ def _export_array(
         write_hjif_array(path, effect, chosen.name, panel=panel, description=title)
     else:
         notes = (write_ahap if kind == ".ahap" else write_haptic)(path, effect, path.stem, title)
-    figures = {"columns": columns, "rows": rows, "panel": panel, "frames": len(effect), "rate_hz": effect.rate_hz}
+    figures = {
+        "columns": columns,
+        "rows": rows,
+        "panel": panel,
+        "frames": len(effect),
+        "rate_hz": effect.rate_hz,
+    }
     if "height" in (chosen.shows, stream_device(stream).shows):
-        notes = (*notes, f"{kind} knows no pins: who reads it takes the heights of a pin display for vibration.")
+        notes = (
+            *notes,
+            f"{kind} knows no pins: who reads it takes the heights of a pin display for vibration.",
+        )
     if not effect.drives.any():
         notes = (*notes, "Nothing can be felt: no actuator is driven.")
     return _exported(path, chosen.name, len(effect) / effect.rate_hz, figures, notes)
@@ -187,17 +198,28 @@ def _array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
         return device(device_name)
     head = stream.reader.head
     columns, rows, depth = head.grid_shape
-    own = effect_device((columns, rows, depth), head.device_name, head.force_max_n) if head.device_type == 2 else None
+    own = (
+        effect_device((columns, rows, depth), head.device_name, head.force_max_n)
+        if head.device_type == 2
+        else None
+    )
     if kind == ".tact":
         return own if own is not None and fits_vest(own.lattice) else device(_VEST)
     if own is None:
         mend = "Name an array with --device, or a trajectory for the force along it."
-        raise InvalidArgument("device", f"a stream for {head.device_name}, a point", "an array of actuators", mend)
+        raise InvalidArgument(
+            "device", f"a stream for {head.device_name}, a point", "an array of actuators", mend
+        )
     return own
 
 
 def _export_force(
-    stream: OpenStream, path: Path, kind: str, device_name: str | None, trajectory: str | Path, full_scale_n: float
+    stream: OpenStream,
+    path: Path,
+    kind: str,
+    device_name: str | None,
+    trajectory: str | Path,
+    full_scale_n: float,
 ) -> Result:
     head = stream.reader.head
     name, peak_n = head.device_name, head.force_max_n
@@ -223,7 +245,9 @@ def _export_force(
         notes = (f"Full scale is {along_n:.6g} N, the greatest force along an axis: a sound has no newtons.",)
     else:
         title = f"force along {Path(trajectory).name}"
-        write_hjif_force(path, forces_n, timescale, device_name=name, full_scale_n=full_scale_n, description=title)
+        write_hjif_force(
+            path, forces_n, timescale, device_name=name, full_scale_n=full_scale_n, description=title
+        )
         if along_n > full_scale_n:
             notes = (
                 "Readers that put it out as sound, such as the reference synthesiser, clip above "

@@ -1,7 +1,8 @@
-"""Media beside media (paper section 4): a folder filed and searched, two held side by side, one beside a video.
+"""Media beside media (paper section 4): a folder filed and searched, two held side by side, one beside a
+video.
 
-The file of a library is that of `MediumIndex` with one array more: of each file its size, time and CRC-32, and what
-is wrong with those that cannot be described.
+The file of a library is that of `MediumIndex` with one array more: of each file its size, time and CRC-32,
+and what is wrong with those that cannot be described.
 """
 
 from __future__ import annotations
@@ -84,7 +85,9 @@ class Library:
             raise SourceError(where, "no such array, or one that is too large", expected)
         try:
             rows_by_name: dict[str, Any] = json.loads(archive.read("files").tobytes())
-            entries = {name: Entry(int(s), int(t), int(c), str(f)) for name, (s, t, c, f) in rows_by_name.items()}
+            entries = {
+                name: Entry(int(s), int(t), int(c), str(f)) for name, (s, t, c, f) in rows_by_name.items()
+            }
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise SourceError(where, f"text that cannot be read ({error})", expected) from None
         rows = {name: index[name].values for name in index.names if name in entries}
@@ -145,11 +148,11 @@ def index_folder(
 ) -> Indexed:
     """File every .touch file of a folder and its folders under its descriptor; only what changed is decoded.
 
-    A file of the same size and time is kept as it is, and one of the same bytes takes over its descriptor, whatever
-    it is called now. What was described is saved every few seconds and after an error, so that the next run goes on.
-    `path` is the file to write, FOLDER.index.npz beside the folder unless another is named; `report` counts files;
-    with `executor` its workers read them. TouchfieldError if there is no such folder, or the file cannot be read or
-    written. A damaged .touch file is told in `faults`.
+    A file of the same size and time is kept as it is, and one of the same bytes takes over its descriptor,
+    whatever it is called now. What was described is saved every few seconds and after an error, so that the
+    next run goes on. `path` is the file to write, FOLDER.index.npz beside the folder unless another is named;
+    `report` counts files; with `executor` its workers read them. TouchfieldError if there is no such folder,
+    or the file cannot be read or written. A damaged .touch file is told in `faults`.
     """
     began, folder = time.perf_counter(), Path(folder)
     target = library_path(folder, path)
@@ -158,7 +161,9 @@ def index_folder(
     changed = sorted(name for name, told in files.items() if not _same(before.entries.get(name), told))
     checks = {name: _crc(folder / name) for name in changed}
     known = {(e.size, e.crc): name for name, e in before.entries.items() if e.crc != _UNREAD}
-    twins = {name: known[files[name][0], crc] for name, crc in checks.items() if (files[name][0], crc) in known}
+    twins = {
+        name: known[files[name][0], crc] for name, crc in checks.items() if (files[name][0], crc) in known
+    }
     kept = Library(dict(before.entries), dict(before.rows))
     for name, twin in twins.items():
         kept.file(name, replace(before.entries[twin], mtime_ns=files[name][1]), before.rows.get(twin))
@@ -189,7 +194,12 @@ def index_folder(
     well = sum(not kept.entries[name].fault for name in fresh)
     counts = {"described": well, "kept": len(files) - len(fresh), "gone": len(gone)}
     counts |= {"left_out": sum(bool(entry.fault) for entry in kept.entries.values())}
-    figures = {"index": str(target), "media": len(kept.rows), **counts, "seconds": time.perf_counter() - began}
+    figures = {
+        "index": str(target),
+        "media": len(kept.rows),
+        **counts,
+        "seconds": time.perf_counter() - began,
+    }
     notes = () if files else (f"no .touch file in {folder} or the folders in it",)
     return Indexed(figures, notes, path=target, library=kept)
 
@@ -205,7 +215,9 @@ def described(path: Path) -> tuple[Float64s | None, str]:
 def _files(folder: Path) -> dict[str, tuple[int, int]]:
     """Size and time of every .touch file, by name."""
     paths = (path for path in folder.rglob("*.touch") if path.is_file())
-    return {path.relative_to(folder).as_posix(): (path.stat().st_size, path.stat().st_mtime_ns) for path in paths}
+    return {
+        path.relative_to(folder).as_posix(): (path.stat().st_size, path.stat().st_mtime_ns) for path in paths
+    }
 
 
 def _same(entry: Entry | None, size_and_time: tuple[int, int]) -> bool:
@@ -231,17 +243,20 @@ def search(
     weights: Mapping[str, float] | None = None,
     path: Path | None = None,
 ) -> Result:
-    """The media of an indexed folder that are most like one, the nearest first; a file is not compared with itself.
+    """The media of an indexed folder that are most like one, the nearest first; a file is not compared with
+    itself.
 
-    `like` is a .touch file, in the folder or not, or a medium; `weights` are those of the parts of the descriptor
-    (`MediumIndex.query`; `touchfield.measure.retrieval.ANY_POSE` for any pose), and `path` is the library's file.
-    TouchfieldError if the folder was not indexed, or `like` cannot be described.
+    `like` is a .touch file, in the folder or not, or a medium; `weights` are those of the parts of the
+    descriptor (`MediumIndex.query`; `touchfield.measure.retrieval.ANY_POSE` for any pose), and `path` is the
+    library's file. TouchfieldError if the folder was not indexed, or `like` cannot be described.
     """
     folder, target = Path(folder), library_path(Path(folder), path)
     if count < 1:
         raise InvalidArgument("count", f"{count}", "1 or more")
     if not target.exists():
-        raise SourceError(str(target), "no such file", "the folder's index", f"Make it: touchfield index {folder}")
+        raise SourceError(
+            str(target), "no such file", "the folder's index", f"Make it: touchfield index {folder}"
+        )
     library = Library.load(target)
     files = _files(folder)
     stale = sum(not _same(library.entries.get(name), told) for name, told in files.items())
@@ -277,12 +292,13 @@ def similar(
 ) -> Result:
     """How alike two media are: by their symbols where they lie, and by their descriptors wherever they lie.
 
-    The second is brought onto the lattice and to the rate of the first; ``descriptor_distance`` is as `search` ranks.
+    The second is brought onto the lattice and to the rate of the first; ``descriptor_distance`` is as
+    `search` ranks.
 
-    Each is a path, a scene, a medium or a field; `spec` tells how a scene becomes a medium. `quantiser` is Q in
-    words, fitted to both at once, and coarse so that a small error of a coder is none; `over` ("voxel" or "object")
-    is mu of NMI and VI, and `frames` how many of those that both have are compared, evenly spaced. InvalidArgument if
-    one of them has no force, or an option is unknown.
+    Each is a path, a scene, a medium or a field; `spec` tells how a scene becomes a medium. `quantiser` is Q
+    in words, fitted to both at once, and coarse so that a small error of a coder is none; `over` ("voxel" or
+    "object") is mu of NMI and VI, and `frames` how many of those that both have are compared, evenly spaced.
+    InvalidArgument if one of them has no force, or an option is unknown.
     """
     if frames < 1:
         raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
@@ -326,14 +342,16 @@ def correlate(
     source_rate_hz: float | None = None,
     report: Report = silent,
 ) -> Result:
-    """I(V;A) of the luma of a video and the |F| behind each pixel, at a few times, each with its test against chance.
+    """I(V;A) of the luma of a video and the |F| behind each pixel, at a few times, each with its test against
+    chance.
 
-    The picture covers the lattice as one sees it from the front. With `intrinsics` it is that of a camera at the
-    origin of the scene, and |F| is met along the ray of each pixel. `video` is a video, a GIF, a picture or a folder
-    of pictures, `source_rate_hz` its rate where it does not say; `frames` are the times that are looked at, evenly
-    spaced over what both have, `reading` is "first" or "peak" (`touchfield.measure.correlation`), and `intrinsics`
-    are fx, fy, cx, cy, pixels of the video. InvalidArgument or SourceError if a file cannot be read, nothing is felt
-    within the picture, or the camera does not fit the medium.
+    The picture covers the lattice as one sees it from the front. With `intrinsics` it is that of a camera at
+    the origin of the scene, and |F| is met along the ray of each pixel. `video` is a video, a GIF, a picture
+    or a folder of pictures, `source_rate_hz` its rate where it does not say; `frames` are the times that are
+    looked at, evenly spaced over what both have, `reading` is "first" or "peak"
+    (`touchfield.measure.correlation`), and `intrinsics` are fx, fy, cx, cy, pixels of the video.
+    InvalidArgument or SourceError if a file cannot be read, nothing is felt within the picture, or the camera
+    does not fit the medium.
     """
     if frames < 1:
         raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
@@ -368,7 +386,9 @@ def _rays(
     placement: Placement,
     intrinsics: tuple[float, float, float, float] | None,
 ) -> tuple[Float64s, Float64s]:
-    """Where the ray of each pixel of the reduced picture begins and ends, hand metres: of a camera, or the front."""
+    """Where the ray of each pixel of the reduced picture begins and ends, hand metres: of a camera, or the
+    front.
+    """
     height, width = shape
     v, u = np.mgrid[:height, :width] + 0.5
     low, high = (np.asarray(corner) for corner in medium.grid.box_m)
@@ -377,7 +397,9 @@ def _rays(
         front, back = (np.stack([*across, np.full(shape, far)], axis=-1) @ ways for far in (1.0, -1.0))
         return (low + high + (high - low) * front) / 2, (low + high + (high - low) * back) / 2
     if medium.axes != CAMERA_AXES:
-        raise InvalidArgument("intrinsics", f"a medium whose axes are {medium.axes}", f"one whose are {CAMERA_AXES}")
+        raise InvalidArgument(
+            "intrinsics", f"a medium whose axes are {medium.axes}", f"one whose are {CAMERA_AXES}"
+        )
     fx, fy, cx, cy = intrinsics
     x, y = (u * pictures.size[0] / width - 0.5 - cx) / fx, (v * pictures.size[1] / height - 0.5 - cy) / fy
     near_m, far_m = (float(placement.to_scene(corner)[2]) for corner in (low, high))

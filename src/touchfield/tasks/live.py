@@ -1,9 +1,9 @@
 """A source, live: frames are made as their time comes, coded in segments, and sent to whoever is there.
 
-What a segment takes until it can be felt is its own length, and the coding of its last frame. Where making or coding
-frames cannot keep up, frames are left out and told; time goes on. A coarse layer is a stream of its own beside: the
-same frames on half the lattice, within a mask twice as wide, a seventh of the bytes. What the fine one is beyond it,
-coded as a difference, would take half as many again as the fine one alone.
+What a segment takes until it can be felt is its own length, and the coding of its last frame. Where making or
+coding frames cannot keep up, frames are left out and told; time goes on. A coarse layer is a stream of its
+own beside: the same frames on half the lattice, within a mask twice as wide, a seventh of the bytes. What the
+fine one is beyond it, coded as a difference, would take half as many again as the fine one alone.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ _MOST_UNDER_WAY: Final = 2
 class LiveSpec:
     """How a source goes on the air; InvalidArgument if a value is out of range.
 
-    `segment_s`, the length of a segment, is what the delay is, and what a receiver that joins waits for at most;
-    `loop` begins again at the end of the source; `seconds` None is to the end of the source.
+    `segment_s`, the length of a segment, is what the delay is, and what a receiver that joins waits for at
+    most; `loop` begins again at the end of the source; `seconds` None is to the end of the source.
     """
 
     segment_s: float = 0.25
@@ -64,8 +64,8 @@ class LiveSpec:
 class Sent:
     """Counts of a broadcast; `left_out` are frames that came too late to be made or coded.
 
-    All but `coarse_bytes` are without a coarse layer. `worst_mask_ratio` is the largest error of all voxels sent, in
-    units of the error bound; None where the mode has none, or nothing was sent.
+    All but `coarse_bytes` are without a coarse layer. `worst_mask_ratio` is the largest error of all voxels
+    sent, in units of the error bound; None where the mode has none, or nothing was sent.
     """
 
     frames: int = 0
@@ -102,7 +102,9 @@ class Sent:
 
 
 def opened_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSender]:
-    """A source that is prepared as voxels, and a sender that has its opening; InvalidArgument for another coder."""
+    """A source that is prepared as voxels, and a sender that has its opening; InvalidArgument for another
+    coder.
+    """
     require_one_of("coder of a live stream", spec.coder, ("touch",))
     # what is live has no time for a search
     spec = replace(spec, representation="voxel", touch=replace(spec.touch, effort="fast"))
@@ -121,8 +123,8 @@ def _sender(source: Source, prepared: Prepared, **told: str) -> LiveSender:
 def coarse_layer(source: Source, prepared: Prepared) -> tuple[Prepared, LiveSender]:
     """The coarse layer of a source that is prepared, and a sender that has its opening.
 
-    Its provenance tells what a receiver of it alone lacks, on the first frame. InvalidArgument where the lattice
-    cannot be halved.
+    Its provenance tells what a receiver of it alone lacks, on the first frame. InvalidArgument where the
+    lattice cannot be halved.
     """
     fine, spec = prepared.medium, prepared.spec
     if max(fine.grid.shape) < 2:
@@ -153,8 +155,9 @@ def broadcast(
 ) -> Sent:
     """Make, code and send frames in time, until the source or the time is over, or an interrupt comes.
 
-    ``send(segment) -> message`` must not wait for anyone; ``tell(note)`` gets what could not keep up. `coarse` is a
-    coarse layer (`coarse_layer`) and who sends its segments. ``ready()`` is called where time begins.
+    ``send(segment) -> message`` must not wait for anyone; ``tell(note)`` gets what could not keep up.
+    `coarse` is a coarse layer (`coarse_layer`) and who sends its segments. ``ready()`` is called where time
+    begins.
     """
     lanes = [_Lane(prepared, send, clock_s)]
     if coarse is not None:
@@ -168,7 +171,9 @@ def broadcast(
         most = 1 / max(clock_s() - began, *(lane.warm(frame) for lane in lanes), 1e-9)
         if most < rate_hz:
             mend = "a lower --rate-hz or a smaller --nw keeps up"
-            tell(f"this machine makes some {most:.2g} frames a second, and the medium has {rate_hz:g}: {mend}")
+            tell(
+                f"this machine makes some {most:.2g} frames a second, and the medium has {rate_hz:g}: {mend}"
+            )
         ready()
         for first, frames, band in _groups(prepared, spec, sent, tell, clock_s, pause):
             begun = [lane.begin(first, band if lane is lanes[0] else []) for lane in lanes]
@@ -226,7 +231,9 @@ class _Lane:
         return (self._clock_s() - began) / 2
 
     def begin(self, first: int, band: list[VibrationFrame]) -> SimpleQueue[ForceField | None]:
-        """Begin a segment; its frames, and a None behind them, are put into the queue. Raises what has failed."""
+        """Begin a segment; its frames, and a None behind them, are put into the queue. Raises what has
+        failed.
+        """
         while self._under_way and self._under_way[0].done():
             self._under_way.popleft().result()
         coming: SimpleQueue[ForceField | None] = SimpleQueue()
@@ -235,7 +242,9 @@ class _Lane:
             self._under_way.append(self._pool.submit(self._deliver, first, coming, band))
         return coming
 
-    def _deliver(self, first: int, coming: SimpleQueue[ForceField | None], band: list[VibrationFrame]) -> None:
+    def _deliver(
+        self, first: int, coming: SimpleQueue[ForceField | None], band: list[VibrationFrame]
+    ) -> None:
         """Code and send the frames that come; nothing where there are none, as the source ended before."""
         frames = map(self._make, iter(coming.get, None))
         start = next(frames, None)
@@ -263,7 +272,9 @@ def _groups(
     clock_s: Callable[[], float],
     pause: Callable[[float], None],
 ) -> Iterator[tuple[int, Iterator[ForceField], list[VibrationFrame]]]:
-    """Each segment as its time comes: number of its first frame, its frames in time, and a list for vibrations."""
+    """Each segment as its time comes: number of its first frame, its frames in time, and a list for
+    vibrations.
+    """
     medium, count = prepared.medium, len(prepared.medium)
     length = max(1, min(round(spec.segment_s * medium.rate_hz), 4096))
     last = ENDLESS - 1 if spec.loop else count

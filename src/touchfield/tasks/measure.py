@@ -58,12 +58,13 @@ class Measurement:
     """Findings of `measure_medium`, for people, programs and eyes.
 
     `quantiser` is Q in words, `alphabet` K, its symbols with "no force"; `voxels` are those of one frame,
-    `supported_voxels` those of all frames after Q. `entropy` is H(S) over the weighting that was asked for, `voxel`
-    over all voxels and `object` over the object alone: of the plug-in estimates H_voxel = h2(p) + p H_object holds
-    exactly. `corrected` is `voxel` with the correction of Miller and Madow: how far the estimate may be trusted at
-    all; `per_frame` is H(W), H_voxel times the voxels of a frame. `in_time` is of a frame and the next, over voxels:
-    H(S_t | S_t-1), I(S_t; S_t-1), normalised, and the variation of information; empty for one frame. `capacities` are
-    by device, `passivity` is of the frame with the largest support, `file_bits` are all of the ``.touch`` file.
+    `supported_voxels` those of all frames after Q. `entropy` is H(S) over the weighting that was asked for,
+    `voxel` over all voxels and `object` over the object alone: of the plug-in estimates H_voxel = h2(p) + p
+    H_object holds exactly. `corrected` is `voxel` with the correction of Miller and Madow: how far the
+    estimate may be trusted at all; `per_frame` is H(W), H_voxel times the voxels of a frame. `in_time` is of
+    a frame and the next, over voxels: H(S_t | S_t-1), I(S_t; S_t-1), normalised, and the variation of
+    information; empty for one frame. `capacities` are by device, `passivity` is of the frame with the largest
+    support, `file_bits` are all of the ``.touch`` file.
     """
 
     name: str
@@ -110,10 +111,13 @@ class Measurement:
         }
 
     def draw(self, path: str | Path) -> None:
-        """Write the picture, PNG: the bits of the medium beside the limits of coding it, and each device's share."""
+        """Write the picture, PNG: the bits of the medium beside the limits of coding it, and each device's
+        share.
+        """
         title = (
             f"{self.name}: {self.frames} frame{'s' * (self.frames > 1)} of {self.voxels:,} voxels, "
-            f"{self.occupancy:.2%} with a force; Q {self.quantiser}, H(W) = {self.per_frame.value:,.0f} bit/frame"
+            f"{self.occupancy:.2%} with a force; Q {self.quantiser}, H(W) = {self.per_frame.value:,.0f} "
+            "bit/frame"
         )
         draw_information(Path(path), title, "bits per supported voxel", self._bars(), self.capacities)
 
@@ -131,7 +135,9 @@ class Measurement:
                 if c.per_voxel.value > 0 and not c.is_diluted:
                     shown.append(Bar(c.per_voxel.name, c.per_voxel.value * each))
         if self.file_bits is not None:
-            shown.append(Bar("this file, everything counted", self.file_bits / self.supported_voxels, is_actual=True))
+            shown.append(
+                Bar("this file, everything counted", self.file_bits / self.supported_voxels, is_actual=True)
+            )
         return shown
 
 
@@ -139,12 +145,13 @@ class Measurement:
 class MeasureSpec:
     """Options of `measure_medium`; InvalidArgument if it makes no sense.
 
-    `quantiser` None takes "distinct" for a ``.touch`` file of coder `paper`, whose decoder made the codewords, and
-    "weber:0.1" for all else (coder `touch` has none, and the receiver interpolates between those of an object) and
-    whenever a device is named. `devices` are the profiles whose capacity, WMR and HIL are wanted; `limits` tells
-    whether the coding limits are, which take most of the time. `encode` makes a medium of a scene; its device is the
-    reference space that W is sampled in. `density` None is as fine as the device's data sheet has it, and no finer
-    than W. The paper's W of 10^12 samples has 5 for one of the 8 10^9 of its device.
+    `quantiser` None takes "distinct" for a ``.touch`` file of coder `paper`, whose decoder made the
+    codewords, and "weber:0.1" for all else (coder `touch` has none, and the receiver interpolates between
+    those of an object) and whenever a device is named. `devices` are the profiles whose capacity, WMR and HIL
+    are wanted; `limits` tells whether the coding limits are, which take most of the time. `encode` makes a
+    medium of a scene; its device is the reference space that W is sampled in. `density` None is as fine as
+    the device's data sheet has it, and no finer than W. The paper's W of 10^12 samples has 5 for one of the 8
+    10^9 of its device.
     """
 
     quantiser: str | None = option(
@@ -165,7 +172,9 @@ class MeasureSpec:
         if kind not in ("voxel", "object", "interaction") or (kind == "interaction") != bool(trace):
             raise InvalidArgument("over", repr(self.over), "voxel, object, or interaction:TRACE.csv")
         if self.density is not None and not 1 <= self.density < 1e6:
-            raise InvalidArgument("density", f"{self.density:g}", "1 or more samples of W for one of the device")
+            raise InvalidArgument(
+                "density", f"{self.density:g}", "1 or more samples of W for one of the device"
+            )
         if self.quantiser is not None:
             FieldQuantiserSpec.parse(self.quantiser)
 
@@ -175,9 +184,9 @@ def measure_medium(
 ) -> Measurement:
     """Measure a medium as an information source, and what devices render of it.
 
-    A ``.touch`` file and a medium are measured as they are; a scene is first made a medium by ``spec.encode``. Every
-    entropy is of one random variable, the symbol of a voxel of any frame; `in_time` pairs a voxel with itself one
-    frame later. `report` gets ``(done, total)`` in steps of the work.
+    A ``.touch`` file and a medium are measured as they are; a scene is first made a medium by
+    ``spec.encode``. Every entropy is of one random variable, the symbol of a voxel of any frame; `in_time`
+    pairs a voxel with itself one frame later. `report` gets ``(done, total)`` in steps of the work.
     """
     spec = spec or MeasureSpec()
     for known in spec.devices:
@@ -206,14 +215,19 @@ def measure_medium(
         if not supported:
             found, mend = "a medium without any force", "Take other frames, or look at the source."
             if quantise.top_n > 0:
-                found, mend = f"a medium without any force under {quantise.words}", "Take a finer --quantiser."
+                found, mend = (
+                    f"a medium without any force under {quantise.words}",
+                    "Take a finer --quantiser.",
+                )
             raise InvalidArgument(name, found, "a support of at least one voxel", mend)
         on_object = entropy(counts["object"], estimator=spec.estimator)
         corrected = entropy(counts["voxel"], estimator="miller-madow", interval=False)
         asked_for = on_object if kind == "object" else voxel
         if probe is not None:
             taken, rate_hz = spec.encode.frames, medium.rate_hz
-            moved = Trace(probe.times_s - (taken[0] if taken else 0) / rate_hz, probe.positions_m)  # since the source
+            moved = Trace(
+                probe.times_s - (taken[0] if taken else 0) / rate_hz, probe.positions_m
+            )  # since the source
             is_still = len(frames) == 1 and taken is None  # there at all times
             visited, clock_hz = (frames[0], None) if is_still else (frames, rate_hz)
             asked_for = interaction_entropy(moved, visited, spec.estimator, rate_hz=clock_hz)
@@ -221,19 +235,25 @@ def measure_medium(
         in_time = {}
         if len(frames) > 1:
             both = field_counts(frames[1:], frames[:-1], ("voxel",))["voxel"]  # each beside the one before
-            in_time = {one.__name__: one(both, estimator=spec.estimator).of(name=told) for one, told in _IN_TIME}
+            in_time = {
+                one.__name__: one(both, estimator=spec.estimator).of(name=told) for one, told in _IN_TIME
+            }
         done(len(frames) > 1)
         limits = coding_limits(frames) if spec.limits else None
         done(spec.limits)
         per_frame = voxel.times(medium.grid.voxel_count, "bit/frame", "H(W)")
         capacities = {}
         for device_name in spec.devices:
-            capacities[device_name], more = _capacity(frames, counts["voxel"], per_frame, device_name, asked, spec)
+            capacities[device_name], more = _capacity(
+                frames, counts["voxel"], per_frame, device_name, asked, spec
+            )
             notes += tuple(f"{device_name}: {note}" for note in more)
             done()
     energy = passivity(medium[max(sorted(frames.object_counts), key=frames.object_counts.__getitem__)])
     if quantise.words == "distinct" and spec.limits:
-        notes += (f"the limits do not count the table that tells what the {quantise.alphabet - 1:,} vectors are",)
+        notes += (
+            f"the limits do not count the table that tells what the {quantise.alphabet - 1:,} vectors are",
+        )
     done()
     return Measurement(
         name, quantise.words, quantise.alphabet, len(medium), medium.grid.voxel_count, supported, asked_for, voxel,
@@ -244,7 +264,9 @@ def measure_medium(
 def _medium(
     source: str | Path | Scene | HapticMedium, spec: MeasureSpec
 ) -> tuple[HapticMedium, str, tuple[str, ...], int | None, bool]:
-    """W, its name, what the user should be told, the bits of its file, and whether its forces are its codewords."""
+    """W, its name, what the user should be told, the bits of its file, and whether its forces are its
+    codewords.
+    """
     if isinstance(source, HapticMedium):
         return source, "medium", (), None, False
     stream = StreamScene(source) if isinstance(source, str | Path) and is_stream(source) else None
@@ -256,7 +278,9 @@ def _medium(
         # a part of the frames does not take all of the file
         file_bits = None if spec.encode.frames else 8 * stream.file_bytes
         return prepared.medium, name, prepared.notes, file_bits, coder(stream.head.coder).has_codewords
-    note = f"W is sampled on {'x'.join(map(str, prepared.medium.grid.shape))} voxels for {prepared.device.name}"
+    note = (
+        f"W is sampled on {'x'.join(map(str, prepared.medium.grid.shape))} voxels for {prepared.device.name}"
+    )
     return prepared.medium, name, (*prepared.notes, note), None, False
 
 

@@ -1,10 +1,10 @@
 """The lattice and the settings of the coders that spend a budget best: min R + lambda D (paper section 4).
 
-A medium that moves has a bit rate: R is that of a long stream, from a few pairs of frames that follow each other,
-spread over the scene; the first of a pair tells what a frame alone takes, the second what one that follows takes. A
-still medium is sent once, and has a size in bytes. D is the NMSE on one lattice, that of the greatest n_w: a coarser
-stream is decoded and interpolated there as a receiver does, so that what a coarse lattice leaves out counts. The mask
-is the same for all, whatever k a coder took.
+A medium that moves has a bit rate: R is that of a long stream, from a few pairs of frames that follow each
+other, spread over the scene; the first of a pair tells what a frame alone takes, the second what one that
+follows takes. A still medium is sent once, and has a size in bytes. D is the NMSE on one lattice, that of the
+greatest n_w: a coarser stream is decoded and interpolated there as a receiver does, so that what a coarse
+lattice leaves out counts. The mask is the same for all, whatever k a coder took.
 """
 
 from __future__ import annotations
@@ -45,7 +45,9 @@ _BUDGET: Final = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(?:(bit|kbit|Mbit|B|kB)/s|
 _PLACES: Final = 3
 _SEGMENT_BYTES: Final = 60  # frame, checksum and index entry of a segment
 _FILE_BYTES: Final = 1340  # head, provenance and end of a file, about
-_MASK_KEPT: Final = 0.95  # where fewer of the voxels are within the mask, the choice is offered with a word on it
+_MASK_KEPT: Final = (
+    0.95  # where fewer of the voxels are within the mask, the choice is offered with a word on it
+)
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,9 @@ class Budget:
             raise InvalidArgument("budget", repr(self), "bits a second or bytes, one of both, above 0")
 
     def of(self, frames: int, rate_hz: float) -> tuple[float, str]:
-        """The amount and its unit: "bytes" for a single frame, else "bit/s"; of a rate that is what 1 s carries."""
+        """The amount and its unit: "bytes" for a single frame, else "bit/s"; of a rate that is what 1 s
+        carries.
+        """
         is_still = frames == 1
         seconds = 1.0 if is_still else frames / rate_hz
         size = (self.bits_per_s or 0.0) * seconds / 8 if self.bytes is None else self.bytes
@@ -73,7 +77,9 @@ def parse_budget(text: str) -> Budget:
     parts = _BUDGET.fullmatch(text.strip())
     if parts is None or not float(parts[1]) > 0:
         units = "bit/s, kbit/s, Mbit/s, B/s, kB/s, or of bytes B, kB, MB"
-        raise InvalidArgument("--budget", repr(text), f"a positive number and one of {units}: 64kbit/s or 60kB")
+        raise InvalidArgument(
+            "--budget", repr(text), f"a positive number and one of {units}: 64kbit/s or 60kB"
+        )
     bits = float(parts[1]) * _BITS[parts[2] or parts[3]]
     return Budget(bits_per_s=bits) if parts[2] else Budget(bytes=bits / 8)
 
@@ -82,9 +88,9 @@ def parse_budget(text: str) -> Budget:
 class PlanGrid:
     """The settings to try; InvalidArgument if there is no lattice or no setting.
 
-    n_w of the lattices (an array has its own); Weber fractions of coder `touch`, F_0 in proportion, in the modes
-    "mask" and "mask-direction"; steps of its mode "nmse", newtons; of coder `paper`, every one with every other,
-    codebooks (N_d), Weber fractions and n_q.
+    n_w of the lattices (an array has its own); Weber fractions of coder `touch`, F_0 in proportion, in the
+    modes "mask" and "mask-direction"; steps of its mode "nmse", newtons; of coder `paper`, every one with
+    every other, codebooks (N_d), Weber fractions and n_q.
     """
 
     nw: tuple[int, ...] = (5, 6, 7)
@@ -98,12 +104,18 @@ class PlanGrid:
         for name in ("nw", "k", "step_n", "directions", "paper_k", "nq"):
             object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))))
         if not self.nw or not (self.k or self.step_n or self.directions):
-            raise InvalidArgument("plan", "no setting to try", "a lattice, and a k, a step or a direction codebook")
+            raise InvalidArgument(
+                "plan", "no setting to try", "a lattice, and a k, a step or a direction codebook"
+            )
 
     @property
     def coarsest(self) -> PlanGrid:
-        """Of these the settings that take least: the coarsest lattice, the weakest promise, the greatest step."""
-        greatest = {name: (max(axis),) for name in ("k", "step_n", "paper_k") if (axis := getattr(self, name))}
+        """Of these the settings that take least: the coarsest lattice, the weakest promise, the greatest
+        step.
+        """
+        greatest = {
+            name: (max(axis),) for name in ("k", "step_n", "paper_k") if (axis := getattr(self, name))
+        }
         return replace(self, nw=(min(self.nw),), nq=self.nq and (min(self.nq),), **greatest)
 
     def specs(self, asked: EncodeSpec, share: float = 1.0) -> list[EncodeSpec]:
@@ -127,9 +139,9 @@ class PlanGrid:
 class Trial:
     """One setting, as `touchfield.pipeline.encode` takes it, and what came of it.
 
-    `file_bytes` are the file of a still medium, or of a medium that moves a segment of `frames` in a long stream.
-    Measured on the finest lattice are `nmse`, sum |e|^2 / sum |F|^2, and `mask_kept`, the share of the voxels whose
-    error no hand can feel.
+    `file_bytes` are the file of a still medium, or of a medium that moves a segment of `frames` in a long
+    stream. Measured on the finest lattice are `nmse`, sum |e|^2 / sum |F|^2, and `mask_kept`, the share of
+    the voxels whose error no hand can feel.
     """
 
     spec: EncodeSpec
@@ -225,7 +237,9 @@ class Plan:
         return self.cost(trial) <= self.budget
 
     def front(self) -> tuple[Trial, ...]:
-        """Settings that no other beats in both size and NMSE, the smallest first; of equal ones the first tried."""
+        """Settings that no other beats in both size and NMSE, the smallest first; of equal ones the first
+        tried.
+        """
         front: list[Trial] = []
         for trial in sorted(self.trials, key=lambda t: (t.bits_per_s, t.nmse)):
             if not front or trial.nmse < front[-1].nmse:
@@ -252,9 +266,11 @@ class Plan:
 
     @property
     def multiplier(self) -> float | None:
-        """lambda: bits a second (bytes of a still medium) that one unit of NMSE is worth at the choice, if any.
+        """lambda: bits a second (bytes of a still medium) that one unit of NMSE is worth at the choice, if
+        any.
 
-        The slope of the frontier's convex hull there: with it, R + lambda D is least at both ends of that edge.
+        The slope of the frontier's convex hull there: with it, R + lambda D is least at both ends of that
+        edge.
         """
 
         def slope(a: Trial, b: Trial) -> float:
@@ -303,10 +319,13 @@ class Plan:
             at = self.cost(chosen), chosen.nmse_db
             panel.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6)
             cost = f"{amount(at[0], self.unit)}, {100 * chosen.mask_kept:.1f} % in the mask"
-            panel.annotate(f"{chosen.kind}, {chosen.options}\n{cost}", at, (12, 12), textcoords="offset points",
+            panel.annotate(f"{chosen.kind}, {chosen.options}\n{cost}", at, (12, 12), textcoords="offset "
+                                                                                                "points",
                            fontsize=8, parse_math=False)  # fmt: skip
         panel.set_xscale("log")
-        panel.set_xlabel(f"{self.unit} (dashed: the budget; line: the frontier; ring: the choice)", fontsize=8)
+        panel.set_xlabel(
+            f"{self.unit} (dashed: the budget; line: the frontier; ring: the choice)", fontsize=8
+        )
         panel.set_ylabel("NMSE, dB, against the finest lattice", fontsize=8)
         panel.tick_params(labelsize=8)
         panel.grid(color="0.92")
@@ -329,11 +348,11 @@ def plan(
 ) -> Plan:
     """Code a few frames of a source, as voxels, under every setting, and choose the best within a budget.
 
-    A number as `budget` is bits a second, words are such as "64kbit/s" (`parse_budget`); `spec` is of coder `touch`:
-    its k and F_0 are the mask that is reported, its effort that of every trial. `report` gets ``(done, total)`` in
-    settings; with `executor` its workers try them. TouchfieldError if a setting is not possible, the frames hold no
-    force, or nothing is within the budget; the message then names what takes least. The settings that take least are
-    tried first, so that this is told soon.
+    A number as `budget` is bits a second, words are such as "64kbit/s" (`parse_budget`); `spec` is of coder
+    `touch`: its k and F_0 are the mask that is reported, its effort that of every trial. `report` gets
+    ``(done, total)`` in settings; with `executor` its workers try them. TouchfieldError if a setting is not
+    possible, the frames hold no force, or nothing is within the budget; the message then names what takes
+    least. The settings that take least are tried first, so that this is told soon.
     """
     spec, search = spec or EncodeSpec(), search or PlanGrid()
     budget = parse_budget(budget) if isinstance(budget, str) else budget
@@ -371,7 +390,9 @@ def plan(
 
 
 class Lattice(NamedTuple):
-    """The frames to try of a medium on one lattice, and the same frames on the finest; it can be sent to a worker."""
+    """The frames to try of a medium on one lattice, and the same frames on the finest; it can be sent to a
+    worker.
+    """
 
     spec: EncodeSpec
     is_array: bool
@@ -415,8 +436,11 @@ def _trial(setting: tuple[Lattice, EncodeSpec]) -> Trial:
     meter, bits, pairs = FidelityMeter(mask.k, max(mask.f0_n, NO_FLOOR_N)), 0.0, _pairs(lattice.frames)
     for pair in pairs:
         coded = encoder.encode_segment([next(fields) for _ in pair])
-        # a segment of a long stream: a frame alone, as the first of the pair, and others as costly as the second
-        bits += 8 * len(coded.body) + (length - len(pair)) * sum(frame.bits.total for frame in coded.frames[1:])
+        # a segment of a long stream: a frame alone, as the first of the pair, and others as costly as the
+        # second
+        bits += 8 * len(coded.body) + (length - len(pair)) * sum(
+            frame.bits.total for frame in coded.frames[1:]
+        )
         for field in decoder.frames(coded.body, len(pair)):
             original = next(reference)
             same = field.grid.shape == original.grid.shape

@@ -41,7 +41,9 @@ Tell = Callable[[str], None]
 
 
 _LOOK_S: Final = 0.1
-MOST_NOTHING: Final = 0.01  # of the ticks of a play: where more had nothing, as frames came too late, it has failed
+MOST_NOTHING: Final = (
+    0.01  # of the ticks of a play: where more had nothing, as frames came too late, it has failed
+)
 _LEAST_S: Final = 0.1
 _LONGEST_S: Final = 24 * 3600.0
 _LEAST_PRESS_N: Final = 0.01
@@ -51,17 +53,20 @@ _FEW_ROWS: Final = 1 << 16
 
 _CHECKED_SEGMENTS: Final = 8
 _LONGEST_CHECK_S: Final = 20.0
-_SPARE: Final = 1.2  # so much quicker than needed the decoder must be: the servo wants its share of the processor
+_SPARE: Final = (
+    1.2  # so much quicker than needed the decoder must be: the servo wants its share of the processor
+)
 
 
 @dataclass(frozen=True)
 class PlaySpec:
     """Everything asked of a play; InvalidArgument if a number is out of range.
 
-    `device` is one of `touchfield.devices.drivers`; `profile` of "sim" is by default that of the stream. `trajectory` and
-    `trace` are of the simulated hand, which else comes, presses, slides and leaves. `seconds` count from the first
-    frame on; None: the trajectory, or else the medium (a single frame, or a loop: until interrupted). `is_logged`:
-    all rows of the log are wanted, else the latest minute; `is_drawn`: a frame is wanted behind a picture.
+    `device` is one of `touchfield.devices.drivers`; `profile` of "sim" is by default that of the stream.
+    `trajectory` and `trace` are of the simulated hand, which else comes, presses, slides and leaves.
+    `seconds` count from the first frame on; None: the trajectory, or else the medium (a single frame, or a
+    loop: until interrupted). `is_logged`: all rows of the log are wanted, else the latest minute; `is_drawn`:
+    a frame is wanted behind a picture.
     """
 
     device: str = option(
@@ -78,7 +83,9 @@ class PlaySpec:
     is_logged: bool = False
     is_drawn: bool = False
     render: RenderSpec = field(default_factory=RenderSpec)
-    trace: Path | None = option(None, "As --trajectory, but in the metres and axes of the scene: a recording.")
+    trace: Path | None = option(
+        None, "As --trajectory, but in the metres and axes of the scene: a recording."
+    )
     coarse: str | None = option(None, "Address of a live stream's coarse layer, for what is lost or late.")
 
     def __post_init__(self) -> None:
@@ -128,7 +135,9 @@ class Played:
             for first in range(0, len(rows), _ROWS_AT_ONCE):
                 some = rows[first : first + _ROWS_AT_ONCE]
                 numbers = np.column_stack([some[name] for name in _LOGGED]) + 0.0
-                for row, buttons, flags in zip(numbers.tolist(), some["buttons"].tolist(), some["flags"].tolist()):
+                for row, buttons, flags in zip(
+                    numbers.tolist(), some["buttons"].tolist(), some["flags"].tolist()
+                ):
                     file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{words[flags]}\n")
 
     def draw(self, path: Path) -> None:
@@ -150,15 +159,21 @@ def play(
 ) -> Played:
     """Play a ``.touch`` file on a device until it is over, `seconds` are, or an interrupt comes.
 
-    An error half way is in `Played.error`, beside what was felt until then; `tell` gets notes while it plays, `watch`
-    the player of a point device once it is there. InvalidArgument or DeviceError or FormatError if the device is
-    unknown or not there, the trajectory is unusable, or the file or its first frame cannot be read.
+    An error half way is in `Played.error`, beside what was felt until then; `tell` gets notes while it plays,
+    `watch` the player of a point device once it is there. InvalidArgument or DeviceError or FormatError if
+    the device is unknown or not there, the trajectory is unusable, or the file or its first frame cannot be
+    read.
     """
     spec = spec or PlaySpec()
     with open_stream(path, tell, spec.coarse) as stream:
-        count, seconds = stream.reader.head.frame_count, stream.reader.head.frame_count / stream.reader.head.rate_hz
+        count, seconds = (
+            stream.reader.head.frame_count,
+            stream.reader.head.frame_count / stream.reader.head.rate_hz,
+        )
         if spec.start_s >= seconds and count > 1 and not spec.loop:
-            raise InvalidArgument("start_s", f"{spec.start_s:g} s", f"0 to below {seconds:g} s, the medium's end")
+            raise InvalidArgument(
+                "start_s", f"{spec.start_s:g} s", f"0 to below {seconds:g} s, the medium's end"
+            )
         if is_array_device(spec.device):
             return _play_array(stream, spec, report, tell)
         return _play_point(stream, Path(path).name, spec, report, tell, watch)
@@ -169,8 +184,13 @@ def _play_point(
 ) -> Played:
     field_of: HapticMedium | HapticScene = stream.scene or stream.medium
     if stream.reader.head.device_type == 2:
-        mend = "Play it on an array (bhaptics, osc, pins), or encode the scene for a point (--device phantom-omni)."
-        raise InvalidArgument(name, f"a stream for the array {stream.reader.head.device_name}", "one in space", mend)
+        mend = (
+            "Play it on an array (bhaptics, osc, pins), or encode the scene for a point (--device "
+            "phantom-omni)."
+        )
+        raise InvalidArgument(
+            name, f"a stream for the array {stream.reader.head.device_name}", "one in space", mend
+        )
     trajectory = None if spec.trajectory is None else read_trace(spec.trajectory)
     if spec.trace is not None:
         recorded = read_trace(spec.trace)
@@ -191,7 +211,9 @@ def _play_point(
     times: dict[str, Any] = {"loop": spec.loop, "speed": spec.speed, "start_s": spec.start_s}
     if spec.offline:
         error: Exception | None
-        run = run_offline(field_of, profile, choice.opener, spec.render, seconds=seconds, keeps_error=True, **times)
+        run = run_offline(
+            field_of, profile, choice.opener, spec.render, seconds=seconds, keeps_error=True, **times
+        )
         rows, notes, error = run.log, run.notes, run.error
         of_a_clock = "jitter", "lateness"  # that it has not
         statistics = {key: value for key, value in run.statistics.items() if not key.startswith(of_a_clock)}
@@ -210,7 +232,9 @@ def _play_point(
                 error = failed
         error = error or player.error
         statistics, rows, notes = player.statistics(), player.log(), player.notes
-        rows = rows[np.append(np.flatnonzero(rows["flags"]), len(rows))[0] :].copy()  # from the first that ran
+        rows = rows[
+            np.append(np.flatnonzero(rows["flags"]), len(rows))[0] :
+        ].copy()  # from the first that ran
         rows["time_s"] -= rows["time_s"][:1]
         if isinstance(error, LiveEnd) and statistics["frames_used"]:
             notes, error, statistics = (*notes, str(error)), None, _before_end(statistics, rows)
@@ -229,8 +253,13 @@ def _play_point(
         return Played(figures, rows, None, notes, error)
     render, medium = spec.render, stream.medium
     drawn = medium[0 if stream.is_live else len(medium) // 2] if spec.is_drawn else None
-    caption = f"{spec.device} with the limits of {profile.name}, {len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
-    peak_n, continuous_n = render.peak_n or profile.force_max_n, render.continuous_n or profile.force_continuous_n
+    caption = (
+        f"{spec.device} with the limits of {profile.name}, {len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
+    )
+    peak_n, continuous_n = (
+        render.peak_n or profile.force_max_n,
+        render.continuous_n or profile.force_continuous_n,
+    )
     view = InteractionView(name, caption, medium.axes, rows, peak_n, continuous_n, drawn)
     return Played(figures, rows, view, notes)
 
@@ -284,7 +313,10 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
     own = stream_device(stream)
     chosen = array_device(spec.device, device(spec.profile) if spec.profile else None, own)
     if own.is_array and own.name != chosen.profile.name:
-        tell(f"The stream was made for {own.name}, and is shown on {chosen.profile.name}; --profile takes another.")
+        tell(
+            f"The stream was made for {own.name}, and is shown on {chosen.profile.name}; --profile takes "
+            "another."
+        )
     drives = array_drives(stream, chosen.profile, spec.panel)
     with ArrayPlayer(drives, chosen, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:
         try:
@@ -305,7 +337,9 @@ def _for_points(option: str) -> InvalidArgument:
     return InvalidArgument(f"--{option} works with a point device (type 1), not with an array of actuators")
 
 
-def check_play(path: str | Path, speed: float = 1.0, clock_s: Callable[[], float] = perf_counter) -> dict[str, Any]:
+def check_play(
+    path: str | Path, speed: float = 1.0, clock_s: Callable[[], float] = perf_counter
+) -> dict[str, Any]:
     """Decode up to 8 segments, evenly spread, for at most 20 s, and compare with the time that they last.
 
     ``greatest_speed`` is the one that can be played in time, and ``can_play`` is of the speed asked for.
@@ -347,10 +381,10 @@ COLUMNS: Final = (
     "qw", "qx", "qy", "qz", "field_torque_x_nm", "field_torque_y_nm", "field_torque_z_nm",
     "torque_x_nm", "torque_y_nm", "torque_z_nm", "gripper_m", "media_s", "buttons", "state",
 )  # fmt: skip
-"""Seconds since the first tick; the hand, the field's force and friction in the field's axes; the force that the
-device got, in its own; how the grip was turned, in the device's axes; the torque of the field and that which the
-device got, likewise; how far the gripper was open; the time of the medium; the buttons (bit n is button n); and what
-was going on, words joined by +."""
+"""Seconds since the first tick; the hand, the field's force and friction in the field's axes; the force that
+the device got, in its own; how the grip was turned, in the device's axes; the torque of the field and that
+which the device got, likewise; how far the gripper was open; the time of the medium; the buttons (bit n is
+button n); and what was going on, words joined by +."""
 
 _LOGGED: Final = (
     "time_s", "position_m", "velocity_m_s", "field_force_n", "friction_n", "force_n", "orientation",

@@ -1,4 +1,5 @@
-"""A medium in fewer numbers (paper section 6.1): its modes and degrees of freedom; what no hand can feel left out.
+"""A medium in fewer numbers (paper section 6.1): its modes and degrees of freedom; what no hand can feel left
+out.
 
 medium -> modes -> error, held-out frames, degrees of freedom, bits; the reduced medium as a file
 medium -> a hand, a device, a trace -> what cannot be reached; the medium without it as a file
@@ -35,7 +36,13 @@ from touchfield.pipeline.preparation import Prepared
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.spec import EncodeSpec, ReductionSpec
 from touchfield.reduction import Hand, Reduced, freedom, held_out, reach_of, reduced
-from touchfield.reduction.kernel_points import Kernel, best_kernel, error_points, most_candidates, variance_points
+from touchfield.reduction.kernel_points import (
+    Kernel,
+    best_kernel,
+    error_points,
+    most_candidates,
+    variance_points,
+)
 from touchfield.reduction.modes import ModePoints, mode_points, pod
 from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.sources.recordings.contact_trace import (
@@ -63,7 +70,9 @@ def culled(medium: HapticMedium, felt: Bools) -> HapticMedium:
     """The medium with no force but at these samples, bool [nx, ny, nz]; there it keeps its bits."""
 
     def make(i: int) -> ForceField:
-        return ForceField.from_dense(medium.grid, np.where(felt[..., None], medium[i].to_dense(), np.float32(0)))
+        return ForceField.from_dense(
+            medium.grid, np.where(felt[..., None], medium[i].to_dense(), np.float32(0))
+        )
 
     words = noted(medium.provenance, "edits", f"without {np.count_nonzero(~felt)} samples that no hand feels")
     return replace(medium, make_frame=make, segments=None, provenance=words)
@@ -93,10 +102,13 @@ def reduce_medium(
         held[tuple(frame.positions().T)] = True
     left_out = {"behind": ~felt}
     notes: tuple[str, ...] = (
-        f"nothing changes for {hand.words}, if it begins where no force is and stays between the outermost samples",
+        f"nothing changes for {hand.words}, if it begins where no force is and stays between the outermost "
+        "samples",
     )
     if not reach.stopped_n:
-        notes += ("nothing is proved to stop such a hand: less push, a lower speed or a finer lattice may help",)
+        notes += (
+            "nothing is proved to stop such a hand: less push, a lower speed or a finer lattice may help",
+        )
     if spec.device:
         left_out["outside_workspace"] = _outside(medium, known)
         notes += (f"and, as to what is outside, if it stays in the workspace of {known.name}",)
@@ -104,7 +116,9 @@ def reduce_medium(
         near = np.zeros(felt.shape, bool)
         near[tuple(visits(trace, medium.grid).places.T)] = True
         left_out["never_visited"] = ~binary_dilation(near, np.ones((3, 3, 3), bool), iterations=2)
-        notes += ("what the hand of --trace never came near is left out, too: nothing is promised to another",)
+        notes += (
+            "what the hand of --trace never came near is left out, too: nothing is promised to another",
+        )
     felt = ~np.logical_or.reduce(list(left_out.values()))
     shown |= {
         "hand": hand.words,
@@ -121,7 +135,9 @@ def reduce_medium(
         if prepared.spec.coder != "touch" or prepared.spec.touch.mode != "lossless":
             notes += ("what is left was coded again: --mode lossless keeps its bits",)
     if out is not None:
-        words = noted(medium.provenance, "edits", f"rebuilt from {approximation.modes.rank} modes, {spec.modes}")
+        words = noted(
+            medium.provenance, "edits", f"rebuilt from {approximation.modes.rank} modes, {spec.modes}"
+        )
         rebuilt = replace(medium, make_frame=approximation.field, segments=None, provenance=words)
         done = _write(prepared, [source], rebuilt, out, report)
         shown |= {"file": str(done.path), "file_bytes": done.path.stat().st_size}
@@ -192,7 +208,9 @@ class _Domain:
         needed, allowed = 24 * len(keys) * len(frames), memory_budget_bytes()
         if needed > allowed:
             found = f"{len(keys)} samples in {len(frames)} frames, {needed / 2**30:.1f} GiB"
-            raise InvalidArgument(where, found, f"at most {allowed / 2**30:.1f} GiB", "Take a coarser lattice.")
+            raise InvalidArgument(
+                where, found, f"at most {allowed / 2**30:.1f} GiB", "Take a coarser lattice."
+            )
         self.keys = keys
         self.index = np.stack(np.unravel_index(keys, self.grid.shape), axis=1)
         self.places_m = self.grid.to_m(self.index)
@@ -224,10 +242,10 @@ def fewest_points(
 ) -> FewestPoints:
     """The points of a medium or a recording of contacts from which all of it is rebuilt best.
 
-    `count` is how many, `modes` that of the modes of a medium that moves (`count`, or as many as it has). `out` is
-    the medium rebuilt, OUT.touch, FIELD.npz or FIELD.vti, or the points with their forces, OUT.csv (of a recording
-    only these). `spec` is the coder's and the mask's. TouchfieldError if anything is at fault; nothing is then left
-    under the name `out`.
+    `count` is how many, `modes` that of the modes of a medium that moves (`count`, or as many as it has).
+    `out` is the medium rebuilt, OUT.touch, FIELD.npz or FIELD.vti, or the points with their forces, OUT.csv
+    (of a recording only these). `spec` is the coder's and the mask's. TouchfieldError if anything is at
+    fault; nothing is then left under the name `out`.
     """
     require_between(1, MOST_POINTS, points=count)
     trace = recorded_contacts(Path(source))
@@ -263,7 +281,9 @@ def fewest_points(
         meter.add(given.medium[frame], medium[frame])
         report(n + 1, len(frames))
     figures = {"points": count, "samples": len(middle), "frames_learnt": len(frames), **shown}
-    figures |= {name: getattr(meter, name) for name in ("nmse_db", "worst_mask_ratio", "mask_violation_share")}
+    figures |= {
+        name: getattr(meter, name) for name in ("nmse_db", "worst_mask_ratio", "mask_violation_share")
+    }
     done = FewestPoints(figures, points_m=domain.places_m[chosen])
     if out is None or Path(out).suffix == ".csv":
         return _with_points(done, out, middle[chosen])
@@ -277,7 +297,9 @@ def _of_recording(trace: ContactTrace, source: str, count: int, out: str | Path 
     if out is not None and Path(out).suffix != ".csv":
         raise InvalidArgument(str(out), "the points of a recording", "OUT.csv, which encode reads")
     if count > len(trace.positions_m):
-        raise InvalidArgument("points", f"{count}", f"at most {len(trace.positions_m)}, the samples of {source}")
+        raise InvalidArgument(
+            "points", f"{count}", f"at most {len(trace.positions_m)}, the samples of {source}"
+        )
     chosen, kernel, back = _kept(trace.positions_m, trace.forces_n, count)
     error, whole = ((back - trace.forces_n) ** 2).sum(), (trace.forces_n**2).sum()
     shown = {"points": count, "samples": len(back), **_words(kernel), "nmse_db": _db(error / whole)}
@@ -293,7 +315,9 @@ def _kept(points_m: Float64s, forces_n: Float64s, count: int) -> tuple[Int64s, K
     return chosen, kernel, through.forces_n(points_m)
 
 
-def _by_modes(medium: HapticMedium, domain: _Domain, frames: list[int], count: int, modes: int | None) -> ModePoints:
+def _by_modes(
+    medium: HapticMedium, domain: _Domain, frames: list[int], count: int, modes: int | None
+) -> ModePoints:
     most = min(3 * count, len(frames))
     if modes is not None and not 1 <= modes <= most:
         raise InvalidArgument("modes", f"{modes}", f"1 to {most}")
@@ -308,15 +332,17 @@ def _by_modes(medium: HapticMedium, domain: _Domain, frames: list[int], count: i
 def next_points(source: str | Path, count: int, measured: str | Path | None = None) -> FewestPoints:
     """Where a robot or a hand should record next, each place once those before it are recorded.
 
-    `source` is a recording, whose box is looked through, or a medium, whose felt samples are; `measured` a recording
-    of what is known already (without it, that of the source). `shown["next"]` has a row for each: metres, and the
-    standard deviation of the force there, newtons. TouchfieldError if anything is at fault.
+    `source` is a recording, whose box is looked through, or a medium, whose felt samples are; `measured` a
+    recording of what is known already (without it, that of the source). `shown["next"]` has a row for each:
+    metres, and the standard deviation of the force there, newtons. TouchfieldError if anything is at fault.
     """
     require_between(1, MOST_POINTS, points=count)
     known = recorded_contacts(Path(measured or source))
     if known is None:
         mend = "Name what was measured: --measured FELT.csv."
-        raise InvalidArgument(str(measured or source), "no recording of contacts", f"columns {_COLUMNS}", mend)
+        raise InvalidArgument(
+            str(measured or source), "no recording of contacts", f"columns {_COLUMNS}", mend
+        )
     require_contacts(known, str(measured or source))
     points_m, forces_n, side_m = thinned_contacts(known.positions_m, known.forces_n)
     apart_m = KDTree(points_m).query(points_m, k=2)[0][:, 1]

@@ -47,11 +47,14 @@ LIBRARIES: Final = (
 
 
 def examine(name: str | None = None) -> dict[str, list[Check]]:
-    """Everything there is, by what it is for: the libraries, the machine, and each device; or one device alone.
+    """Everything there is, by what it is for: the libraries, the machine, and each device; or one device
+    alone.
 
     InvalidArgument if there is no such device.
     """
-    kinds = {kind.name: kind.checks for kind in point_kinds()} | {kind.name: kind.checks for kind in array_kinds()}
+    kinds = {kind.name: kind.checks for kind in point_kinds()} | {
+        kind.name: kind.checks for kind in array_kinds()
+    }
     if name is None:
         devices = {known: checks() for known, checks in kinds.items()}
         return {"libraries": library_checks(), "machine": host_checks(), **devices}
@@ -63,8 +66,12 @@ def examine(name: str | None = None) -> dict[str, list[Check]]:
 
 def library_checks() -> list[Check]:
     """The libraries that touchfield needs, and those of its extras; none is imported."""
-    python = Check("python", sys.version_info >= (3, 11), platform.python_version(), "Install Python 3.11 or newer.")
-    return [python] + [library_check(name, extra, module, purpose) for name, module, extra, purpose in LIBRARIES]
+    python = Check(
+        "python", sys.version_info >= (3, 11), platform.python_version(), "Install Python 3.11 or newer."
+    )
+    return [python] + [
+        library_check(name, extra, module, purpose) for name, module, extra, purpose in LIBRARIES
+    ]
 
 
 def host_checks() -> list[Check]:
@@ -90,7 +97,9 @@ def host_checks() -> list[Check]:
         is_endless = soft == resource.RLIM_INFINITY
         enough = is_endless or soft >= _LEAST_SHARED_BYTES or os.geteuid() == 0
         found = "no limit" if is_endless else f"up to {soft / 2**20:.0f} MiB"
-        checks.append(Check(what, enough, found, "Add '@realtime - memlock unlimited' to /etc/security/limits.conf."))
+        checks.append(
+            Check(what, enough, found, "Add '@realtime - memlock unlimited' to /etc/security/limits.conf.")
+        )
 
     what, folder = "shared memory of 256 MiB for decoded frames", Path("/dev/shm")
     free = shutil.disk_usage(folder).free if folder.is_dir() else None

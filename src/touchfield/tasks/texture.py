@@ -23,9 +23,10 @@ def texture_of(
     """The material of accelerations of a tool that slid, one recording for each speed at each force.
 
     speeds_m_s, forces_n : float [recordings]; of the tool along the surface, and with which it pressed.
-    The three axes become one (`dft321`), that the force that shakes a hand with a stylus likewise (`handle_force_n`),
-    and that its rms in thirds of an octave.
-    Raises `InvalidArgument` if a speed at a force is missing or there twice, or a recording is shorter than 0.5 s.
+    The three axes become one (`dft321`), that the force that shakes a hand with a stylus likewise
+    (`handle_force_n`), and that its rms in thirds of an octave.
+    Raises `InvalidArgument` if a speed at a force is missing or there twice, or a recording is shorter than
+    0.5 s.
     """
     if not recordings or not len(recordings) == len(speeds_m_s) == len(forces_n):
         found = f"{len(recordings)} recordings, {len(speeds_m_s)} speeds and {len(forces_n)} forces"
@@ -50,8 +51,8 @@ def merged(*tables: Sequence[Material]) -> tuple[Material, ...]:
 def store_materials(stream: str | Path, materials: Sequence[Material], out: str | Path) -> None:
     """Write a stream anew with these materials in its provenance; nothing is decoded, all else is as it was.
 
-    Raises `InvalidArgument` if the table is longer than 4096 letters, `FormatError` of the stream, `SourceError` if
-    the system refuses.
+    Raises `InvalidArgument` if the table is longer than 4096 letters, `FormatError` of the stream,
+    `SourceError` if the system refuses.
     """
     require_ending(out, "OUT.touch")
     text = stored_json(materials)

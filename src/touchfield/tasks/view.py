@@ -47,7 +47,9 @@ _COMPARED: Final = (
 
 @dataclass(frozen=True)
 class Page:
-    """A page that shows a file, and figures that it tells beyond it; a notebook shows it as a cell's last value."""
+    """A page that shows a file, and figures that it tells beyond it; a notebook shows it as a cell's last
+    value.
+    """
 
     html: str
     figures: Mapping[str, Any]
@@ -57,7 +59,8 @@ class Page:
 
     def _repr_html_(self) -> str:
         style = f"width: 100%; height: {_HEIGHT_PX}px; border: 1px solid #d9dee6; border-radius: 8px"
-        may = 'sandbox="allow-scripts" allow="gamepad *; vibrate *; autoplay *"'  # nothing of the notebook around it
+        # nothing of the notebook around it
+        may = 'sandbox="allow-scripts" allow="gamepad *; vibrate *; autoplay *"'
         return f'<iframe srcdoc="{html.escape(self.html)}" {may} style="{style}" title="touchfield"></iframe>'
 
     def save(self, path: str | Path) -> Path:
@@ -81,10 +84,11 @@ def view(
 ) -> Page:
     """The page of a ``.touch`` file, of a movie with touch, or of the first 30 frames of a medium.
 
-    `against` is what was encoded, a path, Scene, medium or field: the page then tells NMSE and the vibration of the
-    coding, and shows the source, and the difference, too; it holds both. `devices` are profiles whose capacity, WMR
-    and HIL are told beside the entropy of the medium; where there is none of these, but a source, that of the
-    stream. TouchfieldError if the file cannot be read, or is of a coder that the page does not know.
+    `against` is what was encoded, a path, Scene, medium or field: the page then tells NMSE and the vibration
+    of the coding, and shows the source, and the difference, too; it holds both. `devices` are profiles whose
+    capacity, WMR and HIL are told beside the entropy of the medium; where there is none of these, but a
+    source, that of the stream. TouchfieldError if the file cannot be read, or is of a coder that the page
+    does not know.
     """
     with tempfile.TemporaryDirectory() as folder:
         if isinstance(medium, HapticMedium):
@@ -159,7 +163,8 @@ def draw_preview(prepared: Prepared, path: str | Path) -> None:
 
 
 def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
-    """The forces of a medium as a matplotlib figure, as `draw_preview` shows them; a PNG, too, where `path` is given.
+    """The forces of a medium as a matplotlib figure, as `draw_preview` shows them; a PNG, too, where `path`
+    is given.
 
     MissingExtra if matplotlib is not installed.
     """
@@ -174,20 +179,24 @@ def _shadows(medium: HapticMedium, where: str, caption: str, turn: Float64s) -> 
     """The first frame of a medium, the middle one and the last in one figure."""
     frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
     title = (
-        f"frame{'s' * (len(frames) > 1)} {', '.join(str(n + 1) for n in frames)} of {len(medium)}, {where} (dashed)"
+        f"frame{'s' * (len(frames) > 1)} {', '.join(str(n + 1) for n in frames)} of {len(medium)}, {where} "
+        "(dashed)"
     )
     return shadows([medium[i] for i in frames], f"{title}\n{caption}", turn)
 
 
 class FineSource(NamedTuple):
-    """A source as the bytes of a ``.touch`` file; `share`: its error, of what the promise of the stream allows."""
+    """A source as the bytes of a ``.touch`` file; `share`: its error, of what the promise of the stream
+    allows.
+    """
 
     data: bytes
     share: float
 
 
 def fine_source(source: Source, opened: OpenStream, report: Report = silent) -> FineSource:
-    """Code the source of a stream on the stream's lattice, to a tenth of its mask, or three where that is too large.
+    """Code the source of a stream on the stream's lattice, to a tenth of its mask, or three where that is too
+    large.
 
     InvalidArgument if the source lies elsewhere, has other frames, or takes more than `MOST_BYTES`.
     """
@@ -205,4 +214,6 @@ def fine_source(source: Source, opened: OpenStream, report: Report = silent) -> 
             if size <= MOST_BYTES:
                 return FineSource(out.read_bytes(), max(share, k / max(head.weber_fraction, k)))
     mend = "Leave it out, or take fewer frames."
-    raise InvalidArgument("the source", f"{size:,} bytes, coded finely", f"at most {MOST_BYTES:,} in a page", mend)
+    raise InvalidArgument(
+        "the source", f"{size:,} bytes, coded finely", f"at most {MOST_BYTES:,} in a page", mend
+    )

@@ -1,6 +1,8 @@
-"""The page in the browser: a file, a decoder of it and all that shows it in one HTML file that asks no network.
+"""The page in the browser: a file, a decoder of it and all that shows it in one HTML file that asks no
+network.
 
-The page itself, `web/page.html`, is made from the sources in the folder `web` of the repository (``make web``).
+The page itself, `web/page.html`, is made from the sources in the folder `web` of the repository (``make
+web``).
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ def empty_page() -> str:
 
 @cache
 def served_page() -> str:
-    """The page around `empty_page` that fetches from its own server: a file by its name, or what is live there."""
+    """The page around `empty_page` that fetches from its own server: a file by its name, or what is live
+    there.
+    """
     page = resources.files("touchfield.viewer").joinpath("web/from-server.html").read_text(encoding="utf-8")
     for mark, element in (("@SCRIPT@", "script"), ("@STYLE@", "style")):
         text = page.partition(f"<{element}>")[2].partition(f"</{element}>")[0]
@@ -45,17 +49,21 @@ def page_of(
 ) -> str:
     """The page with a ``.touch`` file within, and perhaps a movie beside it, on one clock.
 
-    `figures` is what is known beyond the file, by the keys of ``touchfield info --json`` and ``compare --json``;
-    `movie` a file that browsers play, its media type, and its second at which the touch begins; `source` what was
-    encoded, as a file on the same lattice: the page shows it, and the difference, too.
+    `figures` is what is known beyond the file, by the keys of ``touchfield info --json`` and ``compare
+    --json``; `movie` a file that browsers play, its media type, and its second at which the touch begins;
+    `source` what was encoded, as a file on the same lattice: the page shows it, and the difference, too.
     """
-    known = json.dumps(figures, default=str).replace("<", "\\u003c")  # no word of a stranger's ends the element
+    known = json.dumps(figures, default=str).replace(
+        "<", "\\u003c"
+    )  # no word of a stranger's ends the element
     medium = base64.b64encode(data).decode("ascii")
     named = _MEDIUM.replace('data-name=""', f'data-name="{html.escape(name)}"')
     shown = _MOVIE
     if movie is not None:
         film, kind, at_s = movie
-        shown = _MOVIE.replace('data-type="" data-at="0"', f'data-type="{html.escape(kind)}" data-at="{at_s:.6f}"')
+        shown = _MOVIE.replace(
+            'data-type="" data-at="0"', f'data-type="{html.escape(kind)}" data-at="{at_s:.6f}"'
+        )
         shown = shown.replace("><", f">{base64.b64encode(film).decode('ascii')}<")
     beside = _SOURCE.replace("><", f">{base64.b64encode(source).decode('ascii')}<")
     page = empty_page().replace(_MOVIE, shown).replace(_FIGURES, _FIGURES.replace("null", known))

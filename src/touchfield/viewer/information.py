@@ -1,4 +1,5 @@
-"""The picture of a measurement: what a medium holds in bits, and what each device renders of it (paper section 3.1).
+"""The picture of a measurement: what a medium holds in bits, and what each device renders of it (paper
+section 3.1).
 
 One hue for limits, another for what a file takes; every value carries its number, and intervals are drawn.
 """
@@ -24,7 +25,9 @@ _MOST_IN_LABEL = 40  # the end of a path tells most
 
 @dataclass(frozen=True)
 class Bar:
-    """A value, and its interval where there is one; `is_actual`: what something takes, rather than a limit to it."""
+    """A value, and its interval where there is one; `is_actual`: what something takes, rather than a limit to
+    it.
+    """
 
     label: str
     value: float
@@ -75,7 +78,9 @@ def _draw_bars(panel: Any, bars: Sequence[Bar], unit: str) -> None:
 
 
 def _draw_devices(panel: Any, capacities: Mapping[str, Capacity]) -> None:
-    """WMR and HIL share a bar of length 1, below its numbers: what of the medium is rendered, and what is lost."""
+    """WMR and HIL share a bar of length 1, below its numbers: what of the medium is rendered, and what is
+    lost.
+    """
     for place, c in enumerate(capacities.values()):
         wmr = c.wmr.value
         if wmr != wmr:  # NaN: H(W) = 0
@@ -88,7 +93,9 @@ def _draw_devices(panel: Any, capacities: Mapping[str, Capacity]) -> None:
         if i is not None and c.rendered.interval is not None:
             panel.plot([i.low, i.high], [low, low], color="black", lw=1.6, solid_capstyle="butt", marker="|",
                        clip_on=False)  # fmt: skip
-        text = f"C = {c.capacity.value + 0.0:,.0f} bit/frame   WMR {wmr + 0.0:.3g}   HIL {c.hil.value + 0.0:.5g}"
+        text = (
+            f"C = {c.capacity.value + 0.0:,.0f} bit/frame   WMR {wmr + 0.0:.3g}   HIL {c.hil.value + 0.0:.5g}"
+        )
         panel.text(0.005, place - 0.22, text, va="center", fontsize=8, parse_math=False)
     panel.set_xlim(0, 1)
     share = "share of the medium's information: rendered (WMR, blue) and lost (HIL, grey)"

@@ -1,4 +1,5 @@
-"""The picture of an interaction: where the hand was, what the field did there, and what the device pushed with.
+"""The picture of an interaction: where the hand was, what the field did there, and what the device pushed
+with.
 
 Times on the left, places on the right; where the hand was in contact the background is tinted.
 """
@@ -30,9 +31,9 @@ _PUT, _FIELD, _FRICTION, _CONTACT = "0.1", "#0072b2", "#d55e00", "#f0e442"
 class InteractionView:
     """Content of `draw_interaction`.
 
-    `rows` are those of a play's log: places of the hand, the field's force there and friction are in the field's
-    axes, which `axes` words; what the device was told to push with is in its own. The support of `background` is
-    drawn behind the path.
+    `rows` are those of a play's log: places of the hand, the field's force there and friction are in the
+    field's axes, which `axes` words; what the device was told to push with is in its own. The support of
+    `background` is drawn behind the path.
     """
 
     title: str
@@ -66,7 +67,9 @@ def draw_interaction(path: Path, view: InteractionView) -> None:
     write_png(figure, path)
 
 
-def _draw_axes(axis: Any, times_s: Float64s, rows: Float64s, names: Sequence[str], label: str, **legend: Any) -> None:
+def _draw_axes(
+    axis: Any, times_s: Float64s, rows: Float64s, names: Sequence[str], label: str, **legend: Any
+) -> None:
     for name, hue, line in zip(names, _HUES, rows.T):
         axis.plot(times_s, line, color=hue, lw=1.2, label=name)
     axis.set_ylabel(label)
@@ -90,7 +93,8 @@ def _draw_force(axis: Any, view: InteractionView) -> None:
     for limit, word in ((view.peak_n, "peak"), (view.continuous_n, "continuous")):
         if limit is not None and limit <= 2 * max(top, 1e-9):
             axis.axhline(limit, color="0.5", lw=0.8, ls="--")
-            axis.annotate(f"{word} {limit:g} N", (0.005, limit), xycoords=("axes fraction", "data"), fontsize=7,
+            axis.annotate(f"{word} {limit:g} N", (0.005, limit), xycoords=("axes "
+                                                                           "fraction", "data"), fontsize=7,
                           va="bottom", color="0.35")  # fmt: skip
     axis.set_ylabel("|F|, N")
     axis.set_ylim(bottom=0)

@@ -22,9 +22,11 @@ _LETTERS_PER_INCH = 9.0  # of text of that size, with room: the mean is 11
 
 
 def titled_figure(purpose: str, title: str, width_inch: float, height_inch: float) -> Figure:
-    """An empty figure below its title; `height_inch` is that with a title of one line, more lines make it higher.
+    """An empty figure below its title; `height_inch` is that with a title of one line, more lines make it
+    higher.
 
-    Raises MissingExtra, which names the `purpose` ("the picture of a comparison"), if matplotlib is not installed.
+    Raises MissingExtra, which names the `purpose` ("the picture of a comparison"), if matplotlib is not
+    installed.
     """
     import_extra("matplotlib", purpose, "matplotlib", "report")
     from matplotlib.figure import Figure
@@ -52,6 +54,8 @@ def is_our_picture(path: Path) -> bool:
 
 
 def lines_that_fit(text: str, width_inch: float) -> list[str]:
-    """A title in lines for a page of a width, broken at blanks, inside a word only where it is longer than a line."""
+    """A title in lines for a page of a width, broken at blanks, inside a word only where it is longer than a
+    line.
+    """
     count = int(_LETTERS_PER_INCH * width_inch)
     return [line for part in text.split("\n") for line in wrap(part, count) or [""]]

@@ -1,4 +1,5 @@
-"""Pictures of fields: a comparison (source, decoded, error in units of the mask), and a field in its workspace.
+"""Pictures of fields: a comparison (source, decoded, error in units of the mask), and a field in its
+workspace.
 
 Colours are perceptually even and safe for the colour-blind; what is compared shares one scale, with its unit.
 """
@@ -40,9 +41,9 @@ def draw_comparison(
     """Write a PNG that compares two fields on one grid.
 
     Rows: where a hand that comes from the viewer's side first feels a force; |F| on a slice along the line of
-    sight; the direction on the same slice; of an array of actuators, |F| of each. Columns: source, decoded, error.
-    `axes` are as the medium words them, "x right, y down, z forward"; `mask` is (k, F_0) of max(F_0, k |F|).
-    `MissingExtra` if matplotlib is not installed.
+    sight; the direction on the same slice; of an array of actuators, |F| of each. Columns: source, decoded,
+    error. `axes` are as the medium words them, "x right, y down, z forward"; `mask` is (k, F_0) of max(F_0, k
+    |F|). `MissingExtra` if matplotlib is not installed.
     """
     panels = _Panels(original, decoded, axes, mask)
     rows = [panels.draw_amplitudes]
@@ -134,7 +135,9 @@ class _Panels:
 
     def _contact_mm(self, force: Float32s) -> Float64s:
         felt = force > self.mask[1]
-        index = felt.argmax(axis=_Z) if self.from_low_z else felt.shape[_Z] - 1 - felt[:, :, ::-1].argmax(axis=_Z)
+        index = (
+            felt.argmax(axis=_Z) if self.from_low_z else felt.shape[_Z] - 1 - felt[:, :, ::-1].argmax(axis=_Z)
+        )
         z = self.low_mm[_Z] + (index + 0.5) * self.step_mm[_Z]
         return np.where(felt.any(axis=_Z), z, np.nan)
 
@@ -150,7 +153,9 @@ class _Panels:
             up, cut, where = _Y, (..., 0), ""
         for panel, force, name in zip(row, self.forces, _COLUMNS, strict=False):
             felt = np.where(force[cut] > 0, force[cut], np.nan)
-            shown = self._image(panel, up, felt, f"{name} |F|{where}", vmin=0, vmax=self.top_n, cmap="cividis")
+            shown = self._image(
+                panel, up, felt, f"{name} |F|{where}", vmin=0, vmax=self.top_n, cmap="cividis"
+            )
         _bar(figure, shown, list(row[:2]), "|F| / N")
         self._mask_bar(figure, row[2], up, self.error[cut], "error, in units of the mask")
 
@@ -254,7 +259,9 @@ def shadows(fields: Sequence[ForceField], title: str, turn: Float64s) -> Figure:
         if is_down:
             panel.invert_yaxis()
     style = {"xycoords": "axes fraction", "fontsize": 9, "color": "#d55e00", "fontweight": "bold"}
-    panels[1].annotate("viewer \N{DOWNWARDS ARROW}", (0.01, 0.5), rotation=90, va="center", ha="left", **style)
+    panels[1].annotate(
+        "viewer \N{DOWNWARDS ARROW}", (0.01, 0.5), rotation=90, va="center", ha="left", **style
+    )
     panels[2].annotate("viewer \N{UPWARDS ARROW}", (0.5, 0.01), va="bottom", ha="center", **style)
     figure.colorbar(image, ax=list(panels), shrink=0.8, pad=0.01).set_label(
         "greatest |F| along the sight / N", fontsize=9
@@ -270,7 +277,9 @@ def _seen(turn: Float64s, way: tuple[int, int, int]) -> tuple[int, bool]:
 
 
 def shadow_n(fields: Sequence[ForceField], across: int, up: int) -> Float64s:
-    """The greatest force of fields on one grid along its third axis, newtons, float64 [shape[across], shape[up]]."""
+    """The greatest force of fields on one grid along its third axis, newtons, float64 [shape[across],
+    shape[up]].
+    """
     shape = fields[0].grid.shape
     shadow = np.zeros((shape[across], shape[up]))
     for field in fields:

@@ -19,11 +19,13 @@ if TYPE_CHECKING:
 _QUANTISED, _FELT = "#0072b2", "#d55e00"
 
 
-def draw_masked_signal(path: Path, t_s: Float64s, x_n: Float64s, readings: Mapping[str, Float64s], k: float) -> None:
+def draw_masked_signal(
+    path: Path, t_s: Float64s, x_n: Float64s, readings: Mapping[str, Float64s], k: float
+) -> None:
     """Draw a column for each reading Q(x): above the signal and Q of it, below the error and its mask k x.
 
-    Times are in seconds, the signal and its readings, by the names above them, in newtons, float64 [n]. An error
-    beyond the mask, which a hand could feel, is drawn in orange.
+    Times are in seconds, the signal and its readings, by the names above them, in newtons, float64 [n]. An
+    error beyond the mask, which a hand could feel, is drawn in orange.
     """
     title = f"a force, quantised; its error, and the mask of {k:g} x"
     figure = titled_figure("the picture of a quantised signal", title, 4.3 * len(readings), 6.0)
@@ -45,14 +47,18 @@ def draw_masked_signal(path: Path, t_s: Float64s, x_n: Float64s, readings: Mappi
     write_png(figure, path)
 
 
-def draw_textures(path: Path, bands_hz: tuple[float, ...], rows: dict[str, Float64s], threshold_n: Float64s) -> None:
+def draw_textures(
+    path: Path, bands_hz: tuple[float, ...], rows: dict[str, Float64s], threshold_n: Float64s
+) -> None:
     """Draw a line for each row, newtons rms [bands] by its label, and the threshold of a hand, likewise."""
     figure = titled_figure("the picture of a texture", "vibration in thirds of an octave", 8.0, 4.5)
     axis = figure.subplots()
     for n, (label, levels_n) in enumerate(rows.items()):
         shown = np.where(levels_n > 0, 1e3 * levels_n, np.nan)
         axis.loglog(bands_hz, shown, "o-", ms=3, lw=1.2, color=f"C{n % 10}", label=label)
-    axis.fill_between(bands_hz, 1e3 * threshold_n, 1e3 * threshold_n.min() / 10, color="0.9", lw=0, label="not felt")
+    axis.fill_between(
+        bands_hz, 1e3 * threshold_n, 1e3 * threshold_n.min() / 10, color="0.9", lw=0, label="not felt"
+    )
     axis.set(xlabel="frequency / Hz", ylabel="force / mN rms")
     axis.legend(fontsize=8)
     write_png(figure, path)

@@ -1,4 +1,6 @@
-"""The promise of the composed field: the check finds what a sum of decoded bodies has, and the encoder keeps it."""
+"""The promise of the composed field: the check finds what a sum of decoded bodies has, and the encoder keeps
+it.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,15 @@ from independent_bound import mask_ratio
 from object_makers import F0_N, ball, head_of, moving_scene, tumbling
 from touchfield import pipeline
 from touchfield.codec.objects.encoder import PLACE_TOLERANCE_M, ObjectsEncoder
-from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, compare_scenes, displacement_m, reach_m
+from touchfield.codec.objects.promise import (
+    ComposedRule,
+    Found,
+    Moves,
+    Pair,
+    compare_scenes,
+    displacement_m,
+    reach_m,
+)
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader, TouchWriter
@@ -49,7 +59,9 @@ def crossing(frames: int = 9, strength_n: float = 2.0) -> HapticScene:
         PoseTrack.still(frames, (0.0, 0.004, 0.0)),
     )
     fall = np.array([0.0, 0.0, 0.02])
-    tracks = tuple(PoseTrack(t.quaternions, t.positions_m - fall * (t.positions_m[:, 2:] > 0.005)) for t in tracks)
+    tracks = tuple(
+        PoseTrack(t.quaternions, t.positions_m - fall * (t.positions_m[:, 2:] > 0.005)) for t in tracks
+    )
     bodies = [
         HapticObject(f"ball {i}", still_field(ball(OWN, 0.005 - 0.0005 * i, strength_n)), track)
         for i, track in enumerate(tracks)
@@ -77,15 +89,19 @@ def written(path: Path, scene: HapticScene, spec: TouchSpec | PaperSpec = SPEC) 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_check_finds_what_the_composed_fields_have(seed: int) -> None:
-    """Noise beside other noise, in rotation and overlap: the largest ratio, where it is, and how many are beyond."""
+    """Noise beside other noise, in rotation and overlap: the largest ratio, where it is, and how many are
+    beyond.
+    """
     scene = crossing(5)
     fields = [noise(10 * seed + i, 1.5) for i in range(3)]
     made = [field + noise(1000 + i, 0.1) for i, field in enumerate(fields)]
     source = replace(
-        scene, objects=tuple(replace(o, medium=still_field(f)) for o, f in zip(scene.objects, fields, strict=True))
+        scene,
+        objects=tuple(replace(o, medium=still_field(f)) for o, f in zip(scene.objects, fields, strict=True)),
     )
     decoded = replace(
-        scene, objects=tuple(replace(o, medium=still_field(f)) for o, f in zip(scene.objects, made, strict=True))
+        scene,
+        objects=tuple(replace(o, medium=still_field(f)) for o, f in zip(scene.objects, made, strict=True)),
     )
     found, away_m = compare_scenes(source, decoded, 0.1, F0_N)
     expected = np.stack([ratios_of(source, decoded, frame) for frame in range(5)])
@@ -133,7 +149,9 @@ def test_a_file_keeps_its_promise_at_every_voxel_of_every_frame(
     if damping == 0:  # else velocities are those of the decoded poses, too
         expected = np.stack([ratios_of(scene, decoded, frame) for frame in range(7)])
         assert expected.max() <= 1 and expected.max() == pytest.approx(told["worst_mask_ratio"], abs=3e-5)
-        assert expected[(told["worst_frame"], *told["worst_voxel"])] == pytest.approx(expected.max(), rel=1e-4)
+        assert expected[(told["worst_frame"], *told["worst_voxel"])] == pytest.approx(
+            expected.max(), rel=1e-4
+        )
     found, away_m = compare_scenes(scene, decoded, 0.1, F0_N)
     assert found.beyond == 0 and away_m <= PLACE_TOLERANCE_M
     assert found.worst[0] == pytest.approx(told["worst_mask_ratio"], abs=3e-5)
@@ -155,7 +173,9 @@ def cancelling(strength_n: float, damping: float = 0.0) -> HapticScene:
     field = ball(OWN, 0.005, strength_n)
     against = ForceField.from_dense(OWN, -field.to_dense())
     tracks = [PoseTrack.still(3, (0.0003, 0.0, 0.0)), PoseTrack.still(3, (0.0003, 0.0, 0.0))]
-    bodies = [HapticObject(n, still_field(f), t) for n, f, t in zip("ab", (field, against), tracks, strict=True)]
+    bodies = [
+        HapticObject(n, still_field(f), t) for n, f, t in zip("ab", (field, against), tracks, strict=True)
+    ]
     return HapticScene(WORLD, 1000.0, tuple(bodies), 1000.0, damping)
 
 

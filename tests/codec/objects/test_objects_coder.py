@@ -1,4 +1,6 @@
-"""The coder `objects`: a haptic scene goes through a file and comes back, piece by piece and within its claims."""
+"""The coder `objects`: a haptic scene goes through a file and comes back, piece by piece and within its
+claims.
+"""
 
 from __future__ import annotations
 
@@ -54,12 +56,24 @@ def test_a_scene_comes_back(stream_path: Path) -> None:
     scene = moving_scene()
     with TouchReader(stream_path) as reader:
         decoded = SceneStream(reader).scene
-        for name in ("grid", "rate_hz", "force_max_n", "surface_damping_n_s_per_m", "axes", "friction", "tags"):
+        for name in (
+            "grid",
+            "rate_hz",
+            "force_max_n",
+            "surface_damping_n_s_per_m",
+            "axes",
+            "friction",
+            "tags",
+        ):
             assert getattr(decoded, name) == getattr(scene, name)
         assert decoded.damping_n_s_per_m == scene.damping_n_s_per_m
         assert decoded.provenance == {"source": "made up"}
         for mine, theirs in zip(decoded.objects, scene.objects, strict=True):
-            assert (mine.name, mine.is_rigid, mine.medium.grid) == (theirs.name, theirs.is_rigid, theirs.medium.grid)
+            assert (mine.name, mine.is_rigid, mine.medium.grid) == (
+                theirs.name,
+                theirs.is_rigid,
+                theirs.medium.grid,
+            )
             assert len(mine.track) == 7
 
 
@@ -73,7 +87,9 @@ def test_the_damping_of_a_moving_surface_is_within_the_mask(tmp_path: Path, damp
     with TouchReader(tmp_path / "a.touch") as reader:
         decoded = SceneStream(reader).scene
         one = decoded.objects[0]
-        exact = dataclasses.replace(decoded, objects=(dataclasses.replace(one, track=scene.objects[0].track),))
+        exact = dataclasses.replace(
+            decoded, objects=(dataclasses.replace(one, track=scene.objects[0].track),)
+        )
         still = dataclasses.replace(exact, surface_damping_n_s_per_m=0.0)
         for frame in (0, 3, 6):
             points = scene.objects[0].track.to_scene(0.009 * index, frame)
@@ -129,7 +145,9 @@ def test_rigid_motion_costs_poses_and_one_field(tmp_path: Path) -> None:
             sizes[frames] = SceneStream(reader).bits
             assert len(reader.segments) == 1
     assert sizes[200].support == sizes[2].support > 0
-    assert sizes[2].poses < sizes[200].poses < 200 * 64 * 8  # a raw pose of float64 has 56 bytes, and there are two
+    assert (
+        sizes[2].poses < sizes[200].poses < 200 * 64 * 8
+    )  # a raw pose of float64 has 56 bytes, and there are two
 
 
 def test_the_bits_are_all_told(tmp_path: Path) -> None:
@@ -175,10 +193,14 @@ def test_empty_objects_and_a_single_frame(tmp_path: Path) -> None:
 
 def test_other_coders_are_refused_by_name() -> None:
     assert coder("paper").decoder_class is PaperDecoder and coder("objects").decoder_class is ObjectsDecoder
-    with pytest.raises(UnsupportedVersion, match=r"^HEAD.coder: found 'x'; expected 'touch' or 'paper' or 'objects'"):
+    with pytest.raises(
+        UnsupportedVersion, match=r"^HEAD.coder: found 'x'; expected 'touch' or 'paper' or 'objects'"
+    ):
         coder("x")
     grid = Grid((5, 4, 3), (0.001,) * 3, (0.0,) * 3)
-    with pytest.raises(UnsupportedVersion, match=r"OBJT 3 field_coder: found 'objects'; expected 'touch' or 'paper'"):
+    with pytest.raises(
+        UnsupportedVersion, match=r"OBJT 3 field_coder: found 'objects'; expected 'touch' or 'paper'"
+    ):
         field_decoder("objects", grid, b"", "OBJT 3")  # objects of objects
     with pytest.raises(CorruptFile, match="codebook"):
         field_decoder("paper", grid, b"cube")
@@ -221,7 +243,9 @@ def test_objects_that_contradict_themselves(stream_path: Path) -> None:
     with pytest.raises(CorruptFile, match="codebook"):
         decoder(field_parameters=b"cube7")
     with pytest.raises(FormatError):
-        ObjectsDecoder(parameters, [dataclasses.replace(o, is_deforming=False) for o in objects]).rigid_field(2)
+        ObjectsDecoder(parameters, [dataclasses.replace(o, is_deforming=False) for o in objects]).rigid_field(
+            2
+        )
 
 
 def test_too_many_objects_or_poses() -> None:
@@ -232,7 +256,9 @@ def test_too_many_objects_or_poses() -> None:
         check_pose_count(2, MAX_POSES // 2 + 1)
 
 
-def test_a_file_that_claims_many_poses_costs_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_claims_many_poses_costs_no_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Segments of nothing, whose poses would take 100 GB: refused before anything is made of them."""
     scene = moving_scene(1, deforming=False)
     encoder = ObjectsEncoder(scene, SPEC, F0_N)
@@ -246,7 +272,10 @@ def test_a_file_that_claims_many_poses_costs_no_memory(tmp_path: Path, monkeypat
                 writer.write_segment(first, min(65535, frames - first), b"")
         return io.BytesIO((tmp_path / "a.touch").read_bytes())
 
-    with TouchReader(claiming(MAX_POSES // 2 + 1)) as reader, pytest.raises(CorruptFile, match="16777216 poses"):
+    with (
+        TouchReader(claiming(MAX_POSES // 2 + 1)) as reader,
+        pytest.raises(CorruptFile, match="16777216 poses"),
+    ):
         SceneStream(reader)
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.1")
     with TouchReader(claiming(1 << 20)) as reader, pytest.raises(InvalidArgument, match="GiB of poses"):
@@ -272,7 +301,9 @@ worsts = st.none() | st.builds(
 
 
 @given(
-    worsts, st.lists(st.tuples(st.binary(max_size=300), st.none() | st.binary(max_size=300)), max_size=6), st.data()
+    worsts,
+    st.lists(st.tuples(st.binary(max_size=300), st.none() | st.binary(max_size=300)), max_size=6),
+    st.data(),
 )
 def test_parts_fill_the_body(
     worst: Worst | None, made: list[tuple[bytes, bytes | None]], data: st.DataObject
@@ -406,7 +437,9 @@ def test_errors_name_the_record_and_the_object(decoding: tuple[ObjectsDecoder, l
     ):
         first, second, third = decoder.objects
         with pytest.raises(FormatError, match=words):
-            ObjectsDecoder(Parameters(3, 0.0, 0.0).to_bytes(), [first, dataclasses.replace(second, **change), third])
+            ObjectsDecoder(
+                Parameters(3, 0.0, 0.0).to_bytes(), [first, dataclasses.replace(second, **change), third]
+            )
     parts = decoder.parts(bodies[0]).objects
     cut = [parts[0], parts[1]._replace(poses=parts[1].poses[:-1]), parts[2]]
     with pytest.raises(FormatError, match=r"SEGM.body poses of object 1"):
@@ -415,7 +448,9 @@ def test_errors_name_the_record_and_the_object(decoding: tuple[ObjectsDecoder, l
 
 def test_a_damping_that_asks_for_too_fine_poses_is_refused_in_words(tmp_path: Path) -> None:
     scene = moving_scene(3, deforming=False, surface_damping=1e9)
-    with pytest.raises(InvalidArgument, match=r"a damping of 1e\+09 N s/m at 1000 Hz.*smaller surface damping"):
+    with pytest.raises(
+        InvalidArgument, match=r"a damping of 1e\+09 N s/m at 1000 Hz.*smaller surface damping"
+    ):
         written(tmp_path / "x.touch", scene)
     assert not list(tmp_path.iterdir())
 
@@ -446,7 +481,9 @@ def test_a_small_file_fills_no_huge_grid(tmp_path: Path, spacing_m: float) -> No
         scene.sample_n(0, [0.0, 0.0, 0.0])
         tracemalloc.start()
         try:
-            with pytest.raises(CorruptFile, match=rf"frame 1: .*than {4096 + 32 * size} bricks.* of {size} bytes"):
+            with pytest.raises(
+                CorruptFile, match=rf"frame 1: .*than {4096 + 32 * size} bricks.* of {size} bytes"
+            ):
                 scene.voxelise()[1]
             peak = tracemalloc.get_traced_memory()[1]
         finally:

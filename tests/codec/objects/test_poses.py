@@ -52,7 +52,9 @@ def falling(count: int, seed: int = 0, rate_hz: float = 1000.0, every_s: float =
 
 
 @given(st.floats(1e-7, 1e-3), st.floats(0, 0.2), st.integers(0, 2**32 - 1))
-def test_no_point_leaves_its_place_by_more_than_the_tolerance(tolerance_m: float, far_m: float, seed: int) -> None:
+def test_no_point_leaves_its_place_by_more_than_the_tolerance(
+    tolerance_m: float, far_m: float, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     track = random_track(rng, 6)
     steps = place_steps(track, far_m, tolerance_m)
@@ -71,7 +73,9 @@ def test_the_steps_are_the_coarsest() -> None:
         PoseSteps(steps.position_m, 2 * steps.quaternion),
     ):
         assert displacement_m(track, wider.track(rounded(track, wider)), far_m).max() > 1e-5
-    spinning = PoseTrack(track.quaternions, np.zeros((400, 3)))  # of which positions cost nothing, however coarse
+    spinning = PoseTrack(
+        track.quaternions, np.zeros((400, 3))
+    )  # of which positions cost nothing, however coarse
     assert place_steps(spinning, far_m, 1e-5).quaternion >= steps.quaternion
 
 
@@ -125,9 +129,14 @@ def test_quarter_turns_and_spins_through_the_ambiguous_sign_return(power: int) -
     steps = PoseSteps(2.0**-10, 2.0**power)
     angles = np.concatenate([np.arange(9) * np.pi / 2, np.linspace(0, 20, 60)])
     for axis in np.eye(3):
-        track = PoseTrack(Rotation.from_rotvec(angles[:, None] * axis).as_quat()[:, [3, 0, 1, 2]], np.zeros((69, 3)))
+        track = PoseTrack(
+            Rotation.from_rotvec(angles[:, None] * axis).as_quat()[:, [3, 0, 1, 2]], np.zeros((69, 3))
+        )
         decoded = decode_poses(encode_poses(track, steps), 69, steps)
-        assert np.linalg.norm(decoded.rotations() - track.rotations(), 2, axis=(1, 2)).max() <= 2 * 2.0**power + 1e-14
+        assert (
+            np.linalg.norm(decoded.rotations() - track.rotations(), 2, axis=(1, 2)).max()
+            <= 2 * 2.0**power + 1e-14
+        )
 
 
 def test_cheap_tracks_are_cheap() -> None:
@@ -142,7 +151,9 @@ def test_each_component_has_the_order_that_suits_it() -> None:
     """Ramps and parabolas of whole steps leave nothing to code but their first numbers."""
     i = np.arange(1000)
     for numbers in (3 * i, i * i, 2 * (i - 400) ** 2):
-        track = PoseTrack(np.tile([1.0, 0, 0, 0], (1000, 1)), np.stack([numbers] * 3, axis=1) * FINE.position_m)
+        track = PoseTrack(
+            np.tile([1.0, 0, 0, 0], (1000, 1)), np.stack([numbers] * 3, axis=1) * FINE.position_m
+        )
         assert len(encode_poses(track, FINE)) < 60
 
 

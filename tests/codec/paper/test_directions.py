@@ -50,7 +50,8 @@ def random_vectors(count, seed=0):
     return np.random.default_rng(seed).normal(size=(count, 3)).astype(np.float32)
 
 
-# -- the polyhedra --------------------------------------------------------------------------------------------
+# -- the polyhedra
+# --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", codebook_names())
@@ -86,7 +87,9 @@ def test_the_covering_radius_of_the_icosahedron_is_exact():
 def test_the_mean_square_chord_is_that_of_the_table(name, db):
     codebook = Codebook.get(name)
     x = random_vectors(500_000)
-    cosine = (codebook.vertices[codebook.nearest(x)] * x).sum(axis=1) / np.sqrt((x.astype(float) ** 2).sum(axis=1))
+    cosine = (codebook.vertices[codebook.nearest(x)] * x).sum(axis=1) / np.sqrt(
+        (x.astype(float) ** 2).sum(axis=1)
+    )
     assert 10 * np.log10(np.mean(2 - 2 * cosine)) == pytest.approx(db, abs=0.05)
 
 
@@ -100,7 +103,9 @@ PINNED = {
 
 def test_the_vertices_are_the_same_on_every_machine():
     """The bits of the codebooks are part of the stream's format; this fails where they change."""
-    bits = {n: hashlib.sha256(Codebook.get(n).vertices.astype("<f8").tobytes()).hexdigest()[:16] for n in PINNED}
+    bits = {
+        n: hashlib.sha256(Codebook.get(n).vertices.astype("<f8").tobytes()).hexdigest()[:16] for n in PINNED
+    }
     assert bits == PINNED
 
 
@@ -112,7 +117,8 @@ def test_other_names_are_refused(name):
         Codebook.get(name)
 
 
-# -- the nearest vertex ---------------------------------------------------------------------------------------
+# -- the nearest vertex
+# ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["ico5", "octa3"])

@@ -16,7 +16,9 @@ WORDS = [
 
 
 @pytest.mark.parametrize("words", WORDS)
-def test_symbols_are_the_same_where_and_only_where_the_codewords_are(words: str, wavy_field: ForceField) -> None:
+def test_symbols_are_the_same_where_and_only_where_the_codewords_are(
+    words: str, wavy_field: ForceField
+) -> None:
     spec = FieldQuantiserSpec.parse(words)
     assert FieldQuantiserSpec.parse(spec.words) == spec
     quantiser = spec.fit([wavy_field])
@@ -49,7 +51,9 @@ def test_a_symbol_array_is_as_sparse_as_its_field(wavy_field: ForceField) -> Non
     symbols = FieldQuantiserSpec.parse("weber:0.1").fit([wavy_field])(wavy_field)
     assert np.array_equal(symbols.bricks, wavy_field.bricks)
     positions = np.argwhere(symbols.to_dense())
-    assert len(positions) == symbols.object_count < wavy_field.support_count, "the weakest forces fall to zero"
+    assert len(positions) == symbols.object_count < wavy_field.support_count, (
+        "the weakest forces fall to zero"
+    )
     assert np.array_equal(symbols.symbols_at(positions), symbols.to_dense()[tuple(positions.T)])
     assert (symbols.symbols_at([[-1, 0, 0], [0, 0, 99]]) == 0).all()
 

@@ -39,7 +39,9 @@ def heap_bits(counts: list[int]) -> int:
     return total
 
 
-def coded(sent: np.ndarray, levels: np.ndarray, count: int, single: bool = False) -> tuple[HuffmanCode, BitStream]:
+def coded(
+    sent: np.ndarray, levels: np.ndarray, count: int, single: bool = False
+) -> tuple[HuffmanCode, BitStream]:
     symbols, values, bits = pack_runs(sent, levels, count, single=single)
     code = fitted_code(np.bincount(symbols, minlength=count + RUN_SYMBOLS))
     return code, encode_symbols(code, symbols, values, bits)
@@ -94,7 +96,11 @@ def test_a_table_reads_back_and_a_changed_one_is_an_error_or_a_code(
     assert len(told) <= len(counts) + 12
     changed = bytearray(told)
     changed[data.draw(st.integers(0, len(told) - 1))] ^= data.draw(st.integers(1, 255))
-    for wrong, n in ((bytes(changed), len(code.lengths)), (told, len(code.lengths) + 1), (told[:-1], len(counts))):
+    for wrong, n in (
+        (bytes(changed), len(code.lengths)),
+        (told, len(code.lengths) + 1),
+        (told[:-1], len(counts)),
+    ):
         try:
             again = HuffmanCode.from_bytes(wrong, n)
         except FormatError:
@@ -133,7 +139,9 @@ def test_runs_of_every_length() -> None:
         symbols, values, bits = pack_runs(np.zeros(length, np.bool_), np.zeros(0, np.uint16), 4, single=False)
         assert sum((1 << int(s) - 4) + int(v) for s, v in zip(symbols, values, strict=True)) == length
         assert (
-            len(symbols) == -(-length // (2**21 - 1)) and (bits == symbols - 4).all() and (values >> bits == 0).all()
+            len(symbols) == -(-length // (2**21 - 1))
+            and (bits == symbols - 4).all()
+            and (values >> bits == 0).all()
         )
 
 
@@ -143,7 +151,12 @@ def test_random_bits_are_an_error_or_runs(sent: np.ndarray, noise: bytes, data: 
     code, (told, bits) = coded(sent, levels, 9)
     flipped = bytearray(told)
     flipped[data.draw(st.integers(0, len(told) - 1))] ^= 1 << data.draw(st.integers(0, 7))
-    for wrong, length in ((bytes(flipped), bits), (noise, 8 * len(noise)), (told[:-1], bits), (told, bits + 8)):
+    for wrong, length in (
+        (bytes(flipped), bits),
+        (noise, 8 * len(noise)),
+        (told[:-1], bits),
+        (told, bits + 8),
+    ):
         try:
             read, held = decode_symbols(code, BitStream(wrong, length), len(sent), 9)
         except FormatError:

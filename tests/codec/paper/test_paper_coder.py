@@ -192,7 +192,15 @@ def test_damaged_bodies_raise_only_the_named_errors() -> None:
 
 def test_specs_are_checked() -> None:
     for bad in (
-        *({"k": 0.0}, {"k": 1.0}, {"nq": 0}, {"nq": 13}, {"deadband": "x"}, {"segment_frames": 0}, {"stage": "x"}),
+        *(
+            {"k": 0.0},
+            {"k": 1.0},
+            {"nq": 0},
+            {"nq": 13},
+            {"deadband": "x"},
+            {"segment_frames": 0},
+            {"stage": "x"},
+        ),
         *({"step_n": 0.1}, {"stage": "dct", "step_n": 0.0}, {"stage": "dct", "nq": 5}),
     ):
         with pytest.raises(InvalidArgument):

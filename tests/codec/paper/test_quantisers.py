@@ -29,7 +29,8 @@ def mean_square(samples: np.ndarray, table: AmplitudeLevels) -> float:
     return float(np.mean((samples.astype(float) - table.levels_n.astype(float)[table.encode(samples)]) ** 2))
 
 
-# -- Lloyd-Max ------------------------------------------------------------------------------------------------
+# -- Lloyd-Max
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("nq", "mse"), GAUSSIAN.items())
@@ -71,7 +72,9 @@ def test_the_local_optimum_is_near_the_global_one(seed: int) -> None:
 
 def test_clusters_that_the_start_misses_get_their_levels() -> None:
     clusters = np.array([0.001, 0.00101, 0.00102, 0.00103, 0.00104, 5000.0])
-    samples = np.abs(clusters + np.random.default_rng(0).normal(size=(2000, 6)) * 1e-7).astype(np.float32).ravel()
+    samples = (
+        np.abs(clusters + np.random.default_rng(0).normal(size=(2000, 6)) * 1e-7).astype(np.float32).ravel()
+    )
     levels = lloyd_max_levels(samples, 3).levels_n
     assert len(levels) == 8 and (levels < 0.01).sum() >= 5
     assert np.abs(levels[:, None] - clusters).min(axis=0).max() < 1e-3
@@ -96,13 +99,16 @@ def test_the_same_samples_in_any_order_give_the_same_levels() -> None:
     assert len(a) == 64 and a.levels_n.tolist() == b.levels_n.tolist()
 
 
-@pytest.mark.parametrize(("samples", "nq"), [([np.nan], 4), ([np.inf], 4), ([-1.0], 4), ([1.0], 0), ([1.0], 13)])
+@pytest.mark.parametrize(
+    ("samples", "nq"), [([np.nan], 4), ([np.inf], 4), ([-1.0], 4), ([1.0], 0), ([1.0], 13)]
+)
 def test_samples_that_are_none_and_bits_out_of_range_are_refused(samples: list[float], nq: int) -> None:
     with pytest.raises(InvalidArgument):
         lloyd_max_levels(np.array(samples, np.float32), nq)
 
 
-# -- by formulas ----------------------------------------------------------------------------------------------
+# -- by formulas
+# ----------------------------------------------------------------------------------------------
 
 
 def test_the_weber_levels_keep_k_and_send_the_weak_to_zero() -> None:
@@ -151,5 +157,6 @@ def test_what_is_no_amplitude_is_refused() -> None:
         with pytest.raises(InvalidArgument):
             table.encode(np.array([0.1, bad], np.float32))
     assert (
-        table.encode(np.array([-0.0], np.float32)).tolist() == [0] and len(table.encode(np.zeros(0, np.float32))) == 0
+        table.encode(np.array([-0.0], np.float32)).tolist() == [0]
+        and len(table.encode(np.zeros(0, np.float32))) == 0
     )

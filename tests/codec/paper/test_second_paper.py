@@ -1,4 +1,6 @@
-"""docs/format/paper.md is enough: a decoder that follows it, and shares no code with the package, agrees exactly."""
+"""docs/format/paper.md is enough: a decoder that follows it, and shares no code with the package, agrees
+exactly.
+"""
 
 from __future__ import annotations
 
@@ -37,12 +39,16 @@ def grid_of(*shape: int) -> Grid:
 
 def frames_as_bytes(bricks: Iterator[dict[Any, np.ndarray]]) -> list[list[tuple[Any, bytes]]]:
     """Bricks that are not all zero; whether a zero is +0 or -0 has no meaning."""
-    return [[(b, (f + np.float32(0)).tobytes()) for b, f in sorted(frame.items()) if f.any()] for frame in bricks]
+    return [
+        [(b, (f + np.float32(0)).tobytes()) for b, f in sorted(frame.items()) if f.any()] for frame in bricks
+    ]
 
 
 def ours(grid: Grid, name: str, body: bytes, count: int) -> list[list[tuple[Any, bytes]]]:
     fields = PaperDecoder(grid, name.encode()).frames(body, count)
-    return frames_as_bytes({tuple(b): f for b, f in zip(x.bricks.tolist(), x.forces_n, strict=True)} for x in fields)
+    return frames_as_bytes(
+        {tuple(b): f for b, f in zip(x.bricks.tolist(), x.forces_n, strict=True)} for x in fields
+    )
 
 
 def theirs(grid: Grid, name: str, body: bytes, count: int) -> list[list[tuple[Any, bytes]]]:
@@ -164,7 +170,9 @@ def test_both_refuse_the_same_bytes() -> None:
     grid = grid_of(9, 7, 10)
     cases = [("ico1", 3, random_body(s, grid, "ico1", [FrameKind(k) for k in (0, 1, 2)])) for s in range(3)]
     small = moving_wall((5, 4, 6), 1, 1)
-    cases += [(s, 1, PaperEncoder(small[0].grid, PaperSpec(stage=s)).encode_segment(small).body) for s in STAGES[1:]]
+    cases += [
+        (s, 1, PaperEncoder(small[0].grid, PaperSpec(stage=s)).encode_segment(small).body) for s in STAGES[1:]
+    ]
     rng = np.random.default_rng(2)
     taken = refused = 0
     for i in range(240):
@@ -194,7 +202,9 @@ def test_support_alone(seed: int) -> None:
     before, now = random_support(rng, grid), random_support(rng, grid)
     for previous in (None, before):
         data = encode_support(grid, *now, previous)
-        mine = support.support_alone(data, grid.shape, support.NOTHING if previous is None else told(*previous))
+        mine = support.support_alone(
+            data, grid.shape, support.NOTHING if previous is None else told(*previous)
+        )
         assert mine == told(*decode_support(data, grid, previous))
 
 

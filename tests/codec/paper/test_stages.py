@@ -65,7 +65,9 @@ def test_each_stage_keeps_its_error_and_the_support(field: ForceField, stage: st
         x, y = original.to_dense().astype(float), back.to_dense()
         held = x.any(axis=-1)
         assert not y[~held].any()
-        assert np.abs(x - y)[held].max(initial=0) <= WORST[stage] * STEP_N + 2.0**-22 * np.abs(x).max(initial=0)
+        assert np.abs(x - y)[held].max(initial=0) <= WORST[stage] * STEP_N + 2.0**-22 * np.abs(x).max(
+            initial=0
+        )
 
 
 def test_dpcm_wavelet_and_runs_make_the_same_field_and_adpcm_a_smaller_body(wavy_field: ForceField) -> None:
@@ -110,7 +112,9 @@ def test_the_wavelet_is_legalls() -> None:
     assert not made[4:7].any() and made[7].any()
     detail = np.zeros((1, 8, 8, 8), np.int64)
     detail[0, 5, 0, 0] = 800
-    np.testing.assert_array_equal(from_bricks("wavelet", detail)[0, :6, 0, 0], [0, -100, -200, 600, -200, -100])
+    np.testing.assert_array_equal(
+        from_bricks("wavelet", detail)[0, :6, 0, 0], [0, -100, -200, 600, -200, -100]
+    )
 
 
 def test_the_dct_is_the_orthonormal_one_to_a_part_of_a_step() -> None:

@@ -1,4 +1,6 @@
-"""The column guess: what a height map comes to, the same from its bytes along every axis, and bad bytes refused."""
+"""The column guess: what a height map comes to, the same from its bytes along every axis, and bad bytes
+refused.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ GRID = Grid(SHAPE, SPACING_M, (0.0, 0.0, 0.0))
 
 
 def solid(step: float = 0.0, blurred: bool = False) -> np.ndarray:
-    """A hill, solid towards low z, with a step of so many samples; a low-pass may have mixed both sides of it."""
+    """A hill, solid towards low z, with a step of so many samples; a low-pass may have mixed both sides of
+    it.
+    """
     x, y, z = np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")
     height = 12 + 3 * np.sin(x / 9.0) + 2 * np.cos(y / 8.0) + step * (x > 21.5)
     normal = np.stack([-np.cos(x / 9.0) / 3 * 0.8, np.sin(y / 8.0) / 4 * 0.67, np.ones_like(x)], axis=-1)
@@ -47,7 +51,9 @@ def kept(frame: ForceField, data: bytes) -> float:
     forces, unit_n = frame.to_dense(), lattice_of(frame).unit_n
     guess = columns.columns_of_bytes(data, frame.grid).field(frame.grid, unit_n).to_dense()
     length = np.linalg.norm(forces, axis=-1)
-    return float((np.linalg.norm(guess - forces, axis=-1) <= np.maximum(0.05, 0.1 * length))[length > 0].mean())
+    return float(
+        (np.linalg.norm(guess - forces, axis=-1) <= np.maximum(0.05, 0.1 * length))[length > 0].mean()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +105,9 @@ def test_what_is_no_solid_has_no_guess(kind):
 def test_any_mask_is_taken(f0_n):
     frame = turned(solid(), 2, True)
     found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame), f0_n=f0_n))
-    assert found is None or np.array_equal(columns.columns_of_bytes(found[0], frame.grid).vectors, found[1].vectors)
+    assert found is None or np.array_equal(
+        columns.columns_of_bytes(found[0], frame.grid).vectors, found[1].vectors
+    )
 
 
 def test_cut_bytes_are_refused(coded):

@@ -91,7 +91,9 @@ def real(shared_data: Path) -> dict[tuple[str, str], list[ForceField]]:
 @pytest.mark.shared
 @pytest.mark.parametrize("effort", EFFORTS)
 @pytest.mark.parametrize("k", [0.05, 0.25])
-def test_real_fields_keep_the_promise(real: dict[tuple[str, str], list[ForceField]], effort: str, k: float) -> None:
+def test_real_fields_keep_the_promise(
+    real: dict[tuple[str, str], list[ForceField]], effort: str, k: float
+) -> None:
     assert real and all(real.values())
     for frames in real.values():
         check(frames, TouchSpec(effort=effort, k=k))

@@ -46,7 +46,11 @@ def field_of(bits: np.ndarray) -> ForceField:
 
 
 def bits_by_brick(field: ForceField) -> dict[tuple[int, ...], bytes]:
-    return {tuple(b.tolist()): f.tobytes() for b, f in zip(field.bricks, field.forces_n) if f.view(np.uint32).any()}
+    return {
+        tuple(b.tolist()): f.tobytes()
+        for b, f in zip(field.bricks, field.forces_n)
+        if f.view(np.uint32).any()
+    }
 
 
 def coded(*frames: ForceField) -> list[bytes]:
@@ -69,7 +73,10 @@ def fields(draw: st.DrawFn, shape: tuple[int, int, int] | None = None) -> ForceF
     if kind == "odd":
         bits = rng.choice(ODD, (*shape, 3))
     elif kind == "noise":
-        bits = rng.integers(0, 0x7F800000, (*shape, 3), np.uint32) | rng.integers(0, 2, (*shape, 3), np.uint32) << 31
+        bits = (
+            rng.integers(0, 0x7F800000, (*shape, 3), np.uint32)
+            | rng.integers(0, 2, (*shape, 3), np.uint32) << 31
+        )
     elif kind == "uniform":
         bits = (np.round(rng.normal(size=(*shape, 3))) * 0.3).astype(np.float32).view(np.uint32)
     elif kind == "vectors":
@@ -87,7 +94,9 @@ def fields(draw: st.DrawFn, shape: tuple[int, int, int] | None = None) -> ForceF
 def test_every_field_comes_back_to_the_bit(field):
     (payload,) = coded(field)
     assert coded(decode_exact(payload, field.grid, None).field) == [payload]
-    assert len(payload) < 12.7 * field.forces_n.view(np.uint32).any(axis=-1).sum() + 140 * len(field.bricks) + 8
+    assert (
+        len(payload) < 12.7 * field.forces_n.view(np.uint32).any(axis=-1).sum() + 140 * len(field.bricks) + 8
+    )
 
 
 @given(st.data())
@@ -126,9 +135,9 @@ def test_levels_and_directions_are_found_and_left_where_they_no_longer_do(wavy_f
 def test_second_decoder_follows_from_products_to_components():
     rng = np.random.default_rng(5)
     places = rng.integers(0, 252, (9, 6, 10))
-    products = (np.float32([0.1, 0.7, 2.5])[places % 3, None] * Codebook.get("ico5").vertices_float32[places]).view(
-        np.uint32
-    )
+    products = (
+        np.float32([0.1, 0.7, 2.5])[places % 3, None] * Codebook.get("ico5").vertices_float32[places]
+    ).view(np.uint32)
     frames = [field_of(products), field_of(products[::-1]), field_of(products ^ 1), field_of(products)]
     payloads = coded(*frames)
     assert [p[0] for p in payloads] == [5, 0, 0, 0] and [p[0] for p in coded(*frames[:2])] == [5, 5]
@@ -211,7 +220,12 @@ def test_palettes_that_there_are_not_are_named():
     assert payload[0] != 5
     known = decode_exact(payload, field.grid, None)
     nan = np.float32([1, np.nan]).tobytes()
-    for data, before in ((b"\x1a\1\0" + bytes(4), None), (b"\5\0\0", None), (b"\5\2\0" + nan, None), (b"\5", known)):
+    for data, before in (
+        (b"\x1a\1\0" + bytes(4), None),
+        (b"\5\0\0", None),
+        (b"\5\2\0" + nan, None),
+        (b"\5", known),
+    ):
         with pytest.raises(CorruptFile, match="codebook"):
             decode_exact(data, field.grid, before)
     for data in (b"", b"\5\1", b"\5\1\0\0"):

@@ -52,7 +52,9 @@ def test_a_changed_segment_is_refused_or_is_another(goods: dict[str, fuzz.Good],
         tracemalloc.reset_peak()
         found = fuzz.run(case)
         assert not found.startswith("FAULT"), f"--replay {seed} {number}: {found}"
-        assert tracemalloc.get_traced_memory()[1] - before < fuzz.bytes_allowed(case), f"--replay {seed} {number}"
+        assert tracemalloc.get_traced_memory()[1] - before < fuzz.bytes_allowed(case), (
+            f"--replay {seed} {number}"
+        )
         told.add(found)
     tracemalloc.stop()
     assert {"CorruptFile"} <= told <= {"decoded", *(error.__name__ for error in NAMED)}
@@ -67,4 +69,6 @@ def test_random_bytes_are_no_segment(goods: dict[str, fuzz.Good]) -> None:
 
 
 def test_named_errors_are_of_the_format() -> None:
-    assert all(issubclass(error, FormatError) for error in NAMED) and not issubclass(InvalidArgument, FormatError)
+    assert all(issubclass(error, FormatError) for error in NAMED) and not issubclass(
+        InvalidArgument, FormatError
+    )

@@ -60,7 +60,9 @@ def test_noise_has_no_guess():
     assert fit(rough, lattice_of(rough), limits_of(lattice_of(rough)), TouchSpec())[0] is None
 
 
-@pytest.mark.parametrize(("data", "error"), [(b"", TruncatedFile), (b"\2abc", CorruptFile), (b"\0", TruncatedFile)])
+@pytest.mark.parametrize(
+    ("data", "error"), [(b"", TruncatedFile), (b"\2abc", CorruptFile), (b"\0", TruncatedFile)]
+)
 def test_bytes_of_no_kind_are_refused(data, error):
     with pytest.raises(error):
         guess.synthesise(data, ball().grid)

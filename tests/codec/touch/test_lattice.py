@@ -1,4 +1,6 @@
-"""The geometry of coder `touch`: whole numbers that are near what they stand for, within the widths that are told."""
+"""The geometry of coder `touch`: whole numbers that are near what they stand for, within the widths that are
+told.
+"""
 
 from __future__ import annotations
 
@@ -113,7 +115,8 @@ def test_lattices_fit_the_mask() -> None:
 
 @pytest.mark.parametrize("longest", [1e-3, 3.3, 1e30])
 @pytest.mark.parametrize(
-    "asked", [{"k": 0.001, "f0_n": 0.0}, {"k": 0.001, "f0_n": 0.0, "mode": "mask-direction"}, {"mode": "nmse"}]
+    "asked",
+    [{"k": 0.001, "f0_n": 0.0}, {"k": 0.001, "f0_n": 0.0, "mode": "mask-direction"}, {"mode": "nmse"}],
 )
 def test_the_table_of_a_lattice_is_short(asked: dict[str, Any], longest: float) -> None:
     lattice = lattice_for(replace(TouchSpec(step_n=1e-9), **asked), longest)

@@ -1,4 +1,6 @@
-"""The pass over a frame: the decoder makes of the bytes what the encoder says that it does, whatever is known."""
+"""The pass over a frame: the decoder makes of the bytes what the encoder says that it does, whatever is
+known.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def coded(
     """A frame, and its lattice."""
     lattice = lattice_for(spec, 4.0 if np.abs(frame.forces_n).max(initial=0) < 2 else 1e32)
     limits = limits_for(spec, lattice)
-    return encode_frame(frame, lattice, reference, memory or fresh_memory(), limits, hidden_of(frame, spec)), lattice
+    return encode_frame(
+        frame, lattice, reference, memory or fresh_memory(), limits, hidden_of(frame, spec)
+    ), lattice
 
 
 def check(
@@ -110,7 +114,9 @@ def test_a_damaged_frame_is_refused_or_is_another(data: st.DataObject) -> None:
         decoded = decode_frame(bytes(bad), frame.grid, lattice, None, fresh_memory())
     except FormatError:
         return
-    assert (decoded.bricks < frame.grid.brick_shape).all() and np.abs(decoded.vectors).max(initial=0) < 1 << 17
+    assert (decoded.bricks < frame.grid.brick_shape).all() and np.abs(decoded.vectors).max(
+        initial=0
+    ) < 1 << 17
 
 
 def test_what_no_frame_begins_with() -> None:

@@ -31,7 +31,12 @@ def disturbed(field: ForceField, seed: int, share: float) -> ForceField:
     return ForceField.from_dense(GRID, dense)
 
 
-@given(st.sampled_from(KINDS), st.integers(0, 1000), st.sampled_from([0.0, 0.02, 0.08]), st.sampled_from([0.0, 0.05]))
+@given(
+    st.sampled_from(KINDS),
+    st.integers(0, 1000),
+    st.sampled_from([0.0, 0.02, 0.08]),
+    st.sampled_from([0.0, 0.05]),
+)
 def test_the_mask_is_that_of_perception(kind: str, seed: int, share: float, f0_n: float) -> None:
     original, decoded = field_of(kind, seed), disturbed(field_of(kind, seed), seed, share)
     found = compared(original, decoded, replace(MASK, f0_n=f0_n))
@@ -97,7 +102,9 @@ def test_lossless_means_every_bit() -> None:
 
 
 def test_agreement_is_a_share_of_voxels() -> None:
-    original = ForceField.from_support(GRID, [[1, 1, 1], [1, 1, 2], [9, 9, 9]], [[1, 0, 0], [2, 0, 0], [3, 0, 0]])
+    original = ForceField.from_support(
+        GRID, [[1, 1, 1], [1, 1, 2], [9, 9, 9]], [[1, 0, 0], [2, 0, 0], [3, 0, 0]]
+    )
     vectors = np.zeros((2, 8, 8, 8, 3), np.int32)
     vectors[0, 1, 1, 1] = 105, 0, 0
     vectors[0, 1, 1, 2] = 150, 0, 0

@@ -154,7 +154,9 @@ def test_bricks_far_apart_take_little_memory():
     told = writer(1024, fresh(spline.SPLINE_CONTEXTS, spline.LIST_SETS))
     code_bricks(told, 0, 0, grid.brick_shape, far, None)
     tracemalloc.start()
-    made = spline.spline_of(spline.Head((3, 3, 3), 1, (1, 1, 1)).to_bytes() + end_of(told) + bytes(1024), grid)
+    made = spline.spline_of(
+        spline.Head((3, 3, 3), 1, (1, 1, 1)).to_bytes() + end_of(told) + bytes(1024), grid
+    )
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert np.array_equal(made.bricks, far)

@@ -14,7 +14,14 @@ from hypothesis import strategies as st
 
 from touchfield.codec.registry import coder, field_decoder
 from touchfield.codec.segment import FrameKind, Worst, promise_kept
-from touchfield.codec.touch.body import BodyReader, FrameRecord, exceptions_of, shares_of, with_exceptions, write_body
+from touchfield.codec.touch.body import (
+    BodyReader,
+    FrameRecord,
+    exceptions_of,
+    shares_of,
+    with_exceptions,
+    write_body,
+)
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.lattice import Lattice
@@ -89,7 +96,9 @@ def test_a_force_sent_apart_lies_in_the_grid(axis: int) -> None:
 
 @pytest.mark.parametrize("effort", ["fast", "default"])
 def test_segments_know_nothing_of_each_other(effort: str) -> None:
-    """What is learnt within a segment ends with it, in encoder and decoder, and so they may come in any order."""
+    """What is learnt within a segment ends with it, in encoder and decoder, and so they may come in any
+    order.
+    """
     segments = [[hills(17, 5, 0.4 * i + j) for j in range(2)] for i in range(3)]
     encoder = TouchEncoder(segments[0][0].grid, TouchSpec(effort=effort))
     forth = [encoder.encode_segment(frames).body for frames in segments]
@@ -192,7 +201,11 @@ def test_parameters_tell_what_was_asked_for(spec: TouchSpec) -> None:
             TouchDecoder(GRID, parameters[:n])
     with pytest.raises(UnsupportedVersion):
         TouchDecoder(GRID, b"\2" + parameters[1:])
-    for bad in (parameters + b"\0", bytes([1, 24, *parameters[2:]]), bytes([1, parameters[1] ^ 32, *parameters[2:]])):
+    for bad in (
+        parameters + b"\0",
+        bytes([1, 24, *parameters[2:]]),
+        bytes([1, parameters[1] ^ 32, *parameters[2:]]),
+    ):
         with pytest.raises(CorruptFile):
             TouchDecoder(GRID, bad)
     if spec.masking:
@@ -234,7 +247,9 @@ def test_the_worst_voxel_of_a_file_is_in_its_frame() -> None:
 
 def test_the_registry_knows_the_coder() -> None:
     assert coder("touch").decoder_class is TouchDecoder
-    assert isinstance(field_decoder("touch", GRID, TouchEncoder(GRID, FAST).parameters, "OBJT 0"), TouchDecoder)
+    assert isinstance(
+        field_decoder("touch", GRID, TouchEncoder(GRID, FAST).parameters, "OBJT 0"), TouchDecoder
+    )
     with pytest.raises(CorruptFile, match="OBJT 7 field_parameters"):
         field_decoder("touch", GRID, b"", "OBJT 7")
 

@@ -1,8 +1,8 @@
 """The decoder of the coder `objects`: poses of all bodies in a segment, and their fields when asked for.
 
 The paper's rigid objects need one field and a pose a frame (section 4.3), and it leaves the coding of these
-"parameters of the source model" open. Here a pose is seven whole numbers, multiples of two steps; each is predicted
-from those before it, and the residuals are whole numbers (docs/format/objects.md).
+"parameters of the source model" open. Here a pose is seven whole numbers, multiples of two steps; each is
+predicted from those before it, and the residuals are whole numbers (docs/format/objects.md).
 """
 
 from __future__ import annotations
@@ -45,7 +45,9 @@ class PoseSteps:
         for name, (low, high) in (("position_m", POSITION_POWERS), ("quaternion", QUATERNION_POWERS)):
             step = float(getattr(self, name))
             if not (2.0**low <= step <= 2.0**high) or math.frexp(step)[0] != 0.5:
-                raise InvalidArgument(f"pose step {name}", repr(step), f"a power of two from 2^{low} to 2^{high}")
+                raise InvalidArgument(
+                    f"pose step {name}", repr(step), f"a power of two from 2^{low} to 2^{high}"
+                )
             object.__setattr__(self, name, step)
 
     def to_bytes(self) -> bytes:
@@ -54,7 +56,9 @@ class PoseSteps:
 
     @classmethod
     def from_bytes(cls, data: bytes, where: str = "pose steps") -> PoseSteps:
-        """The inverse of `to_bytes`; TruncatedFile or CorruptFile, which call the bytes `where`, if it has none."""
+        """The inverse of `to_bytes`; TruncatedFile or CorruptFile, which call the bytes `where`, if it has
+        none.
+        """
         if len(data) != 2:
             error = TruncatedFile if len(data) < 2 else CorruptFile
             raise error(where, f"{len(data)} bytes", "2")
@@ -97,8 +101,9 @@ def code_residuals(bits: Bits, component: int, residuals: Int64s) -> None:
 def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "poses") -> PoseTrack:
     """The track that `encode_poses` has coded.
 
-    `frame_count`: poses that were coded, 1 to `MOST_POSES`; some 120 bytes are taken for each. `where`: what to call
-    the bytes in an error. TruncatedFile or CorruptFile if the bytes are not the code of so many poses.
+    `frame_count`: poses that were coded, 1 to `MOST_POSES`; some 120 bytes are taken for each. `where`: what
+    to call the bytes in an error. TruncatedFile or CorruptFile if the bytes are not the code of so many
+    poses.
     """
     if not 1 <= frame_count <= MOST_POSES:
         raise InvalidArgument("frame_count", repr(frame_count), f"1 to {MOST_POSES}")
@@ -118,7 +123,9 @@ def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "
     check_end(bits, 0, where)
     # a sum that goes round has left the limits before
     if ((numbers > steps.limits) | (numbers < -steps.limits)).any():
-        raise CorruptFile(where, "a number beyond its limit", "positions to 2^50 steps, quaternions to 1", _CHANGED)
+        raise CorruptFile(
+            where, "a number beyond its limit", "positions to 2^50 steps, quaternions to 1", _CHANGED
+        )
     odd = np.flatnonzero(~steps.are_units(numbers[:, 3:]))
     if len(odd):
         found = f"the quaternion {tuple(numbers[odd[0], 3:].tolist())} in steps"
@@ -130,9 +137,9 @@ def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "
 class ObjectsDecoder:
     """Decodes segments of one stream of objects; needs nothing but the stream.
 
-    `parameters`: `HEAD.coder_parameters`, whose damping and tolerance in place become attributes. `objects`: what the
-    OBJT records hold, in their order. CorruptFile if there are more or fewer objects than the parameters say, or one
-    of them contradicts itself. UnsupportedVersion if the coder of a field is unknown.
+    `parameters`: `HEAD.coder_parameters`, whose damping and tolerance in place become attributes. `objects`:
+    what the OBJT records hold, in their order. CorruptFile if there are more or fewer objects than the
+    parameters say, or one of them contradicts itself. UnsupportedVersion if the coder of a field is unknown.
     """
 
     name = NAME
@@ -156,13 +163,20 @@ class ObjectsDecoder:
 
     def parts(self, body: bytes) -> SegmentParts:
         """Parts of a segment's body, not decoded yet; those of the latest body are kept."""
-        latest = self._latest  # each of thousands of objects asks for the same body, and other threads for another
+        latest = (
+            self._latest
+        )  # each of thousands of objects asks for the same body, and other threads for another
         if latest is None or latest[0] is not body:
-            self._latest = latest = body, SegmentParts.from_bytes(body, [one.is_deforming for one in self.objects])
+            self._latest = latest = (
+                body,
+                SegmentParts.from_bytes(body, [one.is_deforming for one in self.objects]),
+            )
         return latest[1]
 
     def tracks(self, body: bytes, frame_count: int) -> tuple[PoseTrack, ...]:
-        """The poses of each object in a segment; CorruptFile or TruncatedFile for other bytes than the encoder's."""
+        """The poses of each object in a segment; CorruptFile or TruncatedFile for other bytes than the
+        encoder's.
+        """
         worst, parts = self.parts(body)
         if worst is not None and worst.frame >= frame_count:
             raise CorruptFile("SEGM.body worst frame", str(worst.frame), f"below {frame_count}")

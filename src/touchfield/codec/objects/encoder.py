@@ -1,14 +1,14 @@
 """The encoder of the coder `objects`: fields and poses that keep the promise of the composed field.
 
-"If a model is adopted that describes a scene as several objects, then the parameters will be force vectors that
-correspond to each specific object." A rigid object costs one field, coded by a coder of fields, and a pose for each
-frame; one that deforms costs a field for each frame. Empty space costs nothing.
+"If a model is adopted that describes a scene as several objects, then the parameters will be force vectors
+that correspond to each specific object." A rigid object costs one field, coded by a coder of fields, and a
+pose for each frame; one that deforms costs a field for each frame. Empty space costs nothing.
 
-Poses are coded first, within the tolerance in place. Then the decoded fields are composed and compared with the
-source in every frame (`promise`), and the fields of the bodies that have a part in a voxel beyond the mask are coded
-again, within a smaller share of it, until there is none. No share is small enough where forces cancel, those of two
-bodies or of two sides of one, and nothing but the mask's F_0 allows an error: there, and everywhere if F_0 is 0, the
-samples that such a voxel lies between are sent exactly.
+Poses are coded first, within the tolerance in place. Then the decoded fields are composed and compared with
+the source in every frame (`promise`), and the fields of the bodies that have a part in a voxel beyond the
+mask are coded again, within a smaller share of it, until there is none. No share is small enough where forces
+cancel, those of two bodies or of two sides of one, and nothing but the mask's F_0 allows an error: there, and
+everywhere if F_0 is 0, the samples that such a voxel lies between are sent exactly.
 """
 
 from __future__ import annotations
@@ -78,11 +78,13 @@ def rounded(track: PoseTrack, steps: PoseSteps) -> Int64s:
     return np.rint(np.concatenate(numbers, axis=1)).astype(np.int64)
 
 
-def place_steps(track: PoseTrack, reach_m: float, tolerance_m: float, damping: Damping | None = None) -> PoseSteps:
+def place_steps(
+    track: PoseTrack, reach_m: float, tolerance_m: float, damping: Damping | None = None
+) -> PoseSteps:
     """The coarsest steps with which no point of a body leaves its place by more than a tolerance.
 
-    The body's field reaches `reach_m` from its origin. InvalidArgument if the steps would have to be finer than there
-    are any.
+    The body's field reaches `reach_m` from its origin. InvalidArgument if the steps would have to be finer
+    than there are any.
     """
     first = [
         min(math.ceil(math.log2(4 * tolerance_m)), POSITION_POWERS[1]),
@@ -144,8 +146,9 @@ PLACE_TOLERANCE_M: Final = 1e-5
 _RIGID_SEGMENT_FRAMES: Final = 2048
 _SHARE_STEP: Final = 0.93
 _LEAST_SHARE: Final = 1 / 64
-# Of bodies with exact samples: half the mask leaves few samples beyond it. Of the shares 0.12 to 1 it is within 16 %
-# of the fewest bytes in 14 scenes of bodies that meet; the whole mask takes up to 2.3 times as many.
+# Of bodies with exact samples: half the mask leaves few samples beyond it. Of the shares 0.12 to 1 it is
+# within 16 % of the fewest bytes in 14 scenes of bodies that meet; the whole mask takes up to 2.3 times as
+# many.
 _SHARE_BESIDE_EXACT: Final = 0.5
 _MAX_SHARE_STEPS: Final = 100
 _LEAST_K: Final = 0.001
@@ -159,11 +162,15 @@ def check_pose_count(object_count: int, frame_count: int) -> None:
         raise InvalidArgument("haptic scene", f"{object_count} objects", f"at most {MAX_OBJECTS}")
     if object_count * frame_count > MAX_POSES:
         found = f"{frame_count} frames of {object_count} objects"
-        raise InvalidArgument("haptic scene", found, f"at most {MAX_POSES} poses", "Take fewer frames or objects.")
+        raise InvalidArgument(
+            "haptic scene", found, f"at most {MAX_POSES} poses", "Take fewer frames or objects."
+        )
 
 
 class _Fields(NamedTuple):
-    """The coded fields of one object, a segment each (one in all of a rigid one); a rigid one's beside its source."""
+    """The coded fields of one object, a segment each (one in all of a rigid one); a rigid one's beside its
+    source.
+    """
 
     encoder: FieldEncoder
     decoder: FieldDecoder
@@ -174,12 +181,12 @@ class _Fields(NamedTuple):
 class ObjectsEncoder:
     """Codes a haptic scene; all of it, when it is first asked for any.
 
-    `spec`: how the fields are coded, and by which coder. In mode "mask" of coder `touch` the composed field keeps
-    max(F_0, k |F|), and in mode "lossless" the decoded fields are the source's; else nothing is promised of it
-    (`is_bounded`). `f0_n`: F_0, newtons: the surface damping of the decoded poses is off by a quarter of it at most,
-    and by a millionth of a newton or so where the mask's F_0 is 0.
-    InvalidArgument if the scene has more objects or poses than a file may hold. When asked: if no steps of poses keep
-    to the tolerance, or no accuracy of the poses keeps the promise with a surface damping.
+    `spec`: how the fields are coded, and by which coder. In mode "mask" of coder `touch` the composed field
+    keeps max(F_0, k |F|), and in mode "lossless" the decoded fields are the source's; else nothing is
+    promised of it (`is_bounded`). `f0_n`: F_0, newtons: the surface damping of the decoded poses is off by a
+    quarter of it at most, and by a millionth of a newton or so where the mask's F_0 is 0.
+    InvalidArgument if the scene has more objects or poses than a file may hold. When asked: if no steps of
+    poses keep to the tolerance, or no accuracy of the poses keeps the promise with a surface damping.
     """
 
     name = layout.NAME
@@ -191,14 +198,18 @@ class ObjectsEncoder:
             raise InvalidArgument("--masking", found, expected, "Add --representation voxel.")
         self._scene, self._spec, self._f0_n = scene, spec, f0_n
         self._all_rigid = all(one.is_rigid for one in scene.objects)
-        self._step = _RIGID_SEGMENT_FRAMES if self._all_rigid else segment_length(spec.segment_frames, scene.rate_hz)
+        self._step = (
+            _RIGID_SEGMENT_FRAMES if self._all_rigid else segment_length(spec.segment_frames, scene.rate_hz)
+        )
         self._ranges = [range(i, min(i + self._step, len(scene))) for i in range(0, len(scene), self._step)]
 
     @property
     def parameters(self) -> bytes:
         """`HEAD.coder_parameters`."""
         scene = self._scene
-        return layout.Parameters(len(scene.objects), scene.surface_damping_n_s_per_m, PLACE_TOLERANCE_M).to_bytes()
+        return layout.Parameters(
+            len(scene.objects), scene.surface_damping_n_s_per_m, PLACE_TOLERANCE_M
+        ).to_bytes()
 
     @property
     def is_bounded(self) -> bool:
@@ -269,14 +280,18 @@ class ObjectsEncoder:
             if ratios.max() <= 1.0:
                 worst = [Worst(*one.worst) for one in results]
                 starts = [frames.start for frames in self._ranges]
-                return coded, [w._replace(frame=max(w.frame - i, 0)) for w, i in zip(worst, starts, strict=True)]
+                return coded, [
+                    w._replace(frame=max(w.frame - i, 0)) for w, i in zip(worst, starts, strict=True)
+                ]
             if self._all_rigid:
                 suspects |= {int(frame) for one in results for frame in one.places[one.ratios > 1, 0]}
             violating = np.flatnonzero(ratios > 1).tolist()
             finer = {i: None if i in amended else self._finer(shares[i], ratios[i]) for i in violating}
             if not any(finer.values()):
                 before, coded = coded, self._with_exact_samples(rule, coded)
-                amended |= {i for i, (old, new) in enumerate(zip(before, coded, strict=True)) if new is not old}
+                amended |= {
+                    i for i, (old, new) in enumerate(zip(before, coded, strict=True)) if new is not old
+                }
             for i, share in finer.items():
                 if share is not None:
                     shares[i] = share
@@ -296,10 +311,12 @@ class ObjectsEncoder:
     def _with_exact_samples(self, rule: ComposedRule, coded: list[_Fields]) -> list[_Fields]:
         """The fields with every sample exact that a voxel beyond the mask lies between.
 
-        InvalidArgument if there is none: what is left of the error comes from the velocities of the poses, which
-        are never exact.
+        InvalidArgument if there is none: what is left of the error comes from the velocities of the poses,
+        which are never exact.
         """
-        wanted = [[np.zeros(0, np.int64)] * sum(len(one.frames) for one in fields.segments) for fields in coded]
+        wanted = [
+            [np.zeros(0, np.int64)] * sum(len(one.frames) for one in fields.segments) for fields in coded
+        ]
         for frames in [range(len(self._scene))] if self._all_rigid else self._ranges:
             for frame, samples in self._violating(rule, coded, frames):
                 for own, one, fields in zip(wanted, samples, coded, strict=True):
@@ -307,7 +324,9 @@ class ObjectsEncoder:
                     own[at] = np.union1d(own[at], one)
         if not any(len(samples) for own in wanted for samples in own):
             raise self._refusal()
-        return [self._amended(i, fields, own) for i, (fields, own) in enumerate(zip(coded, wanted, strict=True))]
+        return [
+            self._amended(i, fields, own) for i, (fields, own) in enumerate(zip(coded, wanted, strict=True))
+        ]
 
     def _amended(self, index: int, fields: _Fields, wanted: list[Int64s]) -> _Fields:
         """The fields of a body with these samples exact, of each coded frame."""
@@ -342,7 +361,9 @@ class ObjectsEncoder:
 
     @cached_property
     def _moves(self) -> Moves:
-        tracks = [steps.track(rounded(one.track, steps)) for one, steps in zip(self._scene.objects, self._steps)]
+        tracks = [
+            steps.track(rounded(one.track, steps)) for one, steps in zip(self._scene.objects, self._steps)
+        ]
         return Moves.of(self._scene, tracks)
 
     def _found(self, rule: ComposedRule, coded: list[_Fields], frames: Sequence[int]) -> Found:
@@ -352,7 +373,9 @@ class ObjectsEncoder:
             total = total.joined(rule.check(now, self._moves, some))
         return total
 
-    def _pairs(self, coded: list[_Fields], frames: Sequence[int]) -> Iterator[tuple[list[Pair], Sequence[int]]]:
+    def _pairs(
+        self, coded: list[_Fields], frames: Sequence[int]
+    ) -> Iterator[tuple[list[Pair], Sequence[int]]]:
         """The fields of all bodies, and the frames they serve: one by one, of a segment, where any deforms."""
         pairs = [fields.pair for fields in coded]
         if self._all_rigid:

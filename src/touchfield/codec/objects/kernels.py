@@ -1,9 +1,10 @@
-"""Compiled: the composed field of bodies in motion, decoded beside source, at every voxel that a body reaches.
+"""Compiled: the composed field of bodies in motion, decoded beside source, at every voxel that a body
+reaches.
 
-Both fields of a body are kept as cells in one order (`touchfield.medium.cells`). Each cell knows a bound of what its
-error is of the mask, anywhere in it: a voxel that one body alone reaches is looked at only where that bound is above
-the worst voxel found so far, and a voxel that several reach always. All is compiled into one function: to hand on
-tuples of arrays took a quarter of the time.
+Both fields of a body are kept as cells in one order (`touchfield.medium.cells`). Each cell knows a bound of
+what its error is of the mask, anywhere in it: a voxel that one body alone reaches is looked at only where
+that bound is above the worst voxel found so far, and a voxel that several reach always. All is compiled into
+one function: to hand on tuples of arrays took a quarter of the time.
 """
 
 from __future__ import annotations
@@ -37,9 +38,11 @@ _NOWHERE = 1 << 40
 
 
 class Bodies(NamedTuple):
-    """Both fields of all bodies (`CellPool`), `bounds` float32 [n, 512] of their cells, and `tops` [n] of these.
+    """Both fields of all bodies (`CellPool`), `bounds` float32 [n, 512] of their cells, and `tops` [n] of
+    these.
 
-    `marks` uint8 [n, 512] takes 1 for each cell that has a part in a voxel beyond the rule; [0, 512] takes none.
+    `marks` uint8 [n, 512] takes 1 for each cell that has a part in a voxel beyond the rule; [0, 512] takes
+    none.
     """
 
     lattices: Float64s
@@ -68,7 +71,9 @@ class Rule(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """The worst of each body so far; and room: `near` and `here` begin with a count or a body, boxes are [2, 3]."""
+    """The worst of each body so far; and room: `near` and `here` begin with a count or a body, boxes are [2,
+    3].
+    """
 
     worst: Float64s
     places: Int64s
@@ -85,9 +90,10 @@ class _Found(NamedTuple):
 def bound_cells(begin, end, source, decoded, rule, bounds):
     """Into `bounds` [n, 512], for bricks of cells: the most that |error| / mask can be within each cell.
 
-    The error of a trilinear cell is at most that of its worst corner, and its force along the mean direction no less
-    than that of the corner where this is least. Where the force may vanish within a cell that is not exact, and f0_n
-    is 0, there is no bound. A force may be cut off by `floor_n` in one field only, and is rounded to float32 in both.
+    The error of a trilinear cell is at most that of its worst corner, and its force along the mean direction
+    no less than that of the corner where this is least. Where the force may vanish within a cell that is not
+    exact, and f0_n is 0, there is no bound. A force may be cut off by `floor_n` in one field only, and is
+    rounded to float32 in both.
     """
     corners, mean = np.empty((8, 3)), np.empty(3)
     for s in range(begin, end):
@@ -238,11 +244,18 @@ def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, found):
         pz = world[0, 2] + k * world[1, 2]
         x, y, z = own(row, px - row[T], py - row[T + 1], pz - row[T + 2])
         i, j, l = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))  # noqa: E741
-        if i >> 3 != brick[0] or j >> 3 != brick[1] or l >> 3 != brick[2] or not is_held(bodies.held, slot, i, j, l):
+        if (
+            i >> 3 != brick[0]
+            or j >> 3 != brick[1]
+            or l >> 3 != brick[2]
+            or not is_held(bodies.held, slot, i, j, l)
+        ):
             continue
         known = bodies.bounds[slot, (i & 7) * 64 + (j & 7) * 8 + (l & 7)] <= min(found.worst[n], 1.0)
         others = _meets(bodies, rows[0], px, py, pz, found) if found.near[0] else 0
-        if (known and others == 0) or (others and found.here[1, 0] < n):  # compared where that body was walked
+        if (known and others == 0) or (
+            others and found.here[1, 0] < n
+        ):  # compared where that body was walked
             continue
         found.here[0, 0], found.here[0, 1], found.voxel[3] = n, slot, k
         beyond += _compare_voxel(bodies, rows, rule, 1 + others, px, py, pz, found)
@@ -289,10 +302,10 @@ def _alone(n, stays, found):
 def compare_frames(begin, end, bodies, moves, stays, world, rule):
     """The largest |error| / mask of frames begin to end - 1 at the voxels that each body has a part in.
 
-    `moves` are poses and motions (`promise.Moves`), `stays` bool [frames, bodies] where a body is as it was in the
-    frame before, and `world` float64 [3, 3] origin, spacing and shape of the lattice. Returns that ratio,
-    float64 [bodies]; frame and voxel of it, int64 [bodies, 4], the first in the order of frames, -1 for none; and at
-    how many voxels, of all frames, the error is beyond the mask.
+    `moves` are poses and motions (`promise.Moves`), `stays` bool [frames, bodies] where a body is as it was
+    in the frame before, and `world` float64 [3, 3] origin, spacing and shape of the lattice. Returns that
+    ratio, float64 [bodies]; frame and voxel of it, int64 [bodies, 4], the first in the order of frames, -1
+    for none; and at how many voxels, of all frames, the error is beyond the mask.
     """
     count = bodies.boxes.shape[0]
     rows = np.empty((2, count, _COLUMNS))
@@ -307,13 +320,17 @@ def compare_frames(begin, end, bodies, moves, stays, world, rule):
         place(moves.poses[f], bodies.lattices, moves.source[f], rows[0])
         place(moves.poses[f], bodies.lattices, moves.decoded[f], rows[1])
         for n in range(count):
-            for end in range(2):  # by numbers: a copy of arrays compiles an error message, a second of a first run
+            for end in range(
+                2
+            ):  # by numbers: a copy of arrays compiles an error message, a second of a first run
                 for axis in range(3):
                     found.before[n, end, axis] = found.spans[n, end, axis]
             size = 8.0 * bodies.boxes[n, 0], 8.0 * bodies.boxes[n, 1], 8.0 * bodies.boxes[n, 2]
             _span(rows[0, n], (0.0, 0.0, 0.0), size, world, found.spans[n])
         for n in range(count):
-            if f == begin or not (stays[f, n] and _alone(n, stays[f], found)):  # else nothing has changed about it
+            if f == begin or not (
+                stays[f, n] and _alone(n, stays[f], found)
+            ):  # else nothing has changed about it
                 here[n] = 0
                 for slot in range(bodies.starts[n], bodies.starts[n + 1]):
                     here[n] += _compare_brick(bodies, rows, rule, n, slot, world, found)

@@ -1,4 +1,6 @@
-"""How the coder `objects` lays a haptic scene out in bytes, written and read by the same functions; its entry."""
+"""How the coder `objects` lays a haptic scene out in bytes, written and read by the same functions; its
+entry.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from touchfield.medium import Grid
 NAME: Final = "objects"
 
 MAX_OBJECTS: Final = 4096  # objects of a scene
-# frames times objects of a scene: a body that keeps still costs next to no bytes, but a pose in memory a frame
+# frames times objects of a scene: a body that keeps still costs next to no bytes, but a pose in memory a
+# frame
 MAX_POSES: Final = 1 << 24
 _PARAMETERS: Final = struct.Struct("<Idd")
 _WHERE: Final = "HEAD.coder_parameters"
@@ -26,7 +29,9 @@ _MOST_SAMPLES: Final = 1 << 20
 
 @dataclass(frozen=True)
 class CodedObject:
-    """One object as a file and its OBJT hold it; `field` is empty where it deforms; its own grid, hand metres."""
+    """One object as a file and its OBJT hold it; `field` is empty where it deforms; its own grid, hand
+    metres.
+    """
 
     name: str
     grid: Grid
@@ -38,7 +43,9 @@ class CodedObject:
 
 
 class Parameters(NamedTuple):
-    """`HEAD.coder_parameters`: objects, surface damping in N s/m, and the tolerance in place, metres (0: unknown)."""
+    """`HEAD.coder_parameters`: objects, surface damping in N s/m, and the tolerance in place, metres (0:
+    unknown).
+    """
 
     object_count: int
     surface_damping_n_s_per_m: float

@@ -1,8 +1,9 @@
-"""The promise of the composed field, checked: bodies where the decoded poses have them, all frames, all voxels.
+"""The promise of the composed field, checked: bodies where the decoded poses have them, all frames, all
+voxels.
 
 |F_decoded - F| <= max(F_0, k |F|), F being the source's force with its bodies where the file has them. Poses are
-coded such that this moves no point of a body by more than a *tolerance in place* (`displacement_m`): where a field
-jumps, as at the edge of a wall, no pose of finite accuracy keeps a rule voxel by voxel.
+coded such that this moves no point of a body by more than a *tolerance in place* (`displacement_m`): where a
+field jumps, as at the edge of a wall, no pose of finite accuracy keeps a rule voxel by voxel.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
 from touchfield.medium.field import brick_keys
 
-_FLOOR_SHARE: Final = 1e-9  # of F_max: a body's own force below it is the rounding of a place, as the receiver has it
+_FLOOR_SHARE: Final = (
+    1e-9  # of F_max: a body's own force below it is the rounding of a place, as the receiver has it
+)
 _FRAMES_AT_ONCE: Final = 32
 
 
@@ -68,14 +71,18 @@ class Pair:
     def inexact_corners(self, marks: NDArray[np.uint8]) -> Int64s:
         """Corners of marked cells at which the decoded force is not the source's.
 
-        `marks` uint8 [bricks of the pools, 512]. Returns numbers of samples, int64 [m], ascending: 512 times the key
-        of the brick (`field.brick_keys`), plus the sample within it.
+        `marks` uint8 [bricks of the pools, 512]. Returns numbers of samples, int64 [m], ascending: 512 times
+        the key of the brick (`field.brick_keys`), plus the sample within it.
         """
         pool, grid = self.pools[0], self.source.grid
         slots, cells = np.nonzero(marks)
         corner_m = pool.lattices[0, 3:]
         first = np.rint((corner_m - grid.origin_m) / grid.spacing_m).astype(np.int64)
-        low = first + 8 * pool.bricks[slots].astype(np.int64) + np.stack(np.unravel_index(cells, (8, 8, 8)), axis=-1)
+        low = (
+            first
+            + 8 * pool.bricks[slots].astype(np.int64)
+            + np.stack(np.unravel_index(cells, (8, 8, 8)), axis=-1)
+        )
         samples = (low[:, None] + np.array(list(np.ndindex(2, 2, 2)))).reshape(-1, 3)
         samples = samples[((samples >= 0) & (samples < grid.shape)).all(axis=1)]
         bricks, local = samples >> 3, samples & 7
@@ -83,14 +90,17 @@ class Pair:
         numbers = np.unique(512 * brick_keys(grid, bricks) + within)
         keys, place = np.unique(numbers >> 9, return_inverse=True), numbers & 511
         ours, theirs = (
-            field.forces_at(keys[0]).reshape(-1, 512, 3)[keys[1], place] for field in (self.source, self.decoded)
+            field.forces_at(keys[0]).reshape(-1, 512, 3)[keys[1], place]
+            for field in (self.source, self.decoded)
         )
         inexact: Int64s = numbers[(ours != theirs).any(axis=1)]
         return inexact
 
 
 class Moves(NamedTuple):
-    """Decoded poses float64 [frames, bodies, 7], and b (v, omega) of the source and the decoded tracks [..., 6]."""
+    """Decoded poses float64 [frames, bodies, 7], and b (v, omega) of the source and the decoded tracks [...,
+    6].
+    """
 
     poses: Float64s
     source: Float64s
@@ -126,12 +136,15 @@ class ComposedRule:
     def violating_samples(self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int]) -> list[Int64s]:
         """Samples of each body that are not exact and have a part in a voxel beyond the rule.
 
-        Numbers as of `Pair.inexact_corners`. With these sent exactly no error is left there but that of the motion,
-        which a surface damping turns into a force.
+        Numbers as of `Pair.inexact_corners`. With these sent exactly no error is left there but that of the
+        motion, which a surface damping turns into a force.
         """
         marks = self._compare(pairs, moves, frames, is_marking=True)[1]
         starts = np.cumsum([0, *(len(pair.pools[0].bricks) for pair in pairs)])
-        return [pair.inexact_corners(marks[a:b]) for pair, a, b in zip(pairs, starts[:-1], starts[1:], strict=True)]
+        return [
+            pair.inexact_corners(marks[a:b])
+            for pair, a, b in zip(pairs, starts[:-1], starts[1:], strict=True)
+        ]
 
     def _compare(
         self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int], *, is_marking: bool
@@ -141,7 +154,9 @@ class ComposedRule:
 
         grid, limit_n = self.scene.grid, self.scene.force_max_n
         rule = kernels.Rule(self.k, self.f0_n, limit_n * _FLOOR_SHARE, limit_n)
-        source, decoded = (CellPool.joined(pools) for pools in zip(*(pair.pools for pair in pairs), strict=True))
+        source, decoded = (
+            CellPool.joined(pools) for pools in zip(*(pair.pools for pair in pairs), strict=True)
+        )
         count, is_damped = len(source.bricks), self.scene.surface_damping_n_s_per_m != 0
         # with a damping the motion is in the error, too, of which no cell has a bound
         bounds = np.full((count, 512), np.inf if is_damped else 0.0, np.float32)
@@ -165,7 +180,8 @@ class ComposedRule:
 
 
 def compare_scenes(source: HapticScene, decoded: HapticScene, k: float, f0_n: float) -> tuple[Found, float]:
-    """How a decoded scene keeps the rule in all its frames, and how far a point of a body is from its place, metres.
+    """How a decoded scene keeps the rule in all its frames, and how far a point of a body is from its place,
+    metres.
 
     `source` and `decoded`: of the same objects on the same lattices. `f0_n`: newtons, 0 or more.
     """
@@ -190,7 +206,9 @@ def displacement_m(source: PoseTrack, decoded: PoseTrack, reach_m: float) -> Flo
 
 
 def reach_m(one: HapticObject) -> float:
-    """How far the fields of an object reach from its origin, with one cell, metres; 0 for one that never turns."""
+    """How far the fields of an object reach from its origin, with one cell, metres; 0 for one that never
+    turns.
+    """
     if (one.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all():
         return 0.0
     far_m = 0.0

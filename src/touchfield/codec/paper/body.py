@@ -2,17 +2,19 @@
 
 docs/format/paper.md tells every byte. A frame is coded in one of three ways:
 
-* ``INTRA``: alone. Samples in raster order; a sample within the deadband of the last sent one is held (eq. 8).
+* ``INTRA``: alone. Samples in raster order; a sample within the deadband of the last sent one is held (eq.
+  8).
 * ``INTER``: closed loop. The reference is the decoded previous frame at the same voxel; a voxel within the
   deadband of it is held, otherwise the quantised difference is sent.
-* ``DIFFERENCE``: the paper's open loop. The field of differences between two originals is coded like a frame of
-  its own and added to the decoded previous frame; errors add up.
+* ``DIFFERENCE``: the paper's open loop. The field of differences between two originals is coded like a frame
+  of its own and added to the decoded previous frame; errors add up.
 
-"Huffman coding is applied to the amplitude and direction streams" (section 5.2). Here codes are canonical, so that a
-table is its lengths, and none is longer than 24 bits. Eq. 8 leaves most samples held, and a Huffman code spends one
-bit at least on each symbol. Departure: a run of held samples is one symbol. Symbols 0 to N-1 are levels; symbol N + j
-is a run of 2^j + b held samples and is followed by b in j raw bits, j = 0 to 20. Longer runs are several symbols. The
-literal coder, one zero symbol for each held sample, uses j = 0 alone. A stream of directions has no runs.
+"Huffman coding is applied to the amplitude and direction streams" (section 5.2). Here codes are canonical, so
+that a table is its lengths, and none is longer than 24 bits. Eq. 8 leaves most samples held, and a Huffman
+code spends one bit at least on each symbol. Departure: a run of held samples is one symbol. Symbols 0 to N-1
+are levels; symbol N + j is a run of 2^j + b held samples and is followed by b in j raw bits, j = 0 to 20.
+Longer runs are several symbols. The literal coder, one zero symbol for each held sample, uses j = 0 alone. A
+stream of directions has no runs.
 """
 
 from __future__ import annotations
@@ -54,8 +56,8 @@ class BitStream(NamedTuple):
 class HuffmanCode:
     """A prefix code over the symbols 0 to n-1.
 
-    `lengths`, uint8 [n]: bits of each symbol's code; 0 for symbols that do not occur. One symbol alone has length 1.
-    InvalidArgument if the lengths do not make a complete prefix code of at most 24 bits.
+    `lengths`, uint8 [n]: bits of each symbol's code; 0 for symbols that do not occur. One symbol alone has
+    length 1. InvalidArgument if the lengths do not make a complete prefix code of at most 24 bits.
     """
 
     lengths: NDArray[np.uint8]
@@ -64,27 +66,36 @@ class HuffmanCode:
         count = np.bincount(self.lengths, minlength=LONGEST + 1)
         kraft = sum(int(n) << (LONGEST - bits) for bits, n in enumerate(count[: LONGEST + 1]) if bits)
         present = int(count[1:].sum())
-        if len(count) > LONGEST + 1 or not (kraft == 1 << LONGEST or present == 0 or present == count[1] == 1):
+        if len(count) > LONGEST + 1 or not (
+            kraft == 1 << LONGEST or present == 0 or present == count[1] == 1
+        ):
             raise InvalidArgument("Huffman code", f"lengths {count.tolist()}", "a complete prefix code")
 
     @classmethod
     def from_bytes(cls, data: bytes, symbol_count: int) -> HuffmanCode:
-        """The code whose lengths are told in `data` (`codec.numbers`); CorruptFile or TruncatedFile if none is."""
+        """The code whose lengths are told in `data` (`codec.numbers`); CorruptFile or TruncatedFile if none
+        is.
+        """
         lengths = decode_numbers(data, symbol_count)
         if symbol_count and not 0 <= lengths.min() <= lengths.max() <= LONGEST:
-            raise CorruptFile("Huffman code", f"a length of {lengths.min()} or {lengths.max()} bits", "0 to 24")
+            raise CorruptFile(
+                "Huffman code", f"a length of {lengths.min()} or {lengths.max()} bits", "0 to 24"
+            )
         try:
             return cls(lengths.astype(np.uint8))
         except InvalidArgument as error:
-            raise CorruptFile("Huffman code", error.found, error.expected, "The file was changed or cut.") from None
+            raise CorruptFile(
+                "Huffman code", error.found, error.expected, "The file was changed or cut."
+            ) from None
 
     @cached_property
     def tables(self) -> tuple[Int64s, Int64s, NDArray[np.uint16]]:
         """Tables that tell canonical codes.
 
-        `limits`, int64 [25], by length: the least code of 24 bits that begins with none of that length or less;
-        `ranks`, int64 [25], by length: what is added to a code to have its place in `order`; and `order`, uint16
-        [any]: the symbols that occur, in the order of their codes, shorter first, by symbol within a length.
+        `limits`, int64 [25], by length: the least code of 24 bits that begins with none of that length or
+        less; `ranks`, int64 [25], by length: what is added to a code to have its place in `order`; and
+        `order`, uint16 [any]: the symbols that occur, in the order of their codes, shorter first, by symbol
+        within a length.
         """
         limits, ranks = np.zeros((2, LONGEST + 1), np.int64)
         code = place = 0
@@ -136,7 +147,9 @@ class FrameSymbols:
 def rebuilt(
     grid: Grid, symbols: FrameSymbols, levels_n: Float32s, codebook: Codebook, previous: ForceField | None
 ) -> ForceField:
-    """One frame from its symbols, its amplitude levels and the decoded frame before; all arithmetic is of float32."""
+    """One frame from its symbols, its amplitude levels and the decoded frame before; all arithmetic is of
+    float32.
+    """
     slots = raster_slots(symbols.bricks, symbols.mask)
     values = levels_n[symbols.levels][:, None] * codebook.vertices_float32[symbols.directions]
     forces = zero_forces(len(symbols.bricks))
@@ -229,7 +242,9 @@ class BodyReader(SegmentReader):
     def symbols(self, frame: FrameParts) -> FrameSymbols:
         """The symbols of a frame, read after those of the frames before it."""
         kind, (amplitudes, directions), tables = frame.kind, frame.streams, self._set(frame.kind)
-        bricks, mask = decode_support(frame.support, self._grid, self._before if kind == FrameKind.INTER else None)
+        bricks, mask = decode_support(
+            frame.support, self._grid, self._before if kind == FrameKind.INTER else None
+        )
         sent, levels = decode_symbols(tables.amplitude_code, amplitudes, int(mask.sum()), len(tables.levels))
         _, places = decode_symbols(tables.direction_code, directions, len(levels), len(self._codebook))
         if kind != FrameKind.DIFFERENCE:

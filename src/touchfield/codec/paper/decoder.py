@@ -1,15 +1,16 @@
 """The decoder of the paper's coder (figure 4): segments to fields.
 
-Stages stand in place of levels and directions: predictive, spectral and run-length coding of a field. The paper names
-them (sections 2 and 4.3) and tells none. Each takes the components of the supported samples in uniform steps, frame
-by frame, and makes whole numbers of them, which `codec.support.encode_numbers` codes:
+Stages stand in place of levels and directions: predictive, spectral and run-length coding of a field. The
+paper names them (sections 2 and 4.3) and tells none. Each takes the components of the supported samples in
+uniform steps, frame by frame, and makes whole numbers of them, which `codec.support.encode_numbers` codes:
 
-* ``dpcm``: the difference to the sample before, z fastest, so that it is the neighbour in depth where there is one.
-* ``adpcm``: two weights predict the next sample and follow the signal, and the step grows where differences are
-  large and shrinks again (Jayant), up to four times the finest (`kernels.adpcm`).
+* ``dpcm``: the difference to the sample before, z fastest, so that it is the neighbour in depth where there
+  is one.
+* ``adpcm``: two weights predict the next sample and follow the signal, and the step grows where differences
+  are large and shrinks again (Jayant), up to four times the finest (`kernels.adpcm`).
 * ``wavelet``: LeGall's 5/3 by whole-number lifting, as in JPEG 2000, three levels on each brick; exact.
-* ``dct``: the orthonormal DCT (type 2) on each brick, its coefficients in uniform steps. Back it goes in fixed
-  point: 18 bits of cosine, 8 bits below a step, so that every machine has the same forces.
+* ``dct``: the orthonormal DCT (type 2) on each brick, its coefficients in uniform steps. Back it goes in
+  fixed point: 18 bits of cosine, 8 bits below a step, so that every machine has the same forces.
 * ``runs``: vectors, each with how many of the next are equal to it.
 
 What lies in a brick beside the support is known to be none, so a transform may make of it what it likes.
@@ -82,7 +83,9 @@ class StageReader(SegmentReader):
 
 
 def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
-    """Supported samples in the order of `slots`, int64 [L, 3]; `known`: number of bricks, slots, number of runs."""
+    """Supported samples in the order of `slots`, int64 [L, 3]; `known`: number of bricks, slots, number of
+    runs.
+    """
     brick_count, slots, runs = known
     if stage == "runs":
         numbers = decode_numbers(data, 4 * runs)
@@ -96,7 +99,9 @@ def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
         for component in range(3):
             bricks = np.empty((brick_count, BRICK**3), np.int64)
             bricks[:, ORDER] = coefficients[component].T
-            made[:, component] = from_bricks(stage, bricks.reshape(-1, BRICK, BRICK, BRICK)).reshape(-1)[slots]
+            made[:, component] = from_bricks(stage, bricks.reshape(-1, BRICK, BRICK, BRICK)).reshape(-1)[
+                slots
+            ]
         return made
     residuals = decode_numbers(data, 3 * len(slots)).reshape(3, -1)
     if stage == "dpcm":
@@ -167,7 +172,11 @@ class PaperDecoder:
         """Stable keys for people and programs."""
         if self._called in PARTS:
             return {"stage": self._called}
-        return {"stage": "none", "directions": self._called, "direction_count": len(Codebook.get(self._called))}
+        return {
+            "stage": "none",
+            "directions": self._called,
+            "direction_count": len(Codebook.get(self._called)),
+        }
 
     def _reader(self, body: bytes) -> SegmentReader:
         if self._called in PARTS:

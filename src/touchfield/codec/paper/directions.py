@@ -1,11 +1,11 @@
 """Direction codebooks: the vertices of subdivided polyhedra (paper section 4.2, eq. 7, figures 3 and 8).
 
-The paper quantises a direction to the vertex of a "concentric tessellated icosahedron" that is most likely, which
-is the one with the largest dot product: so under any noise that depends on the angle alone.
+The paper quantises a direction to the vertex of a "concentric tessellated icosahedron" that is most likely,
+which is the one with the largest dot product: so under any noise that depends on the angle alone.
 
-Departures. 92 is an icosahedral number, but 258 is none: it is an octahedron whose triangles are split in four three
-times. Both are here, `ico3` and `octa3`; the default is `ico5`, 252 vertices, which cost one bit less than 258 when
-written plainly and cover better.
+Departures. 92 is an icosahedral number, but 258 is none: it is an octahedron whose triangles are split in
+four three times. Both are here, `ico3` and `octa3`; the default is `ico5`, 252 vertices, which cost one bit
+less than 258 when written plainly and cover better.
 
 ============== ================================== ==========================================================
 name           vertices                           is
@@ -15,13 +15,13 @@ octa1 .. octa5 4^(f+1) + 2: 18, 66, 258, ... 4098 octahedron, split in four f ti
 ============== ================================== ==========================================================
 
 "Equal angle" places a vertex at sum_i sin(w b_i) v_i, normalised, with w the angle of an edge and b_i the
-barycentric coordinates. All coordinates come from + - * / and the square root alone, and are rounded to multiples
-of 2^-40, so that every machine has the same codebook. The order is ascending in x, then y, then z.
+barycentric coordinates. All coordinates come from + - * / and the square root alone, and are rounded to
+multiples of 2^-40, so that every machine has the same codebook. The order is ascending in x, then y, then z.
 
-The paper models the direction mask as Delta_V = k |dx| with dx the difference of two forces, which is empty: every
-difference exceeds it. Corrected: Delta_V = k |x|; two forces of equal amplitude at an angle theta differ by the chord
-2 sin(theta / 2) |x|. Eq. 7's nearest codeword {r_i g_j} has the level nearest to |x| cos(theta), not to |x|;
-quantising |x| itself keeps the amplitude's mask, and is what the coder does.
+The paper models the direction mask as Delta_V = k |dx| with dx the difference of two forces, which is empty:
+every difference exceeds it. Corrected: Delta_V = k |x|; two forces of equal amplitude at an angle theta
+differ by the chord 2 sin(theta / 2) |x|. Eq. 7's nearest codeword {r_i g_j} has the level nearest to |x|
+cos(theta), not to |x|; quantising |x| itself keeps the amplitude's mask, and is what the coder does.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ class Codebook:
         """The codebook of that name, as the table above lists them; InvalidArgument if there is none."""
         if name not in codebook_names():
             raise InvalidArgument("directions", repr(name), "one of ico1 to ico20, octa1 to octa5")
-        corners = _split_octahedron(int(name[4:])) if name.startswith("octa") else _split_icosahedron(int(name[3:]))
+        corners = (
+            _split_octahedron(int(name[4:])) if name.startswith("octa") else _split_icosahedron(int(name[3:]))
+        )
         grains = np.rint(corners.reshape(-1, 3) / _GRAIN).astype(np.int64)
         whole, index = np.unique(grains, axis=0, return_inverse=True)
         vertices: Float64s = whole.astype(np.float64) * _GRAIN
@@ -79,7 +81,9 @@ class Codebook:
 
     @cached_property
     def covering_radius_deg(self) -> float:
-        """Degrees from the centre of the widest triangle to its corners: the farthest that a direction can lie."""
+        """Degrees from the centre of the widest triangle to its corners: the farthest that a direction can
+        lie.
+        """
         a, b, c = (self.vertices[self.faces[:, i]] for i in range(3))
         centre = np.cross(b - a, c - a)
         across = np.linalg.norm(np.cross(centre, a), axis=1)
@@ -155,7 +159,9 @@ def _split_icosahedron(frequency: int) -> Float64s:
 
 
 def _sine(angles: Float64s) -> Float64s:
-    """The sine of angles up to 1.2, by its series: the C library's may differ in the last bit between machines."""
+    """The sine of angles up to 1.2, by its series: the C library's may differ in the last bit between
+    machines.
+    """
     square = angles * angles
     total = np.ones_like(angles)
     for n in range(26, 0, -2):

@@ -2,7 +2,8 @@
 
 source model (voxel) -> perceptual filter (deadband) -> quantise amplitude and direction apart -> difference
 between frames -> entropy code. The device filter came before. Codebooks are trained on the whole segment and
-transmitted; the Huffman codes are made when all its symbols are known. Stages (`decoder`) take the place of all that.
+transmitted; the Huffman codes are made when all its symbols are known. Stages (`decoder`) take the place of
+all that.
 """
 
 from __future__ import annotations
@@ -67,8 +68,8 @@ class PaperEncoder:
     def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
         """Code one independent group of frames, at least one.
 
-        InvalidArgument if a force is not finite, or (of no stage) an amplitude is beyond the 10^6 N that a file may
-        hold.
+        InvalidArgument if a force is not finite, or (of no stage) an amplitude is beyond the 10^6 N that a
+        file may hold.
         """
         spec = self._spec
         for i, frame in enumerate(frames):
@@ -132,14 +133,17 @@ class _Coder:
     def _closed_loop(self, frame: ForceField) -> FrameSymbols:
         assert self.decoded is not None
         before, vectors = self.coded[-1], frame.vectors_n()
-        reference = self.decoded.forces_at(brick_keys(self.grid, frame.bricks)).reshape(-1, 3)[frame.raster_slots()]
+        reference = self.decoded.forces_at(brick_keys(self.grid, frame.bricks)).reshape(-1, 3)[
+            frame.raster_slots()
+        ]
         sent = np.ones(len(vectors), bool)
         if self.spec.deadband != "none":
             sent = gate_in_time(vectors, reference, self.spec.k)
         difference = (vectors - reference)[sent]
         amplitudes = amplitudes_n(difference)
         if INTER_SET not in self.levels:
-            # what this frame sends corrects the quantiser too; what later ones send is known from the originals
+            # what this frame sends corrects the quantiser too; what later ones send is known from the
+            # originals
             later = _changes_n(self.spec, self.segment[1:])
             self.levels[INTER_SET] = _fitted(self.spec, np.concatenate([amplitudes, later]))
         levels = self.levels[INTER_SET].encode(amplitudes)
@@ -200,7 +204,9 @@ _LONGEST_RUN = (1 << RUN_SYMBOLS) - 1
 
 
 def fitted_code(counts: Int64s) -> HuffmanCode:
-    """Huffman's code for symbols that occur `counts` times, int64 [n]; more alike where it had more than 24 bits."""
+    """Huffman's code for symbols that occur `counts` times, int64 [n]; more alike where it had more than 24
+    bits.
+    """
     lengths = np.zeros(len(counts), np.uint8)
     present = np.flatnonzero(counts)
     weights = np.asarray(counts)[present]
@@ -231,7 +237,8 @@ def _depths(weights: list[int]) -> list[int]:
 def pack_runs(
     sent: Bools, levels: NDArray[np.uint16], level_count: int, *, single: bool
 ) -> tuple[Int64s, Int64s, Int64s]:
-    """The symbols of the samples bool [L], with the raw bits behind each: symbols, values, and numbers of bits.
+    """The symbols of the samples bool [L], with the raw bits behind each: symbols, values, and numbers of
+    bits.
 
     `levels` are those of the sent samples; with `single` each held sample is a symbol of its own.
     """
@@ -260,7 +267,11 @@ def encode_symbols(
 
 
 def write_body(
-    direction_count: int, levels: Mapping[int, AmplitudeLevels], frames: Sequence[FrameSymbols], *, single_holds: bool
+    direction_count: int,
+    levels: Mapping[int, AmplitudeLevels],
+    frames: Sequence[FrameSymbols],
+    *,
+    single_holds: bool,
 ) -> CodedSegment:
     """The body of a segment, and what each frame cost; `levels` are by `INTRA_SET` and `INTER_SET`."""
     kinds, tables, packed = 0, b"", {}
@@ -273,7 +284,9 @@ def write_body(
         amplitude_counts = np.zeros(len(chosen) + RUN_SYMBOLS, np.int64)
         direction_counts = np.zeros(direction_count, np.int64)
         for symbols in mine:
-            streams = packed[id(symbols)] = pack_runs(symbols.sent, symbols.levels, len(chosen), single=single_holds)
+            streams = packed[id(symbols)] = pack_runs(
+                symbols.sent, symbols.levels, len(chosen), single=single_holds
+            )
             amplitude_counts += np.bincount(streams[0], minlength=len(amplitude_counts))
             direction_counts += np.bincount(symbols.directions, minlength=direction_count)
         if chosen.levels_n.max(initial=0.0) > MOST_NEWTONS:  # of differences, which are up to twice a force
@@ -341,11 +354,15 @@ def _numbers(frame: ForceField, stage: str, step_n: float) -> tuple[Int64s, int]
 
 
 def _points(steps: Float64s) -> Int64s:
-    return np.rint(np.clip(steps, -float(1 << 40), float(1 << 40))).astype(np.int64)  # too large is told later
+    return np.rint(np.clip(steps, -float(1 << 40), float(1 << 40))).astype(
+        np.int64
+    )  # too large is told later
 
 
 def _filled(frame: ForceField) -> Float64s:
-    """Forces [n, 8, 8, 8, 3], those beside the support chosen smooth: the brick's mean, then means of neighbours."""
+    """Forces [n, 8, 8, 8, 3], those beside the support chosen smooth: the brick's mean, then means of
+    neighbours.
+    """
     held = frame.mask[..., None]
     x = frame.forces_n.astype(np.float64)
     mean = x.sum(axis=(1, 2, 3)) / np.maximum(frame.mask.sum(axis=(1, 2, 3)), 1)[:, None]

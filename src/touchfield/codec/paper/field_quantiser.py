@@ -1,16 +1,19 @@
-"""Q of the measures: a force vector becomes one symbol (paper section 3.1; theory: "every entropy must state Q").
+"""Q of the measures: a force vector becomes one symbol (paper section 3.1; theory: "every entropy must state
+Q").
 
 In words such as a command line takes:
 
 * ``AMPLITUDE:NUMBER/DIRECTIONS``: an amplitude quantiser of the coder (``weber:0.1``, the Weber fraction;
-  ``uniform:0.05``, the step in newtons; ``lloyd-max:6``, bits) times a direction codebook (``ico5`` if none is named,
-  ``none`` for the amplitude alone). The symbol is the pair.
-* ``components:0.05``: each component in uniform steps of so many newtons (eq. 6, one Delta). The symbol is the
-  triple.
-* ``weber-components:0.1/31``: each signed component on a Weber ladder of k and so many levels to each side, the last
-  of which ends at F_max (paper table 1: three times six bits). The symbol is the triple. Where every component is
-  beyond F_min the error is within k |F|; one below becomes zero, and up to sqrt(3) F_min is lost.
-* ``distinct``: nothing is quantised; every different vector of the fields is a symbol. For fields that were decoded.
+  ``uniform:0.05``, the step in newtons; ``lloyd-max:6``, bits) times a direction codebook (``ico5`` if none
+  is named, ``none`` for the amplitude alone). The symbol is the pair.
+* ``components:0.05``: each component in uniform steps of so many newtons (eq. 6, one Delta). The symbol is
+  the triple.
+* ``weber-components:0.1/31``: each signed component on a Weber ladder of k and so many levels to each side,
+  the last of which ends at F_max (paper table 1: three times six bits). The symbol is the triple. Where every
+  component is beyond F_min the error is within k |F|; one below becomes zero, and up to sqrt(3) F_min is
+  lost.
+* ``distinct``: nothing is quantised; every different vector of the fields is a symbol. For fields that were
+  decoded.
 
 Symbol 0 is "no force": where the amplitude falls into the zero bin, too.
 """
@@ -84,12 +87,15 @@ class FieldQuantiser(ABC):
         return self._symbols(vectors_n)
 
     def vectors_of(self, symbols: Int32s) -> Float32s:
-        """The codewords of symbols [m], newtons, float32 [m, 3]: the inverse of `symbols_of` but for what Q lost.
+        """The codewords of symbols [m], newtons, float32 [m, 3]: the inverse of `symbols_of` but for what Q
+        lost.
 
         InvalidArgument if the quantiser keeps no direction, or there is no such symbol.
         """
         if len(symbols) and not 0 <= symbols.min() <= symbols.max() < self.alphabet:
-            raise InvalidArgument("symbols", f"{symbols.min()} to {symbols.max()}", f"0 to {self.alphabet - 1}")
+            raise InvalidArgument(
+                "symbols", f"{symbols.min()} to {symbols.max()}", f"0 to {self.alphabet - 1}"
+            )
         return self._vectors(symbols)
 
 
@@ -189,10 +195,11 @@ def _packed(vectors_n: Float32s) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class FieldQuantiserSpec:
-    """A quantiser as it is asked for, in the parts of its words; InvalidArgument if one is unknown or out of range.
+    """A quantiser as it is asked for, in the parts of its words; InvalidArgument if one is unknown or out of
+    range.
 
-    `number` is k, a step in newtons or n_q, as the form has it; `directions` a codebook or "none"; `levels` are those
-    of "weber-components" to each side of zero.
+    `number` is k, a step in newtons or n_q, as the form has it; `directions` a codebook or "none"; `levels`
+    are those of "weber-components" to each side of zero.
     """
 
     form: str = "weber"
@@ -212,12 +219,16 @@ class FieldQuantiserSpec:
 
     @classmethod
     def parse(cls, text: str) -> FieldQuantiserSpec:
-        """From words such as ``weber:0.1``, ``lloyd-max:6/octa3``, ``uniform:0.05/none``, ``components:0.02``."""
+        """From words such as ``weber:0.1``, ``lloyd-max:6/octa3``, ``uniform:0.05/none``,
+        ``components:0.02``.
+        """
         if text == "distinct":
             return cls(text, 0.0, "none")
         amplitude, slash, beside = text.partition("/")
         form, _, number = amplitude.partition(":")
-        takes = {"components": not slash, "weber-components": beside.isdecimal()}.get(form, not slash or beside)
+        takes = {"components": not slash, "weber-components": beside.isdecimal()}.get(
+            form, not slash or beside
+        )
         value = math.nan
         with suppress(ValueError):
             value = float(number) if takes else math.nan
@@ -279,7 +290,9 @@ class FieldQuantiserSpec:
         if self.form == "components":
             if len(levels) - 1 > MOST_LEVELS:
                 found = f"{len(levels) - 1} steps of {self.number:g} N to {top_n:.3g} N"
-                raise InvalidArgument("quantiser components", found, f"up to {MOST_LEVELS}", "Take a larger step.")
+                raise InvalidArgument(
+                    "quantiser components", found, f"up to {MOST_LEVELS}", "Take a larger step."
+                )
             return Components(self.words, top_n * _SLACK, levels)
         codebook = None if self.directions == "none" else Codebook.get(self.directions)
         return Pairs(self.words, top_n * _SLACK, levels, codebook)

@@ -14,7 +14,8 @@ from touchfield.medium.kernels import first_at_least
 def nearest(begin, end, vectors, vertices, reach, out):
     """Fill uint16 [m] with the first of the vertices [3, n] of largest dot product for finite float32 [m, 3].
 
-    Vertices ascend by x; the nearest of a direction is no farther than `reach`, so that no other x is looked at.
+    Vertices ascend by x; the nearest of a direction is no farther than `reach`, so that no other x is looked
+    at.
     """
     for i in range(begin, end):
         x, y, z = np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
@@ -53,8 +54,8 @@ def pack_bits(values, lengths, out):
 def decode(data, limits, ranks, order, level_count, sent, levels):
     """Read symbols until `sent` bool [L] is full; levels go to uint16 `levels`, runs leave `sent` as it is.
 
-    Behind the end of `data` there are zeros. Returns the bits that were read, or -1 for bits that are no code, more
-    levels than there is room for, or a run beyond the end; and the number of levels.
+    Behind the end of `data` there are zeros. Returns the bits that were read, or -1 for bits that are no
+    code, more levels than there is room for, or a run beyond the end; and the number of levels.
     """
     held = filled = place = used = np.int64(0)
     sample = level = np.int64(0)
@@ -99,10 +100,11 @@ _FAR = 1 << 40
 
 @kernel
 def adpcm(values, residuals, decoding):
-    """ADPCM of one component, int64 [n], in sixteenths: reads `values` and writes `residuals`, or the reverse.
+    """ADPCM of one component, int64 [n], in sixteenths: reads `values` and writes `residuals`, or the
+    reverse.
 
-    Two weights follow the signal by the sign of what they miss (as in G.726), and the step goes up after a residual
-    of 2 or more and down after a 0. ``values`` holds the decoded signal in both cases.
+    Two weights follow the signal by the sign of what they miss (as in G.726), and the step goes up after a
+    residual of 2 or more and down after a 0. ``values`` holds the decoded signal in both cases.
     """
     w0, w1 = np.int64(_ONE), np.int64(0)
     last = before = rung = np.int64(0)
@@ -117,7 +119,9 @@ def adpcm(values, residuals, decoding):
             q = (2 * abs(miss) + step) // (2 * step)
             q = -q if miss < 0 else q
             residuals[i] = q
-        value = min(max(predicted + q * step, np.int64(-_FAR)), np.int64(_FAR))  # only strangers' bytes reach it
+        value = min(
+            max(predicted + q * step, np.int64(-_FAR)), np.int64(_FAR)
+        )  # only strangers' bytes reach it
         values[i] = value
         sign = np.int64(q > 0) - np.int64(q < 0)
         w0 += _NUDGE * sign * (np.int64(last > 0) - np.int64(last < 0))

@@ -1,7 +1,7 @@
 """Amplitude quantisers (paper section 4.2, eq. 6, and section 5.2): levels, and the thresholds between them.
 
-Three ways to levels: Lloyd-Max, trained on samples; the Weber ladder, whose steps grow with the force so that the
-relative error stays within k; and uniform steps.
+Three ways to levels: Lloyd-Max, trained on samples; the Weber ladder, whose steps grow with the force so that
+the relative error stays within k; and uniform steps.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class AmplitudeLevels:
     """A quantiser of amplitudes. InvalidArgument if the levels are no such levels."""
 
     levels_n: Float32s  # [n]; newtons, finite, not negative, strictly ascending, 1 to 65536 of them
-    # [n - 1]; borders of the cells; an amplitude on a border takes the level above it, and one beyond the ends the
-    # nearest. By default the midpoints
+    # [n - 1]; borders of the cells; an amplitude on a border takes the level above it, and one beyond the
+    # ends the nearest. By default the midpoints
     thresholds_n: Float32s | None = None
 
     def __post_init__(self) -> None:
@@ -42,7 +42,9 @@ class AmplitudeLevels:
         if levels.ndim != 1 or not 1 <= len(levels) <= 1 << 16:
             raise InvalidArgument("amplitude levels", f"shape {levels.shape}", "1 to 65536 levels")
         if not np.isfinite(levels).all() or levels[0] < 0 or (levels[1:] <= levels[:-1]).any():
-            raise InvalidArgument("amplitude levels", "levels out of order or range", "finite, ascending, from 0 up")
+            raise InvalidArgument(
+                "amplitude levels", "levels out of order or range", "finite, ascending, from 0 up"
+            )
         thresholds = self.thresholds_n
         if thresholds is None:
             wide = levels.astype(np.float64)
@@ -70,7 +72,9 @@ def _rounded_up(thresholds: Float64s) -> Float32s:
 def _checked(values: NDArray[Any]) -> Float32s:
     amplitudes = np.asarray(values, np.float32)
     if amplitudes.ndim != 1 or not (np.isfinite(amplitudes).all() and amplitudes.min(initial=0.0) >= 0):
-        raise InvalidArgument("amplitudes", "a shape, a sign or a value that none has", "newtons [m], 0 or more")
+        raise InvalidArgument(
+            "amplitudes", "a shape, a sign or a value that none has", "newtons [m], 0 or more"
+        )
     return amplitudes
 
 
@@ -80,10 +84,11 @@ def weber_levels(ladder: WeberLadder) -> AmplitudeLevels:
 
 
 def weber_ladder(k: float, top_n: float, steps: int | None = None) -> WeberLadder:
-    """The ladder of the corrected eq. 6 with Weber fraction k up to `top_n` newtons, 0 where there is no force.
+    """The ladder of the corrected eq. 6 with Weber fraction k up to `top_n` newtons, 0 where there is no
+    force.
 
-    With `steps` exactly so many levels above zero, from the top down: 63 at k = 0.05 span 547:1, 6 bits with the
-    zero. Else as many as k needs from 0.03 N on. InvalidArgument if a number is out of range.
+    With `steps` exactly so many levels above zero, from the top down: 63 at k = 0.05 span 547:1, 6 bits with
+    the zero. Else as many as k needs from 0.03 N on. InvalidArgument if a number is out of range.
     """
     if steps is None:
         return WeberLadder.spanning(k, WEBER_FORCE_MIN_N, max(WEBER_FORCE_MIN_N, top_n))
@@ -91,7 +96,10 @@ def weber_ladder(k: float, top_n: float, steps: int | None = None) -> WeberLadde
     if not (steps >= 1 and steps * rise <= math.log(_WIDEST_SPAN)):
         expected = f"from 1 on, to a span of {_WIDEST_SPAN:g}:1"
         raise InvalidArgument(
-            "Weber ladder", f"{steps} steps at k = {k:g}", expected, "Take fewer bits (--nq) or a smaller --k."
+            "Weber ladder",
+            f"{steps} steps at k = {k:g}",
+            expected,
+            "Take fewer bits (--nq) or a smaller --k.",
         )
     # a hair above the top: rounding must not leave it out
     least = math.exp(math.log(top_n or WEBER_FORCE_MIN_N) - steps * rise) * (1 + _HAIR)
@@ -99,7 +107,9 @@ def weber_ladder(k: float, top_n: float, steps: int | None = None) -> WeberLadde
 
 
 def uniform_levels(step_n: float, top_n: float) -> AmplitudeLevels:
-    """Multiples of a step, as many as `top_n` newtons need. InvalidArgument: more than 65536, or no such step."""
+    """Multiples of a step, as many as `top_n` newtons need. InvalidArgument: more than 65536, or no such
+    step.
+    """
     if not 1e-30 <= step_n <= 1e30:
         raise InvalidArgument("step_n", repr(step_n), "newtons, from 1e-30 to 1e30")
     count = math.floor(min(top_n / step_n, 1e9) + 0.5) + 1
@@ -114,12 +124,14 @@ _TOLERANCE = 1e-6
 
 
 def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
-    """At most 2^nq levels of least mean squared error for samples [m] ("by the Lloyd max algorithm", section 5.2).
+    """At most 2^nq levels of least mean squared error for samples [m] ("by the Lloyd max algorithm", section
+    5.2).
 
-    A local optimum: from a start with as many levels in an interval as the cube root of its density asks for (Panter
-    and Dite), by Lloyd's iteration; each level is the mean of its cell and each threshold midway. Samples of no more
-    different values than levels get exactly these. Weber's law is not known here: how often the result leaves the
-    mask is to be reported beside it. InvalidArgument if `nq` is not 1 to 12, or a sample is no amplitude.
+    A local optimum: from a start with as many levels in an interval as the cube root of its density asks for
+    (Panter and Dite), by Lloyd's iteration; each level is the mean of its cell and each threshold midway.
+    Samples of no more different values than levels get exactly these. Weber's law is not known here: how
+    often the result leaves the mask is to be reported beside it. InvalidArgument if `nq` is not 1 to 12, or a
+    sample is no amplitude.
     """
     if nq != int(nq) or not 1 <= nq <= 12:
         raise InvalidArgument("nq", repr(nq), "1 to 12 bits of amplitude")
@@ -147,7 +159,8 @@ def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
 
 
 def _lloyd(values: Float64s, thresholds: Float64s, count: int) -> tuple[Float64s, Float64s, Float64s]:
-    """Lloyd's iteration on ascending values: number, mean and squared error of each cell's samples, float64 [n].
+    """Lloyd's iteration on ascending values: number, mean and squared error of each cell's samples, float64
+    [n].
 
     Where a cell runs empty, the one with the largest error is split.
     """

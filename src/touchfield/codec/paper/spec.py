@@ -31,28 +31,32 @@ class PaperSpec:
     nq: int = option(6, "bits of amplitude. [default: 6]")
     """n_q: 2^n_q amplitude levels, 1 to 12; of the Weber ladder see `weber_levels`."""
     directions: str = option("auto", "codebook: ico5 (252), octa3 (258), ico3 (92), ico1 to ico20.")
-    """Codebook: ico5 (252 vertices), octa3 (258, the paper's count), ico3 (92), ico1 to ico20; "auto" is ico5 for a
-    point device, and octa1 for an array, whose forces all lie along one axis."""
+    """Codebook: ico5 (252 vertices), octa3 (258, the paper's count), ico3 (92), ico1 to ico20; "auto" is ico5
+    for a point device, and octa1 for an array, whose forces all lie along one axis."""
     amplitude: str = option("lloyd-max", "amplitude quantiser: lloyd-max (default), weber or uniform.")
     """Amplitude quantiser: "lloyd-max" (the paper's), "weber" (the corrected eq. 6) or "uniform"."""
     deadband: str = option("closed", "closed, last-sent, previous, zero or none. [default: closed]")
     """Reading of eq. 8 within a frame: "closed" (the vector against the decoded reference, with the k' that
     guarantees k), "last-sent", "previous" (as printed), "zero" (the zero is written in place), or "none"."""
     interframe: str = option("closed", "closed, open or none. [default: closed]")
-    """Of frames: "closed" (difference to the decoded previous frame), "open" (to the original one, as printed: errors
-    add up), or "none" (every frame alone)."""
+    """Of frames: "closed" (difference to the decoded previous frame), "open" (to the original one, as
+    printed: errors add up), or "none" (every frame alone)."""
     choose_by_size: bool = True
-    """Each frame alone or as a difference, whichever is smaller; the literal coder always takes the difference."""
+    """Each frame alone or as a difference, whichever is smaller; the literal coder always takes the
+    difference.
+    """
     hold_runs: bool = True
     """Held samples are coded in runs; the literal coder writes one zero symbol for each."""
     segment_frames: int = option(8, "frames in an independent segment. [default: 8]")
     """Frames in an independent segment, 1 to 4096."""
     weber_levels: str = "auto"
-    """Of the Weber ladder: "needed" (as many as k needs from F_min on), "full" (2^n_q with the zero, from the largest
-    force down: with n_q = 6 the 6 bits a sample of table 2), or "auto" (full for an array, needed for a point)."""
+    """Of the Weber ladder: "needed" (as many as k needs from F_min on), "full" (2^n_q with the zero, from the
+    largest force down: with n_q = 6 the 6 bits a sample of table 2), or "auto" (full for an array, needed for
+    a point)."""
     stage: str = option("none", "dpcm, adpcm, dct, wavelet or runs in place of all these. [default: none]")
-    """What figure 4 names in place of deadband, levels, directions and differences: "dpcm", "adpcm" (predictive),
-    "dct", "wavelet" (spectral) or "runs" (run-length) of components in uniform steps, each frame alone."""
+    """What figure 4 names in place of deadband, levels, directions and differences: "dpcm", "adpcm"
+    (predictive), "dct", "wavelet" (spectral) or "runs" (run-length) of components in uniform steps, each
+    frame alone."""
     step_n: float = option(0.05, "with --stage: its step, newtons. [default: 0.05]")
     """Of a stage: the step, newtons, 1e-9 to 1e6."""
 
@@ -102,7 +106,10 @@ CODER = Coder(
     encoder="touchfield.codec.paper.encoder:PaperEncoder",
     decoder="touchfield.codec.paper.decoder:PaperDecoder",
     spec=PaperSpec,
-    makers={"paper": lambda asked: PaperSpec(**asked), "paper-literal": lambda asked: PaperSpec.literal(**asked)},
+    makers={
+        "paper": lambda asked: PaperSpec(**asked),
+        "paper-literal": lambda asked: PaperSpec.literal(**asked),
+    },
     resolve=PaperSpec.for_device,
     summary=lambda spec: {"stage": spec.stage} if spec.stage != "none" else {},
     has_codewords=True,

@@ -1,7 +1,7 @@
 """How the coder `touch` lays a segment out in bytes, and `HEAD.coder_parameters`.
 
-Voxels that a frame model left beyond the promise are sent apart: float32, exactly as they were. Departure from the
-paper, which has no escape: single voxels in 10^5 would break the mask by accumulated rounding.
+Voxels that a frame model left beyond the promise are sent apart: float32, exactly as they were. Departure
+from the paper, which has no escape: single voxels in 10^5 would break the mask by accumulated rounding.
 """
 
 from __future__ import annotations
@@ -66,15 +66,17 @@ class FrameRecord:
         support = payload * self.shares[0] // 255
         amplitude = payload * self.shares[1] // 255
         models = 8 * len(self.guess)
-        bits = BitAccount(support, amplitude, payload - support - amplitude, total - payload - models, models=models)
+        bits = BitAccount(
+            support, amplitude, payload - support - amplitude, total - payload - models, models=models
+        )
         return FrameCost(FrameKind(self.inter), bits)
 
 
 def shares_of(bits: tuple[float, float, float]) -> tuple[int, int]:
     """Support and amplitude of the bits of support, amplitude and direction, 1/255.
 
-    For people only, so nothing is refused: prices are estimates, and in a payload of a few bytes they may add up to
-    more bits than it has, which leaves less than none for one of the three.
+    For people only, so nothing is refused: prices are estimates, and in a payload of a few bytes they may add
+    up to more bits than it has, which leaves less than none for one of the three.
     """
     total = sum(bits)
     if not 0 < total < math.inf:
@@ -94,7 +96,9 @@ def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], worst: W
 
 
 class BodyReader:
-    """Reads a segment's body from front to back; CorruptFile or TruncatedFile for other bytes than the encoder's."""
+    """Reads a segment's body from front to back; CorruptFile or TruncatedFile for other bytes than the
+    encoder's.
+    """
 
     def __init__(self, body: bytes, grid: Grid, *, exact: bool) -> None:
         self._parts, self._exact = Parts(body), exact
@@ -143,7 +147,9 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
     if len(data) < 2:
         raise CorruptFile(where, f"{len(data)} bytes", "2 or more")
     if data[0] != _VERSION:
-        raise UnsupportedVersion(where, f"version {data[0]}", f"version {_VERSION}", "A newer touchfield reads it.")
+        raise UnsupportedVersion(
+            where, f"version {data[0]}", f"version {_VERSION}", "A newer touchfield reads it."
+        )
     mode, support, effort, masking = data[1] & 3, data[1] >> 2 & 1, data[1] >> 3 & 3, data[1] >> 5
     if effort > 2 or masking > (mode == 0):
         expected = "an effort of 0 to 2, and masking in mode 0 only"

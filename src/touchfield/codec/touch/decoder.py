@@ -19,8 +19,8 @@ NAME: Final = "touch"
 class TouchDecoder:
     """Decodes segments of one stream; any number of threads may use it at once.
 
-    `parameters` are `HEAD.coder_parameters`, or what `where` calls them; CorruptFile or UnsupportedVersion for
-    others.
+    `parameters` are `HEAD.coder_parameters`, or what `where` calls them; CorruptFile or UnsupportedVersion
+    for others.
     """
 
     name = NAME
@@ -63,7 +63,9 @@ class TouchDecoder:
 
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        return {name: getattr(self.spec, name) for name in ("mode", "effort", "support", *numbers_of(self.spec))}
+        return {
+            name: getattr(self.spec, name) for name in ("mode", "effort", "support", *numbers_of(self.spec))
+        }
 
     def _reader(self, body: bytes) -> BodyReader:
         return BodyReader(body, self._grid, exact=self.spec.mode == "lossless")

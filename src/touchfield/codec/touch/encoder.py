@@ -1,9 +1,10 @@
-"""Encoder of the coder `touch`: frames to the body of a segment, which is written only when it keeps its promise.
+"""Encoder of the coder `touch`: frames to the body of a segment, which is written only when it keeps its
+promise.
 
 Each frame is coded in closed loop by the ways that `frame_encoder` tries; every voxel of what a decoder
-makes of it is compared with the original, and what is beyond the promise is sent apart. Then the finished body is
-decoded as any receiver would, and compared once more. In the exact mode levels and a codebook are searched for of
-which all forces are products.
+makes of it is compared with the original, and what is beyond the promise is sent apart. Then the finished
+body is decoded as any receiver would, and compared once more. In the exact mode levels and a codebook are
+searched for of which all forces are products.
 """
 
 from __future__ import annotations
@@ -30,7 +31,15 @@ from touchfield.codec.touch.body import (
     write_parameters,
 )
 from touchfield.codec.touch.decoder import NAME, TouchDecoder
-from touchfield.codec.touch.frame import AS_THEY_ARE, BRICK_COUNTS, Palette, Told, components, frame_of, models_after
+from touchfield.codec.touch.frame import (
+    AS_THEY_ARE,
+    BRICK_COUNTS,
+    Palette,
+    Told,
+    components,
+    frame_of,
+    models_after,
+)
 from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
 from touchfield.codec.touch.kernels import exact as kernels
 from touchfield.codec.touch.lattice import MOST_NEWTONS, Lattice
@@ -61,9 +70,10 @@ class TouchEncoder:
         """Code frames, at least one, as an independent segment.
 
         Where `longest_n` is given, which no force of any frame is longer than, frames are coded as they come.
-        `anchor` is a field near the first frame, to be coded in its place: segments of a world that stands, which
-        share one, begin with the same bytes, and so with the same forces. The promise is about the frames all the
-        same. InvalidArgument if a force is NaN, infinite or beyond 2^120 N, or a frame has another grid.
+        `anchor` is a field near the first frame, to be coded in its place: segments of a world that stands,
+        which share one, begin with the same bytes, and so with the same forces. The promise is about the
+        frames all the same. InvalidArgument if a force is NaN, infinite or beyond 2^120 N, or a frame has
+        another grid.
         """
         came: list[ForceField] = []
         if longest_n is None or self._spec.mode == "lossless":
@@ -74,7 +84,9 @@ class TouchEncoder:
             coded_runs = [(i > 0, *coded) for run in runs for i, coded in enumerate(encode_exact(run))]
             exact = [FrameRecord(inter, b"", payload, shares_of(bits)) for inter, payload, bits in coded_runs]
             return self._sealed(came, None, exact, None)
-        if anchor is not None:  # its unit, if that will do: segments that share an anchor shall share the lattice
+        if (
+            anchor is not None
+        ):  # its unit, if that will do: segments that share an anchor shall share the lattice
             mine = self._longest_n(0, anchor)
             longest_n = longest_n if longest_n > 1.01 * mine else mine
         lattice = lattice_for(self._spec, longest_n)
@@ -84,7 +96,9 @@ class TouchEncoder:
             self._longest_n(i, frame)
             came.append(frame)
             hidden_n, taken = hidden_of(frame, self._spec), frame if i or anchor is None else anchor
-            coded, inter, guess = chooser.add(taken, hidden_n if taken is frame else hidden_of(taken, self._spec))
+            coded, inter, guess = chooser.add(
+                taken, hidden_n if taken is frame else hidden_of(taken, self._spec)
+            )
             field = coded.decoded.field(self._grid, lattice.unit_n)
             result = compared(frame, field, self._spec, hidden_n=hidden_n)
             apart = exceptions_of(frame, result.keys, result.places)
@@ -99,9 +113,10 @@ class TouchEncoder:
     ) -> CodedSegment:
         """A segment in which some samples of each frame are exact, whatever else it lost there.
 
-        `frames` are those that were coded. `samples`: numbers of each frame's, int64 [m], 512 times the key of the
-        brick plus the sample within it. They are sent as the outliers of the frames, which predict nothing, so that
-        all else decodes as before. InvalidArgument in mode "lossless", in which every sample is exact.
+        `frames` are those that were coded. `samples`: numbers of each frame's, int64 [m], 512 times the key
+        of the brick plus the sample within it. They are sent as the outliers of the frames, which predict
+        nothing, so that all else decodes as before. InvalidArgument in mode "lossless", in which every sample
+        is exact.
         """
         if self._spec.mode == "lossless":
             raise InvalidArgument("exact samples", "them in mode lossless", "a mode that loses something")
@@ -114,7 +129,9 @@ class TouchEncoder:
         return self._sealed(frames, reader.lattice, records, None)
 
     def anchor(self, frame: ForceField, before: ForceField | None) -> ForceField:
-        """The anchor before, where no force differs by more than a small share of the mask, or else this frame."""
+        """The anchor before, where no force differs by more than a small share of the mask, or else this
+        frame.
+        """
         if before is None or self._spec.mode not in ("mask", "mask-direction") or frame.grid != before.grid:
             return frame
         k, f0_n = max(_STANDING * self._spec.k, 0.001), _STANDING * self._spec.f0_n
@@ -128,7 +145,9 @@ class TouchEncoder:
         vectors = frame.forces_n.reshape(-1, 3)
         longest_n = math.sqrt(np.einsum("ni,ni->n", vectors, vectors, dtype=np.float64).max(initial=0.0))
         if not longest_n <= MOST_NEWTONS:  # NaN is not, either
-            raise InvalidArgument(f"frame {index}", f"a force of {longest_n:.3g} N", "finite newtons, 2^120 at most")
+            raise InvalidArgument(
+                f"frame {index}", f"a force of {longest_n:.3g} N", "finite newtons, 2^120 at most"
+            )
         return longest_n
 
     def _sealed(
@@ -148,7 +167,9 @@ class TouchEncoder:
         frame = max(range(len(results)), key=lambda i: results[i].worst)
         worst = Worst(min(results[frame].worst, 1.0), frame, results[frame].voxel)
         costs = (record.cost for record in records)
-        stats = (FrameStats(c.kind, c.bits, f.decoded, f.decoded) for c, f in zip(costs, results, strict=True))
+        stats = (
+            FrameStats(c.kind, c.bits, f.decoded, f.decoded) for c, f in zip(costs, results, strict=True)
+        )
         known = None if self._spec.mode == "nmse" else worst
         return CodedSegment(write_body(lattice, records, known), tuple(stats), known)
 
@@ -161,8 +182,8 @@ _MOST_LEVELS: Final = (1 << 16) - 1
 def encode_exact(frames: Sequence[ForceField]) -> Iterator[tuple[bytes, _Shares]]:
     """Code frames to the bit, each after the one before.
 
-    `frames`: at least one; all on one grid, and finite. A sample whose three components are all 0.0 holds no force;
-    one of -0.0 does. Yields payloads, and the bits of support, amplitude and direction
+    `frames`: at least one; all on one grid, and finite. A sample whose three components are all 0.0 holds no
+    force; one of -0.0 does. Yields payloads, and the bits of support, amplitude and direction
     (of components that are told as they are, the first is the amplitude).
     """
     every, before = _products(frames), None

@@ -1,13 +1,14 @@
 """Frames of the coder `touch`: the course of a scan, what both sides know before a frame, and its decoding.
 
-Bricks are walked from deep to shallow: axis 0 of a scan is the slowest, and along each axis it goes the way that the
-force points. In its coordinates components are turned and signed alike, so that nothing else knows of axes. The bytes
-of a frame: the course, a byte; what a force loses along each axis, three varints; then one arithmetic code of the
-list of bricks and of the bricks (`kernels.decode_pass`).
+Bricks are walked from deep to shallow: axis 0 of a scan is the slowest, and along each axis it goes the way
+that the force points. In its coordinates components are turned and signed alike, so that nothing else knows
+of axes. The bytes of a frame: the course, a byte; what a force loses along each axis, three varints; then one
+arithmetic code of the list of bricks and of the bricks (`kernels.decode_pass`).
 
-The exact mode keeps a field that is quantised already to the bit of each float32 (docs/format/touch-exact.md). A
-force is a few symbols, its planes: a level and a vertex of a direction codebook, whose float32 product it is, as the
-coder `paper` makes them; or its components as they are. A frame after another goes on with what that has taught.
+The exact mode keeps a field that is quantised already to the bit of each float32
+(docs/format/touch-exact.md). A force is a few symbols, its planes: a level and a vertex of a direction
+codebook, whose float32 product it is, as the coder `paper` makes them; or its components as they are. A frame
+after another goes on with what that has taught.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class Course:
     """The course of a scan over the bricks of a grid."""
 
     grid: Grid
-    code: int  # the axis of the grid that is the slowest of the scan, and 4, 8, 16 where axes 0, 1, 2 of it run down
+    # the axis of the grid that is the slowest of the scan, and 4, 8, 16 where axes 0, 1, 2 of it run down
+    code: int
 
     @property
     def axes(self) -> Int64s:
@@ -57,7 +59,9 @@ class Course:
         return self.code & np.array([4, 8, 16]) > 0
 
     def order(self, bricks: Int32s) -> tuple[Int64s, Int64s]:
-        """Bricks of the grid in the scan's coordinates, int64 [n, 3] in scan order, and which each of them is."""
+        """Bricks of the grid in the scan's coordinates, int64 [n, 3] in scan order, and which each of them
+        is.
+        """
         axes = self.axes
         turned = bricks[:, axes].astype(np.int64)
         last = np.array(self.grid.brick_shape, np.int64)[axes] - 1
@@ -66,7 +70,9 @@ class Course:
         return turned[order], order.astype(np.int64)
 
     def turned(self, vectors: NDArray[Any], slots: Int64s, scale: float = 1.0) -> NDArray[Any]:
-        """Vectors [n, 8, 8, 8, 3] of the grid as [n, 512, 3] of the scan: int32 stay whole, floats become float64."""
+        """Vectors [n, 8, 8, 8, 3] of the grid as [n, 512, 3] of the scan: int32 stay whole, floats become
+        float64.
+        """
         kind, axes = np.int32 if vectors.dtype == np.int32 else np.float64, np.argsort(self.axes)
         out, flat = np.empty((len(slots), _SAMPLES, 3), kind), vectors.reshape(-1, _SAMPLES, 3)
         kernels.turned(flat, np.argsort(slots), axes, self.down[axes], kind(scale), out)
@@ -91,9 +97,14 @@ class Course:
             known, around = np.zeros((1, _SAMPLES, 4), np.int32), np.zeros((0, 27), np.int64)
         else:
             theirs, slots = self.order(reference.bricks)
-            known, around = np.empty((len(theirs), _SAMPLES, 4), np.int32), slots_around(bricks, theirs, count)
+            known, around = (
+                np.empty((len(theirs), _SAMPLES, 4), np.int32),
+                slots_around(bricks, theirs, count),
+            )
             vectors = known[..., :3] = self.turned(reference.vectors, slots)
-            known[..., 3] = np.sqrt(np.einsum("nik,nik->ni", vectors, vectors, dtype=np.float64))  # exact, see `root`
+            known[..., 3] = np.sqrt(
+                np.einsum("nik,nik->ni", vectors, vectors, dtype=np.float64)
+            )  # exact, see `root`
         cells = np.zeros((len(bricks), _SAMPLES, 8), np.int32)
         return Scan(slots_around(bricks, bricks, count, 13), around, low, high, known, cells)
 
@@ -182,7 +193,9 @@ class Palette(NamedTuple):
             raise TruncatedFile(_EXACT, f"{len(data)} bytes", f"{end} bytes of a palette, or more")
         levels = np.frombuffer(data[3:end], "<f4").astype(np.float32)
         if data[0] > len(codebook_names()) or end == 3 or not np.isfinite(levels).all():
-            raise CorruptFile(_EXACT, f"codebook {data[0]} of {len(levels)} levels", "finite levels of a codebook")
+            raise CorruptFile(
+                _EXACT, f"codebook {data[0]} of {len(levels)} levels", "finite levels of a codebook"
+            )
         return cls(data[0], levels), data[end:]
 
 
@@ -198,7 +211,9 @@ class Told(NamedTuple):
     models: Models
 
 
-BRICK_COUNTS: Final = 4  # bricks of a payload that one of this mode counts for: it takes more memory than others
+BRICK_COUNTS: Final = (
+    4  # bricks of a payload that one of this mode counts for: it takes more memory than others
+)
 
 
 def _turned(numbers: Int64s) -> Int64s:
@@ -220,9 +235,9 @@ def models_after(before: Told | None) -> Models:
 def decode_exact(data: bytes, grid: Grid, before: Told | None) -> Told:
     """Decode a frame that `encoder.encode_exact` wrote.
 
-    `before` is the frame before, unless the frame stands alone. TruncatedFile or CorruptFile if the bytes are not
-    what that writes. Memory is taken for a quarter of the bricks that `codec.support` allows, some 32 KiB each, and 2
-    MiB.
+    `before` is the frame before, unless the frame stands alone. TruncatedFile or CorruptFile if the bytes are
+    not what that writes. Memory is taken for a quarter of the bricks that `codec.support` allows, some 32 KiB
+    each, and 2 MiB.
     """
     palette, data = Palette.read(data, before and before.palette)
     models = models_after(before)
@@ -233,7 +248,9 @@ def decode_exact(data: bytes, grid: Grid, before: Told | None) -> Told:
         raise TruncatedFile(_EXACT, f"{len(data)} bytes for {len(bricks)} bricks", f"{least} or more")
     symbols = np.full((512 * len(bricks), len(palette.sizes)), -1)
     if not exact.code_samples(bits, frame_of(grid, bricks, palette, symbols, before)):
-        raise CorruptFile(_EXACT, "a symbol that there is not, or the end of the bytes", f"{len(bricks)} bricks")
+        raise CorruptFile(
+            _EXACT, "a symbol that there is not, or the end of the bytes", f"{len(bricks)} bricks"
+        )
     check_end(bits, BRICK_COUNTS * len(bricks), _EXACT)
     there, forces = symbols[:, 0] >= 0, np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
     own = forces.reshape(-1, 3)[there] = palette.forces(symbols[there])
@@ -244,7 +261,9 @@ def decode_exact(data: bytes, grid: Grid, before: Told | None) -> Told:
     return Told(ForceField(grid, bricks, forces), palette, symbols, models)
 
 
-def frame_of(grid: Grid, bricks: Int32s, palette: Palette, symbols: Int64s, before: Told | None) -> exact.Frame:
+def frame_of(
+    grid: Grid, bricks: Int32s, palette: Palette, symbols: Int64s, before: Told | None
+) -> exact.Frame:
     """The work of the pass over the samples; `symbols`, int64 [512 * bricks, planes], are told or filled in."""
     places = bricks.astype(np.int64)
     near, then = slots_around(places, places, grid.brick_shape), np.full_like(symbols, -1)

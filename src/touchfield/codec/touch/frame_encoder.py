@@ -1,9 +1,10 @@
 """Encoding of a frame: the rule that it keeps, its course and law, the pass, and the ways that are tried.
 
-A frame is coded after the one before or alone, with a guess or without; the fewest bytes win, or in mode "nmse" the
-best bargain of bytes and errors. A cell of the lattice with three equal edges s has the half diagonal s sqrt(3) / 2:
-it lies within the ball of the mask where s <= 2 / sqrt(3) max(F_0, k |F|) (docs/theory.md 31). Along and across
-differ in mode "mask-direction", whose ball is a disc of directions times a span of lengths.
+A frame is coded after the one before or alone, with a guess or without; the fewest bytes win, or in mode
+"nmse" the best bargain of bytes and errors. A cell of the lattice with three equal edges s has the half
+diagonal s sqrt(3) / 2: it lies within the ball of the mask where s <= 2 / sqrt(3) max(F_0, k |F|)
+(docs/theory.md 31). Along and across differ in mode "mask-direction", whose ball is a disc of directions
+times a span of lengths.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ from touchfield.medium import ForceField, Grid
 _CELL: Final = 1.17
 """Edge of a cell over max(F_0, k |F|).
 
-2 / sqrt(3) = 1.1547 fits without any rounding. Of a somewhat larger cell only the corners are beyond the ball, and
-an encoder goes to another point there; from 1.25 on too many voxels are sent apart.
+2 / sqrt(3) = 1.1547 fits without any rounding. Of a somewhat larger cell only the corners are beyond the
+ball, and an encoder goes to another point there; from 1.25 on too many voxels are sent apart.
 """
 
 # the same along the force in mode "mask-direction", whose span of lengths alone would take 2; measured
@@ -46,7 +47,9 @@ _SPAN: Final = 1.8
 _SPAN_FLOOR: Final = 1.25  # the same where F_0 rules there, a ball again for short forces
 # edge of a square cell over the radius of the disc that holds it, with room for rounding
 _DISC: Final = 0.97 * math.sqrt(2)
-_BALL: Final = 0.75  # largest error in mode "nmse", steps; measured, as what a bit may cost there, squared steps
+_BALL: Final = (
+    0.75  # largest error in mode "nmse", steps; measured, as what a bit may cost there, squared steps
+)
 _THRIFT: Final = 0.1
 _ROUNDING: Final = 2e-6  # of a force
 
@@ -66,7 +69,9 @@ def lattice_for(spec: TouchSpec, longest_n: float) -> Lattice:
 
 
 def limits_for(spec: TouchSpec, lattice: Lattice) -> Limits:
-    """The error that the passes may make, in units, less what is lost where whole units become float32 newtons."""
+    """The error that the passes may make, in units, less what is lost where whole units become float32
+    newtons.
+    """
     exact = spec.support == "exact"
     if spec.mode == "nmse":
         return Limits(0.0, _BALL * lattice.floor, 0.0, exact)
@@ -90,7 +95,9 @@ class CodedFrame(NamedTuple):
 
 
 def _course_of(vectors: Float32s, grid: Grid) -> Course:
-    """With the force along every axis; the slowest is that along which it points most, of two alike the coarser."""
+    """With the force along every axis; the slowest is that along which it points most, of two alike the
+    coarser.
+    """
     flat = vectors.reshape(-1, 3)
     sums, sizes = flat.sum(axis=0, dtype=np.float64), np.abs(flat).sum(axis=0, dtype=np.float64)
     spacing = np.asarray(grid.spacing_m)
@@ -114,7 +121,9 @@ def encode_frame(
     head = bytes([course.code, 0, 0, 0])  # nothing is expected to be lost along an axis
     memory, law, prices = before.copy(), law_of(lattice, np.zeros(3, np.int64)), np.zeros(4)
     bits = writer((len(bricks) + 1) * ROOM, memory.models)
-    code_bricks(bits, CONTEXTS, SETS, frame.grid.brick_shape, bricks, None if reference is None else reference.bricks)
+    code_bricks(
+        bits, CONTEXTS, SETS, frame.grid.brick_shape, bricks, None if reference is None else reference.bricks
+    )
     scan = course.scan(places, reference)
     encode_bricks(bits, scan, law, fresh_work(memory.weights), forces, limits, prices)
     support, amplitude, direction, _ = prices.tolist()
@@ -127,8 +136,8 @@ def encode_frame(
     )
 
 
-# shares of voxels that keep the rule in the frame before, from which on a frame is coded after that, and no guess is
-# looked for; and in a guess, from which on nothing else is tried
+# shares of voxels that keep the rule in the frame before, from which on a frame is coded after that, and no
+# guess is looked for; and in a guess, from which on nothing else is tried
 _ALIKE, _STILL, _TRUSTED = 0.1, 0.8, 0.85
 _EARNS: Final = 0.03  # of a frame's bytes: a guess that earns less is not looked for again in its segment
 

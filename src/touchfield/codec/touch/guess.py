@@ -1,19 +1,20 @@
 """A field that is guessed of a frame before its voxels are told: by a spline, or column by column.
 
-The spline is a smooth field from one potential (docs/format/touch-base-layer.md). Paper figure 4 lets "source models"
-compete with plain samples. Of a penalty field F = min(K d, F_max) n the depth d grows against the normal n: all of it
-follows from the potential f = K d, which is smooth through the surface and below zero outside. So f is told by the
-coefficients of a cubic B-spline on a coarse lattice of nodes, and
+The spline is a smooth field from one potential (docs/format/touch-base-layer.md). Paper figure 4 lets "source
+models" compete with plain samples. Of a penalty field F = min(K d, F_max) n the depth d grows against the
+normal n: all of it follows from the potential f = K d, which is smooth through the surface and below zero
+outside. So f is told by the coefficients of a cubic B-spline on a coarse lattice of nodes, and
 
     F = -min(f, 65536) grad f / max(|grad f|, K / 2),   where f > 0.
 
-The spline is taken at the corners half-way between samples: f at a sample is the mean of the eight corners around it,
-its gradient is their differences. What is guessed is smooth by construction; bricks that are not told hold none.
+The spline is taken at the corners half-way between samples: f at a sample is the mean of the eight corners
+around it, its gradient is their differences. What is guessed is smooth by construction; bricks that are not
+told hold none.
 
-Solids with steps are told column by column: along the main axis of the force a column of samples shares n, and its
-depth grows from the surface on. So a column of a height map is a direction, a start, and the force deep inside; where
-a low-pass has mixed the surfaces at both sides of a step, two such surfaces whose forces add. All is predicted from
-the columns beside.
+Solids with steps are told column by column: along the main axis of the force a column of samples shares n,
+and its depth grows from the surface on. So a column of a height map is a direction, a start, and the force
+deep inside; where a low-pass has mixed the surfaces at both sides of a step, two such surfaces whose forces
+add. All is predicted from the columns beside.
 """
 
 from __future__ import annotations
@@ -86,7 +87,9 @@ class Nodes:
 
 
 def weights(shift: int) -> Int64s:
-    """Weights at a brick's corners by its place in a cell, int64 [h / 8, nodes, 9], of sum 6 h^3; h = 2^shift."""
+    """Weights at a brick's corners by its place in a cell, int64 [h / 8, nodes, 9], of sum 6 h^3; h =
+    2^shift.
+    """
     h, cells = 1 << shift, max(BRICK >> shift, 1)
     out = np.zeros((max(h // BRICK, 1), cells + 3, BRICK + 1), np.int64)
     for brick, corner in np.ndindex(len(out), BRICK + 1):
@@ -125,7 +128,8 @@ def _fill(corners: Int64s, head: Head, out: Int32s) -> None:
     size, *slopes = (_mixed(corners, axis) for axis in (-1, 0, 1, 2))
     size = np.clip((size + 864) // 1728, 0, TOP)
     slopes = [
-        np.clip(slope * scale >> 20, -_STEEPEST, _STEEPEST) for slope, scale in zip(slopes, head.scales, strict=True)
+        np.clip(slope * scale >> 20, -_STEEPEST, _STEEPEST)
+        for slope, scale in zip(slopes, head.scales, strict=True)
     ]
     square = slopes[0] ** 2 + slopes[1] ** 2 + slopes[2] ** 2
     steep = np.maximum(np.sqrt(square).astype(np.int64), _HALF_SLOPE)  # exact: below 2^52
@@ -160,7 +164,8 @@ COLUMNS: Final = 1  # the first byte of a guess
 
 
 def synthesise(data: bytes, grid: Grid) -> FixedField:
-    """The guess from its bytes, each of which takes some 400 KiB at most, beside 6 MiB; whole numbers throughout.
+    """The guess from its bytes, each of which takes some 400 KiB at most, beside 6 MiB; whole numbers
+    throughout.
 
     TruncatedFile or CorruptFile if they are not what the encoder writes.
     """
@@ -202,7 +207,9 @@ class View(NamedTuple):
     def told(self) -> tuple[int, int]:
         """Rows of columns, and columns of a row, within the grid."""
         a, b = (self.grid.shape[c] for c in self.order[:2])
-        return min(self.box[2] * BRICK, a - self.box[0] * BRICK), min(self.box[3] * BRICK, b - self.box[1] * BRICK)
+        return min(self.box[2] * BRICK, a - self.box[0] * BRICK), min(
+            self.box[3] * BRICK, b - self.box[1] * BRICK
+        )
 
 
 def least_size(view: View, bricks: int) -> int:
@@ -245,7 +252,8 @@ def column_forces(view: View, columns: kernels.Columns, size: int | None = None)
 
 
 def columns_of_bytes(data: bytes, grid: Grid) -> FixedField:
-    """The guess from its bytes, each of which takes some 130 KiB at most, beside 2 MiB; whole numbers throughout.
+    """The guess from its bytes, each of which takes some 130 KiB at most, beside 2 MiB; whole numbers
+    throughout.
 
     TruncatedFile or CorruptFile if they are not what the encoder writes.
     """

@@ -1,10 +1,13 @@
-"""The guess that is sent before a frame: a spline where it is smooth, columns for a solid with steps (floats).
+"""The guess that is sent before a frame: a spline where it is smooth, columns for a solid with steps
+(floats).
 
-The spline's coefficients are those whose field is within the mask at most samples. A first fit is linear: f should be
+The spline's coefficients are those whose field is within the mask at most samples. A first fit is linear: f
+should be
 |F| where that is below the top, and its gradient -K n. Then some steps of Gauss and Newton on the force itself, whose
-weights fall where the mask is left (an L1 norm beyond it), so that an edge that no spline can follow does not bend
-what lies around it. About eight samples of each cell of the lattice of nodes are looked at. The coarsest lattice that
-will do is taken. Fields without a main axis, and walls that end before the inner border of the grid, have no columns.
+weights fall where the mask is left (an L1 norm beyond it), so that an edge that no spline can follow does not
+bend what lies around it. About eight samples of each cell of the lattice of nodes are looked at. The coarsest
+lattice that will do is taken. Fields without a main axis, and walls that end before the inner border of the
+grid, have no columns.
 """
 
 from __future__ import annotations
@@ -37,7 +40,8 @@ _XY_SHARE, _Z_SHARE, _A_SHARE = 0.35, 1.4, 0.9  # steps, of the mask
 
 
 def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, FixedField] | None:
-    """The bytes of columns for a frame, and the guess that `synthesise` makes of them, in the mask of `limits`.
+    """The bytes of columns for a frame, and the guess that `synthesise` makes of them, in the mask of
+    `limits`.
 
     None where there are no columns to be told: no main axis of the force, or no solid behind a surface.
     """
@@ -52,7 +56,13 @@ def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[by
     # of nine numbers of some 70 bits each: an adaptive bit costs 14 bits at most, but few of them do
     bits = writer(len(columns.surfaces) * 200 + 64, fresh(kernels.COLUMN_CONTEXTS, kernels.COLUMN_SETS))
     ramp = np.array([heads[kernels.TOP], heads[kernels.RAMP] / 65536])
-    room = np.zeros(2, np.int64), np.zeros((3, 4)), np.zeros(view.depth), *np.zeros((2, 3)), np.zeros((view.depth, 3))
+    room = (
+        np.zeros(2, np.int64),
+        np.zeros((3, 4)),
+        np.zeros(view.depth),
+        *np.zeros((2, 3)),
+        np.zeros((view.depth, 3)),
+    )
     rows, count = view.told
     for row in range(rows):
         if row % BRICK == 0:
@@ -66,7 +76,9 @@ def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[by
 
 
 def _view_of(frame: ForceField) -> synthesis.View | None:
-    """Along the main axis of the force; None if there is none, few tiles reach the border, or it is too large."""
+    """Along the main axis of the force; None if there is none, few tiles reach the border, or it is too
+    large.
+    """
     if not len(frame.bricks):
         return None
     some = frame.forces_n[:: -(-len(frame.bricks) // _SAMPLED)].reshape(-1, 3)
@@ -103,17 +115,23 @@ def _heads(view: synthesis.View, frame: ForceField, unit_n: float, mask: Float64
     z_step = 256 * max(f0 / top, 0.1 * k) / ramp * _Z_SHARE
     steps = 16384 * share * _XY_SHARE, z_step, 65536 * share * _A_SHARE
     heads = np.array([top, 65536 * ramp, 256 * a / c, 256 * b / c, *steps])  # in the order of `kernels.HEADS`
-    whole: Int64s = np.rint(np.clip(heads, (1, 1, 0, 0, 16, 4, 16), np.array(kernels.HEADS) - 1)).astype(np.int64)
+    whole: Int64s = np.rint(np.clip(heads, (1, 1, 0, 0, 16, 4, 16), np.array(kernels.HEADS) - 1)).astype(
+        np.int64
+    )
     return whole
 
 
 def _laid_out(view: synthesis.View, frame: ForceField, tiles: int, scale: float) -> Float32s:
-    """Columns of a row of tiles, [8, columns, depth, 4]: across, across, outward and length, units, from outside."""
+    """Columns of a row of tiles, [8, columns, depth, 4]: across, across, outward and length, units, from
+    outside.
+    """
     a, b, axis = view.order
     bricks = np.flatnonzero(frame.bricks[:, a] == view.box[0] + tiles)
     out = np.zeros((BRICK, view.box[3], BRICK, -(-view.depth // BRICK), BRICK, 4), np.float32)
     seen = frame.forces_n[bricks].transpose(0, 1 + a, 1 + b, 1 + axis, 4)[..., view.order]
-    out[:, frame.bricks[bricks, b] - view.box[1], :, frame.bricks[bricks, axis], :, :3] = seen * np.float32(scale)
+    out[:, frame.bricks[bricks, b] - view.box[1], :, frame.bricks[bricks, axis], :, :3] = seen * np.float32(
+        scale
+    )
     out = out.reshape(BRICK, view.box[3] * BRICK, -1, 4)[:, :, : view.depth]
     if view.inverted:
         out = out[:, :, ::-1]
@@ -140,7 +158,8 @@ _EYE: Final = np.eye(3, dtype=np.float32)
 def fit_spline(
     frame: ForceField, lattice: Lattice, limits: Limits, level: int = 3
 ) -> tuple[bytes, FixedField] | None:
-    """The bytes of a spline for a frame, and its field, good or bad; None if it is not smooth. `limits`: its mask.
+    """The bytes of a spline for a frame, and its field, good or bad; None if it is not smooth. `limits`: its
+    mask.
 
     Nodes lie 2^level samples apart along the axis of the smallest spacing.
     """
@@ -178,9 +197,11 @@ def _stiffness(some: Float32s, grid: Grid) -> float:
 
 
 class _Samples:
-    """The samples of each brick that are looked at: their forces, the brick's nodes, and f and its gradient by those.
+    """The samples of each brick that are looked at: their forces, the brick's nodes, and f and its gradient
+    by those.
 
-    `around`, int64 [bricks, nodes]; `basis`, float32 [bricks, samples, 4, nodes]; `forces`, float32 [.., .., 3].
+    `around`, int64 [bricks, nodes]; `basis`, float32 [bricks, samples, 4, nodes]; `forces`, float32 [.., ..,
+    3].
     """
 
     def __init__(
@@ -190,13 +211,16 @@ class _Samples:
 
         x, y, z = (np.arange((1 << shift) // 4, BRICK, (1 << shift) // 2) for shift in shifts)
         basis = []
-        for shift, pick, place, spacing in zip(shifts, (x, y, z), frame.bricks.T, frame.grid.spacing_m, strict=True):
+        for shift, pick, place, spacing in zip(
+            shifts, (x, y, z), frame.bricks.T, frame.grid.spacing_m, strict=True
+        ):
             table = synthesis.weights(shift)
             corners = table[place % len(table)] / (6 << 3 * shift)
             low, high = corners[:, :, pick], corners[:, :, pick + 1]
             basis.append(np.stack([low + high, 2 * (high - low) / spacing]).astype(np.float32) / 2)
         kinds = [
-            np.einsum("nia,njb,nkc->nabcijk", *(b[int(a == n)] for a, b in enumerate(basis))) for n in range(-1, 3)
+            np.einsum("nia,njb,nkc->nabcijk", *(b[int(a == n)] for a, b in enumerate(basis)))
+            for n in range(-1, 3)
         ]
         self.around = nodes.around.reshape(len(frame.bricks), -1)
         bricks, count = self.around.shape
@@ -216,9 +240,11 @@ class _Samples:
         return (self.basis.reshape(bricks, -1, nodes) @ at[..., None]).reshape(bricks, count, 4)
 
     def solved(self, rows: Any, wanted: Any, c: Any) -> Any:
-        """Coefficients c + x with ``rows``, [bricks, samples, r, 4], of the potential of x about `wanted`, [.., r].
+        """Coefficients c + x with ``rows``, [bricks, samples, r, 4], of the potential of x about `wanted`,
+        [.., r].
 
-        Nodes at the rim of the field weigh little: without the diagonal as preconditioner they would never settle.
+        Nodes at the rim of the field weigh little: without the diagonal as preconditioner they would never
+        settle.
         """
         from scipy.sparse.linalg import LinearOperator, cg
 
@@ -278,13 +304,17 @@ _PROVIDERS: Final = (
     (synthesis.COLUMNS, fit_columns, 0.75),
 )  # fmt: skip
 _FINENESS: Final = 0.35
-"""Error of a guess in mode "nmse", steps: errors of a guess are many alike, and finer ones are told cheaply."""
+"""Error of a guess in mode "nmse", steps: errors of a guess are many alike, and finer ones are told cheaply.
+
+"""
 
 
 def fit(
     frame: ForceField, lattice: Lattice, limits: Limits, spec: TouchSpec
 ) -> tuple[tuple[bytes, FixedField] | None, float]:
-    """The bytes of a guess within the mask of `limits` and its field, or None; and how often it keeps the rule."""
+    """The bytes of a guess within the mask of `limits` and its field, or None; and how often it keeps the
+    rule.
+    """
     best, most = None, _LEAST
     if spec.mode == "nmse":
         limits, most = limits._replace(f0=_FINENESS * lattice.floor), 0.0

@@ -1,8 +1,10 @@
-"""Units and lattice of the coder `touch`: whole numbers, which encoder and decoder both hold, bit for bit the same.
+"""Units and lattice of the coder `touch`: whole numbers, which encoder and decoder both hold, bit for bit the
+same.
 
-Forces are multiples of a unit; all that predicts one force from others works on them, and newtons appear only at the
-very end (`FixedField.field`). The lattice has steps that grow with the force, so that a cell fits the mask's ball
-(paper section 4.2, a Weber law of what is felt; docs/theory.md 31): half diagonal max(F_0, k |F|).
+Forces are multiples of a unit; all that predicts one force from others works on them, and newtons appear only
+at the very end (`FixedField.field`). The lattice has steps that grow with the force, so that a cell fits the
+mask's ball (paper section 4.2, a Weber law of what is felt; docs/theory.md 31): half diagonal max(F_0, k
+|F|).
 """
 
 from __future__ import annotations
@@ -58,8 +60,8 @@ MOST_NEWTONS: Final = 2.0**120  # no longer force is coded: three times as much 
 class Lattice:
     """Steps of the residual along and across the prediction.
 
-    At a force of `a` units the step along it is max(`floor`, `rate` * a / 65536), and across it max(`cross_floor`,
-    `cross_rate` * a / 65536); at least 1. Rates of 0 make it uniform.
+    At a force of `a` units the step along it is max(`floor`, `rate` * a / 65536), and across it
+    max(`cross_floor`, `cross_rate` * a / 65536); at least 1. Rates of 0 make it uniform.
     """
 
     unit_n: float  # newtons of one unit; a float32
@@ -80,7 +82,10 @@ class Lattice:
         if not SMALLEST_UNIT_N <= unit_n <= MOST_NEWTONS / 65536:
             raise CorruptFile("SEGM.body unit", f"{unit_n} N", "2^-126 to 2^104 N")
         floor, rate = parts.varint("floor", FLOOR_LIMIT, 1), parts.varint("rate", RATE_LIMIT)
-        cross_floor, cross_rate = parts.varint("cross floor", FLOOR_LIMIT, 1), parts.varint("cross rate", RATE_LIMIT)
+        cross_floor, cross_rate = (
+            parts.varint("cross floor", FLOOR_LIMIT, 1),
+            parts.varint("cross rate", RATE_LIMIT),
+        )
         if floor < LEAST_UNIFORM and rate < LEAST_RATE:
             found = f"a floor of {floor} with a rate of {rate}"
             raise CorruptFile("SEGM.body lattice", found, f"{LEAST_UNIFORM} or {LEAST_RATE} at least")
@@ -91,8 +96,8 @@ class Lattice:
 def warp_of(floor: int, rate: int) -> Int64s:
     """The amplitude at each sixteenth of a step, int64 [n], ascending; nobody writes into it.
 
-    It begins at 0; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border, which
-    is in 1/256 units, until it is past 2^18 units.
+    It begins at 0; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border,
+    which is in 1/256 units, until it is past 2^18 units.
     """
     borders = [0]
     while borders[-1] <= 1 << 26:

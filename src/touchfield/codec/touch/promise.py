@@ -1,8 +1,8 @@
 """Promise of the coder `touch`, and how well a decoded frame keeps it (paper section 4.2, figure 2).
 
 |F_dec - F| <= max(F_0, k |F|) for every voxel, those without force too, or the rule of mode "mask-direction". With
-spatial masking it is max(F_0, k |F| + what forces around hide); in bricks without a force they hide nothing. Held
-against the decoder's own output in float64, as `touchfield.perception.mask` does.
+spatial masking it is max(F_0, k |F| + what forces around hide); in bricks without a force they hide nothing.
+Held against the decoder's own output in float64, as `touchfield.perception.mask` does.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ class Compared(NamedTuple):
 
 
 def hidden_of(frame: ForceField, spec: TouchSpec) -> Float32s:
-    """Error that forces around hide at each sample of a frame's bricks, newtons, float32 [n, 512]; [0, 512]: none."""
+    """Error that forces around hide at each sample of a frame's bricks, newtons, float32 [n, 512]; [0, 512]:
+    none.
+    """
     if not spec.masking:
         return _NOTHING
     return SpatialMasking(0.0, 0.0, spec.masking, spec.masking_radius_m).hidden_n(frame).reshape(-1, 512)
@@ -60,7 +62,9 @@ def compared(
     rule = Limits(spec.k, spec.f0_n, sine, spec.support == "exact" and not within_step)
     if spec.mode == "nmse":  # which promises nothing
         rule = rule._replace(k=0.0, f0=spec.step_n / 2 if within_step else math.inf)
-    mine, theirs = ((slots_of(brick_keys(f.grid, f.bricks), keys), f.forces_n.reshape(-1, 512, 3)) for f in fields)
+    mine, theirs = (
+        (slots_of(brick_keys(f.grid, f.bricks), keys), f.forces_n.reshape(-1, 512, 3)) for f in fields
+    )
     beyond = np.zeros((len(keys), 512), np.bool_)
     worst2, where, *counts = compare(*mine, *theirs, rule, hidden_n, beyond)
     voxel = (0, 0, 0)
@@ -73,6 +77,8 @@ def compared(
 
 
 def agreement(original: ForceField, guess: FixedField, unit_n: float, spec: TouchSpec) -> float:
-    """The share of voxels with a force in either at which `guess` keeps the rule, or half a step; 1 without any."""
+    """The share of voxels with a force in either at which `guess` keeps the rule, or half a step; 1 without
+    any.
+    """
     result = compared(original, guess.field(original.grid, unit_n), spec, within_step=spec.mode == "nmse")
     return result.within / (result.within + len(result.keys)) if len(result.keys) else 1.0

@@ -29,27 +29,32 @@ class TouchSpec:
     f0_n: float = option(0.05, "F_0 of the promise, newtons. [default: 0.05]")
     """F_0, newtons, 0 or more."""
     mode: str = option("mask", "mask (|error| <= max(F_0, k |F|); default), mask-direction, or nmse.")
-    """One of "mask" (the promise above); "mask-direction" (| |F_dec| - |F| | <= max(F_0, k |F|), and where |F| >
-    F_0 / sin(direction JND) the angle between is at most `direction_jnd_deg`; elsewhere an error is F_0 at most);
-    "nmse" (no promise: a mean squared error for the fewest bytes, by `step_n`); "lossless" (an already quantised
-    field exactly as it is)."""
+    """One of "mask" (the promise above); "mask-direction" (| |F_dec| - |F| | <= max(F_0, k |F|), and where
+    |F| > F_0 / sin(direction JND) the angle between is at most `direction_jnd_deg`; elsewhere an error is F_0 at most);
+    "nmse" (no promise: a mean squared error for the fewest bytes, by `step_n`); "lossless" (an already
+    quantised field exactly as it is)."""
     direction_jnd_deg: float = option(18.4, "mask-direction: greatest angle, degrees. [default: 18.4]")
-    """Just noticeable difference of a direction, degrees, above 0 and below 90 (docs: Barbagli 2006, Tan 2006)."""
+    """Just noticeable difference of a direction, degrees, above 0 and below 90 (docs: Barbagli 2006, Tan
+    2006).
+    """
     step_n: float = option(0.05, "mode nmse: step of the lattice, newtons. [default: 0.05]")
     """Step of the uniform lattice of mode "nmse", newtons."""
     effort: str = option("default", "default, or fast: 1.2 to 1.6 times as quick, decodes nothing to check.")
     """Either "fast" or "default": time against certainty, never against the promise. "fast" checks it on the
-    encoder's own reconstruction, which a decoder makes again bit for bit, and codes 1.2 to 1.6 times as quickly;
-    "default" decodes its bytes. Both take the same bytes."""
+    encoder's own reconstruction, which a decoder makes again bit for bit, and codes 1.2 to 1.6 times as
+    quickly; "default" decodes its bytes. Both take the same bytes."""
     support: str = option("movable", "movable (where |F| is at most F_0), or exact. [default: movable]")
     """Either "movable", a force of at most F_0 may become none, and none one of at most F_0; or "exact"."""
     masking: float = option(0.0, "share of the mean force around that is hidden, 0 to 1. [default: 0]")
-    """Spatial masking, mode "mask" only: share beta, 0 to 1, of the mean force around that is hidden at a voxel; the
-    promise is then max(F_0, k |F| + beta mean), see `touchfield.perception.SpatialMasking`. 0: none."""
+    """Spatial masking, mode "mask" only: share beta, 0 to 1, of the mean force around that is hidden at a
+    voxel; the promise is then max(F_0, k |F| + beta mean), see `touchfield.perception.SpatialMasking`. 0:
+    none."""
     masking_radius_m: float = 0.0025
     """R of that mean, metres: how far apart two points are felt as two, by default on a finger."""
     guess: str = "auto"
-    """Whether a surface or a spline is sent to predict a frame from: "auto" (where that is smaller), or "off"."""
+    """Whether a surface or a spline is sent to predict a frame from: "auto" (where that is smaller), or
+    "off".
+    """
     interframe: str = option("auto", "auto, off or on. [default: auto]")
     """Whether a frame is predicted from the one before: "auto" (where it is smaller), "off", "on"."""
     segment_frames: int | None = option(None, "frames a segment. [default: half a second, 8 to 64]")
@@ -104,7 +109,9 @@ def _option(key: str) -> str:
 
 
 def _summary(spec: TouchSpec) -> dict[str, Any]:
-    more = {"step_n": spec.step_n} if spec.mode == "nmse" else {"masking": spec.masking} if spec.masking else {}
+    more = (
+        {"step_n": spec.step_n} if spec.mode == "nmse" else {"masking": spec.masking} if spec.masking else {}
+    )
     return {"mode": spec.mode, "effort": spec.effort, **more}
 
 

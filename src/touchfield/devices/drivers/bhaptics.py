@@ -1,14 +1,16 @@
 """bHaptics vests through the bHaptics Player, by its WebSocket of version 2: no key, no licence, loopback.
 
-Protocol: one JSON message a frame to ``/v2/feedbacks``, in which each panel is a submission of the type "frame": its
-position (VestFront, VestBack), its dots (index and intensity 0 to 100) and how long they last. A later submission of
-the same key takes the place of the one before. What the Player sends is its own state; it is read and left aside.
+Protocol: one JSON message a frame to ``/v2/feedbacks``, in which each panel is a submission of the type
+"frame": its position (VestFront, VestBack), its dots (index and intensity 0 to 100) and how long they last. A
+later submission of the same key takes the place of the one before. What the Player sends is its own state; it
+is read and left aside.
 
-The protocol speaks of 20 dots a side, 4 columns and 5 rows from the top left, whatever the vest: that is the TactSuit
-X40. A vest with fewer rows is driven through all 20, so that no motor is missed whichever dots the Player takes it
-from: of four rows (TactSuit Pro) the lowest is sent as the fourth and the fifth, of two (X16, Air) the upper as the
-first two and the lower as the other three. The second is how the firmware SenseShift groups the dots for an X16; the
-first is our choice. Intensities are rounded to the steps that the profile's motors have.
+The protocol speaks of 20 dots a side, 4 columns and 5 rows from the top left, whatever the vest: that is the
+TactSuit X40. A vest with fewer rows is driven through all 20, so that no motor is missed whichever dots the
+Player takes it from: of four rows (TactSuit Pro) the lowest is sent as the fourth and the fifth, of two (X16,
+Air) the upper as the first two and the lower as the other three. The second is how the firmware SenseShift
+groups the dots for an X16; the first is our choice. Intensities are rounded to the steps that the profile's
+motors have.
 """
 
 from __future__ import annotations
@@ -48,7 +50,9 @@ _PATIENCE_S: Final = 2.0
 _MOST_ANSWERS: Final = 64
 """Messages of the Player that are read and left aside in a frame."""
 _MOST_WAITING: Final = 1024
-"""Messages that may wait; a full queue of websockets 17 holds up for ever who then sends on a line just closed."""
+"""Messages that may wait; a full queue of websockets 17 holds up for ever who then sends on a line just
+closed.
+"""
 
 
 class BHaptics(ArrayDevice):
@@ -119,6 +123,7 @@ def checks() -> list[Check]:
 
 
 KIND = DeviceKind(
-    "bhaptics", "bhaptics[:HOST:PORT]", "bHaptics vests through the bHaptics Player (WebSocket)", "tactsuit-x40",
+    "bhaptics", "bhaptics[:HOST:PORT]", "bHaptics vests through the bHaptics Player "
+                                        "(WebSocket)", "tactsuit-x40",
     _make, checks, is_array=True,
 )  # fmt: skip

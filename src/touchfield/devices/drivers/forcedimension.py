@@ -1,9 +1,10 @@
-"""Force Dimension devices (omega, delta, sigma, and the Falcon) by the maker's library dhd; asked at each tick.
+"""Force Dimension devices (omega, delta, sigma, and the Falcon) by the maker's library dhd; asked at each
+tick.
 
-Metres and newtons in the device's own axes: x towards the user, y right, z up. The library adds the weight of the
-handle to what is put, so `gravity_n` stays zero. A device without a wrist tells that it is not turned, one without
-a gripper that it is closed; torque is put from the first that is not zero on, so that no device without motors for
-it is asked.
+Metres and newtons in the device's own axes: x towards the user, y right, z up. The library adds the weight of
+the handle to what is put, so `gravity_n` stays zero. A device without a wrist tells that it is not turned,
+one without a gripper that it is closed; torque is put from the first that is not zero on, so that no device
+without motors for it is asked.
 """
 
 from __future__ import annotations
@@ -175,4 +176,6 @@ def _opener(rest: str, trajectory: Trace | None) -> Opener:
     return ForceDimension
 
 
-KIND = DeviceKind("forcedimension", "forcedimension", "Force Dimension, by dhd", "omega.3", _opener, DRIVER.checks)
+KIND = DeviceKind(
+    "forcedimension", "forcedimension", "Force Dimension, by dhd", "omega.3", _opener, DRIVER.checks
+)

@@ -1,15 +1,15 @@
 """Haply Inverse3 over the WebSocket of the maker's Inverse Service (JSON of version 3, port 10001).
 
-The service opens with a message that names the devices. It tells a state only after a force was sent, so the loop is
-a conversation: force, state, force, state; the answer sets the rhythm. A service that tells more states than it was
-asked for is read to its latest one, so that no delay grows.
+The service opens with a message that names the devices. It tells a state only after a force was sent, so the
+loop is a conversation: force, state, force, state; the answer sets the rhythm. A service that tells more
+states than it was asked for is read to its latest one, so that no delay grows.
 
-A VerseGrip, with or without a cable, tells how it is turned and which buttons are pressed; it has no motors, so
-that a torque is left out. That its quaternion is one of the Inverse3's axes is unverified. A grip that is told no
-more (its battery, its radio) tells an orientation that is no number, and the renderer lets go.
+A VerseGrip, with or without a cable, tells how it is turned and which buttons are pressed; it has no motors,
+so that a torque is left out. That its quaternion is one of the Inverse3's axes is unverified. A grip that is
+told no more (its battery, its radio) tells an orientation that is no number, and the renderer lets go.
 
-Metres and newtons in the device's own axes. What comes from the service comes from a stranger: a message is bounded,
-and one that is late, no JSON, without its keys or without sense is one `DeviceError`.
+Metres and newtons in the device's own axes. What comes from the service comes from a stranger: a message is
+bounded, and one that is late, no JSON, without its keys or without sense is one `DeviceError`.
 """
 
 from __future__ import annotations
@@ -98,11 +98,17 @@ class Haply(PointDevice):
         state = self._device(message).get("state")
         cursor = state.get("cursor_position") if isinstance(state, dict) else None
         if not isinstance(cursor, dict):
-            raise DeviceError(self._where, "a state without cursor_position", "state.cursor_position of x, y, z")
+            raise DeviceError(
+                self._where, "a state without cursor_position", "state.cursor_position of x, y, z"
+            )
         place: tuple[Any, ...] = tuple(cursor.get(axis) for axis in "xyz")
         for axis, value in zip("xyz", place, strict=True):
             # an int from JSON may have any number of digits: it is compared, not converted
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= _FARTHEST_M:
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, (int, float))
+                or not abs(value) <= _FARTHEST_M
+            ):
                 found = f"{axis} = {repr(value)[:40]}"
                 raise DeviceError(self._where, found, f"metres, at most {_FARTHEST_M:g} from the origin")
         self._take_grip(message)
@@ -147,7 +153,9 @@ class Haply(PointDevice):
             return self._received(seconds)
         except TimeoutError:
             found = f"no answer within {seconds:g} s"
-            raise DeviceError(self._where, found, "a message", "Is the device plugged in and calibrated?") from None
+            raise DeviceError(
+                self._where, found, "a message", "Is the device plugged in and calibrated?"
+            ) from None
 
     def _received(self, seconds: float) -> Any:
         """The next message, as JSON; TimeoutError if there is none."""
@@ -193,7 +201,12 @@ class Haply(PointDevice):
             mend = "Plug it in, and look into the service's own page."
             raise DeviceError(self._where, "no Inverse3", "one", mend)
         name = devices[0].get("device_id")
-        if isinstance(name, bool) or not isinstance(name, (str, int)) or len(str(name)) > 64 or "%" in str(name):
+        if (
+            isinstance(name, bool)
+            or not isinstance(name, (str, int))
+            or len(str(name)) > 64
+            or "%" in str(name)
+        ):
             raise DeviceError(self._where, f"device_id {repr(name)[:40]}", "a short name")
         return name
 
@@ -202,7 +215,9 @@ class Haply(PointDevice):
         for one in devices if isinstance(devices, list) else ():
             if isinstance(one, dict) and one.get("device_id") == self._id:
                 return one
-        raise DeviceError(self._where, f"a message without device {self._id}", "its state", "Is it still plugged in?")
+        raise DeviceError(
+            self._where, f"a message without device {self._id}", "its state", "Is it still plugged in?"
+        )
 
     def _gone(self, error: Exception) -> DeviceError:
         return DeviceError(self._where, f"a connection that broke ({reason(error)})", "an open one", _START)
@@ -217,4 +232,6 @@ def _opener(rest: str, trajectory: Trace | None) -> Opener:
     return partial(Haply, address(rest, "haply:HOST:PORT", SERVICE))
 
 
-KIND = DeviceKind("haply", "haply[:HOST:PORT]", "Haply Inverse3, by its service", "haply-inverse3", _opener, checks)
+KIND = DeviceKind(
+    "haply", "haply[:HOST:PORT]", "Haply Inverse3, by its service", "haply-inverse3", _opener, checks
+)

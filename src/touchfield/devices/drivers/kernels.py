@@ -1,12 +1,13 @@
-"""Compiled code of the adapters, imported only when first needed: the callback of OpenHaptics, the simulated hand.
+"""Compiled code of the adapters, imported only when first needed: the callback of OpenHaptics, the simulated
+hand.
 
-**The callback** is called a thousand times a second by the driver: no interpreter on its way. It gets the address of
-a box: words of eight bytes, in which the adapter says where the block of the player is, and the callback what it
-does. Pointers are made from those words; the views of the block are the same four that every kernel of the renderer
-takes.
+**The callback** is called a thousand times a second by the driver: no interpreter on its way. It gets the
+address of a box: words of eight bytes, in which the adapter says where the block of the player is, and the
+callback what it does. Pointers are made from those words; the views of the block are the same four that every
+kernel of the renderer takes.
 
-**The hand**: where its target is, and how a spring pulls it there. State, float64 [10]: time, position, velocity,
-force. `follow` and `spring` move it on by dt.
+**The hand**: where its target is, and how a spring pulls it there. State, float64 [10]: time, position,
+velocity, force. `follow` and `spring` move it on by dt.
 """
 
 from __future__ import annotations
@@ -121,9 +122,9 @@ def compiled_callback(
 ) -> Any:
     """The callback, HDCallbackCode (void *), as a numba cfunc; its `address` is what the driver gets.
 
-    ``cycle(i8, u8, f8, f4, x, y, z, now_ns) -> (fx, fy, fz)`` is compiled, metres and newtons in the device's axes;
-    the rest are `address_of` hdBeginFrame, hdEndFrame, hdGetDoublev, hdSetDoublev and hdGetError of the vendor's
-    library, which stays loaded.
+    ``cycle(i8, u8, f8, f4, x, y, z, now_ns) -> (fx, fy, fz)`` is compiled, metres and newtons in the device's
+    axes; the rest are `address_of` hdBeginFrame, hdEndFrame, hdGetDoublev, hdSetDoublev and hdGetError of the
+    vendor's library, which stays loaded.
     """
     begin_frame, end_frame = _typed(begin, ctypes.c_uint32), _typed(end, ctypes.c_uint32)
     get_doubles = _typed(get, ctypes.c_uint32, ctypes.c_size_t)
@@ -168,7 +169,9 @@ _TURN = 0.1
 
 @inner
 def _around(times, t):
-    """The samples before and after t, and how far t is between; at rest at both ends, of equal times the later."""
+    """The samples before and after t, and how far t is between; at rest at both ends, of equal times the
+    later.
+    """
     low = np.searchsorted(times, t, side="right")
     a, b = max(low - 1, 0), min(low, times.shape[0] - 1)
     return a, b, (t - times[a]) / (times[b] - times[a]) if b > a and low > 0 else 0.0
@@ -213,7 +216,8 @@ def follow(times, positions, state, dt):
 def spring(times, positions, state, mass, stiffness, damping, dt):
     """m a = k (target - x) - b v + F, by semi-implicit Euler with b taken implicitly.
 
-    So it is stable where sqrt(k/m) times the sub-step is below 2, for any b; the force holds for the whole dt.
+    So it is stable where sqrt(k/m) times the sub-step is below 2, for any b; the force holds for the whole
+    dt.
     """
     steps = max(1, math.ceil(dt * math.sqrt(stiffness / mass) / _TURN))
     h = dt / steps

@@ -1,4 +1,5 @@
-"""Ways to a device: HOST:PORT, lines of text over TCP or a serial port, WebSockets, drivers as shared libraries.
+"""Ways to a device: HOST:PORT, lines of text over TCP or a serial port, WebSockets, drivers as shared
+libraries.
 
 Nothing waits longer than it is told to, and a connection can hang nobody.
 """
@@ -28,10 +29,14 @@ if TYPE_CHECKING:
 MOST_MESSAGE_BYTES = 1 << 16
 
 
-def connected(to: Address, where: str, timeout_s: float, mend: str, send_s: float | None = None) -> socket.socket:
-    """A TCP connection that blocks; a write that the other side does not take ends in an OSError after `send_s`.
+def connected(
+    to: Address, where: str, timeout_s: float, mend: str, send_s: float | None = None
+) -> socket.socket:
+    """A TCP connection that blocks; a write that the other side does not take ends in an OSError after
+    `send_s`.
 
-    `send_s` is `timeout_s` unless it is given. Raises DeviceError if nothing answers there within `timeout_s`.
+    `send_s` is `timeout_s` unless it is given. Raises DeviceError if nothing answers there within
+    `timeout_s`.
     """
     try:
         line = socket.create_connection(to, timeout_s)
@@ -52,10 +57,11 @@ def connected(to: Address, where: str, timeout_s: float, mend: str, send_s: floa
 def web_socket(
     to: Address, path: str, where: str, mend: str, open_s: float, send_s: float, **options: Any
 ) -> ClientConnection:
-    """A WebSocket over a socket of ours: no proxy of the environment comes between, and no send waits for ever.
+    """A WebSocket over a socket of ours: no proxy of the environment comes between, and no send waits for
+    ever.
 
-    `options` go to `websockets`. Raises MissingExtra without that library; DeviceError if nothing answers within
-    `open_s`, or answers something else.
+    `options` go to `websockets`. Raises MissingExtra without that library; DeviceError if nothing answers
+    within `open_s`, or answers something else.
     """
     client = import_extra("websockets.sync.client", where, "websockets", "devices")
     host, port = to
@@ -64,7 +70,9 @@ def web_socket(
     options = {"compression": None, "open_timeout": open_s, "max_size": MOST_MESSAGE_BYTES, **options}
     try:
         # as of release 17 the connection is made only when its block is entered
-        connection: ClientConnection = client.connect(f"ws://{name}:{port}/{path}", sock=line, **options).__enter__()
+        connection: ClientConnection = client.connect(
+            f"ws://{name}:{port}/{path}", sock=line, **options
+        ).__enter__()
     except Exception as error:  # a web server, silence or garbage, each by an error of its own
         line.close()
         raise DeviceError(where, f"no WebSocket at {host}:{port} ({reason(error)})", mend=mend) from error
@@ -110,8 +118,8 @@ class Line:
     def read_line(self, deadline_s: float, most_bytes: int) -> bytes:
         """The next line, without its line feed and blanks around it; a longer one is cut at `most_bytes`.
 
-        The deadline is by the monotonic clock. Raises TimeoutError if no line came in time, EOFError or another
-        OSError if the other side is gone.
+        The deadline is by the monotonic clock. Raises TimeoutError if no line came in time, EOFError or
+        another OSError if the other side is gone.
         """
         while b"\n" not in self._rest and len(self._rest) <= most_bytes:
             left = deadline_s - monotonic()
@@ -195,7 +203,9 @@ class DriverLibrary:
     def names(self) -> tuple[str, ...]:
         """Names to try, in order."""
         asked = os.environ.get(self.variable)
-        return (asked,) if asked else {"win32": self.windows, "darwin": self.mac}.get(sys.platform, self.linux)
+        return (
+            (asked,) if asked else {"win32": self.windows, "darwin": self.mac}.get(sys.platform, self.linux)
+        )
 
     @property
     def _mend(self) -> str:

@@ -1,10 +1,11 @@
-"""Touch, Touch X, Phantom Omni and Premium by the maker's OpenHaptics: its driver calls us, in a thread of its own.
+"""Touch, Touch X, Phantom Omni and Premium by the maker's OpenHaptics: its driver calls us, in a thread of
+its own.
 
-What it calls is compiled (`kernels.compiled_callback`): begin a frame, read the position (millimetres), one cycle of
-the renderer, set the force, end the frame. The interpreter's lock is not met on the way.
+What it calls is compiled (`kernels.compiled_callback`): begin a frame, read the position (millimetres), one
+cycle of the renderer, set the force, end the frame. The interpreter's lock is not met on the way.
 
-On `close` the servo has already ordered the release: the force is waited for until it is zero, one more frame with
-zero is set, and only then callback, scheduler and device are let go.
+On `close` the servo has already ordered the release: the force is waited for until it is zero, one more frame
+with zero is set, and only then callback, scheduler and device are let go.
 """
 
 from __future__ import annotations
@@ -106,7 +107,9 @@ class OpenHaptics(PointDevice):
         device = library.hdInitDevice(None if self._name is None else self._name.encode())
         error = self._error("find the device", "Is it plugged in, and set up with the maker's own tool?")
         if error is None and device == _INVALID_HANDLE:
-            error = DeviceError(_WHERE, "no device", "one", "Is it plugged in, and set up with the maker's own tool?")
+            error = DeviceError(
+                _WHERE, "no device", "one", "Is it plugged in, and set up with the maker's own tool?"
+            )
         if error is not None:
             raise error
         self._device = device
@@ -140,7 +143,9 @@ class OpenHaptics(PointDevice):
         if calls != self._seen[0]:
             self._seen = (calls, now)
         if code:
-            raise DeviceError(_WHERE, f"a fault while it ran ({self._reason(code)})", mend="Is it still plugged in?")
+            raise DeviceError(
+                _WHERE, f"a fault while it ran ({self._reason(code)})", mend="Is it still plugged in?"
+            )
         if done:
             raise DeviceError(_WHERE, "a renderer that failed", "forces", "See what it printed.")
         if now - self._seen[1] > _SILENCE_S:
@@ -212,7 +217,9 @@ def _wait(condition: Any, seconds: float) -> bool:
 
 def _opener(rest: str, trajectory: Trace | None) -> Opener:
     if not rest.isprintable() or len(rest.encode()) > 127:
-        raise InvalidArgument("device", f"'openhaptics:{rest[:40]}'", "the name of a device in its driver's settings")
+        raise InvalidArgument(
+            "device", f"'openhaptics:{rest[:40]}'", "the name of a device in its driver's settings"
+        )
     return partial(OpenHaptics, rest or None)
 
 

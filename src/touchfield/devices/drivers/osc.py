@@ -6,14 +6,14 @@ Each bundle is one datagram of at most 8 kB and begins with the first of these m
     /touchfield/drives/PANEL       i first    f drive ... 0 to 1
     /touchfield/frequencies/PANEL  i first    f hertz ... 0 where nothing vibrates; only of a medium that vibrates
 
-``number`` counts frames from 0, and ``seconds`` is their time since the device was opened. PANEL is front, back, or
-the panel's number from 2; ``first`` is the place of the message's first drive in its panel, counted row after row
-from the top left. All parts of a frame are of one number. A drive is rounded to the profile's levels, if it states
-any.
+``number`` counts frames from 0, and ``seconds`` is their time since the device was opened. PANEL is front,
+back, or the panel's number from 2; ``first`` is the place of the message's first drive in its panel, counted
+row after row from the top left. All parts of a frame are of one number. A drive is rounded to the profile's
+levels, if it states any.
 
-UDP may lose a datagram: the frame that turns all off is sent three times. The addresses are ours; there is no common
-scheme for arrays of actuators. The bytes are put together here: a library that checks each number by itself took
-100 ms for the 6240 pins of a HyperBraille, where this takes 0.7 ms.
+UDP may lose a datagram: the frame that turns all off is sent three times. The addresses are ours; there is no
+common scheme for arrays of actuators. The bytes are put together here: a library that checks each number by
+itself took 100 ms for the 6240 pins of a HyperBraille, where this takes 0.7 ms.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ MOST_BYTES: Final = 8192
 """Of a datagram: one that needs no more than a few fragments on any net."""
 
 _HEAD_BYTES: Final = 128  # of a bundle: its own head and the frame message
-_FLOATS_AT_ONCE: Final = (MOST_BYTES - 2 * _HEAD_BYTES) // 5  # a float is four bytes and one letter of the type
+_FLOATS_AT_ONCE: Final = (
+    MOST_BYTES - 2 * _HEAD_BYTES
+) // 5  # a float is four bytes and one letter of the type
 _PANELS: Final = ("front", "back")
 _GOODBYES: Final = 3
 _AT_ONCE: Final = b"#bundle\0" + struct.pack(">Q", 1)
@@ -62,12 +64,16 @@ class Osc(ArrayDevice):
             family, kind, protocol, _, to = socket.getaddrinfo(*self._to, type=socket.SOCK_DGRAM)[0]
             line = socket.socket(family, kind, protocol)
         except (OSError, UnicodeError) as error:
-            raise DeviceError(self._where, f"no such host ({reason(error)})", "a host that can be reached") from error
+            raise DeviceError(
+                self._where, f"no such host ({reason(error)})", "a host that can be reached"
+            ) from error
         try:
             line.connect(to)
         except OSError as error:
             line.close()
-            raise DeviceError(self._where, f"no way there ({reason(error)})", "a host that can be reached") from error
+            raise DeviceError(
+                self._where, f"no way there ({reason(error)})", "a host that can be reached"
+            ) from error
         line.settimeout(1.0)
         self._line, self._number, self._began_s = line, 0, monotonic()
 

@@ -1,22 +1,23 @@
 """Pin displays (Dot Pad, Graphiti, HyperBraille and their like) by lines of text, over a serial port or TCP.
 
-Makers' own protocols differ and are mostly not public; this is a plain one of ours for the small program or board
-that stands between. A line is ASCII, ends in a line feed, and carries a check sum of all before the blank and star::
+Makers' own protocols differ and are mostly not public; this is a plain one of ours for the small program or
+board that stands between. A line is ASCII, ends in a line feed, and carries a check sum of all before the
+blank and star::
 
     line     size ROWS COLUMNS LEVELS *CRC        first, and again if there is no answer; its number is 0
     line     pins NUMBER HEIGHTS *CRC             NUMBER from 1
     answer   ok NUMBER                            it is shown; sent after every line
     answer   err TEXT                             it is not
 
-``HEIGHTS`` is a digit for each pin, row after row from the top left: 0 (down) to LEVELS - 1 (up), 0 to 9 and then a
-to z, so that there are at most 36 levels. ``CRC`` is CRC-16/CCITT-FALSE (polynomial 1021, initial value ffff) as four
-digits of base 16. For 2 x 2 pins that are up or down::
+``HEIGHTS`` is a digit for each pin, row after row from the top left: 0 (down) to LEVELS - 1 (up), 0 to 9 and
+then a to z, so that there are at most 36 levels. ``CRC`` is CRC-16/CCITT-FALSE (polynomial 1021, initial
+value ffff) as four digits of base 16. For 2 x 2 pins that are up or down::
 
     size 2 2 2 *af5a
     pins 1 0110 *204a
 
-The next line is sent when the one before was answered; a second ``ok 0`` is left aside. A frame that changes no pin
-is not sent: pins stay where they are. `close` lets all pins down.
+The next line is sent when the one before was answered; a second ``ok 0`` is left aside. A frame that changes
+no pin is not sent: pins stay where they are. `close` lets all pins down.
 """
 
 from __future__ import annotations
@@ -112,9 +113,13 @@ class Pins(ArrayDevice):
             while (answer := self._line.read_line(deadline_s, MOST_ANSWER_BYTES)) == b"ok 0" and number:
                 continue  # the answer to the first of two sizes
         except TimeoutError as error:
-            raise DeviceError(self._where, f"no answer within {patience_s:g} s", f"ok {number}", _MEND) from error
+            raise DeviceError(
+                self._where, f"no answer within {patience_s:g} s", f"ok {number}", _MEND
+            ) from error
         except (OSError, EOFError) as error:
-            raise DeviceError(self._where, f"that it is gone ({error or 'it was closed'})", mend=_MEND) from error
+            raise DeviceError(
+                self._where, f"that it is gone ({error or 'it was closed'})", mend=_MEND
+            ) from error
         if answer == b"ok %d" % number:
             return
         text = "".join(chr(byte) if 32 <= byte < 127 else "?" for byte in answer[:80])
@@ -132,7 +137,9 @@ def _make(words: str, profile: Device) -> ArrayDevice:
     name, at, baud = words.partition("@")
     is_baud = baud.isascii() and baud.isdigit() and len(baud) <= 8 and int(baud) > 0
     if not name or not name.isprintable() or (at and not is_baud):
-        raise InvalidArgument(_FORM, repr(words), "a serial port such as /dev/ttyUSB0@115200, or a host and a port")
+        raise InvalidArgument(
+            _FORM, repr(words), "a serial port such as /dev/ttyUSB0@115200, or a host and a port"
+        )
     return Pins(profile, where, lambda: SerialLine(name, int(baud or 115200), where, PATIENCE_S, _MEND))
 
 

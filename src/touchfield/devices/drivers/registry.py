@@ -3,9 +3,9 @@
     sim   sim:spring   haply:HOST:PORT   openhaptics:NAME   forcedimension     a point (type 1)
     bhaptics:HOST:PORT   osc:HOST:PORT   pins:/dev/ttyUSB0   pins:HOST:PORT    an array of actuators (type 2)
 
-A new device is a `DeviceKind`: of this package ``KIND`` of a module in `MODULES`, of other distributions an entry point
-of the group ``touchfield.drivers``. The modules must be cheap to import: libraries and drivers are looked for when a
-device is opened.
+A new device is a `DeviceKind`: of this package ``KIND`` of a module in `MODULES`, of other distributions an
+entry point of the group ``touchfield.drivers``. The modules must be cheap to import: libraries and drivers
+are looked for when a device is opened.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ def library_check(name: str, extra: str = "", module: str = "", purpose: str = "
 class DeviceKind:
     """One kind of device.
 
-    Of a point ``make(rest, trajectory)`` gives an `Opener`, of an array ``make(rest, profile)`` an `ArrayDevice`;
-    `rest` stands behind the colon, or is "". Raises `InvalidArgument`.
+    Of a point ``make(rest, trajectory)`` gives an `Opener`, of an array ``make(rest, profile)`` an
+    `ArrayDevice`; `rest` stands behind the colon, or is "". Raises `InvalidArgument`.
     """
 
     name: str  # for ``--device``, before the colon
@@ -84,7 +84,9 @@ class DeviceKind:
     profile: str | None  # name of the one that holds unless another is named; None for that of the stream
     make: Callable[[str, Any], Any]
     checks: Callable[[], list[Check]]  # what is there of what it needs; quick, and never raises
-    takes_any: bool = False  # an array of any profile: that of a stream holds where it shows what the usual one does
+    takes_any: bool = (
+        False  # an array of any profile: that of a stream holds where it shows what the usual one does
+    )
     is_simulated: bool = False  # a point that takes a trajectory, and whose axes and metres are the field's
     is_array: bool = False  # type 2
 
@@ -127,13 +129,15 @@ def _kind(words: str, name: str, kinds: tuple[DeviceKind, ...]) -> DeviceKind:
 def point_device(words: str, trajectory: Trace | None = None) -> PointChoice:
     """The point that `words` name, such as "sim", "haply:127.0.0.1:10001"; nothing is opened.
 
-    Raises InvalidArgument if there is no such kind, what stands behind the colon is wrong, or a device that a hand
-    moves was given a trajectory.
+    Raises InvalidArgument if there is no such kind, what stands behind the colon is wrong, or a device that a
+    hand moves was given a trajectory.
     """
     name, _, rest = words.strip().partition(":")
     kind = _kind(words, name.lower(), point_kinds())
     if trajectory is not None and not kind.is_simulated:
-        raise InvalidArgument("trajectory", f"one for {kind.name}", "none: there a hand moves", "Take --device sim.")
+        raise InvalidArgument(
+            "trajectory", f"one for {kind.name}", "none: there a hand moves", "Take --device sim."
+        )
     return PointChoice(kind.name, kind.make(rest, trajectory), kind.profile, kind.is_simulated)
 
 
@@ -143,11 +147,13 @@ def is_array_device(words: str) -> bool:
 
 
 def array_device(words: str, profile: Device | None = None, own: Device | None = None) -> ArrayDevice:
-    """The array that `words` name, such as "osc:127.0.0.1:9000", of the kind's usual profile unless one is given.
+    """The array that `words` name, such as "osc:127.0.0.1:9000", of the kind's usual profile unless one is
+    given.
 
     Where the kind takes any, `own`, for which a stream was made, comes before the usual one.
 
-    Raises InvalidArgument if there is no such device, its address is no address, or the profile does not fit it.
+    Raises InvalidArgument if there is no such device, its address is no address, or the profile does not fit
+    it.
     """
     from touchfield.devices import device
 
@@ -158,7 +164,9 @@ def array_device(words: str, profile: Device | None = None, own: Device | None =
         usual = own
     chosen = profile or usual
     if not chosen.is_array:
-        raise InvalidArgument(f"profile of {name}", f"{chosen.name}, a point", "an array of actuators (type 2)")
+        raise InvalidArgument(
+            f"profile of {name}", f"{chosen.name}, a point", "an array of actuators (type 2)"
+        )
     array: ArrayDevice = kind.make(rest, chosen)
     return array
 

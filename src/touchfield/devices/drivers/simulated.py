@@ -2,9 +2,11 @@
 
 Its axes are those of the field, its trajectory is in the field's metres. Two kinds:
 
-* "follow": the hand is exactly on the trajectory and nothing can push it away, as a recorded probe is played again;
+* "follow": the hand is exactly on the trajectory and nothing can push it away, as a recorded probe is played
+  again;
 * "spring": a mass that a spring pulls towards a target on the trajectory, and that the force pushes back,
-  m a = k (target - x) - b v + F. What the hand feels changes where it is, so that friction drags and a wall holds.
+  m a = k (target - x) - b v + F. What the hand feels changes where it is, so that friction drags and a wall
+  holds.
 
 Where the trajectory tells how it is turned, so is the hand, of either kind; a torque does not turn it.
 
@@ -36,7 +38,9 @@ STIFFNESS_N_PER_M: Final = 500.0
 
 _MASS_KG: Final = 0.1
 _SPRING: Final = (_MASS_KG, STIFFNESS_N_PER_M, 2.0 * math.sqrt(STIFFNESS_N_PER_M * _MASS_KG))
-"""m, k and critical damping b: of the order of a hand that holds a stylus; they are a choice, not a measurement."""
+"""m, k and critical damping b: of the order of a hand that holds a stylus; they are a choice, not a
+measurement.
+"""
 
 _KINDS: Final = ("follow", "spring")
 _LONGEST_S: Final = 10.0
@@ -48,8 +52,8 @@ class SimHand(PointDevice):
     Parameters
     ----------
     trajectory : Trace or None
-        In the field's metres, from 0 s on; before its first and after its last sample the hand (or its target)
-        rests there. None: it rests at the origin.
+        In the field's metres, from 0 s on; before its first and after its last sample the hand (or its
+        target) rests there. None: it rests at the origin.
     kind : "follow" or "spring"; InvalidArgument for another.
     """
 
@@ -119,4 +123,6 @@ def _opener(rest: str, trajectory: Trace | None) -> Opener:
 
 
 _CHECK: Final = Check("simulated hand", True, "built in")
-KIND = DeviceKind("sim", "sim[:spring]", "a simulated hand", None, _opener, lambda: [_CHECK], is_simulated=True)
+KIND = DeviceKind(
+    "sim", "sim[:spring]", "a simulated hand", None, _opener, lambda: [_CHECK], is_simulated=True
+)

@@ -1,18 +1,20 @@
 """A probe for a field that nobody has touched yet: what a simulated hand does when it is told nothing.
 
-It comes from outside, through free space, to a strong part of the field, presses in until the force is `SHARE` of
-the greatest on its way, slides along the surface at that force, and leaves, straight out or, where another wall
-lies there, the way it came: contact, friction and release, each to be seen in a plot. It finds that by looking:
+It comes from outside, through free space, to a strong part of the field, presses in until the force is
+`SHARE` of the greatest on its way, slides along the surface at that force, and leaves, straight out or, where
+another wall lies there, the way it came: contact, friction and release, each to be seen in a plot. It finds
+that by looking:
 
 1. some strong samples of the support, and two ways out of each, along the force and against it;
-2. the best way: one that is free from the surface on, on which the field pushes back (a wall, a solid, a guide; a
-   field that pulls has no such way, and takes the free one), and that begins on the side where the user sits;
-3. eight directions along the surface; in each the surface is followed step by step, as the line across it on which
-   the force first reaches that share; the longest walk is taken.
+2. the best way: one that is free from the surface on, on which the field pushes back (a wall, a solid, a
+   guide; a field that pulls has no such way, and takes the free one), and that begins on the side where the
+   user sits;
+3. eight directions along the surface; in each the surface is followed step by step, as the line across it on
+   which the force first reaches that share; the longest walk is taken.
 
-An object that moves is met: the way is that of its own frame, which goes with it. All is done with the receiver's own
-query, so that it works for voxels and for objects, and gives the same trace on every machine. In an empty field it
-rests in the middle.
+An object that moves is met: the way is that of its own frame, which goes with it. All is done with the
+receiver's own query, so that it works for voxels and for objects, and gives the same trace on every machine.
+In an empty field it rests in the middle.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ _LEGS: Final = (("come", 0.2), ("press", 0.1), ("rest", 0.05), ("slide", 0.4), (
 """Steps of the work, and each one's share of the time."""
 
 _VIEWER_WEIGHT: Final = 1.8
-"""Of the side where the user sits, which goes from -1 to 1: a little less than that of a field that pushes back."""
+"""Of the side where the user sits, which goes from -1 to 1: a little less than that of a field that pushes
+back.
+"""
 
 _CANDIDATES: Final = 24
 _POINTS: Final = 4096  # of one way out
@@ -66,14 +70,14 @@ def touch_down(
     Parameters
     ----------
     touched : HapticMedium or HapticScene
-        The frame of the moment at which the probe arrives is looked at; where that is empty, the first that is not,
-        of some. What has several frames and is shorter than `SECONDS` is touched within its own time.
+        The frame of the moment at which the probe arrives is looked at; where that is empty, the first that
+        is not, of some. What has several frames and is shorter than `SECONDS` is touched within its own time.
     stiffness_n_per_m : float
-        That of the hand which will follow the trace; with it the trace runs F / k deeper, so that a hand on a spring
-        comes to rest where a stiff one would be.
+        That of the hand which will follow the trace; with it the trace runs F / k deeper, so that a hand on a
+        spring comes to rest where a stiff one would be.
     force_max_n : float
-        The field is pressed no harder than this, newtons; with what a device can hold for long, its thermal limit
-        does not come between.
+        The field is pressed no harder than this, newtons; with what a device can hold for long, its thermal
+        limit does not come between.
     start_s, speed : float
         The moment of the medium at which the hand begins, and its seconds in one of the hand's.
     """
@@ -95,9 +99,11 @@ def touch_down(
 
 
 def _following(scene: HapticScene, frame: int, met: Float64s, places: Float64s, at: Float64s) -> Float64s:
-    """A way that was found in one frame, going with the object that is met there; `at` are frames, with fractions.
+    """A way that was found in one frame, going with the object that is met there; `at` are frames, with
+    fractions.
 
-    It goes along from the begin on, and turns with it from that frame on, so that it comes from the side it chose.
+    It goes along from the begin on, and turns with it from that frame on, so that it comes from the side it
+    chose.
     """
     felt = [one.field(frame).sample_n(one.track.to_body(met, frame)) for one in scene.objects]
     track = scene.objects[int(np.argmax(np.linalg.norm(felt, axis=-1)))].track
@@ -112,13 +118,17 @@ def _following(scene: HapticScene, frame: int, met: Float64s, places: Float64s, 
 
 
 def _frame(touched: HapticMedium | HapticScene, at_s: float) -> tuple[Grid, Query, Float64s, int]:
-    """The lattice, the query and the places of some strong samples, float64 [m, 3], of one frame, and its number."""
+    """The lattice, the query and the places of some strong samples, float64 [m, 3], of one frame, and its
+    number.
+    """
     count = len(touched)
     first = min(int(at_s * touched.rate_hz), count - 1)
     for frame in dict.fromkeys([first, *np.linspace(0, count - 1, min(count, 8)).astype(int).tolist()]):
         if isinstance(touched, HapticScene):
             query = _query(partial(touched.sample_n, frame))
-            points = np.concatenate([one.track.to_scene(_strong(one.field(frame)), frame) for one in touched.objects])
+            points = np.concatenate(
+                [one.track.to_scene(_strong(one.field(frame)), frame) for one in touched.objects]
+            )
             sizes = _sizes(query(points))
             points = points[sizes > 0.5 * sizes.max(initial=0.0)]
         else:
@@ -151,7 +161,9 @@ def _diagonal(grid: Grid) -> float:
     return float(np.linalg.norm(high - low))
 
 
-def _touch(grid: Grid, query: Query, points: Float64s, force_max_n: float, viewer: Float64s) -> dict[str, Float64s]:
+def _touch(
+    grid: Grid, query: Query, points: Float64s, force_max_n: float, viewer: Float64s
+) -> dict[str, Float64s]:
     """The way of the probe: the corners of "come", "press", "slide" and "leave", each float64 [n, 3]."""
     diagonal, fine = _diagonal(grid), min(grid.spacing_m)
     place, out, depth, free = _way_out(query, points, diagonal, fine, viewer)
@@ -166,7 +178,9 @@ def _touch(grid: Grid, query: Query, points: Float64s, force_max_n: float, viewe
     come, press = np.stack([surface + out * lead, before]), np.stack([before, touched])
     leave = slide[-1] + out * np.linspace(0.0, pressed + lead, _ACROSS)[:, None]
     sizes = _sizes(query(leave))
-    if sizes[-1] > 1e-6 * sizes[0] or sizes.max() > 1.05 * sizes[0]:  # another wall: back as it came, which is free
+    if (
+        sizes[-1] > 1e-6 * sizes[0] or sizes.max() > 1.05 * sizes[0]
+    ):  # another wall: back as it came, which is free
         leave = np.concatenate([come, press, slide])[::-1]
     return {"come": come, "press": press, "slide": slide, "leave": leave}
 
@@ -174,7 +188,9 @@ def _touch(grid: Grid, query: Query, points: Float64s, force_max_n: float, viewe
 def _way_out(
     query: Query, points: Float64s, diagonal: float, fine: float, viewer: Float64s
 ) -> tuple[Float64s, Float64s, float, float]:
-    """The best sample to touch, the unit vector out of it, how deep it lies, and how far the way is free beyond."""
+    """The best sample to touch, the unit vector out of it, how deep it lies, and how far the way is free
+    beyond.
+    """
     forces = query(points)
     strengths = _sizes(forces)
     along = forces / strengths[:, None]

@@ -1,9 +1,9 @@
 """Compiled loops over forces: clip and floor, pooling along the depth for arrays, and friction.
 
-Of a stored field a column of the image asks at points that differ along z only: its forces are made between the four
-columns of samples around it once for each stored depth, and the points in between are linear along z. `friction`
-takes and gives plain numbers, so that the loop of a renderer can call it a thousand times a second. All sums are in
-float64. Imported only when first needed.
+Of a stored field a column of the image asks at points that differ along z only: its forces are made between
+the four columns of samples around it once for each stored depth, and the points in between are linear along
+z. `friction` takes and gives plain numbers, so that the loop of a renderer can call it a thousand times a
+second. All sums are in float64. Imported only when first needed.
 """
 
 from __future__ import annotations
@@ -112,9 +112,11 @@ def _pool(begin, end, places, counts, slots, forces, out):
 
 
 def pooled(stored: ForceField, asked: Grid) -> Float64s:
-    """Of the columns of a grid the greatest |F|, the mean of those that are there, and where these begin and end.
+    """Of the columns of a grid the greatest |F|, the mean of those that are there, and where these begin and
+    end.
 
-    float64 [4, x, y]; the numbers of the lowest sample with a force and of the highest, from 1, or 0 without any.
+    float64 [4, x, y]; the numbers of the lowest sample with a force and of the highest, from 1, or 0 without
+    any.
     """
     grid = stored.grid
     x, y, z = ((asked.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis] for axis in range(3))
@@ -126,12 +128,15 @@ def pooled(stored: ForceField, asked: Grid) -> Float64s:
     return np.moveaxis(out.reshape(len(x), len(y), 4), 2, 0)
 
 
-# -- to another lattice: three passes over each output brick, which is made alone, in a fixed order of additions ---
+# -- to another lattice: three passes over each output brick, which is made alone, in a fixed order of
+# additions ---
 
 
 @inlined
 def _pass_x(forces, slot, span, low, first, weights, n0, n1, tmp):
-    """Add what one input brick gives to the first pass; `span` holds its sample ranges x0, x1, y0, y1, z0, z1."""
+    """Add what one input brick gives to the first pass; `span` holds its sample ranges x0, x1, y0, y1, z0,
+    z1.
+    """
     run = (span[5] - span[4]) * 3
     at = (span[4] - low[2]) * 3
     start = (span[4] & 7) * 3
@@ -231,7 +236,8 @@ def resampled(
     forces_n: Float32s,
     weights: Sequence[tuple[Int64s, Float32s]],
 ) -> tuple[Float32s, Bools]:
-    """The forces of output bricks int32 [n, 3], float32 [n, 8, 8, 8, 3], and which of them hold one, bool [n].
+    """The forces of output bricks int32 [n, 3], float32 [n, 8, 8, 8, 3], and which of them hold one, bool
+    [n].
 
     source_shape : (int, int, int); samples of the input grid.
     keys, forces_n : int64 [m], float32 [m, 8, 8, 8, 3]; the input bricks, ascending.
@@ -246,7 +252,9 @@ def resampled(
     def piece(begin: int, end: int) -> None:
         vectors = np.zeros((8, 8, deep, 3), np.float32)
         passes = np.zeros((8, across, 3 * deep), np.float32), vectors.reshape(8, 8, -1), vectors
-        _resampled(begin, end, source, x, y, z, (*passes, np.zeros(3, np.int64), np.zeros(6, np.int64)), out, held)
+        _resampled(
+            begin, end, source, x, y, z, (*passes, np.zeros(3, np.int64), np.zeros(6, np.int64)), out, held
+        )
 
     for_chunks(piece, len(bricks), chunk=16)
     return out, held
@@ -269,9 +277,9 @@ _LEAST_SLIP = 2.0**-47  # of the greatest component of v: 32 units of rounding
 def friction(fx, fy, fz, vx, vy, vz, mu, slip_speed):
     """F_t = -mu |F| v_t / max(|v_t|, v_s), three numbers, newtons.
 
-    Force and velocity are first scaled by powers of two, which is exact, so that no square is lost at either end of
-    float64. A slip so small beside v that its direction is rounding alone could drive the hand, and is taken as none.
-    So F_t . v <= 0 holds of the numbers themselves, summed without rounding.
+    Force and velocity are first scaled by powers of two, which is exact, so that no square is lost at either
+    end of float64. A slip so small beside v that its direction is rounding alone could drive the hand, and is
+    taken as none. So F_t . v <= 0 holds of the numbers themselves, summed without rounding.
     """
     top, fast = max(abs(fx), abs(fy), abs(fz)), max(abs(vx), abs(vy), abs(vz))
     if top == 0 or fast == 0 or mu == 0:

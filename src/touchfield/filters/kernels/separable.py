@@ -1,9 +1,9 @@
 """Sparse bricks through three passes of taps, of which each adds only the bricks it reaches.
 
-The inner loop makes weighted sums of four short rows at once, their sums held in registers (`four_rows`). A loop of
-24 numbers is too short for the compiler: the tests that two rows do not overlap cost as much as the sums. There the
-vectors are written as such, with eight lanes: those of 24 it would take to pieces after the loop. Imported only when
-first needed.
+The inner loop makes weighted sums of four short rows at once, their sums held in registers (`four_rows`). A
+loop of 24 numbers is too short for the compiler: the tests that two rows do not overlap cost as much as the
+sums. There the vectors are written as such, with eight lanes: those of 24 it would take to pieces after the
+loop. Imported only when first needed.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ _SAME_PLACE = ir.Constant(ir.VectorType(ir.IntType(32), _LANES), [0] * _LANES)
 
 
 def _four_rows(typing, out, o, out_step, flat, at, step, offsets, weights, count):
-    """``out[o + r out_step + n] = sum over k of weights[k] flat[at + r step + offsets[k] + n]``, r < 4, n < 24.
+    """``out[o + r out_step + n] = sum over k of weights[k] flat[at + r step + offsets[k] + n]``, r < 4, n
+    < 24.
 
-    The sum runs over the first `count` of `offsets` int64 and `weights` float32; of none it is zero. `out` and `flat`
-    are float32 [n]. Product and addition may be rounded once. No place is tested.
+    The sum runs over the first `count` of `offsets` int64 and `weights` float32; of none it is zero. `out`
+    and `flat` are float32 [n]. Product and addition may be rounded once. No place is tested.
     """
     i64 = types.int64
 
@@ -97,7 +98,8 @@ def row_masks(begin, end, words, masks):
 
 @inner
 def _reached(i, places, every, count, begins, bits, offsets, weights):
-    """The taps of row or plane i that meet something, into `offsets` and `weights`; how many, and the bits they meet.
+    """The taps of row or plane i that meet something, into `offsets` and `weights`; how many, and the bits
+    they meet.
 
     `begins` says where each row or plane begins, and `bits` what lies there, 0 for nothing.
     """
@@ -133,10 +135,11 @@ def _column_x(
     flat, masks, keys, keys_x, place, lattice, before, places, every, taps, begins, bits, offsets, weights, cursors,
     ring, made,
 ):  # fmt: skip
-    """One column of the ring: the sums along x of its bricks, and in `made` which of their rows hold something.
+    """One column of the ring: the sums along x of its bricks, and in `made` which of their rows hold
+    something.
 
-    `place` is the column's x and y, in bricks, the first place along z, how many places, and where in the ring it
-    begins.
+    `place` is the column's x and y, in bricks, the first place along z, how many places, and where in the
+    ring it begins.
     """
     x, y, first, count, ring_at = place
     made[:] = 0
@@ -185,7 +188,9 @@ def _brick_z(at, mask, slot, offsets, weights, taps, line, width, out):
     """The sums along z of one brick, `mask` saying which of its rows hold something."""
     for row in range(0, 64, 4):
         some = taps if (mask >> np.uint64(row)) & _FOUR else 0
-        four_rows(out, slot * _BRICK + row * ROW, ROW, line, row * width + at * ROW, width, offsets, weights, some)
+        four_rows(
+            out, slot * _BRICK + row * ROW, ROW, line, row * width + at * ROW, width, offsets, weights, some
+        )
 
 
 @inner
@@ -207,11 +212,15 @@ def _line_cleared(line, width, at):
 
 
 @kernel
-def filtered_bricks(begin, end, items, source, keys_of_passes, lattice, before, deep, sizes, taps, out, bits, tops):
-    """Slabs of output bricks of one x and a range of z: a ring of columns filtered along x, then column by column.
+def filtered_bricks(
+    begin, end, items, source, keys_of_passes, lattice, before, deep, sizes, taps, out, bits, tops
+):
+    """Slabs of output bricks of one x and a range of z: a ring of columns filtered along x, then column by
+    column.
 
-    `before` and `deep` are for each axis how far back the first sample of a sum lies, and how many samples after it
-    the last one; `sizes` is how many bricks along z make an item, and how many beyond them its sums reach.
+    `before` and `deep` are for each axis how far back the first sample of a sum lies, and how many samples
+    after it the last one; `sizes` is how many bricks along z make an item, and how many beyond them its sums
+    reach.
     """
     keys, keys_x, keys_y, keys_z = keys_of_passes
     flat, masks = source
@@ -281,7 +290,9 @@ _NARROW = 10 * _AT_ONCE  # sums at once, of columns narrower than that
 
 @inner
 def _line_filled(line, source, runs, beside, first, columns, width):
-    """The samples of `columns` columns from `first` on, as `runs` says, into `line`, `width` numbers a sample."""
+    """The samples of `columns` columns from `first` on, as `runs` says, into `line`, `width` numbers a
+    sample.
+    """
     for n in range(len(runs)):
         p, q = np.uint64(runs[n, 0] * width), np.uint64(runs[n, 1] * beside + first)
         for i in range(np.uint64(columns * runs[n, 2])):
@@ -290,7 +301,8 @@ def _line_filled(line, source, runs, beside, first, columns, width):
 
 @inner
 def _sums_of_items(begin, end, source, along, out):
-    """As `sums_along`, of float32: the sums are held in registers (`four_rows`), and each is rounded in one order.
+    """As `sums_along`, of float32: the sums are held in registers (`four_rows`), and each is rounded in one
+    order.
 
     The last numbers are summed together with some before them, once more; fewer than `_AT_ONCE` with zeros.
     """
@@ -325,7 +337,8 @@ def sums_along_float32(begin, end, source, runs, places, weights, sizes, out):
 def sums_of_planes(begin, end, rows, lines, along_rows, along_lines):
     """Sums along the last two axes of float32, in place: a plane stays in the cache between them.
 
-    `rows` [a, n m] and `lines` [a n, m] are the same numbers; the others are what `sums_along` takes, of each axis.
+    `rows` [a, n m] and `lines` [a n, m] are the same numbers; the others are what `sums_along` takes, of each
+    axis.
     """
     blocks, count = -(-along_rows[3][1] // along_rows[3][2]), len(lines) // len(rows)
     for a in range(begin, end):
@@ -349,11 +362,12 @@ def count_not_finite(begin, end, numbers, limit, counts):
 
 @kernel(fastmath={"contract"})
 def sums_along(begin, end, source, runs, places, weights, sizes, out):
-    """Weighted sums along an axis of a dense array, whose samples are numbers `beside` each other: [a, n x beside].
+    """Weighted sums along an axis of a dense array, whose samples are numbers `beside` each other: [a, n x
+    beside].
 
-    `sizes` are the samples of a line that is continued beyond its ends, `beside`, and how many of these are filtered
-    at once. `runs` [n, 3] say what a line is made of: where in it, from which sample, and how many; else it is zero.
-    `places` and `weights` are of a sum from its first sample on, four and four.
+    `sizes` are the samples of a line that is continued beyond its ends, `beside`, and how many of these are
+    filtered at once. `runs` [n, 3] say what a line is made of: where in it, from which sample, and how many;
+    else it is zero. `places` and `weights` are of a sum from its first sample on, four and four.
     """
     samples, beside, width = sizes
     blocks, count = -(-beside // width), out.shape[1] // max(1, beside)

@@ -1,9 +1,10 @@
 """Compiled steps of the diffusion of a field.
 
-Each brick is taken with the samples around it into a tile of 10 x 10 x 10, one row for each component, so that every
-loop over it is a long run that the compiler turns into vector instructions. The flux of an edge between two bricks is
-computed in both from the same numbers by the same operations: what leaves one enters the other to the last bit. The
-result does not depend on the number of threads. Imported only when first needed.
+Each brick is taken with the samples around it into a tile of 10 x 10 x 10, one row for each component, so
+that every loop over it is a long run that the compiler turns into vector instructions. The flux of an edge
+between two bricks is computed in both from the same numbers by the same operations: what leaves one enters
+the other to the last bit. The result does not depend on the number of threads. Imported only when first
+needed.
 """
 
 from __future__ import annotations
@@ -26,11 +27,14 @@ _FACES = (
     (12, 7, 110, (64, 8, 100, 10)),
     (14, 0, 119, (64, 8, 100, 10)),
 )
-"""The six bricks beside a brick: the place in `slots_around`, the first sample of the face in that brick and in
-the tile, and how far it is to the next sample along both edges of the face, in that brick and in the tile."""
+"""The six bricks beside a brick: the place in `slots_around`, the first sample of the face in that brick and
+in the tile, and how far it is to the next sample along both edges of the face, in that brick and in the
+tile."""
 
 _FAR = np.float32(16)
-_SERIES = tuple(np.float32((-1) ** n / math.factorial(n)) for n in range(10))  # Taylor's for exp(-r), 0 <= r <= 1
+_SERIES = tuple(
+    np.float32((-1) ** n / math.factorial(n)) for n in range(10)
+)  # Taylor's for exp(-r), 0 <= r <= 1
 
 
 @inner
@@ -42,7 +46,9 @@ def _exponential(s):
     c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = _SERIES
     for e in range(s.shape[0]):
         r = min(s[e], _FAR) * np.float32(1 / 16)
-        p = c0 + r * (c1 + r * (c2 + r * (c3 + r * (c4 + r * (c5 + r * (c6 + r * (c7 + r * (c8 + r * c9))))))))
+        p = c0 + r * (
+            c1 + r * (c2 + r * (c3 + r * (c4 + r * (c5 + r * (c6 + r * (c7 + r * (c8 + r * c9)))))))
+        )
         p *= p
         p *= p
         p *= p

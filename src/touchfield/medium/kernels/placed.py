@@ -1,7 +1,8 @@
 """Compiled loops of objects in motion: the trilinear query of fields that lie turned and shifted in a scene.
 
-The fields are kept as *cells*: each brick of 8^3 samples with the first samples of the bricks behind it, 9^3 in all,
-so that the eight corners of any point are found in one place. Bricks of cells are found by a hash table.
+The fields are kept as *cells*: each brick of 8^3 samples with the first samples of the bricks behind it, 9^3
+in all, so that the eight corners of any point are found in one place. Bricks of cells are found by a hash
+table.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing (Knuth, volume 3, se
 Z, Y, X = np.uint64(3), np.uint64(27), np.uint64(243)
 YZ, XZ, XY, XYZ = Y + Z, X + Z, X + Y, X + Y + Z  # unsigned, so that no index is looked at for its sign
 
-# columns of `placed`: a point x lies at A (x - t) - c, in samples (h metres apart) from the corner of the object's
-# box of bricks; R turns its force into the scene's, v and w times r = x - t add b times the velocity of its surface
+# columns of `placed`: a point x lies at A (x - t) - c, in samples (h metres apart) from the corner of the
+# object's box of bricks; R turns its force into the scene's, v and w times r = x - t add b times the velocity
+# of its surface
 A, C, T, R, V, W, H = 0, 9, 12, 15, 24, 27, 30
 
 # columns of `boxes`: bricks along each axis, where the object's hash table begins, 64 - its bits
@@ -75,7 +77,8 @@ def hash_table(keys, shift, table):
 def cells_of(begin, end, sources, forces, cells, held):
     """Fill `cells` [n, 9, 9, 9, 3] from the eight bricks behind each, `sources` [n, 8]; -1 for none.
 
-    `held` uint64 [n, 8], zero before: bit 8 j + k of word i tells that a corner of cell (i, j, k) is not zero.
+    `held` uint64 [n, 8], zero before: bit 8 j + k of word i tells that a corner of cell (i, j, k) is not
+    zero.
     """
     one = np.uint64(1)
     for s in range(begin, end):
@@ -104,7 +107,9 @@ def cells_of(begin, end, sources, forces, cells, held):
 
 @kernel
 def place(poses, lattices, motions, placed):
-    """The table of one frame from poses [n, 7] (w, x, y, z, t), lattices [n, 6] (spacing, corner), motions [n, 6]."""
+    """The table of one frame from poses [n, 7] (w, x, y, z, t), lattices [n, 6] (spacing, corner), motions
+    [n, 6].
+    """
     for n in range(poses.shape[0]):
         w, x, y, z = poses[n, 0], poses[n, 1], poses[n, 2], poses[n, 3]
         row = placed[n]
@@ -119,7 +124,8 @@ def place(poses, lattices, motions, placed):
             row[V + i], row[W + i] = motions[n, i], motions[n, 3 + i]
 
 
-# -- the force at a point ------------------------------------------------------------------------------------------
+# -- the force at a point
+# ------------------------------------------------------------------------------------------
 
 
 @inner(forceinline=True)
@@ -173,7 +179,9 @@ def shortened(x, y, z, limit):
 
 @kernel(_nrt=False)
 def at_points(begin, end, points, boxes, placed, tables, cells, held, floor, limit, out):
-    """Forces at points [m, 3], metres: what is within `floor` of zero counts as none, the sum is cut to `limit`."""
+    """Forces at points [m, 3], metres: what is within `floor` of zero counts as none, the sum is cut to
+    `limit`.
+    """
     least = floor * floor
     for p in range(begin, end):
         px, py, pz = points[p, 0], points[p, 1], points[p, 2]
@@ -192,17 +200,18 @@ def at_points(begin, end, points, boxes, placed, tables, cells, held, floor, lim
         out[p, 0], out[p, 1], out[p, 2] = shortened(sx, sy, sz, limit)
 
 
-# -- on a lattice --------------------------------------------------------------------------------------------------
+# -- on a lattice
+# --------------------------------------------------------------------------------------------------
 
 
 @kernel
 def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, most):
     """Bricks of a lattice that each object may reach: pairs (brick, object), int64 [m, 2], objects ascending.
 
-    Boxes of cells and of the lattice's brick are held against each other along the axes of both. `bricks` [n, 3]
-    are those of cells, from `starts[n]` on; `stamps`, zero for each brick of the lattice, comes back as the number
-    of the last object there, plus one. How many pairs there are comes first; -1 where there are more than `most`,
-    or sixteen times as many would have to be looked at.
+    Boxes of cells and of the lattice's brick are held against each other along the axes of both. `bricks` [n,
+    3] are those of cells, from `starts[n]` on; `stamps`, zero for each brick of the lattice, comes back as
+    the number of the last object there, plus one. How many pairs there are comes first; -1 where there are
+    more than `most`, or sixteen times as many would have to be looked at.
     """
     by, bz = (shape[1] + 7) // 8, (shape[2] + 7) // 8
     pairs = np.empty((1024, 2), np.int64)
@@ -293,8 +302,26 @@ def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, leas
 
 
 @kernel
-def fill(begin, end, bricks, starts, which, lattice, shape, boxes, placed, tables, cells, held, limits, forces, full):
-    """The sums of the objects `which[starts[s]:starts[s + 1]]` in brick s of zeros, and whether any is not zero."""
+def fill(
+    begin,
+    end,
+    bricks,
+    starts,
+    which,
+    lattice,
+    shape,
+    boxes,
+    placed,
+    tables,
+    cells,
+    held,
+    limits,
+    forces,
+    full,
+):
+    """The sums of the objects `which[starts[s]:starts[s + 1]]` in brick s of zeros, and whether any is not
+    zero.
+    """
     total = np.zeros((8, 8, 8, 3))
     first = np.empty(3, np.int64)
     floor, limit = limits
@@ -304,7 +331,9 @@ def fill(begin, end, bricks, starts, which, lattice, shape, boxes, placed, table
         added = False
         for m in range(starts[s], starts[s + 1]):
             n = which[m]
-            if _add_brick(total, first, lattice, shape, placed[n], boxes[n], tables, cells, held, floor * floor):
+            if _add_brick(
+                total, first, lattice, shape, placed[n], boxes[n], tables, cells, held, floor * floor
+            ):
                 added = True
         if not added:
             continue

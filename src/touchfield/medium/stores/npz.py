@@ -5,8 +5,8 @@ Arrays: ``forces_n`` float32 [frame, nx, ny, nz, 3], ``origin_m`` and ``spacing_
 x_hand = ``mapping_scale`` (x_scene - ``mapping_offset_m``). Provenance stays behind. ``numpy.load``
 reads it as it is. Both ways go slab by slab, so that not even one dense frame is held at once.
 
-An archive (a zip of ``.npy`` entries, NEP 1) is opened with care: nothing is unpickled, the header of an entry must
-agree with the entry's size before anything is allocated, and every fault is a `SourceError`.
+An archive (a zip of ``.npy`` entries, NEP 1) is opened with care: nothing is unpickled, the header of an
+entry must agree with the entry's size before anything is allocated, and every fault is a `SourceError`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
 
-DEFLATE_LEVEL: Final = 1  # of a field that is 3 % force a twentieth of the bytes; level 6 takes longer for little
+DEFLATE_LEVEL: Final = (
+    1  # of a field that is 3 % force a twentieth of the bytes; level 6 takes longer for little
+)
 SINGLE_FRAME_RATE_HZ: Final = 30.0
 _DEFAULTS: Final[dict[str, float | str]] = {
     "axes": "x, y, z",
@@ -65,7 +67,8 @@ def write_npz(
     """Write all frames; the file appears when it is whole.
 
     report : callable; ``report(written, frames)``, after each frame.
-    told : mapping of str to numbers; what else is to be told, an array each: ``mapping_scale``, ``mapping_offset_m``.
+    told : mapping of str to numbers; what else is to be told, an array each: ``mapping_scale``,
+        ``mapping_offset_m``.
     Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
     small = {"origin_m": np.array(medium.grid.origin_m), "spacing_m": np.array(medium.grid.spacing_m)}
@@ -96,9 +99,10 @@ def _entry(name: str) -> zipfile.ZipInfo:
 def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     """Open a medium; its frames are read when they are asked for, quickest in ascending order.
 
-    ``forces_n`` may also be of another number type, or one frame [nx, ny, nz, 3]; `rate_hz` may be absent from a
-    single frame, the rest beside the grid from any. With `to_the_bit` a brick of nothing but -0.0 is kept as well.
-    Raises `SourceError` if the file is none, cut short or damaged, or (when a frame is read) a force is not finite.
+    ``forces_n`` may also be of another number type, or one frame [nx, ny, nz, 3]; `rate_hz` may be absent
+    from a single frame, the rest beside the grid from any. With `to_the_bit` a brick of nothing but -0.0 is
+    kept as well. Raises `SourceError` if the file is none, cut short or damaged, or (when a frame is read) a
+    force is not finite.
     """
     archive = NpzArchive(Path(path))
     header = archive.header("forces_n")
@@ -208,12 +212,18 @@ def read_npy_header(stream: IO[bytes], where: str) -> ArrayHeader:
             version = np.lib.format.read_magic(stream)
             if version not in ((1, 0), (2, 0)):
                 raise SourceError(where, f"an .npy of version {version}", "1.0 or 2.0")
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            read = (
+                np.lib.format.read_array_header_1_0
+                if version == (1, 0)
+                else np.lib.format.read_array_header_2_0
+            )
             shape, fortran, dtype = read(stream)
     except _FAULTS as error:
         raise SourceError(where, f"a broken .npy header ({error})", "an array saved by NumPy") from error
     if dtype.hasobject:
-        raise SourceError(where, "pickled objects", "plain numbers", "Save it as an array of one number type.")
+        raise SourceError(
+            where, "pickled objects", "plain numbers", "Save it as an array of one number type."
+        )
     if any(n < 0 for n in shape):
         raise SourceError(where, f"the shape {shape}", "counts from 0")
     return ArrayHeader(tuple(int(n) for n in shape), dtype, bool(fortran), stream.tell() - begin)

@@ -35,8 +35,8 @@ def write_vti(
 ) -> Path:
     """Write a medium for ParaView.
 
-    path : str or Path; one frame is written to this very file. Several are written to ``NAME_00000.vti`` and so on,
-        and ``NAME.pvd`` is the file to open.
+    path : str or Path; one frame is written to this very file. Several are written to ``NAME_00000.vti`` and
+        so on, and ``NAME.pvd`` is the file to open.
     report : callable; ``report(written, frames)``, after each frame.
     told : mapping of str to numbers; what else is to be told, as field data.
     Returns Path; The file to open.
@@ -68,7 +68,9 @@ def _write_frame(path: Path, medium: HapticMedium, index: int, told: Mapping[str
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         stream.write(_head(medium, index, told))
         # x fastest, as VTK has it, slab by slab along z
-        _write_blocks(stream, 12 * medium.grid.voxel_count, (s.transpose(2, 1, 0, 3) for s in medium[index].slabs(2)))
+        _write_blocks(
+            stream, 12 * medium.grid.voxel_count, (s.transpose(2, 1, 0, 3) for s in medium[index].slabs(2))
+        )
         stream.write(b"\n  </AppendedData>\n</VTKFile>\n")
 
 
@@ -80,7 +82,8 @@ def _head(medium: HapticMedium, index: int, told: Mapping[str, Sequence[float]])
     axes = " ".join(str(byte) for byte in (*medium.axes.encode("utf-8"), 0))
     number = 'DataArray type="Float64" NumberOfTuples="1" format="ascii"'
     more = "".join(
-        f'      <DataArray type="Float64" NumberOfTuples="{len(values)}" format="ascii" Name={quoteattr(name)}>'
+        f'      <DataArray type="Float64" NumberOfTuples="{len(values)}" format="ascii" '
+        f"Name={quoteattr(name)}>"
         f"{' '.join(repr(float(v)) for v in values)}</DataArray>\n"
         for name, values in told.items()
     )

@@ -1,10 +1,11 @@
-"""A medium as a zarr store, version 3: chunks of whole bricks in shards, for programs that read a part at a time.
+"""A medium as a zarr store, version 3: chunks of whole bricks in shards, for programs that read a part at a
+time.
 
-A group with attributes (the lattice, the rate, what travels beside the forces) and the array ``forces_n`` float32
-[t, x, y, z, component]; levels of detail are ``forces_n_1``, ``forces_n_2``, ..., and the attribute ``multiscales``
-says where their samples lie, as OME-NGFF does. A chunk without a force is not written. Chunks are packed by zstd,
-or by a codec that is named, such as the coder `touch` (`touchfield.codec.zarr_codec`). A shard is a file, what is
-written at once.
+A group with attributes (the lattice, the rate, what travels beside the forces) and the array ``forces_n``
+float32 [t, x, y, z, component]; levels of detail are ``forces_n_1``, ``forces_n_2``, ..., and the attribute
+``multiscales`` says where their samples lie, as OME-NGFF does. A chunk without a force is not written. Chunks
+are packed by zstd, or by a codec that is named, such as the coder `touch` (`touchfield.codec.zarr_codec`). A
+shard is a file, what is written at once.
 """
 
 from __future__ import annotations
@@ -115,7 +116,9 @@ def _level(medium: HapticMedium, level: int) -> dict[str, Any]:
 
 
 def write_box(store: str | Path, frame: int, low: Sequence[int], forces_n: Float32s, level: int = 0) -> None:
-    """Write newtons [nx, ny, nz, 3] of one of `boxes`, whose first sample is `low`; nothing where there are none."""
+    """Write newtons [nx, ny, nz, 3] of one of `boxes`, whose first sample is `low`; nothing where there are
+    none.
+    """
     if forces_n.any():
         array = _zarr().open_array(store, path=_level_name(level), mode="r+")
         array[(frame, *(slice(a, a + n) for a, n in zip(low, forces_n.shape)))] = forces_n
@@ -133,7 +136,8 @@ def write_zarr(
     report : callable; ``report(written, frames)``, after each frame.
     levels : coarser media of the same frames, which follow as levels of detail.
     told : mapping of str to JSON values; what else the attributes are to tell.
-    Raises `MissingExtra` without zarr; `InvalidArgument` if something lies at `path`; `SourceError` if refused.
+    Raises `MissingExtra` without zarr; `InvalidArgument` if something lies at `path`; `SourceError` if
+    refused.
     """
     with whole_folder(Path(path)) as store:
         create(store, medium, told, None, levels)
@@ -151,7 +155,9 @@ def whole_folder(path: Path, is_kept: bool = False) -> Iterator[Path]:
     """A folder ``PATH.parts`` that gets its name at the end of the block; after an error it goes, or is kept."""
     _zarr()  # before anything is written
     if path.exists():
-        raise InvalidArgument(str(path), "something there already", "a new name", "Remove it, or take another name.")
+        raise InvalidArgument(
+            str(path), "something there already", "a new name", "Remove it, or take another name."
+        )
     partial = path.with_name(f"{path.name}.parts")
     if not is_kept:
         shutil.rmtree(partial, ignore_errors=True)
@@ -176,7 +182,8 @@ def cut(field: ForceField, low: Sequence[int], shape: tuple[int, int, int]) -> F
 def read_zarr(path: str | Path) -> HapticMedium:
     """Open a store that `write_zarr` or `touchfield encode` wrote; frames are read when they are asked for.
 
-    Raises `MissingExtra` without zarr; `SourceError` if it is no such store, or (on a frame) a chunk is damaged.
+    Raises `MissingExtra` without zarr; `SourceError` if it is no such store, or (on a frame) a chunk is
+    damaged.
     """
     zarr = _zarr()
     about, (shape, chunk) = _json(Path(path) / "zarr.json").get("attributes"), _layout(Path(path))
@@ -224,7 +231,9 @@ def _layout(path: Path) -> tuple[list[int], list[int]]:
         chunk = [int(n) for n in inner[0]["configuration"]["chunk_shape"]] if inner else chunk
         kind = str(about["data_type"])
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        raise SourceError(where, f"metadata that cannot be used ({error!r})", "a zarr array, version 3") from None
+        raise SourceError(
+            where, f"metadata that cannot be used ({error!r})", "a zarr array, version 3"
+        ) from None
     if kind not in ("float32", "float64") or len(shape) != 5 or shape[4] != 3 or min(shape) < 1:
         raise SourceError(where, f"{kind} {shape}", "float32 [t, x, y, z, 3], newtons")
     if len(chunk) != 5 or min(chunk) < 1 or chunk[4] != 3 or shape[0] > _MOST_FRAMES:

@@ -1,9 +1,10 @@
 """The block that player and servo share: its views and file, what lies where, and the record of a run in it.
 
-A file of its own name rather than `multiprocessing.shared_memory`: the name is taken away as soon as both have opened
-it, so that nothing is left behind whichever process is killed; room is reserved before it is written, so that a full
-``/dev/shm`` is an error and not a crash; a view that somebody still holds keeps the memory alive. A row of the log is
-written by every tick and never waits: where nobody drains, the oldest are lost, and the loss is counted.
+A file of its own name rather than `multiprocessing.shared_memory`: the name is taken away as soon as both
+have opened it, so that nothing is left behind whichever process is killed; room is reserved before it is
+written, so that a full ``/dev/shm`` is an error and not a crash; a view that somebody still holds keeps the
+memory alive. A row of the log is written by every tick and never waits: where nobody drains, the oldest are
+lost, and the loss is counted.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ class Memory:
     def of(cls, buffer: Any) -> Memory:
         """The views of a writeable buffer whose length is a multiple of eight bytes."""
         octets = np.frombuffer(buffer, np.uint8)
-        return cls(octets.view(np.int64), octets.view(np.uint64), octets.view(np.float64), octets.view(np.float32))
+        return cls(
+            octets.view(np.int64), octets.view(np.uint64), octets.view(np.float64), octets.view(np.float32)
+        )
 
     @classmethod
     def empty(cls, words: int) -> Memory:
@@ -88,7 +91,9 @@ class Block:
 
     @classmethod
     def create(cls, words: int) -> Block:
-        """A new block of zeros; its room is reserved by `reserve`, and `InvalidArgument` if there is none for it."""
+        """A new block of zeros; its room is reserved by `reserve`, and `InvalidArgument` if there is none for
+        it.
+        """
         descriptor, name = tempfile.mkstemp(prefix=PREFIX, dir=shared_folder())
         try:
             os.truncate(descriptor, W.WORD * words)
@@ -106,7 +111,9 @@ class Block:
         return cls(path, descriptor, os.fstat(descriptor).st_size)
 
     def reserve(self, words: int) -> None:
-        """See to it that the first `words` words can be written; `InvalidArgument` if there is no room for them."""
+        """See to it that the first `words` words can be written; `InvalidArgument` if there is no room for
+        them.
+        """
         wanted = min(self._size, -(-W.WORD * words // _STEP_BYTES) * _STEP_BYTES)
         if wanted <= self._reserved or not hasattr(os, "posix_fallocate"):
             return
@@ -143,7 +150,8 @@ def _no_room(needed: int) -> InvalidArgument:
 class Layout:
     """Places of the parts of one block: behind `words.FREE` directory, log, tool, materials, yields, arena.
 
-    The arena begins with what all frames share (fields of rigid bodies); the rest of it is a `Ring` of frames.
+    The arena begins with what all frames share (fields of rigid bodies); the rest of it is a `Ring` of
+    frames.
     """
 
     def __init__(
@@ -167,8 +175,12 @@ class Layout:
         ends = accumulate(sizes, initial=W.FREE)
         _, self.log, self.tool, self.material, self.yields, self.arena, self.words = ends
 
-    def write(self, memory: Memory, frame_count: int, frame_rate_hz: float, is_loop: bool, rate_hz: float) -> None:
-        """Fill the words of CONTROL that are set once, and empty the directory; `rate_hz` is that of the ticks."""
+    def write(
+        self, memory: Memory, frame_count: int, frame_rate_hz: float, is_loop: bool, rate_hz: float
+    ) -> None:
+        """Fill the words of CONTROL that are set once, and empty the directory; `rate_hz` is that of the
+        ticks.
+        """
         i8, f8 = memory.i8, memory.f8
         i8[W.FREE : self.log : W.DIRECTORY_WORDS] = -1
         sizes = W.FREE, self.slots, self.log, self.log_rows, self.arena, frame_count
@@ -236,7 +248,10 @@ def too_little(room: int, needed: str) -> InvalidArgument:
 COLUMNS: Final = np.dtype(
     [
         *((name, np.float64) for name in ("time_s", "media_s")),
-        *((n, np.float64, (3,)) for n in ("position_m", "velocity_m_s", "field_force_n", "friction_n", "force_n")),
+        *(
+            (n, np.float64, (3,))
+            for n in ("position_m", "velocity_m_s", "field_force_n", "friction_n", "force_n")
+        ),
         ("flags", np.int64),
         ("orientation", np.float64, (4,)),
         ("field_torque_nm", np.float64, (3,)),
@@ -245,14 +260,22 @@ COLUMNS: Final = np.dtype(
         ("gripper_m", np.float64),
     ]
 )
-"""A row: time since the first tick; media time; position, velocity, field force and friction in the field's axes;
-the force that the device got in its own; and `FLAGS`. Then how the grip is turned (w, x, y, z, the device's axes),
-the torque of the field on the tool in the field's axes, the torque that the device got in its own, buttons (bit n is
-button n), and how far the gripper is open."""
+"""A row: time since the first tick; media time; position, velocity, field force and friction in the field's
+axes; the force that the device got in its own; and `FLAGS`. Then how the grip is turned (w, x, y, z, the
+device's axes), the torque of the field on the tool in the field's axes, the torque that the device got in its
+own, buttons (bit n is button n), and how far the gripper is open."""
 
-FLAGS: Final = {"running": 1, "waiting": 2, "stalled": 4, "ended": 8, "stopping": 16, "silent": 32, "paused": 64}
-"""Bits of `flags`: the media clock runs; waits for first frames; underrun; over; on the way to zero after a stop; no
-sign of life from the player; paused."""
+FLAGS: Final = {
+    "running": 1,
+    "waiting": 2,
+    "stalled": 4,
+    "ended": 8,
+    "stopping": 16,
+    "silent": 32,
+    "paused": 64,
+}
+"""Bits of `flags`: the media clock runs; waits for first frames; underrun; over; on the way to zero after a
+stop; no sign of life from the player; paused."""
 
 
 class TickLog:

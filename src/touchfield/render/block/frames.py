@@ -1,8 +1,9 @@
 """Fields and frames in a block: how they are written, and what the frames of a medium or a scene are made of.
 
-A **field** is a header and, behind it, what `medium.cells` made of it: the hash table, the bits of the cells that
-hold a force, the samples. Its own places count from its first word, so that a field can be moved as it is. A
-**frame** is a header and a row for each part: place of its field, its pose, what its own motion adds to the force.
+A **field** is a header and, behind it, what `medium.cells` made of it: the hash table, the bits of the cells
+that hold a force, the samples. Its own places count from its first word, so that a field can be moved as it
+is. A **frame** is a header and a row for each part: place of its field, its pose, what its own motion adds to
+the force.
 """
 
 from __future__ import annotations
@@ -27,13 +28,17 @@ if TYPE_CHECKING:
     from touchfield.medium.field import ForceField
 
 FieldName = tuple[int, int]
-"""(object, frame); of a rigid object the frame is -1, and one field serves all frames. Voxels are object 0."""
+"""(object, frame); of a rigid object the frame is -1, and one field serves all frames. Voxels are object 0.
+
+"""
 
 VIBRATION: Final = -1  # the object that is the vibration of voxels
 _EVERY: Final = -1
 
 _FLOOR_SHARE: Final = 1e-9
-"""As in `medium.placed`: an object's own force below this share of F_max is the rounding of a place on the edge."""
+"""As in `medium.placed`: an object's own force below this share of F_max is the rounding of a place on the
+edge.
+"""
 
 
 @dataclass(frozen=True)
@@ -77,7 +82,9 @@ def write_field(memory: Memory, at: int, pool: CellPool) -> None:
     f4[2 * (at + cells) : 2 * (at + cells) + pool.cells.size] = pool.cells
 
 
-def write_fields(memory: Memory, at: int, pools: Mapping[FieldName, CellPool], places: dict[FieldName, int]) -> int:
+def write_fields(
+    memory: Memory, at: int, pools: Mapping[FieldName, CellPool], places: dict[FieldName, int]
+) -> int:
     """Write fields one behind the other and note their places; the word behind them."""
     for name, pool in pools.items():
         write_field(memory, at, pool)
@@ -96,7 +103,8 @@ def write_frame(
 ) -> None:
     """Write a frame at word `at`; part n of a frame and part n of the next are the same object.
 
-    The sum of forces is cut to `force_max_n`; `vibration_at` is the word of the field of a vibration, 0 for none.
+    The sum of forces is cut to `force_max_n`; `vibration_at` is the word of the field of a vibration, 0 for
+    none.
     """
     i8, _, f8, _ = memory.views
     i8[at + W.FRAME_PARTS], i8[at + W.FRAME_VIBRATION], i8[at + W.FRAME_WARP] = len(parts), vibration_at, 0
@@ -152,8 +160,9 @@ def require_medium(medium: object) -> None:
 class FrameParts:
     """Frames of a medium or a scene as fields and poses; `words` is what a frame takes without its fields.
 
-    A `deformation` bends a medium of voxels, by tracks of its frames, or that make the frames of a medium of one;
-    `yield_at` is the word of the displacements that it yields by, or 0. InvalidArgument if it does not fit.
+    A `deformation` bends a medium of voxels, by tracks of its frames, or that make the frames of a medium of
+    one; `yield_at` is the word of the displacements that it yields by, or 0. InvalidArgument if it does not
+    fit.
     """
 
     def __init__(self, medium: HapticMedium | HapticScene, deformation: Deformation | None = None) -> None:

@@ -1,26 +1,29 @@
-"""Effects that the receiver adds to a field (paper 3.2): coupling, damping, vibration, materials, energy; limits.
+"""Effects that the receiver adds to a field (paper 3.2): coupling, damping, vibration, materials, energy;
+limits.
 
-**Virtual coupling.** A field that is stiffer than the loop can hold is felt through a spring K: a *proxy* is where
-F(q) + K (h - q) = 0, and the hand at h gets K (q - h). It goes there by one implicit step in each tick, with the
-field's gradient J:: (c - J) dq = F(q) + K (h - q), c = K + max(0, greatest eigenvalue of (J + J') / 2). In a linear
-field it is there after one step. Where J changes within a step it could leap to and fro for ever: when the field
-(not a hand that turned) pulls it back, the stiffness that it met on its way is added to c, and fades within some
-ticks.
+**Virtual coupling.** A field that is stiffer than the loop can hold is felt through a spring K: a *proxy* is
+where F(q) + K (h - q) = 0, and the hand at h gets K (q - h). It goes there by one implicit step in each tick,
+with the field's gradient J:: (c - J) dq = F(q) + K (h - q), c = K + max(0, greatest eigenvalue of (J + J') /
+2). In a linear field it is there after one step. Where J changes within a step it could leap to and fro for
+ever: when the field (not a hand that turned) pulls it back, the stiffness that it met on its way is added to
+c, and fades within some ticks.
 
-**Passivity.** The observer adds up what the hand did: a force F that acted while it went dx gave it F dx. If the
-next step would give more than was taken before, a damper takes out what is lacking, F - a v (Hannaford and Ryu 2002),
-no more than cancels what drives the hand and a hand of 50 g bears in a loop of this rate (m / 2T); the rest later.
+**Passivity.** The observer adds up what the hand did: a force F that acted while it went dx gave it F dx. If
+the next step would give more than was taken before, a damper takes out what is lacking, F - a v (Hannaford
+and Ryu 2002), no more than cancels what drives the hand and a hand of 50 g bears in a loop of this rate (m /
+2T); the rest later.
 
-**Limits.** Heat, peak and slew are what every force passes last, and a torque with numbers of its own. |F| <= limit
-and |F - F_before| <= slew dt hold of the float64 that are handed out, because the limit itself sinks by at most half
-of what the slew limit allows: the force before is shortened to the limit of now, and the rest of the way leads
-straight towards what is wanted. Up to H = 3/4 C^2 of heat, which follows |F|^2, the peak is allowed; from there to
-C^2 the limit sinks to the continuous one, C.
+**Limits.** Heat, peak and slew are what every force passes last, and a torque with numbers of its own. |F| <=
+limit and |F - F_before| <= slew dt hold of the float64 that are handed out, because the limit itself sinks by
+at most half of what the slew limit allows: the force before is shortened to the limit of now, and the rest of
+the way leads straight towards what is wanted. Up to H = 3/4 C^2 of heat, which follows |F|^2, the peak is
+allowed; from there to C^2 the limit sinks to the continuous one, C.
 
-**Materials.** A texture is a chord: four sines in each third of an octave, whose power is that of the table at the
-speed of the hand along the surface and the force that it presses with: linear between, to zero below the first, the
-last beyond. A band that the loop cannot show is left out; what the slew limit forbids makes all weaker by one factor.
-Stick-slip is a sawtooth of mu over the way, from kinetic to static; where it would go too fast, its mean.
+**Materials.** A texture is a chord: four sines in each third of an octave, whose power is that of the table
+at the speed of the hand along the surface and the force that it presses with: linear between, to zero below
+the first, the last beyond. A band that the loop cannot show is left out; what the slew limit forbids makes
+all weaker by one factor. Stick-slip is a sawtooth of mu over the way, from kinetic to static; where it would
+go too fast, its mean.
 """
 
 from __future__ import annotations
@@ -152,7 +155,9 @@ def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, hand):
     if f8[W.IS_COUPLED] == 0.0:
         f8[W.IS_COUPLED], f8[W.PROXY_STIFFNESS] = 1.0, 0.0
         q = hand
-        if f8[W.SOFTNESS] * f8[W.COUPLING] < _BEGINNING:  # of a later frame: it takes over the force that is felt
+        if (
+            f8[W.SOFTNESS] * f8[W.COUPLING] < _BEGINNING
+        ):  # of a later frame: it takes over the force that is felt
             q = along(hand, 1.0 / k, force_at(i8, u8, f8, f4, frame_a, frame_b, blend, *hand))
         put(f8, W.PROXY, q)
         put(f8, W.PROXY_HAND, hand)
@@ -163,7 +168,9 @@ def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, hand):
     j = gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, *q, force)
     pull = along(force, k, less(hand, q))
     c = k + _turned_back(f8, along(pull, -k, less(hand, three(f8, W.PROXY_HAND))))
-    c += max(0.0, _greatest_eigenvalue(j[0], j[4], j[8], (j[1] + j[3]) / 2, (j[2] + j[6]) / 2, (j[5] + j[7]) / 2))
+    c += max(
+        0.0, _greatest_eigenvalue(j[0], j[4], j[8], (j[1] + j[3]) / 2, (j[2] + j[6]) / 2, (j[5] + j[7]) / 2)
+    )
     step = _solved((c - j[0], -j[1], -j[2]), (-j[3], c - j[4], -j[5]), (-j[6], -j[7], c - j[8]), pull)
     q = plus(q, step)
     if not is_finite(q):
@@ -207,7 +214,9 @@ def adapt(f8):
     softness = 1.0 / f8[W.COUPLING] if f8[W.COUPLING] > 0.0 else 0.0
     share = _PER_TICK if f8[W.IS_STARTED] != 0.0 else 1.0
     f8[W.BRAKE_NOW] += share * (f8[W.BRAKE] - f8[W.BRAKE_NOW])
-    if abs(softness - f8[W.SOFTNESS]) > 1e-3 * softness:  # the pull changes with it, and tells nothing of the field
+    if (
+        abs(softness - f8[W.SOFTNESS]) > 1e-3 * softness
+    ):  # the pull changes with it, and tells nothing of the field
         put(f8, W.PROXY_STEP, (0.0, 0.0, 0.0))
     f8[W.SOFTNESS] += share * (softness - f8[W.SOFTNESS])
 
@@ -236,7 +245,9 @@ def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, p, dt):
 
 @inner(forceinline=True)
 def remember(f8):
-    """Keep the force before among those that are still to act, without the steady one for the handle's weight."""
+    """Keep the force before among those that are still to act, without the steady one for the handle's
+    weight.
+    """
     for n in range(14, -1, -1):
         f8[W.PAST_FORCES + n + 3] = f8[W.PAST_FORCES + n]
     put(f8, W.PAST_FORCES, along(three(f8, W.FORCE), -f8[W.GAIN], three(f8, W.GRAVITY)))
@@ -244,7 +255,9 @@ def remember(f8):
 
 @inner(forceinline=True)
 def observe(f8, way):
-    """Add up the energy of a way of the hand, metres of the device, against the force of `DELAY` ticks before."""
+    """Add up the energy of a way of the hand, metres of the device, against the force of `DELAY` ticks
+    before.
+    """
     whole = int(f8[W.DELAY])
     work = dot(three(f8, W.PAST_FORCES + 3 * whole), way)
     if f8[W.DELAY] > whole:
@@ -316,7 +329,9 @@ def _friction(f8, row):
 
 @inner
 def _between(f8, at, count, x):
-    """The two places of a rising row that x lies between, and its share of the way; -1 is zero, before the first."""
+    """The two places of a rising row that x lies between, and its share of the way; -1 is zero, before the
+    first.
+    """
     low, before = -1, 0.0
     for n in range(count):
         value = f8[at + n]
@@ -338,7 +353,9 @@ def _level(f8, at, i, forces, press):
 
 @inner(inline="always")
 def texture(i8, f8, row, force, velocity, dt):
-    """The vibration of a material at word `row`, newtons, for a force of the field and a velocity of the hand."""
+    """The vibration of a material at word `row`, newtons, for a force of the field and a velocity of the
+    hand.
+    """
     size = length(force)
     if not size > 0.0:
         return 0.0

@@ -1,9 +1,10 @@
-"""Compiled: the force at a point between two frames of the block, where a deformation bends it, and how it yields.
+"""Compiled: the force at a point between two frames of the block, where a deformation bends it, and how it
+yields.
 
-All that a tick asks of the field: force, gradient, vibration. Nothing is allocated. A coordinate that is not finite,
-or out of all bounds, fails the test of the field's box and gives zero. The lattice of a deformation lies behind the
-parts of a frame (`block.words`, WARP), what yields apart; a query sums the 64 control points about it with the
-weights and slopes of a cubic B-spline.
+All that a tick asks of the field: force, gradient, vibration. Nothing is allocated. A coordinate that is not
+finite, or out of all bounds, fails the test of the field's box and gives zero. The lattice of a deformation
+lies behind the parts of a frame (`block.words`, WARP), what yields apart; a query sums the 64 control points
+about it with the weights and slopes of a cubic B-spline.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ def _weights(t, inverse):
 
 @uncounted(forceinline=True)
 def _cell(f8, i8, warp, axis, x):
-    """First control point about x along an axis, place in the cell, and 1 / spacing; 0 beyond, where u is flat."""
+    """First control point about x along an axis, place in the cell, and 1 / spacing; 0 beyond, where u is
+    flat.
+    """
     inverse = f8[np.uint64(warp + W.WARP_INVERSE + axis)]
     cells = i8[np.uint64(warp + axis)] - 3
     s = (x - f8[np.uint64(warp + W.WARP_CORNER + axis)]) * inverse
@@ -92,7 +95,9 @@ def _control(i8, f8, a, b, blend, i, j, k):
 
 @uncounted
 def give_way(i8, f8, frame, p, force, dt):
-    """Let the control points of what yields follow a force at a point for `dt` seconds, and all others go to rest."""
+    """Let the control points of what yields follow a force at a point for `dt` seconds, and all others go to
+    rest.
+    """
     warp = warp_of(i8, frame)
     soft = i8[np.uint64(warp + W.WARP_YIELD)] if warp > 0 else 0
     if soft <= 0:
@@ -158,9 +163,15 @@ def slot_of(i8, table, shift, key):
 
 @uncounted(forceinline=True)
 def locate(i8, u8, f8, field, p):
-    """Corner in `f4` (`NONE`: zero there) of a point of the field's own frame, metres, and its place in the cell."""
+    """Corner in `f4` (`NONE`: zero there) of a point of the field's own frame, metres, and its place in the
+    cell.
+    """
     corner, inverse = three(f8, field + W.FIELD_CORNER), three(f8, field + W.FIELD_INVERSE)
-    x, y, z = (p[0] - corner[0]) * inverse[0], (p[1] - corner[1]) * inverse[1], (p[2] - corner[2]) * inverse[2]
+    x, y, z = (
+        (p[0] - corner[0]) * inverse[0],
+        (p[1] - corner[1]) * inverse[1],
+        (p[2] - corner[2]) * inverse[2],
+    )
     near = 2 * ON_PLANE  # the outermost planes of a box hold no force
     nx, ny, nz = three(i8, field + W.FIELD_BOX)
     if not (0.0 <= x < 8.0 * nx - near and 0.0 <= y < 8.0 * ny - near and 0.0 <= z < 8.0 * nz - near):
@@ -205,7 +216,9 @@ def arm(f8, a, b, blend, p):
 def is_far(i8, f8, a, b, d):
     """True if an `arm` is longer than any force of the part's fields is far; also of one that is no number."""
     field_a, field_b = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
-    return not dot(d, d) <= max(f8[np.uint64(field_a + W.FIELD_REACH)], f8[np.uint64(field_b + W.FIELD_REACH)])
+    return not dot(d, d) <= max(
+        f8[np.uint64(field_a + W.FIELD_REACH)], f8[np.uint64(field_b + W.FIELD_REACH)]
+    )
 
 
 @uncounted(forceinline=True)
@@ -314,20 +327,24 @@ def _plain_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
 def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """F(x, t), newtons, between the frames at words `frame_a` (blend 0) and `frame_b` (blend 1); x in metres.
 
-    Trilinear in space; the pose of a part is interpolated, and fields that differ are blended linearly in that pose.
+    Trilinear in space; the pose of a part is interpolated, and fields that differ are blended linearly in
+    that pose.
     """
     return force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
 
 
 @uncounted(forceinline=True)
 def _ahead(x):
-    """A coordinate a little farther on, metres: far less than any spacing, far more than the rounding of a place."""
+    """A coordinate a little farther on, metres: far less than any spacing, far more than the rounding of a
+    place.
+    """
     return x + (1e-8 + 1e-12 * abs(x))
 
 
 @uncounted(forceinline=True)
 def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, force):
-    """dF_i/dx_j of `force_at`, N/m, row by row, by differences from the `force` at (x, y, z) to those just ahead.
+    """dF_i/dx_j of `force_at`, N/m, row by row, by differences from the `force` at (x, y, z) to those just
+    ahead.
 
     On a plane of a lattice they are those of the cell towards greater indices.
     """
@@ -341,7 +358,9 @@ def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, force):
 
 @kernel(_nrt=False)
 def vibration_at(i8, u8, f8, f4, frame, x, y, z):
-    """Amplitude, newtons, interpolated, and frequency, Hz, of the corner that adds most to it; zeros for none."""
+    """Amplitude, newtons, interpolated, and frequency, Hz, of the corner that adds most to it; zeros for
+    none.
+    """
     field = i8[np.uint64(frame + W.FRAME_VIBRATION)]
     if field == 0:
         return 0.0, 0.0
@@ -363,7 +382,9 @@ def vibration_at(i8, u8, f8, f4, frame, x, y, z):
 
 @uncounted(forceinline=True)
 def adds_more(amplitude, largest):
-    """True if an amplitude exceeds the largest before it by a millionth: rounding never decides between equals."""
+    """True if an amplitude exceeds the largest before it by a millionth: rounding never decides between
+    equals.
+    """
     return amplitude > largest * (1.0 + 1e-6)
 
 

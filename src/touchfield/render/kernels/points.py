@@ -11,7 +11,17 @@ from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels.placed import CELLS, INSIDE, XY, XYZ, XZ, YZ, X, Y, Z
 from touchfield.render.block import words as W
 from touchfield.render.kernels import frames
-from touchfield.render.kernels.vectors import cross, dot, plus, put, rows_of, three, times, turned, turned_back
+from touchfield.render.kernels.vectors import (
+    cross,
+    dot,
+    plus,
+    put,
+    rows_of,
+    three,
+    times,
+    turned,
+    turned_back,
+)
 from touchfield.render.tool import AT_ONCE
 
 BINS = 400
@@ -38,7 +48,8 @@ def _between(f4, o, fx, fy, fz):
 
 @kernel
 def field_at_points(begin, end, points, i8, u8, f8, f4, field, share, is_first, out):
-    """`share` of one unturned field at points [m, 3], metres, written to float32 [m, 3] or, unless first, added.
+    """`share` of one unturned field at points [m, 3], metres, written to float32 [m, 3] or, unless first,
+    added.
 
     `force_at` with places in cells and what follows in float32, in half the time; the brick before is kept.
     """
@@ -62,7 +73,10 @@ def field_at_points(begin, end, points, i8, u8, f8, f4, field, share, is_first, 
             key = ((i >> 3) * ny + (j >> 3)) * nz + (k >> 3)
             if key != last:
                 last, slot = key, frames.slot_of(i8, table, shift, key)
-            if slot >= 0 and (u8[np.uint64(held + 8 * slot + (i & 7))] >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
+            if (
+                slot >= 0
+                and (u8[np.uint64(held + 8 * slot + (i & 7))] >> np.uint64(8 * (j & 7) + (k & 7))) & _1
+            ):
                 o = np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
                 sx, sy, sz = np.float32(fx), np.float32(fy), np.float32(fz)
                 gx, gy = part * _between(f4, o, sx, sy, sz), part * _between(f4, o + _1, sx, sy, sz)
@@ -80,7 +94,9 @@ def forces_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, frame_
     for p in range(begin, end):
         blend = blends[min(p, last)]
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
-        out[p, 0], out[p, 1], out[p, 2] = frames.force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
+        out[p, 0], out[p, 1], out[p, 2] = frames.force_between(
+            i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z
+        )
 
 
 @kernel
@@ -108,23 +124,30 @@ def vibrations_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, fr
 
 @kernel
 def force_at_once(u8, frame_a, frame_b, blend, x, y, z):
-    """`force_at` of a block given by one of its views: each array handed over costs a call from Python 0.1 us."""
+    """`force_at` of a block given by one of its views: each array handed over costs a call from Python 0.1
+    us.
+    """
     i8, f8, f4 = u8.view(np.int64), u8.view(np.float64), u8.view(np.float32)
     return frames.force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
 
 
-# -- a tool: what a field gives to many points of it, a force, and a torque about the device's point ----------------
+# -- a tool: what a field gives to many points of it, a force, and a torque about the device's point
+# ----------------
 #
-# Some hundred points at a time, in float32 and in plain loops that a processor does many at once: where they lie in
-# a part's field, in samples; the force there, the brick of the point before at hand; that force in the tool's own
-# axes, added to those of other parts; and the sum of all (its weights: `render.tool`). Only the last step leaves
-# float32, in which a place of a lattice of 1000 samples is known to a ten thousandth of one.
+# Some hundred points at a time, in float32 and in plain loops that a processor does many at once: where they
+# lie in a part's field, in samples; the force there, the brick of the point before at hand; that force in the
+# tool's own axes, added to those of other parts; and the sum of all (its weights: `render.tool`). Only the
+# last step leaves float32, in which a place of a lattice of 1000 samples is known to a ten thousandth of one.
 
 
 @uncounted(forceinline=True)
 def _rows(f4, at, count, stride):
     """Three rows of `count` numbers, `stride` apart."""
-    return f4[at : at + count], f4[at + stride : at + stride + count], f4[at + 2 * stride : at + 2 * stride + count]
+    return (
+        f4[at : at + count],
+        f4[at + stride : at + stride + count],
+        f4[at + 2 * stride : at + 2 * stride + count],
+    )
 
 
 @uncounted(forceinline=True)
@@ -161,7 +184,10 @@ def _sample(i8, u8, f4, field, share, is_first, s, g):
             key = (np.int64(i >> 3) * by + (j >> 3)) * bz + (k >> 3)
             if key != last:
                 last, slot = key, frames.slot_of(i8, table, shift, key)
-            if slot >= 0 and (u8[np.uint64(held + 8 * slot + (i & 7))] >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
+            if (
+                slot >= 0
+                and (u8[np.uint64(held + 8 * slot + (i & 7))] >> np.uint64(8 * (j & 7) + (k & 7))) & _1
+            ):
                 o = np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
                 x, y, z = x - np.float32(i), y - np.float32(j), z - np.float32(k)
                 fx, fy = share * _between(f4, o, x, y, z), share * _between(f4, o + _1, x, y, z)
@@ -174,7 +200,9 @@ def _sample(i8, u8, f4, field, share, is_first, s, g):
 
 @uncounted(fastmath=_FAST)
 def _gather(p, g, f, columns, still, swing, least):
-    """Add forces g of a part, above the square `least`, to those f of the tool's axes, with what its motion adds."""
+    """Add forces g of a part, above the square `least`, to those f of the tool's axes, with what its motion
+    adds.
+    """
     (px, py, pz), (gx, gy, gz), (fx, fy, fz) = p, g, f
     (a, b, c), (d, e, h), (i, j, k) = columns
     for n in range(px.shape[0]):
@@ -248,9 +276,14 @@ def _add_part(i8, u8, f8, f4, a, b, blend, place, p, s, g, f, least):
 
 @kernel(_nrt=False)
 def tool_force(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz):
-    """The force on the tool at (px, py, pz), metres, turned by `TURN`, newtons; its torque goes to `FIELD_TORQUE`."""
+    """The force on the tool at (px, py, pz), metres, turned by `TURN`, newtons; its torque goes to
+    `FIELD_TORQUE`.
+    """
     frame_a, frame_b, blend = frames.ends(frame_a, frame_b, blend)
-    least, limit = f8[np.uint64(frame_a + W.FRAME_FLOOR)], np.float32(INSIDE * f8[np.uint64(frame_a + W.FRAME_LIMIT)])
+    least, limit = (
+        f8[np.uint64(frame_a + W.FRAME_FLOOR)],
+        np.float32(INSIDE * f8[np.uint64(frame_a + W.FRAME_LIMIT)]),
+    )
     parts = frames.part_count(i8, frame_a, frame_b)
     points, at = i8[W.TOOL_POINTS], 2 * i8[W.TOOL]
     room = at + 6 * points
@@ -280,7 +313,9 @@ def slope_of_bin(n: int) -> float:
 
 @kernel(fastmath=_FAST)
 def count_slopes(cells, held, inverse, counts):
-    """Add to `counts`, int64 [BINS], the cells of a pool by what their force grows with a way against it, N/m."""
+    """Add to `counts`, int64 [BINS], the cells of a pool by what their force grows with a way against it,
+    N/m.
+    """
     for slot in range(len(held)):
         for n in range(512):
             if not (held[slot, n >> 6] >> np.uint64(n & 63)) & _1:
@@ -311,10 +346,11 @@ def _middle(cells, o):
 
 @kernel
 def blend_bricks(begin, end, slots, before, after, share, k, f0_n, out, held):
-    """Bricks of `out` float32 [n, 1536], `share` of the way from `before` to `after`; `slots` [2, n], -1: no brick.
+    """Bricks of `out` float32 [n, 1536], `share` of the way from `before` to `after`; `slots` [2, n], -1: no
+    brick.
 
-    A voxel whose two forces cannot be of one source, |after - before| > max(F_0, k |after|) + max(F_0, k |before|),
-    is that of `after`. `held` bool [n] tells which bricks hold a force.
+    A voxel whose two forces cannot be of one source, |after - before| > max(F_0, k |after|) + max(F_0, k
+    |before|), is that of `after`. `held` bool [n] tells which bricks hold a force.
     """
     near = 4.0 * f0_n * f0_n  # any two so near can be of one source
     zero = np.float32(0.0)
@@ -337,7 +373,11 @@ def blend_bricks(begin, end, slots, before, after, share, k, f0_n, out, held):
                 reach = max(f0_n, k * of_old) + max(f0_n, k * of_new)
                 taken = between <= reach * reach
             if taken:
-                nx, ny, nz = np.float32(px + share * dx), np.float32(py + share * dy), np.float32(pz + share * dz)
+                nx, ny, nz = (
+                    np.float32(px + share * dx),
+                    np.float32(py + share * dy),
+                    np.float32(pz + share * dz),
+                )
             out[brick, at], out[brick, at + 1], out[brick, at + 2] = nx, ny, nz
             any_force |= (nx != zero) | (ny != zero) | (nz != zero)
         held[brick] = any_force

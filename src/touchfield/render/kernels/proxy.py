@@ -1,13 +1,15 @@
-"""Compiled: the proxy, which stays outside of what the hand is pressed into (the god object of Zilles and Salisbury).
+"""Compiled: the proxy, which stays outside of what the hand is pressed into (the god object of Zilles and
+Salisbury).
 
-The **surface** lies where the stored force reaches a level, its normal is the force's direction (Salisbury and Tarr
-1997). In a tick the proxy goes towards the hand in steps of half a sample, or less where those of the tick before
-went to and fro, so that it comes to rest; where one ends within a surface, the place where it went in is sought,
-and it slides on across the normal, in a corner across two or three. The hand is pulled to it by a spring, F = K
-(proxy - hand), longer by K x, with x the depth of the proxy below the surface of which the ramp behind it tells: what
-is thick is felt as the field has it, what is thin holds. **Friction** lets it stay as long as its spring pulls along
-the surface by less than mu times the pressure (Harwin and Melder 2002).
-**What moves** carries it, in the axes of the body; a surface that comes over it pushes it out, some steps a tick.
+The **surface** lies where the stored force reaches a level, its normal is the force's direction (Salisbury
+and Tarr 1997). In a tick the proxy goes towards the hand in steps of half a sample, or less where those of
+the tick before went to and fro, so that it comes to rest; where one ends within a surface, the place where it
+went in is sought, and it slides on across the normal, in a corner across two or three. The hand is pulled to
+it by a spring, F = K (proxy - hand), longer by K x, with x the depth of the proxy below the surface of which
+the ramp behind it tells: what is thick is felt as the field has it, what is thin holds. **Friction** lets it
+stay as long as its spring pulls along the surface by less than mu times the pressure (Harwin and Melder
+2002). **What moves** carries it, in the axes of the body; a surface that comes over it pushes it out, some
+steps a tick.
 """
 
 from __future__ import annotations
@@ -18,7 +20,18 @@ from typing import Any, NamedTuple
 from touchfield.compute.jit import uncounted
 from touchfield.render.block import words as W
 from touchfield.render.kernels.frames import ends, force_at, mixed, part_count, rotation, strongest
-from touchfield.render.kernels.vectors import along, cross, dot, less, plus, put, three, times, turned, turned_back
+from touchfield.render.kernels.vectors import (
+    along,
+    cross,
+    dot,
+    less,
+    plus,
+    put,
+    three,
+    times,
+    turned,
+    turned_back,
+)
 
 _MOST_STEPS = 8  # of one tick: some four samples
 _TINY = 1e-7  # m
@@ -66,7 +79,9 @@ def _look(at, q):
 
 @uncounted
 def _settled(at, q, size, normal):
-    """A point at a surface, moved onto it along the normal, by secants; size and direction of the force there."""
+    """A point at a surface, moved onto it along the normal, by secants; size and direction of the force
+    there.
+    """
     slope = at.stiffness
     for _ in range(_ROUNDS):
         if abs(size - at.level) <= _LEVEL_SHARE * at.level:
@@ -114,7 +129,9 @@ def _sample(at, normal):
 
 @uncounted
 def _steadied(at, q, normal):
-    """The normal at the surface as the force behind it tells, which is steadier; its own where the wall is thin."""
+    """The normal at the surface as the force behind it tells, which is steadier; its own where the wall is
+    thin.
+    """
     _, other = _look(at, along(q, -_BEHIND * _sample(at, normal), normal))
     return other if dot(other, normal) > _ALIKE else normal
 
@@ -206,7 +223,9 @@ def _goal(at, q, hand):
                 break
             p, strength, other = _entered(at, q, size, p, strength)
         farther = _size(less(hand, p)) - _size(less(hand, q))
-        if strength > _OFF * at.level or farther > at.step:  # no surface was found: forces that turn within a sample
+        if (
+            strength > _OFF * at.level or farther > at.step
+        ):  # no surface was found: forces that turn within a sample
             break
         q, size, normal = p, strength, other
         planes, count = _with(planes, count, _steadied(at, q, normal))
@@ -266,8 +285,8 @@ def _dragged(at, before, goal, most):
 def _below(at, q, inwards, depth):
     """Depth of a proxy below the surface of which the ramp behind it tells, metres; negative above.
 
-    Two samples in the low-pass is over. Where the force is at its greatest before that, or the wall ends, a place
-    half as far tells it, which is believed a little less.
+    Two samples in the low-pass is over. Where the force is at its greatest before that, or the wall ends, a
+    place half as far tells it, which is believed a little less.
     """
     sample = _sample(at, inwards)
     far, _ = _look(at, along(q, _BEHIND * sample, inwards))
@@ -278,7 +297,9 @@ def _below(at, q, inwards, depth):
 
 @uncounted
 def held(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
-    """The force of the proxy on a hand at (x, y, z), newtons: without friction three numbers, and what this adds."""
+    """The force of the proxy on a hand at (x, y, z), newtons: without friction three numbers, and what this
+    adds.
+    """
     spacing = three(f8, W.WALL_SPACING)
     step = 0.5 * min(spacing)
     at = _At(i8, u8, f8, f4, frame_a, frame_b, blend, f8[W.WALL], f8[W.WALL_LEVEL], step, spacing)

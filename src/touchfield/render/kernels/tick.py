@@ -1,16 +1,17 @@
-"""One turn of the servo: time, orders and frames -> `tick` -> a force for the device, a row of the log, the counts.
+"""One turn of the servo: time, orders and frames -> `tick` -> a force for the device, a row of the log, the
+counts.
 
     place -> axes, scale, clutch -> velocity -> proxy, or field, or coupling -> friction, damping -> vibration
           -> axes, force scale -> passivity -> gravity -> gain -> limits -> force
 
-`tick` and `release` are the only two that hand out forces, and both do so through `effects.limited`. `cycle` is
-called by the Python loop of the servo and by the callback that a vendor's driver takes; it allocates nothing, waits
-for nothing, and takes nothing but views of the block. Without a frame or a place (or a turn) of the device the gain
-goes to zero in the time of the ramp, and the last force is let go.
+`tick` and `release` are the only two that hand out forces, and both do so through `effects.limited`. `cycle`
+is called by the Python loop of the servo and by the callback that a vendor's driver takes; it allocates
+nothing, waits for nothing, and takes nothing but views of the block. Without a frame or a place (or a turn)
+of the device the gain goes to zero in the time of the ramp, and the last force is let go.
 
-**The media clock** stands at the beginning and after a seek until the first frames are there. Where a later one is
-late there is no force, but the clock goes on; only where nothing more will come does it stand. Each word has one
-writer; a fence stands between what is told and the word that tells it.
+**The media clock** stands at the beginning and after a seek until the first frames are there. Where a later
+one is late there is no force, but the clock goes on; only where nothing more will come does it stand. Each
+word has one writer; a fence stands between what is told and the word that tells it.
 """
 
 from __future__ import annotations
@@ -55,8 +56,9 @@ _LEAST, _MOST = 0.81, 1.21  # of the square of a quaternion that was meant to be
 def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     """The force of one tick, three numbers, newtons, the device's axes, for a device at (x, y, z), metres.
 
-    `frame_a` and `frame_b` are places of the frames before and after this time, 0: there is none; `blend` goes from
-    the one to the other. A `dt`, seconds, that is not positive and finite gives the force before once more.
+    `frame_a` and `frame_b` are places of the frames before and after this time, 0: there is none; `blend`
+    goes from the one to the other. A `dt`, seconds, that is not positive and finite gives the force before
+    once more.
     """
     if not effects.has_passed(f8, dt):
         return three(f8, W.FORCE)
@@ -152,7 +154,9 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
         drag = drag[0], drag[1], drag[2] + sine
     axes = rows_of(f8, W.AXES)
     force = times(f8[W.FORCE_SCALE], turned_back(axes, plus(effects.braked(f8, force, v), drag)))
-    return plus(effects.passive(f8, force, times(1.0 / f8[W.SCALE], turned_back(axes, v)), dt), three(f8, W.GRAVITY))
+    return plus(
+        effects.passive(f8, force, times(1.0 / f8[W.SCALE], turned_back(axes, v)), dt), three(f8, W.GRAVITY)
+    )
 
 
 @inner
@@ -181,7 +185,9 @@ def want_torque(f8):
 
 
 ROUNDING = 1e-6
-"""Of a frame's number: a time that was meant to be a frame's own is that frame, and not the end of the one before."""
+"""Of a frame's number: a time that was meant to be a frame's own is that frame, and not the end of the one
+before.
+"""
 
 _FEED_FLAGS = (0, 2, 1, 4, 8)  # of the log (`block.FLAGS`), by the state of the feed
 
@@ -246,7 +252,13 @@ def adopt_order(i8, f8, clock_s):
     if sequence == i8[W.SEQUENCE_SEEN] or sequence & 1:
         return
     fence()
-    generation, start_s, speed, mode, stop = i8[W.GENERATION], f8[W.START_S], f8[W.SPEED], i8[W.MODE], i8[W.STOP]
+    generation, start_s, speed, mode, stop = (
+        i8[W.GENERATION],
+        f8[W.START_S],
+        f8[W.SPEED],
+        i8[W.MODE],
+        i8[W.STOP],
+    )
     fence()
     if i8[W.SEQUENCE] != sequence:
         return  # written meanwhile; the next tick will have it
@@ -288,7 +300,9 @@ def _count_use(i8, frame):
 
 @inner(inline="always")
 def frames_now(i8, f8, clock_s, is_silent):
-    """Places of the two frames of this instant, 0: no force; share of the second; first frame still to be read."""
+    """Places of the two frames of this instant, 0: no force; share of the second; first frame still to be
+    read.
+    """
     count, rate_hz = i8[W.FRAME_COUNT], f8[W.FRAME_RATE_HZ]
     media_s = _media_now(i8, f8, clock_s)
     wanted, following, blend = 0, 0, 0.0
@@ -364,7 +378,9 @@ def _write_row(i8, f8, clock_s, force, is_silent, is_stopping):
     put(f8, at + 8, three(f8, W.FIELD_FORCE))
     put(f8, at + 11, three(f8, W.FRICTION_FORCE))
     put(f8, at + 14, force)
-    i8[at + 17] = _FEED_FLAGS[i8[W.FEED]] + 16 * is_stopping + 32 * is_silent + 64 * (i8[W.MODE_NOW] == W.PAUSED)
+    i8[at + 17] = (
+        _FEED_FLAGS[i8[W.FEED]] + 16 * is_stopping + 32 * is_silent + 64 * (i8[W.MODE_NOW] == W.PAUSED)
+    )
     for n in range(4):
         f8[at + 18 + n] = f8[W.ORIENTATION + n]
     put(f8, at + 22, three(f8, W.FIELD_TORQUE))
@@ -377,7 +393,9 @@ def _write_row(i8, f8, clock_s, force, is_silent, is_stopping):
 
 @kernel
 def cycle(i8, u8, f8, f4, x, y, z, now_ns):
-    """The force, newtons, for the device at (x, y, z), metres, at `now_ns` of the clock; torque is in the block."""
+    """The force, newtons, for the device at (x, y, z), metres, at `now_ns` of the clock; torque is in the
+    block.
+    """
     is_simulated, ticks = i8[W.IS_SIMULATED] != 0, i8[W.TICKS]
     _count_time(i8, now_ns)
     if is_simulated:

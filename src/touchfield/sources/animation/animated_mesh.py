@@ -1,17 +1,18 @@
 """Animated glTF as a scene: skins, morph targets and moving nodes, evaluated at the rate of the medium.
 
-Frame i shows the time i / rate_hz, for all such times before the end of the animation; the end is not shown, so that
-an animation made to be repeated does not show its first frame twice. Which triangles there are and which vertices
-are one is found once (`touchfield.sources.mesh.surface.welded_in_motion`); a frame is the same surface with other
-vertices.
+Frame i shows the time i / rate_hz, for all such times before the end of the animation; the end is not shown,
+so that an animation made to be repeated does not show its first frame twice. Which triangles there are and
+which vertices are one is found once (`touchfield.sources.mesh.surface.welded_in_motion`); a frame is the same
+surface with other vertices.
 
-Source of the evaluation: Khronos, glTF 2.0 specification (2021); of the force on a moving surface: paper section 3.2.
+Source of the evaluation: Khronos, glTF 2.0 specification (2021); of the force on a moving surface: paper
+section 3.2.
 
-As objects, its bodies are the connected parts whose vertices move as one rigid body. What moves a part (a node, a
-joint that carries all of it, several that move alike) does not matter: its motion is fitted from its vertices, frame
-by frame, and it is rigid where no vertex is farther from the fit than 1e-5 of the part's extent. Parts that move
-alike are one. Source of the fit: W. Kabsch, A solution for the best rotation to relate two sets of vectors, Acta
-Cryst. A32, 1976.
+As objects, its bodies are the connected parts whose vertices move as one rigid body. What moves a part (a
+node, a joint that carries all of it, several that move alike) does not matter: its motion is fitted from its
+vertices, frame by frame, and it is rigid where no vertex is farther from the fit than 1e-5 of the part's
+extent. Parts that move alike are one. Source of the fit: W. Kabsch, A solution for the best rotation to
+relate two sets of vectors, Acta Cryst. A32, 1976.
 """
 
 from __future__ import annotations
@@ -58,8 +59,8 @@ class AnimatedMeshScene(MovingScene):
     unit_m : float or None; Metres of one unit of the coordinates; None for 1, as glTF has it.
     shell, holes : str; Of an open mesh, as `MeshScene` takes them; holes are closed as they are at rest.
 
-    Raises `SourceError` if the file or what it holds is at fault; `InvalidArgument` if there is no such animation,
-    or it has too many frames.
+    Raises `SourceError` if the file or what it holds is at fault; `InvalidArgument` if there is no such
+    animation, or it has too many frames.
     """
 
     axes = UP_Y_AXES
@@ -109,7 +110,8 @@ class AnimatedMeshScene(MovingScene):
         text += "s" * (self.frame_count > 1) + (f"; there are also {others}." if others else ".")
         self.notes = (size, text, *model.notes, *scene.notes)
 
-    # -- the surface -----------------------------------------------------------------------------------------------
+    # -- the surface
+    # -----------------------------------------------------------------------------------------------
     def vertices_m(self, frame: int) -> Float64s:
         """The vertices of a frame in metres, float64 [n, 3].
 
@@ -121,8 +123,8 @@ class AnimatedMeshScene(MovingScene):
     def velocities_m_s(self, frame: int) -> Float64s:
         """The velocities of the vertices of a frame in metres a second, float64 [n, 3].
 
-        Central differences of the animation over one frame, half of it before and half after; at both ends of the
-        animation over what there is of it.
+        Central differences of the animation over one frame, half of it before and half after; at both ends of
+        the animation over what there is of it.
 
         Raises `InvalidArgument` if there is no such frame; `SourceError` if a coordinate is not finite there.
         """
@@ -171,7 +173,8 @@ class AnimatedMeshScene(MovingScene):
             raise SourceError(self.name, found, "finite metres", "Export the animation again.")
         return vertices
 
-    # -- the field -------------------------------------------------------------------------------------------------
+    # -- the field
+    # -------------------------------------------------------------------------------------------------
     def _scene(self, frame: int) -> MeshScene:
         latest = self._latest
         if latest is None or latest[0] != frame:
@@ -185,22 +188,25 @@ class AnimatedMeshScene(MovingScene):
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; with the damping of a moving surface where `profile` asks for it.
 
-        Raises `InvalidArgument` if there is no such frame, or as `MeshScene.field`; `SourceError` if a coordinate is
-        not finite there.
+        Raises `InvalidArgument` if there is no such frame, or as `MeshScene.field`; `SourceError` if a
+        coordinate is not finite there.
         """
         scene = self._scene(frame)
         if profile.surface_damping_n_s_per_m > 0 and scene.velocities_m_s is None:
             scene.velocities_m_s = self.velocities_m_s(frame)
         return scene.field(0, grid, profile)
 
-    # -- bodies ----------------------------------------------------------------------------------------------------
+    # -- bodies
+    # ----------------------------------------------------------------------------------------------------
     @cached_property
     def _parts(self) -> tuple[list[RigidPart], Bools]:
         return rigid_parts(self._whole.surface, self.vertices_m, self.frame_count)
 
     @cached_property
     def is_of_bodies(self) -> bool:
-        """True if all of it is rigid bodies that do not overlap where one looks, so that objects lose nothing."""
+        """True if all of it is rigid bodies that do not overlap where one looks, so that objects lose
+        nothing.
+        """
         if self._parts[1].any():
             return False
         looks = np.unique(np.linspace(0, self.frame_count - 1, _OVERLAP_LOOKS).astype(int)).tolist()
@@ -250,7 +256,9 @@ class RigidPart(NamedTuple):
     """Connected parts that move alike."""
 
     has_vertex: Bools  # bool [n]; which vertices are its own
-    origin_m: Float64s  # float64 [3]; where the origin of its own frame lies in frame 0, in which it is not turned
+    origin_m: (
+        Float64s  # float64 [3]; where the origin of its own frame lies in frame 0, in which it is not turned
+    )
     track: PoseTrack  # scene from its own frame
 
 
@@ -259,7 +267,8 @@ def rigid_parts(
 ) -> tuple[list[RigidPart], Bools]:
     """The rigid parts of a surface in motion, and which vertices deform, bool [n].
 
-    The triangles of `surface` tell what is connected; `vertices_m` gives the vertices of a frame, float64 [n, 3].
+    The triangles of `surface` tell what is connected; `vertices_m` gives the vertices of a frame, float64 [n,
+    3].
     """
     part_of = surface.part_of_vertex()
     used = np.unique(surface.triangles)
@@ -294,9 +303,15 @@ def rigid_parts(
 
 
 def _fitted(
-    order: Int64s, part_of: Int32s, start: Float64s, vertices_m: Callable[[int], Float64s], frames: list[int] | range
+    order: Int64s,
+    part_of: Int32s,
+    start: Float64s,
+    vertices_m: Callable[[int], Float64s],
+    frames: list[int] | range,
 ) -> tuple[Int64s, Float64s]:
-    """The vertices of those parts that are rigid in these frames, and x -> R x + t of each, [parts, frames, 3, 4]."""
+    """The vertices of those parts that are rigid in these frames, and x -> R x + t of each, [parts, frames,
+    3, 4].
+    """
     names = part_of[order]
     first = np.flatnonzero(np.append(True, names[1:] != names[:-1]))[: len(names)]
     count = np.diff(np.append(first, len(names)))[:, None]
@@ -324,11 +339,14 @@ def _fitted(
     return order[is_rigid[number]], poses[is_rigid]
 
 
-# -- names and files -----------------------------------------------------------------------------------------------
+# -- names and files
+# -----------------------------------------------------------------------------------------------
 def _numbered(name: str, names: list[str], asked: str | None) -> int:
     """The number of the animation that was asked for, by name or number."""
     if not names:
-        raise SourceError(name, "no animation", "one animation at least", "Open it as a mesh that stands still.")
+        raise SourceError(
+            name, "no animation", "one animation at least", "Open it as a mesh that stands still."
+        )
     known = {str(number): number for number in range(len(names))}
     known |= {each: number for number, each in reversed([*enumerate(names)])}
     if asked is not None and asked not in known:

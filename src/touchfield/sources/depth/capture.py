@@ -1,9 +1,11 @@
-"""Depth pictures that are taken while they are felt: a camera, a folder that grows, pictures on standard input.
+"""Depth pictures that are taken while they are felt: a camera, a folder that grows, pictures on standard
+input.
 
-A captured sequence has no end that is known. Frame by frame it shows the newest picture there is, so that whoever
-asks in time feels the present: pictures that come faster than they are asked for are passed over, and one that is
-late leaves the last one standing. Pictures on standard input are shown one by one, and whoever writes them waits. A
-frame that was asked for lately is the same when it is asked for again; older ones are gone.
+A captured sequence has no end that is known. Frame by frame it shows the newest picture there is, so that
+whoever asks in time feels the present: pictures that come faster than they are asked for are passed over, and
+one that is late leaves the last one standing. Pictures on standard input are shown one by one, and whoever
+writes them waits. A frame that was asked for lately is the same when it is asked for again; older ones are
+gone.
 """
 
 from __future__ import annotations
@@ -67,7 +69,9 @@ class Pictures(ABC):
 
 
 class GrowingFolder(Pictures):
-    """Pictures that are put into a folder: each time the last in the order of their numbers, once it is another."""
+    """Pictures that are put into a folder: each time the last in the order of their numbers, once it is
+    another.
+    """
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
@@ -165,7 +169,11 @@ class CapturedSequence(DepthSequence):
     is_captured = True
 
     def __init__(
-        self, pictures: Pictures, options: SourceOptions, folders: tuple[Path, ...] = (), scale: float | None = None
+        self,
+        pictures: Pictures,
+        options: SourceOptions,
+        folders: tuple[Path, ...] = (),
+        scale: float | None = None,
     ) -> None:
         self.name, self._pictures = pictures.name, pictures
         self._news, self._waiting = Condition(), deque[Any](maxlen=None if pictures.in_order else 1)
@@ -177,10 +185,14 @@ class CapturedSequence(DepthSequence):
         if first is None:
             raise self._fault or SourceError(self.name, f"no picture for {PATIENCE_S:g} s", "depth pictures")
         if first.ndim != 2 or first.dtype.itemsize < 2:
-            raise SourceError(self.name, f"a picture {first.shape} of {first.dtype}", "16-bit (or float) grey depth")
+            raise SourceError(
+                self.name, f"a picture {first.shape} of {first.dtype}", "16-bit (or float) grey depth"
+            )
         height, width = first.shape
         camera = camera_of(self.name, options.intrinsics, folders, (width, height))
-        scale = required_scale(self.name, options.depth_scale or camera.units_per_m or scale, first.dtype.kind == "f")
+        scale = required_scale(
+            self.name, options.depth_scale or camera.units_per_m or scale, first.dtype.kind == "f"
+        )
         self._metres: Callable[[NDArray[Any]], Float32s] = DepthCode(scale)
         self.frame_count, self.width, self.height = MOST_FRAMES, width, height
         self.intrinsics: Intrinsics = camera.intrinsics
@@ -256,5 +268,8 @@ def captured(source: object, options: SourceOptions) -> Scene | None:
     if options.world == "causal":
         return FusedScene(sequence, "causal")
     scene = DepthScene(sequence, frame="camera")
-    scene.notes = (*scene.notes, "Each picture is felt alone; --world causal fuses those of a camera that stands.")
+    scene.notes = (
+        *scene.notes,
+        "Each picture is felt alone; --world causal fuses those of a camera that stands.",
+    )
     return scene

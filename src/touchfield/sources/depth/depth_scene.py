@@ -1,27 +1,31 @@
 """The metric reading of a depth sequence: the surface that the camera saw, in its perspective.
 
-The paper (sections 4 and 5.1) makes fields of depth video but gives no formula (nor has its [21] one). Here a sample
-is projected to its nearest pixel and phi is its signed distance to the tangent plane of the surface there (negative
-behind), n the plane's normal towards the camera, so that F = f(phi) n. Only what the camera saw pushes: a pixel
-without depth, or without a normal to rely on, gives no force. A force lies no farther from the surface along its own
-ray (in depth z) than `RAY_LIMIT` times the distance that the profile reaches on that side, or a plane at a grazing
-angle would carry it far behind; a solid (the profile reaches to -inf) has no limit behind.
+The paper (sections 4 and 5.1) makes fields of depth video but gives no formula (nor has its [21] one). Here a
+sample is projected to its nearest pixel and phi is its signed distance to the tangent plane of the surface
+there (negative behind), n the plane's normal towards the camera, so that F = f(phi) n. Only what the camera
+saw pushes: a pixel without depth, or without a normal to rely on, gives no force. A force lies no farther
+from the surface along its own ray (in depth z) than `RAY_LIMIT` times the distance that the profile reaches
+on that side, or a plane at a grazing angle would carry it far behind; a solid (the profile reaches to -inf)
+has no limit behind.
 
 With poses the scene lies in the coordinates of the first camera: a moving camera sees a standing world.
 
-Tangent planes rest on one fact of the pinhole camera: over the pixels of a plane n . p = c the inverse depth w = 1/z
-is a linear function of the pixel. So a straight line fit to w is exact on a plane, and its slopes give the normal::
+Tangent planes rest on one fact of the pinhole camera: over the pixels of a plane n . p = c the inverse depth
+w = 1/z is a linear function of the pixel. So a straight line fit to w is exact on a plane, and its slopes
+give the normal::
 
     n / c = (fx w_u, fy w_v, w - (u - cx) w_u - (v - cy) w_v)
 
 Noise of disparity sensors is moreover constant in w. The steps for each pixel:
 
-1. *Links.* Two neighbours lie on one surface if their w differ by at most a step g (`camera.noise_step_per_m`), or if
-   the difference goes on as the one before or after it (within g) and is no steeper than `SLOPE_LIMIT_PX` pixels of
-   depth per pixel. Nothing is ever linked across a pixel without depth.
-2. *Rows.* A least-squares line through the up to 4 pixels on each side that an unbroken chain of links reaches.
-3. *Columns.* The same down the columns, over the results of the rows, whose slopes are averaged with the weight
-   of their support. The plane goes through the fitted w, not through the noisy pixel.
+1. *Links.* Two neighbours lie on one surface if their w differ by at most a step g
+   (`camera.noise_step_per_m`), or if the difference goes on as the one before or after it (within g) and is
+   no steeper than `SLOPE_LIMIT_PX` pixels of depth per pixel. Nothing is ever linked across a pixel without
+   depth.
+2. *Rows.* A least-squares line through the up to 4 pixels on each side that an unbroken chain of links
+   reaches.
+3. *Columns.* The same down the columns, over the results of the rows, whose slopes are averaged with the
+   weight of their support. The plane goes through the fitted w, not through the noisy pixel.
 4. A pixel has no plane where too few pixels support it (less than three in line), or where the ray meets the
    surface at more than 84 degrees.
 
@@ -59,10 +63,11 @@ _BOX_PERCENTILES = (0.5, 99.5)
 class DepthScene(MovingScene):
     """A depth sequence as a scene of thin walls, in metres.
 
-    frame : str; "world": in the coordinates of the first camera, where the sequence has poses; "camera": each frame
-        in its own camera.
+    frame : str; "world": in the coordinates of the first camera, where the sequence has poses; "camera": each
+        frame in its own camera.
     segment : str, optional; The rule by which `bodies` are told apart (`segments.SegmentRule.parse`).
-    step_per_m : float, optional; The noise step of the sensor, 1/m; by default it is taken from the first frame.
+    step_per_m : float, optional; The noise step of the sensor, 1/m; by default it is taken from the first
+        frame.
     """
 
     box_wording = "99 % of the surface along each axis"
@@ -99,8 +104,9 @@ class DepthScene(MovingScene):
     def _box_m(self, start: int, stop: int) -> Float64s:
         """From the 0.5th to the 99.5th percentile along each axis of every eighth pixel of every eighth row.
 
-        Fewer, if that would be more than four million points in all; so stray readings do not count. Reads every
-        frame once that is not interpolated, or else the first. Raises `SourceError` if no frame holds any depth.
+        Fewer, if that would be more than four million points in all; so stray readings do not count. Reads
+        every frame once that is not interpolated, or else the first. Raises `SourceError` if no frame holds
+        any depth.
         """
         sequence, k = self.sequence, self.sequence.intrinsics
         keys = () if sequence.is_captured else sequence.key_frames()
@@ -134,17 +140,24 @@ class DepthScene(MovingScene):
         return self._latest[1]
 
     def bodies(self) -> tuple[Body, ...]:
-        """The objects that depth steps part from each other and the background (`touchfield.sources.depth.segments`)."""
+        """The objects that depth steps part from each other and the background
+        (`touchfield.sources.depth.segments`).
+        """
         if not self._bodies:
             step_per_m, frame = self._noise_step_per_m(), self._frame_of_reference
             self._bodies, note = segmented_bodies(
-                lambda part: DepthScene(part, frame, step_per_m=step_per_m), self.sequence, self._rule, step_per_m
+                lambda part: DepthScene(part, frame, step_per_m=step_per_m),
+                self.sequence,
+                self._rule,
+                step_per_m,
             )
             self.notes = (*self.notes, note)
         return self._bodies
 
     def _noise_step_per_m(self, first_m: Float32s | None = None) -> float:
-        """Of the first frame (`first_m`, where it is at hand), so that a field depends on nothing but its frame."""
+        """Of the first frame (`first_m`, where it is at hand), so that a field depends on nothing but its
+        frame.
+        """
         if self._step_per_m is None:
             self._step_per_m = noise_step_per_m(self._depth_m(0) if first_m is None else first_m)
         return self._step_per_m
@@ -159,12 +172,16 @@ class DepthScene(MovingScene):
         depth = np.ascontiguousarray(sequence.depth_m(frame), np.float32)
         if depth.shape != (sequence.height, sequence.width):
             expected = f"({sequence.height}, {sequence.width}), as the first one"
-            raise SourceError(f"{sequence.name}, frame {frame}", f"a picture of shape {depth.shape}", expected)
+            raise SourceError(
+                f"{sequence.name}, frame {frame}", f"a picture of shape {depth.shape}", expected
+            )
         return depth
 
 
 def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> ForceField:
-    """The force field of the planes of a depth map, in camera axes; `pose` float64 [4, 4] is scene from camera."""
+    """The force field of the planes of a depth map, in camera axes; `pose` float64 [4, 4] is scene from
+    camera.
+    """
     query = query_of(surface, pose, grid, profile)
     if uses_gpu():
         query = on_device(query)
@@ -181,7 +198,9 @@ def force_bricks(query: Query, grid: Grid) -> Int32s:
 
 
 def query_of(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> Query:
-    """The planes of a depth map (camera axes) before a lattice and a law in scene metres, as kernels take them."""
+    """The planes of a depth map (camera axes) before a lattice and a law in scene metres, as kernels take
+    them.
+    """
     turn = pose[:3, :3]
     lattice = np.empty((4, 3))
     lattice[0] = (np.asarray(grid.origin_m) - pose[:3, 3]) @ turn

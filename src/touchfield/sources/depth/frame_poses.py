@@ -1,8 +1,8 @@
 """The camera poses of the frames of a depth sequence: found, read, and matched to the frames.
 
-Asked for with ``--poses``, or else, the first that is there: a folder ``pose/`` or ``poses/`` with one file a frame,
-NAME.txt beside the pictures, or a text named like poses (`_LISTS`). What was read is said, and why a text was not: a
-frame in a wrong place is felt in a wrong place.
+Asked for with ``--poses``, or else, the first that is there: a folder ``pose/`` or ``poses/`` with one file a
+frame, NAME.txt beside the pictures, or a text named like poses (`_LISTS`). What was read is said, and why a
+text was not: a frame in a wrong place is felt in a wrong place.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ _MODELS: Final = ("sparse/0", "sparse", "colmap", "colmap/sparse/0")  # places o
 
 
 class PlacedFrames(NamedTuple):
-    """The frames that have a pose, ascending (all where there are none); the poses, float64 [n, 4, 4]; and notes."""
+    """The frames that have a pose, ascending (all where there are none); the poses, float64 [n, 4, 4]; and
+    notes.
+    """
 
     kept: tuple[int, ...]
     poses: Float64s | None
@@ -72,9 +74,9 @@ def placed_frames(
 ) -> PlacedFrames:
     """The poses of frames: those asked for, or those that lie in one of the folders.
 
-    `frames` are the pictures, or how many frames a file has, which have no names and must all have poses; `stamps_s`
-    float64 [n] their times, where names do not tell them; `name` is theirs in an error. Raises `SourceError` if poses
-    are at fault, or belong to no frame.
+    `frames` are the pictures, or how many frames a file has, which have no names and must all have poses;
+    `stamps_s` float64 [n] their times, where names do not tell them; `name` is theirs in an error. Raises
+    `SourceError` if poses are at fault, or belong to no frame.
     """
     everything = tuple(range(frames if isinstance(frames, int) else len(frames)))
     if options.frame == "camera":
@@ -89,8 +91,12 @@ def placed_frames(
     return placed._replace(notes=(*placed.notes, match.note, *unread))
 
 
-def posed_frames(name: str, poses: Sequence[Float64s | None], why: str, needs_all: bool = False) -> PlacedFrames:
-    """Leave out the frames without a pose, and say so: a frame that is not placed would be felt in a wrong place."""
+def posed_frames(
+    name: str, poses: Sequence[Float64s | None], why: str, needs_all: bool = False
+) -> PlacedFrames:
+    """Leave out the frames without a pose, and say so: a frame that is not placed would be felt in a wrong
+    place.
+    """
     kept = tuple(i for i, pose in enumerate(poses) if pose is not None)
     present, count = [pose for pose in poses if pose is not None], len(poses)
     if not kept or (needs_all and len(kept) < count):
@@ -101,19 +107,27 @@ def posed_frames(name: str, poses: Sequence[Float64s | None], why: str, needs_al
     return PlacedFrames(kept, np.stack(present), lost)
 
 
-def _match(frames: _Frames, options: SourceOptions, folders: Sequence[Path]) -> tuple[_Match | None, tuple[str, ...]]:
+def _match(
+    frames: _Frames, options: SourceOptions, folders: Sequence[Path]
+) -> tuple[_Match | None, tuple[str, ...]]:
     """The poses that are used, and a note for each text that is named like poses and is not."""
     if options.poses is not None:
         asked = Path(options.poses)
         if asked.is_dir():
             return _of_folder(asked, frames), ()
         if not asked.is_file():
-            raise InvalidArgument("--poses", repr(options.poses[:80]), "a file or folder of poses that is there")
+            raise InvalidArgument(
+                "--poses", repr(options.poses[:80]), "a file or folder of poses that is there"
+            )
         return _of_list(asked, frames), ()
     match = _of_folders(folders, frames) if frames.paths else None
     places = [*folders, *(folder / model for folder in folders for model in _MODELS)]
-    files = {file.resolve(): file for folder in reversed(places) if folder.is_dir() for file in folder.iterdir()}
-    ranks = {f: i for i, form in reversed([*enumerate(_LISTS)]) for f in files.values() if form.fullmatch(f.name)}
+    files = {
+        file.resolve(): file for folder in reversed(places) if folder.is_dir() for file in folder.iterdir()
+    }
+    ranks = {
+        f: i for i, form in reversed([*enumerate(_LISTS)]) for f in files.values() if form.fullmatch(f.name)
+    }
     unread: list[str] = []
     for file in sorted(ranks, key=lambda f: (ranks[f], f.name)):
         if match is not None or not file.is_file() or file.name.startswith("."):
@@ -135,7 +149,13 @@ def _of_folders(folders: Sequence[Path], frames: _Frames) -> _Match | None:
     beside: list[Path | None] = []
     for path in frames.paths:  # NAME.txt or NAME.pose.txt beside NAME.png or NAME.depth.png
         stem = re.sub(r"[._-]?depth$", "", path.stem, flags=re.IGNORECASE)
-        names = (f"{path.stem}.txt", f"{stem}.txt", f"{stem}.pose.txt", f"{stem}_pose.txt", f"{stem}-pose.txt")
+        names = (
+            f"{path.stem}.txt",
+            f"{stem}.txt",
+            f"{stem}.pose.txt",
+            f"{stem}_pose.txt",
+            f"{stem}-pose.txt",
+        )
         beside.append(next((file for name in names if (file := path.with_name(name)).is_file()), None))
     files = [file for file in beside if file is not None]
     if not files:
@@ -158,7 +178,9 @@ def _of_folder(folder: Path, frames: _Frames) -> _Match:
 def _of_files(name: str, files: Sequence[Path | None]) -> _Match:
     """The poses of a file a frame, None where there is none."""
     poses = [None if file is None else read_pose_file(file) for file in files]
-    return _Match(poses, f"Poses of {name}, a file a frame, scene from camera.", "no pose, or tracking was lost")
+    return _Match(
+        poses, f"Poses of {name}, a file a frame, scene from camera.", "no pose, or tracking was lost"
+    )
 
 
 def _of_list(file: Path, frames: _Frames) -> _Match:
@@ -189,13 +211,19 @@ def _matched(listed: PoseList, frames: _Frames, file: Path) -> tuple[list[int], 
         known = range(count) if listed.numbers is None else listed.numbers.tolist()
         if listed.numbers is not None or max(n or 0.0 for n in numbers) < count:
             entries = {float(number): i for i, number in enumerate(known)}
-            return [entries.get(n or 0.0, -1) for n in numbers], "matched by the numbers of frames", "no entry"
+            return (
+                [entries.get(n or 0.0, -1) for n in numbers],
+                "matched by the numbers of frames",
+                "no entry",
+            )
     expected = "one for each, or frames whose names tell which (00012.png, TIME.png)"
     raise SourceError(str(file), f"{count} poses for {wanted} frames", expected, IGNORE_POSES)
 
 
 def _by_name(wanted: Sequence[str], names: Sequence[str]) -> list[int]:
-    """The entry named like each frame: by its stem, else by its last number, where one alone has it; -1 for none."""
+    """The entry named like each frame: by its stem, else by its last number, where one alone has it; -1 for
+    none.
+    """
     stems: dict[str, list[int]] = {}
     numbers: dict[float | None, list[int]] = {}
     for i, stem in enumerate(Path(name).stem for name in names):

@@ -1,16 +1,17 @@
 """A depth sequence as a world that stands still: the fused field of all frames, or of those seen so far.
 
     fused    The medium is computed ahead, and so is its world: every frame knows what all frames saw, and what stands
-             does not tremble. Where a frame sees whole patches of samples that changed, what lies at and behind its
-             surface there is *moving* and follows the frames, as in a causal world. Narrower changes are noise, or a
-             pose that is a little off at the edge of a thing.
+             does not tremble. Where a frame sees whole patches of samples that changed, what lies at and
+             behind its surface there is *moving* and follows the frames, as in a causal world. Narrower
+             changes are noise, or a pose that is a little off at the edge of a thing.
     causal   A frame knows what was seen up to it: what a live sender can do. What stands is renewed eight times a
              second, and not shaken by every look; bricks in which something changes follow every frame.
 
-The fused volume (`FusedVolume`) is the mean of what posed depth maps tell each sample (Curless and Levoy 1996,
-KinectFusion 2011), in bricks that a surface passes. A view says of a sample how far it lies from the tangent plane of
-its pixel (phi, negative behind), which is nearer to the truth than the distance along the ray (docs/decisions/0013).
-With the surface's *neighbourhood* |phi| <= 2 noise(z), at least a sample wide, three things can be said:
+The fused volume (`FusedVolume`) is the mean of what posed depth maps tell each sample (Curless and Levoy
+1996, KinectFusion 2011), in bricks that a surface passes. A view says of a sample how far it lies from the
+tangent plane of its pixel (phi, negative behind), which is nearer to the truth than the distance along the
+ray (docs/decisions/0013). With the surface's *neighbourhood* |phi| <= 2 noise(z), at least a sample wide,
+three things can be said:
 
 near   |phi| is within it: the mean of phi and of the plane's normal moves, weighted by 1 / noise^2 and by the
        squared cosine between ray and normal.
@@ -18,8 +19,9 @@ guess  the sample lies behind it, as far as the wall reaches: nobody has seen th
        farther behind, gives way to a surface seen near the sample, and does not return once rays have passed.
 free   the ray passed in front. Two in a row carve what stood there.
 
-A surface carved, a surface in known free space, and one that shifts by more than its neighbourhood count as *changes*
-of the sample; its mean begins anew. Behind a surface in formerly free space the guess is allowed again.
+A surface carved, a surface in known free space, and one that shifts by more than its neighbourhood count as
+*changes* of the sample; its mean begins anew. Behind a surface in formerly free space the guess is allowed
+again.
 """
 
 from __future__ import annotations
@@ -48,15 +50,25 @@ if TYPE_CHECKING:
 WORLDS: Final = ("fused", "causal")
 
 # of a causal world, measured in docs/decisions/0013:
-FIRST_LOOK: Final = 16.0  # what the first look at a surface counts: a seventh fewer samples then change with a frame
-RENEWALS_HZ: Final = 8.0  # so often what stands is shown anew: a third of the bytes go, and most steps a hand feels
-CHANGING: Final = 8  # a brick of 512 samples follows every frame once so many of them changed: an eighth of a plane
+FIRST_LOOK: Final = (
+    16.0  # what the first look at a surface counts: a seventh fewer samples then change with a frame
+)
+RENEWALS_HZ: Final = (
+    8.0  # so often what stands is shown anew: a third of the bytes go, and most steps a hand feels
+)
+CHANGING: Final = (
+    8  # a brick of 512 samples follows every frame once so many of them changed: an eighth of a plane
+)
 
-PATCH_SHARE: Final = 1 / 12  # of the picture's height: what moves is a patch so wide; a pose off makes narrow seams
+PATCH_SHARE: Final = (
+    1 / 12
+)  # of the picture's height: what moves is a patch so wide; a pose off makes narrow seams
 PATCH_DENSITY: Final = 0.7  # of the pixels of a patch, so many see a sample that changed
 STANDS_SHARE: Final = 0.7  # of the pixels seen in two frames, so many agree if a camera without poses stands
 DRIFT_TIMES: Final = 2.0  # poses drift if the residual of the last quarter is so many times that of the first
-SLACK: Final = 3.0  # a neighbourhood is at least so many mean residuals of a view: poses are off more than the sensor
+SLACK: Final = (
+    3.0  # a neighbourhood is at least so many mean residuals of a view: poses are off more than the sensor
+)
 OFF_TIMES: Final = 1.5  # a view is off whose residual is so many times the median of those so far
 _BYTES_PER_BRICK = 512 * (5 * 4 + 4)
 _KEPT_PLANES_BYTES = 256 << 20
@@ -64,10 +76,12 @@ _KEPT_WORLDS = 16  # an array asks for its depth in slabs
 
 
 class FusedVolume:
-    """All that a depth sequence has told the samples of a lattice so far, in bricks int32 [n, 3] as they were added.
+    """All that a depth sequence has told the samples of a lattice so far, in bricks int32 [n, 3] as they were
+    added.
 
-    `step_per_m` is the noise of the sensor, of inverse depth; the first look at a surface counts `first` times: above
-    1, what is felt early moves less while the mean settles. `residuals_m` are the mean residuals of the views.
+    `step_per_m` is the noise of the sensor, of inverse depth; the first look at a surface counts `first`
+    times: above 1, what is felt early moves less while the mean settles. `residuals_m` are the mean residuals
+    of the views.
     """
 
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, first: float = 1.0) -> None:
@@ -105,7 +119,8 @@ class FusedVolume:
     def integrate(self, surface: SurfacePlanes, pose: Float64s) -> None:
         """Tell the samples what a view says, its pose being scene from camera, float64 [4, 4].
 
-        A view that misses what was known by much more than those before it (a pose that is off) tells of no changes.
+        A view that misses what was known by much more than those before it (a pose that is off) tells of no
+        changes.
         """
         of, before = self.samples, None
         view, residual_m = self._view(surface, pose, (of.near == 0) & (of.free == kernels.CLEAR))
@@ -119,7 +134,8 @@ class FusedVolume:
             of.changes[...] = before
 
     def mark_patches(self, surface: SurfacePlanes, pose: Float64s, changed: Bools, out: Bools) -> None:
-        """Set in `out` what lies at and behind patches of this view that see samples of `changed`, bool [n, 512].
+        """Set in `out` what lies at and behind patches of this view that see samples of `changed`, bool [n,
+        512].
 
         Patches are wider than a pose is off.
         """
@@ -176,8 +192,8 @@ class FusedScene(DepthScene):
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """The force field of one frame at the points of `grid`; the same object where nothing moves.
 
-        Every lattice and law that is asked for first goes through all frames (a causal world: through those up to
-        `frame`).
+        Every lattice and law that is asked for first goes through all frames (a causal world: through those
+        up to `frame`).
         """
         require_frame(frame, self.frame_count)
         with self._lock:
@@ -239,7 +255,9 @@ class _World(ABC):
         if end < DRIFT_TIMES * begin or end < 2e-3:
             return ()
         growth = f"{1e3 * begin:.2g} mm in the first quarter of the frames and {1e3 * end:.2g} mm in the last"
-        return (f"The poses seem to drift: surfaces miss those known by {growth}; --world frames does without",)
+        return (
+            f"The poses seem to drift: surfaces miss those known by {growth}; --world frames does without",
+        )
 
 
 class _Causal(_World):
@@ -322,7 +340,10 @@ class _Fused(_World):
             return super().notes()
         pushes = self._forces_n.any(axis=-1).reshape(-1, 512)
         share = float((self._moving & pushes).sum()) / max(1, int(pushes.sum()))
-        return (*super().notes(), f"{100 * share:.2g} % of the world moves, and follows the frames; the rest stands")
+        return (
+            *super().notes(),
+            f"{100 * share:.2g} % of the world moves, and follows the frames; the rest stands",
+        )
 
 
 def stands(sequence: DepthSequence) -> bool:

@@ -1,8 +1,8 @@
 """Camera intrinsics as users and data sets write them.
 
 Four numbers fx fy cx cy; a 3x3, 3x4 or 4x4 matrix, rows first (SUN3D, 3DMatch, ScanNet); JSON (Open3D, whose
-``intrinsic_matrix`` is columns first, RealSense, ROS, OpenCV, nerfstudio, NICE-SLAM); COLMAP's ``cameras.txt``. A
-unit of depth that a file tells is taken, too.
+``intrinsic_matrix`` is columns first, RealSense, ROS, OpenCV, nerfstudio, NICE-SLAM); COLMAP's
+``cameras.txt``. A unit of depth that a file tells is taken, too.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ class CameraFile:
 def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None) -> CameraFile:
     """The camera of the text of a file in any of the forms above; `where` is its name in an error.
 
-    `size` is width and height of the pictures: JSON must agree with it if it states them; COLMAP's cameras are scaled
-    to it, and a note says so. Raises `SourceError` for another form, or a matrix with skew.
+    `size` is width and height of the pictures: JSON must agree with it if it states them; COLMAP's cameras
+    are scaled to it, and a note says so. Raises `SourceError` for another form, or a matrix with skew.
     """
     if text.lstrip().startswith("{"):
         return _from_json(text, where, size)
@@ -74,7 +74,9 @@ def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None)
         values = floats(rest.split(), where, _FORMS)
         if {"PINHOLE": 4, "SIMPLE_PINHOLE": 3}.get(model) != len(values):
             found = f"a camera {model} of {len(values)} numbers"
-            raise SourceError(where, found, "PINHOLE or SIMPLE_PINHOLE", "Undistort it: colmap image_undistorter.")
+            raise SourceError(
+                where, found, "PINHOLE or SIMPLE_PINHOLE", "Undistort it: colmap image_undistorter."
+            )
         values = values if model == "PINHOLE" else [values[0], *values]
         return _scaled(values, (int(width), int(height)), where, size)
     words = " ".join(lines).translate(str.maketrans(",;[]()", "      "))
@@ -126,7 +128,11 @@ def _from_json(text: str, where: str, size: tuple[int, int] | None) -> CameraFil
         found = f"intrinsics for {stated[0]} x {stated[1]} pixels"
         raise SourceError(where, found, f"{size[0]} x {size[1]}, as the pictures have")
     units_per_m = None if scale is None or not scale > 0 else (scale if scale >= 1 else 1 / scale)
-    notes = () if units_per_m is None else (f"{Path(where).name} says {units_per_m:g} units of depth in a metre.",)
+    notes = (
+        ()
+        if units_per_m is None
+        else (f"{Path(where).name} says {units_per_m:g} units of depth in a metre.",)
+    )
     names = (("fx", "fl_x"), ("fy", "fl_y"), ("cx", "ppx"), ("cy", "ppy"))  # also of RealSense and nerfstudio
     numbers = [value for keys in names if (value := _number(data, keys)) is not None]
     if len(numbers) < 4:
@@ -159,8 +165,12 @@ def _matrix_of_json(data: Any, where: str) -> list[float]:
     return [numbers[3 * (i % 3) + i // 3] for i in range(9)] if is_turned else numbers
 
 
-def _scaled(values: list[float], stated: tuple[int, int], where: str, size: tuple[int, int] | None) -> CameraFile:
-    """A camera whose pixel centres lie at one half, for pictures of `stated` pixels, at the size of the depth."""
+def _scaled(
+    values: list[float], stated: tuple[int, int], where: str, size: tuple[int, int] | None
+) -> CameraFile:
+    """A camera whose pixel centres lie at one half, for pictures of `stated` pixels, at the size of the
+    depth.
+    """
     fx, fy, cx, cy = values
     width, height = stated
     across, down = (1.0, 1.0) if size is None else (size[0] / max(stated[0], 1), size[1] / max(stated[1], 1))
@@ -180,12 +190,17 @@ def named_like_intrinsics(folders: Iterable[Path]) -> Iterator[Path]:
 
 
 def camera_of(
-    name: str, asked: str | None, folders: Iterable[Path], size: tuple[int, int], default: CameraFile | None = None
+    name: str,
+    asked: str | None,
+    folders: Iterable[Path],
+    size: tuple[int, int],
+    default: CameraFile | None = None,
 ) -> CameraFile:
     """The camera that was asked for, else that of a file in one of `folders`, else the default.
 
-    `name` is the source's in an error, `asked` "fx,fy,cx,cy" or the path of a file, `size` width and height of the
-    pictures. Raises `InvalidArgument` if `asked` is neither; `SourceError` if a file is at fault, or nothing says.
+    `name` is the source's in an error, `asked` "fx,fy,cx,cy" or the path of a file, `size` width and height
+    of the pictures. Raises `InvalidArgument` if `asked` is neither; `SourceError` if a file is at fault, or
+    nothing says.
     """
     if asked is None:
         for file in named_like_intrinsics(folders):
@@ -198,7 +213,9 @@ def camera_of(
     if os.path.isfile(asked):  # unlike Path.is_file, never raises for a strange name
         return parse_intrinsics(read_text(Path(asked)), asked, size)
     try:
-        return parse_intrinsics(asked.replace(",", " ") if asked.count(",") == 3 else "", "--intrinsics", size)
+        return parse_intrinsics(
+            asked.replace(",", " ") if asked.count(",") == 3 else "", "--intrinsics", size
+        )
     except SourceError as error:
         expected = '"fx,fy,cx,cy" in pixels, or the path of a file that holds them'
         raise InvalidArgument("--intrinsics", repr(asked[:80]), expected) from error

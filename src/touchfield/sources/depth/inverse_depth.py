@@ -1,16 +1,19 @@
-"""Depth from numbers that are linear in 1/z: disparity maps of a stereo pair, and relative depth beside a picture.
+"""Depth from numbers that are linear in 1/z: disparity maps of a stereo pair, and relative depth beside a
+picture.
 
-*Disparity*: depth = fx * baseline / (disparity + offset). Middlebury 2014 (PFM, ``calib.txt`` with cam0, cam1, doffs
-and a baseline in millimetres), KITTI (16-bit PNG, 256 units a pixel, 0 unknown), and scikit-image's
-``stereo_motorcycle``. What is 0 or not finite is unknown.
+*Disparity*: depth = fx * baseline / (disparity + offset). Middlebury 2014 (PFM, ``calib.txt`` with cam0,
+cam1, doffs and a baseline in millimetres), KITTI (16-bit PNG, 256 units a pixel, 0 unknown), and
+scikit-image's ``stereo_motorcycle``. What is 0 or not finite is unknown.
 
-*Relative depth*, as estimators from one picture give it (MiDaS: Ranftl et al., TPAMI 2022; Depth Anything: Yang et
-al., CVPR 2024), has no unit. With s from 0 to 1 between the smallest and the largest value of all frames, the larger
-the nearer, 1/z = (1 - s)/far + s/near. Of a map whose larger values are farther, say a far smaller than near.
+*Relative depth*, as estimators from one picture give it (MiDaS: Ranftl et al., TPAMI 2022; Depth Anything:
+Yang et al., CVPR 2024), has no unit. With s from 0 to 1 between the smallest and the largest value of all
+frames, the larger the nearer, 1/z = (1 - s)/far + s/near. Of a map whose larger values are farther, say a far
+smaller than near.
 
-Such a map belongs to a picture or video by its name (``NAME_depth.png``, ``NAME.depth.png``, ``NAME-depth.npy``, with
-anything after the word depth), or by ``--relative-depth``, which for a video is a grey video or a folder of maps. The
-frames have the map's own size: intrinsics, which are those of the picture, are scaled.
+Such a map belongs to a picture or video by its name (``NAME_depth.png``, ``NAME.depth.png``,
+``NAME-depth.npy``, with anything after the word depth), or by ``--relative-depth``, which for a video is a
+grey video or a folder of maps. The frames have the map's own size: intrinsics, which are those of the
+picture, are scaled.
 """
 
 from __future__ import annotations
@@ -39,14 +42,19 @@ _SUFFIXES: Final = (".npy", ".pfm", ".png")
 _KITTI_UNITS_PER_PX: Final = 256.0
 
 NEAR_M: Final = 1.0
-FIELD_OF_VIEW_DEG: Final = 60.0  # across the width: between a phone's main camera (about 65) and a webcam (about 55)
-SHAPE_TOLERANCE: Final = 0.03  # of width to height of map and picture: estimators round to multiples of 14 or 32 px
+FIELD_OF_VIEW_DEG: Final = (
+    60.0  # across the width: between a phone's main camera (about 65) and a webcam (about 55)
+)
+SHAPE_TOLERANCE: Final = (
+    0.03  # of width to height of map and picture: estimators round to multiples of 14 or 32 px
+)
 
 
 # -- disparity -----------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class StereoRig:
-    """A rectified stereo pair: the camera whose picture the disparity map is of, and the distance to the other one.
+    """A rectified stereo pair: the camera whose picture the disparity map is of, and the distance to the
+    other one.
 
     `disparity_offset_px` is the difference of the principal points (Middlebury's doffs).
     """
@@ -58,7 +66,9 @@ class StereoRig:
     def __post_init__(self) -> None:
         require_positive(baseline_m=self.baseline_m)
         if not math.isfinite(self.disparity_offset_px):
-            raise InvalidArgument("disparity_offset_px", repr(self.disparity_offset_px), "a finite number of pixels")
+            raise InvalidArgument(
+                "disparity_offset_px", repr(self.disparity_offset_px), "a finite number of pixels"
+            )
 
 
 def depth_of_disparity(disparity_px: NDArray[Any], rig: StereoRig) -> Float32s:
@@ -84,7 +94,9 @@ def _of_disparity(
 
 
 def motorcycle_sequence() -> CodedSequence:
-    """scikit-image's disparity map "motorcycle" (Middlebury 2014), 741 x 500, 2 to 5 m; `MissingExtra` without it."""
+    """scikit-image's disparity map "motorcycle" (Middlebury 2014), 741 x 500, 2 to 5 m; `MissingExtra`
+    without it.
+    """
     data = import_extra("skimage.data", "the motorcycle scene", "scikit-image", "motorcycle")
     try:
         disparity = data.stereo_motorcycle()[2]
@@ -99,7 +111,9 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
     suffix = path.suffix.lower()
     values = (_pfm if suffix == ".pfm" else pictures.read_picture)(path)
     if values.dtype == np.uint8:
-        raise SourceError(str(path), "an 8-bit picture", "16-bit PNG, PFM or NPY", "Give the disparity map itself.")
+        raise SourceError(
+            str(path), "an 8-bit picture", "16-bit PNG, PFM or NPY", "Give the disparity map itself."
+        )
     with np.errstate(over="ignore"):  # inf means unknown
         units_per_px = options.depth_scale or (_KITTI_UNITS_PER_PX if suffix == ".png" else 1.0)
         disparity = values.astype(np.float64) / units_per_px
@@ -117,7 +131,9 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
     if baseline_m is None:
         mend = "Add --baseline-m, or a calib.txt beside it."
         raise SourceError(str(path), "no baseline", "the distance of the two cameras", mend)
-    return _of_disparity(str(path), disparity, StereoRig(camera.intrinsics, baseline_m, offset_px or 0.0), notes)
+    return _of_disparity(
+        str(path), disparity, StereoRig(camera.intrinsics, baseline_m, offset_px or 0.0), notes
+    )
 
 
 def _pfm(path: Path) -> Float32s:
@@ -141,9 +157,13 @@ def _calibration(file: Path, size: tuple[int, int], camera: str) -> StereoRig | 
         baseline_m, offset_px = float(entries["baseline"]) / 1000, float(entries.get("doffs", "0"))
         matrix = entries[camera]
     except (KeyError, ValueError) as error:
-        raise SourceError(str(file), f"no or another {error}", "Middlebury's cam0=, baseline=, doffs=") from error
+        raise SourceError(
+            str(file), f"no or another {error}", "Middlebury's cam0=, baseline=, doffs="
+        ) from error
     if stated != size:
-        raise SourceError(str(file), f"a camera of {stated[0]} x {stated[1]} pixels", f"{size[0]} x {size[1]}")
+        raise SourceError(
+            str(file), f"a camera of {stated[0]} x {stated[1]} pixels", f"{size[0]} x {size[1]}"
+        )
     with blamed_on(f"{file}: "):
         return StereoRig(parse_intrinsics(matrix, f"{file}: {camera}").intrinsics, baseline_m, offset_px)
 
@@ -178,7 +198,8 @@ def find_map(path: Path) -> Path | None:
 def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
     """A picture or video with the relative depth beside it; reads every map once.
 
-    Raises `SourceError` if there is no map, sizes or counts of frames do not go together, or all values are the same.
+    Raises `SourceError` if there is no map, sizes or counts of frames do not go together, or all values are
+    the same.
     """
     if path.is_dir():
         raise SourceError(str(path), "a folder", "a picture or a video, with its relative depth beside it")
@@ -197,7 +218,9 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
     else:
         (width, height), rate_hz, count = pictures.photo_size(path), source_rate(options), 1
     if maps.frame_count != count:
-        raise SourceError(str(where), f"{maps.frame_count} maps", f"{count}, one for each frame of {path.name}")
+        raise SourceError(
+            str(where), f"{maps.frame_count} maps", f"{count}, one for each frame of {path.name}"
+        )
     x, y = maps.size[0] / width, maps.size[1] / height
     if abs(x - y) > SHAPE_TOLERANCE * y:
         expected = f"the shape of {path.name}, {width} x {height}"
@@ -217,7 +240,9 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
             low, high = min(low, float(known.min())), max(high, float(known.max()))
     if not (low < high and math.isfinite(high - low)):
         found = f"the one value {low:g}" if low == high else "no range of numbers"
-        raise SourceError(str(path), f"{found} in the relative depth", "near and far values", "Check the map.")
+        raise SourceError(
+            str(path), f"{found} in the relative depth", "near and far values", "Check the map."
+        )
     return CodedSequence(str(path), maps, InverseDepth(low, high, near_m, far_m), intrinsics, rate_hz, notes)
 
 
@@ -244,13 +269,15 @@ def _is_relative(path: Path) -> bool:
 KINDS: Final = {
     "disparity": depth_kind(
         "disparity",
-        "disparity map named *disp*: PFM, NPY or 16-bit PNG (needs --baseline-m and --intrinsics, or calib.txt)",
+        "disparity map named *disp*: PFM, NPY or 16-bit PNG (needs --baseline-m and --intrinsics, or "
+        "calib.txt)",
         lambda path: "disp" in path.name.lower() and path.suffix.lower() in _SUFFIXES and path.is_file(),
         read_disparity,
     ),
     "relative-depth": depth_kind(
         "relative-depth",
-        "picture or video with a relative depth beside it, NAME_depth.png (1/z, larger is nearer; --near-m, --far-m)",
+        "picture or video with a relative depth beside it, NAME_depth.png (1/z, larger is nearer; --near-m, "
+        "--far-m)",
         _is_relative,
         read_relative,
     ),

@@ -1,11 +1,12 @@
-"""Depth sequences as data sets lay them out on disk: one table of layouts (`LAYOUTS`), and one reader of them.
+"""Depth sequences as data sets lay them out on disk: one table of layouts (`LAYOUTS`), and one reader of
+them.
 
 tum         TUM RGB-D (Sturm et al., IROS 2012), Bonn's and ICL-NUIM's: value / 5000 = metres. It ships no intrinsics
             file: the published ones are used where a name says which camera it was.
 redwood     Redwood (Choi et al., CVPR 2015) and Open3D.
 sun3d       SUN3D (Xiao et al., ICCV 2013), the recordings of the paper's section 5.2 ("hotel barcelona"):
-            ``depth/FRAME-MICROSECONDS.png`` with rotated bits, and ``extrinsics/*.txt`` with the 3x4 camera-to-world
-            matrices of all colour frames; of several files the last is the newest.
+            ``depth/FRAME-MICROSECONDS.png`` with rotated bits, and ``extrinsics/*.txt`` with the 3x4
+            camera-to-world matrices of all colour frames; of several files the last is the newest.
 3dmatch     3DMatch (Zeng et al., CVPR 2017) and 7-Scenes (Shotton et al., CVPR 2013), a part (``seq-01``) at a time.
             ``camera-intrinsics.txt`` lies beside the frames or one folder up.
 depth-folder, depth-map, depth-stack, depth-video  Pictures of no data set. Scale and intrinsics must be said, or
@@ -28,7 +29,14 @@ from touchfield.arrays import Float64s
 from touchfield.errors import MissingExtra, SourceError
 from touchfield.files import readable
 from touchfield.medium.stores.npz import map_npy, read_npy_header
-from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, DepthSequence, Intrinsics, at_rate
+from touchfield.sources.camera import (
+    DEFAULT_RATE_HZ,
+    CodedSequence,
+    DepthCode,
+    DepthSequence,
+    Intrinsics,
+    at_rate,
+)
 from touchfield.sources.depth.frame_poses import POSE_TOLERANCE_S, PlacedFrames, placed_frames, posed_frames
 from touchfield.sources.depth.intrinsics_file import CameraFile, camera_of, named_like_intrinsics
 from touchfield.sources.images.movies import VIDEO_SUFFIXES, GreyVideo, video_header
@@ -80,7 +88,8 @@ _SEVEN_SCENES: Final = CameraFile(
 
 # -- the reader ----------------------------------------------------------------------------------------------
 class Shots(NamedTuple):
-    """The depth pictures of a sequence, in files or in one file, and where what belongs to them is looked for.
+    """The depth pictures of a sequence, in files or in one file, and where what belongs to them is looked
+    for.
 
     Times are seconds, NaN where a picture has none; `places` are the folders of poses, None if none are read.
     """
@@ -123,9 +132,13 @@ class Layout:
         return depth_kind(self.name, self.summary, self.recognise, self.read_sequence)
 
     def read_sequence(self, path: Path, options: SourceOptions) -> CodedSequence:
-        """A sequence in this layout; `SourceError` if pictures, poses, scale or camera are missing or at fault."""
+        """A sequence in this layout; `SourceError` if pictures, poses, scale or camera are missing or at
+        fault.
+        """
         if path.is_dir() == self.is_file:
-            mend = "Name its kind with --as depth-folder." if self.is_file else "Give the folder that holds it."
+            mend = (
+                "Name its kind with --as depth-folder." if self.is_file else "Give the folder that holds it."
+            )
             raise SourceError(str(path), "a folder" if self.is_file else "a file", self.summary, mend)
         shots = self.shots(path)
         if not shots.paths and shots.one_file is None:
@@ -143,7 +156,9 @@ class Layout:
             if header.channels != 1 or header.sample in ("", "uint8", "int8"):
                 mend = "Give the depth pictures, not colour or previews, saved with 16 bits."
                 raise SourceError(str(file), header.wording, "16-bit (or float) grey depth", mend)
-        default = None if frames.size != (640, 480) else self.camera(path) if callable(self.camera) else self.camera
+        default = (
+            None if frames.size != (640, 480) else self.camera(path) if callable(self.camera) else self.camera
+        )
         camera = camera_of(str(shots.where), options.intrinsics, shots.camera_places, frames.size, default)
         is_metres = bool(frames.headers) and frames.headers[0].sample.startswith("float")
         of_file = None if self.is_rotated else camera.units_per_m
@@ -193,8 +208,8 @@ def depth_kind(
 def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
     """The scene of a depth sequence at the rate asked for, read as a camera's view or as a height map.
 
-    A sequence that does not say its own rate and whose `source_rate_hz` was not given already has it (`source_rate`),
-    and is not interpolated.
+    A sequence that does not say its own rate and whose `source_rate_hz` was not given already has it
+    (`source_rate`), and is not interpolated.
     """
     sequence = at_rate(sequence, options.rate_hz, options.interpolation)
     if options.reading == "height":
@@ -211,14 +226,19 @@ def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
             return FusedScene(sequence, options.world, options.segment)
     scene = DepthScene(sequence, frame=options.frame, segment=options.segment)
     if not is_alone:
-        note = "No poses, and the camera or most of what it sees moves: each frame is felt alone (--world frames)"
+        note = (
+            "No poses, and the camera or most of what it sees moves: each frame is felt alone (--world "
+            "frames)"
+        )
         scene.notes = (*scene.notes, note)
     return scene
 
 
 # -- folders of data sets ------------------------------------------------------------------------------------
 def _stamped(path: Path) -> Shots:
-    """Pictures that are there, in order of time, of ``depth.txt`` (lines of time and file) or ``depth/TIME.png``."""
+    """Pictures that are there, in order of time, of ``depth.txt`` (lines of time and file) or
+    ``depth/TIME.png``.
+    """
     listing, depth = path / "depth.txt", path / "depth"
     notes: tuple[str, ...] = ()
     if listing.is_file():
@@ -229,7 +249,9 @@ def _stamped(path: Path) -> Shots:
             except (ValueError, IndexError):
                 stamp, name = np.inf, PurePosixPath()
             if not abs(stamp) < MAX_TIME_S or name.is_absolute() or ".." in name.parts:
-                raise SourceError(where, repr(" ".join(words)[:60]), "a time and a file name inside the folder")
+                raise SourceError(
+                    where, repr(" ".join(words)[:60]), "a time and a file name inside the folder"
+                )
             listed.append((stamp, path / name))
         stamped = sorted((stamp, file) for stamp, file in listed if file.is_file())
         if len(stamped) < len(listed):
@@ -257,7 +279,10 @@ def _published(path: Path) -> CameraFile | None:
         match = _CAMERA_NAME.search(text.lower())
         if match:
             camera, k = _CAMERAS[match[1] or match[2] or "icl"]
-            note = f"No intrinsics file: the published ones of {camera}, {k.fx}, {k.fy}, {k.cx}, {k.cy}, are used."
+            note = (
+                f"No intrinsics file: the published ones of {camera}, {k.fx}, {k.fy}, {k.cx}, {k.cy}, are "
+                "used."
+            )
             return CameraFile(k, notes=(note,), is_mirrored=camera == "icl")
     return None
 
@@ -374,8 +399,14 @@ def _is_stack(path: Path) -> bool:
 def _video(path: Path) -> Shots:
     header = video_header(path)
     if not header.is_deep_grey:
-        found, expected = f"{header.codec} video of {header.pixels} pixels", "16-bit grey (gray16le, gray12le, ...)"
-        mend = "It looks like an ordinary video: take --as saliency, or --as relative-depth with its depth beside it."
+        found, expected = (
+            f"{header.codec} video of {header.pixels} pixels",
+            "16-bit grey (gray16le, gray12le, ...)",
+        )
+        mend = (
+            "It looks like an ordinary video: take --as saliency, or --as relative-depth with its depth "
+            "beside it."
+        )
         raise SourceError(str(path), found, expected, mend)
     folder = (path.absolute().parent,)
     return Shots((), path, folder, folder, one_file=GreyVideo(path), rate_hz=header.rate_hz)
@@ -406,7 +437,8 @@ LAYOUTS: Final = (
         _sun3d, 1000.0, poses=_extrinsics, is_rotated=True,
     ),
     Layout(
-        "3dmatch", "3DMatch or 7-Scenes sequence: a folder with frame-NNNNNN.depth.png (millimetres) and .pose.txt",
+        "3dmatch", "3DMatch or 7-Scenes sequence: a folder with frame-NNNNNN.depth.png (millimetres) and "
+                   ".pose.txt",
         lambda path: has_files(path, _FRAME_PNG), _threedmatch, 1000.0, _SEVEN_SCENES,
     ),
     Layout(
@@ -417,7 +449,8 @@ LAYOUTS: Final = (
     ),
     Layout(
         "depth-map",
-        "one depth picture named *depth*: 16-bit PNG or TIFF (needs --depth-scale), NPY in metres (--intrinsics)",
+        "one depth picture named *depth*: 16-bit PNG or TIFF (needs --depth-scale), NPY in metres "
+        "(--intrinsics)",
         _is_one, lambda path: Shots((path,), path, None, (path.absolute().parent,)), is_file=True,
     ),
     Layout(
@@ -427,7 +460,8 @@ LAYOUTS: Final = (
     ),
     Layout(
         "depth-video",
-        "video of depth: 16-bit grey in MKV, AVI, MOV, MP4 (needs --depth-scale and --intrinsics; extra: video)",
+        "video of depth: 16-bit grey in MKV, AVI, MOV, MP4 (needs --depth-scale and --intrinsics; extra: "
+        "video)",
         _is_video, _video, is_file=True,
     ),
 )  # fmt: skip

@@ -1,18 +1,19 @@
 """A depth sequence as objects: connected surfaces of each frame, followed over time (paper section 5.1).
 
 The paper's object representation "requires a clear segmentation of the scene that is in general an ill-posed
-problem", and it gives no rule. Here is a plain one, which knows nothing of what things are: what touches (a cup and
-its table) is one object, and what another thing hides in part may be two.
+problem", and it gives no rule. Here is a plain one, which knows nothing of what things are: what touches (a
+cup and its table) is one object, and what another thing hides in part may be two.
 
-- *Surfaces.* Two neighbouring pixels belong together if their depths z differ by at most ``step`` of the nearer one,
-  or their inverse depths by at most the noise step of the sensor (`camera.noise_step_per_m`).
+- *Surfaces.* Two neighbouring pixels belong together if their depths z differ by at most ``step`` of the
+  nearer one, or their inverse depths by at most the noise step of the sensor (`camera.noise_step_per_m`).
 - *Objects.* Of a frame, the ``at-most`` largest surfaces of at least ``least``, a share of the picture.
-- *Over time.* The pairs of a surface and an object are taken by the pixels that they share, the most first; each
-  surface and each object once. An object that vanishes, and is seen again where it was, is the same (``at-most`` of
-  those that are gone are remembered); one that moves by more than its own width between two frames is a new one.
-- *The whole sequence.* The ``at-most`` objects with the most pixels in all frames are kept. Everything else that has
-  a depth is one more object, the background. The sum of the fields is that of the whole, except at the borders: a
-  plane is fitted to pixels of one object only.
+- *Over time.* The pairs of a surface and an object are taken by the pixels that they share, the most first;
+  each surface and each object once. An object that vanishes, and is seen again where it was, is the same
+  (``at-most`` of those that are gone are remembered); one that moves by more than its own width between two
+  frames is a new one.
+- *The whole sequence.* The ``at-most`` objects with the most pixels in all frames are kept. Everything else
+  that has a depth is one more object, the background. The sum of the fields is that of the whole, except at
+  the borders: a plane is fitted to pixels of one object only.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ _EXPECTED: Final = "such as step=0.03,least=0.002,at-most=16 (least is a share o
 class SegmentRule:
     """A rule of what belongs together, and what is an object; see the module.
 
-    step : float; Largest difference in depth between neighbouring pixels of one surface, as a share of the nearer.
+    step : float; Largest difference in depth between neighbouring pixels of one surface, as a share of the
+        nearer.
     least : float; Pixels of the smallest object, as a share of the picture.
     at_most : int; Objects beside the background, in a frame and in all, 1 to 254.
     """
@@ -63,7 +65,9 @@ class SegmentRule:
 
     @classmethod
     def parse(cls, text: str | None) -> SegmentRule:
-        """The rule in words (``step=0.03,least=0.002,at-most=16``); None, or what is not said, is the default."""
+        """The rule in words (``step=0.03,least=0.002,at-most=16``); None, or what is not said, is the
+        default.
+        """
         asked: dict[str, float | int] = {}
         for word in () if text is None else text.split(","):
             name, _, value = (part.strip() for part in word.partition("="))
@@ -82,17 +86,21 @@ class SegmentRule:
 def surfaces(depth_m: Float32s, step: float, noise_step_per_m: float) -> tuple[Labels, int]:
     """The connected surfaces of a depth map, int32 [height, width] from 1 on, 0 where unknown; and how many.
 
-    `depth_m` float32 [height, width] is not positive, or not finite, where unknown; `step` is that of `SegmentRule`,
-    `noise_step_per_m` that of the sensor, 1/m.
+    `depth_m` float32 [height, width] is not positive, or not finite, where unknown; `step` is that of
+    `SegmentRule`, `noise_step_per_m` that of the sensor, 1/m.
     """
     from scipy import ndimage
 
     depth = np.where(np.isfinite(depth_m), depth_m, np.float32(0))
     height, width = depth.shape
-    # pixels at even places and the links between them at odd ones: then what is connected is connected in a picture
+    # pixels at even places and the links between them at odd ones: then what is connected is connected in a
+    # picture
     links = np.zeros((2 * height - 1, 2 * width - 1), bool)
     links[::2, ::2] = depth > 0
-    for between, a, b in ((links[::2, 1::2], depth[:, :-1], depth[:, 1:]), (links[1::2, ::2], depth[:-1], depth[1:])):
+    for between, a, b in (
+        (links[::2, 1::2], depth[:, :-1], depth[:, 1:]),
+        (links[1::2, ::2], depth[:-1], depth[1:]),
+    ):
         nearer = np.minimum(a, b)  # |a - b| <= max(step * nearer, g a b), as |1/a - 1/b| <= g
         allowed = np.maximum(np.float32(step) * nearer, np.float32(noise_step_per_m) * a * b)
         between[...] = (np.abs(a - b) <= allowed) & (nearer > 0)
@@ -129,7 +137,9 @@ class Segmentation:
         self.object_count = len(kept)
         self.pixels = np.zeros((sequence.frame_count, len(kept) + 1), np.int64)
         self.pixels[:, BACKGROUND] = self._known_px
-        self._numbers = [{one.label: number[one.name] for one in frame if one.name in number} for frame in followed]
+        self._numbers = [
+            {one.label: number[one.name] for one in frame if one.name in number} for frame in followed
+        ]
         for frame, numbers in zip(followed, self.pixels):
             for one in frame:
                 if one.name in number:
@@ -176,7 +186,9 @@ class Segmentation:
 
 
 def _matched(labels: Labels, large: list[int], places: dict[int, Int64s], next_name: int) -> dict[int, int]:
-    """A name for each of the `large` labels: of the object whose pixels, `places`, it shares most, else a new one."""
+    """A name for each of the `large` labels: of the object whose pixels, `places`, it shares most, else a new
+    one.
+    """
     rank = np.full(int(labels.max(initial=0)) + 1, len(large))
     rank[large] = np.arange(len(large))
     shared = [
@@ -211,7 +223,10 @@ class MaskedSequence(DepthSequence):
 
 
 def segmented_bodies(
-    scene_maker: Callable[[DepthSequence], Scene], sequence: DepthSequence, rule: SegmentRule, noise_step_per_m: float
+    scene_maker: Callable[[DepthSequence], Scene],
+    sequence: DepthSequence,
+    rule: SegmentRule,
+    noise_step_per_m: float,
 ) -> tuple[tuple[Body, ...], str]:
     """The objects of a depth sequence as bodies, the largest first and the background last; and a note."""
     objects = Segmentation(sequence, rule, noise_step_per_m)
@@ -223,7 +238,8 @@ def segmented_bodies(
         bodies.append(Body(name, scene, PoseTrack.still(sequence.frame_count)))
     rest = " and the background" if BACKGROUND in numbers else ""
     note = (
-        f"Segmented by depth steps into {objects.object_count} object{'s' * (objects.object_count != 1)}{rest} "
+        f"Segmented by depth steps into {objects.object_count} "
+        f"object{'s' * (objects.object_count != 1)}{rest} "
         f"({rule.words}); what an object is, is ill-posed (--segment)."
     )
     return tuple(bodies), note

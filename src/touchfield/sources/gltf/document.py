@@ -1,8 +1,8 @@
 """A glTF document: the JSON of a .gltf or .glb file, read with checks, and the typed arrays in its buffers.
 
-Source: Khronos, glTF 2.0 specification (2021), sections 3.6 (binary data, accessors with strides, normalised integers
-and sparse changes) and 4 (GLB). A buffer is the binary chunk of the GLB, base64 within the JSON, or a file beside it;
-no other place is looked at.
+Source: Khronos, glTF 2.0 specification (2021), sections 3.6 (binary data, accessors with strides, normalised
+integers and sparse changes) and 4 (GLB). A buffer is the binary chunk of the GLB, base64 within the JSON, or
+a file beside it; no other place is looked at.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from touchfield.json_values import JsonValue, parsed
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _SPARE: Final = 1 << 20
 _PER_BYTE: Final = 16
-"""A document may ask for this many elements for each of its bytes, and `_SPARE` more (zeros need no bytes)."""
+"""A document may ask for this many elements for each of its bytes, and `_SPARE` more (zeros need no bytes).
+
+"""
 
 _LARGEST: Final = 1 << 53  # beyond this a JSON number need not be a whole one any more
 _LISTS: Final = ("accessors", "animations", "bufferViews", "buffers", "meshes", "nodes", "scenes", "skins")
@@ -77,10 +79,11 @@ class Element(JsonValue):
         return None if value is None else value.text()
 
     def floats(self, key: str, kind: str) -> Float64s | None:
-        """Numbers of the accessor that `key` names, float64 [count, width], read-only; None where there is none.
+        """Numbers of the accessor that `key` names, float64 [count, width], read-only; None where there is
+        none.
 
-        Normalised integers become numbers. Raises `SourceError` if the accessor is of another type than `kind`, its
-        data are not there, or one of them is not finite.
+        Normalised integers become numbers. Raises `SourceError` if the accessor is of another type than
+        `kind`, its data are not there, or one of them is not finite.
         """
         number = self.index(key, "accessors")
         return None if number is None else self.owner.array(number, kind)
@@ -94,9 +97,11 @@ class Element(JsonValue):
 class Document:
     """A glTF document, its buffers and its accessors, each read once.
 
-    `root` is the JSON object of the whole; `size_bytes` the length of the file and of those that it names, once read.
+    `root` is the JSON object of the whole; `size_bytes` the length of the file and of those that it names,
+    once read.
 
-    Raises `SourceError` if the file cannot be read, is no glTF 2, or requires an extension that is not understood.
+    Raises `SourceError` if the file cannot be read, is no glTF 2, or requires an extension that is not
+    understood.
     """
 
     def __init__(self, path: Path) -> None:
@@ -126,7 +131,9 @@ class Document:
         """Count elements that are about to be made; refuse what the bytes of the document do not justify."""
         self._asked += elements
         if self._asked > _PER_BYTE * self.size_bytes + _SPARE:
-            raise asker.wrong(f"{self._asked} elements asked of {self.size_bytes} bytes", "elements with their data")
+            raise asker.wrong(
+                f"{self._asked} elements asked of {self.size_bytes} bytes", "elements with their data"
+            )
 
     def array(self, index: int, kind: str, below: int | None = None) -> Any:
         """Elements of an accessor, float64 or, below a bound, int64 [count, width], read-only, read once."""
@@ -169,7 +176,9 @@ class Document:
                 raise sparse.wrong("no indices or no values", "both")
             rows = self._dense(places, changed, 1, _component(places))[:, 0]
             if rows.dtype.kind != "u" or int(rows.max()) >= count or (rows[1:] <= rows[:-1]).any():
-                raise places.wrong("indices that do not ascend, or are too large", f"ascending ones below {count}")
+                raise places.wrong(
+                    "indices that do not ascend, or are too large", f"ascending ones below {count}"
+                )
             values[rows] = self._dense(news, changed, width, component)
         return values
 
@@ -185,7 +194,9 @@ class Document:
         data = self._buffer(buffer)
         begin, length = view.integer("byteOffset", 0), view.integer("byteLength", least=1)
         if begin + length > len(data):
-            raise view.wrong(f"bytes {begin} to {begin + length}", f"at most the {len(data)} of buffers[{buffer}]")
+            raise view.wrong(
+                f"bytes {begin} to {begin + length}", f"at most the {len(data)} of buffers[{buffer}]"
+            )
         data, stride = data[begin : begin + length], view.integer("byteStride", size, least=1)
         begin = element.integer("byteOffset", 0)
         if stride < size:
@@ -210,11 +221,15 @@ class Document:
                 try:
                     data = base64.b64decode(text, validate=True)
                 except (binascii.Error, ValueError) as error:
-                    raise element.wrong("data that is not base64", "data in base64", "Export it again.") from error
+                    raise element.wrong(
+                        "data that is not base64", "data in base64", "Export it again."
+                    ) from error
             else:
                 data = self._beside(element, uri)
             if len(data) < length:
-                raise element.wrong(f"{len(data)} bytes", f"the {length} it declares", "The file may be cut short.")
+                raise element.wrong(
+                    f"{len(data)} bytes", f"the {length} it declares", "The file may be cut short."
+                )
             self._buffers[index] = memoryview(data)[:length]
         return self._buffers[index]
 
@@ -239,7 +254,9 @@ def _component(element: Element) -> np.dtype[Any]:
 
 
 def contents(path: Path, *, with_binary: bool = True) -> tuple[dict[str, Any], bytes]:
-    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none, or unread."""
+    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none, or
+    unread.
+    """
     require_plain(path, "one glTF file")
     chunks = dict[int, bytes]()
     with readable(path), path.open("rb") as file:
@@ -249,7 +266,9 @@ def contents(path: Path, *, with_binary: bool = True) -> tuple[dict[str, Any], b
             if version != 2:
                 raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
             if length > size:
-                raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
+                raise SourceError(
+                    str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again."
+                )
             while (with_binary or _JSON not in chunks) and len(begin := file.read(8)) == 8:
                 length, kind = struct.unpack("<II", begin)
                 if length > size - file.tell():

@@ -1,10 +1,11 @@
 """A glTF scene in motion: all its triangles once, and their vertices in the world at any time.
 
-Source: Khronos, glTF 2.0 specification (2021). Section 3.5: a local matrix is T R S, the world matrix of a node that
-of its parent times its own. Sections 3.7.2 and 3.7.3: primitives, morph targets and skins; a vertex goes with the
-weighted mean of its joints' world matrices, each times its inverse bind matrix, and the node that holds the mesh has
-no say. Section 3.11 and appendix C: samplers are LINEAR (spherical for rotations), STEP or CUBICSPLINE (Hermite,
-tangents in value per second); before its first and after its last time a sampler holds its value.
+Source: Khronos, glTF 2.0 specification (2021). Section 3.5: a local matrix is T R S, the world matrix of a
+node that of its parent times its own. Sections 3.7.2 and 3.7.3: primitives, morph targets and skins; a vertex
+goes with the weighted mean of its joints' world matrices, each times its inverse bind matrix, and the node
+that holds the mesh has no say. Section 3.11 and appendix C: samplers are LINEAR (spherical for rotations),
+STEP or CUBICSPLINE (Hermite, tangents in value per second); before its first and after its last time a
+sampler holds its value.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ _WIDTHS: Final = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS: Final = ("LINEAR", "STEP", "CUBICSPLINE")
 
 
-# -- animations -----------------------------------------------------------------------------------------------------
+# -- animations
+# -----------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Sampler:
     """A value over time."""
@@ -64,7 +66,9 @@ class Sampler:
 def _unit(quaternions: Float64s) -> Float64s:
     """Of length 1; no rotation where there is no length."""
     lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return np.asarray(np.where(lengths > 0, quaternions / np.where(lengths > 0, lengths, 1.0), (0.0, 0.0, 0.0, 1.0)))
+    return np.asarray(
+        np.where(lengths > 0, quaternions / np.where(lengths > 0, lengths, 1.0), (0.0, 0.0, 0.0, 1.0))
+    )
 
 
 class Animation(NamedTuple):
@@ -98,9 +102,11 @@ def _sampler(element: Element, path: str, width: int) -> Sampler:
     return Sampler(times, middle, interpolation, tangents, path == "rotation")
 
 
-# -- nodes ----------------------------------------------------------------------------------------------------------
+# -- nodes
+# ----------------------------------------------------------------------------------------------------------
 class Nodes:
-    """The nodes of a document; `shown` are those of the scene that is shown, all where the document has no scene.
+    """The nodes of a document; `shown` are those of the scene that is shown, all where the document has no
+    scene.
 
     Raises `SourceError` if a node has two parents, is its own ancestor, or has numbers at fault.
     """
@@ -125,7 +131,9 @@ class Nodes:
         if lost:
             raise elements[min(lost)].wrong("a node that is its own ancestor", "a tree of nodes")
         top = (
-            scenes[document.root.index("scene", "scenes") or 0].indices("nodes", "nodes") if scenes else range(count)
+            scenes[document.root.index("scene", "scenes") or 0].indices("nodes", "nodes")
+            if scenes
+            else range(count)
         )
         self.shown = set(top)
         for level_nodes in self._levels:
@@ -170,7 +178,8 @@ class Nodes:
         return local
 
 
-# -- primitives and skins -------------------------------------------------------------------------------------------
+# -- primitives and skins
+# -------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _Geometry:
     """The triangles of a primitive."""
@@ -196,7 +205,9 @@ def _read_geometry(primitive: Element) -> _Geometry | None:
     has_data = "bufferView" in positions or "sparse" in positions  # else they are zeros
     for name in _COMPRESSIONS:
         if extensions is not None and name in extensions and not has_data:
-            raise primitive.wrong(f"a mesh compressed with {name}", "a mesh without it", "Export it uncompressed.")
+            raise primitive.wrong(
+                f"a mesh compressed with {name}", "a mesh without it", "Export it uncompressed."
+            )
     vertices = primitive.owner.array(place, "VEC3")
     numbers = primitive.unsigned("indices", "SCALAR", len(vertices))
     corners = np.arange(len(vertices)) if numbers is None else numbers[:, 0]
@@ -246,7 +257,8 @@ class _Skin:
 
 
 def _joint_shares(geometry: _Geometry, joint_count: int) -> Any:
-    """The share of every joint in every vertex, a sparse float64 matrix [vertices, joints] whose rows sum to 1.
+    """The share of every joint in every vertex, a sparse float64 matrix [vertices, joints] whose rows sum
+    to 1.
 
     All sets JOINTS_n, WEIGHTS_n count. A vertex whose weights are all zero goes with the first of its joints.
     """
@@ -279,7 +291,8 @@ def _joint_shares(geometry: _Geometry, joint_count: int) -> Any:
     return matrix
 
 
-# -- the model ------------------------------------------------------------------------------------------------------
+# -- the model
+# ------------------------------------------------------------------------------------------------------
 class Poses(NamedTuple):
     """Places of the nodes and weights of the morph targets at some times."""
 
@@ -298,7 +311,8 @@ class _Piece:
 
 
 class Model:
-    """The triangles of the scene of a glTF document: `triangles` int64 [m, 3], vertex numbers over all pieces.
+    """The triangles of the scene of a glTF document: `triangles` int64 [m, 3], vertex numbers over all
+    pieces.
 
     `notes` name the extensions that are not read, and tell of other scenes.
 
@@ -309,7 +323,10 @@ class Model:
         self._document = document = Document(path)
         self._nodes = Nodes(document)
         self.node_count = self._nodes.count
-        meshes, self._skin = document.all("meshes"), cache(lambda number: _Skin(document.all("skins")[number]))
+        meshes, self._skin = (
+            document.all("meshes"),
+            cache(lambda number: _Skin(document.all("skins")[number])),
+        )
         self._targets = [0] * self.node_count
         self._rest_weights: dict[int, Float64s] = {}
         self._pieces: list[_Piece] = []
@@ -335,7 +352,9 @@ class Model:
             for number, geometry in enumerate(geometries(mesh) if node in self._nodes.shown else ()):
                 total += len(geometry.triangles)
                 if total > max(_MOST_TRIANGLES, document.size_bytes):
-                    raise element.wrong("too many triangles", f"at most {_MOST_TRIANGLES}", "Simplify the mesh.")
+                    raise element.wrong(
+                        "too many triangles", f"at most {_MOST_TRIANGLES}", "Simplify the mesh."
+                    )
                 share = None if skin is None else shares(mesh, number, skin)
                 document.charge(geometry.targets.size // 3 + (0 if share is None else share.nnz), element)
                 self._pieces.append(_Piece(node, geometry, skin, share))
@@ -379,7 +398,9 @@ class Model:
             if number is None:
                 raise entry.wrong("no sampler", "the number of one")
             if (node, path) in samplers:
-                raise target.wrong(f"a second {path} for node {node}", "one channel for each property of a node")
+                raise target.wrong(
+                    f"a second {path} for node {node}", "one channel for each property of a node"
+                )
             if path != "weights" and "matrix" in nodes[node]:
                 raise target.wrong(f"a {path} for node {node}, which has a matrix", "a node without a matrix")
             width = self._targets[node] if path == "weights" else _WIDTHS[path]

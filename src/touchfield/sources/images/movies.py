@@ -1,9 +1,10 @@
 """Pictures over time as arrays, by their number: of videos, grey or in colour, and of files.
 
-Videos go through PyAV (the extra ``video``). FFmpeg is told the container by the suffix, so that nothing else that it
-knows (play lists, which name other files and addresses) is ever opened. Frames are counted by reading every packet; a
-header that promises more than there is tells of a file that was cut. A pass in order decodes each frame once. Damaged
-frames are errors where the decoder tells them; that of FFV1 fills damaged slices from the frame before, unsaid.
+Videos go through PyAV (the extra ``video``). FFmpeg is told the container by the suffix, so that nothing else
+that it knows (play lists, which name other files and addresses) is ever opened. Frames are counted by reading
+every packet; a header that promises more than there is tells of a file that was cut. A pass in order decodes
+each frame once. Damaged frames are errors where the decoder tells them; that of FFV1 fills damaged slices
+from the frame before, unsaid.
 
 Pictures in colour, transparent ones black, are given as means over the pixels of a small map (`reduced`).
 """
@@ -41,7 +42,10 @@ DEEP_GREY: Final = re.compile(r"gray(9|10|12|14|16)(le|be)")
 
 _FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mov", ".gif": "gif"}
 VIDEO_SUFFIXES: Final = tuple(_FORMATS)
-_OPTIONS: Final = {"err_detect": "crccheck+explode", "trans_color": "0"}  # damage is an error; clear GIFs are black
+_OPTIONS: Final = {
+    "err_detect": "crccheck+explode",
+    "trans_color": "0",
+}  # damage is an error; clear GIFs are black
 _NEUTRAL: Final = 12  # 8-bit levels by which red, green and blue of a grey may differ after lossy coding
 
 
@@ -124,7 +128,8 @@ class GreyVideo(InOrder):
 def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tuple[list[int], list[int]]:
     """Time stamps of all frames, and the numbers of the key frames from which decoding can begin.
 
-    Only where the stamps ascend is a packet's number that of its frame; else decoding always begins at frame 0.
+    Only where the stamps ascend is a packet's number that of its frame; else decoding always begins at
+    frame 0.
     """
     stamps: list[int] = []
     keys: list[int] = []
@@ -132,7 +137,9 @@ def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tup
         if not packet.size:
             continue
         if len(stamps) == MAX_FRAMES:
-            raise SourceError(str(path), f"more than {MAX_FRAMES} frames", "a shorter video", "Cut it into parts.")
+            raise SourceError(
+                str(path), f"more than {MAX_FRAMES} frames", "a shorter video", "Cut it into parts."
+            )
         if packet.is_keyframe:
             keys.append(len(stamps))
         stamps.append(-1 if packet.pts is None else packet.pts)
@@ -161,27 +168,37 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
         raise SourceError(str(path), f"the suffix {path.suffix!r}", " ".join(VIDEO_SUFFIXES))
     try:
         with av.open(
-            str(path.absolute()), format=form, options={"protocol_whitelist": "file"}, metadata_errors="replace"
+            str(path.absolute()),
+            format=form,
+            options={"protocol_whitelist": "file"},
+            metadata_errors="replace",
         ) as container:
             if not container.streams.video:
                 raise SourceError(str(path), "no video in the file", "a video stream")
             stream = container.streams.video[0]
             context, rate = stream.codec_context, stream.average_rate
             if context is None:  # damage has hidden the codec's name
-                raise SourceError(str(path), "a video of no codec that is known", "a whole video", "Copy it again.")
+                raise SourceError(
+                    str(path), "a video of no codec that is known", "a whole video", "Copy it again."
+                )
             bound_pixels(path, context.width, context.height)
             pixels, rate_hz = context.pix_fmt or "unknown pixels", float(rate) if rate and rate > 0 else None
             yield container, stream, VideoHeader(context.width, context.height, pixels, context.name, rate_hz)
     except TouchfieldError:
         raise
-    except (av.error.FFmpegError, ValueError, OverflowError) as error:  # PyAV raises others of these for odd headers
+    except (
+        av.error.FFmpegError,
+        ValueError,
+        OverflowError,
+    ) as error:  # PyAV raises others of these for odd headers
         found = f"a video that cannot be read ({getattr(error, 'strerror', None) or error})"
         raise SourceError(str(path), found, "a whole video", "Copy the file again.") from error
     except OSError as error:
         raise SourceError(str(path), error.strerror or str(error), "a video that can be read") from error
 
 
-# -- in colour -------------------------------------------------------------------------------------------------
+# -- in colour
+# -------------------------------------------------------------------------------------------------
 def map_size(width: int, height: int) -> tuple[int, int]:
     """Width and height of the reduced picture; a smaller picture keeps its size."""
     factor = max(1.0, max(width, height) / LONGER_SIDE_PX)
@@ -246,5 +263,7 @@ def _shallow(path: Path) -> Iterator[Any]:
             mend = "16 bits or floats are no colours: they may be depth or heights."
             raise SourceError(str(path), f"a picture of {image.mode} samples", "8 bits a colour", mend)
         if image.format != "TIFF" and getattr(image, "is_animated", False):
-            raise SourceError(str(path), "a picture that moves", "a still one", "Make a video or a GIF of it.")
+            raise SourceError(
+                str(path), "a picture that moves", "a still one", "Make a video or a GIF of it."
+            )
         yield image

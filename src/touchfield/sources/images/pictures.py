@@ -1,7 +1,8 @@
-"""Pictures with one number a pixel (PNG, TIFF, PGM, NPY) as arrays, alone or as frames; a bad file is one error.
+"""Pictures with one number a pixel (PNG, TIFF, PGM, NPY) as arrays, alone or as frames; a bad file is one
+error.
 
-Sources: the PNG specification (IHDR), NumPy's NPY format; PNG and TIFF samples are decoded by Pillow. The size is
-read from the header and bounded before anything is decoded, because pictures come from strangers.
+Sources: the PNG specification (IHDR), NumPy's NPY format; PNG and TIFF samples are decoded by Pillow. The
+size is read from the header and bounded before anything is decoded, because pictures come from strangers.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ _PIL_SAMPLES: Final = {
     "L": "uint8", "I;16": "uint16", "I;16L": "uint16", "I;16B": "uint16", "I;16N": "uint16", "I": "int32",
     "F": "float32",
 }  # fmt: skip
-_PGM_HEADER: Final = re.compile(rb"P5\s" + 2 * rb"(?:#[^\n]*\n|\s)*(\d{1,6})\s" + rb"(?:#[^\n]*\n|\s)*(\d{1,5})\s")
+_PGM_HEADER: Final = re.compile(
+    rb"P5\s" + 2 * rb"(?:#[^\n]*\n|\s)*(\d{1,6})\s" + rb"(?:#[^\n]*\n|\s)*(\d{1,5})\s"
+)
 _PGM_HEADER_BYTES: Final = 512
 _NPY_MAGIC: Final = b"\x93NUMPY"
 PHOTO_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
@@ -72,7 +75,9 @@ def has_files(folder: Path, pattern: str) -> bool:
 
 
 def contents(folder: Path) -> str:
-    """A folder in words: "24 .png (8-bit RGB), 1 .txt, folders colour/ and poses/"; bounded, and never an error."""
+    """A folder in words: "24 .png (8-bit RGB), 1 .txt, folders colour/ and poses/"; bounded, and never an
+    error.
+    """
     try:
         entries = sorted(islice((p for p in folder.iterdir() if not p.name.startswith(".")), 10_000))
     except OSError as error:
@@ -92,7 +97,9 @@ def contents(folder: Path) -> str:
 
 # -- one picture ---------------------------------------------------------------------------------------------
 class PictureHeader(NamedTuple):
-    """Size in pixels, NumPy's name of the type of a sample ("" for one that is not read), and samples a pixel."""
+    """Size in pixels, NumPy's name of the type of a sample ("" for one that is not read), and samples a
+    pixel.
+    """
 
     width: int
     height: int
@@ -102,7 +109,9 @@ class PictureHeader(NamedTuple):
     @property
     def wording(self) -> str:
         """The header in words, for a message."""
-        colour = {1: "grey", 2: "grey + alpha", 3: "RGB", 4: "RGBA"}.get(self.channels, f"{self.channels}-channel")
+        colour = {1: "grey", 2: "grey + alpha", 3: "RGB", 4: "RGBA"}.get(
+            self.channels, f"{self.channels}-channel"
+        )
         return f"a {colour} picture of {self.sample or 'other'} samples, {self.width} x {self.height}"
 
 
@@ -127,7 +136,9 @@ def require_size(where: str, size: tuple[int, ...], expected: tuple[int, int], o
 
 
 @contextmanager
-def opened(path: Path, formats: tuple[str, ...] | None = None, expected: str = "a whole picture") -> Iterator[Any]:
+def opened(
+    path: Path, formats: tuple[str, ...] | None = None, expected: str = "a whole picture"
+) -> Iterator[Any]:
     """A picture opened by Pillow, not yet decoded; what goes wrong while it is used is a `SourceError`."""
     from PIL import Image
 
@@ -186,8 +197,8 @@ def picture_header(path: Path) -> PictureHeader:
 def read_picture(path: Path) -> NDArray[Any]:
     """The samples of a PNG, TIFF, PGM or NPY picture with one number a pixel, [height, width].
 
-    uint8, uint16, int32 or float32 of PNG, TIFF and PGM; any integer or float type of NPY. In the machine's byte
-    order, C-contiguous, writeable.
+    uint8, uint16, int32 or float32 of PNG, TIFF and PGM; any integer or float type of NPY. In the machine's
+    byte order, C-contiguous, writeable.
     """
     header = picture_header(path)
     if header.channels != 1 or not header.sample:
@@ -221,7 +232,9 @@ def _pgm_header(path: Path, stream: IO[bytes]) -> tuple[PictureHeader, int]:
     """The header, and where the samples begin; they are as they stand, whatever the largest is said to be."""
     match = _PGM_HEADER.match(stream.read(_PGM_HEADER_BYTES))
     if match is None or not 1 <= int(match[3]) <= 65535:
-        raise SourceError(str(path), "no header of a PGM", "P5, width, height and the largest sample, up to 65535")
+        raise SourceError(
+            str(path), "no header of a PGM", "P5, width, height and the largest sample, up to 65535"
+        )
     sample = "uint8" if int(match[3]) < 256 else "uint16"
     return PictureHeader(int(match[1]), int(match[2]), sample, 1), match.end()
 
@@ -241,7 +254,9 @@ def read_map(path: Path) -> NDArray[Any]:
 
 
 def photo_size(path: Path) -> tuple[int, int]:
-    """Width and height of a photograph as it is shown, from its head alone; `SourceError` if it is no picture."""
+    """Width and height of a photograph as it is shown, from its head alone; `SourceError` if it is no
+    picture.
+    """
     with opened(path, PHOTO_FORMATS, "PNG, JPEG, WebP, BMP or TIFF") as image:
         width, height = image.size
         is_on_its_side = image.getexif().get(_ORIENTATION) in _ON_ITS_SIDE
@@ -252,7 +267,8 @@ def _native(values: NDArray[Any]) -> NDArray[Any]:
     return np.array(values, values.dtype.newbyteorder("="), order="C")
 
 
-# -- frames (`camera.Frames`) ---------------------------------------------------------------------------------
+# -- frames (`camera.Frames`)
+# ---------------------------------------------------------------------------------
 class PictureFrames:
     """Frames in files of one size, one a frame, read by `read` when they are asked for."""
 
@@ -284,7 +300,9 @@ class ArrayFrames:
 
     def __init__(self, values: NDArray[Any], path: Path | None = None) -> None:
         if values.ndim != 3:
-            raise SourceError(str(path), f"{values.dtype} of shape {values.shape}", "numbers [frames, height, width]")
+            raise SourceError(
+                str(path), f"{values.dtype} of shape {values.shape}", "numbers [frames, height, width]"
+            )
         self._values = values
         self.frame_count, height, width = values.shape
         self.paths, self.headers = (path,), (PictureHeader(width, height, values.dtype.name, 1),)
@@ -297,7 +315,9 @@ class ArrayFrames:
 
 
 def has_pages(path: Path) -> bool:
-    """True if the second page of a TIFF is as large as the first: smaller ones are copies of an elevation model."""
+    """True if the second page of a TIFF is as large as the first: smaller ones are copies of an elevation
+    model.
+    """
     with suppress(SourceError), opened(path, ("TIFF",)) as image:
         size = image.size
         image.seek(1)

@@ -1,9 +1,10 @@
 """Mesh files: OBJ, STL, PLY and OFF; GLB and glTF, as `touchfield.sources.gltf.model` reads them.
 
-Polygons of any number of corners are cut into triangles, concave ones along their outline. All geometries are joined,
-and vertices at one place become one, so that triangles without shared indices close.
+Polygons of any number of corners are cut into triangles, concave ones along their outline. All geometries are
+joined, and vertices at one place become one, so that triangles without shared indices close.
 Animation (skins, morph targets, node tracks) is not evaluated: a glTF that has it is read in its rest pose
-(`touchfield.sources.animation.animated_mesh` evaluates it). Units are metres unless ``unit_m`` says, as glTF has it.
+(`touchfield.sources.animation.animated_mesh` evaluates it). Units are metres unless ``unit_m`` says, as glTF
+has it.
 """
 
 from __future__ import annotations
@@ -34,8 +35,12 @@ _STL: Final = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colo
 _TYPES: Final = "bBhHiIfd"  # as NumPy calls them, and PLY by old names and by NumPy's longer ones
 _PLY: Final = dict(zip(["char", "uchar", "short", "ushort", "int", "uint", "float", "double"], _TYPES))
 _PLY.update((np.dtype(one).name, one) for one in _TYPES)
-_Properties = list[tuple[str, list[np.dtype[Any]]]]  # of each its name and types, of a list first that of its length
-_Polygons = tuple[Float64s, Int64s, Int64s]  # vertices [n, 3]; how many corners each polygon has; those of all
+_Properties = list[
+    tuple[str, list[np.dtype[Any]]]
+]  # of each its name and types, of a list first that of its length
+_Polygons = tuple[
+    Float64s, Int64s, Int64s
+]  # vertices [n, 3]; how many corners each polygon has; those of all
 
 
 def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
@@ -87,7 +92,10 @@ def _obj(data: bytes) -> _Polygons:
     points = [point for point, face in lines if not face]
     vertices = _numbers(points, np.float64).reshape(len(points), 3)
     counts = np.array([len(face.split()) for _, face in lines if face], np.int64)
-    flat, before = _numbers((face for _, face in lines), np.int64), np.repeat(np.cumsum(~is_face)[is_face], counts)
+    flat, before = (
+        _numbers((face for _, face in lines), np.int64),
+        np.repeat(np.cumsum(~is_face)[is_face], counts),
+    )
     return vertices, counts, flat + np.where(flat < 0, before, -1)
 
 
@@ -121,7 +129,9 @@ def _ply(data: bytes) -> _Polygons:
         if first == "element":
             elements.append((words[0], int(words[1]), []))
         elif first == "property":
-            types = [np.dtype(order + ("d" if is_text else _PLY[word])) for word in words[:-1] if word != "list"]
+            types = [
+                np.dtype(order + ("d" if is_text else _PLY[word])) for word in words[:-1] if word != "list"
+            ]
             elements[-1][2].append((words[-1], types))
     at, vertices, corners, counts, corner = 0, np.zeros((0, 3)), list[bytes](), list[int](), np.dtype("i4")
     for name, count, properties in elements:
@@ -165,7 +175,9 @@ def _equal_rows(body: bytes, at: int, count: int, properties: _Properties) -> ND
 
 
 def _stl(data: bytes) -> _Polygons:
-    """An STL, a binary one without what stands behind its triangles; ValueError where some of them are not there."""
+    """An STL, a binary one without what stands behind its triangles; ValueError where some of them are not
+    there.
+    """
     count = data[80:84]
     if b"\0" in count:  # in a text there is no such byte
         size = 84 + 50 * int.from_bytes(count, "little")
@@ -185,7 +197,12 @@ def _stl(data: bytes) -> _Polygons:
     return vertices, np.full(len(vertices) // 3, 3), np.arange(len(vertices))
 
 
-_READERS: Final[dict[str, Callable[[bytes], _Polygons]]] = {".obj": _obj, ".stl": _stl, ".ply": _ply, ".off": _off}
+_READERS: Final[dict[str, Callable[[bytes], _Polygons]]] = {
+    ".obj": _obj,
+    ".stl": _stl,
+    ".ply": _ply,
+    ".off": _off,
+}
 _SUFFIXES: Final = (*_READERS, *_GLTF)
 
 

@@ -1,13 +1,13 @@
 """A triangle mesh as a scene: F = f(phi) n with phi the signed distance to it (paper section 4).
 
-Its reference [21] gives no formula; here phi is exact, and its sign that of the winding number for a closed mesh
-(inside where the winding number is not 0). Small holes are closed (`touchfield.sources.mesh.surface`). A mesh that
-stays open is a shell: one-sided, with the wall behind its faces and the sign of the angle-weighted pseudo-normal, its
-force fading to 0 at the rim over the law's own reach; or two-sided, phi = |d| - T/2, a wall of thickness T around it.
-The wall of a nearly closed one stays within what it would enclose.
+Its reference [21] gives no formula; here phi is exact, and its sign that of the winding number for a closed
+mesh (inside where the winding number is not 0). Small holes are closed (`touchfield.sources.mesh.surface`). A
+mesh that stays open is a shell: one-sided, with the wall behind its faces and the sign of the angle-weighted
+pseudo-normal, its force fading to 0 at the rim over the law's own reach; or two-sided, phi = |d| - T/2, a
+wall of thickness T around it. The wall of a nearly closed one stays within what it would enclose.
 Where closed parts overlap, distance is to the surface of their union: inside is where the winding
-number is not 0, and a wall with inside on both of its sides is not felt. Triangles that cross others are cut there
-(`touchfield.sources.mesh.kernels.sign`); those that share a vertex are not cut by one another.
+number is not 0, and a wall with inside on both of its sides is not felt. Triangles that cross others are cut
+there (`touchfield.sources.mesh.kernels.sign`); those that share a vertex are not cut by one another.
 """
 
 from __future__ import annotations
@@ -32,8 +32,13 @@ if TYPE_CHECKING:
     from touchfield.sources.mesh.kernels.field import Band
 
 
-_UNSURE: Final = 2e-9  # of the largest coordinate: so near, rounding spoils the direction to the nearest point
-_TOUCHING, _BESIDE = 1e-9, 1e-7  # of the extent: heights that count as 0, and how far beside a triangle one looks
+_UNSURE: Final = (
+    2e-9  # of the largest coordinate: so near, rounding spoils the direction to the nearest point
+)
+_TOUCHING, _BESIDE = (
+    1e-9,
+    1e-7,
+)  # of the extent: heights that count as 0, and how far beside a triangle one looks
 _LARGEST_IN_SPACINGS: Final = 1e12  # extent of mesh and grid: beyond, float64 has no digits left for a sample
 
 
@@ -41,21 +46,24 @@ class MeshScene(Scene):
     """A mesh that stands still.
 
     vertices_m : float array [n, 3] or Mended; Metres. Vertices at one place must be one
-        (`touchfield.sources.mesh.surface.joined`). A surface whose holes are closed already needs no triangles.
+        (`touchfield.sources.mesh.surface.joined`). A surface whose holes are closed already needs no
+        triangles.
     triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
-    shell : str; Of an open mesh: "one" sided, "two" sided, or "auto": one where all triangles face consistently.
-    holes : str; The rule by which holes are closed: "small", "close" or "leave" (`touchfield.sources.mesh.surface`).
+    shell : str; Of an open mesh: "one" sided, "two" sided, or "auto": one where all triangles face
+        consistently.
+    holes : str; The rule by which holes are closed: "small", "close" or "leave"
+        (`touchfield.sources.mesh.surface`).
     name : str; What to call it in messages.
     notes : tuple of str; What the reader has to tell; what kind of mesh it is comes behind.
 
-    Raises `SourceError` if there is no triangle, or a coordinate or vertex number is at fault; `InvalidArgument` if
-    `shell` or `holes` is unknown.
+    Raises `SourceError` if there is no triangle, or a coordinate or vertex number is at fault;
+    `InvalidArgument` if `shell` or `holes` is unknown.
 
     Attributes
     ----------
     is_one_sided : bool; Of an open mesh.
-    velocities_m_s : float64 [n, 3] or None; Of the vertices, if the mesh is one instant of a motion; a profile may
-        add a damping times these.
+    velocities_m_s : float64 [n, 3] or None; Of the vertices, if the mesh is one instant of a motion; a
+        profile may add a damping times these.
     """
 
     axes = UP_Y_AXES
@@ -87,7 +95,9 @@ class MeshScene(Scene):
             self._opening = f"open with {edges.boundary_count} boundary edges"
         elif is_sheet:
             count = edges.unbalanced_count
-            self._opening = f"without a boundary but not closed, as at {count} edges triangles do not pair off"
+            self._opening = (
+                f"without a boundary but not closed, as at {count} edges triangles do not pair off"
+            )
         why = "as asked for"
         if shell == "auto":
             why = "all triangles face consistently" if self.is_one_sided else "triangles face inconsistently"
@@ -103,12 +113,14 @@ class MeshScene(Scene):
     def moved(self, rotation: Float64s, shift_m: Float64s) -> MeshScene:
         """See `Scene.moved`; edges, closedness and normals are taken over.
 
-        Raises `InvalidArgument` if `rotation` is not a rotation; `SourceError` if a vertex comes to lie where no
-        number is finite.
+        Raises `InvalidArgument` if `rotation` is not a rotation; `SourceError` if a vertex comes to lie where
+        no number is finite.
         """
         turn = checked_rotation(rotation)
         other = copy.copy(self)
-        other.surface = self.surface.with_vertices(self.surface.vertices_m @ turn.T + np.asarray(shift_m, np.float64))
+        other.surface = self.surface.with_vertices(
+            self.surface.vertices_m @ turn.T + np.asarray(shift_m, np.float64)
+        )
         for name in ("_felt", "_union", "_rim_table"):
             other.__dict__.pop(name, None)
         if np.array_equal(other.surface.triangles, self.surface.triangles):
@@ -122,8 +134,8 @@ class MeshScene(Scene):
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`.
 
-        Raises `InvalidArgument` if `frame` is not 0, the mesh is open and `profile` a solid's, or the grid is too
-        fine for float64.
+        Raises `InvalidArgument` if `frame` is not 0, the mesh is open and `profile` a solid's, or the grid is
+        too fine for float64.
         """
         from touchfield.sources.mesh.kernels import field, sign
 
@@ -172,7 +184,8 @@ class MeshScene(Scene):
         half = max(-low, 0.0) / 2
         return Band(TWO_SIDED, high + half, high + half, half, pieces)
 
-    # -- what is felt: the triangles, or the outer surface of those that overlap -------------------------------------
+    # -- what is felt: the triangles, or the outer surface of those that overlap
+    # -------------------------------------
     @cached_property
     def _union(self) -> Union | None:
         return union_of(self.surface) if self.is_closed else None
@@ -188,7 +201,9 @@ class MeshScene(Scene):
         corners = union.corners_m.reshape(-1, 3)
         pieces = triangle_table(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
         normals = np.repeat(self._normals[union.parents, :1], 7, axis=1)
-        return np.concatenate([table[union.kept], pieces]), np.concatenate([self._normals[union.kept], normals])
+        return np.concatenate([table[union.kept], pieces]), np.concatenate(
+            [self._normals[union.kept], normals]
+        )
 
     @cached_property
     def _rim_table(self) -> Float64s:
@@ -226,8 +241,14 @@ def union_of(surface: Surface) -> Union | None:
     pairs = kernel.crossing_pairs(bins, boxes, corners, normals, faces, _TOUCHING * extent)
     if not len(pairs) and not _parts_meet(surface, boxes):
         return None
-    starts = np.flatnonzero(np.append(True, pairs[1:, 0] != pairs[:-1, 0])) if len(pairs) else np.zeros(0, np.int64)
-    cut_corners, parents = kernel.cut(np.append(starts, len(pairs)), pairs, corners, normals, _TOUCHING * extent)
+    starts = (
+        np.flatnonzero(np.append(True, pairs[1:, 0] != pairs[:-1, 0]))
+        if len(pairs)
+        else np.zeros(0, np.int64)
+    )
+    cut_corners, parents = kernel.cut(
+        np.append(starts, len(pairs)), pairs, corners, normals, _TOUCHING * extent
+    )
     is_cut = np.zeros(len(faces), bool)
     is_cut[parents] = True
     whole = np.flatnonzero(~is_cut)

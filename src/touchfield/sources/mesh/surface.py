@@ -1,16 +1,16 @@
 """Triangle meshes: edges, closedness, angle-weighted pseudo-normals, vertices that are one, and holes.
 
-Source of the pseudo-normals: J. A. Baerentzen and H. Aanaes, Signed distance computation using the angle weighted
-pseudonormal, IEEE TVCG 11(3), 2005: at a vertex the normals of its faces weighted by their angles there, on an edge
-the sum of its two. Their sign tells on which side a point is whose nearest point is there.
+Source of the pseudo-normals: J. A. Baerentzen and H. Aanaes, Signed distance computation using the angle
+weighted pseudonormal, IEEE TVCG 11(3), 2005: at a vertex the normals of its faces weighted by their angles
+there, on an edge the sum of its two. Their sign tells on which side a point is whose nearest point is there.
 
-Holes are loops of the edges that are run through more often in one direction than in the other, which are a cycle.
-The rule: a hole is small if the patch that closes it has at most 5 % of the area of the connected part it lies in.
-"small" closes those and leaves the others, "close" closes all, "leave" none. Where triangles face inconsistently they
-are turned, but only if what results is closed; else nothing says where a hole has its inside. Source of the patch: G.
-Barequet and M. Sharir, Filling gaps in the boundary of a polyhedron, CAGD 12(2), 1995: of all triangulations of the
-loop the one of least area. Of a long loop every second corner is first cut off, until 128 are left. No vertex is
-added, so that a patch moves with its mesh.
+Holes are loops of the edges that are run through more often in one direction than in the other, which are a
+cycle. The rule: a hole is small if the patch that closes it has at most 5 % of the area of the connected part
+it lies in. "small" closes those and leaves the others, "close" closes all, "leave" none. Where triangles face
+inconsistently they are turned, but only if what results is closed; else nothing says where a hole has its
+inside. Source of the patch: G. Barequet and M. Sharir, Filling gaps in the boundary of a polyhedron, CAGD
+12(2), 1995: of all triangulations of the loop the one of least area. Of a long loop every second corner is
+first cut off, until 128 are left. No vertex is added, so that a patch moves with its mesh.
 """
 
 from __future__ import annotations
@@ -26,12 +26,13 @@ from touchfield.arrays import Float64s, Int32s, Int64s, lengths_of
 from touchfield.errors import SourceError, require_one_of
 
 _LARGEST_M: Final = 1e15
-# of the extent: vertices this near are joined where that closes the mesh (the digits of float32), in a mesh that
-# moves only if they never part farther than the second (those of 8-bit weights)
+# of the extent: vertices this near are joined where that closes the mesh (the digits of float32), in a mesh
+# that moves only if they never part farther than the second (those of 8-bit weights)
 _WELD, _TOGETHER = 1e-7, 1e-3
 
 HOLES: Final = {"small": 0.05, "close": np.inf, "leave": -1.0}  # of its part: the largest hole that is closed
-# a part with more of its area missing is a sheet: its wall lies behind its faces, not within what they enclose
+# a part with more of its area missing is a sheet: its wall lies behind its faces, not within what they
+# enclose
 _NEARLY_CLOSED: Final = 0.75
 _FLAT: Final = 0.999  # cosine between the triangles of a polygon and its whole, of one that counts as flat
 _MOST_EDGES: Final = 1 << 18
@@ -46,7 +47,9 @@ class Edges:
     edge_of: Int64s  # int64 [m, 3]; the edge from vertex i to vertex i + 1 of each triangle
     boundary_count: int  # edges of one triangle only
     unbalanced_count: int  # edges that are not run through as often in one direction as in the other
-    repeated_count: int  # edges run through twice in one direction: neighbours that face opposite ways, or fans
+    repeated_count: (
+        int  # edges run through twice in one direction: neighbours that face opposite ways, or fans
+    )
 
     @classmethod
     def of(cls, triangles: Int32s, vertex_count: int) -> Edges:
@@ -76,8 +79,10 @@ class Surface:
     Attributes
     ----------
     vertices_m : float64 [n, 3], read-only
-    triangles : int32 [m, 3], read-only; Each begins with its longest edge; those with a vertex twice are left out.
-    is_closed : bool; Whether it encloses something: every edge is balanced, and it is not a sheet laid double.
+    triangles : int32 [m, 3], read-only; Each begins with its longest edge; those with a vertex twice are left
+        out.
+    is_closed : bool; Whether it encloses something: every edge is balanced, and it is not a sheet laid
+        double.
     """
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> None:
@@ -111,8 +116,8 @@ class Surface:
     def with_vertices(self, vertices_m: ArrayLike) -> Surface:
         """The same triangles on other vertices: a frame of a mesh that moves.
 
-        Which edges meet and whether it is closed is taken over; each triangle begins with what is now its longest
-        edge. Vertices that no triangle uses do not matter.
+        Which edges meet and whether it is closed is taken over; each triangle begins with what is now its
+        longest edge. Vertices that no triangle uses do not matter.
 
         `vertices_m` float array [n, 3]: as many as this surface has.
 
@@ -178,11 +183,15 @@ class Surface:
 def _check_finite(vertices: Float64s, name: str) -> None:
     bad = int(np.count_nonzero(~(np.abs(vertices) < _LARGEST_M).all(axis=1)))
     if bad:
-        raise SourceError(name, f"{bad} vertices with a coordinate that is NaN or beyond {_LARGEST_M:g} m", "less")
+        raise SourceError(
+            name, f"{bad} vertices with a coordinate that is NaN or beyond {_LARGEST_M:g} m", "less"
+        )
 
 
 def from_longest(corners: Float64s) -> Int64s:
-    """The order of the corners of triangles, [m, 3, 3], that begins with the longest edge of each, int64 [m, 3]."""
+    """The order of the corners of triangles, [m, 3, 3], that begins with the longest edge of each, int64 [m,
+    3].
+    """
     sides = lengths_of(np.roll(corners, -1, axis=1) - corners)
     order: Int64s = (np.arange(3) + sides.argmax(axis=1)[:, None]) % 3
     return order
@@ -221,7 +230,9 @@ def places(points: NDArray[Any], tolerance: float = 0.0) -> tuple[Int64s, Int64s
 
 
 # -- which vertices are one: those at one place, and in a mesh that moves only if they stay together ---------
-def welded(vertices: NDArray[Any], triangles: NDArray[Any], sizes: Int64s | None = None) -> tuple[Float64s, Int32s]:
+def welded(
+    vertices: NDArray[Any], triangles: NDArray[Any], sizes: Int64s | None = None
+) -> tuple[Float64s, Int32s]:
     """The mesh with equal vertices made one; nearly equal ones too, if that closes it.
 
     `sizes` int64 [p]: how many triangles in a row are a polygon each, cut as a fan; these are `unfolded`.
@@ -240,7 +251,8 @@ def welded(vertices: NDArray[Any], triangles: NDArray[Any], sizes: Int64s | None
 def unfolded(points: Float64s, fans: Int32s, sizes: Int64s) -> Int32s:
     """Polygons cut as fans from their first corner, with those that are concave cut anew.
 
-    Of a concave one some triangles of the fan lie upside down, partly outside; `_patch` cuts it along its outline.
+    Of a concave one some triangles of the fan lie upside down, partly outside; `_patch` cuts it along its
+    outline.
     """
     faces, first = fans.copy(), np.cumsum(sizes) - sizes
     corners = points[fans]
@@ -260,8 +272,8 @@ def unfolded(points: Float64s, fans: Int32s, sizes: Int64s) -> Int32s:
 def welded_in_motion(poses: Float64s, triangles: NDArray[np.integer[Any]]) -> tuple[Int64s, Int32s]:
     """Vertices of a mesh in motion to keep, ascending, and the triangles in their numbers.
 
-    Vertices that are at the same place in every pose are one. If that leaves the mesh open, those that meet at rest
-    and hardly part are one as well, if that closes it. Parts that only touch at rest stay apart.
+    Vertices that are at the same place in every pose are one. If that leaves the mesh open, those that meet
+    at rest and hardly part are one as well, if that closes it. Parts that only touch at rest stay apart.
 
     `poses` float64 [s, n, 3]: some poses, finite; the first is at rest; `triangles` integer [m, 3].
     """
@@ -291,7 +303,8 @@ class Mended:
     """A surface with holes closed, and what is left open."""
 
     surface: Surface
-    lids: Int32s  # int32 [l, 3]; would close what is left open of a nearly closed mesh: tell inside, and are not felt
+    # int32 [l, 3]; would close what is left open of a nearly closed mesh: tell inside, and are not felt
+    lids: Int32s
     rim: Int32s  # int32 [r, 2]; edges at the holes that are left
     is_oriented: bool  # whether neighbouring triangles face alike
     notes: tuple[str, ...]
@@ -307,7 +320,9 @@ class _Hole(NamedTuple):
 
 
 def mended(surface: Surface, holes: str) -> Mended:
-    """Close the holes of a surface by a rule: "small", "close" or "leave"; `InvalidArgument` for another word."""
+    """Close the holes of a surface by a rule: "small", "close" or "leave"; `InvalidArgument` for another
+    word.
+    """
     require_one_of("holes", holes, HOLES)
     none, is_mixed = np.zeros((0, 3), np.int32), surface.edges.repeated_count > 0
     as_it_is = Mended(surface, none, none[:, :2], not is_mixed, ())
@@ -328,8 +343,14 @@ def mended(surface: Surface, holes: str) -> Mended:
     areas = np.bincount(part_of[done.triangles[:, 0]], _areas(vertices, done.triangles))
     gaps = []
     for loop in loops:
-        patch, part = _patch(loop, vertices, _LONGEST if len(loops) <= _MANY else _LONGEST_OF_MANY), part_of[loop[0]]
-        area, across = float(_areas(vertices, patch).sum()), float(np.linalg.norm(np.ptp(vertices[loop], axis=0)))
+        patch, part = (
+            _patch(loop, vertices, _LONGEST if len(loops) <= _MANY else _LONGEST_OF_MANY),
+            part_of[loop[0]],
+        )
+        area, across = (
+            float(_areas(vertices, patch).sum()),
+            float(np.linalg.norm(np.ptp(vertices[loop], axis=0))),
+        )
         gaps.append(_Hole(loop, patch, part, area, area / areas[part] if areas[part] > 0 else np.inf, across))
     taken, left = ([h for h in gaps if (h.share <= HOLES[holes]) == is_small] for is_small in (True, False))
     if taken:
@@ -349,7 +370,10 @@ def mended(surface: Surface, holes: str) -> Mended:
 
 def _told(taken: list[_Hole], left: list[_Hole]) -> tuple[str, ...]:
     notes = []
-    for holes, kind, what in ((taken, "hole", "closed"), (left, "open outline", "left, where the force falls to 0")):
+    for holes, kind, what in (
+        (taken, "hole", "closed"),
+        (left, "open outline", "left, where the force falls to 0"),
+    ):
         largest = sorted(holes, key=lambda h: -h.area_m2)[:_MOST_TOLD]
         shares = (f"{h.share:.2%} of" if h.share < np.inf else "no area in" for h in largest)
         sizes = ", ".join(f"{h.across_m:.3g} m across ({of} its part)" for h, of in zip(largest, shares))
@@ -434,7 +458,8 @@ def _patch(loop: Int64s, vertices: Float64s, most: int) -> Int32s:
 
 # -- facing --------------------------------------------------------------------------------------------------
 def _turned(triangles: Int32s, edges: Edges) -> tuple[Int32s, int, bool]:
-    """The triangles turned so that neighbours face alike, most of each part as they were; how many; whether all can.
+    """The triangles turned so that neighbours face alike, most of each part as they were; how many; whether
+    all can.
 
     Each triangle is two nodes of a graph, as it is and turned over; nodes that fit together are joined.
     """
@@ -457,4 +482,8 @@ def _turned(triangles: Int32s, edges: Edges) -> tuple[Int32s, int, bool]:
     as_is, over = label[0::2], label[1::2]
     votes = np.bincount(as_is, minlength=label.max() + 1)
     turn = (votes[over] > votes[as_is]) | ((votes[over] == votes[as_is]) & (over < as_is))
-    return np.where(turn[:, None], triangles[:, ::-1], triangles), int(turn.sum()), bool((as_is != over).all())
+    return (
+        np.where(turn[:, None], triangles[:, ::-1], triangles),
+        int(turn.sum()),
+        bool((as_is != over).all()),
+    )

@@ -26,13 +26,13 @@ _Part = tuple[ForceField, tuple[float, ...]]  # a body's field, and the motion o
 class BodyScene(MovingScene):
     """Bodies in motion; where they overlap their forces are added (the device filter clips the sum to F_max).
 
-    With `ForceProfile.surface_damping_n_s_per_m` b, b (v + omega x r) is added wherever a body has a force: its
-    velocity there, r from its origin.
+    With `ForceProfile.surface_damping_n_s_per_m` b, b (v + omega x r) is added wherever a body has a force:
+    its velocity there, r from its origin.
 
     bodies : sequence of Body; One or more; their tracks have one length.
 
-    Raises `InvalidArgument` if there is no body, the tracks differ in length, a body that deforms has not a frame
-    for each pose, or the rate is not positive.
+    Raises `InvalidArgument` if there is no body, the tracks differ in length, a body that deforms has not a
+    frame for each pose, or the rate is not positive.
     """
 
     def __init__(
@@ -47,7 +47,9 @@ class BodyScene(MovingScene):
                 found, expected = f"{len(body.track)} poses", f"{count}, as the first body has"
                 raise InvalidArgument(f"body {body.name}", found, expected)
             if not body.is_rigid and body.scene.frame_count != count:
-                raise InvalidArgument(f"body {body.name}", f"{body.scene.frame_count} frames", f"1 or {count}")
+                raise InvalidArgument(
+                    f"body {body.name}", f"{body.scene.frame_count} frames", f"1 or {count}"
+                )
         self._bodies = tuple(bodies)
         self.frame_count, self.rate_hz = count, float(rate_hz)
         self.axes, self.notes = axes, notes
@@ -59,7 +61,9 @@ class BodyScene(MovingScene):
         return self._bodies
 
     def _box_m(self, start: int, stop: int) -> Float64s:
-        """The box that holds that of every body; planes count with their points, unless there is nothing else."""
+        """The box that holds that of every body; planes count with their points, unless there is nothing
+        else.
+        """
         planes = [_planes_of(body.scene) for body in self._bodies]
         lows, highs = [], []
         for body, still, points in zip(self._bodies, self._still, planes):
@@ -77,8 +81,8 @@ class BodyScene(MovingScene):
 
         The sum of the bodies that stand still is kept for the latest grid and profile.
 
-        Raises `InvalidArgument` if `frame` is not one of the scene's, or a body that is not at rest in the scene's
-        own frame cannot be moved (`Scene.moved`).
+        Raises `InvalidArgument` if `frame` is not one of the scene's, or a body that is not at rest in the
+        scene's own frame cannot be moved (`Scene.moved`).
         """
         require_frame(frame, self.frame_count)
         still, moving = (np.flatnonzero(np.equal(self._still, which)).tolist() for which in (True, False))
@@ -131,4 +135,6 @@ def _planes_of(scene: Scene) -> Float64s | None:
     """A point of each plane, float64 [n, 3], where a scene is of nothing but planes."""
     if not isinstance(scene, AnalyticScene) or not all(isinstance(shape, Plane) for shape in scene.shapes):
         return None
-    return scene.placed(np.array([shape.point_m for shape in scene.shapes if isinstance(shape, Plane)], np.float64))
+    return scene.placed(
+        np.array([shape.point_m for shape in scene.shapes if isinstance(shape, Plane)], np.float64)
+    )

@@ -1,17 +1,18 @@
 """Rigid-body models in MuJoCo's own format (MJCF ``.xml``), simulated: each body a scene with its pose track.
 
-Format: an XML file whose root element is ``mujoco``; it may include other files and name mesh files, which lie in
-its folder or below it unless the user allows others. MuJoCo looks for a file beside the model and beside the file
-that names it, in the folders that a ``compiler`` names and without them, with its folders or, with ``strippath``,
-without. Every place at which there is something is looked at here; attributes are read by name, so that an element
-of a later version is met, too. The library `mujoco` reads and steps it (extra "physics"). It lasts as long as is
-asked for (``--seconds``), else 2 s, and begins from the keyframe of the name "touchfield", else from the model's own
-initial state. Lengths are metres.
+Format: an XML file whose root element is ``mujoco``; it may include other files and name mesh files, which
+lie in its folder or below it unless the user allows others. MuJoCo looks for a file beside the model and
+beside the file that names it, in the folders that a ``compiler`` names and without them, with its folders or,
+with ``strippath``, without. Every place at which there is something is looked at here; attributes are read by
+name, so that an element of a later version is met, too. The library `mujoco` reads and steps it (extra
+"physics"). It lasts as long as is asked for (``--seconds``), else 2 s, and begins from the keyframe of the
+name "touchfield", else from the model's own initial state. Lengths are metres.
 
-What is touched is what collides, as in MuJoCo itself: a geom with contype or conaffinity, or of an explicit contact
-pair. Geoms that only look (both zero) are left out. A mesh is touched as it is, although MuJoCo collides its convex
-hull. The geoms of a body that have a formula are one body, their union. Each mesh or height field of a body that has
-other geoms too is a body of its own, "body/geom", with the same track: where they overlap, forces are added.
+What is touched is what collides, as in MuJoCo itself: a geom with contype or conaffinity, or of an explicit
+contact pair. Geoms that only look (both zero) are left out. A mesh is touched as it is, although MuJoCo
+collides its convex hull. The geoms of a body that have a formula are one body, their union. Each mesh or
+height field of a body that has other geoms too is a body of its own, "body/geom", with the same track: where
+they overlap, forces are added.
 """
 
 from __future__ import annotations
@@ -36,7 +37,14 @@ from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.mesh.surface import joined
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics.body_scene import BodyScene
-from touchfield.sources.physics.simulation import FRAME_RATE_HZ, SECONDS, compiled, frames_of, load_mujoco, simulated
+from touchfield.sources.physics.simulation import (
+    FRAME_RATE_HZ,
+    SECONDS,
+    compiled,
+    frames_of,
+    load_mujoco,
+    simulated,
+)
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Body, Scene
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
@@ -50,8 +58,15 @@ _MAX_PLACES: Final = 1 << 16
 _NUMBER: Final = r"\d+(?:\.\d*)?(?:[eE]\+?\d+)?"
 _FOLDERS: Final = ("assetdir", "meshdir", "texturedir")
 _MODELS: Final = ("include", "model")
-_MOST: Final = {("count",): 1 << 16, ("nkey",): 1 << 16, ("nrow", "ncol"): 1 << 24, ("width", "height"): 1 << 24}
-"""Attributes of an element whose product is how much of something is made without bytes for it in the file."""
+_MOST: Final = {
+    ("count",): 1 << 16,
+    ("nkey",): 1 << 16,
+    ("nrow", "ncol"): 1 << 24,
+    ("width", "height"): 1 << 24,
+}
+"""Attributes of an element whose product is how much of something is made without bytes for it in the file.
+
+"""
 
 
 def _open(path: Path, options: SourceOptions) -> BodyScene:
@@ -84,7 +99,9 @@ def _recognise(path: Path) -> bool:
 # -- the files that a model names, before MuJoCo opens them --------------------------------------------------
 @dataclass
 class _Named:
-    """Names in the files of a model: files with their place in the text, folders, and where they are looked for."""
+    """Names in the files of a model: files with their place in the text, folders, and where they are looked
+    for.
+    """
 
     names: list[tuple[str, str]] = field(default_factory=list)
     folders: set[str] = field(default_factory=lambda: {""})
@@ -92,7 +109,8 @@ class _Named:
 
 
 def check_files(path: Path, *, anywhere: bool = False) -> None:
-    """Refuse a model that names what lies outside its folder, or is no plain file, or asks for counts beyond reason.
+    """Refuse a model that names what lies outside its folder, or is no plain file, or asks for counts beyond
+    reason.
 
     `anywhere`: the user allows files outside the folder. `SourceError` names file, element and attribute.
     """
@@ -179,7 +197,9 @@ def _elements(model: Path) -> list[tuple[str, dict[str, str]]]:
 def _pieces_of(
     mujoco: Any, model: Any, where: str, shell: str
 ) -> tuple[list[tuple[str, int, Scene]], tuple[str, ...]]:
-    """Touchable bodies or parts of them (name, number of the body whose frame it is in, scene), in order; notes."""
+    """Touchable bodies or parts of them (name, number of the body whose frame it is in, scene), in order;
+    notes.
+    """
     collides = (np.array(model.geom_contype) != 0) | (np.array(model.geom_conaffinity) != 0)
     collides[np.array(model.pair_geom1, int)] = True
     collides[np.array(model.pair_geom2, int)] = True
@@ -215,8 +235,12 @@ def _pieces_of(
             part = name if is_alone else f"{name}/{geom_name}"
             pieces.append((part, body, MeshScene(vertices, faces, shell=shell, name=part)))
     if not pieces:
-        expected = "a rigid geom that collides: sphere, capsule, ellipsoid, cylinder, box, plane, mesh or hfield"
-        raise SourceError(where, f"nothing that can be touched, and {only_look} geoms that only look", expected)
+        expected = (
+            "a rigid geom that collides: sphere, capsule, ellipsoid, cylinder, box, plane, mesh or hfield"
+        )
+        raise SourceError(
+            where, f"nothing that can be touched, and {only_look} geoms that only look", expected
+        )
     return pieces, notes
 
 
@@ -270,10 +294,14 @@ def _height_field(model: Any, which: int) -> tuple[Float64s, Int32s]:
     half_x, half_y, top, base = (float(s) for s in model.hfield_size[which])
     first = int(model.hfield_adr[which])
     height = top * np.array(model.hfield_data[first : first + rows * columns], np.float64)
-    y, x = np.meshgrid(np.linspace(-half_y, half_y, rows), np.linspace(-half_x, half_x, columns), indexing="ij")
+    y, x = np.meshgrid(
+        np.linspace(-half_y, half_y, rows), np.linspace(-half_x, half_x, columns), indexing="ij"
+    )
     surface = np.stack([x.reshape(-1), y.reshape(-1), height], axis=-1)
     number = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = (part.reshape(-1) for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
+    a, b, c, d = (
+        part.reshape(-1) for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1])
+    )
     # round the edge, anticlockwise seen from above
     edge = np.concatenate([number[0, :-1], number[:-1, -1], number[-1, :0:-1], number[:0:-1, 0]])
     below = rows * columns + np.arange(len(edge))

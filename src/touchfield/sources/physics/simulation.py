@@ -1,13 +1,14 @@
-"""A rigid-body simulation with MuJoCo: the pose of every body at the frames of a scene (paper section 5.1, Scene 1).
+"""A rigid-body simulation with MuJoCo: the pose of every body at the frames of a scene (paper section 5.1,
+Scene 1).
 
-Frame i is the state at the time i / rate, so that frame 0 is the state it begins from and 2 s at 1 kHz are 2000
-frames. The same model gives the same poses, bit for bit, on one machine.
+Frame i is the state at the time i / rate, so that frame 0 is the state it begins from and 2 s at 1 kHz are
+2000 frames. The same model gives the same poses, bit for bit, on one machine.
 
-Of a physics scene, a contact is a spring and a damper on the relative acceleration (MuJoCo's direct ``solref``)
-that push and never pull: it ends where their force is zero. With the damping ratio z, theta = acos z and w the
-frequency of the spring alone, that is after T = 2 theta / (w sin theta), and the speed has fallen by
-exp(-2 z theta / sin theta), the restitution (Schwager and Poschel, "Coefficient of restitution and linear-dashpot
-model revisited", 2007); z and w are solved for. A mesh collides as its convex hull.
+Of a physics scene, a contact is a spring and a damper on the relative acceleration (MuJoCo's direct
+``solref``) that push and never pull: it ends where their force is zero. With the damping ratio z, theta =
+acos z and w the frequency of the spring alone, that is after T = 2 theta / (w sin theta), and the speed has
+fallen by exp(-2 z theta / sin theta), the restitution (Schwager and Poschel, "Coefficient of restitution and
+linear-dashpot model revisited", 2007); z and w are solved for. A mesh collides as its convex hull.
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ _HARD: Final = (0.99, 0.99, 0.001, 0.5, 2.0)
 
 _LEAST_RESTITUTION: Final = 0.02
 _MOST_DAMPED: Final = 10.0  # a damping ratio beyond that of the least restitution
-_POSED_KG_M3: Final = 1e8  # density of a body that a file poses: nothing that it meets within a frame moves it
+_POSED_KG_M3: Final = (
+    1e8  # density of a body that a file poses: nothing that it meets within a frame moves it
+)
 _HULL_ROWS: Final = 16
 _THINNEST: Final = 1e-5
 """Thickness of a mesh, as a share of its length, below which no hull is made of it that could be trusted."""
@@ -60,13 +63,17 @@ def load_mujoco() -> Any:
 
 @contextmanager
 def _warnings_heard(where: str, found: str, expected: str) -> Iterator[list[str]]:
-    """Warnings of MuJoCo, which otherwise go to the screen and into a file; `SourceError` for a model at fault."""
+    """Warnings of MuJoCo, which otherwise go to the screen and into a file; `SourceError` for a model at
+    fault.
+    """
     mujoco, heard = load_mujoco(), list[str]()
     with _one_at_a_time:  # the handler is one for the whole process
         before = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(lambda said: heard.append(str(said)))
         try:
-            with warnings.catch_warnings(record=True) as records:  # the compiler of models warns as Python does
+            with warnings.catch_warnings(
+                record=True
+            ) as records:  # the compiler of models warns as Python does
                 warnings.simplefilter("always")
                 yield heard
         except (ValueError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError) as error:
@@ -103,14 +110,15 @@ def simulated(
 ) -> tuple[list[PoseTrack], tuple[str, ...]]:
     """Step a model and record its bodies.
 
-    The model's time step must divide the time between frames; where it does not, the nearest that does is set, and a
-    note says so. A keyframe of the name `START` is the state it begins from. Controls are 0. `where` is what to call
-    the model in messages; `posed` are the poses, and so velocities, that bodies with a free joint are given.
+    The model's time step must divide the time between frames; where it does not, the nearest that does is
+    set, and a note says so. A keyframe of the name `START` is the state it begins from. Controls are 0.
+    `where` is what to call the model in messages; `posed` are the poses, and so velocities, that bodies with
+    a free joint are given.
 
     Gives a track for each of `body_ids`, scene from body frame, and notes.
 
-    Raises `SourceError` if the simulation diverges, MuJoCo cannot go on, or the time step is none; `InvalidArgument`
-    if it would take more than 20 million steps of a body.
+    Raises `SourceError` if the simulation diverges, MuJoCo cannot go on, or the time step is none;
+    `InvalidArgument` if it would take more than 20 million steps of a body.
     """
     mujoco = load_mujoco()
     if not _STEPS_S[0] <= model.opt.timestep <= _STEPS_S[1]:
@@ -118,7 +126,10 @@ def simulated(
         raise SourceError(f"{where}: timestep", found, f"{least:g} to {most:g} s")
     steps, notes = _steps_a_frame(model, rate_hz)
     if steps * frame_count * len(body_ids) > _MAX_STEPS:
-        found, mend = f"{frame_count} frames of {steps} steps of {len(body_ids)} bodies", "Make the step longer."
+        found, mend = (
+            f"{frame_count} frames of {steps} steps of {len(body_ids)} bodies",
+            "Make the step longer.",
+        )
         raise InvalidArgument(where, found, f"at most {_MAX_STEPS} steps of a body", f"Ask for less. {mend}")
     ids = np.asarray(body_ids, np.intp)
     positions, quaternions = np.empty((frame_count, len(ids), 3)), np.empty((frame_count, len(ids), 4))
@@ -140,7 +151,9 @@ def simulated(
     return [PoseTrack(quaternions[:, k], positions[:, k]) for k in range(len(ids))], notes
 
 
-def _driven(model: Any, body: int, track: PoseTrack, rate_hz: float) -> tuple[slice, slice, Float64s, Float64s]:
+def _driven(
+    model: Any, body: int, track: PoseTrack, rate_hz: float
+) -> tuple[slice, slice, Float64s, Float64s]:
     """Where a body with a free joint has its pose and velocity in the state, and both of them frame by frame."""
     joint = int(model.body_jntadr[body])
     place, motion = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
@@ -158,7 +171,9 @@ def _steps_a_frame(model: Any, rate_hz: float) -> tuple[int, tuple[str, ...]]:
     model.opt.timestep = period / steps
     if abs(period / steps - asked) <= 1e-9 * asked:
         return steps, ()
-    wording = f"A time step of {asked:g} s does not divide a frame of {period:g} s; it is {period / steps:g} s."
+    wording = (
+        f"A time step of {asked:g} s does not divide a frame of {period:g} s; it is {period / steps:g} s."
+    )
     return steps, (wording,)
 
 
@@ -174,14 +189,15 @@ def _judged(mujoco: Any, data: Any, heard: list[str], where: str) -> tuple[str, 
     return (f"MuJoCo warns: {said}",)
 
 
-# -- a physics scene as a model --------------------------------------------------------------------------------
+# -- a physics scene as a model
+# --------------------------------------------------------------------------------
 def model_of(
     mujoco: Any, table: PhysicsTable, posed: Mapping[str, PoseTrack], where: str
 ) -> tuple[Any, list[int], tuple[str, ...]]:
     """The model, the ids of its bodies in the order of the table, and notes.
 
-    `posed` mapping of str to PoseTrack: of the bodies that files pose, by name; `where` str: what to call the scene
-    in messages.
+    `posed` mapping of str to PoseTrack: of the bodies that files pose, by name; `where` str: what to call the
+    scene in messages.
 
     Raises `SourceError` if MuJoCo refuses it, as it does a mesh without volume.
     """
@@ -191,7 +207,15 @@ def model_of(
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     ratio = _damping_ratio(max(world.restitution, _LEAST_RESTITUTION))
     frequency = 2 * _angle_over_sine(ratio) / (world.contact_s or 8 * world.step_s)
-    condim = 1 if world.friction == 0 else 6 if world.rolling_friction_m else 4 if world.torsional_friction_m else 3
+    condim = (
+        1
+        if world.friction == 0
+        else 6
+        if world.rolling_friction_m
+        else 4
+        if world.torsional_friction_m
+        else 3
+    )
     touch: dict[str, Any] = {
         "friction": [world.friction, world.torsional_friction_m, world.rolling_friction_m],
         "condim": condim,
@@ -200,7 +224,9 @@ def model_of(
     }
     if table.floor:
         plane = mujoco.mjtGeom.mjGEOM_PLANE
-        spec.worldbody.add_geom(type=plane, size=[0, 0, 1], pos=[0, 0, table.floor.height_m], contype=0, **touch)
+        spec.worldbody.add_geom(
+            type=plane, size=[0, 0, 1], pos=[0, 0, table.floor.height_m], contype=0, **touch
+        )
     start: dict[str, list[float]] = {"qpos": [], "qvel": []}
     notes: tuple[str, ...] = ()
     for number, body in enumerate(table.bodies):
@@ -208,7 +234,9 @@ def model_of(
         is_posed = body.name in posed
         if is_posed:
             position, turn = list(posed[body.name].positions_m[0]), posed[body.name].quaternions[0]
-        in_model = spec.worldbody.add_body(name=f"b{number}", pos=position, quat=turn, gravcomp=float(is_posed))
+        in_model = spec.worldbody.add_body(
+            name=f"b{number}", pos=position, quat=turn, gravcomp=float(is_posed)
+        )
         if not body.fixed:
             in_model.add_freejoint()
             start["qpos"] += [*position, *turn]
@@ -217,7 +245,11 @@ def model_of(
         matter = {"density": body.density_kg_m3} if body.mass_kg is None else {"mass": body.mass_kg}
         if is_posed:
             matter = {"density": _POSED_KG_M3}
-        own = {**touch, **matter, "contype": int(body.is_simulated)}  # what is not simulated meets only what is
+        own = {
+            **touch,
+            **matter,
+            "contype": int(body.is_simulated),
+        }  # what is not simulated meets only what is
         notes += _add_geom(mujoco, spec, in_model, f"m{number}", body, own)
     spec.add_key(name=START, **start)
 
@@ -226,14 +258,21 @@ def model_of(
         data = mujoco.MjData(model)
         mujoco.mj_resetDataKeyframe(model, data, 0)
         mujoco.mj_forward(model, data)
-        return model, min(((float(one.dist), one.geom1, one.geom2) for one in data.contact), default=(0.0, 0, 0))
+        return model, min(
+            ((float(one.dist), one.geom1, one.geom2) for one in data.contact), default=(0.0, 0, 0)
+        )
 
-    (model, (deepest_m, *geoms)), warned = compiled(make, where, "bodies that MuJoCo refuses", "bodies with a volume")
+    (model, (deepest_m, *geoms)), warned = compiled(
+        make, where, "bodies that MuJoCo refuses", "bodies with a volume"
+    )
     notes += warned
     kind = mujoco.mjtObj.mjOBJ_BODY
     ids = [mujoco.mj_name2id(model, kind, f"b{number}") for number in range(len(table.bodies))]
     if deepest_m < -_OVERLAP_M:  # of all contacts that throw bodies apart one is told
-        name_of = {0: "the floor", **{body_id: body.name for body_id, body in zip(ids, table.bodies, strict=True)}}
+        name_of = {
+            0: "the floor",
+            **{body_id: body.name for body_id, body in zip(ids, table.bodies, strict=True)},
+        }
         first, second = (name_of[int(model.geom_bodyid[geom])] for geom in geoms)
         notes += (f"{second} begins {-1e3 * deepest_m:.2g} mm within {first}: it is thrown out.",)
     return model, ids, notes
@@ -307,4 +346,6 @@ def _hull_points(shape: Superquadric) -> Float64s:
 
     ring = power(np.cos(along), e1)
     unit = ring * power(np.cos(around), e2), ring * power(np.sin(around), e2), power(np.sin(along), e1)
-    return np.asarray(np.unique(np.stack(unit, axis=-1).reshape(-1, 3), axis=0) * np.asarray(shape.half_extents_m))
+    return np.asarray(
+        np.unique(np.stack(unit, axis=-1).reshape(-1, 3), axis=0) * np.asarray(shape.half_extents_m)
+    )

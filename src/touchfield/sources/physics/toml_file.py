@@ -1,4 +1,5 @@
-"""Scenes of rigid bodies that fall and collide, or that files pose, from a ``.toml`` file (paper section 5.1)::
+"""Scenes of rigid bodies that fall and collide, or that files pose, from a ``.toml`` file (paper section
+5.1)::
 
     [physics]                        # optional, as all its keys; the values here are the defaults
     seconds = 2.0
@@ -31,9 +32,10 @@
     file = "hand.ply"                # and unit_m; or vertices_m and triangles, as lists of three numbers
     poses = "hand.csv"               # in place of position_m and what follows: see touchfield.medium.trace
 
-The other keys of a body are those of its shape, as in `touchfield.sources.shapes.analytic_scene`; its middle is the origin
-of the body's frame. Axes are x east, y north, z up. A body that a file poses pushes others and is moved by none.
-Where nothing is simulated, no MuJoCo is needed, and the scene lasts as long as the pose files.
+The other keys of a body are those of its shape, as in `touchfield.sources.shapes.analytic_scene`; its middle
+is the origin of the body's frame. Axes are x east, y north, z up. A body that a file poses pushes others and
+is moved by none. Where nothing is simulated, no MuJoCo is needed, and the scene lasts as long as the pose
+files.
 """
 
 from __future__ import annotations
@@ -54,7 +56,14 @@ from touchfield.medium.trace import Trace, read_trace
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics.body_scene import BodyScene
-from touchfield.sources.physics.simulation import FRAME_RATE_HZ, SECONDS, frames_of, load_mujoco, model_of, simulated
+from touchfield.sources.physics.simulation import (
+    FRAME_RATE_HZ,
+    SECONDS,
+    frames_of,
+    load_mujoco,
+    model_of,
+    simulated,
+)
 from touchfield.sources.poses import quaternion_of_turns, track_at_rate
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Body
@@ -174,8 +183,8 @@ class PhysicsTable(NamedTuple):
 def read_physics(path: Path, *, anywhere: bool = False) -> PhysicsTable:
     """Read a physics scene; mesh files are read too, pose files are not.
 
-    `anywhere` bool: whether it may name files outside its folder. Raises `SourceError` if a file cannot be read or
-    lies elsewhere, or a key is unknown, missing or holds the wrong thing; it names file and key.
+    `anywhere` bool: whether it may name files outside its folder. Raises `SourceError` if a file cannot be
+    read or lies elsewhere, or a key is unknown, missing or holds the wrong thing; it names file and key.
     """
     table = read_toml(path, "a TOML file with [[body]] tables")
     table.only(("physics", "floor", "body"))
@@ -222,7 +231,9 @@ def _body(path: Path, entry: JsonValue, anywhere: bool) -> RigidBody:
 
 def _beside(path: Path, entry: JsonValue, key: str, anywhere: bool) -> Path:
     """The path of a file that a body names."""
-    return require_beside(path.parent, entry.at(key).text(), f"{entry.file}: {entry.place}.{key}", anywhere=anywhere)
+    return require_beside(
+        path.parent, entry.at(key).text(), f"{entry.file}: {entry.place}.{key}", anywhere=anywhere
+    )
 
 
 def _mesh(path: Path, entry: JsonValue, anywhere: bool) -> MeshScene:
@@ -240,16 +251,20 @@ def _mesh(path: Path, entry: JsonValue, anywhere: bool) -> MeshScene:
             raise entry.wrong(f"no {name!r}", "a mesh: file, or vertices_m and triangles")
     corners, numbers = values["vertices_m"], values["triangles"]
     if not ((numbers % 1 == 0) & (numbers >= 0) & (numbers < len(corners))).all():
-        raise entry.at("triangles").wrong("a number of no vertex", f"whole numbers from 0 to {len(corners) - 1}")
+        raise entry.at("triangles").wrong(
+            "a number of no vertex", f"whole numbers from 0 to {len(corners) - 1}"
+        )
     return MeshScene(corners, numbers.astype(np.int32), name=f"{entry.file}: {entry.place}")
 
 
-# -- the scene -------------------------------------------------------------------------------------------------
+# -- the scene
+# -------------------------------------------------------------------------------------------------
 def open_physics(path: Path, options: SourceOptions) -> BodyScene:
-    """Read a scene, simulate it, and give its bodies in motion; ``options`` gives other seconds or another rate.
+    """Read a scene, simulate it, and give its bodies in motion; ``options`` gives other seconds or another
+    rate.
 
-    Raises `SourceError` if a file is at fault, or the simulation diverges; `MissingExtra` if there is something to
-    simulate and MuJoCo is not installed; `InvalidArgument` if that is more poses than are kept.
+    Raises `SourceError` if a file is at fault, or the simulation diverges; `MissingExtra` if there is
+    something to simulate and MuJoCo is not installed; `InvalidArgument` if that is more poses than are kept.
     """
     table = read_physics(path, anywhere=options.allow_outside)
     rate = options.rate_hz or table.world.rate_hz
@@ -259,7 +274,9 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     notes: tuple[str, ...] = ()
     if any(body.is_simulated for body in table.bodies):
         model, ids, warnings = model_of(load_mujoco(), table, posed, str(path))
-        driven = {body_id: posed[body.name] for body, body_id in zip(table.bodies, ids, strict=True) if body.poses}
+        driven = {
+            body_id: posed[body.name] for body, body_id in zip(table.bodies, ids, strict=True) if body.poses
+        }
         tracks, notes = simulated(model, ids, frames, rate, str(path), driven)
         notes = (*warnings, *notes)
     else:
@@ -299,5 +316,8 @@ def _recognise(path: Path) -> bool:
 
 
 KIND = SourceKind(
-    "physics", "rigid bodies that fall, collide or follow pose files, from a .toml file", _recognise, open_physics
+    "physics",
+    "rigid bodies that fall, collide or follow pose files, from a .toml file",
+    _recognise,
+    open_physics,
 )

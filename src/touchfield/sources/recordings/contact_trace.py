@@ -1,14 +1,14 @@
 """Recorded contacts as a scene: where a probe was and what pushed it, from CSV or MCAP, as a field of forces.
 
-Forces are those on the probe, in the axes and metres of the recording. Between samples stands a field that passes
-near them and has no curl (`CurlFree`): a Gaussian process whose potential has k(r) = exp(-r^2 / 2 l^2). The forces,
-its gradient, then have the covariance (I - d d^T / l^2) exp(-r^2 / 2 l^2) / l^2 for two points d apart (Macedo and
-Castro 2010; Fuselier and Wright 2017). What each force is missed by where it was
-left out is known in closed form; length and noise are those that miss least. What a probe met of friction is no
-gradient: it is left over, and the share that is missed tells how much that is.
+Forces are those on the probe, in the axes and metres of the recording. Between samples stands a field that
+passes near them and has no curl (`CurlFree`): a Gaussian process whose potential has k(r) = exp(-r^2 / 2
+l^2). The forces, its gradient, then have the covariance (I - d d^T / l^2) exp(-r^2 / 2 l^2) / l^2 for two
+points d apart (Macedo and Castro 2010; Fuselier and Wright 2017). What each force is missed by where it was
+left out is known in closed form; length and noise are those that miss least. What a probe met of friction is
+no gradient: it is left over, and the share that is missed tells how much that is.
 
-The field is told within `REACH` lengths of its kernel of a sample that went into it: what the probe never met is not
-made up.
+The field is told within `REACH` lengths of its kernel of a sample that went into it: what the probe never met
+is not made up.
 """
 
 from __future__ import annotations
@@ -67,9 +67,16 @@ class CurlFree:
 
     @classmethod
     def through(
-        cls, points_m: Float64s, forces_n: Float64s, length_m: float, noise: float, kernel: Float64s | None = None
+        cls,
+        points_m: Float64s,
+        forces_n: Float64s,
+        length_m: float,
+        noise: float,
+        kernel: Float64s | None = None,
     ) -> CurlFree:
-        """The field of forces, `points_m` and `forces_n` float64 [n, 3]; `kernel` where `covariances` are known."""
+        """The field of forces, `points_m` and `forces_n` float64 [n, 3]; `kernel` where `covariances` are
+        known.
+        """
         from scipy.linalg.lapack import dtrtri
 
         kernel = covariances(points_m / length_m) if kernel is None else kernel
@@ -82,7 +89,9 @@ class CurlFree:
         own = np.einsum("kni,knj->nij", columns, columns)
         left = np.linalg.solve(own, solved.reshape(-1, 3, 1))
         missed = float(np.sqrt(np.mean(left**2)))
-        return cls(points_m, size * solved.reshape(-1, 3), length_m, missed, noise, size / math.sqrt(1 + noise))
+        return cls(
+            points_m, size * solved.reshape(-1, 3), length_m, missed, noise, size / math.sqrt(1 + noise)
+        )
 
     @classmethod
     def fitted(cls, points_m: Float64s, forces_n: Float64s, spacing_m: float) -> CurlFree:
@@ -124,8 +133,8 @@ def covariances(points: Float64s, others: Float64s | None = None) -> Float64s:
 def thinned_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, Float64s, float]:
     """Means over the cells of a lattice, as fine as `MOST_POINTS` allow.
 
-    Gives points and forces, float64 [m, 3], m at most `MOST_POINTS`, and the side of a cell, or less where the points
-    lie closer than that.
+    Gives points and forces, float64 [m, 3], m at most `MOST_POINTS`, and the side of a cell, or less where
+    the points lie closer than that.
     """
     low = points_m.min(axis=0)
     extent = float((points_m.max(axis=0) - low).max())
@@ -136,24 +145,33 @@ def thinned_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, 
         if len(counts) <= MOST_POINTS:
             break
         side *= 1.15
-    sums = [np.stack([np.bincount(of.reshape(-1), c) for c in values.T], axis=1) for values in (points_m, forces_n)]
+    sums = [
+        np.stack([np.bincount(of.reshape(-1), c) for c in values.T], axis=1)
+        for values in (points_m, forces_n)
+    ]
     return sums[0] / counts[:, None], sums[1] / counts[:, None], side
 
 
 def require_contacts(trace: ContactTrace, where: str) -> None:
-    """`SourceError` if all is in one place, there is no force at all, or numbers are beyond what any probe meets."""
+    """`SourceError` if all is in one place, there is no force at all, or numbers are beyond what any probe
+    meets.
+    """
     with np.errstate(over="ignore"):
         extent = np.ptp(trace.positions_m, axis=0).max()
     if not (extent < _FARTHEST_M and np.abs(trace.forces_n).max() < _STRONGEST_N):
         found = f"{extent:g} m and {np.abs(trace.forces_n).max():g} N"
-        raise SourceError(where, found, f"less than {_FARTHEST_M:g} m and {_STRONGEST_N:g} N", "Check the units.")
+        raise SourceError(
+            where, found, f"less than {_FARTHEST_M:g} m and {_STRONGEST_N:g} N", "Check the units."
+        )
     if not extent > 0 or not trace.forces_n.any():
         found = "a probe that never moved" if not extent > 0 else "no force"
         raise SourceError(where, found, "forces at several places", "Record a contact.")
 
 
 class ContactScene(Scene):
-    """Forces that were recorded, as a field that stands still; `SourceError` as `require_contacts`, or of too few."""
+    """Forces that were recorded, as a field that stands still; `SourceError` as `require_contacts`, or of too
+    few.
+    """
 
     axes = UP_Z_AXES
     box_wording = "the trace"
@@ -163,18 +181,23 @@ class ContactScene(Scene):
         require_contacts(trace, where)
         points_m, forces_n, spacing_m = thinned_contacts(trace.positions_m, trace.forces_n)
         if len(points_m) < _LEAST:
-            raise SourceError(where, f"{len(points_m)} places", f"at least {_LEAST}", "Record a longer contact.")
+            raise SourceError(
+                where, f"{len(points_m)} places", f"at least {_LEAST}", "Record a longer contact."
+            )
         self.interpolant = CurlFree.fitted(points_m, forces_n, spacing_m)
         self.reach_m = REACH * self.interpolant.length_m
         missed = self.interpolant.missed
         self.notes = (
-            f"A field with no curl through {len(points_m)} means of {len(trace.positions_m)} samples: forces that "
-            f"are left out are missed by {100 * missed:.3g} %; none are told beyond {1e3 * self.reach_m:.3g} mm of "
+            f"A field with no curl through {len(points_m)} means of {len(trace.positions_m)} samples: forces "
+            "that "
+            f"are left out are missed by {100 * missed:.3g} %; none are told beyond {1e3 * self.reach_m:.3g} "
+            "mm of "
             "a sample; the force law is ignored.",
         )
         if missed > _SEVERE:
             self.notes += (
-                "So much of these forces is no gradient: friction, inertia, or another contact each time. The "
+                "So much of these forces is no gradient: friction, inertia, or another contact each time. "
+                "The "
                 "field is a rough mean of them.",
             )
 
@@ -199,18 +222,20 @@ class ContactScene(Scene):
 
 # -- MCAP, the container of robotics recordings (extra: mcap) ------------------------------------------------
 
-# Messages are JSON, or CDR of ROS 2 with the schemas of geometry_msgs for a stamped pose, point, transform and
-# wrench. The first channel that tells positions and the first that tells forces are taken, by the times of the log;
-# the place of a force is interpolated between its neighbours.
+# Messages are JSON, or CDR of ROS 2 with the schemas of geometry_msgs for a stamped pose, point, transform
+# and wrench. The first channel that tells positions and the first that tells forces are taken, by the times
+# of the log; the place of a force is interpolated between its neighbours.
 
 
 def read_mcap(path: Path) -> ContactTrace:
     """The contacts in an ``.mcap`` file.
 
-    Raises `MissingExtra` if the library mcap is not installed; `SourceError` if the file cannot be read, a message
-    is damaged, or there are no positions or no forces.
+    Raises `MissingExtra` if the library mcap is not installed; `SourceError` if the file cannot be read, a
+    message is damaged, or there are no positions or no forces.
     """
-    faults, reader = (import_extra(f"mcap.{part}", str(path), "mcap", "mcap") for part in ("exceptions", "reader"))
+    faults, reader = (
+        import_extra(f"mcap.{part}", str(path), "mcap", "mcap") for part in ("exceptions", "reader")
+    )
     require_plain(path, _WHAT)
     rows_of: tuple[dict[int, list[tuple[float, ...]]], ...] = ({}, {})
     names: dict[str, None] = {}
@@ -226,7 +251,9 @@ def read_mcap(path: Path) -> ContactTrace:
                     rows_of[kind].setdefault(channel.id, []).append((message.log_time / 1e9, *values))
                     count += 1
                 if count > 2 * MAX_SAMPLES:
-                    raise SourceError(str(path), f"more than {2 * MAX_SAMPLES} messages", _WHAT, "Cut it in parts.")
+                    raise SourceError(
+                        str(path), f"more than {2 * MAX_SAMPLES} messages", _WHAT, "Cut it in parts."
+                    )
     except (faults.McapError, struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
         raise SourceError(str(path), f"no sound MCAP ({error})", _WHAT) from error
     for rows, what in zip(rows_of, ("positions", "forces")):
@@ -295,7 +322,9 @@ def _read(path: Path) -> ContactTrace:
 def _recognise(path: Path) -> bool:
     if not path.is_file():
         return False
-    return path.suffix.lower() == ".mcap" or (path.suffix.lower() in (".csv", ".tsv", ".txt") and has_forces(path))
+    return path.suffix.lower() == ".mcap" or (
+        path.suffix.lower() in (".csv", ".tsv", ".txt") and has_forces(path)
+    )
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:

@@ -56,14 +56,16 @@ def read_recording(path: str | Path, full_scale_m_s2: float = STANDARD_GRAVITY_M
     """Read a recording of the form above, told by its name.
 
     full_scale_m_s2 : float; acceleration of a sample of 1.0, or of the greatest whole number, of a ``.wav``.
-    Raises `SourceError` if the file cannot be read or holds something else, a number is not finite, or its times are
-    not evenly spaced. It names the line.
+    Raises `SourceError` if the file cannot be read or holds something else, a number is not finite, or its
+    times are not evenly spaced. It names the line.
     """
     where = Path(path)
     require_positive(full_scale_m_s2=full_scale_m_s2)
     kind = where.suffix.lower()
     if kind not in (".wav", ".csv", ".txt"):
-        raise SourceError(str(where), f"a name that ends in {kind!r}", ".wav or .csv", "Export it as one of these.")
+        raise SourceError(
+            str(where), f"a name that ends in {kind!r}", ".wav or .csv", "Export it as one of these."
+        )
     rate_hz, samples = _read_wav(where) if kind == ".wav" else _read_csv(where)
     own = np.zeros((len(samples), 3))
     own[:, : samples.shape[1]] = samples * (full_scale_m_s2 if kind == ".wav" else 1.0)
@@ -81,7 +83,9 @@ def _read_wav(where: Path) -> tuple[float, Float64s]:
                 warnings.simplefilter("ignore", wavfile.WavFileWarning)
                 rate_hz, read = wavfile.read(where)
         except (ValueError, EOFError, struct.error, TypeError, ZeroDivisionError) as error:
-            raise SourceError(str(where), f"what is no sound ({error})", "a .wav file of PCM or float") from error
+            raise SourceError(
+                str(where), f"what is no sound ({error})", "a .wav file of PCM or float"
+            ) from error
     samples = read.reshape(len(read), -1).astype(np.float64)
     if not (samples.size and 1 <= samples.shape[1] <= 3 and rate_hz > 0):
         found = f"{samples.shape[1]} channels of {len(samples)} samples at {rate_hz} Hz"
@@ -115,7 +119,9 @@ def _read_csv(where: Path) -> tuple[float, Float64s]:
             raise SourceError(line, repr(",".join(words)[:60]), "finite numbers, one in each column")
     steps = np.diff(rows[:, 0])
     step_s = float(np.median(steps))
-    uneven = np.flatnonzero(~(np.abs(steps - step_s) <= _UNEVEN * abs(step_s))) if step_s > 0 else np.array([0])
+    uneven = (
+        np.flatnonzero(~(np.abs(steps - step_s) <= _UNEVEN * abs(step_s))) if step_s > 0 else np.array([0])
+    )
     if len(uneven):
         step, mend = f"a step of {steps[uneven[0]]:g} s", "Resample it to a steady rate first."
         raise SourceError(lines[uneven[0] + 2][0], step, f"steps of about {step_s:g} s, as most are", mend)

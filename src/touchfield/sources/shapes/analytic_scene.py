@@ -1,7 +1,7 @@
 """Shapes with a formula as a scene: the exact field that voxel fields are measured against.
 
-F = f(phi) n with phi and n from `touchfield.sources.shapes.shapes`, evaluated brick by brick in float64 where a bound of
-phi says that there may be a force.
+F = f(phi) n with phi and n from `touchfield.sources.shapes.shapes`, evaluated brick by brick in float64 where
+a bound of phi says that there may be a force.
 
 From a ``.toml`` file::
 
@@ -48,9 +48,9 @@ COMBINATIONS: Final = ("sum", "union")
 class AnalyticScene(Scene):
     """One or several shapes, standing still.
 
-    combine : str; "sum": the forces of the shapes are added. "union": the nearest surface alone acts, phi the least
-        of all and n its normal; exact outside, while within an overlap phi is that of the shape entered deepest, not
-        the distance to the joint surface.
+    combine : str; "sum": the forces of the shapes are added. "union": the nearest surface alone acts, phi the
+        least of all and n its normal; exact outside, while within an overlap phi is that of the shape entered
+        deepest, not the distance to the joint surface.
 
     Raises `InvalidArgument` if there is no shape or `combine` is another word.
     """
@@ -69,7 +69,9 @@ class AnalyticScene(Scene):
         self.axes, self.rate_hz = axes, float(rate_hz)
 
     def bounds_m(self) -> Float64s:
-        """The box of the shapes; a plane counts with a square of one metre alone, with its point among others."""
+        """The box of the shapes; a plane counts with a square of one metre alone, with its point among
+        others.
+        """
         boxes = [shape.box_m() for shape in self.shapes if not isinstance(shape, Plane)]
         planes = [shape for shape in self.shapes if isinstance(shape, Plane)]
         boxes += [np.array([p.point_m, p.point_m], np.float64) if boxes else p.box_m() for p in planes]
@@ -88,10 +90,14 @@ class AnalyticScene(Scene):
 
     def placed(self, points_m: Float64s) -> Float64s:
         """Points of the shapes, metres, float64 [..., 3], where `moved` has put them."""
-        return points_m if self._motion is None else np.asarray(points_m @ self._motion[0].T + self._motion[1])
+        return (
+            points_m if self._motion is None else np.asarray(points_m @ self._motion[0].T + self._motion[1])
+        )
 
     def _back(self, points_m: Float64s) -> Float64s:
-        return points_m if self._motion is None else np.asarray((points_m - self._motion[1]) @ self._motion[0])
+        return (
+            points_m if self._motion is None else np.asarray((points_m - self._motion[1]) @ self._motion[0])
+        )
 
     def forces_n(self, points_m: Float64s, profile: ForceProfile) -> Float64s:
         """Newtons, float64 [n, 3], at points in metres, float64 [n, 3]."""
@@ -117,7 +123,9 @@ class AnalyticScene(Scene):
                     may_hold |= (low <= piece_high) & (high > piece_low)
             return may_hold
 
-        return field_of_points(grid, bricks_near(may_act, grid), lambda points: self.forces_n(points, profile))
+        return field_of_points(
+            grid, bricks_near(may_act, grid), lambda points: self.forces_n(points, profile)
+        )
 
 
 # -- from a file ---------------------------------------------------------------------------------------------
@@ -140,8 +148,8 @@ def tables(table: JsonValue, name: str) -> list[JsonValue]:
 def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
     """Read a scene of shapes; `rate_hz` stands in where the file gives none.
 
-    Raises `SourceError` if the file cannot be read, is no TOML, or a key is unknown, missing or holds the wrong
-    thing.
+    Raises `SourceError` if the file cannot be read, is no TOML, or a key is unknown, missing or holds the
+    wrong thing.
     """
     table = read_toml(path, "a TOML file with [[shape]] tables")
     table.only(("axes", "rate_hz", "combine", "shape"))
@@ -155,7 +163,8 @@ def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
 def shape_of_table(entry: JsonValue) -> Shape:
     """The shape that a table describes: its kind, and the parameters of that kind.
 
-    Raises `SourceError` if the kind is unknown, or a parameter is unknown, missing or at fault; it names the key.
+    Raises `SourceError` if the kind is unknown, or a parameter is unknown, missing or at fault; it names the
+    key.
     """
     kind = entry.at("kind").text(tuple(SHAPES))
     fields = dataclasses.fields(SHAPES[kind])  # type: ignore[arg-type]

@@ -9,7 +9,9 @@ import numpy as np
 
 from touchfield.compute.jit import entry, kernel
 
-_MOST_STEPS: Final = 60  # of Newton's iteration; where it is slowest, beside the focal ellipse, about ten are needed
+_MOST_STEPS: Final = (
+    60  # of Newton's iteration; where it is slowest, beside the focal ellipse, about ten are needed
+)
 _FAR = 50.0  # of r^2 / l^2, where exp(-r^2 / 2 l^2) is 1e-11
 
 
@@ -68,7 +70,8 @@ def add_forces(begin, end, at, points, weights, reach, out):
 def add_body(begin, end, bricks, forces, slots, lattice, motion, total):
     """Add a body's forces, on a lattice of origin and spacing, to the bricks `slots` of a sum.
 
-    Wherever it has a force, b (v + omega x r) too: `motion` is its origin, metres; b v, newtons; b omega, N/m.
+    Wherever it has a force, b (v + omega x r) too: `motion` is its origin, metres; b v, newtons; b omega,
+    N/m.
     """
     ox, oy, oz, vx, vy, vz, wx, wy, wz = motion
     for s in range(begin, end):

@@ -1,15 +1,16 @@
 """Shapes with a formula: the signed distance to each, and its gradient, in float64.
 
-Plane, sphere, box, capsule and cylinder have exact closed forms (Quilez, "distance functions", iquilezles.org). The
-point of an ellipsoid that is nearest to p is x_i = e_i^2 p_i / (t + e_i^2) with t the greatest root of
-sum (e_i p_i / (t + e_i^2))^2 = 1 (Eberly, "Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid",
-geometrictools.com). The root is found by Newton's iteration on the reciprocal of the norm, as trust-region methods do
-(More and Sorensen 1983): that function is concave, so that the iteration comes from below and cannot overshoot.
+Plane, sphere, box, capsule and cylinder have exact closed forms (Quilez, "distance functions",
+iquilezles.org). The point of an ellipsoid that is nearest to p is x_i = e_i^2 p_i / (t + e_i^2) with t the
+greatest root of sum (e_i p_i / (t + e_i^2))^2 = 1 (Eberly, "Distance from a point to an ellipse, an
+ellipsoid, or a hyperellipsoid", geometrictools.com). The root is found by Newton's iteration on the
+reciprocal of the norm, as trust-region methods do (More and Sorensen 1983): that function is concave, so that
+the iteration comes from below and cannot overshoot.
 
-The superquadric (Barr 1981) has no closed form; its distance is the one to the tangent plane where the ray from the
-centre leaves the surface: with the gauge g(x) = F(x)^(e1/2), which is homogeneous of degree one (Solina and Bajcsy
-1990), it is Taubin's (1991) first-order distance (g - 1) / |grad g|. It is exact on the surface and for a sphere,
-never more than the true distance outside, and never less deep than it inside.
+The superquadric (Barr 1981) has no closed form; its distance is the one to the tangent plane where the ray
+from the centre leaves the surface: with the gauge g(x) = F(x)^(e1/2), which is homogeneous of degree one
+(Solina and Bajcsy 1990), it is Taubin's (1991) first-order distance (g - 1) / |grad g|. It is exact on the
+surface and for a sphere, never more than the true distance outside, and never less deep than it inside.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ Triple = tuple[float, float, float]
 _LEAST_M, _MOST_M = 1e-9, 1e9
 """Lengths that squares and products of them can be made of, and that a simulation can go on with."""
 
-_NOTHING: Final = 1e-100  # a coordinate below this share of the half extent moves no nearest point of an ellipsoid
+_NOTHING: Final = (
+    1e-100  # a coordinate below this share of the half extent moves no nearest point of an ellipsoid
+)
 
 
 class Shape(ABC):
@@ -110,7 +113,9 @@ class Sphere(Shape):
 
 
 class _Turned(Shape):
-    """A shape with a frame of its own; `rotation_deg` turns it about the fixed x, then y, then z axis, degrees."""
+    """A shape with a frame of its own; `rotation_deg` turns it about the fixed x, then y, then z axis,
+    degrees.
+    """
 
     center_m: Triple
     half_extents_m: Triple
@@ -198,17 +203,24 @@ class Superquadric(_Turned):
         gradient[:, 2] = (magnitude[:, 2] / gauge) ** (2 / e1 - 1)
         is_aside = flat > 0
         ring = (flat[is_aside] / gauge[is_aside]) ** (2 / e1 - 1)
-        gradient[is_aside, :2] = ring[:, None] * (magnitude[is_aside, :2] / flat[is_aside, None]) ** (2 / e2 - 1)
+        gradient[is_aside, :2] = ring[:, None] * (magnitude[is_aside, :2] / flat[is_aside, None]) ** (
+            2 / e2 - 1
+        )
         return gauge, np.copysign(gradient, u)
 
     def distance_range(self, centres: Float64s, radius_m: float) -> tuple[Float64s, Float64s]:
-        """See `Shape`; the gauge is a norm, at most 1/r of the Euclidean one, r the inscribed octahedron's ball."""
+        """See `Shape`; the gauge is a norm, at most 1/r of the Euclidean one, r the inscribed octahedron's
+        ball.
+        """
         half = np.asarray(self.half_extents_m)
         nearest, farthest = 1 / float(np.sqrt((half**-2.0).sum())), float(np.linalg.norm(half))
         unit, size = self._scaled(self._local(centres))
         gauge = self._gauge(unit)[0] * size
         low, high = gauge - radius_m / nearest - 1, gauge + radius_m / nearest - 1
-        return (np.where(low > 0, low * nearest, low * farthest), np.where(high > 0, high * farthest, high * nearest))
+        return (
+            np.where(low > 0, low * nearest, low * farthest),
+            np.where(high > 0, high * farthest, high * nearest),
+        )
 
 
 @dataclass(frozen=True)
@@ -312,14 +324,18 @@ def moved(shape: Shape, rotation: ArrayLike, shift_m: ArrayLike) -> Shape:
 
 
 def rotation_matrix(rotation_deg: Triple) -> Float64s:
-    """The matrix whose columns are the body's axes, float64 [3, 3]: turns about the fixed x, then y, then z axis."""
+    """The matrix whose columns are the body's axes, float64 [3, 3]: turns about the fixed x, then y, then z
+    axis.
+    """
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix())
 
 
 def _of_faces(beyond: Float64s) -> tuple[Float64s, Float64s]:
-    """Signed distance to a block, of points so far beyond each pair of its faces [n, d], and the share of each."""
+    """Signed distance to a block, of points so far beyond each pair of its faces [n, d], and the share of
+    each.
+    """
     outside = np.maximum(beyond, 0.0)
     distance = np.sqrt((outside * outside).sum(axis=-1))
     is_out = distance > 0

@@ -1,14 +1,15 @@
-"""Height maps: a surface over a plane, with everything behind it solid (paper sections 4 and 5.1); and their files.
+"""Height maps: a surface over a plane, with everything behind it solid (paper sections 4 and 5.1); and their
+files.
 
 The paper's scenes from depth images treat the depth map as a height map. The distance to the surface is taken
-to first order, phi = (z - h(x, y)) n_z with h interpolated bilinearly: exact for planes, and at curvature c and
-depth d wrong by about c d^2 / 2. The normal comes from planes fitted to 5 x 5 samples (binomial weights), so that
-noise of one sample hardly turns it; samples across a step, or unknown, take no part.
+to first order, phi = (z - h(x, y)) n_z with h interpolated bilinearly: exact for planes, and at curvature c
+and depth d wrong by about c d^2 / 2. The normal comes from planes fitted to 5 x 5 samples (binomial weights),
+so that noise of one sample hardly turns it; samples across a step, or unknown, take no part.
 
-Files are elevation models (``.npz``, ``.npy``, GeoTIFF 1.1: OGC 19-008r4) and grey pictures (PNG, TIFF); row 0 is
-north. What a file does not say is assumed, and told in a note: one metre between samples, one metre a unit; of a
-picture without a scale, a relief of a fifth of its shorter side. Degrees become metres on the ellipsoid WGS 84
-(NGA.STND.0036) at the map's middle latitude: one scale for the whole map, no projection.
+Files are elevation models (``.npz``, ``.npy``, GeoTIFF 1.1: OGC 19-008r4) and grey pictures (PNG, TIFF); row
+0 is north. What a file does not say is assumed, and told in a note: one metre between samples, one metre a
+unit; of a picture without a scale, a relief of a fifth of its shorter side. Degrees become metres on the
+ellipsoid WGS 84 (NGA.STND.0036) at the map's middle latitude: one scale for the whole map, no projection.
 """
 
 from __future__ import annotations
@@ -40,7 +41,12 @@ DEPTH_STEP: Final = 0.05  # of the median depth: a larger jump between neighbour
 HEIGHT_KEYS: Final = ("elevation", "height", "heights", "heights_m", "z")
 PLACE_KEYS: Final = ("dx", "dy", "xmin", "xmax", "ymin", "ymax")
 PICTURES: Final = (".png", ".tif", ".tiff")
-GAP_HEIGHTS: Final = (-9999.0, -32767.0, -32768.0, -99999.0)  # what elevation models hold where nothing is known
+GAP_HEIGHTS: Final = (
+    -9999.0,
+    -32767.0,
+    -32768.0,
+    -99999.0,
+)  # what elevation models hold where nothing is known
 LATITUDE_LIMIT_DEG: Final = 89.0  # nearer to a pole the degrees of longitude are no cells of one width
 PICTURE_RELIEF: Final = 0.2  # of a picture without a scale, of its shorter side: a landscape under the hand
 
@@ -49,7 +55,11 @@ _PIXEL_SCALE, _TIEPOINT, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34735, 42113
 _SAMPLE_FORMAT, _SIGNED = 339, 2
 _MODEL_TYPE_KEY, _LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY = 1024, 3076, 4099
 _GEOGRAPHIC: Final = 2
-_UNITS_M: Final = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}  # EPSG: metre, international and US survey foot
+_UNITS_M: Final = {
+    9001: 1.0,
+    9002: 0.3048,
+    9003: 1200 / 3937,
+}  # EPSG: metre, international and US survey foot
 
 _WGS84_AXIS_M: Final = 6378137.0
 _WGS84_E2: Final = 0.00669437999014
@@ -63,9 +73,9 @@ _Heights = NDArray[np.floating[Any]]
 class HeightLattice:
     """Places of the samples of a height map, and its solid side.
 
-    Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are signed. `facing` 1 is solid below
-    the surface, -1 beyond it, where z points away from the viewer. Neighbours that differ by more than `step_m` in
-    height are not joined by a slope.
+    Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are signed. `facing` 1 is solid
+    below the surface, -1 beyond it, where z points away from the viewer. Neighbours that differ by more than
+    `step_m` in height are not joined by a slope.
     """
 
     x0_m: float
@@ -83,16 +93,18 @@ class HeightLattice:
         if not (math.isfinite(self.x0_m) and math.isfinite(self.y0_m)):
             raise InvalidArgument("x0_m, y0_m", f"{self.x0_m}, {self.y0_m}", "finite metres")
         if self.facing not in (1, -1) or not self.step_m > 0:
-            raise InvalidArgument("facing, step_m", f"{self.facing}, {self.step_m}", "1 or -1, a positive height")
+            raise InvalidArgument(
+                "facing, step_m", f"{self.facing}, {self.step_m}", "1 or -1, a positive height"
+            )
 
 
 class HeightScene(MovingScene):
     """One height map, or several over time; beyond its rim and where it is unknown there is no force.
 
-    `heights_m` are metres, NaN where unknown: [rows, cols], [frames, rows, cols], a sequence of arrays, or a callable
-    ``heights(frame) -> [rows, cols]`` for `frame_count` frames. `cell_m` is (dy, dx), the distance between
-    neighbouring rows and columns, metres: row 0 is then north, the last row at y = 0 and column 0 at x = 0; a lattice
-    says otherwise. `exaggeration` is a factor on the heights (1 is honest).
+    `heights_m` are metres, NaN where unknown: [rows, cols], [frames, rows, cols], a sequence of arrays, or a
+    callable ``heights(frame) -> [rows, cols]`` for `frame_count` frames. `cell_m` is (dy, dx), the distance
+    between neighbouring rows and columns, metres: row 0 is then north, the last row at y = 0 and column 0 at
+    x = 0; a lattice says otherwise. `exaggeration` is a factor on the heights (1 is honest).
     """
 
     is_solid = True
@@ -123,7 +135,8 @@ class HeightScene(MovingScene):
 
     @classmethod
     def from_depth_sequence(cls, sequence: DepthSequence, exaggeration: float = 1.0) -> HeightScene:
-        """The paper's reading of depth maps: pixels as x and y, depth as height, all behind the surface solid.
+        """The paper's reading of depth maps: pixels as x and y, depth as height, all behind the surface
+        solid.
 
         Pixels are spaced by their size at the median depth of the first frame that has any, x = (u - cx) / fx
         z_median, so that lengths there are true; nearer things are too large and farther ones too small.
@@ -137,7 +150,9 @@ class HeightScene(MovingScene):
             raise SourceError(sequence.name, "no depth in any frame", "at least one known pixel")
         z, k = float(np.median(known)), sequence.intrinsics
         dx_m, dy_m = z / k.fx, z / k.fy
-        lattice = HeightLattice(-k.cx / k.fx * z, dx_m, -k.cy / k.fy * z, dy_m, -1, DEPTH_STEP * z * exaggeration)
+        lattice = HeightLattice(
+            -k.cx / k.fx * z, dx_m, -k.cy / k.fy * z, dy_m, -1, DEPTH_STEP * z * exaggeration
+        )
         note = f"Depth is read as a height map: pixels are spaced as at {z:.3g} m, perspective is not undone."
 
         def heights(frame: int) -> Float32s:
@@ -183,7 +198,9 @@ class HeightScene(MovingScene):
     def _heights(self, frame: int) -> Float64s:
         heights = np.array(self._frames(frame), np.float64)
         if heights.ndim != 2 or min(heights.shape) < 2:
-            raise InvalidArgument(self.name, f"heights of shape {heights.shape}", "[rows, cols], at least 2 x 2")
+            raise InvalidArgument(
+                self.name, f"heights of shape {heights.shape}", "[rows, cols], at least 2 x 2"
+            )
         with np.errstate(over="ignore"):
             heights *= self.exaggeration
         heights[~np.isfinite(heights)] = np.nan
@@ -214,8 +231,8 @@ def _as_frames(heights_m: ArrayLike | Sequence[ArrayLike]) -> list[Float64s]:
 class _Place(NamedTuple):
     """Place and units of samples, as a file says; None where it does not.
 
-    `cell` is (dy, dx) and `middle` y and x of the middle of the map, both in units of the map, which are `unit_m`
-    metres where they are not degrees; `vertical_unit_m` are the metres of one unit of height.
+    `cell` is (dy, dx) and `middle` y and x of the middle of the map, both in units of the map, which are
+    `unit_m` metres where they are not degrees; `vertical_unit_m` are the metres of one unit of height.
     """
 
     cell: Pair | None = None
@@ -241,13 +258,17 @@ def _scene(path: Path, heights: _Heights, place: _Place, options: SourceOptions)
     if is_degrees is None and place.cell is not None and place.middle is not None:
         is_degrees = abs(latitude) <= 90 and abs(longitude) <= 180 and max(place.cell) < 0.1
     if is_degrees and abs(latitude) > LATITUDE_LIMIT_DEG:
-        raise SourceError(str(path), f"the latitude {latitude:.4g}", f"at most {LATITUDE_LIMIT_DEG} either way")
+        raise SourceError(
+            str(path), f"the latitude {latitude:.4g}", f"at most {LATITUDE_LIMIT_DEG} either way"
+        )
     dy, dx = place.cell or (1.0, 1.0)
     if options.cell_size_m is not None:
         cell_m = options.cell_size_m, options.cell_size_m
     elif place.cell is None:
         cell_m = (1.0, 1.0)
-        notes += ("The distance of samples is not given: one metre is assumed (--cell-size-m; in .npz dx and dy).",)
+        notes += (
+            "The distance of samples is not given: one metre is assumed (--cell-size-m; in .npz dx and dy).",
+        )
     elif is_degrees:
         along, across = degree_m(latitude)
         cell_m = dy * along, dx * across
@@ -276,7 +297,9 @@ def _from_npz(path: Path) -> tuple[_Heights, _Place]:
     named = [name for name in HEIGHT_KEYS if name in headers]
     if not named and len(maps) != 1:
         listed = ", ".join(headers) or "(none)"
-        raise SourceError(str(path), f"the arrays {listed}", f"one named {', '.join(HEIGHT_KEYS)}, or a single map")
+        raise SourceError(
+            str(path), f"the arrays {listed}", f"one named {', '.join(HEIGHT_KEYS)}, or a single map"
+        )
     name = (named or maps)[0]
     if headers[name].dtype.kind not in "fiu":
         raise SourceError(f"{path}, array {name}", f"{headers[name].dtype}", "numbers")
@@ -348,7 +371,9 @@ def _geo_tags(tags: Mapping[int, Any], rows: int, cols: int) -> _Place:
     model, missing = keys.get(_MODEL_TYPE_KEY), None
     with suppress(ValueError):
         missing = float(str(tags.get(_GDAL_NODATA, "")).strip(" \0"))
-    unit_m, vertical_m = (_UNITS_M.get(keys.get(key, 9001), 1.0) for key in (_LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY))
+    unit_m, vertical_m = (
+        _UNITS_M.get(keys.get(key, 9001), 1.0) for key in (_LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY)
+    )
     return _Place(cell, middle, None if model is None else model == _GEOGRAPHIC, unit_m, vertical_m, missing)
 
 

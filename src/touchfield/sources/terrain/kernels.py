@@ -1,7 +1,8 @@
 """Compiled loops of height maps: gradients, which bricks hold a force, and the forces in them.
 
 A column of samples shares one point of the map, so that a map is looked up once per column and the voxels in
-which there is a force are an interval of it: nothing is visited twice, and bricks above the surface not at all.
+which there is a force are an interval of it: nothing is visited twice, and bricks above the surface not at
+all.
 """
 
 from __future__ import annotations
@@ -148,7 +149,9 @@ def _flag(begin, end, shape, origin, spacing, lattice, facing, step, heights, sl
 
 
 @entry
-def _fill(begin, end, starts, bricks, shape, origin, spacing, lattice, facing, step, heights, slopes, table, out):
+def _fill(
+    begin, end, starts, bricks, shape, origin, spacing, lattice, facing, step, heights, slopes, table, out
+):
     """Fill the bricks of columns begin..end; column c has bricks starts[c] to starts[c + 1] - 1."""
     for column in range(begin, end):
         first, stop = starts[column], starts[column + 1]
@@ -186,7 +189,17 @@ def bricks_and_forces(
     """
     shape, origin, spacing = np.array(grid.shape), np.array(grid.origin_m), np.array(grid.spacing_m)
     lattice = np.array([at.x0_m, at.dx_m, at.y0_m, at.dy_m])
-    common = (shape, origin, spacing, lattice, float(at.facing), at.step_m, heights_m, slopes, profile.table())
+    common = (
+        shape,
+        origin,
+        spacing,
+        lattice,
+        float(at.facing),
+        at.step_m,
+        heights_m,
+        slopes,
+        profile.table(),
+    )
     flags = np.zeros(grid.brick_shape, np.uint8)
     columns = flags.shape[0] * flags.shape[1]
     for_chunks(_flag, columns, *common, flags, chunk=16)

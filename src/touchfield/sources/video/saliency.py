@@ -1,26 +1,30 @@
-"""An ordinary video as a symbolic haptic medium: where the eye would go, a force (paper section 5.1, figure 1).
+"""An ordinary video as a symbolic haptic medium: where the eye would go, a force (paper section 5.1, figure
+1).
 
-The paper's case 1: "extraction of saliency based features of the videos that are mapped to tactors". The picture is a
-plate, as wide as it is high in pixels, its longer side 1 m, row 0 at the top. Throughout the plate the force is along
-+z, towards the viewer, and its amplitude is the saliency there (0 to 1) times the largest amplitude of the force law.
-The device filter pools, low-passes and samples the plate at the actuators of an array. On a point device the plate is
-a slab in front of the hand, `THICKNESS` of its longer side deep: there is no surface, and no spring. A force is held
-from one picture to the next where another rate is asked for.
+The paper's case 1: "extraction of saliency based features of the videos that are mapped to tactors". The
+picture is a plate, as wide as it is high in pixels, its longer side 1 m, row 0 at the top. Throughout the
+plate the force is along +z, towards the viewer, and its amplitude is the saliency there (0 to 1) times the
+largest amplitude of the force law. The device filter pools, low-passes and samples the plate at the actuators
+of an array. On a point device the plate is a slab in front of the hand, `THICKNESS` of its longer side deep:
+there is no surface, and no spring. A force is held from one picture to the next where another rate is asked
+for.
 
-The paper leaves the model of saliency to others. This one is plain and cheap, of published parts, on the picture
-reduced to 64 pixels along its longer side:
+The paper leaves the model of saliency to others. This one is plain and cheap, of published parts, on the
+picture reduced to 64 pixels along its longer side:
 
-- *Spectral residual* of the luminance (Hou & Zhang, CVPR 2007): of the log amplitude spectrum its own 3 x 3 mean is
-  taken off; back in the picture, with the phase kept, the square of what is left stands out where the picture is
-  unlike itself elsewhere. It would lift noise to the full: so the picture's mean is taken off before, and amplitudes
-  are weighted by A / (A + `NOISE_LEVEL`), in units of white noise.
-- *Centre-surround contrast* of luminance and of the colour opponents R - G and B - (R + G) / 2 (after Itti, Koch &
-  Niebur, TPAMI 1998): the difference of a narrow and a wide mean, without a sign, the sum of the three.
+- *Spectral residual* of the luminance (Hou & Zhang, CVPR 2007): of the log amplitude spectrum its own 3 x 3
+  mean is taken off; back in the picture, with the phase kept, the square of what is left stands out where the
+  picture is unlike itself elsewhere. It would lift noise to the full: so the picture's mean is taken off
+  before, and amplitudes are weighted by A / (A + `NOISE_LEVEL`), in units of white noise.
+- *Centre-surround contrast* of luminance and of the colour opponents R - G and B - (R + G) / 2 (after Itti,
+  Koch & Niebur, TPAMI 1998): the difference of a narrow and a wide mean, without a sign, the sum of the
+  three.
 - *Temporal contrast*: the same three against their own mean over the past `MEMORY_S` seconds, for what moves.
 
-Each part is divided by its peak of the past, which rises at once and fades over `FADE_S` seconds, and is never below
-a part's `FLOORS`; then the parts are averaged and divided by the peak of the average in the same way. So a map lies
-in 0..1, and frame t needs frames 0..t alone: the model can be run on a live picture (`SaliencyModel.update`).
+Each part is divided by its peak of the past, which rises at once and fades over `FADE_S` seconds, and is
+never below a part's `FLOORS`; then the parts are averaged and divided by the peak of the average in the same
+way. So a map lies in 0..1, and frame t needs frames 0..t alone: the model can be run on a live picture
+(`SaliencyModel.update`).
 """
 
 from __future__ import annotations
@@ -54,9 +58,13 @@ THICKNESS: Final = 0.05  # of the plate, as a share of its longer side
 MEMORY_S: Final = 0.3  # of the mean against which movement is seen: a few frames of a film
 FADE_S: Final = 2.0  # in which a peak of the past fades to 1/e
 FLOORS: Final = (0.02, 0.15, 0.15)
-"""Least peaks of spectral residual, centre-surround and temporal contrast; 1 is the step from black to white."""
+"""Least peaks of spectral residual, centre-surround and temporal contrast; 1 is the step from black to white.
 
-NOISE_LEVEL: Final = 0.02  # standard deviation of white noise that is not worth attention, of 1: 5 of 255 grey levels
+"""
+
+NOISE_LEVEL: Final = (
+    0.02  # standard deviation of white noise that is not worth attention, of 1: 5 of 255 grey levels
+)
 _LEAST_TOTAL: Final = 1 / 3  # of the averaged parts: one part alone at its peak
 _CENTRE_PX, _SURROUND_PX, _RESIDUAL_PX = 1.5, 8.0, 2.0  # standard deviations
 _LEAST: Final = 1e-6  # saliency that is none
@@ -66,8 +74,9 @@ _LEAST: Final = 1e-6  # saliency that is none
 class SaliencyModel:
     """The model at a rate in pictures a second; it is never changed, so that any moment of it can be kept.
 
-    `mean` float32 [3, height, width] is that of luminance and colour opponents so far, None before the first picture;
-    `peaks` are the faded ones of spectral residual, centre-surround, temporal contrast, and of their average.
+    `mean` float32 [3, height, width] is that of luminance and colour opponents so far, None before the first
+    picture; `peaks` are the faded ones of spectral residual, centre-surround, temporal contrast, and of their
+    average.
     """
 
     rate_hz: float
@@ -92,7 +101,9 @@ class SaliencyModel:
         now = np.stack([0.299 * r + 0.587 * g + 0.114 * b, r - g, b - (r + g) / 2]).astype(np.float32)
         mean = now if self.mean is None else self.mean
         if mean.shape != now.shape:
-            raise InvalidArgument("picture", f"size {now.shape[1:]} of the map", f"{mean.shape[1:]}, as before")
+            raise InvalidArgument(
+                "picture", f"size {now.shape[1:]} of the map", f"{mean.shape[1:]}, as before"
+            )
         around = np.abs(smoothed(now, _CENTRE_PX) - smoothed(now, _SURROUND_PX)).sum(axis=0)
         moves = gaussian_filter(np.abs(now - mean).sum(axis=0), 1.0, mode="nearest")
         parts = [_spectral_residual(now[0]), around, moves]
@@ -138,15 +149,19 @@ class SaliencyMaps(InOrder):
 class SaliencyScene(Scene):
     """The saliency of pictures over time as a plate of force; see the module.
 
-    `pictures` have the size of the originals; their values are sRGB, uint8 [height, width, 3], reduced or not.
-    `source_rate_hz` is pictures a second; `rate_hz` frames a second of the scene, where it is to differ: a frame
-    shows the latest picture.
+    `pictures` have the size of the originals; their values are sRGB, uint8 [height, width, 3], reduced or
+    not. `source_rate_hz` is pictures a second; `rate_hz` frames a second of the scene, where it is to differ:
+    a frame shows the latest picture.
     """
 
     tags = ("symbolic",)
 
     def __init__(
-        self, pictures: Frames, source_rate_hz: float, rate_hz: float | None = None, notes: tuple[str, ...] = ()
+        self,
+        pictures: Frames,
+        source_rate_hz: float,
+        rate_hz: float | None = None,
+        notes: tuple[str, ...] = (),
     ) -> None:
         self.maps = SaliencyMaps(pictures, source_rate_hz)
         self.axes, self.notes = UP_Y_AXES, notes
@@ -156,7 +171,9 @@ class SaliencyScene(Scene):
         self._step = source_rate_hz / self.rate_hz  # pictures in a frame
         if count > 1 and count / self._step > MAX_FRAMES:
             found = f"{self.rate_hz:g} Hz: {count / self._step:.3g} frames"
-            raise InvalidArgument("rate_hz", found, f"at most {MAX_FRAMES} frames", "Ask for a lower --rate-hz.")
+            raise InvalidArgument(
+                "rate_hz", found, f"at most {MAX_FRAMES} frames", "Ask for a lower --rate-hz."
+            )
         self.frame_count = max(1, round(count / self._step)) if count > 1 else 1
         width, height = pictures.size
         longer = max(width, height)
@@ -189,7 +206,9 @@ class SaliencyScene(Scene):
         image *= max(abs(c + s * x) for a, b, c, s in profile.pieces for x in (a, b) if np.isfinite(x))
         slab = np.abs(zs) <= half_m[2]
         image, slab = (np.pad(part, [(0, -n % BRICK) for n in part.shape]) for part in (image, slab))
-        bricks = bricks_near(lambda centres, radius_m: (np.abs(centres) <= half_m + radius_m).all(axis=1), grid)
+        bricks = bricks_near(
+            lambda centres, radius_m: (np.abs(centres) <= half_m + radius_m).all(axis=1), grid
+        )
         i, j, k = (bricks[:, axis, None] * BRICK + np.arange(BRICK) for axis in range(3))
         forces = zero_forces(len(bricks))
         forces[..., 2] = image[i[:, :, None, None], j[:, None, :, None]] * slab[k][:, None, None]
@@ -199,7 +218,10 @@ class SaliencyScene(Scene):
 def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
     """A video, a folder of pictures in the order of their numbers, or a picture."""
     if options.kind is None and options.depth_scale is not None:
-        found, mend = "an ordinary picture or video of 8 bits", "Name its kind with --as saliency if that is meant."
+        found, mend = (
+            "an ordinary picture or video of 8 bits",
+            "Name its kind with --as saliency if that is meant.",
+        )
         raise SourceError(str(path), found, "16-bit grey depth, as --depth-scale says", mend)
     with readable(path, "files that can be read"):
         if path.is_dir():
@@ -215,7 +237,10 @@ def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
             pictures = moving.ColourVideo(path)
         else:
             pictures = moving.ColourPictures((path,))
-    note = "Symbolic: forces tell where the picture catches the eye, and no surface; a point device feels a slab."
+    note = (
+        "Symbolic: forces tell where the picture catches the eye, and no surface; a point device feels a "
+        "slab."
+    )
     return SaliencyScene(pictures, pictures.rate_hz or source_rate(options), options.rate_hz, (note,))
 
 
@@ -227,7 +252,8 @@ def _recognise(path: Path) -> bool:
 
 KIND = SourceKind(
     "saliency",
-    "ordinary video (MKV, AVI, MOV, MP4, GIF; extra: video), or with --as saliency pictures or a folder of them: "
+    "ordinary video (MKV, AVI, MOV, MP4, GIF; extra: video), or with --as saliency pictures or a folder of "
+    "them: "
     "what catches the eye, for arrays of actuators",
     _recognise,
     open_saliency,

@@ -16,13 +16,15 @@ _STEEP = 0.05  # no direction is less outward
 class Fits(NamedTuple):
     """Evidence of the columns of a row, and room for what one of them speaks for."""
 
-    forces: Float32s  # [columns, depth, 4]; across, across, outward, the length; units, from outside to inside
+    forces: (
+        Float32s  # [columns, depth, 4]; across, across, outward, the length; units, from outside to inside
+    )
     mask: Float64s  # [2]; k, and F_0 in units
     ramp: Float64s  # [2]; the force deep inside, units, and the growth of its share from sample to sample
     span: Int64s  # [2]; the first sample with a force, and that from which on it is constant
     surfaces: Float64s  # [3, 4]; X, Y, Z, A of the one surface, and of two; A is 0 where it cannot be told
-    # weights, one, two, rest: [depth], [3], [3], [depth, 3]; what the samples weigh, directions, and what the first
-    # of two surfaces leaves
+    # weights, one, two, rest: [depth], [3], [3], [depth, 3]; what the samples weigh, directions, and what the
+    # first of two surfaces leaves
     weights: Float64s
     one: Float64s
     two: Float64s
@@ -161,8 +163,8 @@ def _cost(columns, at, fits, n, enough):
 def _try(columns, at, fits, n, own, best):
     """Set the column's surfaces as ``columns.told`` says, and return the bits that this takes, about.
 
-    Bits 0, 1, 2 of `own` tell whether the direction, the start and the amplitude of the last surface are as fitted,
-    else as expected; those of the first one of two are as fitted.
+    Bits 0, 1, 2 of `own` tell whether the direction, the start and the amplitude of the last surface are as
+    fitted, else as expected; those of the first one of two are as fitted.
     """
     r, expected, count, mode = columns.residuals, columns.expected, columns.told[0], columns.told[1]
     columns.surfaces[at + 1, _A] = 0

@@ -20,7 +20,9 @@ _SPARE = 16  # bytes that a code may seem to go on behind its end
 
 @lean
 def code_brick(bits, last, state):
-    """State of a brick that the reference knows: 0 coded, 1 coded with the reference followed, 2 as the reference."""
+    """State of a brick that the reference knows: 0 coded, 1 coded with the reference followed, 2 as the
+    reference.
+    """
     if code(bits, _BRICK + last, np.int64(state == 2)):
         return np.int64(2)
     return code(bits, _BRICK + 4 + last, state)
@@ -71,7 +73,9 @@ def near_of(window, here):
 
 @lean
 def then_of(old, here, known):
-    """Opinion of the reference on a voxel: 0 nothing, 1 to 3 no force, 4 to 6 a force, with few or many around."""
+    """Opinion of the reference on a voxel: 0 nothing, 1 to 3 no force, 4 to 6 a force, with few or many
+    around.
+    """
     if not known:
         return np.int64(0)
     about = np.int64(0)
@@ -89,7 +93,11 @@ def _around(old, here):
     out = np.int64(old[here * 4 + 3] > 0)
     for axis in range(3):
         step = here - before(here, axis)
-        out = out << 2 | np.int64(old[(here - step) * 4 + 3] > 0) << 1 | np.int64(old[(here + step) * 4 + 3] > 0)
+        out = (
+            out << 2
+            | np.int64(old[(here - step) * 4 + 3] > 0) << 1
+            | np.int64(old[(here + step) * 4 + 3] > 0)
+        )
     return out
 
 
@@ -99,7 +107,10 @@ def look_at_support(bits, work, here, near, then):
     window = work.window
     deep, up, left = here - ws.DEEP, here - ws.UP, here - ws.LEFT
     mask = (
-        near | held(window, deep + ws.UP) << 3 | held(window, deep + ws.LEFT) << 4 | held(window, up + ws.LEFT) << 5
+        near
+        | held(window, deep + ws.UP) << 3
+        | held(window, deep + ws.LEFT) << 4
+        | held(window, up + ws.LEFT) << 5
     )
     wide = held(window, deep - ws.UP) | held(window, deep - ws.LEFT) << 1 | held(window, up - ws.LEFT) << 2
     wide |= held(window, deep - ws.DEEP) << 3 | held(window, left - ws.LEFT) << 4

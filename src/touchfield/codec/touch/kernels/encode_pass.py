@@ -19,7 +19,9 @@ _LARGER = 0.3  # of the bits, about, of a component that is not zero: those of e
 
 
 class Limits(NamedTuple):
-    """Bounds of an error, newtons or units; of the passes, less what rounding costs (`frame_encoder.limits_for`)."""
+    """Bounds of an error, newtons or units; of the passes, less what rounding costs
+    (`frame_encoder.limits_for`).
+    """
 
     k: float
     f0: float
@@ -34,7 +36,9 @@ def _size_of(f):
 
 @lean
 def ratio2(f, d0, d1, d2, hidden, rule):
-    """The square of |error| / allowed where (d0, d1, d2) stands for `f`, of whose error forces around hide a part."""
+    """The square of |error| / allowed where (d0, d1, d2) stands for `f`, of whose error forces around hide a
+    part.
+    """
     error2 = (d0 - f[0]) ** 2 + (d1 - f[1]) ** 2 + (d2 - f[2]) ** 2
     if error2 == 0.0:
         return 0.0
@@ -58,7 +62,10 @@ def kept(d0, d1, d2, f, rule):
     """
     if rule.exact and (d0 != 0 or d1 != 0 or d2 != 0) != (f[0] != 0 or f[1] != 0 or f[2] != 0):
         return False
-    return ratio2(f, np.float64(d0), np.float64(d1), np.float64(d2), f[3] if f.shape[0] == 4 else 0.0, rule) <= 1.0
+    return (
+        ratio2(f, np.float64(d0), np.float64(d1), np.float64(d2), f[3] if f.shape[0] == 4 else 0.0, rule)
+        <= 1.0
+    )
 
 
 @lean
@@ -69,9 +76,15 @@ def choose(law, work, f, rule):
     """
     rows, level, best = work.rows, work.of[voxel.LEVEL], np.inf
     rows[ws.STEPS] = 0
-    along = (f[0] * rows[ws.AXES + 0, 0] + f[1] * rows[ws.AXES + 0, 1] + f[2] * rows[ws.AXES + 0, 2]) / 16384.0
-    across_1 = (f[0] * rows[ws.AXES + 1, 0] + f[1] * rows[ws.AXES + 1, 1] + f[2] * rows[ws.AXES + 1, 2]) / 16384.0
-    across_2 = (f[0] * rows[ws.AXES + 2, 0] + f[1] * rows[ws.AXES + 2, 1] + f[2] * rows[ws.AXES + 2, 2]) / 16384.0
+    along = (
+        f[0] * rows[ws.AXES + 0, 0] + f[1] * rows[ws.AXES + 0, 1] + f[2] * rows[ws.AXES + 0, 2]
+    ) / 16384.0
+    across_1 = (
+        f[0] * rows[ws.AXES + 1, 0] + f[1] * rows[ws.AXES + 1, 1] + f[2] * rows[ws.AXES + 1, 2]
+    ) / 16384.0
+    across_2 = (
+        f[0] * rows[ws.AXES + 2, 0] + f[1] * rows[ws.AXES + 2, 1] + f[2] * rows[ws.AXES + 2, 2]
+    ) / 16384.0
     reached = ws.level_of(min(np.int64(round(abs(along))), np.int64((1 << 18) - 1)), law.border)
     n0 = np.int64(round(((reached if along >= 0 else -reached) - level) / 256.0))
     for i in range(3):
@@ -103,8 +116,8 @@ def _account(bits, prices, kind):
 def encode_bricks(bits, scan, law, work, forces, rule, prices):
     """Code forces, units float64 [n, 512, 3] in scan order.
 
-    With spatial masking they are [n, 512, 4], see `kept`. ``scan.cells`` takes what the decoder will hold, and
-    `prices`, float64 [4], the bits of support, amplitude and direction, and their sum.
+    With spatial masking they are [n, 512, 4], see `kept`. ``scan.cells`` takes what the decoder will hold,
+    and `prices`, float64 [4], the bits of support, amplitude and direction, and their sum.
     """
     last = np.int64(0)
     for n in range(scan.near.shape[0]):
@@ -176,11 +189,11 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
 def compare(mine, forces, theirs, other, rule, hidden, beyond):
     """An original beside what a decoder makes of it, voxel by voxel of both supports, in float64.
 
-    `mine` and `theirs` are the places of the same bricks in both, int64 [n], -1 where one has none, so that all is
-    zero; `rule` are `Limits` in newtons; `hidden` what forces around hide, newtons, float32 [bricks of the original,
-    512], or [0, 512]. `beyond`, bool [n, 512], False before, takes the voxels that break the rule. Returns the square
-    of the largest share of what is allowed, where in `beyond` that is, and how many voxels with a force are within
-    the rule, and decoded ones have a force.
+    `mine` and `theirs` are the places of the same bricks in both, int64 [n], -1 where one has none, so that
+    all is zero; `rule` are `Limits` in newtons; `hidden` what forces around hide, newtons, float32 [bricks of
+    the original, 512], or [0, 512]. `beyond`, bool [n, 512], False before, takes the voxels that break the
+    rule. Returns the square of the largest share of what is allowed, where in `beyond` that is, and how many
+    voxels with a force are within the rule, and decoded ones have a force.
     """
     worst, where, within, decoded = 0.0, -1, 0, 0
     for n in range(mine.shape[0]):

@@ -26,10 +26,12 @@ CONTEXTS, SETS = _TABLE + _SIZE, _SETS + 96 + ROWS
 class Frame(NamedTuple):
     """The samples of a frame, in b bricks of 512."""
 
-    # [b, 27]; places in the list of a brick and of those around it, x slowest; -1 of those not listed, or told later
+    # [b, 27]; places in the list of a brick and of those around it, x slowest; -1 of those not listed, or
+    # told later
     near: Int64s
     inside: Int64s  # [b, 3]; samples of a brick within the grid
-    # symbols, before: [b * 512, planes]; of each sample, and of the same one in the frame before; -1 without a force
+    # symbols, before: [b * 512, planes]; of each sample, and of the same one in the frame before; -1 without
+    # a force
     symbols: Int64s
     before: Int64s
     sizes: Int64s  # [planes]; how many symbols there are
@@ -114,7 +116,9 @@ def _sample(bits, f, slot):
         first = np.int64(c == _NONE)
         if first or (f.rows[c, 0] >= 0 and same & ((1 << c) - 2) == 0):
             bits.inputs[0] = _context(np.int64(c), same >> 1)
-            bits.inputs[1] = _context(_hash(np.int64(16 + c), same >> 1 & 31), _alike(f.rows, np.int64(2)) >> 1)
+            bits.inputs[1] = _context(
+                _hash(np.int64(16 + c), same >> 1 & 31), _alike(f.rows, np.int64(2)) >> 1
+            )
             alike = mix(bits, np.int64(2), _SETS + 96 + c, same & 1)
             f.spent[1 - first] += price(bits) - spent
             spent = price(bits)

@@ -1,7 +1,7 @@
 """Compiled code of the guesses, the same in both directions: nodes of a spline; columns and their forces.
 
-Of columns positions are in 1/256 samples from outside to inside, directions in 1/16384, shares in 1/65536. No product
-reaches 2^62.
+Of columns positions are in 1/256 samples from outside to inside, directions in 1/16384, shares in 1/65536. No
+product reaches 2^62.
 """
 
 from __future__ import annotations
@@ -56,8 +56,9 @@ def _node_residual(bits, at, r):
 def code_nodes(bits, at, before, step, values, sizes):
     """Tell nodes one after the other, each in multiples of `step` from what is expected; contexts begin `at`.
 
-    `before`, int64 [n, 6], are the nodes before each one along x, y, z, xy, yz, zx, -1 where none is told; `values`,
-    int64 [n], coefficients: a writer's are replaced by what a reader will have; `sizes`, int64 [n], room.
+    `before`, int64 [n, 6], are the nodes before each one along x, y, z, xy, yz, zx, -1 where none is told;
+    `values`, int64 [n], coefficients: a writer's are replaced by what a reader will have; `sizes`, int64 [n],
+    room.
     """
     for n in range(values.shape[0]):
         near, near_class = np.int64(0), np.int64(0)
@@ -78,7 +79,9 @@ def code_nodes(bits, at, before, step, values, sizes):
 TOP, RAMP, RATIO_A, RATIO_B, XY_STEP, Z_STEP, A_STEP = range(7)  # whole numbers that all columns share
 HEADS: Final = (1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16)  # what they are below
 X, Y, Z, A, U, NUMBERS = 0, 1, 2, 3, 4, 11
-"""Of a surface: four numbers that are told, the direction (along a, b and outward), and the four residuals' sizes."""
+"""Of a surface: four numbers that are told, the direction (along a, b and outward), and the four residuals'
+sizes.
+"""
 _SIZES = 7
 
 MODES: Final = 4
@@ -102,7 +105,8 @@ class Columns(NamedTuple):
     surfaces: Int64s  # [2 columns, NUMBERS]; two of each column; A is 0 where there is none
     row: int  # surfaces from a row to the next
     heads: Int64s  # [7]
-    # [4]; of the column at hand: how many surfaces, the mode of prediction, and the surfaces to the west and north
+    # [4]; of the column at hand: how many surfaces, the mode of prediction, and the surfaces to the west and
+    # north
     told: Int64s
     residuals: Int64s  # [2, 4]; of X, Y, Z, A of these, in steps
     expected: Int64s  # [4]
@@ -126,10 +130,17 @@ def _rise(surface, axis, heads):
 def expect(columns, at, slot):
     """Set ``columns.expected`` of a surface of the column at `at`.
 
-    The first one continues those to the west and north (mode 0), west (1), north (2), or a second one (3); the second
-    one continues second ones, or lies behind the first. Of two beside X and Y lie between their mean and their plane.
+    The first one continues those to the west and north (mode 0), west (1), north (2), or a second one (3);
+    the second one continues second ones, or lies behind the first. Of two beside X and Y lie between their
+    mean and their plane.
     """
-    surfaces, row, heads, told, out = columns.surfaces, columns.row, columns.heads, columns.told, columns.expected
+    surfaces, row, heads, told, out = (
+        columns.surfaces,
+        columns.row,
+        columns.heads,
+        columns.told,
+        columns.expected,
+    )
     west, north = at - 2 + slot, at - row + slot
     mode = told[1] if slot == 0 else np.int64(0)
     if mode == 3:
@@ -259,7 +270,9 @@ def code_column(bits, columns, place):
             sizes = 6 * (west[_SIZES + c] if west[A] else 5) + (north[_SIZES + c] if north[A] else 5)
             kind = _NUMBER + 4 * (count - 1 + slot) + c
             r[slot, c] = _number(bits, kind, sizes, 4 * near + few, r[slot, c])
-            near = min(abs(r[slot, c]), np.int64(3)) if c != Y else max(near, min(abs(r[slot, c]), np.int64(3)))
+            near = (
+                min(abs(r[slot, c]), np.int64(3)) if c != Y else max(near, min(abs(r[slot, c]), np.int64(3)))
+            )
             if c == Y:
                 turn(columns, place, np.int64(slot))
         set_surface(columns, place, np.int64(slot))
@@ -283,8 +296,9 @@ def share_at(surface, t, heads):
 def fill_bricks(begin, end, places, view, columns, out):
     """Forces of bricks begin to end - 1: ``out[n, i, j, k, component]``, int32, zero before.
 
-    `places`, int64 [bricks, 2], tells the first of a brick's columns, and its first sample in the grid's sense;
-    `view` the samples of a column, whether these are against the grid's sense, and the axes, int64 [3].
+    `places`, int64 [bricks, 2], tells the first of a brick's columns, and its first sample in the grid's
+    sense; `view` the samples of a column, whether these are against the grid's sense, and the axes, int64
+    [3].
     """
     depth, inverted, order = view
     heads = columns.heads

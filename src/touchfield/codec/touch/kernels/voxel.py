@@ -1,10 +1,12 @@
-"""Prediction of a voxel from the neighbours decoded before it and from the reference, and the code of its residual.
+"""Prediction of a voxel from the neighbours decoded before it and from the reference, and the code of its
+residual.
 
-Two opinions: the *chain* follows the force law from one neighbour, or takes the reference as it is, so that it
-inherits an error and stays within a relative mask for long; the *blend* is the mean of the neighbours, corrected by
-weights that learn from each voxel. Where nothing is to be followed, the blend is what is expected. What does not
-stand still is told about the blend, in steps along and across it (docs/format/touch.md, "Residual"). Each bit is
-mixed from several contexts, made of how the neighbours were corrected and of where other predictions lie.
+Two opinions: the *chain* follows the force law from one neighbour, or takes the reference as it is, so that
+it inherits an error and stays within a relative mask for long; the *blend* is the mean of the neighbours,
+corrected by weights that learn from each voxel. Where nothing is to be followed, the blend is what is
+expected. What does not stand still is told about the blend, in steps along and across it
+(docs/format/touch.md, "Residual"). Each bit is mixed from several contexts, made of how the neighbours were
+corrected and of where other predictions lie.
 """
 
 from __future__ import annotations
@@ -78,8 +80,8 @@ def _off(window, old, at, law):
 def _gather(work, here):
     """Fill in the features; whether the reference holds a force.
 
-    0 to 10: how cells before differ from the base, and from those before them, none where one is none; 11 and 12: the
-    reference less the base, and how much the neighbours differ from theirs on the mean.
+    0 to 10: how cells before differ from the base, and from those before them, none where one is none; 11 and
+    12: the reference less the base, and how much the neighbours differ from theirs on the mean.
     """
     window, old, rows = work.window, work.old, work.rows
     for n in range(11):
@@ -108,7 +110,9 @@ def _gather(work, here):
 
 @inlined
 def _mean(law, work, here, near):
-    """The base: the mean direction of the neighbours, as long as the law makes likely; returns the step there."""
+    """The base: the mean direction of the neighbours, as long as the law makes likely; returns the step
+    there.
+    """
     window, rows = work.window, work.rows
     total = likely = count = np.int64(0)
     rows[ws.BASE] = 0
@@ -147,7 +151,8 @@ def _corrected(work, kind, step):
 def expect(law, work, here, near, trusted):
     """Put the two opinions of a voxel into the rows `EXPECTED` and `BLEND`.
 
-    `near` tells which neighbours across a face hold a force, bits 0 to 2; `trusted`: the reference is followed.
+    `near` tells which neighbours across a face hold a force, bits 0 to 2; `trusted`: the reference is
+    followed.
     """
     window, old, rows, of = work.window, work.old, work.rows, work.of
     known = old[here * 4 + 3] > 0
@@ -177,7 +182,9 @@ def expect(law, work, here, near, trusted):
 
 @lean
 def learn(work):
-    """Move the weights of the blend towards the row `VECTOR`, which was decoded (normalised least mean squares)."""
+    """Move the weights of the blend towards the row `VECTOR`, which was decoded (normalised least mean
+    squares).
+    """
     kind = work.of[_CORRECTED]
     for k in range(3):
         work.rows[ws.LAST, k] = work.rows[ws.VECTOR, k]
@@ -195,9 +202,9 @@ def learn(work):
             work.weights[kind, n] = ws.bounded(weight, _WEIGHT_LIMIT)
 
 
-# Contexts of a bit of each kind. Of zero, sign and size there are three, one for each component: two pairs of other
-# predictions, 256 contexts each (of zero once more where residuals around are large), and what is nearest, 64; of a
-# size, 16 steps times 8 classes of sizes, and times 64.
+# Contexts of a bit of each kind. Of zero, sign and size there are three, one for each component: two pairs of
+# other predictions, 256 contexts each (of zero once more where residuals around are large), and what is
+# nearest, 64; of a size, 16 steps times 8 classes of sizes, and times 64.
 _STILL = np.array([0, 512, 1024], np.int64)
 _ZERO = 1024 + 4096
 _TABLE = 5 * 256
@@ -210,9 +217,9 @@ SETS = _SET_SIZE + 48  # sets of weights: of still from 0 on
 _UNARY = 14  # steps told one by one; the rest in Elias' gamma code
 
 _LOUD, _NEAR, _CLASS_0, _CLASS_1, _QUIET, _APART, _STEP, LEVEL, BASED = range(9)
-"""Places in ``Work.of``: the length, in 1/16 of the top; neighbours across a face that hold a force; classes of the
-sizes of their residuals along, across, and in all; how far the opinions lie apart; the step at what is expected, and
-then at the centre; the centre's level; whether anything was followed."""
+"""Places in ``Work.of``: the length, in 1/16 of the top; neighbours across a face that hold a force; classes
+of the sizes of their residuals along, across, and in all; how far the opinions lie apart; the step at what is
+expected, and then at the centre; the centre's level; whether anything was followed."""
 
 _CLASS = np.array([0, 1, 2, 2] + 3 * [3] + 4 * [4] + 5 * [5] + 8 * [6] + 8 * [7], np.int64)
 """Class of a mean size of residuals, in quarters."""
@@ -249,7 +256,9 @@ def _length(rows, row):
 def _side(d):
     """Class of a distance along an axis, in quarters of a step: 0 to 14, 7 is none."""
     a = abs(d)
-    size = a if a < 3 else (3 if a < 5 else (4 if a < 8 else (5 if a < 12 else (6 if a < 20 else np.int64(7)))))
+    size = (
+        a if a < 3 else (3 if a < 5 else (4 if a < 8 else (5 if a < 12 else (6 if a < 20 else np.int64(7)))))
+    )
     return 7 - size if d < 0 else 7 + size
 
 
@@ -338,7 +347,9 @@ def place(law, work, r0, r1, r2):
 def _pairs(bits, work, c, table):
     """Contexts of where the other predictions lie along axis c, two by two."""
     for n in range(2):
-        bits.inputs[n] = table + (n << 8 | work.rows[ws.SIDES + 2 * n, c] << 4 | work.rows[ws.SIDES + 2 * n + 1, c])
+        bits.inputs[n] = table + (
+            n << 8 | work.rows[ws.SIDES + 2 * n, c] << 4 | work.rows[ws.SIDES + 2 * n + 1, c]
+        )
 
 
 @inlined
@@ -362,8 +373,13 @@ def code_step(bits, work, c):
     for k in range(3):
         d += work.rows[ws.APART, k] * work.rows[ws.AXES + c, k]
     d >>= 14
-    toward, side = _digits((abs(d) << 3) // of[_STEP]), np.int64(d < 0)  # how far off the other opinion is, and where
-    if of[BASED] or c < 2 or rows[ws.STEPS, 0] != 0 or rows[ws.STEPS, 1] != 0:  # else it did not stand for this one
+    toward, side = (
+        _digits((abs(d) << 3) // of[_STEP]),
+        np.int64(d < 0),
+    )  # how far off the other opinion is, and where
+    if (
+        of[BASED] or c < 2 or rows[ws.STEPS, 0] != 0 or rows[ws.STEPS, 1] != 0
+    ):  # else it did not stand for this one
         group, table = of[_CLASS_0] if c == 0 else of[_CLASS_1], _ZERO + c * _TABLE
         _pairs(bits, work, c, table + (group >> 2 << 9))
         bits.inputs[2] = table + 1024 + (toward << 3 | of[_APART])

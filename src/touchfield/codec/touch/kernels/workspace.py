@@ -1,15 +1,15 @@
 """Room of a pass: what a frame is walked by, the law it follows, and the window over it in scan order.
 
-A frame is kept in the coordinates of its scan: axis 0 is the slowest, and the scan runs along each axis the way the
-force points, so from deep to shallow; components are turned alike. A cell has eight numbers: the vector, its length
-(0: no force), the length that the force law makes likely one step on along each axis, and the sizes of its residual.
-A cell of the reference has four: the vector and its length. The window holds 12 cells an axis, the brick's own from
-`LOW` on, so that all that predicts a voxel is found at fixed distances, also across the brick's faces; what is not
-known yet has length 0.
+A frame is kept in the coordinates of its scan: axis 0 is the slowest, and the scan runs along each axis the
+way the force points, so from deep to shallow; components are turned alike. A cell has eight numbers: the
+vector, its length (0: no force), the length that the force law makes likely one step on along each axis, and
+the sizes of its residual. A cell of the reference has four: the vector and its length. The window holds 12
+cells an axis, the brick's own from `LOW` on, so that all that predicts a voxel is found at fixed distances,
+also across the brick's faces; what is not known yet has length 0.
 
-The geometry of residuals is of whole numbers only, the same on every machine. A residual (r0, r1, r2) is a step along
-the prediction, in a warped amplitude, and two across it. Vectors have 18 bits and a sign, their squares 37; no
-intermediate reaches 2^53, so that doubles of JavaScript hold them.
+The geometry of residuals is of whole numbers only, the same on every machine. A residual (r0, r1, r2) is a
+step along the prediction, in a warped amplitude, and two across it. Vectors have 18 bits and a sign, their
+squares 37; no intermediate reaches 2^53, so that doubles of JavaScript hold them.
 """
 
 from __future__ import annotations
@@ -24,17 +24,19 @@ from touchfield.compute.jit import entry, inlined, lean
 FEATURES = 13  # differences of neighbours that the blend is made of
 # sets of weights of the blend: which neighbours across a face hold a force, and whether the reference does
 CLASSES = 16
-ALTERNATIVES = 4  # other predictions, of which the contexts of a residual know how far they lie from its centre
+ALTERNATIVES = (
+    4  # other predictions, of which the contexts of a residual know how far they lie from its centre
+)
 _CELLS = 12**3
 
 EXPECTED, BLEND, BASE, LAST, OTHER, APART, CENTRE, AXES, STEPS, VECTOR, SIDES, FEATURE = (
     0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 12, 12 + ALTERNATIVES,
 )  # fmt: skip
 ROWS = FEATURE + FEATURES
-"""Rows of a workspace, three whole numbers each, units: the two opinions; what the weights correct; the vector
-decoded last; room for another one; from what is taken to the other opinion; what the residual is about; its three
-axes, 1/16384; the residual, and the vector that it makes; classes of the distances of other predictions from the
-centre along the axes; and the features of the blend, 1/256 steps."""
+"""Rows of a workspace, three whole numbers each, units: the two opinions; what the weights correct; the
+vector decoded last; room for another one; from what is taken to the other opinion; what the residual is
+about; its three axes, 1/16384; the residual, and the vector that it makes; classes of the distances of other
+predictions from the centre along the axes; and the features of the blend, 1/256 steps."""
 
 
 class Scan(NamedTuple):
@@ -80,12 +82,18 @@ def fresh_work(weights: Int64s) -> Work:
 SIDE, LOW = 12, 2
 DEEP, UP, LEFT = SIDE * SIDE, SIDE, 1  # distances of the voxels before, along the three axes of the scan
 WIDTH = 8
-LENGTH, AHEAD, SIZES = 3, 4, 7  # places in a cell: the length, the three lengths ahead, the sizes of the residual
+LENGTH, AHEAD, SIZES = (
+    3,
+    4,
+    7,
+)  # places in a cell: the length, the three lengths ahead, the sizes of the residual
 
 
 @lean
 def root(n):
-    """floor(sqrt(n)) of 0 <= n < 2^52: the root of IEEE 754 is rounded to the nearest, never up to a whole number."""
+    """floor(sqrt(n)) of 0 <= n < 2^52: the root of IEEE 754 is rounded to the nearest, never up to a whole
+    number.
+    """
     return np.int64(np.sqrt(np.float64(n)))
 
 
@@ -186,7 +194,9 @@ def step_at(a, floor, rate):
 
 @lean
 def axes_along(rows, length):
-    """Three unit vectors, 1/16384, along the row `CENTRE` of a length >= 1 and across, into rows from `AXES` on."""
+    """Three unit vectors, 1/16384, along the row `CENTRE` of a length >= 1 and across, into rows from `AXES`
+    on.
+    """
     e, h = rows[AXES], rows[AXES + 1]
     inverse = (np.int64(1) << 44) // length
     for k in range(3):
@@ -213,7 +223,9 @@ def rebuild(along, s1, s2, rows):
 
 @entry
 def turned(vectors, slots, axes, down, scale, out):
-    """``out[slots[n]]`` is brick n of the grid in a scan, or back, times `scale`; `axes` and `down` tell the way."""
+    """``out[slots[n]]`` is brick n of the grid in a scan, or back, times `scale`; `axes` and `down` tell the
+    way.
+    """
     for n in range(slots.shape[0]):
         for at in range(512):
             place = 0

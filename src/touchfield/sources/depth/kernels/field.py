@@ -1,6 +1,7 @@
 """Compiled loops of the depth reading: which bricks lie near the planes of a depth map, and their forces.
 
-The force is told in `touchfield.sources.depth.depth_scene`, and how the loops are laid out in `planes` beside this file.
+The force is told in `touchfield.sources.depth.depth_scene`, and how the loops are laid out in `planes` beside
+this file.
 """
 
 from __future__ import annotations
@@ -34,9 +35,13 @@ class Query(NamedTuple):
     """A depth map's planes and the lattice on which their force is asked for."""
 
     surface: SurfacePlanes
-    lattice_m: Float64s  # [4, 3], camera axes: sample (0, 0, 0), and the steps along the three axes of the grid
+    lattice_m: (
+        Float64s  # [4, 3], camera axes: sample (0, 0, 0), and the steps along the three axes of the grid
+    )
     shape: tuple[int, int, int]  # its samples
-    offsets_m: Float32s  # [1536], of a brick's samples relative to its first, camera axes: x of all, then y, then z
+    offsets_m: (
+        Float32s  # [1536], of a brick's samples relative to its first, camera axes: x of all, then y, then z
+    )
     turn: Float32s  # [3, 3], from camera axes to those of the force
     pieces: Float32s  # [n, 4], the force profile
     reach: Float32s  # [2], m along the ray in front of and behind a plane
@@ -47,7 +52,8 @@ class Query(NamedTuple):
 def _box_in_view(x0, y0, z0, corners, query):
     """Nearest and farthest z of a box, and the pixels u0, u1, v0, v1 that it may fall on.
 
-    Nothing (z from 1 to 0) where the box lies before all that pushes, behind the camera or beside the picture.
+    Nothing (z from 1 to 0) where the box lies before all that pushes, behind the camera or beside the
+    picture.
     """
     camera, (height, width) = query.surface.camera_px, query.surface.size_px
     z_low = z0 + corners[8, 2]
@@ -100,7 +106,9 @@ def _may_hold(begin, end, nodes, span, corners, query, hits):
 
 @inner(fastmath={"contract"}, error_model="numpy", forceinline=True)
 def pixel_of(x, y, z, fx, fy, cx, cy, height, width):
-    """The pixel on which a point in camera axes falls; the one behind the last where it falls beside the picture."""
+    """The pixel on which a point in camera axes falls; the one behind the last where it falls beside the
+    picture.
+    """
     per_z = _1 / z
     u = x * per_z * fx + cx
     v = y * per_z * fy + cy
@@ -219,7 +227,8 @@ def _fill(begin, end, nodes, query, out):
         _write(r, query.turn, out[1536 * n : 1536 * n + 1536])
 
 
-# -- the same on a GPU: a sample, or some of a brick, a thread -------------------------------------------------------
+# -- the same on a GPU: a sample, or some of a brick, a thread
+# -------------------------------------------------------
 @inner(forceinline=True)
 def _is_beyond(brick, s, shape):
     """True if a sample of a brick lies beyond the grid."""
@@ -246,9 +255,11 @@ def _force_of_sample(first, s, query):
 
 @kernel
 def _each_holds(begin, end, start, shape, corners, query, hits):
-    """Of a grid of `shape` bricks, from number `start` on: eight threads a brick, each at every eighth sample.
+    """Of a grid of `shape` bricks, from number `start` on: eight threads a brick, each at every eighth
+    sample.
 
-    To see the boxes of all takes less than to halve blocks. Threads that find a force may all tell it at once.
+    To see the boxes of all takes less than to halve blocks. Threads that find a force may all tell it at
+    once.
     """
     for q in range(begin, end):
         n = q >> 3
@@ -277,14 +288,18 @@ def _each_fill(begin, end, nodes, query, out):
 
 
 def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
-    """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of `span`."""
+    """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of
+    `span`.
+    """
     hits = np.empty(len(nodes), np.bool_)
     for_chunks(_may_hold, len(nodes), nodes, span, _corners(span, query.lattice_m), query, hits, chunk=64)
     return hits
 
 
 def _corners(span: int, lattice_m: Float64s) -> Float64s:
-    """Corners of a cube of bricks from its first sample on, camera axes, and its least and greatest z; [10, 3]."""
+    """Corners of a cube of bricks from its first sample on, camera axes, and its least and greatest z; [10,
+    3].
+    """
     corners = (8 * span - 1) * (CORNERS @ lattice_m[1:])
     return np.vstack([corners, np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())])
 
@@ -312,7 +327,9 @@ def bricks_by_gpu(query: Query, grid: Grid) -> Int32s:
 def brick_forces(bricks: Int32s, query: Query) -> Float32s:
     """The forces of bricks, newtons, float32 [n, 8, 8, 8, 3]."""
     if len(bricks) * BYTES_PER_BRICK > memory_budget_bytes():
-        return zero_forces(len(bricks))  # which refuses; else every number is written below, and zeros cost time
+        return zero_forces(
+            len(bricks)
+        )  # which refuses; else every number is written below, and zeros cost time
     if uses_gpu():
         return on_host(forces_on_device(bricks, query)).reshape(-1, 8, 8, 8, 3)
     out = np.empty((len(bricks), 8, 8, 8, 3), np.float32)

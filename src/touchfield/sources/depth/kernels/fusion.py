@@ -1,4 +1,5 @@
-"""Compiled loops of the fused world: what one depth map tells each sample of a volume, and the forces of the mean.
+"""Compiled loops of the fused world: what one depth map tells each sample of a volume, and the forces of the
+mean.
 
 What a sample remembers and why is told in `touchfield.sources.depth.fused_scene`.
 """
@@ -27,9 +28,9 @@ _NX, _NY, _NZ, _C = (B3 * q for q in range(4))
 class View(NamedTuple):
     """A depth map before the lattice of the volume.
 
-    `marked` are, of `integrate`, pixels whose surface stands where free space was known, so that what lies behind is
-    new, too; of `mark`, those whose samples are asked for. `nearest_per_m` is the largest inverse depth in each tile
-    of 8 x 8 pixels and those around it: what lies clearly before it is free.
+    `marked` are, of `integrate`, pixels whose surface stands where free space was known, so that what lies
+    behind is new, too; of `mark`, those whose samples are asked for. `nearest_per_m` is the largest inverse
+    depth in each tile of 8 x 8 pixels and those around it: what lies clearly before it is free.
     """
 
     query: Query
@@ -40,8 +41,9 @@ class View(NamedTuple):
 class Rules(NamedTuple):
     """Distances that tell a surface from free space and from a guess, float32.
 
-    Of depth z the noise is `noise_per_m` z^2, and a surface is never taken to be thinner than `least_m`; there may be
-    a force `behind_m` behind it, and `along` times as far along the ray; the first look counts `first` times.
+    Of depth z the noise is `noise_per_m` z^2, and a surface is never taken to be thinner than `least_m`;
+    there may be a force `behind_m` behind it, and `along` times as far along the ray; the first look counts
+    `first` times.
     """
 
     noise_per_m: np.float32
@@ -60,7 +62,9 @@ class Samples(NamedTuple):
     near: NDArray[np.uint8]  # 1 where a surface was seen close by
     free: NDArray[np.uint8]  # 0 until a ray passed, since; then 1, and 2 once one did with nothing near it
     strikes: NDArray[np.uint8]  # how often in a row the view spoke against it
-    changes: NDArray[np.uint8]  # 1 where free space became a surface, a surface free space, or a surface another
+    changes: NDArray[
+        np.uint8
+    ]  # 1 where free space became a surface, a surface free space, or a surface another
 
     def first(self, count: int) -> Samples:
         """Those of the first bricks, as views."""
@@ -95,7 +99,9 @@ def _passed(of, n, s, is_clear):
         _forget(of, n, s)
         of.strikes[n, s] = _CARVED if was_surface else 0
     of.free[n, s] = max(of.free[n, s], _PASSED)
-    if is_clear:  # only now is a carved surface surely gone: close beside a thing a pose that is off carves, too
+    if (
+        is_clear
+    ):  # only now is a carved surface surely gone: close beside a thing a pose that is off carves, too
         of.free[n, s] = CLEAR
         if of.strikes[n, s] == _CARVED:
             of.changes[n, s] = 1
@@ -137,7 +143,9 @@ def _tell(of, n, s, look, first, normal):
             of.changes[n, s] = 1
         _forget(of, n, s)
         weight *= first
-    elif abs(phi - of.distance_m[n, s]) > least:  # it has come nearer, or gone, within what counts as close by
+    elif (
+        abs(phi - of.distance_m[n, s]) > least
+    ):  # it has come nearer, or gone, within what counts as close by
         of.strikes[n, s] += 1
         if of.strikes[n, s] < 2:
             return
@@ -291,8 +299,9 @@ def mark(bricks: Int32s, view: View, rules: Rules, out: Bools) -> None:
 def surfaces_in(view: View, slots: Int32s, of: Samples, wanted: Bools) -> float | None:
     """Mark the pixels of the view whose surface lies at a sample of `wanted`, bool [bricks, 512].
 
-    `slots`, int32 [bricks along each axis of the grid], is where a brick lies in `of` and `wanted`, -1 where it does
-    not. The result is the mean distance between the surfaces of the view and those known, metres; None if none is.
+    `slots`, int32 [bricks along each axis of the grid], is where a brick lies in `of` and `wanted`, -1 where
+    it does not. The result is the mean distance between the surfaces of the view and those known, metres;
+    None if none is.
     """
     query = view.query
     inverse = np.linalg.inv(query.lattice_m[1:].T)

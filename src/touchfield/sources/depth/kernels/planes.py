@@ -1,9 +1,9 @@
 """Compiled loops of the depth reading: tangent planes of a depth map, and their bounds in tiles.
 
-The estimate is told in `touchfield.sources.depth.depth_scene`. Loops run without branches over contiguous float32, so that
-LLVM turns them into vector code. Two things would prevent it: an array for each quantity (LLVM would have to ask
-whether any two overlap), so that they lie in one scratch array at constant distances; and Python's error for a
-division by zero, so that numpy's rule is asked for.
+The estimate is told in `touchfield.sources.depth.depth_scene`. Loops run without branches over contiguous
+float32, so that LLVM turns them into vector code. Two things would prevent it: an array for each quantity
+(LLVM would have to ask whether any two overlap), so that they lie in one scratch array at constant distances;
+and Python's error for a division by zero, so that numpy's rule is asked for.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from touchfield.compute.threads import for_chunks
 if TYPE_CHECKING:
     from touchfield.sources.camera import Intrinsics
 
-SLOPE_LIMIT_PX: Final = 5.0  # along an image row or column, footprints of a pixel in depth per pixel: 79 degrees
+SLOPE_LIMIT_PX: Final = (
+    5.0  # along an image row or column, footprints of a pixel in depth per pixel: 79 degrees
+)
 
 _TILE = 8  # pixels along each edge of a tile of the culling table
 _0, _1, _2, _3, _4, _9, _16 = (np.float32(x) for x in (0, 1, 2, 3, 4, 9, 16))
@@ -45,9 +47,9 @@ _OUT = 2 * _STRIDE  # normal and offset, four sections
 class SurfacePlanes(NamedTuple):
     """The planes of a depth map, in camera axes.
 
-    `planes` are unit normal n towards the camera and offset c, metres, with n . p = c on the plane; all zero where
-    there is no plane, and behind the last pixel. `tiles` bound tiles of 8 x 8 pixels: the largest and smallest
-    inverse depth of the planes over their pixels, 1/m; (0, 1e30) where there is no plane.
+    `planes` are unit normal n towards the camera and offset c, metres, with n . p = c on the plane; all zero
+    where there is no plane, and behind the last pixel. `tiles` bound tiles of 8 x 8 pixels: the largest and
+    smallest inverse depth of the planes over their pixels, 1/m; (0, 1e30) where there is no plane.
     """
 
     size_px: tuple[int, int]  # height and width
@@ -239,8 +241,8 @@ def _fit_planes(begin, end, depth, camera, gates, planes, bounds):
 def surface_planes(depth_m: Float32s, camera: Intrinsics, step_per_m: float) -> SurfacePlanes:
     """Tangent planes of a depth map, metres, and their bounds in tiles.
 
-    `depth_m` float32 [height, width], C-contiguous, not positive or not finite where unknown; `step_per_m` is the
-    noise step (see `touchfield.sources.depth.depth_scene`).
+    `depth_m` float32 [height, width], C-contiguous, not positive or not finite where unknown; `step_per_m` is
+    the noise step (see `touchfield.sources.depth.depth_scene`).
     """
     height, width = depth_m.shape
     planes = np.empty(4 * (height * width + 1), np.float32)

@@ -1,15 +1,15 @@
 """Compiled loops of the mesh source: the nearest triangle of every sample near a mesh, and the force there.
 
-Which triangles a brick must look at is found by descent from one cell that holds the whole grid: of the triangles
-of a cell, its half-sized child with centre c and radius r keeps those with d(c) <= least d(c) + 2 r that can lie in
-the band, d(c) <= band + r; no other one can be nearest to any of the child's samples. Nothing is allocated for the
-rest of the grid. The search is in float32, in units of the largest spacing and relative to the brick; distance and
-direction are then evaluated in float64 for the triangle found.
+Which triangles a brick must look at is found by descent from one cell that holds the whole grid: of the
+triangles of a cell, its half-sized child with centre c and radius r keeps those with d(c) <= least d(c) + 2 r
+that can lie in the band, d(c) <= band + r; no other one can be nearest to any of the child's samples. Nothing
+is allocated for the rest of the grid. The search is in float32, in units of the largest spacing and relative
+to the brick; distance and direction are then evaluated in float64 for the triangle found.
 
-The damping of a moving surface is b times the velocity of the nearest point (paper 3.2); the velocity within a
-triangle is linear between its corners, as their positions are. A wall ends where its surface ends: a force is
-multiplied by min(1, s / w), s the distance to the rim of the nearest point of the surface. Where that point lies on
-the rim itself, the surface is beside the sample: no force.
+The damping of a moving surface is b times the velocity of the nearest point (paper 3.2); the velocity within
+a triangle is linear between its corners, as their positions are. A wall ends where its surface ends: a force
+is multiplied by min(1, s / w), s the distance to the rim of the nearest point of the surface. Where that
+point lies on the rim itself, the surface is beside the sample: no force.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class Band(NamedTuple):
 class Motion(NamedTuple):
     """Motion of a surface."""
 
-    # int32 [m, 3]; those that the rows of the table are, or are pieces of, each beginning with its longest edge
+    # int32 [m, 3]; those that the rows of the table are, or are pieces of, each beginning with its longest
+    # edge
     triangles: Int32s
     vertices_m: Float64s  # float64 [n, 3]
     velocities_m_s: Float64s  # float64 [n, 3]; of the vertices
@@ -65,7 +66,8 @@ def _place(bricks, b, i, j, k, lattice):
     return x, y, z
 
 
-# -- from the grid down to its bricks ------------------------------------------------------------------------------
+# -- from the grid down to its bricks
+# ------------------------------------------------------------------------------
 @kernel
 def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limit, keep, counts):
     """Triangles of each cell that its eight children keep: a bit for each child, and their numbers."""
@@ -108,7 +110,8 @@ def _hand_down(begin, end, start, ids, keep, offsets, out):
                     o += 1
 
 
-# -- a brick --------------------------------------------------------------------------------------------------------
+# -- a brick
+# --------------------------------------------------------------------------------------------------------
 @inner(forceinline=True)
 def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
     """The force at (x, y, z), given its nearest triangle t."""
@@ -132,7 +135,9 @@ def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
 
 @inner
 def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
-    """Place a block's 64 samples and say how far each one looks (squared; negative: not at all); the farthest."""
+    """Place a block's 64 samples and say how far each one looks (squared; negative: not at all); the
+    farthest.
+    """
     far = np.float32(-1.0)
     for s in range(64):
         i, j, k = local[0] + (s >> 4), local[1] + ((s >> 2) & 3), local[2] + (s & 3)
@@ -171,7 +176,8 @@ def _search_block(block, s, far, count, tiles, radius):
 
 @kernel
 def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces, has_force, owners):
-    """Forces of bricks; `rule` is sidedness, half wall and the distance (metres) at which directions are unsure.
+    """Forces of bricks; `rule` is sidedness, half wall and the distance (metres) at which directions are
+    unsure.
 
     `owners` is told the nearest triangle of each sample with a force, unless it is empty.
     """
@@ -218,8 +224,8 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
                         owners[b, i, j, k] = t
 
 
-# -- what a motion adds, and where a shell ends -------------------------------------------------------------------
-# `owners` int32 [n, 8, 8, 8]: the nearest triangle of each sample with a force, -1 for the others
+# -- what a motion adds, and where a shell ends
+# ------------------------------------------------------------------- `owners` int32 [n, 8, 8, 8]: the nearest triangle of each sample with a force, -1 for the others
 @inner(forceinline=True)
 def _shares(vertices, a, b, c, point):
     """Shares of the corners b and c of a triangle in a point of it; from a to b is its longest edge."""
@@ -283,7 +289,8 @@ def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, h
                 has_force[b] = True
 
 
-# -- all of it -----------------------------------------------------------------------------------------------------
+# -- all of it
+# -----------------------------------------------------------------------------------------------------
 def _bricks_near(
     table: Float64s, lattice: Float64s, shape: Int64s, limit: np.float32
 ) -> tuple[Int32s, Int64s, Int32s]:
@@ -333,12 +340,13 @@ def forces_near(
     motion: Motion | None = None,
     rim: Float64s | None = None,
 ) -> tuple[Int32s, Float32s]:
-    """The force field of a mesh: bricks int32 [n, 3] ascending, and forces float32 [n, 8, 8, 8, 3] in newtons.
+    """The force field of a mesh: bricks int32 [n, 3] ascending, and forces float32 [n, 8, 8, 8, 3] in
+    newtons.
 
-    `surface` holds the table of `triangle_table` and normals float64 [m, 7, 3]: outward pseudo-normals of each
-    triangle's face, vertices and edges; `events` from `crossings`, empty unless closed or lidded; closer than
-    `tiny_m` the direction is a pseudo-normal; `motion` adds the damping of a surface that moves. Towards `rim`, the
-    `triangle_table` of edges that are triangles to and fro, the force fades over its own reach.
+    `surface` holds the table of `triangle_table` and normals float64 [m, 7, 3]: outward pseudo-normals of
+    each triangle's face, vertices and edges; `events` from `crossings`, empty unless closed or lidded; closer
+    than `tiny_m` the direction is a pseudo-normal; `motion` adds the damping of a surface that moves. Towards
+    `rim`, the `triangle_table` of edges that are triangles to and fro, the force fades over its own reach.
     """
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)

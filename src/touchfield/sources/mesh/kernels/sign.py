@@ -1,19 +1,20 @@
 """Winding numbers of a lattice within a closed mesh: signed crossings of rays along x, sorted by column.
 
-Source: the winding number of a closed mesh at a point is the signed number of crossings of a ray from it. Each
-triangle is drawn in the plane (y, z) as scan lines, as a rasteriser does. An edge says from which column on it
-counts, and says the same to both of its triangles because its ends are taken in the order of their indices. Hence
-edges and vertices that lie on a column are counted once, and all crossings of a ray add up to zero, whatever the
-rounding.
+Source: the winding number of a closed mesh at a point is the signed number of crossings of a ray from it.
+Each triangle is drawn in the plane (y, z) as scan lines, as a rasteriser does. An edge says from which column
+on it counts, and says the same to both of its triangles because its ends are taken in the order of their
+indices. Hence edges and vertices that lie on a column are counted once, and all crossings of a ray add up to
+zero, whatever the rounding.
 
-An event is one int64: column of bricks, y and z within it (3 bits each), first sample along x behind the crossing
-(20 bits), and 1 for +1 or 0 for -1. Sorted, the events of a column lie together.
+An event is one int64: column of bricks, y and z within it (3 bits each), first sample along x behind the
+crossing (20 bits), and 1 for +1 or 0 for -1. Sorted, the events of a column lie together.
 
-A point of a surface is on the boundary of the union of closed meshes that run through one another or themselves if
-the winding number is 0 on just one side of it. Triangles that cross others are cut along the planes of those, piece
-by piece, so that no piece has another surface run through its inside; a piece is then wholly boundary or wholly inner
-wall, and its middle tells. Triangles lie in bins of the plane (y, z). Source of the crossing test: T. Moeller, A fast
-triangle-triangle intersection test, Journal of Graphics Tools 2(2), 1997.
+A point of a surface is on the boundary of the union of closed meshes that run through one another or
+themselves if the winding number is 0 on just one side of it. Triangles that cross others are cut along the
+planes of those, piece by piece, so that no piece has another surface run through its inside; a piece is then
+wholly boundary or wholly inner wall, and its middle tells. Triangles lie in bins of the plane (y, z). Source
+of the crossing test: T. Moeller, A fast triangle-triangle intersection test, Journal of Graphics Tools
+2(2), 1997.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ _PER_TRIANGLE = 32  # bins a triangle may lie in on average
 
 @inner(forceinline=True, error_model="numpy")  # no divisor is zero
 def line_at(vertices, triangle, z):
-    """True if a triangle crosses the height z; y and x there on its edge that goes up, and on the one going down."""
+    """True if a triangle crosses the height z; y and x there on its edge that goes up, and on the one going
+    down.
+    """
     y0 = x0 = y1 = x1 = 0.0
     is_met = False
     for corner in range(3):
@@ -66,13 +69,17 @@ def _index_from(position, origin, step, count):
 
 @kernel
 def _draw(begin, end, vertices, triangles, lattice, shape, offsets, events):
-    """The events of triangles, from `offsets[t]` on; where there is no room for any, their numbers, in offsets[t]."""
+    """The events of triangles, from `offsets[t]` on; where there is no room for any, their numbers, in
+    offsets[t].
+    """
     bricks_z = (shape[2] + 7) // 8
     is_counted = len(events) == 0
     for t in range(begin, end):
         e = 0 if is_counted else offsets[t]
         a, b, c = vertices[triangles[t, 0], 2], vertices[triangles[t, 1], 2], vertices[triangles[t, 2], 2]
-        low = np.floor((min(a, b, c) - lattice[2]) / lattice[5]) - 1.0  # a range that holds all rows it covers
+        low = (
+            np.floor((min(a, b, c) - lattice[2]) / lattice[5]) - 1.0
+        )  # a range that holds all rows it covers
         high = np.ceil((max(a, b, c) - lattice[2]) / lattice[5]) + 1.0
         k0, k1 = int(min(max(low, 0.0), float(shape[2]))), int(min(max(high, -1.0), float(shape[2] - 1)))
         for k in range(k0, k1 + 1):
@@ -104,8 +111,8 @@ def _draw(begin, end, vertices, triangles, lattice, shape, offsets, events):
 def crossings(vertices_m: Float64s, triangles: Int32s, grid: Grid) -> Int64s:
     """All crossings of the grid's columns, as sorted events (see the module), int64 [n].
 
-    `vertices_m` float64 [v, 3] in metres, `triangles` int32 [m, 3]. Those before the grid's first sample along x
-    count there; those behind its last are left out.
+    `vertices_m` float64 [v, 3] in metres, `triangles` int32 [m, 3]. Those before the grid's first sample
+    along x count there; those behind its last are left out.
     """
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)
@@ -121,7 +128,9 @@ def crossings(vertices_m: Float64s, triangles: Int32s, grid: Grid) -> Int64s:
 
 @inner
 def winding_of_brick(events, first, last, i0, winding):
-    """Winding numbers of a brick's samples, int32 [512], from the events of its column; i0 is its first x index."""
+    """Winding numbers of a brick's samples, int32 [512], from the events of its column; i0 is its first x
+    index.
+    """
     winding[:] = 0
     for e in range(first, last):
         event = events[e]
@@ -133,7 +142,8 @@ def winding_of_brick(events, first, last, i0, winding):
         winding[s] += winding[s - 64]
 
 
-# -- triangles in bins ----------------------------------------------------------------------------------------------
+# -- triangles in bins
+# ----------------------------------------------------------------------------------------------
 class Bins(NamedTuple):
     """Triangles by squares of the plane (y, z): those of square s are `ids[start[s]:start[s + 1]]`."""
 
@@ -149,7 +159,9 @@ def _bin(frame, value, axis):
 
 @kernel
 def _put_in_bins(boxes, frame, place, ids):
-    """Put each triangle at the next place of every bin that its box meets; without `ids` the places are counted."""
+    """Put each triangle at the next place of every bin that its box meets; without `ids` the places are
+    counted.
+    """
     for t in range(len(boxes)):
         y0, y1 = _bin(frame, boxes[t, 2], 0), _bin(frame, boxes[t, 3], 0)
         z0, z1 = _bin(frame, boxes[t, 4], 1), _bin(frame, boxes[t, 5], 1)
@@ -185,7 +197,8 @@ def sorted_into_bins(boxes: Float64s) -> Bins:
     return Bins(frame, start, ids)
 
 
-# -- which triangles cross -----------------------------------------------------------------------------------------
+# -- which triangles cross
+# -----------------------------------------------------------------------------------------
 @inner
 def _heights(points, count, normal, base, out):
     """Heights of points over a plane; least and greatest."""
@@ -283,8 +296,9 @@ def crossing_pairs(
 ) -> Int32s:
     """Pairs (t, u) of triangles that share no vertex, of which u cuts t, int32 [p, 2], by t.
 
-    `boxes` float64 [m, 6], `corners` float64 [m, 3, 3] in metres, `normals` float64 [m, 3] of unit length. Nearer
-    than `tiny_m` is touching. Beyond about eight pairs a triangle the others are left out: those walls stay felt.
+    `boxes` float64 [m, 6], `corners` float64 [m, 3, 3] in metres, `normals` float64 [m, 3] of unit length.
+    Nearer than `tiny_m` is touching. Beyond about eight pairs a triangle the others are left out: those walls
+    stay felt.
     """
     most = 8 * len(triangles) + 4096
     work = (tuple(bins), boxes, corners, normals, triangles, tiny_m, most)
@@ -292,10 +306,13 @@ def crossing_pairs(
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
-# -- cutting -------------------------------------------------------------------------------------------------------
+# -- cutting
+# -------------------------------------------------------------------------------------------------------
 @inner(inline="always")
 def _copy(rows, first, count, out, at):
-    """Rows of three numbers, copied one by one: numba's copy of arrays compiles an error message for a second."""
+    """Rows of three numbers, copied one by one: numba's copy of arrays compiles an error message for a
+    second.
+    """
     for i in range(count):
         for c in range(3):
             out[at + i, c] = rows[first + i, c]
@@ -324,7 +341,9 @@ def _split(piece, count, h, tiny, above, below):
 
 @kernel
 def cut(starts, pairs, corners, normals, tiny):
-    """Cut the triangles pairs[starts[i]:starts[i + 1], 0] by their partners; pieces float64 [k, 3, 3], parents."""
+    """Cut the triangles pairs[starts[i]:starts[i + 1], 0] by their partners; pieces float64 [k, 3, 3],
+    parents.
+    """
     out = np.empty((64, 3, 3))
     parents = np.empty(64, np.int32)
     total = 0
@@ -363,12 +382,15 @@ def cut(starts, pairs, corners, normals, tiny):
     return out[:total], parents[:total]
 
 
-# -- inside and outside --------------------------------------------------------------------------------------------
+# -- inside and outside
+# --------------------------------------------------------------------------------------------
 @inner
 def _winding(x, y, z, bins, vertices, triangles):
     """The winding number of a closed mesh at a point, up to its sign."""
     frame, start, ids = bins
-    if not (frame[0] <= y <= frame[0] + frame[2] * frame[4] and frame[1] <= z <= frame[1] + frame[3] * frame[4]):
+    if not (
+        frame[0] <= y <= frame[0] + frame[2] * frame[4] and frame[1] <= z <= frame[1] + frame[3] * frame[4]
+    ):
         return 0
     s = _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1)
     total = 0
@@ -395,13 +417,20 @@ def _classify(begin, end, corners, normals, parents, bins, vertices, triangles, 
 
 
 def bounds_union(
-    corners: Float64s, parents: Int32s, normals: Float64s, bins: Bins, surface: tuple[Float64s, Int32s], tiny_m: float
+    corners: Float64s,
+    parents: Int32s,
+    normals: Float64s,
+    bins: Bins,
+    surface: tuple[Float64s, Int32s],
+    tiny_m: float,
 ) -> Bools:
     """The pieces that bound the union, bool [k]: on just one side of them, `tiny_m` away, nothing is inside.
 
-    `corners` float64 [k, 3, 3] and `parents` int32 [k]: of pieces, and the triangle that each is one of; `surface`:
-    vertices in metres and triangles.
+    `corners` float64 [k, 3, 3] and `parents` int32 [k]: of pieces, and the triangle that each is one of;
+    `surface`: vertices in metres and triangles.
     """
     is_outer = np.empty(len(corners), np.bool_)
-    for_chunks(_classify, len(corners), corners, normals, parents, tuple(bins), *surface, tiny_m, is_outer, chunk=256)
+    for_chunks(
+        _classify, len(corners), corners, normals, parents, tuple(bins), *surface, tiny_m, is_outer, chunk=256
+    )
     return is_outer

@@ -1,13 +1,13 @@
 """Compiled loops over triangles: their distances to many points at once in float32, to one point in float64.
 
-Source: the squared distance of a point to a triangle is h^2 + d^2, with h its height over the triangle's plane and d
-the distance in it: zero inside, else the least of those to the three edges (C. Ericson, Real-Time Collision
-Detection, 2005, section 5.1.5, gives the same by regions). Heights over planes and edges are affine in the position,
-so there is no branch, and LLVM makes vector code of it: over the 64 samples of a block, or over the triangles of a
-tile.
+Source: the squared distance of a point to a triangle is h^2 + d^2, with h its height over the triangle's
+plane and d the distance in it: zero inside, else the least of those to the three edges (C. Ericson, Real-Time
+Collision Detection, 2005, section 5.1.5, gives the same by regions). Heights over planes and edges are affine
+in the position, so there is no branch, and LLVM makes vector code of it: over the 64 samples of a block, or
+over the triangles of a tile.
 
-Functions of the innermost loops are inlined by force: a call would count references to its arrays, which costs more
-than their work.
+Functions of the innermost loops are inlined by force: a call would count references to its arrays, which
+costs more than their work.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from touchfield.compute.threads import for_chunks
 from touchfield.medium.field import frozen
 
 X, Y, Z, D, ID = 0, 64, 128, 192, 256
-"""Sections of a block's memory, float32 [320]: 64 places, squared distances and numbers of the nearest triangle."""
+"""Sections of a block's memory, float32 [320]: 64 places, squared distances and numbers of the nearest
+triangle.
+"""
 
 _FAST = {"contract", "nnan", "nsz"}
 _WIDTH = 33  # float64 of a triangle: normal, 3 edge normals, 3 edge directions, 3 vertices, 3 lengths
@@ -223,7 +225,9 @@ def tiles_for(begin, end, first, last):
 
 @inner(fastmath={"contract"}, forceinline=True)
 def _beside(table, t, i, x, y, z):
-    """Squared distance in the plane to edge i, where along it the nearest point lies, and the side (> 0 is out)."""
+    """Squared distance in the plane to edge i, where along it the nearest point lies, and the side (> 0 is
+    out).
+    """
     e, m, a = 12 + 3 * i, 3 + 3 * i, 21 + 3 * i
     dx, dy, dz = x - table[t, a], y - table[t, a + 1], z - table[t, a + 2]
     q = table[t, m] * dx + table[t, m + 1] * dy + table[t, m + 2] * dz
@@ -234,13 +238,19 @@ def _beside(table, t, i, x, y, z):
 
 @inner(fastmath={"contract"}, forceinline=True)
 def nearest(table, t, x, y, z):
-    """From the nearest point of a triangle to (x, y, z), float64; that point's edge (-1: the face), how far along."""
+    """From the nearest point of a triangle to (x, y, z), float64; that point's edge (-1: the face), how far
+    along.
+    """
     best, along, q0 = _beside(table, t, 0, x, y, z)
     second, t1, q1 = _beside(table, t, 1, x, y, z)
     third, t2, q2 = _beside(table, t, 2, x, y, z)
     # the third vertex lies over the first edge, and so does what is inside
     if max(q0, max(q1, q2)) < 0.0 and 0.0 < along < table[t, 30]:
-        h = table[t, 0] * (x - table[t, 21]) + table[t, 1] * (y - table[t, 22]) + table[t, 2] * (z - table[t, 23])
+        h = (
+            table[t, 0] * (x - table[t, 21])
+            + table[t, 1] * (y - table[t, 22])
+            + table[t, 2] * (z - table[t, 23])
+        )
         return h * table[t, 0], h * table[t, 1], h * table[t, 2], -1, 0.0
     edge = 1 if second < best else 0
     along = t1 if second < best else along
