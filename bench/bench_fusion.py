@@ -91,7 +91,7 @@ def standing(name: str, world: str, frames_bytes: int | None, count: int) -> Row
         done = encode(str(FOLDERS[name]), Path(folder) / "it.touch", spec)
     medium, placement = done.prepared.medium, done.prepared.placement
     scene = open_source(str(FOLDERS[name]), spec.source)
-    scene.take(0, count)
+    scene.restrict_frames(0, count)
     fine, law = asked_of(scene, spec)  # type: ignore[arg-type]
     grid = placement.to_scene(medium.grid)
     reach_m = low_pass("spline").half_width * 2 * grid.spacing_m[0]

@@ -51,7 +51,7 @@ from touchfield.sources.depth.kernels.field import _fill as fill_bricks
 from touchfield.sources.depth.kernels.field import brick_forces, holds_force, may_hold_force
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh.mesh_scene import MeshScene
-from touchfield.sources.scene import bricks_that
+from touchfield.sources.scene import find_bricks_by_block
 
 MARGIN = 1.15
 """A ratio over the stored one, at most: a third slower is 1.33, noise some hundredths."""
@@ -81,7 +81,7 @@ def depth_pairs() -> dict[str, Pair]:
     query = query_of(known.planes(0), np.eye(4), grid, wall(grid))
     bricks = force_bricks(query, grid)
     out = brick_forces(bricks, query).reshape(-1)
-    candidates = bricks_that(lambda blocks, size: may_hold_force(blocks, size, query), grid)
+    candidates = find_bricks_by_block(lambda blocks, size: may_hold_force(blocks, size, query), grid)
     planes, dense = np.zeros((*image.shape, 4), np.float32), np.zeros((64, 64, 64, 3), np.float32)
     frozen.image_planes(image, planes)
     small = np.ascontiguousarray(planes[::2, ::2])  # in the cache: memory that others use, too, slows it else

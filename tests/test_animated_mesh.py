@@ -21,7 +21,7 @@ from touchfield.medium import ForceField, Grid
 from touchfield.sources.animation.animated_mesh import AnimatedMeshScene
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh.mesh_scene import MeshScene
-from touchfield.sources.mesh.surface import Surface, mended
+from touchfield.sources.mesh.surface import Surface, close_holes
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 
@@ -51,8 +51,7 @@ def spinning(vertices: Any, faces: Any, times: Any = (0, 1), degrees: Any = (0, 
     return gltf
 
 
-# -- opening
-# -------------------------------------------------------------------------------------------------------
+# -- opening -----------------------------------------------------------------------------------------------
 
 
 def test_a_file_with_an_animation_is_an_animated_mesh_and_others_are_meshes(tmp_path: Path) -> None:
@@ -133,8 +132,7 @@ def test_frames_may_be_asked_for_in_any_order(tmp_path: Path) -> None:
     np.testing.assert_array_equal(high, np.max(forwards, axis=(0, 1)))
 
 
-# -- which vertices are one
-# ----------------------------------------------------------------------------------------
+# -- which vertices are one --------------------------------------------------------------------------------
 
 
 def test_corners_without_indices_are_joined_and_close(tmp_path: Path) -> None:
@@ -190,8 +188,7 @@ def test_a_shape_that_is_a_point_at_rest_is_welded_by_its_motion(tmp_path: Path)
     assert inside.any()
 
 
-# -- fields
-# --------------------------------------------------------------------------------------------------------
+# -- fields ------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=20)
@@ -208,7 +205,7 @@ def test_a_surface_with_other_vertices_is_the_surface_of_those_vertices(seed: in
     np.testing.assert_array_equal(reused.bounds_m, fresh.bounds_m)
     np.testing.assert_allclose(reused.pseudo_normals(), fresh.pseudo_normals(), atol=1e-12)
     grid = Grid.over_box(turned.min(0) - 0.2, turned.max(0) + 0.2, (12, 13, 14))
-    fields = [MeshScene(mended(s, "leave")).field(0, grid, law(0.3)) for s in (reused, fresh)]
+    fields = [MeshScene(close_holes(s, "leave")).field(0, grid, law(0.3)) for s in (reused, fresh)]
     np.testing.assert_allclose(dense(fields[0]), dense(fields[1]), atol=1e-6)
 
 
@@ -242,8 +239,7 @@ def test_a_moved_scene_moves_along(tmp_path: Path) -> None:
         scene.moved(2 * turn, shift)
 
 
-# -- motion
-# --------------------------------------------------------------------------------------------------------
+# -- motion ------------------------------------------------------------------------------------------------
 
 
 def test_a_translating_mesh_adds_damping_times_its_velocity_where_there_is_a_force(tmp_path: Path) -> None:
@@ -292,8 +288,7 @@ def test_the_ends_of_an_animation_have_the_velocity_of_what_there_is(tmp_path: P
     np.testing.assert_array_equal(still.velocities_m_s(0), np.zeros((8, 3)))
 
 
-# -- real models
-# ---------------------------------------------------------------------------------------------------
+# -- real models -------------------------------------------------------------------------------------------
 
 
 def fox_by_hand(path: Path, animation: int, time_s: float) -> np.ndarray:

@@ -91,7 +91,7 @@ def test_frames_of_a_search_are_kept_as_far_as_memory_allows(
     monkeypatch.setattr(rate_control, "_MOST_BYTES_KEPT", room * field(0).forces_n.nbytes)
     made = Made(field)
     prepared: Any = replace_medium(medium(8, made))
-    kept = rate_control._kept(prepared).medium
+    kept = rate_control._with_frame_cache(prepared).medium
     for _ in range(3):
         assert [kept[i] == field(i) for i in range(8)] == [True] * 8
     assert made.take_numbers() == [*range(8), *(2 * list(range(min(room, 8), 8)))]
@@ -99,7 +99,7 @@ def test_frames_of_a_search_are_kept_as_far_as_memory_allows(
 
 
 def replace_medium(of: HapticMedium) -> Any:
-    """What `_kept` takes of a prepared scene."""
+    """What `_with_frame_cache` takes of a prepared scene."""
     from touchfield.pipeline import prepare
 
     return replace(prepare(StoredScene(medium(1)), EncodeSpec(nw=4)), medium=of)
@@ -179,7 +179,7 @@ def test_worlds_are_kept_for_sixteen_lattices(monkeypatch: pytest.MonkeyPatch) -
 def test_planes_of_pictures_are_kept_as_far_as_memory_allows(
     room: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fused_scene, "_KEPT_PLANES_BYTES", 16 * 20 * 16 * room)
+    monkeypatch.setattr(fused_scene, "_MAX_PLANES_BYTES", 16 * 20 * 16 * room)
     scene = FusedScene(Pictures(10))
     made: list[int] = []
     own = scene.planes
@@ -195,7 +195,7 @@ def test_planes_of_pictures_are_kept_as_far_as_memory_allows(
 def test_a_segment_ends_once_its_fields_take_more_than_they_may(
     room: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(segments, "MOST_BYTES_HELD", room * field(0).forces_n.nbytes)
+    monkeypatch.setattr(segments, "MAX_SEGMENT_BYTES", room * field(0).forces_n.nbytes)
     scene = StoredScene(HapticMedium.from_frames([field(i) for i in range(16)], 50.0, AXES))
     encode(scene, tmp_path / "a.touch", EncodeSpec(nw=4, touch=TouchSpec(effort="fast", segment_frames=8)))
     with open_stream(tmp_path / "a.touch") as stream:
@@ -214,7 +214,7 @@ def test_datagrams_wait_for_a_lost_message_within_their_memory(
     sender, gathering = datagrams.Datagrams(7), datagrams.Gathering()
     messages = [np.random.default_rng(i).bytes(4000) for i in range(12)]
     sent = [one for message in messages for one in sender.add(message)] + sender.flush()
-    coming = [one for one in sent if datagrams._told(one).number != 1]  # type: ignore[union-attr]
+    coming = [one for one in sent if datagrams._parse(one).number != 1]  # type: ignore[union-attr]
     out = [message for one in coming for message in gathering.receive(one)]
     if waits:
         assert out == messages[:1] and gathering.lost == 0
@@ -240,4 +240,4 @@ def test_an_index_of_files_is_described_within_its_memory(
         encode(scene, tmp_path / f"{name}.touch", EncodeSpec(nw=4, touch=TouchSpec(effort="fast")))
     library.index_folder(tmp_path, tmp_path.parent / "i.npz")
     sizes = [(tmp_path / f"{name}.touch").stat().st_size for name in ("a", "b")]
-    assert taken == [(library.MOST_BYTES_UNDER_WAY, sizes)]
+    assert taken == [(library.MAX_PENDING_BYTES, sizes)]

@@ -19,7 +19,7 @@ unit = st.floats(-1, 1)
 @given(st.tuples(unit, unit, unit, unit).filter(lambda q: np.linalg.norm(q) > 0.1))
 def test_quaternions_agree_with_scipy(q: tuple[float, float, float, float]) -> None:
     normal = np.array([q]) / np.linalg.norm(q)
-    ours = poses.quaternion_poses(normal, np.zeros((1, 3)), "q")[:, :3, :3]
+    ours = poses.poses_of_quaternions(normal, np.zeros((1, 3)), "q")[:, :3, :3]
     assert np.allclose(ours, Rotation.from_quat(normal).as_matrix(), atol=1e-12)
 
 

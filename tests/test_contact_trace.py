@@ -54,7 +54,7 @@ def test_a_gradient_comes_back(plain: ContactScene) -> None:
     at = np.random.default_rng(2).uniform(-0.015, 0.015, (300, 3))
     found = plain.interpolant.forces_n(at)
     assert np.abs(found - spring(at)).max() < 0.03 * np.abs(spring(at)).max()
-    assert plain.interpolant.missed < 0.1 and "%" in plain.notes[0]
+    assert plain.interpolant.relative_error < 0.1 and "%" in plain.notes[0]
 
 
 @pytest.mark.parametrize("noise", [1e-4, 0.1])
@@ -68,7 +68,7 @@ def test_a_fit_meets_its_forces_but_for_the_noise_and_misses_what_is_left_out(no
         others = np.arange(12) != n
         rest = CurlFree.through(points[others], forces[others], 0.01, noise)
         left.append(forces[n] - rest.forces_n(points[n : n + 1])[0])
-    assert fit.missed == pytest.approx(np.sqrt(np.mean(np.square(left)) / np.mean(forces**2)))
+    assert fit.relative_error == pytest.approx(np.sqrt(np.mean(np.square(left)) / np.mean(forces**2)))
 
 
 def test_the_field_has_no_curl_whatever_was_recorded(plain: ContactScene) -> None:
@@ -83,7 +83,7 @@ def test_the_field_has_no_curl_whatever_was_recorded(plain: ContactScene) -> Non
         axis=1,
     )  # [n, derivative along, component]
     assert np.abs(gradient - gradient.transpose(0, 2, 1)).max() < 1e-3 * np.abs(gradient).max()
-    assert turning.interpolant.missed > 3 * plain.interpolant.missed  # and the rest is told
+    assert turning.interpolant.relative_error > 3 * plain.interpolant.relative_error  # and the rest is told
 
 
 def test_no_force_where_nothing_was_met(plain: ContactScene) -> None:
@@ -157,8 +157,7 @@ def test_what_is_told_of_a_recording(plain: ContactScene, tmp_path: Path) -> Non
         open_source(written(tmp_path / "a.csv", four), SourceOptions(frame="camera"))
 
 
-# -- MCAP
-# -----------------------------------------------------------------------------------------------------------
+# -- MCAP --------------------------------------------------------------------------------------------------
 
 
 def mcap_file(path: Path, messages: list[tuple[str, str, str, float, bytes]]) -> Path:
@@ -272,14 +271,13 @@ def test_a_real_recording(tmp_path: Path, shared_data: Path) -> None:
     one = loadmat(path, squeeze_me=True, struct_as_record=False)["symbol_data"][0]
     trace = ContactTrace(one.pos.T.astype(float), one.F.T.astype(float))
     scene = open_source(written(tmp_path / "panda.csv", trace))
-    assert isinstance(scene, ContactScene) and scene.interpolant.missed < 0.25
+    assert isinstance(scene, ContactScene) and scene.interpolant.relative_error < 0.25
     seen = trace.positions_m[::7]
     left = scene.interpolant.forces_n(seen) - trace.forces_n[::7]
     assert np.sqrt((left**2).mean() / (trace.forces_n**2).mean()) < 0.3
 
 
-# -- played again
-# ---------------------------------------------------------------------------------------------------
+# -- played again ------------------------------------------------------------------------------------------
 
 
 def test_a_recording_is_felt_again_along_its_own_path(tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def test_one_item_a_thread_is_what_the_loops_give(
     processors: Any, at_once: int, as_if: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Depth, and views of a fused world; also where a grid has more bricks than are looked at at once."""
-    monkeypatch.setattr(depth, "_AT_ONCE", at_once)
+    monkeypatch.setattr(depth, "_GPU_BRICKS", at_once)
     scene, grid, law, own = processors
     other = scene.field(scene.frame_count - 1, grid, law)
     assert len(own.bricks) > 8

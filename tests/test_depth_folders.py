@@ -87,7 +87,7 @@ def test_what_is_named_like_poses_and_not_read_is_named(tmp_path: Path) -> None:
     (folder / "._poses.txt").write_bytes(b"\0\5\x16\7")  # as a Mac leaves beside a file
     notes = depth_folder.read_sequence(folder, MM).notes
     assert not any("._poses" in note for note in notes)
-    assert any("stand still" in note for note in notes)
+    assert any("assumed to be static" in note for note in notes)
     assert any("my_trajectory_notes.txt was found and not used: " in note for note in notes)
     make.write_rows(folder / "poses.txt", make.poses().reshape(-1, 16))
     notes = depth_folder.read_sequence(folder, MM).notes
@@ -186,8 +186,7 @@ def test_no_text_of_poses_raises_anything_else(text: str) -> None:
     assert np.isfinite(listed.poses).all()
 
 
-# -- where the pictures lie
-# ----------------------------------------------------------------------------------------
+# -- where the pictures lie --------------------------------------------------------------------------------
 
 
 def test_one_folder_deeper_is_found_and_told(tmp_path: Path) -> None:
@@ -233,8 +232,7 @@ def test_depth_arrays_one_a_frame(tmp_path: Path) -> None:
     assert np.allclose(sequence.depth_m(4), make.depths_mm()[4] / 1000)
 
 
-# -- cameras
-# -------------------------------------------------------------------------------------------------------
+# -- cameras -----------------------------------------------------------------------------------------------
 
 CAMERAS = {
     "K.txt": "20 0 5.5 0\n0 21 4 0\n0 0 1 0\n",

@@ -37,8 +37,7 @@ KINDS = [one.kind for one in (tum, redwood, sun3d, threedmatch, depth_folder)]
 CAMERA = SourceOptions(frame="camera")
 
 
-# -- layouts
-# -------------------------------------------------------------------------------------------------------
+# -- layouts -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
@@ -184,8 +183,7 @@ def test_suns_rotated_bits_come_back(depth_mm: int) -> None:
     assert metres[0] == np.float32(depth_mm / 1000)
 
 
-# -- TUM
-# -----------------------------------------------------------------------------------------------------------
+# -- TUM ---------------------------------------------------------------------------------------------------
 
 
 def test_tum_says_what_is_missing_and_takes_the_rate_from_the_stamps(tmp_path: Path) -> None:
@@ -229,7 +227,7 @@ def test_tum_knows_its_cameras_by_name(tmp_path: Path, name: str, fx: float | No
         sequence = tum.read_sequence(folder, SourceOptions())
         assert sequence.intrinsics.fx == fx
         assert any("published" in note for note in sequence.notes) and any(
-            "stand still" in n for n in sequence.notes
+            "assumed to be static" in n for n in sequence.notes
         )
 
 
@@ -244,8 +242,7 @@ def test_tum_refuses_strange_lines_of_its_list(tmp_path: Path, line: str) -> Non
         tum.read_sequence(folder, SourceOptions())
 
 
-# -- Redwood, SUN3D, 3DMatch, plain folders
-# ------------------------------------------------------------------------
+# -- Redwood, SUN3D, 3DMatch, plain folders ----------------------------------------------------------------
 
 
 def test_redwood_goes_by_the_numbers_where_the_trajectory_lists_more(tmp_path: Path) -> None:
@@ -318,8 +315,7 @@ def test_a_plain_folder_says_what_it_needs(tmp_path: Path) -> None:
     assert sequence.rate_hz == 12
 
 
-# -- real sequences
-# ------------------------------------------------------------------------------------------------
+# -- real sequences ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.shared
@@ -352,8 +348,7 @@ def test_a_real_sequence_agrees_with_itself_after_ten_frames(
     assert 1000 * np.median(error) < warp_mm
 
 
-# -- scenes
-# --------------------------------------------------------------------------------------------------------
+# -- scenes ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("reading", "kind"), [("camera", DepthScene), ("height", HeightScene)])

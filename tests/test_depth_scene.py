@@ -136,7 +136,7 @@ def room(directions: np.ndarray, pose: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(best), best, 0).astype(np.float32)
 
 
-# -- normals ----------------------------------------------------------------------------------------------
+# -- normals -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("normal", [(0, 0, -1), (0.5, 0, -1), (-0.3, 0.9, -1), (1.5, -1.0, -1)])
@@ -249,7 +249,7 @@ def test_the_noise_step_follows_the_noise_and_not_the_edges() -> None:
     np.testing.assert_array_equal(late.planes(1).planes, both.planes(1).planes)
 
 
-# -- forces -----------------------------------------------------------------------------------------------
+# -- forces ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("normal", [(0, 0, -1), (0.5, 0.1, -1), (-0.3, 0.9, -1), (0.3, -2.4, -1)])
@@ -369,7 +369,7 @@ def test_halving_cubes_of_bricks_loses_none(profile: ForceProfile, monkeypatch: 
     halved = plane_forces(surface, pose, grid, profile)
     assert len(halved.bricks) > 50
     every = np.indices(grid.brick_shape, np.int32).reshape(3, -1).T.copy()
-    monkeypatch.setattr(depth_scene, "bricks_that", lambda may_hold, grid: every)
+    monkeypatch.setattr(depth_scene, "find_bricks_by_block", lambda may_hold, grid: every)
     assert plane_forces(surface, pose, grid, profile) == halved
 
 
@@ -383,7 +383,7 @@ def test_a_grid_of_a_thousand_per_axis_costs_what_its_surface_costs() -> None:
     assert np.abs(grid.axis_m(2)[field.support().positions[:, 2]] - 1.0).max() < 0.005
 
 
-# -- scenes -----------------------------------------------------------------------------------------------
+# -- scenes ------------------------------------------------------------------------------------------------
 
 
 def test_a_moving_camera_sees_a_standing_world() -> None:
@@ -456,7 +456,7 @@ def test_what_cannot_be_read_is_refused() -> None:
         DepthScene(Frames([depth, depth[1:]])).field(1, grid, WALL)
 
 
-# -- real input -------------------------------------------------------------------------------------------
+# -- real input --------------------------------------------------------------------------------------------
 
 
 def _picture(path: Path, units_per_m: float) -> np.ndarray:

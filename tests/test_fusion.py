@@ -16,7 +16,7 @@ from touchfield.pipeline.encoding import encode
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.depth.depth_scene import DepthScene
-from touchfield.sources.depth.fused_scene import FusedScene, FusedVolume, stands
+from touchfield.sources.depth.fused_scene import FusedScene, FusedVolume, is_static
 from touchfield.sources.depth.layouts import depth_scene
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
@@ -55,7 +55,7 @@ def test_a_standing_world_is_one_field_and_nearer_to_the_truth(standing: rooms.R
         np.median(np.abs(standing.contact_errors_m(alone.field(i, grid, WALL), 18.0))) for i in (0, 5, 9)
     ]
     assert errors <= 0.5 * np.median(single)
-    assert fused.learnt() == ()
+    assert fused.late_notes() == ()
 
 
 def test_a_causal_world_knows_what_was_seen_and_no_more(standing: rooms.Room) -> None:
@@ -63,7 +63,7 @@ def test_a_causal_world_knows_what_was_seen_and_no_more(standing: rooms.Room) ->
     grid = lattice(causal)
     fields = [causal.field(i, grid, WALL) for i in range(6)]
     fewer = FusedScene(standing, "causal")
-    fewer.take(0, 4)
+    fewer.restrict_frames(0, 4)
     assert fewer.field(3, grid, WALL) == fields[3]
     assert causal.field(2, grid, WALL) == fields[2]  # backwards is as forwards
     assert held(fields[5]).sum() > held(fields[0]).sum()
@@ -134,7 +134,7 @@ def test_a_box_moves_before_a_wall_that_stands(moving: rooms.Room) -> None:
     assert steady[0].any()
     for other in steady[1:]:
         np.testing.assert_array_equal(other, steady[0])
-    (note,) = fused.learnt()
+    (note,) = fused.late_notes()
     assert "moves" in note
     early = fused.field(0, grid, WALL)  # the moving part begins anew
     assert early == fields[0]
@@ -190,11 +190,11 @@ def test_a_camera_without_poses_is_fused_only_if_it_stands(moving: rooms.Room) -
     turning = rooms.Room(rooms.arc(10))
     moving = rooms.Room(STILL, MOVED)
     moving.poses = turning.poses = None
-    assert stands(moving)
-    assert not stands(turning)
+    assert is_static(moving)
+    assert not is_static(turning)
     still = depth_scene(moving, SourceOptions())
     assert isinstance(still, FusedScene)
-    assert any("taken to stand" in note for note in still.notes)
+    assert any("assumed to be static" in note for note in still.notes)
     alone = depth_scene(turning, SourceOptions())
     assert not isinstance(alone, FusedScene)
     assert any("--world frames" in note for note in alone.notes)
@@ -206,7 +206,7 @@ def test_poses_that_drift_are_told() -> None:
     room.poses[:, 2, 3] = 0.0004 * np.arange(16) ** 2
     scene = FusedScene(room)
     scene.field(0, lattice(scene, 64), WALL)
-    assert any("drift" in note for note in scene.learnt())
+    assert any("drift" in note for note in scene.late_notes())
 
 
 def test_a_standing_world_costs_a_frame_and_says_what_it_is(tmp_path: Path) -> None:

@@ -165,7 +165,7 @@ def test_sparse_accessors_at_fault(tmp_path: Path) -> None:
         (put("accessors", number, "sparse", "indices", "componentType", value=5120), ["ascend"]),
         (put("accessors", number, "sparse", "indices", "byteOffset", value=4), ["bytes"]),
         (drop("accessors", number, "sparse", "values"), ["no values"]),
-        (put("accessors", number, "count", value=2**40), ["elements asked of"]),
+        (put("accessors", number, "count", value=2**40), ["elements declared in"]),
     ):
         gltf = everything()
         change(gltf.json)
@@ -235,7 +235,7 @@ def test_small_documents_cannot_ask_for_much_memory(tmp_path: Path) -> None:
     target = {"POSITION": places}
     gltf.put("meshes", primitives=[{"attributes": {"POSITION": places}, "targets": [target] * 40_000}])
     gltf.json["nodes"].append({"mesh": 1})
-    refused(gltf, tmp_path, "elements asked of")
+    refused(gltf, tmp_path, "elements declared in")
     del gltf.json["meshes"][1]["primitives"][0]["targets"], gltf.json["buffers"]
     gltf.json["nodes"] += [{"mesh": 1}] * 10_001
     refused(gltf, tmp_path, "too many triangles")
@@ -248,7 +248,7 @@ def test_many_accessors_of_the_same_bytes_cannot_ask_for_much_memory(tmp_path: P
         gltf.put("accessors", bufferView=view, count=1 << 16, componentType=5121, type="SCALAR")
     accessors = Document(gltf.save(tmp_path / "many.gltf"))
     assert accessors.array(0, "SCALAR").shape == (1 << 16, 1)
-    with pytest.raises(SourceError, match=r"accessors\[\d+\]: found \d+ elements asked of \d+ bytes"):
+    with pytest.raises(SourceError, match=r"accessors\[\d+\]: found \d+ elements declared in \d+ bytes"):
         list(map(accessors.array, range(100), ["SCALAR"] * 100))
 
 
@@ -326,8 +326,7 @@ def test_coordinates_that_overflow_in_some_frame_are_reported_there(tmp_path: Pa
         AnimatedMeshScene(path)
 
 
-# -- anything at all
-# -----------------------------------------------------------------------------------------------
+# -- anything at all ---------------------------------------------------------------------------------------
 
 VALUES = st.one_of(
     st.none(),

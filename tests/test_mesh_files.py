@@ -18,7 +18,7 @@ from touchfield.medium import Grid
 from touchfield.sources.gltf.document import contents
 from touchfield.sources.mesh.mesh_files import KIND, read_triangles
 from touchfield.sources.mesh.mesh_scene import MeshScene
-from touchfield.sources.mesh.surface import joined
+from touchfield.sources.mesh.surface import merge_vertices
 from touchfield.sources.options import SourceOptions
 
 
@@ -326,7 +326,7 @@ def test_vertices_at_one_place_become_one() -> None:
     vertices, faces = cube()
     loose, loose_faces = vertices[faces].reshape(-1, 3), np.arange(36).reshape(12, 3)
     assert not MeshScene(loose, loose_faces).is_closed
-    points, triangles = joined(loose, loose_faces)
+    points, triangles = merge_vertices(loose, loose_faces)
     assert len(points) == 8 and MeshScene(points, triangles).is_closed
     np.testing.assert_array_equal(points[triangles], loose[loose_faces])
 

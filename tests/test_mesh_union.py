@@ -97,7 +97,7 @@ def test_no_force_leads_to_a_wall_inside() -> None:
     union = union_of(Surface(vertices, faces, "boxes"))
     assert union is not None
     kept = np.concatenate(
-        [vertices[Surface(vertices, faces, "boxes").triangles[union.kept]], union.corners_m]
+        [vertices[Surface(vertices, faces, "boxes").triangles[union.uncut]], union.corners_m]
     )
     felt = kept.reshape(-1, 3), np.arange(3 * len(kept)).reshape(-1, 3)
     np.testing.assert_allclose(np.linalg.norm(forces, axis=1), distance_to(felt, points), atol=1e-5)
@@ -130,7 +130,7 @@ def test_the_damping_of_pieces_is_that_of_the_triangles_they_are_cut_from() -> N
     near = depth > 1e-6
     union = union_of(scene.surface)
     assert union is not None and len(union.parents) > 4
-    kept = np.concatenate([scene.surface.vertices_m[scene.surface.triangles[union.kept]], union.corners_m])
+    kept = np.concatenate([scene.surface.vertices_m[scene.surface.triangles[union.uncut]], union.corners_m])
     reach = distance_to((kept.reshape(-1, 3), np.arange(3 * len(kept)).reshape(-1, 3)), points)
     feet = points + push * reach[:, None]
     moved = (damped - bare).reshape(-1, 3)[is_felt]

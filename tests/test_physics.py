@@ -15,7 +15,7 @@ from touchfield.medium import PoseTrack
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics.body_scene import BodyScene
-from touchfield.sources.physics.simulation import _driven, model_of
+from touchfield.sources.physics.simulation import _driven_state, model_of
 from touchfield.sources.physics.toml_file import open_physics, read_physics
 from touchfield.sources.registry import kinds, open_source
 from touchfield.sources.samples import sample
@@ -99,7 +99,7 @@ def test_a_bounce_takes_the_speed_that_was_asked_for(fall: Make, restitution: fl
     arrived = int(ball.track.positions_m[:, 2].argmin())
     before, after = -velocity[arrived - 6], velocity[arrived + 6 : arrived + 12].max()
     assert after / before == pytest.approx(restitution, abs=0.06)
-    assert (floor.name, floor.track.is_still) == ("floor", True)
+    assert (floor.name, floor.track.is_constant) == ("floor", True)
 
 
 @needs_mujoco
@@ -244,7 +244,7 @@ position_m = [0.5, 0, 0.231]
     ball, piston, shelf, book = fall("restitution = 0", floor, "position_m = [0, 0, 0.02]", others).bodies()
     np.testing.assert_allclose(piston.track.positions_m[:, 0], -0.2 + 1.5 * np.arange(200) / 1000, atol=1e-9)
     assert ball.track.positions_m[-1, 0] > 0.1 + 0.05  # it was hit, and is ahead of the piston's front
-    assert shelf.track.is_still and np.ptp(book.track.positions_m[:, 2]) < 0.002
+    assert shelf.track.is_constant and np.ptp(book.track.positions_m[:, 2]) < 0.002
 
 
 @needs_mujoco
@@ -279,7 +279,7 @@ def test_a_posed_body_turns_between_its_frames_as_its_poses_do(
     fall(more=plate)
     table = read_physics(tmp_path / "scene.toml")
     model, ids, _ = model_of(mujoco, table, {"plate": track}, "here")
-    place, motion, states, velocities = _driven(model, ids[1], track, 20.0)
+    place, motion, states, velocities = _driven_state(model, ids[1], track, 20.0)
     for frame in range(1, 9):
         state, velocity = np.zeros(model.nq), np.zeros(model.nv)
         state[3] = 1.0

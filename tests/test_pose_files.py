@@ -16,7 +16,7 @@ from touchfield.medium.trace import Trace, read_trace
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.physics.toml_file import open_physics, read_physics
-from touchfield.sources.poses import quaternion_of_turns, track_at_rate
+from touchfield.sources.poses import quaternion_of_euler, track_at_rate
 from touchfield.sources.shapes.shapes import rotation_matrix
 
 HEADER = "t_s,x_m,y_m,z_m,qw,qx,qy,qz\n"
@@ -97,7 +97,7 @@ def test_linear_and_at_constant_angular_velocity() -> None:
 def test_the_shorter_way_through_all_poses(
     first: tuple, second: tuple, gap: float, is_other_sign: bool
 ) -> None:
-    a, b = quaternion_of_turns(first), quaternion_of_turns(second)
+    a, b = quaternion_of_euler(first), quaternion_of_euler(second)
     both = np.array([a, -b if is_other_sign else b])
     track = track_at_rate(Trace(np.array([0.0, gap]), np.zeros((2, 3)), both), 100 / gap, 101)
     np.testing.assert_allclose(track.rotation(0), rotation_matrix(first), atol=1e-9)
@@ -109,7 +109,7 @@ def test_the_shorter_way_through_all_poses(
 
 @given(angles)
 def test_quaternion_of_turns_is_the_rotation_of_the_shapes(turns: tuple) -> None:
-    track = PoseTrack(quaternion_of_turns(turns)[None], np.zeros((1, 3)))
+    track = PoseTrack(quaternion_of_euler(turns)[None], np.zeros((1, 3)))
     np.testing.assert_allclose(track.rotation(0), rotation_matrix(turns), atol=1e-12)
 
 
@@ -124,7 +124,7 @@ def test_a_scene_of_files_needs_no_mujoco(tmp_path: Path, monkeypatch: pytest.Mo
     np.testing.assert_allclose(
         finger.track.positions_m[[0, 250, 1000]], [[0, 0, 0.1], [0, 0, 0.15], [0.1, 0, 0.2]]
     )
-    assert box.track.is_still
+    assert box.track.is_constant
     np.testing.assert_allclose(box.track.rotation(7), rotation_matrix((0, 0, 30)), atol=1e-12)
     assert open_physics(path, SourceOptions(seconds=3.0, rate_hz=10.0)).frame_count == 30
     short = (

@@ -20,7 +20,7 @@ from touchfield.sources.shapes.shapes import (
     Shape,
     Sphere,
     Superquadric,
-    moved,
+    move_shape,
     rotation_matrix,
 )
 
@@ -31,7 +31,7 @@ SHAPES: dict[str, Shape] = {
     "egg": Ellipsoid((0.01, 0.0, -0.02), (0.02, 0.03, 0.04), TURN),
     "lens": Ellipsoid((0.0, 0.0, 0.0), (0.04, 0.04, 0.002), TURN),
     "needle": Ellipsoid((0.0, 0.0, 0.0), (0.001, 0.05, 0.001)),
-    "moved": moved(
+    "moved": move_shape(
         Cylinder((0.01, 0.0, 0.0), 0.02, 0.03, TURN), rotation_matrix((10, 20, 30)), (0.0, 0.01, 0.0)
     ),
 }
@@ -159,11 +159,11 @@ def test_motions_compose(first: tuple, shift: tuple, second: tuple, other: tuple
         Plane((0, 0, 0), (1, 2, 3)),
     ):
         phi, normal = shape.signed_distance_and_normal(at)
-        once = moved(shape, turn, shift)
+        once = move_shape(shape, turn, shift)
         there = at @ turn.T + shift
         np.testing.assert_allclose(once.signed_distance_and_normal(there)[0], phi, atol=1e-12)
         np.testing.assert_allclose(once.signed_distance_and_normal(there)[1], normal @ turn.T, atol=1e-9)
-        twice = moved(once, then, other)
+        twice = move_shape(once, then, other)
         np.testing.assert_allclose(
             twice.signed_distance_and_normal(there @ then.T + other)[0], phi, atol=1e-12
         )
@@ -174,7 +174,7 @@ def test_motions_compose(first: tuple, shift: tuple, second: tuple, other: tuple
 def test_what_is_no_rotation_is_refused(rotation: np.ndarray) -> None:
     for shape in SHAPES.values():
         with pytest.raises(InvalidArgument, match="rotation"):
-            moved(shape, rotation, (0, 0, 0))
+            move_shape(shape, rotation, (0, 0, 0))
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth.depth_scene import DepthScene
-from touchfield.sources.depth.segments import Segmentation, SegmentRule, surfaces
+from touchfield.sources.depth.segments import Segmentation, SegmentRule, label_surfaces
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
@@ -67,15 +67,14 @@ def numbers_of(objects: Segmentation, frame: int) -> np.ndarray:
     return np.where(np.any(depths, axis=0), np.argmax(depths, axis=0), 255)
 
 
-# -- the rule
-# ------------------------------------------------------------------------------------------------------
+# -- the rule ----------------------------------------------------------------------------------------------
 
 
 def test_the_rule_in_words() -> None:
     assert SegmentRule.parse(None) == SegmentRule()
     assert SegmentRule.parse("step=0.1, least=0.015 ,at-most=3") == SegmentRule(0.1, 0.015, 3)
-    for rule in (SegmentRule(), SegmentRule(0.25, at_most=254), SegmentRule(least=0.05)):
-        assert SegmentRule.parse(rule.words) == rule
+    for rule in (SegmentRule(), SegmentRule(0.25, max_objects=254), SegmentRule(min_fraction=0.05)):
+        assert SegmentRule.parse(rule.text) == rule
 
 
 @pytest.mark.parametrize(
@@ -88,8 +87,7 @@ def test_a_rule_that_cannot_be_is_refused_before_any_frame_is_read(words: str) -
         DepthScene(Frames(lambda _: wall()), segment=words)
 
 
-# -- a frame
-# -------------------------------------------------------------------------------------------------------
+# -- a frame -----------------------------------------------------------------------------------------------
 
 
 def brute_surfaces(depth: np.ndarray, step: float, noise: float) -> list[set[tuple[int, int]]]:
@@ -116,7 +114,7 @@ def test_surfaces_are_what_a_flood_fill_finds(seed: int, step: float, noise: flo
     depth = random.choice([0, 1.0, 1.05, 1.3, 4.0, 4.15], (7, 9), p=[0.1, 0.3, 0.2, 0.1, 0.2, 0.1]).astype(
         np.float32
     )
-    labels, count = surfaces(depth, step, noise)
+    labels, count = label_surfaces(depth, step, noise)
     ours = {frozenset(zip(*np.nonzero(labels == n))) for n in range(1, count + 1)}
     assert ours == {frozenset(part) for part in brute_surfaces(depth, step, noise)}
     assert ((labels == 0) == (depth == 0)).all()
@@ -125,14 +123,14 @@ def test_surfaces_are_what_a_flood_fill_finds(seed: int, step: float, noise: flo
 @pytest.mark.parametrize(("step", "noise"), [(0.25, 0.0), (0.0, 0.2)])
 def test_a_step_of_just_so_much_is_within_a_surface(step: float, noise: float) -> None:
     depth = np.float32([[1.0, 1.25]])
-    assert surfaces(depth, step, noise)[1] == surfaces(depth.T, step, noise)[1] == 1
-    assert surfaces(np.float32([[1.0, 1.2501]]), step, noise)[1] == 2
+    assert label_surfaces(depth, step, noise)[1] == label_surfaces(depth.T, step, noise)[1] == 1
+    assert label_surfaces(np.float32([[1.0, 1.2501]]), step, noise)[1] == 2
 
 
 def test_noise_of_the_sensor_does_not_tear_a_far_wall() -> None:
     far = np.where(np.arange(WIDTH) % 2 == 0, 8.0, 8.4) + np.zeros((HEIGHT, 1))  # 1/8 - 1/8.4 is 0.006
-    assert surfaces(far.astype(np.float32), 0.03, STEP_PER_M)[1] == WIDTH
-    assert surfaces(far.astype(np.float32), 0.03, 0.0073)[1] == 1
+    assert label_surfaces(far.astype(np.float32), 0.03, STEP_PER_M)[1] == WIDTH
+    assert label_surfaces(far.astype(np.float32), 0.03, 0.0073)[1] == 1
 
 
 def test_small_surfaces_and_those_beyond_at_most_are_the_background() -> None:
@@ -152,8 +150,7 @@ def test_small_surfaces_and_those_beyond_at_most_are_the_background() -> None:
     assert few.object_count == 2 and few.pixels[0].tolist() == [16 + 64, 60 * 80 - 16 - 144 - 64 - 16, 144]
 
 
-# -- over time
-# -----------------------------------------------------------------------------------------------------
+# -- over time ---------------------------------------------------------------------------------------------
 
 
 def test_objects_stay_the_same_while_they_move_and_after_they_were_gone() -> None:
@@ -209,8 +206,7 @@ def test_pixels_are_parted_and_none_is_lost() -> None:
         assert [int((part > 0).sum()) for part in parts] == found.pixels[frame].tolist()
 
 
-# -- bodies
-# --------------------------------------------------------------------------------------------------------
+# -- bodies ------------------------------------------------------------------------------------------------
 
 GRID = Grid((48, 40, 48), (0.05, 0.05, 0.03), (-1.2, -1.0, 0.8))
 
@@ -240,7 +236,7 @@ def test_an_object_that_is_gone_has_an_empty_field() -> None:
     last = scene.bodies()[-1]
     profile = profile_of(LawSpec("penalty", 60.0, 3.3), 0.06)
     assert [len(last.scene.field(f, GRID, profile).bricks) > 0 for f in range(4)] == [True, True, False, True]
-    assert not last.is_rigid and last.track.is_still and len(last.track) == 4
+    assert not last.is_rigid and last.track.is_constant and len(last.track) == 4
     with pytest.raises(InvalidArgument, match="0 to 3"):
         last.scene.field(4, GRID, profile)
 
@@ -277,8 +273,7 @@ def test_a_depth_sequence_goes_through_a_stream_as_objects(tmp_path: Path) -> No
         assert opened.medium[1].support_count > 0
 
 
-# -- real depth
-# ----------------------------------------------------------------------------------------------------
+# -- real depth --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.shared

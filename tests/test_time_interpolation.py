@@ -23,7 +23,7 @@ from touchfield.sources.camera import (
     DepthSequence,
     InterpolatedSequence,
     Intrinsics,
-    blend,
+    interpolate_depth,
 )
 from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.depth.layouts import LAYOUTS as DEPTH_LAYOUTS
@@ -62,8 +62,7 @@ depths = hnp.arrays(
 shares = st.floats(0.001, 0.999)
 
 
-# -- times
-# ---------------------------------------------------------------------------------------------------------
+# -- times -------------------------------------------------------------------------------------------------
 
 
 def test_the_papers_twenty_frames_become_eight_hundred() -> None:
@@ -131,13 +130,12 @@ def test_one_picture_stays_one_frame() -> None:
     assert np.array_equal(sequence.poses, np.eye(4)[None])
 
 
-# -- between two frames
-# --------------------------------------------------------------------------------------------
+# -- between two frames ------------------------------------------------------------------------------------
 
 
 @given(depths, shares)
 def test_linear_is_the_mean_by_time_and_unknown_with_either(pair: np.ndarray, share: float) -> None:
-    mixed = blend(pair[0], pair[1], share)
+    mixed = interpolate_depth(pair[0], pair[1], share)
     known = (pair > 0).all(axis=0)
     exact = (1 - share) * pair[0].astype(float) + share * pair[1]
     assert mixed.dtype == np.float32 and mixed.flags.c_contiguous
@@ -147,7 +145,7 @@ def test_linear_is_the_mean_by_time_and_unknown_with_either(pair: np.ndarray, sh
 
 @given(depths, shares)
 def test_time_may_run_backwards(pair: np.ndarray, share: float) -> None:
-    there, back = blend(pair[0], pair[1], share), blend(pair[1], pair[0], 1 - share)
+    there, back = interpolate_depth(pair[0], pair[1], share), interpolate_depth(pair[1], pair[0], 1 - share)
     assert np.allclose(there, back, rtol=1e-5)
 
 
@@ -160,8 +158,7 @@ def test_a_hand_before_a_wall() -> None:
     assert np.array_equal(seen["nearest"], frames[0])
 
 
-# -- poses
-# ---------------------------------------------------------------------------------------------------------
+# -- poses -------------------------------------------------------------------------------------------------
 
 
 def test_poses_between_poses_turn_and_move_evenly() -> None:
@@ -188,8 +185,7 @@ def test_a_pose_that_is_no_motion_is_an_error() -> None:
         InterpolatedSequence(Kept(ramp(3), poses=poses), 100.0)
 
 
-# -- what was asked
-# ------------------------------------------------------------------------------------------------
+# -- what was asked ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -253,8 +249,7 @@ def test_one_depth_map_takes_the_rate_of_the_medium(tmp_path: Path) -> None:
     assert (scene.frame_count, scene.rate_hz) == (1, 1000.0)
 
 
-# -- the paper's scene 2, with a real sequence
-# ---------------------------------------------------------------------
+# -- the paper's scene 2, with a real sequence -------------------------------------------------------------
 
 
 class First(DepthSequence):

@@ -18,7 +18,7 @@ from touchfield.sources.shapes.shapes import Sphere
 SOURCE = SourceKind(
     name="ball",
     summary="A ball of a radius in metres (.ball)",
-    tell=lambda path: path.suffix == ".ball",
+    matches=lambda path: path.suffix == ".ball",
     open=lambda path, options: AnalyticScene([Sphere((0.0, 0.0, 0.0), float(path.read_text()))]),
 )
 

@@ -35,13 +35,13 @@ from touchfield.sources.depth.capture import (
     CaptureEnd,
     GrowingFolder,
     PipedPictures,
-    captured,
+    open_capture,
 )
 from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.depth.fused_scene import FusedScene
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
-from touchfield.tasks.live import LiveSpec, broadcast, opened_sender
+from touchfield.tasks.live import LiveSpec, broadcast, open_sender
 
 OPTIONS = SourceOptions(intrinsics="60,60,31.5,23.5", depth_scale=1000.0, source_rate_hz=50.0, world="causal")
 
@@ -79,9 +79,9 @@ def piped(data: bytes, options: SourceOptions = OPTIONS) -> CapturedSequence:
 def test_a_folder_that_grows_shows_the_newest_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(capture, "PATIENCE_S", 60.0)  # however slow the machine is
+    monkeypatch.setattr(capture, "TIMEOUT_S", 60.0)  # however slow the machine is
     put(tmp_path, 0)
-    scene = captured(f"watch:{tmp_path}", OPTIONS)
+    scene = open_capture(f"watch:{tmp_path}", OPTIONS)
     assert isinstance(scene, FusedScene) and scene.is_captured
     sequence = scene.sequence
     np.testing.assert_array_equal(sequence.depth_m(0), depth_mm(0) / np.float32(1000))
@@ -90,7 +90,7 @@ def test_a_folder_that_grows_shows_the_newest_picture(
     put(tmp_path, 2)
     frames = iter(range(2, 10_000))
     until(lambda: bool((sequence.depth_m(next(frames)) == depth_mm(2) / np.float32(1000)).all()))
-    monkeypatch.setattr(capture, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(capture, "TIMEOUT_S", 0.3)
     ends = CapturedSequence(GrowingFolder(tmp_path), OPTIONS)
     with pytest.raises(CaptureEnd, match=r"no new picture for 0\.3 s"):
         until(lambda: ends.depth_m(next(frames)) is None)
@@ -109,8 +109,8 @@ def test_a_folder_that_goes_is_the_end_at_once(tmp_path: Path) -> None:
 def test_a_picture_that_is_never_finished_is_passed_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(capture, "PATIENCE_S", 5.0)
-    monkeypatch.setattr(capture, "_UNFINISHED_S", 0.05)
+    monkeypatch.setattr(capture, "TIMEOUT_S", 5.0)
+    monkeypatch.setattr(capture, "_WRITE_GRACE_S", 0.05)
     (tmp_path / "depth8.png").write_bytes(png(0)[:-30])
     folder = GrowingFolder(tmp_path)
     Thread(target=lambda: (time.sleep(0.2), put(tmp_path, 1)), daemon=True).start()  # type: ignore[func-returns-value]
@@ -168,11 +168,11 @@ def test_what_is_no_depth_is_told(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="no depth scale"):
         piped(png(0), SourceOptions(intrinsics="60,60,31.5,23.5"))
     with pytest.raises(SourceError, match="no folder"):
-        captured(f"watch:{tmp_path / 'absent'}", OPTIONS)
+        open_capture(f"watch:{tmp_path / 'absent'}", OPTIONS)
     for asked in ({"reading": "height"}, {"segment": "step=0.1"}, {"poses": "a.txt"}):
         with pytest.raises(InvalidArgument, match="all there"):
-            captured(f"watch:{tmp_path}", SourceOptions(**asked))
-    assert captured("room.ply", OPTIONS) is None and captured("sample:terrain", OPTIONS) is None
+            open_capture(f"watch:{tmp_path}", SourceOptions(**asked))
+    assert open_capture("room.ply", OPTIONS) is None and open_capture("sample:terrain", OPTIONS) is None
 
 
 def test_a_causal_world_of_a_pipe_is_that_of_the_stored_sequence() -> None:
@@ -196,14 +196,14 @@ def test_a_causal_world_of_a_pipe_is_that_of_the_stored_sequence() -> None:
 def test_a_capture_goes_on_the_air_until_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = io.BytesIO(b"".join(png(i) for i in range(12)))
     monkeypatch.setattr(capture, "standard_input", lambda: data)
-    prepared, _ = opened_sender("-", EncodeSpec(nw=4, source=OPTIONS))
+    prepared, _ = open_sender("-", EncodeSpec(nw=4, source=OPTIONS))
     assert any("in the first picture" in note for note in prepared.notes)
     now, sent, notes = [0.0], list[LiveSegment](), list[str]()
     told = broadcast(
         prepared, lambda segment: sent.append(segment), LiveSpec(1.0), notes.append, lambda: now[0],
         lambda seconds: now.__setitem__(0, now[0] + seconds),
     )  # fmt: skip
-    assert told.frames == 12 and told.left_out == 0
+    assert told.frames == 12 and told.skipped_frames == 0
     assert [(one.first_frame, one.frame_count) for one in sent] == [(0, 12)]
     assert notes == ["standard input: its end"]
 
@@ -219,17 +219,16 @@ def test_opencv_takes_a_row_of_pictures(tmp_path: Path) -> None:
         camera.next()
     camera.close()
     with pytest.raises(SourceError, match="no camera that OpenCV can open"):
-        captured("camera:99", OPTIONS)
+        open_capture("camera:99", OPTIONS)
 
 
 def test_a_camera_needs_opencv(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(MissingExtra, match=r"touchfield\[camera\]"):
-        captured("camera:0", OPTIONS)
+        open_capture("camera:0", OPTIONS)
 
 
-# -- through a pipe
-# -------------------------------------------------------------------------------------------
+# -- through a pipe ----------------------------------------------------------------------------------------
 
 
 def test_messages_of_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,4 @@
-"""Sources: scenes of all kinds as generators of force fields; `registry` opens them, `laws` turn depth into
-force.
-"""
+"""Sources: scenes as generators of force fields (`registry` opens them), and force laws (`laws`)."""
 
 from typing import TYPE_CHECKING
 

@@ -1,10 +1,9 @@
-"""Force laws: how a surface pushes, guides or pulls a point (paper section 4; its [21] gives no formula).
+"""Force laws: how a surface pushes, guides or attracts a point (paper section 4; its [21] has no formula).
 
 Every law acts along the outward surface normal n and depends on the signed distance phi alone (negative
-inside, d = -phi the penetration depth), so that F = f(phi) n. f is piecewise linear and may jump; that is
-what kernels evaluate, so a new law needs no new kernel. A law is asked for in the metres that the *hand*
-moves: a wall of 500 N/m feels the same whether the scene is a room or a coin. Laws may be summed:
-``penalty+proximity``.
+inside, d = -phi the penetration depth), so that F = f(phi) n. f is piecewise linear and may jump. Kernels
+evaluate such pieces, so a new law needs no new kernel. Lengths of a law are metres of *hand* motion: a wall
+of 500 N/m feels the same whether the scene is a room or a coin. Laws can be summed: ``penalty+proximity``.
 """
 
 from __future__ import annotations
@@ -21,13 +20,15 @@ from touchfield.errors import InvalidArgument, require_positive
 
 @dataclass(frozen=True)
 class ForceProfile:
-    """f(phi), piecewise linear: on each piece f = intercept + slope * phi; zero elsewhere.
+    """f(phi), piecewise linear: on each piece f = intercept + slope * phi.
 
-    pieces : tuple of (low_m, high_m, intercept_n, slope_n_per_m); A piece holds for low_m < phi <= high_m.
+    f is zero elsewhere.
+
+    pieces : tuple of (low_m, high_m, intercept_n, slope_n_per_m); A piece applies to low_m < phi <= high_m.
         The pieces are in ascending order and do not overlap; the first low_m may be -inf.
     surface_damping_n_s_per_m : float; b of a moving surface: where f acts, b times the velocity of the
         surface is added to the force, so that with the receiver's own damping b (paper section 3.2) F_d = -b
-        (v_hand - v_surface). A scene that stands still has nothing to add.
+        (v_hand - v_surface). A static scene adds nothing.
     """
 
     pieces: tuple[tuple[float, float, float, float], ...]
@@ -48,7 +49,7 @@ class ForceProfile:
             raise InvalidArgument("surface_damping_n_s_per_m", found, "0 or a positive number")
 
     def __call__(self, phi_m: ArrayLike) -> Float64s:
-        """f at signed distances in metres, newtons, positive along the outward normal."""
+        """Return f, newtons, positive along the outward normal, at signed distances in metres."""
         phi = np.asarray(phi_m, np.float64)
         amplitude = np.zeros_like(phi)
         for low, high, intercept, slope in self.pieces:
@@ -58,28 +59,29 @@ class ForceProfile:
 
     @property
     def low_m(self) -> float:
-        """Below this signed distance there is no force; -inf for a solid."""
+        """Signed distance below which there is no force; -inf for a solid."""
         return self.pieces[0][0]
 
     @property
     def high_m(self) -> float:
-        """Above this signed distance there is no force."""
+        """Signed distance above which there is no force."""
         return self.pieces[-1][1]
 
     def table(self) -> Float64s:
-        """The pieces for a kernel, float64 [pieces, 4]: low, high, intercept, slope."""
+        """Return the pieces for a kernel, float64 [pieces, 4]: low, high, intercept, slope."""
         return np.array(self.pieces, np.float64)
 
     def rescaled(self, scale: float) -> ForceProfile:
-        """The profile of g(phi) = f(scale * phi): for distances measured in a space `scale` times smaller."""
+        """Return the profile g(phi) = f(scale * phi), for distances in a space `scale` times smaller."""
         pieces = tuple((a / scale, b / scale, c, s * scale) for a, b, c, s in self.pieces)
         return ForceProfile(pieces, self.surface_damping_n_s_per_m * scale)
 
     def __add__(self, other: ForceProfile) -> ForceProfile:
-        edges = sorted({e for p in (*self.pieces, *other.pieces) for e in p[:2]})
+        both = (*self.pieces, *other.pieces)
+        edges = sorted({edge for piece in both for edge in piece[:2]})
         pieces = []
         for low, high in zip(edges, edges[1:], strict=False):
-            inside = [p for p in (*self.pieces, *other.pieces) if p[0] <= low and high <= p[1]]
+            inside = [p for p in both if p[0] <= low and high <= p[1]]
             if inside:
                 pieces.append((low, high, sum(p[2] for p in inside), sum(p[3] for p in inside)))
         return ForceProfile(
@@ -90,16 +92,16 @@ class ForceProfile:
 # -- laws --------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class LawSpec:
-    """A force law and its numbers, as asked for.
+    """A force law and its parameters.
 
     Parameters
     ----------
     law : str; A name of `LAWS`, or several joined by "+".
-    stiffness_n_per_m : float; K, newtons per metre of hand motion; the Phantom Omni can show about 1000
-        to 2300.
+    stiffness_n_per_m : float; K, newtons per metre of hand motion; a Phantom Omni can render about 1000 to
+        2300.
     force_max_n : float; F_max, newtons, where the law saturates.
-    thickness_m : float or None; Thickness of a wall behind the surface; ``inf`` for a solid; None lets the
-        source choose.
+    thickness_m : float or None; Thickness of a wall behind the surface; ``inf`` for a solid; None for
+        the default of the source.
     band_m : float; Reach of the proximity and magnetic laws, metres.
     surface_damping_n_s_per_m : float; b of a moving surface, see `ForceProfile`; 0 for none.
     """
@@ -130,12 +132,15 @@ class LawSpec:
 
     @property
     def saturation_m(self) -> float:
-        """F_max / K: the depth at which the force reaches its limit; the default thickness of a wall."""
+        """F_max / K: the depth at which the force reaches F_max.
+
+        It is the default thickness of a wall.
+        """
         return self.force_max_n / self.stiffness_n_per_m
 
 
 def penalty(spec: LawSpec, thickness_m: float) -> ForceProfile:
-    """F = min(K d, F_max) n for 0 < d < thickness: a wall that pushes out what has entered it."""
+    """F = min(K d, F_max) n for 0 < d < thickness: a wall that pushes a penetrating point out."""
     k, f_max, knee = spec.stiffness_n_per_m, spec.force_max_n, spec.saturation_m
     ramp = (-min(knee, thickness_m), 0.0, 0.0, -k)
     if thickness_m <= knee:
@@ -144,16 +149,16 @@ def penalty(spec: LawSpec, thickness_m: float) -> ForceProfile:
 
 
 def proximity(spec: LawSpec, thickness_m: float) -> ForceProfile:
-    """F = F_max/4 (1 - phi/band) n for 0 < phi < band: a gentle guide, felt before the surface is touched."""
+    """F = F_max/4 (1 - phi/band) n for 0 < phi < band: a gentle guide in front of the surface."""
     peak = spec.force_max_n / 4
     return ForceProfile(((0.0, spec.band_m, peak, -peak / spec.band_m),))
 
 
 def magnetic(spec: LawSpec, thickness_m: float) -> ForceProfile:
-    """F = -min(K |phi|, F_max) sgn(phi) n fading to 0 at |phi| = band: the surface attracts from both sides.
+    """F = -min(K |phi|, F_max) sgn(phi) n, fading to 0 at |phi| = band: attraction from both sides.
 
-    The force is zero on the surface, grows as a spring up to half the band (or to F_max, if that is nearer)
-    and falls linearly to zero at the band's edge, as the magnet of CHAI3D does.
+    The force is zero on the surface, grows like a spring up to half the band (or up to F_max, if that is
+    nearer) and falls linearly to zero at the edge of the band, as does the magnet of CHAI3D.
     """
     band = spec.band_m
     knee = min(spec.saturation_m, band / 2)
@@ -168,13 +173,16 @@ LAWS: dict[str, Callable[[LawSpec, float], ForceProfile]] = {
     "proximity": proximity,
     "magnetic": magnetic,
 }
-"""The registered laws; a new one is a function of a spec and a thickness."""
+"""The registered laws; a law is a function of a spec and a thickness."""
 
 
 def profile_of(spec: LawSpec, natural_thickness_m: float) -> ForceProfile:
-    """The profile that `spec` asks for; `natural_thickness_m` is the source's own (inf for a solid)."""
+    """Return the profile of `spec`.
+
+    `natural_thickness_m` is the default of the source (inf for a solid).
+    """
     thickness = natural_thickness_m if spec.thickness_m is None else spec.thickness_m
-    first, *rest = (LAWS[name](spec, thickness) for name in spec.names)
-    for profile in rest:
-        first = first + profile
-    return replace(first, surface_damping_n_s_per_m=spec.surface_damping_n_s_per_m)
+    total, *others = (LAWS[name](spec, thickness) for name in spec.names)
+    for profile in others:
+        total = total + profile
+    return replace(total, surface_damping_n_s_per_m=spec.surface_damping_n_s_per_m)

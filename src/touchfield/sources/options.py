@@ -11,44 +11,43 @@ from touchfield.options import option
 
 @dataclass(frozen=True)
 class SourceOptions:
-    """Options of the source readers; each kind reads what concerns it.
+    """Options of the source readers; each kind reads those that apply to it.
 
     Parameters
     ----------
-    kind : str or None; Name of a source kind; None recognises it.
-    depth_scale : float or None; Units of a stored depth value in one metre (1000 for millimetres, 5000 for
-        TUM).
-    intrinsics : str or None; "fx,fy,cx,cy" in pixels, or the path of a file that holds them.
+    kind : str or None; Name of a source kind; None to recognise it.
+    depth_scale : float or None; Stored depth units in one metre (1000 for millimetres, 5000 for TUM).
+    intrinsics : str or None; "fx,fy,cx,cy" in pixels, or the path of an intrinsics file.
     poses : str or None; Of a depth sequence: path of its camera poses
-        (`touchfield.sources.depth.frame_poses`); None looks for them.
-    frame : str; "world": poses are used where there are any, so that a moving camera sees a standing world;
-        "camera": the workspace moves with the camera.
+        (`touchfield.sources.depth.frame_poses`); None to search for them.
+    frame : str; "world": camera poses are used if there are any, so that the scene of a moving camera is
+        static; "camera": the workspace moves with the camera.
     world : str; Of a depth sequence in world coordinates: "fused" (one world of all frames), "causal" (of
-        what was seen so far) or "frames" (each frame alone, as the paper reads it).
+        the frames so far) or "frames" (each frame alone, as in the paper).
     reading : str; Of a depth map: "camera" (back-projected, perspective, a wall of some thickness) or
         "height" (the paper's height map: everything behind the surface is solid).
-    shell : str; Of an open mesh: "one" (behind the surface as its triangles face), "two" sided, or "auto".
-    holes : str; Of a mesh, the holes to close: "small" ones, all ("close") or none ("leave").
+    shell : str; Of an open mesh: "one" sided (the wall lies behind the faces), "two" sided, or "auto".
+    holes : str; Which holes of a mesh are closed: "small" ones, all ("close") or none ("leave").
     cell_size_m : float or None; Of a height map: metres between neighbouring samples.
     height_scale : float or None; Of a height map: metres of one stored unit.
     exaggeration : float; Of a height map: factor on heights (1 is honest).
     unit_m : float or None; Of a mesh: metres of one unit of its coordinates.
-    rate_hz : float or None; Frames a second of the medium. A source that moves by a formula or a simulation
-        is evaluated at this rate; a depth sequence whose own rate is known is interpolated in time; where a
-        source does not say its own rate, and `source_rate_hz` does not either, this is it.
+    rate_hz : float or None; Frames a second of the medium. A formula or a simulation is evaluated at this
+        rate; a depth sequence of known rate is interpolated in time. If neither the source nor
+        `source_rate_hz` gives the rate of the source, this is its rate, too.
     seconds : float or None; Of a simulation: its duration.
-    source_rate_hz : float or None; Frames a second of the source, where it does not say.
+    source_rate_hz : float or None; Frames a second of the source, if the source does not state it.
     interpolation : str; Of a depth sequence between two of its frames: "linear" (the paper's) or "nearest"
         (the frame nearest in time).
     animation : str or None; Of an animated model: name or number of the animation; None for the first.
-    relative_depth : str or None; Of a picture or video: path of the relative depth that lies beside it.
-    near_m, far_m : float or None; Of a relative depth: metres of its nearest and its farthest value.
+    relative_depth : str or None; Of a picture or video: path of its relative depth.
+    near_m, far_m : float or None; Of a relative depth: metres of its nearest and of its farthest value.
     segment : str or None; Of a depth sequence in the object representation: the rule of its segmentation, as
         `touchfield.sources.depth.segments` reads it; None for its default.
     baseline_m, disparity_offset_px : float or None; Of a disparity map: depth = fx * baseline_m /
         (disparity + disparity_offset_px).
-    allow_outside : bool; Whether a model or scene file may name files outside its own folder. Never taken
-        from a ``.touch`` file.
+    allow_outside : bool; Whether a model or scene file may name files outside its own folder. Never read from
+        a ``.touch`` file.
     """
 
     kind: str | None = None
@@ -107,17 +106,20 @@ class SourceOptions:
 
 
 class WatchedOptions:
-    """Options as a source reads them, which know what was read."""
+    """Proxy of `SourceOptions` that records which options were read."""
 
     def __init__(self, options: SourceOptions) -> None:
-        self._options, self._read = options, {"kind", "allow_outside"}
+        self._options = options
+        self._read = {"kind", "allow_outside"}
 
     def __getattr__(self, name: str) -> Any:
         self._read.add(name)
         return getattr(self._options, name)
 
     def unread(self) -> list[str]:
-        """Names of the options that somebody asked for and no one has read."""
-        usual = SourceOptions()
-        asked = [f.name for f in fields(usual) if getattr(self._options, f.name) != getattr(usual, f.name)]
-        return [name for name in asked if name not in self._read]
+        """Return the names of the options that differ from their default and were not read."""
+        defaults = SourceOptions()
+        changed = [
+            f.name for f in fields(defaults) if getattr(self._options, f.name) != getattr(defaults, f.name)
+        ]
+        return [name for name in changed if name not in self._read]

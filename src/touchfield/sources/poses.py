@@ -1,17 +1,17 @@
-"""Poses of cameras and tracks of bodies as people write them.
+"""Poses of cameras and tracks of bodies from text files.
 
-The form of a text is told by its content:
+The form of a text is recognised by its content:
 
 * 12 or 16 numbers a line: a 3x4 (KITTI) or 4x4 matrix; 4 a line: such matrices over several lines;
 * 8 numbers a line: TUM's ``time tx ty tz qx qy qz qw``; times may be in milli-, micro- or nanoseconds;
 * 7 numbers a line: the same without the time;
 * Redwood's ``trajectory.log``: three numbers, then a 4x4 matrix over four lines;
-* COLMAP's ``images.txt``: quaternion and translation of the *world in the camera*, and the name of a picture;
+* COLMAP's ``images.txt``: quaternion and translation of *camera from world*, and the name of a picture;
 * nerfstudio's ``transforms.json``: 4x4 matrices in the axes of OpenGL, and the names of pictures;
-* SUN3D's stacked 3x4 ``extrinsics``, and the one pose of a file a frame, where the layout says so.
+* SUN3D's stacked 3x4 ``extrinsics``, and files of one pose for each frame, if the layout has them.
 
-All others are taken as scene from camera, metres, in the axes of the pictures: x right, y down, z forward. A
-rotation that is off by up to 1 % is made exactly orthonormal (text rounds).
+All other forms are read as "scene from camera", metres, in the axes of the pictures: x right, y down, z
+forward. A rotation with an error of up to 1 % (from rounding in the text) is made exactly orthonormal.
 """
 
 from __future__ import annotations
@@ -32,9 +32,8 @@ if TYPE_CHECKING:
     from touchfield.sources.shapes.shapes import Triple
 
 MAX_TIME_S: Final = 1e12  # time stamps stay below this: 32 thousand years
-IGNORE_POSES: Final = (
-    "Mend the file, or ignore the poses with --frame camera."  # the way on from a pose at fault
-)
+IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."
+"""Remedy in an error about an invalid pose."""
 
 _MAX_TEXT_BYTES: Final = 1 << 26
 _ROTATION_TOLERANCE: Final = 0.01
@@ -46,9 +45,9 @@ _FROM_CAMERA: Final = "scene from camera"
 
 
 class PoseList(NamedTuple):
-    """Poses of a file, float64 [n, 4, 4]; how they are written; and what they belong to.
+    """Poses of a file, float64 [n, 4, 4], their form, and what they are keyed by.
 
-    That is times in seconds, float64 [n] ascending, numbers of frames, int64 [n], or names of pictures.
+    Keys are times in seconds, float64 [n] ascending, frame numbers, int64 [n], or names of pictures.
     """
 
     poses: Float64s
@@ -58,14 +57,17 @@ class PoseList(NamedTuple):
     names: tuple[str, ...] | None = None
 
 
-# -- numbers and matrices ------------------------------------------------------------------------------------
-def read_text(path: Path, most_bytes: int = _MAX_TEXT_BYTES) -> str:
-    """A text file; `SourceError` if it cannot be read, is longer (than 64 MiB) or is not text."""
+# -- numbers and matrices ----------------------------------------------------------------------------------
+def read_text(path: Path, max_bytes: int = _MAX_TEXT_BYTES) -> str:
+    """Read a text file.
+
+    Raises `SourceError` if it cannot be read, exceeds `max_bytes` or is not text.
+    """
     try:
         with readable(path, "a text file", "Check path and rights."):
             size = plain_size(path, "a text file")
-            if size > most_bytes:
-                raise SourceError(str(path), f"{size} bytes", f"a text file up to {most_bytes} bytes")
+            if size > max_bytes:
+                raise SourceError(str(path), f"{size} bytes", f"a text file up to {max_bytes} bytes")
             return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise SourceError(
@@ -73,54 +75,54 @@ def read_text(path: Path, most_bytes: int = _MAX_TEXT_BYTES) -> str:
         ) from error
 
 
-def words_of(text: str, where: str, between: str | None = None) -> list[tuple[str, list[str]]]:
-    """Place and words of each line that has any: blanks, or what is said, stand `between`; ``#`` begins a
-    comment.
+def split_lines(text: str, where: str, separator: str | None = None) -> list[tuple[str, list[str]]]:
+    """Split a text into lines of tokens: (location, tokens) of each line that is not empty.
+
+    Tokens are separated by blanks, or by `separator`; ``#`` starts a comment.
     """
-    plain = ((number, line.partition("#")[0].strip()) for number, line in enumerate(text.splitlines(), 1))
+    lines = ((number, line.partition("#")[0].strip()) for number, line in enumerate(text.splitlines(), 1))
     return [
-        (f"{where} line {n}", [word.strip() for word in line.split(between)]) for n, line in plain if line
+        (f"{where} line {n}", [token.strip() for token in line.split(separator)]) for n, line in lines if line
     ]
 
 
-def floats(words: list[str], where: str, expected: str = "numbers") -> list[float]:
-    """The numbers that words are; `SourceError` if one is none."""
+def floats(tokens: list[str], where: str, expected: str = "numbers") -> list[float]:
+    """Parse tokens as numbers; `SourceError` if one is not a number."""
     try:
-        return [float(word) for word in words]
+        return [float(token) for token in tokens]
     except ValueError as error:
-        raise SourceError(where, repr(" ".join(words)[:60]), expected) from error
+        raise SourceError(where, repr(" ".join(tokens)[:60]), expected) from error
 
 
-def _entries(text: str, size: int, where: str, what: str) -> Float64s:
-    """Numbers over any lines, `size` for each entry, float64 [n, size]."""
+def _entries(text: str, size: int, where: str, entry: str) -> Float64s:
+    """Parse numbers regardless of lines, `size` for each entry, float64 [n, size]."""
     values = floats(text.split(), where)
     if not values or len(values) % size:
-        raise SourceError(where, f"{len(values)} numbers", f"{size} for each {what}", IGNORE_POSES)
+        raise SourceError(where, f"{len(values)} numbers", f"{size} for each {entry}", IGNORE_POSES)
     return np.array(values, np.float64).reshape(-1, size)
 
 
-def _refuse(bad: Any, where: str, found: str, expected: str) -> None:
-    """Raise for the first True of `bad`, bool [n]."""
-    if bad.any():
-        raise SourceError(f"{where}, pose {int(bad.argmax())}", found, expected, IGNORE_POSES)
+def _refuse(is_bad: Any, where: str, found: str, expected: str) -> None:
+    """Raise `SourceError` for the first True of `is_bad`, bool [n]."""
+    if is_bad.any():
+        raise SourceError(f"{where}, pose {int(is_bad.argmax())}", found, expected, IGNORE_POSES)
 
 
 def checked_poses(matrices: Float64s, where: str) -> Float64s:
-    """Poses whose rotations are rotations, float64 [n, 4, 4], of matrices float64 [n, 3, 4] or [n, 4, 4],
-    metres.
+    """Check matrices, metres, float64 [n, 3, 4] or [n, 4, 4], and return poses float64 [n, 4, 4].
 
-    Raises `SourceError`, which names the entry, if a number is not finite, a fourth row is not 0 0 0 1, or a
-    rotation is off by more than 1 % or mirrors.
+    Rotations are made orthonormal. Raises `SourceError`, which names the entry, if a number is not finite, a
+    fourth row is not 0 0 0 1, or a rotation has an error of more than 1 % or mirrors.
     """
     poses = np.tile(np.eye(4), (len(matrices), 1, 1))
     poses[:, : matrices.shape[1]] = matrices
     rotation = poses[:, :3, :3]
-    finite = np.isfinite(poses).all(axis=(1, 2)) & (np.abs(poses) < 1e9).all(axis=(1, 2))
-    _refuse(~finite, where, "numbers that are not finite", "a rotation and a translation in metres")
+    is_finite = np.isfinite(poses).all(axis=(1, 2)) & (np.abs(poses) < 1e9).all(axis=(1, 2))
+    _refuse(~is_finite, where, "numbers that are not finite", "a rotation and a translation in metres")
     _refuse((np.abs(poses[:, 3] - (0, 0, 0, 1)) > 1e-6).any(axis=1), where, "another last row", "0 0 0 1")
     gram = rotation.transpose(0, 2, 1) @ rotation
-    skewed = np.abs(gram - np.eye(3)).max(axis=(1, 2), initial=0) > _ROTATION_TOLERANCE
-    _refuse(skewed, where, "a matrix that is no rotation", "orthonormal columns (camera to world)")
+    is_skewed = np.abs(gram - np.eye(3)).max(axis=(1, 2), initial=0) > _ROTATION_TOLERANCE
+    _refuse(is_skewed, where, "a matrix that is no rotation", "orthonormal columns (camera to world)")
     _refuse(np.linalg.det(rotation) < 0, where, "a rotation that mirrors", "a determinant of +1")
     for _ in range(3):  # Newton's iteration to the nearest rotation; quadratic from 1 %
         rotation = 0.5 * rotation @ (3 * np.eye(3) - rotation.transpose(0, 2, 1) @ rotation)
@@ -129,8 +131,8 @@ def checked_poses(matrices: Float64s, where: str) -> Float64s:
     return poses
 
 
-def quaternion_poses(quaternions: Float64s, positions_m: Float64s, where: str) -> Float64s:
-    """Poses float64 [n, 4, 4] of quaternions (x, y, z, w), float64 [n, 4], of length 1, and positions [n, 3]."""
+def poses_of_quaternions(quaternions: Float64s, positions_m: Float64s, where: str) -> Float64s:
+    """Convert unit quaternions (x, y, z, w), float64 [n, 4], and positions [n, 3] to poses [n, 4, 4]."""
     _refuse(
         ~(np.abs(quaternions) < 2).all(axis=1), where, "a quaternion that is not finite and small", "norm 1"
     )
@@ -143,35 +145,40 @@ def quaternion_poses(quaternions: Float64s, positions_m: Float64s, where: str) -
 
 
 def seconds(stamps: Float64s) -> Float64s:
-    """Time stamps in seconds: those too large for seconds since 1970 are milli-, micro- or nanoseconds."""
+    """Convert time stamps to seconds: larger than seconds since 1970 are milli-, micro- or nanoseconds."""
     size = float(np.abs(stamps).max(initial=0.0))
-    unit = next(
-        (unit for least, unit in ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3)) if least <= size < 1e20), 1.0
-    )
+    units = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
+    unit = next((unit for threshold, unit in units if threshold <= size < 1e20), 1.0)
     return stamps / unit
 
 
-def nearest_in_time(times_s: Float64s, wanted_s: Float64s, tolerance_s: float) -> Int64s:
-    """Index of the nearest of the ascending `times_s` for each of `wanted_s`, int64 [m]; -1 beyond the
-    tolerance.
+def nearest_in_time(times_s: Float64s, query_s: Float64s, tolerance_s: float) -> Int64s:
+    """Return the index of the time nearest to each of `query_s`, int64 [m].
+
+    Returns -1 beyond the tolerance.
+
+    `times_s` float64 [n] ascending.
     """
     if not len(times_s):
-        return np.full(len(wanted_s), -1, np.int64)
-    after = np.clip(np.searchsorted(times_s, wanted_s), 0, len(times_s) - 1)
+        return np.full(len(query_s), -1, np.int64)
+    after = np.clip(np.searchsorted(times_s, query_s), 0, len(times_s) - 1)
     before = np.maximum(after - 1, 0)
-    is_before = np.abs(wanted_s - times_s[before]) <= np.abs(times_s[after] - wanted_s)
+    is_before = np.abs(query_s - times_s[before]) <= np.abs(times_s[after] - query_s)
     nearest = np.where(is_before, before, after)
-    return np.where(np.abs(times_s[nearest] - wanted_s) <= tolerance_s, nearest, -1).astype(np.int64)
+    return np.where(np.abs(times_s[nearest] - query_s) <= tolerance_s, nearest, -1).astype(np.int64)
 
 
-# -- texts of poses ------------------------------------------------------------------------------------------
+# -- texts of poses ----------------------------------------------------------------------------------------
 def parse_extrinsics(text: str, where: str) -> Float64s:
-    """SUN3D's stacked 3x4 matrices, one a frame, as poses float64 [n, 4, 4]."""
+    """Parse SUN3D's stacked 3x4 matrices, one for each frame, as poses float64 [n, 4, 4]."""
     return checked_poses(_entries(text, 12, where, "3x4 matrix").reshape(-1, 3, 4), where)
 
 
 def read_pose_file(path: Path) -> Float64s | None:
-    """The 4x4 or 3x4 pose of one frame, float64 [4, 4]; None where tracking was lost (numbers not finite)."""
+    """Read the 4x4 or 3x4 pose of one frame, float64 [4, 4].
+
+    Returns None if tracking was lost (not finite).
+    """
     values = np.array(floats(read_text(path).replace(",", " ").split(), str(path)), np.float64)
     if len(values) not in (12, 16):
         raise SourceError(
@@ -181,35 +188,37 @@ def read_pose_file(path: Path) -> Float64s | None:
 
 
 def parse_poses(text: str, where: str) -> PoseList:
-    """Poses of a text in any of the forms above; `SourceError` for another, or if a pose is no rigid motion."""
+    """Parse poses in any form above.
+
+    Raises `SourceError` for others, or if a pose is not a rigid motion.
+    """
     if text.lstrip().startswith("{"):
-        return _of_transforms(text, where)
-    lines = words_of(text.replace(",", " "), where)
-    if any(len(words) >= 10 and _is_number(words[0]) and not _is_number(words[-1]) for _, words in lines):
-        return _of_colmap(text, where)
+        return _parse_transforms(text, where)
+    lines = split_lines(text.replace(",", " "), where)
+    if any(len(tokens) >= 10 and _is_number(tokens[0]) and not _is_number(tokens[-1]) for _, tokens in lines):
+        return _parse_colmap(text, where)
     columns = len(lines[0][1]) if lines else 0
-    if [len(words) for _, words in lines[:5]] == [3, 4, 4, 4, 4]:
+    if [len(tokens) for _, tokens in lines[:5]] == [3, 4, 4, 4, 4]:
         rows = _entries(text, 19, where, "entry (3 and a 4x4 matrix)")
-        poses, first = checked_poses(rows[:, 3:].reshape(-1, 4, 4), where), rows[:, 0]
-        _refuse(
-            ~((first >= 0) & (first < 2**53) & (first % 1 == 0)), where, "no frame number", "a whole number"
-        )
-        return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=first.astype(np.int64))
+        poses, numbers = checked_poses(rows[:, 3:].reshape(-1, 4, 4), where), rows[:, 0]
+        is_frame_number = (numbers >= 0) & (numbers < 2**53) & (numbers % 1 == 0)
+        _refuse(~is_frame_number, where, "no frame number", "a whole number")
+        return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=numbers.astype(np.int64))
     if columns not in (4, 7, 8, 12, 16):
         raise SourceError(where, f"{columns} numbers in its first line", _FORMS, IGNORE_POSES)
-    for place, words in lines:
-        if len(words) != columns:
-            raise SourceError(place, f"{len(words)} numbers", f"{columns}")
-    rows = np.array([floats(words, place) for place, words in lines], np.float64)
+    for line, tokens in lines:
+        if len(tokens) != columns:
+            raise SourceError(line, f"{len(tokens)} numbers", f"{columns}")
+    rows = np.array([floats(tokens, line) for line, tokens in lines], np.float64)
     if columns == 8:
         rows[:, 0] = seconds(rows[:, 0])
         is_odd = ~(np.abs(rows) < MAX_TIME_S).all(axis=1)
         _refuse(is_odd, where, "numbers that are not finite", "time tx ty tz qx qy qz qw")
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
-        poses = quaternion_poses(rows[:, 4:], rows[:, 1:4], where)
+        poses = poses_of_quaternions(rows[:, 4:], rows[:, 1:4], where)
         return PoseList(poses, f"time tx ty tz qx qy qz qw, {_FROM_CAMERA}", rows[:, 0])
     if columns == 7:
-        poses = quaternion_poses(rows[:, 3:], rows[:, :3], where)
+        poses = poses_of_quaternions(rows[:, 3:], rows[:, :3], where)
         return PoseList(poses, f"tx ty tz qx qy qz qw, {_FROM_CAMERA}")
     if columns == 4:
         height = 4 if len(rows) % 4 == 0 and bool((rows[3::4] == (0, 0, 0, 1)).all()) else 3
@@ -222,8 +231,11 @@ def parse_poses(text: str, where: str) -> PoseList:
     return PoseList(poses, f"a {columns // 4}x4 matrix a line, {_FROM_CAMERA}")
 
 
-def _of_transforms(text: str, where: str) -> PoseList:
-    """nerfstudio's ``transforms.json``: x right, y up, z backward become the axes of the pictures."""
+def _parse_transforms(text: str, where: str) -> PoseList:
+    """Parse nerfstudio's ``transforms.json``.
+
+    Its axes (x right, y up, z backward) are converted to those of the pictures.
+    """
     try:
         frames = json.loads(text)["frames"]
         names = tuple(str(frame.get("depth_file_path", frame["file_path"])) for frame in frames)
@@ -237,64 +249,70 @@ def _of_transforms(text: str, where: str) -> PoseList:
     return PoseList(poses, "nerfstudio's: scene from camera in the axes of OpenGL, turned over", names=names)
 
 
-def _of_colmap(text: str, where: str) -> PoseList:
-    """COLMAP's ``images.txt``; the lines of points after each picture's may be empty or missing."""
+def _parse_colmap(text: str, where: str) -> PoseList:
+    """Parse COLMAP's ``images.txt``.
+
+    The line of points after each picture may be empty or missing.
+    """
     names: list[str] = []
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), 1):
-        words, numbers = line.split(maxsplit=9), line.split()
+        tokens, numbers = line.split(maxsplit=9), line.split()
         is_points = len(numbers) % 3 == 0 and all(map(_is_number, numbers))
-        if not words or words[0].startswith("#") or (names and is_points):
+        if not tokens or tokens[0].startswith("#") or (names and is_points):
             continue
         try:
-            rows.append([float(word) for word in words[1:8]])
-            names.append(words[9].strip())
+            rows.append([float(token) for token in tokens[1:8]])
+            names.append(tokens[9].strip())
         except (ValueError, IndexError):
             expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
             raise SourceError(f"{where} line {number}", repr(line[:60]), expected, IGNORE_POSES) from None
     values = np.array(rows, np.float64).reshape(-1, 7)
-    turns = quaternion_poses(np.roll(values[:, :4], -1, axis=1), np.zeros((len(values), 3)), where)
-    turns = turns[:, :3, :3].transpose(0, 2, 1)
-    poses = checked_poses(np.concatenate([turns, -turns @ values[:, 4:, None]], axis=2), where)
+    rotations = poses_of_quaternions(np.roll(values[:, :4], -1, axis=1), np.zeros((len(values), 3)), where)
+    rotations = rotations[:, :3, :3].transpose(0, 2, 1)
+    poses = checked_poses(np.concatenate([rotations, -rotations @ values[:, 4:, None]], axis=2), where)
     form = "COLMAP's: camera from scene, turned round; its unit is taken as a metre"
     return PoseList(poses, form, names=tuple(names))
 
 
-def _is_number(word: str) -> bool:
+def _is_number(token: str) -> bool:
     try:
-        float(word)
+        float(token)
     except ValueError:
         return False
     return True
 
 
-# -- tracks of bodies (paper section 4.3, object motion) -----------------------------------------------------
-def poses_between(quaternions: Float64s, positions_m: Float64s, at: Float64s) -> tuple[Float64s, Float64s]:
-    """Quaternions float64 [m, 4] and positions float64 [m, 3] at the indices `at`, which may be broken.
+# -- tracks of bodies (paper section 4.3, object motion) ---------------------------------------------------
+def interpolate_poses(
+    quaternions: Float64s, positions_m: Float64s, indices: Float64s
+) -> tuple[Float64s, Float64s]:
+    """Interpolate quaternions float64 [m, 4] and positions float64 [m, 3] at fractional `indices`.
 
-    Positions lie on a line between two, rotations on the shortest arc, turned through at constant speed.
+    Positions are interpolated linearly, rotations along the shortest arc at constant speed (slerp).
     """
     if len(positions_m) == 1:
-        return np.tile(quaternions, (len(at), 1)), np.tile(positions_m, (len(at), 1))
-    before = np.minimum(at.astype(np.int64), len(positions_m) - 2)
-    share, after = at - before, before + 1
-    positions = (1.0 - share)[:, None] * positions_m[before] + share[:, None] * positions_m[after]
-    return slerp(quaternions[before], quaternions[after], share), positions
+        return np.tile(quaternions, (len(indices), 1)), np.tile(positions_m, (len(indices), 1))
+    before = np.minimum(indices.astype(np.int64), len(positions_m) - 2)
+    fraction, after = indices - before, before + 1
+    positions = (1.0 - fraction)[:, None] * positions_m[before] + fraction[:, None] * positions_m[after]
+    return slerp(quaternions[before], quaternions[after], fraction), positions
 
 
 def track_at_rate(trace: Trace, rate_hz: float, frame_count: int) -> PoseTrack:
-    """The poses at the times 0, 1 / rate, ..., one a frame, of a recorded motion.
+    """Resample a recorded motion at the times 0, 1 / rate, ...
 
-    Before its first and after its last pose a body stands still; one that is never turned keeps the scene's
-    axes.
+    Before its first and after its last pose a body is at rest; without rotations it keeps the scene's axes.
     """
-    at = np.interp(np.arange(frame_count) / rate_hz, trace.times_s, np.arange(len(trace)))
-    turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(trace), 1)) if trace.quaternions is None else trace.quaternions
-    return PoseTrack(*poses_between(turns, trace.positions_m, at))
+    indices = np.interp(np.arange(frame_count) / rate_hz, trace.times_s, np.arange(len(trace)))
+    quaternions = (
+        np.tile([1.0, 0.0, 0.0, 0.0], (len(trace), 1)) if trace.quaternions is None else trace.quaternions
+    )
+    return PoseTrack(*interpolate_poses(quaternions, trace.positions_m, indices))
 
 
-def quaternion_of_turns(rotation_deg: Triple) -> Float64s:
-    """The quaternion w, x, y, z of turns about the fixed x, then y, then z axis, float64 [4]."""
+def quaternion_of_euler(rotation_deg: Triple) -> Float64s:
+    """Return the quaternion w, x, y, z of rotations about the fixed x, then y, then z axis, float64 [4]."""
     from scipy.spatial.transform import Rotation
 
     quaternion: Float64s = Rotation.from_euler("xyz", rotation_deg, degrees=True).as_quat(scalar_first=True)

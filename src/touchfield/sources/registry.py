@@ -1,9 +1,9 @@
-"""The source kinds: which there are, which one a path is, and how it is opened.
+"""Registry of source kinds: list them, recognise the kind of a path, and open it.
 
-Other distributions add kinds by entry points of the group ``touchfield.sources``, each a `SourceKind`. A kind
-of this package is a module that ends in ``KIND = SourceKind(...)`` and a line in `MODULES`, or a row of the
-table of depth layouts (``touchfield.sources.depth.layouts``) and a line that names module and row. The
-modules must be cheap to import: what is heavy (numba, Pillow) is imported when it is used.
+Other distributions add kinds through entry points of the group ``touchfield.sources``, each a `SourceKind`. A
+kind of this package is either a module that ends in ``KIND = SourceKind(...)`` with a line in `MODULES`, or a
+row of the table of depth layouts (``touchfield.sources.depth.layouts``) with a line that names module and
+row. The modules must be cheap to import: heavy libraries (numba, Pillow) are imported where they are used.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from touchfield.sources.images.pictures import contents
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import Scene
 
-MODULES = (  # in the order in which they are asked: the particular before the general
+MODULES = (  # in the order in which they are tried: specific kinds before general ones
     "physics.toml_file",
     "shapes.analytic_scene",
     "physics.mjcf",
@@ -53,72 +53,72 @@ class SourceKind:
 
     Parameters
     ----------
-    name : str; What ``--as`` takes.
-    summary : str; One line for the user: what it is and which files it takes.
-    tell : callable; ``tell(path) -> bool``: whether a path is of this kind, by names and a few bytes.
-    open : callable; ``open(path, options) -> Scene``; raises `SourceError` for data at fault.
+    name : str; Value of ``--as``.
+    summary : str; One line for the user: what the kind is and which files it reads.
+    matches : callable; ``matches(path) -> bool``: whether a path is of this kind, by names and a few bytes.
+    open : callable; ``open(path, options) -> Scene``; raises `SourceError` for invalid data.
     """
 
     name: str
     summary: str
-    tell: Callable[[Path], bool]
+    matches: Callable[[Path], bool]
     open: Callable[[Path, SourceOptions], Scene]
 
     def recognise(self, path: Path) -> bool:
-        """True if a path is of this kind; what cannot be read is not."""
+        """Return True if a path is of this kind; False if it cannot be read."""
         try:
-            return self.tell(path)
+            return self.matches(path)
         except (OSError, SourceError):
             return False
 
 
 @cache
 def kinds() -> tuple[SourceKind, ...]:
-    """All source kinds, the particular before the general: plug-ins, which were installed on purpose, come
-    first.
-    """
+    """Return all source kinds: plug-ins first, then specific kinds before general ones."""
     built_in = tuple(_kind(*entry.split(":")) for entry in MODULES)
     return (*plugins("touchfield.sources", SourceKind).values(), *built_in)
 
 
-def _kind(module: str, row: str | None = None) -> SourceKind:
-    holder = import_module(f"touchfield.sources.{module}")
-    kind: SourceKind = holder.KIND if row is None else holder.KINDS[row]
+def _kind(module: str, key: str | None = None) -> SourceKind:
+    """Return the kind of a module, or that of a row of its table `KINDS`."""
+    namespace = import_module(f"touchfield.sources.{module}")
+    kind: SourceKind = namespace.KIND if key is None else namespace.KINDS[key]
     return kind
 
 
 def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene:
     """Open a file or folder as a scene.
 
-    Raises `SourceError` if there is no file or folder at `path`, no kind recognises it, or its data are at
-    fault; `InvalidArgument` if ``options.kind`` names no kind.
+    Raises `SourceError` if there is no file or folder at `path`, no kind recognises it, or its data are
+    invalid; `InvalidArgument` if ``options.kind`` is not the name of a kind.
     """
-    path, options = Path(path), options or SourceOptions()
+    path = Path(path)
+    options = options or SourceOptions()
     by_name = {kind.name: kind for kind in kinds()}
     name = options.kind or ("relative-depth" if options.relative_depth else None)
     if name is not None:
         require_one_of("--as", name, by_name)
-    if not os.path.exists(path):  # unlike Path.exists, it answers for a name that is too long as well
+    if not os.path.exists(path):  # unlike Path.exists, does not raise for a name that is too long
         raise SourceError(str(path), "nothing there", "a file or folder", "Check the path.")
     require_plain(path, "a file or folder", or_folder=True)
-    kind = (
-        by_name[name] if name is not None else next((kind for kind in kinds() if kind.recognise(path)), None)
-    )
-    if kind is None:
-        found = "no kind of source that is known" + (f", but {contents(path)}" if path.is_dir() else "")
-        mend = "Name its kind with --as, or a folder in it." if path.is_dir() else "Name its kind with --as."
-        raise SourceError(str(path), found, f"one of {', '.join(by_name)}", mend)
-    return kind.open(path, options)
+    if name is not None:
+        return by_name[name].open(path, options)
+    for kind in kinds():
+        if kind.recognise(path):
+            return kind.open(path, options)
+    found, mend = "no kind of source that is known", "Name its kind with --as."
+    if path.is_dir():
+        found += f", but {contents(path)}"
+        mend = "Name its kind with --as, or a folder in it."
+    raise SourceError(str(path), found, f"one of {', '.join(by_name)}", mend)
 
 
 def unit_notes(scene: Scene, start: int, stop: int) -> tuple[str, ...]:
-    """A question where frames start to stop - 1 are out of all proportion."""
+    """Return a question about the unit if the size of frames start to stop - 1 is unusual; else nothing."""
     if scene.unit is None:
         return ()
     option, low, high = scene.unit
     size_m = float(np.ptp(scene.bounds_between_m(start, stop), axis=0).max())
-    return (
-        ()
-        if low <= size_m <= high
-        else (f"Is the unit right? The scene measures {size_m:.3g} m across ({option}).",)
-    )
+    if low <= size_m <= high:
+        return ()
+    return (f"Is the unit right? The scene measures {size_m:.3g} m across ({option}).",)

@@ -1,6 +1,4 @@
-"""Scenes for a first run with no download: real ones that well-known libraries carry, and Scene 1 of the
-paper.
-"""
+"""Sample scenes that need no download: data of well-known libraries, and Scene 1 of the paper."""
 
 from __future__ import annotations
 
@@ -17,17 +15,16 @@ SAMPLES = ("shapes", "terrain", "motorcycle", "falling-4", "falling-7")
 
 
 def sample(name: str, options: SourceOptions | None = None) -> Scene:
-    """A scene by name.
+    """Return a sample scene by name.
 
-    "shapes" is a tray of six shapes with a formula, which needs no library beside the core.
-    "terrain" is the elevation model of the Jacksboro fault, Tennessee, that matplotlib carries (344 x 403
-    samples of the Shuttle Radar Topography Mission); "motorcycle" is the Middlebury 2014 stereo pair that
-    scikit-image carries, as a depth map. "falling-4" and "falling-7" are Scene 1 of the paper (section 5.1),
-    bodies of low complexity that fall on the ground, 2000 frames in 2 s: four as its text has it, seven as
-    its figure 5. The ground itself is not felt. The shapes and their places are not the paper's, which gives
-    none.
+    "shapes" is a tray of six analytic shapes, which needs no optional library. "terrain" is the elevation
+    model of the Jacksboro fault, Tennessee, from matplotlib (344 x 403 samples of the Shuttle Radar
+    Topography Mission); "motorcycle" is the Middlebury 2014 stereo pair from scikit-image, as a depth map.
+    "falling-4" and "falling-7" are Scene 1 of the paper (section 5.1), bodies of low complexity that fall on
+    the ground, 2000 frames in 2 s: four as in its text, seven as in its figure 5. The ground itself exerts no
+    force. The paper gives no shapes and positions; those here are ours.
 
-    Raises `InvalidArgument` if there is no such sample, or the library that carries or simulates it is not
+    Raises `InvalidArgument` if there is no such sample, or the library that contains or simulates it is not
     installed.
     """
     options = options or SourceOptions()

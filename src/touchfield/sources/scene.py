@@ -1,7 +1,7 @@
-"""Scenes, as every source gives one: generators of force fields, evaluated wherever it is asked.
+"""Base class of scenes: generators of force fields, evaluated on any lattice.
 
-A scene keeps what made it (depth maps, triangles, a formula) and is never voxelised as a whole: the device
-filter asks it for the fields of the lattice that it needs (design: "keep the generator").
+A scene keeps its geometry (depth maps, triangles, a formula) and is never voxelised as a whole: the device
+filter requests the field on the lattice that it needs (design: "keep the generator").
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ UP_Y_AXES: Final = "x right, y up, z towards the viewer"
 UP_Z_AXES: Final = "x east, y north, z up"
 
 DEPTH_UNIT: Final = ("--depth-scale", 0.02, 200.0)
-"""The option that says the unit of depth, and usual sizes of its scenes, metres (`Scene.unit`)."""
+"""Option that gives the unit of depth, and the usual range of scene sizes, metres (`Scene.unit`)."""
 
 
-def bricks_that(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -> Int32s:
-    """Bricks that may hold a force, int32 [n, 3] ascending: blocks of bricks, halved where one may.
+def find_bricks_by_block(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -> Int32s:
+    """Find bricks that may hold a force, int32 [n, 3] ascending, by halving blocks of bricks.
 
-    ``may_hold(blocks, size)``, bool [n]: whether there may be a force in blocks, int32 [n, 3] in units of
-    their `size`, bricks along each axis.
+    ``may_hold(blocks, size)`` returns bool [n]: whether each block may hold a force. `blocks` int32 [n, 3]
+    are positions in units of `size`, the number of bricks along each edge of a block.
     """
     size = 1 << max(grid.brick_shape).bit_length()
     blocks = np.zeros((1, 3), np.int32)
@@ -44,18 +44,22 @@ def bricks_that(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -> Int32s:
         size //= 2
         blocks = np.repeat(2 * blocks, 8, axis=0) + np.tile(CORNERS, (len(blocks), 1))
         x, y, z = (blocks[:, axis] < -(-count // size) for axis, count in enumerate(grid.brick_shape))
-        blocks = blocks[x & y & z]  # a column at a time: a row of three costs NumPy forty times as much
+        blocks = blocks[x & y & z]  # one column at a time: rows of three are 40 times slower in NumPy
 
 
-def bricks_near(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int32s:
-    """The same; ``may_hold(centres, radius_m)`` tells of a force so near to points, float64 [n, 3]."""
+def find_bricks_by_sphere(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int32s:
+    """Find bricks that may hold a force, int32 [n, 3] ascending, by a test of spheres.
+
+    ``may_hold(centres, radius_m)`` returns bool [n]: whether a force may lie within `radius_m` of each of the
+    points float64 [n, 3].
+    """
 
     def in_blocks(blocks: Int32s, size: int) -> Bools:
         half = (size * BRICK - 1) / 2
         radius_m = float(np.linalg.norm(np.asarray(grid.spacing_m) * half))
         return may_hold(grid.to_m(blocks.astype(np.int64) * (size * BRICK) + half), radius_m)
 
-    return bricks_that(in_blocks, grid)
+    return find_bricks_by_block(in_blocks, grid)
 
 
 class Scene(ABC):
@@ -64,22 +68,22 @@ class Scene(ABC):
     Attributes
     ----------
     rate_hz : float; Frames a second (any positive number for one frame).
-    axes : str; One of `CAMERA_AXES`, `UP_Y_AXES`, `UP_Z_AXES`, or any other wording.
-    notes : tuple of str; What the user should be told about how the source was read.
-    has_law : bool; Whether a force law makes the forces; False where they are the source's own.
-    is_solid : bool; Whether everything behind the surface is solid unless a thickness is asked for.
-    finest_m : (float, float, float) or None; Between samples closer than this the scene has nothing to tell;
-        None for a continuous one.
-    box_wording : str; What `bounds_m` is the box of, in a note about the workspace that it fills.
-    unit : (str, float, float) or None; The option that says the unit, and the bounds of sizes in metres that
-        are usual; None where any size is.
-    tags : tuple of str; Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand
-        for something else.
-    exaggeration : float; Factor on the heights of a height map, in which its z is told.
-    is_captured : bool; Frames are taken as they are asked for (`touchfield.sources.depth.capture`).
-    has_gpu : bool; Forces are computed on a GPU where one is asked for (`touchfield.compute.cuda.computing`).
-    report : callable; ``report(done, total)`` is called while a scene prepares itself for the first field;
-        set by who wants to know.
+    axes : str; One of `CAMERA_AXES`, `UP_Y_AXES`, `UP_Z_AXES`, or any other text.
+    notes : tuple of str; Messages for the user about how the source was read.
+    has_law : bool; Whether a force law computes the forces; False if the source stores them.
+    is_solid : bool; Whether everything behind the surface is solid unless a thickness is given.
+    finest_m : (float, float, float) or None; Spacing below which the scene has no further detail; None for a
+        continuous scene.
+    box_wording : str; What `bounds_m` encloses, for a note about the workspace that it fills.
+    unit : (str, float, float) or None; The option that gives the unit, and the usual range of sizes in
+        metres; None if any size is usual.
+    tags : tuple of str; Media tags of the paper's figure 1: "direct", or "symbolic" if the forces represent
+        something else.
+    exaggeration : float; Factor already applied to the heights (z) of a height map.
+    is_captured : bool; Frames are captured when they are requested (`touchfield.sources.depth.capture`).
+    has_gpu : bool; Forces are computed on a GPU if one is selected (`touchfield.compute.cuda.computing`).
+    report : callable; ``report(done, total)`` is called while the scene prepares its first field; callers may
+        set it.
     """
 
     frame_count: int = 1
@@ -99,76 +103,86 @@ class Scene(ABC):
 
     @abstractmethod
     def bounds_m(self) -> Float64s:
-        """The box of the surface over all frames, metres, float64 [2, 3]: low and high corner."""
+        """Return the box of the surface over all frames, metres, float64 [2, 3]: low and high corner."""
 
     def bounds_between_m(self, start: int, stop: int) -> Float64s:
-        """The box over frames start to stop - 1, as `bounds_m` has it over all; by default that one."""
+        """Return the box over frames start to stop - 1.
+
+        By default it is that of all frames (`bounds_m`).
+        """
         return self.bounds_m()
 
     @abstractmethod
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """The force field of one frame, sampled (not averaged) at the points of `grid`.
+        """Return the force field of one frame, sampled (not averaged) at the points of `grid`.
 
         `grid` and the distances of `profile` are in scene metres.
         """
 
     def bodies(self) -> tuple[Body, ...]:
-        """The objects of the scene, for the object representation; by default the whole scene is one."""
-        return (Body("scene", self, PoseTrack.still(self.frame_count)),)
+        """Return the objects of the scene; by default the whole scene is one."""
+        return (Body("scene", self, PoseTrack.constant(self.frame_count)),)
 
-    def take(self, start: int, stop: int) -> None:  # noqa: B027  (most scenes have nothing to prepare)
-        """Only frames start to stop - 1 will be asked for: what is made of many frames is made of these."""
+    def restrict_frames(self, start: int, stop: int) -> None:  # noqa: B027  (most scenes have nothing to prepare)
+        """Restrict the scene to frames start to stop - 1: a fused scene, for example, is built from these."""
 
-    def learnt(self) -> tuple[str, ...]:
-        """Notes that are known only once fields have been made; by default none."""
+    def late_notes(self) -> tuple[str, ...]:
+        """Return notes that are known only after fields were computed; by default none."""
         return ()
 
     def moved(self, rotation: Float64s, shift_m: Float64s) -> Scene:
-        """This scene after x -> R x + t, a rigid motion; where it cannot be turned, `InvalidArgument`.
+        """Return this scene after the rigid motion x -> R x + t.
 
-        `rotation` float64 [3, 3]; `shift_m` float64 [3].
+        `rotation` float64 [3, 3]; `shift_m` float64 [3]. Raises `InvalidArgument` if the scene cannot be
+        moved.
         """
         raise InvalidArgument(
-            type(self).__name__, "a rigid motion asked of it", "a mesh or shapes with a formula"
+            type(self).__name__, "a rigid motion", "a mesh or analytic shapes, which can be moved"
         )
 
 
 class MovingScene(Scene):
-    """A scene whose surface is another one in each frame; the latest box that was asked for is kept."""
+    """A scene whose surface differs between frames.
+
+    The latest requested box is cached.
+    """
 
     _box: tuple[tuple[int, int], Float64s] | None = None
 
     @abstractmethod
     def _box_m(self, start: int, stop: int) -> Float64s:
-        """The box over frames start to stop - 1, float64 [2, 3]; `bounds_between_m` keeps it."""
+        """Compute the box over frames start to stop - 1, float64 [2, 3].
+
+        `bounds_between_m` caches it.
+        """
 
     def bounds_m(self) -> Float64s:
-        """The box of the surface over all frames, metres, float64 [2, 3], read-only."""
+        """Return the box of the surface over all frames, metres, float64 [2, 3], read-only."""
         return self.bounds_between_m(0, self.frame_count)
 
     def bounds_between_m(self, start: int, stop: int) -> Float64s:
-        """The box over frames start to stop - 1, as `bounds_m` has it over all."""
+        """Return the box over frames start to stop - 1, metres, float64 [2, 3], read-only."""
         if self._box is None or self._box[0] != (start, stop):
             self._box = (start, stop), frozen(self._box_m(start, stop))
         return self._box[1]
 
 
 def size_note(extent_m: NDArray[np.floating[Any]], unit_m: float | None, when: str = "") -> str:
-    """Sides of a mesh, metres [3], in the unit that was asked for, or in metres where none was."""
+    """Describe the sides of a mesh, metres [3], with the requested unit, or metres if there is none."""
     extent = " x ".join(f"{side:.4g}" for side in extent_m)
     if unit_m is not None:
         return f"One unit is {unit_m:g} m: {extent} m{when}."
-    return f"Coordinates taken as metres: {extent} m{when}; say --unit-m if they are not."
+    return f"Coordinates taken as metres: {extent} m{when}; give --unit-m if they are not."
 
 
 @dataclass(frozen=True)
 class Body:
-    """An object of a scene: what it is in its own frame, and where that frame lies.
+    """An object of a scene: its shape in its own frame, and the track of that frame.
 
     Parameters
     ----------
-    scene : Scene; In the body's frame, scene metres; one frame for a rigid body, or as many as the track has.
-    track : PoseTrack; Scene from body.
+    scene : Scene; In the body's frame, scene metres; one frame for a rigid body, else as many as the track.
+    track : PoseTrack; Poses "scene from body".
     """
 
     name: str

@@ -1,6 +1,6 @@
 """A stored force field as a source: ``.npz`` or ``.zarr`` with ``forces_n``.
 
-Its forces are what they are: a force law has nothing to act on, and the profile is ignored.
+The forces are used as stored: a force law does not apply, and the profile is ignored.
 """
 
 from __future__ import annotations
@@ -23,27 +23,31 @@ from touchfield.sources.scene import Scene
 
 
 class StoredScene(Scene):
-    """A medium as a scene: looked up by trilinear interpolation wherever it is asked.
+    """A medium as a scene: trilinear interpolation of its stored forces.
 
-    ``to_the_bit()`` gives the same medium with bricks of nothing but -0.0, which are no forces; by default
-    `medium`.
+    ``to_the_bit()`` returns the same medium including bricks that hold only -0.0, which count as no force; by
+    default `medium`.
     """
 
     has_law = False
 
     def __init__(self, medium: HapticMedium, to_the_bit: Callable[[], HapticMedium] | None = None) -> None:
-        self.medium, self.to_the_bit = medium, to_the_bit or (lambda: medium)
+        self.medium = medium
+        self.to_the_bit = to_the_bit or (lambda: medium)
         self.frame_count, self.rate_hz = medium.frame_count, medium.rate_hz
         self.axes = medium.axes
         self.finest_m = medium.grid.spacing_m
         self.notes = ("The stored forces are used as they are; the force law is ignored.",)
 
     def bounds_m(self) -> Float64s:
-        """The box of the stored grid, metres, float64 [2, 3]."""
+        """Return the box of the stored grid, metres, float64 [2, 3]."""
         return np.stack(self.medium.grid.box_m)
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """The stored forces at the points of `grid`; the stored field itself where the grids are equal."""
+        """Return the stored forces at the points of `grid`.
+
+        Returns the field itself if the grids are equal.
+        """
         stored = self.medium[frame]
         if grid == stored.grid:
             return stored

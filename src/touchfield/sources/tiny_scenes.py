@@ -1,4 +1,4 @@
-"""Tiny scenes, one for each kind of generator: to compile every kernel, and to test with."""
+"""Tiny scenes, one for each kind of generator, to compile every kernel and for tests."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class _Ramp(DepthSequence):
 
 
 def tiny_scenes() -> list[Scene]:
-    """One small scene for each kind of generator."""
+    """Return one small scene for each kind of generator."""
     heights = np.fromfunction(lambda i, j: 0.1 * np.sin(i / 3) * np.cos(j / 4), (24, 24))
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    turning = PoseTrack(
+    track = PoseTrack(
         np.array([[1.0, 0.0, 0.0, 0.0], [0.8, 0.6, 0.0, 0.0]]), np.array([[0.0, 0, 0], [0.1, 0, 0]])
     )
     return [
@@ -51,5 +51,5 @@ def tiny_scenes() -> list[Scene]:
         MeshScene(corners, faces),
         MeshScene(corners, faces[:3]),
         MeshScene(np.concatenate([corners, corners + 0.1]), np.concatenate([faces, faces + 4])),
-        BodyScene((Body("tetrahedron", MeshScene(corners, faces), turning),), 30.0),
+        BodyScene((Body("tetrahedron", MeshScene(corners, faces), track),), 30.0),
     ]

@@ -1,9 +1,9 @@
-"""A source, live: frames are made as their time comes, coded in segments, and sent to whoever is there.
+"""Live streaming of a source: frames are made in real time, coded in segments, and sent to all receivers.
 
-What a segment takes until it can be felt is its own length, and the coding of its last frame. Where making or
-coding frames cannot keep up, frames are left out and told; time goes on. A coarse layer is a stream of its
-own beside: the same frames on half the lattice, within a mask twice as wide, a seventh of the bytes. What the
-fine one is beyond it, coded as a difference, would take half as many again as the fine one alone.
+The delay of a segment is its own length and the coding of its last frame. If making or coding frames is too
+slow, frames are skipped and counted; time goes on. A coarse layer is a separate stream with the same frames
+on half the lattice, within a mask twice as wide, in a seventh of the bytes. (Coding the fine stream as the
+difference to it would take half as many bytes again as the fine stream alone.)
 """
 
 from __future__ import annotations
@@ -18,35 +18,35 @@ from queue import SimpleQueue
 from typing import Any, Final
 
 from touchfield.codec.registry import field_encoder
-from touchfield.codec.segment import Worst, bound_keys
+from touchfield.codec.segment import MaxError, bound_keys
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import CODER
 from touchfield.codec.vibration import encode_vibration
 from touchfield.errors import InvalidArgument, require_between, require_kinds, require_one_of, warn_unbounded
-from touchfield.filters.resample import pyramid, rebuilt
+from touchfield.filters.resample import pyramid, rebuild_level
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 from touchfield.medium.medium import VibrationFrame
 from touchfield.network.live import ENDLESS, LiveSegment, LiveSender
-from touchfield.pipeline.encoding import provenance_of
+from touchfield.pipeline.encoding import file_provenance
 from touchfield.pipeline.preparation import Prepared, Source, as_source, prepare
-from touchfield.pipeline.segments import head_of
+from touchfield.pipeline.segments import file_head
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.sources.depth.capture import CaptureEnd, captured
+from touchfield.sources.depth.capture import CaptureEnd, open_capture
 from touchfield.tasks.editing import detail_level
 
 Send = Callable[[LiveSegment], bytes | None]
 
-_MOST_UNDER_WAY: Final = 2
-"""Segments that are coded, or whose last frames are."""
+_MAX_PENDING: Final = 2
+"""Segments that may be in work at a time."""
 
 
 @dataclass(frozen=True)
 class LiveSpec:
-    """How a source goes on the air; InvalidArgument if a value is out of range.
+    """Options of a live stream; InvalidArgument if a value is out of range.
 
-    `segment_s`, the length of a segment, is what the delay is, and what a receiver that joins waits for at
-    most; `loop` begins again at the end of the source; `seconds` None is to the end of the source.
+    `segment_s` is the length of a segment, which is the delay, and the longest wait of a receiver that joins.
+    `loop` restarts the source at its end; `seconds` None streams to the end of the source.
     """
 
     segment_s: float = 0.25
@@ -62,79 +62,77 @@ class LiveSpec:
 
 @dataclass
 class Sent:
-    """Counts of a broadcast; `left_out` are frames that came too late to be made or coded.
+    """Counts of a broadcast; `skipped_frames` were too late to be made or coded.
 
-    All but `coarse_bytes` are without a coarse layer. `worst_mask_ratio` is the largest error of all voxels
-    sent, in units of the error bound; None where the mode has none, or nothing was sent.
+    All but `coarse_bytes` are without the coarse layer. `worst_mask_ratio` is the largest error of all voxels
+    sent, in units of the error bound; None if the mode has no bound, or nothing was sent.
     """
 
     frames: int = 0
     segments: int = 0
     sent_bytes: int = 0
-    left_out: int = 0
+    skipped_frames: int = 0
     coarse_bytes: int = 0
     worst_mask_ratio: float | None = None
 
-    def add(self, segment: LiveSegment, worst: Worst | None) -> None:
+    def add(self, segment: LiveSegment, max_error: MaxError | None) -> None:
         """Count a segment that was sent."""
         self.sent_bytes += len(segment.body) + len(segment.vibration or b"")
         self.segments, self.frames = self.segments + 1, self.frames + segment.frame_count
-        if worst is not None:
-            self.worst_mask_ratio = max(worst.ratio, self.worst_mask_ratio or 0.0)
+        if max_error is not None:
+            self.worst_mask_ratio = max(max_error.ratio, self.worst_mask_ratio or 0.0)
 
-    def leave_out(self, frames: int, why: str, tell: Callable[[str], None]) -> None:
-        """Count frames that are left out, and tell each time that they have become twice as many."""
-        before, self.left_out = self.left_out, self.left_out + frames
-        if self.left_out.bit_length() > before.bit_length():
-            tell(f"{why}: {self.left_out} frames are left out so far")
+    def skip(self, frames: int, reason: str, on_note: Callable[[str], None]) -> None:
+        """Count skipped frames, and report each time that their number has doubled."""
+        before, self.skipped_frames = self.skipped_frames, self.skipped_frames + frames
+        if self.skipped_frames.bit_length() > before.bit_length():
+            on_note(f"{reason}: {self.skipped_frames} frames are skipped so far")
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         return dict(self.__dict__)
 
     def error_bound(self, prepared: Prepared) -> dict[str, Any]:
-        """Keys of the error bound that was proved of what was sent."""
-        is_known = self.worst_mask_ratio is not None
-        keys = bound_keys(CODER.bound_rule(prepared.coding), {"promise_kept": is_known})
+        """Keys of the error bound of all segments that were sent."""
+        has_bound = self.worst_mask_ratio is not None
+        keys = bound_keys(CODER.bound_rule(prepared.coding), {"promise_kept": has_bound})
         if not self.segments:
             keys = {"error_bound": None, "error_bound_note": "no error bound is proved: no segment was sent"}
-        return {**keys, "promise_kept": True if is_known else None}
+        return {**keys, "promise_kept": True if has_bound else None}
 
 
-def opened_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSender]:
-    """A source that is prepared as voxels, and a sender that has its opening; InvalidArgument for another
-    coder.
-    """
+def open_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSender]:
+    """Prepare a source as voxels, and open its sender; InvalidArgument for a coder other than `touch`."""
     require_one_of("coder of a live stream", spec.coder, ("touch",))
-    # what is live has no time for a search
+    # a live stream has no time for a search
     spec = replace(spec, representation="voxel", touch=replace(spec.touch, effort="fast"))
-    prepared = prepare(captured(source, spec.source) or as_source(source, spec.device), spec)
+    prepared = prepare(open_capture(source, spec.source) or as_source(source, spec.device), spec)
     rule = CODER.bound_rule(prepared.coding)
     warn_unbounded(None if rule.text else f"no error bound is proved: {rule.reason}")
     return prepared, _sender(source, prepared)
 
 
-def _sender(source: Source, prepared: Prepared, **told: str) -> LiveSender:
+def _sender(source: Source, prepared: Prepared, **extra_provenance: str) -> LiveSender:
     sender, encoder = LiveSender(), field_encoder(prepared.medium.grid, prepared.coding)
-    sender.open(head_of(prepared, encoder), {**provenance_of(source, prepared), **told})
+    sender.open(file_head(prepared, encoder), {**file_provenance(source, prepared), **extra_provenance})
     return sender
 
 
 def coarse_layer(source: Source, prepared: Prepared) -> tuple[Prepared, LiveSender]:
-    """The coarse layer of a source that is prepared, and a sender that has its opening.
+    """Prepare the coarse layer of a prepared source, and open its sender.
 
-    Its provenance tells what a receiver of it alone lacks, on the first frame. InvalidArgument where the
-    lattice cannot be halved.
+    Its provenance has the error of the layer alone on the first frame. InvalidArgument if the lattice cannot
+    be halved.
     """
     fine, spec = prepared.medium, prepared.spec
     if max(fine.grid.shape) < 2:
         raise InvalidArgument("--coarse", f"a lattice of {fine.grid.shape} samples", "one that can be halved")
     meter, first = FidelityMeter(spec.k, spec.f0_n or EncodeSpec().f0_n), fine[0]
-    meter.add(first, rebuilt(_coarse(first), fine.grid))
+    meter.add(first, rebuild_level(_coarse(first), fine.grid))
     k, f0_n = min(2 * spec.touch.k, 0.5), 2 * spec.touch.f0_n
     spec = replace(spec, touch=replace(spec.touch, k=k, f0_n=f0_n, mode="mask"))
     coarse = replace(prepared, medium=detail_level(fine, 1), spec=spec, scene=None, exact=None, source=None)
-    layer = f"half of {fine.grid.words}; NMSE of the first frame {meter.nmse_db:.1f} dB"
+    layer = f"half of {fine.grid.description}; NMSE of the first frame {meter.nmse_db:.1f} dB"
     layer += "; the vibration is left out" if fine.vibration is not None else ""
     return coarse, _sender(source, coarse, layer=layer)
 
@@ -147,55 +145,55 @@ def broadcast(
     prepared: Prepared,
     send: Send,
     spec: LiveSpec,
-    tell: Callable[[str], None] = lambda note: None,
+    on_note: Callable[[str], None] = lambda note: None,
     clock_s: Callable[[], float] = time.monotonic,
     pause: Callable[[float], None] = time.sleep,
     coarse: tuple[Prepared, Send] | None = None,
-    ready: Callable[[], None] = lambda: None,
+    on_start: Callable[[], None] = lambda: None,
 ) -> Sent:
-    """Make, code and send frames in time, until the source or the time is over, or an interrupt comes.
+    """Make, code and send frames in real time, until the source or the time ends, or an interrupt.
 
-    ``send(segment) -> message`` must not wait for anyone; ``tell(note)`` gets what could not keep up.
-    `coarse` is a coarse layer (`coarse_layer`) and who sends its segments. ``ready()`` is called where time
-    begins.
+    ``send(segment) -> message`` must not block; ``on_note(note)`` gets notes on skipped frames. `coarse` is a
+    coarse layer (`coarse_layer`) and the function that sends its segments. ``on_start()`` is called when time
+    starts.
     """
-    lanes = [_Lane(prepared, send, clock_s)]
+    lanes = [_Layer(prepared, send, clock_s)]
     if coarse is not None:
-        lanes.append(_Lane(*coarse, clock_s, _coarse))
+        lanes.append(_Layer(*coarse, clock_s, _coarse))
     sent = lanes[0].sent
     try:
-        for lane in lanes:  # code is loaded or compiled first, and is no part of the time
+        for lane in lanes:  # load or compile code before time starts
             lane.warm(prepared.medium[0])
-        began = clock_s()
+        start_s = clock_s()
         frame, rate_hz = prepared.medium[0], prepared.medium.rate_hz
-        most = 1 / max(clock_s() - began, *(lane.warm(frame) for lane in lanes), 1e-9)
-        if most < rate_hz:
-            mend = "a lower --rate-hz or a smaller --nw keeps up"
-            tell(
-                f"this machine makes some {most:.2g} frames a second, and the medium has {rate_hz:g}: {mend}"
+        max_rate_hz = 1 / max(clock_s() - start_s, *(lane.warm(frame) for lane in lanes), 1e-9)
+        if max_rate_hz < rate_hz:
+            hint = "a lower --rate-hz or a smaller --nw keeps up"
+            on_note(
+                f"this machine makes some {max_rate_hz:.2g} frames a second, and the medium has {rate_hz:g}: {hint}"
             )
-        ready()
-        for first, frames, band in _groups(prepared, spec, sent, tell, clock_s, pause):
-            begun = [lane.begin(first, band if lane is lanes[0] else []) for lane in lanes]
+        on_start()
+        for first, frames, band in _timed_segments(prepared, spec, sent, on_note, clock_s, pause):
+            queues = [lane.start_segment(first, band if lane is lanes[0] else []) for lane in lanes]
             count, is_over = 0, False
             try:
                 for frame in frames:
-                    for coming in begun:
-                        coming.put(frame)
+                    for queue in queues:
+                        queue.put(frame)
                     count += 1
             except CaptureEnd as error:
-                tell(f"{error.where}: {error.found}")
+                on_note(f"{error.where}: {error.found}")
                 is_over = True
             finally:
-                for coming in begun:
-                    coming.put(None)
-            for lane, what in zip(lanes, ("coding", "coding the coarse layer")):
+                for queue in queues:
+                    queue.put(None)
+            for lane, work in zip(lanes, ("coding", "coding the coarse layer")):
                 if lane.is_late:
-                    lane.sent.leave_out(count, f"{what} cannot keep up", tell)
+                    lane.sent.skip(count, f"{work} cannot keep up", on_note)
             if is_over:
                 break
     except KeyboardInterrupt:
-        tell("interrupted: the stream ends here")
+        on_note("interrupted: the stream ends here")
     finally:
         for lane in lanes:
             lane.close()
@@ -203,10 +201,11 @@ def broadcast(
     return sent
 
 
-class _Lane:
-    """A layer on its way: frames in, segments out, coded in a thread of its own.
+class _Layer:
+    """One layer: frames in, segments out, coded in its own thread.
 
-    ``make(frame)`` is the layer's frame of one that comes. `is_late`: the segment begun last is left out.
+    ``make(frame)`` makes the layer's frame of an incoming frame. `is_late` is True if the latest segment is
+    skipped.
     """
 
     def __init__(
@@ -220,71 +219,65 @@ class _Lane:
         self._send, self._clock_s, self._make = send, clock_s, make
         self._encoder = TouchEncoder(prepared.medium.grid, prepared.coding)
         self._force_max_n = prepared.device.force_max_n
-        self._anchor: ForceField | None = None
-        self._under_way: deque[Future[None]] = deque()
+        self._key_frame: ForceField | None = None
+        self._pending: deque[Future[None]] = deque()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="touchfield-live")
 
     def warm(self, frame: ForceField) -> float:
-        """Code two frames that nobody gets; seconds of one."""
-        began, frames = self._clock_s(), [self._make(frame)] * 2
-        self._encoder.encode_segment(frames, self._encoder.anchor(*frames), self._force_max_n)
-        return (self._clock_s() - began) / 2
+        """Code two frames that are not sent; the seconds of one."""
+        start_s, frames = self._clock_s(), [self._make(frame)] * 2
+        self._encoder.encode_segment(frames, self._encoder.key_frame(*frames), self._force_max_n)
+        return (self._clock_s() - start_s) / 2
 
-    def begin(self, first: int, band: list[VibrationFrame]) -> SimpleQueue[ForceField | None]:
-        """Begin a segment; its frames, and a None behind them, are put into the queue. Raises what has
-        failed.
-        """
-        while self._under_way and self._under_way[0].done():
-            self._under_way.popleft().result()
-        coming: SimpleQueue[ForceField | None] = SimpleQueue()
-        self.is_late = len(self._under_way) >= _MOST_UNDER_WAY
+    def start_segment(self, first: int, band: list[VibrationFrame]) -> SimpleQueue[ForceField | None]:
+        """Start a segment; returns the queue for its frames and a final None. Raises an earlier error."""
+        while self._pending and self._pending[0].done():
+            self._pending.popleft().result()
+        queue: SimpleQueue[ForceField | None] = SimpleQueue()
+        self.is_late = len(self._pending) >= _MAX_PENDING
         if not self.is_late:
-            self._under_way.append(self._pool.submit(self._deliver, first, coming, band))
-        return coming
+            self._pending.append(self._pool.submit(self._deliver, first, queue, band))
+        return queue
 
-    def _deliver(
-        self, first: int, coming: SimpleQueue[ForceField | None], band: list[VibrationFrame]
-    ) -> None:
-        """Code and send the frames that come; nothing where there are none, as the source ended before."""
-        frames = map(self._make, iter(coming.get, None))
-        start = next(frames, None)
-        if start is None:
+    def _deliver(self, first: int, queue: SimpleQueue[ForceField | None], band: list[VibrationFrame]) -> None:
+        """Code and send the frames of a queue; nothing if it has none, as the source ended before."""
+        frames = map(self._make, iter(queue.get, None))
+        first_frame = next(frames, None)
+        if first_frame is None:
             return
-        self._anchor = self._encoder.anchor(start, self._anchor)  # of a world that stands
-        coded = self._encoder.encode_segment(chain([start], frames), self._anchor, self._force_max_n)
-        count, beside, sent = len(coded.frames), encode_vibration(band) if band else None, self.sent
-        segment = LiveSegment(first, count, coded.body, beside)
+        self._key_frame = self._encoder.key_frame(first_frame, self._key_frame)  # of a world that stands
+        coded = self._encoder.encode_segment(chain([first_frame], frames), self._key_frame, self._force_max_n)
+        count, vibration, sent = len(coded.frames), encode_vibration(band) if band else None, self.sent
+        segment = LiveSegment(first, count, coded.body, vibration)
         self._send(segment)
-        sent.add(segment, coded.worst)
+        sent.add(segment, coded.max_error)
 
     def close(self) -> None:
-        """Wait for what is under way; raises what has failed."""
+        """Wait for the pending segments; raises their error."""
         with self._pool:
-            while self._under_way:
-                self._under_way.popleft().result()
+            while self._pending:
+                self._pending.popleft().result()
 
 
-def _groups(
+def _timed_segments(
     prepared: Prepared,
     spec: LiveSpec,
     sent: Sent,
-    tell: Callable[[str], None],
+    on_note: Callable[[str], None],
     clock_s: Callable[[], float],
     pause: Callable[[float], None],
 ) -> Iterator[tuple[int, Iterator[ForceField], list[VibrationFrame]]]:
-    """Each segment as its time comes: number of its first frame, its frames in time, and a list for
-    vibrations.
-    """
+    """Yield each segment at its time: index of its first frame, its frames in real time, its vibrations."""
     medium, count = prepared.medium, len(prepared.medium)
     length = max(1, min(round(spec.segment_s * medium.rate_hz), 4096))
     last = ENDLESS - 1 if spec.loop else count
     if spec.seconds is not None:
         last = min(last, max(1, round(spec.seconds * medium.rate_hz)))
-    began = clock_s()
+    start_s = clock_s()
 
     def frames(first: int, band: list[VibrationFrame]) -> Iterator[ForceField]:
         for i in range(first, min(first + length, last)):
-            early_s = began + (i + 1) / medium.rate_hz - clock_s()
+            early_s = start_s + (i + 1) / medium.rate_hz - clock_s()
             if early_s > 0:
                 pause(early_s)
             if medium.vibration is not None:
@@ -293,10 +286,10 @@ def _groups(
 
     first = 0
     while first < last:
-        late_s = clock_s() - began - (first + 1) / medium.rate_hz
+        late_s = clock_s() - start_s - (first + 1) / medium.rate_hz
         if late_s > 2 * length / medium.rate_hz:
             missed = min(int(late_s * medium.rate_hz), last - first)
-            sent.leave_out(missed, "frames cannot be made in time", tell)
+            sent.skip(missed, "frames cannot be made in time", on_note)
             first += missed
             continue
         band: list[VibrationFrame] = []

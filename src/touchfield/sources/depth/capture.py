@@ -1,11 +1,9 @@
-"""Depth pictures that are taken while they are felt: a camera, a folder that grows, pictures on standard
-input.
+"""Live depth: from a camera, from a growing folder, or from pictures on standard input.
 
-A captured sequence has no end that is known. Frame by frame it shows the newest picture there is, so that
-whoever asks in time feels the present: pictures that come faster than they are asked for are passed over, and
-one that is late leaves the last one standing. Pictures on standard input are shown one by one, and whoever
-writes them waits. A frame that was asked for lately is the same when it is asked for again; older ones are
-gone.
+A captured sequence has no known end. Each frame shows the newest picture, so that a consumer that keeps up
+gets current data: pictures that arrive faster than frames are requested are skipped, and while a picture is
+late the last one is repeated. Pictures on standard input are shown one by one, and their writer waits. A
+recent frame is the same when it is requested again; older frames are gone.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, SourceError, import_extra
-from touchfield.files import exactly, standard_input
+from touchfield.files import read_up_to, standard_input
 from touchfield.sources.camera import DepthCode, DepthSequence
 from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.depth.fused_scene import FusedScene
@@ -40,38 +38,39 @@ if TYPE_CHECKING:
     from touchfield.sources.scene import Scene
 
 
-MOST_FRAMES: Final = 1 << 20  # frames of a captured sequence: nine hours at 30 Hz
-PATIENCE_S: Final = 10.0  # where no picture comes for so long, the sequence is over
-_KEPT: Final = 4
-_LOOK_S: Final = 0.005
-_UNFINISHED_S: Final = 1.0
+MAX_CAPTURED_FRAMES: Final = 1 << 20  # frames of a captured sequence: nine hours at 30 Hz
+TIMEOUT_S: Final = 10.0  # the sequence ends if no picture arrives for this long
+_CACHED_FRAMES: Final = 4
+_POLL_S: Final = 0.005
+_WRITE_GRACE_S: Final = 1.0
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
-_MOST_PNG_BYTES: Final = 1 << 28
+_MAX_PNG_BYTES: Final = 1 << 28
 
 
 class CaptureEnd(SourceError):
-    """There are no more pictures."""
+    """The source has no more pictures."""
 
 
 class Pictures(ABC):
-    """Where pictures come from: of each the newest is shown, or `in_order` each, while its source waits."""
+    """A stream of pictures: the newest is shown, or, if `in_order`, each one while its writer waits."""
 
     name: str
     in_order = False
 
     @abstractmethod
     def next(self) -> NDArray[Any]:
-        """The next picture, stored numbers [height, width]; waits for it, and raises `CaptureEnd` at the end."""
+        """Wait for the next picture, stored values [height, width].
+
+        Raises `CaptureEnd` at the end.
+        """
 
     def close(self) -> None:
-        """Let go of what it holds."""
+        """Release its resources."""
         return
 
 
 class GrowingFolder(Pictures):
-    """Pictures that are put into a folder: each time the last in the order of their numbers, once it is
-    another.
-    """
+    """Pictures that are added to a folder: the last in the order of their numbers, whenever it changes."""
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
@@ -80,31 +79,32 @@ class GrowingFolder(Pictures):
         self._last: Path | None = None
 
     def next(self) -> NDArray[Any]:
-        """See `Pictures.next`; where the folder goes, at once the end.
+        """See `Pictures.next`; raises `CaptureEnd` at once if the folder disappears.
 
-        A picture that is being written is looked at again for a second, then passed over.
+        A picture that is still being written is retried for a second, then skipped.
         """
-        until, since = time.monotonic() + PATIENCE_S, 0.0
-        coming: Path | None = None
-        while (began := time.monotonic()) < until:
+        deadline = time.monotonic() + TIMEOUT_S
+        candidate: Path | None = None
+        since = 0.0  # when the candidate appeared
+        while (now := time.monotonic()) < deadline:
             files = list_files(self._folder, with_suffix(*PICTURE_SUFFIXES))
             if not files and not self._folder.is_dir():
                 raise CaptureEnd(self.name, "no folder any more", "a folder that grows")
-            if coming is None and files and files[-1] != self._last:
-                coming, since = files[-1], time.monotonic()
-            if coming is not None:
-                self._last = coming
+            if candidate is None and files and files[-1] != self._last:
+                candidate, since = files[-1], time.monotonic()
+            if candidate is not None:
+                self._last = candidate
                 try:
-                    return read_picture(coming)
+                    return read_picture(candidate)
                 except SourceError:
-                    if time.monotonic() > since + _UNFINISHED_S:
-                        coming = None
-            time.sleep(max(_LOOK_S, time.monotonic() - began))  # a large folder is not looked at all the time
-        raise CaptureEnd(self.name, f"no new picture for {PATIENCE_S:g} s", "a folder that grows")
+                    if time.monotonic() > since + _WRITE_GRACE_S:
+                        candidate = None
+            time.sleep(max(_POLL_S, time.monotonic() - now))  # limits the load of listing a large folder
+        raise CaptureEnd(self.name, f"no new picture for {TIMEOUT_S:g} s", "a folder that grows")
 
 
 class PipedPictures(Pictures):
-    """PNG pictures one behind the other, as ``ffmpeg -f image2pipe`` writes them."""
+    """Concatenated PNG pictures, as ``ffmpeg -f image2pipe`` writes them."""
 
     name, in_order = "standard input", True
 
@@ -113,18 +113,18 @@ class PipedPictures(Pictures):
         self._folder = TemporaryDirectory(prefix="touchfield-")
 
     def next(self) -> NDArray[Any]:
-        data = bytearray(exactly(self._stream, len(_PNG)))
+        data = bytearray(read_up_to(self._stream, len(_PNG)))
         if not data:
             raise CaptureEnd(self.name, "its end", "a picture")
         if data != _PNG:
             raise SourceError(self.name, f"{bytes(data)!r}", "PNG pictures one behind the other")
         kind = b""
         while kind != b"IEND":
-            head = exactly(self._stream, 8)
+            head = read_up_to(self._stream, 8)
             length, kind = struct.unpack(">I4s", head.ljust(8, b"\0"))
-            if len(data) + length > _MOST_PNG_BYTES:
-                raise SourceError(self.name, f"a picture of more than {_MOST_PNG_BYTES} bytes", "fewer")
-            rest = exactly(self._stream, length + 4)
+            if len(data) + length > _MAX_PNG_BYTES:
+                raise SourceError(self.name, f"a picture of more than {_MAX_PNG_BYTES} bytes", "fewer")
+            rest = read_up_to(self._stream, length + 4)
             if len(rest) < length + 4:
                 raise CaptureEnd(self.name, "its end in the middle of a picture", "whole pictures")
             data += head + rest
@@ -137,22 +137,22 @@ class PipedPictures(Pictures):
 
 
 class OpencvCamera(Pictures):
-    """A depth camera that OpenCV opens: by number, or by whatever else `cv2.VideoCapture` takes."""
+    """A depth camera of OpenCV: a number, or anything else that `cv2.VideoCapture` accepts."""
 
-    def __init__(self, which: str) -> None:
+    def __init__(self, device: str) -> None:
         cv2 = import_extra("cv2", "a camera", "opencv-python-headless", "camera")
-        self.name = f"camera:{which}"
-        way = cv2.CAP_IMAGES if "%" in which else cv2.CAP_ANY  # a row of pictures is read with all its bits
-        self._camera = cv2.VideoCapture(int(which) if which.isdigit() else which, way)
+        self.name = f"camera:{device}"
+        backend = cv2.CAP_IMAGES if "%" in device else cv2.CAP_ANY  # an image sequence keeps all its bits
+        self._camera = cv2.VideoCapture(int(device) if device.isdigit() else device, backend)
         if not self._camera.isOpened():
             raise SourceError(self.name, "no camera that OpenCV can open", "its number, such as camera:0")
-        self._camera.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # 16 bits as they are, where they are the main picture
-        self._depth_map = cv2.CAP_OPENNI_DEPTH_MAP  # 0, which is the main picture where there is but one
+        self._camera.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # keep 16 bits, if they are the main picture
+        self._depth_map = cv2.CAP_OPENNI_DEPTH_MAP  # 0: the main picture, if there is only one
 
     def next(self) -> NDArray[Any]:
-        is_there = self._camera.grab()
-        is_there, picture = self._camera.retrieve(None, self._depth_map) if is_there else (False, None)
-        if not is_there:
+        is_grabbed = self._camera.grab()
+        is_grabbed, picture = self._camera.retrieve(None, self._depth_map) if is_grabbed else (False, None)
+        if not is_grabbed:
             raise CaptureEnd(self.name, "no further picture", "a camera that is on")
         return np.asarray(picture)
 
@@ -161,9 +161,9 @@ class OpencvCamera(Pictures):
 
 
 class CapturedSequence(DepthSequence):
-    """Depth of pictures as they are taken; `frame_count` is a bound. See the module.
+    """Depth of captured pictures; `frame_count` is an upper bound. See the module.
 
-    Raises `SourceError` if the first picture does not come, or is none of depth.
+    Raises `SourceError` if no first picture arrives, or it holds no depth.
     """
 
     is_captured = True
@@ -176,14 +176,14 @@ class CapturedSequence(DepthSequence):
         scale: float | None = None,
     ) -> None:
         self.name, self._pictures = pictures.name, pictures
-        self._news, self._waiting = Condition(), deque[Any](maxlen=None if pictures.in_order else 1)
-        self._kept: dict[int, Float32s] = {}
-        self._fault: SourceError | None = None
+        self._condition, self._pending = Condition(), deque[Any](maxlen=None if pictures.in_order else 1)
+        self._frames: dict[int, Float32s] = {}
+        self._error: SourceError | None = None
         self._is_closed = False
         Thread(target=self._run, daemon=True, name="touchfield-capture").start()
         first = self._newest()
         if first is None:
-            raise self._fault or SourceError(self.name, f"no picture for {PATIENCE_S:g} s", "depth pictures")
+            raise self._error or SourceError(self.name, f"no picture for {TIMEOUT_S:g} s", "depth pictures")
         if first.ndim != 2 or first.dtype.itemsize < 2:
             raise SourceError(
                 self.name, f"a picture {first.shape} of {first.dtype}", "16-bit (or float) grey depth"
@@ -194,75 +194,77 @@ class CapturedSequence(DepthSequence):
             self.name, options.depth_scale or camera.units_per_m or scale, first.dtype.kind == "f"
         )
         self._metres: Callable[[NDArray[Any]], Float32s] = DepthCode(scale)
-        self.frame_count, self.width, self.height = MOST_FRAMES, width, height
+        self.frame_count, self.width, self.height = MAX_CAPTURED_FRAMES, width, height
         self.intrinsics: Intrinsics = camera.intrinsics
         self.rate_hz, self.notes = source_rate(options), camera.notes
-        self._latest = self._kept[0] = self._metres(first)
+        self._latest = self._frames[0] = self._metres(first)
 
     def depth_m(self, frame: int) -> Float32s:
-        """See `DepthSequence.depth_m`: of a frame not asked for before, what there is to be seen now.
+        """See `DepthSequence.depth_m`: a frame that was not requested before shows the current picture.
 
-        Raises `CaptureEnd` where there are no more pictures.
+        Raises `CaptureEnd` if there are no more pictures.
         """
-        if frame not in self._kept:
+        if frame not in self._frames:
             picture = self._newest()
-            if picture is None and self._fault is not None:
-                raise self._fault
+            if picture is None and self._error is not None:
+                raise self._error
             if picture is not None:
                 self._latest = self._metres(picture)
-            self._kept[frame] = self._latest
-            while len(self._kept) > _KEPT:
-                del self._kept[next(iter(self._kept))]
-        return self._kept[frame]
+            self._frames[frame] = self._latest
+            while len(self._frames) > _CACHED_FRAMES:
+                del self._frames[next(iter(self._frames))]
+        return self._frames[frame]
 
     def close(self) -> None:
-        """Take no more pictures."""
-        with self._news:
+        """Stop capturing."""
+        with self._condition:
             self._is_closed = True
-            self._news.notify_all()
+            self._condition.notify_all()
 
     def _newest(self) -> NDArray[Any] | None:
-        """The picture to be shown next; None where none is new, or there are no more."""
-        with self._news:
-            if self._pictures.in_order or not self._kept:
-                self._news.wait_for(lambda: self._waiting or self._fault, PATIENCE_S)
-            picture = self._waiting.popleft() if self._waiting else None
-            self._news.notify_all()
+        """Return the picture to show next; None if there is no new one, or no more."""
+        with self._condition:
+            if self._pictures.in_order or not self._frames:
+                self._condition.wait_for(lambda: self._pending or self._error, TIMEOUT_S)
+            picture = self._pending.popleft() if self._pending else None
+            self._condition.notify_all()
         return picture
 
     def _run(self) -> None:
         try:
             while not self._is_closed:
                 picture = self._pictures.next()
-                with self._news:
-                    if self._pictures.in_order:  # two wait, and then whoever takes them does
-                        self._news.wait_for(lambda: len(self._waiting) < 2 or self._is_closed)
-                    self._waiting.append(picture)
-                    self._news.notify_all()
-        except Exception as error:  # also of a driver: whoever waits is told
-            with self._news:
-                fault = SourceError(self.name, str(error) or type(error).__name__, "pictures")
-                self._fault = error if isinstance(error, SourceError) else fault
-                self._news.notify_all()
+                with self._condition:
+                    if self._pictures.in_order:  # a queue of two, then the writer waits
+                        self._condition.wait_for(lambda: len(self._pending) < 2 or self._is_closed)
+                    self._pending.append(picture)
+                    self._condition.notify_all()
+        except Exception as error:  # including those of drivers: a waiting consumer must be notified
+            with self._condition:
+                wrapped = SourceError(self.name, str(error) or type(error).__name__, "pictures")
+                self._error = error if isinstance(error, SourceError) else wrapped
+                self._condition.notify_all()
         finally:
             self._pictures.close()
 
 
-def captured(source: object, options: SourceOptions) -> Scene | None:
-    """The scene of ``camera:N``, ``watch:FOLDER`` or ``-``; None for any other source.
+def open_capture(source: object, options: SourceOptions) -> Scene | None:
+    """Open ``camera:N``, ``watch:FOLDER`` or ``-`` as a scene.
 
-    Raises `SourceError` if no picture comes, `InvalidArgument` for options that need pictures still to come.
+    Returns None for any other source.
+
+    Raises `SourceError` if no picture arrives, `InvalidArgument` for options that need all pictures at once.
     """
-    form, _, place = str(source).partition(":") if isinstance(source, str) else ("", "", "")
-    if form not in ("camera", "watch", "-") or (form == "-") == bool(place):
+    prefix, _, location = str(source).partition(":") if isinstance(source, str) else ("", "", "")
+    if prefix not in ("camera", "watch", "-") or (prefix == "-") == bool(location):
         return None
     if options.reading != "camera" or options.segment is not None or options.poses is not None:
         found = "an option of pictures that are all there"
         raise InvalidArgument("--reading, --segment or --poses", found, "none of them", "Leave it out.")
-    if form == "camera":
-        sequence = CapturedSequence(OpencvCamera(place), options, (), 1000.0)
-    elif form == "watch":
-        sequence = CapturedSequence(GrowingFolder(Path(place)), options, (Path(place),))
+    if prefix == "camera":
+        sequence = CapturedSequence(OpencvCamera(location), options, (), 1000.0)
+    elif prefix == "watch":
+        sequence = CapturedSequence(GrowingFolder(Path(location)), options, (Path(location),))
     else:
         sequence = CapturedSequence(PipedPictures(), options)
     if options.world == "causal":
@@ -270,6 +272,6 @@ def captured(source: object, options: SourceOptions) -> Scene | None:
     scene = DepthScene(sequence, frame="camera")
     scene.notes = (
         *scene.notes,
-        "Each picture is felt alone; --world causal fuses those of a camera that stands.",
+        "Each picture is rendered alone; --world causal fuses those of a static camera.",
     )
     return scene

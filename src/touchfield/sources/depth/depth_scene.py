@@ -1,35 +1,35 @@
-"""The metric reading of a depth sequence: the surface that the camera saw, in its perspective.
+"""Metric reading of a depth sequence: the back-projected surface, with perspective.
 
-The paper (sections 4 and 5.1) makes fields of depth video but gives no formula (nor has its [21] one). Here a
-sample is projected to its nearest pixel and phi is its signed distance to the tangent plane of the surface
-there (negative behind), n the plane's normal towards the camera, so that F = f(phi) n. Only what the camera
-saw pushes: a pixel without depth, or without a normal to rely on, gives no force. A force lies no farther
-from the surface along its own ray (in depth z) than `RAY_LIMIT` times the distance that the profile reaches
-on that side, or a plane at a grazing angle would carry it far behind; a solid (the profile reaches to -inf)
-has no limit behind.
+The paper (sections 4 and 5.1) computes fields from depth video without a formula (its [21] has none either).
+Here a sample is projected to its nearest pixel; phi is its signed distance to the tangent plane of the
+surface there (negative behind) and n the normal of that plane towards the camera, so that F = f(phi) n. Only
+visible surfaces exert forces: a pixel without depth, or without a reliable normal, gives none. Along its own
+ray (in depth z) a force lies no farther from the surface than `RAY_LIMIT` times the reach of the profile on
+that side; otherwise a plane at a grazing angle would extend it far behind. A solid (the profile reaches to
+-inf) has no limit behind.
 
-With poses the scene lies in the coordinates of the first camera: a moving camera sees a standing world.
+With poses the scene lies in the coordinates of the first camera, so that the scene of a moving camera is
+static.
 
-Tangent planes rest on one fact of the pinhole camera: over the pixels of a plane n . p = c the inverse depth
-w = 1/z is a linear function of the pixel. So a straight line fit to w is exact on a plane, and its slopes
-give the normal::
+Tangent planes use a property of the pinhole camera: over the pixels of a plane n . p = c the inverse depth
+w = 1/z is a linear function of the pixel. A line fit to w is therefore exact on a plane, and its slopes give
+the normal::
 
     n / c = (fx w_u, fy w_v, w - (u - cx) w_u - (v - cy) w_v)
 
-Noise of disparity sensors is moreover constant in w. The steps for each pixel:
+The noise of disparity sensors is also constant in w. The steps for each pixel:
 
 1. *Links.* Two neighbours lie on one surface if their w differ by at most a step g
-   (`camera.noise_step_per_m`), or if the difference goes on as the one before or after it (within g) and is
-   no steeper than `SLOPE_LIMIT_PX` pixels of depth per pixel. Nothing is ever linked across a pixel without
-   depth.
-2. *Rows.* A least-squares line through the up to 4 pixels on each side that an unbroken chain of links
-   reaches.
-3. *Columns.* The same down the columns, over the results of the rows, whose slopes are averaged with the
-   weight of their support. The plane goes through the fitted w, not through the noisy pixel.
-4. A pixel has no plane where too few pixels support it (less than three in line), or where the ray meets the
+   (`camera.noise_step_per_m`), or if their difference equals the previous or next one (within g) and is no
+   steeper than `SLOPE_LIMIT_PX` pixels of depth per pixel. Links never cross a pixel without depth.
+2. *Rows.* A least-squares line through up to 4 pixels on each side that are reached by an unbroken chain of
+   links.
+3. *Columns.* The same along columns, over the results of the rows, whose slopes are averaged with the weight
+   of their support. The plane goes through the fitted w, not through the noisy pixel.
+4. A pixel has no plane if too few pixels support it (fewer than three in line), or if the ray meets the
    surface at more than 84 degrees.
 
-A step edge thus ends the support and never tilts a normal, as long as it is higher than g (in w) and than
+A step edge therefore ends the support and never tilts a normal, if it is higher than g (in w) and than
 `SLOPE_LIMIT_PX` pixel footprints.
 """
 
@@ -50,12 +50,12 @@ from touchfield.sources.depth.kernels.planes import SurfacePlanes, surface_plane
 from touchfield.sources.depth.segments import SegmentRule, segmented_bodies
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.poses import checked_poses
-from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, MovingScene, bricks_that
+from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, MovingScene, find_bricks_by_block
 
-RAY_LIMIT: Final = 4.0  # walls at more than 75 degrees to the ray become thinner by it
+RAY_LIMIT: Final = 4.0  # limits the thickness of walls at more than 75 degrees to the ray
 
 _IJK = np.indices((BRICK, BRICK, BRICK), np.float64).reshape(3, -1)
-_BOX_POINTS = 4_000_000  # points that `bounds_m` keeps
+_BOX_POINTS = 4_000_000  # most points that `bounds_m` uses
 _BOX_STRIDE_PX = 8
 _BOX_PERCENTILES = (0.5, 99.5)
 
@@ -63,10 +63,10 @@ _BOX_PERCENTILES = (0.5, 99.5)
 class DepthScene(MovingScene):
     """A depth sequence as a scene of thin walls, in metres.
 
-    frame : str; "world": in the coordinates of the first camera, where the sequence has poses; "camera": each
-        frame in its own camera.
-    segment : str, optional; The rule by which `bodies` are told apart (`segments.SegmentRule.parse`).
-    step_per_m : float, optional; The noise step of the sensor, 1/m; by default it is taken from the first
+    frame : str; "world": in the coordinates of the first camera, if the sequence has poses; "camera": each
+        frame in the coordinates of its own camera.
+    segment : str, optional; The segmentation rule of `bodies` (`segments.SegmentRule.parse`).
+    step_per_m : float, optional; The noise step of the sensor, 1/m; by default estimated from the first
         frame.
     """
 
@@ -102,11 +102,11 @@ class DepthScene(MovingScene):
         self._latest: tuple[int, SurfacePlanes] | None = None
 
     def _box_m(self, start: int, stop: int) -> Float64s:
-        """From the 0.5th to the 99.5th percentile along each axis of every eighth pixel of every eighth row.
+        """Return the 0.5th to 99.5th percentile along each axis, so that outliers do not count.
 
-        Fewer, if that would be more than four million points in all; so stray readings do not count. Reads
-        every frame once that is not interpolated, or else the first. Raises `SourceError` if no frame holds
-        any depth.
+        Uses every eighth pixel of every eighth row, fewer if these are more than four million points. Reads
+        each frame that is not interpolated once, or else the first. Raises `SourceError` if no frame has any
+        depth.
         """
         sequence, k = self.sequence, self.sequence.intrinsics
         keys = () if sequence.is_captured else sequence.key_frames()
@@ -128,11 +128,11 @@ class DepthScene(MovingScene):
         return box
 
     def pose(self, frame: int) -> Float64s:
-        """The camera's pose in the scene: scene from camera, float64 [4, 4]."""
+        """Return the pose of the camera, scene from camera, float64 [4, 4]."""
         return np.eye(4) if self._poses is None else self._poses[frame]
 
     def planes(self, frame: int) -> SurfacePlanes:
-        """The tangent planes of one frame; those of the latest frame are kept."""
+        """Return the tangent planes of one frame; those of the latest frame are cached."""
         if self._latest is None or self._latest[0] != frame:
             depth = self._depth_m(frame)
             step_per_m = self._noise_step_per_m(depth if frame == 0 else None)
@@ -140,9 +140,7 @@ class DepthScene(MovingScene):
         return self._latest[1]
 
     def bodies(self) -> tuple[Body, ...]:
-        """The objects that depth steps part from each other and the background
-        (`touchfield.sources.depth.segments`).
-        """
+        """Return the objects separated by depth steps, and the background (see `segments`)."""
         if not self._bodies:
             step_per_m, frame = self._noise_step_per_m(), self._frame_of_reference
             self._bodies, note = segmented_bodies(
@@ -155,15 +153,16 @@ class DepthScene(MovingScene):
         return self._bodies
 
     def _noise_step_per_m(self, first_m: Float32s | None = None) -> float:
-        """Of the first frame (`first_m`, where it is at hand), so that a field depends on nothing but its
-        frame.
+        """Return the noise step of the first frame (`first_m`, if given) for all frames.
+
+        A field then depends on its frame only, not on the order of requests.
         """
         if self._step_per_m is None:
             self._step_per_m = noise_step_per_m(self._depth_m(0) if first_m is None else first_m)
         return self._step_per_m
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """The force field of one frame at the points of `grid`; see the module."""
+        """Return the force field of one frame at the points of `grid`; see the module."""
         return plane_forces(self.planes(frame), self.pose(frame), grid, profile)
 
     def _depth_m(self, frame: int) -> Float32s:
@@ -179,8 +178,9 @@ class DepthScene(MovingScene):
 
 
 def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> ForceField:
-    """The force field of the planes of a depth map, in camera axes; `pose` float64 [4, 4] is scene from
-    camera.
+    """Return the force field of the planes of a depth map.
+
+    `pose` float64 [4, 4] is scene from camera.
     """
     query = query_of(surface, pose, grid, profile)
     if uses_gpu():
@@ -190,24 +190,22 @@ def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: Fo
 
 
 def force_bricks(query: Query, grid: Grid) -> Int32s:
-    """Bricks of `grid` with at least one force, int32 [n, 3], ascending."""
+    """Find the bricks of `grid` with at least one force, int32 [n, 3], ascending."""
     if uses_gpu():
         return kernels.bricks_by_gpu(query, grid)
-    candidates = bricks_that(lambda blocks, size: kernels.may_hold_force(blocks, size, query), grid)
+    candidates = find_bricks_by_block(lambda blocks, size: kernels.may_hold_force(blocks, size, query), grid)
     return candidates[kernels.holds_force(candidates, query)]
 
 
 def query_of(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> Query:
-    """The planes of a depth map (camera axes) before a lattice and a law in scene metres, as kernels take
-    them.
-    """
-    turn = pose[:3, :3]
+    """Combine planes (camera axes) with a lattice and a profile (scene metres) for the kernels."""
+    rotation = pose[:3, :3]
     lattice = np.empty((4, 3))
-    lattice[0] = (np.asarray(grid.origin_m) - pose[:3, 3]) @ turn
-    lattice[1:] = np.asarray(grid.spacing_m)[:, None] * turn
+    lattice[0] = (np.asarray(grid.origin_m) - pose[:3, 3]) @ rotation
+    lattice[1:] = np.asarray(grid.spacing_m)[:, None] * rotation
     reach = RAY_LIMIT * np.array([max(profile.high_m, 0.0), max(-profile.low_m, 0.0)], np.float32)
-    with np.errstate(divide="ignore"):  # infinitely far where there is no plane
+    with np.errstate(divide="ignore"):  # inf if there is no plane
         nearest_m = np.float32(0.999) / surface.tiles[..., 0].max()
     offsets = (lattice[1:].T @ _IJK).astype(np.float32).reshape(-1)
     pieces, first_m = profile.table().astype(np.float32), max(0.0, float(nearest_m - reach[0]))
-    return Query(surface, lattice, grid.shape, offsets, turn.astype(np.float32), pieces, reach, first_m)
+    return Query(surface, lattice, grid.shape, offsets, rotation.astype(np.float32), pieces, reach, first_m)

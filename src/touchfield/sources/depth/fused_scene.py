@@ -1,27 +1,28 @@
-"""A depth sequence as a world that stands still: the fused field of all frames, or of those seen so far.
+"""A depth sequence fused into a static world: the field of all frames, or of the frames so far.
 
-    fused    The medium is computed ahead, and so is its world: every frame knows what all frames saw, and what stands
-             does not tremble. Where a frame sees whole patches of samples that changed, what lies at and
-             behind its surface there is *moving* and follows the frames, as in a causal world. Narrower
-             changes are noise, or a pose that is a little off at the edge of a thing.
-    causal   A frame knows what was seen up to it: what a live sender can do. What stands is renewed eight times a
-             second, and not shaken by every look; bricks in which something changes follow every frame.
+    fused    Computed offline: every frame uses the observations of all frames, so that static surfaces do not
+             flicker. Where a frame sees whole patches of samples that changed, the samples at and behind its
+             surface there are *moving* and follow the frames, as in a causal world. Narrower changes are
+             noise, or a pose error at the edge of an object.
+    causal   A frame uses the observations up to it, as a live sender must. Static parts are renewed eight
+             times a second instead of with every view; bricks in which something changes follow every frame.
 
-The fused volume (`FusedVolume`) is the mean of what posed depth maps tell each sample (Curless and Levoy
-1996, KinectFusion 2011), in bricks that a surface passes. A view says of a sample how far it lies from the
-tangent plane of its pixel (phi, negative behind), which is nearer to the truth than the distance along the
-ray (docs/decisions/0013). With the surface's *neighbourhood* |phi| <= 2 noise(z), at least a sample wide,
-three things can be said:
+The fused volume (`FusedVolume`) is the mean of the observations of posed depth maps in each sample (Curless
+and Levoy 1996, KinectFusion 2011), in bricks that contain a surface. A view measures the distance of a sample
+to the tangent plane of its pixel (phi, negative behind), which is more accurate than the distance along the
+ray (docs/decisions/0013). With the *neighbourhood* of the surface, |phi| <= 2 noise(z) and at least a sample
+wide, a view says one of three things about a sample:
 
-near   |phi| is within it: the mean of phi and of the plane's normal moves, weighted by 1 / noise^2 and by the
-       squared cosine between ray and normal.
-guess  the sample lies behind it, as far as the wall reaches: nobody has seen that it is solid. It counts the less the
-       farther behind, gives way to a surface seen near the sample, and does not return once rays have passed.
-free   the ray passed in front. Two in a row carve what stood there.
+near   |phi| is within the neighbourhood: the means of phi and of the plane's normal are updated, weighted by
+       1 / noise^2 and by the squared cosine between ray and normal.
+guess  The sample lies behind the surface, within the depth of the wall, but was not seen to be solid. The
+       weight decreases with the distance behind. A surface near the sample replaces a guess, and no guess is
+       made again once rays have passed.
+free   The ray passed in front of the surface. Two such views in a row carve the surface.
 
-A surface carved, a surface in known free space, and one that shifts by more than its neighbourhood count as
-*changes* of the sample; its mean begins anew. Behind a surface in formerly free space the guess is allowed
-again.
+A carved surface, a surface in known free space, and one that shifts by more than its neighbourhood count as
+*changes* of the sample, and its mean is restarted. Behind a surface in formerly free space the guess is
+allowed again.
 """
 
 from __future__ import annotations
@@ -49,151 +50,151 @@ if TYPE_CHECKING:
 
 WORLDS: Final = ("fused", "causal")
 
-# of a causal world, measured in docs/decisions/0013:
-FIRST_LOOK: Final = (
-    16.0  # what the first look at a surface counts: a seventh fewer samples then change with a frame
-)
-RENEWALS_HZ: Final = (
-    8.0  # so often what stands is shown anew: a third of the bytes go, and most steps a hand feels
-)
-CHANGING: Final = (
-    8  # a brick of 512 samples follows every frame once so many of them changed: an eighth of a plane
-)
+# of a causal world; measured in docs/decisions/0013
+FIRST_WEIGHT: Final = 16.0
+"""Weight of the first observation of a surface: a seventh fewer samples then change from frame to frame."""
+RENEWALS_HZ: Final = 8.0
+"""Rate at which static parts are updated: saves a third of the bytes and most perceptible steps."""
+CHANGED_SAMPLES: Final = 8
+"""A brick of 512 samples follows every frame once this many changed: an eighth of a plane."""
 
-PATCH_SHARE: Final = (
-    1 / 12
-)  # of the picture's height: what moves is a patch so wide; a pose off makes narrow seams
-PATCH_DENSITY: Final = 0.7  # of the pixels of a patch, so many see a sample that changed
-STANDS_SHARE: Final = 0.7  # of the pixels seen in two frames, so many agree if a camera without poses stands
-DRIFT_TIMES: Final = 2.0  # poses drift if the residual of the last quarter is so many times that of the first
-SLACK: Final = (
-    3.0  # a neighbourhood is at least so many mean residuals of a view: poses are off more than the sensor
-)
-OFF_TIMES: Final = 1.5  # a view is off whose residual is so many times the median of those so far
+PATCH_FRACTION: Final = 1 / 12
+"""Width of a moving patch as a fraction of the picture's height; pose errors make narrow seams."""
+PATCH_DENSITY: Final = 0.7  # fraction of the pixels of a patch that see a changed sample
+STATIC_FRACTION: Final = 0.7  # pixels that agree between two frames if a camera without poses is static
+DRIFT_FACTOR: Final = 2.0  # poses drift if the residual of the last quarter is this many times the first's
+RESIDUAL_FACTOR: Final = 3.0
+"""A neighbourhood is at least this many mean residuals of a view: pose errors exceed those of the sensor."""
+OUTLIER_FACTOR: Final = 1.5  # a view is an outlier if its residual is this many times the median so far
 _BYTES_PER_BRICK = 512 * (5 * 4 + 4)
-_KEPT_PLANES_BYTES = 256 << 20
-_KEPT_WORLDS = 16  # an array asks for its depth in slabs
+_MAX_PLANES_BYTES = 256 << 20
+_MAX_WORLDS = 16  # an array requests its depth in slabs, each a grid
 
 
 class FusedVolume:
-    """All that a depth sequence has told the samples of a lattice so far, in bricks int32 [n, 3] as they were
-    added.
+    """Fused observations of the samples of a lattice, in bricks int32 [n, 3] in the order of addition.
 
-    `step_per_m` is the noise of the sensor, of inverse depth; the first look at a surface counts `first`
-    times: above 1, what is felt early moves less while the mean settles. `residuals_m` are the mean residuals
-    of the views.
+    `step_per_m` is the noise of the sensor in inverse depth; the first observation of a surface has the
+    weight `first_weight`: above 1, forces vary less while the mean settles. `residuals_m` are the mean
+    residuals of the views.
     """
 
-    def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, first: float = 1.0) -> None:
+    def __init__(
+        self, grid: Grid, profile: ForceProfile, step_per_m: float, first_weight: float = 1.0
+    ) -> None:
         self.grid, self.profile = grid, profile
         self.bricks = np.empty((0, 3), np.int32)
         self._slots = np.full(grid.brick_shape, -1, np.int32)
-        self._samples = kernels.no_samples(64)
+        self._samples = kernels.empty_samples(64)
         self.residuals_m: list[float] = []
-        least = max(float(np.mean(grid.spacing_m)), profile.high_m)
-        behind = min(max(-profile.low_m, 0.0), float(np.ptp(grid.box_m, axis=0).sum()))
-        self._rules = Rules(*(np.float32(x) for x in (step_per_m, least, behind, RAY_LIMIT, first)))
+        min_near_m = max(float(np.mean(grid.spacing_m)), profile.high_m)
+        wall_depth_m = min(max(-profile.low_m, 0.0), float(np.ptp(grid.box_m, axis=0).sum()))
+        self._rules = Rules(
+            *(np.float32(x) for x in (step_per_m, min_near_m, wall_depth_m, RAY_LIMIT, first_weight))
+        )
 
     @property
     def samples(self) -> Samples:
-        """The memory of the samples of `bricks`."""
+        """The state of the samples of `bricks`."""
         return self._samples.first(len(self.bricks))
 
     def cover(self, surface: SurfacePlanes, pose: Float64s) -> None:
-        """Have bricks wherever this view's surface may push."""
+        """Add bricks wherever the surface of this view may exert a force."""
         bricks = force_bricks(query_of(surface, pose, self.grid, self.profile), self.grid)
         self.add(bricks[self._slots[tuple(bricks.T)] < 0])
 
     def add(self, bricks: Int32s) -> None:
-        """Have these bricks, int32 [n, 3], none of which the volume has, if there is memory for them."""
+        """Add bricks, int32 [n, 3], that the volume does not have yet, if there is memory for them."""
         count = len(self.bricks) + len(bricks)
         if count > len(self._samples.weight):
-            room = max(count, len(self._samples.weight) * 3 // 2)
-            require_memory("fused volume", f"{room} bricks", room * _BYTES_PER_BRICK)
-            grown = kernels.no_samples(room)
-            grown.first(len(self.bricks)).take(self.samples)
-            self._samples = grown
+            capacity = max(count, len(self._samples.weight) * 3 // 2)
+            require_memory("fused volume", f"{capacity} bricks", capacity * _BYTES_PER_BRICK)
+            larger = kernels.empty_samples(capacity)
+            larger.first(len(self.bricks)).copy_from(self.samples)
+            self._samples = larger
         self._slots[tuple(bricks.T)] = np.arange(len(self.bricks), count)
         self.bricks = np.concatenate([self.bricks, bricks])
 
     def integrate(self, surface: SurfacePlanes, pose: Float64s) -> None:
-        """Tell the samples what a view says, its pose being scene from camera, float64 [4, 4].
+        """Update the samples with a view; `pose` is scene from camera, float64 [4, 4].
 
-        A view that misses what was known by much more than those before it (a pose that is off) tells of no
-        changes.
+        A view with a residual far above that of the views before it (a pose error) marks no changes.
         """
-        of, before = self.samples, None
-        view, residual_m = self._view(surface, pose, (of.near == 0) & (of.free == kernels.CLEAR))
+        samples, changes = self.samples, None
+        view, residual_m = self._view(
+            surface, pose, (samples.has_surface == 0) & (samples.free == kernels.CLEAR)
+        )
         if residual_m is not None:
             self.residuals_m.append(residual_m)
-            if residual_m > OFF_TIMES * float(np.median(self.residuals_m)):
-                before = of.changes.copy()
-        least = max(self._rules.least_m, np.float32(SLACK * (residual_m or 0.0)))
-        kernels.integrate(self.bricks, view, self._rules._replace(least_m=least), of)
-        if before is not None:
-            of.changes[...] = before
+            if residual_m > OUTLIER_FACTOR * float(np.median(self.residuals_m)):
+                changes = samples.changes.copy()
+        min_near_m = max(self._rules.min_near_m, np.float32(RESIDUAL_FACTOR * (residual_m or 0.0)))
+        kernels.integrate(self.bricks, view, self._rules._replace(min_near_m=min_near_m), samples)
+        if changes is not None:
+            samples.changes[...] = changes
 
-    def mark_patches(self, surface: SurfacePlanes, pose: Float64s, changed: Bools, out: Bools) -> None:
-        """Set in `out` what lies at and behind patches of this view that see samples of `changed`, bool [n,
-        512].
+    def mark_patches(self, surface: SurfacePlanes, pose: Float64s, is_changed: Bools, out: Bools) -> None:
+        """Mark in `out` the samples at and behind patches of this view that see changed samples.
 
-        Patches are wider than a pose is off.
+        `is_changed` and `out` are bool [n, 512]. Patches are wider than pose errors.
         """
         from scipy.ndimage import maximum_filter, uniform_filter
 
-        view, _ = self._view(surface, pose, changed)
-        sees = view.marked[:-1].reshape(surface.size_px)
-        size = max(3, round(PATCH_SHARE * surface.size_px[0]))
-        dense = uniform_filter(sees.astype(np.float32), size, mode="constant") >= PATCH_DENSITY
-        sees[...] = maximum_filter(dense.astype(np.uint8), size, mode="constant")
-        if sees.any():
+        view, _ = self._view(surface, pose, is_changed)
+        is_marked = view.marked[:-1].reshape(surface.size_px)
+        size = max(3, round(PATCH_FRACTION * surface.size_px[0]))
+        is_dense = uniform_filter(is_marked.astype(np.float32), size, mode="constant") >= PATCH_DENSITY
+        is_marked[...] = maximum_filter(is_dense.astype(np.uint8), size, mode="constant")
+        if is_marked.any():
             kernels.mark(self.bricks, view, self._rules, out)
 
     def forces_n(self) -> Float32s:
-        """The forces of what is known, newtons, float32 [n, 8, 8, 8, 3], in the order of `bricks`."""
+        """Return the forces, newtons, float32 [n, 8, 8, 8, 3], in the order of `bricks`."""
         pieces = self.profile.table().astype(np.float32)
         return kernels.brick_forces(self.samples, pieces, self.grid.shape, self.bricks)
 
     def field(self, forces_n: Float32s) -> ForceField:
-        """The force field of these forces of `bricks`."""
+        """Return the force field with these forces of `bricks`."""
         order = np.lexsort(self.bricks.T[::-1])
         order = order[np.asarray(forces_n.any(axis=(1, 2, 3, 4)))[order]]
         return ForceField(self.grid, self.bricks[order], forces_n[order])
 
-    def _view(self, surface: SurfacePlanes, pose: Float64s, wanted: Bools) -> tuple[View, float | None]:
-        """The view, its pixels marked whose surface lies at a sample of `wanted`; its residual, metres."""
+    def _view(self, surface: SurfacePlanes, pose: Float64s, is_selected: Bools) -> tuple[View, float | None]:
+        """Return a view, with pixels at selected samples marked, and its residual, metres."""
         from scipy.ndimage import maximum_filter
 
         query = query_of(surface, pose, self.grid, self.profile)
         nearest_per_m = np.asarray(maximum_filter(surface.tiles[..., 0], 3), np.float32)
         view = View(query, np.empty(len(surface.planes) // 4, np.uint8), nearest_per_m)
-        return view, kernels.surfaces_in(view, self._slots, self._samples, wanted)
+        return view, kernels.mark_surfaces(view, self._slots, self._samples, is_selected)
 
 
 class FusedScene(DepthScene):
-    """A depth sequence, with poses or of a camera that stands, as one world, "fused" or "causal"."""
+    """A depth sequence with poses, or of a static camera, as one world, "fused" or "causal"."""
 
     def __init__(self, sequence: DepthSequence, world: str = "fused", segment: str | None = None) -> None:
         require_one_of("world", world, WORLDS)
         super().__init__(sequence, "world", segment)
         self.world = world
-        of = "" if sequence.poses is not None else "; no poses, so the camera is taken to stand"
-        seen = "all frames" if world == "fused" else "what was seen so far"
-        self.notes = (*self.notes, f"The world is fused from {seen} (--world {world}{of})")
-        self.take(0, self.frame_count)
+        poses_note = "" if sequence.poses is not None else "; no poses, so the camera is assumed to be static"
+        fused_frames = "all frames" if world == "fused" else "what was seen so far"
+        self.notes = (*self.notes, f"The world is fused from {fused_frames} (--world {world}{poses_note})")
+        self.restrict_frames(0, self.frame_count)
         self._lock = Lock()
 
-    def take(self, start: int, stop: int) -> None:
-        """See `Scene.take`: the world is fused from these frames."""
+    def restrict_frames(self, start: int, stop: int) -> None:
+        """See `Scene.restrict_frames`: the world is fused from these frames."""
         keys = [key for key in self.sequence.key_frames() if start <= key < stop] or [start]
         self._planes = _Planes(self, np.asarray(keys))
         self._worlds: dict[tuple[Grid, ForceProfile], _World] = {}
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """The force field of one frame at the points of `grid`; the same object where nothing moves.
+        """Return the force field of one frame at the points of `grid`.
 
-        Every lattice and law that is asked for first goes through all frames (a causal world: through those
-        up to `frame`).
+        It is the same object if nothing moves.
+
+        The first request for a lattice and profile processes all frames (a causal world: those up to
+        `frame`).
         """
         require_frame(frame, self.frame_count)
         with self._lock:
@@ -201,103 +202,107 @@ class FusedScene(DepthScene):
             if world is None:
                 kind = _Fused if self.world == "fused" else _Causal
                 world = kind(grid, profile, self._noise_step_per_m(), self._planes)
-                while len(self._worlds) >= _KEPT_WORLDS:
+                while len(self._worlds) >= _MAX_WORLDS:
                     del self._worlds[next(iter(self._worlds))]
                 self._worlds[grid, profile] = world
             return world.field(max(1, int(np.searchsorted(self._planes.keys, frame, side="right"))))
 
-    def learnt(self) -> tuple[str, ...]:
-        """See `Scene.learnt`: what moves, and whether the poses drift."""
+    def late_notes(self) -> tuple[str, ...]:
+        """See `Scene.late_notes`: the moving fraction, and whether the poses drift."""
         return tuple(dict.fromkeys(note for world in self._worlds.values() for note in world.notes()))
 
 
 class _Planes:
-    """The planes and poses of the key frames by number, kept as far as memory is small."""
+    """The planes and poses of the key frames by number, cached up to a memory limit."""
 
     def __init__(self, scene: DepthScene, keys: Int64s) -> None:
         self.scene, self.keys = scene, keys
-        self._kept: dict[int, SurfacePlanes] = {}
-        of = scene.sequence
-        self._room = 0 if of.is_captured else _KEPT_PLANES_BYTES // (16 * of.width * of.height)
+        self._cache: dict[int, SurfacePlanes] = {}
+        sequence = scene.sequence
+        self._capacity = (
+            0 if sequence.is_captured else _MAX_PLANES_BYTES // (16 * sequence.width * sequence.height)
+        )
 
     def __getitem__(self, i: int) -> tuple[SurfacePlanes, Float64s]:
         frame = int(self.keys[i])
-        planes = self._kept.get(i) or self.scene.planes(frame)
-        if len(self._kept) < self._room:
-            self._kept[i] = planes
+        planes = self._cache.get(i) or self.scene.planes(frame)
+        if len(self._cache) < self._capacity:
+            self._cache[i] = planes
         return planes, self.scene.pose(frame)
 
 
 class _World(ABC):
-    """A world on one lattice, after the first key frames."""
+    """A world on one lattice after a number of key frames."""
 
     _volume: FusedVolume
 
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, planes: _Planes) -> None:
-        self._planes, self._asked, self._seen = planes, (grid, profile, step_per_m), 0
-        self._begin()
+        self._planes, self._arguments, self._frame_count = planes, (grid, profile, step_per_m), 0
+        self._reset()
 
     @abstractmethod
-    def _begin(self) -> None:
-        """Nothing seen yet."""
+    def _reset(self) -> None:
+        """Return to the state before the first frame."""
 
     @abstractmethod
-    def field(self, seen: int) -> ForceField:
-        """The world as the first `seen` frames tell."""
+    def field(self, frame_count: int) -> ForceField:
+        """Return the world after the first `frame_count` frames."""
 
     def notes(self) -> tuple[str, ...]:
-        """A note where what the last frames see lies farther and farther from what was known."""
-        known = self._volume.residuals_m
-        quarter = len(known) // 4
+        """Return a note if residuals grow, which indicates that the poses drift."""
+        residuals_m = self._volume.residuals_m
+        quarter = len(residuals_m) // 4
         if quarter < 2:
             return ()
-        begin, end = float(np.mean(known[:quarter])), float(np.mean(known[-quarter:]))
-        if end < DRIFT_TIMES * begin or end < 2e-3:
+        first_m, last_m = float(np.mean(residuals_m[:quarter])), float(np.mean(residuals_m[-quarter:]))
+        if last_m < DRIFT_FACTOR * first_m or last_m < 2e-3:
             return ()
-        growth = f"{1e3 * begin:.2g} mm in the first quarter of the frames and {1e3 * end:.2g} mm in the last"
+        growth = (
+            f"{1e3 * first_m:.2g} mm in the first quarter of the frames and {1e3 * last_m:.2g} mm in the last"
+        )
         return (
             f"The poses seem to drift: surfaces miss those known by {growth}; --world frames does without",
         )
 
 
 class _Causal(_World):
-    """A world of what was seen so far."""
+    """A world of the frames so far."""
 
-    def _begin(self) -> None:
-        frames = max(1, round(self._planes.scene.rate_hz / RENEWALS_HZ))
+    def _reset(self) -> None:
+        period = max(1, round(self._planes.scene.rate_hz / RENEWALS_HZ))
         keys = self._planes.keys
-        self._renewals = np.asarray(np.diff((keys - keys[0]) // frames, prepend=-1) > 0)
-        self._volume = FusedVolume(*self._asked, FIRST_LOOK)
-        self._stands_n = self._volume.forces_n()
-        self._latest = self._stands = self._volume.field(self._stands_n)
+        self._renewals = np.asarray(np.diff((keys - keys[0]) // period, prepend=-1) > 0)
+        self._volume = FusedVolume(*self._arguments, FIRST_WEIGHT)
+        self._static_forces_n = self._volume.forces_n()
+        self._latest = self._static_field = self._volume.field(self._static_forces_n)
 
-    def field(self, seen: int) -> ForceField:
-        """The world of the first `seen` frames where something changes, of those up to the renewal elsewhere."""
-        if seen == self._seen:
+    def field(self, frame_count: int) -> ForceField:
+        """Return the world after `frame_count` frames, renewed where it changes."""
+        if frame_count == self._frame_count:
             return self._latest
-        if seen < self._seen:
-            self._seen = 0
-            self._begin()
+        if frame_count < self._frame_count:
+            self._frame_count = 0
+            self._reset()
         volume = self._volume
-        for i in range(self._seen, seen):
+        for i in range(self._frame_count, frame_count):
             volume.cover(*self._planes[i])
             volume.integrate(*self._planes[i])
             if self._renewals[i]:
-                self._stands_n = volume.forces_n()
-                self._stands = volume.field(self._stands_n)
-        self._seen, self._latest = seen, self._stands
-        follows = np.count_nonzero(volume.samples.changes, axis=1) >= CHANGING
-        if not self._renewals[seen - 1] and follows.any():
+                self._static_forces_n = volume.forces_n()
+                self._static_field = volume.field(self._static_forces_n)
+        self._frame_count, self._latest = frame_count, self._static_field
+        is_following = np.count_nonzero(volume.samples.changes, axis=1) >= CHANGED_SAMPLES
+        if not self._renewals[frame_count - 1] and is_following.any():
             forces = volume.forces_n()
-            forces[~follows] = 0.0
-            stands = np.flatnonzero(~follows[: len(self._stands_n)])
-            forces[stands] = self._stands_n[stands]
+            forces[~is_following] = 0.0
+            static = np.flatnonzero(~is_following[: len(self._static_forces_n)])
+            forces[static] = self._static_forces_n[static]
             self._latest = volume.field(forces)
         return self._latest
 
 
 class _Fused(_World):
-    """A world of all frames; what moves in it follows them."""
+    """A world of all frames; its moving parts follow them."""
 
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, planes: _Planes) -> None:
         self._volume, count = FusedVolume(grid, profile, step_per_m), len(planes.keys)
@@ -308,53 +313,53 @@ class _Fused(_World):
             self._volume.integrate(*planes[i])
             planes.scene.report(count + i + 1, 2 * count)
         self._forces_n = self._volume.forces_n()
-        self._still = self._volume.field(self._forces_n)
-        changed = self._volume.samples.changes > 0
-        self._moving = np.zeros(changed.shape, np.bool_)
-        for i in range(count if changed.any() else 0):
-            self._volume.mark_patches(*planes[i], changed, self._moving)
-        self._rows = np.flatnonzero(self._moving.any(axis=1))
+        self._static_field = self._volume.field(self._forces_n)
+        is_changed = self._volume.samples.changes > 0
+        self._is_moving = np.zeros(is_changed.shape, np.bool_)
+        for i in range(count if is_changed.any() else 0):
+            self._volume.mark_patches(*planes[i], is_changed, self._is_moving)
+        self._rows = np.flatnonzero(self._is_moving.any(axis=1))
         super().__init__(grid, profile, step_per_m, planes)
 
-    def _begin(self) -> None:
-        self._part = FusedVolume(*self._asked)
+    def _reset(self) -> None:
+        self._part = FusedVolume(*self._arguments)
         self._part.add(self._volume.bricks[self._rows])
 
-    def field(self, seen: int) -> ForceField:
-        """The world: it stands, but for what moves as the first `seen` frames tell."""
+    def field(self, frame_count: int) -> ForceField:
+        """Return the static world with its moving parts after the first `frame_count` frames."""
         if not len(self._rows):
-            return self._still
-        if seen < self._seen:
-            self._seen = 0
-            self._begin()
-        for i in range(self._seen, seen):
+            return self._static_field
+        if frame_count < self._frame_count:
+            self._frame_count = 0
+            self._reset()
+        for i in range(self._frame_count, frame_count):
             self._part.integrate(*self._planes[i])
-        self._seen = seen
+        self._frame_count = frame_count
         forces = self._forces_n.copy()
-        moving = self._moving[self._rows].reshape(-1, 8, 8, 8, 1)
-        forces[self._rows] = np.where(moving, self._part.forces_n(), forces[self._rows])
+        is_moving = self._is_moving[self._rows].reshape(-1, 8, 8, 8, 1)
+        forces[self._rows] = np.where(is_moving, self._part.forces_n(), forces[self._rows])
         return self._volume.field(forces)
 
     def notes(self) -> tuple[str, ...]:
         if not len(self._rows):
             return super().notes()
-        pushes = self._forces_n.any(axis=-1).reshape(-1, 512)
-        share = float((self._moving & pushes).sum()) / max(1, int(pushes.sum()))
+        has_force = self._forces_n.any(axis=-1).reshape(-1, 512)
+        fraction = float((self._is_moving & has_force).sum()) / max(1, int(has_force.sum()))
         return (
             *super().notes(),
-            f"{100 * share:.2g} % of the world moves, and follows the frames; the rest stands",
+            f"{100 * fraction:.2g} % of the world moves, and follows the frames; the rest is static",
         )
 
 
-def stands(sequence: DepthSequence) -> bool:
-    """True if a camera without poses sees the same picture in the first frame as in some others."""
+def is_static(sequence: DepthSequence) -> bool:
+    """Return True if a sequence without poses shows the same depth in its first and some other frames."""
     keys = np.asarray(sequence.key_frames())
     first = sequence.depth_m(0)
     step_per_m = noise_step_per_m(first)
     for key in keys[np.unique(np.linspace(0, len(keys) - 1, 5).astype(int))[1:]]:
         other = sequence.depth_m(int(key))
-        both = (first > 0) & (other > 0)
-        w, v = (np.divide(1.0, z, out=np.zeros_like(z), where=both) for z in (first, other))
-        if not both.any() or float((np.abs(w - v)[both] <= 2 * step_per_m).mean()) < STANDS_SHARE:
+        is_known = (first > 0) & (other > 0)
+        w, v = (np.divide(1.0, z, out=np.zeros_like(z), where=is_known) for z in (first, other))
+        if not is_known.any() or float((np.abs(w - v)[is_known] <= 2 * step_per_m).mean()) < STATIC_FRACTION:
             return False
     return True

@@ -1,8 +1,8 @@
-"""Camera intrinsics as users and data sets write them.
+"""Camera intrinsics in the forms of users and data sets.
 
 Four numbers fx fy cx cy; a 3x3, 3x4 or 4x4 matrix, rows first (SUN3D, 3DMatch, ScanNet); JSON (Open3D, whose
 ``intrinsic_matrix`` is columns first, RealSense, ROS, OpenCV, nerfstudio, NICE-SLAM); COLMAP's
-``cameras.txt``. A unit of depth that a file tells is taken, too.
+``cameras.txt``. A depth unit stated in a file is read, too.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, SourceError, blamed_on
+from touchfield.errors import InvalidArgument, SourceError, as_source_error
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.poses import floats, read_text
 
 INTRINSICS_NAMES: Final = (
     "camera-intrinsics.txt", "intrinsics.txt", "intrinsics.json", "camera_intrinsics.txt", "intrinsic.txt",
-    "camera-intrinsics.json", "camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json", "camera.json",
+    "camera-intrinsics.json", "camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json",
+    "camera.json",
     "intrinsic/intrinsic_depth.txt", "K.txt", "calibration.txt", "cam_params.json", "camera_info.json",
     "camera_primesense.json", "cameras.txt", "sparse/0/cameras.txt", "sparse/cameras.txt",
     "colmap/cameras.txt", "transforms.json",
 )  # fmt: skip
-"""Names under which an intrinsics file is looked for, the first one found being used."""
+"""Names of intrinsics files; the first one found is used."""
 
 _FORMS: Final = '"fx,fy,cx,cy", a 3x3 matrix, JSON with fx, fy, cx, cy or a matrix, or COLMAP\'s cameras.txt'
 _NESTED: Final = ("intrinsic", "intrinsics", "camera", "depth_intrinsics", "camera_intrinsics", "depth")
@@ -37,14 +38,14 @@ _MATRICES: Final = ("intrinsic_matrix", "camera_matrix", "K", "k", "intrinsics",
 _SCALES: Final = ("depth_scale", "png_depth_scale", "scale")
 _COLMAP: Final = re.compile(r"\s*\d+\s+([A-Z_0-9]*[A-Z_]+[A-Z_0-9]*)\s+(\d+)\s+(\d+)\s+(.+)")
 _ASPECT_TOLERANCE: Final = 0.01
-_TURN_OVER: Final = np.diag([1.0, -1.0, 1.0, 1.0])
+_FLIP_Y: Final = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class CameraFile:
-    """A camera as a file or a user tells it, with the stored units of depth in a metre where it says.
+    """A camera from a file or an option, with the stored depth units in a metre if stated.
 
-    It is mirrored by a negative fy, as ICL-NUIM has it: the poses are of a world whose y is turned over.
+    A negative fy, as in ICL-NUIM, means a mirrored camera: the poses are of a world with inverted y.
     """
 
     intrinsics: Intrinsics
@@ -53,15 +54,17 @@ class CameraFile:
     is_mirrored: bool = False
 
     def poses_of_pictures(self, poses: Float64s | None) -> Float64s | None:
-        """Poses float64 [n, 4, 4] in the axes of the pictures: turned over where the camera is mirrored."""
-        return _TURN_OVER @ poses @ _TURN_OVER if self.is_mirrored and poses is not None else poses
+        """Convert poses float64 [n, 4, 4] to the axes of the pictures (y inverted if mirrored)."""
+        return _FLIP_Y @ poses @ _FLIP_Y if self.is_mirrored and poses is not None else poses
 
 
 def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None) -> CameraFile:
-    """The camera of the text of a file in any of the forms above; `where` is its name in an error.
+    """Parse the camera from a text in any of the forms above.
 
-    `size` is width and height of the pictures: JSON must agree with it if it states them; COLMAP's cameras
-    are scaled to it, and a note says so. Raises `SourceError` for another form, or a matrix with skew.
+    `where` names it in an error.
+
+    `size` is width and height of the pictures: JSON that states a size must agree with it; COLMAP's cameras
+    are scaled to it, with a note. Raises `SourceError` for another form, or a matrix with skew.
     """
     if text.lstrip().startswith("{"):
         return _from_json(text, where, size)
@@ -79,12 +82,12 @@ def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None)
             )
         values = values if model == "PINHOLE" else [values[0], *values]
         return _scaled(values, (int(width), int(height)), where, size)
-    words = " ".join(lines).translate(str.maketrans(",;[]()", "      "))
-    return _of_numbers(floats(words.split(), where, _FORMS), where)
+    text_of_numbers = " ".join(lines).translate(str.maketrans(",;[]()", "      "))
+    return _of_numbers(floats(text_of_numbers.split(), where, _FORMS), where)
 
 
 def _of_numbers(values: list[float], where: str) -> CameraFile:
-    """The camera of fx fy cx cy, or of a matrix of three rows or four: fx 0 cx, 0 fy cy, 0 0 1."""
+    """Return the camera of fx fy cx cy, or of a matrix of three or four rows: fx 0 cx, 0 fy cy, 0 0 1."""
     if len(values) == 4:
         return _checked(values, where)
     if len(values) not in (9, 12, 16):
@@ -100,7 +103,7 @@ def _checked(values: list[float], where: str) -> CameraFile:
     fx, fy, cx, cy = values
     is_mirrored = fx > 0 > fy
     notes = ("fy is negative: y of the camera and of its poses is turned over.",) if is_mirrored else ()
-    with blamed_on(f"{where}: "):
+    with as_source_error(f"{where}: "):
         return CameraFile(Intrinsics(fx, abs(fy) if is_mirrored else fy, cx, cy), None, notes, is_mirrored)
 
 
@@ -121,18 +124,18 @@ def _from_json(text: str, where: str, size: tuple[int, int] | None) -> CameraFil
         if len(stored) == len(keys):
             width, height, *values = stored
             camera = _scaled(values, (int(width), int(height)), where, size)
-            bent = any(_number(data, (key,)) for key in ("k1", "k2", "p1", "p2"))
-            bends = (f"The distortion that {Path(where).name} tells of is not undone.",) if bent else ()
-            return replace(camera, notes=(*camera.notes, *bends))
+            has_distortion = any(_number(data, (key,)) for key in ("k1", "k2", "p1", "p2"))
+            distortion_notes = (
+                (f"The distortion in {Path(where).name} is not corrected.",) if has_distortion else ()
+            )
+            return replace(camera, notes=(*camera.notes, *distortion_notes))
     if size is not None and stated != (None, None) and stated != size:
         found = f"intrinsics for {stated[0]} x {stated[1]} pixels"
         raise SourceError(where, found, f"{size[0]} x {size[1]}, as the pictures have")
     units_per_m = None if scale is None or not scale > 0 else (scale if scale >= 1 else 1 / scale)
-    notes = (
-        ()
-        if units_per_m is None
-        else (f"{Path(where).name} says {units_per_m:g} units of depth in a metre.",)
-    )
+    notes: tuple[str, ...] = ()
+    if units_per_m is not None:
+        notes = (f"{Path(where).name} says {units_per_m:g} units of depth in a metre.",)
     names = (("fx", "fl_x"), ("fy", "fl_y"), ("cx", "ppx"), ("cy", "ppy"))  # also of RealSense and nerfstudio
     numbers = [value for keys in names if (value := _number(data, keys)) is not None]
     if len(numbers) < 4:
@@ -142,7 +145,7 @@ def _from_json(text: str, where: str, size: tuple[int, int] | None) -> CameraFil
 
 
 def _number(data: Any, keys: tuple[str, ...]) -> float | None:
-    """The first of these keys that holds a number of camera size."""
+    """Return the number of the first of these keys that has one below 1e9 in magnitude."""
     for key in keys:
         value = data.get(key)
         if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9:
@@ -151,7 +154,10 @@ def _number(data: Any, keys: tuple[str, ...]) -> float | None:
 
 
 def _matrix_of_json(data: Any, where: str) -> list[float]:
-    """The numbers of a matrix, rows first; of nine in one list the way they lie is told by the zeros."""
+    """Return the numbers of a matrix, rows first.
+
+    The zeros tell the order of nine numbers in one list.
+    """
     matrix = next((data[key] for key in _MATRICES if key in data), None)
     if isinstance(matrix, dict):
         matrix = matrix.get("data")  # OpenCV's
@@ -161,48 +167,51 @@ def _matrix_of_json(data: Any, where: str) -> list[float]:
         expected = "intrinsic_matrix, camera_matrix or K of 9, or fx, fy, cx, cy"
         raise SourceError(where, "JSON without numbers for the camera", expected)
     numbers = [float(v) for v in matrix]
-    is_turned = len(numbers) == 9 and numbers[2] == numbers[5] == 0 and (numbers[6] or numbers[7])
-    return [numbers[3 * (i % 3) + i // 3] for i in range(9)] if is_turned else numbers
+    is_column_major = len(numbers) == 9 and numbers[2] == numbers[5] == 0 and (numbers[6] or numbers[7])
+    return [numbers[3 * (i % 3) + i // 3] for i in range(9)] if is_column_major else numbers
 
 
 def _scaled(
     values: list[float], stated: tuple[int, int], where: str, size: tuple[int, int] | None
 ) -> CameraFile:
-    """A camera whose pixel centres lie at one half, for pictures of `stated` pixels, at the size of the
-    depth.
+    """Scale a camera for pictures of `stated` pixels to the size of the depth.
+
+    In the given camera pixel centres lie at one half, in the result at whole numbers.
     """
     fx, fy, cx, cy = values
     width, height = stated
-    across, down = (1.0, 1.0) if size is None else (size[0] / max(stated[0], 1), size[1] / max(stated[1], 1))
-    if abs(across / down - 1) > _ASPECT_TOLERANCE:
+    x_scale, y_scale = (
+        (1.0, 1.0) if size is None else (size[0] / max(stated[0], 1), size[1] / max(stated[1], 1))
+    )
+    if abs(x_scale / y_scale - 1) > _ASPECT_TOLERANCE:
         expected = "the aspect of the pictures, " + " x ".join(map(str, size or ()))
         raise SourceError(where, f"a camera of {width} x {height} pixels", expected)
-    camera = _checked([fx * across, fy * down, cx * across - 0.5, cy * down - 0.5], where)
-    if across == down == 1:
+    camera = _checked([fx * x_scale, fy * y_scale, cx * x_scale - 0.5, cy * y_scale - 0.5], where)
+    if x_scale == y_scale == 1:
         return camera
     note = f"{Path(where).name} is for {width} x {height} pixels: scaled to the depth's."
     return replace(camera, notes=(*camera.notes, note))
 
 
 def named_like_intrinsics(folders: Iterable[Path]) -> Iterator[Path]:
-    """The files of these folders under one of `INTRINSICS_NAMES`."""
+    """Return the files of these folders that are named in `INTRINSICS_NAMES`."""
     return (folder / name for folder in folders for name in INTRINSICS_NAMES if (folder / name).is_file())
 
 
 def camera_of(
     name: str,
-    asked: str | None,
+    intrinsics: str | None,
     folders: Iterable[Path],
     size: tuple[int, int],
     default: CameraFile | None = None,
 ) -> CameraFile:
-    """The camera that was asked for, else that of a file in one of `folders`, else the default.
+    """Return the requested camera, else that of a file in one of `folders`, else the default.
 
-    `name` is the source's in an error, `asked` "fx,fy,cx,cy" or the path of a file, `size` width and height
-    of the pictures. Raises `InvalidArgument` if `asked` is neither; `SourceError` if a file is at fault, or
-    nothing says.
+    `name` names the source in an error, `intrinsics` is "fx,fy,cx,cy" or the path of a file, `size` width and
+    height of the pictures. Raises `InvalidArgument` if `intrinsics` is neither; `SourceError` if a file is
+    invalid, or there is no camera.
     """
-    if asked is None:
+    if intrinsics is None:
         for file in named_like_intrinsics(folders):
             camera = parse_intrinsics(read_text(file), str(file), size)
             return replace(camera, notes=(f"The camera is that of {file.name}.", *camera.notes))
@@ -210,12 +219,12 @@ def camera_of(
             return default
         mend = "Add --intrinsics fx,fy,cx,cy, or a file intrinsics.txt in the folder."
         raise SourceError(name, "no camera intrinsics", "fx, fy, cx, cy in pixels", mend)
-    if os.path.isfile(asked):  # unlike Path.is_file, never raises for a strange name
-        return parse_intrinsics(read_text(Path(asked)), asked, size)
+    if os.path.isfile(intrinsics):  # unlike Path.is_file, never raises for a strange name
+        return parse_intrinsics(read_text(Path(intrinsics)), intrinsics, size)
     try:
         return parse_intrinsics(
-            asked.replace(",", " ") if asked.count(",") == 3 else "", "--intrinsics", size
+            intrinsics.replace(",", " ") if intrinsics.count(",") == 3 else "", "--intrinsics", size
         )
     except SourceError as error:
         expected = '"fx,fy,cx,cy" in pixels, or the path of a file that holds them'
-        raise InvalidArgument("--intrinsics", repr(asked[:80]), expected) from error
+        raise InvalidArgument("--intrinsics", repr(intrinsics[:80]), expected) from error

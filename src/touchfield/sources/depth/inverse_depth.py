@@ -1,19 +1,17 @@
-"""Depth from numbers that are linear in 1/z: disparity maps of a stereo pair, and relative depth beside a
-picture.
+"""Depth from values linear in 1/z: stereo disparity maps, and relative depth of a picture or video.
 
 *Disparity*: depth = fx * baseline / (disparity + offset). Middlebury 2014 (PFM, ``calib.txt`` with cam0,
 cam1, doffs and a baseline in millimetres), KITTI (16-bit PNG, 256 units a pixel, 0 unknown), and
-scikit-image's ``stereo_motorcycle``. What is 0 or not finite is unknown.
+scikit-image's ``stereo_motorcycle``. Values that are 0 or not finite are unknown.
 
-*Relative depth*, as estimators from one picture give it (MiDaS: Ranftl et al., TPAMI 2022; Depth Anything:
-Yang et al., CVPR 2024), has no unit. With s from 0 to 1 between the smallest and the largest value of all
-frames, the larger the nearer, 1/z = (1 - s)/far + s/near. Of a map whose larger values are farther, say a far
-smaller than near.
+*Relative depth* from monocular estimators (MiDaS: Ranftl et al., TPAMI 2022; Depth Anything: Yang et al.,
+CVPR 2024) has no unit. With s from 0 to 1 between the smallest and the largest value of all frames, larger
+values being nearer, 1/z = (1 - s)/far + s/near. For a map whose larger values are farther, give a far smaller
+than near.
 
 Such a map belongs to a picture or video by its name (``NAME_depth.png``, ``NAME.depth.png``,
-``NAME-depth.npy``, with anything after the word depth), or by ``--relative-depth``, which for a video is a
-grey video or a folder of maps. The frames have the map's own size: intrinsics, which are those of the
-picture, are scaled.
+``NAME-depth.npy``, with any text after "depth"), or through ``--relative-depth``, which for a video is a grey
+video or a folder of maps. The frames have the size of the map: the intrinsics of the picture are scaled.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s
-from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_extra, require_positive
+from touchfield.errors import InvalidArgument, SourceError, as_source_error, import_extra, require_positive
 from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, Frames, Intrinsics
 from touchfield.sources.depth.intrinsics_file import CameraFile, camera_of, parse_intrinsics
 from touchfield.sources.depth.layouts import depth_kind, source_rate
@@ -41,20 +39,17 @@ from touchfield.sources.poses import read_text
 _SUFFIXES: Final = (".npy", ".pfm", ".png")
 _KITTI_UNITS_PER_PX: Final = 256.0
 
-NEAR_M: Final = 1.0
-FIELD_OF_VIEW_DEG: Final = (
-    60.0  # across the width: between a phone's main camera (about 65) and a webcam (about 55)
-)
-SHAPE_TOLERANCE: Final = (
-    0.03  # of width to height of map and picture: estimators round to multiples of 14 or 32 px
-)
+DEFAULT_NEAR_M: Final = 1.0
+FIELD_OF_VIEW_DEG: Final = 60.0
+"""Default across the width: between a phone's main camera (about 65) and a webcam (about 55)."""
+SHAPE_TOLERANCE: Final = 0.03
+"""Between the aspect ratios of map and picture: estimators round to multiples of 14 or 32 px."""
 
 
-# -- disparity -----------------------------------------------------------------------------------------------
+# -- disparity ---------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class StereoRig:
-    """A rectified stereo pair: the camera whose picture the disparity map is of, and the distance to the
-    other one.
+    """A rectified stereo pair: the camera of the disparity map, and its distance to the other camera.
 
     `disparity_offset_px` is the difference of the principal points (Middlebury's doffs).
     """
@@ -72,19 +67,22 @@ class StereoRig:
 
 
 def depth_of_disparity(disparity_px: NDArray[Any], rig: StereoRig) -> Float32s:
-    """Depth in metres, float32, of disparities in pixels; 0 where 0, not finite, or behind the camera."""
+    """Convert disparities in pixels to metres, float32.
+
+    The depth is 0 for a disparity that is 0, not finite, or that of a point behind the camera.
+    """
     disparity = np.asarray(disparity_px, np.float64)
-    known = np.isfinite(disparity) & (disparity > 0)
-    shifted = np.where(known, disparity, 1.0) + rig.disparity_offset_px
-    known &= shifted > 1e-6  # a millionth of a pixel: beyond any stereo camera
-    depth = rig.intrinsics.fx * rig.baseline_m / np.where(known, shifted, 1.0)
-    return DepthCode(1.0)(np.where(known, depth, 0))
+    is_known = np.isfinite(disparity) & (disparity > 0)
+    shifted = np.where(is_known, disparity, 1.0) + rig.disparity_offset_px
+    is_known &= shifted > 1e-6  # a millionth of a pixel: below the accuracy of any stereo camera
+    depth = rig.intrinsics.fx * rig.baseline_m / np.where(is_known, shifted, 1.0)
+    return DepthCode(1.0)(np.where(is_known, depth, 0))
 
 
 def _of_disparity(
     name: str, disparity_px: NDArray[Any], rig: StereoRig, notes: tuple[str, ...] = ()
 ) -> CodedSequence:
-    """One disparity map, pixels, 0 or not finite where unknown, as a sequence of one frame."""
+    """Wrap a disparity map, pixels, 0 or not finite where unknown, as a sequence of one frame."""
     metres = partial(depth_of_disparity, rig=rig)
     if not metres(disparity_px).any():
         raise SourceError(name, "no disparity above 0", "a disparity map in pixels")
@@ -94,8 +92,9 @@ def _of_disparity(
 
 
 def motorcycle_sequence() -> CodedSequence:
-    """scikit-image's disparity map "motorcycle" (Middlebury 2014), 741 x 500, 2 to 5 m; `MissingExtra`
-    without it.
+    """Return scikit-image's disparity map "motorcycle" (Middlebury 2014), 741 x 500, 2 to 5 m.
+
+    Raises `MissingExtra` without scikit-image.
     """
     data = import_extra("skimage.data", "the motorcycle scene", "scikit-image", "motorcycle")
     try:
@@ -107,7 +106,7 @@ def motorcycle_sequence() -> CodedSequence:
 
 
 def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
-    """A disparity map: PFM or NPY in pixels, or 16-bit PNG with 256 units a pixel (or ``depth_scale``)."""
+    """Read a disparity map: PFM or NPY in pixels, or 16-bit PNG, 256 units a pixel (or ``depth_scale``)."""
     suffix = path.suffix.lower()
     values = (_pfm if suffix == ".pfm" else pictures.read_picture)(path)
     if values.dtype == np.uint8:
@@ -125,7 +124,7 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
     baseline_m, offset_px = options.baseline_m, options.disparity_offset_px
     notes = camera.notes
     if calibration is not None:
-        notes = ("Camera and baseline are those of calib.txt, where nothing else was asked for.",)
+        notes = ("Camera and baseline are those of calib.txt, unless given as options.",)
         baseline_m = baseline_m or calibration.baseline_m
         offset_px = calibration.disparity_offset_px if offset_px is None else offset_px
     if baseline_m is None:
@@ -137,7 +136,7 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
 
 
 def _pfm(path: Path) -> Float32s:
-    """A grey PFM picture, of any byte order."""
+    """Read a grey PFM picture, of any byte order."""
     expected = "a grey PFM picture, which begins with Pf"
     with pictures.opened(path, ("PPM",), expected) as image:
         pictures.bound_pixels(path, image.width, image.height)
@@ -147,7 +146,10 @@ def _pfm(path: Path) -> Float32s:
 
 
 def _calibration(file: Path, size: tuple[int, int], camera: str) -> StereoRig | None:
-    """The camera of Middlebury's ``calib.txt`` of this name, None without the file."""
+    """Read the camera of this name from Middlebury's ``calib.txt``.
+
+    Returns None without the file.
+    """
     if not file.is_file():
         return None
     lines = (line.partition("=") for line in read_text(file).splitlines())
@@ -164,14 +166,14 @@ def _calibration(file: Path, size: tuple[int, int], camera: str) -> StereoRig | 
         raise SourceError(
             str(file), f"a camera of {stated[0]} x {stated[1]} pixels", f"{size[0]} x {size[1]}"
         )
-    with blamed_on(f"{file}: "):
+    with as_source_error(f"{file}: "):
         return StereoRig(parse_intrinsics(matrix, f"{file}: {camera}").intrinsics, baseline_m, offset_px)
 
 
-# -- relative depth ------------------------------------------------------------------------------------------
+# -- relative depth ----------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class InverseDepth:
-    """Metres of a relative depth: `near_m` of its largest value, `high`, and `far_m` of its smallest, `low`."""
+    """Conversion of relative depth to metres: the value `high` is at `near_m`, the value `low` at `far_m`."""
 
     low: float
     high: float
@@ -179,15 +181,23 @@ class InverseDepth:
     far_m: float
 
     def __call__(self, values: NDArray[Any]) -> Float32s:
-        """Depth in metres, float32, linear in 1/z; 0 where a value is not finite."""
-        known = np.isfinite(values)
-        share = (np.where(known, values, self.low).astype(np.float64) - self.low) / (self.high - self.low)
-        depth = 1.0 / ((1.0 - share) / self.far_m + share / self.near_m)
-        return DepthCode(1.0)(np.where(known, depth, 0.0))
+        """Convert values to depth in metres, float32, linear in 1/z.
+
+        Values that are not finite become 0.
+        """
+        is_known = np.isfinite(values)
+        nearness = (np.where(is_known, values, self.low).astype(np.float64) - self.low) / (
+            self.high - self.low
+        )
+        depth = 1.0 / ((1.0 - nearness) / self.far_m + nearness / self.near_m)
+        return DepthCode(1.0)(np.where(is_known, depth, 0.0))
 
 
 def find_map(path: Path) -> Path | None:
-    """The relative depth beside a picture or video, by its name; None where there is none."""
+    """Find the relative depth beside a picture or video, by its name.
+
+    Returns None if there is none.
+    """
     suffixes = "|".join(suffix[1:] for suffix in (*pictures.PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
     files = pictures.list_files(
         path.absolute().parent, re.escape(path.stem) + rf"[._-]depth([^a-z0-9].*)?\.({suffixes})"
@@ -196,10 +206,9 @@ def find_map(path: Path) -> Path | None:
 
 
 def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
-    """A picture or video with the relative depth beside it; reads every map once.
+    """Read a picture or video with its relative depth; reads every map once.
 
-    Raises `SourceError` if there is no map, sizes or counts of frames do not go together, or all values are
-    the same.
+    Raises `SourceError` if there is no map, sizes or frame counts do not agree, or all values are equal.
     """
     if path.is_dir():
         raise SourceError(str(path), "a folder", "a picture or a video, with its relative depth beside it")
@@ -207,11 +216,11 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
     if near_m is not None and near_m == far_m:
         raise InvalidArgument("--near-m, --far-m", f"{near_m:g} m both", "two distances")
     if near_m is None or far_m is None:
-        near_m = near_m or (far_m / 2 if far_m else NEAR_M)
+        near_m = near_m or (far_m / 2 if far_m else DEFAULT_NEAR_M)
         far_m = far_m or 2 * near_m
-        taken = f"{near_m:g} m (largest value) to {far_m:g} m (smallest), linear in 1/z"
-        notes += (f"Relative depth taken as {taken} (--near-m, --far-m).",)
-    maps, where = _maps(path, options)
+        range_text = f"{near_m:g} m (largest value) to {far_m:g} m (smallest), linear in 1/z"
+        notes += (f"Relative depth taken as {range_text} (--near-m, --far-m).",)
+    maps, where = _open_maps(path, options)
     if path.suffix.lower() in VIDEO_SUFFIXES:
         video = GreyVideo(path)
         (width, height), rate_hz, count = video.size, video.rate_hz or source_rate(options), video.frame_count
@@ -221,8 +230,8 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
         raise SourceError(
             str(where), f"{maps.frame_count} maps", f"{count}, one for each frame of {path.name}"
         )
-    x, y = maps.size[0] / width, maps.size[1] / height
-    if abs(x - y) > SHAPE_TOLERANCE * y:
+    x_scale, y_scale = maps.size[0] / width, maps.size[1] / height
+    if abs(x_scale - y_scale) > SHAPE_TOLERANCE * y_scale:
         expected = f"the shape of {path.name}, {width} x {height}"
         raise SourceError(str(where), f"{maps.size[0]} x {maps.size[1]} pixels", expected, "Check the map.")
     focal = width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG / 2))
@@ -230,14 +239,16 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
     default = CameraFile(Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2), notes=(note,))
     camera = camera_of(str(path), options.intrinsics, (path.absolute().parent,), (width, height), default)
     k, notes = camera.intrinsics, (*notes, *camera.notes)
-    intrinsics = Intrinsics(k.fx * x, k.fy * y, (k.cx + 0.5) * x - 0.5, (k.cy + 0.5) * y - 0.5)
+    intrinsics = Intrinsics(
+        k.fx * x_scale, k.fy * y_scale, (k.cx + 0.5) * x_scale - 0.5, (k.cy + 0.5) * y_scale - 0.5
+    )
     if options.reading == "camera":
-        notes += ("Relative depth has no true perspective: --reading height feels it as a relief.",)
+        notes += ("Relative depth has no true perspective: --reading height renders it as a relief.",)
     low, high = math.inf, -math.inf
     for values in map(maps.values, range(maps.frame_count)):
-        known = values[np.isfinite(values)]
-        if known.size:
-            low, high = min(low, float(known.min())), max(high, float(known.max()))
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            low, high = min(low, float(finite.min())), max(high, float(finite.max()))
     if not (low < high and math.isfinite(high - low)):
         found = f"the one value {low:g}" if low == high else "no range of numbers"
         raise SourceError(
@@ -246,24 +257,24 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
     return CodedSequence(str(path), maps, InverseDepth(low, high, near_m, far_m), intrinsics, rate_hz, notes)
 
 
-def _maps(path: Path, options: SourceOptions) -> tuple[Frames, Path]:
-    where = find_map(path) if options.relative_depth is None else Path(options.relative_depth)
-    if where is None or not where.exists():
-        found = f"no relative depth {where}" if where else "no relative depth beside it"
+def _open_maps(path: Path, options: SourceOptions) -> tuple[Frames, Path]:
+    source = find_map(path) if options.relative_depth is None else Path(options.relative_depth)
+    if source is None or not source.exists():
+        found = f"no relative depth {source}" if source else "no relative depth beside it"
         mend = "Name the map with --relative-depth."
         raise SourceError(str(path), found, f"{path.stem}_depth.png (or .npy, ...)", mend)
-    if where.suffix.lower() in VIDEO_SUFFIXES and where.is_file():
-        return GreyVideo(where), where
+    if source.suffix.lower() in VIDEO_SUFFIXES and source.is_file():
+        return GreyVideo(source), source
     form = pictures.with_suffix(*pictures.PICTURE_SUFFIXES)
-    files = pictures.list_files(where, form) if where.is_dir() else (where,)
+    files = pictures.list_files(source, form) if source.is_dir() else (source,)
     if not files:
-        raise SourceError(str(where), "no map", "a folder of PNG, TIFF or NPY maps")
-    return pictures.PictureFrames(files, pictures.read_map), where
+        raise SourceError(str(source), "no map", "a folder of PNG, TIFF or NPY maps")
+    return pictures.PictureFrames(files, pictures.read_map), source
 
 
 def _is_relative(path: Path) -> bool:
-    is_known = path.suffix.lower() in (*pictures.PHOTO_SUFFIXES, *VIDEO_SUFFIXES)
-    return is_known and path.is_file() and find_map(path) is not None
+    has_suffix = path.suffix.lower() in (*pictures.PHOTO_SUFFIXES, *VIDEO_SUFFIXES)
+    return has_suffix and path.is_file() and find_map(path) is not None
 
 
 KINDS: Final = {

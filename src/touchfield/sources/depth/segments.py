@@ -1,18 +1,19 @@
-"""A depth sequence as objects: connected surfaces of each frame, followed over time (paper section 5.1).
+"""Segmentation of a depth sequence into objects: connected surfaces, tracked over time (paper section 5.1).
 
 The paper's object representation "requires a clear segmentation of the scene that is in general an ill-posed
-problem", and it gives no rule. Here is a plain one, which knows nothing of what things are: what touches (a
-cup and its table) is one object, and what another thing hides in part may be two.
+problem", and gives no rule. This rule is purely geometric: touching things (a cup and its table) are one
+object, and a partly occluded thing may be two.
 
-- *Surfaces.* Two neighbouring pixels belong together if their depths z differ by at most ``step`` of the
+- *Surfaces.* Two neighbouring pixels are connected if their depths z differ by at most ``step`` times the
   nearer one, or their inverse depths by at most the noise step of the sensor (`camera.noise_step_per_m`).
-- *Objects.* Of a frame, the ``at-most`` largest surfaces of at least ``least``, a share of the picture.
-- *Over time.* The pairs of a surface and an object are taken by the pixels that they share, the most first;
-  each surface and each object once. An object that vanishes, and is seen again where it was, is the same
-  (``at-most`` of those that are gone are remembered); one that moves by more than its own width between two
-  frames is a new one.
-- *The whole sequence.* The ``at-most`` objects with the most pixels in all frames are kept. Everything else
-  that has a depth is one more object, the background. The sum of the fields is that of the whole, except at
+- *Objects.* Of a frame, the ``at-most`` largest surfaces of at least ``min_fraction``, a share of the
+  picture.
+- *Over time.* Surfaces are matched to objects by the number of common pixels, largest first; each surface and
+  each object is used once. An object that vanishes and reappears at the same position is the same object
+  (``at-most`` vanished ones are remembered); one that moves by more than its own width between two frames is
+  a new one.
+- *Whole sequence.* The ``at-most`` objects with the most pixels in all frames are kept. All other pixels with
+  depth form one more object, the background. The sum of the fields equals that of the whole scene, except at
   the borders: a plane is fitted to pixels of one object only.
 """
 
@@ -34,57 +35,64 @@ from touchfield.sources.scene import Body, Scene
 
 Labels = Int32s
 
-LARGEST_AT_MOST: Final = 254
+OBJECT_LIMIT: Final = 254
 BACKGROUND: Final = 0
 
-_KEPT_FRAMES = 8  # an encoder asks for each object in turn, over the frames of a segment
-_KINDS: Final = {"step": float, "least": float, "at-most": int}
+_CACHED_FRAMES = 8  # an encoder reads each object in turn, over the frames of a segment
+_KEYS: Final = {"step": ("step", float), "least": ("min_fraction", float), "at-most": ("max_objects", int)}
+"""Field and type of `SegmentRule` for each key of its text."""
 _EXPECTED: Final = "such as step=0.03,least=0.002,at-most=16 (least is a share of the picture)"
 
 
 @dataclass(frozen=True)
 class SegmentRule:
-    """A rule of what belongs together, and what is an object; see the module.
+    """A segmentation rule; see the module.
 
-    step : float; Largest difference in depth between neighbouring pixels of one surface, as a share of the
-        nearer.
-    least : float; Pixels of the smallest object, as a share of the picture.
-    at_most : int; Objects beside the background, in a frame and in all, 1 to 254.
+    step : float; Largest difference in depth between neighbouring pixels of one surface, as a fraction of the
+        nearer one.
+    min_fraction : float; Pixels of the smallest object, as a fraction of the picture.
+    max_objects : int; Objects besides the background, in a frame and in all, 1 to 254.
     """
 
     step: float = 0.03
-    least: float = 0.002
-    at_most: int = 16
+    min_fraction: float = 0.002
+    max_objects: int = 16
 
     def __post_init__(self) -> None:
-        for name, value in (("step", self.step), ("least", self.least)):
+        for name, value in (("step", self.step), ("least", self.min_fraction)):
             if not 0 < value <= 1:
                 raise InvalidArgument(f"segment {name}", repr(value), "a share above 0 and up to 1")
-        if not 1 <= self.at_most <= LARGEST_AT_MOST:
-            raise InvalidArgument("segment at-most", repr(self.at_most), f"1 to {LARGEST_AT_MOST} objects")
+        if not 1 <= self.max_objects <= OBJECT_LIMIT:
+            raise InvalidArgument("segment at-most", repr(self.max_objects), f"1 to {OBJECT_LIMIT} objects")
 
     @classmethod
     def parse(cls, text: str | None) -> SegmentRule:
-        """The rule in words (``step=0.03,least=0.002,at-most=16``); None, or what is not said, is the
-        default.
+        """Parse a rule such as ``step=0.03,least=0.002,at-most=16``.
+
+        Keys that are missing have defaults.
         """
-        asked: dict[str, float | int] = {}
-        for word in () if text is None else text.split(","):
-            name, _, value = (part.strip() for part in word.partition("="))
+        values: dict[str, float | int] = {}
+        for entry in () if text is None else text.split(","):
+            key, _, value = (part.strip() for part in entry.partition("="))
             try:
-                asked[name.replace("-", "_")] = _KINDS[name](value)
+                name, kind = _KEYS[key]
+                values[name] = kind(value)
             except (KeyError, ValueError):
-                raise InvalidArgument("--segment", repr(word.strip()), _EXPECTED) from None
-        return cls(**asked)  # type: ignore[arg-type]
+                raise InvalidArgument("--segment", repr(entry.strip()), _EXPECTED) from None
+        return cls(**values)  # type: ignore[arg-type]
 
     @property
-    def words(self) -> str:
-        """The rule as `parse` reads it."""
-        return f"step={self.step:g},least={self.least:g},at-most={self.at_most}"
+    def text(self) -> str:
+        """Text of the rule, as `parse` reads it."""
+        return f"step={self.step:g},least={self.min_fraction:g},at-most={self.max_objects}"
 
 
-def surfaces(depth_m: Float32s, step: float, noise_step_per_m: float) -> tuple[Labels, int]:
-    """The connected surfaces of a depth map, int32 [height, width] from 1 on, 0 where unknown; and how many.
+def label_surfaces(depth_m: Float32s, step: float, noise_step_per_m: float) -> tuple[Labels, int]:
+    """Label the connected surfaces of a depth map.
+
+    Returns int32 [height, width] and their number.
+
+    Labels start at 1; 0 is unknown.
 
     `depth_m` float32 [height, width] is not positive, or not finite, where unknown; `step` is that of
     `SegmentRule`, `noise_step_per_m` that of the sensor, 1/m.
@@ -93,23 +101,22 @@ def surfaces(depth_m: Float32s, step: float, noise_step_per_m: float) -> tuple[L
 
     depth = np.where(np.isfinite(depth_m), depth_m, np.float32(0))
     height, width = depth.shape
-    # pixels at even places and the links between them at odd ones: then what is connected is connected in a
-    # picture
+    # pixels at even indices and links between them at odd ones, so that `label` finds the connected pixels
     links = np.zeros((2 * height - 1, 2 * width - 1), bool)
     links[::2, ::2] = depth > 0
-    for between, a, b in (
+    for link, a, b in (
         (links[::2, 1::2], depth[:, :-1], depth[:, 1:]),
         (links[1::2, ::2], depth[:-1], depth[1:]),
     ):
         nearer = np.minimum(a, b)  # |a - b| <= max(step * nearer, g a b), as |1/a - 1/b| <= g
         allowed = np.maximum(np.float32(step) * nearer, np.float32(noise_step_per_m) * a * b)
-        between[...] = (np.abs(a - b) <= allowed) & (nearer > 0)
+        link[...] = (np.abs(a - b) <= allowed) & (nearer > 0)
     labels, count = ndimage.label(links)
     return np.ascontiguousarray(labels[::2, ::2], np.int32), int(count)
 
 
 class _Surface(NamedTuple):
-    """A large surface of a frame: its label there, and the name of the object that it is."""
+    """A large surface of a frame: its label there, the name of its object, and its number of pixels."""
 
     label: int
     name: int
@@ -117,84 +124,89 @@ class _Surface(NamedTuple):
 
 
 class Segmentation:
-    """The objects of a depth sequence; reads every frame once, and a frame again when it is asked for.
+    """The objects of a depth sequence.
 
-    There are `object_count` objects beside the background, the largest first; `pixels`, int64 [frame_count,
-    object_count + 1], counts those of each object in each frame, the background first.
+    Reads every frame once, and again when it is requested.
+
+    There are `object_count` objects besides the background, the largest first; `pixels`, int64 [frame_count,
+    object_count + 1], are the pixel counts of each object in each frame, the background first.
     """
 
     def __init__(self, sequence: DepthSequence, rule: SegmentRule, noise_step_per_m: float) -> None:
         self.sequence, self.rule = sequence, rule
         self._noise_step_per_m = noise_step_per_m
-        self._least_px = round(rule.least * sequence.width * sequence.height)
-        self._known_px = np.zeros(sequence.frame_count, np.int64)
-        followed = self._followed()
+        self._min_px = round(rule.min_fraction * sequence.width * sequence.height)
+        self._depth_px = np.zeros(sequence.frame_count, np.int64)
+        followed = self._follow_surfaces()
         totals: dict[int, int] = {}
-        for surface in (one for frame in followed for one in frame):
-            totals[surface.name] = totals.get(surface.name, 0) + surface.pixels
-        kept = sorted(totals, key=lambda name: (-totals[name], name))[: rule.at_most]
-        number = {name: place for place, name in enumerate(kept, 1)}
-        self.object_count = len(kept)
-        self.pixels = np.zeros((sequence.frame_count, len(kept) + 1), np.int64)
-        self.pixels[:, BACKGROUND] = self._known_px
-        self._numbers = [
-            {one.label: number[one.name] for one in frame if one.name in number} for frame in followed
-        ]
-        for frame, numbers in zip(followed, self.pixels):
-            for one in frame:
-                if one.name in number:
-                    numbers[[BACKGROUND, number[one.name]]] += (-one.pixels, one.pixels)
-        self._frame = lru_cache(maxsize=_KEPT_FRAMES)(self._read)
+        for frame in followed:
+            for surface in frame:
+                totals[surface.name] = totals.get(surface.name, 0) + surface.pixels
+        names = sorted(totals, key=lambda name: (-totals[name], name))[: rule.max_objects]
+        number_of = {name: number for number, name in enumerate(names, 1)}
+        self.object_count = len(names)
+        self.pixels = np.zeros((sequence.frame_count, len(names) + 1), np.int64)
+        self.pixels[:, BACKGROUND] = self._depth_px
+        self._numbers: list[dict[int, int]] = []  # of each frame, the object number of each label
+        for frame, counts in zip(followed, self.pixels):
+            surfaces = [surface for surface in frame if surface.name in number_of]
+            self._numbers.append({surface.label: number_of[surface.name] for surface in surfaces})
+            for surface in surfaces:
+                counts[[BACKGROUND, number_of[surface.name]]] += (-surface.pixels, surface.pixels)
+        self._frame = lru_cache(maxsize=_CACHED_FRAMES)(self._read)
         if not self.pixels.any():
             raise SourceError(sequence.name, "no depth in any frame", "at least one pixel with depth")
 
     def depth_m(self, frame: int, number: int) -> Float32s:
-        """The depth of one object, metres, float32 [height, width]; 0 where it is not."""
+        """Return the depth of one object, metres, float32 [height, width]; 0 elsewhere."""
         depth, numbers = self._frame(frame)
         return np.where(numbers == number, depth, np.float32(0))
 
     def _read(self, frame: int) -> tuple[Float32s, NDArray[np.uint8]]:
-        """Depth, and the object of each pixel, uint8: 0 is the background, 255 where there is no depth."""
+        """Read depth and the object of each pixel, uint8: 0 for the background, 255 without depth."""
         depth = self.sequence.depth_m(frame)
-        labels, count = surfaces(depth, self.rule.step, self._noise_step_per_m)
+        labels, count = label_surfaces(depth, self.rule.step, self._noise_step_per_m)
         table = np.full(count + 1, BACKGROUND, np.uint8)
         table[0] = 255
         for label, number in self._numbers[frame].items():
             table[label] = number
         return depth, table[labels]
 
-    def _followed(self) -> list[list[_Surface]]:
-        """The large surfaces of each frame."""
+    def _follow_surfaces(self) -> list[list[_Surface]]:
+        """Return the large surfaces of each frame, matched to objects."""
         sequence = self.sequence
-        places: dict[int, Int64s] = {}  # by name, the latest seen last: its pixels
+        pixels_of: dict[int, Int64s] = {}  # by name, the latest seen last: its pixels
         followed: list[list[_Surface]] = []
         next_name = 0
         for frame in range(sequence.frame_count):
-            labels, count = surfaces(sequence.depth_m(frame), self.rule.step, self._noise_step_per_m)
+            labels, count = label_surfaces(sequence.depth_m(frame), self.rule.step, self._noise_step_per_m)
             flat = labels.reshape(-1)
             pixels = np.bincount(flat, minlength=count + 1)
-            self._known_px[frame] = pixels[1:].sum()
-            largest = 1 + np.argsort(-pixels[1:], kind="stable")[: self.rule.at_most]
-            large = [int(label) for label in largest if pixels[label] >= self._least_px]
-            names = _matched(flat, large, places, next_name)
+            self._depth_px[frame] = pixels[1:].sum()
+            largest = 1 + np.argsort(-pixels[1:], kind="stable")[: self.rule.max_objects]
+            large = [int(label) for label in largest if pixels[label] >= self._min_px]
+            names = _match_surfaces(flat, large, pixels_of, next_name)
             next_name = max([next_name, *(name + 1 for name in names.values())])
-            gone = [name for name in places if name not in names.values()][-self.rule.at_most :]
-            places = {name: places[name] for name in gone}
-            places |= {name: np.flatnonzero(flat == label) for label, name in names.items()}
+            remembered = [name for name in pixels_of if name not in names.values()][-self.rule.max_objects :]
+            pixels_of = {name: pixels_of[name] for name in remembered}
+            pixels_of |= {name: np.flatnonzero(flat == label) for label, name in names.items()}
             followed.append([_Surface(label, name, int(pixels[label])) for label, name in names.items()])
         return followed
 
 
-def _matched(labels: Labels, large: list[int], places: dict[int, Int64s], next_name: int) -> dict[int, int]:
-    """A name for each of the `large` labels: of the object whose pixels, `places`, it shares most, else a new
-    one.
+def _match_surfaces(
+    labels: Labels, large: list[int], pixels_of: dict[int, Int64s], next_name: int
+) -> dict[int, int]:
+    """Match each of the `large` labels to the object with the most common pixels, else to a new one.
+
+    `pixels_of` are the pixel indices of the known objects by name. Returns the name of each label.
     """
     rank = np.full(int(labels.max(initial=0)) + 1, len(large))
     rank[large] = np.arange(len(large))
     shared = [
-        (-int(pixels), name, large[at])
-        for name, place in places.items()
-        for at, pixels in enumerate(np.bincount(rank[labels[place]], minlength=len(large) + 1)[:-1])
+        (-int(pixels), name, large[n])
+        for name, indices in pixels_of.items()
+        for n, pixels in enumerate(np.bincount(rank[labels[indices]], minlength=len(large) + 1)[:-1])
         if pixels
     ]
     names: dict[int, int] = {}
@@ -208,7 +220,10 @@ def _matched(labels: Labels, large: list[int], places: dict[int, Int64s], next_n
 
 
 class MaskedSequence(DepthSequence):
-    """A depth sequence of which only the object of that number is known; 0 is the background."""
+    """The depth of one object of a sequence, unknown elsewhere.
+
+    Number 0 is the background.
+    """
 
     def __init__(self, segmentation: Segmentation, number: int, name: str) -> None:
         source = segmentation.sequence
@@ -228,18 +243,18 @@ def segmented_bodies(
     rule: SegmentRule,
     noise_step_per_m: float,
 ) -> tuple[tuple[Body, ...], str]:
-    """The objects of a depth sequence as bodies, the largest first and the background last; and a note."""
+    """Return the objects of a depth sequence as bodies, largest first, background last; and a note."""
     objects = Segmentation(sequence, rule, noise_step_per_m)
     numbers = [n for n in (*range(1, objects.object_count + 1), BACKGROUND) if objects.pixels[:, n].any()]
     bodies = []
     for number in numbers:
         name = "background" if number == BACKGROUND else f"object {number}"
         scene = scene_maker(MaskedSequence(objects, number, f"{sequence.name}, {name}"))
-        bodies.append(Body(name, scene, PoseTrack.still(sequence.frame_count)))
+        bodies.append(Body(name, scene, PoseTrack.constant(sequence.frame_count)))
     rest = " and the background" if BACKGROUND in numbers else ""
     note = (
         f"Segmented by depth steps into {objects.object_count} "
         f"object{'s' * (objects.object_count != 1)}{rest} "
-        f"({rule.words}); what an object is, is ill-posed (--segment)."
+        f"({rule.text}); what an object is, is ill-posed (--segment)."
     )
     return tuple(bodies), note

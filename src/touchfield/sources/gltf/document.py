@@ -1,8 +1,8 @@
-"""A glTF document: the JSON of a .gltf or .glb file, read with checks, and the typed arrays in its buffers.
+"""A glTF document: the checked JSON of a .gltf or .glb file, and the typed arrays in its buffers.
 
 Source: Khronos, glTF 2.0 specification (2021), sections 3.6 (binary data, accessors with strides, normalised
 integers and sparse changes) and 4 (GLB). A buffer is the binary chunk of the GLB, base64 within the JSON, or
-a file beside it; no other place is looked at.
+a file beside it; no other locations are read.
 """
 
 from __future__ import annotations
@@ -20,26 +20,24 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import SourceError
-from touchfield.files import readable, require_beside, require_plain
+from touchfield.files import readable, require_in_folder, require_plain
 from touchfield.json_values import JsonValue, parsed
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
-_SPARE: Final = 1 << 20
-_PER_BYTE: Final = 16
-"""A document may ask for this many elements for each of its bytes, and `_SPARE` more (zeros need no bytes).
+_FREE_ELEMENTS: Final = 1 << 20
+_ELEMENTS_PER_BYTE: Final = 16
+"""A document may declare this many elements per byte, and `_FREE_ELEMENTS` more (zeros need no bytes)."""
 
-"""
-
-_LARGEST: Final = 1 << 53  # beyond this a JSON number need not be a whole one any more
+_LARGEST: Final = 1 << 53  # larger JSON numbers are not exact integers
 _LISTS: Final = ("accessors", "animations", "bufferViews", "buffers", "meshes", "nodes", "scenes", "skins")
 _COMPONENTS: Final = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
-"""Extensions that do not change where the triangles are, or that are understood."""
+"""Extensions that do not change the triangles, or that are supported."""
 
 
 class Element(JsonValue):
-    """A value of a document, its `owner`."""
+    """A JSON value of a document, `owner`."""
 
     owner: Document
 
@@ -47,49 +45,52 @@ class Element(JsonValue):
         return key in self.members()
 
     def number_of(self, of: str | int) -> int:
-        """The number of one of a list of the document, or of `of` things."""
+        """Return this value as an index into a list of the document, or below the number `of`."""
         count = len(self.owner.all(of)) if isinstance(of, str) else of
         if not count:
             raise self.refused("none, as there are no such things")
-        return self.whole(0, count - 1)
+        return self.bounded_integer(0, count - 1)
 
     def index(self, key: str, of: str | int) -> int | None:
-        """The number of such a thing; None where there is none."""
+        """Return the index at `key`; None if there is none."""
         value = self.get(key)
         return None if value is None else value.number_of(of)
 
     def indices(self, key: str, of: str | int) -> list[int]:
-        """Numbers of such things; none where there is no list."""
-        return [value.number_of(of) for value in self.at(key, []).each()]
+        """Return the indices at `key`; empty if there is no list."""
+        return [value.number_of(of) for value in self.at(key, []).elements()]
 
-    def integer(self, key: str, default: int = -1, least: int = 0) -> int:
-        """A whole number of at least `least`; without a default it must be there."""
-        return default if default >= 0 and key not in self else self.at(key).whole(least, _LARGEST)
+    def integer(self, key: str, default: int = -1, minimum: int = 0) -> int:
+        """Return an integer of at least `minimum`; without a default it is required."""
+        return (
+            default if default >= 0 and key not in self else self.at(key).bounded_integer(minimum, _LARGEST)
+        )
 
     def numbers(self, key: str, count: int) -> list[float] | None:
-        """`count` finite numbers; None where there is no list."""
+        """Return `count` finite numbers; None if there is no list."""
         value = self.get(key)
         if value is not None and len(value.items()) != count:
             raise value.wrong(f"{len(value.items())} numbers", f"{count} finite numbers")
-        return None if value is None else [one.number() for one in value.each()]
+        return None if value is None else [number.number() for number in value.elements()]
 
     def word(self, key: str) -> str | None:
-        """A string; None where there is none."""
+        """Return a string; None if there is none."""
         value = self.get(key)
         return None if value is None else value.text()
 
     def floats(self, key: str, kind: str) -> Float64s | None:
-        """Numbers of the accessor that `key` names, float64 [count, width], read-only; None where there is
-        none.
+        """Return the numbers of the accessor at `key`, float64 [count, width], read-only.
 
-        Normalised integers become numbers. Raises `SourceError` if the accessor is of another type than
-        `kind`, its data are not there, or one of them is not finite.
+        Returns None without one.
+
+        Normalised integers are converted. Raises `SourceError` if the accessor has another type than `kind`,
+        its data are missing, or a number is not finite.
         """
         number = self.index(key, "accessors")
         return None if number is None else self.owner.array(number, kind)
 
     def unsigned(self, key: str, kind: str, below: int) -> Int64s | None:
-        """The unsigned numbers, each below `below`, of the accessor that `key` names, int64 [count, width]."""
+        """Return the unsigned integers below `below` of the accessor at `key`, int64 [count, width]."""
         number = self.index(key, "accessors")
         return None if number is None else self.owner.array(number, kind, below)
 
@@ -97,11 +98,10 @@ class Element(JsonValue):
 class Document:
     """A glTF document, its buffers and its accessors, each read once.
 
-    `root` is the JSON object of the whole; `size_bytes` the length of the file and of those that it names,
-    once read.
+    `root` is the JSON object of the document; `size_bytes` the length of the file and of the files read so
+    far.
 
-    Raises `SourceError` if the file cannot be read, is no glTF 2, or requires an extension that is not
-    understood.
+    Raises `SourceError` if the file cannot be read, is not glTF 2, or requires an unsupported extension.
     """
 
     def __init__(self, path: Path) -> None:
@@ -112,7 +112,7 @@ class Document:
         self._files: dict[Path, bytes] = {}
         self._arrays: dict[tuple[int, bool], Any] = {}
         self.size_bytes = path.stat().st_size
-        self._asked = 0
+        self._charged = 0
         asset = self.root.get("asset")
         version = asset.word("version") if asset else None
         if version is not None and not version.startswith("2."):
@@ -121,26 +121,29 @@ class Document:
             if not name.startswith(HARMLESS):
                 found = f"the required extension {name[:60]!r}"
                 raise self.root.wrong(found, "a mesh without it", "Export it without extensions.")
-        self._elements = {key: [*self.root.at(key, []).each()] for key in _LISTS}
+        self._elements = {key: [*self.root.at(key, []).elements()] for key in _LISTS}
 
     def all(self, key: str) -> list[Element]:
-        """The objects of a top-level list: accessors, nodes, ..."""
+        """Return the objects of a top-level list: accessors, nodes, ..."""
         return self._elements[key]
 
-    def charge(self, elements: int, asker: Element) -> None:
-        """Count elements that are about to be made; refuse what the bytes of the document do not justify."""
-        self._asked += elements
-        if self._asked > _PER_BYTE * self.size_bytes + _SPARE:
-            raise asker.wrong(
-                f"{self._asked} elements asked of {self.size_bytes} bytes", "elements with their data"
+    def charge(self, elements: int, element: Element) -> None:
+        """Count elements before allocation.
+
+        Raise if they exceed the limit for the size of the document.
+        """
+        self._charged += elements
+        if self._charged > _ELEMENTS_PER_BYTE * self.size_bytes + _FREE_ELEMENTS:
+            raise element.wrong(
+                f"{self._charged} elements declared in {self.size_bytes} bytes", "elements with their data"
             )
 
     def array(self, index: int, kind: str, below: int | None = None) -> Any:
-        """Elements of an accessor, float64 or, below a bound, int64 [count, width], read-only, read once."""
+        """Return an accessor, float64 or, below a bound, int64 [count, width], read-only and cached."""
         element = self.all("accessors")[index]
-        own_type = element.word("type")
-        if own_type != kind:
-            raise element.wrong(f"type {(own_type or 'none')[:20]}", kind)
+        stored_type = element.word("type")
+        if stored_type != kind:
+            raise element.wrong(f"type {(stored_type or 'none')[:20]}", kind)
         key = index, below is None
         if key not in self._arrays:
             stored = self._data(element, _WIDTHS[kind])
@@ -160,7 +163,7 @@ class Document:
         return values
 
     def _data(self, element: Element, width: int) -> NDArray[Any]:
-        count, component = element.integer("count", least=1), _component(element)
+        count, component = element.integer("count", minimum=1), _component(element)
         if "bufferView" in element:
             values = self._dense(element, count, width, component)
         else:
@@ -168,22 +171,22 @@ class Document:
             values = np.zeros((count, width), component)
         sparse = element.get("sparse")
         if sparse is not None:
-            changed = sparse.integer("count", least=1)
+            changed = sparse.integer("count", minimum=1)
             if changed > count:
                 raise sparse.wrong(f"{changed} changes", f"at most the {count} elements there are")
-            places, news = sparse.get("indices"), sparse.get("values")
-            if places is None or news is None:
+            indices, replacements = sparse.get("indices"), sparse.get("values")
+            if indices is None or replacements is None:
                 raise sparse.wrong("no indices or no values", "both")
-            rows = self._dense(places, changed, 1, _component(places))[:, 0]
+            rows = self._dense(indices, changed, 1, _component(indices))[:, 0]
             if rows.dtype.kind != "u" or int(rows.max()) >= count or (rows[1:] <= rows[:-1]).any():
-                raise places.wrong(
+                raise indices.wrong(
                     "indices that do not ascend, or are too large", f"ascending ones below {count}"
                 )
-            values[rows] = self._dense(news, changed, width, component)
+            values[rows] = self._dense(replacements, changed, width, component)
         return values
 
     def _dense(self, element: Element, count: int, width: int, component: np.dtype[Any]) -> NDArray[Any]:
-        """A copy of the elements in the buffer view that `element` names."""
+        """Copy the elements from the buffer view that `element` names."""
         index = element.index("bufferView", "bufferViews")
         if index is None:
             raise element.wrong("no bufferView", "the number of one")
@@ -192,26 +195,26 @@ class Document:
         if buffer is None:
             raise view.wrong("no buffer", "the number of one")
         data = self._buffer(buffer)
-        begin, length = view.integer("byteOffset", 0), view.integer("byteLength", least=1)
-        if begin + length > len(data):
+        start, length = view.integer("byteOffset", 0), view.integer("byteLength", minimum=1)
+        if start + length > len(data):
             raise view.wrong(
-                f"bytes {begin} to {begin + length}", f"at most the {len(data)} of buffers[{buffer}]"
+                f"bytes {start} to {start + length}", f"at most the {len(data)} of buffers[{buffer}]"
             )
-        data, stride = data[begin : begin + length], view.integer("byteStride", size, least=1)
-        begin = element.integer("byteOffset", 0)
+        data, stride = data[start : start + length], view.integer("byteStride", size, minimum=1)
+        start = element.integer("byteOffset", 0)
         if stride < size:
             raise element.wrong(f"elements of {size} bytes every {stride}", "a byteStride that holds them")
-        if begin + stride * (count - 1) + size > len(data):
-            found = f"{count} elements, {stride} bytes each from byte {begin} on"
+        if start + stride * (count - 1) + size > len(data):
+            found = f"{count} elements, {stride} bytes each from byte {start} on"
             raise element.wrong(found, f"no more than the {len(data)} bytes of bufferViews[{index}]")
         self.charge(count, element)  # many accessors may name the same bytes
         strides = (stride, component.itemsize)
-        return np.ndarray((count, width), component, data, begin, strides).copy()
+        return np.ndarray((count, width), component, data, start, strides).copy()
 
     def _buffer(self, index: int) -> memoryview:
         if index not in self._buffers:
             element = self.all("buffers")[index]
-            length, uri = element.integer("byteLength", least=1), element.word("uri")
+            length, uri = element.integer("byteLength", minimum=1), element.word("uri")
             if uri is None:
                 data = self._chunk if index == 0 else b""
             elif uri.startswith("data:"):
@@ -225,7 +228,7 @@ class Document:
                         "data that is not base64", "data in base64", "Export it again."
                     ) from error
             else:
-                data = self._beside(element, uri)
+                data = self._file_bytes(element, uri)
             if len(data) < length:
                 raise element.wrong(
                     f"{len(data)} bytes", f"the {length} it declares", "The file may be cut short."
@@ -233,10 +236,10 @@ class Document:
             self._buffers[index] = memoryview(data)[:length]
         return self._buffers[index]
 
-    def _beside(self, element: Element, uri: str) -> bytes:
-        """The bytes of a file in the folder of the document, or below it."""
+    def _file_bytes(self, element: Element, uri: str) -> bytes:
+        """Read a file in the folder of the document, or below it."""
         name = unquote(uri)
-        path = require_beside(self._path.parent, name, f"{element.file}: {element.place}.uri").resolve()
+        path = require_in_folder(self._path.parent, name, f"{element.file}: {element.location}.uri").resolve()
         if not os.path.isfile(path):
             raise element.wrong(f"no file {name[:80]!r}", "the buffer beside the document", "Copy it there.")
         if path not in self._files:
@@ -254,9 +257,7 @@ def _component(element: Element) -> np.dtype[Any]:
 
 
 def contents(path: Path, *, with_binary: bool = True) -> tuple[dict[str, Any], bytes]:
-    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none, or
-    unread.
-    """
+    """Read the unchecked JSON object of a file, and the binary chunk of a GLB (else empty)."""
     require_plain(path, "one glTF file")
     chunks = dict[int, bytes]()
     with readable(path), path.open("rb") as file:
@@ -269,8 +270,8 @@ def contents(path: Path, *, with_binary: bool = True) -> tuple[dict[str, Any], b
                 raise SourceError(
                     str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again."
                 )
-            while (with_binary or _JSON not in chunks) and len(begin := file.read(8)) == 8:
-                length, kind = struct.unpack("<II", begin)
+            while (with_binary or _JSON not in chunks) and len(chunk_head := file.read(8)) == 8:
+                length, kind = struct.unpack("<II", chunk_head)
                 if length > size - file.tell():
                     found = f"a chunk of {length} bytes that is cut short"
                     raise SourceError(str(path), found, "whole chunks", "Copy it again.")

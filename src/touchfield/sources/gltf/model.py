@@ -1,16 +1,16 @@
-"""A glTF scene in motion: all its triangles once, and their vertices in the world at any time.
+"""An animated glTF scene: its triangles, and their vertices in world coordinates at any time.
 
 Source: Khronos, glTF 2.0 specification (2021). Section 3.5: a local matrix is T R S, the world matrix of a
 node that of its parent times its own. Sections 3.7.2 and 3.7.3: primitives, morph targets and skins; a vertex
-goes with the weighted mean of its joints' world matrices, each times its inverse bind matrix, and the node
-that holds the mesh has no say. Section 3.11 and appendix C: samplers are LINEAR (spherical for rotations),
-STEP or CUBICSPLINE (Hermite, tangents in value per second); before its first and after its last time a
-sampler holds its value.
+moves with the weighted mean of its joints' world matrices, each times its inverse bind matrix; the node of
+the mesh has no influence. Section 3.11 and appendix C: samplers are LINEAR (spherical for rotations),
+STEP or CUBICSPLINE (Hermite, tangents in value per second); a sampler is constant before its first and after
+its last time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -22,49 +22,48 @@ from touchfield.arrays import Float64s, Int64s
 from touchfield.medium.pose_track import rotation_matrices, slerp
 from touchfield.sources.gltf.document import HARMLESS, Document, Element
 
-_MOST_TRIANGLES: Final = 10_000_000  # beyond one for each byte: a node tree may use one mesh many times
-_MOST_TOLD: Final = 9
+_MAX_TRIANGLES: Final = 10_000_000  # or one per byte of the file: a node tree may use one mesh many times
+_MAX_NOTED: Final = 9
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _COMPRESSIONS: Final = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 _WIDTHS: Final = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS: Final = ("LINEAR", "STEP", "CUBICSPLINE")
 
 
-# -- animations
-# -----------------------------------------------------------------------------------------------------
+# -- animations --------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Sampler:
-    """A value over time."""
+    """A value over time; see the module."""
 
     times_s: Float64s  # float64 [k]; ascending
     values: Float64s  # float64 [k, w]
     interpolation: str = "LINEAR"  # "LINEAR", "STEP" or "CUBICSPLINE"
-    # float64 [k, w] twice, of CUBICSPLINE: where a key is reached, and where it is left; value per second
+    # float64 [k, w] twice, for CUBICSPLINE: in- and out-tangents, value per second
     tangents: tuple[Float64s, Float64s] | None = None
-    is_rotation: bool = False  # whether the values are unit quaternions (x, y, z, w)
+    is_rotation: bool = False  # True if the values are unit quaternions (x, y, z, w)
 
     def at(self, times_s: Float64s) -> Float64s:
-        """The values at times in seconds, float64 [n, w]."""
+        """Return the values at times in seconds, float64 [n, w]."""
         last = len(self.times_s) - 1
         before = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, last)
         after = np.minimum(before + 1, last)
         span = self.times_s[after] - self.times_s[before]
-        share = np.clip((times_s - self.times_s[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
+        fraction = np.clip((times_s - self.times_s[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
         a, b = self.values[before], self.values[after]
         if self.interpolation == "STEP":
             return a
         if self.tangents is not None:
-            reach, leave = self.tangents[0][after], self.tangents[1][before]
-            share = share[:, None]
-            s2, s3 = share * share, share * share * share
+            arriving, leaving = self.tangents[0][after], self.tangents[1][before]
+            fraction = fraction[:, None]
+            s2, s3 = fraction * fraction, fraction * fraction * fraction
             mixed = (2 * s3 - 3 * s2 + 1) * a + (3 * s2 - 2 * s3) * b
-            mixed += span[:, None] * ((s3 - 2 * s2 + share) * leave + (s3 - s2) * reach)
+            mixed += span[:, None] * ((s3 - 2 * s2 + fraction) * leaving + (s3 - s2) * arriving)
             return _unit(mixed) if self.is_rotation else mixed
-        return slerp(a, b, share) if self.is_rotation else a + share[:, None] * (b - a)
+        return slerp(a, b, fraction) if self.is_rotation else a + fraction[:, None] * (b - a)
 
 
 def _unit(quaternions: Float64s) -> Float64s:
-    """Of length 1; no rotation where there is no length."""
+    """Normalise quaternions; one of length 0 becomes the identity."""
     lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
     return np.asarray(
         np.where(lengths > 0, quaternions / np.where(lengths > 0, lengths, 1.0), (0.0, 0.0, 0.0, 1.0))
@@ -74,7 +73,7 @@ def _unit(quaternions: Float64s) -> Float64s:
 class Animation(NamedTuple):
     """One animation of a document: samplers by node and path (translation, rotation, scale or weights)."""
 
-    duration_s: float  # the last time of any of its samplers; it begins at 0
+    duration_s: float  # the last time of any of its samplers; it starts at 0
     samplers: Mapping[tuple[int, str], Sampler]
 
 
@@ -102,13 +101,13 @@ def _sampler(element: Element, path: str, width: int) -> Sampler:
     return Sampler(times, middle, interpolation, tangents, path == "rotation")
 
 
-# -- nodes
-# ----------------------------------------------------------------------------------------------------------
+# -- nodes -------------------------------------------------------------------------------------------------
 class Nodes:
-    """The nodes of a document; `shown` are those of the scene that is shown, all where the document has no
-    scene.
+    """The nodes of a document.
 
-    Raises `SourceError` if a node has two parents, is its own ancestor, or has numbers at fault.
+    `visible` are those of its main scene, all if it has no scene.
+
+    Raises `SourceError` if a node has two parents, is its own ancestor, or has invalid numbers.
     """
 
     def __init__(self, document: Document) -> None:
@@ -121,23 +120,21 @@ class Nodes:
                 if self._parents[child] >= 0:
                     raise elements[child].wrong("a second parent", "one parent at most")
                 self._parents[child] = node
-        # by their distance from the root; those of a cycle are reached from none
+        # by distance from the root; nodes of a cycle are not reached
         self._levels: list[Int64s] = []
         level = np.flatnonzero(self._parents < 0).tolist()
         while level:
             self._levels.append(np.array(level, np.int64))
             level = [child for node in level for child in children[node]]
-        lost = set(range(count)).difference(*(level.tolist() for level in self._levels))
-        if lost:
-            raise elements[min(lost)].wrong("a node that is its own ancestor", "a tree of nodes")
-        top = (
-            scenes[document.root.index("scene", "scenes") or 0].indices("nodes", "nodes")
-            if scenes
-            else range(count)
-        )
-        self.shown = set(top)
+        cyclic = set(range(count)).difference(*(level.tolist() for level in self._levels))
+        if cyclic:
+            raise elements[min(cyclic)].wrong("a node that is its own ancestor", "a tree of nodes")
+        roots: Iterable[int] = range(count)
+        if scenes:
+            roots = scenes[document.root.index("scene", "scenes") or 0].indices("nodes", "nodes")
+        self.visible = set(roots)
         for level_nodes in self._levels:
-            self.shown |= {node for node in level_nodes.tolist() if self._parents[node] in self.shown}
+            self.visible |= {node for node in level_nodes.tolist() if self._parents[node] in self.visible}
         self._rest = {
             "translation": np.zeros((count, 3)),
             "rotation": np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
@@ -160,7 +157,10 @@ class Nodes:
             turn /= length
 
     def world(self, animation: Animation | None, times_s: Float64s) -> Float64s:
-        """World matrices, float64 [times, nodes, 4, 4], at times in seconds; without an animation, at rest."""
+        """Return world matrices, float64 [times, nodes, 4, 4].
+
+        Without an animation they are those of the rest pose.
+        """
         shape = (len(times_s), self.count)
         parts = {key: np.tile(rest, (len(times_s), 1, 1)) for key, rest in self._rest.items()}
         for (node, path), sampler in animation.samplers.items() if animation is not None else ():
@@ -178,37 +178,36 @@ class Nodes:
         return local
 
 
-# -- primitives and skins
-# -------------------------------------------------------------------------------------------
+# -- primitives and skins ----------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _Geometry:
     """The triangles of a primitive."""
 
-    element: Element  # where it stands
-    vertices: Float64s  # float64 [n, 3]; those that a triangle uses
+    element: Element  # its JSON
+    vertices: Float64s  # float64 [n, 3]; vertices of triangles
     triangles: Int64s  # int64 [m, 3]
-    targets: Float64s  # float64 [t, n, 3]; what each morph target adds
-    used: Int64s  # int64 [n]; their numbers in the accessors
+    targets: Float64s  # float64 [t, n, 3]; displacements of each morph target
+    used: Int64s  # int64 [n]; indices of the vertices in the accessors
     vertex_count: int  # vertices in the accessors
 
 
 def _read_geometry(primitive: Element) -> _Geometry | None:
-    """A primitive; None where it has no triangle (points or lines)."""
+    """Read a primitive; None if it has no triangle (points or lines)."""
     mode = primitive.integer("mode", _TRIANGLES)
     if mode > _FAN:
         raise primitive.wrong(f"mode {mode}", "0 to 6")
     attributes = primitive.get("attributes")
-    place = attributes.index("POSITION", "accessors") if attributes else None
-    if mode < _TRIANGLES or attributes is None or place is None:
+    position_index = attributes.index("POSITION", "accessors") if attributes else None
+    if mode < _TRIANGLES or attributes is None or position_index is None:
         return None
-    extensions, positions = primitive.get("extensions"), primitive.owner.all("accessors")[place]
-    has_data = "bufferView" in positions or "sparse" in positions  # else they are zeros
+    extensions, positions = primitive.get("extensions"), primitive.owner.all("accessors")[position_index]
+    has_data = "bufferView" in positions or "sparse" in positions  # otherwise they are zeros
     for name in _COMPRESSIONS:
         if extensions is not None and name in extensions and not has_data:
             raise primitive.wrong(
                 f"a mesh compressed with {name}", "a mesh without it", "Export it uncompressed."
             )
-    vertices = primitive.owner.array(place, "VEC3")
+    vertices = primitive.owner.array(position_index, "VEC3")
     numbers = primitive.unsigned("indices", "SCALAR", len(vertices))
     corners = np.arange(len(vertices)) if numbers is None else numbers[:, 0]
     if mode == _TRIANGLES and len(corners) % 3:
@@ -218,13 +217,13 @@ def _read_geometry(primitive: Element) -> _Geometry | None:
     i = np.arange(max(len(corners) - 2, 0))
     if mode == _TRIANGLES:
         triangles = corners.reshape(-1, 3)
-    elif mode == _STRIP:  # every second one is turned over
+    elif mode == _STRIP:  # every second one is flipped
         triangles = np.stack([corners[i], corners[i + 1 + i % 2], corners[i + 2 - i % 2]], axis=1)
     else:
         triangles = np.stack([corners[i + 1], corners[i + 2], np.broadcast_to(corners[:1], len(i))], axis=1)
     if not len(triangles):
         return None
-    targets = [*primitive.at("targets", []).each()]
+    targets = [*primitive.at("targets", []).elements()]
     primitive.owner.charge(len(targets) * len(used), primitive)
     moves = np.zeros((len(targets), len(used), 3))
     for target, move in zip(targets, moves, strict=True):
@@ -252,15 +251,17 @@ class _Skin:
             self._inverse_bind = columns[: len(self.joints)].reshape(-1, 4, 4).swapaxes(1, 2)
 
     def matrices(self, world: Float64s) -> Float64s:
-        """Motions of a vertex with each joint, float64 [joints, 3, 4], from world matrices [nodes, 4, 4]."""
+        """Return the motion of a vertex with each joint, float64 [joints, 3, 4].
+
+        `world` are the world matrices, float64 [nodes, 4, 4].
+        """
         return np.asarray((world[self.joints] @ self._inverse_bind)[:, :3])
 
 
-def _joint_shares(geometry: _Geometry, joint_count: int) -> Any:
-    """The share of every joint in every vertex, a sparse float64 matrix [vertices, joints] whose rows sum
-    to 1.
+def _joint_weights(geometry: _Geometry, joint_count: int) -> Any:
+    """Return the weight of every joint at every vertex, a sparse matrix [vertices, joints] with row sums 1.
 
-    All sets JOINTS_n, WEIGHTS_n count. A vertex whose weights are all zero goes with the first of its joints.
+    All sets JOINTS_n, WEIGHTS_n are used. A vertex whose weights are all zero moves with its first joint.
     """
     from scipy.sparse import csr_array
 
@@ -271,30 +272,29 @@ def _joint_shares(geometry: _Geometry, joint_count: int) -> Any:
         n = len(sets)
         attributes.owner.charge(count, attributes)
         joints = attributes.unsigned(f"JOINTS_{n}", "VEC4", joint_count)
-        weights = attributes.floats(f"WEIGHTS_{n}", "VEC4")
-        if joints is None or weights is None:
+        set_weights = attributes.floats(f"WEIGHTS_{n}", "VEC4")
+        if joints is None or set_weights is None:
             name = f"JOINTS_{n}" if joints is None else f"WEIGHTS_{n}"
             raise attributes.wrong(f"no {name}", "both, as the mesh has a skin", "Export it again.")
-        if len(joints) != count or len(weights) != count:
-            found = f"{len(joints)} JOINTS_{n} and {len(weights)} WEIGHTS_{n}"
+        if len(joints) != count or len(set_weights) != count:
+            found = f"{len(joints)} JOINTS_{n} and {len(set_weights)} WEIGHTS_{n}"
             raise attributes.wrong(found, f"one for each of {count} vertices")
-        sets.append((joints[used], weights[used]))
-    columns, shares = (np.concatenate(each, axis=1) for each in zip(*sets, strict=True))
-    if (shares < 0).any():
+        sets.append((joints[used], set_weights[used]))
+    columns, weights = (np.concatenate(each, axis=1) for each in zip(*sets, strict=True))
+    if (weights < 0).any():
         raise attributes.wrong("a weight below 0", "weights from 0 to 1")
-    shares[~shares.any(axis=1), 0] = 1.0
-    shares /= shares.sum(axis=1, keepdims=True)
+    weights[~weights.any(axis=1), 0] = 1.0
+    weights /= weights.sum(axis=1, keepdims=True)
     starts = np.arange(len(used) + 1) * columns.shape[1]
-    matrix = csr_array((shares.reshape(-1), columns.reshape(-1), starts), shape=(len(used), joint_count))
+    matrix = csr_array((weights.reshape(-1), columns.reshape(-1), starts), shape=(len(used), joint_count))
     matrix.sum_duplicates()
     matrix.eliminate_zeros()
     return matrix
 
 
-# -- the model
-# ------------------------------------------------------------------------------------------------------
+# -- the model ---------------------------------------------------------------------------------------------
 class Poses(NamedTuple):
-    """Places of the nodes and weights of the morph targets at some times."""
+    """World matrices of the nodes and weights of the morph targets at some times."""
 
     world: Float64s  # float64 [times, nodes, 4, 4]
     weights: Mapping[int, Float64s]  # from node to float64 [times, targets]
@@ -302,40 +302,39 @@ class Poses(NamedTuple):
 
 @dataclass(frozen=True)
 class _Piece:
-    """A primitive at its node."""
+    """A primitive of a node."""
 
     node: int
     geometry: _Geometry
     skin: int | None
-    shares: Any  # a sparse matrix [vertices, joints], of a skinned piece
+    joint_weights: Any  # a sparse matrix [vertices, joints], for a skinned piece
 
 
 class Model:
-    """The triangles of the scene of a glTF document: `triangles` int64 [m, 3], vertex numbers over all
-    pieces.
+    """The triangles of a glTF scene: `triangles` int64 [m, 3], vertex numbers over all pieces.
 
-    `notes` name the extensions that are not read, and tell of other scenes.
+    `notes` name the extensions that are not read, and other scenes.
 
-    Raises `SourceError` if the document is at fault, or holds no triangle.
+    Raises `SourceError` if the document is invalid, or has no triangle.
     """
 
     def __init__(self, path: Path) -> None:
         self._document = document = Document(path)
         self._nodes = Nodes(document)
         self.node_count = self._nodes.count
-        meshes, self._skin = (
-            document.all("meshes"),
-            cache(lambda number: _Skin(document.all("skins")[number])),
-        )
+        meshes = document.all("meshes")
+        self._skin = cache(lambda number: _Skin(document.all("skins")[number]))
         self._targets = [0] * self.node_count
         self._rest_weights: dict[int, Float64s] = {}
         self._pieces: list[_Piece] = []
-        # an animation without a name goes by its number
+        # an animation without a name is named by its number
         self.animation_names = [e.word("name") or str(i) for i, e in enumerate(document.all("animations"))]
         geometries = cache(
-            lambda mesh: [g for g in map(_read_geometry, meshes[mesh].at("primitives", []).each()) if g]
+            lambda mesh: [g for g in map(_read_geometry, meshes[mesh].at("primitives", []).elements()) if g]
         )
-        shares = cache(lambda mesh, n, skin: _joint_shares(geometries(mesh)[n], len(self._skin(skin).joints)))
+        joint_weights = cache(
+            lambda mesh, n, skin: _joint_weights(geometries(mesh)[n], len(self._skin(skin).joints))
+        )
         total = 0
         for node, element in enumerate(document.all("nodes")):
             mesh, skin = element.index("mesh", "meshes"), element.index("skin", "skins")
@@ -346,18 +345,18 @@ class Model:
                 found = f"primitives with {min(counts)} and with {max(counts)} targets"
                 raise meshes[mesh].wrong(found, "the same number")
             count = self._targets[node] = max(counts, default=0)
-            if count:  # the weights at rest: those of the node, or of its mesh, or zeros
-                own = element.numbers("weights", count) or meshes[mesh].numbers("weights", count)
-                self._rest_weights[node] = np.array([own or [0.0] * count])
-            for number, geometry in enumerate(geometries(mesh) if node in self._nodes.shown else ()):
+            if count:  # rest weights: those of the node, or of its mesh, or zeros
+                rest_weights = element.numbers("weights", count) or meshes[mesh].numbers("weights", count)
+                self._rest_weights[node] = np.array([rest_weights or [0.0] * count])
+            for number, geometry in enumerate(geometries(mesh) if node in self._nodes.visible else ()):
                 total += len(geometry.triangles)
-                if total > max(_MOST_TRIANGLES, document.size_bytes):
+                if total > max(_MAX_TRIANGLES, document.size_bytes):
                     raise element.wrong(
-                        "too many triangles", f"at most {_MOST_TRIANGLES}", "Simplify the mesh."
+                        "too many triangles", f"at most {_MAX_TRIANGLES}", "Simplify the mesh."
                     )
-                share = None if skin is None else shares(mesh, number, skin)
-                document.charge(geometry.targets.size // 3 + (0 if share is None else share.nnz), element)
-                self._pieces.append(_Piece(node, geometry, skin, share))
+                weights = None if skin is None else joint_weights(mesh, number, skin)
+                document.charge(geometry.targets.size // 3 + (0 if weights is None else weights.nnz), element)
+                self._pieces.append(_Piece(node, geometry, skin, weights))
         if not self._pieces:
             raise document.root.wrong("no triangle", "a mesh of triangles", "Export it with its faces.")
         world = self._nodes.world(None, np.zeros(1))[0]
@@ -365,13 +364,13 @@ class Model:
         for piece in self._pieces:
             motions = world[piece.node, :3] if piece.skin is None else self._skin(piece.skin).matrices(world)
             is_mirrored = np.linalg.det(motions[..., :3]).sum() < 0
-            own_faces = piece.geometry.triangles + first
-            faces.append(own_faces[:, ::-1] if is_mirrored else own_faces)  # turned over
+            piece_faces = piece.geometry.triangles + first
+            faces.append(piece_faces[:, ::-1] if is_mirrored else piece_faces)
             first += len(piece.geometry.vertices)
         self.triangles = np.concatenate(faces)
         used = [str(name)[:60] for name in document.root.at("extensionsUsed", []).items()]
         unread = [name for name in used if not name.startswith((*HARMLESS, *_COMPRESSIONS))]
-        notes = [f"Not read, and left out: {', '.join(map(repr, unread[:_MOST_TOLD]))}"] if unread else []
+        notes = [f"Not read, and left out: {', '.join(map(repr, unread[:_MAX_NOTED]))}"] if unread else []
         number, count = document.root.index("scene", "scenes") or 0, len(document.all("scenes"))
         if count > 1:
             notes.append(f"Of {count} scenes in the file number {number} is read.")
@@ -383,17 +382,20 @@ class Model:
         return bool(self.animation_names or self._document.all("skins") or any(self._targets))
 
     def animation(self, index: int) -> Animation:
-        """One of the animations; `SourceError` if a channel, a sampler or its data are at fault."""
+        """Read one of the animations.
+
+        Raises `SourceError` if a channel, a sampler or its data are invalid.
+        """
         element, nodes = self._document.all("animations")[index], self._document.all("nodes")
-        entries = [*element.at("samplers", []).each()]
+        entries = [*element.at("samplers", []).elements()]
         samplers: dict[tuple[int, str], Sampler] = {}
-        for entry in element.at("channels", []).each():
+        for entry in element.at("channels", []).elements():
             target = entry.get("target")
             if target is None:
                 raise entry.wrong("no target", "one")
             node, path = target.index("node", "nodes"), target.word("path")
             if node is None or path not in (*_WIDTHS, "weights"):
-                continue  # of an extension: the specification has it left out
+                continue  # of an extension: to be ignored according to the specification
             number = entry.index("sampler", len(entries))
             if number is None:
                 raise entry.wrong("no sampler", "the number of one")
@@ -411,7 +413,7 @@ class Model:
         return Animation(duration, samplers)
 
     def poses(self, animation: Animation | None, times_s: Float64s) -> Poses:
-        """The poses at times in seconds; without an animation, at rest."""
+        """Return the poses at times in seconds; without an animation, the rest pose."""
         count = len(times_s)
         weights = {n: np.broadcast_to(rest, (count, rest.shape[1])) for n, rest in self._rest_weights.items()}
         for (node, path), sampler in animation.samplers.items() if animation is not None else ():
@@ -420,24 +422,24 @@ class Model:
         return Poses(self._nodes.world(animation, times_s), weights)
 
     def at_rest(self) -> Float64s:
-        """The vertices where no animation moves them, float64 [n, 3], in the file's units."""
+        """Return the vertices in the rest pose, float64 [n, 3], in the units of the file."""
         return self.vertices(self.poses(None, np.zeros(1)), 0)
 
     def vertices(self, poses: Poses, at: int) -> Float64s:
-        """The vertices in the world at one of the times of `poses`, float64 [n, 3], in the file's units."""
+        """Return the world vertices at one time of `poses`, float64 [n, 3], in units of the file."""
         world = poses.world[at]
         skins = {piece.skin for piece in self._pieces if piece.skin is not None}
         joints = {number: self._skin(number).matrices(world).reshape(-1, 12) for number in skins}
         parts = []
         for piece in self._pieces:
             vertices, weights = piece.geometry.vertices, poses.weights.get(piece.node)
-            own = np.zeros(0) if weights is None else weights[at]
-            for number in np.flatnonzero(own):
-                vertices = vertices + own[number] * piece.geometry.targets[number]
+            target_weights = np.zeros(0) if weights is None else weights[at]
+            for number in np.flatnonzero(target_weights):
+                vertices = vertices + target_weights[number] * piece.geometry.targets[number]
             matrices = world[piece.node, :3]
             if piece.skin is not None:
-                matrices = (piece.shares @ joints[piece.skin]).reshape(-1, 3, 4)
-            # the same operations for every vertex, so that equal ones stay equal to the last bit
+                matrices = (piece.joint_weights @ joints[piece.skin]).reshape(-1, 3, 4)
+            # the same operations for every vertex, so that equal ones stay bit-identical
             moved = matrices[..., 0] * vertices[:, :1] + matrices[..., 1] * vertices[:, 1:2]
             moved += matrices[..., 2] * vertices[:, 2:]
             moved += matrices[..., 3]

@@ -1,12 +1,12 @@
-"""Pictures over time as arrays, by their number: of videos, grey or in colour, and of files.
+"""Frames of videos, grey or in colour, and of picture files, as arrays by number.
 
-Videos go through PyAV (the extra ``video``). FFmpeg is told the container by the suffix, so that nothing else
-that it knows (play lists, which name other files and addresses) is ever opened. Frames are counted by reading
-every packet; a header that promises more than there is tells of a file that was cut. A pass in order decodes
-each frame once. Damaged frames are errors where the decoder tells them; that of FFV1 fills damaged slices
-from the frame before, unsaid.
+Videos are read through PyAV (the extra ``video``). The suffix selects FFmpeg's container format, so that no
+other format (play lists, which name other files and addresses) is ever opened. Frames are counted by reading
+every packet; a header that declares more indicates a truncated file. A pass in order decodes each frame once.
+Damaged frames are errors if the decoder reports them; FFV1's silently fills damaged slices from the previous
+frame.
 
-Pictures in colour, transparent ones black, are given as means over the pixels of a small map (`reduced`).
+Colour pictures, with transparency as black, are reduced to means over the pixels of a small map (`reduced`).
 """
 
 from __future__ import annotations
@@ -36,22 +36,20 @@ from touchfield.sources.images.pictures import (
 
 Colours = NDArray[np.uint8]
 
-LONGER_SIDE_PX: Final = 64  # of the reduced picture, as Hou & Zhang have it
+LONGER_SIDE_PX: Final = 64  # of the reduced picture, as in Hou & Zhang
 DEEP_GREY: Final = re.compile(r"gray(9|10|12|14|16)(le|be)")
 """FFmpeg's names of the pixel formats with one number of 9 to 16 bits a pixel."""
 
 _FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mov", ".gif": "gif"}
 VIDEO_SUFFIXES: Final = tuple(_FORMATS)
-_OPTIONS: Final = {
-    "err_detect": "crccheck+explode",
-    "trans_color": "0",
-}  # damage is an error; clear GIFs are black
+_OPTIONS: Final = {"err_detect": "crccheck+explode", "trans_color": "0"}
+"""Damage is an error; transparent GIFs are black."""
 _NEUTRAL: Final = 12  # 8-bit levels by which red, green and blue of a grey may differ after lossy coding
 
 
 @dataclass(frozen=True)
 class VideoHeader:
-    """Head of a video stream: size in pixels, FFmpeg's names of pixel format and codec, and the average rate."""
+    """Header of a video stream: size in pixels, FFmpeg's names of pixel format and codec, average rate."""
 
     width: int
     height: int
@@ -61,18 +59,18 @@ class VideoHeader:
 
     @property
     def is_deep_grey(self) -> bool:
-        """True if a pixel is one number of more than 8 bits."""
+        """True if a pixel is one value of more than 8 bits."""
         return DEEP_GREY.fullmatch(self.pixels) is not None
 
 
 def video_header(path: Path) -> VideoHeader:
-    """The header of the first video stream."""
+    """Read the header of the first video stream."""
     with _opened(path) as (_, _, header):
         return header
 
 
 class GreyVideo(InOrder):
-    """The frames of a video whose pixels are one number, or which are all grey; `MissingExtra` without PyAV."""
+    """The frames of a grey video; `MissingExtra` without PyAV."""
 
     paths: tuple[Path, ...] = ()
     headers: tuple[PictureHeader, ...] = ()
@@ -84,11 +82,14 @@ class GreyVideo(InOrder):
         super().__init__(str(path), len(self._stamps))
         self.size, self.rate_hz = (self.header.width, self.header.height), self.header.rate_hz
 
-    def _begin(self, frame: int) -> int:
+    def _decode_start(self, frame: int) -> int:
         return self._keys[bisect_right(self._keys, frame) - 1]
 
-    def _from(self, first: int) -> Iterator[NDArray[Any]]:
-        """The numbers of the frames from a key frame on; the file stays open as long as they are asked for."""
+    def _iterate(self, first: int) -> Iterator[NDArray[Any]]:
+        """Yield the values of the frames from a key frame on.
+
+        The file stays open meanwhile.
+        """
         with _opened(self.path) as (container, stream, _):
             stream.codec_context.options = dict(_OPTIONS)
             if first:
@@ -98,7 +99,7 @@ class GreyVideo(InOrder):
                 if not is_at_key:
                     if picture.pts is not None and picture.pts < self._stamps[first]:
                         continue
-                    if picture.pts != self._stamps[first]:  # the file has no index that one can go by
+                    if picture.pts != self._stamps[first]:  # the index of the file is unreliable
                         self._keys = [0]
                         break
                     is_at_key = True
@@ -108,10 +109,10 @@ class GreyVideo(InOrder):
                 require_size(str(self.path), (picture.width, picture.height), size, "as before")
                 yield self._values(picture)
         if not is_at_key:
-            yield from islice(self._from(0), first, None)
+            yield from islice(self._iterate(0), first, None)
 
     def _values(self, picture: Any) -> NDArray[Any]:
-        """The numbers of a whole frame, uint8 or uint16 [height, width], in the machine's byte order."""
+        """Return the values of a frame, uint8 or uint16 [height, width], in native byte order."""
         if self.header.is_deep_grey != bool(DEEP_GREY.fullmatch(picture.format.name)):
             found = f"a frame of {picture.format.name} pixels"
             raise SourceError(str(self.path), found, f"{self.header.pixels}, as before")
@@ -126,9 +127,9 @@ class GreyVideo(InOrder):
 
 
 def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tuple[list[int], list[int]]:
-    """Time stamps of all frames, and the numbers of the key frames from which decoding can begin.
+    """Return the time stamps of all frames, and the numbers of the key frames at which decoding can start.
 
-    Only where the stamps ascend is a packet's number that of its frame; else decoding always begins at
+    A packet's number is that of its frame only if the stamps ascend; otherwise decoding always starts at
     frame 0.
     """
     stamps: list[int] = []
@@ -145,15 +146,17 @@ def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tup
         stamps.append(-1 if packet.pts is None else packet.pts)
     if not stamps:
         raise SourceError(str(path), "a video without a frame", "at least one frame")
-    promised = stream.frames
+    declared = stream.frames
     period_s = 1 / rate_hz if rate_hz else 0.0
     length = re.fullmatch(r"(\d+):(\d+):([\d.]+)", stream.metadata.get("DURATION", ""))
-    if length and period_s and stream.time_base:  # Matroska counts no frames, but says how long a track is
+    if (
+        length and period_s and stream.time_base
+    ):  # Matroska stores no frame count, but the duration of a track
         duration_s = 3600 * int(length[1]) + 60 * int(length[2]) + float(length[3])
-        lost = duration_s - (max(stamps) * float(stream.time_base) + period_s)
-        promised = len(stamps) + round(lost / period_s) if lost > 1.5 * period_s else 0
-    if promised > len(stamps):
-        found = f"{len(stamps)} frames where its header says {promised}"
+        missing_s = duration_s - (max(stamps) * float(stream.time_base) + period_s)
+        declared = len(stamps) + round(missing_s / period_s) if missing_s > 1.5 * period_s else 0
+    if declared > len(stamps):
+        found = f"{len(stamps)} frames where its header says {declared}"
         raise SourceError(str(path), found, "a whole video", "Copy it again.")
     ascends = min(stamps) >= 0 and all(a < b for a, b in zip(stamps, stamps[1:]))
     return stamps, sorted({0, *keys}) if ascends else [0]
@@ -161,7 +164,10 @@ def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tup
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
-    """The container, its first video stream and the header; what FFmpeg raises is a `SourceError`."""
+    """Open the container, its first video stream and the header.
+
+    FFmpeg's errors become `SourceError`.
+    """
     av = import_extra("av", "a video", "PyAV", "video")
     form = _FORMATS.get(path.suffix.lower())
     if form is None:
@@ -177,7 +183,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
                 raise SourceError(str(path), "no video in the file", "a video stream")
             stream = container.streams.video[0]
             context, rate = stream.codec_context, stream.average_rate
-            if context is None:  # damage has hidden the codec's name
+            if context is None:  # the codec's name is damaged
                 raise SourceError(
                     str(path), "a video of no codec that is known", "a whole video", "Copy it again."
                 )
@@ -190,23 +196,25 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
         av.error.FFmpegError,
         ValueError,
         OverflowError,
-    ) as error:  # PyAV raises others of these for odd headers
+    ) as error:  # PyAV raises the others for odd headers
         found = f"a video that cannot be read ({getattr(error, 'strerror', None) or error})"
         raise SourceError(str(path), found, "a whole video", "Copy the file again.") from error
     except OSError as error:
         raise SourceError(str(path), error.strerror or str(error), "a video that can be read") from error
 
 
-# -- in colour
-# -------------------------------------------------------------------------------------------------
+# -- colour ------------------------------------------------------------------------------------------------
 def map_size(width: int, height: int) -> tuple[int, int]:
-    """Width and height of the reduced picture; a smaller picture keeps its size."""
+    """Return width and height of the reduced picture.
+
+    A smaller picture keeps its size.
+    """
     factor = max(1.0, max(width, height) / LONGER_SIDE_PX)
     return max(1, round(width / factor)), max(1, round(height / factor))
 
 
 def reduced(colours: Colours) -> Colours:
-    """A picture, uint8 [height, width, 3], as means over the pixels of `map_size`."""
+    """Reduce a picture, uint8 [height, width, 3], to means over the pixels of `map_size`."""
     from PIL import Image
 
     height, width = colours.shape[:2]
@@ -217,38 +225,40 @@ def reduced(colours: Colours) -> Colours:
 
 
 class ColourVideo(GreyVideo):
-    """The frames of an ordinary video, in colour: sRGB, uint8 [map height, map width, 3], of `map_size`."""
+    """The frames of a colour video: sRGB, uint8 [map height, map width, 3], of `map_size`."""
 
     def _values(self, picture: Any) -> Colours:
         return reduced(picture.to_ndarray(format="rgb24"))
 
 
 class ColourPictures:
-    """Pictures of one size in at least one file, as those of `ColourVideo`."""
+    """Picture files of one size as frames like those of `ColourVideo`."""
 
     rate_hz = None
 
     def __init__(self, paths: tuple[Path, ...]) -> None:
         self.paths, self.frame_count = paths, len(paths)
         with _shallow(paths[0]) as image:
-            self.size = _as_shown(image).shape[1::-1]
+            self.size = _upright_rgb(image).shape[1::-1]
 
     def values(self, frame: int) -> Colours:
         with _shallow(self.paths[frame]) as image:
-            return reduced(_as_shown(image, str(self.paths[frame]), self.size))
+            return reduced(_upright_rgb(image, str(self.paths[frame]), self.size))
 
 
-def _as_shown(image: Any, where: str = "", size: tuple[int, int] | None = None) -> Colours:
-    """The pixels of an open picture, upright, sRGB, uint8 [height, width, 3]; transparent ones are black.
+def _upright_rgb(image: Any, where: str = "", size: tuple[int, int] | None = None) -> Colours:
+    """Return the pixels of an open picture, upright, sRGB, uint8 [height, width, 3].
 
-    Where a size is said, the picture must be of it.
+    Transparency is black.
+
+    If `size` is given, the picture must have it.
     """
     from PIL import Image, ImageOps
 
     upright = ImageOps.exif_transpose(image)
     if upright.mode == "P" or "A" in upright.mode or "a" in upright.mode or "transparency" in upright.info:
-        shown = upright.convert("RGBA")
-        upright = Image.alpha_composite(Image.new("RGBA", shown.size, (0, 0, 0, 255)), shown)
+        rgba = upright.convert("RGBA")
+        upright = Image.alpha_composite(Image.new("RGBA", rgba.size, (0, 0, 0, 255)), rgba)
     if size:
         require_size(where, upright.size, size, "as before")
     return np.asarray(upright.convert("RGB"))
@@ -256,7 +266,7 @@ def _as_shown(image: Any, where: str = "", size: tuple[int, int] | None = None) 
 
 @contextmanager
 def _shallow(path: Path) -> Iterator[Any]:
-    """A picture of 8 bits a colour, opened by Pillow."""
+    """Open a picture of 8 bits a colour with Pillow."""
     with opened(path, PHOTO_FORMATS) as image:
         bound_pixels(path, image.width, image.height)
         if image.mode[0] in "IF":

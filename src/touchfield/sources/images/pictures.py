@@ -1,8 +1,8 @@
-"""Pictures with one number a pixel (PNG, TIFF, PGM, NPY) as arrays, alone or as frames; a bad file is one
-error.
+"""Single-channel pictures (PNG, TIFF, PGM, NPY) as arrays, alone or as frames.
 
 Sources: the PNG specification (IHDR), NumPy's NPY format; PNG and TIFF samples are decoded by Pillow. The
-size is read from the header and bounded before anything is decoded, because pictures come from strangers.
+size is read from the header and bounded before anything is decoded, because pictures are untrusted input.
+Every invalid file raises `SourceError`.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from touchfield.sources.camera import require_frame
 MAX_PIXELS: Final = 1 << 26  # pixels of the largest picture that is decoded (8192 x 8192)
 PICTURE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy")
 PHOTO_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-_MAX_EXPANSION: Final = 1400  # bytes out of one byte in: deflate reaches 1032, LZW of TIFF about 1366
+_MAX_EXPANSION: Final = 1400  # largest compression ratio: deflate reaches 1032, LZW of TIFF about 1366
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
-_PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # the numbers of a palette are no grey levels
+_PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # palette indices are not grey levels
 _PIL_SAMPLES: Final = {
     "L": "uint8", "I;16": "uint16", "I;16L": "uint16", "I;16B": "uint16", "I;16N": "uint16", "I": "int32",
     "F": "float32",
@@ -49,9 +49,9 @@ _ON_ITS_SIDE: Final = (5, 6, 7, 8)
 _PARTS: Final = re.compile(r"(\d+)")
 
 
-# -- folders -------------------------------------------------------------------------------------------------
+# -- folders -----------------------------------------------------------------------------------------------
 def list_files(folder: Path, pattern: str) -> tuple[Path, ...]:
-    """The files of a folder whose whole name matches a regular expression, in the order of their numbers."""
+    """List the files of a folder whose name matches a regular expression, in the order of their numbers."""
     if not folder.is_dir():
         return ()
     form = re.compile(pattern, re.IGNORECASE)
@@ -62,12 +62,12 @@ def list_files(folder: Path, pattern: str) -> tuple[Path, ...]:
 
 
 def with_suffix(*suffixes: str) -> str:
-    """The pattern of the names with one of these suffixes."""
+    """Return the pattern of names with one of these suffixes."""
     return r".+\.(" + "|".join(suffix[1:] for suffix in suffixes) + ")"
 
 
 def has_files(folder: Path, pattern: str) -> bool:
-    """True if a folder is there and holds such a file; False where it cannot be read."""
+    """Return True if a folder exists and has such a file; False if it cannot be read."""
     try:
         return bool(list_files(folder, pattern))
     except (OSError, SourceError):
@@ -75,31 +75,30 @@ def has_files(folder: Path, pattern: str) -> bool:
 
 
 def contents(folder: Path) -> str:
-    """A folder in words: "24 .png (8-bit RGB), 1 .txt, folders colour/ and poses/"; bounded, and never an
-    error.
+    """Describe a folder: "24 .png (8-bit RGB), 1 .txt, the folders colour/ poses/".
+
+    Never raises.
     """
     try:
         entries = sorted(islice((p for p in folder.iterdir() if not p.name.startswith(".")), 10_000))
     except OSError as error:
         return error.strerror or str(error)
-    files, words = [p for p in entries if p.is_file()], []
+    files, parts = [p for p in entries if p.is_file()], []
     for suffix, count in Counter(p.suffix.lower() for p in files).most_common(5):
         samples = ""
         if suffix in PICTURE_SUFFIXES:
             with suppress(SourceError):
                 samples = f" ({picture_header(next(p for p in files if p.suffix.lower() == suffix)).wording})"
-        words.append(f"{count} {suffix or 'without an ending'}{samples}")
+        parts.append(f"{count} {suffix or 'without an ending'}{samples}")
     inner = [f"{p.name}/" for p in entries if p.is_dir()]
     if inner:
-        words.append("the folders " + " ".join(inner[:5]) + " ..." * (len(inner) > 5))
-    return ", ".join(words) or "nothing"
+        parts.append("the folders " + " ".join(inner[:5]) + " ..." * (len(inner) > 5))
+    return ", ".join(parts) or "nothing"
 
 
-# -- one picture ---------------------------------------------------------------------------------------------
+# -- one picture -------------------------------------------------------------------------------------------
 class PictureHeader(NamedTuple):
-    """Size in pixels, NumPy's name of the type of a sample ("" for one that is not read), and samples a
-    pixel.
-    """
+    """Size in pixels, NumPy's name of the sample type ("" if unsupported), and samples a pixel."""
 
     width: int
     height: int
@@ -108,7 +107,7 @@ class PictureHeader(NamedTuple):
 
     @property
     def wording(self) -> str:
-        """The header in words, for a message."""
+        """Description of the header, for a message."""
         colour = {1: "grey", 2: "grey + alpha", 3: "RGB", 4: "RGBA"}.get(
             self.channels, f"{self.channels}-channel"
         )
@@ -116,7 +115,7 @@ class PictureHeader(NamedTuple):
 
 
 def bound_pixels(path: Path, width: int, height: int, bytes_per_pixel: int = 1) -> None:
-    """`SourceError` for a picture that has no pixels, too many, or more than its bytes can hold."""
+    """Raise `SourceError` if a picture has no pixels, too many, or more than its bytes can encode."""
     if width < 1 or height < 1:
         raise SourceError(str(path), f"a picture of {width} x {height} pixels", "at least one pixel")
     if width * height > MAX_PIXELS:
@@ -129,23 +128,26 @@ def bound_pixels(path: Path, width: int, height: int, bytes_per_pixel: int = 1) 
 
 
 def require_size(where: str, size: tuple[int, ...], expected: tuple[int, int], of: str) -> None:
-    """`SourceError` unless a picture has the width and height of the one called `of`."""
+    """Raise `SourceError` unless a picture has the width and height of another one, described by `of`."""
     if size != expected:
-        found, wanted = f"{size[0]} x {size[1]} pixels", f"{expected[0]} x {expected[1]}, {of}"
-        raise SourceError(where, found, wanted, "Give pictures of one size.")
+        found, expected_size = f"{size[0]} x {size[1]} pixels", f"{expected[0]} x {expected[1]}, {of}"
+        raise SourceError(where, found, expected_size, "Give pictures of one size.")
 
 
 @contextmanager
 def opened(
     path: Path, formats: tuple[str, ...] | None = None, expected: str = "a whole picture"
 ) -> Iterator[Any]:
-    """A picture opened by Pillow, not yet decoded; what goes wrong while it is used is a `SourceError`."""
+    """Open a picture with Pillow, undecoded.
+
+    Errors while it is used become `SourceError`.
+    """
     from PIL import Image
 
     require_plain(path, "a picture")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of large pictures: who decodes one has bounded it
+            warnings.simplefilter("ignore")  # of large pictures: callers bound the size before decoding
             image = Image.open(path, formats=formats)
         with image:
             yield image
@@ -153,16 +155,16 @@ def opened(
         raise
     except Image.DecompressionBombError as error:
         raise SourceError(str(path), "a picture that is too large", f"at most {MAX_PIXELS} pixels") from error
-    except Exception as error:  # for damaged files Pillow raises almost any kind
+    except Exception as error:  # Pillow raises almost any exception for damaged files
         reason = getattr(error, "strerror", None) or error or "no picture in it"
         found = f"a picture that is damaged, or of a form that is not read ({reason})"
         raise SourceError(str(path), found, expected, "Check the file.") from error
 
 
 def picture_header(path: Path) -> PictureHeader:
-    """Size and samples of a PNG, TIFF, PGM or NPY picture, from its header."""
+    """Read size and sample type of a PNG, TIFF, PGM or NPY picture from its header."""
     require_plain(path, "a picture")
-    with readable(path, mend="Check path and rights."), path.open("rb") as stream:
+    with readable(path, hint="Check path and rights."), path.open("rb") as stream:
         start = stream.read(33)
         stream.seek(0)
         if start.startswith(_PNG_SIGNATURE):
@@ -195,16 +197,16 @@ def picture_header(path: Path) -> PictureHeader:
 
 
 def read_picture(path: Path) -> NDArray[Any]:
-    """The samples of a PNG, TIFF, PGM or NPY picture with one number a pixel, [height, width].
+    """Read the samples of a single-channel PNG, TIFF, PGM or NPY picture, [height, width].
 
-    uint8, uint16, int32 or float32 of PNG, TIFF and PGM; any integer or float type of NPY. In the machine's
-    byte order, C-contiguous, writeable.
+    uint8, uint16, int32 or float32 for PNG, TIFF and PGM; any integer or float type for NPY. In native byte
+    order, C-contiguous, writeable.
     """
     header = picture_header(path)
     if header.channels != 1 or not header.sample:
         raise SourceError(str(path), header.wording, "one number a pixel, of 8 or 16 bits or float")
     size = (header.height, header.width)
-    with readable(path, mend="Check path and rights."), path.open("rb") as stream:
+    with readable(path, hint="Check path and rights."), path.open("rb") as stream:
         start = stream.read(6)
         if start == _NPY_MAGIC:
             return _native(map_npy(path)).reshape(size)
@@ -212,12 +214,12 @@ def read_picture(path: Path) -> NDArray[Any]:
             stream.seek(0)
             _, at = _pgm_header(path, stream)
             kind = np.dtype(header.sample).newbyteorder(">")
-            need = at + header.width * header.height * kind.itemsize
-            if path.stat().st_size < need:
+            needed_bytes = at + header.width * header.height * kind.itemsize
+            if path.stat().st_size < needed_bytes:
                 found = f"{path.stat().st_size} bytes"
-                raise SourceError(str(path), found, f"{need} bytes", "Copy the file again.")
+                raise SourceError(str(path), found, f"{needed_bytes} bytes", "Copy the file again.")
             stream.seek(at)
-            return _native(np.frombuffer(stream.read(need - at), kind).reshape(size))
+            return _native(np.frombuffer(stream.read(needed_bytes - at), kind).reshape(size))
     bound_pixels(path, header.width, header.height, np.dtype(header.sample).itemsize)
     with opened(path, ("PNG", "TIFF")) as image:
         values = np.array(image)
@@ -229,7 +231,7 @@ def read_picture(path: Path) -> NDArray[Any]:
 
 
 def _pgm_header(path: Path, stream: IO[bytes]) -> tuple[PictureHeader, int]:
-    """The header, and where the samples begin; they are as they stand, whatever the largest is said to be."""
+    """Read the header and the offset of the samples, which are not rescaled by the stated maximum."""
     match = _PGM_HEADER.match(stream.read(_PGM_HEADER_BYTES))
     if match is None or not 1 <= int(match[3]) <= 65535:
         raise SourceError(
@@ -240,7 +242,7 @@ def _pgm_header(path: Path, stream: IO[bytes]) -> tuple[PictureHeader, int]:
 
 
 def read_map(path: Path) -> NDArray[Any]:
-    """As `read_picture`; and an 8-bit RGB PNG whose channels are all the same."""
+    """Read a picture like `read_picture`, or an 8-bit RGB PNG whose channels are equal."""
     header = picture_header(path)
     if (header.channels, header.sample) != (3, "uint8"):
         return read_picture(path)
@@ -254,8 +256,9 @@ def read_map(path: Path) -> NDArray[Any]:
 
 
 def photo_size(path: Path) -> tuple[int, int]:
-    """Width and height of a photograph as it is shown, from its head alone; `SourceError` if it is no
-    picture.
+    """Read width and height of a photograph as displayed, from its header.
+
+    Raises `SourceError` if it is none.
     """
     with opened(path, PHOTO_FORMATS, "PNG, JPEG, WebP, BMP or TIFF") as image:
         width, height = image.size
@@ -267,10 +270,9 @@ def _native(values: NDArray[Any]) -> NDArray[Any]:
     return np.array(values, values.dtype.newbyteorder("="), order="C")
 
 
-# -- frames (`camera.Frames`)
-# ---------------------------------------------------------------------------------
+# -- frames (`camera.Frames`) ------------------------------------------------------------------------------
 class PictureFrames:
-    """Frames in files of one size, one a frame, read by `read` when they are asked for."""
+    """Frames in files of one size, one file for each frame, read on demand by `read`."""
 
     def __init__(self, paths: Sequence[Path], read: Callable[[Path], NDArray[Any]] = read_picture) -> None:
         self._read = read
@@ -282,12 +284,15 @@ class PictureFrames:
                 mend = "Save the pages as one array, NPY [frames, height, width]."
                 raise SourceError(str(path), "a TIFF of several pages", "one picture in a file", mend)
 
-    def only(self, kept: Sequence[int]) -> PictureFrames:
-        """Some of these frames."""
-        some = copy(self)
-        some.paths, some.headers = tuple(self.paths[i] for i in kept), tuple(self.headers[i] for i in kept)
-        some.frame_count = len(kept)
-        return some
+    def only(self, indices: Sequence[int]) -> PictureFrames:
+        """Return the frames with these indices."""
+        selected = copy(self)
+        selected.paths, selected.headers = (
+            tuple(self.paths[i] for i in indices),
+            tuple(self.headers[i] for i in indices),
+        )
+        selected.frame_count = len(indices)
+        return selected
 
     def values(self, frame: int) -> NDArray[Any]:
         values = self._read(self.paths[frame])
@@ -296,7 +301,7 @@ class PictureFrames:
 
 
 class ArrayFrames:
-    """Frames of an array [frames, height, width], which may be mapped into memory from a file at `path`."""
+    """Frames of an array [frames, height, width], possibly memory-mapped from the file `path`."""
 
     def __init__(self, values: NDArray[Any], path: Path | None = None) -> None:
         if values.ndim != 3:
@@ -315,8 +320,9 @@ class ArrayFrames:
 
 
 def has_pages(path: Path) -> bool:
-    """True if the second page of a TIFF is as large as the first: smaller ones are copies of an elevation
-    model.
+    """Return True if the second page of a TIFF is as large as the first.
+
+    Smaller ones are overviews.
     """
     with suppress(SourceError), opened(path, ("TIFF",)) as image:
         size = image.size
@@ -326,46 +332,49 @@ def has_pages(path: Path) -> bool:
 
 
 class InOrder(ABC):
-    """Arrays over time, made one after another: a pass in order makes each once, and the latest is kept."""
+    """Arrays over time, computed in order: one pass computes each once.
+
+    The latest is cached.
+    """
 
     def __init__(self, name: str, frame_count: int) -> None:
         self.name, self.frame_count = name, frame_count
-        self._coming: Iterator[NDArray[Any]] = iter(())
-        self._next = -1  # number of the frame that comes next; -1: it has not begun, or failed
+        self._iterator: Iterator[NDArray[Any]] = iter(())
+        self._next = -1  # number of the next frame; -1: not started, or failed
         self._latest: tuple[int, NDArray[Any]] | None = None
         self._lock = Lock()
 
-    def _begin(self, frame: int) -> int:
-        """The last frame up to this one with which one can begin."""
+    def _decode_start(self, frame: int) -> int:
+        """Return the last frame up to this one at which decoding can start."""
         return 0
 
     @abstractmethod
-    def _from(self, first: int) -> Iterator[NDArray[Any]]:
-        """The arrays from such a frame on."""
+    def _iterate(self, first: int) -> Iterator[NDArray[Any]]:
+        """Yield the arrays from such a frame on."""
 
     def at(self, frame: int) -> NDArray[Any]:
-        """The array of a frame, which must not be changed."""
+        """Return the array of a frame, which must not be changed."""
         require_frame(frame, self.frame_count, self.name)
         with self._lock:
             if self._latest is None or self._latest[0] != frame:
-                first, where = self._begin(frame), f"{self.name}, frame {frame}"
+                first, where = self._decode_start(frame), f"{self.name}, frame {frame}"
                 if not first <= self._next <= frame:
-                    self._next, self._coming = first, self._from(first)
+                    self._next, self._iterator = first, self._iterate(first)
                 for number in range(self._next, frame + 1):
-                    self._next = -1  # until the frame is there
+                    self._next = -1  # until the frame is available
                     try:
-                        array = next(self._coming)
+                        array = next(self._iterator)
                     except StopIteration:
                         expected = f"{self.frame_count} frames"
                         raise SourceError(where, "no more frames", expected, "Copy the file again.") from None
                     except SourceError as error:
                         if error.where != self.name:
                             raise
-                        raise SourceError(where, error.found, error.expected, error.mend) from error
+                        raise SourceError(where, error.found, error.expected, error.hint) from error
                     self._next = number + 1
                 self._latest = frame, array
             return self._latest[1]
 
     def values(self, frame: int) -> NDArray[Any]:
-        """A copy of the array of a frame; see ``camera.Frames``."""
+        """Return a copy of the array of a frame; see ``camera.Frames``."""
         return self.at(frame).copy()

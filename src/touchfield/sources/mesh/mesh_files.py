@@ -1,10 +1,12 @@
-"""Mesh files: OBJ, STL, PLY and OFF; GLB and glTF, as `touchfield.sources.gltf.model` reads them.
+"""Readers of mesh files: OBJ, STL, PLY and OFF.
 
-Polygons of any number of corners are cut into triangles, concave ones along their outline. All geometries are
-joined, and vertices at one place become one, so that triangles without shared indices close.
-Animation (skins, morph targets, node tracks) is not evaluated: a glTF that has it is read in its rest pose
-(`touchfield.sources.animation.animated_mesh` evaluates it). Units are metres unless ``unit_m`` says, as glTF
-has it.
+GLB and glTF are read through `touchfield.sources.gltf.model`.
+
+Polygons with any number of corners are triangulated, concave ones along their outline. All geometries are
+joined, and vertices at the same position are merged, so that triangles without shared indices connect.
+Animation (skins, morph targets, node tracks) is not evaluated: an animated glTF is read in its rest pose
+(`touchfield.sources.animation.animated_mesh` evaluates it). Units are metres unless ``unit_m`` is given, as
+in glTF.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from touchfield.errors import SourceError
 from touchfield.files import readable
 from touchfield.sources.gltf.model import Model
 from touchfield.sources.mesh.mesh_scene import MeshScene
-from touchfield.sources.mesh.surface import welded
+from touchfield.sources.mesh.surface import weld
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import size_note
@@ -32,21 +34,19 @@ _GLTF: Final = (".glb", ".gltf")
 _SOLID: Final = re.compile(rb"^\s*(end)?solid", re.MULTILINE)
 _CORNER: Final = re.compile(rb"^\s*vertex\s+(\S+\s+\S+\s+\S+)", re.MULTILINE)
 _STL: Final = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
-_TYPES: Final = "bBhHiIfd"  # as NumPy calls them, and PLY by old names and by NumPy's longer ones
+_TYPES: Final = "bBhHiIfd"  # NumPy's codes; PLY has old names and NumPy's longer ones
 _PLY: Final = dict(zip(["char", "uchar", "short", "ushort", "int", "uint", "float", "double"], _TYPES))
-_PLY.update((np.dtype(one).name, one) for one in _TYPES)
-_Properties = list[
-    tuple[str, list[np.dtype[Any]]]
-]  # of each its name and types, of a list first that of its length
-_Polygons = tuple[
-    Float64s, Int64s, Int64s
-]  # vertices [n, 3]; how many corners each polygon has; those of all
+_PLY.update((np.dtype(code).name, code) for code in _TYPES)
+# name and types of each property; a list has the type of its length first
+_Properties = list[tuple[str, list[np.dtype[Any]]]]
+# vertices [n, 3]; number of corners of each polygon; corners of all polygons
+_Polygons = tuple[Float64s, Int64s, Int64s]
 
 
 def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
-    """Vertices float64 [n, 3] in the file's units, triangles int32 [m, 3], and notes.
+    """Read vertices float64 [n, 3] in the units of the file, triangles int32 [m, 3], and notes.
 
-    Raises `SourceError` if the file cannot be read, or holds no triangle.
+    Raises `SourceError` if the file cannot be read, or has no triangle.
     """
     if not path.is_file():
         raise SourceError(str(path), "a folder", "one mesh file", "Name the file in it.")
@@ -55,7 +55,7 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
             model = Model(path)
             vertices = model.at_rest()
         notes = ("The file is animated (skin, morph targets or tracks); it is read in its rest pose.",)
-        return *welded(vertices, model.triangles), (*model.notes, *notes[: model.is_animated])
+        return *weld(vertices, model.triangles), (*model.notes, *notes[: model.is_animated])
     try:
         with np.errstate(all="ignore"), readable(path, "a whole mesh file"):
             vertices, counts, flat = _READERS[path.suffix.lower()](path.read_bytes())
@@ -70,52 +70,58 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
     first = np.repeat(np.cumsum(counts) - counts, sizes)
     after = first + np.arange(1, len(first) + 1) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     with np.errstate(all="ignore"):
-        return *welded(vertices, flat[np.stack([first, after, after + 1], axis=1)], sizes[sizes > 0]), ()
+        return *weld(vertices, flat[np.stack([first, after, after + 1], axis=1)], sizes[sizes > 0]), ()
 
 
 def _numbers(texts: Iterable[bytes], kind: type) -> NDArray[Any]:
     return np.fromstring(b" ".join(texts).decode("ascii"), kind, sep=" ")
 
 
-def _text(data: bytes) -> bytes:
-    """A text without a mark of its byte order, and with the line ends of today."""
+def _normalise_text(data: bytes) -> bytes:
+    """Remove the byte order mark of a text and normalise its line ends."""
     if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
         data = data.decode("utf-16").encode()
     return data.removeprefix(BOM_UTF8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
 
 
-def _obj(data: bytes) -> _Polygons:
-    """An OBJ: its lines of vertices and faces, in which -1 is the vertex before the line."""
-    text = re.sub(rb"#.*|/\S*", b"", _text(data).replace(b"\\\n", b" "))
+def _parse_obj(data: bytes) -> _Polygons:
+    """Parse an OBJ: lines of vertices and faces.
+
+    In a face -1 is the last vertex before it.
+    """
+    text = re.sub(rb"#.*|/\S*", b"", _normalise_text(data).replace(b"\\\n", b" "))
     lines = re.findall(rb"^[ \t]*(?:v[ \t]+(\S*[ \t]*\S*[ \t]*\S*)|f[ \t]+(.*))", text, re.MULTILINE)
     is_face = np.array([bool(face) for _, face in lines], bool)
     points = [point for point, face in lines if not face]
     vertices = _numbers(points, np.float64).reshape(len(points), 3)
     counts = np.array([len(face.split()) for _, face in lines if face], np.int64)
-    flat, before = (
-        _numbers((face for _, face in lines), np.int64),
-        np.repeat(np.cumsum(~is_face)[is_face], counts),
-    )
+    flat = _numbers((face for _, face in lines), np.int64)
+    before = np.repeat(np.cumsum(~is_face)[is_face], counts)  # vertices before each corner
     return vertices, counts, flat + np.where(flat < 0, before, -1)
 
 
-def _off(data: bytes) -> _Polygons:
-    """An OFF of text: lines with a vertex each, then with how many corners, which, and perhaps a colour."""
-    _, mark, text = re.sub(rb"#.*", b"", _text(data)).partition(b"OFF")
-    rows = [words for words in map(bytes.split, text.splitlines()) if words]
+def _parse_off(data: bytes) -> _Polygons:
+    """Parse a text OFF: lines of a vertex, then lines of a corner count, corners, and an optional colour."""
+    _, mark, text = re.sub(rb"#.*", b"", _normalise_text(data)).partition(b"OFF")
+    rows = [tokens for tokens in map(bytes.split, text.splitlines()) if tokens]
     if not mark or not rows:
         raise ValueError("no OFF with numbers behind it")
-    n, told = map(int, rows[0][:2])
-    points, faces = rows[1 : n + 1], rows[n + 1 : n + told + 1]
+    n, face_count = map(int, rows[0][:2])
+    points, faces = rows[1 : n + 1], rows[n + 1 : n + face_count + 1]
     counts = np.array([int(face[0]) for face in faces], np.int64)
     flat = _numbers((b" ".join(face[1 : count + 1]) for face, count in zip(faces, counts.tolist())), np.int64)
-    if len(faces) < told or len(flat) < counts.sum():
-        raise ValueError(f"{len(faces)} faces with {len(flat)} corners where it tells of {told} faces")
+    if len(faces) < face_count or len(flat) < counts.sum():
+        raise ValueError(
+            f"{len(faces)} faces with {len(flat)} corners where the header declares {face_count}"
+        )
     return _numbers((b" ".join(point[:3]) for point in points), np.float64).reshape(n, 3), counts, flat
 
 
-def _ply(data: bytes) -> _Polygons:
-    """A PLY: of its elements those of vertices and faces; numbers of a text are read as bytes of float64."""
+def _parse_ply(data: bytes) -> _Polygons:
+    """Parse the vertices and faces of a PLY.
+
+    A text is first converted to bytes of float64.
+    """
     head, *bodies = re.split(rb"\nend_header[ \t]*\r?\n", data, maxsplit=1)
     (kind, *_), form, *lines = [line.split() for line in head.decode("latin-1").splitlines()] + [[""], [""]]
     if kind != "ply" or not bodies or not {"ascii", "binary_little_endian", "binary_big_endian"} & {*form}:
@@ -125,14 +131,16 @@ def _ply(data: bytes) -> _Polygons:
     if is_text:
         body = np.fromstring(body.decode("ascii"), sep=" ").astype("<f8").tobytes()
     elements: list[tuple[str, int, _Properties]] = []
-    for first, *words in filter(None, lines):
+    for first, *tokens in filter(None, lines):
         if first == "element":
-            elements.append((words[0], int(words[1]), []))
+            elements.append((tokens[0], int(tokens[1]), []))
         elif first == "property":
             types = [
-                np.dtype(order + ("d" if is_text else _PLY[word])) for word in words[:-1] if word != "list"
+                np.dtype(order + ("d" if is_text else _PLY[token]))
+                for token in tokens[:-1]
+                if token != "list"
             ]
-            elements[-1][2].append((words[-1], types))
+            elements[-1][2].append((tokens[-1], types))
     at, vertices, corners, counts, corner = 0, np.zeros((0, 3)), list[bytes](), list[int](), np.dtype("i4")
     for name, count, properties in elements:
         rows = _equal_rows(body, at, count, properties)
@@ -140,56 +148,62 @@ def _ply(data: bytes) -> _Polygons:
             at += rows.nbytes
             if name == "vertex":
                 vertices = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float64)
-            what, (*counted, kind) = properties[0]
-            if counted and name == "face" and what.startswith("vert"):
-                corners, counts, corner = [rows[what].tobytes()], [rows[what].shape[1]] * count, kind
+            label, (*count_types, kind) = properties[0]
+            if count_types and name == "face" and label.startswith("vert"):
+                corners, counts, corner = [rows[label].tobytes()], [rows[label].shape[1]] * count, kind
             continue
         for row in range(count):
-            for what, (*counted, kind) in properties:
+            for label, (*count_types, kind) in properties:
                 n = 1
-                if counted:
-                    n = int(np.frombuffer(body, counted[0], 1, at)[0]) if at < len(body) else -1
-                    at += counted[0].itemsize
-                    if name == "face" and what.startswith("vert"):
+                if count_types:
+                    n = int(np.frombuffer(body, count_types[0], 1, at)[0]) if at < len(body) else -1
+                    at += count_types[0].itemsize
+                    if name == "face" and label.startswith("vert"):
                         corners.append(body[at : at + n * kind.itemsize])
                         counts.append(n)
                         corner = kind
                 at += n * kind.itemsize
                 if n < 0 or at > len(body):
-                    raise ValueError(f"it ends {count - row} rows before the end that it tells of")
+                    raise ValueError(f"it ends {count - row} rows before the declared end")
     return vertices, np.array(counts, np.int64), np.frombuffer(b"".join(corners), corner).astype(np.int64)
 
 
 def _equal_rows(body: bytes, at: int, count: int, properties: _Properties) -> NDArray[Any] | None:
-    """The rows of an element if they are of one length, as faces are in a mesh of triangles; else None."""
-    (name, (*counted, kind)), *others = properties
-    if any(len(types) > 1 for _, types in others) or (counted and at + counted[0].itemsize > len(body)):
+    """Return the rows of an element if all have one length, as in a mesh of triangles.
+
+    Returns None otherwise.
+    """
+    (name, (*count_types, kind)), *others = properties
+    if any(len(types) > 1 for _, types in others) or (
+        count_types and at + count_types[0].itemsize > len(body)
+    ):
         return None
-    n = int(np.frombuffer(body, counted[0], 1, at)[0]) if counted else 0
-    first = [("#", counted[0]), (name, kind, (n,))] if counted else [(name, kind)]
-    row = np.dtype([*first, *((what, types[0]) for what, types in others)])
-    if counted and (n < 0 or at + count * row.itemsize > len(body)):
+    n = int(np.frombuffer(body, count_types[0], 1, at)[0]) if count_types else 0
+    first = [("#", count_types[0]), (name, kind, (n,))] if count_types else [(name, kind)]
+    row = np.dtype([*first, *((label, types[0]) for label, types in others)])
+    if count_types and (n < 0 or at + count * row.itemsize > len(body)):
         return None
     rows = np.frombuffer(body, row, count, at)
-    return rows if not counted or (rows["#"] == n).all() else None
+    return rows if not count_types or (rows["#"] == n).all() else None
 
 
-def _stl(data: bytes) -> _Polygons:
-    """An STL, a binary one without what stands behind its triangles; ValueError where some of them are not
-    there.
+def _parse_stl(data: bytes) -> _Polygons:
+    """Parse an STL, ignoring bytes after the triangles of a binary one.
+
+    Raises ValueError if triangles are missing.
     """
     count = data[80:84]
-    if b"\0" in count:  # in a text there is no such byte
+    if b"\0" in count:  # a text has no zero byte
         size = 84 + 50 * int.from_bytes(count, "little")
         if len(data) < size:
             raise ValueError(f"{len(data)} bytes where its triangles take {size}")
         vertices = np.frombuffer(data[84:size], _STL)["corners"].reshape(-1, 3).astype(np.float64)
     else:
         text = data.lower()
-        words = _SOLID.findall(text)
-        solids, ends = words.count(b""), words.count(b"end")
-        if ends < solids:
-            raise ValueError(f"{solids} solids, of which {ends} end with endsolid")
+        keywords = _SOLID.findall(text)
+        solid_count, end_count = keywords.count(b""), keywords.count(b"end")
+        if end_count < solid_count:
+            raise ValueError(f"{solid_count} solids, of which {end_count} end with endsolid")
         corners, facets = _CORNER.findall(text), text.count(b"outer loop")
         if len(corners) != 3 * facets:
             raise ValueError(f"{len(corners)} corners of {facets} facets")
@@ -198,10 +212,10 @@ def _stl(data: bytes) -> _Polygons:
 
 
 _READERS: Final[dict[str, Callable[[bytes], _Polygons]]] = {
-    ".obj": _obj,
-    ".stl": _stl,
-    ".ply": _ply,
-    ".off": _off,
+    ".obj": _parse_obj,
+    ".stl": _parse_stl,
+    ".ply": _parse_ply,
+    ".off": _parse_off,
 }
 _SUFFIXES: Final = (*_READERS, *_GLTF)
 
@@ -210,8 +224,8 @@ def _open(path: Path, options: SourceOptions) -> MeshScene:
     vertices, triangles, notes = read_triangles(path)
     unit_m = 1.0 if options.unit_m is None else options.unit_m
     with np.errstate(over="ignore", invalid="ignore"):
-        beside = {"shell": options.shell, "holes": options.holes, "name": str(path)}
-        scene = MeshScene(vertices * unit_m, triangles, **beside, notes=notes)
+        mesh_options = {"shell": options.shell, "holes": options.holes, "name": str(path)}
+        scene = MeshScene(vertices * unit_m, triangles, **mesh_options, notes=notes)
     scene.notes = (size_note(np.ptp(scene.bounds_m(), axis=0), options.unit_m), *scene.notes)
     return scene
 

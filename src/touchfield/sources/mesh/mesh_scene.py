@@ -1,13 +1,14 @@
 """A triangle mesh as a scene: F = f(phi) n with phi the signed distance to it (paper section 4).
 
-Its reference [21] gives no formula; here phi is exact, and its sign that of the winding number for a closed
-mesh (inside where the winding number is not 0). Small holes are closed (`touchfield.sources.mesh.surface`). A
-mesh that stays open is a shell: one-sided, with the wall behind its faces and the sign of the angle-weighted
-pseudo-normal, its force fading to 0 at the rim over the law's own reach; or two-sided, phi = |d| - T/2, a
-wall of thickness T around it. The wall of a nearly closed one stays within what it would enclose.
-Where closed parts overlap, distance is to the surface of their union: inside is where the winding
-number is not 0, and a wall with inside on both of its sides is not felt. Triangles that cross others are cut
-there (`touchfield.sources.mesh.kernels.sign`); those that share a vertex are not cut by one another.
+The paper's reference [21] gives no formula. Here phi is exact; for a closed mesh its sign is that of the
+winding number (inside if that is not 0). Small holes are closed (`touchfield.sources.mesh.surface`). A mesh
+that stays open is a shell. A one-sided shell has its wall behind the faces and the sign of the angle-weighted
+pseudo-normal, and its force fades to 0 at the rim over the reach of the law. A two-sided shell is a wall of
+thickness T around the mesh, phi = |d| - T/2. The wall of a nearly closed mesh stays within the volume that it
+would enclose. If closed parts overlap, the distance is to the surface of their union: inside is where the
+winding number is not 0, and a wall with inside on both of its sides exerts no force. Triangles that cross
+others are cut there (`touchfield.sources.mesh.kernels.sign`); those that share a vertex do not cut each
+other.
 """
 
 from __future__ import annotations
@@ -25,45 +26,42 @@ from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.mesh.surface import Mended, Surface, from_longest, mended, unit
+from touchfield.sources.mesh.surface import RepairedSurface, Surface, close_holes, from_longest, unit
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
 if TYPE_CHECKING:
     from touchfield.sources.mesh.kernels.field import Band
 
 
-_UNSURE: Final = (
-    2e-9  # of the largest coordinate: so near, rounding spoils the direction to the nearest point
-)
-_TOUCHING, _BESIDE = (
-    1e-9,
-    1e-7,
-)  # of the extent: heights that count as 0, and how far beside a triangle one looks
-_LARGEST_IN_SPACINGS: Final = 1e12  # extent of mesh and grid: beyond, float64 has no digits left for a sample
+_UNSURE: Final = 2e-9
+"""Distance, relative to the largest coordinate, below which directions suffer from rounding."""
+_TOUCHING: Final = 1e-9  # of the extent: heights that count as 0
+_PROBE: Final = 1e-7  # of the extent: distance from a triangle at which the two sides are tested
+_LARGEST_IN_SPACINGS: Final = 1e12  # extent of mesh and grid; beyond it float64 cannot resolve samples
 
 
 class MeshScene(Scene):
-    """A mesh that stands still.
+    """A static mesh.
 
-    vertices_m : float array [n, 3] or Mended; Metres. Vertices at one place must be one
-        (`touchfield.sources.mesh.surface.joined`). A surface whose holes are closed already needs no
+    vertices_m : float array [n, 3] or RepairedSurface; Metres. Equal vertices must have been merged
+        (`touchfield.sources.mesh.surface.merge_vertices`). A surface whose holes are already closed needs no
         triangles.
     triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
-    shell : str; Of an open mesh: "one" sided, "two" sided, or "auto": one where all triangles face
+    shell : str; Of an open mesh: "one" sided, "two" sided, or "auto": one-sided if all triangles face
         consistently.
     holes : str; The rule by which holes are closed: "small", "close" or "leave"
         (`touchfield.sources.mesh.surface`).
-    name : str; What to call it in messages.
-    notes : tuple of str; What the reader has to tell; what kind of mesh it is comes behind.
+    name : str; Its name in messages.
+    notes : tuple of str; Notes of the reader; one on the kind of mesh follows them.
 
-    Raises `SourceError` if there is no triangle, or a coordinate or vertex number is at fault;
+    Raises `SourceError` if there is no triangle, or a coordinate or vertex number is invalid;
     `InvalidArgument` if `shell` or `holes` is unknown.
 
     Attributes
     ----------
-    is_one_sided : bool; Of an open mesh.
-    velocities_m_s : float64 [n, 3] or None; Of the vertices, if the mesh is one instant of a motion; a
-        profile may add a damping times these.
+    is_one_sided : bool; Whether an open mesh is a one-sided shell.
+    velocities_m_s : float64 [n, 3] or None; Velocities of the vertices, if the mesh is an instant of a
+        motion; a profile with damping uses them.
     """
 
     axes = UP_Y_AXES
@@ -71,7 +69,7 @@ class MeshScene(Scene):
 
     def __init__(
         self,
-        vertices_m: ArrayLike | Mended,
+        vertices_m: ArrayLike | RepairedSurface,
         triangles: ArrayLike = (),
         *,
         shell: str = "auto",
@@ -79,17 +77,17 @@ class MeshScene(Scene):
         name: str = "mesh",
         notes: tuple[str, ...] = (),
     ) -> None:
-        whole = vertices_m
-        if not isinstance(whole, Mended):
-            whole = mended(Surface(whole, triangles, name), holes)
+        repaired = vertices_m
+        if not isinstance(repaired, RepairedSurface):
+            repaired = close_holes(Surface(repaired, triangles, name), holes)
         require_one_of("shell", shell, ("auto", "one", "two"))
-        self.name, self.surface = name, whole.surface
-        self._lids, self._rim_edges = whole.lids, whole.rim
+        self.name, self.surface = name, repaired.surface
+        self._lids, self._rim_edges = repaired.lids, repaired.rim
         self.velocities_m_s: Float64s | None = None
         self.is_closed = self.surface.is_closed
         edges = self.surface.edges
         is_sheet = edges.unbalanced_count > 0
-        self.is_one_sided = shell == "one" or (shell == "auto" and is_sheet and whole.is_oriented)
+        self.is_one_sided = shell == "one" or (shell == "auto" and is_sheet and repaired.is_oriented)
         self._opening = "a sheet laid double"  # why the mesh is not closed
         if edges.boundary_count:
             self._opening = f"open with {edges.boundary_count} boundary edges"
@@ -98,37 +96,38 @@ class MeshScene(Scene):
             self._opening = (
                 f"without a boundary but not closed, as at {count} edges triangles do not pair off"
             )
-        why = "as asked for"
+        reason = "as requested"
         if shell == "auto":
-            why = "all triangles face consistently" if self.is_one_sided else "triangles face inconsistently"
-            why = why if is_sheet else "every triangle has a twin that faces the other way"
+            reason = (
+                "all triangles face consistently" if self.is_one_sided else "triangles face inconsistently"
+            )
+            reason = reason if is_sheet else "every triangle has a twin that faces the other way"
         kind = "one-sided shell, the wall behind its faces" if self.is_one_sided else "two-sided shell"
-        wording = f"{self._opening}: taken as a {kind} ({why})."
+        wording = f"{self._opening}: taken as a {kind} ({reason})."
         wording = "closed: what they enclose is inside." if self.is_closed else wording
-        self.notes = (*notes, *whole.notes, f"{len(self.surface.triangles)} triangles, {wording}")
+        self.notes = (*notes, *repaired.notes, f"{len(self.surface.triangles)} triangles, {wording}")
 
     def bounds_m(self) -> Float64s:
         return self.surface.bounds_m
 
     def moved(self, rotation: Float64s, shift_m: Float64s) -> MeshScene:
-        """See `Scene.moved`; edges, closedness and normals are taken over.
+        """See `Scene.moved`; edges, closedness and normals are reused.
 
-        Raises `InvalidArgument` if `rotation` is not a rotation; `SourceError` if a vertex comes to lie where
-        no number is finite.
+        Raises `InvalidArgument` if `rotation` is not a rotation; `SourceError` if a coordinate overflows.
         """
-        turn = checked_rotation(rotation)
+        matrix = checked_rotation(rotation)
         other = copy.copy(self)
         other.surface = self.surface.with_vertices(
-            self.surface.vertices_m @ turn.T + np.asarray(shift_m, np.float64)
+            self.surface.vertices_m @ matrix.T + np.asarray(shift_m, np.float64)
         )
-        for name in ("_felt", "_union", "_rim_table"):
+        for name in ("_active", "_union", "_rim_table"):
             other.__dict__.pop(name, None)
         if np.array_equal(other.surface.triangles, self.surface.triangles):
-            other._normals = self._normals @ turn.T
-        else:  # edges of one length, of which another is now the longest by rounding
+            other._normals = self._normals @ matrix.T
+        else:  # among edges of equal length rounding has made another the longest
             other.__dict__.pop("_normals", None)
         if self.velocities_m_s is not None:
-            other.velocities_m_s = self.velocities_m_s @ turn.T
+            other.velocities_m_s = self.velocities_m_s @ matrix.T
         return other
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
@@ -159,9 +158,9 @@ class MeshScene(Scene):
         motion = None
         if profile.surface_damping_n_s_per_m > 0 and self.velocities_m_s is not None:
             faces, vertices, union = self.surface.triangles, self.surface.vertices_m, self._union
-            faces = faces if union is None else faces[np.concatenate([union.kept, union.parents])]
+            faces = faces if union is None else faces[np.concatenate([union.uncut, union.parents])]
             motion = field.Motion(faces, vertices, self.velocities_m_s, profile.surface_damping_n_s_per_m)
-        bricks, forces = field.forces_near(self._felt, events, grid, band, _UNSURE * reach, motion, rim)
+        bricks, forces = field.mesh_forces(self._active, events, grid, band, _UNSURE * reach, motion, rim)
         return ForceField(grid, bricks, forces)
 
     def _band(self, profile: ForceProfile) -> Band:
@@ -170,7 +169,7 @@ class MeshScene(Scene):
         pieces = profile.table()
         low, high = profile.low_m, profile.high_m
         if not self.is_closed and math.isinf(low):
-            found = f"a solid asked of a mesh that is {self._opening}"
+            found = f"a solid law for a mesh that is {self._opening}"
             mend = "Give --thickness-m or --holes close, or close the mesh."
             raise InvalidArgument(f"{self.name}, thickness_m", found, "the thickness of a shell", mend)
         # a sample on the surface may count as outside
@@ -179,20 +178,19 @@ class MeshScene(Scene):
             deepest = float(np.ptp(self.surface.bounds_m, axis=0).min()) / 2
             return Band(CLOSED, min(-low, deepest * (1 + 1e-9)) if low < 0 else -1.0, outer, 0.0, pieces)
         if self.is_one_sided:
-            far = max(-low, high)
-            return Band(LIDDED if len(self._lids) else ONE_SIDED, far, far, 0.0, pieces)
+            reach = max(-low, high)
+            return Band(LIDDED if len(self._lids) else ONE_SIDED, reach, reach, 0.0, pieces)
         half = max(-low, 0.0) / 2
         return Band(TWO_SIDED, high + half, high + half, half, pieces)
 
-    # -- what is felt: the triangles, or the outer surface of those that overlap
-    # -------------------------------------
+    # -- active surface: the triangles, or the outer surface of parts that overlap -------------------------
     @cached_property
     def _union(self) -> Union | None:
         return union_of(self.surface) if self.is_closed else None
 
     @cached_property
-    def _felt(self) -> tuple[Float64s, Float64s]:
-        """The table of the triangles that are felt, and their normals."""
+    def _active(self) -> tuple[Float64s, Float64s]:
+        """The table of the triangles that exert forces, and their normals."""
         from touchfield.sources.mesh.kernels.triangle import triangle_table
 
         table, union = triangle_table(self.surface.vertices_m, self.surface.triangles), self._union
@@ -201,8 +199,8 @@ class MeshScene(Scene):
         corners = union.corners_m.reshape(-1, 3)
         pieces = triangle_table(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
         normals = np.repeat(self._normals[union.parents, :1], 7, axis=1)
-        return np.concatenate([table[union.kept], pieces]), np.concatenate(
-            [self._normals[union.kept], normals]
+        return np.concatenate([table[union.uncut], pieces]), np.concatenate(
+            [self._normals[union.uncut], normals]
         )
 
     @cached_property
@@ -219,17 +217,20 @@ class MeshScene(Scene):
         return normals
 
 
-# -- the outer surface of closed parts that overlap ----------------------------------------------------------
+# -- the outer surface of closed parts that overlap --------------------------------------------------------
 class Union(NamedTuple):
     """The boundary of a union."""
 
-    kept: Int64s  # int64 [k]; triangles that are whole in it
-    corners_m: Float64s  # float64 [p, 3, 3]; pieces of others, each beginning with its longest edge
-    parents: Int32s  # int32 [p]; the triangle that each is a piece of
+    uncut: Int64s  # int64 [k]; triangles of the boundary that are not cut
+    corners_m: Float64s  # float64 [p, 3, 3]; pieces of cut triangles, each starting with its longest edge
+    parents: Int32s  # int32 [p]; the triangle of each piece
 
 
 def union_of(surface: Surface) -> Union | None:
-    """The boundary of the union of a closed surface's parts; None where that is the surface as it is."""
+    """Compute the boundary of the union of a closed surface's parts.
+
+    Returns None if that is the surface itself.
+    """
     from touchfield.sources.mesh.kernels import sign as kernel
 
     faces = surface.triangles
@@ -251,18 +252,22 @@ def union_of(surface: Surface) -> Union | None:
     )
     is_cut = np.zeros(len(faces), bool)
     is_cut[parents] = True
-    whole = np.flatnonzero(~is_cut)
-    pieces = np.concatenate([corners[whole], cut_corners]), np.concatenate([whole.astype(np.int32), parents])
-    is_outer = kernel.bounds_union(*pieces, normals, bins, (surface.vertices_m, faces), _BESIDE * extent)
+    uncut = np.flatnonzero(~is_cut)
+    pieces = np.concatenate([corners[uncut], cut_corners]), np.concatenate([uncut.astype(np.int32), parents])
+    is_outer = kernel.bounds_union(*pieces, normals, bins, (surface.vertices_m, faces), _PROBE * extent)
     if is_outer.all():
         return None
-    kept, ours = whole[is_outer[: len(whole)]], is_outer[len(whole) :]
-    mine = cut_corners[ours]
-    return Union(kept, np.take_along_axis(mine, from_longest(mine)[:, :, None], axis=1), parents[ours])
+    outer_uncut, is_outer_piece = uncut[is_outer[: len(uncut)]], is_outer[len(uncut) :]
+    outer_pieces = cut_corners[is_outer_piece]
+    return Union(
+        outer_uncut,
+        np.take_along_axis(outer_pieces, from_longest(outer_pieces)[:, :, None], axis=1),
+        parents[is_outer_piece],
+    )
 
 
 def _parts_meet(surface: Surface, boxes: Float64s) -> bool:
-    """True if the boxes of two connected parts overlap."""
+    """Return True if the boxes of two connected parts overlap."""
     part_of = surface.part_of_vertex()[surface.triangles[:, 0]]
     order = np.argsort(part_of, kind="stable")
     first = np.flatnonzero(np.append(True, np.diff(part_of[order]) != 0))

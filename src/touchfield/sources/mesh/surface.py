@@ -1,16 +1,16 @@
-"""Triangle meshes: edges, closedness, angle-weighted pseudo-normals, vertices that are one, and holes.
+"""Triangle meshes: edges, closedness, angle-weighted pseudo-normals, welding of vertices, and holes.
 
 Source of the pseudo-normals: J. A. Baerentzen and H. Aanaes, Signed distance computation using the angle
 weighted pseudonormal, IEEE TVCG 11(3), 2005: at a vertex the normals of its faces weighted by their angles
-there, on an edge the sum of its two. Their sign tells on which side a point is whose nearest point is there.
+there, on an edge the sum of its two. Their sign gives the side of a point whose nearest point lies there.
 
-Holes are loops of the edges that are run through more often in one direction than in the other, which are a
-cycle. The rule: a hole is small if the patch that closes it has at most 5 % of the area of the connected part
-it lies in. "small" closes those and leaves the others, "close" closes all, "leave" none. Where triangles face
-inconsistently they are turned, but only if what results is closed; else nothing says where a hole has its
-inside. Source of the patch: G. Barequet and M. Sharir, Filling gaps in the boundary of a polyhedron, CAGD
-12(2), 1995: of all triangulations of the loop the one of least area. Of a long loop every second corner is
-first cut off, until 128 are left. No vertex is added, so that a patch moves with its mesh.
+Holes are loops of the edges that are traversed more often in one direction than in the other; such edges form
+cycles. A hole is small if the patch that closes it has at most 5 % of the area of its connected part. "small"
+closes only those, "close" closes all, "leave" none. Triangles that face inconsistently are flipped, but only
+if the result is closed; otherwise the inside of a hole is undefined. Source of the patch: G. Barequet and M.
+Sharir, Filling gaps in the boundary of a polyhedron, CAGD 12(2), 1995: of all triangulations of the loop the
+one of least area. In a long loop every second corner is first cut off, until 128 are left. No vertex is
+added, so that a patch moves with its mesh.
 """
 
 from __future__ import annotations
@@ -26,18 +26,21 @@ from touchfield.arrays import Float64s, Int32s, Int64s, lengths_of
 from touchfield.errors import SourceError, require_one_of
 
 _LARGEST_M: Final = 1e15
-# of the extent: vertices this near are joined where that closes the mesh (the digits of float32), in a mesh
-# that moves only if they never part farther than the second (those of 8-bit weights)
+# of the extent: vertices within the first are welded if that closes the mesh (resolution of float32); in a
+# moving mesh only if they never separate by more than the second (resolution of 8-bit weights)
 _WELD, _TOGETHER = 1e-7, 1e-3
 
-HOLES: Final = {"small": 0.05, "close": np.inf, "leave": -1.0}  # of its part: the largest hole that is closed
-# a part with more of its area missing is a sheet: its wall lies behind its faces, not within what they
-# enclose
+HOLES: Final = {
+    "small": 0.05,
+    "close": np.inf,
+    "leave": -1.0,
+}  # largest hole to close, of the area of its part
+# a part that lacks more of its area is a sheet: its wall lies behind its faces, not in the enclosed volume
 _NEARLY_CLOSED: Final = 0.75
-_FLAT: Final = 0.999  # cosine between the triangles of a polygon and its whole, of one that counts as flat
-_MOST_EDGES: Final = 1 << 18
+_FLAT: Final = 0.999  # least cosine between the normals of a flat polygon and of its triangles
+_MAX_OPEN_EDGES: Final = 1 << 18
 _LONGEST, _LONGEST_OF_MANY, _MANY = 128, 24, 100
-_MOST_TOLD: Final = 5
+_MAX_NOTED: Final = 5
 
 
 @dataclass(frozen=True)
@@ -46,19 +49,18 @@ class Edges:
 
     edge_of: Int64s  # int64 [m, 3]; the edge from vertex i to vertex i + 1 of each triangle
     boundary_count: int  # edges of one triangle only
-    unbalanced_count: int  # edges that are not run through as often in one direction as in the other
-    repeated_count: (
-        int  # edges run through twice in one direction: neighbours that face opposite ways, or fans
-    )
+    unbalanced_count: int  # edges traversed more often in one direction than in the other
+    # edges traversed twice in one direction: neighbours that face opposite ways, or fans
+    repeated_count: int
 
     @classmethod
     def of(cls, triangles: Int32s, vertex_count: int) -> Edges:
-        """The edges of triangles int32 [m, 3]."""
-        begin, end = triangles.reshape(-1).astype(np.int64), np.roll(triangles, -1, axis=1).reshape(-1)
-        key = np.minimum(begin, end) * vertex_count + np.maximum(begin, end)
+        """Return the edges of triangles int32 [m, 3]."""
+        tail, head = triangles.reshape(-1).astype(np.int64), np.roll(triangles, -1, axis=1).reshape(-1)
+        key = np.minimum(tail, head) * vertex_count + np.maximum(tail, head)
         keys, edge_of = np.unique(key, return_inverse=True)
-        along = np.bincount(edge_of[begin < end], minlength=len(keys))
-        against = np.bincount(edge_of[begin > end], minlength=len(keys))
+        along = np.bincount(edge_of[tail < head], minlength=len(keys))
+        against = np.bincount(edge_of[tail > head], minlength=len(keys))
         return cls(
             edge_of.reshape(-1, 3),
             int(np.count_nonzero(along + against == 1)),
@@ -72,17 +74,16 @@ class Surface:
 
     vertices_m : float array [n, 3]
     triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
-    name : str; What to call it in messages.
+    name : str; Its name in messages.
 
-    Raises `SourceError` if there is no triangle left, or a number is out of range or not finite.
+    Raises `SourceError` if no triangle is left, or a number is out of range or not finite.
 
     Attributes
     ----------
     vertices_m : float64 [n, 3], read-only
-    triangles : int32 [m, 3], read-only; Each begins with its longest edge; those with a vertex twice are left
-        out.
-    is_closed : bool; Whether it encloses something: every edge is balanced, and it is not a sheet laid
-        double.
+    triangles : int32 [m, 3], read-only; Each starts with its longest edge; degenerate ones (a vertex twice)
+        are removed.
+    is_closed : bool; Whether it encloses a volume: every edge is balanced, and it is not a double sheet.
     """
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> None:
@@ -104,9 +105,9 @@ class Surface:
         self.triangles = np.take_along_axis(faces, from_longest(vertices[faces]), axis=1)
         self.edges = Edges.of(self.triangles, len(vertices))
         self.is_closed = self.edges.unbalanced_count == 0 and not _is_double_sheet(self.triangles)
-        self._hold(vertices)
+        self._set_vertices(vertices)
 
-    def _hold(self, vertices: Float64s) -> None:
+    def _set_vertices(self, vertices: Float64s) -> None:
         used = vertices[self._used]
         self.bounds_m: Float64s = np.stack([used.min(axis=0), used.max(axis=0)])
         self.vertices_m = np.ascontiguousarray(vertices)
@@ -114,12 +115,10 @@ class Surface:
             array.flags.writeable = False
 
     def with_vertices(self, vertices_m: ArrayLike) -> Surface:
-        """The same triangles on other vertices: a frame of a mesh that moves.
+        """Return the same triangles on other vertices: a frame of a moving mesh.
 
-        Which edges meet and whether it is closed is taken over; each triangle begins with what is now its
-        longest edge. Vertices that no triangle uses do not matter.
-
-        `vertices_m` float array [n, 3]: as many as this surface has.
+        Connectivity and closedness are reused; each triangle starts with its new longest edge. Vertices that
+        no triangle uses do not matter. `vertices_m` float array [n, 3]: as many as this surface has.
 
         Raises `SourceError` if the shape differs, or a coordinate is not finite.
         """
@@ -129,36 +128,41 @@ class Surface:
             raise SourceError(self._name, found, f"{self.vertices_m.shape}, as before")
         _check_finite(vertices[self._used], self._name)
         other = copy.copy(self)
-        turn = from_longest(vertices[self.triangles])
-        other.triangles = np.take_along_axis(self.triangles, turn, axis=1)
-        other.edges = replace(self.edges, edge_of=np.take_along_axis(self.edges.edge_of, turn, axis=1))
-        other._hold(vertices)
+        order = from_longest(vertices[self.triangles])
+        other.triangles = np.take_along_axis(self.triangles, order, axis=1)
+        other.edges = replace(self.edges, edge_of=np.take_along_axis(self.edges.edge_of, order, axis=1))
+        other._set_vertices(vertices)
         return other
 
     def with_triangles(self, triangles: Int32s) -> Surface:
-        """Other triangles on the same vertices, checked anew."""
+        """Return other triangles on the same vertices, checked again."""
         return Surface(self.vertices_m, triangles, self._name)
 
     def part_of_vertex(self) -> Int32s:
-        """The connected part of each vertex, int32 [n]; a vertex of no triangle is a part of its own."""
+        """Return the connected part of each vertex, int32 [n].
+
+        An unused vertex is a part of its own.
+        """
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
-        begin, end = self.triangles.reshape(-1), np.roll(self.triangles, -1, axis=1).reshape(-1)
+        tail, head = self.triangles.reshape(-1), np.roll(self.triangles, -1, axis=1).reshape(-1)
         count = len(self.vertices_m)
-        graph = coo_array((np.ones(len(begin), np.int8), (begin, end)), shape=(count, count))
+        graph = coo_array((np.ones(len(tail), np.int8), (tail, head)), shape=(count, count))
         parts: Int32s = connected_components(graph, directed=False)[1]
         return parts
 
     def volume_m3(self) -> float:
-        """The signed volume of a closed mesh: negative where its triangles face inwards."""
+        """Return the signed volume of a closed mesh, negative if its triangles face inwards."""
         a, b, c = ((self.vertices_m - self.bounds_m[0])[self.triangles[:, i]] for i in range(3))
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
     def pseudo_normals(self) -> Float64s:
-        """Unit normals of each triangle's face, vertices 0 to 2 and edges 01, 12, 20, float64 [m, 7, 3].
+        """Return unit pseudo-normals of each triangle, float64 [m, 7, 3].
 
-        Where they cancel (opposite faces that meet), the face's own normal stands.
+        They are those of the face, of vertices 0 to 2 and of edges 01, 12, 20.
+
+        Where they cancel (opposite faces that meet), the normal of the face is used.
         """
         corners = self.vertices_m[self.triangles]
         along = unit(np.roll(corners, -1, axis=1) - corners)
@@ -175,8 +179,8 @@ class Surface:
         lengths = lengths_of(normals)
         cancelled = lengths < 1e-9
         normals /= np.where(cancelled, 1.0, lengths)[..., None]
-        which = np.nonzero(cancelled)
-        normals[which] = face[which[0]]
+        index = np.nonzero(cancelled)
+        normals[index] = face[index[0]]
         return normals
 
 
@@ -189,37 +193,35 @@ def _check_finite(vertices: Float64s, name: str) -> None:
 
 
 def from_longest(corners: Float64s) -> Int64s:
-    """The order of the corners of triangles, [m, 3, 3], that begins with the longest edge of each, int64 [m,
-    3].
-    """
+    """Return the order of corners that starts with the longest edge, int64 [m, 3], of corners [m, 3, 3]."""
     sides = lengths_of(np.roll(corners, -1, axis=1) - corners)
     order: Int64s = (np.arange(3) + sides.argmax(axis=1)[:, None]) % 3
     return order
 
 
 def unit(vectors: Float64s) -> Float64s:
-    """Vectors [..., 3] of length 1; 0 for those without length."""
+    """Normalise vectors [..., 3]; those of length 0 stay 0."""
     lengths = lengths_of(vectors)[..., None]
     return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
 
 
 def _is_double_sheet(triangles: Int32s) -> bool:
-    """True if every triangle has a twin that faces the other way: balanced edges, but nothing within."""
+    """Return True if every triangle has a twin that faces the other way: balanced edges, no volume."""
     ascending = np.sort(triangles, axis=1)
-    _, group = places(ascending)
-    after_least = np.take_along_axis(triangles, (triangles.argmin(axis=1)[:, None] + 1) % 3, axis=1)[:, 0]
-    return not np.bincount(group, np.where(after_least != ascending[:, 1], -1.0, 1.0)).any()
+    _, group = group_points(ascending)
+    following = np.take_along_axis(triangles, (triangles.argmin(axis=1)[:, None] + 1) % 3, axis=1)[:, 0]
+    return not np.bincount(group, np.where(following != ascending[:, 1], -1.0, 1.0)).any()
 
 
-def joined(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[Float64s, Int32s]:
-    """The mesh with vertices at one place made one."""
+def merge_vertices(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[Float64s, Int32s]:
+    """Merge vertices at the same position."""
     points = np.asarray(vertices, np.float64) + 0.0  # -0.0 is 0.0
-    first, number = places(points)
+    first, number = group_points(points)
     return points[first], number[triangles].astype(np.int32)
 
 
-def places(points: NDArray[Any], tolerance: float = 0.0) -> tuple[Int64s, Int64s]:
-    """Places of points [n, d]: one of the points at each, and the place of each point, int64 [n]."""
+def group_points(points: NDArray[Any], tolerance: float = 0.0) -> tuple[Int64s, Int64s]:
+    """Group equal points [n, d]: the index of one point of each group, and the group of each point, int64."""
     rounded = np.round(points / tolerance) if tolerance > 0 else points
     order = np.lexsort(rounded.T)
     ordered = rounded[order]
@@ -229,83 +231,87 @@ def places(points: NDArray[Any], tolerance: float = 0.0) -> tuple[Int64s, Int64s
     return order[is_new].astype(np.int64), number
 
 
-# -- which vertices are one: those at one place, and in a mesh that moves only if they stay together ---------
-def welded(
+# -- welding of vertices: those at one position, in a moving mesh only if they stay together ---------------
+def weld(
     vertices: NDArray[Any], triangles: NDArray[Any], sizes: Int64s | None = None
 ) -> tuple[Float64s, Int32s]:
-    """The mesh with equal vertices made one; nearly equal ones too, if that closes it.
+    """Merge equal vertices of a mesh; nearly equal ones too, if that closes it.
 
-    `sizes` int64 [p]: how many triangles in a row are a polygon each, cut as a fan; these are `unfolded`.
+    `sizes` int64 [p]: number of consecutive triangles of each polygon, a fan; see `unfold_polygons`.
     """
     if triangles.min() < 0 or triangles.max() >= len(vertices):
-        return vertices, triangles.astype(np.int32)  # the scene will say so
-    points, faces = joined(vertices, triangles)
+        return vertices, triangles.astype(np.int32)  # the scene reports it
+    points, faces = merge_vertices(vertices, triangles)
     if sizes is not None:
-        faces = unfolded(points, faces, sizes)
+        faces = unfold_polygons(points, faces, sizes)
     if not np.isfinite(points).all():
-        return points, faces  # the scene will say so
-    kept, faces = welded_in_motion(points[None], faces)
-    return points[kept], faces
+        return points, faces  # the scene reports it
+    used, faces = weld_in_motion(points[None], faces)
+    return points[used], faces
 
 
-def unfolded(points: Float64s, fans: Int32s, sizes: Int64s) -> Int32s:
-    """Polygons cut as fans from their first corner, with those that are concave cut anew.
+def unfold_polygons(points: Float64s, fans: Int32s, sizes: Int64s) -> Int32s:
+    """Triangulate concave polygons again that were cut as fans from their first corner.
 
-    Of a concave one some triangles of the fan lie upside down, partly outside; `_patch` cuts it along its
-    outline.
+    In the fan of a concave polygon some triangles are flipped and lie partly outside; `_patch` triangulates
+    its outline instead.
     """
     faces, first = fans.copy(), np.cumsum(sizes) - sizes
     corners = points[fans]
-    with np.errstate(all="ignore"):  # what is not finite, the scene will say
+    with np.errstate(all="ignore"):  # the scene reports values that are not finite
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        whole = np.repeat(np.add.reduceat(normals, first), sizes, axis=0)
-        along, size = np.einsum("ij,ij->i", normals, whole), lengths_of(normals) * lengths_of(whole)
-        is_turned, is_flat = along < -_FLAT * size, np.abs(along) >= _FLAT * size
-    is_folded = np.logical_or.reduceat(is_turned, first) & np.logical_and.reduceat(is_flat, first)
-    most = _LONGEST if np.count_nonzero(is_folded) <= _MANY else _LONGEST_OF_MANY
-    for begin, end in zip(first[is_folded], (first + sizes)[is_folded]):
-        loop = np.append(fans[begin, :2], fans[begin:end, 2]).astype(np.int64)
-        faces[begin:end] = _patch(loop, points, most)
+        polygon_normals = np.repeat(np.add.reduceat(normals, first), sizes, axis=0)
+        along, size = (
+            np.einsum("ij,ij->i", normals, polygon_normals),
+            lengths_of(normals) * lengths_of(polygon_normals),
+        )
+        is_flipped, is_flat = along < -_FLAT * size, np.abs(along) >= _FLAT * size
+    is_folded = np.logical_or.reduceat(is_flipped, first) & np.logical_and.reduceat(is_flat, first)
+    max_corners = _LONGEST if np.count_nonzero(is_folded) <= _MANY else _LONGEST_OF_MANY
+    for start, stop in zip(first[is_folded], (first + sizes)[is_folded]):
+        loop = np.append(fans[start, :2], fans[start:stop, 2]).astype(np.int64)
+        faces[start:stop] = _patch(loop, points, max_corners)
     return faces
 
 
-def welded_in_motion(poses: Float64s, triangles: NDArray[np.integer[Any]]) -> tuple[Int64s, Int32s]:
-    """Vertices of a mesh in motion to keep, ascending, and the triangles in their numbers.
+def weld_in_motion(poses: Float64s, triangles: NDArray[np.integer[Any]]) -> tuple[Int64s, Int32s]:
+    """Weld a moving mesh: return the vertices to keep, ascending, and the triangles in their numbering.
 
-    Vertices that are at the same place in every pose are one. If that leaves the mesh open, those that meet
-    at rest and hardly part are one as well, if that closes it. Parts that only touch at rest stay apart.
+    Vertices at the same position in every pose are merged. If that leaves the mesh open, those that coincide
+    at rest and hardly separate are merged as well, if that closes it. Parts that only touch at rest stay
+    separate.
 
     `poses` float64 [s, n, 3]: some poses, finite; the first is at rest; `triangles` integer [m, 3].
     """
     count = poses.shape[1]
-    first, number = places(poses.swapaxes(0, 1).reshape(count, -1) + 0.0)  # -0.0 is 0.0
+    first, number = group_points(poses.swapaxes(0, 1).reshape(count, -1) + 0.0)  # -0.0 is 0.0
     same = first[number]
-    if _unbalanced(same[triangles], count) != 0:
+    if _unbalanced_count(same[triangles], count) != 0:
         extent = float(np.ptp(poses, axis=1).max())
-        first, number = places(poses[0], _WELD * extent)
-        meets = same[first[number]]
-        apart = np.abs(poses[:, same] - poses[:, meets]).max(axis=(0, 2))
-        near = np.where(apart <= _TOGETHER * extent, meets, same)
-        if _unbalanced(near[triangles], count) == 0:
-            same = near
-    kept, faces = np.unique(same[triangles], return_inverse=True)
-    return kept, faces.reshape(-1, 3).astype(np.int32)
+        first, number = group_points(poses[0], _WELD * extent)
+        touching = same[first[number]]
+        separation = np.abs(poses[:, same] - poses[:, touching]).max(axis=(0, 2))
+        merged = np.where(separation <= _TOGETHER * extent, touching, same)
+        if _unbalanced_count(merged[triangles], count) == 0:
+            same = merged
+    used, faces = np.unique(same[triangles], return_inverse=True)
+    return used, faces.reshape(-1, 3).astype(np.int32)
 
 
-def _unbalanced(triangles: NDArray[Any], vertex_count: int) -> int:
-    whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    return Edges.of(triangles[whole], vertex_count).unbalanced_count if whole.any() else 1
+def _unbalanced_count(triangles: NDArray[Any], vertex_count: int) -> int:
+    is_valid = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    return Edges.of(triangles[is_valid], vertex_count).unbalanced_count if is_valid.any() else 1
 
 
 # -- holes -------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Mended:
-    """A surface with holes closed, and what is left open."""
+class RepairedSurface:
+    """A surface with holes closed, and the holes left open."""
 
     surface: Surface
-    # int32 [l, 3]; would close what is left open of a nearly closed mesh: tell inside, and are not felt
+    # int32 [l, 3]; would close the open holes of a nearly closed mesh: define inside, exert no force
     lids: Int32s
-    rim: Int32s  # int32 [r, 2]; edges at the holes that are left
+    rim: Int32s  # int32 [r, 2]; edges of the open holes
     is_oriented: bool  # whether neighbouring triangles face alike
     notes: tuple[str, ...]
 
@@ -315,108 +321,110 @@ class _Hole(NamedTuple):
     patch: Int32s
     part: int  # connected part of the surface that it lies in
     area_m2: float
-    share: float  # of the area of that part
+    fraction: float  # of the area of that part
     across_m: float
 
 
-def mended(surface: Surface, holes: str) -> Mended:
-    """Close the holes of a surface by a rule: "small", "close" or "leave"; `InvalidArgument` for another
-    word.
+def close_holes(surface: Surface, holes: str) -> RepairedSurface:
+    """Close the holes of a surface by a rule: "small", "close" or "leave".
+
+    Raises `InvalidArgument` for another rule.
     """
     require_one_of("holes", holes, HOLES)
-    none, is_mixed = np.zeros((0, 3), np.int32), surface.edges.repeated_count > 0
-    as_it_is = Mended(surface, none, none[:, :2], not is_mixed, ())
+    empty, is_mixed = np.zeros((0, 3), np.int32), surface.edges.repeated_count > 0
+    unchanged = RepairedSurface(surface, empty, empty[:, :2], not is_mixed, ())
     if surface.is_closed:
-        return replace(as_it_is, is_oriented=True)
+        return replace(unchanged, is_oriented=True)
     notes: tuple[str, ...] = ()
-    done, loops = surface, None
+    oriented, loops = surface, None
     if is_mixed:
-        faces, count, is_two_sided = _turned(surface.triangles, surface.edges)
-        done = surface.with_triangles(faces)
+        faces, count, is_two_sided = _orient(surface.triangles, surface.edges)
+        oriented = surface.with_triangles(faces)
         if count:
             notes = (f"{count} triangles turned to face as their neighbours do",)
     if not is_mixed or is_two_sided:
-        loops = _loops(done)
-    if loops is None:  # no side is known, or there are too many
-        return as_it_is
-    part_of, vertices = done.part_of_vertex(), done.vertices_m
-    areas = np.bincount(part_of[done.triangles[:, 0]], _areas(vertices, done.triangles))
+        loops = _loops(oriented)
+    if loops is None:  # the orientation is undefined, or there are too many
+        return unchanged
+    part_of, vertices = oriented.part_of_vertex(), oriented.vertices_m
+    areas = np.bincount(part_of[oriented.triangles[:, 0]], _areas(vertices, oriented.triangles))
     gaps = []
     for loop in loops:
-        patch, part = (
-            _patch(loop, vertices, _LONGEST if len(loops) <= _MANY else _LONGEST_OF_MANY),
-            part_of[loop[0]],
-        )
-        area, across = (
-            float(_areas(vertices, patch).sum()),
-            float(np.linalg.norm(np.ptp(vertices[loop], axis=0))),
-        )
+        patch = _patch(loop, vertices, _LONGEST if len(loops) <= _MANY else _LONGEST_OF_MANY)
+        part = part_of[loop[0]]
+        area = float(_areas(vertices, patch).sum())
+        across = float(np.linalg.norm(np.ptp(vertices[loop], axis=0)))
         gaps.append(_Hole(loop, patch, part, area, area / areas[part] if areas[part] > 0 else np.inf, across))
-    taken, left = ([h for h in gaps if (h.share <= HOLES[holes]) == is_small] for is_small in (True, False))
-    if taken:
-        done = done.with_triangles(np.concatenate([done.triangles, *(h.patch for h in taken)]))
-    if is_mixed and not done.is_closed:
-        return as_it_is
-    lids, rim = none, none[:, :2]
-    if left:
-        rim = np.concatenate([np.stack([h.loop, np.roll(h.loop, -1)], axis=1) for h in left]).astype(np.int32)
-        if np.bincount([h.part for h in left], [h.share for h in left]).max() <= _NEARLY_CLOSED:
-            lids = np.concatenate([h.patch for h in left])
-            if done.with_triangles(np.concatenate([done.triangles, lids])).volume_m3() < 0:
-                done, lids = done.with_triangles(done.triangles[:, ::-1]), lids[:, ::-1]
+    closed_gaps = [hole for hole in gaps if hole.fraction <= HOLES[holes]]
+    open_gaps = [hole for hole in gaps if not hole.fraction <= HOLES[holes]]
+    if closed_gaps:
+        oriented = oriented.with_triangles(
+            np.concatenate([oriented.triangles, *(h.patch for h in closed_gaps)])
+        )
+    if is_mixed and not oriented.is_closed:
+        return unchanged
+    lids, rim = empty, empty[:, :2]
+    if open_gaps:
+        rim = np.concatenate([np.stack([h.loop, np.roll(h.loop, -1)], axis=1) for h in open_gaps]).astype(
+            np.int32
+        )
+        if np.bincount([h.part for h in open_gaps], [h.fraction for h in open_gaps]).max() <= _NEARLY_CLOSED:
+            lids = np.concatenate([h.patch for h in open_gaps])
+            if oriented.with_triangles(np.concatenate([oriented.triangles, lids])).volume_m3() < 0:
+                oriented, lids = oriented.with_triangles(oriented.triangles[:, ::-1]), lids[:, ::-1]
                 notes = (*notes, "The triangles faced inwards and are turned over")
-    return Mended(done, lids, rim, True, (*notes, *_told(taken, left)))
+    return RepairedSurface(oriented, lids, rim, True, (*notes, *_hole_notes(closed_gaps, open_gaps)))
 
 
-def _told(taken: list[_Hole], left: list[_Hole]) -> tuple[str, ...]:
+def _hole_notes(closed_gaps: list[_Hole], open_gaps: list[_Hole]) -> tuple[str, ...]:
     notes = []
-    for holes, kind, what in (
-        (taken, "hole", "closed"),
-        (left, "open outline", "left, where the force falls to 0"),
+    for holes, kind, outcome in (
+        (closed_gaps, "hole", "closed"),
+        (open_gaps, "open outline", "left, where the force falls to 0"),
     ):
-        largest = sorted(holes, key=lambda h: -h.area_m2)[:_MOST_TOLD]
-        shares = (f"{h.share:.2%} of" if h.share < np.inf else "no area in" for h in largest)
-        sizes = ", ".join(f"{h.across_m:.3g} m across ({of} its part)" for h, of in zip(largest, shares))
+        largest = sorted(holes, key=lambda h: -h.area_m2)[:_MAX_NOTED]
+        fractions = (f"{h.fraction:.2%} of" if h.fraction < np.inf else "no area in" for h in largest)
+        sizes = ", ".join(f"{h.across_m:.3g} m across ({of} its part)" for h, of in zip(largest, fractions))
         if holes:
-            more = ", ..." * (len(holes) > _MOST_TOLD)
-            notes.append(f"{len(holes)} {kind}{'s' * (len(holes) > 1)} {what}: {sizes}{more}")
-    if left and min(h.share for h in left) <= _NEARLY_CLOSED:
+            more = ", ..." * (len(holes) > _MAX_NOTED)
+            notes.append(f"{len(holes)} {kind}{'s' * (len(holes) > 1)} {outcome}: {sizes}{more}")
+    if open_gaps and min(h.fraction for h in open_gaps) <= _NEARLY_CLOSED:
         notes[-1] += "; --holes close closes them"
     return tuple(notes)
 
 
-# -- loops ---------------------------------------------------------------------------------------------------
+# -- loops -------------------------------------------------------------------------------------------------
 def _loops(surface: Surface) -> list[Int64s] | None:
-    """The loops of the edges that lack a partner, each in the direction of the triangles that would close it.
+    """Find loops of unbalanced edges, each in the direction of the triangles that would close it.
 
-    None if they are too many.
+    None if there are too many.
     """
     faces, of = surface.triangles, surface.edges.edge_of.reshape(-1)
-    begin, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    net = np.bincount(of, np.where(begin < end, 1, -1)).astype(np.int64)
-    open_ = np.flatnonzero(net)
-    if np.abs(net[open_]).sum() > _MOST_EDGES:
+    tail, head = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    net = np.bincount(of, np.where(tail < head, 1, -1)).astype(np.int64)
+    unbalanced = np.flatnonzero(net)
+    if np.abs(net[unbalanced]).sum() > _MAX_OPEN_EDGES:
         return None
-    ends = np.zeros((len(net), 2), np.int64)
-    ends[of] = np.sort(np.stack([begin, end], axis=1), axis=1)
+    endpoints = np.zeros((len(net), 2), np.int64)
+    endpoints[of] = np.sort(np.stack([tail, head], axis=1), axis=1)
     after: dict[int, list[int]] = {}
-    for (low, high), much in zip(ends[open_].tolist(), net[open_].tolist()):
-        u, v = (high, low) if much > 0 else (low, high)  # against the triangle that is there
-        after.setdefault(u, []).extend([v] * abs(much))
+    for (low, high), excess in zip(endpoints[unbalanced].tolist(), net[unbalanced].tolist()):
+        u, v = (high, low) if excess > 0 else (low, high)  # against the existing triangle
+        after.setdefault(u, []).extend([v] * abs(excess))
     loops = []
     for first in list(after):
         while after.get(first):
-            path, place = [first], {first: 0}
+            path, index_of = [first], {first: 0}
             while after.get(path[-1]):
                 corner = after[path[-1]].pop()
-                if corner in place:  # a loop is closed: cut it off
-                    begin_at = place[corner]
-                    loops.append(np.array(path[begin_at:], np.int64))
-                    for gone in path[begin_at + 1 :]:
-                        del place[gone]
-                    del path[begin_at + 1 :]
+                if corner in index_of:  # a loop has closed: cut it off
+                    loop_start = index_of[corner]
+                    loops.append(np.array(path[loop_start:], np.int64))
+                    for removed in path[loop_start + 1 :]:
+                        del index_of[removed]
+                    del path[loop_start + 1 :]
                 else:
-                    place[corner] = len(path)
+                    index_of[corner] = len(path)
                     path.append(corner)
     return [loop for loop in loops if len(loop) > 2]
 
@@ -426,11 +434,11 @@ def _areas(vertices: Float64s, triangles: NDArray[Any]) -> Float64s:
     return np.asarray(lengths_of(np.cross(b - a, c - a)) / 2)
 
 
-# -- patches -------------------------------------------------------------------------------------------------
-def _patch(loop: Int64s, vertices: Float64s, most: int) -> Int32s:
-    """Triangles that close a loop, int32 [len(loop) - 2, 3]."""
+# -- patches -----------------------------------------------------------------------------------------------
+def _patch(loop: Int64s, vertices: Float64s, max_corners: int) -> Int32s:
+    """Triangulate a loop, int32 [len(loop) - 2, 3]."""
     triangles = []
-    while len(loop) > most:
+    while len(loop) > max_corners:
         cut = np.arange(0, len(loop) - 2, 2)
         triangles.append(np.stack([loop[cut], loop[cut + 1], loop[cut + 2]], axis=1))
         loop = np.delete(loop, cut + 1)
@@ -456,12 +464,14 @@ def _patch(loop: Int64s, vertices: Float64s, most: int) -> Int32s:
     return np.concatenate(triangles).astype(np.int32)
 
 
-# -- facing --------------------------------------------------------------------------------------------------
-def _turned(triangles: Int32s, edges: Edges) -> tuple[Int32s, int, bool]:
-    """The triangles turned so that neighbours face alike, most of each part as they were; how many; whether
-    all can.
+# -- facing ------------------------------------------------------------------------------------------------
+def _orient(triangles: Int32s, edges: Edges) -> tuple[Int32s, int, bool]:
+    """Flip triangles so that neighbours face alike.
 
-    Each triangle is two nodes of a graph, as it is and turned over; nodes that fit together are joined.
+    Returns them, the number flipped, and whether all agree.
+
+    The majority of each part keeps its orientation. Each triangle is two nodes of a graph, as it is and
+    flipped; consistent nodes of neighbours are connected.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -481,9 +491,9 @@ def _turned(triangles: Int32s, edges: Edges) -> tuple[Int32s, int, bool]:
     _, label = connected_components(graph, directed=False)
     as_is, over = label[0::2], label[1::2]
     votes = np.bincount(as_is, minlength=label.max() + 1)
-    turn = (votes[over] > votes[as_is]) | ((votes[over] == votes[as_is]) & (over < as_is))
+    is_flipped = (votes[over] > votes[as_is]) | ((votes[over] == votes[as_is]) & (over < as_is))
     return (
-        np.where(turn[:, None], triangles[:, ::-1], triangles),
-        int(turn.sum()),
+        np.where(is_flipped[:, None], triangles[:, ::-1], triangles),
+        int(is_flipped.sum()),
         bool((as_is != over).all()),
     )

@@ -1,4 +1,4 @@
-"""Bodies in motion as a scene: each a scene in its own frame, with a pose track (paper section 5.1, Scene 1)."""
+"""Moving bodies as a scene, each with its own scene and a pose track (paper section 5.1, Scene 1)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument, require_positive
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import brick_keys, bricks_of, field_that_holds
+from touchfield.medium.field import brick_keys, bricks_of, field_without_empty_bricks
 from touchfield.sources.camera import require_frame
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene
@@ -24,15 +24,17 @@ _Part = tuple[ForceField, tuple[float, ...]]  # a body's field, and the motion o
 
 
 class BodyScene(MovingScene):
-    """Bodies in motion; where they overlap their forces are added (the device filter clips the sum to F_max).
+    """Moving bodies.
 
-    With `ForceProfile.surface_damping_n_s_per_m` b, b (v + omega x r) is added wherever a body has a force:
-    its velocity there, r from its origin.
+    Where they overlap, their forces are added (the device filter clips the sum to F_max).
 
-    bodies : sequence of Body; One or more; their tracks have one length.
+    With `ForceProfile.surface_damping_n_s_per_m` b, b (v + omega x r) is added wherever a body has a force: b
+    times its velocity there, with r relative to its origin.
 
-    Raises `InvalidArgument` if there is no body, the tracks differ in length, a body that deforms has not a
-    frame for each pose, or the rate is not positive.
+    bodies : sequence of Body; One or more, with tracks of equal length.
+
+    Raises `InvalidArgument` if there is no body, the tracks differ in length, a deforming body does not have
+    a frame for each pose, or the rate is not positive.
     """
 
     def __init__(
@@ -53,56 +55,58 @@ class BodyScene(MovingScene):
         self._bodies = tuple(bodies)
         self.frame_count, self.rate_hz = count, float(rate_hz)
         self.axes, self.notes = axes, notes
-        self._still = tuple(body.is_rigid and body.track.is_still for body in bodies)
+        self._is_static = tuple(body.is_rigid and body.track.is_constant for body in bodies)
         self._velocities = cache(lambda n: self._bodies[n].track.velocities(self.rate_hz))
-        self._kept: tuple[Grid, ForceProfile, ForceField] | None = None
+        self._static_sum: tuple[Grid, ForceProfile, ForceField] | None = None
 
     def bodies(self) -> tuple[Body, ...]:
         return self._bodies
 
     def _box_m(self, start: int, stop: int) -> Float64s:
-        """The box that holds that of every body; planes count with their points, unless there is nothing
-        else.
+        """Return the box of all bodies.
+
+        Planes count as their points, unless there are only planes.
         """
         planes = [_planes_of(body.scene) for body in self._bodies]
         lows, highs = [], []
-        for body, still, points in zip(self._bodies, self._still, planes):
+        for body, is_static, points in zip(self._bodies, self._is_static, planes):
             box = body.scene.bounds_m()
-            if points is not None and any(each is None for each in planes):
+            if points is not None and any(group is None for group in planes):
                 box = np.stack([points.min(axis=0), points.max(axis=0)])
-            frames = slice(start, start + 1 if still else stop)
+            frames = slice(start, start + 1 if is_static else stop)
             low, high = _moved_boxes(box, body.track.rotations(frames), body.track.positions_m[frames])
             lows.append(low.min(axis=0))
             highs.append(high.max(axis=0))
         return np.stack([np.min(lows, axis=0), np.max(highs, axis=0)])
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """The sum of the fields of all bodies at the points of `grid`, each in its place.
+        """Return the sum of the fields of all bodies, in their poses, at the points of `grid`.
 
-        The sum of the bodies that stand still is kept for the latest grid and profile.
+        The sum of the static bodies is cached for the latest grid and profile.
 
-        Raises `InvalidArgument` if `frame` is not one of the scene's, or a body that is not at rest in the
-        scene's own frame cannot be moved (`Scene.moved`).
+        Raises `InvalidArgument` if there is no such frame, or a body cannot be moved to its pose
+        (`Scene.moved`).
         """
         require_frame(frame, self.frame_count)
-        still, moving = (np.flatnonzero(np.equal(self._still, which)).tolist() for which in (True, False))
+        static = np.flatnonzero(self._is_static).tolist()
+        moving = np.flatnonzero(np.logical_not(self._is_static)).tolist()
         parts = list[_Part]()
-        if still:
-            if self._kept is None or self._kept[:2] != (grid, profile):
-                self._kept = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
-            parts = [(self._kept[2], _AT_REST)]
+        if static:
+            if self._static_sum is None or self._static_sum[:2] != (grid, profile):
+                self._static_sum = grid, profile, _sum(grid, self._parts(static, 0, grid, profile))
+            parts = [(self._static_sum[2], _AT_REST)]
         return _sum(grid, [*parts, *self._parts(moving, frame, grid, profile)])
 
-    def _parts(self, which: Iterable[int], frame: int, grid: Grid, profile: ForceProfile) -> list[_Part]:
+    def _parts(self, indices: Iterable[int], frame: int, grid: Grid, profile: ForceProfile) -> list[_Part]:
         parts = list[_Part]()
-        for n in which:
+        for n in indices:
             body = self._bodies[n]
-            turn, shift, scene = body.track.rotation(frame), body.track.positions_m[frame], body.scene
-            if not (np.array_equal(turn, np.eye(3)) and not shift.any()):
-                scene = scene.moved(turn, shift)
+            rotation, shift, scene = body.track.rotation(frame), body.track.positions_m[frame], body.scene
+            if not (np.array_equal(rotation, np.eye(3)) and not shift.any()):
+                scene = scene.moved(rotation, shift)
             field = scene.field(0 if body.is_rigid else frame, grid, profile)
             motion, damping = _AT_REST, profile.surface_damping_n_s_per_m
-            if damping and not self._still[n]:  # origin, b v and b omega
+            if damping and not self._is_static[n]:  # origin, b v and b omega
                 velocity, spin = (damping * values[frame] for values in self._velocities(n))
                 motion = tuple(np.concatenate([body.track.positions_m[frame], velocity, spin]).tolist())
             parts.append((field, motion))
@@ -110,29 +114,29 @@ class BodyScene(MovingScene):
 
 
 def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:
-    """The sum of fields on a lattice."""
+    """Return the sum of fields on a lattice."""
     from touchfield.sources.shapes.kernels import add_body
 
     if len(parts) == 1 and parts[0][1] == _AT_REST:
         return parts[0][0]
-    places = [brick_keys(grid, field.bricks) for field, _ in parts]
-    keys = np.unique(np.concatenate([np.zeros(0, np.int64), *places]))
+    keys_of_parts = [brick_keys(grid, field.bricks) for field, _ in parts]
+    keys = np.unique(np.concatenate([np.zeros(0, np.int64), *keys_of_parts]))
     total, lattice = zero_forces(len(keys)), (*grid.origin_m, *grid.spacing_m)
-    for (field, motion), place in zip(parts, places):
-        work = field.bricks, field.forces_n, np.searchsorted(keys, place), lattice, motion, total
-        for_chunks(add_body, len(place), *work, chunk=32)
-    return field_that_holds(grid, bricks_of(grid, keys), total)
+    for (field, motion), part_keys in zip(parts, keys_of_parts):
+        arguments = field.bricks, field.forces_n, np.searchsorted(keys, part_keys), lattice, motion, total
+        for_chunks(add_body, len(part_keys), *arguments, chunk=32)
+    return field_without_empty_bricks(grid, bricks_of(grid, keys), total)
 
 
 def _moved_boxes(box_m: Float64s, turns: Float64s, shifts_m: Float64s) -> tuple[Float64s, Float64s]:
-    """Low and high corners, float64 [n, 3] each, of the boxes around a box after motions [n, 3, 3], [n, 3]."""
+    """Return low and high corners, float64 [n, 3], of a box after rotations [n, 3, 3] and shifts [n, 3]."""
     middle, half = box_m.mean(axis=0), np.ptp(box_m, axis=0) / 2
     centre, reach = turns @ middle + shifts_m, np.abs(turns) @ half
     return centre - reach, centre + reach
 
 
 def _planes_of(scene: Scene) -> Float64s | None:
-    """A point of each plane, float64 [n, 3], where a scene is of nothing but planes."""
+    """Return a point of each plane, float64 [n, 3], if a scene consists of planes only; else None."""
     if not isinstance(scene, AnalyticScene) or not all(isinstance(shape, Plane) for shape in scene.shapes):
         return None
     return scene.placed(

@@ -1,14 +1,13 @@
-"""Recorded contacts as a scene: where a probe was and what pushed it, from CSV or MCAP, as a field of forces.
+"""Recorded contacts as a scene: positions of a probe and forces on it, from CSV or MCAP, as a force field.
 
-Forces are those on the probe, in the axes and metres of the recording. Between samples stands a field that
-passes near them and has no curl (`CurlFree`): a Gaussian process whose potential has k(r) = exp(-r^2 / 2
-l^2). The forces, its gradient, then have the covariance (I - d d^T / l^2) exp(-r^2 / 2 l^2) / l^2 for two
-points d apart (Macedo and Castro 2010; Fuselier and Wright 2017). What each force is missed by where it was
-left out is known in closed form; length and noise are those that miss least. What a probe met of friction is
-no gradient: it is left over, and the share that is missed tells how much that is.
+Forces are those on the probe, in the axes and metres of the recording. They are interpolated by a curl-free
+field (`CurlFree`): a Gaussian process whose potential has the kernel k(r) = exp(-r^2 / 2 l^2). The forces,
+its gradient, then have the covariance (I - d d^T / l^2) exp(-r^2 / 2 l^2) / l^2 for two points at the offset
+d (Macedo and Castro 2010; Fuselier and Wright 2017). The leave-one-out error has a closed form; length and
+noise minimise it. Friction is not a gradient: it remains as a residual, and the relative error shows its
+size.
 
-The field is told within `REACH` lengths of its kernel of a sample that went into it: what the probe never met
-is not made up.
+The field extends to `REACH` kernel lengths from the samples used: there is no extrapolation beyond.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from touchfield.medium.trace import MAX_SAMPLES, ContactTrace, has_forces, read_
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Z_AXES, Scene, bricks_near
+from touchfield.sources.scene import UP_Z_AXES, Scene, find_bricks_by_sphere
 
 Triple = tuple[float, float, float]
 
@@ -40,30 +39,30 @@ _POSITIONS: Final = ("pose.position", "position", "point", "transform.translatio
 _FORCES: Final = ("wrench.force", "force")
 # schemas of geometry_msgs -> 0 for a position, 1 for a force
 _CDR: Final = {"PoseStamped": 0, "PointStamped": 0, "TransformStamped": 0, "WrenchStamped": 1}
-_WHAT: Final = "an MCAP file of positions and forces"
+_EXPECTED: Final = "an MCAP file of positions and forces"
 
-MOST_POINTS: Final = 350
+MAX_POINTS: Final = 350
 
-REACH: Final = 1.0  # lengths of the kernel: a sample so far off still tells 60 % of the potential
-_LEAST: Final = 4
+REACH: Final = 1.0  # kernel lengths: a sample at this distance still determines 60 % of the potential
+_MIN_POINTS: Final = 4
 _FARTHEST_M: Final = 1e4
 _STRONGEST_N: Final = 1e6
-_SEVERE: Final = 0.5
+_HIGH_ERROR: Final = 0.5
 _LENGTHS: Final = (1.0, 1.5, 2.25, 3.5, 5.0)
 _NOISES: Final = (1e-4, 1e-2, 0.1, 0.5)
-_AT_ONCE: Final = 1024
+_CHUNK: Final = 1024
 
 
 @dataclass(frozen=True)
 class CurlFree:
-    """The field of some forces."""
+    """A curl-free interpolant of forces."""
 
     points_m: Float64s  # float64 [n, 3]
     weights: Float64s  # float64 [n, 3]
     length_m: float  # l of the kernel
-    missed: float  # RMS of what each force is missed by where it was left out, over that of the forces
-    noise: float  # variance of what is no such field, over that of the field
-    scale_n: float  # standard deviation of a component where nothing is known: as the forces have it
+    relative_error: float  # RMS of the leave-one-out errors, over that of the forces
+    noise: float  # variance of the residual, over that of the field
+    scale_n: float  # prior standard deviation of a component: that of the forces
 
     @classmethod
     def through(
@@ -74,88 +73,92 @@ class CurlFree:
         noise: float,
         kernel: Float64s | None = None,
     ) -> CurlFree:
-        """The field of forces, `points_m` and `forces_n` float64 [n, 3]; `kernel` where `covariances` are
-        known.
+        """Interpolate forces, `points_m` and `forces_n` float64 [n, 3].
+
+        `kernel` are the `covariances` of the points, if known.
         """
         from scipy.linalg.lapack import dtrtri
 
         kernel = covariances(points_m / length_m) if kernel is None else kernel
-        count, size = len(points_m), float(np.sqrt(np.mean(forces_n**2))) or 1.0
+        count = len(points_m)
+        size = float(np.sqrt(np.mean(forces_n**2))) or 1.0
         target = forces_n.reshape(-1) / size
         factor = np.linalg.cholesky(kernel + noise * np.eye(len(target)))
         half = dtrtri(factor, lower=1)[0]  # the inverse is half.T @ half
         solved = half.T @ (half @ target)
         columns = half.reshape(len(target), count, 3)
-        own = np.einsum("kni,knj->nij", columns, columns)
-        left = np.linalg.solve(own, solved.reshape(-1, 3, 1))
-        missed = float(np.sqrt(np.mean(left**2)))
+        blocks = np.einsum("kni,knj->nij", columns, columns)
+        residuals = np.linalg.solve(blocks, solved.reshape(-1, 3, 1))
+        relative_error = float(np.sqrt(np.mean(residuals**2)))
         return cls(
-            points_m, size * solved.reshape(-1, 3), length_m, missed, noise, size / math.sqrt(1 + noise)
+            points_m,
+            size * solved.reshape(-1, 3),
+            length_m,
+            relative_error,
+            noise,
+            size / math.sqrt(1 + noise),
         )
 
     @classmethod
     def fitted(cls, points_m: Float64s, forces_n: Float64s, spacing_m: float) -> CurlFree:
-        """The field that misses least of forces left out.
+        """Return the interpolant with the smallest leave-one-out error.
 
-        `points_m`, `forces_n` float64 [n, 3]: at least 4, some force among them, no two points in one place;
-        `spacing_m` float: how far points are apart, of which the lengths that are tried are multiples.
+        `points_m`, `forces_n` float64 [n, 3]: at least 4, not all forces 0, no two points equal; `spacing_m`
+        float: spacing of the points; the lengths that are tried are multiples of it.
         """
         fits = []
         for length_m in (length * spacing_m for length in _LENGTHS):
             kernel = covariances(points_m / length_m)
             fits += [cls.through(points_m, forces_n, length_m, noise, kernel) for noise in _NOISES]
-        return min(fits, key=lambda one: one.missed)
+        return min(fits, key=lambda fit: fit.relative_error)
 
     def forces_n(self, at_m: Float64s, reach_m: float = math.inf) -> Float64s:
-        """Newtons, float64 [n, 3], at points, float64 [n, 3]; 0 where no point of the field is within reach."""
+        """Return forces, newtons, float64 [n, 3], at points [n, 3]; 0 beyond `reach_m`."""
         from touchfield.sources.shapes.kernels import add_forces
 
         at, points = np.ascontiguousarray(at_m / self.length_m), self.points_m / self.length_m
         forces = np.zeros((len(at), 3))
         reach = reach_m / self.length_m
-        for_chunks(add_forces, len(at), at, points, self.weights, reach, forces, chunk=_AT_ONCE)
+        for_chunks(add_forces, len(at), at, points, self.weights, reach, forces, chunk=_CHUNK)
         return forces
 
 
 def covariances(points: Float64s, others: Float64s | None = None) -> Float64s:
-    """Covariances of the forces at points and at others (or the same), all in lengths of the kernel.
+    """Return covariances of the forces at points and at others (or the same), in kernel lengths.
 
-    Float64 [3 n, 3 m] of float64 [n, 3] and [m, 3]; times l^2, so that a point's own are 1.
+    Float64 [3 n, 3 m] for float64 [n, 3] and [m, 3]; times l^2, so that variances are 1.
     """
-    apart = points.T[:, :, None] - (points if others is None else others).T[:, None]
-    near = np.exp(-0.5 * (apart**2).sum(axis=0))
-    merged = np.empty((len(near), 3, near.shape[1], 3))
+    offsets = points.T[:, :, None] - (points if others is None else others).T[:, None]
+    gaussian = np.exp(-0.5 * (offsets**2).sum(axis=0))
+    blocks = np.empty((len(gaussian), 3, gaussian.shape[1], 3))
     for i, j in np.ndindex(3, 3):
-        merged[:, i, :, j] = (float(i == j) - apart[i] * apart[j]) * near
-    return merged.reshape(3 * len(near), -1)
+        blocks[:, i, :, j] = (float(i == j) - offsets[i] * offsets[j]) * gaussian
+    return blocks.reshape(3 * len(gaussian), -1)
 
 
-def thinned_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, Float64s, float]:
-    """Means over the cells of a lattice, as fine as `MOST_POINTS` allow.
+def thin_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, Float64s, float]:
+    """Average contacts over the cells of a lattice, the finest with at most `MAX_POINTS` occupied cells.
 
-    Gives points and forces, float64 [m, 3], m at most `MOST_POINTS`, and the side of a cell, or less where
-    the points lie closer than that.
+    Returns points and forces, float64 [m, 3], m at most `MAX_POINTS`, and the side of a cell.
     """
     low = points_m.min(axis=0)
     extent = float((points_m.max(axis=0) - low).max())
     side = extent / 256
     while True:
         cells = np.floor((points_m - low) / side).astype(np.int64)
-        _, of, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-        if len(counts) <= MOST_POINTS:
+        _, cell_of, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+        if len(counts) <= MAX_POINTS:
             break
         side *= 1.15
     sums = [
-        np.stack([np.bincount(of.reshape(-1), c) for c in values.T], axis=1)
+        np.stack([np.bincount(cell_of.reshape(-1), c) for c in values.T], axis=1)
         for values in (points_m, forces_n)
     ]
     return sums[0] / counts[:, None], sums[1] / counts[:, None], side
 
 
 def require_contacts(trace: ContactTrace, where: str) -> None:
-    """`SourceError` if all is in one place, there is no force at all, or numbers are beyond what any probe
-    meets.
-    """
+    """Raise `SourceError` if all positions are equal, all forces are 0, or values are implausibly large."""
     with np.errstate(over="ignore"):
         extent = np.ptp(trace.positions_m, axis=0).max()
     if not (extent < _FARTHEST_M and np.abs(trace.forces_n).max() < _STRONGEST_N):
@@ -169,8 +172,9 @@ def require_contacts(trace: ContactTrace, where: str) -> None:
 
 
 class ContactScene(Scene):
-    """Forces that were recorded, as a field that stands still; `SourceError` as `require_contacts`, or of too
-    few.
+    """Recorded forces as a static field.
+
+    Raises `SourceError` as in `require_contacts`, or if there are too few.
     """
 
     axes = UP_Z_AXES
@@ -179,69 +183,66 @@ class ContactScene(Scene):
 
     def __init__(self, trace: ContactTrace, where: str = "trace") -> None:
         require_contacts(trace, where)
-        points_m, forces_n, spacing_m = thinned_contacts(trace.positions_m, trace.forces_n)
-        if len(points_m) < _LEAST:
+        points_m, forces_n, spacing_m = thin_contacts(trace.positions_m, trace.forces_n)
+        if len(points_m) < _MIN_POINTS:
             raise SourceError(
-                where, f"{len(points_m)} places", f"at least {_LEAST}", "Record a longer contact."
+                where, f"{len(points_m)} places", f"at least {_MIN_POINTS}", "Record a longer contact."
             )
         self.interpolant = CurlFree.fitted(points_m, forces_n, spacing_m)
         self.reach_m = REACH * self.interpolant.length_m
-        missed = self.interpolant.missed
+        error = self.interpolant.relative_error
         self.notes = (
-            f"A field with no curl through {len(points_m)} means of {len(trace.positions_m)} samples: forces "
-            "that "
-            f"are left out are missed by {100 * missed:.3g} %; none are told beyond {1e3 * self.reach_m:.3g} "
-            "mm of "
-            "a sample; the force law is ignored.",
+            f"A curl-free field through {len(points_m)} means of {len(trace.positions_m)} samples, with a "
+            f"leave-one-out error of {100 * error:.3g} %; no force beyond {1e3 * self.reach_m:.3g} mm of a "
+            "sample; the force law is ignored.",
         )
-        if missed > _SEVERE:
+        if error > _HIGH_ERROR:
             self.notes += (
-                "So much of these forces is no gradient: friction, inertia, or another contact each time. "
-                "The "
-                "field is a rough mean of them.",
+                "This part of the forces is not a gradient: friction, inertia, or varying contacts. The "
+                "field "
+                "is a rough mean of them.",
             )
 
     def bounds_m(self) -> Float64s:
-        """The box of the trace, float64 [2, 3]."""
+        """Return the box of the trace, float64 [2, 3]."""
         points = self.interpolant.points_m
         return np.stack([points.min(axis=0) - self.reach_m, points.max(axis=0) + self.reach_m])
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """See `Scene.field`; neither frame nor law matter."""
+        """See `Scene.field`; frame and law are ignored."""
         from scipy.spatial import KDTree
 
         tree = KDTree(self.interpolant.points_m)
 
         def may_hold(centres: Float64s, radius_m: float) -> Bools:
-            near: Bools = tree.query(centres, distance_upper_bound=self.reach_m + radius_m)[0] < np.inf
-            return near
+            is_within: Bools = tree.query(centres, distance_upper_bound=self.reach_m + radius_m)[0] < np.inf
+            return is_within
 
-        bricks = bricks_near(may_hold, grid)
+        bricks = find_bricks_by_sphere(may_hold, grid)
         return field_of_points(grid, bricks, lambda points: self.interpolant.forces_n(points, self.reach_m))
 
 
-# -- MCAP, the container of robotics recordings (extra: mcap) ------------------------------------------------
+# -- MCAP, the container of robotics recordings (extra: mcap) ----------------------------------------------
 
 # Messages are JSON, or CDR of ROS 2 with the schemas of geometry_msgs for a stamped pose, point, transform
-# and wrench. The first channel that tells positions and the first that tells forces are taken, by the times
-# of the log; the place of a force is interpolated between its neighbours.
+# and wrench. The first channel with positions and the first with forces are used, with log times; the
+# position of a force is interpolated.
 
 
 def read_mcap(path: Path) -> ContactTrace:
-    """The contacts in an ``.mcap`` file.
+    """Read the contacts in an ``.mcap`` file.
 
     Raises `MissingExtra` if the library mcap is not installed; `SourceError` if the file cannot be read, a
     message is damaged, or there are no positions or no forces.
     """
-    faults, reader = (
-        import_extra(f"mcap.{part}", str(path), "mcap", "mcap") for part in ("exceptions", "reader")
-    )
-    require_plain(path, _WHAT)
+    faults = import_extra("mcap.exceptions", str(path), "mcap", "mcap")
+    reader = import_extra("mcap.reader", str(path), "mcap", "mcap")
+    require_plain(path, _EXPECTED)
     rows_of: tuple[dict[int, list[tuple[float, ...]]], ...] = ({}, {})
     names: dict[str, None] = {}
     count = 0
     try:
-        with readable(path, _WHAT, "Check path and rights."), path.open("rb") as file:
+        with readable(path, _EXPECTED, "Check path and rights."), path.open("rb") as file:
             for schema, channel, message in reader.make_reader(file).iter_messages():  # by time
                 name = schema.name if schema is not None else ""
                 names[f"{channel.topic} ({name}, {channel.message_encoding})"] = None
@@ -252,15 +253,15 @@ def read_mcap(path: Path) -> ContactTrace:
                     count += 1
                 if count > 2 * MAX_SAMPLES:
                     raise SourceError(
-                        str(path), f"more than {2 * MAX_SAMPLES} messages", _WHAT, "Cut it in parts."
+                        str(path), f"more than {2 * MAX_SAMPLES} messages", _EXPECTED, "Cut it in parts."
                     )
     except (faults.McapError, struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
-        raise SourceError(str(path), f"no sound MCAP ({error})", _WHAT) from error
-    for rows, what in zip(rows_of, ("positions", "forces")):
+        raise SourceError(str(path), f"no sound MCAP ({error})", _EXPECTED) from error
+    for rows, quantity in zip(rows_of, ("positions", "forces")):
         if not rows:
-            shown = ", ".join(list(names)[:6]) or "no message"
-            expected = f"{what}: JSON, or CDR of geometry_msgs ({', '.join(_CDR)})"
-            raise SourceError(str(path), f"no {what} in {shown}", expected)
+            listed = ", ".join(list(names)[:6]) or "no message"
+            expected = f"{quantity}: JSON, or CDR of geometry_msgs ({', '.join(_CDR)})"
+            raise SourceError(str(path), f"no {quantity} in {listed}", expected)
     positions, forces = (np.array(next(iter(rows.values()))) for rows in rows_of)
     if not (np.isfinite(positions).all() and np.isfinite(forces).all()):
         raise SourceError(str(path), "a number that is not finite", "finite metres and newtons")
@@ -268,12 +269,14 @@ def read_mcap(path: Path) -> ContactTrace:
     if not is_between.any():
         raise SourceError(str(path), "forces at other times than positions", "both at the same times")
     forces = forces[is_between]
-    places = np.stack([np.interp(forces[:, 0], positions[:, 0], of) for of in positions[:, 1:].T], axis=1)
-    return ContactTrace(places, forces[:, 1:])
+    positions_m = np.stack(
+        [np.interp(forces[:, 0], positions[:, 0], of) for of in positions[:, 1:].T], axis=1
+    )
+    return ContactTrace(positions_m, forces[:, 1:])
 
 
 def _contents(name: str, encoding: str, data: bytes, where: str) -> list[tuple[int, Triple]]:
-    """Contents of a message: 0 and a position, 1 and a force."""
+    """Return the contents of a message: (0, position) and (1, force)."""
     kind = name.rpartition("/")[2]
     if encoding == "cdr":
         return [(_CDR[kind], _cdr(data, kind, where))] if kind in _CDR else []
@@ -284,19 +287,19 @@ def _contents(name: str, encoding: str, data: bytes, where: str) -> list[tuple[i
     except ValueError as error:
         raise SourceError(where, f"no JSON ({error})", "a JSON message") from None
     contents = []
-    for nth, paths in enumerate((_POSITIONS, _FORCES)):
+    for quantity, paths in enumerate((_POSITIONS, _FORCES)):
         for keys in paths:
             inner = value
             for key in keys.split("."):
                 inner = inner.get(key) if isinstance(inner, dict) else None
             if isinstance(inner, dict) and all(type(inner.get(axis)) in (int, float) for axis in "xyz"):
-                contents.append((nth, (float(inner["x"]), float(inner["y"]), float(inner["z"]))))
+                contents.append((quantity, (float(inner["x"]), float(inner["y"]), float(inner["z"]))))
                 break
     return contents
 
 
 def _cdr(data: bytes, kind: str, where: str) -> Triple:
-    """Three doubles behind a header: stamp, name of the frame (of a transform, of both)."""
+    """Read three doubles after a header of stamp and frame name (two names for a transform)."""
     order = "<" if data[1:2] == b"\x01" else ">"
     body, at = data[4:], 8
     for _ in range(2 if kind == "TransformStamped" else 1):
@@ -311,7 +314,7 @@ def _cdr(data: bytes, kind: str, where: str) -> Triple:
 
 
 def recorded_contacts(path: Path) -> ContactTrace | None:
-    """The contacts in a recording; None if the file is none."""
+    """Read the contacts in a recording; None if the file is not one."""
     return _read(path) if _recognise(path) else None
 
 

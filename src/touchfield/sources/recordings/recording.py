@@ -1,8 +1,8 @@
-"""A recorded acceleration of a tool that slides: ``.wav``, or comma-separated text.
+"""Recorded accelerations of a sliding tool: ``.wav``, or comma-separated text.
 
 Text names its columns in its first line: ``t_s``, evenly spaced, and one axis, ``a_m_s2``, or three,
-``ax_m_s2,ay_m_s2,az_m_s2``. Other columns are ignored. Sound has no unit: one to three
-channels, whose full scale the caller tells.
+``ax_m_s2,ay_m_s2,az_m_s2``. Other columns are ignored. Sound has one to three channels
+and no unit: the caller gives its full scale.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.files import plain_size, readable
 from touchfield.medium.field import frozen
-from touchfield.sources.poses import read_text, words_of
+from touchfield.sources.poses import read_text, split_lines
 
 STANDARD_GRAVITY_M_S2: Final = 9.80665
 _COLUMNS: Final = (("t_s", "a_m_s2"), ("t_s", "ax_m_s2", "ay_m_s2", "az_m_s2"))
 _EXAMPLE: Final = "a first line such as t_s,ax_m_s2,ay_m_s2,az_m_s2 or t_s,a_m_s2"
 _UNEVEN: Final = 0.05
-_MOST_BYTES: Final = 1 << 28
+_MAX_BYTES: Final = 1 << 28
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Recording:
     """Accelerations over time.
 
     rate_hz : float; samples a second, positive.
-    acceleration_m_s2 : float64 [n, 3]; of one axis the other two are zero.
-    Raises `InvalidArgument` if the shape is another, there is no sample, or a number is not finite.
+    acceleration_m_s2 : float64 [n, 3]; for a recording of one axis the other two are zero.
+    Raises `InvalidArgument` if the shape differs, there is no sample, or a number is not finite.
     """
 
     rate_hz: float
@@ -53,11 +53,11 @@ class Recording:
 
 
 def read_recording(path: str | Path, full_scale_m_s2: float = STANDARD_GRAVITY_M_S2) -> Recording:
-    """Read a recording of the form above, told by its name.
+    """Read a recording of the form above, recognised by its name.
 
-    full_scale_m_s2 : float; acceleration of a sample of 1.0, or of the greatest whole number, of a ``.wav``.
-    Raises `SourceError` if the file cannot be read or holds something else, a number is not finite, or its
-    times are not evenly spaced. It names the line.
+    full_scale_m_s2 : float; acceleration of a full-scale sample (1.0, or the largest integer) of a ``.wav``.
+    Raises `SourceError`, which names the line, if the file cannot be read or has another content, a number is
+    not finite, or its times are not evenly spaced.
     """
     where = Path(path)
     require_positive(full_scale_m_s2=full_scale_m_s2)
@@ -67,33 +67,33 @@ def read_recording(path: str | Path, full_scale_m_s2: float = STANDARD_GRAVITY_M
             str(where), f"a name that ends in {kind!r}", ".wav or .csv", "Export it as one of these."
         )
     rate_hz, samples = _read_wav(where) if kind == ".wav" else _read_csv(where)
-    own = np.zeros((len(samples), 3))
-    own[:, : samples.shape[1]] = samples * (full_scale_m_s2 if kind == ".wav" else 1.0)
-    return Recording(rate_hz, own)
+    acceleration = np.zeros((len(samples), 3))
+    acceleration[:, : samples.shape[1]] = samples * (full_scale_m_s2 if kind == ".wav" else 1.0)
+    return Recording(rate_hz, acceleration)
 
 
 def _read_wav(where: Path) -> tuple[float, Float64s]:
     from scipy.io import wavfile
 
     with readable(where, "a .wav file", "Check path and rights."):
-        if plain_size(where, "a .wav file") > _MOST_BYTES:
+        if plain_size(where, "a .wav file") > _MAX_BYTES:
             raise SourceError(str(where), "more than 256 MiB", "a recording of some seconds", "Cut it.")
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", wavfile.WavFileWarning)
-                rate_hz, read = wavfile.read(where)
+                rate_hz, stored = wavfile.read(where)
         except (ValueError, EOFError, struct.error, TypeError, ZeroDivisionError) as error:
             raise SourceError(
                 str(where), f"what is no sound ({error})", "a .wav file of PCM or float"
             ) from error
-    samples = read.reshape(len(read), -1).astype(np.float64)
+    samples = stored.reshape(len(stored), -1).astype(np.float64)
     if not (samples.size and 1 <= samples.shape[1] <= 3 and rate_hz > 0):
         found = f"{samples.shape[1]} channels of {len(samples)} samples at {rate_hz} Hz"
         raise SourceError(str(where), found, "1 to 3 channels of samples, the axes")
-    if read.dtype == np.uint8:
+    if stored.dtype == np.uint8:
         samples = (samples - 128) / 128
-    elif read.dtype.kind == "i":
-        samples = samples / -float(np.iinfo(read.dtype).min)
+    elif stored.dtype.kind == "i":
+        samples = samples / -float(np.iinfo(stored.dtype).min)
     if not np.isfinite(samples).all():
         sample = np.flatnonzero(~np.isfinite(samples).all(axis=1))[0]
         raise SourceError(f"{where} sample {sample}", "a number that is not finite", "finite numbers")
@@ -101,22 +101,22 @@ def _read_wav(where: Path) -> tuple[float, Float64s]:
 
 
 def _read_csv(where: Path) -> tuple[float, Float64s]:
-    lines = words_of(read_text(where), str(where), ",")
+    lines = split_lines(read_text(where), str(where), ",")
     if len(lines) < 3:
         raise SourceError(str(where), f"{len(lines)} lines", f"{_EXAMPLE}, and two samples or more")
     head, names = lines[0][0], [name.lower() for name in lines[0][1]]
-    known = [columns for columns in _COLUMNS if set(columns) <= set(names)]
-    if len(known) != 1:
+    matching = [columns for columns in _COLUMNS if set(columns) <= set(names)]
+    if len(matching) != 1:
         raise SourceError(head, repr(",".join(names)[:80]), _EXAMPLE, "Name the columns so.")
-    places = [names.index(name) for name in known[0]]
-    rows = np.zeros((len(lines) - 1, len(places)))
-    for row, (line, words) in zip(rows, lines[1:]):
+    indices = [names.index(name) for name in matching[0]]
+    rows = np.zeros((len(lines) - 1, len(indices)))
+    for row, (line, cells) in zip(rows, lines[1:]):
         try:
-            row[:] = [float(words[place]) for place in places]
+            row[:] = [float(cells[index]) for index in indices]
         except (ValueError, IndexError):
             row[:] = np.nan
         if not np.isfinite(row).all():
-            raise SourceError(line, repr(",".join(words)[:60]), "finite numbers, one in each column")
+            raise SourceError(line, repr(",".join(cells)[:60]), "finite numbers, one in each column")
     steps = np.diff(rows[:, 0])
     step_s = float(np.median(steps))
     uneven = (

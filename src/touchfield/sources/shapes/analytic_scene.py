@@ -1,7 +1,7 @@
-"""Shapes with a formula as a scene: the exact field that voxel fields are measured against.
+"""Analytic shapes as a scene: the exact field that voxel fields are compared with.
 
-F = f(phi) n with phi and n from `touchfield.sources.shapes.shapes`, evaluated brick by brick in float64 where
-a bound of phi says that there may be a force.
+F = f(phi) n with phi and n from `touchfield.sources.shapes.shapes`, evaluated brick by brick in float64
+wherever a bound of phi allows a force.
 
 From a ``.toml`` file::
 
@@ -10,7 +10,7 @@ From a ``.toml`` file::
     combine = "sum"                                # or "union"; optional
 
     [[shape]]
-    kind = "sphere"                                # plane, sphere, box, superquadric, capsule, cylinder, ellipsoid
+    kind = "sphere"                                # or another of `touchfield.sources.shapes.shapes.SHAPES`
     center_m = [0.0, 0.0, 0.0]
     radius_m = 0.05
 
@@ -29,7 +29,7 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Bools, Float64s
-from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_one_of, require_positive
+from touchfield.errors import InvalidArgument, SourceError, as_source_error, require_one_of, require_positive
 from touchfield.json_values import JsonValue
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import field_of_points
@@ -37,7 +37,7 @@ from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.poses import read_text
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_near
+from touchfield.sources.scene import UP_Y_AXES, Scene, find_bricks_by_sphere
 from touchfield.sources.shapes.shapes import SHAPES, Plane, Shape, checked_triple
 
 _MAX_BYTES: Final = 1 << 24
@@ -46,11 +46,11 @@ COMBINATIONS: Final = ("sum", "union")
 
 
 class AnalyticScene(Scene):
-    """One or several shapes, standing still.
+    """One or several static shapes.
 
-    combine : str; "sum": the forces of the shapes are added. "union": the nearest surface alone acts, phi the
-        least of all and n its normal; exact outside, while within an overlap phi is that of the shape entered
-        deepest, not the distance to the joint surface.
+    combine : str; "sum": the forces of the shapes are added. "union": only the nearest surface acts, phi
+        being the smallest of all and n its normal; exact outside, while within an overlap phi is that of the
+        most deeply penetrated shape, not the distance to the joint surface.
 
     Raises `InvalidArgument` if there is no shape or `combine` is another word.
     """
@@ -69,8 +69,9 @@ class AnalyticScene(Scene):
         self.axes, self.rate_hz = axes, float(rate_hz)
 
     def bounds_m(self) -> Float64s:
-        """The box of the shapes; a plane counts with a square of one metre alone, with its point among
-        others.
+        """Return the box of the shapes.
+
+        A plane counts as its point, or, if there are only planes, as a square of one metre.
         """
         boxes = [shape.box_m() for shape in self.shapes if not isinstance(shape, Plane)]
         planes = [shape for shape in self.shapes if isinstance(shape, Plane)]
@@ -82,27 +83,30 @@ class AnalyticScene(Scene):
         return np.stack([middle - reach, middle + reach])
 
     def moved(self, rotation: Float64s, shift_m: Float64s) -> AnalyticScene:
-        """See `Scene.moved`; `InvalidArgument` if `rotation` is not a rotation, or a number is not finite."""
-        other, more = copy.copy(self), checked_rotation(rotation)
+        """See `Scene.moved`.
+
+        Raises `InvalidArgument` if `rotation` is not a rotation, or a number is not finite.
+        """
+        other, matrix = copy.copy(self), checked_rotation(rotation)
         turn, shift = self._motion or (np.eye(3), np.zeros(3))
-        other._motion = more @ turn, more @ shift + checked_triple("shift_m", shift_m)
+        other._motion = matrix @ turn, matrix @ shift + checked_triple("shift_m", shift_m)
         return other
 
     def placed(self, points_m: Float64s) -> Float64s:
-        """Points of the shapes, metres, float64 [..., 3], where `moved` has put them."""
-        return (
-            points_m if self._motion is None else np.asarray(points_m @ self._motion[0].T + self._motion[1])
-        )
+        """Apply the motion of `moved` to points of the shapes, metres, float64 [..., 3]."""
+        if self._motion is None:
+            return points_m
+        return np.asarray(points_m @ self._motion[0].T + self._motion[1])
 
-    def _back(self, points_m: Float64s) -> Float64s:
-        return (
-            points_m if self._motion is None else np.asarray((points_m - self._motion[1]) @ self._motion[0])
-        )
+    def _to_local(self, points_m: Float64s) -> Float64s:
+        if self._motion is None:
+            return points_m
+        return np.asarray((points_m - self._motion[1]) @ self._motion[0])
 
     def forces_n(self, points_m: Float64s, profile: ForceProfile) -> Float64s:
-        """Newtons, float64 [n, 3], at points in metres, float64 [n, 3]."""
-        own_m = self._back(points_m)
-        of_shapes = (shape.signed_distance_and_normal(own_m) for shape in self.shapes)
+        """Return forces, newtons, float64 [n, 3], at points in metres, float64 [n, 3]."""
+        local_m = self._to_local(points_m)
+        of_shapes = (shape.signed_distance_and_normal(local_m) for shape in self.shapes)
         phi, normal = map(np.stack, zip(*of_shapes, strict=True))
         if self.combine == "union":
             nearest = phi.argmin(axis=0)[None]
@@ -112,25 +116,28 @@ class AnalyticScene(Scene):
         return forces if self._motion is None else forces @ self._motion[0].T
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """See `Scene.field`; `frame` does not matter."""
+        """See `Scene.field`; `frame` is ignored."""
         acting = [piece for piece in profile.pieces if piece[2] or piece[3]]
 
         def may_act(centres: Float64s, radius_m: float) -> Bools:
             may_hold = np.zeros(len(centres), np.bool_)
-            own_m = self._back(centres)
-            for low, high in (shape.distance_range(own_m, radius_m) for shape in self.shapes):
+            local_m = self._to_local(centres)
+            for low, high in (shape.distance_range(local_m, radius_m) for shape in self.shapes):
                 for piece_low, piece_high, *_ in acting:
                     may_hold |= (low <= piece_high) & (high > piece_low)
             return may_hold
 
         return field_of_points(
-            grid, bricks_near(may_act, grid), lambda points: self.forces_n(points, profile)
+            grid, find_bricks_by_sphere(may_act, grid), lambda points: self.forces_n(points, profile)
         )
 
 
-# -- from a file ---------------------------------------------------------------------------------------------
+# -- from a file -------------------------------------------------------------------------------------------
 def read_toml(path: Path, expected: str) -> JsonValue:
-    """The table of a TOML file of up to 16 MiB; `SourceError` if it cannot be read, is longer, or is no TOML."""
+    """Read a TOML file of up to 16 MiB.
+
+    Raises `SourceError` if it cannot be read, is longer, or is not TOML.
+    """
     try:
         return JsonValue(tomllib.loads(read_text(path, _MAX_BYTES)), str(path))
     except (ValueError, RecursionError) as error:
@@ -138,7 +145,10 @@ def read_toml(path: Path, expected: str) -> JsonValue:
 
 
 def tables(table: JsonValue, name: str) -> list[JsonValue]:
-    """At least one table of ``[[name]]``, called "name 1" and so on; `SourceError` for anything else."""
+    """Return the tables ``[[name]]``, named "name 1" and so on.
+
+    Raises `SourceError` if there is none.
+    """
     value = table.value.get(name)
     if not isinstance(value, list) or not value or not all(isinstance(entry, dict) for entry in value):
         raise SourceError(f"{table.file}: {name}", "no list of tables", f"at least one [[{name}]] table")
@@ -146,25 +156,23 @@ def tables(table: JsonValue, name: str) -> list[JsonValue]:
 
 
 def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
-    """Read a scene of shapes; `rate_hz` stands in where the file gives none.
+    """Read a scene of shapes; `rate_hz` is used if the file has none.
 
-    Raises `SourceError` if the file cannot be read, is no TOML, or a key is unknown, missing or holds the
-    wrong thing.
+    Raises `SourceError` if the file cannot be read, is not TOML, or a key is unknown, missing or invalid.
     """
     table = read_toml(path, "a TOML file with [[shape]] tables")
     table.only(("axes", "rate_hz", "combine", "shape"))
     shapes = [shape_of_table(entry) for entry in tables(table, "shape")]
     axes, combine = table.at("axes", UP_Y_AXES).text(), table.at("combine", "sum").text()
     rate = table.at("rate_hz", rate_hz or 30.0).number()
-    with blamed_on(f"{path}: "):
+    with as_source_error(f"{path}: "):
         return AnalyticScene(shapes, combine, axes, rate)
 
 
 def shape_of_table(entry: JsonValue) -> Shape:
-    """The shape that a table describes: its kind, and the parameters of that kind.
+    """Return the shape of a table: its kind, and the parameters of that kind.
 
-    Raises `SourceError` if the kind is unknown, or a parameter is unknown, missing or at fault; it names the
-    key.
+    Raises `SourceError`, which names the key, if the kind or a parameter is unknown, missing or invalid.
     """
     kind = entry.at("kind").text(tuple(SHAPES))
     fields = dataclasses.fields(SHAPES[kind])  # type: ignore[arg-type]
@@ -174,9 +182,11 @@ def shape_of_table(entry: JsonValue) -> Shape:
         if f.name in entry.members() or f.default is dataclasses.MISSING:
             value = entry.at(f.name)
             is_list = isinstance(value.value, list)
-            values[f.name] = tuple(one.number() for one in value.each()) if is_list else value.number()
+            values[f.name] = (
+                tuple(number.number() for number in value.elements()) if is_list else value.number()
+            )
     try:
-        with blamed_on(f"{entry.file}: {entry.place}."):
+        with as_source_error(f"{entry.file}: {entry.location}."):
             return SHAPES[kind](**values)
     except (TypeError, ValueError) as error:
         raise entry.wrong("a number for a list, or a list for a number", f"the keys of a {kind}") from error

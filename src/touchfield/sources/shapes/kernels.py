@@ -1,4 +1,4 @@
-"""Compiled loops of shapes, recorded contacts and bodies in motion, each small."""
+"""Small compiled loops of shapes, recorded contacts and moving bodies."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from typing import Final
 
 import numpy as np
 
-from touchfield.compute.jit import entry, kernel
+from touchfield.compute.coder_jit import entry
+from touchfield.compute.jit import kernel
 
-_MOST_STEPS: Final = (
-    60  # of Newton's iteration; where it is slowest, beside the focal ellipse, about ten are needed
-)
-_FAR = 50.0  # of r^2 / l^2, where exp(-r^2 / 2 l^2) is 1e-11
+_MAX_STEPS: Final = 60  # of Newton's iteration; at its slowest, near the focal ellipse, it needs about ten
+_CUTOFF = 50.0  # of r^2 / l^2, at which exp(-r^2 / 2 l^2) is 1e-11
 
 
 @kernel
 def greatest_roots(scaled, ratio):
-    """u >= 0 with sum (r_i z_i / (u + r_i - 1))^2 = 1, float64 [n]; 0 where the sum is below 1 everywhere.
+    """Solve sum (r_i z_i / (u + r_i - 1))^2 = 1 for u >= 0, float64 [n].
+
+    Returns 0 if the sum is always below 1.
 
     `scaled` float64 [n, 3]: z_i = |p_i| / e_i; `ratio` float64 [3]: r_i = (e_i / e_min)^2.
     """
@@ -26,7 +27,7 @@ def greatest_roots(scaled, ratio):
         root = 0.0
         for i in range(3):  # no term may exceed 1 at the root
             root = max(root, ratio[i] * scaled[k, i] - (ratio[i] - 1.0))
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             square = fall = 0.0
             for i in range(3):
                 denominator = root + (ratio[i] - 1.0)
@@ -45,36 +46,43 @@ def greatest_roots(scaled, ratio):
 
 
 @entry
-def add_forces(begin, end, at, points, weights, reach, out):
-    """Forces at `at`, float64 [n, 3], in lengths of the kernel; 0 where no point is within `reach`."""
-    for i in range(begin, end):
+def add_forces(start, stop, positions, points, weights, reach, out):
+    """Add forces at `positions`, float64 [n, 3], in kernel lengths.
+
+    Forces are 0 if no point is within `reach`.
+    """
+    for i in range(start, stop):
         nearest = math.inf
         fx = fy = fz = 0.0
         for j in range(len(points)):
-            dx, dy, dz = at[i, 0] - points[j, 0], at[i, 1] - points[j, 1], at[i, 2] - points[j, 2]
+            dx, dy, dz = (
+                positions[i, 0] - points[j, 0],
+                positions[i, 1] - points[j, 1],
+                positions[i, 2] - points[j, 2],
+            )
             squared = dx * dx + dy * dy + dz * dz
             if squared < nearest:
                 nearest = squared
-            if squared < _FAR:
-                share = math.exp(-0.5 * squared)
+            if squared < _CUTOFF:
+                weight = math.exp(-0.5 * squared)
                 wx, wy, wz = weights[j, 0], weights[j, 1], weights[j, 2]
                 along = dx * wx + dy * wy + dz * wz
-                fx += share * (wx - along * dx)
-                fy += share * (wy - along * dy)
-                fz += share * (wz - along * dz)
+                fx += weight * (wx - along * dx)
+                fy += weight * (wy - along * dy)
+                fz += weight * (wz - along * dz)
         if nearest <= reach * reach:
             out[i, 0], out[i, 1], out[i, 2] = fx, fy, fz
 
 
 @kernel
-def add_body(begin, end, bricks, forces, slots, lattice, motion, total):
+def add_body(start, stop, bricks, forces, slots, lattice, motion, total):
     """Add a body's forces, on a lattice of origin and spacing, to the bricks `slots` of a sum.
 
-    Wherever it has a force, b (v + omega x r) too: `motion` is its origin, metres; b v, newtons; b omega,
+    Where there is a force, b (v + omega x r) is added: `motion` is the origin, metres; b v, newtons; b omega,
     N/m.
     """
     ox, oy, oz, vx, vy, vz, wx, wy, wz = motion
-    for s in range(begin, end):
+    for s in range(start, stop):
         for i in range(8):
             dx = lattice[0] + (8 * bricks[s, 0] + i) * lattice[3] - ox
             for j in range(8):

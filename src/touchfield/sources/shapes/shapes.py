@@ -1,14 +1,14 @@
-"""Shapes with a formula: the signed distance to each, and its gradient, in float64.
+"""Analytic shapes: signed distance and its gradient, in float64.
 
 Plane, sphere, box, capsule and cylinder have exact closed forms (Quilez, "distance functions",
 iquilezles.org). The point of an ellipsoid that is nearest to p is x_i = e_i^2 p_i / (t + e_i^2) with t the
 greatest root of sum (e_i p_i / (t + e_i^2))^2 = 1 (Eberly, "Distance from a point to an ellipse, an
 ellipsoid, or a hyperellipsoid", geometrictools.com). The root is found by Newton's iteration on the
 reciprocal of the norm, as trust-region methods do (More and Sorensen 1983): that function is concave, so that
-the iteration comes from below and cannot overshoot.
+the iteration converges from below and cannot overshoot.
 
-The superquadric (Barr 1981) has no closed form; its distance is the one to the tangent plane where the ray
-from the centre leaves the surface: with the gauge g(x) = F(x)^(e1/2), which is homogeneous of degree one
+The superquadric (Barr 1981) has no closed form; its distance is that to the tangent plane where the ray from
+the centre leaves the surface: with the gauge g(x) = F(x)^(e1/2), which is homogeneous of degree one
 (Solina and Bajcsy 1990), it is Taubin's (1991) first-order distance (g - 1) / |grad g|. It is exact on the
 surface and for a sphere, never more than the true distance outside, and never less deep than it inside.
 """
@@ -29,16 +29,18 @@ from touchfield.medium.pose_track import checked_rotation
 
 Triple = tuple[float, float, float]
 
-_LEAST_M, _MOST_M = 1e-9, 1e9
-"""Lengths that squares and products of them can be made of, and that a simulation can go on with."""
+_MIN_LENGTH_M, _MAX_LENGTH_M = 1e-9, 1e9
+"""Range of lengths whose squares and products are finite, and that a simulation can handle."""
 
-_NOTHING: Final = (
-    1e-100  # a coordinate below this share of the half extent moves no nearest point of an ellipsoid
-)
+_NEGLIGIBLE: Final = 1e-100
+"""Coordinates below this fraction of the half extent do not change the nearest point of an ellipsoid."""
 
 
 class Shape(ABC):
-    """A solid with a signed distance, negative inside; `InvalidArgument` for a length or place out of range."""
+    """A solid with a signed distance, negative inside.
+
+    Raises `InvalidArgument` if a value is out of range.
+    """
 
     def __post_init__(self) -> None:
         for name, value in ((f.name, getattr(self, f.name)) for f in fields(self)):  # type: ignore[arg-type]
@@ -46,27 +48,27 @@ class Shape(ABC):
                 checked_triple(name, value)
             elif name in ("radius_m", "half_length_m", "half_extents_m"):
                 for length in checked_triple(name, value).tolist() if name == "half_extents_m" else (value,):
-                    if not _LEAST_M <= length <= _MOST_M:
-                        expected = f"a positive length, {_LEAST_M:g} to {_MOST_M:g} m"
+                    if not _MIN_LENGTH_M <= length <= _MAX_LENGTH_M:
+                        expected = f"a positive length, {_MIN_LENGTH_M:g} to {_MAX_LENGTH_M:g} m"
                         raise InvalidArgument(name, repr(length), expected)
 
     @abstractmethod
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
-        """Signed distance, metres, float64 [n], and outward unit normal, float64 [n, 3], at points [n, 3]."""
+        """Return signed distance, metres, [n], and outward unit normal [n, 3], float64, at points [n, 3]."""
 
     @abstractmethod
     def box_m(self) -> Float64s:
-        """The box of the surface, metres, float64 [2, 3]."""
+        """Return the box of the surface, metres, float64 [2, 3]."""
 
     def distance_range(self, centres: Float64s, radius_m: float) -> tuple[Float64s, Float64s]:
-        """Bounds, float64 [n] each, of the signed distance within `radius_m` of points [n, 3]."""
+        """Return bounds, float64 [n] each, of the signed distance within `radius_m` of points [n, 3]."""
         phi, _ = self.signed_distance_and_normal(centres)
         return phi - radius_m, phi + radius_m
 
 
 @dataclass(frozen=True)
 class Plane(Shape):
-    """All that lies behind a plane: `point_m` is one of its points, `normal` points outwards."""
+    """The half-space behind a plane: `point_m` is one of its points, `normal` points outwards."""
 
     point_m: Triple
     normal: Triple
@@ -82,11 +84,11 @@ class Plane(Shape):
         return phi, np.broadcast_to(normal, points.shape)
 
     def box_m(self) -> Float64s:
-        """The box of a square of one metre around the point."""
+        """Return the box of a square of one metre around the point."""
         normal = self._unit()
         aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
         aside /= np.linalg.norm(aside)
-        return _around(self.point_m, (np.abs(aside) + np.abs(np.cross(normal, aside))) / 2)
+        return _box_around(self.point_m, (np.abs(aside) + np.abs(np.cross(normal, aside))) / 2)
 
     def _unit(self) -> Float64s:
         normal = np.asarray(self.normal, np.float64)
@@ -96,7 +98,7 @@ class Plane(Shape):
 
 @dataclass(frozen=True)
 class Sphere(Shape):
-    """A ball; at its very centre the normal is +z."""
+    """A ball; at its centre the normal is +z."""
 
     center_m: Triple
     radius_m: float
@@ -109,13 +111,11 @@ class Sphere(Shape):
         return length - self.radius_m, normal
 
     def box_m(self) -> Float64s:
-        return _around(self.center_m, self.radius_m)
+        return _box_around(self.center_m, self.radius_m)
 
 
-class _Turned(Shape):
-    """A shape with a frame of its own; `rotation_deg` turns it about the fixed x, then y, then z axis,
-    degrees.
-    """
+class _RotatedShape(Shape):
+    """A shape with its own frame, rotated about the fixed x, then y, then z axis."""
 
     center_m: Triple
     half_extents_m: Triple
@@ -123,48 +123,56 @@ class _Turned(Shape):
 
     @cached_property
     def axes(self) -> Float64s:
-        """The matrix whose columns are the axes of its frame, float64 [3, 3]: turned by `moved`, too."""
+        """Matrix whose columns are the axes of its frame, float64 [3, 3].
+
+        `move_shape` rotates it, too.
+        """
         return rotation_matrix(self.rotation_deg)
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
-        phi, normal = self._in_own_frame(self._local(points))
+        phi, normal = self._local_distance(self._local(points))
         return phi, normal @ self.axes.T
 
     def box_m(self) -> Float64s:
-        """See `Shape`; of a superquadric that of the cuboid around it."""
-        return _around(self.center_m, self._reach(self.axes))
+        """See `Shape`; for a superquadric that of its cuboid."""
+        return _box_around(self.center_m, self._reach(self.axes))
 
     def _local(self, points: Float64s) -> Float64s:
         return np.asarray((points - np.asarray(self.center_m)) @ self.axes)
 
     @abstractmethod
-    def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
-        """Signed distance and normal at points of its own frame."""
+    def _local_distance(self, local: Float64s) -> tuple[Float64s, Float64s]:
+        """Return signed distance and normal at points in its own frame."""
 
     def _reach(self, rotation: Float64s) -> Float64s:
-        """Half the sides of its box, turned so, float64 [3]; by default that of a cuboid."""
+        """Return half the sides of its box after a rotation, float64 [3].
+
+        By default they are those of a cuboid.
+        """
         return np.asarray(np.abs(rotation) @ np.asarray(self.half_extents_m))
 
 
 @dataclass(frozen=True)
-class Box(_Turned):
-    """A cuboid; the normal within is that of the nearest face."""
+class Box(_RotatedShape):
+    """A cuboid; the normal inside is that of the nearest face."""
 
     center_m: Triple
     half_extents_m: Triple
     rotation_deg: Triple = (0.0, 0.0, 0.0)
 
-    def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
+    def _local_distance(self, local: Float64s) -> tuple[Float64s, Float64s]:
         phi, weight = _of_faces(np.abs(local) - np.asarray(self.half_extents_m))
         return phi, np.copysign(weight, local)
 
 
 @dataclass(frozen=True)
-class Superquadric(_Turned):
-    """((|x/a|^(2/e2) + |y/b|^(2/e2))^(e2/e1) + |z/c|^(2/e1)) <= 1, convex; for the distance see above.
+class Superquadric(_RotatedShape):
+    """((|x/a|^(2/e2) + |y/b|^(2/e2))^(e2/e1) + |z/c|^(2/e1)) <= 1, convex.
+
+    For the distance see the module.
 
     `exponents` are e1 (along z) and e2 (across), each from 0.1 (nearly a box) over 1 (an ellipsoid) to 2 (an
-    octahedron). At the very centre the normal is +z.
+    octahedron). At the centre the normal is +z.
     """
 
     center_m: Triple
@@ -177,7 +185,7 @@ class Superquadric(_Turned):
         if len(self.exponents) != 2 or not all(0.1 <= e <= 2 for e in self.exponents):
             raise InvalidArgument("exponents", repr(self.exponents), "two numbers from 0.1 to 2")
 
-    def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
+    def _local_distance(self, local: Float64s) -> tuple[Float64s, Float64s]:
         unit, size = self._scaled(local)
         gauge, gradient = self._gauge(unit)
         gradient /= np.asarray(self.half_extents_m)
@@ -185,14 +193,17 @@ class Superquadric(_Turned):
         return (gauge * size - 1) / steepness, gradient / steepness[:, None]
 
     def _scaled(self, local: Float64s) -> tuple[Float64s, Float64s]:
-        """Points over the half extents, as ones of largest component 1 and their sizes; +z at the centre."""
+        """Divide points by the half extents.
+
+        Returns directions of largest component 1, and sizes. The direction at the centre is +z.
+        """
         scaled = local / np.asarray(self.half_extents_m)
         size = np.abs(scaled).max(axis=-1)
         scaled[size == 0] = (0.0, 0.0, 1.0)
         return scaled / np.where(size == 0, 1.0, size)[:, None], size
 
     def _gauge(self, u: Float64s) -> tuple[Float64s, Float64s]:
-        """g and its gradient in the scaled space, at points of largest component 1: nothing overflows."""
+        """Return g and its gradient in the scaled space, at points of largest component 1 (no overflow)."""
         e1, e2 = self.exponents
         magnitude = np.abs(u)
         xy = (magnitude[:, :2] ** (2 / e2)).sum(axis=-1)
@@ -209,8 +220,9 @@ class Superquadric(_Turned):
         return gauge, np.copysign(gradient, u)
 
     def distance_range(self, centres: Float64s, radius_m: float) -> tuple[Float64s, Float64s]:
-        """See `Shape`; the gauge is a norm, at most 1/r of the Euclidean one, r the inscribed octahedron's
-        ball.
+        """See `Shape`; the gauge is a norm, at most 1/r times the Euclidean one.
+
+        r is the radius of the ball in the inscribed octahedron.
         """
         half = np.asarray(self.half_extents_m)
         nearest, farthest = 1 / float(np.sqrt((half**-2.0).sum())), float(np.linalg.norm(half))
@@ -224,10 +236,12 @@ class Superquadric(_Turned):
 
 
 @dataclass(frozen=True)
-class Capsule(_Turned):
-    """A cylinder with half balls at its ends, along its own z axis; on that axis the normal is its +x.
+class Capsule(_RotatedShape):
+    """A cylinder with hemispheres at its ends, along its own z axis.
 
-    `half_length_m` goes from the centre to the centre of either half ball.
+    On that axis the normal is its +x.
+
+    `half_length_m` is the distance from the centre to the centre of either hemisphere.
     """
 
     center_m: Triple
@@ -235,7 +249,7 @@ class Capsule(_Turned):
     half_length_m: float
     rotation_deg: Triple = (0.0, 0.0, 0.0)
 
-    def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
+    def _local_distance(self, local: Float64s) -> tuple[Float64s, Float64s]:
         local[:, 2] -= np.clip(local[:, 2], -self.half_length_m, self.half_length_m)
         length = np.sqrt((local * local).sum(axis=-1))
         local[length == 0] = (1.0, 0.0, 0.0)
@@ -246,10 +260,10 @@ class Capsule(_Turned):
 
 
 @dataclass(frozen=True)
-class Cylinder(_Turned):
-    """A cylinder along its own z axis; the normal within is that of the nearest face.
+class Cylinder(_RotatedShape):
+    """A cylinder along its own z axis; the normal inside is that of the nearest face.
 
-    `half_length_m` goes from the centre to either flat face.
+    `half_length_m` is the distance from the centre to either flat face.
     """
 
     center_m: Triple
@@ -257,7 +271,7 @@ class Cylinder(_Turned):
     half_length_m: float
     rotation_deg: Triple = (0.0, 0.0, 0.0)
 
-    def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
+    def _local_distance(self, local: Float64s) -> tuple[Float64s, Float64s]:
         from_axis = np.sqrt((local[:, :2] ** 2).sum(axis=-1))
         outwards = np.where(from_axis[:, None] > 0, local[:, :2], (1.0, 0.0))
         outwards /= np.where(from_axis > 0, from_axis, 1.0)[:, None]
@@ -273,30 +287,33 @@ class Cylinder(_Turned):
 
 
 @dataclass(frozen=True)
-class Ellipsoid(_Turned):
-    """An ellipsoid; where several of its points are nearest, the normal is that of one of them."""
+class Ellipsoid(_RotatedShape):
+    """An ellipsoid.
+
+    If several of its points are nearest, the normal is that of one of them.
+    """
 
     center_m: Triple
     half_extents_m: Triple
     rotation_deg: Triple = (0.0, 0.0, 0.0)
 
-    def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
+    def _local_distance(self, local: Float64s) -> tuple[Float64s, Float64s]:
         from touchfield.sources.shapes.kernels import greatest_roots
 
         half = np.asarray(self.half_extents_m, np.float64)
-        least = int(half.argmin())
-        ratio = (half / half[least]) ** 2
+        smallest = int(half.argmin())
+        ratio = (half / half[smallest]) ** 2
         scaled = np.abs(local) / half
-        scaled[scaled < _NOTHING] = 0.0  # its root, and the cube of that, would have no digits
-        root = greatest_roots(scaled, ratio)  # t / e_min^2 + 1: what is near the least axis keeps its digits
+        scaled[scaled < _NEGLIGIBLE] = 0.0  # its root, and the cube of the root, would underflow
+        root = greatest_roots(scaled, ratio)  # t / e_min^2 + 1, which keeps precision near the smallest axis
         denominator = root[:, None] + (ratio - 1.0)
         on_unit = np.divide(ratio * scaled, denominator, out=np.zeros_like(scaled), where=denominator > 0)
-        focal = root == 0  # the nearest points lie to both sides of the plane across the least axis
-        on_unit[focal, least] = np.sqrt(np.maximum(1.0 - (on_unit[focal] ** 2).sum(axis=-1), 0.0))
+        focal = root == 0  # two nearest points, on both sides of the plane across the smallest axis
+        on_unit[focal, smallest] = np.sqrt(np.maximum(1.0 - (on_unit[focal] ** 2).sum(axis=-1), 0.0))
         gradient = np.copysign(on_unit / half, local)
         steepness = np.sqrt((gradient * gradient).sum(axis=-1))
-        # p - x = t x / e^2 in each axis, and x / e^2 is the gradient: no difference of near numbers is taken
-        return (root - 1.0) * half[least] ** 2 * steepness, gradient / steepness[:, None]
+        # p - x = t x / e^2 in each axis, and x / e^2 is the gradient: this avoids cancellation
+        return (root - 1.0) * half[smallest] ** 2 * steepness, gradient / steepness[:, None]
 
     def _reach(self, rotation: Float64s) -> Float64s:
         return np.asarray(np.sqrt(((rotation * np.asarray(self.half_extents_m)) ** 2).sum(axis=1)))
@@ -305,37 +322,33 @@ class Ellipsoid(_Turned):
 SHAPES: Final[dict[str, type[Shape]]] = {
     kind.__name__.lower(): kind for kind in (Plane, Sphere, Box, Superquadric, Capsule, Cylinder, Ellipsoid)
 }
-"""The kinds of shape; a new one is a dataclass with a signed distance."""
+"""The kinds of shape, each a dataclass with a signed distance."""
 
 
-def moved(shape: Shape, rotation: ArrayLike, shift_m: ArrayLike) -> Shape:
-    """A shape of this module after x -> R x + t, R float [3, 3], t float [3].
+def move_shape(shape: Shape, rotation: ArrayLike, shift_m: ArrayLike) -> Shape:
+    """Return a shape of this module after x -> R x + t, R float [3, 3], t float [3].
 
     Raises `InvalidArgument` if R is not a rotation, or a number is not finite.
     """
-    turn, shift = checked_rotation(rotation), checked_triple("shift_m", shift_m)
+    matrix, shift = checked_rotation(rotation), checked_triple("shift_m", shift_m)
     if isinstance(shape, Plane):
-        return Plane(_as_triple(turn @ shape.point_m + shift), _as_triple(turn @ shape.normal))
-    placed: Any = shape
-    other: Shape = replace(placed, center_m=_as_triple(turn @ placed.center_m + shift))
-    if isinstance(shape, _Turned):
-        vars(other)["axes"] = turn @ shape.axes
+        return Plane(_as_triple(matrix @ shape.point_m + shift), _as_triple(matrix @ shape.normal))
+    solid: Any = shape
+    other: Shape = replace(solid, center_m=_as_triple(matrix @ solid.center_m + shift))
+    if isinstance(shape, _RotatedShape):
+        vars(other)["axes"] = matrix @ shape.axes
     return other
 
 
 def rotation_matrix(rotation_deg: Triple) -> Float64s:
-    """The matrix whose columns are the body's axes, float64 [3, 3]: turns about the fixed x, then y, then z
-    axis.
-    """
+    """Return the matrix of rotations about the fixed x, then y, then z axis, float64 [3, 3]."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix())
 
 
 def _of_faces(beyond: Float64s) -> tuple[Float64s, Float64s]:
-    """Signed distance to a block, of points so far beyond each pair of its faces [n, d], and the share of
-    each.
-    """
+    """Signed distance to a block and normal weights, from the distances beyond each pair of faces [n, d]."""
     outside = np.maximum(beyond, 0.0)
     distance = np.sqrt((outside * outside).sum(axis=-1))
     is_out = distance > 0
@@ -345,10 +358,15 @@ def _of_faces(beyond: Float64s) -> tuple[Float64s, Float64s]:
 
 
 def checked_triple(name: str, values: ArrayLike) -> Float64s:
-    """Three numbers of a length or place, metres, float64 [3]; `InvalidArgument` for others."""
+    """Check three numbers, metres, float64 [3].
+
+    Raises `InvalidArgument` if they are out of range.
+    """
     triple = np.asarray(values, np.float64)
-    if triple.shape != (3,) or not (np.abs(triple) <= _MOST_M).all():
-        raise InvalidArgument(name, repr(values), f"three numbers from {-_MOST_M:g} to {_MOST_M:g}")
+    if triple.shape != (3,) or not (np.abs(triple) <= _MAX_LENGTH_M).all():
+        raise InvalidArgument(
+            name, repr(values), f"three numbers from {-_MAX_LENGTH_M:g} to {_MAX_LENGTH_M:g}"
+        )
     return triple
 
 
@@ -357,6 +375,6 @@ def _as_triple(values: Float64s) -> Triple:
     return x, y, z
 
 
-def _around(middle: ArrayLike, reach: Float64s | float) -> Float64s:
+def _box_around(middle: ArrayLike, reach: Float64s | float) -> Float64s:
     centre = np.asarray(middle, np.float64)
     return np.stack([centre - reach, centre + reach])

@@ -1,15 +1,16 @@
-"""Height maps: a surface over a plane, with everything behind it solid (paper sections 4 and 5.1); and their
-files.
+"""Height maps, with everything behind the surface solid (paper sections 4 and 5.1), and their files.
 
-The paper's scenes from depth images treat the depth map as a height map. The distance to the surface is taken
-to first order, phi = (z - h(x, y)) n_z with h interpolated bilinearly: exact for planes, and at curvature c
-and depth d wrong by about c d^2 / 2. The normal comes from planes fitted to 5 x 5 samples (binomial weights),
-so that noise of one sample hardly turns it; samples across a step, or unknown, take no part.
+The paper's scenes from depth images treat the depth map as a height map. The distance to the surface is
+approximated to first order, phi = (z - h(x, y)) n_z with h interpolated bilinearly: exact for planes, with an
+error of about c d^2 / 2 at curvature c and depth d. The normal is that of planes fitted to 5 x 5 samples with
+binomial weights, so that noise of one sample hardly affects it; unknown samples and those across a step are
+excluded.
 
 Files are elevation models (``.npz``, ``.npy``, GeoTIFF 1.1: OGC 19-008r4) and grey pictures (PNG, TIFF); row
-0 is north. What a file does not say is assumed, and told in a note: one metre between samples, one metre a
-unit; of a picture without a scale, a relief of a fifth of its shorter side. Degrees become metres on the
-ellipsoid WGS 84 (NGA.STND.0036) at the map's middle latitude: one scale for the whole map, no projection.
+0 is north. Missing values are assumed, with a note: one metre between samples, one metre a unit; for a
+picture without a scale, a relief of a fifth of its shorter side. Degrees are converted to metres on the
+ellipsoid WGS 84 (NGA.STND.0036) at the central latitude of the map: one scale for the whole map, no
+projection.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s
-from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_extra, require_positive
+from touchfield.errors import InvalidArgument, SourceError, as_source_error, import_extra, require_positive
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.stores.npz import NpzArchive, map_npy, read_npy_header
 from touchfield.sources.camera import DepthSequence
@@ -39,27 +40,21 @@ from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, MovingS
 
 DEPTH_STEP: Final = 0.05  # of the median depth: a larger jump between neighbours is an edge
 HEIGHT_KEYS: Final = ("elevation", "height", "heights", "heights_m", "z")
-PLACE_KEYS: Final = ("dx", "dy", "xmin", "xmax", "ymin", "ymax")
+POSITION_KEYS: Final = ("dx", "dy", "xmin", "xmax", "ymin", "ymax")
 PICTURES: Final = (".png", ".tif", ".tiff")
-GAP_HEIGHTS: Final = (
-    -9999.0,
-    -32767.0,
-    -32768.0,
-    -99999.0,
-)  # what elevation models hold where nothing is known
-LATITUDE_LIMIT_DEG: Final = 89.0  # nearer to a pole the degrees of longitude are no cells of one width
-PICTURE_RELIEF: Final = 0.2  # of a picture without a scale, of its shorter side: a landscape under the hand
+GAP_HEIGHTS: Final = (-9999.0, -32767.0, -32768.0, -99999.0)
+"""Values that elevation models use for unknown heights."""
+LATITUDE_LIMIT_DEG: Final = 89.0
+"""Nearer to a pole the width of cells in degrees of longitude varies too much."""
+PICTURE_RELIEF: Final = 0.2  # of a picture without a scale, relative to its shorter side
 
 _GREY_MODES: Final = ("L", "LA", "I", "F", "I;16", "I;16L", "I;16B", "I;16N", "I;16S", "I;16BS")
 _PIXEL_SCALE, _TIEPOINT, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34735, 42113
 _SAMPLE_FORMAT, _SIGNED = 339, 2
 _MODEL_TYPE_KEY, _LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY = 1024, 3076, 4099
 _GEOGRAPHIC: Final = 2
-_UNITS_M: Final = {
-    9001: 1.0,
-    9002: 0.3048,
-    9003: 1200 / 3937,
-}  # EPSG: metre, international and US survey foot
+_UNITS_M: Final = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
+"""EPSG codes of metre, international and US survey foot."""
 
 _WGS84_AXIS_M: Final = 6378137.0
 _WGS84_E2: Final = 0.00669437999014
@@ -71,11 +66,11 @@ _Heights = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class HeightLattice:
-    """Places of the samples of a height map, and its solid side.
+    """Positions of the samples of a height map, and its solid side.
 
     Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are signed. `facing` 1 is solid
     below the surface, -1 beyond it, where z points away from the viewer. Neighbours that differ by more than
-    `step_m` in height are not joined by a slope.
+    `step_m` in height are separated by a step.
     """
 
     x0_m: float
@@ -99,12 +94,14 @@ class HeightLattice:
 
 
 class HeightScene(MovingScene):
-    """One height map, or several over time; beyond its rim and where it is unknown there is no force.
+    """One height map, or several over time.
+
+    There is no force outside it and where it is unknown.
 
     `heights_m` are metres, NaN where unknown: [rows, cols], [frames, rows, cols], a sequence of arrays, or a
     callable ``heights(frame) -> [rows, cols]`` for `frame_count` frames. `cell_m` is (dy, dx), the distance
     between neighbouring rows and columns, metres: row 0 is then north, the last row at y = 0 and column 0 at
-    x = 0; a lattice says otherwise. `exaggeration` is a factor on the heights (1 is honest).
+    x = 0; a `HeightLattice` gives other positions. `exaggeration` is a factor on the heights (1 is honest).
     """
 
     is_solid = True
@@ -126,29 +123,28 @@ class HeightScene(MovingScene):
             self._frames: Callable[[int], ArrayLike] = heights_m
             self.frame_count = int(frame_count)
         else:
-            kept = _as_frames(heights_m)
-            self._frames, self.frame_count = kept.__getitem__, len(kept)
+            frames = _as_frames(heights_m)
+            self._frames, self.frame_count = frames.__getitem__, len(frames)
         self.axes, self.rate_hz, self.notes, self.name = axes, float(rate_hz), notes, name
         self.exaggeration = float(exaggeration)
         self._cell_m = cell_m
-        self._surface = lru_cache(maxsize=2)(self._prepare)  # a filter asks for one frame many times
+        self._surface = lru_cache(maxsize=2)(self._prepare)  # a filter requests one frame many times
 
     @classmethod
     def from_depth_sequence(cls, sequence: DepthSequence, exaggeration: float = 1.0) -> HeightScene:
-        """The paper's reading of depth maps: pixels as x and y, depth as height, all behind the surface
-        solid.
+        """Read depth maps as in the paper: pixels as x and y, depth as height, solid behind the surface.
 
-        Pixels are spaced by their size at the median depth of the first frame that has any, x = (u - cx) / fx
-        z_median, so that lengths there are true; nearer things are too large and farther ones too small.
+        Pixels are spaced by their size at the median depth of the first frame with depth, x = (u - cx) / fx
+        z_median, so that lengths at that depth are true; nearer things are too large, farther ones too small.
         """
         for frame in range(sequence.frame_count):
             depth = sequence.depth_m(frame)
-            known = depth[depth > 0]
-            if known.size:
+            known_m = depth[depth > 0]
+            if known_m.size:
                 break
         else:
             raise SourceError(sequence.name, "no depth in any frame", "at least one known pixel")
-        z, k = float(np.median(known)), sequence.intrinsics
+        z, k = float(np.median(known_m)), sequence.intrinsics
         dx_m, dy_m = z / k.fx, z / k.fy
         lattice = HeightLattice(
             -k.cx / k.fx * z, dx_m, -k.cy / k.fy * z, dy_m, -1, DEPTH_STEP * z * exaggeration
@@ -167,14 +163,14 @@ class HeightScene(MovingScene):
         return scene
 
     def _box_m(self, start: int, stop: int) -> Float64s:
-        """Reads every frame."""
+        """Return the box of the heights; reads every frame."""
         low, high, shape = math.inf, -math.inf, (2, 2)
         for frame in range(start, stop):
             heights = self._heights(frame)
-            known = heights[np.isfinite(heights)]
+            known_m = heights[np.isfinite(heights)]
             shape = heights.shape
-            if known.size:
-                low, high = min(low, float(known.min())), max(high, float(known.max()))
+            if known_m.size:
+                low, high = min(low, float(known_m.min())), max(high, float(known_m.max()))
         if low > high:
             raise SourceError(self.name, "no known height", "at least one")
         at = self._lattice(shape)
@@ -215,7 +211,7 @@ class HeightScene(MovingScene):
 
 
 def _as_frames(heights_m: ArrayLike | Sequence[ArrayLike]) -> list[Float64s]:
-    """The frames of an array or a sequence of arrays, checked."""
+    """Return the checked frames of an array or a sequence of arrays."""
     expected = "maps [rows, cols] of one size, at least 2 x 2"
     try:
         stack = np.asarray(heights_m, np.float64)
@@ -227,12 +223,14 @@ def _as_frames(heights_m: ArrayLike | Sequence[ArrayLike]) -> list[Float64s]:
     return frames
 
 
-# -- files ---------------------------------------------------------------------------------------------------
-class _Place(NamedTuple):
-    """Place and units of samples, as a file says; None where it does not.
+# -- files -------------------------------------------------------------------------------------------------
+class _GeoReference(NamedTuple):
+    """Positions and units of samples as stated in a file.
 
-    `cell` is (dy, dx) and `middle` y and x of the middle of the map, both in units of the map, which are
-    `unit_m` metres where they are not degrees; `vertical_unit_m` are the metres of one unit of height.
+    A value is None if the file does not state it.
+
+    `cell` is (dy, dx) and `middle` y and x of the centre of the map, both in units of the map, which are
+    `unit_m` metres unless they are degrees; `vertical_unit_m` is the metres of one unit of height.
     """
 
     cell: Pair | None = None
@@ -244,27 +242,27 @@ class _Place(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def _scene(path: Path, heights: _Heights, place: _Place, options: SourceOptions) -> HeightScene:
-    """The scene of a map, [rows, cols] or [frames, rows, cols], with what had to be assumed in its notes."""
-    known = heights[np.isfinite(heights)]
-    if not known.size:
+def _scene_of(path: Path, heights: _Heights, reference: _GeoReference, options: SourceOptions) -> HeightScene:
+    """Return the scene of a map, [rows, cols] or [frames, rows, cols], with its assumptions in the notes."""
+    known_heights = heights[np.isfinite(heights)]
+    if not known_heights.size:
         raise SourceError(str(path), "no known height", "at least one")
-    lowest = float(known.min())
-    notes = place.notes
+    lowest = float(known_heights.min())
+    notes = reference.notes
     if lowest in GAP_HEIGHTS:
         notes += (f"{lowest:g} is taken for a height: where it marks what is not known, write NaN there.",)
-    latitude, longitude = place.middle or (0.0, 0.0)
-    is_degrees = place.is_degrees
-    if is_degrees is None and place.cell is not None and place.middle is not None:
-        is_degrees = abs(latitude) <= 90 and abs(longitude) <= 180 and max(place.cell) < 0.1
+    latitude, longitude = reference.middle or (0.0, 0.0)
+    is_degrees = reference.is_degrees
+    if is_degrees is None and reference.cell is not None and reference.middle is not None:
+        is_degrees = abs(latitude) <= 90 and abs(longitude) <= 180 and max(reference.cell) < 0.1
     if is_degrees and abs(latitude) > LATITUDE_LIMIT_DEG:
         raise SourceError(
             str(path), f"the latitude {latitude:.4g}", f"at most {LATITUDE_LIMIT_DEG} either way"
         )
-    dy, dx = place.cell or (1.0, 1.0)
+    dy, dx = reference.cell or (1.0, 1.0)
     if options.cell_size_m is not None:
         cell_m = options.cell_size_m, options.cell_size_m
-    elif place.cell is None:
+    elif reference.cell is None:
         cell_m = (1.0, 1.0)
         notes += (
             "The distance of samples is not given: one metre is assumed (--cell-size-m; in .npz dx and dy).",
@@ -275,10 +273,10 @@ def _scene(path: Path, heights: _Heights, place: _Place, options: SourceOptions)
         lengths = f"{cell_m[1]:.4g} m east, {cell_m[0]:.4g} m north"
         notes += (f"Degrees are taken as metres at latitude {latitude:.2f}: {lengths}.",)
     else:
-        cell_m = dy * place.unit_m, dx * place.unit_m
-    unit_m = place.vertical_unit_m if options.height_scale is None else options.height_scale
+        cell_m = dy * reference.unit_m, dx * reference.unit_m
+    unit_m = reference.vertical_unit_m if options.height_scale is None else options.height_scale
     if unit_m is None:
-        span = float(known.max()) - float(known.min())
+        span = float(known_heights.max()) - float(known_heights.min())
         side = min(n * d for n, d in zip(heights.shape[-2:], cell_m, strict=True))
         unit_m = PICTURE_RELIEF * side / span if span > 0 else 1.0
         relief = f"{unit_m:.4g} m a unit is assumed, a relief of {span * unit_m:.3g} m"
@@ -286,11 +284,11 @@ def _scene(path: Path, heights: _Heights, place: _Place, options: SourceOptions)
     if unit_m != 1:
         heights = heights.astype(np.float64) * unit_m
     rate_hz, factor = options.rate_hz or 30.0, options.exaggeration
-    with blamed_on(f"{path}, "):
+    with as_source_error(f"{path}, "):
         return HeightScene(heights, cell_m, exaggeration=factor, rate_hz=rate_hz, notes=notes, name=str(path))
 
 
-def _from_npz(path: Path) -> tuple[_Heights, _Place]:
+def _from_npz(path: Path) -> tuple[_Heights, _GeoReference]:
     archive = NpzArchive(path)
     headers = {name: archive.header(name) for name in archive.names}
     maps = [name for name, h in headers.items() if len(h.shape) == 2 and h.dtype.kind in "fiu"]
@@ -303,21 +301,24 @@ def _from_npz(path: Path) -> tuple[_Heights, _Place]:
     name = (named or maps)[0]
     if headers[name].dtype.kind not in "fiu":
         raise SourceError(f"{path}, array {name}", f"{headers[name].dtype}", "numbers")
-    scalars: dict[str, float] = {n: archive.numbers(n, 1)[0] for n in PLACE_KEYS if n in headers}
+    scalars: dict[str, float] = {n: archive.numbers(n, 1)[0] for n in POSITION_KEYS if n in headers}
     dx, dy = abs(scalars.get("dx", 0.0)), abs(scalars.get("dy", scalars.get("dx", 0.0)))
     middle: Pair | None = None
-    if all(n in scalars for n in PLACE_KEYS[2:]):
-        # north and south may stand the wrong way round, as in matplotlib's sample: only the middle is needed
+    if all(n in scalars for n in POSITION_KEYS[2:]):
+        # north and south may be swapped, as in matplotlib's sample: only the centre is needed
         y, x = (scalars[a] / 2 + scalars[b] / 2 for a, b in (("ymin", "ymax"), ("xmin", "xmax")))
         middle = y, x
-    return _known(archive.read(name)), _Place((dy, dx) if dx > 0 and dy > 0 else None, middle)
+    return _as_heights(archive.read(name)), _GeoReference((dy, dx) if dx > 0 and dy > 0 else None, middle)
 
 
-def _from_picture(path: Path) -> tuple[_Heights, _Place]:
-    """A grey picture: heights by its nature where it is of floats, or a TIFF with a place on Earth."""
+def _from_picture(path: Path) -> tuple[_Heights, _GeoReference]:
+    """Read a grey picture.
+
+    One of floats, or a TIFF with georeference, is an elevation model.
+    """
     expected = "one grey channel of 8 to 16 bits, or of 32, whole or floating"
     with warnings.catch_warnings(), opened(path, expected=expected) as picture:
-        warnings.simplefilter("ignore")  # what is damaged is an error, or heights that are not known
+        warnings.simplefilter("ignore")  # damage is an error, or gives unknown heights
         if picture.mode not in _GREY_MODES:
             found = f"a picture of mode {picture.mode}"
             raise SourceError(str(path), found, "one grey channel", "Convert it to grey first.")
@@ -325,7 +326,7 @@ def _from_picture(path: Path) -> tuple[_Heights, _Place]:
         stored = dict(getattr(picture, "tag_v2", {}))
         tags = _geo_tags(stored, *size)
         values = np.array(picture.getchannel(0) if picture.mode == "LA" else picture)
-        if picture.mode == "L" and stored.get(_SAMPLE_FORMAT) == (_SIGNED,):  # which Pillow does not tell
+        if picture.mode == "L" and stored.get(_SAMPLE_FORMAT) == (_SIGNED,):  # Pillow ignores the sign
             values = values.view(np.int8)
     if values.shape != size:
         raise SourceError(str(path), f"values of shape {values.shape}", f"{size}")
@@ -335,28 +336,31 @@ def _from_picture(path: Path) -> tuple[_Heights, _Place]:
     if tags.nodata is not None:
         values = values.astype(np.float64)
         with np.errstate(over="ignore"):
-            nearest = float(np.float32(tags.nodata))  # the tag is text; the picture holds a float32 near it
+            nearest = float(np.float32(tags.nodata))  # the tag is text; samples are the nearest float32
         values[(values == tags.nodata) | (values == nearest)] = np.nan
-    return _known(values), tags if is_elevation else tags._replace(vertical_unit_m=None)
+    return _as_heights(values), tags if is_elevation else tags._replace(vertical_unit_m=None)
 
 
-def _known(values: NDArray[Any]) -> _Heights:
-    """As floating point, NaN where not finite."""
+def _as_heights(values: NDArray[Any]) -> _Heights:
+    """Convert to floating point, NaN if not finite."""
     heights: _Heights = values.astype(np.float64 if values.dtype.itemsize > 2 else np.float32)
     heights[~np.isfinite(heights)] = np.nan
     return heights
 
 
 def degree_m(latitude_deg: float) -> Pair:
-    """Metres of one degree of latitude and of one degree of longitude, on WGS 84."""
+    """Return the metres of one degree of latitude and of one degree of longitude, on WGS 84."""
     sine2 = math.sin(math.radians(latitude_deg)) ** 2
     across = _WGS84_AXIS_M / math.sqrt(1 - _WGS84_E2 * sine2)
     along = across * (1 - _WGS84_E2) / (1 - _WGS84_E2 * sine2)
     return math.radians(along), math.radians(across * math.cos(math.radians(latitude_deg)))
 
 
-def _geo_tags(tags: Mapping[int, Any], rows: int, cols: int) -> _Place:
-    """Read the tags of a picture of `rows` x `cols`; what is missing or malformed is left out."""
+def _geo_tags(tags: Mapping[int, Any], rows: int, cols: int) -> _GeoReference:
+    """Read the tags of a picture of `rows` x `cols`.
+
+    Missing or malformed ones are ignored.
+    """
     cell: Pair | None = None
     middle: Pair | None = None
     scale, tie = _numbers(tags, _PIXEL_SCALE), _numbers(tags, _TIEPOINT)
@@ -367,14 +371,18 @@ def _geo_tags(tags: Mapping[int, Any], rows: int, cols: int) -> _Place:
             middle = tie[4] - dy * (rows / 2 - tie[1]), tie[3] + dx * (cols / 2 - tie[0])
     directory = _numbers(tags, _GEO_KEYS)
     entries = (directory[i : i + 4] for i in range(4, len(directory) - 3, 4))
-    keys = {int(key): int(value) for key, location, _, value in entries if location == 0}  # which stand here
+    keys = {
+        int(key): int(value) for key, location, _, value in entries if location == 0
+    }  # values stored inline
     model, missing = keys.get(_MODEL_TYPE_KEY), None
     with suppress(ValueError):
         missing = float(str(tags.get(_GDAL_NODATA, "")).strip(" \0"))
     unit_m, vertical_m = (
         _UNITS_M.get(keys.get(key, 9001), 1.0) for key in (_LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY)
     )
-    return _Place(cell, middle, None if model is None else model == _GEOGRAPHIC, unit_m, vertical_m, missing)
+    return _GeoReference(
+        cell, middle, None if model is None else model == _GEOGRAPHIC, unit_m, vertical_m, missing
+    )
 
 
 def _numbers(tags: Mapping[int, Any], tag: int) -> list[float]:
@@ -388,13 +396,15 @@ def _numbers(tags: Mapping[int, Any], tag: int) -> list[float]:
 
 
 def jacksboro_scene(exaggeration: float = 1.0) -> HeightScene:
-    """The Jacksboro fault, Tennessee, from matplotlib's sample data; `MissingExtra` if that is not installed.
+    """Return the Jacksboro fault, Tennessee, from matplotlib's sample data.
+
+    Raises `MissingExtra` without it.
 
     344 x 403 samples of about 93 m by 74 m, heights 236 to 1076 m (int16; USGS, by way of matplotlib).
     """
     cbook = import_extra("matplotlib.cbook", "the bundled elevation model", "matplotlib", "report")
     sample = Path(cbook.get_sample_data("jacksboro_fault_dem.npz", asfileobj=False))
-    return _scene(sample, *_from_npz(sample), SourceOptions(exaggeration=exaggeration))
+    return _scene_of(sample, *_from_npz(sample), SourceOptions(exaggeration=exaggeration))
 
 
 def _recognise(path: Path) -> bool:
@@ -412,20 +422,20 @@ def _recognise(path: Path) -> bool:
     if suffix not in PICTURES:
         return False
     try:
-        with opened(path) as picture:  # reads the head only
+        with opened(path) as picture:  # reads the header only
             return picture.mode in _GREY_MODES
     except (SourceError, OSError):
-        return suffix in PICTURES[1:]  # this reader tells of the form of a TIFF that is not read
+        return suffix in PICTURES[1:]  # opening it then reports the unsupported TIFF
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:
     suffix = path.suffix.lower()
     if suffix == ".npy":
-        return _scene(path, _known(map_npy(path)), _Place(), options)
+        return _scene_of(path, _as_heights(map_npy(path)), _GeoReference(), options)
     if suffix not in (".npz", *PICTURES):
         expected = ", ".join((".npz", ".npy", *PICTURES))
         raise SourceError(str(path), f"a file named {suffix or 'without suffix'}", expected)
-    return _scene(path, *(_from_npz if suffix == ".npz" else _from_picture)(path), options)
+    return _scene_of(path, *(_from_npz if suffix == ".npz" else _from_picture)(path), options)
 
 
 KIND = SourceKind(

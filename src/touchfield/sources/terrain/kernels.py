@@ -1,8 +1,8 @@
-"""Compiled loops of height maps: gradients, which bricks hold a force, and the forces in them.
+"""Compiled loops of height maps: gradients, bricks with a force, and the forces in them.
 
-A column of samples shares one point of the map, so that a map is looked up once per column and the voxels in
-which there is a force are an interval of it: nothing is visited twice, and bricks above the surface not at
-all.
+A column of samples shares one point of the map: the map is evaluated once for each column, and the voxels
+with a force form an interval of it. No voxel is visited twice, and bricks above the surface are not visited
+at all.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.arrays import Float32s, Float64s, Int32s
-from touchfield.compute.jit import entry, lean
+from touchfield.compute.coder_jit import entry, lean
 from touchfield.compute.threads import for_chunks
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import Grid
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
 
 
 _WEIGHTS = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
-_NEAR = 2
+_RADIUS = 2
 
 
 @lean
 def _fit(heights, r, c, step):
-    """Weighted least squares of a plane through what is near and known: slopes along columns and rows."""
+    """Fit a plane to the known neighbours by weighted least squares: slopes along columns and rows."""
     rows, cols = heights.shape
-    here = heights[r, c]
+    centre = heights[r, c]
     s = sx = sy = sh = sxx = sxy = syy = sxh = syh = 0.0
-    for dr in range(-_NEAR, _NEAR + 1):
-        for dc in range(-_NEAR, _NEAR + 1):
+    for dr in range(-_RADIUS, _RADIUS + 1):
+        for dc in range(-_RADIUS, _RADIUS + 1):
             if 0 <= r + dr < rows and 0 <= c + dc < cols:
-                h = heights[r + dr, c + dc] - here
+                h = heights[r + dr, c + dc] - centre
                 if abs(h) <= step:  # false for NaN, too
-                    w = _WEIGHTS[dr + _NEAR] * _WEIGHTS[dc + _NEAR]
+                    w = _WEIGHTS[dr + _RADIUS] * _WEIGHTS[dc + _RADIUS]
                     s += w
                     sx += w * dc
                     sy += w * dr
@@ -59,8 +59,8 @@ def _fit(heights, r, c, step):
 
 
 @entry
-def _gradients(begin, end, heights, step, per_col, per_row, out):
-    for r in range(begin, end):
+def _gradients(start, stop, heights, step, per_col, per_row, out):
+    for r in range(start, stop):
         for c in range(heights.shape[1]):
             if not np.isfinite(heights[r, c]):
                 out[r, c, 0] = 0.0
@@ -72,10 +72,10 @@ def _gradients(begin, end, heights, step, per_col, per_row, out):
 
 
 def gradients(heights_m: Float64s, step_m: float, dx_m: float, dy_m: float) -> Float32s:
-    """Slopes dh/dx and dh/dy of the plane fitted to each sample's 5 x 5 neighbours, float32 [rows, cols, 2].
+    """Fit planes to the 5 x 5 neighbours of each sample: slopes dh/dx and dh/dy, float32 [rows, cols, 2].
 
-    Neighbours are weighted binomially; those unknown (NaN) or farther than `step_m` from the sample in height
-    are left out. `dx_m` and `dy_m` are signed: from one column, or row, to the next.
+    Neighbours have binomial weights; unknown ones (NaN), and those that differ from the sample by more than
+    `step_m` in height, are excluded. `dx_m` and `dy_m` are signed: from one column, or row, to the next.
     """
     out = np.empty((*heights_m.shape, 2), np.float32)
     for_chunks(_gradients, len(heights_m), heights_m, step_m, 1 / dx_m, 1 / dy_m, out, chunk=16)
@@ -84,7 +84,7 @@ def gradients(heights_m: Float64s, step_m: float, dx_m: float, dy_m: float) -> F
 
 @lean
 def amplitude(phi, table):
-    """f(phi) of a force profile, whose pieces are the rows of `table`, newtons."""
+    """Evaluate f(phi), newtons, of a force profile whose pieces are the rows of `table`."""
     for p in range(table.shape[0]):
         if table[p, 0] < phi <= table[p, 1]:
             return table[p, 2] + table[p, 3] * phi
@@ -93,7 +93,7 @@ def amplitude(phi, table):
 
 @lean
 def _surface(x, y, lattice, step, heights, slopes):
-    """True if the surface is known at (x, y); its height there and its slopes."""
+    """Return whether the surface is known at (x, y), and its height and slopes there."""
     rows, cols = heights.shape
     u, v = (x - lattice[0]) / lattice[1], (y - lattice[2]) / lattice[3]
     slack = 1e-6  # of a cell, for rounding at the rim
@@ -122,16 +122,16 @@ def _surface(x, y, lattice, step, heights, slopes):
 
 
 @entry
-def _flag(begin, end, shape, origin, spacing, lattice, facing, step, heights, slopes, table, flags):
-    """Mark the bricks of columns of bricks begin..end that hold a force, each until its first one."""
+def _flag(start, stop, shape, origin, spacing, lattice, facing, step, heights, slopes, table, flags):
+    """Flag the bricks with a force in the columns of bricks start..stop."""
     low, high = table[0, 0], table[-1, 1]
-    for column in range(begin, end):
+    for column in range(start, stop):
         bi, bj = column // flags.shape[1], column % flags.shape[1]
         for i in range(bi * 8, min(bi * 8 + 8, shape[0])):
             for j in range(bj * 8, min(bj * 8 + 8, shape[1])):
                 x, y = origin[0] + i * spacing[0], origin[1] + j * spacing[1]
-                known, h, gx, gy = _surface(x, y, lattice, step, heights, slopes)
-                if not known:
+                is_known, h, gx, gy = _surface(x, y, lattice, step, heights, slopes)
+                if not is_known:
                     continue
                 nz = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
                 a = (h + facing * low / nz - origin[2]) / spacing[2]
@@ -150,26 +150,29 @@ def _flag(begin, end, shape, origin, spacing, lattice, facing, step, heights, sl
 
 @entry
 def _fill(
-    begin, end, starts, bricks, shape, origin, spacing, lattice, facing, step, heights, slopes, table, out
+    start, stop, starts, bricks, shape, origin, spacing, lattice, facing, step, heights, slopes, table, out
 ):
-    """Fill the bricks of columns begin..end; column c has bricks starts[c] to starts[c + 1] - 1."""
-    for column in range(begin, end):
-        first, stop = starts[column], starts[column + 1]
-        if first == stop:
+    """Fill the bricks of columns start..stop.
+
+    Column c has bricks starts[c] to starts[c + 1] - 1.
+    """
+    for column in range(start, stop):
+        first, last = starts[column], starts[column + 1]
+        if first == last:
             continue
         for i in range(8):
             for j in range(8):
                 gi, gj = bricks[first, 0] * 8 + i, bricks[first, 1] * 8 + j
-                known, h, gx, gy = False, 0.0, 0.0, 0.0
+                is_known, h, gx, gy = False, 0.0, 0.0, 0.0
                 if gi < shape[0] and gj < shape[1]:
                     x, y = origin[0] + gi * spacing[0], origin[1] + gj * spacing[1]
-                    known, h, gx, gy = _surface(x, y, lattice, step, heights, slopes)
-                if not known:
-                    out[first:stop, i, j] = 0.0
+                    is_known, h, gx, gy = _surface(x, y, lattice, step, heights, slopes)
+                if not is_known:
+                    out[first:last, i, j] = 0.0
                     continue
                 nz = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
                 nx, ny = -gx * nz, -gy * nz
-                for s in range(first, stop):
+                for s in range(first, last):
                     for k in range(8):
                         gk = bricks[s, 2] * 8 + k
                         f = 0.0
@@ -183,7 +186,7 @@ def _fill(
 def bricks_and_forces(
     heights_m: Float64s, slopes: Float32s, at: HeightLattice, grid: Grid, profile: ForceProfile
 ) -> tuple[Int32s, Float32s]:
-    """The bricks that hold a force, int32 [n, 3] ascending, and the forces, float32 [n, 8, 8, 8, 3].
+    """Return the bricks with a force, int32 [n, 3] ascending, and the forces, float32 [n, 8, 8, 8, 3].
 
     `heights_m` float64 [rows, cols], NaN where unknown; `slopes` float32 [rows, cols, 2], dh/dx and dh/dy.
     """

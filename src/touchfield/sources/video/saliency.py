@@ -1,29 +1,26 @@
-"""An ordinary video as a symbolic haptic medium: where the eye would go, a force (paper section 5.1, figure
-1).
+"""A colour video as a symbolic haptic medium: forces from visual saliency (paper section 5.1, figure 1).
 
 The paper's case 1: "extraction of saliency based features of the videos that are mapped to tactors". The
-picture is a plate, as wide as it is high in pixels, its longer side 1 m, row 0 at the top. Throughout the
-plate the force is along +z, towards the viewer, and its amplitude is the saliency there (0 to 1) times the
-largest amplitude of the force law. The device filter pools, low-passes and samples the plate at the actuators
-of an array. On a point device the plate is a slab in front of the hand, `THICKNESS` of its longer side deep:
-there is no surface, and no spring. A force is held from one picture to the next where another rate is asked
-for.
+picture is a plate with the aspect ratio of its pixels, its longer side 1 m, row 0 at the top. Throughout the
+plate the force is along +z, towards the viewer, and its amplitude is the saliency (0 to 1) times the largest
+amplitude of the force law. The device filter pools, low-passes and samples the plate at the actuators of an
+array. On a point device the plate is a slab in front of the hand with a depth of `THICKNESS` times its longer
+side: there is no surface, and no spring. At another rate a force is held from one picture to the next.
 
-The paper leaves the model of saliency to others. This one is plain and cheap, of published parts, on the
+The paper does not specify a saliency model. This one is simple and cheap, composed of published parts, on the
 picture reduced to 64 pixels along its longer side:
 
-- *Spectral residual* of the luminance (Hou & Zhang, CVPR 2007): of the log amplitude spectrum its own 3 x 3
-  mean is taken off; back in the picture, with the phase kept, the square of what is left stands out where the
-  picture is unlike itself elsewhere. It would lift noise to the full: so the picture's mean is taken off
-  before, and amplitudes are weighted by A / (A + `NOISE_LEVEL`), in units of white noise.
+- *Spectral residual* of the luminance (Hou & Zhang, CVPR 2007): the log amplitude spectrum minus its own 3 x
+  3 mean, transformed back with the original phase and squared; it is large where the picture differs from the
+  rest of itself. To avoid amplifying noise, the mean of the picture is subtracted first and amplitudes are
+  weighted by A / (A + `NOISE_LEVEL`), in units of white noise.
 - *Centre-surround contrast* of luminance and of the colour opponents R - G and B - (R + G) / 2 (after Itti,
-  Koch & Niebur, TPAMI 1998): the difference of a narrow and a wide mean, without a sign, the sum of the
-  three.
-- *Temporal contrast*: the same three against their own mean over the past `MEMORY_S` seconds, for what moves.
+  Koch & Niebur, TPAMI 1998): the absolute difference of a narrow and a wide mean, summed over the three.
+- *Temporal contrast*: the same three against their own mean over the past `MEMORY_S` seconds, for motion.
 
-Each part is divided by its peak of the past, which rises at once and fades over `FADE_S` seconds, and is
-never below a part's `FLOORS`; then the parts are averaged and divided by the peak of the average in the same
-way. So a map lies in 0..1, and frame t needs frames 0..t alone: the model can be run on a live picture
+Each part is divided by its past peak, which rises at once, decays over `FADE_S` seconds, and is never below
+the part's value in `FLOORS`; the parts are then averaged and divided by the peak of the average in the same
+way. A map therefore lies in 0..1, and frame t depends on frames 0..t only: the model can run on live pictures
 (`SaliencyModel.update`).
 """
 
@@ -43,7 +40,7 @@ from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.files import readable
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import field_that_holds
+from touchfield.medium.field import field_without_empty_bricks
 from touchfield.sources.camera import MAX_FRAMES, Frames, require_frame
 from touchfield.sources.depth.layouts import source_rate
 from touchfield.sources.images import movies as moving
@@ -51,32 +48,29 @@ from touchfield.sources.images.pictures import PHOTO_SUFFIXES, InOrder, list_fil
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_near
+from touchfield.sources.scene import UP_Y_AXES, Scene, find_bricks_by_sphere
 
 LONGER_SIDE_M: Final = 1.0
-THICKNESS: Final = 0.05  # of the plate, as a share of its longer side
-MEMORY_S: Final = 0.3  # of the mean against which movement is seen: a few frames of a film
-FADE_S: Final = 2.0  # in which a peak of the past fades to 1/e
+THICKNESS: Final = 0.05  # of the plate, as a fraction of its longer side
+MEMORY_S: Final = 0.3  # time constant of the mean for temporal contrast: a few frames of a film
+FADE_S: Final = 2.0  # time in which a past peak decays to 1/e
 FLOORS: Final = (0.02, 0.15, 0.15)
-"""Least peaks of spectral residual, centre-surround and temporal contrast; 1 is the step from black to white.
+"""Smallest peaks of spectral residual, centre-surround and temporal contrast; a step black to white is 1."""
 
-"""
-
-NOISE_LEVEL: Final = (
-    0.02  # standard deviation of white noise that is not worth attention, of 1: 5 of 255 grey levels
-)
-_LEAST_TOTAL: Final = 1 / 3  # of the averaged parts: one part alone at its peak
+NOISE_LEVEL: Final = 0.02
+"""Standard deviation of white noise that is not salient: 5 of 255 grey levels."""
+_MIN_TOTAL_PEAK: Final = 1 / 3  # of the average of the parts: one part at its peak
 _CENTRE_PX, _SURROUND_PX, _RESIDUAL_PX = 1.5, 8.0, 2.0  # standard deviations
-_LEAST: Final = 1e-6  # saliency that is none
+_MIN_SALIENCY: Final = 1e-6  # saliency that counts as 0
 
 
 @dataclass(frozen=True)
 class SaliencyModel:
-    """The model at a rate in pictures a second; it is never changed, so that any moment of it can be kept.
+    """The immutable state of the model, at a rate in pictures a second.
 
-    `mean` float32 [3, height, width] is that of luminance and colour opponents so far, None before the first
-    picture; `peaks` are the faded ones of spectral residual, centre-surround, temporal contrast, and of their
-    average.
+    `mean` float32 [3, height, width] is the running mean of luminance and colour opponents, None before the
+    first picture; `peaks` are the decayed peaks of spectral residual, centre-surround, temporal contrast, and
+    of their average.
     """
 
     rate_hz: float
@@ -87,10 +81,10 @@ class SaliencyModel:
         require_positive(rate_hz=self.rate_hz)
 
     def update(self, colours: NDArray[np.uint8]) -> tuple[Float32s, SaliencyModel]:
-        """The saliency of the next picture, sRGB, uint8 [height, width, 3], and the model that has seen it.
+        """Return the saliency of the next picture, sRGB, uint8 [height, width, 3], and the updated model.
 
         The saliency is float32 [map height, map width], 0 to 1, of `map_size`, row 0 at the top. Raises
-        `InvalidArgument` if the picture is of another size than the one before it.
+        `InvalidArgument` if the picture has another size than the one before it.
         """
         from scipy.ndimage import gaussian_filter
 
@@ -98,22 +92,22 @@ class SaliencyModel:
             return np.stack([gaussian_filter(channel, sigma_px, mode="nearest") for channel in channels])
 
         r, g, b = np.moveaxis(moving.reduced(colours).astype(np.float32) / 255, -1, 0)
-        now = np.stack([0.299 * r + 0.587 * g + 0.114 * b, r - g, b - (r + g) / 2]).astype(np.float32)
-        mean = now if self.mean is None else self.mean
-        if mean.shape != now.shape:
+        current = np.stack([0.299 * r + 0.587 * g + 0.114 * b, r - g, b - (r + g) / 2]).astype(np.float32)
+        mean = current if self.mean is None else self.mean
+        if mean.shape != current.shape:
             raise InvalidArgument(
-                "picture", f"size {now.shape[1:]} of the map", f"{mean.shape[1:]}, as before"
+                "picture", f"size {current.shape[1:]} of the map", f"{mean.shape[1:]}, as before"
             )
-        around = np.abs(smoothed(now, _CENTRE_PX) - smoothed(now, _SURROUND_PX)).sum(axis=0)
-        moves = gaussian_filter(np.abs(now - mean).sum(axis=0), 1.0, mode="nearest")
-        parts = [_spectral_residual(now[0]), around, moves]
+        contrast = np.abs(smoothed(current, _CENTRE_PX) - smoothed(current, _SURROUND_PX)).sum(axis=0)
+        motion = gaussian_filter(np.abs(current - mean).sum(axis=0), 1.0, mode="nearest")
+        parts = [_spectral_residual(current[0]), contrast, motion]
         fade = math.exp(-1 / (FADE_S * self.rate_hz))
-        peaks = [max(float(p.max()), fade * q, least) for p, q, least in zip(parts, self.peaks, FLOORS)]
+        peaks = [max(float(p.max()), fade * q, floor) for p, q, floor in zip(parts, self.peaks, FLOORS)]
         total = np.mean([part / peak for part, peak in zip(parts, peaks)], axis=0)
-        peaks.append(max(float(total.max()), fade * self.peaks[3], _LEAST_TOTAL))
+        peaks.append(max(float(total.max()), fade * self.peaks[3], _MIN_TOTAL_PEAK))
         saliency = np.clip(total / peaks[3], 0, 1).astype(np.float32)
-        share = np.float32(1 - math.exp(-1 / (MEMORY_S * self.rate_hz)))
-        return saliency, replace(self, mean=mean + share * (now - mean), peaks=tuple(peaks))
+        fraction = np.float32(1 - math.exp(-1 / (MEMORY_S * self.rate_hz)))
+        return saliency, replace(self, mean=mean + fraction * (current - mean), peaks=tuple(peaks))
 
 
 def _spectral_residual(luminance: Float32s) -> Float64s:
@@ -138,7 +132,7 @@ class SaliencyMaps(InOrder):
         super().__init__("pictures", pictures.frame_count)
         self.pictures, self._rate_hz = pictures, rate_hz
 
-    def _from(self, first: int) -> Iterator[Float32s]:
+    def _iterate(self, first: int) -> Iterator[Float32s]:
         model = SaliencyModel(self._rate_hz)
         for number in range(first, self.frame_count):
             saliency, model = model.update(self.pictures.values(number))
@@ -150,8 +144,8 @@ class SaliencyScene(Scene):
     """The saliency of pictures over time as a plate of force; see the module.
 
     `pictures` have the size of the originals; their values are sRGB, uint8 [height, width, 3], reduced or
-    not. `source_rate_hz` is pictures a second; `rate_hz` frames a second of the scene, where it is to differ:
-    a frame shows the latest picture.
+    not. `source_rate_hz` is pictures a second; `rate_hz` is frames a second of the scene, by default the
+    same: a frame shows the latest picture.
     """
 
     tags = ("symbolic",)
@@ -184,44 +178,47 @@ class SaliencyScene(Scene):
         self.finest_m = (*self._cell_m, self._depth_m)
 
     def bounds_m(self) -> Float64s:
-        """The box of the plate, metres, float64 [2, 3], its middle in the origin."""
+        """Return the box of the plate, metres, float64 [2, 3], centred at the origin."""
         half = np.array([*self._size_m, self._depth_m]) / 2
         return np.stack([-half, half])
 
     def saliency(self, frame: int) -> Float32s:
-        """The saliency map of a frame, float32 [map height, map width], 0 to 1, row 0 at the top; read-only."""
+        """Return the saliency map of a frame, float32 [map height, map width], 0 to 1, read-only.
+
+        Row 0 is at the top.
+        """
         require_frame(frame, self.frame_count)
         return self.maps.at(min(self.maps.frame_count - 1, int(frame * self._step + 1e-6)))
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """The forces along +z, saliency times the largest amplitude of `profile`, at the points of `grid`."""
+        """Return forces along +z: saliency times the largest amplitude of `profile`."""
         from scipy.ndimage import map_coordinates
 
         saliency, half_m = self.saliency(frame), self.bounds_m()[1]
         rows, columns = saliency.shape
         xs, ys, zs = (grid.origin_m[a] + grid.spacing_m[a] * np.arange(grid.shape[a]) for a in range(3))
-        places = np.meshgrid((rows - 1) / 2 - ys / self._cell_m[1], (columns - 1) / 2 + xs / self._cell_m[0])
-        image = map_coordinates(saliency, places, order=1, mode="nearest")  # [x, y]
-        image[(image < _LEAST) | (np.abs(xs) > half_m[0])[:, None] | (np.abs(ys) > half_m[1])] = 0
+        coordinates = np.meshgrid(
+            (rows - 1) / 2 - ys / self._cell_m[1], (columns - 1) / 2 + xs / self._cell_m[0]
+        )
+        image = map_coordinates(saliency, coordinates, order=1, mode="nearest")  # [x, y]
+        image[(image < _MIN_SALIENCY) | (np.abs(xs) > half_m[0])[:, None] | (np.abs(ys) > half_m[1])] = 0
         image *= max(abs(c + s * x) for a, b, c, s in profile.pieces for x in (a, b) if np.isfinite(x))
         slab = np.abs(zs) <= half_m[2]
         image, slab = (np.pad(part, [(0, -n % BRICK) for n in part.shape]) for part in (image, slab))
-        bricks = bricks_near(
+        bricks = find_bricks_by_sphere(
             lambda centres, radius_m: (np.abs(centres) <= half_m + radius_m).all(axis=1), grid
         )
         i, j, k = (bricks[:, axis, None] * BRICK + np.arange(BRICK) for axis in range(3))
         forces = zero_forces(len(bricks))
         forces[..., 2] = image[i[:, :, None, None], j[:, None, :, None]] * slab[k][:, None, None]
-        return field_that_holds(grid, bricks, forces)
+        return field_without_empty_bricks(grid, bricks, forces)
 
 
 def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
-    """A video, a folder of pictures in the order of their numbers, or a picture."""
+    """Open a video, a folder of pictures in the order of their numbers, or a picture."""
     if options.kind is None and options.depth_scale is not None:
-        found, mend = (
-            "an ordinary picture or video of 8 bits",
-            "Name its kind with --as saliency if that is meant.",
-        )
+        found = "an ordinary picture or video of 8 bits"
+        mend = "Name its kind with --as saliency if that is meant."
         raise SourceError(str(path), found, "16-bit grey depth, as --depth-scale says", mend)
     with readable(path, "files that can be read"):
         if path.is_dir():
@@ -237,17 +234,14 @@ def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
             pictures = moving.ColourVideo(path)
         else:
             pictures = moving.ColourPictures((path,))
-    note = (
-        "Symbolic: forces tell where the picture catches the eye, and no surface; a point device feels a "
-        "slab."
-    )
+    note = "Symbolic: forces show where the picture is salient, not a surface; a point device renders a slab."
     return SaliencyScene(pictures, pictures.rate_hz or source_rate(options), options.rate_hz, (note,))
 
 
 def _recognise(path: Path) -> bool:
     if path.suffix.lower() not in moving.VIDEO_SUFFIXES or not path.is_file():
         return False
-    return not moving.video_header(path).is_deep_grey  # without the extra, "depth-video" has said so before
+    return not moving.video_header(path).is_deep_grey  # "depth-video" comes first and reports a missing extra
 
 
 KIND = SourceKind(

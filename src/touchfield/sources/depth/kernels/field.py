@@ -1,7 +1,6 @@
-"""Compiled loops of the depth reading: which bricks lie near the planes of a depth map, and their forces.
+"""Compiled loops of the depth reading: bricks near the planes of a depth map, and their forces.
 
-The force is told in `touchfield.sources.depth.depth_scene`, and how the loops are laid out in `planes` beside
-this file.
+`touchfield.sources.depth.depth_scene` defines the force; `planes` describes the layout of the loops.
 """
 
 from __future__ import annotations
@@ -28,32 +27,29 @@ _0, _1, HALF, _BIG = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1
 
 B3 = 512  # samples of a brick
 _NX, _NY, _NZ, _C, _PHI, _FORCE, _SCRATCH = (B3 * q for q in range(7))
-_AT_ONCE = 1 << 26  # bricks that a GPU looks at
+_GPU_BRICKS = 1 << 26  # bricks that a GPU tests at once
 
 
 class Query(NamedTuple):
-    """A depth map's planes and the lattice on which their force is asked for."""
+    """The planes of a depth map, and the lattice on which their force is evaluated."""
 
     surface: SurfacePlanes
-    lattice_m: (
-        Float64s  # [4, 3], camera axes: sample (0, 0, 0), and the steps along the three axes of the grid
-    )
-    shape: tuple[int, int, int]  # its samples
-    offsets_m: (
-        Float32s  # [1536], of a brick's samples relative to its first, camera axes: x of all, then y, then z
-    )
-    turn: Float32s  # [3, 3], from camera axes to those of the force
+    # [4, 3], camera axes: sample (0, 0, 0), and the steps along the three axes of the grid
+    lattice_m: Float64s
+    shape: tuple[int, int, int]  # samples of the lattice
+    # [1536], samples of a brick relative to its first, camera axes: x of all, then y, then z
+    offsets_m: Float32s
+    rotation: Float32s  # [3, 3], from camera axes to those of the force
     pieces: Float32s  # [n, 4], the force profile
-    reach: Float32s  # [2], m along the ray in front of and behind a plane
-    first_m: float  # nothing pushes at less depth
+    reach: Float32s  # [2], metres along the ray in front of and behind a plane
+    first_m: float  # depth below which there is no force
 
 
 @inner(fastmath={"contract"}, error_model="numpy")
 def _box_in_view(x0, y0, z0, corners, query):
-    """Nearest and farthest z of a box, and the pixels u0, u1, v0, v1 that it may fall on.
+    """Nearest and farthest z of a box, and the range of pixels u0, u1, v0, v1 of its projection.
 
-    Nothing (z from 1 to 0) where the box lies before all that pushes, behind the camera or beside the
-    picture.
+    Empty (z from 1 to 0) if the box lies in front of all forces, behind the camera or outside the picture.
     """
     camera, (height, width) = query.surface.camera_px, query.surface.size_px
     z_low = z0 + corners[8, 2]
@@ -61,7 +57,7 @@ def _box_in_view(x0, y0, z0, corners, query):
     if z_high <= query.first_m:
         return 1.0, 0.0, (0, 0, 0, 0)
     pixels = (0, width - 1, 0, height - 1)
-    if z_low > 1e-3 * z_high:  # else the box touches the camera's plane and may fall anywhere
+    if z_low > 1e-3 * z_high:  # else the box touches the camera's plane and may project anywhere
         u0, u1, v0, v1 = 1e9, -1e9, 1e9, -1e9
         for q in range(8):
             per_z = 1.0 / (z0 + corners[q, 2])
@@ -80,34 +76,41 @@ def _box_in_view(x0, y0, z0, corners, query):
 
 
 @inner(error_model="numpy")
-def _near_surface(z_low, z_high, pixels, tiles, reach):
-    """True if a box of these pixels and depths may hold a sample within reach of a surface."""
-    near, far = _0, _BIG
+def _may_reach_surface(z_low, z_high, pixels, tiles, reach):
+    """Return True if a box of these pixels and depths may hold a sample within reach of a surface."""
+    largest, smallest = _0, _BIG
     for t in range(pixels[2] >> 3, (pixels[3] >> 3) + 1):
         for s in range(pixels[0] >> 3, (pixels[1] >> 3) + 1):
             x, y = tiles[t, s, 0], tiles[t, s, 1]
-            near = x if x > near else near
-            far = y if y < far else far
+            largest = x if x > largest else largest
+            smallest = y if y < smallest else smallest
     slack = 1e-5 * z_high
-    return near > _0 and z_high >= 1.0 / near - reach[0] - slack and z_low <= 1.0 / far + reach[1] + slack
+    return (
+        largest > _0
+        and z_high >= 1.0 / largest - reach[0] - slack
+        and z_low <= 1.0 / smallest + reach[1] + slack
+    )
 
 
 @kernel
-def _may_hold(begin, end, nodes, span, corners, query, hits):
+def _may_hold(start, stop, nodes, span, corners, query, hits):
     lattice = query.lattice_m
-    for n in range(begin, end):
+    for n in range(start, stop):
         a, b, d = 8.0 * span * nodes[n, 0], 8.0 * span * nodes[n, 1], 8.0 * span * nodes[n, 2]
         x = lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0]
         y = lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1]
         z = lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2]
         z_low, z_high, pixels = _box_in_view(x, y, z, corners, query)
-        hits[n] = z_low <= z_high and _near_surface(z_low, z_high, pixels, query.surface.tiles, query.reach)
+        hits[n] = z_low <= z_high and _may_reach_surface(
+            z_low, z_high, pixels, query.surface.tiles, query.reach
+        )
 
 
 @inner(fastmath={"contract"}, error_model="numpy", forceinline=True)
 def pixel_of(x, y, z, fx, fy, cx, cy, height, width):
-    """The pixel on which a point in camera axes falls; the one behind the last where it falls beside the
-    picture.
+    """Return the pixel of a point in camera axes.
+
+    Returns `height` * `width` if it lies outside the picture.
     """
     per_z = _1 / z
     u = x * per_z * fx + cx
@@ -128,7 +131,7 @@ def pixels_of(x0, y0, z0, offsets, count, camera, height, width, index):
 @inner
 def gather(planes, index, count, r):
     for s in range(count):
-        p = np.uintp(4) * np.uintp(np.uint32(index[s]))  # unsigned: no question of counting from the end
+        p = np.uintp(4) * np.uintp(np.uint32(index[s]))  # unsigned: no test for negative indices
         r[s + _NX] = planes[p]
         r[s + _NY] = planes[p + np.uintp(1)]
         r[s + _NZ] = planes[p + np.uintp(2)]
@@ -136,22 +139,27 @@ def gather(planes, index, count, r):
 
 
 @inner(fastmath={"contract"}, error_model="numpy", forceinline=True)
-def distance_at(x, y, z, plane, front, behind):
-    """The distance of a point to its pixel's plane (nx, ny, nz, c), metres; far where no force can be."""
+def distance_at(x, y, z, plane, reach_front, reach_back):
+    """Signed distance of a point to its pixel's plane (nx, ny, nz, c), metres.
+
+    It is 1e30 out of reach.
+    """
     facing = plane[0] * x + plane[1] * y + plane[2] * z
     phi = facing - plane[3]
-    # z * phi / facing is the distance in z from where the sample's own ray meets the plane
-    is_near = (facing < _0) & (z * abs(phi) <= -facing * (behind if phi <= _0 else front))
-    return phi if is_near else _BIG
+    # z * phi / facing is the distance in z from the point where the sample's own ray meets the plane
+    is_in_reach = (facing < _0) & (z * abs(phi) <= -facing * (reach_back if phi <= _0 else reach_front))
+    return phi if is_in_reach else _BIG
 
 
 @inner(fastmath={"contract"}, error_model="numpy")
 def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
-    """Amplitudes, newtons, into ``r[_FORCE:]``."""
-    front, behind = reach[0], reach[1]
+    """Write amplitudes, newtons, into ``r[_FORCE:]``."""
+    reach_front, reach_back = reach[0], reach[1]
     for s in range(count):
         x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
-        r[s + _PHI] = distance_at(x, y, z, (r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]), front, behind)
+        r[s + _PHI] = distance_at(
+            x, y, z, (r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]), reach_front, reach_back
+        )
         r[s + _FORCE] = _0
     for p in range(pieces.shape[0]):
         low, high, intercept, slope = pieces[p, 0], pieces[p, 1], pieces[p, 2], pieces[p, 3]
@@ -171,7 +179,7 @@ def _any_force(r, count):
 
 @inner(forceinline=True)
 def first_sample(brick, lattice):
-    """The first sample of a brick in camera axes, metres, float32."""
+    """Return the first sample of a brick in camera axes, metres, float32."""
     a, b, d = 8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]
     x = np.float32(lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0])
     y = np.float32(lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1])
@@ -181,7 +189,7 @@ def first_sample(brick, lattice):
 
 @inner(forceinline=True)
 def _evaluate(brick, first, count, query, index, r):
-    """Planes and amplitudes, into `r`, of `count` samples of a brick from the `first` on."""
+    """Write planes and amplitudes of `count` samples of a brick, from the `first` on, into `r`."""
     surface, offsets, shape = query.surface, query.offsets_m[first:], query.shape
     x, y, z = first_sample(brick, query.lattice_m)
     pixels_of(x, y, z, offsets, count, surface.camera_px, surface.size_px[0], surface.size_px[1], index)
@@ -195,9 +203,9 @@ def _evaluate(brick, first, count, query, index, r):
 
 
 @kernel
-def _holds(begin, end, nodes, query, hits):
+def _holds(start, stop, nodes, query, hits):
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
-    for n in range(begin, end):
+    for n in range(start, stop):
         hits[n] = False
         for first, count in ((0, 64), (64, B3 - 64)):
             _evaluate(nodes[n], first, count, query, index, r)
@@ -207,10 +215,10 @@ def _holds(begin, end, nodes, query, hits):
 
 
 @inner(fastmath={"contract"})
-def _write(r, turn, out):
-    a, b, c = turn[0, 0], turn[0, 1], turn[0, 2]
-    d, e, f = turn[1, 0], turn[1, 1], turn[1, 2]
-    g, h, i = turn[2, 0], turn[2, 1], turn[2, 2]
+def _write(r, rotation, out):
+    a, b, c = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    d, e, f = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    g, h, i = rotation[2, 0], rotation[2, 1], rotation[2, 2]
     for s in range(B3):
         q = r[s + _FORCE]
         x, y, z = q * r[s + _NX], q * r[s + _NY], q * r[s + _NZ]
@@ -220,25 +228,24 @@ def _write(r, turn, out):
 
 
 @kernel
-def _fill(begin, end, nodes, query, out):
+def _fill(start, stop, nodes, query, out):
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
-    for n in range(begin, end):
+    for n in range(start, stop):
         _evaluate(nodes[n], 0, B3, query, index, r)
-        _write(r, query.turn, out[1536 * n : 1536 * n + 1536])
+        _write(r, query.rotation, out[1536 * n : 1536 * n + 1536])
 
 
-# -- the same on a GPU: a sample, or some of a brick, a thread
-# -------------------------------------------------------
+# -- the same on a GPU: each thread computes one sample, or some of a brick --------------------------------
 @inner(forceinline=True)
 def _is_beyond(brick, s, shape):
-    """True if a sample of a brick lies beyond the grid."""
+    """Return True if a sample of a brick lies outside the grid."""
     is_beyond = 8 * brick[0] + (s >> 6) >= shape[0] or 8 * brick[1] + (s >> 3 & 7) >= shape[1]
     return is_beyond or 8 * brick[2] + (s & 7) >= shape[2]
 
 
 @inner(fastmath={"contract"})
 def _force_of_sample(first, s, query):
-    """Amplitude, newtons, and normal at a sample of the brick whose `first` one is there."""
+    """Amplitude, newtons, and normal at sample `s` of the brick with the `first` sample at this position."""
     offsets, pieces = query.offsets_m, query.pieces
     camera, planes, (height, width) = query.surface.camera_px, query.surface.planes, query.surface.size_px
     x, y, z = first[0] + offsets[s], first[1] + offsets[s + B3], first[2] + offsets[s + 2 * B3]
@@ -254,20 +261,19 @@ def _force_of_sample(first, s, query):
 
 
 @kernel
-def _each_holds(begin, end, start, shape, corners, query, hits):
-    """Of a grid of `shape` bricks, from number `start` on: eight threads a brick, each at every eighth
-    sample.
+def _each_holds(start, stop, first_brick, shape, corners, query, hits):
+    """Test bricks of a grid of `shape` bricks, from number `first_brick` on, with eight threads a brick.
 
-    To see the boxes of all takes less than to halve blocks. Threads that find a force may all tell it at
-    once.
+    Each thread tests every eighth sample. Testing the boxes of all bricks is faster than halving blocks.
+    Threads that find a force may all write the same hit.
     """
-    for q in range(begin, end):
+    for q in range(start, stop):
         n = q >> 3
-        row = (start + n) // shape[2]
-        brick = row // shape[1], row % shape[1], (start + n) % shape[2]
+        row = (first_brick + n) // shape[2]
+        brick = row // shape[1], row % shape[1], (first_brick + n) % shape[2]
         first = first_sample(brick, query.lattice_m)
         z_low, z_high, pixels = _box_in_view(first[0], first[1], first[2], corners, query)
-        if z_low > z_high or not _near_surface(z_low, z_high, pixels, query.surface.tiles, query.reach):
+        if z_low > z_high or not _may_reach_surface(z_low, z_high, pixels, query.surface.tiles, query.reach):
             continue
         for s in range(q & 7, B3, 8):
             if not _is_beyond(brick, s, query.shape) and _force_of_sample(first, s, query)[0] != _0:
@@ -276,20 +282,21 @@ def _each_holds(begin, end, start, shape, corners, query, hits):
 
 
 @kernel
-def _each_fill(begin, end, nodes, query, out):
-    turn = query.turn
-    for q in range(begin, end):
+def _each_fill(start, stop, nodes, query, out):
+    rotation = query.rotation
+    for q in range(start, stop):
         n, s = q >> 9, q & 511
         f, normal = _force_of_sample(first_sample(nodes[n], query.lattice_m), s, query)
         f = _0 if _is_beyond(nodes[n], s, query.shape) else f
         x, y, z = f * normal[0], f * normal[1], f * normal[2]
         for c in range(3):
-            out[3 * q + c] = turn[c, 0] * x + turn[c, 1] * y + turn[c, 2] * z
+            out[3 * q + c] = rotation[c, 0] * x + rotation[c, 1] * y + rotation[c, 2] * z
 
 
 def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
-    """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of
-    `span`.
+    """Test cubes of `span`^3 bricks, bool [n]: False if they cannot hold a force.
+
+    `nodes` int32 [n, 3] are positions in units of `span`.
     """
     hits = np.empty(len(nodes), np.bool_)
     for_chunks(_may_hold, len(nodes), nodes, span, _corners(span, query.lattice_m), query, hits, chunk=64)
@@ -297,39 +304,38 @@ def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
 
 
 def _corners(span: int, lattice_m: Float64s) -> Float64s:
-    """Corners of a cube of bricks from its first sample on, camera axes, and its least and greatest z; [10,
-    3].
+    """Return the corners of a cube of bricks, camera axes, relative to its first sample.
+
+    Float64 [10, 3]; the last two rows are the smallest and the largest z.
     """
     corners = (8 * span - 1) * (CORNERS @ lattice_m[1:])
     return np.vstack([corners, np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())])
 
 
 def holds_force(bricks: Int32s, query: Query) -> Bools:
-    """Bricks that hold at least one force, bool [n]."""
+    """Test bricks for at least one force, bool [n]."""
     hits = np.empty(len(bricks), np.bool_)
     for_chunks(_holds, len(bricks), bricks, query, hits, chunk=16)
     return hits
 
 
 def bricks_by_gpu(query: Query, grid: Grid) -> Int32s:
-    """Bricks with at least one force, int32 [n, 3], ascending."""
-    there, shape = on_device(query), grid.brick_shape
-    corners = _corners(1, on_host(there.lattice_m))
+    """Find bricks with at least one force on the GPU, int32 [n, 3], ascending."""
+    device_query, shape = on_device(query), grid.brick_shape
+    corners = _corners(1, on_host(device_query.lattice_m))
     count, keys = math.prod(shape), [np.empty(0, np.int64)]
-    for first in range(0, count, _AT_ONCE):
-        some = min(_AT_ONCE, count - first)
-        hits = on_device(np.zeros(some, np.bool_))
-        for_each(_each_holds, 8 * some, first, shape, on_device(corners), there, hits)
+    for first in range(0, count, _GPU_BRICKS):
+        block = min(_GPU_BRICKS, count - first)
+        hits = on_device(np.zeros(block, np.bool_))
+        for_each(_each_holds, 8 * block, first, shape, on_device(corners), device_query, hits)
         keys.append(first + np.flatnonzero(on_host(hits)))
     return bricks_of(grid, np.concatenate(keys))
 
 
 def brick_forces(bricks: Int32s, query: Query) -> Float32s:
-    """The forces of bricks, newtons, float32 [n, 8, 8, 8, 3]."""
+    """Return the forces of bricks, newtons, float32 [n, 8, 8, 8, 3]."""
     if len(bricks) * BYTES_PER_BRICK > memory_budget_bytes():
-        return zero_forces(
-            len(bricks)
-        )  # which refuses; else every number is written below, and zeros cost time
+        return zero_forces(len(bricks))  # raises; otherwise all values are written below, without zeroing
     if uses_gpu():
         return on_host(forces_on_device(bricks, query)).reshape(-1, 8, 8, 8, 3)
     out = np.empty((len(bricks), 8, 8, 8, 3), np.float32)
@@ -338,5 +344,5 @@ def brick_forces(bricks: Int32s, query: Query) -> Float32s:
 
 
 def forces_on_device(bricks: Int32s, query: Query) -> Any:
-    """The same in the memory of a GPU, where they stay: float32 [1536 n] (``__cuda_array_interface__``)."""
+    """Compute the forces in GPU memory, float32 [1536 n] (``__cuda_array_interface__``)."""
     return filled(_each_fill, B3 * len(bricks), (bricks, query), 3 * B3 * len(bricks), np.float32)

@@ -1,7 +1,6 @@
-"""Compiled loops of the fused world: what one depth map tells each sample of a volume, and the forces of the
-mean.
+"""Compiled loops of the fused world: update the samples of a volume with a depth map, and compute forces.
 
-What a sample remembers and why is told in `touchfield.sources.depth.fused_scene`.
+`touchfield.sources.depth.fused_scene` describes the state of a sample.
 """
 
 from __future__ import annotations
@@ -18,19 +17,19 @@ from touchfield.compute.threads import for_chunks
 from touchfield.medium.budget import zero_forces
 from touchfield.sources.depth.kernels.field import B3, Query, first_sample, gather, pixels_of
 
-_PASSED, CLEAR = 1, 2  # free: a ray passed; one did with nothing near it
-_CARVED = 128  # strikes of a surface that was carved
+_PASSED, CLEAR = 1, 2  # values of `Samples.free`: a ray passed; a ray passed with no surface near it
+_CARVED = 128  # value of `Samples.strikes` of a carved surface
 _0, _1 = np.float32(0), np.float32(1)
 _TINY = np.float32(1e-30)
 _NX, _NY, _NZ, _C = (B3 * q for q in range(4))
 
 
 class View(NamedTuple):
-    """A depth map before the lattice of the volume.
+    """A depth map and the lattice of the volume.
 
-    `marked` are, of `integrate`, pixels whose surface stands where free space was known, so that what lies
-    behind is new, too; of `mark`, those whose samples are asked for. `nearest_per_m` is the largest inverse
-    depth in each tile of 8 x 8 pixels and those around it: what lies clearly before it is free.
+    `marked` are, for `integrate`, pixels whose surface lies in known free space, so that samples behind it
+    are new, too; for `mark`, the pixels whose samples are to be marked. `nearest_per_m` is the largest
+    inverse depth in each tile of 8 x 8 pixels and its neighbours: samples clearly in front of it are free.
     """
 
     query: Query
@@ -39,143 +38,141 @@ class View(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Distances that tell a surface from free space and from a guess, float32.
+    """Distances that distinguish a surface, free space and a guess, float32.
 
-    Of depth z the noise is `noise_per_m` z^2, and a surface is never taken to be thinner than `least_m`;
-    there may be a force `behind_m` behind it, and `along` times as far along the ray; the first look counts
-    `first` times.
+    The noise at depth z is `noise_per_m` z^2, and the neighbourhood of a surface is at least `min_near_m`.
+    Forces reach `wall_depth_m` behind the surface, and `ray_factor` times as far along the ray. `first` is
+    the weight of the first observation.
     """
 
     noise_per_m: np.float32
-    least_m: np.float32
-    behind_m: np.float32
-    along: np.float32
+    min_near_m: np.float32
+    wall_depth_m: np.float32
+    ray_factor: np.float32
     first: np.float32
 
 
 class Samples(NamedTuple):
-    """The memory of the samples of the bricks of a volume, [bricks, 512] each."""
+    """The state of the samples of the bricks of a volume, [bricks, 512] each."""
 
     distance_m: Float32s  # mean signed distance to the surface, negative behind it
-    weight: Float32s  # 0 where nothing is known but free space
+    weight: Float32s  # 0 if only free space, or nothing, is known
     normal: Float32s  # [bricks, 3, 512], mean normal, scene axes
-    near: NDArray[np.uint8]  # 1 where a surface was seen close by
-    free: NDArray[np.uint8]  # 0 until a ray passed, since; then 1, and 2 once one did with nothing near it
-    strikes: NDArray[np.uint8]  # how often in a row the view spoke against it
-    changes: NDArray[
-        np.uint8
-    ]  # 1 where free space became a surface, a surface free space, or a surface another
+    has_surface: NDArray[np.uint8]  # 1 if a surface was seen near the sample
+    free: NDArray[np.uint8]  # 0 since no ray passed, 1 after a ray, 2 after a ray with no surface near it
+    strikes: NDArray[np.uint8]  # number of views in a row that contradict the state
+    changes: NDArray[np.uint8]  # 1 if free space became a surface, a surface free space or another surface
 
     def first(self, count: int) -> Samples:
-        """Those of the first bricks, as views."""
+        """Return the samples of the first bricks, as views."""
         return Samples(*(array[:count] for array in self))  # type: ignore[arg-type]
 
-    def take(self, other: Samples) -> None:
+    def copy_from(self, other: Samples) -> None:
         """Remember what `other`, of as many bricks, does."""
-        for array, its in zip(self, other, strict=True):
-            array[...] = its  # type: ignore[index]
+        for array, source in zip(self, other, strict=True):
+            array[...] = source  # type: ignore[index]
 
 
-def no_samples(count: int) -> Samples:
-    """Samples of bricks of which nothing is known."""
+def empty_samples(count: int) -> Samples:
+    """Return samples without observations."""
     floats = (np.zeros((count, *shape), np.float32) for shape in ((512,), (512,), (3, 512)))
     return Samples(*floats, *(np.zeros((count, 512), np.uint8) for _ in range(4)))
 
 
 @inner
-def _forget(of, n, s):
-    of.weight[n, s] = _0
-    of.near[n, s] = of.free[n, s] = of.strikes[n, s] = 0
+def _reset_sample(samples, n, s):
+    samples.weight[n, s] = _0
+    samples.has_surface[n, s] = samples.free[n, s] = samples.strikes[n, s] = 0
 
 
 @inner
-def _passed(of, n, s, is_clear):
-    """A ray passed through the sample: what was only guessed there goes at the second one, so does a surface."""
-    if of.weight[n, s] > _0:
-        of.strikes[n, s] += 1
-        if of.strikes[n, s] < 2:
+def _carve(samples, n, s, is_clear):
+    """Update a sample that a ray passed through: the second ray in a row removes a guess or a surface."""
+    if samples.weight[n, s] > _0:
+        samples.strikes[n, s] += 1
+        if samples.strikes[n, s] < 2:
             return
-        was_surface = of.near[n, s] > 0
-        _forget(of, n, s)
-        of.strikes[n, s] = _CARVED if was_surface else 0
-    of.free[n, s] = max(of.free[n, s], _PASSED)
-    if (
-        is_clear
-    ):  # only now is a carved surface surely gone: close beside a thing a pose that is off carves, too
-        of.free[n, s] = CLEAR
-        if of.strikes[n, s] == _CARVED:
-            of.changes[n, s] = 1
-            of.strikes[n, s] = 0
+        was_surface = samples.has_surface[n, s] > 0
+        _reset_sample(samples, n, s)
+        samples.strikes[n, s] = _CARVED if was_surface else 0
+    samples.free[n, s] = max(samples.free[n, s], _PASSED)
+    if is_clear:  # only now is a carved surface certainly gone: pose errors carve close beside a surface, too
+        samples.free[n, s] = CLEAR
+        if samples.strikes[n, s] == _CARVED:
+            samples.changes[n, s] = 1
+            samples.strikes[n, s] = 0
 
 
 @inner(fastmath={"contract"})
-def _met(of, n, s, phi, weight, normal):
-    """The mean of the sample moves towards what one view says."""
-    total = of.weight[n, s] + weight
-    share = weight / total
-    of.weight[n, s] = total
-    of.distance_m[n, s] += (phi - of.distance_m[n, s]) * share
-    of.normal[n, 0, s] += (normal[0] - of.normal[n, 0, s]) * share
-    of.normal[n, 1, s] += (normal[1] - of.normal[n, 1, s]) * share
-    of.normal[n, 2, s] += (normal[2] - of.normal[n, 2, s]) * share
+def _update_mean(samples, n, s, phi, weight, normal):
+    """Update the mean of a sample with one view."""
+    total = samples.weight[n, s] + weight
+    fraction = weight / total
+    samples.weight[n, s] = total
+    samples.distance_m[n, s] += (phi - samples.distance_m[n, s]) * fraction
+    samples.normal[n, 0, s] += (normal[0] - samples.normal[n, 0, s]) * fraction
+    samples.normal[n, 1, s] += (normal[1] - samples.normal[n, 1, s]) * fraction
+    samples.normal[n, 2, s] += (normal[2] - samples.normal[n, 2, s]) * fraction
 
 
 @inner(fastmath={"contract"}, error_model="numpy")
-def _tell(of, n, s, look, first, normal):
-    """Tell a sample what a view says that sees a surface at the distance phi, at it or before it.
+def _add_look(samples, n, s, look, first, normal):
+    """Update a sample with a view whose surface lies at the distance phi, near the sample or in front of it.
 
-    Marked is a look at a surface that is new.
+    `look` is phi, tolerance, weight and `is_marked`: whether the surface is new.
     """
-    phi, least, weight, is_marked = look
-    if phi < -least:  # behind a surface: a guess, the less worth the farther behind
-        if of.free[n, s] > 0 and of.near[n, s] == 0:
+    phi, tolerance, weight, is_marked = look
+    if phi < -tolerance:  # behind a surface: a guess, whose weight decreases with the distance
+        if samples.free[n, s] > 0 and samples.has_surface[n, s] == 0:
             if not is_marked:
                 return
-            _forget(of, n, s)
-        share = least / phi
-        share *= share
-        if of.weight[n, s] == _0:
+            _reset_sample(samples, n, s)
+        decay = tolerance / phi
+        decay *= decay
+        if samples.weight[n, s] == _0:
             weight *= first
-        _met(of, n, s, phi, weight * share * share, normal)
+        _update_mean(samples, n, s, phi, weight * decay * decay, normal)
         return
-    if of.near[n, s] == 0:  # a surface in front of a guess, or where nothing was
-        if of.free[n, s] == CLEAR:
-            of.changes[n, s] = 1
-        _forget(of, n, s)
+    if samples.has_surface[n, s] == 0:  # a surface replaces a guess, or is new
+        if samples.free[n, s] == CLEAR:
+            samples.changes[n, s] = 1
+        _reset_sample(samples, n, s)
         weight *= first
-    elif (
-        abs(phi - of.distance_m[n, s]) > least
-    ):  # it has come nearer, or gone, within what counts as close by
-        of.strikes[n, s] += 1
-        if of.strikes[n, s] < 2:
+    elif abs(phi - samples.distance_m[n, s]) > tolerance:  # the surface has shifted within the neighbourhood
+        samples.strikes[n, s] += 1
+        if samples.strikes[n, s] < 2:
             return
-        of.changes[n, s] = 1
-        _forget(of, n, s)
-    of.strikes[n, s] = of.free[n, s] = 0
-    of.near[n, s] = 1
-    _met(of, n, s, phi, weight, normal)
+        samples.changes[n, s] = 1
+        _reset_sample(samples, n, s)
+    samples.strikes[n, s] = samples.free[n, s] = 0
+    samples.has_surface[n, s] = 1
+    _update_mean(samples, n, s, phi, weight, normal)
 
 
 @inner(fastmath={"contract"}, error_model="numpy", forceinline=True)
-def _measured(x, y, z, plane, rules):
-    """Of a sample phi, how near counts as near (-1: nothing is known) and the weight of the look.
+def _measure(x, y, z, plane, rules):
+    """Return phi of a sample, its tolerance (-1: no observation) and the weight of the view.
 
-    Without a branch; z phi / facing is the distance in z from where the sample's own ray meets the plane.
+    Branch-free. z phi / facing is the distance in z from the point where the sample's own ray meets the
+    plane.
     """
     c = plane[3]
     facing = plane[0] * x + plane[1] * y + plane[2] * z
     phi = facing - c
-    is_far = (phi < -rules.behind_m) | (z * phi < facing * rules.along * rules.behind_m)
-    deep = z * c / facing  # the depth at which the sample's ray meets the plane
-    noise = rules.noise_per_m * deep * deep
+    is_out_of_reach = (phi < -rules.wall_depth_m) | (z * phi < facing * rules.ray_factor * rules.wall_depth_m)
+    depth = z * c / facing  # the depth at which the sample's ray meets the plane
+    noise = rules.noise_per_m * depth * depth
     sigma = (noise + np.float32(1e-3)) * np.float32(1e3)
-    near = -_1 if (c >= _0) | (facing >= _0) | is_far else max(rules.least_m, noise + noise)
-    return phi, near, facing * facing / ((x * x + y * y + z * z) * sigma * sigma)
+    tolerance = -_1 if (c >= _0) | (facing >= _0) | is_out_of_reach else max(rules.min_near_m, noise + noise)
+    return phi, tolerance, facing * facing / ((x * x + y * y + z * z) * sigma * sigma)
 
 
 @inner(fastmath={"contract"}, error_model="numpy")
-def _look(brick, query, rules, index, r, seen):
-    """Pixels, planes and what is `_measured` of all samples of a brick; the depth of the first."""
+def _measure_brick(brick, query, rules, index, r, measured):
+    """Write pixels, planes and results of `_measure` of a brick.
+
+    Returns the depth of its first sample.
+    """
     surface, offsets = query.surface, query.offsets_m
     x0, y0, z0 = first_sample(brick, query.lattice_m)
     pixels_of(x0, y0, z0, offsets, B3, surface.camera_px, surface.size_px[0], surface.size_px[1], index)
@@ -183,62 +180,64 @@ def _look(brick, query, rules, index, r, seen):
     for s in range(B3):  # eight at once
         x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
         plane = r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]
-        seen[s], seen[s + B3], seen[s + 2 * B3] = _measured(x, y, z, plane, rules)
+        measured[s], measured[s + B3], measured[s + 2 * B3] = _measure(x, y, z, plane, rules)
     return z0
 
 
 @inner(fastmath={"contract"}, error_model="numpy", forceinline=True)
-def _learn(of, n, s, seen, pixel, plane, z, view, rules):
-    """Tell sample s of brick n, at the depth z, what the view sees there."""
-    phi, least, weight = seen
-    if least < _0:
+def _update_sample(samples, n, s, look, pixel, plane, z, view, rules):
+    """Update sample s of brick n, at the depth z, with a view."""
+    phi, tolerance, weight = look
+    if tolerance < _0:
         return
-    if phi > least:
+    if phi > tolerance:
         width = view.query.surface.size_px[1]
         v = pixel // width
         u = pixel - v * width
-        _passed(of, n, s, (z + least) * view.nearest_per_m[v >> 3, u >> 3] < _1)
+        _carve(samples, n, s, (z + tolerance) * view.nearest_per_m[v >> 3, u >> 3] < _1)
         return
-    turn, nx, ny, nz = view.query.turn, plane[0], plane[1], plane[2]
+    rotation, nx, ny, nz = view.query.rotation, plane[0], plane[1], plane[2]
     normal = (
-        turn[0, 0] * nx + turn[0, 1] * ny + turn[0, 2] * nz,
-        turn[1, 0] * nx + turn[1, 1] * ny + turn[1, 2] * nz,
-        turn[2, 0] * nx + turn[2, 1] * ny + turn[2, 2] * nz,
+        rotation[0, 0] * nx + rotation[0, 1] * ny + rotation[0, 2] * nz,
+        rotation[1, 0] * nx + rotation[1, 1] * ny + rotation[1, 2] * nz,
+        rotation[2, 0] * nx + rotation[2, 1] * ny + rotation[2, 2] * nz,
     )
-    _tell(of, n, s, (phi, least, weight, view.marked[pixel] > 0), rules.first, normal)
+    _add_look(samples, n, s, (phi, tolerance, weight, view.marked[pixel] > 0), rules.first, normal)
 
 
 @kernel(fastmath={"contract"}, error_model="numpy")
-def _integrate(begin, end, bricks, view, rules, of):
-    index, r, seen = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
-    for n in range(begin, end):
-        z0 = _look(bricks[n], view.query, rules, index, r, seen)
+def _integrate(start, stop, bricks, view, rules, samples):
+    index, r, measured = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
+    for n in range(start, stop):
+        z0 = _measure_brick(bricks[n], view.query, rules, index, r, measured)
         for s in range(B3):
             plane = r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]
-            of_sample = seen[s], seen[s + B3], seen[s + 2 * B3]
-            _learn(of, n, s, of_sample, index[s], plane, z0 + view.query.offsets_m[s + 2 * B3], view, rules)
+            look = measured[s], measured[s + B3], measured[s + 2 * B3]
+            _update_sample(
+                samples, n, s, look, index[s], plane, z0 + view.query.offsets_m[s + 2 * B3], view, rules
+            )
 
 
 @kernel(fastmath={"contract"}, error_model="numpy")
-def _mark(begin, end, bricks, view, rules, out):
-    index, r, seen = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
-    for n in range(begin, end):
-        _look(bricks[n], view.query, rules, index, r, seen)
+def _mark(start, stop, bricks, view, rules, out):
+    index, r, measured = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
+    for n in range(start, stop):
+        _measure_brick(bricks[n], view.query, rules, index, r, measured)
         for s in range(B3):
-            if view.marked[index[s]] and seen[s + B3] >= _0 and seen[s] <= rules.least_m:
+            if view.marked[index[s]] and measured[s + B3] >= _0 and measured[s] <= rules.min_near_m:
                 out[n, s] = True
 
 
 @kernel(error_model="numpy")
-def _surfaces_in(begin, end, query, slots, inverse, of, wanted, out):
-    """Pixels of rows begin..end whose surface lies at a sample that is wanted.
+def _mark_surfaces(start, stop, query, slots, inverse, samples, is_selected, out):
+    """Mark pixels of rows start..stop whose surface lies at a selected sample.
 
-    Sum and number of the residuals against the surfaces that are known, metres.
+    Returns sum and number of the residuals against the known surfaces, metres.
     """
     camera, planes, (_, width) = query.surface.camera_px, query.surface.planes, query.surface.size_px
     lattice, shape = query.lattice_m, query.shape
     total, count = 0.0, 0
-    for v in range(begin, end):
+    for v in range(start, stop):
         for u in range(width):
             p = v * width + u
             out[p] = 0
@@ -257,38 +256,38 @@ def _surfaces_in(begin, end, query, slots, inverse, of, wanted, out):
             n, s = slots[i >> 3, j >> 3, k >> 3], (i & 7) << 6 | (j & 7) << 3 | (k & 7)
             if n < 0:
                 continue
-            out[p] = wanted[n, s]
-            if of.near[n, s] > 0:
+            out[p] = is_selected[n, s]
+            if samples.has_surface[n, s] > 0:
                 x -= i * lattice[1, 0] + j * lattice[2, 0] + k * lattice[3, 0]
                 y -= i * lattice[1, 1] + j * lattice[2, 1] + k * lattice[3, 1]
                 z -= i * lattice[1, 2] + j * lattice[2, 2] + k * lattice[3, 2]
-                total += abs(nx * x + ny * y + nz * z + of.distance_m[n, s])
+                total += abs(nx * x + ny * y + nz * z + samples.distance_m[n, s])
                 count += 1
     return total, count
 
 
 @kernel(fastmath={"contract"}, error_model="numpy")
-def _forces(begin, end, of, pieces, shape, bricks, out):
-    for q in range(begin, end):
+def _forces(start, stop, samples, pieces, shape, bricks, out):
+    for q in range(start, stop):
         n, s = q >> 9, q & 511
-        phi, f = of.distance_m[n, s], _0
-        outside = (
+        phi, f = samples.distance_m[n, s], _0
+        is_outside = (
             8 * bricks[n, 0] + (s >> 6) >= shape[0]
             or 8 * bricks[n, 1] + (s >> 3 & 7) >= shape[1]
             or 8 * bricks[n, 2] + (s & 7) >= shape[2]
         )
-        if of.weight[n, s] > _0 and not outside:
+        if samples.weight[n, s] > _0 and not is_outside:
             for p in range(pieces.shape[0]):
                 if pieces[p, 0] < phi <= pieces[p, 1]:
                     f = pieces[p, 2] + pieces[p, 3] * phi
-        x, y, z = of.normal[n, 0, s], of.normal[n, 1, s], of.normal[n, 2, s]
+        x, y, z = samples.normal[n, 0, s], samples.normal[n, 1, s], samples.normal[n, 2, s]
         f /= math.sqrt(x * x + y * y + z * z + _TINY)
         out[n, s, 0], out[n, s, 1], out[n, s, 2] = f * x, f * y, f * z
 
 
-def integrate(bricks: Int32s, view: View, rules: Rules, of: Samples) -> None:
-    """Tell every sample of `bricks` what one view says."""
-    for_chunks(_integrate, len(bricks), bricks, view, rules, of, chunk=16)
+def integrate(bricks: Int32s, view: View, rules: Rules, samples: Samples) -> None:
+    """Update every sample of `bricks` with one view."""
+    for_chunks(_integrate, len(bricks), bricks, view, rules, samples, chunk=16)
 
 
 def mark(bricks: Int32s, view: View, rules: Rules, out: Bools) -> None:
@@ -296,24 +295,26 @@ def mark(bricks: Int32s, view: View, rules: Rules, out: Bools) -> None:
     for_chunks(_mark, len(bricks), bricks, view, rules, out, chunk=16)
 
 
-def surfaces_in(view: View, slots: Int32s, of: Samples, wanted: Bools) -> float | None:
-    """Mark the pixels of the view whose surface lies at a sample of `wanted`, bool [bricks, 512].
+def mark_surfaces(view: View, slots: Int32s, samples: Samples, is_selected: Bools) -> float | None:
+    """Mark the pixels of the view whose surface lies at a sample of `is_selected`, bool [bricks, 512].
 
-    `slots`, int32 [bricks along each axis of the grid], is where a brick lies in `of` and `wanted`, -1 where
-    it does not. The result is the mean distance between the surfaces of the view and those known, metres;
-    None if none is.
+    `slots`, int32 [bricks along each axis of the grid], is the index of a brick in `samples` and
+    `is_selected`, -1 if it has none. Returns the mean distance between the surfaces of the view and the known
+    ones, metres; None if none is known.
     """
     query = view.query
     inverse = np.linalg.inv(query.lattice_m[1:].T)
-    work = query, slots, inverse, of, wanted, view.marked
-    sums = for_chunks(_surfaces_in, query.surface.size_px[0], *work, chunk=32)
+    arguments = query, slots, inverse, samples, is_selected, view.marked
+    sums = for_chunks(_mark_surfaces, query.surface.size_px[0], *arguments, chunk=32)
     view.marked[-1] = 0
     count = sum(count for _, count in sums)
     return sum(total for total, _ in sums) / count if count else None
 
 
-def brick_forces(of: Samples, pieces: Float32s, shape: tuple[int, int, int], bricks: Int32s) -> Float32s:
-    """The forces of all bricks, newtons, float32 [n, 8, 8, 8, 3]."""
+def brick_forces(samples: Samples, pieces: Float32s, shape: tuple[int, int, int], bricks: Int32s) -> Float32s:
+    """Return the forces of all bricks, newtons, float32 [n, 8, 8, 8, 3]."""
     out = zero_forces(len(bricks))
-    for_chunks(_forces, B3 * len(bricks), of, pieces, shape, bricks, out.reshape(-1, B3, 3), chunk=16 * B3)
+    for_chunks(
+        _forces, B3 * len(bricks), samples, pieces, shape, bricks, out.reshape(-1, B3, 3), chunk=16 * B3
+    )
     return out

@@ -1,9 +1,9 @@
 """Compiled loops of the depth reading: tangent planes of a depth map, and their bounds in tiles.
 
-The estimate is told in `touchfield.sources.depth.depth_scene`. Loops run without branches over contiguous
-float32, so that LLVM turns them into vector code. Two things would prevent it: an array for each quantity
-(LLVM would have to ask whether any two overlap), so that they lie in one scratch array at constant distances;
-and Python's error for a division by zero, so that numpy's rule is asked for.
+`touchfield.sources.depth.depth_scene` describes the estimate. Loops run without branches over contiguous
+float32, so that LLVM vectorises them. Two things would prevent that: one array for each quantity (LLVM would
+have to check whether they overlap), so all quantities lie in one scratch array at constant distances; and
+Python's error for a division by zero, so numpy's error model is selected.
 """
 
 from __future__ import annotations
@@ -19,28 +19,27 @@ from touchfield.compute.threads import for_chunks
 if TYPE_CHECKING:
     from touchfield.sources.camera import Intrinsics
 
-SLOPE_LIMIT_PX: Final = (
-    5.0  # along an image row or column, footprints of a pixel in depth per pixel: 79 degrees
-)
+SLOPE_LIMIT_PX: Final = 5.0
+"""Largest slope along an image row or column, footprints of a pixel in depth per pixel: 79 degrees."""
 
 _TILE = 8  # pixels along each edge of a tile of the culling table
 _0, _1, _2, _3, _4, _9, _16 = (np.float32(x) for x in (0, 1, 2, 3, 4, 9, 16))
 _HALF, _QUARTER, _BIG, _TINY = np.float32(0.5), np.float32(0.25), np.float32(1e30), np.float32(1e-30)
 
-_PAD = 6  # pixels beside a block that it needs: 4 for the line fit and 2 for the links
-_BLOCK = 320  # columns worked on at once
+_PAD = 6  # margin of a block, pixels: 4 for the line fit and 2 for the links
+_BLOCK = 320  # columns processed at once
 _STRIDE = _BLOCK + 2 * _PAD + 4
 # A row of the scratch array consists of these sections of _STRIDE floats:
 _INVERSE = 0 * _STRIDE  # inverse depth, 0 where invalid
 _LINK = 1 * _STRIDE  # 1 where a pixel and its right neighbour lie on one surface
 _LEVEL = 2 * _STRIDE  # inverse depth smoothed along the row
 _TILT = 3 * _STRIDE  # its slope along the row, times ...
-_WEIGHT = 4 * _STRIDE  # ... the sum of squared offsets that the slope rests on
+_WEIGHT = 4 * _STRIDE  # ... the sum of squared offsets that supports the slope
 _DOWN = 5 * _STRIDE  # 1 where a pixel and its lower neighbour lie on one surface
 _ROW = 6 * _STRIDE
-# The planes of a row overwrite the row four above it, which is not needed any more:
-_NEAR = 0 * _STRIDE  # the largest inverse depth of the plane over the footprint of the pixel
-_FAR = 1 * _STRIDE  # and the smallest
+# The planes of a row overwrite the row four above it, which is no longer needed:
+_LARGEST = 0 * _STRIDE  # the largest inverse depth of the plane over the footprint of the pixel
+_SMALLEST = 1 * _STRIDE  # and the smallest
 _OUT = 2 * _STRIDE  # normal and offset, four sections
 
 
@@ -64,18 +63,18 @@ _MIN_COSINE = np.float32(0.1)  # between the normal and the ray: 84 degrees
 
 
 @inner(fastmath={"contract"}, error_model="numpy")
-def _link(before, here, there, after, step, slope):
-    d = there - here
-    bend = min(abs(d - (here - before)), abs(after - there - d))
+def _link(w0, w1, w2, w3, step, slope):
+    d = w2 - w1
+    bend = min(abs(d - (w1 - w0)), abs(w3 - w2 - d))
     flat = _1 if abs(d) <= step else _0
     ramp = _1 if bend <= step else _0
-    ramp = ramp if abs(d) <= slope * here else _0
-    return max(flat, ramp) if min(here, there) > _0 else _0
+    ramp = ramp if abs(d) <= slope * w1 else _0
+    return max(flat, ramp) if min(w1, w2) > _0 else _0
 
 
 @inner(fastmath={"contract"}, error_model="numpy")
 def _line(r, i, step, a, b):
-    """Line fit over the 4 values behind and before ``r[i]``, by their weights, relative to it.
+    """Fit a line to the 4 values on each side of ``r[i]``, by their weights, relative to it.
 
     Returns the fitted middle value, the slope, and the slope's numerator and denominator.
     """
@@ -91,17 +90,17 @@ def _line(r, i, step, a, b):
     s2 = (a1 + b1) + _4 * (a2 + b2) + _9 * (a3 + b3) + _16 * (a4 + b4)
     t0 = ((x1 + y1) + (x2 + y2)) + ((x3 + y3) + (x4 + y4))
     t1 = (x1 - y1) + _2 * (x2 - y2) + _3 * (x3 - y3) + _4 * (x4 - y4)
-    share = _1 / s0
-    mean = s1 * share
+    inverse_count = _1 / s0
+    mean = s1 * inverse_count
     spread = s2 - s1 * mean
     moment = t1 - t0 * mean
     slope = moment / max(spread, _QUARTER)
-    return c + (t0 * share - slope * mean), slope, moment, spread
+    return c + (t0 * inverse_count - slope * mean), slope, moment, spread
 
 
 @inner
 def _chain(r, j, step):
-    """Products of 1, 2, 3 and 4 links from ``r[j]`` on: which neighbours are reached without a break."""
+    """Products of 1, 2, 3 and 4 links from ``r[j]`` on: 1 for neighbours reached without a break."""
     m1 = r[j]
     m2 = m1 * r[j + step]
     m3 = m2 * r[j + 2 * step]
@@ -110,11 +109,11 @@ def _chain(r, j, step):
 
 @inner(fastmath={"contract"})
 def _total(r, k, a, b):
-    """The sum over the column through ``r[k]`` of what the chains `a` (down) and `b` (up) reach."""
-    one = r[k] + (a[0] * r[k + _ROW] + b[0] * r[k - _ROW])
-    two = a[1] * r[k + 2 * _ROW] + b[1] * r[k - 2 * _ROW]
-    three = a[2] * r[k + 3 * _ROW] + b[2] * r[k - 3 * _ROW]
-    return one + two + three + (a[3] * r[k + 4 * _ROW] + b[3] * r[k - 4 * _ROW])
+    """Sum over the column through ``r[k]`` of the values that the chains `a` (down) and `b` (up) reach."""
+    first = r[k] + (a[0] * r[k + _ROW] + b[0] * r[k - _ROW])
+    second = a[1] * r[k + 2 * _ROW] + b[1] * r[k - 2 * _ROW]
+    third = a[2] * r[k + 3 * _ROW] + b[2] * r[k - 3 * _ROW]
+    return first + second + third + (a[3] * r[k + 4 * _ROW] + b[3] * r[k - 4 * _ROW])
 
 
 @inner(error_model="numpy")
@@ -147,8 +146,11 @@ def _link_down(r, n, step, slope):
 
 
 @inner(fastmath={"contract"}, error_model="numpy")
-def _fit_column(r, n, fx, fy, left, dv):
-    """The planes of one image row; `r` begins four rows above it, `left` and `dv` count from the axis."""
+def _fit_column(r, n, fx, fy, centre_u, dv):
+    """Compute the planes of one image row; `r` starts four rows above it.
+
+    `centre_u` is the column of the optical axis, `dv` the row relative to it.
+    """
     per_fx2, dv2 = _1 / (fx * fx), (dv / fy) * (dv / fy)
     for u in range(n):
         i = u + _PAD + 4 * _ROW
@@ -158,7 +160,7 @@ def _fit_column(r, n, fx, fy, left, dv):
         w, wv, _, along = _line(r, k, _ROW, a, b)
         across = _total(r, i + _WEIGHT, a, b)
         wu = _total(r, i + _TILT, a, b) / max(across, _QUARTER)
-        du = np.float32(np.int32(u)) - left
+        du = np.float32(np.int32(u)) - centre_u
         nx = fx * wu
         ny = fy * wv
         nz = w - du * wu - dv * wv
@@ -174,8 +176,8 @@ def _fit_column(r, n, fx, fy, left, dv):
         r[u + _PAD + _OUT + _STRIDE] = ny * s
         r[u + _PAD + _OUT + 2 * _STRIDE] = nz * s
         r[u + _PAD + _OUT + 3 * _STRIDE] = s
-        r[u + _PAD + _NEAR] = ok * (w + half)
-        r[u + _PAD + _FAR] = w - half if ok > _0 else _BIG
+        r[u + _PAD + _LARGEST] = ok * (w + half)
+        r[u + _PAD + _SMALLEST] = w - half if ok > _0 else _BIG
 
 
 @inner
@@ -190,58 +192,64 @@ def _store(r, n, planes):
 
 @inner
 def _fit_tiles(r, n, rows, bounds):
-    """Bounds of a row of tiles, from the planes of its `rows` image rows: see `surface_planes`."""
+    """Compute the bounds of a row of tiles from the planes of its `rows` image rows.
+
+    See `surface_planes`.
+    """
     for i in range(1, rows):
         for u in range(n):
-            a, b = r[u + _NEAR + _PAD], r[u + _NEAR + _PAD + i * _ROW]
-            r[u + _NEAR + _PAD] = b if b > a else a
+            a, b = r[u + _LARGEST + _PAD], r[u + _LARGEST + _PAD + i * _ROW]
+            r[u + _LARGEST + _PAD] = b if b > a else a
         for u in range(n):
-            a, b = r[u + _FAR + _PAD], r[u + _FAR + _PAD + i * _ROW]
-            r[u + _FAR + _PAD] = b if b < a else a
+            a, b = r[u + _SMALLEST + _PAD], r[u + _SMALLEST + _PAD + i * _ROW]
+            r[u + _SMALLEST + _PAD] = b if b < a else a
     for t in range((n + _TILE - 1) // _TILE):
-        near, far = _0, _BIG
+        largest, smallest = _0, _BIG
         for u in range(t * _TILE, min(n, t * _TILE + _TILE)):
-            x, y = r[u + _NEAR + _PAD], r[u + _FAR + _PAD]
-            near = x if x > near else near
-            far = y if y < far else far
-        bounds[t, 0], bounds[t, 1] = near, far
+            x, y = r[u + _LARGEST + _PAD], r[u + _SMALLEST + _PAD]
+            largest = x if x > largest else largest
+            smallest = y if y < smallest else smallest
+        bounds[t, 0], bounds[t, 1] = largest, smallest
 
 
 @kernel(fastmath={"contract"}, error_model="numpy")
-def _fit_planes(begin, end, depth, camera, gates, planes, bounds):
-    """Rows of tiles begin..end; `gates` is the noise step and the slope limit, pixels."""
+def _fit_planes(start, stop, depth, camera, gates, planes, bounds):
+    """Fit rows of tiles start..stop.
+
+    `gates` is the noise step and the slope limit, pixels.
+    """
     height, width = depth.shape
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    top = begin * _TILE - _PAD  # image row of the first row of the scratch array
-    rows = min(height, end * _TILE) + _PAD - top
+    top = start * _TILE - _PAD  # image row of the first row of the scratch array
+    rows = min(height, stop * _TILE) + _PAD - top
     scratch = np.zeros(rows * _ROW + _STRIDE, np.float32)
-    for left in range(0, width, _BLOCK):
-        n = min(_BLOCK, width - left)
-        full = (n + 7) // 8 * 8  # whole vectors: the columns beyond n are junk that nobody reads
-        first, last = max(0, left - _PAD), min(width, left + n + _PAD)
+    for column in range(0, width, _BLOCK):
+        n = min(_BLOCK, width - column)
+        full = (n + 7) // 8 * 8  # whole vectors: columns beyond n are never read
+        first, last = max(0, column - _PAD), min(width, column + n + _PAD)
         for i in range(rows):
             r = scratch[i * _ROW :]
             if 0 <= top + i < height:
-                _load(r, depth[top + i, first:last], first - left + _PAD)
+                _load(r, depth[top + i, first:last], first - column + _PAD)
                 _fit_row(r, full, gates[0], gates[1] / fx)
             else:
                 r[:_ROW] = _0
         for i in range(rows - 3):
             _link_down(scratch[i * _ROW :], full, gates[0], gates[1] / fy)
-        for t in range(begin, end):
-            stop = min(height, t * _TILE + _TILE)
-            for v in range(t * _TILE, stop):
+        for t in range(start, stop):
+            last_row = min(height, t * _TILE + _TILE)
+            for v in range(t * _TILE, last_row):
                 r = scratch[(v - top - 4) * _ROW :]
-                _fit_column(r, full, fx, fy, cx - np.float32(left), np.float32(v) - cy)
-                _store(r, n, planes[4 * (v * width + left) :])
+                _fit_column(r, full, fx, fy, cx - np.float32(column), np.float32(v) - cy)
+                _store(r, n, planes[4 * (v * width + column) :])
             r = scratch[(t * _TILE - top - 4) * _ROW :]
-            _fit_tiles(r, n, stop - t * _TILE, bounds[t, left // _TILE :])
+            _fit_tiles(r, n, last_row - t * _TILE, bounds[t, column // _TILE :])
 
 
 def surface_planes(depth_m: Float32s, camera: Intrinsics, step_per_m: float) -> SurfacePlanes:
-    """Tangent planes of a depth map, metres, and their bounds in tiles.
+    """Estimate the tangent planes of a depth map, metres, and their bounds in tiles.
 
-    `depth_m` float32 [height, width], C-contiguous, not positive or not finite where unknown; `step_per_m` is
+    `depth_m` float32 [height, width], C-contiguous, not positive or not finite if unknown; `step_per_m` is
     the noise step (see `touchfield.sources.depth.depth_scene`).
     """
     height, width = depth_m.shape

@@ -1,15 +1,15 @@
 """Compiled loops of the mesh source: the nearest triangle of every sample near a mesh, and the force there.
 
-Which triangles a brick must look at is found by descent from one cell that holds the whole grid: of the
-triangles of a cell, its half-sized child with centre c and radius r keeps those with d(c) <= least d(c) + 2 r
-that can lie in the band, d(c) <= band + r; no other one can be nearest to any of the child's samples. Nothing
-is allocated for the rest of the grid. The search is in float32, in units of the largest spacing and relative
-to the brick; distance and direction are then evaluated in float64 for the triangle found.
+The candidate triangles of a brick are found by descent from one cell that holds the whole grid. Of the
+triangles of a cell, its half-sized child with centre c and radius r keeps those with d(c) <= min d(c) + 2 r
+and within the band, d(c) <= band + r; no other one can be nearest to a sample of the child. Nothing is
+allocated for the rest of the grid. The search uses float32, in units of the largest spacing and relative to
+the brick; distance and direction to the triangle found are then evaluated in float64.
 
-The damping of a moving surface is b times the velocity of the nearest point (paper 3.2); the velocity within
-a triangle is linear between its corners, as their positions are. A wall ends where its surface ends: a force
-is multiplied by min(1, s / w), s the distance to the rim of the nearest point of the surface. Where that
-point lies on the rim itself, the surface is beside the sample: no force.
+The damping of a moving surface is b times the velocity of the nearest point (paper 3.2); within a triangle
+the velocity is interpolated linearly between the corners, like their positions. A wall ends with its surface:
+the force is multiplied by min(1, s / w), with s the distance of the nearest surface point to the rim. If that
+point lies on the rim itself, the sample lies beside the surface and there is no force.
 """
 
 from __future__ import annotations
@@ -28,29 +28,28 @@ from touchfield.sources.mesh.kernels.sign import COLUMN_SHIFT, winding_of_brick
 from touchfield.sources.terrain.kernels import amplitude as amplitude_at
 
 CLOSED, ONE_SIDED, TWO_SIDED, LIDDED = 0, 1, 2, 3
-"""Signs of a distance: by winding number; by the pseudo-normal; by the wall's half thickness; by the
-pseudo-normal, but behind the surface only where the winding number, holes taken as closed, is not 0."""
+"""Sign of a distance: by winding number; by the pseudo-normal; by the half thickness of the wall; by the
+pseudo-normal, but behind the surface only where the winding number of the mesh with closed holes is not 0."""
 
 _SLACK = np.float32(1e-3)  # of the largest spacing: far above the rounding of the search, far below a sample
 _0 = np.float32(0)
 
 
 class Band(NamedTuple):
-    """Distances that matter, and their sign."""
+    """The range of distances with forces, and their sign."""
 
     sidedness: int  # `CLOSED`, `ONE_SIDED`, `TWO_SIDED` or `LIDDED`
-    # largest distance at which there is a force, on the negative and on the positive side; negative for none
+    # largest distance with a force, on the negative and on the positive side; negative for none
     inner_m: float
     outer_m: float
-    half_wall_m: float  # what a two-sided sheet takes off its distances
+    half_wall_m: float  # subtracted from the distances to a two-sided sheet
     pieces: Float64s  # float64 [n, 4]; `ForceProfile.table`
 
 
 class Motion(NamedTuple):
     """Motion of a surface."""
 
-    # int32 [m, 3]; those that the rows of the table are, or are pieces of, each beginning with its longest
-    # edge
+    # int32 [m, 3]; triangle of each row of the table (of a piece: its parent), starting with its longest edge
     triangles: Int32s
     vertices_m: Float64s  # float64 [n, 3]
     velocities_m_s: Float64s  # float64 [n, 3]; of the vertices
@@ -58,63 +57,61 @@ class Motion(NamedTuple):
 
 
 @inner(forceinline=True)
-def _place(bricks, b, i, j, k, lattice):
-    """Where a sample of a brick is, metres."""
+def _sample_position(bricks, b, i, j, k, lattice):
+    """Position of a sample of a brick, metres."""
     x = lattice[0] + (bricks[b, 0] * 8 + i) * lattice[3]
     y = lattice[1] + (bricks[b, 1] * 8 + j) * lattice[4]
     z = lattice[2] + (bricks[b, 2] * 8 + k) * lattice[5]
     return x, y, z
 
 
-# -- from the grid down to its bricks
-# ------------------------------------------------------------------------------
+# -- from the grid down to its bricks ----------------------------------------------------------------------
 @kernel
-def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limit, keep, counts):
-    """Triangles of each cell that its eight children keep: a bit for each child, and their numbers."""
+def _descend(start, stop, cells, starts, ids, table, lattice, shape, size, limit, keep, counts):
+    """Select the triangles of each cell for its eight children: a bit for each child, and counts."""
     scale = 1.0 / lattice[3:].max()
     steps = lattice[3:] * scale
     half = size // 2
     block = np.empty(320, np.float32)
-    radius = tri.place_centres(block, half, steps)
+    radius = tri.set_centres(block, half, steps)
     reach = 2.0 * radius * size / max(half - 1, 1)
-    tiles = tri.tiles_for(begin, end, start[:-1], start[1:])
-    for cell in range(begin, end):
-        first, count = start[cell], start[cell + 1] - start[cell]
+    tiles = tri.tiles_for(start, stop, starts[:-1], starts[1:])
+    for cell in range(start, stop):
+        first, count = starts[cell], starts[cell + 1] - starts[cell]
         i, j, k = cells[cell, 0] * size, cells[cell, 1] * size, cells[cell, 2] * size
         x, y, z = lattice[0] + i * lattice[3], lattice[1] + j * lattice[4], lattice[2] + k * lattice[5]
-        tri.see_all(ids[first : first + count], table, x, y, z, scale, reach, block, tiles)
+        tri.localise_all(ids[first : first + count], table, x, y, z, scale, reach, block, tiles)
         keep[first : first + count] = 0
         for s in range(8):
             ci, cj, ck = i + (s >> 2) * half, j + ((s >> 1) & 1) * half, k + (s & 1) * half
             if ci >= shape[0] or cj >= shape[1] or ck >= shape[2]:
                 continue
-            least = np.sqrt(tri.least_of(tiles, count, s)[1])
-            far = min(least + 2 * radius, limit + radius) * np.float32(1 + 1e-5) + _SLACK
-            far = far * far
-            kept = 0
+            nearest = np.sqrt(tri.nearest_to_centre(tiles, count, s)[1])
+            max_square = min(nearest + 2 * radius, limit + radius) * np.float32(1 + 1e-5) + _SLACK
+            max_square = max_square * max_square
+            child_count = 0
             for c in range(count):
-                if tri.square_of(tiles, c, s) <= far:
+                if tri.square_of(tiles, c, s) <= max_square:
                     keep[first + c] |= 1 << s
-                    kept += 1
-            counts[cell, s] = kept
+                    child_count += 1
+            counts[cell, s] = child_count
 
 
 @kernel
-def _hand_down(begin, end, start, ids, keep, offsets, out):
-    for cell in range(begin, end):
+def _distribute(start, stop, starts, ids, keep, offsets, out):
+    for cell in range(start, stop):
         for s in range(8):
             o = offsets[cell, s]
-            for c in range(start[cell], start[cell + 1]):
+            for c in range(starts[cell], starts[cell + 1]):
                 if (keep[c] >> s) & 1:
                     out[o] = ids[c]
                     o += 1
 
 
-# -- a brick
-# --------------------------------------------------------------------------------------------------------
+# -- a brick -----------------------------------------------------------------------------------------------
 @inner(forceinline=True)
 def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
-    """The force at (x, y, z), given its nearest triangle t."""
+    """Return the force at (x, y, z), given its nearest triangle t."""
     sidedness, half_wall, tiny = rule
     dx, dy, dz, edge, along = tri.nearest(table, t, x, y, z)
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -129,16 +126,17 @@ def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
     if distance <= tiny:
         f = tri.feature(table, t, edge, along)
         return amplitude * normals[t, f, 0], amplitude * normals[t, f, 1], amplitude * normals[t, f, 2]
-    share = amplitude / (-distance if is_inside else distance)
-    return share * dx, share * dy, share * dz
+    scale = amplitude / (-distance if is_inside else distance)
+    return scale * dx, scale * dy, scale * dz
 
 
 @inner
 def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
-    """Place a block's 64 samples and say how far each one looks (squared; negative: not at all); the
-    farthest.
+    """Set the positions of a block's 64 samples and their squared search radii (negative: no search).
+
+    Returns the largest one.
     """
-    far = np.float32(-1.0)
+    max_square = np.float32(-1.0)
     for s in range(64):
         i, j, k = local[0] + (s >> 4), local[1] + ((s >> 2) & 3), local[2] + (s & 3)
         block[tri.X + s], block[tri.Y + s], block[tri.Z + s] = i * steps[0], j * steps[1], k * steps[2]
@@ -150,23 +148,26 @@ def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
         span = span * span * np.float32(1 + 1e-4) + _SLACK * _SLACK if span >= _0 else span
         block[tri.D + s] = span
         block[tri.ID + s] = np.float32(-1.0)
-        far = max(far, span)
-    return far
+        max_square = max(max_square, span)
+    return max_square
 
 
 @inner
-def _search_block(block, s, far, count, tiles, radius):
-    """Find the nearest triangle of each sample of a block; False if none is near enough."""
-    best, least = tri.least_of(tiles, count, s)
-    least = np.sqrt(least)
-    grown = np.float32(1 + 1e-5)
-    if least > (np.sqrt(far) + radius) * grown + _SLACK:
+def _search_block(block, s, max_square, count, tiles, radius):
+    """Find the nearest triangle of each sample of a block.
+
+    Returns False if none is near enough.
+    """
+    best, nearest = tri.nearest_to_centre(tiles, count, s)
+    nearest = np.sqrt(nearest)
+    margin = np.float32(1 + 1e-5)
+    if nearest > (np.sqrt(max_square) + radius) * margin + _SLACK:
         return False
     tri.sweep_block(tiles, best, block)
-    far = _0
+    max_square = _0
     for q in range(64):
-        far = max(far, block[tri.D + q])
-    reach = min(np.sqrt(far) + radius, least + 2 * radius) * grown + _SLACK
+        max_square = max(max_square, block[tri.D + q])
+    reach = min(np.sqrt(max_square) + radius, nearest + 2 * radius) * margin + _SLACK
     reach = reach * reach
     for c in range(count):
         if tri.square_of(tiles, c, s) <= reach and c != best:
@@ -175,13 +176,13 @@ def _search_block(block, s, far, count, tiles, radius):
 
 
 @kernel
-def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces, has_force, owners):
-    """Forces of bricks; `rule` is sidedness, half wall and the distance (metres) at which directions are
-    unsure.
+def _fill_bricks(start, stop, candidates, surface, frame, events, rule, pieces, forces, has_force, owners):
+    """Compute the forces of bricks.
 
-    `owners` is told the nearest triangle of each sample with a force, unless it is empty.
+    `rule` is sidedness, half wall, and the distance (metres) below which directions are inaccurate. `owners`
+    receives the nearest triangle of each sample with a force, unless it is empty.
     """
-    bricks, spans, ids, columns = near
+    bricks, spans, ids, columns = candidates
     table, normals = surface
     lattice, shape, limits = frame
     scale = 1.0 / lattice[3:].max()
@@ -190,30 +191,32 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
     is_closed = rule[0] == CLOSED
     has_inside = is_closed or rule[0] == LIDDED
     centres, block = np.empty(320, np.float32), np.empty(320, np.float32)
-    radius = tri.place_centres(centres, 4, steps)
+    radius = tri.set_centres(centres, 4, steps)
     reach = 7.0 * math.sqrt(steps[0] ** 2 + steps[1] ** 2 + steps[2] ** 2)
-    tiles = tri.tiles_for(begin, end, spans[:, 0], spans[:, 1])
+    tiles = tri.tiles_for(start, stop, spans[:, 0], spans[:, 1])
     winding = np.zeros(512, np.int32)
     corner, local = np.empty(3, np.int64), np.empty(3, np.int64)
     low = np.empty(3)
-    for b in range(begin, end):
+    for b in range(start, stop):
         first, count = spans[b, 0], spans[b, 1] - spans[b, 0]
         for c in range(3):
             corner[c] = bricks[b, c] * 8
             low[c] = lattice[c] + corner[c] * lattice[3 + c]
         if has_inside:
             winding_of_brick(events, columns[b, 0], columns[b, 1], corner[0], winding)
-        tri.see_all(ids[first : first + count], table, low[0], low[1], low[2], scale, reach, centres, tiles)
+        tri.localise_all(
+            ids[first : first + count], table, low[0], low[1], low[2], scale, reach, centres, tiles
+        )
         for s in range(8):
             local[0], local[1], local[2] = (s >> 2) * 4, ((s >> 1) & 1) * 4, (s & 1) * 4
-            far = _open_block(block, corner, local, shape, steps32, limits, is_closed, winding)
-            if far < _0 or not _search_block(block, s, far, count, tiles, radius):
+            max_square = _open_block(block, corner, local, shape, steps32, limits, is_closed, winding)
+            if max_square < _0 or not _search_block(block, s, max_square, count, tiles, radius):
                 continue
             for q in range(64):
                 if block[tri.ID + q] < _0:
                     continue
                 i, j, k = local[0] + (q >> 4), local[1] + ((q >> 2) & 3), local[2] + (q & 3)
-                x, y, z = _place(bricks, b, i, j, k, lattice)
+                x, y, z = _sample_position(bricks, b, i, j, k, lattice)
                 t = ids[first + int(block[tri.ID + q])]
                 is_inside = winding[(i << 6) | (j << 3) | k] != 0
                 x, y, z = _force(table, normals, t, x, y, z, is_inside, rule, pieces)
@@ -224,11 +227,14 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
                         owners[b, i, j, k] = t
 
 
-# -- what a motion adds, and where a shell ends
-# ------------------------------------------------------------------- `owners` int32 [n, 8, 8, 8]: the nearest triangle of each sample with a force, -1 for the others
+# -- damping of a motion, and the rim of a shell -----------------------------------------------------------
+# `owners` int32 [n, 8, 8, 8]: the nearest triangle of each sample with a force, -1 for the others
 @inner(forceinline=True)
-def _shares(vertices, a, b, c, point):
-    """Shares of the corners b and c of a triangle in a point of it; from a to b is its longest edge."""
+def _barycentric(vertices, a, b, c, point):
+    """Barycentric weights of the corners b and c at a point of a triangle.
+
+    The edge from a to b is the longest one.
+    """
     bb = bc = cc = bp = cp = 0.0
     for i in range(3):
         first = vertices[a, i]
@@ -241,31 +247,32 @@ def _shares(vertices, a, b, c, point):
 
 
 @kernel
-def add_motion(begin, end, bricks, owners, table, lattice, triangles, vertices, velocities, damping, forces):
-    """Add the damping of a surface that moves, where there are forces."""
-    for b in range(begin, end):
+def add_motion(start, stop, bricks, owners, table, lattice, triangles, vertices, velocities, damping, forces):
+    """Add the damping of a moving surface wherever there are forces."""
+    for b in range(start, stop):
         for i, j, k in np.ndindex(8, 8, 8):
             t = owners[b, i, j, k]
             if t < 0:
                 continue
-            x, y, z = _place(bricks, b, i, j, k, lattice)
+            x, y, z = _sample_position(bricks, b, i, j, k, lattice)
             dx, dy, dz, _, _ = tri.nearest(table, t, x, y, z)
             p, q, r = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-            second, third = _shares(vertices, p, q, r, (x - dx, y - dy, z - dz))
+            second, third = _barycentric(vertices, p, q, r, (x - dx, y - dy, z - dz))
             for c in range(3):
                 v = velocities[p, c]
-                at = v + second * (velocities[q, c] - v) + third * (velocities[r, c] - v)
-                forces[b, i, j, k, c] += damping * at
+                velocity = v + second * (velocities[q, c] - v) + third * (velocities[r, c] - v)
+                forces[b, i, j, k, c] += damping * velocity
 
 
 @kernel
-def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, has_force):
-    """Fade forces towards a rim; `has_force` tells which bricks still have any.
+def fade(start, stop, bricks, owners, table, lattice, rim, rim_edges, width, forces, has_force):
+    """Fade forces towards a rim; `has_force` is updated.
 
-    `near` (first, last, ids): the edges of the rim near brick b are ids[first[b]] to before ids[last[b]].
+    `rim_edges` (first, last, ids): the edges of the rim near brick b are ids[first[b]] to before
+    ids[last[b]].
     """
-    first, last, ids = near
-    for b in range(begin, end):
+    first, last, ids = rim_edges
+    for b in range(start, stop):
         if first[b] == last[b] or not has_force[b]:
             continue
         has_force[b] = False
@@ -273,65 +280,64 @@ def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, h
             t = owners[b, i, j, k]
             if t < 0:
                 continue
-            x, y, z = _place(bricks, b, i, j, k, lattice)
+            x, y, z = _sample_position(bricks, b, i, j, k, lattice)
             dx, dy, dz, _, _ = tri.nearest(table, t, x, y, z)
             x, y, z = x - dx, y - dy, z - dz
-            least = width * width
+            min_square = width * width
             for e in range(first[b], last[b]):
                 dx, dy, dz, _, _ = tri.nearest(rim, ids[e], x, y, z)
-                least = min(least, dx * dx + dy * dy + dz * dz)
-            # what lies on the rim to rounding has no force at all
-            share = max(0.0, math.sqrt(least) / width - 1e-6)
-            if share < 1.0 - 2e-6:
+                min_square = min(min_square, dx * dx + dy * dy + dz * dz)
+            # no force on the rim, to within rounding
+            factor = max(0.0, math.sqrt(min_square) / width - 1e-6)
+            if factor < 1.0 - 2e-6:
                 for c in range(3):
-                    forces[b, i, j, k, c] *= share
-            if share > 0.0:
+                    forces[b, i, j, k, c] *= factor
+            if factor > 0.0:
                 has_force[b] = True
 
 
-# -- all of it
-# -----------------------------------------------------------------------------------------------------
-def _bricks_near(
+# -- complete fields ---------------------------------------------------------------------------------------
+def _find_bricks(
     table: Float64s, lattice: Float64s, shape: Int64s, limit: np.float32
 ) -> tuple[Int32s, Int64s, Int32s]:
-    """The bricks near a mesh in any order, where the triangles of each begin, and the triangles."""
+    """Find the bricks near a mesh, in any order, the start of the triangles of each, and the triangles."""
     size = 8 << int(-(-int(shape.max()) // 8) - 1).bit_length()
     cells = np.zeros((1, 3), np.int32)
-    start = np.array([0, len(table)], np.int64)
+    starts = np.array([0, len(table)], np.int64)
     ids = np.arange(len(table), dtype=np.int32)
     while size > 8 and len(cells):
         keep = np.empty(len(ids), np.uint8)
         counts = np.zeros((len(cells), 8), np.int64)
-        work = (cells, start, ids, table, lattice, shape, size, limit, keep, counts)
-        for_chunks(_descend, len(cells), *work)
-        ends = np.cumsum(counts)
-        children = np.empty(ends[-1], np.int32)
-        offsets = (ends - counts.reshape(-1)).reshape(-1, 8)
-        for_chunks(_hand_down, len(cells), start, ids, keep, offsets, children, chunk=64)
+        arguments = (cells, starts, ids, table, lattice, shape, size, limit, keep, counts)
+        for_chunks(_descend, len(cells), *arguments)
+        stops = np.cumsum(counts)
+        children = np.empty(stops[-1], np.int32)
+        offsets = (stops - counts.reshape(-1)).reshape(-1, 8)
+        for_chunks(_distribute, len(cells), starts, ids, keep, offsets, children, chunk=64)
         parent, child = np.nonzero(counts)
         bits = np.stack([child >> 2, (child >> 1) & 1, child & 1], axis=1)
         cells = (2 * cells[parent] + bits).astype(np.int32)
-        start = np.append(offsets[parent, child], ends[-1])
+        starts = np.append(offsets[parent, child], stops[-1])
         ids = children
         size //= 2
-    return cells, start, ids
+    return cells, starts, ids
 
 
-def _rim_near(
+def _find_rim_edges(
     rim: Float64s, lattice: Float64s, shape: Int64s, reach_m: float, keys: Int64s
 ) -> tuple[Int64s, Int64s, Int32s]:
-    """Edges of a rim that may be within `reach_m` of the bricks with these keys, ascending."""
-    bricks, start, ids = _bricks_near(rim, lattice, shape, np.float32(reach_m / lattice[3:].max()))
+    """Find the edges of a rim that may be within `reach_m` of the bricks with these ascending keys."""
+    bricks, starts, ids = _find_bricks(rim, lattice, shape, np.float32(reach_m / lattice[3:].max()))
     _, by, bz = -(-shape // 8)
-    own = (bricks[:, 0].astype(np.int64) * by + bricks[:, 1]) * bz + bricks[:, 2]
-    place = np.searchsorted(keys, own)
+    rim_keys = (bricks[:, 0].astype(np.int64) * by + bricks[:, 1]) * bz + bricks[:, 2]
+    index = np.searchsorted(keys, rim_keys)
     first, last = np.zeros((2, len(keys)), np.int64)
-    is_there = np.flatnonzero(np.append(keys, -1)[place] == own)
-    first[place[is_there]], last[place[is_there]] = start[:-1][is_there], start[1:][is_there]
+    found = np.flatnonzero(np.append(keys, -1)[index] == rim_keys)
+    first[index[found]], last[index[found]] = starts[:-1][found], starts[1:][found]
     return first, last, ids
 
 
-def forces_near(
+def mesh_forces(
     surface: tuple[Float64s, Float64s],
     events: Int64s,
     grid: Grid,
@@ -340,36 +346,36 @@ def forces_near(
     motion: Motion | None = None,
     rim: Float64s | None = None,
 ) -> tuple[Int32s, Float32s]:
-    """The force field of a mesh: bricks int32 [n, 3] ascending, and forces float32 [n, 8, 8, 8, 3] in
-    newtons.
+    """Compute the force field of a mesh.
 
-    `surface` holds the table of `triangle_table` and normals float64 [m, 7, 3]: outward pseudo-normals of
-    each triangle's face, vertices and edges; `events` from `crossings`, empty unless closed or lidded; closer
-    than `tiny_m` the direction is a pseudo-normal; `motion` adds the damping of a surface that moves. Towards
-    `rim`, the `triangle_table` of edges that are triangles to and fro, the force fades over its own reach.
+    Returns bricks int32 [n, 3], ascending, and forces float32 [n, 8, 8, 8, 3] in newtons. `surface` is the
+    table of `triangle_table` and normals float64 [m, 7, 3]: outward pseudo-normals of each triangle's face,
+    vertices and edges. `events` are those of `crossings`, empty unless closed or lidded. Closer than `tiny_m`
+    the direction is a pseudo-normal. `motion` adds the damping of a moving surface. Towards `rim`, the
+    `triangle_table` of edges as degenerate triangles, the force fades over its own reach.
     """
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)
     scale = 1 / lattice[3:].max()
     limits = np.array([band.inner_m * scale, band.outer_m * scale], np.float32)
-    bricks, start, ids = _bricks_near(surface[0], lattice, shape, limits.max())
+    bricks, starts, ids = _find_bricks(surface[0], lattice, shape, limits.max())
     _, by, bz = grid.brick_shape
     columns = bricks[:, 1].astype(np.int64) * bz + bricks[:, 2]
     keys = bricks[:, 0].astype(np.int64) * (by * bz) + columns
     order = np.argsort(keys)
     bricks, columns, keys = bricks[order], columns[order] << COLUMN_SHIFT, keys[order]
-    spans = np.stack([start[:-1][order], start[1:][order]], axis=1)
+    spans = np.stack([starts[:-1][order], starts[1:][order]], axis=1)
     columns = np.stack([np.searchsorted(events, columns + e) for e in (0, 1 << COLUMN_SHIFT)], axis=1)
     rule = (band.sidedness, band.half_wall_m, tiny_m)
     forces, has_force = np.zeros((len(bricks), 8, 8, 8, 3), np.float32), np.zeros(len(bricks), np.bool_)
     owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
-    about = ((bricks, spans, ids, columns), surface, (lattice, shape, limits), events, rule, band.pieces)
-    for_chunks(_fill_bricks, len(bricks), *about, forces, has_force, owners)
+    arguments = ((bricks, spans, ids, columns), surface, (lattice, shape, limits), events, rule, band.pieces)
+    for_chunks(_fill_bricks, len(bricks), *arguments, forces, has_force, owners)
     if motion is not None:
         for_chunks(add_motion, len(bricks), bricks, owners, surface[0], lattice, *motion, forces)
     if rim is not None:
         width_m = max(band.inner_m, band.outer_m)
-        near_rim = _rim_near(rim, lattice, shape, 2 * width_m, keys)
-        beside = rim, near_rim, width_m
-        for_chunks(fade, len(bricks), bricks, owners, surface[0], lattice, *beside, forces, has_force)
+        rim_edges = _find_rim_edges(rim, lattice, shape, 2 * width_m, keys)
+        rim_arguments = rim, rim_edges, width_m
+        for_chunks(fade, len(bricks), bricks, owners, surface[0], lattice, *rim_arguments, forces, has_force)
     return bricks[has_force], forces[has_force]

@@ -1,19 +1,18 @@
 """Winding numbers of a lattice within a closed mesh: signed crossings of rays along x, sorted by column.
 
-Source: the winding number of a closed mesh at a point is the signed number of crossings of a ray from it.
-Each triangle is drawn in the plane (y, z) as scan lines, as a rasteriser does. An edge says from which column
-on it counts, and says the same to both of its triangles because its ends are taken in the order of their
-indices. Hence edges and vertices that lie on a column are counted once, and all crossings of a ray add up to
-zero, whatever the rounding.
+The winding number of a closed mesh at a point is the signed number of crossings of a ray from it. Each
+triangle is rasterised in the plane (y, z) along scan lines. The first column that an edge covers is the same
+for both of its triangles, because its ends are used in the order of their indices. Hence edges and vertices
+that lie on a column are counted once, and all crossings of a ray add up to zero, whatever the rounding.
 
 An event is one int64: column of bricks, y and z within it (3 bits each), first sample along x behind the
-crossing (20 bits), and 1 for +1 or 0 for -1. Sorted, the events of a column lie together.
+crossing (20 bits), and 1 for +1 or 0 for -1. After sorting, the events of a column are contiguous.
 
-A point of a surface is on the boundary of the union of closed meshes that run through one another or
-themselves if the winding number is 0 on just one side of it. Triangles that cross others are cut along the
-planes of those, piece by piece, so that no piece has another surface run through its inside; a piece is then
-wholly boundary or wholly inner wall, and its middle tells. Triangles lie in bins of the plane (y, z). Source
-of the crossing test: T. Moeller, A fast triangle-triangle intersection test, Journal of Graphics Tools
+A surface point lies on the boundary of the union of closed meshes that intersect each other or themselves if
+the winding number is 0 on exactly one side of it. Triangles that cross others are cut along the planes of
+those, piece by piece, until no other surface passes through a piece; a piece is then entirely boundary or
+entirely inner wall, and its centre decides. Triangles are sorted into bins of the plane (y, z). Source of the
+crossing test: T. Moeller, A fast triangle-triangle intersection test, Journal of Graphics Tools
 2(2), 1997.
 """
 
@@ -27,20 +26,18 @@ from touchfield.arrays import Bools, Float64s, Int32s, Int64s
 from touchfield.compute.jit import inner, kernel
 from touchfield.compute.threads import for_chunks
 from touchfield.medium import Grid
-from touchfield.sources.mesh.kernels.triangle import one_type
+from touchfield.sources.mesh.kernels.triangle import as_kernel_arrays
 
 COLUMN_SHIFT = 27
 _ROW_SHIFT = 21
 _DROPPED = np.iinfo(np.int64).max
-_MOST_CORNERS, _MOST_PIECES = 24, 96
-_PER_TRIANGLE = 32  # bins a triangle may lie in on average
+_MAX_CORNERS, _MAX_PIECES = 24, 96
+_PER_TRIANGLE = 32  # largest mean number of bins of a triangle
 
 
 @inner(forceinline=True, error_model="numpy")  # no divisor is zero
 def line_at(vertices, triangle, z):
-    """True if a triangle crosses the height z; y and x there on its edge that goes up, and on the one going
-    down.
-    """
+    """Return whether a triangle crosses the height z, and y, x of its rising and falling edge."""
     y0 = x0 = y1 = x1 = 0.0
     is_met = False
     for corner in range(3):
@@ -50,9 +47,9 @@ def line_at(vertices, triangle, z):
             continue
         is_met = True
         low, high = (u, v) if u < v else (v, u)
-        share = (z - vertices[low, 2]) / (vertices[high, 2] - vertices[low, 2])
-        y = vertices[low, 1] + share * (vertices[high, 1] - vertices[low, 1])
-        x = vertices[low, 0] + share * (vertices[high, 0] - vertices[low, 0])
+        fraction = (z - vertices[low, 2]) / (vertices[high, 2] - vertices[low, 2])
+        y = vertices[low, 1] + fraction * (vertices[high, 1] - vertices[low, 1])
+        x = vertices[low, 0] + fraction * (vertices[high, 0] - vertices[low, 0])
         if is_up:
             y0, x0 = y, x
         else:
@@ -62,24 +59,24 @@ def line_at(vertices, triangle, z):
 
 @inner
 def _index_from(position, origin, step, count):
-    """The first sample at or after a position, 0 to count."""
+    """Return the first sample at or after a position, 0 to count."""
     index = np.ceil((position - origin) / step)
     return int(min(max(index, 0.0), float(count)))
 
 
 @kernel
-def _draw(begin, end, vertices, triangles, lattice, shape, offsets, events):
-    """The events of triangles, from `offsets[t]` on; where there is no room for any, their numbers, in
-    offsets[t].
+def _draw(start, stop, vertices, triangles, lattice, shape, offsets, events):
+    """Write the events of triangles from `offsets[t]` on.
+
+    If `events` is empty, their number is written into `offsets[t]` instead.
     """
     bricks_z = (shape[2] + 7) // 8
     is_counted = len(events) == 0
-    for t in range(begin, end):
+    for t in range(start, stop):
         e = 0 if is_counted else offsets[t]
         a, b, c = vertices[triangles[t, 0], 2], vertices[triangles[t, 1], 2], vertices[triangles[t, 2], 2]
-        low = (
-            np.floor((min(a, b, c) - lattice[2]) / lattice[5]) - 1.0
-        )  # a range that holds all rows it covers
+        # a range that contains all rows of the triangle
+        low = np.floor((min(a, b, c) - lattice[2]) / lattice[5]) - 1.0
         high = np.ceil((max(a, b, c) - lattice[2]) / lattice[5]) + 1.0
         k0, k1 = int(min(max(low, 0.0), float(shape[2]))), int(min(max(high, -1.0), float(shape[2] - 1)))
         for k in range(k0, k1 + 1):
@@ -96,8 +93,8 @@ def _draw(begin, end, vertices, triangles, lattice, shape, offsets, events):
                 e += last - first
                 continue
             for j in range(first, last):
-                share = (lattice[1] + j * lattice[4] - y0) / (y1 - y0) if y1 != y0 else 0.0
-                x = x0 + min(max(share, 0.0), 1.0) * (x1 - x0)
+                fraction = (lattice[1] + j * lattice[4] - y0) / (y1 - y0) if y1 != y0 else 0.0
+                x = x0 + min(max(fraction, 0.0), 1.0) * (x1 - x0)
                 i = _index_from(x, lattice[0], lattice[3], shape[0])
                 column = np.int64(j >> 3) * bricks_z + (k >> 3)
                 row = ((j & 7) << 3) | (k & 7)
@@ -109,27 +106,28 @@ def _draw(begin, end, vertices, triangles, lattice, shape, offsets, events):
 
 
 def crossings(vertices_m: Float64s, triangles: Int32s, grid: Grid) -> Int64s:
-    """All crossings of the grid's columns, as sorted events (see the module), int64 [n].
+    """Return all crossings of the columns of a grid, as sorted events (see the module), int64 [n].
 
-    `vertices_m` float64 [v, 3] in metres, `triangles` int32 [m, 3]. Those before the grid's first sample
-    along x count there; those behind its last are left out.
+    `vertices_m` float64 [v, 3] in metres, `triangles` int32 [m, 3]. Crossings before the first
+    sample along x count at that sample; those behind the last are dropped.
     """
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)
     offsets = np.zeros(len(triangles) + 1, np.int64)
-    work = (*one_type(vertices_m, triangles), lattice, shape)
-    for_chunks(_draw, len(triangles), *work, offsets[1:], np.empty(0, np.int64), chunk=512)
+    arguments = (*as_kernel_arrays(vertices_m, triangles), lattice, shape)
+    for_chunks(_draw, len(triangles), *arguments, offsets[1:], np.empty(0, np.int64), chunk=512)
     np.cumsum(offsets, out=offsets)
     events = np.empty(int(offsets[-1]), np.int64)
-    for_chunks(_draw, len(triangles), *work, offsets, events, chunk=512)
+    for_chunks(_draw, len(triangles), *arguments, offsets, events, chunk=512)
     events.sort()
     return events[: np.searchsorted(events, _DROPPED)]
 
 
 @inner
 def winding_of_brick(events, first, last, i0, winding):
-    """Winding numbers of a brick's samples, int32 [512], from the events of its column; i0 is its first x
-    index.
+    """Write the winding numbers of a brick, int32 [512], from the events of its column.
+
+    `i0` is the first index along x.
     """
     winding[:] = 0
     for e in range(first, last):
@@ -142,13 +140,12 @@ def winding_of_brick(events, first, last, i0, winding):
         winding[s] += winding[s - 64]
 
 
-# -- triangles in bins
-# ----------------------------------------------------------------------------------------------
+# -- triangles in bins -------------------------------------------------------------------------------------
 class Bins(NamedTuple):
-    """Triangles by squares of the plane (y, z): those of square s are `ids[start[s]:start[s + 1]]`."""
+    """Triangles by squares of the plane (y, z): square s has `ids[starts[s]:starts[s + 1]]`."""
 
-    frame: Float64s  # y and z where they begin, their width along both, and how many there are along each
-    start: Int64s
+    frame: Float64s  # first y and z, widths along both, and number of squares along each
+    starts: Int64s
     ids: Int32s
 
 
@@ -158,9 +155,10 @@ def _bin(frame, value, axis):
 
 
 @kernel
-def _put_in_bins(boxes, frame, place, ids):
-    """Put each triangle at the next place of every bin that its box meets; without `ids` the places are
-    counted.
+def _put_in_bins(boxes, frame, slots, ids):
+    """Add each triangle to every bin that its box meets, at `slots`.
+
+    If `ids` is empty, triangles are only counted.
     """
     for t in range(len(boxes)):
         y0, y1 = _bin(frame, boxes[t, 2], 0), _bin(frame, boxes[t, 3], 0)
@@ -169,19 +167,19 @@ def _put_in_bins(boxes, frame, place, ids):
             for z in range(z0, z1 + 1):
                 s = y * int(frame[4]) + z
                 if len(ids):
-                    ids[place[s]] = t
-                place[s] += 1
+                    ids[slots[s]] = t
+                slots[s] += 1
 
 
 def boxes_of(corners: Float64s) -> Float64s:
-    """The boxes of triangles with these corners, float64 [m, 3, 3]: low and high x, y, z, float64 [m, 6]."""
+    """Return the boxes of triangles with corners float64 [m, 3, 3]: low and high x, y, z, float64 [m, 6]."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     return np.stack([low, high], axis=2).reshape(-1, 6)
 
 
 def sorted_into_bins(boxes: Float64s) -> Bins:
-    """The triangles with these boxes, float64 [m, 6], in bins."""
+    """Sort triangles with these boxes, float64 [m, 6], into bins."""
     low, high = boxes[:, 0::2].min(axis=0), boxes[:, 1::2].max(axis=0)
     span = np.maximum((high - low)[1:], 1e-12 * max(float((high - low).max()), 1e-300))
     sizes = boxes[:, 3::2] - boxes[:, 2::2]
@@ -191,17 +189,16 @@ def sorted_into_bins(boxes: Float64s) -> Bins:
     frame = np.array([low[1], low[2], span[0] / count, span[1] / count, count])
     counts = np.zeros(count * count, np.int64)
     _put_in_bins(boxes, frame, counts, np.empty(0, np.int32))
-    start = np.append(0, np.cumsum(counts))
-    ids = np.empty(int(start[-1]), np.int32)
-    _put_in_bins(boxes, frame, start[:-1].copy(), ids)
-    return Bins(frame, start, ids)
+    starts = np.append(0, np.cumsum(counts))
+    ids = np.empty(int(starts[-1]), np.int32)
+    _put_in_bins(boxes, frame, starts[:-1].copy(), ids)
+    return Bins(frame, starts, ids)
 
 
-# -- which triangles cross
-# -----------------------------------------------------------------------------------------
+# -- crossing triangles ------------------------------------------------------------------------------------
 @inner
 def _heights(points, count, normal, base, out):
-    """Heights of points over a plane; least and greatest."""
+    """Write the heights of points over a plane; return the smallest and largest."""
     low, high = np.inf, -np.inf
     for i in range(count):
         h = 0.0
@@ -214,7 +211,10 @@ def _heights(points, count, normal, base, out):
 
 @inner
 def _span_on_line(points, count, heights, along, tiny):
-    """Where a convex polygon meets a plane, as positions along a direction: from, to; from > to if nowhere."""
+    """Interval along a direction in which a convex polygon meets a plane.
+
+    The interval is empty if low > high.
+    """
     low, high = np.inf, -np.inf
     for i in range(count):
         j = (i + 1) % count
@@ -229,12 +229,12 @@ def _span_on_line(points, count, heights, along, tiny):
 
 
 @inner
-def _meet(piece, count, normal, other, its_normal, tiny, h, g):
-    """True if a triangle `other` reaches a convex piece along a line on both sides of which the piece lies.
+def _meet(piece, count, normal, other, other_normal, tiny, h, g):
+    """Return True if a triangle `other` meets a convex piece along a line that divides the piece.
 
-    Fills `h`, the heights of the piece over the other's plane.
+    Writes `h`, the heights of the piece over the plane of `other`.
     """
-    low, high = _heights(piece, count, its_normal, other[0], h)
+    low, high = _heights(piece, count, other_normal, other[0], h)
     if low >= -tiny or high <= tiny:
         return False
     low, high = _heights(other, 3, normal, piece[0], g)
@@ -243,14 +243,14 @@ def _meet(piece, count, normal, other, its_normal, tiny, h, g):
     along = np.empty(3)
     for c in range(3):
         d, e = (c + 1) % 3, (c + 2) % 3
-        along[c] = normal[d] * its_normal[e] - normal[e] * its_normal[d]
+        along[c] = normal[d] * other_normal[e] - normal[e] * other_normal[d]
     a0, a1 = _span_on_line(piece, count, h, along, tiny)
     b0, b1 = _span_on_line(other, 3, g, along, tiny)
     return min(a1, b1) - max(a0, b0) > tiny * np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
 
 
 @inner(forceinline=True)
-def _share_a_vertex(triangles, t, u):
+def _have_common_vertex(triangles, t, u):
     for c in range(3):
         for d in range(3):
             if triangles[t, c] == triangles[u, d]:
@@ -259,14 +259,14 @@ def _share_a_vertex(triangles, t, u):
 
 
 @kernel
-def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
-    """Pairs (t, u) of which u cuts t, of a range of bins."""
-    frame, start, ids = bins
-    pairs = np.empty((most, 2), np.int32)
+def _pairs(start, stop, bins, boxes, corners, normals, triangles, tiny, max_pairs):
+    """Find pairs (t, u) in which u cuts t, in a range of bins."""
+    frame, starts, ids = bins
+    pairs = np.empty((max_pairs, 2), np.int32)
     count = 0
     h, g = np.empty(3), np.empty(3)
-    for s in range(begin, end):
-        first, last = start[s], start[s + 1]
+    for s in range(start, stop):
+        first, last = starts[s], starts[s + 1]
         for a in range(first, last):
             box = boxes[ids[a]]
             x0, x1, y0, y1, z0, z1 = box[0], box[1], box[2], box[3], box[4], box[5]
@@ -276,14 +276,14 @@ def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
                     continue
                 if boxes[u, 3] < y0 - tiny or boxes[u, 4] > z1 + tiny or boxes[u, 5] < z0 - tiny:
                     continue
-                if _share_a_vertex(triangles, t, u):
+                if _have_common_vertex(triangles, t, u):
                     continue
                 y, z = max(y0, boxes[u, 2]), max(z0, boxes[u, 4])
                 if _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1) != s:
-                    continue  # met in another bin
+                    continue  # tested in another bin
                 for _ in range(2):
                     if _meet(corners[t], 3, normals[t], corners[u], normals[u], tiny, h, g):
-                        if count == most:
+                        if count == max_pairs:
                             return pairs[:count]
                         pairs[count, 0], pairs[count, 1] = t, u
                         count += 1
@@ -294,25 +294,22 @@ def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
 def crossing_pairs(
     bins: Bins, boxes: Float64s, corners: Float64s, normals: Float64s, triangles: Int32s, tiny_m: float
 ) -> Int32s:
-    """Pairs (t, u) of triangles that share no vertex, of which u cuts t, int32 [p, 2], by t.
+    """Find pairs (t, u) of triangles without a common vertex in which u cuts t, int32 [p, 2], sorted by t.
 
     `boxes` float64 [m, 6], `corners` float64 [m, 3, 3] in metres, `normals` float64 [m, 3] of unit length.
-    Nearer than `tiny_m` is touching. Beyond about eight pairs a triangle the others are left out: those walls
-    stay felt.
+    Heights below `tiny_m` count as touching. Pairs beyond about eight for each triangle are dropped: those
+    inner walls still exert forces.
     """
-    most = 8 * len(triangles) + 4096
-    work = (tuple(bins), boxes, corners, normals, triangles, tiny_m, most)
-    pairs = np.concatenate(for_chunks(_pairs, len(bins.start) - 1, *work, chunk=64))
+    max_pairs = 8 * len(triangles) + 4096
+    arguments = (tuple(bins), boxes, corners, normals, triangles, tiny_m, max_pairs)
+    pairs = np.concatenate(for_chunks(_pairs, len(bins.starts) - 1, *arguments, chunk=64))
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
-# -- cutting
-# -------------------------------------------------------------------------------------------------------
+# -- cutting -----------------------------------------------------------------------------------------------
 @inner(inline="always")
 def _copy(rows, first, count, out, at):
-    """Rows of three numbers, copied one by one: numba's copy of arrays compiles an error message for a
-    second.
-    """
+    """Copy rows of three numbers one by one: numba's array copy takes a second longer to compile."""
     for i in range(count):
         for c in range(3):
             out[at + i, c] = rows[first + i, c]
@@ -320,7 +317,7 @@ def _copy(rows, first, count, out, at):
 
 @inner
 def _split(piece, count, h, tiny, above, below):
-    """Cut a convex polygon at height 0; corners above and below."""
+    """Cut a convex polygon at height 0; return the numbers of corners above and below."""
     n = k = 0
     for i in range(count):
         j = (i + 1) % count
@@ -331,9 +328,9 @@ def _split(piece, count, h, tiny, above, below):
             _copy(piece, i, 1, below, k)
             k += 1
         if (h[i] > tiny and h[j] < -tiny) or (h[i] < -tiny and h[j] > tiny):
-            share = h[i] / (h[i] - h[j])
+            fraction = h[i] / (h[i] - h[j])
             for c in range(3):
-                above[n, c] = below[k, c] = piece[i, c] + share * (piece[j, c] - piece[i, c])
+                above[n, c] = below[k, c] = piece[i, c] + fraction * (piece[j, c] - piece[i, c])
             n += 1
             k += 1
     return n, k
@@ -341,16 +338,17 @@ def _split(piece, count, h, tiny, above, below):
 
 @kernel
 def cut(starts, pairs, corners, normals, tiny):
-    """Cut the triangles pairs[starts[i]:starts[i + 1], 0] by their partners; pieces float64 [k, 3, 3],
-    parents.
+    """Cut triangles pairs[starts[i]:starts[i + 1], 0] by their partners.
+
+    Returns pieces float64 [k, 3, 3] and the triangle of each.
     """
     out = np.empty((64, 3, 3))
     parents = np.empty(64, np.int32)
     total = 0
-    pieces = np.empty((_MOST_PIECES, _MOST_CORNERS, 3))
-    counts = np.empty(_MOST_PIECES, np.int64)
-    above, below = np.empty((_MOST_CORNERS, 3)), np.empty((_MOST_CORNERS, 3))
-    h, g = np.empty(_MOST_CORNERS), np.empty(3)
+    pieces = np.empty((_MAX_PIECES, _MAX_CORNERS, 3))
+    counts = np.empty(_MAX_PIECES, np.int64)
+    above, below = np.empty((_MAX_CORNERS, 3)), np.empty((_MAX_CORNERS, 3))
+    h, g = np.empty(_MAX_CORNERS), np.empty(3)
     for i in range(len(starts) - 1):
         t = pairs[starts[i], 0]
         _copy(corners[t], 0, 3, pieces[0], 0)
@@ -359,7 +357,7 @@ def cut(starts, pairs, corners, normals, tiny):
         for p in range(starts[i], starts[i + 1]):
             u = pairs[p, 1]
             for q in range(piece_count):
-                if piece_count == _MOST_PIECES or counts[q] + 2 > _MOST_CORNERS:
+                if piece_count == _MAX_PIECES or counts[q] + 2 > _MAX_CORNERS:
                     continue
                 if _meet(pieces[q], counts[q], normals[t], corners[u], normals[u], tiny, h, g):
                     n, k = _split(pieces[q], counts[q], h, tiny, above, below)
@@ -370,11 +368,11 @@ def cut(starts, pairs, corners, normals, tiny):
         for q in range(piece_count):
             for c in range(1, counts[q] - 1):
                 if total == len(out):
-                    more, names = np.empty((2 * total, 3, 3)), np.empty(2 * total, np.int32)
+                    larger, larger_parents = np.empty((2 * total, 3, 3)), np.empty(2 * total, np.int32)
                     for m in range(total):
-                        _copy(out[m], 0, 3, more[m], 0)
-                        names[m] = parents[m]
-                    out, parents = more, names
+                        _copy(out[m], 0, 3, larger[m], 0)
+                        larger_parents[m] = parents[m]
+                    out, parents = larger, larger_parents
                 _copy(pieces[q], 0, 1, out[total], 0)
                 _copy(pieces[q], c, 2, out[total], 1)
                 parents[total] = t
@@ -382,31 +380,30 @@ def cut(starts, pairs, corners, normals, tiny):
     return out[:total], parents[:total]
 
 
-# -- inside and outside
-# --------------------------------------------------------------------------------------------
+# -- inside and outside ------------------------------------------------------------------------------------
 @inner
 def _winding(x, y, z, bins, vertices, triangles):
-    """The winding number of a closed mesh at a point, up to its sign."""
-    frame, start, ids = bins
+    """Return the winding number of a closed mesh at a point, up to its sign."""
+    frame, starts, ids = bins
     if not (
         frame[0] <= y <= frame[0] + frame[2] * frame[4] and frame[1] <= z <= frame[1] + frame[3] * frame[4]
     ):
         return 0
     s = _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1)
     total = 0
-    for e in range(start[s], start[s + 1]):
+    for e in range(starts[s], starts[s + 1]):
         is_met, y0, x0, y1, x1 = line_at(vertices, triangles[ids[e]], z)
         if not is_met or (y < y0) == (y < y1):
             continue
-        share = (y - y0) / (y1 - y0)
-        if x0 + share * (x1 - x0) <= x:
+        fraction = (y - y0) / (y1 - y0)
+        if x0 + fraction * (x1 - x0) <= x:
             total += 1 if y0 < y1 else -1
     return total
 
 
 @kernel
-def _classify(begin, end, corners, normals, parents, bins, vertices, triangles, tiny, is_outer):
-    for t in range(begin, end):
+def _classify(start, stop, corners, normals, parents, bins, vertices, triangles, tiny, is_outer):
+    for t in range(start, stop):
         n = normals[parents[t]]
         a, b, c = corners[t]
         x, y, z = (a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3
@@ -424,9 +421,9 @@ def bounds_union(
     surface: tuple[Float64s, Int32s],
     tiny_m: float,
 ) -> Bools:
-    """The pieces that bound the union, bool [k]: on just one side of them, `tiny_m` away, nothing is inside.
+    """Return which pieces bound the union, bool [k]: exactly one side, `tiny_m` away, is outside.
 
-    `corners` float64 [k, 3, 3] and `parents` int32 [k]: of pieces, and the triangle that each is one of;
+    `corners` float64 [k, 3, 3] and `parents` int32 [k] are the pieces and the triangle of each;
     `surface`: vertices in metres and triangles.
     """
     is_outer = np.empty(len(corners), np.bool_)

@@ -1,13 +1,13 @@
 """Compiled loops over triangles: their distances to many points at once in float32, to one point in float64.
 
 Source: the squared distance of a point to a triangle is h^2 + d^2, with h its height over the triangle's
-plane and d the distance in it: zero inside, else the least of those to the three edges (C. Ericson, Real-Time
-Collision Detection, 2005, section 5.1.5, gives the same by regions). Heights over planes and edges are affine
-in the position, so there is no branch, and LLVM makes vector code of it: over the 64 samples of a block, or
-over the triangles of a tile.
+plane and d the distance in it: zero inside, else the smallest of those to the three edges (C. Ericson,
+Real-Time Collision Detection, 2005, section 5.1.5, gives the same by regions). Heights over planes and edges
+are affine in the position, so there is no branch, and LLVM vectorises the loops over the 64 samples of a
+block and over the triangles of a tile.
 
-Functions of the innermost loops are inlined by force: a call would count references to its arrays, which
-costs more than their work.
+Functions of the innermost loops are always inlined: a call would count references to its arrays, which costs
+more than their work.
 """
 
 from __future__ import annotations
@@ -22,18 +22,16 @@ from touchfield.compute.threads import for_chunks
 from touchfield.medium.field import frozen
 
 X, Y, Z, D, ID = 0, 64, 128, 192, 256
-"""Sections of a block's memory, float32 [320]: 64 places, squared distances and numbers of the nearest
-triangle.
-"""
+"""Sections of a block, float32 [320]: 64 positions, squared distances, indices of nearest triangles."""
 
 _FAST = {"contract", "nnan", "nsz"}
 _WIDTH = 33  # float64 of a triangle: normal, 3 edge normals, 3 edge directions, 3 vertices, 3 lengths
 _LANES = 32  # triangles that lie side by side in a tile, field by field
-_FIELDS = 32 * _LANES  # of a triangle seen from a cell: 7 heights, 3 half lengths, 7 gradients, a one
+_FIELDS = 32 * _LANES  # of a triangle relative to a cell: 7 heights, 3 half lengths, 7 gradients, a one
 _TILE = _FIELDS + 8 * _LANES  # and its squared distances to eight centres
 _FLAT = 1e-12  # height over length below which a triangle is a line
 _0 = np.float32(0)
-_MUCH = np.float32(1e20)  # makes any distance the greater one
+_HUGE = np.float32(1e20)  # exceeds any squared distance
 _FACE, _VERTEX, _EDGE = 0, 1, 4  # columns of the table of pseudo-normals
 
 
@@ -47,7 +45,7 @@ def _unit(x, y, z, fallback):
 
 @inner
 def _perpendicular(e):
-    """Any unit vector at right angles to the unit vector e."""
+    """Return a unit vector perpendicular to the unit vector e."""
     if abs(e[0]) < 0.6:
         x, y, z, _ = _unit(0.0, e[2], -e[1], e)
     else:
@@ -56,9 +54,9 @@ def _perpendicular(e):
 
 
 @kernel
-def _fill_table(begin, end, vertices, triangles, table):
+def _fill_table(start, stop, vertices, triangles, table):
     e = np.empty((3, 3))
-    for t in range(begin, end):
+    for t in range(start, stop):
         row = table[t]
         fallback = (1.0, 0.0, 0.0)
         for i in range(3):
@@ -84,21 +82,21 @@ def _fill_table(begin, end, vertices, triangles, table):
             row[5 + 3 * i] = e[i, 0] * y - e[i, 1] * x
 
 
-def one_type(vertices_m: Float64s, triangles: Int32s) -> tuple[Float64s, Int32s]:
-    """Both in the one layout for which kernels are compiled: read-only, rows first."""
+def as_kernel_arrays(vertices_m: Float64s, triangles: Int32s) -> tuple[Float64s, Int32s]:
+    """Return both arrays in the layout for which kernels are compiled: read-only, C-contiguous."""
     return frozen(np.ascontiguousarray(vertices_m)), frozen(np.ascontiguousarray(triangles))
 
 
 def triangle_table(vertices_m: Float64s, triangles: Int32s) -> Float64s:
-    """Planes and edges of triangles whose longest edge is the first, float64 [m, 33]."""
+    """Return planes and edges of triangles whose first edge is the longest, float64 [m, 33]."""
     table = np.empty((len(triangles), _WIDTH))
-    for_chunks(_fill_table, len(triangles), *one_type(vertices_m, triangles), table, chunk=1024)
+    for_chunks(_fill_table, len(triangles), *as_kernel_arrays(vertices_m, triangles), table, chunk=1024)
     return table
 
 
 @inner(forceinline=True)
-def _see(table, t, x, y, z, scale, reach, tiles, at):
-    """A triangle as the search needs it, seen from (x, y, z), for samples within `reach` of there (scaled)."""
+def _localise(table, t, x, y, z, scale, reach, tiles, at):
+    """Write a triangle in float32, relative to (x, y, z), for samples within `reach` (scaled) of it."""
     for i in range(21):
         tiles[at + (10 + i) * _LANES] = np.float32(table[t, i])
     tiles[at + 31 * _LANES] = np.float32(1)
@@ -113,7 +111,7 @@ def _see(table, t, x, y, z, scale, reach, tiles, at):
         j = 12 + 3 * i
         along = (table[t, j] * dx + table[t, j + 1] * dy + table[t, j + 2] * dz) * scale
         length = table[t, 30 + i] * scale
-        # only the part of the edge that is near: what is far would cost digits
+        # only the part of the edge within reach: the rest would cost precision
         low = min(max(0.0, along - reach), length)
         high = max(min(length, along + reach), 0.0)
         tiles[at + (4 + i) * _LANES] = np.float32(along - 0.5 * (low + high))
@@ -122,7 +120,7 @@ def _see(table, t, x, y, z, scale, reach, tiles, at):
 
 @inner(fastmath=_FAST, forceinline=True)
 def _square_distance(p, x, y, z):
-    """Squared distance of (x, y, z) to the triangle that `_see` put into p."""
+    """Squared distance of (x, y, z) to the triangle that `_localise` put into p."""
     h = p[0] + p[10] * x + p[11] * y + p[12] * z
     q0 = p[1] + p[13] * x + p[14] * y + p[15] * z
     q1 = p[2] + p[16] * x + p[17] * y + p[18] * z
@@ -130,10 +128,10 @@ def _square_distance(p, x, y, z):
     s0 = max(abs(p[4] + p[22] * x + p[23] * y + p[24] * z) - p[7], _0)
     s1 = max(abs(p[5] + p[25] * x + p[26] * y + p[27] * z) - p[8], _0)
     s2 = max(abs(p[6] + p[28] * x + p[29] * y + p[30] * z) - p[9], _0)
-    beside = min(q0 * q0 + s0 * s0, min(q1 * q1 + s1 * s1, q2 * q2 + s2 * s2))
+    edge_square = min(q0 * q0 + s0 * s0, min(q1 * q1 + s1 * s1, q2 * q2 + s2 * s2))
     # inside, s0 is zero; for a sliver, whose q are all rounding, it still is the distance beyond its ends
-    outside = max(max(q0, max(q1, q2)), _0) * _MUCH
-    return h * h + min(beside, s0 * s0 + outside)
+    outside = max(max(q0, max(q1, q2)), _0) * _HUGE
+    return h * h + min(edge_square, s0 * s0 + outside)
 
 
 @inner(fastmath=_FAST, forceinline=True)
@@ -152,7 +150,7 @@ def _load(tile, c):
 
 @inner(fastmath=_FAST)
 def _sweep_centres(tile, lanes, centres, squares):
-    """Squared distances of the triangles of a tile to eight centres."""
+    """Compute the squared distances of the triangles of a tile to eight centres."""
     for s in range(8):
         x, y, z = centres[X + s], centres[Y + s], centres[Z + s]
         for c in range(lanes):
@@ -160,10 +158,10 @@ def _sweep_centres(tile, lanes, centres, squares):
 
 
 @inner
-def see_all(ids, table, x, y, z, scale, reach, centres, tiles):
-    """See all triangles of a cell from its first sample, and from the centres of its eight children."""
+def localise_all(ids, table, x, y, z, scale, reach, centres, tiles):
+    """Write all triangles of a cell relative to its first sample, and their distances to eight centres."""
     for c in range(len(ids)):
-        _see(table, ids[c], x, y, z, scale, reach, tiles, (c // _LANES) * _TILE + c % _LANES)
+        _localise(table, ids[c], x, y, z, scale, reach, tiles, (c // _LANES) * _TILE + c % _LANES)
     for first in range(0, len(ids), _LANES):
         lanes = min(_LANES, (len(ids) - first + 7) // 8 * 8)
         at = first // _LANES * _TILE
@@ -172,7 +170,7 @@ def see_all(ids, table, x, y, z, scale, reach, centres, tiles):
 
 @inner(forceinline=True)
 def square_of(tiles, c, s):
-    """The squared distance of triangle c to centre s."""
+    """Return the squared distance of triangle c to centre s."""
     return tiles[(c // _LANES) * _TILE + _FIELDS + s * _LANES + c % _LANES]
 
 
@@ -182,19 +180,22 @@ def sweep_block(tiles, c, block):
     at = (c // _LANES) * _TILE
     p = _load(tiles[at : at + _TILE], c % _LANES)
     number = np.float32(c)
-    one = p[31]
+    unity = p[31]
     for s in range(64):
         square = _square_distance(p, block[X + s], block[Y + s], block[Z + s])
-        old, nearest_yet = block[D + s], block[ID + s]
-        is_nearer = square < old
-        # times a one that the compiler does not know of: else it makes masked stores, which are slow
-        block[ID + s] = (number if is_nearer else nearest_yet) * one
-        block[D + s] = (square if is_nearer else old) * one
+        previous, previous_id = block[D + s], block[ID + s]
+        is_nearer = square < previous
+        # times a 1 unknown to the compiler: otherwise it generates masked stores, which are slow
+        block[ID + s] = (number if is_nearer else previous_id) * unity
+        block[D + s] = (square if is_nearer else previous) * unity
 
 
 @inner
-def place_centres(block, half, steps):
-    """The centres of the eight children of a cell, relative to its first sample; their radius."""
+def set_centres(block, half, steps):
+    """Write the centres of the eight children of a cell, and return their radius.
+
+    Centres are relative to the first sample of the cell.
+    """
     for s in range(8):
         block[X + s] = np.float32(((s >> 2) * half + 0.5 * (half - 1)) * steps[0])
         block[Y + s] = np.float32((((s >> 1) & 1) * half + 0.5 * (half - 1)) * steps[1])
@@ -204,29 +205,30 @@ def place_centres(block, half, steps):
 
 
 @inner
-def least_of(tiles, count, s):
-    """The number of the triangle that is nearest to centre s, and its squared distance."""
-    best, least = 0, square_of(tiles, 0, s)
+def nearest_to_centre(tiles, count, s):
+    """Return the index of the triangle nearest to centre s, and its squared distance."""
+    best, min_square = 0, square_of(tiles, 0, s)
     for c in range(1, count):
         square = square_of(tiles, c, s)
-        if square < least:
-            best, least = c, square
-    return best, least
+        if square < min_square:
+            best, min_square = c, square
+    return best, min_square
 
 
 @inner
-def tiles_for(begin, end, first, last):
-    """Memory for the triangles of any one cell."""
-    most = 1
-    for cell in range(begin, end):
-        most = max(most, last[cell] - first[cell])
-    return np.zeros((most + _LANES - 1) // _LANES * _TILE, np.float32)
+def tiles_for(start, stop, first, last):
+    """Allocate tiles for the triangles of the largest cell."""
+    max_count = 1
+    for cell in range(start, stop):
+        max_count = max(max_count, last[cell] - first[cell])
+    return np.zeros((max_count + _LANES - 1) // _LANES * _TILE, np.float32)
 
 
 @inner(fastmath={"contract"}, forceinline=True)
-def _beside(table, t, i, x, y, z):
-    """Squared distance in the plane to edge i, where along it the nearest point lies, and the side (> 0 is
-    out).
+def _edge_distance(table, t, i, x, y, z):
+    """Return the squared distance in the plane to edge i, the nearest position along it, and the side.
+
+    The side is positive outside the triangle.
     """
     e, m, a = 12 + 3 * i, 3 + 3 * i, 21 + 3 * i
     dx, dy, dz = x - table[t, a], y - table[t, a + 1], z - table[t, a + 2]
@@ -238,12 +240,13 @@ def _beside(table, t, i, x, y, z):
 
 @inner(fastmath={"contract"}, forceinline=True)
 def nearest(table, t, x, y, z):
-    """From the nearest point of a triangle to (x, y, z), float64; that point's edge (-1: the face), how far
-    along.
+    """Return the vector from the nearest point of a triangle to (x, y, z), float64.
+
+    Also returns the edge of that point (-1: inside the face) and its position along the edge.
     """
-    best, along, q0 = _beside(table, t, 0, x, y, z)
-    second, t1, q1 = _beside(table, t, 1, x, y, z)
-    third, t2, q2 = _beside(table, t, 2, x, y, z)
+    best, along, q0 = _edge_distance(table, t, 0, x, y, z)
+    second, t1, q1 = _edge_distance(table, t, 1, x, y, z)
+    third, t2, q2 = _edge_distance(table, t, 2, x, y, z)
     # the third vertex lies over the first edge, and so does what is inside
     if max(q0, max(q1, q2)) < 0.0 and 0.0 < along < table[t, 30]:
         h = (
@@ -269,7 +272,7 @@ def nearest(table, t, x, y, z):
 
 @inner(forceinline=True)
 def feature(table, t, edge, along):
-    """The column of the pseudo-normals for a point of a triangle."""
+    """Return the column of the pseudo-normals for a point of a triangle."""
     if edge < 0:
         return _FACE
     if along <= 0.0:
