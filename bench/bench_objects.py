@@ -19,7 +19,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from machine import Bar, Figures, at_least, at_most, bench, column, figure, timed
-from touchfield.codec.objects.promise import ComposedRule, Moves, Pair
+from touchfield.codec.objects.error_bound import ComposedRule, Moves, Pair
 from touchfield.compute.threads import worker_count
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.sources.laws import LawSpec, penalty

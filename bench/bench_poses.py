@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from machine import Bar, Figures, at_least, at_most, bench, column, timed
 from touchfield.codec.objects.decoder import PoseSteps, decode_poses
-from touchfield.codec.objects.encoder import encode_poses, place_steps
+from touchfield.codec.objects.encoder import choose_pose_steps, encode_poses
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.pipeline import prepare
 from touchfield.pipeline.spec import EncodeSpec
@@ -70,15 +70,15 @@ def measure(frames: int) -> Figures:
     tracks = {
         **{f"falling {one.name}": one.track for one in scene.objects},
         "spinning": spinning(frames),
-        "still": PoseTrack.still(frames, (0.1, 0.2, 0.05)),
+        "still": PoseTrack.constant(frames, (0.1, 0.2, 0.05)),
     }
     rows = {}
     for tolerance_um in (100, 10, 1):
         for name, track in tracks.items():
-            steps = place_steps(track, REACH_M, 1e-6 * tolerance_um)
+            steps = choose_pose_steps(track, REACH_M, 1e-6 * tolerance_um)
             at = {"position_step_m": steps.position_m, "quaternion_step": steps.quaternion}
             rows[f"{name}, {tolerance_um} um"] = row_of(track, steps) | at
-    search_ms = timed(lambda: place_steps(tracks["spinning"], REACH_M, 1e-5))["min_ms"]
+    search_ms = timed(lambda: choose_pose_steps(tracks["spinning"], REACH_M, 1e-5))["min_ms"]
     return {"frames": frames, "rows": rows, "place_steps_ms": search_ms}
 
 

@@ -72,7 +72,7 @@ class Good:
         return TouchDecoder(self.grid, self.parameters)
 
 
-# -- good bodies ------------------------------------------------------------------------------------------
+# -- good bodies -------------------------------------------------------------------------------------------
 
 
 def wall(grid: Grid, t: float, saturated: bool = False) -> ForceField:
@@ -117,11 +117,11 @@ def encoded(name: str, frames: list[ForceField], spec: TouchSpec) -> Good:
         return good
     reader = BodyReader(good.body, GRID, exact=False)
     records = reader.records(len(frames))
-    records[-1] = replace(records[-1], exceptions=records[-1].exceptions or bytes([1, 1, 1, 2]) + bytes(12))
-    return replace(good, body=write_body(reader.lattice, records, reader.worst))
+    records[-1] = replace(records[-1], outliers=records[-1].outliers or bytes([1, 1, 1, 2]) + bytes(12))
+    return replace(good, body=write_body(reader.lattice, records, reader.max_error))
 
 
-# -- damage -----------------------------------------------------------------------------------------------
+# -- damage ------------------------------------------------------------------------------------------------
 
 
 def damaged(data: bytes, rng: np.random.Generator, others: list[bytes]) -> bytes:
@@ -164,13 +164,13 @@ def damaged_record(record: FrameRecord, rng: np.random.Generator, others: list[b
     kind = int(rng.integers(8))
     if kind < 4:
         return replace(record, payload=damaged(record.payload, rng, others))
-    if kind == 4 and record.guess:
-        return replace(record, guess=damaged(record.guess, rng, others))
-    if kind == 5 and record.exceptions:
-        return replace(record, exceptions=damaged(record.exceptions, rng, others) or b"\0")
+    if kind == 4 and record.base_layer:
+        return replace(record, base_layer=damaged(record.base_layer, rng, others))
+    if kind == 5 and record.outliers:
+        return replace(record, outliers=damaged(record.outliers, rng, others) or b"\0")
     if kind == 6:
         return replace(record, inter=not record.inter)
-    return replace(record, guess=b"" if record.guess else others[int(rng.integers(len(others)))])
+    return replace(record, base_layer=b"" if record.base_layer else others[int(rng.integers(len(others)))])
 
 
 def case_of(pool: list[Good], seed: int, number: int) -> Good:
@@ -192,7 +192,7 @@ def case_of(pool: list[Good], seed: int, number: int) -> Good:
             floor, cross = (int(2 ** rng.uniform(0, 16)) - 1 or 1 for _ in range(2))
             rate, cross_rate = (int(2 ** rng.uniform(0, 17)) - 1 for _ in range(2))
             lattice = replace(lattice, floor=floor, rate=rate, cross_floor=cross, cross_rate=cross_rate)
-        body = write_body(lattice, records, reader.worst)
+        body = write_body(lattice, records, reader.max_error)
     chance = rng.random()
     if chance < 0.05:
         shape = tuple(int(2 ** rng.uniform(0, 20)) for _ in range(3))
@@ -223,7 +223,7 @@ def run(case: Good) -> str:
     return "decoded"
 
 
-# -- the child, and who watches it ------------------------------------------------------------------------
+# -- the child, and who watches it -------------------------------------------------------------------------
 
 
 POOL: list[Good] = []

@@ -41,7 +41,7 @@ CHARACTERS = {
 }
 
 
-# -- what is allowed --------------------------------------------------------------------------------------
+# -- what is allowed ---------------------------------------------------------------------------------------
 
 
 @singledispatch
@@ -62,7 +62,7 @@ def _(kind: Real) -> Values:
 
 @allowed.register
 def _(kind: Array) -> Values:
-    if kind.most_bricks is None:
+    if kind.max_bricks is None:
         return st.tuples(*[allowed(kind.of)] * kind.count)
     largest = st.sampled_from([(4096, 4096, 4096), (1 << 20, 1 << 13, 8), (1, 1 << 20, 8192)])
     return st.tuples(*[st.integers(1, 4096)] * 3) | largest
@@ -70,10 +70,10 @@ def _(kind: Array) -> Values:
 
 @allowed.register
 def _(kind: Text) -> Values:
-    texts = st.text(CHARACTERS[kind.pattern], min_size=kind.least, max_size=kind.limit)
+    texts = st.text(CHARACTERS[kind.pattern], min_size=kind.min_bytes, max_size=kind.limit)
     if kind.pattern is NAME:
         texts = texts.map(lambda text: "a" + text[1:])
-    return texts.filter(lambda text: kind.least <= len(text.encode()) <= kind.limit)
+    return texts.filter(lambda text: kind.min_bytes <= len(text.encode()) <= kind.limit)
 
 
 @allowed.register
@@ -102,7 +102,7 @@ def heads(**fixed: Any) -> st.SearchStrategy[Head]:
     return st.builds(Head, **{**free, **{name: st.just(value) for name, value in fixed.items()}})
 
 
-# -- what is not ------------------------------------------------------------------------------------------
+# -- what is not -------------------------------------------------------------------------------------------
 
 
 @singledispatch
@@ -135,7 +135,7 @@ def _(kind: Array) -> Iterator[tuple[Any, bytes | None]]:
         yield (value,) * kind.count, None if data is None else good * (kind.count - 1) + data
     yield from (((), None), (7, None), ("abc", None), ({1, 2}, None))
     for shape in (
-        () if kind.most_bricks is None else ((4097, 4096, 4096), (1, 1 << 20, 1 << 16), (1 << 20,) * 3)
+        () if kind.max_bricks is None else ((4097, 4096, 4096), (1, 1 << 20, 1 << 16), (1 << 20,) * 3)
     ):
         yield shape, struct.pack("<3I", *shape)
 
@@ -151,7 +151,7 @@ def _(kind: Text) -> Iterator[tuple[Any, bytes | None]]:
         yield text, raw(text.encode())
     yield "a\ud800", raw(b"a\xed\xa0\x80")
     yield b"a", raw(b"a\xff")
-    if kind.least:
+    if kind.min_bytes:
         yield "", raw(b"")
     if kind.pattern is NAME:
         yield "A b", raw(b"A b")
@@ -226,7 +226,7 @@ def _(kind: Array) -> bytes:
 
 @good_bytes.register
 def _(kind: Text) -> bytes:
-    return struct.pack("<H", kind.least) + b"a" * kind.least
+    return struct.pack("<H", kind.min_bytes) + b"a" * kind.min_bytes
 
 
 @good_bytes.register
@@ -245,7 +245,7 @@ class CountingFile(io.BytesIO):
         return data
 
 
-# -- files by hand ----------------------------------------------------------------------------------------
+# -- files by hand -----------------------------------------------------------------------------------------
 
 
 OPENING: Final = MAGIC + struct.pack("<HH", 1, 0)

@@ -30,7 +30,7 @@ from touchfield.codec.objects.encoder import PLACE_TOLERANCE_M, ObjectsEncoder
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.codec.segment import Worst
+from touchfield.codec.segment import MaxError
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
@@ -64,8 +64,7 @@ def _each(count: int, check: Callable[[np.random.Generator], object], what: str)
             raise
 
 
-# -- fields
-# ----------------------------------------------------------------------------------------------------
+# -- fields ------------------------------------------------------------------------------------------------
 
 
 def _shape(rng: np.random.Generator) -> tuple[int, int, int]:
@@ -160,12 +159,12 @@ def _check_paper(frames: list[np.ndarray], grid: Grid, rng: np.random.Generator)
     if largest_n > 5e5:  # a change from frame to frame may be such a one
         return
     coded = encoder.encode_segment(fields)
-    assert coded.worst is None
+    assert coded.max_error is None
     for field in PaperDecoder(grid, encoder.parameters).frames(coded.body, len(frames)):
         assert np.isfinite(field.forces_n).all()
 
 
-def _check_worst(worst: Worst | None, ratio: float) -> None:
+def _check_worst(worst: MaxError | None, ratio: float) -> None:
     """The ratio that a segment states is the largest there is, rounded up to a whole step."""
     assert worst is not None
     assert ratio / ROUNDING <= worst.ratio <= ratio * ROUNDING + 1 / 65535
@@ -186,7 +185,7 @@ def _check_field(rng: np.random.Generator) -> None:
     fields = [ForceField.from_dense(grid, f) for f in frames]
     more = {}
     if rng.random() < 0.15:
-        more["anchor"] = encoder.anchor(
+        more["key_frame"] = encoder.key_frame(
             ForceField.from_dense(grid, frames[0] * np.float32(1 + 1e-4)), fields[0]
         )
     if rng.random() < 0.15:  # as a live stream does
@@ -197,13 +196,13 @@ def _check_field(rng: np.random.Generator) -> None:
     decoder = TouchDecoder(grid, encoder.parameters)
     decoded = [field.to_dense() for field in decoder.frames(coded.body, len(frames))]
     decoder.costs(coded.body, len(frames))
-    worst = decoder.worst(coded.body)
+    worst = decoder.max_error(coded.body)
     pairs = list(zip(frames, decoded, strict=True))
     if spec.mode == "nmse":
-        assert worst is None and coded.worst is None
+        assert worst is None and coded.max_error is None
         return
     if spec.mode == "lossless":
-        assert all((f == d).all() for f, d in pairs) and worst == Worst(0.0, 0, (0, 0, 0))
+        assert all((f == d).all() for f, d in pairs) and worst == MaxError(0.0, 0, (0, 0, 0))
         # a field keeps no brick of -0.0 alone
         assert all(same_bits(field.to_dense(), d) for field, d in zip(fields, decoded, strict=True))
         return
@@ -240,8 +239,7 @@ def test_no_voxel_of_a_hostile_field_is_beyond_its_bound() -> None:
     _each(FIELDS, _check_field, "field")
 
 
-# -- scenes of bodies
-# ------------------------------------------------------------------------------------------
+# -- scenes of bodies --------------------------------------------------------------------------------------
 
 
 def _body_forces(rng: np.random.Generator, grid: Grid, force_max_n: float) -> np.ndarray:
@@ -273,7 +271,7 @@ def _track(rng: np.random.Generator, count: int) -> PoseTrack:
     start = rng.uniform(-0.006, 0.006, 3)
     kind = rng.integers(4)
     if kind == 0:
-        return PoseTrack.still(count, start)
+        return PoseTrack.constant(count, start)
     turns = rng.normal(size=4) + np.cumsum(rng.normal(0, 0.03 if kind < 3 else 2.0, (count, 4)), axis=0)
     ways = np.cumsum(rng.normal(0, 0.0004 if kind < 3 else 0.004, (count, 3)), axis=0)
     if kind == 1:

@@ -51,7 +51,7 @@ def test_tables(layout: type) -> None:
 @pytest.mark.parametrize("record", RECORDS, ids=lambda record: record.tag)
 def test_headings(record: Record) -> None:
     needed = "required" if record.required else "optional"
-    assert f"### {record.tag}\n{record.layout.__doc__} Stands {record.place}; {needed}.\n" in CONTAINER
+    assert f"### {record.tag}\n{record.layout.__doc__} Stands {record.position}; {needed}.\n" in CONTAINER
 
 
 def test_numbers() -> None:

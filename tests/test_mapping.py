@@ -8,7 +8,7 @@ import pytest
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.devices import device
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.pipeline.mapping import mapped
+from touchfield.pipeline.mapping import map_to_device
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.tasks.measure import MeasureSpec, measure_medium
 
@@ -28,7 +28,7 @@ def medium(shape: tuple[int, int, int], box_m: tuple[float, float, float], seed:
 
 def test_a_finer_device_is_given_the_samples_of_the_medium() -> None:
     w = medium((24, 18, 16), (0.16, 0.12, 0.07))
-    shown = mapped(w, "phantom-omni", ASKED)
+    shown = map_to_device(w, "phantom-omni", ASKED)
     assert shown.medium.grid.shape == w.grid.shape and any("finer" in note for note in shown.notes)
     x, y = w[0].to_dense(), shown.medium[0].to_dense()
     size = np.linalg.norm(x, axis=-1, keepdims=True)
@@ -39,7 +39,7 @@ def test_a_finer_device_is_given_the_samples_of_the_medium() -> None:
 
 def test_a_small_workspace_crops_what_it_cannot_reach() -> None:
     w = medium((50, 50, 50), (1.0, 1.0, 1.0))
-    shown = mapped(w, "phantom-omni", ASKED, EncodeSpec(mapping="crop"))
+    shown = map_to_device(w, "phantom-omni", ASKED, EncodeSpec(mapping="crop"))
     grid = shown.medium.grid
     low, high = grid.box_m
     workspace = np.array(device("phantom-omni").workspace_m)
@@ -57,7 +57,7 @@ def test_a_small_workspace_crops_what_it_cannot_reach() -> None:
 
 def test_a_coarser_device_is_given_its_own_lattice() -> None:
     w = medium((40, 40, 40), (0.0042, 0.0042, 0.0042))  # in hand metres, finer than an Omni's 55 micrometres
-    shown = mapped(w, "phantom-omni", ASKED, EncodeSpec(mapping="0.25"))
+    shown = map_to_device(w, "phantom-omni", ASKED, EncodeSpec(mapping="0.25"))
     assert shown.medium.grid.shape == (19, 19, 19)
     low, high = shown.medium.grid.box_m
     np.testing.assert_allclose(high - low, 0.25 * 0.0042, rtol=1e-6)
@@ -65,11 +65,11 @@ def test_a_coarser_device_is_given_its_own_lattice() -> None:
 
 def test_an_array_has_its_actuators_and_its_levels() -> None:
     w = medium((24, 18, 16), (0.16, 0.12, 0.07))
-    shown = mapped(w, "dotpad", ASKED)
+    shown = map_to_device(w, "dotpad", ASKED)
     chosen = device("dotpad")
     assert shown.medium.grid.shape == (*chosen.lattice[:2], 1)
     assert chosen.levels is not None
-    assert shown.quantiser.words == f"uniform:{chosen.force_max_n / (chosen.levels - 1)!r}/none"
+    assert shown.quantiser.text == f"uniform:{chosen.force_max_n / (chosen.levels - 1)!r}/none"
     forces = shown.medium[0].to_dense()
     assert not forces[..., :2].any() and forces[..., 2].max() <= chosen.force_max_n + 1e-6
 
@@ -117,7 +117,7 @@ def test_a_window_that_shares_too_little_has_the_interval_of_the_corners() -> No
 
 def test_the_own_lattice_lies_where_the_device_renders_it() -> None:
     w = medium((24, 18, 16), (0.16, 0.12, 0.07))
-    shown = mapped(w, "phantom-omni", ASKED)
-    own, finer = shown.own_grid, shown.medium.grid
+    shown = map_to_device(w, "phantom-omni", ASKED)
+    own, finer = shown.source_grid, shown.medium.grid
     assert own.shape == w.grid.shape == finer.shape
     np.testing.assert_allclose(np.stack(own.box_m), np.stack(finer.box_m), atol=1e-12)

@@ -9,7 +9,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from touchfield.codec.segment import Worst, promise_kept
+from touchfield.codec.segment import MaxError, max_error_keys
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid
@@ -29,14 +29,14 @@ def test_a_broadcast_counts_every_segment_and_has_their_largest_ratio(
     sent = Sent()
     for i, ratio in enumerate(ratios):
         segment = LiveSegment(7 * sent.frames, 2 + i, bytes(10 + i), bytes(100) if i == 1 else None)
-        sent.add(segment, None if ratio is None else Worst(ratio, 0, (0, 0, 0)))
+        sent.add(segment, None if ratio is None else MaxError(ratio, 0, (0, 0, 0)))
     assert (sent.segments, sent.frames, sent.sent_bytes) == (3, 2 + 3 + 4, 10 + 11 + 12 + 100)
     assert sent.worst_mask_ratio == 0.875
 
 
 @pytest.mark.parametrize("ratios", ORDERS, ids=str)
 def test_a_file_has_the_largest_ratio_of_its_segments_and_its_place(ratios: tuple[float, ...]) -> None:
-    found = promise_kept((5 * i, Worst(ratio, 2, (i, 1, 0))) for i, ratio in enumerate(ratios))
+    found = max_error_keys((5 * i, MaxError(ratio, 2, (i, 1, 0))) for i, ratio in enumerate(ratios))
     at = ratios.index(0.875)
     assert (found["worst_mask_ratio"], found["promise_kept"]) == (0.875, True)
     assert (found["worst_frame"], found["worst_voxel"]) == (5 * at + 2, [at, 1, 0])
@@ -44,15 +44,15 @@ def test_a_file_has_the_largest_ratio_of_its_segments_and_its_place(ratios: tupl
 
 @pytest.mark.parametrize("at", range(3))
 def test_a_segment_of_an_unknown_ratio_makes_that_of_the_file_unknown(at: int) -> None:
-    segments = [None if i == at else Worst(ratio, 0, (0, 0, 0)) for i, ratio in enumerate(RATIOS)]
-    assert set(promise_kept((i, worst) for i, worst in enumerate(segments)).values()) == {None}
+    segments = [None if i == at else MaxError(ratio, 0, (0, 0, 0)) for i, ratio in enumerate(RATIOS)]
+    assert set(max_error_keys((i, worst) for i, worst in enumerate(segments)).values()) == {None}
     known = [None if i == at else ratio for i, ratio in enumerate(RATIOS)]
-    assert tiles._bound(TouchSpec(), known)["worst_mask_ratio"] is None
+    assert tiles._error_bound(TouchSpec(), known)["worst_mask_ratio"] is None
 
 
 @pytest.mark.parametrize("ratios", ORDERS, ids=str)
 def test_a_store_has_the_largest_ratio_of_its_tiles(ratios: tuple[float, ...]) -> None:
-    assert tiles._bound(TouchSpec(), ratios)["worst_mask_ratio"] == 0.875
+    assert tiles._error_bound(TouchSpec(), ratios)["worst_mask_ratio"] == 0.875
 
 
 @pytest.mark.parametrize("order", list(permutations(range(3))), ids=str)

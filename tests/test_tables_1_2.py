@@ -53,7 +53,7 @@ def falling() -> BodyScene:
     places = np.linspace((0, 0, 0.3), (0.02, 0.01, 0.2), 8)
     turns = np.tile([math.cos(0.2), math.sin(0.2), 0, 0], (8, 1))
     bodies = [
-        Body("ball", AnalyticScene((Sphere(ORIGIN, 0.04),)), PoseTrack.still(8, (0.2, 0.0, 0.1))),
+        Body("ball", AnalyticScene((Sphere(ORIGIN, 0.04),)), PoseTrack.constant(8, (0.2, 0.0, 0.1))),
         Body("box", AnalyticScene((Box(ORIGIN, (0.05, 0.03, 0.04)),)), PoseTrack(turns, places)),
     ]
     return BodyScene(bodies, 1000.0)
@@ -69,8 +69,7 @@ def wall() -> PaperScene:
     return PaperScene("scene2", "wall", "Scene 2, a wall", height_scene(Wall()))
 
 
-# -- the printed figures
-# ----------------------------------------------------------------------------------------
+# -- the printed figures -----------------------------------------------------------------------------------
 
 
 def test_the_printed_entropies_are_not_on_the_curve_of_the_identity() -> None:
@@ -90,8 +89,7 @@ def test_the_density_that_is_needed_is_where_the_identity_meets() -> None:
     assert density_needed(5.1, 5.0) is None, "at most log2(1 + 2^5)"
 
 
-# -- the perceptual filter
-# ----------------------------------------------------------------------------------------
+# -- the perceptual filter ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -118,8 +116,7 @@ def test_the_worst_errors_are_those_of_the_ladders() -> None:
     assert 0.045 < six.worst_error(pushes, 0.05) <= 0.05 + 1e-6
 
 
-# -- lattices and counts
-# ------------------------------------------------------------------------------------------
+# -- lattices and counts -----------------------------------------------------------------------------------
 
 
 def test_both_lattices_fill_one_box(bodies: PaperScene) -> None:
@@ -147,7 +144,7 @@ def test_both_lattices_fill_one_box(bodies: PaperScene) -> None:
     ids=["box", "sphere", "capsule", "cylinder", "ellipsoid", "mesh"],
 )  # fmt: skip
 def test_a_volume_is_that_of_the_samples_within(scene: AnalyticScene | MeshScene) -> None:
-    one = PaperScene("scene1", "one", "one", BodyScene([Body("one", scene, PoseTrack.still(2))], 1000.0))
+    one = PaperScene("scene1", "one", "one", BodyScene([Body("one", scene, PoseTrack.constant(2))], 1000.0))
     low, high = scene.bounds_m()
     grid = Grid.over_box(low - 0.0013, high + 0.0017, (90, 90, 90))
     volume = one.volume_m3()
@@ -176,14 +173,13 @@ def test_counts_agree_with_volumes_and_with_each_other(bodies: PaperScene) -> No
             reach = 1.5 * (quantity.interval.high - quantity.interval.low)
             assert abs(quantity.value - found.by_volume[reading, is_nominal]) < reach
             for q in filters:
-                h = samples[reading].entropies(q.words)
+                h = samples[reading].entropies(q.text)
                 p = h.density.value
                 assert h.voxel.value == pytest.approx(binary_entropy_bits(p) + p * h.object.value, abs=1e-9)
     assert all(one.frames == 4 and 0 <= one.held_share <= 1 for one in found.later.values())
 
 
-# -- later frames
-# -------------------------------------------------------------------------------------------------
+# -- later frames ------------------------------------------------------------------------------------------
 
 
 def test_runs_are_of_consecutive_frames() -> None:
@@ -223,8 +219,7 @@ def test_the_end_of_a_force_is_sent(wavy_field: ForceField) -> None:
     )
 
 
-# -- the pages
-# ----------------------------------------------------------------------------------------------------
+# -- the pages ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("table", "key"), [(table_1, "bodies"), (table_2, "wall")], ids=["table1", "table2"])

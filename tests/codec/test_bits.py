@@ -15,12 +15,12 @@ from numba import njit
 from touchfield.codec import kernels
 from touchfield.codec.kernels import (
     INPUTS,
-    PLACE,
+    POSITION,
     SQUASH,
     STRETCH,
     Bits,
-    end_of,
-    fresh,
+    finish,
+    new_models,
     reader,
     writer,
 )  # fmt: skip
@@ -45,13 +45,13 @@ def run(bits: Any, calls: Any, values: Any) -> None:
 
 
 def models() -> kernels.Models:
-    return fresh(CONTEXTS, SETS)
+    return new_models(CONTEXTS, SETS)
 
 
 def written(calls: np.ndarray, values: np.ndarray) -> tuple[Bits, bytes]:
     bits = writer(16 * len(calls) + 64, models())
     run(bits, calls, values.copy())
-    return bits, end_of(bits)
+    return bits, finish(bits)
 
 
 @st.composite
@@ -79,10 +79,10 @@ def test_what_is_written_is_read(script: tuple[np.ndarray, np.ndarray]) -> None:
     run(bits, calls, found)
     assert np.array_equal(found, values)
     # both sides have learnt the same, and are at the same place
-    assert np.array_equal(bits.chances, wrote.chances) and np.array_equal(bits.weights, wrote.weights)
-    assert bits.state[PLACE] == wrote.state[PLACE] + 6
-    assert len(data) <= wrote.state[PLACE] or data[-1]  # zeros behind the last word are not told
-    assert wrote.state[PLACE] <= len(data) <= bits.state[PLACE]
+    assert np.array_equal(bits.probabilities, wrote.probabilities) and np.array_equal(bits.weights, wrote.weights)
+    assert bits.state[POSITION] == wrote.state[POSITION] + 6
+    assert len(data) <= wrote.state[POSITION] or data[-1]  # zeros behind the last word are not told
+    assert wrote.state[POSITION] <= len(data) <= bits.state[POSITION]
 
 
 @given(st.binary(max_size=80), scripts())

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, code, end_of, fresh, reader, writer
-from touchfield.codec.support import BRICKS_FREE, BRICKS_PER_BYTE, code_bricks, padded
+from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, code, finish, new_models, reader, writer
+from touchfield.codec.support import BRICKS_FREE, BRICKS_PER_BYTE, code_bricks, pad_payload
 from touchfield.errors import CorruptFile
 
 AT, SETS_AT = 5, 3  # the list's chances are not the first of a frame
@@ -19,17 +19,17 @@ AT, SETS_AT = 5, 3  # the list's chances are not the first of a frame
 
 def written(shape: tuple[int, int, int], bricks: np.ndarray, before: np.ndarray | None = None) -> bytes:
     """The payload of a list with a bit behind it, of a 0."""
-    bits = writer(320 * len(bricks) + 64, fresh(AT + LIST_CONTEXTS, SETS_AT + LIST_SETS))
+    bits = writer(320 * len(bricks) + 64, new_models(AT + LIST_CONTEXTS, SETS_AT + LIST_SETS))
     assert np.array_equal(code_bricks(bits, AT, SETS_AT, shape, bricks, before), bricks)
     code(bits, 0, 1)
-    return padded(end_of(bits), len(bricks))
+    return pad_payload(finish(bits), len(bricks))
 
 
 def read(
     data: bytes, shape: tuple[int, int, int], before: np.ndarray | None = None
 ) -> tuple[np.ndarray, int]:
     """The list, and the bit."""
-    bits = reader(data, fresh(AT + LIST_CONTEXTS, SETS_AT + LIST_SETS))
+    bits = reader(data, new_models(AT + LIST_CONTEXTS, SETS_AT + LIST_SETS))
     return code_bricks(bits, AT, SETS_AT, shape, None, before), int(code(bits, 0, 0))
 
 

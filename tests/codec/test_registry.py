@@ -107,5 +107,5 @@ def test_every_option_is_a_field_of_the_spec_or_a_word_of_its_maker(name: str) -
     for key in options:
         assert hasattr(one.spec(), key) or key in ("lossless_quantised", "body_site")
     asked = {field.name for field in fields(one.spec) if field.metadata}
-    assert asked | one.words.keys() == options.keys(), "an order that is given names all"
+    assert asked | one.extra_options.keys() == options.keys(), "an order that is given names all"
     assert all(isinstance(make({}), one.spec) for make in one.makers.values())

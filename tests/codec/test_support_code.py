@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.kernels import end_of, fresh, writer
+from touchfield.codec.kernels import finish, new_models, writer
 from touchfield.codec.support import (
     BRICKS_FREE,
     BRICKS_PER_BYTE,
@@ -20,7 +20,7 @@ from touchfield.codec.support import (
     code_support,
     decode_support,
     encode_support,
-    padded,
+    pad_payload,
 )
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 from touchfield.medium import ForceField, Grid
@@ -207,7 +207,7 @@ def test_faults_have_their_names() -> None:
         decode_support(data[:-20], grid)
     with pytest.raises(CorruptFile, match="64 at most in 0 bytes"):
         decode_support(b"", grid_of((40, 32, 32)))  # a code of ones: all bricks, all samples
-    bits = writer(1000, fresh(CONTEXTS, SETS))
+    bits = writer(1000, new_models(CONTEXTS, SETS))
     code_support(bits, 0, 0, grid, (support[0], np.zeros_like(support[1])), None)
     with pytest.raises(CorruptFile, match="a brick without samples"):
-        decode_support(padded(end_of(bits), len(support[0])), grid)
+        decode_support(pad_payload(finish(bits), len(support[0])), grid)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.support import LARGEST, decode_numbers, encode_numbers
+from touchfield.codec.support import MAX_NUMBER, decode_numbers, encode_numbers
 from touchfield.codec.varint import VARINT_LIMIT, read_varint, write_varint
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 
@@ -36,7 +36,7 @@ def test_varint_bytes() -> None:
             write_varint(value)
 
 
-@given(st.lists(st.integers(-LARGEST, LARGEST) | st.integers(-3, 3), max_size=200))
+@given(st.lists(st.integers(-MAX_NUMBER, MAX_NUMBER) | st.integers(-3, 3), max_size=200))
 def test_numbers_come_back(numbers: list[int]) -> None:
     array = np.array(numbers, np.int32)
     data = encode_numbers(array)
@@ -49,14 +49,14 @@ def test_numbers_come_back(numbers: list[int]) -> None:
 def test_any_bytes_are_numbers_or_a_fault(data: bytes, count: int) -> None:
     with suppress(FormatError):
         numbers = decode_numbers(data, count)
-        assert numbers.shape == (count,) and (np.abs(numbers) <= LARGEST).all()
+        assert numbers.shape == (count,) and (np.abs(numbers) <= MAX_NUMBER).all()
 
 
 def test_a_number_too_large_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="numbers"):
-        encode_numbers(np.array([LARGEST + 1]))
+        encode_numbers(np.array([MAX_NUMBER + 1]))
     np.testing.assert_array_equal(
-        decode_numbers(encode_numbers(np.array([LARGEST, -LARGEST])), 2), [LARGEST, -LARGEST]
+        decode_numbers(encode_numbers(np.array([MAX_NUMBER, -MAX_NUMBER])), 2), [MAX_NUMBER, -MAX_NUMBER]
     )
     with pytest.raises(CorruptFile, match="1073741823 at most"):
         decode_numbers(bytes(30), 3)  # a code of ones: negative numbers of as many digits as there may be

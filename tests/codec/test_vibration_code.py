@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 
 from touchfield.codec.vibration import (
     AMPLITUDE_STEPS,
-    MOST_RELATIVE_ERROR,
+    MAX_RELATIVE_ERROR,
     VibrationSymbols,
     decode_symbols,
     decode_vibration,
+    dequantise_vibration,
     encode_symbols,
     encode_vibration,
-    frame_of,
-    symbols_of,
+    quantise_vibration,
 )
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 from touchfield.medium import Grid
@@ -78,23 +78,23 @@ def test_amplitudes_within_a_ninth_and_frequencies_within_half_a_hertz(
     kept = np.isin(positions[:, 2], found.positions[:, 2])
     assert (frame.amplitudes_n[~kept] < 2.0**-20).all()
     given_n, made_n = frame.amplitudes_n[kept].astype(np.float64), found.amplitudes_n.astype(np.float64)
-    assert (np.abs(made_n - given_n) <= MOST_RELATIVE_ERROR * given_n * (1 + 1e-12)).all()
+    assert (np.abs(made_n - given_n) <= MAX_RELATIVE_ERROR * given_n * (1 + 1e-12)).all()
     assert (np.abs(found.frequencies_hz - frequency) <= (0.5 if frequency >= 0.5 else 1)).all()
-    again = symbols_of(found)
-    assert_same([again], [symbols_of(frame)])  # coding what was decoded loses nothing more
+    again = quantise_vibration(found)
+    assert_same([again], [quantise_vibration(frame)])  # coding what was decoded loses nothing more
 
 
 def test_the_lowest_and_the_highest_step() -> None:
     steps = np.arange(AMPLITUDE_STEPS, dtype=np.int32)
     positions = np.stack([np.zeros_like(steps), np.zeros_like(steps), steps], axis=1)
     grid = Grid((1, 1, AMPLITUDE_STEPS), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
-    frame = frame_of(grid, VibrationSymbols(positions, steps, np.ones_like(steps)))
+    frame = dequantise_vibration(grid, VibrationSymbols(positions, steps, np.ones_like(steps)))
     assert frame.amplitudes_n[0] == 2.0**-20 and frame.amplitudes_n[-1] == 7 * 2.0**17
     assert (np.diff(frame.amplitudes_n) > 0).all()
-    np.testing.assert_array_equal(symbols_of(frame).amplitudes, steps)
+    np.testing.assert_array_equal(quantise_vibration(frame).amplitudes, steps)
     strong = VibrationFrame(grid, positions[:1], np.array([1e6], np.float32), np.ones(1, np.float32))
     with pytest.raises(InvalidArgument, match="1e\\+06 N; expected at most 917504 N"):
-        symbols_of(strong)
+        quantise_vibration(strong)
 
 
 def test_what_stays_costs_next_to_nothing() -> None:
@@ -104,7 +104,7 @@ def test_what_stays_costs_next_to_nothing() -> None:
     assert eight - one < one / 4
 
 
-# -- bytes of strangers -----------------------------------------------------------------------------------
+# -- bytes of strangers ------------------------------------------------------------------------------------
 
 BODY = encode_symbols(GRID, [symbols(np.random.default_rng(s), GRID, 0.3) for s in range(3)])
 

@@ -40,8 +40,7 @@ class Answers(NamedTuple):
     vibration: np.ndarray
 
 
-# -- the format's own words
-# ------------------------------------------------------------------------------------------
+# -- the format's own words --------------------------------------------------------------------------------
 
 
 class Lattice:
@@ -135,8 +134,7 @@ def objects_at(scene: Any, frame: int, points: np.ndarray) -> tuple[np.ndarray, 
     )
 
 
-# -- the other two
-# ---------------------------------------------------------------------------------------------------
+# -- the other two -----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -166,8 +164,7 @@ def by_the_package(path: Path, points: np.ndarray) -> Answers:
     return Answers(force, gradient, vibration)
 
 
-# -- points
-# ----------------------------------------------------------------------------------------------------------
+# -- points ------------------------------------------------------------------------------------------------
 
 
 def lattices_of(path: Path) -> list[tuple[dict[str, Any], np.ndarray, np.ndarray]]:

@@ -14,7 +14,7 @@ from second import GOLDEN
 
 from touchfield.container import TouchReader
 from touchfield.errors import FormatError, InvalidArgument
-from touchfield.pipeline.decoding import opened
+from touchfield.pipeline.decoding import stream_of
 
 pytestmark = pytest.mark.skipif(not GOLDEN, reason="there are no golden files: make golden")
 STREAMS = {path.stem: path.read_bytes() for path in GOLDEN if path.stat().st_size < 4000}
@@ -23,7 +23,7 @@ NAMES = st.sampled_from(sorted(STREAMS) or [""])
 
 def decode(data: bytes) -> int:
     with TouchReader(io.BytesIO(data)) as reader:
-        medium = opened(reader).medium
+        medium = stream_of(reader).medium
         band = (
             map(medium.vibration, range(len(medium))) if medium.vibration else ()
         )  # read apart from the frames

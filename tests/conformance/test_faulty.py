@@ -15,7 +15,7 @@ from second import CONFORMANCE, FAULTY, GOLDEN, decoder, reading
 
 from touchfield import errors
 from touchfield.container import TouchReader
-from touchfield.pipeline.decoding import open_stream, opened
+from touchfield.pipeline.decoding import open_stream, stream_of
 
 FOLDER = CONFORMANCE / "faulty"
 
@@ -74,7 +74,7 @@ def test_both_refuse_bounds_of_objects(tag: str, back: int, code: str, value: fl
     records[at] = records[at].changed(place, code, value)
     data = faults.assembled(records)
     with pytest.raises(errors.CorruptFile), TouchReader(io.BytesIO(data)) as reader:
-        next(iter(opened(reader).medium))
+        next(iter(stream_of(reader).medium))
     with pytest.raises(reading.CorruptFile):
         next(decoder.frames_of(decoder.read_file(data)))
 

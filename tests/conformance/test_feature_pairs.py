@@ -85,7 +85,7 @@ def scene() -> BodyScene:
     bodies = [
         Body("ball", AnalyticScene((ball,), "union", UP_Z_AXES), way),
         Body(
-            "block", AnalyticScene((block,), "union", UP_Z_AXES), PoseTrack.still(FRAMES, (-0.03, 0.0, -0.01))
+            "block", AnalyticScene((block,), "union", UP_Z_AXES), PoseTrack.constant(FRAMES, (-0.03, 0.0, -0.01))
         ),
     ]
     return BodyScene(bodies, 50.0)

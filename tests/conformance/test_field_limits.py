@@ -25,7 +25,7 @@ from test_c import CODES, COMPILER, built, run, run_with
 from container_strategies import OPENING, assembled, cursor_on, framed, good_bytes, refused
 from live_makers import HEAD
 from object_makers import ball
-from touchfield.codec.kernels import NUMBER_ROOM, code_numbers, end_of, fresh, writer
+from touchfield.codec.kernels import BYTES_PER_NUMBER, code_numbers, finish, new_models, writer
 from touchfield.codec.objects import layout
 from touchfield.codec.objects.decoder import MODELS, code_residuals
 from touchfield.codec.touch.encoder import TouchEncoder
@@ -55,8 +55,7 @@ class Case(NamedTuple):
     is_right: bool
 
 
-# -- the records
-# -----------------------------------------------------------------------------------------------------
+# -- the records -------------------------------------------------------------------------------------------
 
 
 @singledispatch
@@ -77,7 +76,7 @@ def _(kind: Real) -> list[bytes]:
 
 @limits.register
 def _(kind: Array) -> list[bytes]:
-    if kind.most_bricks is not None:  # a whole number of bricks, as many as there may be
+    if kind.max_bricks is not None:  # a whole number of bricks, as many as there may be
         return [
             struct.pack("<3I", *shape) for shape in ((1, 1, 1), (4096, 4096, 4096), (1 << 20, 1 << 13, 8))
         ]
@@ -86,7 +85,7 @@ def _(kind: Array) -> list[bytes]:
 
 @limits.register
 def _(kind: Text) -> list[bytes]:
-    return [struct.pack("<H", size) + b"a" * size for size in (kind.least, kind.limit)]
+    return [struct.pack("<H", size) + b"a" * size for size in (kind.min_bytes, kind.limit)]
 
 
 @limits.register
@@ -300,8 +299,7 @@ def second_says(data: bytes) -> str:
     return ""
 
 
-# -- vibrations
-# ------------------------------------------------------------------------------------------------------
+# -- vibrations --------------------------------------------------------------------------------------------
 
 
 def vibration_cases() -> Iterator[Case]:
@@ -323,14 +321,13 @@ def vibration_cases() -> Iterator[Case]:
                 yield Case(f"{what} {value}, frame {frame}, sample {sample}", data, is_right)
 
 
-# -- bodies
-# ----------------------------------------------------------------------------------------------------------
+# -- bodies ------------------------------------------------------------------------------------------------
 
 OWN = Grid((4, 3, 3), (0.01,) * 3, (0.0,) * 3)
 SCENE = HapticScene(
     Grid((5, 4, 3), (0.01,) * 3, (0.0,) * 3),
     1000.0,
-    (HapticObject("one", HapticMedium.from_frames([ball(OWN, 0.03)], 1000.0), PoseTrack.still(3)),),
+    (HapticObject("one", HapticMedium.from_frames([ball(OWN, 0.03)], 1000.0), PoseTrack.constant(3)),),
     1.25,
     0.0,
     "x east, y north, z up",
@@ -342,7 +339,7 @@ ONE = 1 << 20
 def coded_poses(numbers: list[list[int]], orders: list[int]) -> bytes:
     """Poses in steps [frames][7], as docs/format/objects.md codes them."""
     table = np.array(numbers, np.int64)
-    bits = writer(NUMBER_ROOM * (table.size + 14) + 64, fresh(*MODELS))
+    bits = writer(BYTES_PER_NUMBER * (table.size + 14) + 64, new_models(*MODELS))
     code_numbers(bits, 0, 0, np.append(np.array(orders, np.int64), table[0]))
     for c, order in enumerate(orders):
         if order:
@@ -350,7 +347,7 @@ def coded_poses(numbers: list[list[int]], orders: list[int]) -> bytes:
             for _ in range(min(order, 3)):
                 rest = np.diff(rest, prepend=0)
             code_residuals(bits, c, rest[1:])
-    return bytes(end_of(bits))
+    return bytes(finish(bits))
 
 
 @cache

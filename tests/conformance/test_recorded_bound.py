@@ -107,7 +107,7 @@ def dense(frames: list[ForceField]) -> np.ndarray:
 
 def assert_recorded(body: bytes, parameters: bytes, ratios: np.ndarray, count: int) -> None:
     """The recorded ratio, frame and voxel against the true ones."""
-    worst = TouchDecoder(GRID, parameters).worst(body)
+    worst = TouchDecoder(GRID, parameters).max_error(body)
     assert worst is not None
     true = ratios.max()
     assert true <= worst.ratio <= true + STEP * (1 + 1e-9) + 1e-9 and worst.ratio <= 1
@@ -133,7 +133,7 @@ def test_the_recorded_ratio_is_the_true_one(kind: str, rule: str, effort: str) -
                 ratios[is_there].max() > 0.5 and not ratios[~is_there].any()
             )  # the errors are where they are due
         records = BodyReader(body, GRID, exact=spec.mode == "lossless").records(len(frames))
-        apart += sum(bool(record.exceptions) for record in records)
+        apart += sum(bool(record.outliers) for record in records)
     assert apart > 0 if (kind, rule) == ("huge", "no F_0") else True
 
 
@@ -149,7 +149,7 @@ def test_a_ratio_beside_outliers_is_that_of_the_samples_that_are_left(effort: st
     frames = [EMPTY, ForceField.from_dense(GRID, dense_n)]
     encoder = TouchEncoder(GRID, spec)
     body = encoder.encode_segment(frames).body
-    assert BodyReader(body, GRID, exact=False).records(2)[1].exceptions
+    assert BodyReader(body, GRID, exact=False).records(2)[1].outliers
     decoded = list(TouchDecoder(GRID, encoder.parameters).frames(body, 2))
     ratios = ratios_of(dense(frames), dense(decoded), spec)
     assert ratios.max() < 0.99
@@ -175,7 +175,7 @@ def test_a_body_that_decodes_to_something_else_is_not_written(
     encoder = TouchEncoder(GRID, TouchSpec(mode=mode, k=0.02, f0_n=0.0, effort=effort))
     encoder.encode_segment(frames)
     monkeypatch.setattr(encoder_module, "TouchDecoder", Wrong)
-    with pytest.raises(AssertionError, match="does not keep the promise"):
+    with pytest.raises(AssertionError, match="violates the error bound"):
         encoder.encode_segment(frames)
 
 

@@ -25,7 +25,7 @@ from touchfield.cli.main import _exit_code
 from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import ENTRIES, coder, field_coders, field_encoder
-from touchfield.codec.segment import PROMISE_KEYS, Worst, bound_keys, promise_kept
+from touchfield.codec.segment import MAX_ERROR_KEYS, MaxError, bound_keys, max_error_keys
 from touchfield.codec.touch.spec import EFFORTS, MODES, TouchSpec
 from touchfield.errors import UnboundedError
 from touchfield.medium import PoseTrack
@@ -41,7 +41,7 @@ from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Box, Sphere
 from touchfield.tasks.editing import edit, levels_of_detail, resample_file, splice
 from touchfield.tasks.exchange import import_effect
-from touchfield.tasks.live import LiveSpec, broadcast, coarse_layer, opened_sender
+from touchfield.tasks.live import LiveSpec, broadcast, coarse_layer, open_sender
 from touchfield.tasks.reduction import reduce_medium
 from touchfield.tasks.texture import store_materials
 
@@ -110,13 +110,12 @@ def falling() -> BodyScene:
     ways = np.stack([0 * t, 0.02 + 0 * t, 0.03 - 4.905 * t**2], axis=1)
     box = Body("box", AnalyticScene((Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.01)),)), PoseTrack(turns, ways))
     ball = Body(
-        "ball", AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02),)), PoseTrack.still(4, (0.0, 0.02, 0.01))
+        "ball", AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02),)), PoseTrack.constant(4, (0.0, 0.02, 0.01))
     )
     return BodyScene((box, ball), 200.0)
 
 
-# -- the tables are whole
-# ---------------------------------------------------------------------------------------
+# -- the tables are whole ----------------------------------------------------------------------------------
 
 WRITERS = {
     "codec/zarr_codec.py": "test_chunks_of_zarr_keep_the_law",
@@ -168,32 +167,30 @@ def test_a_coder_that_names_no_rule_guarantees_nothing() -> None:
         assert (rule.text is not None) == is_bounded(name) and bool(rule.reason) != is_bounded(name)
 
 
-# -- parts of the mechanism
-# ---------------------------------------------------------------------------------------
+# -- parts of the mechanism --------------------------------------------------------------------------------
 
 
 def test_what_is_not_known_of_one_segment_is_not_known_of_the_file() -> None:
-    known = Worst(0.5, 2, (1, 2, 3))
-    assert promise_kept([(0, known), (8, Worst(0.75, 1, (4, 5, 6)))])["worst_frame"] == 9
+    known = MaxError(0.5, 2, (1, 2, 3))
+    assert max_error_keys([(0, known), (8, MaxError(0.75, 1, (4, 5, 6)))])["worst_frame"] == 9
     for segments in ([(0, known), (8, None)], [(0, None), (8, known)], [(0, None)], []):
-        keys = promise_kept(segments)
-        assert keys == dict.fromkeys(PROMISE_KEYS)
+        keys = max_error_keys(segments)
+        assert keys == dict.fromkeys(MAX_ERROR_KEYS)
         assert bound_keys(coder("touch").bound_rule(TouchSpec()), keys)["error_bound"] is None
 
 
 @pytest.mark.parametrize("ratio", [float("nan"), float("inf"), 1.0000001, -0.1])
 def test_a_ratio_that_proves_nothing_is_never_written(ratio: float) -> None:
     with pytest.raises(AssertionError, match="of what is allowed"):
-        _ = Worst(ratio, 0, (0, 0, 0)).rounded_up
+        _ = MaxError(ratio, 0, (0, 0, 0)).rounded_up
 
 
 @pytest.mark.parametrize(("ratio", "steps"), [(0.0, 0), (1e-9, 1), (0.5, 32768), (1.0, 65535)])
 def test_a_ratio_is_rounded_up(ratio: float, steps: int) -> None:
-    assert Worst(ratio, 0, (0, 0, 0)).rounded_up == steps
+    assert MaxError(ratio, 0, (0, 0, 0)).rounded_up == steps
 
 
-# -- writers
-# ------------------------------------------------------------------------------------------------------
+# -- writers -----------------------------------------------------------------------------------------------
 
 
 def keys_of(path: Path) -> dict[str, Any]:
@@ -294,7 +291,7 @@ def test_an_effect_keeps_the_law(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["touch, mask, fast", "touch, mask-direction, fast", "touch, nmse, fast"])
 def test_a_live_stream_keeps_the_law(name: str) -> None:
     with caught() as texts:
-        prepared, sender = opened_sender(rolling(), replace(SPECS[name], nw=None))
+        prepared, sender = open_sender(rolling(), replace(SPECS[name], nw=None))
         coarse, under = coarse_layer(rolling(), prepared)
         sent = broadcast(prepared, sender.add, LiveSpec(), pause=lambda s: None, coarse=(coarse, under.add))
     keys = {**sent.error_bound(prepared), **sent.summary()}
@@ -329,8 +326,7 @@ def test_a_copy_keeps_the_law(name: str, tmp_path: Path) -> None:
     assert keys_of(out) == keys_of(source)
 
 
-# -- on the command line
-# ------------------------------------------------------------------------------------------
+# -- on the command line -----------------------------------------------------------------------------------
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[str, str]:
@@ -359,8 +355,7 @@ def test_commands_print_the_bound_or_warn(
         )
 
 
-# -- numbers for people
-# -------------------------------------------------------------------------------------------
+# -- numbers for people ------------------------------------------------------------------------------------
 
 
 def test_no_field_stops_an_encoding_by_its_statistics() -> None:

@@ -118,7 +118,7 @@ def test_a_segment_that_cannot_be_decoded_costs_only_itself() -> None:
     records = reader.records(5)
     records[3] = replace(records[3], payload=records[3].payload + bytes(99))  # those before it can be decoded
     frames = frames_of(
-        segment(0), replace(whole, body=write_body(reader.lattice, records, reader.worst)), segment(10)
+        segment(0), replace(whole, body=write_body(reader.lattice, records, reader.max_error)), segment(10)
     )
     assert [i for i in range(5, 11) if not frames(i).support_count] == [8, 9] and frames.lost == 2
 
@@ -126,7 +126,7 @@ def test_a_segment_that_cannot_be_decoded_costs_only_itself() -> None:
 def test_of_large_segments_fewer_are_kept_and_one_at_least(monkeypatch: pytest.MonkeyPatch) -> None:
     size = sum(frames_of(segment(5))(i).forces_n.nbytes for i in range(5))
     for most, oldest in ((1, 25), (2 * size, 20), (1 << 30, 10)):
-        monkeypatch.setattr("touchfield.network.live_medium.MOST_BYTES", most)
+        monkeypatch.setattr("touchfield.network.live_medium.MAX_BYTES", most)
         frames = frames_of(*(replace(segment(5), first_frame=5 * i) for i in range(6)))
         assert frames(oldest).support_count and frames.skipped == 0
         assert frames(oldest - 1).support_count and frames.skipped == 26 - oldest
@@ -137,12 +137,12 @@ def test_another_programme_goes_on_behind_the_one_before(is_layered: bool) -> No
     opened = Opened(replace(HEAD, frame_count=ENDLESS), {})
     now = [2.2]
     under = LiveFrames(Opened(UNDER_HEAD, {}), clock_s=lambda: now[0]) if is_layered else None
-    frames = LiveFrames(opened, clock_s=lambda: now[0], under=under)
+    frames = LiveFrames(opened, clock_s=lambda: now[0], coarse=under)
     frames.take(segment(100))
     frames.take(segment(105))
     if under is not None:
         under.take(COARSE[5])  # its numbers are of no use behind the other programme's
-    frames.begin_anew()
+    frames.start_programme()
     assert frames(9).support_count and not frames.is_there(10)  # what is there stays until more comes
     now[0] = 5.0
     frames.take(segment(0))

@@ -131,10 +131,10 @@ def test_what_is_kept_of_a_file_elsewhere_is_bounded(folder: Path, monkeypatch: 
         source = far._source.remote
         assert source is not None
         longest = max(entry.length for entry in far.segments)
-        monkeypatch.setattr(remote, "_MOST_KEPT", 2 * longest)
+        monkeypatch.setattr(remote, "_MAX_CACHED", 2 * longest)
         for i in range(8):
             far.read_segment(i)
-            assert sum(map(len, source._kept.values())) <= 2 * longest
+            assert sum(map(len, source._cache.values())) <= 2 * longest
         before = source.requests
         far.read_segment(7)
         assert source.requests == before
@@ -252,9 +252,9 @@ OPENING = b"\x89TOUCH\r\n\x1a\n\x01\x00\x00\x00"
         ),
         ((partial(OPENING + bytes(4082), 0, 20000)[:900],), "timed out|Incomplete|expected"),
         ((lambda link: None,), "closed"),
-        ((_drip,), "hardly more"),
-        ((_drip_head,), "hardly more"),
-        ((_go_on,), "hardly more"),
+        ((_drip,), "stalled"),
+        ((_drip_head,), "stalled"),
+        ((_go_on,), "stalled"),
         ((b"HTTP/1.1 404 \x1b[2J\x07\r\nContent-Length: 0\r\n\r\n",), r"404 \\x1b\[2J\\x07"),
         ((_flood,), "bytes 0 to 4095|HEAD"),
     ],
@@ -263,7 +263,7 @@ OPENING = b"\x89TOUCH\r\n\x1a\n\x01\x00\x00\x00"
 def test_a_server_that_misbehaves_is_told_at_once(
     answers: tuple[Callable[[socket.socket], None] | bytes, ...], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(remote, "_PATIENCE_S", 0.5)
+    monkeypatch.setattr(remote, "_TIMEOUT_S", 0.5)
     with answering(*answers) as url, pytest.raises(TouchfieldError, match=words) as caught:
         TouchReader(url)
     assert url in str(caught.value)

@@ -1,6 +1,6 @@
 """The options of the commands, once: how the scene is read, felt, mapped, filtered and coded.
 
-Each is one row; `asks` gives a command the rows it takes, so that two commands cannot drift apart.
+Each is one row; `with_options` gives a command the rows it takes, so that two commands cannot drift apart.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Row(NamedTuple):
     name: str
     kind: Any
     default: Any
-    words: str
+    help_text: str
     panel: str | None = None
 
     @property
@@ -56,23 +56,24 @@ def _kind(annotation: Any) -> Any:
     """By the annotation of a field its type on the command line; what is none of `KINDS` is asked for in
     words.
     """
-    words = annotation.__name__ if isinstance(annotation, type) else str(annotation)
-    name, none, _ = words.partition(" | None")
+    text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+    name, none, _ = text.partition(" | None")
     kind, *_ = KINDS.get(name, KINDS["str"])
     return kind if name in KINDS and not none else kind | None
 
 
 def rows_of(spec: Any, panel: str | None = None, *names: str) -> tuple[Row, ...]:
     """The fields of a spec that are options (`touchfield.options`): all, or those of these names."""
-    asked = [one for one in fields(spec) if one.metadata and (not names or one.name in names)]
+    selected = [field for field in fields(spec) if field.metadata and (not names or field.name in names)]
     return tuple(
-        Row(dashed(one.name), _kind(one.type), one.default, one.metadata["help"], panel) for one in asked
+        Row(dashed(field.name), _kind(field.type), field.default, field.metadata["help"], panel)
+        for field in selected
     )
 
 
 def rows(panel: str, *options: tuple[str, Any, Any, str]) -> tuple[Row, ...]:
     """Options in one group of the help: of each its name, type, default and words."""
-    return tuple(Row(*one, panel) for one in options)
+    return tuple(Row(*option, panel) for option in options)
 
 
 def dashed(name: str) -> str:
@@ -87,7 +88,7 @@ _FIRST: Final = (
 _LATTICE: Final = "Device and lattice"
 _SCENE: Final = "Scene"
 
-BESIDE: Final = rows_of(EncodeSpec, "Force", "vibration", *COEFFICIENTS)
+FORCE_ROWS: Final = rows_of(EncodeSpec, "Force", "vibration", *COEFFICIENTS)
 SCENE: Final = (
     *rows(_LATTICE, ("nominal", bool, False, "Use the device's nominal lattice in place of 2^nw.")),
     *rows_of(EncodeSpec, _LATTICE, "representation", "fit_frames", "oversample", "pool", "cutoff"),
@@ -100,26 +101,28 @@ SCENE: Final = (
 
 def _options_of(coder: Coder) -> dict[str, tuple[Any, str]]:
     """Of a coder the type and the help of each option."""
-    own = {row.key: (row.kind, row.words) for row in rows_of(coder.spec)} | dict(coder.words)
-    return {key: own[key] for key in coder.options or own}
+    option_types = {row.key: (row.kind, row.help_text) for row in rows_of(coder.spec)} | dict(
+        coder.extra_options
+    )
+    return {key: option_types[key] for key in coder.options or option_types}
 
 
 def _coder_rows() -> tuple[Row, ...]:
     """One option for each that a coder takes; where several take one, its help tells what it is to each."""
-    words = [word for one in field_coders().values() for word in one.makers]
+    coder_names = [word for coder in field_coders().values() for word in coder.makers]
     options: dict[str, tuple[Any, list[str], list[str]]] = {}
-    for one in field_coders().values():
-        for key, (kind, words_of_it) in _options_of(one).items():
+    for coder in field_coders().values():
+        for key, (kind, help_text) in _options_of(coder).items():
             _, helps, names = options.setdefault(key, (kind, [], []))
-            helps.append(f"{one.name}: {words_of_it}")
-            names.append(one.name)
-    most = f"{', '.join(words)} (literal: every part as printed in the paper)."
-    made = [Row("coder", str, words[0], most, "Coder")]
+            helps.append(f"{coder.name}: {help_text}")
+            names.append(coder.name)
+    coder_help = f"{', '.join(coder_names)} (literal: every part as printed in the paper)."
+    coder_rows = [Row("coder", str, coder_names[0], coder_help, "Coder")]
     for key, (kind, helps, names) in options.items():
-        asked, default = (bool, False) if kind is bool else (kind | None, None)
+        value_type, default = (bool, False) if kind is bool else (kind | None, None)
         panel = "The paper's coder" if names == ["paper"] else "Coder"
-        made.append(Row(dashed(key), asked, default, " ".join(helps), panel))
-    return tuple(made)
+        coder_rows.append(Row(dashed(key), value_type, default, " ".join(helps), panel))
+    return tuple(coder_rows)
 
 
 CODER: Final = _coder_rows()
@@ -164,21 +167,21 @@ def filter_rows() -> tuple[Row, ...]:
     return rows("Haptic filters", *((name, list[str] | None, None, kind.summary) for name, kind in kinds))
 
 
-def asks(*groups: Sequence[Row]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def with_options(*groups: Sequence[Row]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Give a command the options of `groups`; it gets `asked`, in the order of the command line."""
-    every = sorted((row for group in groups for row in group), key=lambda row: row.name not in _FIRST)
+    all_rows = sorted((row for group in groups for row in group), key=lambda row: row.name not in _FIRST)
 
-    def give(command: Any) -> Any:
-        command.options = [_parameter(row) for row in every]
+    def decorate(command: Any) -> Any:
+        command.options = [_parameter(row) for row in all_rows]
         return command
 
-    return give
+    return decorate
 
 
 def _parameter(row: Row) -> inspect.Parameter:
-    words = row.words.replace("[", r"\[")  # what stands in brackets is no markup
+    help_text = row.help_text.replace("[", r"\[")  # what stands in brackets is no markup
     group = "What most people need" if row.panel and row.name in _FIRST else row.panel
-    option = typer.Option(f"--{row.name}", help=words, rich_help_panel=group)
+    option = typer.Option(f"--{row.name}", help=help_text, rich_help_panel=group)
     key = "as_" if row.name == "as" else row.key
     return inspect.Parameter(key, BY_NAME, default=row.default, annotation=Annotated[row.kind, option])
 
@@ -210,59 +213,59 @@ def numbers_of(
     return numbers
 
 
-def fields_of(spec: type[Any], asked: dict[str, Any]) -> dict[str, Any]:
+def fields_of(spec: type[Any], options: dict[str, Any]) -> dict[str, Any]:
     """The values of the fields of a spec; an option is called as its field is."""
-    return {f.name: asked[f.name] for f in fields(spec) if f.name in asked}
+    return {f.name: options[f.name] for f in fields(spec) if f.name in options}
 
 
-def _coder(asked: dict[str, Any]) -> dict[str, Any]:
+def _coder(options: dict[str, Any]) -> dict[str, Any]:
     """The coder and what is asked of it; an option of another coder is refused, not ignored."""
-    word, coders = asked["coder"], field_coders().values()
-    own = next((one for one in coders if word in one.makers), None)
-    if own is None:
+    name, coders = options["coder"], field_coders().values()
+    coder = next((candidate for candidate in coders if name in candidate.makers), None)
+    if coder is None:
         raise InvalidArgument(
-            "--coder", repr(word), f"one of {', '.join(w for one in coders for w in one.makers)}"
+            "--coder", repr(name), f"one of {', '.join(w for candidate in coders for w in candidate.makers)}"
         )
-    values = {key: value for key, value in asked.items() if value is not None and value is not False}
-    taken = {*_options_of(own), *own.hints}
+    values = {key: value for key, value in options.items() if value is not None and value is not False}
+    supported = {*_options_of(coder), *coder.hints}
     for other in coders:
         for key in _options_of(other):
-            if key in values and key not in taken:
-                said = f"--{dashed(key)} works with --coder {other.name}, not with {word}"
-                raise InvalidArgument(said, mend="Take it out, or change the coder.")
-    chosen = {key: values[key] for key in values if key in taken}
-    field = own.name if own.name in BUILT_IN_CODERS else "extension"
-    return {"coder": own.name, field: own.makers[word](chosen)}
+            if key in values and key not in supported:
+                fault = f"--{dashed(key)} works with --coder {other.name}, not with {name}"
+                raise InvalidArgument(fault, hint="Take it out, or change the coder.")
+    coder_options = {key: values[key] for key in values if key in supported}
+    field = coder.name if coder.name in BUILT_IN_CODERS else "extension"
+    return {"coder": coder.name, field: coder.makers[name](coder_options)}
 
 
-def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
+def encode_spec(options: dict[str, Any]) -> EncodeSpec:
     """The options as the job takes them."""
-    source = SourceOptions(kind=asked["as"], **fields_of(SourceOptions, asked))
-    as_given = {name: value for name, value in fields_of(EncodeSpec, asked).items() if name != "coder"}
+    source = SourceOptions(kind=options["as"], **fields_of(SourceOptions, options))
+    values = {name: value for name, value in fields_of(EncodeSpec, options).items() if name != "coder"}
     chain = []
-    for name, words in ((dashed(key), asked[key]) for key in asked):
-        if name not in field_filters() or not words:
+    for name, texts in ((dashed(key), options[key]) for key in options):
+        if name not in field_filters() or not texts:
             continue
-        if len(words) > 1:
+        if len(texts) > 1:
             mend = "Filter twice: the .touch file of the first run may be the source of the second."
-            raise InvalidArgument(f"--{name} can be given once, not {len(words)} times", mend=mend)
-        chain.append((name, words[0]))
-    as_given |= {
-        "nw": None if asked["nominal"] else asked["nw"],
-        "frames": frames_of("--frames", asked["frames"]),
-        "fit_frames": frames_of("--fit-frames", asked["fit_frames"]),
+            raise InvalidArgument(f"--{name} can be given once, not {len(texts)} times", hint=mend)
+        chain.append((name, texts[0]))
+    values |= {
+        "nw": None if options["nominal"] else options["nw"],
+        "frames": frames_of("--frames", options["frames"]),
+        "fit_frames": frames_of("--fit-frames", options["fit_frames"]),
         "filters": tuple(chain),
     }
-    return EncodeSpec(**as_given, source=source, **(_coder(asked) if "coder" in asked else {}))
+    return EncodeSpec(**values, source=source, **(_coder(options) if "coder" in options else {}))
 
 
-def coder_spec(asked: dict[str, Any]) -> EncodeSpec:
+def coder_spec(options: dict[str, Any]) -> EncodeSpec:
     """The coder's options alone, without a scene's."""
-    return encode_spec(asked | {row.key: row.default for row in SCENE})
+    return encode_spec(options | {row.key: row.default for row in SCENE})
 
 
-def target_of(asked: dict[str, Any]) -> Target | None:
+def target_of(options: dict[str, Any]) -> Target | None:
     """The size or the error to reach, where one was asked for."""
-    if asked["target_bytes"] is None and asked["target_nmse_db"] is None:
+    if options["target_bytes"] is None and options["target_nmse_db"] is None:
         return None
-    return Target(asked["target_bytes"], asked["target_nmse_db"])
+    return Target(options["target_bytes"], options["target_nmse_db"])

@@ -1,5 +1,6 @@
-"""Coders: `registry` lists them; `touch` is the default, `paper` the paper's, `objects` codes bodies with
-poses.
+"""Coders of fields and of bodies with poses.
+
+`registry` lists them: `touch` is the default, `paper` the paper's coder, `objects` codes bodies with poses.
 """
 
 from typing import TYPE_CHECKING

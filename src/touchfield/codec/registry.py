@@ -1,8 +1,8 @@
-"""The coders: one entry each, by the name that a file gives.
+"""Registry of coders by the name that files store.
 
-An entry is a `Coder`: of this package ``CODER`` of a module in `ENTRIES`, of other distributions an entry
-point of the group ``touchfield.coders``, whose name is the coder's. Entries are light: classes that code are
-named, and imported when they are first used.
+An entry is a `Coder`. Those of this package are the ``CODER`` of each module in `ENTRIES`; other
+distributions register an entry point in the group ``touchfield.coders`` under the coder's name. An entry
+names its encoder and decoder classes, which are imported on first use.
 """
 
 from __future__ import annotations
@@ -39,32 +39,35 @@ class FieldEncoder(Protocol):
 
     @property
     def parameters(self) -> bytes:
-        """Knowledge of the decoder beside the bodies."""
+        """What the decoder needs in addition to the segment bodies."""
 
     def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
         """Code one independent group of frames."""
 
 
 @runtime_checkable
-class AnchoringEncoder(FieldEncoder, Protocol):
-    """One whose segments of a world that stands begin with the same forces."""
+class KeyFrameEncoder(FieldEncoder, Protocol):
+    """Encoder whose segments of a static scene share one key frame."""
 
-    def anchor(self, frame: ForceField, before: ForceField | None) -> ForceField:
-        """The field to begin a segment with whose first frame this is: the anchor before, if that is as good."""
+    def key_frame(self, frame: ForceField, previous: ForceField | None) -> ForceField:
+        """The field to start a segment with: `previous` if it is close enough to `frame`, else `frame`."""
 
-    def encode_segment(self, frames: Sequence[ForceField], anchor: ForceField | None = None) -> CodedSegment:
-        """Code one independent group of frames, with an anchor in place of the first."""
+    def encode_segment(
+        self, frames: Sequence[ForceField], key_frame: ForceField | None = None
+    ) -> CodedSegment:
+        """Code one independent group of frames, with a key frame in place of the first."""
 
 
 @runtime_checkable
-class AmendingEncoder(FieldEncoder, Protocol):
-    """One that can send single samples exactly, in a segment that is coded already."""
+class ExactSampleEncoder(FieldEncoder, Protocol):
+    """Encoder that can make single samples of a coded segment exact."""
 
     def with_exact_samples(
         self, segment: CodedSegment, frames: Sequence[ForceField], samples: Sequence[Int64s]
     ) -> CodedSegment:
-        """The segment with these samples exact; numbers 512 key of the brick + sample, int64 [m] of each
-        frame.
+        """The segment with these samples exact.
+
+        `samples`: int64 [m] for each frame, 512 times the key of the brick plus the index of the sample.
         """
 
 
@@ -72,45 +75,44 @@ class FieldDecoder(Protocol):
     """Decoder of segments whose frames are fields on one lattice."""
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
-        """The frames of a segment, one after another."""
+        """Yield the frames of a segment in order."""
 
     def costs(self, body: bytes, frame_count: int) -> Sequence[FrameCost]:
         """Cost of each frame of a segment, without decoding it."""
 
     def describe(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
+        """Parameters of the stream, under stable keys."""
 
 
 @dataclass(frozen=True)
 class Coder:
-    """A coder, as the rest of the package knows it."""
+    """Entry of a coder in the registry."""
 
     name: str  # in files
-    # classes as ``module:Class``; of a coder of fields ``encoder(grid, spec)`` is a `FieldEncoder` and
+    # classes as ``module:Class``; for a coder of fields ``encoder(grid, spec)`` returns a `FieldEncoder` and
     # ``decoder(grid, parameters, where)`` a `FieldDecoder`
     encoder: str
     decoder: str
-    # what may be asked of it, a frozen dataclass with `k` and `segment_frames`; None for what codes no fields
+    # class of its options, a frozen dataclass with `k` and `segment_frames`; None if it codes no fields
     spec: type[Any] | None = None
-    # the words of ``--coder`` that mean this coder, each with what makes a spec of the options that were
-    # given
+    # values of ``--coder`` that select this coder, each with a function from given options to a spec
     makers: Mapping[str, Callable[[dict[str, Any]], Any]] = field(default_factory=dict)
-    # words of the makers that are no field of the spec, each with its type and its help
+    # options of the makers that are not fields of the spec, each with its type and its help
     # (`touchfield.options`)
-    words: Mapping[str, tuple[type, str]] = field(default_factory=dict)
-    options: tuple[str, ...] = ()  # the order of both on the command line, if it is another
-    hints: tuple[str, ...] = ()  # keys of options of other rooms that its makers want to see
-    # ``resolve(spec, is_array)``: the spec with what is "auto" resolved for a kind of device
+    extra_options: Mapping[str, tuple[type, str]] = field(default_factory=dict)
+    options: tuple[str, ...] = ()  # order of all options on the command line, if not the default one
+    hints: tuple[str, ...] = ()  # options of other packages that its makers need to see
+    # ``resolve(spec, is_array)``: the spec with every "auto" resolved for a kind of device
     resolve: Callable[[Any, bool], Any] = lambda spec, is_array: spec
-    # ``summary(spec)``: what the summary of an encoded file tells of it
+    # ``summary(spec)``: its entries in the summary of an encoded file
     summary: Callable[[Any], dict[str, Any]] = lambda spec: {}
-    # ``bound(spec)``: the `BoundRule` of a spec; by default of a coder that guarantees nothing
+    # ``bound(spec)``: the `BoundRule` of a spec; None for a coder that guarantees nothing
     bound: Callable[[Any], BoundRule] | None = None
-    has_promise: bool = False  # the decoder's ``worst(body)`` is the worst voxel of a segment
+    has_error_bound: bool = False  # the decoder has ``max_error(body)``, the `MaxError` of a segment
     has_codewords: bool = False  # decoded forces are codewords: measures may take each vector as a symbol
 
     def bound_rule(self, spec: object) -> BoundRule:
-        """What is guaranteed of each voxel under a spec."""
+        """The error bound of each voxel under a spec."""
         if self.bound is None:
             other = next(iter(ENTRIES))
             return BoundRule(None, f"coder {self.name} bounds the error of no voxel; take --coder {other}")
@@ -118,12 +120,12 @@ class Coder:
 
     @property
     def encoder_class(self) -> Any:
-        """The class that encodes."""
+        """The encoder class."""
         return resolve_name(self.encoder)
 
     @property
     def decoder_class(self) -> Any:
-        """The class that decodes."""
+        """The decoder class."""
         return resolve_name(self.decoder)
 
 
@@ -139,11 +141,11 @@ def names() -> tuple[str, ...]:
 
 
 def coder(name: str, where: str = "HEAD.coder") -> Coder:
-    """The entry of a coder; UnsupportedVersion if there is none, `where` being the field that names it."""
+    """Entry of a coder; UnsupportedVersion, naming the field `where`, if there is none."""
     if name not in names():
-        known = " or ".join(map(repr, names()))
+        expected = " or ".join(map(repr, names()))
         raise UnsupportedVersion(
-            where, repr(name), known, "A newer touchfield reads it, or a plug-in for this coder."
+            where, repr(name), expected, "A newer touchfield reads it, or a plug-in for this coder."
         )
     entry: Coder = (
         resolve_name(f"{ENTRIES[name]}:CODER")
@@ -154,27 +156,27 @@ def coder(name: str, where: str = "HEAD.coder") -> Coder:
 
 
 def coder_of_spec(spec: object) -> Coder:
-    """The coder of fields that a spec asks; InvalidArgument if it is the spec of none."""
-    for one in field_coders().values():
-        if one.spec is not None and isinstance(spec, one.spec):
-            return one
+    """The coder of fields whose spec this is; InvalidArgument if there is none."""
+    for entry in field_coders().values():
+        if entry.spec is not None and isinstance(spec, entry.spec):
+            return entry
     raise InvalidArgument("coder", type(spec).__name__, "the spec of a coder of fields")
 
 
 def field_encoder(grid: Grid, spec: object) -> FieldEncoder:
-    """Encoder of fields on a lattice, as a spec asks."""
-    made: FieldEncoder = coder_of_spec(spec).encoder_class(grid, spec)
-    return made
+    """Encoder of fields on a lattice, for a spec."""
+    encoder: FieldEncoder = coder_of_spec(spec).encoder_class(grid, spec)
+    return encoder
 
 
 def field_decoder(name: str, grid: Grid, parameters: bytes, where: str = "OBJT") -> FieldDecoder:
-    """A decoder of the fields of an object, on its own lattice; `where` is its record.
+    """Decoder of the fields of an object on its own lattice.
 
-    UnsupportedVersion if there is no such coder of fields, CorruptFile if the parameters are not those of the
-    coder.
+    `where` names the object's record in errors. UnsupportedVersion if there is no such coder of fields,
+    CorruptFile if the parameters are not those of the coder.
     """
-    found = coder(name, f"{where} field_coder")
-    if found.spec is None:
+    entry = coder(name, f"{where} field_coder")
+    if entry.spec is None:
         raise UnsupportedVersion(f"{where} field_coder", repr(name), " or ".join(map(repr, field_coders())))
-    made: FieldDecoder = found.decoder_class(grid, parameters, f"{where} field_parameters")
-    return made
+    decoder: FieldDecoder = entry.decoder_class(grid, parameters, f"{where} field_parameters")
+    return decoder

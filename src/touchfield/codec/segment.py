@@ -1,4 +1,4 @@
-"""A segment: its length where nobody asks for one, its bytes, and what each of its frames cost.
+"""Segments: default length, coded bytes, bits per frame, and the error bound.
 
 Paper eq. 9, literal: CR = (C_a + C_d) / (m V 96) with C_a, C_d the lengths in bits of the coded amplitudes
 and directions (the paper calls them vectors), m frames, V voxels of the device lattice, 96 bits a vector. It
@@ -14,31 +14,28 @@ from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
 SEGMENT_S: Final = 0.5
-"""Seconds of the medium that a receiver which joins in the middle, or seeks, decodes before its first frame.
+"""Default length of a segment: what a receiver that joins or seeks decodes before its first frame."""
 
-"""
+MIN_SEGMENT_FRAMES: Final = 8
+"""Limit for slow media: spreads the extra cost of a first frame over this many frames."""
 
-LEAST_FRAMES: Final = 8
-"""Of slow media: what a first frame takes more than one that follows is spread over so many."""
+MAX_SEGMENT_FRAMES: Final = 64
+"""Limit for fast media: decoding a frame requires all frames before it in its segment."""
 
-MOST_FRAMES: Final = 64
-"""Of fast ones: a frame in the middle of a segment costs the decoding of all before it."""
-
-
-STILL_S: Final = 1.0
-"""Of a world that stands: a frame that is the one before again costs a few bytes and no time, and ends no
-segment.
-"""
+REPEATING_SEGMENT_S: Final = 1.0
+"""Length of a segment in which frames repeat: a repeated frame costs a few bytes and no time."""
 
 
-def segment_length(asked: int | None, rate_hz: float, seconds: float = SEGMENT_S) -> int:
-    """Frames in a segment of a medium of that rate: `asked`, or half a second, 8 at least and 64 at most."""
-    return asked or min(max(math.ceil(seconds * min(rate_hz, 1e6)), LEAST_FRAMES), MOST_FRAMES)
+def segment_length(requested: int | None, rate_hz: float, seconds: float = SEGMENT_S) -> int:
+    """Frames in a segment at a frame rate: `requested`, or half a second, at least 8 and at most 64."""
+    return requested or min(
+        max(math.ceil(seconds * min(rate_hz, 1e6)), MIN_SEGMENT_FRAMES), MAX_SEGMENT_FRAMES
+    )
 
 
-def longest_segment(asked: int | None, rate_hz: float) -> int:
-    """Frames in a segment in which frames repeat: as `segment_length`, for a second."""
-    return segment_length(asked, rate_hz, STILL_S)
+def longest_segment(requested: int | None, rate_hz: float) -> int:
+    """Frames in a segment in which frames repeat: as `segment_length`, for one second."""
+    return segment_length(requested, rate_hz, REPEATING_SEGMENT_S)
 
 
 RAW_BITS_PER_VECTOR: Final = 96  # three float32 components (paper table 1, "raw storage per sample")
@@ -46,18 +43,18 @@ RAW_BITS_PER_VECTOR: Final = 96  # three float32 components (paper table 1, "raw
 
 @dataclass(frozen=True)
 class BitAccount:
-    """Bits by what they tell."""
+    """Bits by purpose."""
 
     support: int = 0  # where the force is not zero
-    amplitude: int = 0  # C_a: amplitudes, with what says which samples are held
+    amplitude: int = 0  # C_a: amplitudes, and which samples the deadband holds
     direction: int = 0  # C_d
     side: int = 0  # code tables, lengths, headers, checksums, index, provenance
     poses: int = 0  # poses of objects (`touchfield.codec.objects`)
-    models: int = 0  # what a frame is predicted from: a surface, moved blocks (`touchfield.codec.touch`)
+    models: int = 0  # base layers that predict a frame (`touchfield.codec.touch`)
 
     @property
     def total(self) -> int:
-        """All bits."""
+        """Sum of all bits."""
         return sum(getattr(self, f.name) for f in fields(self))
 
     def __add__(self, other: BitAccount) -> BitAccount:
@@ -73,11 +70,11 @@ class FrameKind(IntEnum):
     """How a frame is coded."""
 
     INTRA = 0
-    """Alone."""
+    """On its own."""
     INTER = 1
-    """Against the decoded frame before."""
+    """Predicted from the decoded frame before."""
     DIFFERENCE = 2
-    """As the difference of two originals (the paper's open loop)."""
+    """As the difference of two original frames (the paper's open loop)."""
 
 
 @dataclass(frozen=True)
@@ -90,32 +87,30 @@ class FrameCost:
 
 @dataclass(frozen=True)
 class FrameStats(FrameCost):
-    """Cost of a frame, and how many samples it holds and sends."""
+    """Cost of a frame, with its numbers of supported samples and of samples sent."""
 
     supported: int
     sent: int
 
 
-PROMISE_KEYS: Final = ("promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
+MAX_ERROR_KEYS: Final = ("promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
 
 
 @dataclass(frozen=True)
 class CodedSegment:
-    """The bytes of a segment, what each of its frames cost, and its worst voxel; None where none is known."""
+    """Bytes of a segment, statistics of its frames, and its largest error (None if not known)."""
 
     body: bytes
     frames: tuple[FrameStats, ...]
-    worst: Worst | None = None
+    max_error: MaxError | None = None
 
 
 RATIO_STEPS: Final = 65535
-"""A file states the largest ratio of a segment in whole steps of 1/65535, rounded up."""
+"""A file stores the largest error ratio of a segment in steps of 1/65535, rounded up."""
 
 
-class Worst(NamedTuple):
-    """The voxel of a segment whose error is the largest share of what is allowed, 0 to 1: share, frame and
-    index.
-    """
+class MaxError(NamedTuple):
+    """Largest error of a segment as a fraction of the error bound, 0 to 1, with its frame and voxel."""
 
     ratio: float
     frame: int
@@ -123,26 +118,27 @@ class Worst(NamedTuple):
 
     @property
     def rounded_up(self) -> int:
-        """The ratio in steps of 1 / `RATIO_STEPS`; AssertionError if it proves no bound, as NaN or one
-        above 1.
+        """The ratio in steps of 1 / `RATIO_STEPS`, rounded up.
 
-        It is the guarantee itself and no statistic: to saturate it would state a bound that is not kept.
+        AssertionError for NaN or a ratio above 1: a saturated value would state a bound that does not hold.
         """
         if not 0.0 <= self.ratio <= 1.0:
             raise AssertionError(f"a segment whose largest error is {self.ratio!r} of what is allowed")
         return math.ceil(self.ratio * RATIO_STEPS)
 
 
-def promise_kept(segments: Iterable[tuple[int, Worst | None]]) -> dict[str, Any]:
-    """Keys of the promise of a file, of first frames and worst voxels of its segments.
+def max_error_keys(segments: Iterable[tuple[int, MaxError | None]]) -> dict[str, Any]:
+    """Summary keys of the largest error of a file, from the first frame and `MaxError` of each segment.
 
-    All are None where any segment states none: what is not known of one is not known of the file.
+    All values are None if any segment states no largest error.
     """
-    every = [worst and worst._replace(frame=first + worst.frame) for first, worst in segments]
-    known = [worst for worst in every if worst is not None]
-    if not known or len(known) < len(every):
-        return dict.fromkeys(PROMISE_KEYS)
-    ratio, frame, voxel = max(known, key=lambda worst: worst.ratio)
+    per_segment = [
+        max_error and max_error._replace(frame=first + max_error.frame) for first, max_error in segments
+    ]
+    stated = [max_error for max_error in per_segment if max_error is not None]
+    if not stated or len(stated) < len(per_segment):
+        return dict.fromkeys(MAX_ERROR_KEYS)
+    ratio, frame, voxel = max(stated, key=lambda max_error: max_error.ratio)
     return {
         "promise_kept": ratio <= 1,
         "worst_mask_ratio": ratio,
@@ -152,33 +148,33 @@ def promise_kept(segments: Iterable[tuple[int, Worst | None]]) -> dict[str, Any]
 
 
 class BoundRule(NamedTuple):
-    """What a coder guarantees of each voxel under its options; `text` is None where it guarantees nothing.
+    """Error bound of a coder under its options; `text` is None if there is none.
 
-    `reason` says then why, and which options do.
+    `reason` then explains why, and which options give a bound.
     """
 
     text: str | None
     reason: str = ""
 
 
-def mask_text(k: float, f0_n: float, hidden: str = "") -> str:
-    """The mask max(F_0, k |F|) in words; `hidden`: what else is allowed beside k |F|."""
-    largest = f"{k:g} |F|{hidden}"
+def mask_text(k: float, f0_n: float, masking: str = "") -> str:
+    """Text of the mask max(F_0, k |F|); `masking` is a further term added to k |F|."""
+    largest = f"{k:g} |F|{masking}"
     allowed = f"max({f0_n:g} N, {largest})" if f0_n else largest
     return f"|error| <= {allowed} at every voxel of every frame"
 
 
-BOUND_KEYS: Final = ("error_bound", "error_bound_note", *PROMISE_KEYS)
-"""Keys with which a command reports a bound."""
+BOUND_KEYS: Final = ("error_bound", "error_bound_note", *MAX_ERROR_KEYS)
+"""Keys under which commands report the error bound."""
 
 
-def bound_keys(rule: BoundRule, promise: Mapping[str, Any]) -> dict[str, Any]:
-    """Keys of the error bound that is proved, of a coder's rule and the keys of `promise_kept`.
+def bound_keys(rule: BoundRule, max_error: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys that report the proven error bound, from a coder's rule and the result of `max_error_keys`.
 
-    ``error_bound`` is the rule in words, or None; then ``error_bound_note`` says why, which commands print as
-    a warning.
+    ``error_bound`` is the text of the rule, or None; ``error_bound_note`` then gives the reason, which
+    commands print as a warning.
     """
-    if rule.text is not None and promise.get("promise_kept"):
+    if rule.text is not None and max_error.get("promise_kept"):
         return {"error_bound": rule.text}
     reason = (
         rule.reason

@@ -1,7 +1,7 @@
 """Bounded variable-length integers: seven bits a byte, least significant first, as in LEB128.
 
-Departure: the shortest form is the only one, so that equal values have equal bytes, and every read names the
-bound its value must keep.
+Departure: only the shortest form is valid, so that equal values have equal bytes. Every read states the
+bounds of its value.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ VARINT_LIMIT = 1 << 56  # values lie below this: eight bytes at most
 
 
 def write_varint(value: int) -> bytes:
-    """`value`, 0 to below `VARINT_LIMIT` (else InvalidArgument), as bytes: one below 128, two below 16384,
-    ...
+    """`value` as bytes: one below 128, two below 16384, and so on.
+
+    InvalidArgument unless it is 0 to below `VARINT_LIMIT`.
     """
     if not 0 <= value < VARINT_LIMIT:
         raise InvalidArgument("varint", repr(value), f"0 to {VARINT_LIMIT - 1}")
@@ -26,69 +27,73 @@ def write_varint(value: int) -> bytes:
 
 
 def read_varint(
-    data: bytes, offset: int, where: str = "varint", limit: int = VARINT_LIMIT, least: int = 0
+    data: bytes, offset: int, where: str = "varint", limit: int = VARINT_LIMIT, minimum: int = 0
 ) -> tuple[int, int]:
-    """The value at `offset` of `data`, and the offset behind it; TruncatedFile or CorruptFile, which name
-    `where`.
+    """The value at `offset` of `data`, and the offset after it.
 
-    It must be `least` or more, below `limit`, and in its shortest form.
+    TruncatedFile or CorruptFile, naming `where`, unless the value is `minimum` or more, below `limit`, and in
+    its shortest form.
     """
-    value, expected = 0, f"a number from {least} to below {limit}"
-    for place in range(8):
-        if offset + place >= len(data):
+    value, expected = 0, f"a number from {minimum} to below {limit}"
+    for index in range(8):
+        if offset + index >= len(data):
             raise TruncatedFile(where, f"the end of the bytes at offset {len(data)}", "a whole number")
-        byte = data[offset + place]
-        value |= (byte & 127) << (7 * place)
+        byte = data[offset + index]
+        value |= (byte & 127) << (7 * index)
         if byte < 128:
-            if byte == 0 and place:
+            if byte == 0 and index:
                 raise CorruptFile(where, f"a padded number at offset {offset}", "its shortest form")
-            if not least <= value < limit:
+            if not minimum <= value < limit:
                 raise CorruptFile(where, f"{value} at offset {offset}", expected)
-            return value, offset + place + 1
+            return value, offset + index + 1
     raise CorruptFile(where, f"a number of more than 8 bytes at offset {offset}", expected)
 
 
 def chunk(data: bytes) -> bytes:
-    """Bytes behind their number."""
+    """Bytes preceded by their number."""
     return write_varint(len(data)) + data
 
 
 class Parts:
-    """Bytes, such as the body of a segment, read from front to end.
+    """Sequential reader of bytes such as the body of a segment.
 
-    TruncatedFile or CorruptFile name `where` the bytes stand, and what the part is.
+    Its TruncatedFile and CorruptFile errors name `where` the bytes are from, and the part that is wrong.
     """
 
     def __init__(self, data: bytes, where: str = "SEGM.body") -> None:
-        self._data, self._where, self.at = data, where, 0
+        self._data, self._where, self.position = data, where, 0
 
     @property
     def is_ended(self) -> bool:
-        """True when all was read."""
-        return self.at == len(self._data)
+        """True if no bytes are left."""
+        return self.position == len(self._data)
 
-    def take(self, count: int, what: str) -> bytes:
+    def take(self, count: int, part: str) -> bytes:
         """The next `count` bytes."""
-        taken = self._data[self.at : self.at + count]
-        if len(taken) < count:
-            raise TruncatedFile(f"{self._where} {what}", f"{len(taken)} bytes", f"{count} bytes")
-        self.at += count
-        return taken
+        data = self._data[self.position : self.position + count]
+        if len(data) < count:
+            raise TruncatedFile(f"{self._where} {part}", f"{len(data)} bytes", f"{count} bytes")
+        self.position += count
+        return data
 
     def rest(self) -> bytes:
-        """All bytes that are left."""
-        return self.take(len(self._data) - self.at, "rest")
+        """All remaining bytes."""
+        return self.take(len(self._data) - self.position, "rest")
 
-    def varint(self, what: str, limit: int = VARINT_LIMIT, least: int = 0) -> int:
-        """The next whole number, from `least` to below `limit`."""
-        number, self.at = read_varint(self._data, self.at, f"{self._where} {what}", limit, least)
+    def varint(self, part: str, limit: int = VARINT_LIMIT, minimum: int = 0) -> int:
+        """The next whole number, from `minimum` to below `limit`."""
+        number, self.position = read_varint(
+            self._data, self.position, f"{self._where} {part}", limit, minimum
+        )
         return number
 
-    def chunk(self, what: str, least: int = 0) -> bytes:
-        """Bytes behind their number, `least` of them or more."""
-        return self.take(self.varint(what, least=least), what)
+    def chunk(self, part: str, minimum: int = 0) -> bytes:
+        """The next bytes that are preceded by their number, `minimum` of them or more."""
+        return self.take(self.varint(part, minimum=minimum), part)
 
-    def check_end(self, what: str = "frame") -> None:
-        """Refuse bytes behind the last part."""
+    def check_end(self, part: str = "frame") -> None:
+        """CorruptFile if bytes follow the last part."""
         if not self.is_ended:
-            raise CorruptFile(self._where, f"{len(self._data) - self.at} bytes after the last {what}", "none")
+            raise CorruptFile(
+                self._where, f"{len(self._data) - self.position} bytes after the last {part}", "none"
+            )

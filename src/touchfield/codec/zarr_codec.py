@@ -1,7 +1,7 @@
-"""The coder `touch` as a codec of zarr, version 3: any program with zarr reads a field whose promise holds.
+"""The coder `touch` as a codec for zarr 3, with its error bound.
 
-A chunk [t, x, y, z, 3] of float32 newtons is one segment of t frames, with nothing around it; what a decoder
-must know beside it is the codec's configuration. Found by zarr through the entry point ``touchfield.touch``.
+A chunk [t, x, y, z, 3] of float32 newtons is the body of one segment of t frames; the parameters of the
+decoder are the codec's configuration. zarr finds the codec through the entry point ``touchfield.touch``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from touchfield.medium import ForceField, Grid
 
 NAME: Final = "touchfield.touch"
 _OPTIONS: Final = ("k", "f0_n", "mode", "effort")
-_MOST_SAMPLES: Final = 1 << 25
+_MAX_SAMPLES: Final = 1 << 25
 
 
 _recorded: list[list[float | None]] = []
@@ -34,10 +34,10 @@ _recorded: list[list[float | None]] = []
 
 @contextmanager
 def recorded_ratios() -> Iterator[list[float | None]]:
-    """Largest errors, in units of the bound, of all chunks that are coded within the block; None of one
-    without any.
+    """Context manager that collects the largest error ratio of each chunk coded within the block.
 
-    Chunks are coded in threads of zarr's, so a block has those of all threads.
+    The ratio is None for a chunk without an error bound. zarr codes chunks in threads of its own, so a block
+    receives the ratios of all threads.
     """
     ratios: list[float | None] = []
     _recorded.append(ratios)
@@ -57,18 +57,17 @@ def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(worker_count(), thread_name_prefix="touchfield-zarr")
 
 
-def _in_thread(work: Callable[..., Any], *given: Any) -> Awaitable[Any]:
-    """The work beside zarr's loop, on as many threads as touchfield may use: each holds a chunk."""
-    return asyncio.get_running_loop().run_in_executor(_threads(), work, *given)
+def _in_thread(function: Callable[..., Any], *arguments: Any) -> Awaitable[Any]:
+    """Run a function outside zarr's event loop, on as many threads as touchfield may use."""
+    return asyncio.get_running_loop().run_in_executor(_threads(), function, *arguments)
 
 
 @dataclass(frozen=True)
 class TouchCodec(ArrayBytesCodec):
-    """Codes chunks so that every force is kept within max(F_0, k |F|); see `TouchSpec` for the options.
+    """Codec whose error is at most max(F_0, k |F|) at every sample; see `TouchSpec` for the options.
 
-    `spacing_m` are the metres between samples, which help to predict.
-
-    Raises `InvalidArgument` if an option, or the shape or type of an array, cannot be.
+    `spacing_m`, the distance between samples in metres, improves the prediction. Raises `InvalidArgument` if
+    an option, or the shape or type of an array, is invalid.
     """
 
     k: float = TouchSpec.k
@@ -90,35 +89,35 @@ class TouchCodec(ArrayBytesCodec):
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> TouchCodec:
-        """From the metadata of an array."""
-        told = data.get("configuration") or {}
-        known = (*_OPTIONS, "spacing_m")
-        if not isinstance(told, dict) or not set(told) <= set(known):
+        """Create the codec from the metadata of an array."""
+        options = data.get("configuration") or {}
+        names = (*_OPTIONS, "spacing_m")
+        if not isinstance(options, dict) or not set(options) <= set(names):
             raise InvalidArgument(
-                f"codec {NAME}", f"a configuration {told!r}", f"values of {', '.join(known)}"
+                f"codec {NAME}", f"a configuration {options!r}", f"values of {', '.join(names)}"
             )
-        if told.get("effort") == "max":  # of older arrays, which decode as others do
-            told = {**told, "effort": TouchSpec.effort}
-        return cls(**told)
+        if options.get("effort") == "max":  # of older arrays, which decode as others do
+            options = {**options, "effort": TouchSpec.effort}
+        return cls(**options)
 
     def to_dict(self) -> dict[str, Any]:
-        """As the metadata of an array keep it."""
-        told = {name: getattr(self, name) for name in _OPTIONS}
-        return {"name": NAME, "configuration": {**told, "spacing_m": list(self.spacing_m)}}
+        """The codec in the metadata of an array."""
+        options = {name: getattr(self, name) for name in _OPTIONS}
+        return {"name": NAME, "configuration": {**options, "spacing_m": list(self.spacing_m)}}
 
     def validate(self, *, shape: tuple[int, ...], dtype: Any, chunk_grid: Any) -> None:
-        """Refuse an array that holds no forces."""
+        """InvalidArgument unless the array is float32 [t, x, y, z, 3]."""
         if len(shape) != 5 or shape[-1] != 3 or np.dtype(dtype.to_native_dtype()) != np.float32:
             raise InvalidArgument(
                 f"codec {NAME}", f"an array {dtype} {shape}", "float32 [t, x, y, z, 3], newtons"
             )
 
     def compute_encoded_size(self, input_byte_length: int, _chunk_spec: Any) -> int:
-        """Not known beforehand."""
+        """Not supported: the size is not known in advance."""
         raise NotImplementedError
 
     def _grid(self, shape: tuple[int, ...]) -> Grid:
-        if len(shape) != 5 or shape[-1] != 3 or np.prod(shape) > 3 * _MOST_SAMPLES:
+        if len(shape) != 5 or shape[-1] != 3 or np.prod(shape) > 3 * _MAX_SAMPLES:
             raise InvalidArgument(
                 f"codec {NAME}", f"a chunk {shape}", "[t, x, y, z, 3], of 2^25 forces at most"
             )
@@ -126,24 +125,24 @@ class TouchCodec(ArrayBytesCodec):
         return Grid((x, y, z), self.spacing_m, (0.0, 0.0, 0.0))
 
     def encode_chunk(self, dense: np.ndarray[Any, Any]) -> bytes:
-        """Bytes of newtons [t, x, y, z, 3]."""
+        """Code newtons [t, x, y, z, 3]."""
         from touchfield.codec.touch.encoder import TouchEncoder
 
         grid = self._grid(dense.shape)
         warn_unbounded(_unbounded_note(self.spec))
-        frames = [ForceField.from_dense(grid, one) for one in dense]
+        frames = [ForceField.from_dense(grid, vectors) for vectors in dense]
         segment = TouchEncoder(grid, self.spec).encode_segment(frames)
         for ratios in _recorded:
-            ratios.append(segment.worst.ratio if segment.worst else None)
+            ratios.append(segment.max_error.ratio if segment.max_error else None)
         return segment.body
 
     def decode_chunk(self, body: bytes, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
-        """Newtons float32 [t, x, y, z, 3]; CorruptFile if they are not in these bytes."""
+        """Decode newtons, float32 [t, x, y, z, 3]; CorruptFile if the bytes are invalid."""
         decoder = TouchDecoder(self._grid(shape), write_parameters(self.spec))
         out = np.zeros(shape, np.float32)
         frames = decoder.frames(body, shape[0])
-        for i, one in enumerate(frames):
-            out[i] = one.to_dense()
+        for i, frame in enumerate(frames):
+            out[i] = frame.to_dense()
         return out
 
     async def _encode_single(self, chunk_array: Any, chunk_spec: Any) -> Any:

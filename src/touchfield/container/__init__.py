@@ -1,5 +1,6 @@
-"""The container: `.touch` files, all from one table (`records`); docs/format/container.md describes the
-bytes.
+"""The container format: `.touch` files.
+
+One table (`records`) defines them; docs/format/container.md describes the bytes.
 """
 
 from touchfield.container.reader import TouchReader

@@ -1,10 +1,9 @@
-"""The field types of a ``.touch`` file and their wire form (docs/format/container.md); numbers are
-little-endian.
+"""Field types of a ``.touch`` file and their bytes (docs/format/container.md); numbers are little-endian.
 
-A type knows its bytes, its bounds and how to say both in words, so that the writer, the reader and the tests
-all follow from one row of the table. A value out of bounds is refused on both sides: InvalidArgument when it
-is written, CorruptFile when it is read. A length is compared with the bytes that are there, and with its
-bound, before anything is allocated for it.
+A type defines its bytes, its bounds and the text for both, so that the writer, the reader and the tests all
+follow from one row of the table. A value out of bounds is refused on both sides: InvalidArgument when it is
+written, CorruptFile when it is read. A length is compared with the available bytes, and with its bound,
+before anything is allocated for it.
 """
 
 from __future__ import annotations
@@ -32,56 +31,56 @@ class Cursor:
     """
 
     def __init__(
-        self, data: bytes, where: str, offset: int = 0, begin: int = 0, end: int | None = None
+        self, data: bytes, where: str, offset: int = 0, start: int = 0, stop: int | None = None
     ) -> None:
         self._data, self._where, self._offset = data, where, offset
-        self._place, self._end, _ = slice(begin, end).indices(len(data))
+        self._position, self._end, _ = slice(start, stop).indices(len(data))
 
     @property
     def remaining(self) -> int:
-        """Bytes not yet read."""
-        return self._end - self._place
+        """Number of bytes not read yet."""
+        return self._end - self._position
 
     def take(self, size: int, field: str) -> bytes:
         """The next `size` bytes; CorruptFile if there are fewer."""
         if size > self.remaining:
             raise self.corrupt(field, f"{self.remaining} bytes left in the record", f"{size} bytes")
-        self._place += size
-        return self._data[self._place - size : self._place]
+        self._position += size
+        return self._data[self._position - size : self._position]
 
     def number(self, packing: struct.Struct, field: str) -> Any:
         """The next number."""
         return packing.unpack(self.take(packing.size, field))[0]
 
     def corrupt(self, field: str, found: str, expected: str, back: int = 0) -> CorruptFile:
-        """The error of a field that begins `back` bytes before the place."""
+        """The error for a field that starts `back` bytes before the cursor."""
         return CorruptFile(
-            f"{self._where}: {field} at byte {self._offset + self._place - back}", found, expected
+            f"{self._where}: {field} at byte {self._offset + self._position - back}", found, expected
         )
 
 
 class FieldType(ABC):
-    """One kind of field: its bytes and its bounds in words, and its `smallest` and `largest` size in bytes."""
+    """Type of a field: text for its bytes and bounds, and its `smallest` and `largest` size in bytes."""
 
     def __init__(self, wire: str, bounds: str, smallest: int, largest: int) -> None:
         self.wire, self.bounds, self.smallest, self.largest = wire, bounds, smallest, largest
 
     @abstractmethod
     def encode(self, value: Any, where: str) -> bytes:
-        """The bytes of `value`; InvalidArgument, naming `where`, if it is of another type or out of bounds."""
+        """The bytes of `value`; InvalidArgument, naming `where`, for a wrong type or value."""
 
     @abstractmethod
     def decode(self, cursor: Cursor, where: str) -> Any:
-        """The value at the cursor; CorruptFile, naming `where`, if the bytes run out or it is out of bounds."""
+        """The value at the cursor; CorruptFile, naming `where`, if it is cut short or out of bounds."""
 
 
 class Number(FieldType):
-    """A number from `low` to `high`, in the bytes of `packing`; `words` say of what kind."""
+    """A number from `low` to `high`, in the bytes of `packing`; `description` say of what kind."""
 
     def __init__(
-        self, wire: str, bounds: str, packing: struct.Struct, low: float, high: float, words: str
+        self, wire: str, bounds: str, packing: struct.Struct, low: float, high: float, description: str
     ) -> None:
-        self.packing, self.low, self.high, self.words = packing, low, high, words
+        self.packing, self.low, self.high, self.description = packing, low, high, description
         super().__init__(wire, bounds, packing.size, packing.size)
 
     def encode(self, value: Any, where: str) -> bytes:
@@ -91,7 +90,7 @@ class Number(FieldType):
         except (struct.error, TypeError, ValueError, OverflowError):
             packed = b""
         if not packed or not self.low <= value <= self.high:
-            raise InvalidArgument(where, shown(value), f"{self.words}, {self.bounds}")
+            raise InvalidArgument(where, quoted(value), f"{self.description}, {self.bounds}")
         return packed
 
     def decode(self, cursor: Cursor, where: str) -> Any:
@@ -121,46 +120,46 @@ class Real(Number):
 class Array(FieldType):
     """A fixed number of scalars, one after the other; a tuple in Python.
 
-    Those of the shape of a lattice also hold so many bricks at most: time and memory go with those.
+    `max_bricks` limits the shape of a lattice by its number of bricks, which determines time and memory.
     """
 
-    def __init__(self, of: FieldType, count: int, most_bricks: int | None = None) -> None:
-        self.of, self.count, self.most_bricks = of, count, most_bricks
-        bounds = f"each {of.bounds}" + ("" if most_bricks is None else f"; at most {most_bricks} bricks")
+    def __init__(self, of: FieldType, count: int, max_bricks: int | None = None) -> None:
+        self.of, self.count, self.max_bricks = of, count, max_bricks
+        bounds = f"each {of.bounds}" + ("" if max_bricks is None else f"; at most {max_bricks} bricks")
         super().__init__(f"{count} × {of.wire}", bounds, count * of.smallest, count * of.largest)
 
-    def _holds(self, members: tuple[Any, ...]) -> bool:
-        return self.most_bricks is None or math.prod(-(-n // BRICK) for n in members) <= self.most_bricks
+    def _is_allowed(self, members: tuple[Any, ...]) -> bool:
+        return self.max_bricks is None or math.prod(-(-n // BRICK) for n in members) <= self.max_bricks
 
     def encode(self, value: Any, where: str) -> bytes:
         members = tuple(value) if isinstance(value, Sized) and isinstance(value, Iterable) else ()
         if len(members) != self.count:
-            raise InvalidArgument(where, shown(value), f"{self.count} values")
+            raise InvalidArgument(where, quoted(value), f"{self.count} values")
         data = b"".join(self.of.encode(member, f"{where}[{i}]") for i, member in enumerate(members))
-        if not self._holds(members):
-            raise InvalidArgument(where, shown(value), self.bounds)
+        if not self._is_allowed(members):
+            raise InvalidArgument(where, quoted(value), self.bounds)
         return data
 
     def decode(self, cursor: Cursor, where: str) -> tuple[Any, ...]:
         members = tuple(self.of.decode(cursor, f"{where}[{i}]") for i in range(self.count))
-        if not self._holds(members):
-            raise cursor.corrupt(where, shown(members), self.bounds, self.smallest)
+        if not self._is_allowed(members):
+            raise cursor.corrupt(where, quoted(members), self.bounds, self.smallest)
         return members
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """Characters that a text may be made of, as a regular expression and in words."""
+    """Set of allowed characters, as a regular expression and as text."""
 
     expression: str
-    words: str
+    description: str
 
     def holds(self, text: str) -> bool:
-        """True if all of `text` is allowed."""
+        """True if all characters of `text` are allowed."""
         return re.fullmatch(self.expression, text) is not None
 
 
-# control characters could make a file rewrite the screen of the terminal that describes it
+# control characters in a file could rewrite the screen of a terminal that prints its description
 TEXT: Final = Pattern(r"[^\x00-\x1f\x7f-\x9f]*", "no control characters")
 LINES: Final = Pattern(r"[^\x00-\x08\x0b-\x1f\x7f-\x9f]*", "no control characters but tab and line feed")
 NAME: Final = Pattern(r"[a-z][a-z0-9._-]*", "a small letter, then small letters, digits, `.`, `_`, `-`")
@@ -169,19 +168,19 @@ NAME: Final = Pattern(r"[a-z][a-z0-9._-]*", "a small letter, then small letters,
 class Text(FieldType):
     """A string: its length in bytes as u16, then UTF-8."""
 
-    def __init__(self, limit: int, pattern: Pattern = TEXT, least: int = 0) -> None:
-        self.limit, self.pattern, self.least = limit, pattern, least
-        self.length = Whole("u16", least, limit)
-        sizes = f"{least} to" if least else "at most"
-        super().__init__("str", f"{sizes} {limit} bytes, {pattern.words}", 2 + least, 2 + limit)
+    def __init__(self, limit: int, pattern: Pattern = TEXT, min_bytes: int = 0) -> None:
+        self.limit, self.pattern, self.min_bytes = limit, pattern, min_bytes
+        self.length = Whole("u16", min_bytes, limit)
+        sizes = f"{min_bytes} to" if min_bytes else "at most"
+        super().__init__("str", f"{sizes} {limit} bytes, {pattern.description}", 2 + min_bytes, 2 + limit)
 
     def encode(self, value: Any, where: str) -> bytes:
         try:
             data = value.encode("utf-8") if isinstance(value, str) else None
         except UnicodeEncodeError:
             data = None
-        if data is None or not self.least <= len(data) <= self.limit or not self.pattern.holds(value):
-            raise InvalidArgument(where, shown(value), f"a string, {self.bounds}")
+        if data is None or not self.min_bytes <= len(data) <= self.limit or not self.pattern.holds(value):
+            raise InvalidArgument(where, quoted(value), f"a string, {self.bounds}")
         return self.length.encode(len(data), where) + data
 
     def decode(self, cursor: Cursor, where: str) -> str:
@@ -191,12 +190,12 @@ class Text(FieldType):
         except UnicodeDecodeError:
             raise cursor.corrupt(where, "bytes that are not UTF-8", self.bounds, len(data)) from None
         if not self.pattern.holds(text):
-            raise cursor.corrupt(where, shown(text), self.bounds, len(data))
+            raise cursor.corrupt(where, quoted(text), self.bounds, len(data))
         return text
 
 
 class Octets(FieldType):
-    """Bytes that another document explains: their number as u32, then they."""
+    """Bytes whose content another document defines: their number as u32, then the bytes."""
 
     def __init__(self, limit: int) -> None:
         self.limit, self.length = limit, Whole("u32", 0, limit)
@@ -211,7 +210,7 @@ class Octets(FieldType):
 
 
 class Rest(FieldType):
-    """All bytes up to the end of the payload; the last field of a record."""
+    """All bytes up to the end of the payload; only for the last field of a record."""
 
     def __init__(self) -> None:
         super().__init__("rest", "any", 0, 1 << 63)
@@ -224,7 +223,7 @@ class Rest(FieldType):
 
 
 class Listed(FieldType):
-    """A list of any length: the number of its members as u16 or u32, then they; a tuple in Python."""
+    """A list: the number of its members as u16 or u32, then the members; a tuple in Python."""
 
     def __init__(self, of: FieldType, limit: int, code: str = "u16") -> None:
         self.of, self.limit, self.code = of, limit, code
@@ -234,7 +233,7 @@ class Listed(FieldType):
 
     def encode(self, value: Any, where: str) -> bytes:
         if not isinstance(value, (list, tuple)):
-            raise InvalidArgument(where, shown(value), f"a list of at most {self.limit}")
+            raise InvalidArgument(where, quoted(value), f"a list of at most {self.limit}")
         members = [self.of.encode(member, f"{where}[{i}]") for i, member in enumerate(value)]
         return self.count.encode(len(value), f"{where} (members)") + b"".join(members)
 
@@ -247,15 +246,15 @@ class Listed(FieldType):
 
 
 def octets(value: Any, where: str) -> bytes:
-    """`value` as bytes, without a copy where it is bytes; InvalidArgument where it is not bytes-like."""
+    """`value` as bytes, without a copy if it is bytes; InvalidArgument if it is not bytes-like."""
     if isinstance(value, bytes):
         return value
     if isinstance(value, (bytearray, memoryview)):
         return bytes(value)
-    raise InvalidArgument(where, shown(value), "bytes")
+    raise InvalidArgument(where, quoted(value), "bytes")
 
 
-def shown(value: object) -> str:
-    """`value` in a message: escaped, in one line, and not longer than a line."""
+def quoted(value: object) -> str:
+    """`value` for a message: escaped, on one line, shortened to at most 60 characters."""
     text = ascii(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

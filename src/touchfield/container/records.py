@@ -1,8 +1,8 @@
 """The table of the ``.touch`` format, version 1: every record, every field.
 
-The writer, the reader, the fuzzing strategies and the truncation tests follow from it. The bytes of a record
-never change: what a later minor version adds is a record with a new tag, which a reader of 1.0 skips, or
-refuses if it is required.
+The writer, the reader, the fuzzing strategies and the truncation tests are derived from it. The bytes of a
+record never change: later minor versions add records with new tags, which a reader of 1.0 skips, or refuses
+if they are required.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from touchfield.container.fields import (
     Rest,
     Text,
     Whole,
-    shown,
+    quoted,
 )  # fmt: skip
 from touchfield.errors import InvalidArgument
 
@@ -33,7 +33,7 @@ ROW: Final = "touchfield row"
 
 @dataclass(frozen=True)
 class Row:
-    """One field of the format: its bytes and bounds, its physical unit ("" where there is none), its meaning."""
+    """One field of the format: bytes and bounds, physical unit ("" if there is none), and meaning."""
 
     name: str
     kind: FieldType
@@ -65,7 +65,7 @@ class Struct(FieldType):
 
     def encode(self, value: Any, where: str) -> bytes:
         if not isinstance(value, self.layout):
-            raise InvalidArgument(where, shown(value), f"a {self.layout.__name__}")
+            raise InvalidArgument(where, quoted(value), f"a {self.layout.__name__}")
         rows = rows_of(self.layout)
         return b"".join(row.kind.encode(getattr(value, row.name), f"{where}.{row.name}") for row in rows)
 
@@ -78,7 +78,7 @@ VERSION_MAJOR: Final = 1
 VERSION_MINOR: Final = 0
 
 MAGIC: Final = b"\x89TOUCH\r\n\x1a\n"
-"""As PNG's: a byte above 127, the name, and the line ends and the end-of-file mark that text modes change."""
+"""As in PNG: a byte above 127, the name, then line ends and an end-of-file mark, which text modes change."""
 
 REQUIRED: Final = 1
 """Bit 0 of a record's flags: a reader that does not know the record must refuse the file."""
@@ -91,81 +91,77 @@ MAX_OBJECTS: Final = 4096
 
 MAX_FRAMES: Final = (1 << 31) - 1
 MAX_BRICKS: Final = 1 << 27
-"""Of 8 x 8 x 8 samples in a lattice: those of 4096 x 4096 x 4096."""
+"""Bricks of 8 x 8 x 8 samples in a lattice: those of 4096 x 4096 x 4096 samples."""
 
 FRAME_COUNT: Final = Whole("u16", 1, 65535)
 FIRST_FRAME: Final = Whole("u32", 0, MAX_FRAMES - 1)
 GRID_SHAPE: Final = Array(Whole("u32", 1, 1 << 20), 3, MAX_BRICKS)
 SPACING_M: Final = Array(Real(1e-9, 1e6), 3)
-PLACE_M: Final = Array(Real(-1e9, 1e9), 3)
+POSITION_M: Final = Array(Real(-1e9, 1e9), 3)
 POSITIVE: Final = Real(1e-30, 1e30)
 COEFFICIENT: Final = Real(0, 1e30)
-CODER: Final = Text(32, NAME, least=1)
+CODER: Final = Text(32, NAME, min_bytes=1)
 CODER_PARAMETERS: Final = Octets(1 << 16)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Head:
-    """Properties of the whole file: lattice, time, device, and the promise to the hand."""
+    """Properties of the whole file: lattice, time, device, and error bound."""
 
     grid_shape: tuple[int, int, int] = row(GRID_SHAPE, "Samples along x, y, z.")
     spacing_m: tuple[float, float, float] = row(SPACING_M, "Distance between neighbouring samples.", "m")
     origin_m: tuple[float, float, float] = row(
-        PLACE_M, "Sample (0, 0, 0); sample (i, j, k) lies at origin_m + (i, j, k) * spacing_m.", "m"
+        POSITION_M, "Sample (0, 0, 0); sample (i, j, k) lies at origin_m + (i, j, k) * spacing_m.", "m"
     )
     rate_hz: float = row(Real(1e-6, 1e6), "Frames a second.", "Hz")
     frame_count: int = row(Whole("u32", 1, MAX_FRAMES), "Frames in the file.")
-    axes: str = row(Text(256), 'What x, y, z mean, such as "x right, y down, z forward".')
+    axes: str = row(Text(256), 'Meaning of x, y, z, such as "x right, y down, z forward".')
     device_name: str = row(Text(256), "The device that the medium was filtered for.")
     device_type: int = row(Whole("u8", 1, 2), "1 a point in the field, 2 an array of actuators.")
     force_max_n: float = row(POSITIVE, "Peak force of the device.", "N")
     mapping_scale: float = row(POSITIVE, "Metres that the hand moves for one metre of the scene.")
     mapping_offset_m: tuple[float, float, float] = row(
-        PLACE_M, "Point of the scene at the device's origin.", "m"
+        POSITION_M, "Point of the scene at the device's origin.", "m"
     )
-    weber_fraction: float = row(
-        Real(0, 1), "The k that was asked of the coder; what it keeps is the coder's claim."
-    )
+    weber_fraction: float = row(Real(0, 1), "The k requested of the coder, which defines the error bound.")
     force_threshold_n: float = row(
-        COEFFICIENT, "F_0: differences up to it count as not felt; 0 if not used.", "N"
+        COEFFICIENT, "F_0: differences up to it are imperceptible; 0 if not used.", "N"
     )
     friction: float = row(COEFFICIENT, "Friction coefficient, for the receiver.")
     damping_n_s_per_m: float = row(COEFFICIENT, "Damping coefficient, for the receiver.", "N s/m")
     tags: tuple[str, ...] = row(Listed(Text(64), 16), 'Media tags, such as "direct" or "symbolic".')
-    coder: str = row(CODER, "Who made the bodies of the segments.")
-    coder_parameters: bytes = row(CODER_PARAMETERS, "What that coder needs to decode them, in its own form.")
+    coder: str = row(CODER, "Coder of the bodies of the segments.")
+    coder_parameters: bytes = row(CODER_PARAMETERS, "Parameters of that coder's decoder, in its own form.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """One statement about where a medium comes from."""
+    """One statement about the origin of a medium."""
 
-    key: str = row(Text(64, least=1), "What is stated; no key twice.")
+    key: str = row(Text(64, min_bytes=1), "Kind of statement; every key at most once.")
     value: str = row(Text(4096, LINES), "The statement.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
-    """Where the medium comes from and what was done to it, for people."""
+    """Origin and processing of the medium, for people."""
 
     pairs: tuple[Pair, ...] = row(Listed(Struct(Pair), 64), "Keys and values.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectRecord:
-    """One object of a haptic scene: a field in a frame of its own; the segments tell where that frame lies."""
+    """One object of a haptic scene: a field in its own frame, whose poses are in the segments."""
 
-    name: str = row(Text(256), "What the object is called, for people.")
+    name: str = row(Text(256), "Name of the object, for people.")
     grid_shape: tuple[int, int, int] = row(GRID_SHAPE, "Samples of its own lattice.")
     spacing_m: tuple[float, float, float] = row(SPACING_M, "As in HEAD.", "m")
-    origin_m: tuple[float, float, float] = row(PLACE_M, "As in HEAD, in the object's own frame.", "m")
+    origin_m: tuple[float, float, float] = row(POSITION_M, "As in HEAD, in the object's own frame.", "m")
     is_deforming: int = row(Whole("u8", 0, 1), "0: `field` serves all frames. 1: every frame has its own.")
-    field_coder: str = row(CODER, "Who made the object's fields.")
-    field_parameters: bytes = row(CODER_PARAMETERS, "What that coder needs, in its own form.")
+    field_coder: str = row(CODER, "Coder of the object's fields.")
+    field_parameters: bytes = row(CODER_PARAMETERS, "Parameters of that coder, in its own form.")
     pose_steps: bytes = row(Octets(64), "Steps of the object's poses, in the form of the coder `objects`.")
-    field: bytes = row(
-        Rest(), "If rigid, its field as the body of a segment of one frame; otherwise nothing."
-    )
+    field: bytes = row(Rest(), "If rigid, its field as the body of a segment of one frame; otherwise empty.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +175,7 @@ class Segment:
 
 @dataclass(frozen=True, kw_only=True)
 class Vibration:
-    """Vibrations beside the force in the frames of the segment behind it (start of the paper's section 6.4)."""
+    """Vibrations in the frames of the following segment, in addition to the force (paper section 6.4)."""
 
     first_frame: int = row(FIRST_FRAME, "As in that segment.")
     frame_count: int = row(FRAME_COUNT, "As in that segment.")
@@ -188,7 +184,7 @@ class Vibration:
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentEntry:
-    """Where a segment is, and which frames it holds."""
+    """Position of a segment in the file, and its frames."""
 
     first_frame: int = row(FIRST_FRAME, "As in the segment.")
     frame_count: int = row(FRAME_COUNT, "As in the segment.")
@@ -202,13 +198,14 @@ class Index:
     """All segments, in the order of their frames, which is that of the file."""
 
     segments: tuple[SegmentEntry, ...] = row(
-        Listed(Struct(SegmentEntry), MAX_FRAMES, "u32"), "Each begins with the frame behind the one before."
+        Listed(Struct(SegmentEntry), MAX_FRAMES, "u32"),
+        "Each starts with the frame after those of the segment before.",
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class End:
-    """The last record, which a reader looks for first: where the index is."""
+    """The last record, which a reader reads first: position of the index."""
 
     index_offset: int = row(Whole("u64"), "Position of the INDX record.")
     file_length: int = row(Whole("u64"), "Bytes of the whole file, this record included.")
@@ -219,12 +216,12 @@ class End:
 
 @dataclass(frozen=True)
 class Record:
-    """One kind of record: the dataclass of its payload, and in words where and how often it stands."""
+    """Kind of record: the dataclass of its payload, and text for its position and number."""
 
     tag: str
     layout: type
     required: bool
-    place: str
+    position: str
 
     @cached_property
     def kind(self) -> Struct:
@@ -236,7 +233,7 @@ RECORDS: Final = (
     Record("HEAD", Head, True, "once, first"),
     Record("PROV", Provenance, False, "at most once, before the first SEGM"),
     Record("OBJT", ObjectRecord, True, "once for each object of coder `objects`, before the first SEGM"),
-    Record("VIBR", Vibration, False, "at most once for each SEGM, before it and behind the SEGM before"),
+    Record("VIBR", Vibration, False, "at most once for each SEGM, between it and the SEGM before"),
     Record("SEGM", Segment, True, "once or more"),
     Record("INDX", Index, True, "once, after the last SEGM"),
     Record("TEND", End, True, "once, last"),

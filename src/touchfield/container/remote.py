@@ -1,9 +1,8 @@
-"""A ``.touch`` file on a web server or in a store of objects, read by ranges: any server that knows them
-broadcasts.
+"""Remote ``.touch`` files, read by range requests from a web server or an object store.
 
-Opening takes three requests: the head with the length of the file, the end with the index, and what of the
-index is before that. A server is a stranger: nothing is read that was not asked for, no answer may take
-longer than its size justifies, and a file that changes meanwhile is told.
+Opening takes three requests: the head with the length of the file, the end with the index, and any part of
+the index before that. Servers are not trusted: only requested bytes are read, no answer may take longer than
+its size justifies, and a file that changes meanwhile is an error.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ from touchfield.errors import InvalidArgument, SourceError, import_extra
 
 _HEAD: Final = 1 << 12
 _TAIL: Final = 1 << 14
-_LEAST: Final = 1 << 12
-"""Bytes that are asked for at once, where fewer would do: a few records and their frames."""
+_MIN_REQUEST: Final = 1 << 12
+"""Smallest request in bytes: a few records and their frames."""
 
-_MOST_KEPT: Final = 1 << 25
-_MOST_REDIRECTS: Final = 5
-_PATIENCE_S: Final = 10.0
-_SLOWEST: Final = 1 << 14
-"""Bytes a second of an answer, beyond the patience."""
+_MAX_CACHED: Final = 1 << 25
+_MAX_REDIRECTS: Final = 5
+_TIMEOUT_S: Final = 10.0
+_MIN_RATE: Final = 1 << 14
+"""Slowest accepted answer in bytes a second, after `_TIMEOUT_S`."""
 
 _CHUNK: Final = 1 << 16
 _REMOTE: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
@@ -40,7 +39,7 @@ _RANGE: Final = re.compile(r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})")
 
 
 class _Part(NamedTuple):
-    """An answer: its bytes, the length of the whole file, and what names this state of it."""
+    """An answer: its bytes, the length of the whole file, and a tag of its version."""
 
     data: bytes
     size: int
@@ -53,8 +52,9 @@ def is_remote(name: object) -> bool:
 
 
 def is_live(name: object) -> bool:
-    """True for a live stream: ws://HOST:PORT/live, http://HOST:PORT/live.json, udp://HOST:PORT, or - for a
-    pipe.
+    """True for a live stream.
+
+    These are ws://HOST:PORT/live, http://HOST:PORT/live.json, udp://HOST:PORT, and - for a pipe.
     """
     return isinstance(name, str) and (
         name == "-"
@@ -76,7 +76,7 @@ def sender(url: str) -> Callable[[Path], None]:
 
 
 class RemoteFile:
-    """Bytes at a place of a file elsewhere; the latest 32 MiB are kept. Safe to use from several threads.
+    """Random access to a remote file, with a cache of the latest 32 MiB; thread-safe.
 
     `url` is http or https; s3, gs, az and others with the extra ``remote``. `size` is the length of the file,
     bytes; `requests` and `received` count requests and bytes so far. `SourceError` if there is no such file,
@@ -86,21 +86,21 @@ class RemoteFile:
     def __init__(self, url: str) -> None:
         self.name, self.requests, self.received = without_secret(url), 0, 0
         self._lock = Lock()
-        self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._cache: OrderedDict[int, bytes] = OrderedDict()
         self._store: _Http | _ObjectStore
         self._store = (
             _Http(url, self.name) if url.lower().startswith(("http://", "https://")) else _ObjectStore(url)
         )
         first = self._store.get(0, _HEAD)
         self.size, self._tag = first.size, first.tag
-        self._keep(0, first)
+        self._store_part(0, first)
         if self.size > _HEAD:
             self.fetch(max(_HEAD, self.size - _TAIL), self.size)
 
-    def fetch(self, begin: int, end: int) -> None:
-        """Ask for bytes `begin` to `end` at once, unless they are there."""
+    def fetch(self, start: int, stop: int) -> None:
+        """Fetch bytes `start` to `stop` in one request, unless they are cached."""
         with self._lock:
-            self._part(begin, min(end, self.size) - begin)
+            self._part(start, min(stop, self.size) - start)
 
     def read_at(self, offset: int, size: int) -> bytes:
         """`size` bytes from `offset` on, all within the file."""
@@ -112,33 +112,33 @@ class RemoteFile:
         self._store.close()
 
     def _part(self, offset: int, size: int) -> bytes:
-        for begin, data in reversed(self._kept.items()):
-            if begin <= offset and offset + size <= begin + len(data):
-                self._kept.move_to_end(begin)
-                return data[offset - begin : offset - begin + size]
+        for start, data in reversed(self._cache.items()):
+            if start <= offset and offset + size <= start + len(data):
+                self._cache.move_to_end(start)
+                return data[offset - start : offset - start + size]
         if size <= 0:
             return b""
-        part = self._store.get(offset, min(max(size, _LEAST), self.size - offset))
+        part = self._store.get(offset, min(max(size, _MIN_REQUEST), self.size - offset))
         if part.size != self.size or part.tag != self._tag:
             self.close()
             was, now = f"{self.size} bytes {self._tag}".strip(), f"{part.size} bytes {part.tag}".strip()
             raise SourceError(self.name, f"another file now: {now}", f"{was}, as before", "Open it again.")
-        self._keep(offset, part)
+        self._store_part(offset, part)
         if len(part.data) < size:
             raise SourceError(
                 self.name, f"{len(part.data)} bytes at byte {offset}", f"{size} bytes", "Open it again."
             )
         return part.data[:size]
 
-    def _keep(self, offset: int, part: _Part) -> None:
+    def _store_part(self, offset: int, part: _Part) -> None:
         self.requests, self.received = self.requests + 1, self.received + len(part.data)
-        self._kept[offset] = part.data
-        while len(self._kept) > 1 and sum(map(len, self._kept.values())) > _MOST_KEPT:
-            self._kept.popitem(last=False)
+        self._cache[offset] = part.data
+        while len(self._cache) > 1 and sum(map(len, self._cache.values())) > _MAX_CACHED:
+            self._cache.popitem(last=False)
 
 
 class _Timely(io.RawIOBase):
-    """Bytes that a connection gives until a deadline."""
+    """Bytes of a connection until a deadline."""
 
     def __init__(self, raw: io.RawIOBase, deadline: float) -> None:
         self._raw, self._deadline = raw, deadline
@@ -148,7 +148,7 @@ class _Timely(io.RawIOBase):
 
     def readinto(self, buffer: Any) -> int | None:
         if time.monotonic() > self._deadline:
-            raise TimeoutError("an answer that began, and then hardly more")
+            raise TimeoutError("an answer that began, and then stalled")
         return self._raw.readinto(buffer)
 
     def close(self) -> None:
@@ -157,7 +157,7 @@ class _Timely(io.RawIOBase):
 
 
 class _Answer(http.client.HTTPResponse):
-    """An answer that is given up at a deadline, in its head too."""
+    """An HTTP response with a deadline, which also applies to its head."""
 
     def __init__(self, deadline: float, *args: Any, **more: Any) -> None:
         super().__init__(*args, **more)
@@ -165,25 +165,25 @@ class _Answer(http.client.HTTPResponse):
 
 
 class _Http:
-    """A file on a web server, by ranges over one connection that stays."""
+    """A file on a web server, read by ranges over one persistent connection."""
 
     def __init__(self, url: str, name: str) -> None:
         self._url, self._name = url, name
         self._link: http.client.HTTPConnection | None = None
 
     def get(self, offset: int, size: int) -> _Part:
-        """At most `size` bytes from `offset` on."""
-        for _ in range(_MOST_REDIRECTS + 1):
+        """Fetch at most `size` bytes from `offset` on."""
+        for _ in range(_MAX_REDIRECTS + 1):
             try:
-                with self._asked(offset, size) as answer:
+                with self._request(offset, size) as answer:
                     if answer.status not in (301, 302, 303, 307, 308):
                         return self._part(answer, offset, size)
                 self._url = urljoin(self._url, answer.getheader("Location") or "")
                 self.close()
             except (OSError, http.client.HTTPException, ValueError) as error:
                 self.close()
-                raise self._failed(str(error) or type(error).__name__) from None
-        raise self._failed(f"more than {_MOST_REDIRECTS} redirections")
+                raise self._error(str(error) or type(error).__name__) from None
+        raise self._error(f"more than {_MAX_REDIRECTS} redirections")
 
     def close(self) -> None:
         """Close the connection."""
@@ -191,21 +191,19 @@ class _Http:
             self._link.close()
             self._link = None
 
-    def _asked(self, offset: int, size: int) -> http.client.HTTPResponse:
-        """The answer to a request for a range, on the connection that is there or, where it has ended, a new
-        one.
-        """
+    def _request(self, offset: int, size: int) -> http.client.HTTPResponse:
+        """Request a range on the current connection or, if that has ended, on a new one."""
         to = urlsplit(self._url)
         if to.scheme not in ("http", "https") or not to.hostname:
-            raise self._failed("an address that is not http or https")
+            raise self._error("an address that is not http or https")
         path = (to.path or "/") + (f"?{to.query}" if to.query else "")
         headers = {"Range": f"bytes={offset}-{offset + size - 1}", "Accept-Encoding": "identity"}
         while True:
             is_new = self._link is None
             if self._link is None:
                 link = http.client.HTTPSConnection if to.scheme == "https" else http.client.HTTPConnection
-                self._link = link(to.hostname, to.port, timeout=_PATIENCE_S)
-            deadline = time.monotonic() + _PATIENCE_S + size / _SLOWEST
+                self._link = link(to.hostname, to.port, timeout=_TIMEOUT_S)
+            deadline = time.monotonic() + _TIMEOUT_S + size / _MIN_RATE
             self._link.response_class = partial(_Answer, deadline)  # type: ignore[assignment]
             try:
                 self._link.request("GET", path, headers=headers)
@@ -219,59 +217,61 @@ class _Http:
         content = _RANGE.fullmatch(answer.getheader("Content-Range") or "")
         if answer.status == 200:
             mend = "Serve it with one that does, such as: touchfield serve FOLDER."
-            raise self._failed("a server that does not answer ranges", mend)
+            raise self._error("a server that does not answer ranges", mend)
         if answer.status != 206 or content is None:
             mend = "Check the address." if answer.status in (403, 404, 410) else ""
-            raise self._failed(f"{answer.status} {answer.reason}"[:80], mend)
-        begin, last, whole = map(int, content.groups())
-        if begin != offset or not begin <= last < min(begin + size, whole):
-            raise self._failed(
-                f"bytes {begin} to {last} of {whole}, where {size} from {offset} were asked for"
+            raise self._error(f"{answer.status} {answer.reason}"[:80], mend)
+        start, last, size_of_file = map(int, content.groups())
+        if start != offset or not start <= last < min(start + size, size_of_file):
+            raise self._error(
+                f"bytes {start} to {last} of {size_of_file}, where {size} from {offset} were requested"
             )
         data = bytearray()
-        while len(data) <= last - begin:
-            more = answer.read1(min(_CHUNK, last - begin + 1 - len(data)))
+        while len(data) <= last - start:
+            more = answer.read1(min(_CHUNK, last - start + 1 - len(data)))
             if not more:
                 break
             data += more
-        if answer.length != 0:  # what was not asked for is not read; otherwise the connection stays
+        if answer.length != 0:  # do not read what was not requested; otherwise keep the connection
             self.close()
-        return _Part(bytes(data), whole, answer.getheader("ETag") or answer.getheader("Last-Modified") or "")
+        return _Part(
+            bytes(data), size_of_file, answer.getheader("ETag") or answer.getheader("Last-Modified") or ""
+        )
 
-    def _failed(self, found: str, mend: str = "") -> SourceError:
+    def _error(self, found: str, mend: str = "") -> SourceError:
         self.close()
         return SourceError(self._name, found, "a .touch file on a server that answers ranges", mend)
 
 
 class _ObjectStore:
-    """A file in a store that obstore knows."""
+    """A file in an object store supported by obstore."""
 
     def __init__(self, url: str) -> None:
         self._name = without_secret(url)
         self._ask = import_extra("obstore", self._name, "obstore", "remote")
         folder, _, self._path = url.rpartition("/")
-        with self._refusals():
+        with self._translated_errors():
             self._store = self._ask.store.from_url(folder)
 
     def get(self, offset: int, size: int) -> _Part:
-        """At most `size` bytes from `offset` on."""
-        with self._refusals():
+        """Fetch at most `size` bytes from `offset` on."""
+        with self._translated_errors():
             answer = self._ask.get(self._store, self._path, options={"range": (offset, offset + size)})
             data, meta = bytes(answer.bytes()), answer.meta
             if answer.range != (offset, min(offset + size, meta["size"])):
-                raise ValueError(f"bytes {answer.range}, where {size} from {offset} were asked for")
+                raise ValueError(f"bytes {answer.range}, where {size} from {offset} were requested")
         return _Part(data, meta["size"], str(meta.get("e_tag") or ""))
 
     def put(self, file: Path) -> None:
-        """Write a file, in parts where it is large."""
-        with self._refusals():
+        """Write a file, in parts if it is large."""
+        with self._translated_errors():
             self._ask.put(self._store, self._path, file)
 
     def close(self) -> None:
-        """Nothing: obstore keeps no connection that must be closed."""
+        """Do nothing: obstore has no connection that must be closed."""
 
     @contextmanager
-    def _refusals(self) -> Iterator[None]:
+    def _translated_errors(self) -> Iterator[None]:
         try:
             yield
         except Exception as error:  # obstore's own and those of each store
@@ -280,7 +280,7 @@ class _ObjectStore:
 
 
 def without_secret(url: str) -> str:
-    """An address for messages: without a password, and without a query, which may hold a token."""
+    """An address for messages: without a password, and without a query, which may contain a token."""
     scheme, _, rest = url.partition("://")
     host, slash, path = rest.partition("/")
     return f"{scheme}://{host.rpartition('@')[2]}{slash}{path.partition('?')[0]}"

@@ -1,8 +1,8 @@
-"""One record between its bytes and its value, whatever its row of the table: frame, payload, CRC-32.
+"""Conversion of records between bytes and values: frame, payload, CRC-32.
 
-Bytes are checked in this order: the frame fits into the file, the CRC-32 holds, the flags are obeyed, the
-fields are read. Nothing of a record is believed before its CRC-32 has been checked, but for its length, which
-is bounded by the bytes that are there.
+Checks are made in this order: the frame fits into the file, the CRC-32 matches, the flags are known, the
+fields are valid. Nothing of a record is used before its CRC-32 has been checked, except its length, which is
+bounded by the available bytes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, BinaryIO, Final, NamedTuple, TypeVar
 
-from touchfield.container.fields import Cursor, shown
+from touchfield.container.fields import Cursor, quoted
 from touchfield.container.records import (
     MAGIC,
     RECORD_OF,
@@ -42,12 +42,11 @@ from touchfield.medium.budget import memory_budget_bytes
 
 
 class ByteSource:
-    """A file that is read at any place: a path, an address such as https://host/x.touch, or an open binary
-    file.
+    """A file with random access: a path, an address such as https://host/x.touch, or an open binary file.
 
-    One that is open already must be seekable; it is read from its first byte and left open. `name` is its
-    name in messages, `size` its length in bytes, `remote` where it lies elsewhere. `SourceError` if it cannot
-    be opened or read, `InvalidArgument` if it is none of these.
+    An open file must be seekable; it is read from its first byte and left open. `name` is its name in
+    messages, `size` its length in bytes, `remote` the remote file if it is one. `SourceError` if it cannot be
+    opened or read, `InvalidArgument` if it is none of these.
     """
 
     def __init__(self, file: str | os.PathLike[str] | BinaryIO) -> None:
@@ -59,12 +58,12 @@ class ByteSource:
         self._owned = isinstance(file, (str, os.PathLike))
         if isinstance(file, (str, os.PathLike)):
             self.name = os.fspath(file)
-            self._file = _opened(Path(file))
+            self._file = _open(Path(file))
         else:
             self.name = str(getattr(file, "name", "open file"))
             if isinstance(file, io.TextIOBase):
                 raise InvalidArgument(
-                    self.name, "a file that is open for text", mend='Open it with the mode "rb".'
+                    self.name, "a file that is open for text", hint='Open it with the mode "rb".'
                 )
             self._file = file
         try:
@@ -76,7 +75,7 @@ class ByteSource:
             ) from None
 
     def read_at(self, offset: int, size: int) -> bytes:
-        """`size` bytes from `offset` on; TruncatedFile if the file ends before.
+        """`size` bytes from `offset` on; TruncatedFile if the file ends earlier.
 
         The size is compared with the file's, which may have holes, and with `memory_budget_bytes` before
         anything is allocated.
@@ -104,10 +103,10 @@ class ByteSource:
             )
         return data
 
-    def expect(self, begin: int, end: int) -> None:
-        """Have bytes `begin` to `end` fetched at once, where they lie elsewhere."""
+    def expect(self, start: int, stop: int) -> None:
+        """Fetch bytes `start` to `stop` of a remote file in one request."""
         if self.remote is not None:
-            self.remote.fetch(begin, end)
+            self.remote.fetch(start, stop)
 
     def close(self) -> None:
         """Close the file, unless it was open before."""
@@ -117,7 +116,7 @@ class ByteSource:
             self._file.close()
 
 
-def _opened(path: Path) -> BinaryIO:
+def _open(path: Path) -> BinaryIO:
     """The file at `path`, open for reading."""
     try:
         require_plain(path, "a .touch file")
@@ -138,26 +137,27 @@ OPENING: Final = MAGIC + VERSION.pack(VERSION_MAJOR, VERSION_MINOR)
 OPENING_SIZE: Final = len(OPENING)
 CHUNK: Final = 1 << 20
 _Layout = TypeVar("_Layout")
-AGAIN: Final = "Fetch or write the file again."
+FETCH_AGAIN: Final = "Fetch or write the file again."
 
 
-# -- writing ----------------------------------------------------------------------------------------------
+# -- writing -----------------------------------------------------------------------------------------------
 
 
 def encode_record(tag: str, value: Any) -> bytes:
-    """A whole record, its CRC-32 last; InvalidArgument if a field of `value` is out of bounds."""
+    """The bytes of a record, its CRC-32 last; InvalidArgument if a field of `value` is out of bounds."""
     record = RECORD_OF[tag]
     payload = record.kind.encode(value, tag)
     framed = FRAME.pack(tag.encode("ascii"), REQUIRED if record.required else 0, len(payload)) + payload
     return framed + struct.pack("<I", zlib.crc32(framed))
 
 
-# -- reading ----------------------------------------------------------------------------------------------
+# -- reading -----------------------------------------------------------------------------------------------
 
 
 class FoundRecord(NamedTuple):
-    """A record whose frame has been read, but not its payload; `offset` is the position of its tag in the
-    `file`.
+    """A record whose frame has been read, but not its payload.
+
+    `offset` is the position of its tag in `file`.
     """
 
     file: str
@@ -198,13 +198,11 @@ def read_opening(source: ByteSource) -> bytes:
             raise CorruptFile(source.name, found, f"{MAGIC!r}", "Transfer it again in binary mode.")
         raise ForeignFile(source.name, f"a file that begins with {magic!r}", f"a .touch file: {MAGIC!r}")
     if len(start) < OPENING_SIZE:
-        raise TruncatedFile(source.name, f"{len(start)} bytes", f"at least {OPENING_SIZE}", AGAIN)
+        raise TruncatedFile(source.name, f"{len(start)} bytes", f"at least {OPENING_SIZE}", FETCH_AGAIN)
     major, minor = VERSION.unpack(start[len(MAGIC) :])
     if major < VERSION_MAJOR:
-        found, mend = (
-            f"format {major}.{minor}, made by a version before 1.0",
-            "Encode it again from its source.",
-        )
+        found = f"format {major}.{minor}, made by a version before 1.0"
+        mend = "Encode it again from its source."
         raise UnsupportedVersion(source.name, found, f"format {VERSION_MAJOR}", mend)
     if major > VERSION_MAJOR:
         mend = f"Read it with a touchfield that reads format {major}.{minor}."
@@ -213,45 +211,47 @@ def read_opening(source: ByteSource) -> bytes:
 
 
 def find_record(source: ByteSource, offset: int, end: int) -> FoundRecord:
-    """The record at `offset`, which must end by `end`; its payload is not read.
+    """The record at `offset`, which must end at `end` or before; its payload is not read.
 
-    `TruncatedFile` if the file ends before it does, `CorruptFile` if its frame makes no sense or it passes
+    `TruncatedFile` if the file ends before the record, `CorruptFile` if its frame is invalid or it exceeds
     `end`.
     """
     tag, flags, length = FRAME.unpack(source.read_at(offset, FRAME_SIZE))
     if not re.fullmatch(rb"[A-Z0-9]{4}", tag):
-        found, expected = shown(tag), "four capitals A to Z or digits"
-        raise CorruptFile(f"{source.name}: record.tag at byte {offset}", found, expected, AGAIN)
+        found, expected = quoted(tag), "four capitals A to Z or digits"
+        raise CorruptFile(f"{source.name}: record.tag at byte {offset}", found, expected, FETCH_AGAIN)
     if flags > REQUIRED:
-        raise CorruptFile(f"{source.name}: record.flags at byte {offset + 4}", str(flags), "0 or 1", AGAIN)
+        raise CorruptFile(
+            f"{source.name}: record.flags at byte {offset + 4}", str(flags), "0 or 1", FETCH_AGAIN
+        )
     record = FoundRecord(source.name, tag.decode("ascii"), flags, length, offset)
     if record.end > source.size:
-        raise TruncatedFile(record.where, f"{source.size} bytes", f"{record.end} bytes", AGAIN)
+        raise TruncatedFile(record.where, f"{source.size} bytes", f"{record.end} bytes", FETCH_AGAIN)
     if record.end > end:
-        raise CorruptFile(record.where, f"that it ends at byte {record.end}", f"at most {end}", AGAIN)
+        raise CorruptFile(record.where, f"that it ends at byte {record.end}", f"at most {end}", FETCH_AGAIN)
     return record
 
 
-def records_between(source: ByteSource, begin: int, end: int) -> Iterator[FoundRecord]:
-    """The records from `begin` to `end`, one after the other, each as `find_record` has it."""
-    while begin < end:
-        found = find_record(source, begin, end)
+def records_between(source: ByteSource, start: int, stop: int) -> Iterator[FoundRecord]:
+    """The records from `start` to `stop`, one after the other, as from `find_record`."""
+    while start < stop:
+        found = find_record(source, start, stop)
         yield found
-        begin = found.end
+        start = found.end
 
 
 def check_crc(source: ByteSource, found: FoundRecord) -> None:
-    """Check the CRC-32 of a record piece by piece, without holding it."""
-    crc, place = 0, found.offset
-    while place < found.crc_offset:
-        size = min(CHUNK, found.crc_offset - place)
-        crc = zlib.crc32(source.read_at(place, size), crc)
-        place += size
+    """Check the CRC-32 of a record in chunks, without loading it as a whole."""
+    crc, position = 0, found.offset
+    while position < found.crc_offset:
+        size = min(CHUNK, found.crc_offset - position)
+        crc = zlib.crc32(source.read_at(position, size), crc)
+        position += size
     _compare_crc(found, crc, source.read_at(found.crc_offset, CRC_SIZE))
 
 
 def _compare_crc(found: FoundRecord, crc: int, stored: bytes) -> None:
-    """CorruptFile unless `crc` is the stored one."""
+    """CorruptFile unless `crc` equals the stored one."""
     if stored != struct.pack("<I", crc):
         expected = struct.unpack("<I", stored)[0]
         mend = "Bytes of this record were changed: fetch or write the file again."
@@ -259,7 +259,7 @@ def _compare_crc(found: FoundRecord, crc: int, stored: bytes) -> None:
 
 
 def known_record(found: FoundRecord) -> Record | None:
-    """The table's row for a record whose CRC-32 holds; None if it may be skipped.
+    """The table entry of a record whose CRC-32 matches; None if it may be skipped.
 
     `UnsupportedVersion` if it is unknown and required, `CorruptFile` if its flags are not those of the table.
     """
@@ -272,14 +272,14 @@ def known_record(found: FoundRecord) -> Record | None:
             )
             raise UnsupportedVersion(found.where, "a required record", expected, mend)
     elif found.flags != (REQUIRED if record.required else 0):
-        raise CorruptFile(found.where, f"flags {found.flags}", f"flags {1 - found.flags}", AGAIN)
+        raise CorruptFile(found.where, f"flags {found.flags}", f"flags {1 - found.flags}", FETCH_AGAIN)
     return record
 
 
 def read_record(source: ByteSource, found: FoundRecord, layout: type[_Layout]) -> tuple[_Layout, int]:
     """The value and the CRC-32 of a record that must be of this layout.
 
-    `CorruptFile` if it is another one, its CRC-32 does not hold, or a field is out of bounds;
+    `CorruptFile` if it is another one, its CRC-32 does not match, or a field is out of bounds;
     `UnsupportedVersion` if it needs a later version.
     """
     length, tag = found.payload_length, TAG_OF[layout]
@@ -287,10 +287,10 @@ def read_record(source: ByteSource, found: FoundRecord, layout: type[_Layout]) -
     if found.tag != tag:
         check_crc(source, found)
         known_record(found)
-        raise CorruptFile(found.where, f"a record {found.tag}", f"a record {tag}", AGAIN)
+        raise CorruptFile(found.where, f"a record {found.tag}", f"a record {tag}", FETCH_AGAIN)
     if not kind.smallest <= length <= kind.largest:
         bounds = f"{kind.smallest} to {kind.largest} bytes"
-        raise CorruptFile(found.where, f"a payload of {length} bytes", bounds, AGAIN)
+        raise CorruptFile(found.where, f"a payload of {length} bytes", bounds, FETCH_AGAIN)
     data = source.read_at(found.offset, found.end - found.offset)
     crc = zlib.crc32(memoryview(data)[:-CRC_SIZE])
     _compare_crc(found, crc, data[-CRC_SIZE:])

@@ -1,4 +1,4 @@
-"""Writing a ``.touch`` file as its segments come, under a temporary name until it is whole."""
+"""Writer of ``.touch`` files, segment by segment, under a temporary name until the file is complete."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ MENDS: Final = {
 
 
 class TouchWriter:
-    """Writes one ``.touch`` file; a context manager.
+    """Writer of one ``.touch`` file; a context manager.
 
-    Segments go straight to a temporary file beside a path, so that memory holds one segment and the index. At
-    the end of the ``with`` block the index and the end record follow, and the file gets its name, in place of
-    one that is there already; after any exception nothing is left. A file that is open for bytes is left
-    open.
+    Segments are written at once to a temporary file in the same folder, so that memory only has one segment
+    and the index. At the end of the ``with`` block the index and the end record follow, and the file gets its
+    name, replacing an existing file; after an exception nothing is left. A file that is already open for
+    bytes is left open.
 
-    Every method raises `InvalidArgument` if a value is out of the format's bounds, the calls come in the
-    wrong order, or there is no such folder, and `SourceError` if the system refuses to write (no permission,
-    no space).
+    Every method raises `InvalidArgument` if a value is out of the format's bounds, the calls are in the wrong
+    order, or the folder does not exist, and `SourceError` if the system refuses to write (no permission, no
+    space).
 
     Examples
     --------
@@ -61,16 +61,16 @@ class TouchWriter:
         self._file: Any = None
         self._head: Head | None = None
         self._entries: list[SegmentEntry] = []
-        self._place = 0
-        self._whole = True
+        self._position = 0
+        self._is_intact = True
         self._next_frame = 0
         self._objects = 0
         self._vibrating: int | None = None
         self._chain = b""
 
     def __enter__(self) -> TouchWriter:
-        if self._file is not None or self._place:
-            raise InvalidArgument("TouchWriter", "one that was entered before", mend="Make a new one.")
+        if self._file is not None or self._position:
+            raise InvalidArgument("TouchWriter", "one that was entered before", hint="Make a new one.")
         self._file = self._to
         if isinstance(self._to, (str, os.PathLike)):
             temporary = self._stack.enter_context(atomic_path(Path(self._to)))
@@ -79,17 +79,17 @@ class TouchWriter:
         return self
 
     def write_head(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
-        """Write what all frames have in common; once, before all else."""
+        """Write the properties of the whole file; once, before everything else."""
         if self._head is not None:
             raise InvalidArgument("write_head", "a second call", "one")
-        opening, record, story = opening_of(head, provenance or {})
-        self._put(opening + record + story)
+        opening, record, provenance_record = opening_of(head, provenance or {})
+        self._put(opening + record + provenance_record)
         self._head = head
         self._chain = opening + record[-CRC_SIZE:]
 
-    def write_object(self, one: ObjectRecord) -> None:
+    def write_object(self, record_value: ObjectRecord) -> None:
         """Write the next object of a file of coder `objects`, before the first segment."""
-        coder = self._begun("write_object").coder
+        coder = self._require_head("write_object").coder
         if coder != OBJECTS_CODER:
             raise InvalidArgument("write_object", f"a file of coder {coder!r}", repr(OBJECTS_CODER))
         if self._entries:
@@ -98,47 +98,47 @@ class TouchWriter:
             raise InvalidArgument(
                 "write_object", f"more than {MAX_OBJECTS} objects", f"at most {MAX_OBJECTS}"
             )
-        record = encode_record("OBJT", one)
+        record = encode_record("OBJT", record_value)
         self._put(record)
         self._objects += 1
         self._chain += record[-CRC_SIZE:]
 
     def write_vibration(self, first_frame: int, frame_count: int, body: bytes) -> None:
-        """Write what vibrates in the group of frames that `write_segment` writes next."""
-        self._begun("write_vibration")
+        """Write the vibrations of the group of frames that `write_segment` writes next."""
+        self._require_head("write_vibration")
         if self._vibrating is not None:
             raise InvalidArgument("write_vibration", "a second call for one segment", "one")
         self._put(self._frames("write_vibration", "VIBR", first_frame, frame_count, body))
         self._vibrating = int(frame_count)
 
     def write_segment(self, first_frame: int, frame_count: int, body: bytes) -> None:
-        """Write the next group of frames, which must begin where the one before it ended."""
-        if self._begun("write_segment").coder == OBJECTS_CODER and not self._objects:
-            raise InvalidArgument("write_segment", "no object yet", mend="Call write_object first.")
+        """Write the next group of frames, which must start where the one before it ended."""
+        if self._require_head("write_segment").coder == OBJECTS_CODER and not self._objects:
+            raise InvalidArgument("write_segment", "no object yet", hint="Call write_object first.")
         if self._vibrating not in (None, frame_count):
-            found, expected = f"{frame_count} frames", f"{self._vibrating}, as write_vibration was told"
+            found, expected = f"{frame_count} frames", f"{self._vibrating}, as passed to write_vibration"
             raise InvalidArgument("write_segment frame_count", found, expected)
         record = self._frames("write_segment", "SEGM", first_frame, frame_count, body)
         frames = {"first_frame": int(first_frame), "frame_count": int(frame_count)}
         crc32 = int.from_bytes(record[-CRC_SIZE:], "little")
-        entry = SegmentEntry(**frames, offset=self._place, length=len(record), crc32=crc32)
+        entry = SegmentEntry(**frames, offset=self._position, length=len(record), crc32=crc32)
         self._put(record)
         self._entries.append(entry)
         self._next_frame += entry.frame_count
         self._vibrating = None
 
-    def _begun(self, call: str) -> Head:
+    def _require_head(self, call: str) -> Head:
         if self._head is None:
-            raise InvalidArgument(call, "no head yet", mend="Call write_head first.")
+            raise InvalidArgument(call, "no head yet", hint="Call write_head first.")
         return self._head
 
     def _frames(self, call: str, tag: str, first_frame: int, frame_count: int, body: bytes) -> bytes:
-        """The record of the next frames, which are among those of the head."""
+        """The record of the next frames; InvalidArgument if they exceed those of the head."""
         if first_frame != self._next_frame:
             raise InvalidArgument(f"{call} first_frame", repr(first_frame), str(self._next_frame))
         layout = RECORD_OF[tag].layout
         record = encode_record(tag, layout(first_frame=first_frame, frame_count=frame_count, body=body))
-        count = self._begun(call).frame_count
+        count = self._require_head(call).frame_count
         if first_frame + frame_count > count:
             raise InvalidArgument(
                 call, f"frames up to {first_frame + frame_count - 1}", f"{count} frames, as the head says"
@@ -146,12 +146,12 @@ class TouchWriter:
         return record
 
     def _write_end(self) -> None:
-        """Write the index and the end record, once all frames are there."""
+        """Write the index and the end record, when all frames are written."""
         expected = None if self._head is None else self._head.frame_count
         if self._next_frame != expected:
             found = f"{self._next_frame} frames at its end" if expected else "no head at its end"
             raise InvalidArgument(self._name, found, f"{expected} frames" if expected else "a head")
-        self._put(index_and_end(self._entries, self._place, self._chain))
+        self._put(index_and_end(self._entries, self._position, self._chain))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -161,7 +161,7 @@ class TouchWriter:
                 with self._stack:
                     self._write_end()
             else:
-                # the caller's own error is the one to tell, also where clearing up makes another of it
+                # report the caller's error, even if cleaning up raises another one
                 with suppress(SourceError):
                     self._stack.__exit__(kind, error, trace)
         finally:
@@ -169,32 +169,35 @@ class TouchWriter:
 
     def _put(self, data: bytes) -> None:
         if self._file is None:
-            raise InvalidArgument("TouchWriter", "one that is not open", mend="Use it in a with block.")
-        if not self._whole:
-            raise InvalidArgument(self._name, "that a write failed before", mend="Begin again.")
-        self._whole, rest = False, memoryview(data)
+            raise InvalidArgument("TouchWriter", "one that is not open", hint="Use it in a with block.")
+        if not self._is_intact:
+            raise InvalidArgument(self._name, "that a write failed before", hint="Begin again.")
+        self._is_intact, rest = False, memoryview(data)
         try:
             while rest:
                 rest = rest[self._file.write(rest) :]
         except OSError as error:
             mend = MENDS.get(error.errno or 0, "Write to another place.")
             raise SourceError(self._name, reason(error), "a file that can be written", mend) from None
-        self._whole = True
-        self._place += len(data)
+        self._is_intact = True
+        self._position += len(data)
 
 
 def opening_of(head: Head, provenance: Mapping[str, str]) -> tuple[bytes, bytes, bytes]:
-    """The beginning of a file: magic and version, HEAD, and PROV if anything is stated."""
+    """The start of a file: magic and version, HEAD, and PROV if there is any provenance."""
     pairs = tuple(Pair(key=key, value=value) for key, value in provenance.items())
-    story = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
-    return OPENING, encode_record("HEAD", head), story
+    provenance_record = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
+    return OPENING, encode_record("HEAD", head), provenance_record
 
 
-def index_and_end(entries: Iterable[SegmentEntry], place: int, chain: bytes) -> bytes:
-    """The last records of a file: `place` is where they begin, `chain` what `chain_crc32` covers beside the
-    index.
+def index_and_end(entries: Iterable[SegmentEntry], position: int, chain: bytes) -> bytes:
+    """The last records of a file, which start at `position`.
+
+    `chain` is what `chain_crc32` covers in addition to the index.
     """
     index = encode_record("INDX", Index(segments=tuple(entries)))
-    length = place + len(index) + FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
+    length = position + len(index) + FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
     chain_crc32 = zlib.crc32(chain + index[-CRC_SIZE:])
-    return index + encode_record("TEND", End(index_offset=place, file_length=length, chain_crc32=chain_crc32))
+    return index + encode_record(
+        "TEND", End(index_offset=position, file_length=length, chain_crc32=chain_crc32)
+    )

@@ -1,5 +1,6 @@
-"""A stream against its source, also as a hand feels it; and a medium before and after each haptic filter
-(3.2).
+"""Comparison of a stream with its source, in numbers and by a simulated hand, and a report on filters.
+
+The filter report measures a medium before and after each haptic filter (paper 3.2).
 """
 
 from __future__ import annotations
@@ -12,22 +13,30 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.codec.objects.promise import Found, compare_scenes
+from touchfield.codec.objects.error_bound import BoundCheck, compare_scenes
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.segment import BitAccount
 from touchfield.compute.threads import Report, silent
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import limited
+from touchfield.filters.device_filter import limit_forces
 from touchfield.filters.registry import FieldFilter
 from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.medium import ForceField, HapticScene
+from touchfield.medium import ForceField, Grid, HapticScene
+from touchfield.medium.grid import Placement
 from touchfield.medium.selection import evenly_spaced
 from touchfield.perception.hand_motion import Forces, HandMotion, HoldMeter, SlideMeter, SlideSpec
 from touchfield.perception.human import vibration_threshold
 from touchfield.pipeline.decoding import OpenStream, open_stream
-from touchfield.pipeline.placement import felt_objects, stored_medium
-from touchfield.pipeline.preparation import KeptScene, Prepared, Source, as_source, open_scene, prepare
+from touchfield.pipeline.placement import filter_objects, stored_medium
+from touchfield.pipeline.preparation import (
+    FixedLatticeScene,
+    Prepared,
+    Source,
+    as_source,
+    open_scene,
+    prepare,
+)
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec
 from touchfield.render.segment_blend import with_blends
@@ -49,10 +58,8 @@ class Comparison:
     hand: HandMotion
     voxels: dict[str, Any]
     """Bits for each voxel, as `OpenStream.bits_of_voxels`."""
-    composed: tuple[Found, float] | None = None
-    """Of objects: the mask against the source with its bodies where the file has them, and how far that is,
-    m.
-    """
+    composed: tuple[BoundCheck, float] | None = None
+    """Of objects: the mask against the source with its bodies at the decoded poses, and the distance, m."""
 
     def __repr__(self) -> str:
         figures = self.summary()
@@ -62,38 +69,36 @@ class Comparison:
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        m, s, b = self.meter, self.stream, self.bits
-        beyond, worst, in_place = m.mask_violations, m.worst_mask_ratio, {}
+        meter, stream, bits = self.meter, self.stream, self.bits
+        violations, max_ratio, in_place = meter.mask_violations, meter.worst_mask_ratio, {}
         if self.composed is not None:
-            in_mask, away_m = self.composed
+            in_mask, distance_m = self.composed
             in_place = {
-                "place_tolerance_um": s["place_tolerance_um"],
-                "worst_place_um": 1e6 * away_m,
-                "mask_violations_in_place": beyond,
-                "worst_mask_ratio_in_place": worst,
+                "place_tolerance_um": stream["place_tolerance_um"],
+                "worst_place_um": 1e6 * distance_m,
+                "mask_violations_in_place": violations,
+                "worst_mask_ratio_in_place": max_ratio,
             }
-            if 1e6 * away_m <= s["place_tolerance_um"] * (1 + 1e-6):
-                beyond, worst = in_mask.beyond, in_mask.worst[0]
+            if 1e6 * distance_m <= stream["place_tolerance_um"] * (1 + 1e-6):
+                violations, max_ratio = in_mask.violations, in_mask.max_error[0]
+        supported = meter.supported_voxels
+        of_stream = ("file_bytes", "frames", "grid_shape", "device")
+        of_meter = ("nmse_db", "nmse_literal_db", "nmse_forensic_db", "k", "f0_n")
         return {
-            **{key: s[key] for key in ("file_bytes", "frames", "grid_shape", "device")},
-            "supported_voxels": m.supported_voxels,
-            "bits_per_supported_voxel": 8 * s["file_bytes"] / m.supported_voxels
-            if m.supported_voxels
-            else None,
-            "cr_full": s["cr_full"],
-            "cr_literal": s["cr_literal"],
-            **{
-                key: getattr(m, key)
-                for key in ("nmse_db", "nmse_literal_db", "nmse_forensic_db", "k", "f0_n")
-            },
-            "mask_violations": beyond,
-            "mask_violation_share": beyond / max(1, m.compared_voxels),
-            "worst_mask_ratio": worst,
+            **{key: stream[key] for key in of_stream},
+            "supported_voxels": supported,
+            "bits_per_supported_voxel": 8 * stream["file_bytes"] / supported if supported else None,
+            "cr_full": stream["cr_full"],
+            "cr_literal": stream["cr_literal"],
+            **{key: getattr(meter, key) for key in of_meter},
+            "mask_violations": violations,
+            "mask_violation_share": violations / max(1, meter.compared_voxels),
+            "worst_mask_ratio": max_ratio,
             **in_place,
             **self.voxels,
-            **{f"bits_{key}": getattr(b, key) for key in ("support", "amplitude", "direction")},
-            "bits_side": b.side + b.models,
-            "bits_poses": b.poses,
+            **{f"bits_{key}": getattr(bits, key) for key in ("support", "amplitude", "direction")},
+            "bits_side": bits.side + bits.models,
+            "bits_poses": bits.poses,
             **self.hand.summary(),
         }
 
@@ -101,13 +106,13 @@ class Comparison:
         """Write the picture of one frame, PNG: source, decoded, error in units of the mask."""
         frame, original, decoded = self.drawn
         values = self.summary()
-        each = values["bits_per_supported_voxel"] or 0.0
+        bits_per_voxel = values["bits_per_supported_voxel"] or 0.0
         nmse = "exact" if values["nmse_db"] is None else f"NMSE {values['nmse_db']:.1f} dB"
         title = (
             f"frame {frame + 1} of {values['frames']} for {values['device']}, {values['file_bytes']:,} bytes"
         )
         caption = (
-            f"{each:.3g} bits per supported voxel, CR {values['cr_full']:.3g}, {nmse}, "
+            f"{bits_per_voxel:.3g} bits per supported voxel, CR {values['cr_full']:.3g}, {nmse}, "
             f"{100 * values['mask_violation_share']:.1f} % of voxels beyond the mask"
         )
         mask = self.meter.k, self.meter.f0_n
@@ -125,12 +130,12 @@ def compare(
     slides: SlideSpec | None = None,
     report: Report = silent,
 ) -> Comparison:
-    """Measure a stream against its source, filtered again as the stream's provenance says.
+    """Measure a stream against its source, which is filtered again by the stream's provenance.
 
-    `source` is what was encoded, a path, scene, medium or field; or its field, as the command `field` writes
-    it. The mask max(F_0, k |F|) is by default the stream's, with its spatial masking; `frame`, which
-    `Comparison.draw` shows, is the middle one. `allow_outside` lets the source name files outside its own
-    folder; `slides` are other ways of the hand.
+    `source` is the encoded path, scene, medium or field, or its field as the command `field` writes it. The
+    mask max(F_0, k |F|) is by default that of the stream, with its spatial masking; `frame`, which
+    `Comparison.draw` shows, is by default the middle one. `allow_outside` lets the source refer to files
+    outside its own folder; `slides` replaces the default slides of the hand.
     """
     with open_stream(stream) as opened:
         head = opened.reader.head
@@ -139,7 +144,7 @@ def compare(
         drawn_frame = len(decoded) // 2 if frame is None else frame
         if not 0 <= drawn_frame < len(decoded):
             raise InvalidArgument("frame", repr(frame), f"0 to {len(decoded) - 1}")
-        # a stream that promises no floor is measured without one: the least that a meter takes
+        # a stream without F_0 is measured with the smallest threshold that a meter takes
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
         masking = opened.masking if k is None and f0_n is None else None
         meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n, masking)
@@ -156,11 +161,12 @@ def compare(
         composed = None
         if scene is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
             composed = compare_scenes(scene, opened.scene, meter.k, floor_n)
-            text = (
-                "the mask is that of the source with each body where the file has it, "
-                f"{1e6 * composed[1]:.1f} um off"
+            distance = f"at most {1e6 * composed[1]:.1f} um off"
+            notes = (
+                *notes,
+                f"the mask is that of the source with each body at its decoded pose, {distance}; *_in_place "
+                "are without that tolerance",
             )
-            notes = (*notes, f"{text} at most; *_in_place are without that tolerance")
         bits, summary = opened.bits, opened.summary()
     bits = replace(bits, side=0)
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
@@ -168,54 +174,68 @@ def compare(
 
 
 def source_medium(source: Source, opened: OpenStream, allow_outside: bool = False) -> Prepared:
-    """The source of a stream, filtered again as its provenance says, on the stream's lattice.
+    """Filter the source of a stream again by the stream's provenance; the result is on its lattice.
 
-    InvalidArgument if it lies elsewhere, or has another number of frames.
+    InvalidArgument if the source is elsewhere in the workspace, or has another number of frames.
     """
     head, provenance = opened.reader.head, opened.reader.provenance
     if "spec" not in provenance:
-        mend = "Compare it with its field, FIELD.npz."
-        raise InvalidArgument("stream", "no provenance to filter the source by", mend=mend)
+        hint = "Compare it with its field, FIELD.npz."
+        raise InvalidArgument("stream", "no provenance to filter the source by", hint=hint)
     form = "voxel" if opened.scene is None else "object"
     spec = replace(EncodeSpec.from_json(provenance["spec"]), representation=form)
     spec = replace(spec, source=replace(spec.source, allow_outside=allow_outside))
-    stored = None
-    if isinstance(source, (str, Path)) and Path(source).suffix == ".npz" and Path(source).is_file():
-        field = open_scene(source, replace(spec.source, kind=None))
-        stored = stored_medium(field)
-    if stored is not None and stored.grid == opened.grid:
-        if (
-            len(stored) != head.frame_count and spec.frames is not None
-        ):  # the range that was asked of `encode`
-            stored = stored.between(spec.frames[0], spec.frames[0] + head.frame_count)
-        original = Prepared(stored, opened.told_device, opened.placement, spec, field.notes)
-    else:
-        scene = open_scene(as_source(source, spec.device), spec.source)
-        if isinstance(scene, KeptScene):
-            scene.notes = ()  # of options that do nothing: none is given here
-        original = prepare(scene, spec)
-        (ours, theirs), place = (original.medium.grid, opened.grid), original.placement
-        mine = [*ours.shape, *ours.spacing_m, *ours.origin_m, place.scale, *place.offset_m]
-        own = [*theirs.shape, *theirs.spacing_m, *theirs.origin_m, head.mapping_scale, *head.mapping_offset_m]
-        if not np.allclose(mine, own, rtol=1e-6, atol=1e-9):
-            found = "a scene that lies elsewhere in the workspace than the stream's"
-            raise InvalidArgument(str(source), found, mend="Name its own source.")
-        if original.scene:
-            note = "compared with the objects before coding, not with the voxel representation"
-            original = replace(original, notes=(*original.notes, note))
+    original = _written_field(source, opened, spec) or _filtered_again(source, opened, spec)
     if len(original.medium) != head.frame_count:
         found, expected = f"{head.frame_count} frames", f"the source's {len(original.medium)}"
         raise InvalidArgument(opened.reader.name, found, expected, "Name the source it came from.")
     return original
 
 
-class HandMeter:
-    """The hand of one stream, given its frames in order.
+def _written_field(source: Source, opened: OpenStream, spec: EncodeSpec) -> Prepared | None:
+    """The field of the source as the command `field` writes it; None for any other source."""
+    is_path = isinstance(source, (str, Path))
+    if not (is_path and Path(source).suffix == ".npz" and Path(source).is_file()):
+        return None
+    field = open_scene(source, replace(spec.source, kind=None))
+    stored = stored_medium(field)
+    if stored is None or stored.grid != opened.grid:
+        return None
+    frame_count = opened.reader.head.frame_count
+    if len(stored) != frame_count and spec.frames is not None:  # `encode` was given a range of frames
+        stored = stored.between(spec.frames[0], spec.frames[0] + frame_count)
+    return Prepared(stored, opened.declared_device, opened.placement, spec, field.notes)
 
-    Slides are measured in up to four frames, evenly spread, as they were decoded; holds over all, as a
-    receiver plays them, blended where a segment starts. Voxels are felt as their fields are interpolated,
-    objects by the receiver's own query of both scenes. `scene` are the source's objects, `exact` the field
-    that it samples, as `Prepared.exact`.
+
+def _filtered_again(source: Source, opened: OpenStream, spec: EncodeSpec) -> Prepared:
+    """The source through the filters of `spec`; InvalidArgument if it is elsewhere in the workspace."""
+    scene = open_scene(as_source(source, spec.device), spec.source)
+    if isinstance(scene, FixedLatticeScene):
+        scene.notes = ()  # on options without effect: none is given here
+    original = prepare(scene, spec)
+    source_layout = _layout(original.medium.grid, original.placement)
+    stream_layout = _layout(opened.grid, opened.placement)
+    if not np.allclose(source_layout, stream_layout, rtol=1e-6, atol=1e-9):
+        found = "a scene that lies elsewhere in the workspace than the stream's"
+        raise InvalidArgument(str(source), found, hint="Name its own source.")
+    if original.scene:
+        note = "compared with the objects before coding, not with the voxel representation"
+        original = replace(original, notes=(*original.notes, note))
+    return original
+
+
+def _layout(grid: Grid, placement: Placement) -> list[float]:
+    """Numbers that are equal for two lattices at the same position of the same scene."""
+    return [*grid.shape, *grid.spacing_m, *grid.origin_m, placement.scale, *placement.offset_m]
+
+
+class HandMeter:
+    """Simulated hand in one stream and its source; it gets the frames in order.
+
+    Slides are measured in up to four decoded frames, evenly spaced. Holds are measured over all frames as a
+    receiver plays them, blended where a segment starts. The forces of voxels are interpolated between
+    samples; those of objects are the receiver's own query of both scenes. `scene` has the source's objects,
+    `exact` is the field that the source samples (`Prepared.exact`).
     """
 
     def __init__(
@@ -227,8 +247,8 @@ class HandMeter:
     ) -> None:
         head = opened.reader.head
         self._scene, self._coded, self._exact = scene, opened.scene, exact
-        felt = opened.medium if scene is None or opened.scene is None else opened.scene
-        self._played, self._blends = with_blends(felt)
+        decoded = opened.medium if scene is None or opened.scene is None else opened.scene
+        self._played, self._blends = with_blends(decoded)
         count = head.frame_count
         self._slid = set(evenly_spaced(count, _SLIDE_FRAMES))
         self._starts = {segment.first_frame for segment in opened.reader.segments}
@@ -237,23 +257,24 @@ class HandMeter:
         self._hold = HoldMeter(count, head.rate_hz, head.weber_fraction, floor_n) if count > 1 else None
 
     def add(self, frame: int, source: ForceField, decoded: ForceField) -> None:
-        """Feel one frame; both fields are on the stream's lattice."""
-        ours: Forces = source.sample_n
-        theirs: Forces = decoded.sample_n
+        """Measure one frame; both fields are on the stream's lattice."""
+        source_forces: Forces = source.sample_n
+        decoded_forces: Forces = decoded.sample_n
         if self._scene is not None and self._coded is not None:
-            ours, theirs = partial(self._scene.sample_n, frame), partial(self._coded.sample_n, frame)
+            source_forces = partial(self._scene.sample_n, frame)
+            decoded_forces = partial(self._coded.sample_n, frame)
         if frame in self._slid:
-            self._slides.add(source, ours, theirs, self._exact)
+            self._slides.add(source, source_forces, decoded_forces, self._exact)
         if self._hold is not None:
-            felt, played = self._played, theirs
-            if self._blends:
-                played = (
-                    partial(felt.sample_n, frame) if isinstance(felt, HapticScene) else felt[frame].sample_n
-                )
-            self._hold.add(source, ours, played, frame in self._starts)
+            medium, played_forces = self._played, decoded_forces
+            if self._blends and isinstance(medium, HapticScene):
+                played_forces = partial(medium.sample_n, frame)
+            elif self._blends:
+                played_forces = medium[frame].sample_n
+            self._hold.add(source, source_forces, played_forces, frame in self._starts)
 
     def motion(self) -> HandMotion:
-        """Slides and holds of the frames so far."""
+        """Slides and holds of all frames added."""
         hold = None if self._hold is None else self._hold.hold()
         return HandMotion(self._slides.slides(), hold, vibration_threshold())
 
@@ -262,43 +283,43 @@ def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Report =
     """Measure a medium before and after each filter of ``spec.filters``, frame by frame.
 
     ``spec.paper.k`` is the Weber fraction of the mask; Q of the entropies is weber:0.1, up to the device's
-    F_max, for all stages. Each of ``stages`` tells its name, support, greatest and root-mean-square force,
-    entropies, and what changed against the medium before the chain: NMSE in dB, and the share of voxels
-    beyond the mask.
+    F_max, for all stages. Each of ``stages`` has its name, support, greatest and root-mean-square force, its
+    entropies, and the change against the medium before the chain: NMSE in dB, and the fraction of voxels
+    outside the mask.
     """
     prepared = prepare(source, replace(spec, filters=()))
     medium = prepared.medium
     quantise = FieldQuantiserSpec().fit(medium, prepared.device.force_max_n)
     chain, stages_of = spec.chain, _stages(prepared, spec.chain)
-    gauges = [_Gauge(name, spec) for name in ("device filter", *(step.name for step in chain))]
+    meters = [_StageMeter(name, spec) for name in ("device filter", *(step.name for step in chain))]
     for i in range(len(medium)):
         stages = stages_of(i)
-        for gauge, field in zip(gauges, stages, strict=True):
-            gauge.add(stages[0], field, quantise(field).object_symbols)
+        for meter, field in zip(meters, stages, strict=True):
+            meter.add(stages[0], field, quantise(field).object_symbols)
         report(i + 1, len(medium))
-    return Result({"quantiser": quantise.words, "stages": [gauge.row() for gauge in gauges]})
+    return Result({"quantiser": quantise.text, "stages": [meter.row() for meter in meters]})
 
 
 def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int], list[ForceField]]:
-    """A frame as the device would render it, and after each filter; of objects, each filtered alone."""
+    """``stages(i)``: frame i as the device renders it, and after each filter; objects are filtered alone."""
     force_max_n, medium, scene = prepared.device.force_max_n, prepared.medium, prepared.scene
     if scene is not None:
-        media = [felt_objects(scene, chain[:n]).voxelise() for n in range(len(chain) + 1)]
-        return lambda i: [one[i] for one in media]
+        media = [filter_objects(scene, chain[:n]).voxelise() for n in range(len(chain) + 1)]
+        return lambda i: [stage_medium[i] for stage_medium in media]
 
     def of_voxels(i: int) -> list[ForceField]:
         field = medium[i]
-        stages = [limited(field, force_max_n)]
+        stages = [limit_forces(field, force_max_n)]
         for step in chain:
             field = step(field)
-            stages.append(limited(field, force_max_n))
+            stages.append(limit_forces(field, force_max_n))
         return stages
 
     return of_voxels
 
 
-class _Gauge:
-    """Adds up one stage over the frames."""
+class _StageMeter:
+    """Statistics of one stage over the frames."""
 
     def __init__(self, name: str, spec: EncodeSpec) -> None:
         self.name, self.meter, self.counter = name, FidelityMeter(spec.paper.k, DEFAULT_F0_N), SymbolCounter()

@@ -1,6 +1,4 @@
-"""file <-> haptic scene: streams of coder `objects`, whose poses are decoded at once and fields when asked
-for.
-"""
+"""file <-> haptic scene: streams of coder `objects`. Poses are decoded at once, fields on access."""
 
 from __future__ import annotations
 
@@ -14,13 +12,13 @@ import numpy as np
 from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.layout import MAX_POSES, CodedObject, Parameters, composed_rule
 from touchfield.codec.registry import coder, field_decoder
-from touchfield.codec.segment import BitAccount, BoundRule, mask_text, promise_kept
+from touchfield.codec.segment import BitAccount, BoundRule, mask_text, max_error_keys
 from touchfield.compute.threads import Report, silent
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.budget import require_memory
-from touchfield.pipeline.decoded_frames import SegmentFrames, segments_of
+from touchfield.pipeline.decoded_frames import SegmentFrames, segment_layout
 from touchfield.pipeline.decoding import OpenStream
 
 if TYPE_CHECKING:
@@ -28,40 +26,42 @@ if TYPE_CHECKING:
 
 
 _BYTES_PER_POSE: Final = 2 * 7 * 8
-"""Seven float64, held twice while the segments are put together."""
+"""Seven float64, twice in memory while the segments are joined."""
 
 
 def write_objects(
     writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int, report: Report = silent
 ) -> None:
     """Write the objects and all segments of a scene, after the head."""
-    for one in encoder.objects():
-        writer.write_object(record_of(one))
+    for coded in encoder.objects():
+        writer.write_object(record_of(coded))
     for start, count, body in encoder.segments():
         writer.write_segment(start, count, body)
         report(start + count, frame_count)
 
 
-def record_of(one: CodedObject) -> ObjectRecord:
+def record_of(coded: CodedObject) -> ObjectRecord:
     """An object as the container writes it."""
-    own, grid = {**vars(one), "is_deforming": int(one.is_deforming)}, one.grid
-    del own["grid"]
-    return ObjectRecord(grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, **own)
+    values, grid = {**vars(coded), "is_deforming": int(coded.is_deforming)}, coded.grid
+    del values["grid"]
+    return ObjectRecord(grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, **values)
 
 
 def coded_object(record: ObjectRecord) -> CodedObject:
     """The inverse of `record_of`."""
-    own = {**vars(record), "is_deforming": bool(record.is_deforming)}
-    return CodedObject(grid=Grid(own.pop("grid_shape"), own.pop("spacing_m"), own.pop("origin_m")), **own)
+    values = {**vars(record), "is_deforming": bool(record.is_deforming)}
+    return CodedObject(
+        grid=Grid(values.pop("grid_shape"), values.pop("spacing_m"), values.pop("origin_m")), **values
+    )
 
 
 class SceneStream(OpenStream):
-    """A file of coder `objects`; a voxel frame costs one query of the scene for each voxel near an object.
+    """A file of coder `objects`; a voxel frame takes one query of the scene for each voxel near an object.
 
-    It is open for reading as long as fields of objects that deform are asked for.
+    The file must stay open while fields of deforming objects are read.
 
-    Raises FormatError if its bytes contradict themselves; InvalidArgument if its poses would take more memory
-    than `memory_budget_bytes`.
+    Raises FormatError if its bytes are inconsistent; InvalidArgument if its poses would take more memory than
+    `memory_budget_bytes`.
     """
 
     def __init__(self, reader: TouchReader) -> None:
@@ -74,7 +74,7 @@ class SceneStream(OpenStream):
         require_memory("HEAD.frame_count", "poses", poses * _BYTES_PER_POSE, "Set TOUCHFIELD_MEMORY_GIB.")
         objects = [coded_object(reader.read_object(i)) for i in range(reader.object_count)]
         self.decoder = ObjectsDecoder(head.coder_parameters, objects)
-        self._body = lru_cache(1)(reader.read_segment)  # each object that deforms asks for it
+        self._body = lru_cache(1)(reader.read_segment)  # every deforming object reads it
 
     @cached_property
     def tracks(self) -> tuple[PoseTrack, ...]:
@@ -85,25 +85,25 @@ class SceneStream(OpenStream):
         ]
         return tuple(
             PoseTrack(
-                np.concatenate([track.quaternions for track in own]),
-                np.concatenate([track.positions_m for track in own]),
+                np.concatenate([track.quaternions for track in parts]),
+                np.concatenate([track.positions_m for track in parts]),
             )
-            for own in zip(*segments, strict=True)
+            for parts in zip(*segments, strict=True)
         )
 
     @cached_property
     def scene(self) -> HapticScene:
-        """The decoded scene: poses now, the field of an object when it is first asked for."""
+        """The decoded scene: poses now, the field of an object on first access."""
         return HapticScene(
             grid=self.grid,
             objects=tuple(
-                HapticObject(one.name, self._medium(i, one), track)
-                for i, (one, track) in enumerate(zip(self.decoder.objects, self.tracks, strict=True))
+                HapticObject(coded.name, self._medium(i, coded), track)
+                for i, (coded, track) in enumerate(zip(self.decoder.objects, self.tracks, strict=True))
             ),
             force_max_n=self.reader.head.force_max_n,
             surface_damping_n_s_per_m=self.decoder.surface_damping_n_s_per_m,
             file_bytes=self.file_bytes,
-            **self._beside,
+            **self._metadata,
         )
 
     @property
@@ -112,7 +112,7 @@ class SceneStream(OpenStream):
 
     @cached_property
     def bits(self) -> BitAccount:
-        """See `OpenStream`: of the objects and of all segments; nothing is decoded."""
+        """See `OpenStream`: of the objects and of all segments; decodes nothing."""
         costs = [self.decoder.object_cost(i) for i in range(self.reader.object_count)]
         for i, entry in enumerate(self.reader.segments):
             costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
@@ -125,7 +125,7 @@ class SceneStream(OpenStream):
             "bits_fields": self.bits.total - self.bits.poses,
             "frame_kinds": {"object": self.reader.head.frame_count},
         }
-        if not self._modes:  # nothing is promised of the composed field
+        if not self._modes:  # the composed field has no error bound
             return keys
         tolerance_um = 1e6 * self.decoder.place_tolerance_m
         return {**keys, "mode": ", ".join(sorted(self._modes)), "place_tolerance_um": tolerance_um}
@@ -134,36 +134,36 @@ class SceneStream(OpenStream):
     def _modes(self) -> frozenset[str]:
         """Modes of the fields that have one."""
         described = [decoder.describe() for decoder in self.decoder.field_decoders]
-        return frozenset(one["mode"] for one in described if "mode" in one)
+        return frozenset(description["mode"] for description in described if "mode" in description)
 
     @property
     def bound_rule(self) -> BoundRule:
-        """That of the composed field, by the k and F_0 of HEAD: each field keeps a share of them."""
+        """That of the composed field, by the k and F_0 of HEAD; each field keeps a fraction of them."""
         head = self.reader.head
-        for one in self.decoder.objects:
-            if not coder(one.field_coder).has_promise:
-                return coder(one.field_coder).bound_rule(None)
+        for coded in self.decoder.objects:
+            if not coder(coded.field_coder).has_error_bound:
+                return coder(coded.field_coder).bound_rule(None)
         masked = BoundRule(mask_text(head.weber_fraction, head.force_threshold_n))
         return composed_rule(self._modes, masked, Parameters.from_bytes(head.coder_parameters))
 
     @property
-    def promise(self) -> dict[str, Any]:
+    def max_error_summary(self) -> dict[str, Any]:
         if not self._modes:
             return {}
         segments = enumerate(self.reader.segments)
-        return promise_kept(
-            (entry.first_frame, self.decoder.parts(self._body(i)).worst) for i, entry in segments
+        return max_error_keys(
+            (entry.first_frame, self.decoder.parts(self._body(i)).max_error) for i, entry in segments
         )
 
-    def _medium(self, index: int, one: CodedObject) -> HapticMedium:
+    def _medium(self, index: int, coded: CodedObject) -> HapticMedium:
         """The fields of one object."""
         head = self.reader.head
-        if not one.is_deforming:
-            return HapticMedium(one.grid, head.rate_hz, 1, cache(lambda _: self.decoder.rigid_field(index)))
+        if not coded.is_deforming:
+            return HapticMedium(coded.grid, head.rate_hz, 1, cache(lambda _: self.decoder.rigid_field(index)))
 
         def decode(segment: int) -> Iterator[ForceField]:
             return self.decoder.fields(self._body(segment), index, self.reader.segments[segment].frame_count)
 
-        coder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {index}")
-        frames, segments = SegmentFrames(self.reader, decode), segments_of(self.reader, coder.describe())
-        return HapticMedium(one.grid, head.rate_hz, head.frame_count, frames, segments=segments)
+        coder: Any = field_decoder(coded.field_coder, coded.grid, coded.field_parameters, f"OBJT {index}")
+        frames, segments = SegmentFrames(self.reader, decode), segment_layout(self.reader, coder.describe())
+        return HapticMedium(coded.grid, head.rate_hz, head.frame_count, frames, segments=segments)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.codec.registry import coder
-from touchfield.codec.segment import BitAccount, BoundRule, bound_keys, compression_ratio, promise_kept
+from touchfield.codec.segment import BitAccount, BoundRule, bound_keys, compression_ratio, max_error_keys
 from touchfield.compute.threads import Report, silent
 from touchfield.container import TouchReader
 from touchfield.container.remote import is_live
@@ -22,7 +22,7 @@ from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.budget import require_memory
 from touchfield.medium.grid import Placement
 from touchfield.pipeline import native_decoder
-from touchfield.pipeline.decoded_frames import SegmentFrames, VibrationFrames, segments_of
+from touchfield.pipeline.decoded_frames import SegmentFrames, VibrationFrames, segment_layout
 
 if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 FILTERED: Final = "the device-filtered field, behind any haptic filters"
-"""The reference of a promise, unless a file tells otherwise; `touchfield field` writes it."""
+"""The field that an error bound refers to, unless a file states another; `touchfield field` writes it."""
 
 
 class OpenStream(ABC):
@@ -46,10 +46,10 @@ class OpenStream(ABC):
     """
 
     is_live = False
-    """True if it has no end, and frames are waited for."""
+    """True if the stream has no end, and reading a frame may wait for it."""
 
     is_native = False
-    """True if `touchfield_core` decodes its frames, and no kernel."""
+    """True if `touchfield_core` decodes its frames instead of the compiled kernels."""
 
     def __init__(self, reader: TouchReader) -> None:
         self.reader, self.file_bytes = reader, reader.size
@@ -57,8 +57,8 @@ class OpenStream(ABC):
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
 
     @property
-    def told_device(self) -> Device:
-        """The device that the stream was made for, as far as it tells; no profile is looked up."""
+    def declared_device(self) -> Device:
+        """The device that the stream was made for, from its head alone; no profile is looked up."""
         from touchfield.devices import Device
 
         head = self.reader.head
@@ -76,17 +76,15 @@ class OpenStream(ABC):
 
     @property
     def placement(self) -> Placement:
-        """The place of the scene in the workspace: ``to_hand(points)`` and ``to_scene(points)``."""
+        """The placement of the scene in the workspace: ``to_hand(points)`` and ``to_scene(points)``."""
         return Placement(self.reader.head.mapping_scale, self.reader.head.mapping_offset_m)
 
     @property
-    def _beside(self) -> dict[str, Any]:
-        """Companions of the frames, as a medium and a scene have it."""
+    def _metadata(self) -> dict[str, Any]:
+        """The fields of a medium and of a scene besides their frames."""
         names = ("rate_hz", "axes", "friction", "damping_n_s_per_m", "tags")
-        return {
-            **{name: getattr(self.reader.head, name) for name in names},
-            "provenance": self.reader.provenance,
-        }
+        metadata = {name: getattr(self.reader.head, name) for name in names}
+        return metadata | {"provenance": self.reader.provenance}
 
     @property
     @abstractmethod
@@ -95,45 +93,45 @@ class OpenStream(ABC):
 
     @property
     def scene(self) -> HapticScene | None:
-        """The decoded objects; None where the file holds voxels."""
+        """The decoded objects; None if the file has voxels."""
         return None
 
     @property
     def masking(self) -> tuple[float, float] | None:
-        """Share and radius, metres, of the promise's spatial masking; None where it has none."""
+        """Fraction and radius in metres of the error bound's spatial masking; None without masking."""
         return None
 
     @property
     @abstractmethod
     def bits(self) -> BitAccount:
-        """Bits by what they tell; those of the file's frame are not counted."""
+        """Bits by their content, without the bits of the container."""
 
     @property
     @abstractmethod
     def bound_rule(self) -> BoundRule:
-        """What its coder guarantees of each voxel, if its segments state that they keep it."""
+        """The bound that the coder guarantees for each voxel, if the segments state that they keep it."""
 
     @property
     @abstractmethod
-    def promise(self) -> dict[str, Any]:
-        """Keys of `codec.segment.promise_kept`; nothing is decoded. Empty of a coder that has no promise."""
+    def max_error_summary(self) -> dict[str, Any]:
+        """Keys of `codec.segment.max_error_keys`, empty for a coder without error bound; decodes nothing."""
 
     def error_bound(self) -> dict[str, Any]:
-        """The bound that is proved and the largest error in units of it: keys of `bound_keys` and `promise`."""
-        promise = self.promise
-        return {**bound_keys(self.bound_rule, promise), **promise}
+        """The proved error bound and the largest error: keys of `bound_keys` and `max_error_summary`."""
+        max_error = self.max_error_summary
+        return {**bound_keys(self.bound_rule, max_error), **max_error}
 
     @abstractmethod
     def _coder(self) -> dict[str, Any]:
-        """Keys of the summary that only its coder knows."""
+        """Keys of the summary that depend on the coder."""
 
     @property
     def _vibration(self) -> VibrationFrames | None:
-        """The vibration beside the force; None where the file tells of nothing."""
+        """The vibration in addition to the force; None if the file has none."""
         return VibrationFrames(self.reader, self.grid) if self.reader.has_vibration else None
 
     def supported_voxels(self, report: Report = silent) -> int:
-        """Voxels that hold a force, over all frames; all are decoded."""
+        """Number of voxels with a force over all frames; decodes every frame."""
         medium, count = self.medium, 0
         for i in range(len(medium)):
             count += medium[i].support_count
@@ -141,12 +139,12 @@ class OpenStream(ABC):
         return count
 
     def bits_of_voxels(self, supported: int) -> dict[str, Any]:
-        """Stable keys: all bits of the file for each voxel that holds a force once it is decoded."""
-        each = 8 * self.file_bytes / supported if supported else None
-        return {"decoded_supported_voxels": supported, "bits_per_decoded_voxel": each}
+        """Stable keys: all bits of the file per decoded voxel with a force."""
+        bits_per_voxel = 8 * self.file_bytes / supported if supported else None
+        return {"decoded_supported_voxels": supported, "bits_per_decoded_voxel": bits_per_voxel}
 
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs; those of the vibration only where there is one."""
+        """Stable keys for people and programs; those of the vibration only if the file has one."""
         head = self.reader.head
         size, bits, keys = self.file_bytes, self.bits, self._coder() | self.error_bound()
         keys |= {
@@ -190,13 +188,14 @@ class OpenStream(ABC):
 class VoxelStream(OpenStream):
     """A file whose segments are fields on its lattice.
 
-    A frame costs the decoding of its segment up to it, or one frame in sequence, then on all cores.
+    Reading a frame decodes its segment up to that frame; sequential access decodes each frame once, on all
+    cores.
     """
 
     def __init__(self, reader: TouchReader) -> None:
         super().__init__(reader)
         self.decoder: Any = coder(reader.head.coder).decoder_class(self.grid, reader.head.coder_parameters)
-        decoder: FieldDecoder = self.decoder  # and not `self`: the frames outlive the stream
+        decoder: FieldDecoder = self.decoder  # the frames outlive the stream: no `self` below
 
         def decoded(segment: int) -> Iterator[ForceField]:
             return decoder.frames(reader.read_segment(segment), reader.segments[segment].frame_count)
@@ -211,8 +210,8 @@ class VoxelStream(OpenStream):
             frame_count=self.reader.head.frame_count,
             make_frame=self._frames,
             vibration=self._vibration,
-            segments=segments_of(self.reader, self.decoder.describe()),
-            **self._beside,
+            segments=segment_layout(self.reader, self.decoder.describe()),
+            **self._metadata,
         )
 
     @property
@@ -223,16 +222,14 @@ class VoxelStream(OpenStream):
     @cached_property
     def costs(self) -> tuple[FrameCost, ...]:
         """Costs of all frames; reads every segment once, and decodes none."""
-        segments = enumerate(self.reader.segments)
-        return tuple(
-            cost
-            for i, s in segments
-            for cost in self.decoder.costs(self.reader.read_segment(i), s.frame_count)
-        )
+        costs: list[FrameCost] = []
+        for i, segment in enumerate(self.reader.segments):
+            costs.extend(self.decoder.costs(self.reader.read_segment(i), segment.frame_count))
+        return tuple(costs)
 
     @property
     def bits(self) -> BitAccount:
-        return sum((c.bits for c in self.costs), BitAccount())
+        return sum((cost.bits for cost in self.costs), BitAccount())
 
     def _coder(self) -> dict[str, Any]:
         bits_by_kind: dict[str, list[int]] = {}
@@ -243,7 +240,7 @@ class VoxelStream(OpenStream):
             "frame_kinds": {kind: len(bits) for kind, bits in bits_by_kind.items()},
             "bits_per_frame_by_kind": {kind: float(np.mean(bits)) for kind, bits in bits_by_kind.items()},
         }
-        if not coder(self.reader.head.coder).has_promise:
+        if not coder(self.reader.head.coder).has_error_bound:
             return keys
         keys["guesses"] = sum(cost.bits.models > 0 for cost in self.costs)
         keys["bits_guesses"] = sum(cost.bits.models for cost in self.costs)
@@ -254,34 +251,35 @@ class VoxelStream(OpenStream):
         return coder(self.reader.head.coder).bound_rule(getattr(self.decoder, "spec", None))
 
     @property
-    def promise(self) -> dict[str, Any]:
-        if not coder(self.reader.head.coder).has_promise:
+    def max_error_summary(self) -> dict[str, Any]:
+        if not coder(self.reader.head.coder).has_error_bound:
             return {}
-        segments = enumerate(self.reader.segments)
-        worst = ((s.first_frame, self.decoder.worst(self.reader.read_segment(i))) for i, s in segments)
-        return promise_kept(worst)
+        return max_error_keys(
+            (segment.first_frame, self.decoder.max_error(self.reader.read_segment(i)))
+            for i, segment in enumerate(self.reader.segments)
+        )
 
 
 @contextmanager
 def open_stream(
-    path: str | Path, tell: Callable[[str], None] = lambda note: None, coarse: str | None = None
+    path: str | Path, on_note: Callable[[str], None] = lambda note: None, coarse: str | None = None
 ) -> Iterator[OpenStream]:
-    """Open a ``.touch`` file, the address of one, or of a live stream; decoding takes no configuration.
+    """Open a ``.touch`` file, by its path or address, or a live stream; decoding needs no configuration.
 
-    `tell` gets notes on what a live stream lost; `coarse` is the address of its coarse layer, which is felt
-    there.
+    `on_note` gets notes on the losses of a live stream; `coarse` is the address of its coarse layer, which
+    replaces lost or late segments.
     """
     if coarse is not None and not is_live(path):
         raise InvalidArgument("coarse", f"a layer of {path}", "one of a live stream, such as ws://HOST/live")
     if is_live(path):
-        with hook("open_live")(str(path), tell, coarse) as live:
+        with hook("open_live")(str(path), on_note, coarse) as live:
             yield live
         return
     with TouchReader(path) as reader:
-        yield opened(reader)
+        yield stream_of(reader)
 
 
-def opened(reader: TouchReader) -> OpenStream:
+def stream_of(reader: TouchReader) -> OpenStream:
     """The stream of a reader, by its coder.
 
     Raises UnsupportedVersion if there is no such coder.
@@ -296,28 +294,28 @@ def opened(reader: TouchReader) -> OpenStream:
 def write_field(
     path: str | Path, medium: HapticMedium, report: Report = silent, placement: Placement | None = None
 ) -> Path:
-    """Write a medium as ``.npz``, ``.zarr`` or ``.vti``, by the ending of `path`; the file to open.
+    """Write a medium as ``.npz``, ``.zarr`` or ``.vti``, by the ending of `path`; returns the file to open.
 
-    Several frames as ``.vti`` are numbered files and a ``.pvd`` that lists them: that is the one to open.
+    Several frames as ``.vti`` are numbered files and a ``.pvd`` that lists them, which is the one to open.
 
     Raises InvalidArgument if the ending is another, or a dense frame would take more than
-    `memory_budget_bytes`: a small file may tell of a large grid.
+    `memory_budget_bytes`: a small file may have a large grid.
     """
     from touchfield.medium.stores.npz import write_npz
     from touchfield.medium.stores.vti import write_vti
 
     path = Path(path)
-    attributes = placement.told() if placement is not None else {}
+    attributes = placement.to_dict() if placement is not None else {}
     if path.suffix == ".zarr":
         from touchfield.medium.stores.zarr_store import write_zarr
 
         write_zarr(path, medium, report, attributes)
         return path
-    what, mend = (
+    subject, hint = (
         f"each dense frame of {medium.grid.shape} samples",
         "Keep the .touch file, or set TOUCHFIELD_MEMORY_GIB.",
     )
-    require_memory(str(path), what, 12 * medium.grid.voxel_count, mend)
+    require_memory(str(path), subject, 12 * medium.grid.voxel_count, hint)
     if path.suffix == ".npz":
         write_npz(path, medium, report, attributes)
         return path

@@ -1,4 +1,4 @@
-"""medium -> coder -> segments -> file: the encoding half of figure 4, on all cores and in order."""
+"""source -> medium -> coder -> segments -> file: the encoding half of figure 4 of the paper."""
 
 from __future__ import annotations
 
@@ -27,32 +27,32 @@ from touchfield.pipeline.decoded_objects import write_objects
 from touchfield.pipeline.decoding import FILTERED, open_stream
 from touchfield.pipeline.preparation import Prepared, Source, as_source, is_stream, prepare
 from touchfield.pipeline.segments import (
-    coded_segments,
-    groups_of,
-    head_of,
-    lost_notes,
-    path_of,
-    spread_voxels,
-    stretches,
-    written,
+    encode_segments,
+    encode_with_workers,
+    file_head,
+    frame_ranges,
+    segment_inputs,
+    silent_frame_notes,
+    worker_path,
+    write_segments,
 )
 from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec
 
 
 @dataclass(frozen=True)
 class Encoded:
-    """The result of `encode`; of objects, the supported voxels are the samples of their own fields, coded
-    once each.
+    """The result of `encode`.
 
-    `told` are notes about the coding, and `search` what `encode_to_target` adds to the summary. `bound` tells
-    the error bound that the written file states (`OpenStream.error_bound`).
+    `supported_voxels` counts the samples with a force; of objects those of their own fields, which are coded
+    once each. `coding_notes` are notes on the coding; `search` has the keys that `encode_to_target` adds to
+    the summary; `bound` has the keys of the error bound that the file states (`OpenStream.error_bound`).
     """
 
     prepared: Prepared
     file_bytes: int
     encode_s: float
     supported_voxels: int
-    told: tuple[str, ...] = ()
+    coding_notes: tuple[str, ...] = ()
     search: Mapping[str, Any] = field(default_factory=dict)
     bound: Mapping[str, Any] = field(default_factory=dict)
 
@@ -65,10 +65,11 @@ class Encoded:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user."""
-        notes = (*self.prepared.notes, *self.prepared.learnt, *self.told)
+        notes = (*self.prepared.notes, *self.prepared.learnt, *self.coding_notes)
         if self.supported_voxels:
             return notes
-        return (*notes, "Nothing can be felt: no sample holds a force (--nw, --mapping, --thickness-m)")
+        empty = "The result is empty: no sample has a force. Check --mapping, --nw or --thickness-m."
+        return (*notes, empty)
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -77,7 +78,7 @@ class Encoded:
             **self.prepared.summary(),
             "coder": spec.coder,
             **coder(spec.coder).summary(spec.coding),
-            **({"promise_against": self.prepared.reference} if coder(spec.coder).has_promise else {}),
+            **({"promise_against": self.prepared.reference} if coder(spec.coder).has_error_bound else {}),
             "k": spec.k,
             "f0_n": spec.f0_n,
             **self.bound,
@@ -101,84 +102,104 @@ def encode(
 ) -> Encoded:
     """Turn a source into a ``.touch`` file.
 
-    A path, a scene, a medium, a field or an array: a medium and a field keep their lattice and forces; an
-    array of newtons [nx, ny, nz, 3] or, at 30 frames a second, [frame, nx, ny, nz, 3] is one on `grid`.
+    `source` is a path, a scene, a medium, a field or an array. A medium and a field keep their lattice and
+    forces. An array has newtons on `grid`: [nx, ny, nz, 3], or [frame, nx, ny, nz, 3] at 30 frames a second.
     `report` gets ``(done, total)`` in frames. With `executor`, any of `concurrent.futures`, its workers open
-    a path and code stretches of its frames; the bytes are the same. What they finished before an error stays
-    in ``OUT.parts``, and the same call goes on from there. `out` may lie in a store of objects (``s3://...``,
-    extra ``remote``): the file is made as ``NAME.unsent`` in the working folder, sent as a whole, and
-    removed; it stays there if it cannot be sent. TouchfieldError if anything is at fault; nothing is then
-    left under the name `out`.
+    the path and code ranges of its frames; the bytes are the same. The parts that they finished before an
+    error stay in ``OUT.parts``, and the same call continues from there. `out` may be in an object store
+    (``s3://...``, extra ``remote``): the file is written as ``NAME.unsent`` in the working folder, uploaded
+    as a whole, and removed; it stays there if the upload fails. Raises TouchfieldError; no file `out` is then
+    left.
     """
-    began = time.perf_counter()
+    start_s = time.perf_counter()
     spec = spec or EncodeSpec()
     if not (isinstance(out, str | Path) and isinstance(spec, EncodeSpec)):
         raise InvalidArgument(
             "out, spec", f"{out!r:.80}, a {type(spec).__name__}", "a path and an EncodeSpec"
         )
-    require_ending(out, "OUT.touch", mend="A field is written by `write_field`.")
-    send, here = (sender(str(out)), Path(f"{Path(out).name}.unsent")) if is_remote(out) else (None, Path(out))
+    require_ending(out, "OUT.touch", hint="A field is written by `write_field`.")
+    send = sender(str(out)) if is_remote(out) else None
+    local_path = Path(out) if send is None else Path(f"{Path(out).name}.unsent")
     scene = as_source(source, spec.device, grid)
     prepared = prepare(scene, spec)
-    story = provenance_of(scene, prepared)
+    provenance = file_provenance(scene, prepared)
     if executor is None or prepared.scene is not None:
-        done = encode_prepared(prepared, here, story, report)
+        encoded = encode_prepared(prepared, local_path, provenance, report)
         if executor is not None:
-            done = replace(done, told=("Objects take one process: no worker was asked",))
+            encoded = replace(encoded, coding_notes=("Objects are coded in one process, without workers.",))
     else:
-        supported, notes = spread_voxels(here, path_of(source), prepared, story, executor, report)
-        done = Encoded(prepared, here.stat().st_size, 0.0, supported, notes, bound=bound_of(here))
-    done = replace(done, encode_s=time.perf_counter() - began)
+        path = worker_path(source)
+        supported, notes = encode_with_workers(local_path, path, prepared, provenance, executor, report)
+        size, bound = local_path.stat().st_size, file_error_bound(local_path)
+        encoded = Encoded(prepared, size, 0.0, supported, notes, bound=bound)
+    encoded = replace(encoded, encode_s=time.perf_counter() - start_s)
     if send is not None:
-        send(here)
-        here.unlink()
-    return done
+        send(local_path)
+        local_path.unlink()
+    return encoded
 
 
 def encode_prepared(
     prepared: Prepared, out: str | Path, provenance: Mapping[str, str], report: Report = silent
 ) -> Encoded:
-    """Write what `prepare` made as a ``.touch`` file, coded as its spec says; the bytes are the same on any
-    machine.
+    """Write a prepared source as a ``.touch`` file, coded by its spec.
 
-    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
+    The bytes are the same on any machine. Raises TouchfieldError; no file `out` is then left.
     """
-    began, lost = time.perf_counter(), 0
+    start_s = time.perf_counter()
     if prepared.source is not None:
         prepared.source.report = report
     with TouchWriter(Path(out)) as writer:
         if prepared.scene is not None:
-            floor_n = prepared.spec.f0_n or DEFAULT_F0_N  # poses need some
-            objects = ObjectsEncoder(prepared.scene, prepared.coding, floor_n)
-            writer.write_head(head_of(prepared, objects), provenance)
-            write_objects(writer, objects, len(prepared.scene), report)
-            supported = objects.supported
+            supported, silent_frames = _write_scene(writer, prepared, provenance, report), 0
         else:
-            medium, spec, ready, done, supported = prepared.medium, prepared.spec, 0, 0, 0
-
-            def tell(count: int) -> None:
-                nonlocal ready
-                ready = count
-                report(
-                    (ready + done) // 2, len(medium)
-                )  # a frame is done half when made, and half when coded
-
-            encoder = field_encoder(medium.grid, prepared.coding)
-            writer.write_head(head_of(prepared, encoder), provenance)
-            groups = (
-                groups_of(medium, spec, encoder, *one, tell) for one in stretches(medium, spec, encoder)
-            )
-            coded = coded_segments(encoder, medium.vibration is not None, chain.from_iterable(groups))
-            for one in written(writer, coded):
-                done, supported, lost = done + one.frames, supported + one.supported, lost + one.lost
-                tell(ready)
-    size, notes = Path(out).stat().st_size, lost_notes(prepared, lost)
-    bound = bound_of(out)
-    return Encoded(prepared, size, time.perf_counter() - began, supported, notes, bound=bound)
+            supported, silent_frames = _write_voxels(writer, prepared, provenance, report)
+    size, notes = Path(out).stat().st_size, silent_frame_notes(prepared, silent_frames)
+    bound = file_error_bound(out)
+    return Encoded(prepared, size, time.perf_counter() - start_s, supported, notes, bound=bound)
 
 
-def bound_of(path: str | Path) -> dict[str, Any]:
-    """Keys of the error bound that a file states (`OpenStream.error_bound`); nothing is decoded.
+def _write_scene(
+    writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Report
+) -> int:
+    """Write the head and the objects of a scene; the number of supported samples."""
+    assert prepared.scene is not None
+    floor_n = prepared.spec.f0_n or DEFAULT_F0_N  # poses need a threshold above 0
+    objects = ObjectsEncoder(prepared.scene, prepared.coding, floor_n)
+    writer.write_head(file_head(prepared, objects), provenance)
+    write_objects(writer, objects, len(prepared.scene), report)
+    return objects.supported
+
+
+def _write_voxels(
+    writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Report
+) -> tuple[int, int]:
+    """Write the head and the segments of a medium; the number of supported samples and of silent frames."""
+    medium, spec = prepared.medium, prepared.spec
+    made = coded = supported = silent_frames = 0
+
+    def on_made(count: int) -> None:
+        nonlocal made
+        made = count
+        report((made + coded) // 2, len(medium))  # making and coding a frame count half each
+
+    encoder = field_encoder(medium.grid, prepared.coding)
+    writer.write_head(file_head(prepared, encoder), provenance)
+    inputs = chain.from_iterable(
+        segment_inputs(medium, spec, encoder, frame_range, start_fields, on_made)
+        for frame_range, start_fields in frame_ranges(medium, spec, encoder)
+    )
+    segments = encode_segments(encoder, medium.vibration is not None, inputs)
+    for segment in write_segments(writer, segments):
+        coded += segment.frame_count
+        supported += segment.supported
+        silent_frames += segment.silent_frames
+        on_made(made)
+    return supported, silent_frames
+
+
+def file_error_bound(path: str | Path) -> dict[str, Any]:
+    """Keys of the error bound that a file states (`OpenStream.error_bound`); no frame is decoded.
 
     Warns with `UnboundedError` if it states none.
     """
@@ -188,17 +209,17 @@ def bound_of(path: str | Path) -> dict[str, Any]:
     return bound
 
 
-def provenance_of(source: Source, prepared: Prepared) -> dict[str, str]:
-    """The file's account of where it comes from."""
+def file_provenance(source: Source, prepared: Prepared) -> dict[str, str]:
+    """The provenance of a file: version, source and spec; of a source that is a stream also its own."""
     name = str(source) if isinstance(source, str | Path) else "scene"
     spec = prepared.spec.to_json(prepared.has_law)
-    told = os.fsencode(Path(name).name).decode("utf-8", "replace")  # a name may be any bytes
-    told = re.sub(r"[\0-\x1f\x7f-\x9f]", "\N{REPLACEMENT CHARACTER}", told)
-    said = {"touchfield": __version__, "source": told[:255], "spec": spec}
+    shown_name = os.fsencode(Path(name).name).decode("utf-8", "replace")  # a name may be any bytes
+    shown_name = re.sub(r"[\0-\x1f\x7f-\x9f]", "\N{REPLACEMENT CHARACTER}", shown_name)
+    provenance = {"touchfield": __version__, "source": shown_name[:255], "spec": spec}
     if prepared.reference != FILTERED:
-        said["reference"] = prepared.reference
-    was = (prepared.scene or prepared.medium).provenance
+        provenance["reference"] = prepared.reference
+    source_provenance = (prepared.scene or prepared.medium).provenance
     for key in ("source", "spec") if is_stream(source) else ():
-        if key in was:  # what was decoded has a history of its own
-            said[f"source.{key}"] = was[key]
-    return said
+        if key in source_provenance:
+            provenance[f"source.{key}"] = source_provenance[key]
+    return provenance

@@ -1,8 +1,9 @@
-"""medium -> coder -> segments: the encoding half of figure 4, in stretches that do not need each other.
+"""medium -> coder -> segments: the encoding half of figure 4, in independent ranges of frames.
 
-A segment is coded alone, but where it ends, and what it begins with where the world stands, depends on what
-is before it. So a medium is cut into stretches of whole segments, at places that only its rate tells; each is
-coded without the others, in this process or another, to the same bytes.
+A segment is coded on its own, but its length, and its key frame where the world stands still, depend on the
+frames before it. The medium is therefore cut into ranges of whole segments, at frames that follow from its
+rate alone. Each range is coded independently of the others, in this process or in another one, to the same
+bytes.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from typing import Any, Final, NamedTuple
 
 from touchfield._version import __version__
 from touchfield.codec.objects.encoder import ObjectsEncoder
-from touchfield.codec.registry import AnchoringEncoder, FieldEncoder, field_encoder
+from touchfield.codec.registry import FieldEncoder, KeyFrameEncoder, field_encoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Report
@@ -33,191 +34,215 @@ from touchfield.medium.medium import VibrationFrame
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.spec import EncodeSpec
 
-Group = tuple[list[ForceField], list["VibrationFrame"], ForceField | None]
-"""The frames of one segment; what vibrates in each, none where the medium does not vibrate; and an anchor."""
+SegmentInput = tuple[list[ForceField], list["VibrationFrame"], ForceField | None]
+"""Frames of one segment, their vibration (an empty list if the medium has none), and the key frame."""
 
-MOST_BYTES_HELD = (
-    1 << 27
-)  # a segment ends once its fields take more: eight of the largest are coded at a time
-MOST_BYTES_UNDER_WAY = 1 << 30  # no further segment is begun while the fields of those being coded take more
+MAX_SEGMENT_BYTES = 1 << 27
+"""A segment ends once its fields take more. Eight of the largest are coded at a time."""
 
-STRETCH = 4
-"""Of the longest segments: where a stretch ends, one may end early."""
+MAX_PENDING_BYTES = 1 << 30
+"""No further segment is started while the fields of those being coded take more."""
+
+SEGMENTS_PER_RANGE = 4
+"""Number of segments of the greatest length in a range. The last segment of a range may end early."""
 
 
-class Stretch(NamedTuple):
-    """Frames of whole segments; of a coder with anchors the frame that the first of them is to begin like."""
+class FrameRange(NamedTuple):
+    """Frames `start` to `stop`, whole segments; `key_frame` is the index of the first segment's key frame.
+
+    `key_frame` is None for a coder without key frames.
+    """
 
     start: int
     stop: int
-    anchor: int | None = None
+    key_frame: int | None = None
 
 
-class Coded(NamedTuple):
-    """A segment: its bytes, those of what vibrates if anything does, its frames, and its samples with a
-    force.
+class EncodedSegment(NamedTuple):
+    """The bytes of a segment and of its vibration, its number of frames, and its supported samples.
+
+    `silent_frames` counts the frames that have a force and are decoded without any.
     """
 
     body: bytes
     vibration: bytes | None
-    frames: int
+    frame_count: int
     supported: int = 0
-    lost: int = 0  # frames that hold a force and are decoded without any
+    silent_frames: int = 0
 
 
-def stretches(
+def frame_ranges(
     medium: HapticMedium, spec: EncodeSpec, encoder: FieldEncoder
-) -> Iterator[tuple[Stretch, tuple[ForceField, ForceField] | None]]:
-    """The stretches of a medium, each with its first frame and its anchor where these had to be made.
+) -> Iterator[tuple[FrameRange, tuple[ForceField, ForceField] | None]]:
+    """Cut a medium into ranges; yield each with its first frame and key frame, if these had to be made.
 
-    The anchor of a stretch is that of the one before where its first frame is as good
-    (`AnchoringEncoder.anchor`).
+    A range keeps the key frame of the range before it if that is as good for its first frame
+    (`KeyFrameEncoder.key_frame`).
     """
     length, longest = spec.segment_frames_at(medium.rate_hz), spec.longest_segment_at(medium.rate_hz)
-    each = STRETCH * -(-longest // length) * length
-    anchor, place = None, 0
-    for start in range(0, len(medium), each):
-        stop = min(start + each, len(medium))
-        if not isinstance(encoder, AnchoringEncoder):
-            yield Stretch(start, stop), None
+    range_frames = SEGMENTS_PER_RANGE * -(-longest // length) * length
+    key_frame, key_frame_index = None, 0
+    for start in range(0, len(medium), range_frames):
+        stop = min(start + range_frames, len(medium))
+        if not isinstance(encoder, KeyFrameEncoder):
+            yield FrameRange(start, stop), None
             continue
         first = medium[start]
-        kept = encoder.anchor(first, anchor)
-        if kept is first:
-            anchor, place = first, start
-        yield Stretch(start, stop, place), (first, kept)
+        chosen = encoder.key_frame(first, key_frame)
+        if chosen is first:
+            key_frame, key_frame_index = first, start
+        yield FrameRange(start, stop, key_frame_index), (first, chosen)
 
 
-def groups_of(
+def _start_fields(medium: HapticMedium, frame_range: FrameRange) -> tuple[ForceField, ForceField | None]:
+    """The first frame of a range and its key frame, which may be the same field."""
+    first = medium[frame_range.start]
+    if frame_range.key_frame is None:
+        return first, None
+    if frame_range.key_frame == frame_range.start:
+        return first, first
+    return first, medium[frame_range.key_frame]
+
+
+def segment_inputs(
     medium: HapticMedium,
     spec: EncodeSpec,
     encoder: FieldEncoder,
-    stretch: Stretch,
-    made: tuple[ForceField, ForceField] | None = None,
-    tell: Callable[[int], None] = lambda count: None,
-) -> Iterator[Group]:
-    """The frames of a stretch in groups, each small enough to be held in memory while it is coded.
+    frame_range: FrameRange,
+    start_fields: tuple[ForceField, ForceField] | None = None,
+    on_made: Callable[[int], None] = lambda count: None,
+) -> Iterator[SegmentInput]:
+    """Yield the frames of a range segment by segment, each small enough for memory while it is coded.
 
-    A frame that is the very one before does not count to a segment's length, up to that of a world that
-    stands. Such a world has an anchor, the field that a segment is to begin with. `made` are the first frame
-    and the anchor, where they are there; ``tell(count)`` how many frames of the medium have been made.
+    A frame that is the same object as the one before does not count towards the segment's length; the length
+    with such frames is bounded by `EncodeSpec.longest_segment_at`. `start_fields` are the first frame and the
+    key frame, if they exist already; ``on_made(count)`` gets the number of frames of the medium made so far.
     """
     length, longest = spec.segment_frames_at(medium.rate_hz), spec.longest_segment_at(medium.rate_hz)
-    first = made[0] if made else medium[stretch.start]
-    anchor = made[1] if made else first if stretch.anchor == stretch.start else None
-    if made is None and stretch.anchor is not None and anchor is None:
-        anchor = medium[stretch.anchor]
+    first, key_frame = start_fields or _start_fields(medium, frame_range)
     frames: list[ForceField] = []
     band: list[VibrationFrame] = []
     size = counted = 0
-    others = (medium[i] for i in range(stretch.start + 1, stretch.stop))
-    for i, frame in enumerate(chain([first], others), stretch.start):
+    later_frames = (medium[i] for i in range(frame_range.start + 1, frame_range.stop))
+    for i, frame in enumerate(chain([first], later_frames), frame_range.start):
         if not frames or frame is not frames[-1]:
             counted += 1
             size += frame.forces_n.nbytes
         frames.append(frame)
         if medium.vibration is not None:
             band.append(medium.vibration(i))
-        tell(i + 1)
-        is_full = counted == length or len(frames) == longest or size > MOST_BYTES_HELD
-        if is_full or i + 1 == stretch.stop:
-            if isinstance(encoder, AnchoringEncoder):
-                anchor = encoder.anchor(frames[0], anchor)
-            yield frames, band, anchor
+        on_made(i + 1)
+        is_full = counted == length or len(frames) == longest or size > MAX_SEGMENT_BYTES
+        if is_full or i + 1 == frame_range.stop:
+            if isinstance(encoder, KeyFrameEncoder):
+                key_frame = encoder.key_frame(frames[0], key_frame)
+            yield frames, band, key_frame
             frames, band, size, counted = [], [], 0, 0
 
 
-def coded_segments(encoder: FieldEncoder, vibrates: bool, groups: Iterable[Group]) -> Iterator[Coded]:
-    """Each group as a segment, on all cores and in order."""
+def encode_segments(
+    encoder: FieldEncoder, has_vibration: bool, inputs: Iterable[SegmentInput]
+) -> Iterator[EncodedSegment]:
+    """Encode each input as a segment, on all cores; the results are in order."""
 
-    def coded(group: Group) -> Coded:
-        frames, band, anchor = group
-        beside = encode_vibration(band) if vibrates else None
-        if isinstance(encoder, AnchoringEncoder):
-            segment = encoder.encode_segment(frames, anchor)
+    def encode(segment_input: SegmentInput) -> EncodedSegment:
+        frames, band, key_frame = segment_input
+        vibration = encode_vibration(band) if has_vibration else None
+        if isinstance(encoder, KeyFrameEncoder):
+            segment = encoder.encode_segment(frames, key_frame)
         else:
             segment = encoder.encode_segment(frames)
-        held = [frame.support_count for frame in frames]
-        lost = sum(n > 0 and not one.sent for n, one in zip(held, segment.frames, strict=True))
-        return Coded(segment.body, beside, len(frames), sum(held), lost)
+        supports = [frame.support_count for frame in frames]
+        silent_frames = sum(
+            support > 0 and not frame.sent for support, frame in zip(supports, segment.frames, strict=True)
+        )
+        return EncodedSegment(segment.body, vibration, len(frames), sum(supports), silent_frames)
 
-    def weight(group: Group) -> int:
-        return sum(frame.forces_n.nbytes for frame in group[0])
+    def field_bytes(segment_input: SegmentInput) -> int:
+        return sum(frame.forces_n.nbytes for frame in segment_input[0])
 
-    return in_order(coded, groups, weight, MOST_BYTES_UNDER_WAY)
-
-
-def written(writer: TouchWriter, segments: Iterable[Coded]) -> Iterator[Coded]:
-    """Each segment once it is written behind those before it."""
-    at = 0
-    for one in segments:
-        if one.vibration is not None:
-            writer.write_vibration(at, one.frames, one.vibration)
-        writer.write_segment(at, one.frames, one.body)
-        at += one.frames
-        yield one
+    return in_order(encode, inputs, field_bytes, MAX_PENDING_BYTES)
 
 
-def head_of(prepared: Prepared, encoder: FieldEncoder | ObjectsEncoder) -> Head:
-    """The head of what was prepared, as it is coded."""
-    medium, grid, device, place = prepared.medium, prepared.medium.grid, prepared.device, prepared.placement
+def write_segments(writer: TouchWriter, segments: Iterable[EncodedSegment]) -> Iterator[EncodedSegment]:
+    """Write segments one after the other; yield each once it is written."""
+    first_frame = 0
+    for segment in segments:
+        if segment.vibration is not None:
+            writer.write_vibration(first_frame, segment.frame_count, segment.vibration)
+        writer.write_segment(first_frame, segment.frame_count, segment.body)
+        first_frame += segment.frame_count
+        yield segment
+
+
+def file_head(prepared: Prepared, encoder: FieldEncoder | ObjectsEncoder) -> Head:
+    """The head of the file that `encoder` writes of a prepared source."""
+    medium, grid, device, placement = (
+        prepared.medium,
+        prepared.medium.grid,
+        prepared.device,
+        prepared.placement,
+    )
     return Head(
         grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, rate_hz=medium.rate_hz,
         frame_count=len(medium), axes=medium.axes, device_name=device.name, device_type=device.type,
-        force_max_n=device.force_max_n, mapping_scale=place.scale, mapping_offset_m=place.offset_m,
+        force_max_n=device.force_max_n, mapping_scale=placement.scale, mapping_offset_m=placement.offset_m,
         weber_fraction=prepared.spec.k, force_threshold_n=prepared.spec.f0_n, friction=medium.friction,
         damping_n_s_per_m=medium.damping_n_s_per_m, tags=medium.tags, coder=encoder.name,
         coder_parameters=encoder.parameters,
     )  # fmt: skip
 
 
-def lost_notes(prepared: Prepared, lost: int) -> tuple[str, ...]:
-    """A note on frames that hold a force and are decoded without any, if there are such."""
-    what = f"In {lost} of {len(prepared.medium)} frames nothing can be felt: every force is below --f0-n"
-    mend = " (a lower one, a greater --stiffness-n-per-m or --nw)" if prepared.has_law else ""
-    return (what + mend,) if lost else ()
+def silent_frame_notes(prepared: Prepared, count: int) -> tuple[str, ...]:
+    """A note on the frames that have a force and are decoded without any; empty if `count` is 0."""
+    if not count:
+        return ()
+    note = f"{count} of {len(prepared.medium)} frames are decoded without any force: all are below --f0-n"
+    if prepared.has_law:
+        note += " (lower it, or raise --stiffness-n-per-m or --nw)"
+    return (note,)
 
 
-ALONE: Final = Lock()
-"""A process makes and codes one stretch at a time, on all of its threads: sources are not made for more."""
+ENCODING_LOCK: Final = Lock()
+"""A process makes and codes one range at a time, on all of its threads: sources are not thread-safe."""
 
 
-def path_of(source: object) -> str:
-    """A path as workers in any folder know it; InvalidArgument for what they could not open."""
+def worker_path(source: object) -> str:
+    """The path by which workers in any folder open a source; InvalidArgument if it is no path."""
     if not isinstance(source, str | Path):
         found = f"a {type(source).__name__}, which stays in its process"
-        mend = "Write it first: touchfield.write_field."
-        raise InvalidArgument("source", found, "a path, which workers can open", mend)
+        hint = "Write it first: touchfield.write_field."
+        raise InvalidArgument("source", found, "a path, which workers can open", hint)
     path = Path(source)
     return str(path.resolve()) if path.exists() else str(source)
 
 
-class Task(NamedTuple):
-    """A stretch to be coded; `job` tells the tasks of one file from those of others."""
+class EncodeTask(NamedTuple):
+    """A range to be coded; `job` identifies the file that it belongs to (`job_name`)."""
 
     job: str
     source: str
     spec: EncodeSpec
-    stretch: Stretch
+    frame_range: FrameRange
     version: str = __version__
 
 
-class Part(NamedTuple):
-    """Segments of a stretch, and what was learnt while its frames were made."""
+class EncodedPart(NamedTuple):
+    """The segments of a range, and the notes that its source had once the frames were made."""
 
-    segments: tuple[Coded, ...]
+    segments: tuple[EncodedSegment, ...]
     notes: tuple[str, ...]
 
 
 _prepared: dict[str, Prepared] = {}
-"""By the name of its job, what this process codes."""
+"""The source that this process codes, by the name of its job; at most one."""
 
 
-def prepared_here(job: str, source: str, spec: EncodeSpec, version: str) -> Prepared:
-    """The source of a job, prepared once in each process; InvalidArgument if another version began the job."""
+def prepare_once(job: str, source: str, spec: EncodeSpec, version: str) -> Prepared:
+    """Prepare the source of a job, once in each process; InvalidArgument if `version` is another one."""
     if version != __version__:
         raise InvalidArgument(
-            "a worker", f"touchfield {__version__}", f"{version}, as where the job was begun"
+            "a worker", f"touchfield {__version__}", f"{version}, as where the job was started"
         )
     if job not in _prepared:
         _prepared.clear()
@@ -225,21 +250,22 @@ def prepared_here(job: str, source: str, spec: EncodeSpec, version: str) -> Prep
     return _prepared[job]
 
 
-def code_part(task: Task) -> Part:
-    """Code a stretch, in whichever process this is.
+def encode_part(task: EncodeTask) -> EncodedPart:
+    """Encode one range, in this process; run by a worker.
 
-    At most the source, a frame and 1 GiB of fields are held. InvalidArgument if another version sent the
+    Memory holds at most the source, a frame and 1 GiB of fields. InvalidArgument if another version sent the
     task.
     """
-    with ALONE:
-        prepared = prepared_here(task.job, task.source, task.spec, task.version)
+    with ENCODING_LOCK:
+        prepared = prepare_once(task.job, task.source, task.spec, task.version)
         medium = prepared.medium
         encoder = field_encoder(medium.grid, prepared.coding)
-        groups = groups_of(medium, task.spec, encoder, task.stretch)
-        return Part(tuple(coded_segments(encoder, medium.vibration is not None, groups)), prepared.learnt)
+        inputs = segment_inputs(medium, task.spec, encoder, task.frame_range)
+        segments = tuple(encode_segments(encoder, medium.vibration is not None, inputs))
+        return EncodedPart(segments, prepared.learnt)
 
 
-def spread_voxels(
+def encode_with_workers(
     out: Path,
     source: str,
     prepared: Prepared,
@@ -247,109 +273,126 @@ def spread_voxels(
     executor: Executor,
     report: Report,
 ) -> tuple[int, tuple[str, ...]]:
-    """Write the voxel representation with the workers of an executor; samples with a force, and notes.
+    """Write the voxel representation with the workers of an executor.
 
-    Parts lie in ``OUT.parts`` until the file is whole, and stay there if anything is at fault.
+    Returns the number of supported samples, and notes. The encoded parts are in the folder ``OUT.parts``
+    until the file is complete, and stay there after an error.
     """
     medium = prepared.medium
     encoder = field_encoder(medium.grid, prepared.coding)
-    head = head_of(prepared, encoder)
-    job, folder = name_of(source, repr(head), dict(provenance)), Path(f"{out}.parts")
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise SourceError(str(folder), error.strerror or "an error", "a folder that can be made") from None
-    parts = _Parts(folder, head, job)
-    waiting: deque[Stretch] = deque()
-    every: list[Stretch] = []
+    head = file_head(prepared, encoder)
+    job = job_name(source, repr(head), dict(provenance))
+    parts = _PartFolder(Path(f"{out}.parts"), head, job)
+    pending: deque[FrameRange] = deque()
+    all_ranges: list[FrameRange] = []
 
-    def tasks() -> Iterator[Task]:
-        cut = stretches(medium, prepared.spec, encoder)
+    def tasks() -> Iterator[EncodeTask]:
+        ranges = frame_ranges(medium, prepared.spec, encoder)
         while True:
-            with ALONE:  # this process may be a worker, too
-                stretch = next(cut, (None,))[0]
-            if stretch is None:
+            with ENCODING_LOCK:  # this process may also be a worker
+                frame_range = next(ranges, (None,))[0]
+            if frame_range is None:
                 return
-            every.append(stretch)
-            if not parts.has(stretch):
-                waiting.append(stretch)
-                yield Task(job, source, prepared.spec, stretch)
+            all_ranges.append(frame_range)
+            if not parts.has(frame_range):
+                pending.append(frame_range)
+                yield EncodeTask(job, source, prepared.spec, frame_range)
 
     notes: dict[str, None] = {}
-    for part in in_order(code_part, tasks(), executor=executor):
-        stretch = waiting.popleft()
-        parts.write(stretch, part)
+    for part in in_order(encode_part, tasks(), executor=executor):
+        frame_range = pending.popleft()
+        parts.write(frame_range, part)
         notes.update(dict.fromkeys(part.notes))
-        report(stretch.stop, len(medium))
-    supported, lost = parts.join(out, every, provenance)
-    shutil.rmtree(folder, ignore_errors=True)
-    if parts.found:
-        notes[f"{parts.found} of {len(every)} parts were there from an earlier run"] = None
-    return supported, (*notes, *lost_notes(prepared, lost))
+        report(frame_range.stop, len(medium))
+    supported, silent_frames = parts.join(out, all_ranges, provenance)
+    parts.remove()
+    if parts.reused:
+        notes[f"{parts.reused} of {len(all_ranges)} parts were there from an earlier run"] = None
+    return supported, (*notes, *silent_frame_notes(prepared, silent_frames))
 
 
-_SUMS: Final = ("supported", "lost")  # of a `Coded`, what a part tells of its segments together
+class _PartFolder:
+    """The folder of the encoded parts of one job, a small ``.touch`` file for each range.
 
-
-class _Parts:
-    """The folder of the parts of one job."""
+    The provenance of a part names its job and its first frame, and has the totals of its segments:
+    "supported" samples, and "lost", the frames that are decoded without a force. `reused` counts the parts of
+    an earlier run. SourceError if the folder cannot be made.
+    """
 
     def __init__(self, folder: Path, head: Head, job: str) -> None:
         self._folder, self._head, self._job = folder, head, job
-        self.found = 0
+        self.reused = 0
+        try:
+            folder.mkdir(exist_ok=True)
+        except OSError as error:
+            found = error.strerror or "an error"
+            raise SourceError(str(folder), found, "a folder that can be made") from None
 
-    def part(self, stretch: Stretch) -> tuple[Path, Head, dict[str, str]]:
-        """The file of a stretch, its head, and the least of its provenance."""
-        first, story = stretch.start, {"job": self._job, "first_frame": str(stretch.start)}
-        return (
-            self._folder / f"{first:010d}.touch",
-            replace(self._head, frame_count=stretch.stop - first),
-            story,
-        )
+    def part(self, frame_range: FrameRange) -> tuple[Path, Head, dict[str, str]]:
+        """The file of a range, its head, and the provenance that identifies it."""
+        path = self._folder / f"{frame_range.start:010d}.touch"
+        head = replace(self._head, frame_count=frame_range.stop - frame_range.start)
+        return path, head, {"job": self._job, "first_frame": str(frame_range.start)}
 
-    def has(self, stretch: Stretch) -> bool:
-        """True if the part is there, of this job, and whole; one that is not is made again."""
-        if not self.part(stretch)[0].exists():
+    def has(self, frame_range: FrameRange) -> bool:
+        """True if the part exists, belongs to this job and is undamaged; any other is made again."""
+        if not self.part(frame_range)[0].exists():
             return False
         with suppress(TouchfieldError):
-            for _ in self.read(stretch):
+            for _ in self.read(frame_range):
                 pass
-            self.found += 1
+            self.reused += 1
             return True
         return False
 
-    def write(self, stretch: Stretch, part: Part) -> None:
-        path, head, story = self.part(stretch)
+    def write(self, frame_range: FrameRange, part: EncodedPart) -> None:
+        """Write a part."""
+        path, head, provenance = self.part(frame_range)
+        supported = sum(segment.supported for segment in part.segments)
+        silent_frames = sum(segment.silent_frames for segment in part.segments)
+        totals = {"supported": str(supported), "lost": str(silent_frames)}
         with TouchWriter(path) as writer:
-            sums = {name: str(sum(getattr(one, name) for one in part.segments)) for name in _SUMS}
-            writer.write_head(head, {**story, **sums})
-            for _ in written(writer, part.segments):
+            writer.write_head(head, {**provenance, **totals})
+            for _ in write_segments(writer, part.segments):
                 pass
 
-    def read(self, stretch: Stretch) -> Iterator[Coded]:
-        """The segments of a part, whose checksums hold; CorruptFile if one does not."""
-        path, head, story = self.part(stretch)
+    def read(self, frame_range: FrameRange) -> Iterator[EncodedSegment]:
+        """The segments of a part, the first with the totals of all; CorruptFile if a checksum is wrong."""
+        path, head, provenance = self.part(frame_range)
         with TouchReader(path) as reader:
-            if reader.head != head or not story.items() <= reader.provenance.items():
+            if reader.head != head or not provenance.items() <= reader.provenance.items():
                 raise CorruptFile(str(path), "another part, or one of another job", "this one", "Delete it.")
-            sums = [int(reader.provenance[name]) for name in _SUMS]
+            totals = int(reader.provenance["supported"]), int(reader.provenance["lost"])
             for i, entry in enumerate(reader.segments):
-                counts = sums if i == 0 else ()
-                yield Coded(reader.read_segment(i), reader.read_vibration(i), entry.frame_count, *counts)
+                counts = totals if i == 0 else ()
+                body, vibration = reader.read_segment(i), reader.read_vibration(i)
+                yield EncodedSegment(body, vibration, entry.frame_count, *counts)
 
-    def join(self, out: Path, every: list[Stretch], provenance: Mapping[str, str]) -> list[int]:
-        """All parts as one file; of all of them the `_SUMS`."""
+    def join(
+        self, out: Path, frame_ranges: list[FrameRange], provenance: Mapping[str, str]
+    ) -> tuple[int, int]:
+        """Write all parts as one file; the supported samples and the silent frames of all of them."""
+        supported = silent_frames = 0
         with TouchWriter(out) as writer:
             writer.write_head(self._head, provenance)
-            parts = written(writer, chain.from_iterable(map(self.read, every)))
-            return [sum(column) for column in zip(*((one.supported, one.lost) for one in parts))]
+            for segment in write_segments(writer, chain.from_iterable(map(self.read, frame_ranges))):
+                supported += segment.supported
+                silent_frames += segment.silent_frames
+        return supported, silent_frames
+
+    def remove(self) -> None:
+        """Remove the folder and all parts."""
+        shutil.rmtree(self._folder, ignore_errors=True)
 
 
-def name_of(source: str, *asked: Any) -> str:
-    """A name for a job: what is asked, of which source, and how that is now."""
+def job_name(source: str, *options: Any) -> str:
+    """A name for a job: a hash of its options, its source, and the sizes and times of the source's files."""
     path, state = Path(source), []
-    files = sorted(path.rglob("*")) if path.is_dir() else [path] if path.exists() else []
+    if path.is_dir():
+        files = sorted(path.rglob("*"))
+    else:
+        files = [path] if path.exists() else []
     for file in files:
-        state_of = file.stat()
-        state.append((str(file), state_of.st_size, state_of.st_mtime_ns))
-    return hashlib.sha256(json.dumps([__version__, source, state, *asked]).encode()).hexdigest()
+        status = file.stat()
+        state.append((str(file), status.st_size, status.st_mtime_ns))
+    return hashlib.sha256(json.dumps([__version__, source, state, *options]).encode()).hexdigest()

@@ -1,8 +1,8 @@
-"""A medium, and what devices render of it, in bits (paper sections 3 and 3.1, equations 1 to 3).
+"""Measure a medium, and its rendering by devices, in bits (paper sections 3 and 3.1, equations 1 to 3).
 
-medium -> Q -> S -> entropies, coding limits, time      what the medium is as an information source
-medium -> M of a device -> Q -> C, WMR, HIL             what a device renders of it, and what it loses
-medium -> curl, work around loops                       whether its forces could feed a hand with energy
+medium -> Q -> S -> entropies, coding limits, time      the medium as an information source
+medium -> M of a device -> Q -> C, WMR, HIL             the information that a device renders and loses
+medium -> curl, work around loops                       whether its forces could give energy to a hand
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.options import option
-from touchfield.pipeline.mapping import SymbolFrames, mapped
+from touchfield.pipeline.mapping import SymbolFrames, map_to_device
 from touchfield.pipeline.preparation import StreamScene, is_stream, prepare
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.scene import Scene
@@ -55,10 +55,10 @@ _IN_TIME: Final[tuple[tuple[Callable[..., Quantity], str], ...]] = (
 
 @dataclass(frozen=True)
 class Measurement:
-    """Findings of `measure_medium`, for people, programs and eyes.
+    """The result of `measure_medium`.
 
-    `quantiser` is Q in words, `alphabet` K, its symbols with "no force"; `voxels` are those of one frame,
-    `supported_voxels` those of all frames after Q. `entropy` is H(S) over the weighting that was asked for,
+    `quantiser` is Q as text, `alphabet` is K, the number of its symbols with "no force"; `voxels` counts
+    those of one frame, `supported_voxels` those of all frames after Q. `entropy` is H(S) with the requested weighting,
     `voxel` over all voxels and `object` over the object alone: of the plug-in estimates H_voxel = h2(p) + p
     H_object holds exactly. `corrected` is `voxel` with the correction of Miller and Madow: how far the
     estimate may be trusted at all; `per_frame` is H(W), H_voxel times the voxels of a frame. `in_time` is of
@@ -111,9 +111,7 @@ class Measurement:
         }
 
     def draw(self, path: str | Path) -> None:
-        """Write the picture, PNG: the bits of the medium beside the limits of coding it, and each device's
-        share.
-        """
+        """Write the picture, PNG: bits of the medium, limits of its coding, and each device's fraction."""
         title = (
             f"{self.name}: {self.frames} frame{'s' * (self.frames > 1)} of {self.voxels:,} voxels, "
             f"{self.occupancy:.2%} with a force; Q {self.quantiser}, H(W) = {self.per_frame.value:,.0f} "
@@ -122,36 +120,36 @@ class Measurement:
         draw_information(Path(path), title, "bits per supported voxel", self._bars(), self.capacities)
 
     def _bars(self) -> list[Bar]:
-        """Bits of a supported voxel, from raw numbers to the best limit; telling where it is included."""
-        each = self.frames * self.voxels / self.supported_voxels
+        """Bits per supported voxel, from raw numbers to the best limit, with the cost of the support."""
+        voxels_per_supported = self.frames * self.voxels / self.supported_voxels
         i = self.voxel.interval
-        ends = None if i is None else (i.low * each, i.high * each)
-        shown = [
+        interval = None if i is None else (i.low * voxels_per_supported, i.high * voxels_per_supported)
+        bars = [
             Bar("three float32 numbers", float(RAW_BITS_PER_VECTOR)),
-            Bar("H(S) over voxels: no neighbours", self.voxel.value * each, ends),
+            Bar("H(S) over voxels: no neighbours", self.voxel.value * voxels_per_supported, interval),
         ]
         if self.limits is not None:
             for c in self.limits.contexts:
                 if c.per_voxel.value > 0 and not c.is_diluted:
-                    shown.append(Bar(c.per_voxel.name, c.per_voxel.value * each))
+                    bars.append(Bar(c.per_voxel.name, c.per_voxel.value * voxels_per_supported))
         if self.file_bits is not None:
-            shown.append(
+            bars.append(
                 Bar("this file, everything counted", self.file_bits / self.supported_voxels, is_actual=True)
             )
-        return shown
+        return bars
 
 
 @dataclass(frozen=True)
 class MeasureSpec:
-    """Options of `measure_medium`; InvalidArgument if it makes no sense.
+    """Options of `measure_medium`; InvalidArgument if one is invalid.
 
     `quantiser` None takes "distinct" for a ``.touch`` file of coder `paper`, whose decoder made the
     codewords, and "weber:0.1" for all else (coder `touch` has none, and the receiver interpolates between
     those of an object) and whenever a device is named. `devices` are the profiles whose capacity, WMR and HIL
-    are wanted; `limits` tells whether the coding limits are, which take most of the time. `encode` makes a
-    medium of a scene; its device is the reference space that W is sampled in. `density` None is as fine as
-    the device's data sheet has it, and no finer than W. The paper's W of 10^12 samples has 5 for one of the 8
-    10^9 of its device.
+    are measured; `limits` turns on the coding limits, which take most of the time. `encode` has the options
+    that make a medium of a scene; its device is the reference space in which W is sampled. `density` None is
+    that of the device's data sheet, and no finer than W. The paper's W of 10^12 samples has 5 per sample of
+    its device, of 8 10^9.
     """
 
     quantiser: str | None = option(
@@ -189,74 +187,77 @@ def measure_medium(
     pairs a voxel with itself one frame later. `report` gets ``(done, total)`` in steps of the work.
     """
     spec = spec or MeasureSpec()
-    for known in spec.devices:
-        device(known)  # what cannot be is said before the work
+    for profile_name in spec.devices:
+        device(profile_name)  # what cannot be is said before the work
     kind, _, trace = spec.over.partition(":")
     probe = read_trace(trace) if kind == "interaction" else None
     medium, name, notes, file_bits, is_of_codewords = _medium(source, spec)
     is_distinct = is_of_codewords and not spec.devices
-    asked = FieldQuantiserSpec.parse(spec.quantiser or ("distinct" if is_distinct else DEFAULT_QUANTISER))
+    quantiser_spec = FieldQuantiserSpec.parse(
+        spec.quantiser or ("distinct" if is_distinct else DEFAULT_QUANTISER)
+    )
     total = 3 + (len(medium) > 1) + spec.limits + len(spec.devices)
     steps = count()
 
-    def done(counts: bool = True) -> None:
+    def on_step(counts: bool = True) -> None:
         if counts:
             report(next(steps), total)
 
-    done()
-    quantise = asked.fit(medium)
+    on_step()
+    quantise = quantiser_spec.fit(medium)
     frames = SymbolFrames(medium, quantise)
-    done()
+    on_step()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
         counts = field_counts(frames)
         voxel = entropy(counts["voxel"], estimator=spec.estimator)
         supported = sum(frames.object_counts.values())
         if not supported:
-            found, mend = "a medium without any force", "Take other frames, or look at the source."
+            found, hint = "a medium without any force", "Take other frames, or look at the source."
             if quantise.top_n > 0:
-                found, mend = (
-                    f"a medium without any force under {quantise.words}",
+                found, hint = (
+                    f"a medium without any force under {quantise.text}",
                     "Take a finer --quantiser.",
                 )
-            raise InvalidArgument(name, found, "a support of at least one voxel", mend)
+            raise InvalidArgument(name, found, "a support of at least one voxel", hint)
         on_object = entropy(counts["object"], estimator=spec.estimator)
         corrected = entropy(counts["voxel"], estimator="miller-madow", interval=False)
-        asked_for = on_object if kind == "object" else voxel
+        entropy_over = on_object if kind == "object" else voxel
         if probe is not None:
-            taken, rate_hz = spec.encode.frames, medium.rate_hz
+            range_, rate_hz = spec.encode.frames, medium.rate_hz
             moved = Trace(
-                probe.times_s - (taken[0] if taken else 0) / rate_hz, probe.positions_m
+                probe.times_s - (range_[0] if range_ else 0) / rate_hz, probe.positions_m
             )  # since the source
-            is_still = len(frames) == 1 and taken is None  # there at all times
-            visited, clock_hz = (frames[0], None) if is_still else (frames, rate_hz)
-            asked_for = interaction_entropy(moved, visited, spec.estimator, rate_hz=clock_hz)
-        done()
+            is_static = len(frames) == 1 and range_ is None  # there at all times
+            visited, clock_hz = (frames[0], None) if is_static else (frames, rate_hz)
+            entropy_over = interaction_entropy(moved, visited, spec.estimator, rate_hz=clock_hz)
+        on_step()
         in_time = {}
         if len(frames) > 1:
             both = field_counts(frames[1:], frames[:-1], ("voxel",))["voxel"]  # each beside the one before
             in_time = {
-                one.__name__: one(both, estimator=spec.estimator).of(name=told) for one, told in _IN_TIME
+                quantity.__name__: quantity(both, estimator=spec.estimator).of(name=label)
+                for quantity, label in _IN_TIME
             }
-        done(len(frames) > 1)
+        on_step(len(frames) > 1)
         limits = coding_limits(frames) if spec.limits else None
-        done(spec.limits)
+        on_step(spec.limits)
         per_frame = voxel.times(medium.grid.voxel_count, "bit/frame", "H(W)")
         capacities = {}
         for device_name in spec.devices:
             capacities[device_name], more = _capacity(
-                frames, counts["voxel"], per_frame, device_name, asked, spec
+                frames, counts["voxel"], per_frame, device_name, quantiser_spec, spec
             )
             notes += tuple(f"{device_name}: {note}" for note in more)
-            done()
+            on_step()
     energy = passivity(medium[max(sorted(frames.object_counts), key=frames.object_counts.__getitem__)])
-    if quantise.words == "distinct" and spec.limits:
+    if quantise.text == "distinct" and spec.limits:
         notes += (
             f"the limits do not count the table that tells what the {quantise.alphabet - 1:,} vectors are",
         )
-    done()
+    on_step()
     return Measurement(
-        name, quantise.words, quantise.alphabet, len(medium), medium.grid.voxel_count, supported, asked_for, voxel,
+        name, quantise.text, quantise.alphabet, len(medium), medium.grid.voxel_count, supported, entropy_over, voxel,
         on_object, corrected, per_frame, in_time, limits, capacities, energy, file_bits, notes,
     )  # fmt: skip
 
@@ -264,13 +265,11 @@ def measure_medium(
 def _medium(
     source: str | Path | Scene | HapticMedium, spec: MeasureSpec
 ) -> tuple[HapticMedium, str, tuple[str, ...], int | None, bool]:
-    """W, its name, what the user should be told, the bits of its file, and whether its forces are its
-    codewords.
-    """
+    """W, its name, notes, the bits of its file, and whether its forces are the coder's codewords."""
     if isinstance(source, HapticMedium):
         return source, "medium", (), None, False
     stream = StreamScene(source) if isinstance(source, str | Path) and is_stream(source) else None
-    if stream is not None and not spec.encode.asked():
+    if stream is not None and not spec.encode.changed_options():
         stream.notes = ()  # of options that do nothing
     prepared = prepare(stream or source, spec.encode)
     name = Path(source).name if isinstance(source, str | Path) else "scene"
@@ -289,19 +288,21 @@ def _capacity(
     counts: Counts,
     per_frame: Quantity,
     name: str,
-    asked: FieldQuantiserSpec,
+    quantiser: FieldQuantiserSpec,
     spec: MeasureSpec,
 ) -> tuple[Capacity, tuple[str, ...]]:
     """Equations 1 to 3 for one device."""
-    shown = mapped(reference.medium, name, asked, spec.encode, spec.density)
-    quantise = shown.quantiser.fit(shown.medium, shown.device.force_max_n)
-    frames = SymbolFrames(shown.medium, quantise)
-    voxels = shown.medium.grid.voxel_count
+    on_device = map_to_device(reference.medium, name, quantiser, spec.encode, spec.density)
+    quantise = on_device.quantiser.fit(on_device.medium, on_device.device.force_max_n)
+    frames = SymbolFrames(on_device.medium, quantise)
+    voxels = on_device.medium.grid.voxel_count
     rendered_counts = field_counts(frames, overs=("voxel",))["voxel"]
     rendered = entropy(rendered_counts, estimator=spec.estimator).times(voxels, "bit/frame", "H(M(W))")
-    most = codomain_bits(voxels, quantise.alphabet)
-    both = shared_counts((reference, frames), (shown.own_grid, shown.medium.grid), (counts, rendered_counts))
+    max_bits = codomain_bits(voxels, quantise.alphabet)
+    both = shared_counts(
+        (reference, frames), (on_device.source_grid, on_device.medium.grid), (counts, rendered_counts)
+    )
     per_lattice = reference.medium.grid.voxel_count, voxels
-    ratio = None if both is None else paired_ratio(both, per_lattice, most, spec.estimator)
-    result = capacity(per_frame, rendered, most, ratio=ratio)
-    return result, (*shown.notes, *result.notes, f"its Q is {quantise.words}")
+    ratio = None if both is None else paired_ratio(both, per_lattice, max_bits, spec.estimator)
+    result = capacity(per_frame, rendered, max_bits, ratio=ratio)
+    return result, (*on_device.notes, *result.notes, f"its Q is {quantise.text}")

@@ -14,9 +14,9 @@ from independent_bound import mask_ratio
 from object_makers import F0_N, ball, head_of, moving_scene, tumbling
 from touchfield import pipeline
 from touchfield.codec.objects.encoder import PLACE_TOLERANCE_M, ObjectsEncoder
-from touchfield.codec.objects.promise import (
+from touchfield.codec.objects.error_bound import (
+    BoundCheck,
     ComposedRule,
-    Found,
     Moves,
     Pair,
     compare_scenes,
@@ -41,8 +41,8 @@ def still_field(field: ForceField) -> HapticMedium:
 
 
 def test_of_equally_bad_voxels_the_first_is_named() -> None:
-    early, late = (Found(np.array([0.5]), np.array([[frame, 1, 2, 3]]), 1) for frame in (4, 9))
-    assert early.joined(late).worst == (0.5, 4, (1, 2, 3)) and early.joined(late).beyond == 2
+    early, late = (BoundCheck(np.array([0.5]), np.array([[frame, 1, 2, 3]]), 1) for frame in (4, 9))
+    assert early.merged(late).max_error == (0.5, 4, (1, 2, 3)) and early.merged(late).violations == 2
 
 
 def noise(seed: int, size_n: float) -> ForceField:
@@ -56,7 +56,7 @@ def crossing(frames: int = 9, strength_n: float = 2.0) -> HapticScene:
     tracks = (
         tumbling(frames, 0.002, 0.05),
         tumbling(frames, -0.002, -0.07),
-        PoseTrack.still(frames, (0.0, 0.004, 0.0)),
+        PoseTrack.constant(frames, (0.0, 0.004, 0.0)),
     )
     fall = np.array([0.0, 0.0, 0.02])
     tracks = tuple(
@@ -105,11 +105,11 @@ def test_the_check_finds_what_the_composed_fields_have(seed: int) -> None:
     )
     found, away_m = compare_scenes(source, decoded, 0.1, F0_N)
     expected = np.stack([ratios_of(source, decoded, frame) for frame in range(5)])
-    ratio, frame, voxel = found.worst
+    ratio, frame, voxel = found.max_error
     assert away_m < 1e-12 and expected.max() > 1
     assert ratio == pytest.approx(expected.max(), rel=1e-5)
     assert expected[(frame, *voxel)] == pytest.approx(ratio, rel=1e-5)
-    assert found.beyond == np.count_nonzero(expected > 1)
+    assert found.violations == np.count_nonzero(expected > 1)
 
 
 def test_the_check_may_begin_at_any_frame_and_skip_what_stays() -> None:
@@ -123,10 +123,10 @@ def test_the_check_may_begin_at_any_frame_and_skip_what_stays() -> None:
     scene = replace(scene, objects=(replace(scene.objects[0], track=stop), *scene.objects[1:]))
     pairs = [Pair(one.field(0), one.field(0) + noise(i, 0.1)) for i, one in enumerate(scene.objects)]
     rule, moves = ComposedRule(scene, 0.1, F0_N), Moves.of(scene, [one.track for one in scene.objects])
-    together, apart = rule.check(pairs, moves, range(9)), Found.none(3)
+    together, apart = rule.check(pairs, moves, range(9)), BoundCheck.empty(3)
     for frame in range(9):
-        apart = apart.joined(rule.check(pairs, moves, [frame]))
-    assert together.beyond == apart.beyond > 0 and together.worst == apart.worst
+        apart = apart.merged(rule.check(pairs, moves, [frame]))
+    assert together.violations == apart.violations > 0 and together.max_error == apart.max_error
     np.testing.assert_array_equal(together.ratios, apart.ratios)
 
 
@@ -153,8 +153,8 @@ def test_a_file_keeps_its_promise_at_every_voxel_of_every_frame(
             expected.max(), rel=1e-4
         )
     found, away_m = compare_scenes(scene, decoded, 0.1, F0_N)
-    assert found.beyond == 0 and away_m <= PLACE_TOLERANCE_M
-    assert found.worst[0] == pytest.approx(told["worst_mask_ratio"], abs=3e-5)
+    assert found.violations == 0 and away_m <= PLACE_TOLERANCE_M
+    assert found.max_error[0] == pytest.approx(told["worst_mask_ratio"], abs=3e-5)
 
 
 def test_fields_that_keep_their_own_mask_are_coded_finer_where_they_overlap(tmp_path: Path) -> None:
@@ -172,7 +172,7 @@ def cancelling(strength_n: float, damping: float = 0.0) -> HapticScene:
     """Two fields that cancel: their sum is none, and errors of a thousandth of 400 N are felt."""
     field = ball(OWN, 0.005, strength_n)
     against = ForceField.from_dense(OWN, -field.to_dense())
-    tracks = [PoseTrack.still(3, (0.0003, 0.0, 0.0)), PoseTrack.still(3, (0.0003, 0.0, 0.0))]
+    tracks = [PoseTrack.constant(3, (0.0003, 0.0, 0.0)), PoseTrack.constant(3, (0.0003, 0.0, 0.0))]
     bodies = [
         HapticObject(n, still_field(f), t) for n, f, t in zip("ab", (field, against), tracks, strict=True)
     ]
@@ -210,7 +210,7 @@ def test_the_reason_of_a_refusal_names_what_does(monkeypatch: pytest.MonkeyPatch
     """What is left when every sample is exact comes from the poses."""
     encoder = ObjectsEncoder(moving_scene(5, False, 2.0), replace(SPEC, f0_n=0.0), F0_N)
     monkeypatch.setattr(Pair, "inexact_corners", lambda self, marks: np.zeros(0, np.int64))
-    monkeypatch.setattr(ComposedRule, "check", lambda self, pairs, *_: Found(
+    monkeypatch.setattr(ComposedRule, "check", lambda self, pairs, *_: BoundCheck(
         np.full(len(pairs), 2.0), np.zeros((len(pairs), 4), np.int64), 1
     ))  # fmt: skip
     with pytest.raises(InvalidArgument, match=r"damping of 2 N s/m with an F_0 of 0 N.*--f0-n.*voxel"):
@@ -220,7 +220,7 @@ def test_the_reason_of_a_refusal_names_what_does(monkeypatch: pytest.MonkeyPatch
 def test_the_paper_coder_promises_nothing(tmp_path: Path) -> None:
     stream = written(tmp_path / "a.touch", moving_scene(), PaperSpec(segment_frames=3))
     assert "promise_kept" not in stream.summary()
-    assert stream.decoder.parts(stream.reader.read_segment(0)).worst is None
+    assert stream.decoder.parts(stream.reader.read_segment(0)).max_error is None
     free = written(tmp_path / "b.touch", moving_scene(), replace(SPEC, mode="nmse"))
     assert free.summary()["mode"] == "nmse" and free.summary()["promise_kept"] is None
 

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from object_makers import F0_N, head_of, moving_scene, tumbling
-from touchfield.codec.kernels import code_numbers, end_of, fresh, writer
+from touchfield.codec.kernels import code_numbers, finish, new_models, writer
 from touchfield.codec.objects.decoder import MODELS, PoseSteps, decode_poses
 from touchfield.codec.objects.encoder import ObjectsEncoder, encode_poses
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.codec.support import padded
+from touchfield.codec.support import pad_payload
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile
 from touchfield.medium import PoseTrack
@@ -75,9 +75,9 @@ def test_scenes_of_the_encoder(second: Any, tmp_path: Path, deforming: bool, sur
 
 def test_the_worst_voxel_is_read(second: Any) -> None:
     from touchfield.codec.objects.layout import SegmentParts
-    from touchfield.codec.segment import Worst
+    from touchfield.codec.segment import MaxError
 
-    told = Worst(13 / 65535, 2, (3, 700, 5))
+    told = MaxError(13 / 65535, 2, (3, 700, 5))
     assert second.worst_of(second.Cursor(SegmentParts(told, []).to_bytes()), 3) == tuple(told)
     with pytest.raises(ValueError, match="a number of 2"):
         second.worst_of(second.Cursor(SegmentParts(told, []).to_bytes()), 2)
@@ -107,9 +107,9 @@ def test_faulty_poses_are_refused(second: Any) -> None:
         with pytest.raises(ValueError, match=r"predictor|quaternion|limit|end|behind"):
             second.pose_numbers(wrong, 9, one)
     for order, turn, words in ((4, 512, "predictor"), (0, 500, "not unit"), (0, 600, "limit"), (0, 512, "")):
-        bits = writer(400, fresh(*MODELS))
+        bits = writer(400, new_models(*MODELS))
         code_numbers(bits, 0, 0, np.array([order, *[0] * 9, turn, 0, 0, 0], np.int64))
-        crafted = padded(end_of(bits), 0)
+        crafted = pad_payload(finish(bits), 0)
         if words:
             with pytest.raises(ValueError, match=words):
                 second.pose_numbers(crafted, 1, 512)

@@ -23,7 +23,7 @@ from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import coder, field_decoder
-from touchfield.codec.segment import Worst
+from touchfield.codec.segment import MaxError
 from touchfield.codec.varint import write_varint
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, UnsupportedVersion
@@ -49,7 +49,7 @@ def stream_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-# -- whole scenes -----------------------------------------------------------------------------------------
+# -- whole scenes ------------------------------------------------------------------------------------------
 
 
 def test_a_scene_comes_back(stream_path: Path) -> None:
@@ -188,7 +188,7 @@ def test_empty_objects_and_a_single_frame(tmp_path: Path) -> None:
         assert len(decoded.objects[0].track) == 1
 
 
-# -- what is refused --------------------------------------------------------------------------------------
+# -- what is refused ---------------------------------------------------------------------------------------
 
 
 def test_other_coders_are_refused_by_name() -> None:
@@ -291,12 +291,12 @@ def test_a_file_that_claims_many_poses_costs_no_memory(
             tracemalloc.stop()
 
 
-# -- the body of a segment --------------------------------------------------------------------------------
+# -- the body of a segment ---------------------------------------------------------------------------------
 
 
 voxels = st.tuples(*[st.integers(0, (1 << 20) - 1)] * 3)
 worsts = st.none() | st.builds(
-    lambda n, f, v: Worst(n / 65535, f, v), st.integers(0, 65535), st.integers(0, 65534), voxels
+    lambda n, f, v: MaxError(n / 65535, f, v), st.integers(0, 65535), st.integers(0, 65534), voxels
 )
 
 
@@ -306,7 +306,7 @@ worsts = st.none() | st.builds(
     st.data(),
 )
 def test_parts_fill_the_body(
-    worst: Worst | None, made: list[tuple[bytes, bytes | None]], data: st.DataObject
+    worst: MaxError | None, made: list[tuple[bytes, bytes | None]], data: st.DataObject
 ) -> None:
     parts = SegmentParts(worst, [ObjectPart(poses, fields) for poses, fields in made])
     body = parts.to_bytes()
@@ -320,7 +320,7 @@ def test_parts_fill_the_body(
 
 @pytest.mark.parametrize("ratio", [0.0, 1e-9, 0.5, 0.99999, 1.0])
 def test_the_worst_error_is_not_rounded_down(ratio: float) -> None:
-    read = SegmentParts.from_bytes(SegmentParts(Worst(ratio, 0, (0, 0, 0)), []).to_bytes(), []).worst
+    read = SegmentParts.from_bytes(SegmentParts(MaxError(ratio, 0, (0, 0, 0)), []).to_bytes(), []).max_error
     assert read is not None and ratio <= read.ratio <= ratio + 1 / 65535
 
 
@@ -333,7 +333,7 @@ def test_a_length_beyond_the_body_allocates_nothing() -> None:
 def test_a_worst_voxel_out_of_bounds(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
     decoder, bodies = decoding
     parts = decoder.parts(bodies[0])
-    late = parts._replace(worst=Worst(0.5, 3, (0, 0, 0)))
+    late = parts._replace(max_error=MaxError(0.5, 3, (0, 0, 0)))
     with pytest.raises(CorruptFile, match=r"SEGM.body worst frame: found 3; expected below 3"):
         decoder.tracks(late.to_bytes(), 3)
     for bad in (
@@ -457,7 +457,7 @@ def test_a_damping_that_asks_for_too_fine_poses_is_refused_in_words(tmp_path: Pa
 
 def test_still_objects_at_their_place_are_exact(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
     decoder, bodies = decoding
-    assert decoder.tracks(bodies[0], 3)[1] == PoseTrack.still(3)
+    assert decoder.tracks(bodies[0], 3)[1] == PoseTrack.constant(3)
 
 
 def written_over(path: Path, scene: HapticScene, world: Grid) -> int:

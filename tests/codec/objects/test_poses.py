@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from touchfield.codec.objects.decoder import MOST_POSES, PoseSteps, decode_poses
-from touchfield.codec.objects.encoder import Damping, encode_poses, place_steps, rounded
-from touchfield.codec.objects.promise import displacement_m
+from touchfield.codec.objects.decoder import MAX_SEGMENT_POSES, PoseSteps, decode_poses
+from touchfield.codec.objects.encoder import Damping, choose_pose_steps, encode_poses, round_poses
+from touchfield.codec.objects.error_bound import displacement_m
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 from touchfield.medium.pose_track import PoseTrack
 
@@ -48,7 +48,7 @@ def falling(count: int, seed: int = 0, rate_hz: float = 1000.0, every_s: float =
     return PoseTrack(np.concatenate(quaternions), np.column_stack([np.cumsum(drift, axis=0), height]))
 
 
-# -- steps ------------------------------------------------------------------------------------------------
+# -- steps -------------------------------------------------------------------------------------------------
 
 
 @given(st.floats(1e-7, 1e-3), st.floats(0, 0.2), st.integers(0, 2**32 - 1))
@@ -57,7 +57,7 @@ def test_no_point_leaves_its_place_by_more_than_the_tolerance(
 ) -> None:
     rng = np.random.default_rng(seed)
     track = random_track(rng, 6)
-    steps = place_steps(track, far_m, tolerance_m)
+    steps = choose_pose_steps(track, far_m, tolerance_m)
     decoded = decode_poses(encode_poses(track, steps), 6, steps)
     points = far_m * rng_units(rng, 50)[:, :3]
     away = [track.to_scene(points, i) - decoded.to_scene(points, i) for i in range(6)]
@@ -67,30 +67,30 @@ def test_no_point_leaves_its_place_by_more_than_the_tolerance(
 def test_the_steps_are_the_coarsest() -> None:
     """Twice as coarse ones of either kind move a point too far."""
     track, far_m = falling(400), 0.03
-    steps = place_steps(track, far_m, 1e-5)
+    steps = choose_pose_steps(track, far_m, 1e-5)
     for wider in (
         PoseSteps(2 * steps.position_m, steps.quaternion),
         PoseSteps(steps.position_m, 2 * steps.quaternion),
     ):
-        assert displacement_m(track, wider.track(rounded(track, wider)), far_m).max() > 1e-5
+        assert displacement_m(track, wider.track(round_poses(track, wider)), far_m).max() > 1e-5
     spinning = PoseTrack(
         track.quaternions, np.zeros((400, 3))
     )  # of which positions cost nothing, however coarse
-    assert place_steps(spinning, far_m, 1e-5).quaternion >= steps.quaternion
+    assert choose_pose_steps(spinning, far_m, 1e-5).quaternion >= steps.quaternion
 
 
 def test_the_velocity_of_a_surface_asks_for_finer_steps() -> None:
     track = falling(100)
     damping = Damping(2.0, 1000.0, 0.0125)
-    coarse, fine = place_steps(track, 0.03, 1e-5), place_steps(track, 0.03, 1e-5, damping)
+    coarse, fine = choose_pose_steps(track, 0.03, 1e-5), choose_pose_steps(track, 0.03, 1e-5, damping)
     assert fine.position_m < coarse.position_m
-    assert damping.is_kept(track, fine.track(rounded(track, fine)), 0.03)
-    assert not damping.is_kept(track, coarse.track(rounded(track, coarse)), 0.03)
+    assert damping.is_within(track, fine.track(round_poses(track, fine)), 0.03)
+    assert not damping.is_within(track, coarse.track(round_poses(track, coarse)), 0.03)
 
 
 def test_steps_that_would_have_to_be_too_fine_are_refused() -> None:
     with pytest.raises(InvalidArgument, match="keep to 1e-06 um"):
-        place_steps(falling(5), 1.0, 1e-12)
+        choose_pose_steps(falling(5), 1.0, 1e-12)
 
 
 @given(steps_of_all_sizes)
@@ -110,7 +110,7 @@ def test_faulty_steps_are_refused() -> None:
             PoseSteps(*pair)
 
 
-# -- round trips ------------------------------------------------------------------------------------------
+# -- round trips -------------------------------------------------------------------------------------------
 
 
 @given(steps_of_all_sizes, st.integers(1, 40), st.integers(0, 2**32 - 1), st.floats(0, 800))
@@ -140,8 +140,8 @@ def test_quarter_turns_and_spins_through_the_ambiguous_sign_return(power: int) -
 
 
 def test_cheap_tracks_are_cheap() -> None:
-    assert len(encode_poses(PoseTrack.still(2000), FINE)) <= 8
-    assert len(encode_poses(PoseTrack.still(MOST_POSES, (0.1, -0.2, 0.3)), FINE)) <= 16
+    assert len(encode_poses(PoseTrack.constant(2000), FINE)) <= 8
+    assert len(encode_poses(PoseTrack.constant(MAX_SEGMENT_POSES, (0.1, -0.2, 0.3)), FINE)) <= 16
     tumbling = falling(2000)
     assert len(encode_poses(tumbling, FINE)) <= 3000
     assert len(encode_poses(tumbling.between(0, 300), FINE)) < 0.25 * len(encode_poses(tumbling, FINE))
@@ -159,12 +159,12 @@ def test_each_component_has_the_order_that_suits_it() -> None:
 
 def test_tracks_beyond_the_limits_are_refused() -> None:
     with pytest.raises(InvalidArgument, match="poses"):
-        encode_poses(PoseTrack.still(MOST_POSES + 1), FINE)
+        encode_poses(PoseTrack.constant(MAX_SEGMENT_POSES + 1), FINE)
     with pytest.raises(InvalidArgument, match="origin"):
-        encode_poses(PoseTrack.still(2, (0, 0, 2000.0)), PoseSteps(2.0**-40, 0.25))
+        encode_poses(PoseTrack.constant(2, (0, 0, 2000.0)), PoseSteps(2.0**-40, 0.25))
     with pytest.raises(InvalidArgument):
-        encode_poses(PoseTrack.still(2, (0, 0, 1e300)), FINE)
-    for count in (0, -1, MOST_POSES + 1):
+        encode_poses(PoseTrack.constant(2, (0, 0, 1e300)), FINE)
+    for count in (0, -1, MAX_SEGMENT_POSES + 1):
         with pytest.raises(InvalidArgument):
             decode_poses(b"", count, FINE)
 
@@ -177,7 +177,7 @@ def test_the_largest_jumps_return() -> None:
     assert np.array_equal(decode_poses(encode_poses(track, steps), 20, steps).positions_m, ends)
 
 
-# -- faults -----------------------------------------------------------------------------------------------
+# -- faults ------------------------------------------------------------------------------------------------
 
 
 def assert_fault_or_track(data: bytes, count: int, steps: PoseSteps) -> None:
@@ -223,7 +223,7 @@ def test_random_bytes_are_a_fault_or_a_track(data: bytes, count: int, steps: Pos
 
 def test_quaternions_that_are_none_are_corrupt() -> None:
     """Steps other than those of the encoder make quaternions of a wrong length, or numbers beyond the limit."""
-    data = encode_poses(PoseTrack.still(3), FINE)
+    data = encode_poses(PoseTrack.constant(3), FINE)
     with pytest.raises(CorruptFile, match="frame 0"):
         decode_poses(data, 3, PoseSteps(FINE.position_m, FINE.quaternion / 2))
     with pytest.raises(CorruptFile, match="limit"):
@@ -233,9 +233,9 @@ def test_quaternions_that_are_none_are_corrupt() -> None:
 
 
 def test_few_bytes_take_no_more_memory_than_poses_do() -> None:
-    data = encode_poses(PoseTrack.still(MOST_POSES), FINE)
+    data = encode_poses(PoseTrack.constant(MAX_SEGMENT_POSES), FINE)
     tracemalloc.start()
-    decode_poses(data, MOST_POSES, FINE)
+    decode_poses(data, MAX_SEGMENT_POSES, FINE)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 500 * MOST_POSES
+    assert peak < 500 * MAX_SEGMENT_POSES

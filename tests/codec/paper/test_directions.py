@@ -50,8 +50,7 @@ def random_vectors(count, seed=0):
     return np.random.default_rng(seed).normal(size=(count, 3)).astype(np.float32)
 
 
-# -- the polyhedra
-# --------------------------------------------------------------------------------------------
+# -- the polyhedra -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", codebook_names())
@@ -117,8 +116,7 @@ def test_other_names_are_refused(name):
         Codebook.get(name)
 
 
-# -- the nearest vertex
-# ---------------------------------------------------------------------------------------
+# -- the nearest vertex ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["ico5", "octa3"])
@@ -170,7 +168,7 @@ def test_vectors_that_are_none_are_refused():
     assert codebook.nearest(np.zeros((0, 3), np.float32)).shape == (0,)
 
 
-# -- amplitude and direction together ------------------------------------------------------------------------
+# -- amplitude and direction together ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("name", "k"), [("ico3", 0.25), ("ico5", 0.1), ("octa3", 0.05)])

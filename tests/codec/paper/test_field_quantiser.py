@@ -20,7 +20,7 @@ def test_symbols_are_the_same_where_and_only_where_the_codewords_are(
     words: str, wavy_field: ForceField
 ) -> None:
     spec = FieldQuantiserSpec.parse(words)
-    assert FieldQuantiserSpec.parse(spec.words) == spec
+    assert FieldQuantiserSpec.parse(spec.text) == spec
     quantiser = spec.fit([wavy_field])
     symbols = quantiser(wavy_field)
     dense, vectors = symbols.to_dense().ravel(), wavy_field.to_dense().reshape(-1, 3)
@@ -96,14 +96,14 @@ def test_a_step_may_be_as_fine_as_the_forces_allow(wavy_field: ForceField) -> No
 def test_a_large_frame_trains_too(monkeypatch: pytest.MonkeyPatch, wavy_field: ForceField) -> None:
     from touchfield.codec.paper import field_quantiser
 
-    monkeypatch.setattr(field_quantiser, "_MOST_OF_A_FRAME", 50)
-    monkeypatch.setattr(field_quantiser, "_MOST_TRAINED", 60)
+    monkeypatch.setattr(field_quantiser, "_MAX_PER_FRAME", 50)
+    monkeypatch.setattr(field_quantiser, "_MAX_TRAINING", 60)
     quantiser = FieldQuantiserSpec.parse("lloyd-max:3/none").fit([wavy_field, wavy_field.scaled(0.5)])
     assert quantiser.alphabet >= 8 and quantiser(wavy_field).object_count == wavy_field.support_count
 
 
 def test_different_numbers_have_different_words() -> None:
-    words = [FieldQuantiserSpec.parse(f"weber:0.1234567{i}").words for i in range(3)]
+    words = [FieldQuantiserSpec.parse(f"weber:0.1234567{i}").text for i in range(3)]
     assert len(set(words)) == 3
     for bad in (-1.0, float("nan"), float("inf")):
         with pytest.raises(InvalidArgument):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from touchfield.codec.paper.body import RUN_SYMBOLS, BitStream, HuffmanCode, decode_symbols
 from touchfield.codec.paper.encoder import encode_symbols, fitted_code, pack_runs
-from touchfield.codec.paper.kernels import LONGEST
+from touchfield.codec.paper.kernels import MAX_CODE_BITS
 from touchfield.codec.support import encode_numbers
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument
 
@@ -71,7 +71,7 @@ def test_lengths_are_limited() -> None:
     while len(fibonacci) < 40:
         fibonacci.append(fibonacci[-1] + fibonacci[-2])
     code = fitted_code(np.array(fibonacci))
-    assert code.lengths.max() <= LONGEST and sum(2.0 ** -int(n) for n in code.lengths) == 1.0
+    assert code.lengths.max() <= MAX_CODE_BITS and sum(2.0 ** -int(n) for n in code.lengths) == 1.0
     assert np.dot(fibonacci, code.lengths.astype(int)) < heap_bits(fibonacci) * 1.001
     symbols = np.arange(40).repeat(3)
     _, levels = decode_symbols(code, encode_symbols(code, symbols), len(symbols), 40)

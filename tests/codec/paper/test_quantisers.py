@@ -29,8 +29,7 @@ def mean_square(samples: np.ndarray, table: AmplitudeLevels) -> float:
     return float(np.mean((samples.astype(float) - table.levels_n.astype(float)[table.encode(samples)]) ** 2))
 
 
-# -- Lloyd-Max
-# ------------------------------------------------------------------------------------------------
+# -- Lloyd-Max ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("nq", "mse"), GAUSSIAN.items())
@@ -107,8 +106,7 @@ def test_samples_that_are_none_and_bits_out_of_range_are_refused(samples: list[f
         lloyd_max_levels(np.array(samples, np.float32), nq)
 
 
-# -- by formulas
-# ----------------------------------------------------------------------------------------------
+# -- by formulas -------------------------------------------------------------------------------------------
 
 
 def test_the_weber_levels_keep_k_and_send_the_weak_to_zero() -> None:

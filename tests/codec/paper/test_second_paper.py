@@ -105,7 +105,7 @@ def test_streams_of_the_encoder(name: str) -> None:
     assert len(mine) == len(frames) and theirs(frames[0].grid, called, body, len(frames)) == mine
 
 
-# -- what the format allows -------------------------------------------------------------------------------
+# -- what the format allows --------------------------------------------------------------------------------
 
 
 def random_support(rng: np.random.Generator, grid: Grid) -> tuple[np.ndarray, np.ndarray]:

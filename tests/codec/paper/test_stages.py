@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.fft import idctn
 
 from touchfield.codec.paper.decoder import PaperDecoder, from_bricks
-from touchfield.codec.paper.encoder import PaperEncoder, _filled, _to_wavelet
+from touchfield.codec.paper.encoder import PaperEncoder, _fill_bricks, _to_wavelet
 from touchfield.codec.paper.kernels import STEPS, adpcm
 from touchfield.codec.paper.spec import STAGES, PaperSpec
 from touchfield.codec.support import encode_numbers, encode_support
@@ -84,7 +84,7 @@ def test_a_step_too_fine_for_the_forces_is_refused(wavy_field: ForceField) -> No
             body_of([wavy_field.scaled(100)], stage, 1e-9)
 
 
-# -- what the stages are ------------------------------------------------------------------------------------
+# -- what the stages are -----------------------------------------------------------------------------------
 
 
 def test_adpcm_follows_with_its_step() -> None:
@@ -127,13 +127,13 @@ def test_the_dct_is_the_orthonormal_one_to_a_part_of_a_step() -> None:
 
 
 def test_filling_leaves_the_support_and_is_smooth(wavy_field: ForceField) -> None:
-    x, held = _filled(wavy_field), wavy_field.mask
+    x, held = _fill_bricks(wavy_field), wavy_field.mask
     np.testing.assert_array_equal(x[held].astype(np.float32), wavy_field.forces_n[held])
     steps = [np.abs(np.diff(v, axis=3)).mean() for v in (x, wavy_field.forces_n)]
     assert steps[0] < steps[1]
 
 
-# -- bytes of strangers -----------------------------------------------------------------------------------
+# -- bytes of strangers ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("stage", NAMES)

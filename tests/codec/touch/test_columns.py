@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lattice_makers import FLAT, lattice_of, limits_of
 
-from touchfield.codec.touch import guess as columns
-from touchfield.codec.touch.guess_fit import fit_columns as fit
+from touchfield.codec.touch import base_layer as columns
+from touchfield.codec.touch.base_layer_fit import fit_columns as fit
 from touchfield.codec.varint import write_varint
 from touchfield.errors import CorruptFile, TouchfieldError, TruncatedFile
 from touchfield.medium import ForceField, Grid
@@ -35,7 +35,7 @@ def solid(step: float = 0.0, blurred: bool = False) -> np.ndarray:
 
 
 def turned(forces: np.ndarray, axis: int, inverted: bool) -> ForceField:
-    """The field with its main axis along `axis`, pushing towards larger or (not `inverted`) smaller indices."""
+    """The field with its main axis along `axis`, pushing towards larger or (not `is_inverted`) smaller indices."""
     order = [*(c for c in range(3) if c != 2), 2]
     order.insert(axis, order.pop())
     out = np.ascontiguousarray(forces.transpose(*order, 3)[..., order])
@@ -49,7 +49,7 @@ def turned(forces: np.ndarray, axis: int, inverted: bool) -> ForceField:
 def kept(frame: ForceField, data: bytes) -> float:
     """The share of forces at which the guess of some bytes is within the mask."""
     forces, unit_n = frame.to_dense(), lattice_of(frame).unit_n
-    guess = columns.columns_of_bytes(data, frame.grid).field(frame.grid, unit_n).to_dense()
+    guess = columns.decode_columns(data, frame.grid).field(frame.grid, unit_n).to_dense()
     length = np.linalg.norm(forces, axis=-1)
     return float(
         (np.linalg.norm(guess - forces, axis=-1) <= np.maximum(0.05, 0.1 * length))[length > 0].mean()
@@ -71,7 +71,7 @@ def test_a_hill_is_guessed_along_every_axis(axis, inverted):
     found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
     data, guess = found
-    made = columns.columns_of_bytes(data, frame.grid)
+    made = columns.decode_columns(data, frame.grid)
     assert np.array_equal(made.bricks, guess.bricks)
     assert np.array_equal(made.vectors, guess.vectors)
     assert kept(frame, data) > 0.95
@@ -106,7 +106,7 @@ def test_any_mask_is_taken(f0_n):
     frame = turned(solid(), 2, True)
     found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame), f0_n=f0_n))
     assert found is None or np.array_equal(
-        columns.columns_of_bytes(found[0], frame.grid).vectors, found[1].vectors
+        columns.decode_columns(found[0], frame.grid).vectors, found[1].vectors
     )
 
 
@@ -114,7 +114,7 @@ def test_cut_bytes_are_refused(coded):
     frame, data = coded
     for size in (*range(14), len(data) // 2):
         with pytest.raises((TruncatedFile, CorruptFile)):
-            columns.columns_of_bytes(data[:size], frame.grid)
+            columns.decode_columns(data[:size], frame.grid)
 
 
 @settings(deadline=None, max_examples=60)
@@ -125,7 +125,7 @@ def test_changed_bytes_give_a_field_or_a_named_error(coded, data):
     for _ in range(data.draw(st.integers(1, 4))):
         changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
     try:
-        made = columns.columns_of_bytes(bytes(changed), frame.grid)
+        made = columns.decode_columns(bytes(changed), frame.grid)
     except TouchfieldError:
         return
     assert np.abs(made.vectors, dtype=np.int64).max(initial=0) < 1 << 17
@@ -136,20 +136,20 @@ def test_a_box_of_more_tiles_than_bytes_is_refused():
     grid = Grid((512, 512, 8), (0.001,) * 3, (0.0,) * 3)
     head = b"".join(map(write_varint, (4, 0, 0, 63, 63, *(1,) * 7)))
     with pytest.raises(TruncatedFile, match="tiles"):
-        columns.columns_of_bytes(head + bytes(500), grid)
+        columns.decode_columns(head + bytes(500), grid)
 
 
 @pytest.mark.parametrize("box", [(5, 0, 0, 0), (4, 0, 1, 0), (0, 4, 0, 1)])
 def test_a_box_beyond_the_grid_is_refused(box):
     head = b"".join(map(write_varint, (4, *box, *(1,) * 7)))
     with pytest.raises(CorruptFile):
-        columns.columns_of_bytes(head + bytes(50), GRID)
+        columns.decode_columns(head + bytes(50), GRID)
 
 
 def test_columns_too_deep_are_refused():
-    grid = Grid((8, 8, columns.DEEPEST + 1), (0.001,) * 3, (0.0,) * 3)
+    grid = Grid((8, 8, columns.MAX_DEPTH + 1), (0.001,) * 3, (0.0,) * 3)
     with pytest.raises(CorruptFile, match="grid"):
-        columns.columns_of_bytes(b"".join(map(write_varint, (4, 0, 0, 0, 0, *(1,) * 7))) + bytes(50), grid)
+        columns.decode_columns(b"".join(map(write_varint, (4, 0, 0, 0, 0, *(1,) * 7))) + bytes(50), grid)
 
 
 def test_more_bricks_than_bytes_are_refused():
@@ -159,6 +159,6 @@ def test_more_bricks_than_bytes_are_refused():
     frame = ForceField.from_dense(Grid((8, 8, 8000), SPACING_M, (0.0,) * 3), forces)
     found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
-    assert np.array_equal(columns.columns_of_bytes(found[0], frame.grid).vectors, found[1].vectors)
+    assert np.array_equal(columns.decode_columns(found[0], frame.grid).vectors, found[1].vectors)
     with pytest.raises(TruncatedFile, match="bricks"):
-        columns.columns_of_bytes(found[0].rstrip(b"\0"), frame.grid)
+        columns.decode_columns(found[0].rstrip(b"\0"), frame.grid)

@@ -65,7 +65,7 @@ def test_a_solid_is_guessed(effort: str) -> None:
         body, decoder, _ = round_trip([hills(40)], spec)
         (record,) = BodyReader(body, hills(40).grid, exact=False).records(1)
         (cost,) = decoder.costs(body, 1)
-        assert bool(record.guess) == (cost.bits.models > 0) == (asked == "auto")
+        assert bool(record.base_layer) == (cost.bits.models > 0) == (asked == "auto")
         sizes.append(len(body))
     assert sizes[0] < sizes[1]
 

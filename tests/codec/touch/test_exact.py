@@ -153,7 +153,7 @@ def test_empty_bricks_of_the_frame_before_are_not_known(wavy_field):
     assert coded(before, wavy_field) == coded(wavy_field, wavy_field)
 
 
-# -- size -------------------------------------------------------------------------------------------------
+# -- size --------------------------------------------------------------------------------------------------
 
 
 def paper_frames(field: ForceField, count: int = 1) -> tuple[list[ForceField], int]:
@@ -183,7 +183,7 @@ def test_few_distinct_forces_cost_little(wavy_field):
     assert len(coded(constant)[0]) < 60
 
 
-# -- faults -----------------------------------------------------------------------------------------------
+# -- faults ------------------------------------------------------------------------------------------------
 
 
 def test_cut_payload_is_named_or_another_field():

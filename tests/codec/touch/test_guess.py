@@ -10,24 +10,24 @@ from lattice_makers import lattice_of, limits_of
 from test_columns import solid, turned
 from test_spline import ball
 
-from touchfield.codec.touch import guess
-from touchfield.codec.touch.guess_fit import fit, fit_columns, fit_spline
+from touchfield.codec.touch import base_layer
+from touchfield.codec.touch.base_layer_fit import fit_base_layer, fit_columns, fit_spline
+from touchfield.codec.touch.error_bound import fraction_within_bound
 from touchfield.codec.touch.lattice import FixedField
-from touchfield.codec.touch.promise import agreement
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium import ForceField, Grid
 
 
 @pytest.mark.parametrize(
-    ("frame", "kind"), [(ball(), guess.SPLINE), (turned(solid(step=9, blurred=True), 2, True), guess.COLUMNS)]
+    ("frame", "kind"), [(ball(), base_layer.SPLINE), (turned(solid(step=9, blurred=True), 2, True), base_layer.COLUMNS)]
 )
 def test_the_kind_of_a_field(frame, kind):
-    found, share = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)), TouchSpec())
+    found, share = fit_base_layer(frame, lattice_of(frame), limits_of(lattice_of(frame)), TouchSpec())
     assert found is not None
     assert found[0][0] == kind
     assert share > 0.9
-    assert np.array_equal(guess.synthesise(found[0], frame.grid).vectors, found[1].vectors)
+    assert np.array_equal(base_layer.decode_base_layer(found[0], frame.grid).vectors, found[1].vectors)
 
 
 def test_the_agreement_of_a_field():
@@ -36,10 +36,10 @@ def test_the_agreement_of_a_field():
     exact = np.rint(frame.forces_n / lattice.unit_n).astype(np.int32)
     half = len(frame.bricks) // 2
     counts = (frame.forces_n != 0).any(-1).sum(axis=(1, 2, 3))
-    assert agreement(frame, FixedField(frame.bricks, exact), lattice.unit_n, TouchSpec()) == 1
+    assert fraction_within_bound(frame, FixedField(frame.bricks, exact), lattice.unit_n, TouchSpec()) == 1
     small = np.linalg.norm(frame.forces_n, axis=-1) <= 0.05
     some = (counts[:half].sum() + (small & (frame.forces_n != 0).any(-1))[half:].sum()) / counts.sum()
-    told = agreement(frame, FixedField(frame.bricks[:half], exact[:half]), lattice.unit_n, TouchSpec())
+    told = fraction_within_bound(frame, FixedField(frame.bricks[:half], exact[:half]), lattice.unit_n, TouchSpec())
     assert told == pytest.approx(some, abs=1e-3)
 
 
@@ -50,14 +50,14 @@ def test_a_guess_that_misses_much_is_not_made():
     forces[..., 2] = np.clip(0.4 * (heights[..., None] - np.arange(24)), 0, 2)
     forces += np.random.default_rng(4).normal(scale=0.3, size=forces.shape) * (forces[..., 2:] > 0)
     frame = ForceField.from_dense(Grid((40, 40, 24), (0.001,) * 3, (0.0,) * 3), forces)
-    assert fit(frame, lattice_of(frame), limits_of(lattice_of(frame)), TouchSpec())[0] is None
+    assert fit_base_layer(frame, lattice_of(frame), limits_of(lattice_of(frame)), TouchSpec())[0] is None
 
 
 def test_noise_has_no_guess():
     frame = ball()
     noise = np.random.default_rng(0).normal(size=frame.forces_n.shape).astype(np.float32)
     rough = ForceField.from_bricks(frame.grid, frame.bricks, noise)
-    assert fit(rough, lattice_of(rough), limits_of(lattice_of(rough)), TouchSpec())[0] is None
+    assert fit_base_layer(rough, lattice_of(rough), limits_of(lattice_of(rough)), TouchSpec())[0] is None
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_noise_has_no_guess():
 )
 def test_bytes_of_no_kind_are_refused(data, error):
     with pytest.raises(error):
-        guess.synthesise(data, ball().grid)
+        base_layer.decode_base_layer(data, ball().grid)
 
 
 @pytest.mark.parametrize("provider", [fit_spline, fit_columns])
@@ -91,8 +91,8 @@ def test_any_field_is_guessed_or_not(kind, shape, provider):
     for mode in ("mask", "nmse"):
         found = provider(frame, lattice_of(frame), limits_of(lattice_of(frame), mode=mode))
         if found is not None:
-            kinds = {fit_spline: guess.SPLINE, fit_columns: guess.COLUMNS}
-            made = guess.synthesise(bytes([kinds[provider]]) + found[0], frame.grid)
+            kinds = {fit_spline: base_layer.SPLINE, fit_columns: base_layer.COLUMNS}
+            made = base_layer.decode_base_layer(bytes([kinds[provider]]) + found[0], frame.grid)
             assert np.array_equal(made.bricks, found[1].bricks)
             assert np.array_equal(made.vectors, found[1].vectors)
 

@@ -11,8 +11,8 @@ from lattice_makers import lattice_of, limits_of
 from test_columns import solid, turned
 from test_spline import ball
 
-from touchfield.codec.touch.guess import columns_of_bytes, spline_of
-from touchfield.codec.touch.guess_fit import fit_columns, fit_spline
+from touchfield.codec.touch.base_layer import decode_columns, decode_spline
+from touchfield.codec.touch.base_layer_fit import fit_columns, fit_spline
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.varint import write_varint
 from touchfield.errors import TouchfieldError
@@ -39,7 +39,7 @@ def test_a_spline(stiffness):
     frame = ball(stiffness)
     found = fit_spline(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
-    assert same(spline_of(found[0], frame.grid), second.spline(found[0], frame.grid.shape))
+    assert same(decode_spline(found[0], frame.grid), second.spline(found[0], frame.grid.shape))
 
 
 @pytest.mark.parametrize("inverted", [False, True])
@@ -48,7 +48,7 @@ def test_columns(axis, inverted):
     frame = turned(solid(step=9, blurred=True), axis, inverted)
     found = fit_columns(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
-    assert same(columns_of_bytes(found[0], frame.grid), second.columns(found[0], frame.grid.shape))
+    assert same(decode_columns(found[0], frame.grid), second.columns(found[0], frame.grid.shape))
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -62,6 +62,6 @@ def test_columns_of_any_bytes(seed):
         other = second.columns(data, shape)
     except FaultyFile:
         with pytest.raises(TouchfieldError):
-            columns_of_bytes(data, Grid(shape, (0.001,) * 3, (0.0,) * 3))
+            decode_columns(data, Grid(shape, (0.001,) * 3, (0.0,) * 3))
     else:
-        assert same(columns_of_bytes(data, Grid(shape, (0.001,) * 3, (0.0,) * 3)), other)
+        assert same(decode_columns(data, Grid(shape, (0.001,) * 3, (0.0,) * 3)), other)

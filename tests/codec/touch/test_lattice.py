@@ -18,7 +18,7 @@ from touchfield.codec.touch.body import write_body
 from touchfield.codec.touch.frame_encoder import lattice_for
 from touchfield.codec.touch.kernels import workspace as kernels
 from touchfield.codec.touch.kernels.workspace import AXES, ROWS, VECTOR
-from touchfield.codec.touch.lattice import LEAST_RATE, LEAST_UNIFORM, Lattice, warp_of
+from touchfield.codec.touch.lattice import MIN_FLOOR, MIN_RATE, Lattice, warp_of
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile
 
@@ -121,13 +121,13 @@ def test_lattices_fit_the_mask() -> None:
 def test_the_table_of_a_lattice_is_short(asked: dict[str, Any], longest: float) -> None:
     lattice = lattice_for(replace(TouchSpec(step_n=1e-9), **asked), longest)
     assert 1000 < len(warp_of(lattice.floor, lattice.rate)) <= 200_000
-    for floor, rate in ((LEAST_UNIFORM, 0), (LEAST_UNIFORM, 3), (1, LEAST_RATE)):
+    for floor, rate in ((MIN_FLOOR, 0), (MIN_FLOOR, 3), (1, MIN_RATE)):
         assert len(warp_of(floor, rate)) <= 200_000
 
 
 def test_a_lattice_of_a_long_table_is_refused() -> None:
     decoder = round_trip([field_of("one", 1, GRID)], TouchSpec())[1]
-    for floor, rate in ((LEAST_UNIFORM - 1, LEAST_RATE - 1), (1, 0)):
+    for floor, rate in ((MIN_FLOOR - 1, MIN_RATE - 1), (1, 0)):
         with pytest.raises(CorruptFile, match="lattice"):
             list(decoder.frames(write_body(Lattice(1e-4, floor, rate, 1, 0), [], None), 0))
-    assert list(decoder.frames(write_body(Lattice(1e-4, 1, LEAST_RATE, 1, 0), [], None), 0)) == []
+    assert list(decoder.frames(write_body(Lattice(1e-4, 1, MIN_RATE, 1, 0), [], None), 0)) == []

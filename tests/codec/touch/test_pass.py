@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from touchfield.codec.touch import frame_encoder
-from touchfield.codec.touch.frame import Course, Memory, decode_frame, fresh_memory
+from touchfield.codec.touch.error_bound import masked_error_n
+from touchfield.codec.touch.frame import Memory, ScanOrder, decode_frame, new_memory
 from touchfield.codec.touch.frame_encoder import CodedFrame, encode_frame, lattice_for, limits_for
 from touchfield.codec.touch.lattice import FixedField, Lattice
-from touchfield.codec.touch.promise import hidden_of
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
 from touchfield.medium import ForceField
@@ -45,7 +45,7 @@ def coded(
     lattice = lattice_for(spec, 4.0 if np.abs(frame.forces_n).max(initial=0) < 2 else 1e32)
     limits = limits_for(spec, lattice)
     return encode_frame(
-        frame, lattice, reference, memory or fresh_memory(), limits, hidden_of(frame, spec)
+        frame, lattice, reference, memory or new_memory(), limits, masked_error_n(frame, spec)
     ), lattice
 
 
@@ -70,7 +70,7 @@ def check(
 @given(st.sampled_from(KINDS), st.sampled_from(KINDS), st.integers(0, 999), st.sampled_from(SPECS))
 def test_the_decoder_makes_what_the_encoder_says(first: str, second: str, seed: int, spec: TouchSpec) -> None:
     """Alone; given the field before, with what it has taught; given a field of another kind."""
-    before, memory = check(field_of(first, seed), spec, None, fresh_memory())
+    before, memory = check(field_of(first, seed), spec, None, new_memory())
     _, memory = check(field_of(second, seed), spec, before, memory)
     check(field_of(second, seed + 1), spec, None, memory)
 
@@ -78,8 +78,8 @@ def test_the_decoder_makes_what_the_encoder_says(first: str, second: str, seed: 
 @pytest.mark.parametrize("code", [code for code in range(32) if code & 3 < 3])
 def test_every_course(code: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """On partial bricks at the edges of a grid: whatever the course, the bytes make what the encoder says."""
-    monkeypatch.setattr(frame_encoder, "_course_of", lambda *_: Course(GRID, code))
-    before, memory = check(field_of("dense", 1), SPECS[0], None, fresh_memory())
+    monkeypatch.setattr(frame_encoder, "_scan_order", lambda *_: ScanOrder(GRID, code))
+    before, memory = check(field_of("dense", 1), SPECS[0], None, new_memory())
     check(field_of("sparse", 2), SPECS[0], before, memory)
 
 
@@ -111,7 +111,7 @@ def test_a_damaged_frame_is_refused_or_is_another(data: st.DataObject) -> None:
     for at in data.draw(st.sets(st.integers(0, len(bad) - 1), min_size=1, max_size=3)):
         bad[at] ^= data.draw(st.integers(1, 255))
     try:
-        decoded = decode_frame(bytes(bad), frame.grid, lattice, None, fresh_memory())
+        decoded = decode_frame(bytes(bad), frame.grid, lattice, None, new_memory())
     except FormatError:
         return
     assert (decoded.bricks < frame.grid.brick_shape).all() and np.abs(decoded.vectors).max(
@@ -121,11 +121,11 @@ def test_a_damaged_frame_is_refused_or_is_another(data: st.DataObject) -> None:
 
 def test_what_no_frame_begins_with() -> None:
     frame = hills(17, 5)
-    known = frame.grid, coded(frame, SPECS[0], None)[1], None, fresh_memory()
-    with pytest.raises(TruncatedFile, match="course"):
+    known = frame.grid, coded(frame, SPECS[0], None)[1], None, new_memory()
+    with pytest.raises(TruncatedFile, match="scan order"):
         decode_frame(b"", *known)
     for head in (3, 7, 31, 1 << 5, 255):
-        with pytest.raises(CorruptFile, match="course"):
+        with pytest.raises(CorruptFile, match="scan order"):
             decode_frame(bytes([head, 0, 0, 0, 0]), *known)
     with pytest.raises(CorruptFile, match="slope"):
         decode_frame(b"\0\xff\xff\xff\x7f\0\0\0", *known)

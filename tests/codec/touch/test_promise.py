@@ -11,8 +11,8 @@ from field_makers import GRID, KINDS, field_of
 from hypothesis import given
 from hypothesis import strategies as st
 
+from touchfield.codec.touch.error_bound import compare_frames, fraction_within_bound
 from touchfield.codec.touch.lattice import FixedField
-from touchfield.codec.touch.promise import agreement, compared
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField
 from touchfield.perception.mask import violations
@@ -39,20 +39,20 @@ def disturbed(field: ForceField, seed: int, share: float) -> ForceField:
 )
 def test_the_mask_is_that_of_perception(kind: str, seed: int, share: float, f0_n: float) -> None:
     original, decoded = field_of(kind, seed), disturbed(field_of(kind, seed), seed, share)
-    found = compared(original, decoded, replace(MASK, f0_n=f0_n))
+    found = compare_frames(original, decoded, replace(MASK, f0_n=f0_n))
     a, b = (f.to_dense().reshape(-1, 3) for f in (original, decoded))
     expected = violations(a, b, MASK.k, f0_n)
     assert len(found.keys) == expected.count
     if expected.worst_ratio is None:
-        assert math.isinf(found.worst)
+        assert math.isinf(found.max_error_ratio)
     else:
-        assert found.worst == pytest.approx(expected.worst_ratio, rel=1e-12, abs=1e-12)
+        assert found.max_error_ratio == pytest.approx(expected.worst_ratio, rel=1e-12, abs=1e-12)
     assert found.decoded == decoded.support_count
-    assert original.support_count - len(found.keys) <= found.within <= original.support_count
-    order = found.keys * 512 + found.places
+    assert original.support_count - len(found.keys) <= found.within_bound <= original.support_count
+    order = found.keys * 512 + found.samples
     assert (np.diff(order) > 0).all()
     x, y, z = np.unravel_index(found.keys, GRID.brick_shape)
-    i, j, k = np.unravel_index(found.places, (8, 8, 8))
+    i, j, k = np.unravel_index(found.samples, (8, 8, 8))
     error = original.to_dense().astype(np.float64) - decoded.to_dense()
     here = np.sqrt((error[8 * x + i, 8 * y + j, 8 * z + k] ** 2).sum(-1))
     assert (here > f0_n).all()
@@ -64,7 +64,7 @@ def test_the_rule_of_directions() -> None:
 
     def ratio(decoded: list[float], original: np.ndarray = force) -> float:
         fields = [ForceField.from_support(GRID, [[3, 9, 5]], [f]) for f in (original, decoded)]
-        return compared(fields[0], fields[1], spec).worst
+        return compare_frames(fields[0], fields[1], spec).max_error_ratio
 
     for degrees in (0.0, 5.0, 17.9, 18.1, 90.0, 180.0):
         angle = math.radians(degrees)
@@ -81,11 +81,11 @@ def test_the_rule_of_directions() -> None:
 def test_an_exact_support_is_asked_for_where_it_is() -> None:
     original = ForceField.from_support(GRID, [[1, 1, 1], [9, 9, 9]], [[0.01, 0, 0], [1, 0, 0]])
     lost = ForceField.from_support(GRID, [[9, 9, 9]], [[1, 0, 0]])
-    assert not len(compared(original, lost, MASK).keys)
-    assert len(compared(original, lost, replace(MASK, support="exact")).keys) == 1
-    assert len(compared(lost, original, replace(MASK, support="exact")).keys) == 1
-    assert len(compared(original, lost, replace(MASK, mode="nmse", support="exact")).keys) == 1
-    assert not len(compared(original, lost, replace(MASK, mode="nmse")).keys)
+    assert not len(compare_frames(original, lost, MASK).keys)
+    assert len(compare_frames(original, lost, replace(MASK, support="exact")).keys) == 1
+    assert len(compare_frames(lost, original, replace(MASK, support="exact")).keys) == 1
+    assert len(compare_frames(original, lost, replace(MASK, mode="nmse", support="exact")).keys) == 1
+    assert not len(compare_frames(original, lost, replace(MASK, mode="nmse")).keys)
 
 
 def test_lossless_means_every_bit() -> None:
@@ -95,10 +95,10 @@ def test_lossless_means_every_bit() -> None:
     b = a.copy()
     b[0, 1, 2, 3, 1] = -0.0
     fields = [ForceField(GRID, np.zeros((1, 3), np.int32), f) for f in (a, b)]
-    assert not len(compared(fields[0], fields[0], spec).keys)
-    assert compared(fields[0], fields[1], spec).places.tolist() == [64 + 16 + 3]
-    assert compared(fields[0], ForceField.empty(GRID), spec).places.tolist() == [64 + 16 + 3]
-    assert compared(ForceField.empty(GRID), fields[0], spec).places.tolist() == [64 + 16 + 3]
+    assert not len(compare_frames(fields[0], fields[0], spec).keys)
+    assert compare_frames(fields[0], fields[1], spec).samples.tolist() == [64 + 16 + 3]
+    assert compare_frames(fields[0], ForceField.empty(GRID), spec).samples.tolist() == [64 + 16 + 3]
+    assert compare_frames(ForceField.empty(GRID), fields[0], spec).samples.tolist() == [64 + 16 + 3]
 
 
 def test_agreement_is_a_share_of_voxels() -> None:
@@ -111,6 +111,6 @@ def test_agreement_is_a_share_of_voxels() -> None:
     vectors[1, 0, 0, 0] = 40, 0, 0
     guess = FixedField(np.array([[0, 0, 0], [0, 0, 1]], np.int32), vectors)
     # of four voxels with a force, here or there, the first keeps the mask
-    assert agreement(original, guess, 0.01, MASK) == 0.25
-    assert agreement(original, guess, 0.01, replace(MASK, mode="nmse", step_n=0.11)) == 0.25
-    assert agreement(ForceField.empty(GRID), FixedField(guess.bricks[:0], vectors[:0]), 0.01, MASK) == 1.0
+    assert fraction_within_bound(original, guess, 0.01, MASK) == 0.25
+    assert fraction_within_bound(original, guess, 0.01, replace(MASK, mode="nmse", step_n=0.11)) == 0.25
+    assert fraction_within_bound(ForceField.empty(GRID), FixedField(guess.bricks[:0], vectors[:0]), 0.01, MASK) == 1.0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from field_makers import case_of, round_trip
 
-from touchfield.codec.touch.promise import compared, hidden_of
+from touchfield.codec.touch.error_bound import compare_frames, masked_error_n
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField
 from touchfield.perception.mask import violations
@@ -27,9 +27,9 @@ def check(frames: list[ForceField], spec: TouchSpec) -> None:
     body, decoder, decoded = round_trip(frames, spec)
     worst = 0.0
     for original, made in zip(frames, decoded, strict=True):
-        hidden_n = hidden_of(original, spec)
-        found = compared(original, made, spec, hidden_n=hidden_n)
-        worst = max(worst, found.worst)
+        hidden_n = masked_error_n(original, spec)
+        found = compare_frames(original, made, spec, hidden_n=hidden_n)
+        worst = max(worst, found.max_error_ratio)
         assert not len(found.keys)
         if spec.mode == "mask":
             a, b = (f.to_dense().reshape(-1, 3) for f in (original, made))
@@ -40,7 +40,7 @@ def check(frames: list[ForceField], spec: TouchSpec) -> None:
             assert violations(a, b, spec.k, spec.f0_n, masking_n=masking_n).count == 0
         if spec.support == "exact":
             assert np.array_equal(held_of(original), held_of(made))
-    told = decoder.worst(body)
+    told = decoder.max_error(body)
     assert told is not None and worst <= told.ratio <= min(1.0, worst + 1 / 65535 + 1e-12)
 
 

@@ -10,7 +10,7 @@ from field_makers import GRID, field_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.touch.frame import Course
+from touchfield.codec.touch.frame import ScanOrder
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.medium import ForceField, Grid
 
@@ -28,7 +28,7 @@ def bricks_of(shape: tuple[int, int, int], share: float, seed: int) -> np.ndarra
 
 @pytest.mark.parametrize("code", COURSES)
 def test_there_and_back(code: int) -> None:
-    course = Course(GRID, code)
+    course = ScanOrder(GRID, code)
     assert course.axes[0] == code & 3 and tuple(course.down) == down_of(code)
     rng = np.random.default_rng(code)
     bricks = bricks_of(GRID.brick_shape, 0.6, code)
@@ -37,17 +37,17 @@ def test_there_and_back(code: int) -> None:
     places, order = course.order(bricks)
     assert sorted(order.tolist()) == list(range(len(bricks)))
     assert (np.lexsort(places.T[::-1]) == np.arange(len(places))).all()
-    turned = course.turned(vectors, order)
+    turned = course.permute(vectors, order)
     cells = np.zeros((len(bricks), 512, 8), np.int32)
     cells[..., :3], cells[..., 3] = turned, turned.any(-1)
-    assert np.array_equal(course.turned_back(cells, order), vectors)
+    assert np.array_equal(course.unpermute(cells, order), vectors)
 
 
 @given(st.sampled_from(COURSES), st.integers(0, 99))
 def test_a_sample_of_the_scan_is_one_of_the_grid(code: int, seed: int) -> None:
-    down, course, field = down_of(code), Course(GRID, code), field_of("dense", seed)
+    down, course, field = down_of(code), ScanOrder(GRID, code), field_of("dense", seed)
     places, order = course.order(field.bricks)
-    turned = course.turned(field.forces_n, order, 2.0)
+    turned = course.permute(field.forces_n, order, 2.0)
     scan = course.scan(places, None)
     axes, rng = course.axes, np.random.default_rng(seed)
     n, at = int(rng.integers(len(places))), int(rng.integers(512))
@@ -68,7 +68,7 @@ def test_a_sample_of_the_scan_is_one_of_the_grid(code: int, seed: int) -> None:
 @pytest.mark.parametrize("code", COURSES[::3])
 def test_neighbours_are_where_they_are(code: int) -> None:
     grid = Grid((60, 45, 70), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
-    course = Course(grid, code)
+    course = ScanOrder(grid, code)
     bricks, theirs = bricks_of(grid.brick_shape, 0.3, 1), bricks_of(grid.brick_shape, 0.3, 2)
     places, _ = course.order(bricks)
     known, _ = course.order(theirs)
@@ -85,7 +85,7 @@ def test_neighbours_are_where_they_are(code: int) -> None:
 
 def test_a_scan_without_bricks() -> None:
     empty = ForceField.empty(GRID)
-    course = Course(GRID, 1 | 4 | 16)
+    course = ScanOrder(GRID, 1 | 4 | 16)
     places, order = course.order(empty.bricks)
     scan = course.scan(places, FixedField(empty.bricks, np.zeros((0, 8, 8, 8, 3), np.int32)))
     assert len(places) == len(order) == len(scan.near) == 0 and scan.around.shape == (0, 27)

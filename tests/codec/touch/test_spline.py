@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lattice_makers import FLAT, lattice_of, limits_of
 
-from touchfield.codec.kernels import end_of, fresh, writer
+from touchfield.codec.kernels import finish, new_models, writer
 from touchfield.codec.support import code_bricks
-from touchfield.codec.touch import guess as spline
-from touchfield.codec.touch.guess_fit import fit_spline
+from touchfield.codec.touch import base_layer as spline
+from touchfield.codec.touch.base_layer_fit import fit_spline
 from touchfield.errors import CorruptFile, TouchfieldError, TruncatedFile
 from touchfield.medium import ForceField, Grid
 
@@ -64,7 +64,7 @@ def test_the_guess_is_smoother_than_the_mask(coded):
 
 def test_the_bytes_give_what_the_fit_said(coded):
     _, unit_n, data, guess = coded
-    assert np.array_equal(spline.spline_of(data, GRID).field(GRID, unit_n).to_dense(), guess)
+    assert np.array_equal(spline.decode_spline(data, GRID).field(GRID, unit_n).to_dense(), guess)
 
 
 @pytest.mark.parametrize("shifts", [(3, 2, 4), (5, 5, 5), (2, 4, 3)])
@@ -73,9 +73,9 @@ def test_an_affine_potential_comes_back_exactly(shifts):
     head = spline.Head(shifts, 1, (1 << 15, 1 << 15, 1 << 15))
     bricks = np.array([[1, 0, 0], [1, 1, 0], [2, 0, 0], [3, 2, 4]], np.int32)
     nodes = spline.Nodes(bricks, shifts)
-    x = (bricks[:, 0, None] * 8 >> shifts[0]) - 1 + np.arange(nodes.around.shape[1])
-    values = np.broadcast_to((1000 * (x << shifts[0]) - 9000)[:, :, None, None], nodes.around.shape)
-    made = spline.forces_of(head, GRID, bricks, values)
+    x = (bricks[:, 0, None] * 8 >> shifts[0]) - 1 + np.arange(nodes.per_brick.shape[1])
+    values = np.broadcast_to((1000 * (x << shifts[0]) - 9000)[:, :, None, None], nodes.per_brick.shape)
+    made = spline.spline_forces(head, GRID, bricks, values)
     samples = 8 * bricks[:, 0, None] + np.arange(8)
     assert np.array_equal(made.vectors[:, :, 3, 3, 0], -np.clip(1000 * samples - 8500, 0, 1 << 16))
     assert not made.vectors[..., 1:].any()
@@ -85,11 +85,11 @@ def test_an_affine_potential_comes_back_exactly(shifts):
 def test_nodes_know_those_before_them():
     bricks = np.array([[0, 0, 0], [5, 0, 9]], np.int32)
     nodes = spline.Nodes(bricks, (3, 3, 3))
-    assert nodes.before.shape == (128, 6)
-    first, second = nodes.around
+    assert nodes.predecessors.shape == (128, 6)
+    first, second = nodes.per_brick
     assert not set(first.ravel()) & set(second.ravel())
-    assert (nodes.before[first[0, 0, 0]] == -1).all()
-    assert nodes.before[first[2, 1, 3]].tolist() == [
+    assert (nodes.predecessors[first[0, 0, 0]] == -1).all()
+    assert nodes.predecessors[first[2, 1, 3]].tolist() == [
         first[at] for at in ((1, 1, 3), (2, 0, 3), (2, 1, 2), (1, 0, 3), (2, 0, 2), (1, 1, 2))
     ]
 
@@ -98,7 +98,7 @@ def test_nodes_know_those_before_them():
 def test_weights_are_those_of_a_cubic_spline(shift):
     """Straight lines come back, and so does a cubic, by its blossom."""
     h = 1 << shift
-    for place, table in enumerate(spline.weights(shift)):
+    for place, table in enumerate(spline.corner_weights(shift)):
         nodes = h * np.arange(-1, len(table) - 1)
         corners = 8 * place + np.arange(9)
         assert (table.sum(axis=0) == 6 * h**3).all()
@@ -123,14 +123,14 @@ def test_what_is_not_smooth_has_no_guess(kind):
 def test_any_mask_is_taken(f0_n):
     frame = ball()
     found = fit_spline(frame, lattice_of(frame), limits_of(lattice_of(frame), f0_n=f0_n))
-    assert found is None or np.array_equal(spline.spline_of(found[0], GRID).vectors, found[1].vectors)
+    assert found is None or np.array_equal(spline.decode_spline(found[0], GRID).vectors, found[1].vectors)
 
 
 def test_cut_bytes_are_refused(coded):
     data = coded[2]
     for size in (*range(12), len(data) // 4):
         with pytest.raises((TruncatedFile, CorruptFile)):
-            spline.spline_of(data[:size], GRID)
+            spline.decode_spline(data[:size], GRID)
 
 
 @settings(deadline=None, max_examples=60)
@@ -140,7 +140,7 @@ def test_changed_bytes_give_a_field_or_a_named_error(coded, data):
     for _ in range(data.draw(st.integers(1, 4))):
         changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
     try:
-        made = spline.spline_of(bytes(changed), GRID)
+        made = spline.decode_spline(bytes(changed), GRID)
     except TouchfieldError:
         return
     assert np.abs(made.vectors).max() <= (1 << 17)
@@ -151,11 +151,11 @@ def test_bricks_far_apart_take_little_memory():
     """The box around two bricks at the far corners of a large grid is nobody's business."""
     grid = Grid((4096, 4096, 4096), (0.001,) * 3, (0.0,) * 3)
     far = np.array([[0, 0, 0], [511, 511, 511]], np.int32)
-    told = writer(1024, fresh(spline.SPLINE_CONTEXTS, spline.LIST_SETS))
+    told = writer(1024, new_models(spline.SPLINE_CONTEXTS, spline.LIST_SETS))
     code_bricks(told, 0, 0, grid.brick_shape, far, None)
     tracemalloc.start()
-    made = spline.spline_of(
-        spline.Head((3, 3, 3), 1, (1, 1, 1)).to_bytes() + end_of(told) + bytes(1024), grid
+    made = spline.decode_spline(
+        spline.Head((3, 3, 3), 1, (1, 1, 1)).to_bytes() + finish(told) + bytes(1024), grid
     )
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -168,4 +168,4 @@ def test_bricks_far_apart_take_little_memory():
 )
 def test_a_head_beyond_its_limits_is_refused(coded, head):
     with pytest.raises(CorruptFile, match="head"):
-        spline.spline_of(bytes(head) + coded[2][9:], GRID)
+        spline.decode_spline(bytes(head) + coded[2][9:], GRID)

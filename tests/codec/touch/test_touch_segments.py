@@ -13,19 +13,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from touchfield.codec.registry import coder, field_decoder
-from touchfield.codec.segment import FrameKind, Worst, promise_kept
+from touchfield.codec.segment import FrameKind, MaxError, max_error_keys
 from touchfield.codec.touch.body import (
     BodyReader,
     FrameRecord,
-    exceptions_of,
-    shares_of,
-    with_exceptions,
+    apply_outliers,
+    bit_fractions,
+    encode_outliers,
     write_body,
 )
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.error_bound import compare_frames, masked_error_n
 from touchfield.codec.touch.lattice import Lattice
-from touchfield.codec.touch.promise import compared, hidden_of
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.medium import ForceField, Grid
@@ -69,7 +69,7 @@ def test_most_voxels_need_no_exception(wavy_field: ForceField) -> None:
     body, _, decoded = round_trip(frames, TouchSpec())
     assert decoded[0].support_count > 0.8 * wavy_field.support_count
     records = BodyReader(body, wavy_field.grid, exact=False).records(3)
-    assert sum(len(record.exceptions) for record in records) < 0.02 * len(body)
+    assert sum(len(record.outliers) for record in records) < 0.02 * len(body)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -85,13 +85,13 @@ def test_a_force_sent_apart_lies_in_the_grid(axis: int) -> None:
         frame, place = ForceField.from_dense(wide, dense), 0
         for c in at:
             place = place << 3 | c & 7
-        data = exceptions_of(frame, np.array([2 * 9 + 2 * 3 + 2]), np.array([place]))
+        data = encode_outliers(frame, np.array([2 * 9 + 2 * 3 + 2]), np.array([place]))
         if is_inside:
             inner = tuple(slice(n) for n in grid.shape)
-            assert with_exceptions(ForceField.empty(grid), data) == ForceField.from_dense(grid, dense[inner])
+            assert apply_outliers(ForceField.empty(grid), data) == ForceField.from_dense(grid, dense[inner])
         else:
             with pytest.raises(CorruptFile, match="beyond the grid"):
-                with_exceptions(ForceField.empty(grid), data)
+                apply_outliers(ForceField.empty(grid), data)
 
 
 @pytest.mark.parametrize("effort", ["fast", "default"])
@@ -139,7 +139,7 @@ def test_segments_that_share_an_anchor_begin_alike() -> None:
     decoder = TouchDecoder(world.grid, encoder.parameters)
     for frames, body in zip(segments, bodies, strict=True):
         for original, made in zip(frames, decoder.frames(body, 2), strict=True):
-            assert not len(compared(original, made, spec).keys)
+            assert not len(compare_frames(original, made, spec).keys)
     firsts = [BodyReader(body, world.grid, exact=False).records(2)[0] for body in bodies]
     assert firsts[0].payload == firsts[1].payload == firsts[2].payload
     with pytest.raises(InvalidArgument, match="grid"):
@@ -152,7 +152,7 @@ def test_what_was_decoded_can_be_coded_again(kind: str, seed: int, spec: TouchSp
     once = round_trip([field_of(kind, seed)], spec)[2]
     body, _, twice = round_trip(once, spec)
     if spec.mode != "nmse":
-        assert not len(compared(once[0], twice[0], spec, hidden_n=hidden_of(once[0], spec)).keys)
+        assert not len(compare_frames(once[0], twice[0], spec, hidden_n=masked_error_n(once[0], spec)).keys)
     assert round_trip(once, spec)[0] == body  # equal fields, equal bytes
 
 
@@ -162,7 +162,7 @@ def test_a_mean_error_is_bought_with_bytes(wavy_field: ForceField) -> None:
         body, decoder, (made,) = round_trip([wavy_field], TouchSpec(mode="nmse", step_n=step))
         errors.append(float(((wavy_field.to_dense() - made.to_dense()) ** 2).mean()))
         sizes.append(len(body))
-        assert decoder.worst(body) is None
+        assert decoder.max_error(body) is None
     assert errors[0] > 4 * errors[1] > 16 * errors[2] and sizes[0] < sizes[1] < sizes[2]
 
 
@@ -172,7 +172,7 @@ def test_lossless_is_exact_to_the_bit(kind: str) -> None:
     body, decoder, decoded = round_trip(frames, TouchSpec(mode="lossless"))
     for a, b in zip(frames, decoded, strict=True):
         assert a.bricks.tobytes() == b.bricks.tobytes() and a.forces_n.tobytes() == b.forces_n.tobytes()
-    worst = decoder.worst(body)
+    worst = decoder.max_error(body)
     assert worst is not None and worst.ratio == 0
 
 
@@ -230,19 +230,19 @@ def test_an_effort_that_is_no_longer_written_is_read() -> None:
 def test_the_worst_error_is_not_rounded_down() -> None:
     lattice = Lattice(1.0, 100, 0, 100, 0)
     for ratio in (0.0, 1e-9, 0.5, 0.99999, 1.0):
-        read = BodyReader(write_body(lattice, [], Worst(ratio, 0, (0, 0, 0))), GRID, exact=False).worst
+        read = BodyReader(write_body(lattice, [], MaxError(ratio, 0, (0, 0, 0))), GRID, exact=False).max_error
         assert read is not None and ratio <= read.ratio <= ratio + 1 / 65535
 
 
 def test_the_worst_voxel_of_a_file_is_in_its_frame() -> None:
     worsts = [
-        (0, Worst(0.5, 2, (1, 2, 3))),
-        (8, Worst(0.75, 1, (4, 5, 6))),
-        (24, Worst(0.75, 0, (0, 0, 0))),
+        (0, MaxError(0.5, 2, (1, 2, 3))),
+        (8, MaxError(0.75, 1, (4, 5, 6))),
+        (24, MaxError(0.75, 0, (0, 0, 0))),
     ]
     told = {"promise_kept": True, "worst_mask_ratio": 0.75, "worst_frame": 9, "worst_voxel": [4, 5, 6]}
-    assert promise_kept(worsts) == told
-    assert set(promise_kept([(0, None)]).values()) == {None}
+    assert max_error_keys(worsts) == told
+    assert set(max_error_keys([(0, None)]).values()) == {None}
 
 
 def test_the_registry_knows_the_coder() -> None:
@@ -255,12 +255,12 @@ def test_the_registry_knows_the_coder() -> None:
 
 
 def test_shares_are_of_255() -> None:
-    assert shares_of((0.0, 0.0, 0.0)) == (255, 0)
-    assert shares_of((1.0, 1.0, 0.0)) == (128, 127)
-    assert shares_of((0.0, 0.0, 5.0)) == (0, 0)
+    assert bit_fractions((0.0, 0.0, 0.0)) == (255, 0)
+    assert bit_fractions((1.0, 1.0, 0.0)) == (128, 127)
+    assert bit_fractions((0.0, 0.0, 5.0)) == (0, 0)
     rng = np.random.default_rng(1)
     for bits in rng.random((100, 3)):
-        support, amplitude = shares_of((bits[0], bits[1], bits[2]))
+        support, amplitude = bit_fractions((bits[0], bits[1], bits[2]))
         assert support >= 0 and amplitude >= 0 and support + amplitude <= 255
 
 
@@ -279,7 +279,7 @@ def test_shares_are_of_255() -> None:
 def test_shares_saturate_and_never_stop_an_encoding(
     bits: tuple[float, float, float], shares: tuple[int, int]
 ) -> None:
-    assert shares_of(bits) == shares
+    assert bit_fractions(bits) == shares
     record = FrameRecord(False, b"", b"payload", shares)
     parts = write_body(None, [record], None)
-    assert BodyReader(parts, GRID, exact=True).records(1)[0].shares == shares
+    assert BodyReader(parts, GRID, exact=True).records(1)[0].fractions == shares

@@ -1,7 +1,7 @@
-"""The decoder of the coder `objects`: poses of all bodies in a segment, and their fields when asked for.
+"""Decoder of the coder `objects`: poses of all bodies in a segment, and their fields on request.
 
-The paper's rigid objects need one field and a pose a frame (section 4.3), and it leaves the coding of these
-"parameters of the source model" open. Here a pose is seven whole numbers, multiples of two steps; each is
+The paper's rigid objects need one field and a pose a frame (section 4.3); it does not say how to code these
+"parameters of the source model". Here a pose is seven whole numbers, multiples of two steps; each is
 predicted from those before it, and the residuals are whole numbers (docs/format/objects.md).
 """
 
@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Bools, Int64s
-from touchfield.codec.kernels import NUMBER_CONTEXTS, NUMBER_SETS, Bits, code_numbers, fresh, reader
+from touchfield.codec.kernels import NUMBER_CONTEXTS, NUMBER_SETS, Bits, code_numbers, new_models, reader
 from touchfield.codec.objects.layout import NAME, CodedObject, Parameters, SegmentParts
 from touchfield.codec.registry import FieldDecoder, field_decoder
 from touchfield.codec.segment import BitAccount
@@ -24,8 +24,8 @@ from touchfield.codec.support import check_end
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium import ForceField, PoseTrack
 
-MOST_POSES: Final = (1 << 16) - 1  # poses in one piece of code; a segment of a file has no more frames
-MOST_STEPS: Final = 1 << 50  # of a position; seven of them, as the quadratic predictor adds, stay exact
+MAX_SEGMENT_POSES: Final = (1 << 16) - 1  # poses in one code; also the maximum number of frames of a segment
+MAX_STEPS: Final = 1 << 50  # of a position; sums of seven, as in the quadratic predictor, stay exact
 POSITION_POWERS: Final = (-40, 0)
 QUATERNION_POWERS: Final = (-30, -2)
 _CHANGED = "The file was changed or cut."
@@ -33,9 +33,9 @@ _CHANGED = "The file was changed or cut."
 
 @dataclass(frozen=True)
 class PoseSteps:
-    """The steps whose multiples a coded track consists of, powers of two; InvalidArgument for others.
+    """Quantisation steps of a coded track, powers of two; InvalidArgument for other numbers.
 
-    Of positions from 2^-40 to 1 metres, of each component of the quaternion from 2^-30 to 2^-2.
+    Those of positions are from 2^-40 to 1 metres, those of quaternion components from 2^-30 to 2^-2.
     """
 
     position_m: float
@@ -51,14 +51,12 @@ class PoseSteps:
             object.__setattr__(self, name, step)
 
     def to_bytes(self) -> bytes:
-        """Two bytes: the exponents of both steps as int8."""
+        """The exponents of both steps as int8, two bytes."""
         return struct.pack("bb", *(math.frexp(step)[1] - 1 for step in (self.position_m, self.quaternion)))
 
     @classmethod
     def from_bytes(cls, data: bytes, where: str = "pose steps") -> PoseSteps:
-        """The inverse of `to_bytes`; TruncatedFile or CorruptFile, which call the bytes `where`, if it has
-        none.
-        """
+        """The inverse of `to_bytes`; TruncatedFile or CorruptFile, naming `where`, for invalid bytes."""
         if len(data) != 2:
             error = TruncatedFile if len(data) < 2 else CorruptFile
             raise error(where, f"{len(data)} bytes", "2")
@@ -70,49 +68,49 @@ class PoseSteps:
 
     @property
     def limits(self) -> Int64s:
-        """The largest |number| of each component, int64 [7]."""
-        return np.array([MOST_STEPS] * 3 + [round(1 / self.quaternion)] * 4, np.int64)
+        """Largest magnitude of the number of each component, int64 [7]."""
+        return np.array([MAX_STEPS] * 3 + [round(1 / self.quaternion)] * 4, np.int64)
 
-    def are_units(self, turns: Int64s) -> Bools:
-        """True for quaternions int64 [n, 4] within one step of length 1; rounding keeps to it."""
-        one = round(1 / self.quaternion)
-        squares = (turns * turns).sum(axis=1)
-        held: Bools = (squares >= (one - 1) ** 2) & (squares <= (one + 1) ** 2)
-        return held
+    def are_units(self, quaternions: Int64s) -> Bools:
+        """True for quaternions int64 [n, 4] within one step of length 1, as rounded ones are."""
+        unit_length = round(1 / self.quaternion)
+        squares = (quaternions * quaternions).sum(axis=1)
+        is_unit: Bools = (squares >= (unit_length - 1) ** 2) & (squares <= (unit_length + 1) ** 2)
+        return is_unit
 
     def track(self, numbers: Int64s) -> PoseTrack:
-        """The poses that whole numbers int64 [n, 7] tell."""
-        turns = numbers[:, 3:].astype(np.float64)
-        unit = turns / np.sqrt((turns * turns).sum(axis=1, keepdims=True))
+        """The poses of whole numbers int64 [n, 7]."""
+        quaternions = numbers[:, 3:].astype(np.float64)
+        unit = quaternions / np.sqrt((quaternions * quaternions).sum(axis=1, keepdims=True))
         return PoseTrack(unit, numbers[:, :3].astype(np.float64) * self.position_m)
 
 
-# of a predictor: 0 for a number that never changes, 1 the number before, 2 a line, 3 a parabola through those
-MOST_ORDER: Final = 3
+# order of a predictor: 0 constant, 1 the number before, 2 a line, 3 a parabola through those before
+MAX_ORDER: Final = 3
 MODELS: Final = 8 * NUMBER_CONTEXTS, 8 * NUMBER_SETS
-"""Of the first pose and the predictors, and of what these leave of each component."""
+"""Contexts and sets of the models: for the first pose and the orders, and for the residuals by component."""
 
 
 def code_residuals(bits: Bits, component: int, residuals: Int64s) -> None:
-    """Write or read what the predictor of a component leaves, int64 [n]."""
+    """Write or read the residuals of a component, int64 [n]."""
     code_numbers(bits, (1 + component) * NUMBER_CONTEXTS, (1 + component) * NUMBER_SETS, residuals)
 
 
 def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "poses") -> PoseTrack:
-    """The track that `encode_poses` has coded.
+    """Decode a track of `encode_poses`.
 
-    `frame_count`: poses that were coded, 1 to `MOST_POSES`; some 120 bytes are taken for each. `where`: what
-    to call the bytes in an error. TruncatedFile or CorruptFile if the bytes are not the code of so many
+    `frame_count` is the number of poses, 1 to `MAX_SEGMENT_POSES`; each takes some 120 bytes of memory.
+    `where` names the bytes in errors. TruncatedFile or CorruptFile if the bytes are not the code of so many
     poses.
     """
-    if not 1 <= frame_count <= MOST_POSES:
-        raise InvalidArgument("frame_count", repr(frame_count), f"1 to {MOST_POSES}")
-    bits = reader(data, fresh(*MODELS))
+    if not 1 <= frame_count <= MAX_SEGMENT_POSES:
+        raise InvalidArgument("frame_count", repr(frame_count), f"1 to {MAX_SEGMENT_POSES}")
+    bits = reader(data, new_models(*MODELS))
     head = np.zeros(14, np.int64)
     code_numbers(bits, 0, 0, head)
     orders, numbers = head[:7].tolist(), np.tile(head[7:], (frame_count, 1))
-    if not 0 <= min(orders) <= max(orders) <= MOST_ORDER:
-        raise CorruptFile(where, f"predictors {orders}", f"0 to {MOST_ORDER} each", _CHANGED)
+    if not 0 <= min(orders) <= max(orders) <= MAX_ORDER:
+        raise CorruptFile(where, f"predictors {orders}", f"0 to {MAX_ORDER} each", _CHANGED)
     for c, order in enumerate(orders):
         column = np.zeros(frame_count, np.int64)
         if order:
@@ -121,25 +119,25 @@ def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "
             column = np.cumsum(column)
         numbers[:, c] += column
     check_end(bits, 0, where)
-    # a sum that goes round has left the limits before
+    # a sum that wraps around exceeds the limits before it does
     if ((numbers > steps.limits) | (numbers < -steps.limits)).any():
         raise CorruptFile(
             where, "a number beyond its limit", "positions to 2^50 steps, quaternions to 1", _CHANGED
         )
-    odd = np.flatnonzero(~steps.are_units(numbers[:, 3:]))
-    if len(odd):
-        found = f"the quaternion {tuple(numbers[odd[0], 3:].tolist())} in steps"
+    invalid = np.flatnonzero(~steps.are_units(numbers[:, 3:]))
+    if len(invalid):
+        found = f"the quaternion {tuple(numbers[invalid[0], 3:].tolist())} in steps"
         expected = f"one of length {round(1 / steps.quaternion)} within 1"
-        raise CorruptFile(f"{where}, frame {odd[0]}", found, expected, _CHANGED)
+        raise CorruptFile(f"{where}, frame {invalid[0]}", found, expected, _CHANGED)
     return steps.track(numbers)
 
 
 class ObjectsDecoder:
-    """Decodes segments of one stream of objects; needs nothing but the stream.
+    """Decoder of the segments of one stream of objects, from the stream alone.
 
-    `parameters`: `HEAD.coder_parameters`, whose damping and tolerance in place become attributes. `objects`:
-    what the OBJT records hold, in their order. CorruptFile if there are more or fewer objects than the
-    parameters say, or one of them contradicts itself. UnsupportedVersion if the coder of a field is unknown.
+    `parameters` is `HEAD.coder_parameters`, whose damping and tolerance in place become attributes; `objects`
+    are the contents of the OBJT records, in their order. CorruptFile if the number of objects is not that of
+    the parameters, or an object is inconsistent. UnsupportedVersion if the coder of a field is unknown.
     """
 
     name = NAME
@@ -149,49 +147,48 @@ class ObjectsDecoder:
         if count != len(objects):
             raise CorruptFile("OBJT records", str(len(objects)), f"{count}, as HEAD.coder_parameters says")
         self.objects = tuple(objects)
-        for i, one in enumerate(self.objects):
-            if one.is_deforming and one.field:
-                raise CorruptFile(f"OBJT {i} field", f"{len(one.field)} bytes", "none, as the object deforms")
+        for i, coded in enumerate(self.objects):
+            if coded.is_deforming and coded.field:
+                raise CorruptFile(
+                    f"OBJT {i} field", f"{len(coded.field)} bytes", "none, as the object deforms"
+                )
         self._latest: tuple[bytes, SegmentParts] | None = None
         self._steps = [
-            PoseSteps.from_bytes(one.pose_steps, f"OBJT {i} pose_steps") for i, one in enumerate(self.objects)
+            PoseSteps.from_bytes(coded.pose_steps, f"OBJT {i} pose_steps")
+            for i, coded in enumerate(self.objects)
         ]
         self.field_decoders: list[FieldDecoder] = [
-            field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {i}")
-            for i, one in enumerate(self.objects)
+            field_decoder(coded.field_coder, coded.grid, coded.field_parameters, f"OBJT {i}")
+            for i, coded in enumerate(self.objects)
         ]
 
     def parts(self, body: bytes) -> SegmentParts:
-        """Parts of a segment's body, not decoded yet; those of the latest body are kept."""
-        latest = (
-            self._latest
-        )  # each of thousands of objects asks for the same body, and other threads for another
+        """Parts of a segment's body, not decoded yet; those of the latest body are cached."""
+        latest = self._latest  # thousands of objects request the same body, other threads another one
         if latest is None or latest[0] is not body:
             self._latest = latest = (
                 body,
-                SegmentParts.from_bytes(body, [one.is_deforming for one in self.objects]),
+                SegmentParts.from_bytes(body, [coded.is_deforming for coded in self.objects]),
             )
         return latest[1]
 
     def tracks(self, body: bytes, frame_count: int) -> tuple[PoseTrack, ...]:
-        """The poses of each object in a segment; CorruptFile or TruncatedFile for other bytes than the
-        encoder's.
-        """
-        worst, parts = self.parts(body)
-        if worst is not None and worst.frame >= frame_count:
-            raise CorruptFile("SEGM.body worst frame", str(worst.frame), f"below {frame_count}")
+        """Poses of each object in a segment; CorruptFile or TruncatedFile if the bytes are invalid."""
+        max_error, parts = self.parts(body)
+        if max_error is not None and max_error.frame >= frame_count:
+            raise CorruptFile("SEGM.body worst frame", str(max_error.frame), f"below {frame_count}")
         return tuple(
             decode_poses(part.poses, frame_count, steps, f"SEGM.body poses of object {i}")
             for i, (part, steps) in enumerate(zip(parts, self._steps, strict=True))
         )
 
     def rigid_field(self, index: int) -> ForceField:
-        """The field of a rigid object, decoded now."""
-        (only,) = self.field_decoders[index].frames(self.objects[index].field, 1)
-        return only
+        """Decode the field of a rigid object."""
+        (field,) = self.field_decoders[index].frames(self.objects[index].field, 1)
+        return field
 
     def fields(self, body: bytes, index: int, frame_count: int) -> Iterator[ForceField]:
-        """The fields of an object that deforms in the frames of a segment, one after another."""
+        """Yield the fields of a deforming object in the frames of a segment, in order."""
         coded = self.parts(body).objects[index].fields
         if coded is None:
             raise InvalidArgument("object", f"{index}, which is rigid", "one that deforms")
@@ -199,8 +196,8 @@ class ObjectsDecoder:
 
     def object_cost(self, index: int) -> BitAccount:
         """Cost of the field of an object in its OBJT record."""
-        one = self.objects[index]
-        return BitAccount() if one.is_deforming else self._field_cost(index, one.field, 1)
+        coded = self.objects[index]
+        return BitAccount() if coded.is_deforming else self._field_cost(index, coded.field, 1)
 
     def cost(self, body: bytes, frame_count: int) -> BitAccount:
         """Cost of a segment, without decoding it."""
@@ -212,17 +209,17 @@ class ObjectsDecoder:
         return bits + BitAccount(side=8 * len(body) - bits.total)
 
     def _field_cost(self, index: int, coded: bytes, frame_count: int) -> BitAccount:
-        """The lengths and tables that belong to no frame are side bits."""
+        """Cost of coded fields; lengths and tables that belong to no frame are side bits."""
         bits = sum((c.bits for c in self.field_decoders[index].costs(coded, frame_count)), BitAccount())
         return bits + BitAccount(side=8 * len(coded) - bits.total)
 
     def describe(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        deforming = sum(one.is_deforming for one in self.objects)
+        """Parameters of the stream, under stable keys."""
+        deforming = sum(coded.is_deforming for coded in self.objects)
         return {
             "objects": len(self.objects),
             "deforming_objects": deforming,
-            "object_names": [one.name for one in self.objects],
+            "object_names": [coded.name for coded in self.objects],
             "surface_damping_n_s_per_m": self.surface_damping_n_s_per_m,
-            "field_coders": sorted({one.field_coder for one in self.objects}),
+            "field_coders": sorted({coded.field_coder for coded in self.objects}),
         }

@@ -1,10 +1,9 @@
-"""Compiled: the composed field of bodies in motion, decoded beside source, at every voxel that a body
-reaches.
+"""Compiled comparison of the decoded and the source field of bodies in motion, at all voxels they reach.
 
-Both fields of a body are kept as cells in one order (`touchfield.medium.cells`). Each cell knows a bound of
-what its error is of the mask, anywhere in it: a voxel that one body alone reaches is looked at only where
-that bound is above the worst voxel found so far, and a voxel that several reach always. All is compiled into
-one function: to hand on tuples of arrays took a quarter of the time.
+Both fields of a body are stored as cells in the same order (`touchfield.medium.cells`). Each cell has an
+upper bound of its error ratio: a voxel that only one body reaches is evaluated only if that bound exceeds the
+largest ratio found so far, a voxel that several reach always. Everything is inlined into one function:
+passing tuples of arrays took a quarter of the time.
 """
 
 from __future__ import annotations
@@ -15,19 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
-from touchfield.compute.jit import kernel, lean
+from touchfield.compute.coder_jit import lean
+from touchfield.compute.jit import kernel
 from touchfield.medium.kernels.placed import (
     CELLS,
     C,
     H,
     R,
     T,
+    body_coordinates,
+    clipped,
+    fill_placements,
     force_of,
     in_scene,
-    is_held,
-    own,
-    place,
-    shortened,
+    is_supported,
     slot_at,
 )
 
@@ -38,11 +38,10 @@ _NOWHERE = 1 << 40
 
 
 class Bodies(NamedTuple):
-    """Both fields of all bodies (`CellPool`), `bounds` float32 [n, 512] of their cells, and `tops` [n] of
-    these.
+    """Both fields of all bodies (`CellPool`), error bounds of their cells, and marks.
 
-    `marks` uint8 [n, 512] takes 1 for each cell that has a part in a voxel beyond the rule; [0, 512] takes
-    none.
+    `bounds`: float32 [n, 512], and `tops` [n] their maximum in each brick. `marks`: uint8 [n, 512], set to 1
+    for each cell that contributes to a voxel outside the bound; [0, 512] to mark nothing.
     """
 
     lattices: Float64s
@@ -50,7 +49,7 @@ class Bodies(NamedTuple):
     starts: Int64s
     bricks: Int32s
     tables: Int64s
-    held: NDArray[np.uint64]
+    supported: NDArray[np.uint64]
     source: Float32s
     decoded: Float32s
     bounds: Float32s
@@ -61,7 +60,7 @@ class Bodies(NamedTuple):
 class Rule(NamedTuple):
     """|error| <= max(f0_n, k |F|), of which f0_n may be 0.
 
-    A body's own force up to `floor_n` is none; sums are cut to `limit_n`.
+    A body's own force of up to `floor_n` counts as none; sums are limited to the length `limit_n`.
     """
 
     k: float
@@ -70,66 +69,71 @@ class Rule(NamedTuple):
     limit_n: float
 
 
-class _Found(NamedTuple):
-    """The worst of each body so far; and room: `near` and `here` begin with a count or a body, boxes are [2,
-    3].
+class _Search(NamedTuple):
+    """Largest ratio of each body so far, and workspace.
+
+    `candidates` is a count followed by bodies; rows of `parts` are a body and a slot; boxes are [2, 3].
     """
 
-    worst: Float64s
-    places: Int64s
+    ratios: Float64s
+    voxels: Int64s
     sums: Float64s
-    near: Int64s
-    here: Int64s
+    candidates: Int64s
+    parts: Int64s
     voxel: Int64s
     box: Int64s
     spans: Int64s
-    before: Int64s
+    previous_spans: Int64s
 
 
 @kernel
-def bound_cells(begin, end, source, decoded, rule, bounds):
-    """Into `bounds` [n, 512], for bricks of cells: the most that |error| / mask can be within each cell.
+def bound_cells(start, stop, source, decoded, rule, bounds):
+    """Fill `bounds` [n, 512] with upper bounds of |error| / mask within each cell.
 
-    The error of a trilinear cell is at most that of its worst corner, and its force along the mean direction
-    no less than that of the corner where this is least. Where the force may vanish within a cell that is not
-    exact, and f0_n is 0, there is no bound. A force may be cut off by `floor_n` in one field only, and is
-    rounded to float32 in both.
+    The error of a trilinear cell is at most the largest of its corners, and its force along the mean
+    direction at least the smallest of its corners. If the force may vanish within a cell that is not exact,
+    and f0_n is 0, the bound is infinite. `floor_n` may remove a force in one field only, and both fields are
+    rounded to float32.
     """
     corners, mean = np.empty((8, 3)), np.empty(3)
-    for s in range(begin, end):
+    for s in range(start, stop):
         for cell in range(512):
             error2 = 0.0
             mean[:] = 0.0
             for e in range(8):
                 o = s * CELLS + ((cell >> 6) + (e >> 2)) * 243
                 o += (((cell >> 3) & 7) + ((e >> 1) & 1)) * 27 + ((cell & 7) + (e & 1)) * 3
-                own2 = 0.0
+                corner2 = 0.0
                 for a in range(3):
                     corners[e, a] = source[o + a]
                     mean[a] += corners[e, a]
-                    own2 += (decoded[o + a] - corners[e, a]) ** 2
-                error2 = max(error2, own2)
+                    corner2 += (decoded[o + a] - corners[e, a]) ** 2
+                error2 = max(error2, corner2)
             if error2 == 0.0:
                 continue
-            length, least, most = np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2), rule.limit_n, 0.0
+            length, min_along, max_length2 = (
+                np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2),
+                rule.limit_n,
+                0.0,
+            )
             for e in range(8):
                 along = corners[e, 0] * mean[0] + corners[e, 1] * mean[1] + corners[e, 2] * mean[2]
-                least = min(least, along / max(length, 1e-300))
-                most = max(most, corners[e, 0] ** 2 + corners[e, 1] ** 2 + corners[e, 2] ** 2)
-            error, allowed = np.sqrt(error2), max(rule.f0_n, rule.k * least)
-            if least - error <= 2.0 * rule.floor_n:
+                min_along = min(min_along, along / max(length, 1e-300))
+                max_length2 = max(max_length2, corners[e, 0] ** 2 + corners[e, 1] ** 2 + corners[e, 2] ** 2)
+            error, allowed = np.sqrt(error2), max(rule.f0_n, rule.k * min_along)
+            if min_along - error <= 2.0 * rule.floor_n:
                 error += 2.0 * rule.floor_n
-            error += _ROUNDING * min(np.sqrt(most), rule.limit_n)
+            error += _ROUNDING * min(np.sqrt(max_length2), rule.limit_n)
             bounds[s, cell] = _SLACK * error / allowed if allowed > 0.0 else np.inf
 
 
 @lean(forceinline=True)
-def _add(cells, slot, row, at, least, total):
-    """Add to `total` the force of a body at a point x - t, as it is in the scene."""
-    x, y, z = own(row, at[0], at[1], at[2])
+def _add(cells, slot, row, offset, floor2, total):
+    """Add to `total` the force of a body at a point x - t, in scene coordinates."""
+    x, y, z = body_coordinates(row, offset[0], offset[1], offset[2])
     x, y, z = force_of(cells, slot, x, y, z)
-    if x * x + y * y + z * z > least:
-        x, y, z = in_scene(row, x, y, z, at[0], at[1], at[2])
+    if x * x + y * y + z * z > floor2:
+        x, y, z = in_scene(row, x, y, z, offset[0], offset[1], offset[2])
         total[0] += x
         total[1] += y
         total[2] += z
@@ -137,34 +141,34 @@ def _add(cells, slot, row, at, least, total):
 
 @lean(forceinline=True)
 def _span(row, first, size, world, box):
-    """Into `box` the workspace's samples about a box of a body's own, first and last; whether there are any."""
+    """Set `box` to the first and last workspace sample around a box of a body; False if there is none."""
     for a in range(3):
         centre, reach = row[T + a] - world[0, a], 0.0
         for b in range(3):
             centre += row[R + 3 * a + b] * row[H + b] * (first[b] + size[b] / 2 + row[C + b])
             reach += abs(row[R + 3 * a + b]) * row[H + b] * size[b] / 2
         spacing = world[1, a]
-        begin = np.ceil(max((centre - reach) / spacing - 1e-6, 0.0))
-        end = min((centre + reach) / spacing + 1e-6, world[2, a] - 1.0)
-        if not begin <= end:
+        low = np.ceil(max((centre - reach) / spacing - 1e-6, 0.0))
+        high = min((centre + reach) / spacing + 1e-6, world[2, a] - 1.0)
+        if not low <= high:
             box[0, a] = _NOWHERE
             return False
-        box[0, a], box[1, a] = np.int64(begin), np.int64(end)
+        box[0, a], box[1, a] = np.int64(low), np.int64(high)
     return True
 
 
 @lean(forceinline=True)
-def _overlap(one, other):
-    """True where two boxes of samples have one in common."""
-    meets = True
+def _overlap(box, other):
+    """True if two boxes of samples overlap."""
+    overlaps = True
     for a in range(3):
-        meets = meets and one[0, a] <= other[1, a] and other[0, a] <= one[1, a]
-    return meets
+        overlaps = overlaps and box[0, a] <= other[1, a] and other[0, a] <= box[1, a]
+    return overlaps
 
 
 @lean(forceinline=True)
 def _row_within(row, brick, px, py, world, low, high):
-    """The first and the last sample of a row along z within a brick of a body's own, to rounding."""
+    """First and last sample of a row along z within a brick of a body, up to rounding."""
     h = world[1, 2]
     dx, dy, dz = px - row[T], py - row[T + 1], world[0, 2] - row[T + 2]
     first, last = float(low), float(high)
@@ -175,164 +179,161 @@ def _row_within(row, brick, px, py, world, low, high):
             if not -1e-3 <= q <= 8.001:
                 return 0, -1
             continue
-        one, other = -q / step, (8.0 - q) / step
-        first, last = max(first, min(one, other) - 1e-6), min(last, max(one, other) + 1e-6)
+        entry, leave = -q / step, (8.0 - q) / step
+        first, last = max(first, min(entry, leave) - 1e-6), min(last, max(entry, leave) + 1e-6)
     return (np.int64(np.ceil(first)), np.int64(np.floor(last))) if first <= last else (0, -1)
 
 
 @lean(forceinline=True)
-def _meets(bodies, row_of, px, py, pz, found):
-    """How many bodies that are near have a part in a voxel: their numbers and slots go to `found`."""
+def _find_parts(bodies, row_of, px, py, pz, search):
+    """Number of candidates that contribute to a voxel; bodies and slots go to ``search.parts[1:]``."""
     count = 0
-    for m in range(found.near[0]):
-        body = found.near[1 + m]
+    for m in range(search.candidates[0]):
+        body = search.candidates[1 + m]
         row = row_of[body]
-        x, y, z = own(row, px - row[T], py - row[T + 1], pz - row[T + 2])
-        slot = slot_at(bodies.boxes, body, bodies.tables, bodies.held, x, y, z)
+        x, y, z = body_coordinates(row, px - row[T], py - row[T + 1], pz - row[T + 2])
+        slot = slot_at(bodies.boxes, body, bodies.tables, bodies.supported, x, y, z)
         if slot >= 0:
             count += 1
-            found.here[count, 0], found.here[count, 1] = body, slot
+            search.parts[count, 0], search.parts[count, 1] = body, slot
     return count
 
 
 @lean(forceinline=True)
-def _mark(bodies, row_of, count, px, py, pz, found):
-    """Mark the cells of the bodies `found.here[:count]` that a voxel lies in."""
+def _mark(bodies, row_of, count, px, py, pz, search):
+    """Mark the cells of the bodies ``search.parts[:count]`` that contain a voxel."""
     for m in range(count):
-        body, slot = found.here[m]
+        body, slot = search.parts[m]
         row = row_of[body]
-        x, y, z = own(row, px - row[T], py - row[T + 1], pz - row[T + 2])
+        x, y, z = body_coordinates(row, px - row[T], py - row[T + 1], pz - row[T + 2])
         i, j, l = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))  # noqa: E741
         bodies.marks[slot, (i & 7) * 64 + (j & 7) * 8 + (l & 7)] = 1
 
 
 @lean(forceinline=True)
-def _compare_voxel(bodies, rows, rule, count, px, py, pz, found):
-    """Compare at one voxel, of the bodies and slots `found.here[:count]`; whether it is beyond the rule."""
-    sums, least = found.sums, rule.floor_n * rule.floor_n
+def _compare_voxel(bodies, rows, rule, count, px, py, pz, search):
+    """Compare the bodies and slots ``search.parts[:count]`` at one voxel; True if it is outside the bound."""
+    sums, floor2 = search.sums, rule.floor_n * rule.floor_n
     sums[:] = 0.0
     for m in range(count):
-        body, slot = found.here[m]
+        body, slot = search.parts[m]
         row = rows[0, body]
-        at = px - row[T], py - row[T + 1], pz - row[T + 2]
-        _add(bodies.source, slot, row, at, least, sums[0])
-        _add(bodies.decoded, slot, rows[1, body], at, least, sums[1])
-    # the forces of the source and the decoded ones, each cut and rounded as a receiver does
-    x, y, z = shortened(sums[0, 0], sums[0, 1], sums[0, 2], rule.limit_n)
-    u, v, w = shortened(sums[1, 0], sums[1, 1], sums[1, 2], rule.limit_n)
+        offset = px - row[T], py - row[T + 1], pz - row[T + 2]
+        _add(bodies.source, slot, row, offset, floor2, sums[0])
+        _add(bodies.decoded, slot, rows[1, body], offset, floor2, sums[1])
+    # the forces of the source and the decoded ones, each limited and rounded as in a receiver
+    x, y, z = clipped(sums[0, 0], sums[0, 1], sums[0, 2], rule.limit_n)
+    u, v, w = clipped(sums[1, 0], sums[1, 1], sums[1, 2], rule.limit_n)
     x, y, z = np.float64(np.float32(x)), np.float64(np.float32(y)), np.float64(np.float32(z))
     u, v, w = np.float64(np.float32(u)), np.float64(np.float32(v)), np.float64(np.float32(w))
     error = np.sqrt((u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2)
     allowed = max(rule.f0_n, rule.k * np.sqrt(x * x + y * y + z * z))
     ratio = error / allowed if allowed > 0.0 else (np.inf if error > 0.0 else 0.0)
     if ratio > 1.0 and bodies.marks.shape[0]:
-        _mark(bodies, rows[0], count, px, py, pz, found)
+        _mark(bodies, rows[0], count, px, py, pz, search)
     for m in range(count):
-        body = found.here[m, 0]
-        if ratio > found.worst[body]:
-            found.worst[body] = ratio
+        body = search.parts[m, 0]
+        if ratio > search.ratios[body]:
+            search.ratios[body] = ratio
             for a in range(4):
-                found.places[body, a] = found.voxel[a]
+                search.voxels[body, a] = search.voxel[a]
     return ratio > 1.0
 
 
 @lean(forceinline=True)
-def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, found):
-    """Compare at the voxels of a row that lie in one brick of body n; how many are beyond the rule."""
-    beyond, brick, row = 0, bodies.bricks[slot], rows[0, n]
+def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, search):
+    """Compare the voxels of a row within one brick of body n; returns the number outside the bound."""
+    violations, brick, row = 0, bodies.bricks[slot], rows[0, n]
     for k in range(span[0], span[1] + 1):
         pz = world[0, 2] + k * world[1, 2]
-        x, y, z = own(row, px - row[T], py - row[T + 1], pz - row[T + 2])
+        x, y, z = body_coordinates(row, px - row[T], py - row[T + 1], pz - row[T + 2])
         i, j, l = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))  # noqa: E741
         if (
             i >> 3 != brick[0]
             or j >> 3 != brick[1]
             or l >> 3 != brick[2]
-            or not is_held(bodies.held, slot, i, j, l)
+            or not is_supported(bodies.supported, slot, i, j, l)
         ):
             continue
-        known = bodies.bounds[slot, (i & 7) * 64 + (j & 7) * 8 + (l & 7)] <= min(found.worst[n], 1.0)
-        others = _meets(bodies, rows[0], px, py, pz, found) if found.near[0] else 0
-        if (known and others == 0) or (
-            others and found.here[1, 0] < n
-        ):  # compared where that body was walked
+        is_bounded = bodies.bounds[slot, (i & 7) * 64 + (j & 7) * 8 + (l & 7)] <= min(search.ratios[n], 1.0)
+        others = _find_parts(bodies, rows[0], px, py, pz, search) if search.candidates[0] else 0
+        # in the second case it was compared with the bricks of that body
+        if (is_bounded and others == 0) or (others and search.parts[1, 0] < n):
             continue
-        found.here[0, 0], found.here[0, 1], found.voxel[3] = n, slot, k
-        beyond += _compare_voxel(bodies, rows, rule, 1 + others, px, py, pz, found)
-    return beyond
+        search.parts[0, 0], search.parts[0, 1], search.voxel[3] = n, slot, k
+        violations += _compare_voxel(bodies, rows, rule, 1 + others, px, py, pz, search)
+    return violations
 
 
 @lean(forceinline=True)
-def _compare_brick(bodies, rows, rule, n, slot, world, found):
-    """Compare at the voxels within one brick of body n; how many are beyond the rule."""
-    brick, box = bodies.bricks[slot], found.box
+def _compare_brick(bodies, rows, rule, n, slot, world, search):
+    """Compare the voxels within one brick of body n; returns the number outside the bound."""
+    brick, box = bodies.bricks[slot], search.box
     first = 8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]
     if not _span(rows[0, n], first, (8.0, 8.0, 8.0), world, box):
         return 0
-    found.near[0] = 0
+    search.candidates[0] = 0
     for m in range(bodies.boxes.shape[0]):
-        if m != n and _overlap(found.spans[m], box):
-            found.near[0] += 1
-            found.near[found.near[0]] = m
-    if found.near[0] == 0 and bodies.tops[slot] <= min(found.worst[n], 1.0):
+        if m != n and _overlap(search.spans[m], box):
+            search.candidates[0] += 1
+            search.candidates[search.candidates[0]] = m
+    if search.candidates[0] == 0 and bodies.tops[slot] <= min(search.ratios[n], 1.0):
         return 0
-    beyond = 0
+    violations = 0
     for i in range(box[0, 0], box[1, 0] + 1):
         px = world[0, 0] + i * world[1, 0]
         for j in range(box[0, 1], box[1, 1] + 1):
             py = world[0, 1] + j * world[1, 1]
-            found.voxel[1], found.voxel[2] = i, j
+            search.voxel[1], search.voxel[2] = i, j
             span = _row_within(rows[0, n], brick, px, py, world, box[0, 2], box[1, 2])
             if span[0] <= span[1]:
-                beyond += _compare_row(bodies, rows, rule, n, slot, world, span, px, py, found)
-    return beyond
+                violations += _compare_row(bodies, rows, rule, n, slot, world, span, px, py, search)
+    return violations
 
 
 @lean(forceinline=True)
-def _alone(n, stays, found):
-    """True where no body that moves reaches where body n does, nor did so in the frame before."""
-    here = found.spans[n]
+def _alone(n, stays, search):
+    """True if no moving body overlaps body n, in this frame or the one before."""
+    span = search.spans[n]
     for m in range(stays.shape[0]):
-        if not stays[m] and (_overlap(found.spans[m], here) or _overlap(found.before[m], here)):
+        if not stays[m] and (_overlap(search.spans[m], span) or _overlap(search.previous_spans[m], span)):
             return False
     return True
 
 
 @kernel
-def compare_frames(begin, end, bodies, moves, stays, world, rule):
-    """The largest |error| / mask of frames begin to end - 1 at the voxels that each body has a part in.
+def compare_frames(start, stop, bodies, moves, stays, world, rule):
+    """Largest |error| / mask in frames start to stop - 1 at the voxels that each body contributes to.
 
-    `moves` are poses and motions (`promise.Moves`), `stays` bool [frames, bodies] where a body is as it was
-    in the frame before, and `world` float64 [3, 3] origin, spacing and shape of the lattice. Returns that
-    ratio, float64 [bodies]; frame and voxel of it, int64 [bodies, 4], the first in the order of frames, -1
-    for none; and at how many voxels, of all frames, the error is beyond the mask.
+    `moves` are poses and motions (`error_bound.Moves`), `stays`, bool [frames, bodies], is True where a body
+    has not moved since the frame before, and `world`, float64 [3, 3], is origin, spacing and shape of the
+    lattice. Returns that ratio, float64 [bodies]; its frame and voxel, int64 [bodies, 4], the first in the
+    order of frames, -1 if there is none; and the number of voxels in all frames whose error exceeds the mask.
     """
     count = bodies.boxes.shape[0]
     rows = np.empty((2, count, _COLUMNS))
-    found = _Found(
+    search = _Search(
         np.zeros(count), np.full((count, 4), -1), np.zeros((2, 3)), np.zeros(count + 1, np.int64),
         np.zeros((count, 2), np.int64), np.zeros(4, np.int64), np.zeros((2, 3), np.int64),
         np.zeros((count, 2, 3), np.int64), np.zeros((count, 2, 3), np.int64),
     )  # fmt: skip
-    beyond, here = 0, np.zeros(count, np.int64)
-    for f in range(begin, end):
-        found.voxel[0] = f
-        place(moves.poses[f], bodies.lattices, moves.source[f], rows[0])
-        place(moves.poses[f], bodies.lattices, moves.decoded[f], rows[1])
+    violations, per_body = 0, np.zeros(count, np.int64)
+    for f in range(start, stop):
+        search.voxel[0] = f
+        fill_placements(moves.poses[f], bodies.lattices, moves.source[f], rows[0])
+        fill_placements(moves.poses[f], bodies.lattices, moves.decoded[f], rows[1])
         for n in range(count):
-            for end in range(
-                2
-            ):  # by numbers: a copy of arrays compiles an error message, a second of a first run
+            # element by element: an array copy compiles an error message, which takes a second of a first run
+            for side in range(2):
                 for axis in range(3):
-                    found.before[n, end, axis] = found.spans[n, end, axis]
+                    search.previous_spans[n, side, axis] = search.spans[n, side, axis]
             size = 8.0 * bodies.boxes[n, 0], 8.0 * bodies.boxes[n, 1], 8.0 * bodies.boxes[n, 2]
-            _span(rows[0, n], (0.0, 0.0, 0.0), size, world, found.spans[n])
+            _span(rows[0, n], (0.0, 0.0, 0.0), size, world, search.spans[n])
         for n in range(count):
-            if f == begin or not (
-                stays[f, n] and _alone(n, stays[f], found)
-            ):  # else nothing has changed about it
-                here[n] = 0
+            # otherwise nothing has changed around it
+            if f == start or not (stays[f, n] and _alone(n, stays[f], search)):
+                per_body[n] = 0
                 for slot in range(bodies.starts[n], bodies.starts[n + 1]):
-                    here[n] += _compare_brick(bodies, rows, rule, n, slot, world, found)
-            beyond += here[n]
-    return found.worst, found.places, beyond
+                    per_body[n] += _compare_brick(bodies, rows, rule, n, slot, world, search)
+            violations += per_body[n]
+    return search.ratios, search.voxels, violations

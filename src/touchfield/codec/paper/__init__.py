@@ -1,3 +1,1 @@
-"""The paper's coder (section 4.3, figure 4; section 5.2), the baseline for ever, and the quantisers it is
-made of.
-"""
+"""The paper's coder (section 4.3, figure 4; section 5.2), the permanent baseline, and its quantisers."""

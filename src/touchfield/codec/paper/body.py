@@ -1,20 +1,20 @@
-"""The body of a segment of coder `paper` as it is read, and the forces that its symbols stand for (figure 4).
+"""Reader of the body of a segment of coder `paper`, and reconstruction of forces from symbols (figure 4).
 
-docs/format/paper.md tells every byte. A frame is coded in one of three ways:
+docs/format/paper.md defines every byte. A frame is coded in one of three ways:
 
-* ``INTRA``: alone. Samples in raster order; a sample within the deadband of the last sent one is held (eq.
-  8).
+* ``INTRA``: on its own. Samples in raster order; a sample within the deadband of the last sent one is held
+  (eq. 8).
 * ``INTER``: closed loop. The reference is the decoded previous frame at the same voxel; a voxel within the
   deadband of it is held, otherwise the quantised difference is sent.
 * ``DIFFERENCE``: the paper's open loop. The field of differences between two originals is coded like a frame
-  of its own and added to the decoded previous frame; errors add up.
+  of its own and added to the decoded previous frame; errors accumulate.
 
-"Huffman coding is applied to the amplitude and direction streams" (section 5.2). Here codes are canonical, so
-that a table is its lengths, and none is longer than 24 bits. Eq. 8 leaves most samples held, and a Huffman
-code spends one bit at least on each symbol. Departure: a run of held samples is one symbol. Symbols 0 to N-1
-are levels; symbol N + j is a run of 2^j + b held samples and is followed by b in j raw bits, j = 0 to 20.
-Longer runs are several symbols. The literal coder, one zero symbol for each held sample, uses j = 0 alone. A
-stream of directions has no runs.
+"Huffman coding is applied to the amplitude and direction streams" (section 5.2). Codes are canonical, so a
+table consists of lengths, of at most 24 bits. With eq. 8 most samples are held, and a Huffman code takes at
+least one bit for each symbol. Departure: a run of held samples is one symbol. Symbols 0 to N-1 are levels;
+symbol N + j is a run of 2^j + b held samples and is followed by b in j raw bits, j = 0 to 20. Longer runs are
+several symbols. The literal coder, one zero symbol for each held sample, uses only j = 0. A stream of
+directions has no runs.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.codec.paper import kernels
 from touchfield.codec.paper.directions import Codebook
-from touchfield.codec.paper.kernels import LONGEST
+from touchfield.codec.paper.kernels import MAX_CODE_BITS
 from touchfield.codec.paper.quantisers import AmplitudeLevels
 from touchfield.codec.segment import BitAccount, FrameCost, FrameKind
 from touchfield.codec.support import decode_numbers, decode_support
@@ -39,14 +39,14 @@ from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import brick_keys, field_that_holds
+from touchfield.medium.field import brick_keys, field_without_empty_bricks
 from touchfield.medium.kernels import raster_slots
 
 RUN_SYMBOLS: Final = 21  # runs of up to 2^21 - 1 held samples in one symbol
 
 
 class BitStream(NamedTuple):
-    """Bits, those of the first byte first, from the top; the last byte is filled with zeros."""
+    """Bits in bytes, the highest bit of each first; the last byte is padded with zeros."""
 
     data: bytes
     bit_length: int
@@ -63,21 +63,21 @@ class HuffmanCode:
     lengths: NDArray[np.uint8]
 
     def __post_init__(self) -> None:
-        count = np.bincount(self.lengths, minlength=LONGEST + 1)
-        kraft = sum(int(n) << (LONGEST - bits) for bits, n in enumerate(count[: LONGEST + 1]) if bits)
+        count = np.bincount(self.lengths, minlength=MAX_CODE_BITS + 1)
+        kraft = sum(
+            int(n) << (MAX_CODE_BITS - bits) for bits, n in enumerate(count[: MAX_CODE_BITS + 1]) if bits
+        )
         present = int(count[1:].sum())
-        if len(count) > LONGEST + 1 or not (
-            kraft == 1 << LONGEST or present == 0 or present == count[1] == 1
+        if len(count) > MAX_CODE_BITS + 1 or not (
+            kraft == 1 << MAX_CODE_BITS or present == 0 or present == count[1] == 1
         ):
             raise InvalidArgument("Huffman code", f"lengths {count.tolist()}", "a complete prefix code")
 
     @classmethod
     def from_bytes(cls, data: bytes, symbol_count: int) -> HuffmanCode:
-        """The code whose lengths are told in `data` (`codec.numbers`); CorruptFile or TruncatedFile if none
-        is.
-        """
+        """Read the lengths of a code (`codec.support`); CorruptFile or TruncatedFile if they are invalid."""
         lengths = decode_numbers(data, symbol_count)
-        if symbol_count and not 0 <= lengths.min() <= lengths.max() <= LONGEST:
+        if symbol_count and not 0 <= lengths.min() <= lengths.max() <= MAX_CODE_BITS:
             raise CorruptFile(
                 "Huffman code", f"a length of {lengths.min()} or {lengths.max()} bits", "0 to 24"
             )
@@ -90,20 +90,19 @@ class HuffmanCode:
 
     @cached_property
     def tables(self) -> tuple[Int64s, Int64s, NDArray[np.uint16]]:
-        """Tables that tell canonical codes.
+        """Decoding tables of the canonical code.
 
-        `limits`, int64 [25], by length: the least code of 24 bits that begins with none of that length or
-        less; `ranks`, int64 [25], by length: what is added to a code to have its place in `order`; and
-        `order`, uint16 [any]: the symbols that occur, in the order of their codes, shorter first, by symbol
-        within a length.
+        `limits`, int64 [25], by length: the smallest code of 24 bits with no prefix of that length or less;
+        `ranks`, int64 [25], by length: offset from a code to its index in `order`; and `order`, uint16 [any]:
+        the symbols that occur, in the order of their codes, shorter first, by symbol within a length.
         """
-        limits, ranks = np.zeros((2, LONGEST + 1), np.int64)
-        code = place = 0
-        for bits in range(1, LONGEST + 1):
-            ranks[bits] = place - code
+        limits, ranks = np.zeros((2, MAX_CODE_BITS + 1), np.int64)
+        code = rank = 0
+        for bits in range(1, MAX_CODE_BITS + 1):
+            ranks[bits] = rank - code
             count = int(np.count_nonzero(self.lengths == bits))
-            code, place = code + count, place + count
-            limits[bits] = code << (LONGEST - bits)
+            code, rank = code + count, rank + count
+            limits[bits] = code << (MAX_CODE_BITS - bits)
             code *= 2
         order = np.argsort(self.lengths, kind="stable").astype(np.uint16)
         return limits, ranks, order[np.count_nonzero(self.lengths == 0) :]
@@ -112,10 +111,10 @@ class HuffmanCode:
 def decode_symbols(
     code: HuffmanCode, bits: BitStream, sample_count: int, level_count: int
 ) -> tuple[Bools, NDArray[np.uint16]]:
-    """The samples of a stream: which are sent, bool [sample_count], and the levels of these, uint16 [any].
+    """Decode a stream: True for samples that are sent, bool [sample_count], and their levels, uint16 [any].
 
     The symbols of `code` from `level_count` on are runs; a stream without runs has as many levels as symbols.
-    CorruptFile if the bits are no codes, or do not stand for exactly so many samples.
+    CorruptFile if the bits are not codes of exactly so many samples.
     """
     where, mend = "Huffman stream", "The file was changed or cut."
     if len(bits.data) != -(-bits.bit_length // 8):
@@ -132,7 +131,7 @@ def decode_symbols(
 
 @dataclass(frozen=True)
 class FrameSymbols:
-    """Symbols of a frame that go into the stream."""
+    """Symbols of a frame in the stream."""
 
     kind: FrameKind
     support: bytes  # the code of bricks and mask
@@ -144,39 +143,37 @@ class FrameSymbols:
     directions: NDArray[np.uint16]
 
 
-def rebuilt(
+def rebuild_frame(
     grid: Grid, symbols: FrameSymbols, levels_n: Float32s, codebook: Codebook, previous: ForceField | None
 ) -> ForceField:
-    """One frame from its symbols, its amplitude levels and the decoded frame before; all arithmetic is of
-    float32.
-    """
+    """Reconstruct a frame from symbols, amplitude levels and the decoded frame before, in float32."""
     slots = raster_slots(symbols.bricks, symbols.mask)
     values = levels_n[symbols.levels][:, None] * codebook.vertices_float32[symbols.directions]
     forces = zero_forces(len(symbols.bricks))
     flat = forces.reshape(-1, 3)
     if symbols.kind == FrameKind.INTER:
         assert previous is not None
-        before = previous.forces_at(brick_keys(grid, symbols.bricks)).reshape(-1, 3)
-        flat[slots] = before[slots]
+        reference = previous.forces_at(brick_keys(grid, symbols.bricks)).reshape(-1, 3)
+        flat[slots] = reference[slots]
         flat[slots[symbols.sent]] += values
-        return field_that_holds(grid, symbols.bricks, forces)
+        return field_without_empty_bricks(grid, symbols.bricks, forces)
     latest = np.cumsum(symbols.sent)  # the last sent value is held; zero before the first
     flat[slots] = np.concatenate([np.zeros((1, 3), np.float32), values])[latest]
-    alone = field_that_holds(grid, symbols.bricks, forces)
+    scanned = field_without_empty_bricks(grid, symbols.bricks, forces)
     if symbols.kind == FrameKind.INTRA:
-        return alone
+        return scanned
     assert previous is not None
-    return previous + alone
+    return previous + scanned
 
 
 INTRA_SET: Final = 1
 INTER_SET: Final = 2
 
-MOST_NEWTONS: Final = 1e6  # no level lies above it, so that sums over any number of frames stay finite
+MAX_NEWTONS: Final = 1e6  # upper limit of levels, so that sums over any number of frames stay finite
 
 
 def set_of(kind: FrameKind) -> int:
-    """The table set that a kind of frame takes."""
+    """The table set of a kind of frame."""
     return INTRA_SET if kind == FrameKind.INTRA else INTER_SET
 
 
@@ -190,45 +187,45 @@ class TableSet:
 
 
 class FrameParts(NamedTuple):
-    """A frame, not decoded yet."""
+    """Parts of a frame, not decoded yet."""
 
     kind: FrameKind
     support: bytes
     streams: tuple[BitStream, ...]  # amplitudes and directions, or the numbers of a stage
-    runs: int = 0  # of the stage of that name
+    runs: int = 0  # number of runs in the stage `runs`
 
 
 class SegmentReader(ABC):
-    """A segment, frame by frame; CorruptFile or TruncatedFile for other bytes than the writer's."""
+    """Reader of a segment, frame by frame; CorruptFile or TruncatedFile if the bytes are invalid."""
 
     def __init__(self, body: bytes, grid: Grid) -> None:
         self._parts, self._grid = Parts(body), grid
 
     def frames(self, frame_count: int) -> Iterator[tuple[FrameParts, FrameCost]]:
-        """The frames in turn, and their costs; the last one must end the body."""
+        """Yield the frames in order, with their costs; the body must end with the last one."""
         for i in range(frame_count):
-            began = self._parts.at
+            start = self._parts.position
             frame = self._next(first=i == 0)
             bits = BitAccount(8 * len(frame.support), *(stream.bit_length for stream in frame.streams))
-            bits += BitAccount(side=8 * (self._parts.at - began) - bits.total)
+            bits += BitAccount(side=8 * (self._parts.position - start) - bits.total)
             yield frame, FrameCost(frame.kind, bits)
         self._parts.check_end()
 
     @abstractmethod
     def field(self, frame: FrameParts) -> ForceField:
-        """A frame, decoded after those before it."""
+        """Decode a frame, after those before it."""
 
     @abstractmethod
     def _next(self, *, first: bool) -> FrameParts: ...
 
 
 class BodyReader(SegmentReader):
-    """A segment without a stage."""
+    """Reader of a segment without a stage."""
 
     def __init__(self, body: bytes, grid: Grid, codebook: Codebook) -> None:
         super().__init__(body, grid)
         self._codebook = codebook
-        self._before: tuple[Int32s, Bools] | None = None
+        self._previous_support: tuple[Int32s, Bools] | None = None
         self._decoded: ForceField | None = None
         (kinds,) = self._parts.take(1, "kinds")
         if kinds & ~(INTRA_SET | INTER_SET):
@@ -240,22 +237,24 @@ class BodyReader(SegmentReader):
         return self._set(kind).levels
 
     def symbols(self, frame: FrameParts) -> FrameSymbols:
-        """The symbols of a frame, read after those of the frames before it."""
+        """Decode the symbols of a frame, after those of the frames before it."""
         kind, (amplitudes, directions), tables = frame.kind, frame.streams, self._set(frame.kind)
         bricks, mask = decode_support(
-            frame.support, self._grid, self._before if kind == FrameKind.INTER else None
+            frame.support, self._grid, self._previous_support if kind == FrameKind.INTER else None
         )
         sent, levels = decode_symbols(tables.amplitude_code, amplitudes, int(mask.sum()), len(tables.levels))
-        _, places = decode_symbols(tables.direction_code, directions, len(levels), len(self._codebook))
+        _, directions_of_sent = decode_symbols(
+            tables.direction_code, directions, len(levels), len(self._codebook)
+        )
         if kind != FrameKind.DIFFERENCE:
-            self._before = bricks, mask
-        return FrameSymbols(kind, frame.support, bricks, mask, sent, levels, places)
+            self._previous_support = bricks, mask
+        return FrameSymbols(kind, frame.support, bricks, mask, sent, levels, directions_of_sent)
 
     def field(self, frame: FrameParts) -> ForceField:
-        """A frame, decoded after those before it."""
+        """Decode a frame, after those before it."""
         symbols = self.symbols(frame)
         levels_n = self.levels(symbols.kind).levels_n
-        self._decoded = rebuilt(self._grid, symbols, levels_n, self._codebook, self._decoded)
+        self._decoded = rebuild_frame(self._grid, symbols, levels_n, self._codebook, self._decoded)
         return self._decoded
 
     def _next(self, *, first: bool) -> FrameParts:
@@ -265,15 +264,15 @@ class BodyReader(SegmentReader):
         support = self._parts.chunk("support")
         return FrameParts(FrameKind(number), support, (self._bits("amplitudes"), self._bits("directions")))
 
-    def _bits(self, what: str) -> BitStream:
-        bit_length = self._parts.varint(what)
-        return BitStream(self._parts.take((bit_length + 7) // 8, what), bit_length)
+    def _bits(self, part: str) -> BitStream:
+        bit_length = self._parts.varint(part)
+        return BitStream(self._parts.take((bit_length + 7) // 8, part), bit_length)
 
     def _set(self, kind: FrameKind) -> TableSet:
-        chosen = self._sets.get(set_of(kind))
-        if chosen is None:
+        table_set = self._sets.get(set_of(kind))
+        if table_set is None:
             raise CorruptFile("SEGM.body", f"a frame of kind {kind} and no table set for it", "its table set")
-        return chosen
+        return table_set
 
     def _table_set(self) -> TableSet:
         data, where = self._parts.chunk("amplitude levels"), "SEGM.body amplitude levels"
@@ -284,8 +283,8 @@ class BodyReader(SegmentReader):
             levels = AmplitudeLevels(np.frombuffer(data, "<f4"))
         except InvalidArgument as error:
             raise CorruptFile(where, error.found, error.expected) from None
-        if levels.levels_n[-1] > MOST_NEWTONS:
-            raise CorruptFile(where, f"{levels.levels_n[-1]} N", f"at most {MOST_NEWTONS} N")
+        if levels.levels_n[-1] > MAX_NEWTONS:
+            raise CorruptFile(where, f"{levels.levels_n[-1]} N", f"at most {MAX_NEWTONS} N")
         amplitude_code = HuffmanCode.from_bytes(self._parts.chunk("amplitude code"), count + RUN_SYMBOLS)
         direction_code = HuffmanCode.from_bytes(self._parts.chunk("direction code"), len(self._codebook))
         return TableSet(levels, amplitude_code, direction_code)

@@ -1,19 +1,20 @@
-"""The decoder of the paper's coder (figure 4): segments to fields.
+"""Decoder of the paper's coder (figure 4): segments to fields.
 
-Stages stand in place of levels and directions: predictive, spectral and run-length coding of a field. The
-paper names them (sections 2 and 4.3) and tells none. Each takes the components of the supported samples in
-uniform steps, frame by frame, and makes whole numbers of them, which `codec.support.encode_numbers` codes:
+A stage replaces levels and directions by predictive, spectral or run-length coding of a field. The paper
+names these (sections 2 and 4.3) without defining them. Each takes the components of the supported samples in
+uniform steps, frame by frame, and produces whole numbers, which `codec.support.encode_numbers` codes:
 
-* ``dpcm``: the difference to the sample before, z fastest, so that it is the neighbour in depth where there
-  is one.
-* ``adpcm``: two weights predict the next sample and follow the signal, and the step grows where differences
-  are large and shrinks again (Jayant), up to four times the finest (`kernels.adpcm`).
-* ``wavelet``: LeGall's 5/3 by whole-number lifting, as in JPEG 2000, three levels on each brick; exact.
-* ``dct``: the orthonormal DCT (type 2) on each brick, its coefficients in uniform steps. Back it goes in
+* ``dpcm``: the difference to the sample before, z fastest, so that this is the neighbour in depth if there is
+  one.
+* ``adpcm``: two adaptive weights predict the next sample, and the step grows where differences are large and
+  shrinks again (Jayant), up to four times the finest (`kernels.adpcm`).
+* ``wavelet``: LeGall's 5/3 by integer lifting, as in JPEG 2000, three levels on each brick; exact.
+* ``dct``: the orthonormal DCT (type 2) on each brick, its coefficients in uniform steps. The inverse is in
   fixed point: 18 bits of cosine, 8 bits below a step, so that every machine has the same forces.
-* ``runs``: vectors, each with how many of the next are equal to it.
+* ``runs``: vectors, each with the number of following vectors equal to it.
 
-What lies in a brick beside the support is known to be none, so a transform may make of it what it likes.
+Samples of a brick outside the support are known to have no force, so the value of a transform there is
+arbitrary.
 """
 
 from __future__ import annotations
@@ -25,55 +26,55 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.paper.body import MOST_NEWTONS, BitStream, BodyReader, FrameParts, SegmentReader
+from touchfield.codec.paper.body import MAX_NEWTONS, BitStream, BodyReader, FrameParts, SegmentReader
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.segment import FrameCost, FrameKind
 from touchfield.codec.support import decode_numbers, decode_support
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
-from touchfield.medium.field import field_that_holds
+from touchfield.medium.field import field_without_empty_bricks
 from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels import raster_slots
 
 LEVELS: Final = 3  # of the wavelet: 8 samples, 4, 2
-GRAIN: Final = 16  # parts of the finest step that ADPCM counts in
-_BYTES_PER_BRICK = 128 * BRICK**3  # that decoding takes at its height
+GRAIN: Final = 16  # parts of the finest step: the unit of ADPCM
+_BYTES_PER_BRICK = 128 * BRICK**3  # peak memory of decoding
 _FRACTION = 8  # bits below a step in the DCT
 _COSINE_BITS = 18
 
-# what a decoded whole number is, in parts of a step, by stage
+# decoded whole numbers per step, by stage
 PARTS: Final = {"dpcm": 1, "adpcm": GRAIN, "dct": 1 << _FRACTION, "wavelet": 1, "runs": 1}
 BY_BRICK: Final = ("dct", "wavelet")  # stages whose numbers are coefficients of whole bricks
 ORDER: Final = np.argsort(np.indices((BRICK,) * 3).sum(axis=0).reshape(-1), kind="stable")
-"""The places of a brick's coefficients, low frequencies first: by the sum of the three indices."""
+"""Order of a brick's coefficients, low frequencies first: by the sum of the three indices."""
 
 
 class StageReader(SegmentReader):
-    """A segment of a stage."""
+    """Reader of a segment of a stage."""
 
     def __init__(self, body: bytes, grid: Grid, stage: str) -> None:
         super().__init__(body, grid)
         self._stage = stage
         (self.step_n,) = struct.unpack("<d", self._parts.take(8, "step"))
-        if not 1e-9 <= self.step_n <= MOST_NEWTONS:
-            raise CorruptFile("SEGM.body step", f"{self.step_n!r} N", f"1e-9 to {MOST_NEWTONS:g} N")
+        if not 1e-9 <= self.step_n <= MAX_NEWTONS:
+            raise CorruptFile("SEGM.body step", f"{self.step_n!r} N", f"1e-9 to {MAX_NEWTONS:g} N")
 
     def field(self, frame: FrameParts) -> ForceField:
-        """A frame, decoded."""
+        """Decode a frame."""
         bricks, mask = decode_support(frame.support, self._grid)
         if len(bricks) * _BYTES_PER_BRICK > memory_budget_bytes():
-            found, allowed = f"{len(bricks)} bricks", f"{memory_budget_bytes() // _BYTES_PER_BRICK} at most"
-            raise InvalidArgument("SEGM.body", found, allowed, "Set TOUCHFIELD_MEMORY_GIB.")
+            excess, allowed = f"{len(bricks)} bricks", f"{memory_budget_bytes() // _BYTES_PER_BRICK} at most"
+            raise InvalidArgument("SEGM.body", excess, allowed, "Set TOUCHFIELD_MEMORY_GIB.")
         forces, slots = zero_forces(len(bricks)), raster_slots(bricks, mask)
         if frame.runs > len(slots):
             raise CorruptFile("SEGM.body runs", f"{frame.runs}", f"at most {len(slots)}, one for each sample")
         numbers, scale = frame.streams[0].data, np.float64(self.step_n) / PARTS[self._stage]
-        vectors = _decoded(self._stage, numbers, (len(bricks), slots, frame.runs)) * scale
-        if vectors.size and np.abs(vectors).max() > MOST_NEWTONS:
-            raise CorruptFile("SEGM.body", "a force that is too large", f"at most {MOST_NEWTONS:g} N")
+        vectors = _decode_stage(self._stage, numbers, (len(bricks), slots, frame.runs)) * scale
+        if vectors.size and np.abs(vectors).max() > MAX_NEWTONS:
+            raise CorruptFile("SEGM.body", "a force that is too large", f"at most {MAX_NEWTONS:g} N")
         forces.reshape(-1, 3)[slots] = vectors.astype(np.float32)
-        return field_that_holds(self._grid, bricks, forces)
+        return field_without_empty_bricks(self._grid, bricks, forces)
 
     def _next(self, *, first: bool) -> FrameParts:
         support = self._parts.chunk("support")
@@ -82,11 +83,12 @@ class StageReader(SegmentReader):
         return FrameParts(FrameKind.INTRA, support, (BitStream(numbers, 8 * len(numbers)),), runs)
 
 
-def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
-    """Supported samples in the order of `slots`, int64 [L, 3]; `known`: number of bricks, slots, number of
-    runs.
+def _decode_stage(stage: str, data: bytes, layout: tuple[int, Int64s, int]) -> Int64s:
+    """Decode supported samples in the order of `slots`, int64 [L, 3].
+
+    `layout` is the number of bricks, the slots, and the number of runs.
     """
-    brick_count, slots, runs = known
+    brick_count, slots, runs = layout
     if stage == "runs":
         numbers = decode_numbers(data, 4 * runs)
         lengths = numbers[:runs] + 1
@@ -94,23 +96,23 @@ def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
             raise CorruptFile("SEGM.body runs", f"{int(lengths.sum())} samples", f"{len(slots)}")
         return np.repeat(numbers[runs:].reshape(3, runs).T, lengths, axis=0)
     if stage in BY_BRICK:
-        made = np.empty((len(slots), 3), np.int64)
+        vectors = np.empty((len(slots), 3), np.int64)
         coefficients = decode_numbers(data, 3 * BRICK**3 * brick_count).reshape(3, BRICK**3, brick_count)
         for component in range(3):
             bricks = np.empty((brick_count, BRICK**3), np.int64)
             bricks[:, ORDER] = coefficients[component].T
-            made[:, component] = from_bricks(stage, bricks.reshape(-1, BRICK, BRICK, BRICK)).reshape(-1)[
+            vectors[:, component] = from_bricks(stage, bricks.reshape(-1, BRICK, BRICK, BRICK)).reshape(-1)[
                 slots
             ]
-        return made
+        return vectors
     residuals = decode_numbers(data, 3 * len(slots)).reshape(3, -1)
     if stage == "dpcm":
         return np.cumsum(residuals, axis=1).T
     from touchfield.codec.paper.kernels import adpcm
 
     grains = np.zeros_like(residuals)
-    for values, read in zip(grains, residuals, strict=True):
-        adpcm(values, read, True)
+    for values, residual in zip(grains, residuals, strict=True):
+        adpcm(values, residual, True)
     return grains.T
 
 
@@ -133,20 +135,20 @@ def _from_wavelet(coefficients: Int64s) -> Int64s:
 
 
 def _from_dct(coefficients: Int64s) -> Int64s:
-    """In parts of 2^-8 of a step; rounded after each axis."""
+    """Inverse DCT in units of 2^-8 of a step, rounded after each axis."""
     frequency, sample = np.indices((BRICK, BRICK))
     scale = np.where(frequency == 0, np.sqrt(1 / BRICK), np.sqrt(2 / BRICK))
     cosines = scale * np.cos(np.pi * (2 * sample + 1) * frequency / (2 * BRICK))
     basis, out = np.rint(cosines * (1 << _COSINE_BITS)).astype(np.int64), coefficients << _FRACTION
     for axis in (1, 2, 3):
-        turned = np.moveaxis(out, axis, -1)
-        total = sum(turned[..., f : f + 1] * basis[f] for f in range(BRICK))
+        moved = np.moveaxis(out, axis, -1)
+        total = sum(moved[..., f : f + 1] * basis[f] for f in range(BRICK))
         out = np.moveaxis((total + (1 << (_COSINE_BITS - 1))) >> _COSINE_BITS, -1, axis)
     return out
 
 
 class PaperDecoder:
-    """Decodes segments of one stream; needs nothing but the stream.
+    """Decoder of the segments of one stream, from the stream alone.
 
     `parameters` (`where` in a message) name a direction codebook or a stage, in ASCII, else CorruptFile.
     """
@@ -154,12 +156,12 @@ class PaperDecoder:
     name = "paper"
 
     def __init__(self, grid: Grid, parameters: bytes, where: str = "HEAD.coder_parameters") -> None:
-        self._grid, self._called = grid, parameters.decode("ascii", "replace")
-        if self._called not in PARTS and self._called not in codebook_names():
+        self._grid, self._name = grid, parameters.decode("ascii", "replace")
+        if self._name not in PARTS and self._name not in codebook_names():
             raise CorruptFile(where, repr(parameters[:40]), "a direction codebook, or a stage")
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
-        """The frames of a segment in turn; CorruptFile or TruncatedFile for other bytes than the encoder's."""
+        """Yield the frames of a segment in order; CorruptFile or TruncatedFile if the bytes are invalid."""
         reader = self._reader(body)
         for frame, _ in reader.frames(frame_count):
             yield reader.field(frame)
@@ -169,16 +171,16 @@ class PaperDecoder:
         return [cost for _, cost in self._reader(body).frames(frame_count)]
 
     def describe(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        if self._called in PARTS:
-            return {"stage": self._called}
+        """Parameters of the stream, under stable keys."""
+        if self._name in PARTS:
+            return {"stage": self._name}
         return {
             "stage": "none",
-            "directions": self._called,
-            "direction_count": len(Codebook.get(self._called)),
+            "directions": self._name,
+            "direction_count": len(Codebook.get(self._name)),
         }
 
     def _reader(self, body: bytes) -> SegmentReader:
-        if self._called in PARTS:
-            return StageReader(body, self._grid, self._called)
-        return BodyReader(body, self._grid, Codebook.get(self._called))
+        if self._name in PARTS:
+            return StageReader(body, self._grid, self._name)
+        return BodyReader(body, self._grid, Codebook.get(self._name))

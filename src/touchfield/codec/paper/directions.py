@@ -1,11 +1,11 @@
 """Direction codebooks: the vertices of subdivided polyhedra (paper section 4.2, eq. 7, figures 3 and 8).
 
-The paper quantises a direction to the vertex of a "concentric tessellated icosahedron" that is most likely,
-which is the one with the largest dot product: so under any noise that depends on the angle alone.
+The paper quantises a direction to the most likely vertex of a "concentric tessellated icosahedron". For any
+noise that depends on the angle only, that is the one with the largest dot product.
 
-Departures. 92 is an icosahedral number, but 258 is none: it is an octahedron whose triangles are split in
-four three times. Both are here, `ico3` and `octa3`; the default is `ico5`, 252 vertices, which cost one bit
-less than 258 when written plainly and cover better.
+Departures. 92 is an icosahedral number, but 258 is not: it is that of an octahedron whose triangles are split
+in four three times. Both are available, `ico3` and `octa3`. The default is `ico5` with 252 vertices, which
+take one bit less than 258 when written plainly, and cover the sphere better.
 
 ============== ================================== ==========================================================
 name           vertices                           is
@@ -47,7 +47,7 @@ _GRAIN = 2.0**-40
 
 @dataclass(frozen=True, eq=False)
 class Codebook:
-    """Directions to choose from. Made by `Codebook.get`; two of the same name are the same object."""
+    """Codebook of directions. Use `Codebook.get`, which returns one object for each name."""
 
     name: str
     vertices: Float64s  # [n, 3]; unit vectors, ascending in x, y, z
@@ -81,8 +81,9 @@ class Codebook:
 
     @cached_property
     def covering_radius_deg(self) -> float:
-        """Degrees from the centre of the widest triangle to its corners: the farthest that a direction can
-        lie.
+        """Largest angle between a direction and its nearest vertex, degrees.
+
+        This is the angle from the centre of the widest triangle to its corners.
         """
         a, b, c = (self.vertices[self.faces[:, i]] for i in range(3))
         centre = np.cross(b - a, c - a)
@@ -90,10 +91,10 @@ class Codebook:
         return math.degrees(np.arctan2(across, np.abs((centre * a).sum(axis=1))).max())
 
     def nearest(self, vectors: ArrayLike) -> NDArray[np.uint16]:
-        """The vertex nearest to each vector, by the largest dot product in float64, uint16 [m].
+        """Index of the vertex nearest to each vector, by the largest dot product in float64, uint16 [m].
 
-        Of those equally near the first; 0 for the zero vector. `vectors` are float32 [m, 3] of any length;
-        InvalidArgument if the shape is another, or a vector is not finite.
+        The first of several equally near ones; 0 for the zero vector. `vectors` are float32 [m, 3] of any
+        length; InvalidArgument for another shape, or a vector that is not finite.
         """
         from touchfield.codec.paper.kernels import nearest
 
@@ -109,10 +110,12 @@ class Codebook:
 @cache
 def codebook_names() -> tuple[str, ...]:
     """The names of all codebooks."""
-    return tuple(f"{family}{f}" for family, most in _LARGEST_FREQUENCY.items() for f in range(1, most + 1))
+    return tuple(
+        f"{family}{f}" for family, highest in _LARGEST_FREQUENCY.items() for f in range(1, highest + 1)
+    )
 
 
-def _normalised(points: Float64s) -> Float64s:
+def _normalise(points: Float64s) -> Float64s:
     """Points [..., 3] on the unit sphere, the squares added in one fixed order."""
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     unit: Float64s = points / np.sqrt(x * x + y * y + z * z)[..., None]
@@ -125,7 +128,7 @@ def _split_octahedron(times: int) -> Float64s:
     corners = signs[:, :, None] * np.eye(3)
     for _ in range(times):
         a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-        ab, bc, ca = _normalised(a + b), _normalised(b + c), _normalised(c + a)
+        ab, bc, ca = _normalise(a + b), _normalise(b + c), _normalise(c + a)
         quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         corners = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
     return corners
@@ -134,8 +137,8 @@ def _split_octahedron(times: int) -> Float64s:
 def _icosahedron() -> Float64s:
     """Corners of the 20 faces, float64 [20, 3, 3]."""
     golden = (1 + math.sqrt(5)) / 2
-    one = [(0.0, a, b * golden) for a in (1, -1) for b in (1, -1)]
-    points = _normalised(np.array([p[-s:] + p[:-s] for s in range(3) for p in one]))
+    rectangle = [(0.0, a, b * golden) for a in (1, -1) for b in (1, -1)]
+    points = _normalise(np.array([p[-s:] + p[:-s] for s in range(3) for p in rectangle]))
     neighbours = points @ points.T > 0.4  # neighbours have 1 / sqrt 5, all others less
     faces = [t for t in combinations(range(12), 3) if all(neighbours[i, j] for i, j in combinations(t, 2))]
     corners: Float64s = points[np.array(faces)]
@@ -145,23 +148,21 @@ def _icosahedron() -> Float64s:
 def _split_icosahedron(frequency: int) -> Float64s:
     """Corners of the triangles, float64 [20 f^2, 3, 3]."""
     weights = _sine(1.1071487177940904 * np.arange(frequency + 1) / frequency)  # atan 2, the angle of an edge
-    at = [(i, j, frequency - i - j) for i in range(frequency + 1) for j in range(frequency + 1 - i)]
-    place = {ijk: n for n, ijk in enumerate(at)}
-    upward = [(i, j) for i, j, k in at if k > 0]
+    coordinates = [(i, j, frequency - i - j) for i in range(frequency + 1) for j in range(frequency + 1 - i)]
+    vertex_index = {ijk: n for n, ijk in enumerate(coordinates)}
+    upward = [(i, j) for i, j, k in coordinates if k > 0]
     triangles = [[(i, j), (i + 1, j), (i, j + 1)] for i, j in upward]
     triangles += [[(i + 1, j), (i + 1, j + 1), (i, j + 1)] for i, j in upward if i + j < frequency - 1]
-    index = np.array([[place[i, j, frequency - i - j] for i, j in corners] for corners in triangles])
-    a, b, c = (weights[np.array(at)[:, axis], None] for axis in range(3))
+    index = np.array([[vertex_index[i, j, frequency - i - j] for i, j in corners] for corners in triangles])
+    a, b, c = (weights[np.array(coordinates)[:, axis], None] for axis in range(3))
     faces = _icosahedron()
-    points = _normalised(a * faces[:, 0, None] + b * faces[:, 1, None] + c * faces[:, 2, None])
+    points = _normalise(a * faces[:, 0, None] + b * faces[:, 1, None] + c * faces[:, 2, None])
     corners: Float64s = points[:, index].reshape(-1, 3, 3)
     return corners
 
 
 def _sine(angles: Float64s) -> Float64s:
-    """The sine of angles up to 1.2, by its series: the C library's may differ in the last bit between
-    machines.
-    """
+    """Sine of angles up to 1.2, by its series: that of C libraries may differ in the last bit."""
     square = angles * angles
     total = np.ones_like(angles)
     for n in range(26, 0, -2):

@@ -1,9 +1,9 @@
-"""The encoder of the paper's coder: one segment of frames to one body of bytes (figure 4).
+"""Encoder of the paper's coder: one segment of frames to one body of bytes (figure 4).
 
-source model (voxel) -> perceptual filter (deadband) -> quantise amplitude and direction apart -> difference
-between frames -> entropy code. The device filter came before. Codebooks are trained on the whole segment and
-transmitted; the Huffman codes are made when all its symbols are known. Stages (`decoder`) take the place of
-all that.
+source model (voxel) -> perceptual filter (deadband) -> separate quantisation of amplitude and direction ->
+difference between frames -> entropy code. The device filter has been applied before. Codebooks are trained on
+the whole segment and transmitted; the Huffman codes are built from all its symbols. Stages (`decoder`)
+replace all of this.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from touchfield.codec.paper import quantisers
 from touchfield.codec.paper.body import (
     INTER_SET,
     INTRA_SET,
-    MOST_NEWTONS,
+    MAX_NEWTONS,
     RUN_SYMBOLS,
     BitStream,
     FrameSymbols,
     HuffmanCode,
     TableSet,
-    rebuilt,
+    rebuild_frame,
     set_of,
 )
 from touchfield.codec.paper.decoder import BY_BRICK, GRAIN, LEVELS, ORDER
 from touchfield.codec.paper.directions import Codebook
-from touchfield.codec.paper.kernels import LONGEST, adpcm, pack_bits
+from touchfield.codec.paper.kernels import MAX_CODE_BITS, adpcm, pack_bits
 from touchfield.codec.paper.quantisers import AmplitudeLevels, amplitudes_n
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.segment import BitAccount, CodedSegment, FrameKind, FrameStats
-from touchfield.codec.support import LARGEST, encode_numbers, encode_support
+from touchfield.codec.support import MAX_NUMBER, encode_numbers, encode_support
 from touchfield.codec.varint import chunk, write_varint
 from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import entropy_bits
@@ -46,12 +46,12 @@ from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
 from touchfield.perception.weber import gate, gate_in_time
 
-_LEAST_FORCE_N: Final = 1e-6
+_MIN_FORCE_N: Final = 1e-6
 _TRAINING_SAMPLES: Final = 1 << 18
 
 
 class PaperEncoder:
-    """Codes segments of one stream; InvalidArgument if there is no such direction codebook."""
+    """Encoder of the segments of one stream; InvalidArgument if there is no such direction codebook."""
 
     name = "paper"
 
@@ -62,39 +62,39 @@ class PaperEncoder:
 
     @property
     def parameters(self) -> bytes:
-        """Knowledge of the decoder beside the bodies: the name of the direction codebook, or of the stage."""
+        """What the decoder needs in addition to the bodies: the direction codebook's name, or the stage's."""
         return (self._spec.directions if self._spec.stage == "none" else self._spec.stage).encode("ascii")
 
     def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
         """Code one independent group of frames, at least one.
 
-        InvalidArgument if a force is not finite, or (of no stage) an amplitude is beyond the 10^6 N that a
-        file may hold.
+        InvalidArgument if a force is not finite, or, without a stage, an amplitude exceeds the 10^6 N that a
+        file can store.
         """
         spec = self._spec
         for i, frame in enumerate(frames):
-            _check_range(frame, i, MOST_NEWTONS if spec.stage == "none" else float(np.finfo(np.float32).max))
+            _check_range(frame, i, MAX_NEWTONS if spec.stage == "none" else float(np.finfo(np.float32).max))
         if spec.stage != "none":
             return encode_staged(frames, spec.stage, spec.step_n)
         trained_on = frames[:1] if spec.interframe == "open" else frames
         sent = [amplitudes_n(_sent_alone_n(spec, f)) for f in trained_on]
-        intra = _fitted(spec, _thinned(np.concatenate(sent)))
-        coder = _Coder(self._grid, spec, frames, {INTRA_SET: intra})
+        intra = _fit_levels(spec, _thin(np.concatenate(sent)))
+        coder = _SegmentCoder(self._grid, spec, frames, {INTRA_SET: intra})
         count = len(Codebook.get(spec.directions))
         return write_body(count, coder.levels, coder.coded, single_holds=not spec.hold_runs)
 
 
-def _check_range(frame: ForceField, index: int, most_n: float) -> None:
-    with np.errstate(over="ignore"):  # beyond float32 is beyond all limits
+def _check_range(frame: ForceField, index: int, limit_n: float) -> None:
+    with np.errstate(over="ignore"):  # an overflow of float32 exceeds every limit
         largest_n = float(amplitudes_n(frame.forces_n.reshape(-1, 3)).max(initial=0.0))
-    if not largest_n <= most_n:  # NaN is not, either
+    if not largest_n <= limit_n:  # NaN is not, either
         raise InvalidArgument(
-            f"frame {index}", f"a force of {largest_n:.3g} N", f"finite newtons, {most_n:g} at most"
+            f"frame {index}", f"a force of {largest_n:.3g} N", f"finite newtons, {limit_n:g} at most"
         )
 
 
-class _Coder:
-    """The frames of a segment, coded one after another."""
+class _SegmentCoder:
+    """State of coding the frames of a segment one after another."""
 
     def __init__(
         self, grid: Grid, spec: PaperSpec, segment: Sequence[ForceField], levels: dict[int, AmplitudeLevels]
@@ -106,21 +106,23 @@ class _Coder:
         for i, frame in enumerate(self.segment):
             candidates = []
             if i == 0 or self.spec.choose_by_size or self.spec.interframe == "none":
-                candidates.append(self._scanned(FrameKind.INTRA, frame))
+                candidates.append(self._encode_scan(FrameKind.INTRA, frame))
             if i and self.spec.interframe == "closed":
-                candidates.append(self._closed_loop(frame))
+                candidates.append(self._encode_closed_loop(frame))
             if i and self.spec.interframe == "open":
                 if INTER_SET not in self.levels:
-                    self.levels[INTER_SET] = _fitted(self.spec, _changes_n(self.spec, self.segment))
-                candidates.append(self._scanned(FrameKind.DIFFERENCE, frame + self.segment[i - 1].scaled(-1)))
+                    self.levels[INTER_SET] = _fit_levels(self.spec, _changes_n(self.spec, self.segment))
+                candidates.append(
+                    self._encode_scan(FrameKind.DIFFERENCE, frame + self.segment[i - 1].scaled(-1))
+                )
             best = min(candidates, key=self._estimated_bits) if len(candidates) > 1 else candidates[0]
-            self.decoded = rebuilt(
+            self.decoded = rebuild_frame(
                 self.grid, best, self.levels[set_of(best.kind)].levels_n, self._codebook, self.decoded
             )
             self.coded.append(best)
 
-    def _scanned(self, kind: FrameKind, field: ForceField) -> FrameSymbols:
-        """A field, or a field of differences, coded with nothing but its own scan to predict it."""
+    def _encode_scan(self, kind: FrameKind, field: ForceField) -> FrameSymbols:
+        """Code a field, or a field of differences, predicted only from its own scan."""
         vectors, table = field.vectors_n(), self.levels[set_of(kind)]
         levels, directions = table.encode(amplitudes_n(vectors)), self._codebook.nearest(vectors)
         sent = np.ones(len(vectors), bool)
@@ -130,9 +132,9 @@ class _Coder:
         support = encode_support(self.grid, field.bricks, field.mask)
         return FrameSymbols(kind, support, field.bricks, field.mask, sent, levels[sent], directions[sent])
 
-    def _closed_loop(self, frame: ForceField) -> FrameSymbols:
+    def _encode_closed_loop(self, frame: ForceField) -> FrameSymbols:
         assert self.decoded is not None
-        before, vectors = self.coded[-1], frame.vectors_n()
+        previous, vectors = self.coded[-1], frame.vectors_n()
         reference = self.decoded.forces_at(brick_keys(self.grid, frame.bricks)).reshape(-1, 3)[
             frame.raster_slots()
         ]
@@ -142,12 +144,11 @@ class _Coder:
         difference = (vectors - reference)[sent]
         amplitudes = amplitudes_n(difference)
         if INTER_SET not in self.levels:
-            # what this frame sends corrects the quantiser too; what later ones send is known from the
-            # originals
+            # train on what this frame sends, and on the changes between later originals
             later = _changes_n(self.spec, self.segment[1:])
-            self.levels[INTER_SET] = _fitted(self.spec, np.concatenate([amplitudes, later]))
+            self.levels[INTER_SET] = _fit_levels(self.spec, np.concatenate([amplitudes, later]))
         levels = self.levels[INTER_SET].encode(amplitudes)
-        support = encode_support(self.grid, frame.bricks, frame.mask, (before.bricks, before.mask))
+        support = encode_support(self.grid, frame.bricks, frame.mask, (previous.bricks, previous.mask))
         directions = self._codebook.nearest(difference)
         return FrameSymbols(FrameKind.INTER, support, frame.bricks, frame.mask, sent, levels, directions)
 
@@ -159,21 +160,21 @@ class _Coder:
         return amplitude + direction + 8 * len(symbols.support)
 
 
-def _fitted(spec: PaperSpec, amplitudes_n: Float32s) -> AmplitudeLevels:
-    """The amplitude quantiser that was asked for, trained on what will be sent."""
+def _fit_levels(spec: PaperSpec, amplitudes_n: Float32s) -> AmplitudeLevels:
+    """Amplitude quantiser of a spec, trained on what will be sent."""
     top_n = float(amplitudes_n.max(initial=0.0))
     if spec.amplitude == "lloyd-max":
         return quantisers.lloyd_max_levels(amplitudes_n, spec.nq)
     if spec.amplitude == "uniform":
-        return quantisers.uniform_levels(max(top_n, _LEAST_FORCE_N) / (2**spec.nq - 1), top_n)
+        return quantisers.uniform_levels(max(top_n, _MIN_FORCE_N) / (2**spec.nq - 1), top_n)
     if spec.weber_steps is not None:
-        # which samples are sent is foreseen from the originals; one that was not may be larger by k
-        top_n = max(top_n, _LEAST_FORCE_N) * (1 + spec.k)
+        # the samples that are sent are predicted from the originals; another one may be larger by k
+        top_n = max(top_n, _MIN_FORCE_N) * (1 + spec.k)
     return quantisers.weber_levels(quantisers.weber_ladder(spec.k, top_n, spec.weber_steps))
 
 
 def _sent_alone_n(spec: PaperSpec, frame: ForceField) -> Float32s:
-    """The vectors that the deadband lets through in a frame coded alone, as far as that is known beforehand."""
+    """Vectors that the deadband passes in a frame coded on its own, estimated from the original."""
     vectors = frame.vectors_n()
     if spec.deadband == "none" or not len(vectors):
         return vectors
@@ -181,21 +182,21 @@ def _sent_alone_n(spec: PaperSpec, frame: ForceField) -> Float32s:
 
 
 def _changes_n(spec: PaperSpec, segment: Sequence[ForceField]) -> Float32s:
-    """The amplitudes of what changes perceptibly from one original to the next, pooled over a segment."""
-    kept = [np.zeros(0, np.float32)]
-    for before, frame in pairwise(segment):
-        change = frame + before.scaled(-1)
+    """Amplitudes of perceptible changes from one original to the next, pooled over a segment."""
+    amplitudes = [np.zeros(0, np.float32)]
+    for previous, frame in pairwise(segment):
+        change = frame + previous.scaled(-1)
         vectors = change.vectors_n()
         if spec.interframe == "closed" and spec.deadband != "none":
             bricks, slots = brick_keys(change.grid, change.bricks), change.raster_slots()
-            now, then = (f.forces_at(bricks).reshape(-1, 3)[slots] for f in (frame, before))
-            vectors = vectors[gate_in_time(now, then, spec.k) & (now != 0).any(axis=1)]
-        kept.append(amplitudes_n(vectors))
-    return _thinned(np.concatenate(kept))
+            current, earlier = (f.forces_at(bricks).reshape(-1, 3)[slots] for f in (frame, previous))
+            vectors = vectors[gate_in_time(current, earlier, spec.k) & (current != 0).any(axis=1)]
+        amplitudes.append(amplitudes_n(vectors))
+    return _thin(np.concatenate(amplitudes))
 
 
-def _thinned(amplitudes: Float32s) -> Float32s:
-    """Every n-th sample, so that training costs no more on a long segment; the largest is kept."""
+def _thin(amplitudes: Float32s) -> Float32s:
+    """Every n-th sample and the largest, so that training does not take longer on a long segment."""
     step = -(-len(amplitudes) // _TRAINING_SAMPLES)
     return amplitudes if step <= 1 else np.append(amplitudes[::step], amplitudes.max())
 
@@ -204,15 +205,16 @@ _LONGEST_RUN = (1 << RUN_SYMBOLS) - 1
 
 
 def fitted_code(counts: Int64s) -> HuffmanCode:
-    """Huffman's code for symbols that occur `counts` times, int64 [n]; more alike where it had more than 24
-    bits.
+    """Huffman code for symbols that occur `counts` times, int64 [n].
+
+    Counts are made more similar until no code has more than 24 bits.
     """
     lengths = np.zeros(len(counts), np.uint8)
     present = np.flatnonzero(counts)
     weights = np.asarray(counts)[present]
     while len(present):
         depths = _depths(weights.tolist())
-        if max(depths) <= LONGEST:
+        if max(depths) <= MAX_CODE_BITS:
             lengths[present] = depths
             break
         weights = (weights + 1) // 2
@@ -220,14 +222,14 @@ def fitted_code(counts: Int64s) -> HuffmanCode:
 
 
 def _depths(weights: list[int]) -> list[int]:
-    """Bits of the code of each symbol."""
+    """Code length of each symbol in bits."""
     heap = [(weight, i) for i, weight in enumerate(weights)]
     heapq.heapify(heap)
     above: dict[int, int] = {}
     for parent in range(len(weights), 2 * len(weights) - 1):
-        (one, i), (other, j) = heapq.heappop(heap), heapq.heappop(heap)
+        (weight_i, i), (weight_j, j) = heapq.heappop(heap), heapq.heappop(heap)
         above[i] = above[j] = parent
-        heapq.heappush(heap, (one + other, parent))
+        heapq.heappush(heap, (weight_i + weight_j, parent))
     depth = {heap[0][1]: 0}
     for node in range(2 * len(weights) - 3, -1, -1):
         depth[node] = depth[above[node]] + 1
@@ -237,18 +239,17 @@ def _depths(weights: list[int]) -> list[int]:
 def pack_runs(
     sent: Bools, levels: NDArray[np.uint16], level_count: int, *, single: bool
 ) -> tuple[Int64s, Int64s, Int64s]:
-    """The symbols of the samples bool [L], with the raw bits behind each: symbols, values, and numbers of
-    bits.
+    """Symbols of the samples bool [L], with the values and the numbers of the raw bits after each.
 
     `levels` are those of the sent samples; with `single` each held sample is a symbol of its own.
     """
     index = np.arange(len(sent))
     since = index - np.maximum.accumulate(np.where(sent, index, -1)) - 1  # held samples before this one
-    at = np.flatnonzero(sent | (since % (1 if single else _LONGEST_RUN) == 0))
-    runs = np.diff(at, append=len(sent))
+    starts = np.flatnonzero(sent | (since % (1 if single else _LONGEST_RUN) == 0))
+    runs = np.diff(starts, append=len(sent))
     bits = np.frexp(runs)[1].astype(np.int64) - 1
     symbols, values = level_count + bits, runs - (1 << bits)
-    symbols[sent[at]] = levels
+    symbols[sent[starts]] = levels
     return symbols, values, bits
 
 
@@ -273,35 +274,37 @@ def write_body(
     *,
     single_holds: bool,
 ) -> CodedSegment:
-    """The body of a segment, and what each frame cost; `levels` are by `INTRA_SET` and `INTER_SET`."""
+    """Body of a segment, with the cost of each frame; `levels` are by `INTRA_SET` and `INTER_SET`."""
     kinds, tables, packed = 0, b"", {}
     sets = {}
     for kind in (INTRA_SET, INTER_SET):
-        mine = [symbols for symbols in frames if set_of(symbols.kind) == kind]
-        if not mine:
+        of_kind = [symbols for symbols in frames if set_of(symbols.kind) == kind]
+        if not of_kind:
             continue
-        chosen = levels[kind]
-        amplitude_counts = np.zeros(len(chosen) + RUN_SYMBOLS, np.int64)
+        quantiser = levels[kind]
+        amplitude_counts = np.zeros(len(quantiser) + RUN_SYMBOLS, np.int64)
         direction_counts = np.zeros(direction_count, np.int64)
-        for symbols in mine:
+        for symbols in of_kind:
             streams = packed[id(symbols)] = pack_runs(
-                symbols.sent, symbols.levels, len(chosen), single=single_holds
+                symbols.sent, symbols.levels, len(quantiser), single=single_holds
             )
             amplitude_counts += np.bincount(streams[0], minlength=len(amplitude_counts))
             direction_counts += np.bincount(symbols.directions, minlength=direction_count)
-        if chosen.levels_n.max(initial=0.0) > MOST_NEWTONS:  # of differences, which are up to twice a force
-            found = f"a change of {chosen.levels_n.max():.3g} N from frame to frame"
-            raise InvalidArgument("frames", found, f"{MOST_NEWTONS:g} N at most")
-        made = sets[kind] = TableSet(chosen, fitted_code(amplitude_counts), fitted_code(direction_counts))
+        if quantiser.levels_n.max(initial=0.0) > MAX_NEWTONS:  # differences are up to twice a force
+            found = f"a change of {quantiser.levels_n.max():.3g} N from frame to frame"
+            raise InvalidArgument("frames", found, f"{MAX_NEWTONS:g} N at most")
+        table_set = sets[kind] = TableSet(
+            quantiser, fitted_code(amplitude_counts), fitted_code(direction_counts)
+        )
         kinds |= kind
-        tables += chunk(chosen.levels_n.astype("<f4").tobytes())
-        for code in (made.amplitude_code, made.direction_code):
+        tables += chunk(quantiser.levels_n.astype("<f4").tobytes())
+        for code in (table_set.amplitude_code, table_set.direction_code):
             tables += chunk(encode_numbers(code.lengths))
     parts, stats = [bytes([kinds]), tables], []
     for symbols in frames:
-        chosen_set = sets[set_of(symbols.kind)]
-        amplitudes = encode_symbols(chosen_set.amplitude_code, *packed[id(symbols)])
-        directions = encode_symbols(chosen_set.direction_code, symbols.directions)
+        tables_of_kind = sets[set_of(symbols.kind)]
+        amplitudes = encode_symbols(tables_of_kind.amplitude_code, *packed[id(symbols)])
+        directions = encode_symbols(tables_of_kind.direction_code, symbols.directions)
         data = bytes([symbols.kind]) + chunk(symbols.support)
         data += b"".join(write_varint(s.bit_length) + s.data for s in (amplitudes, directions))
         bits = BitAccount(8 * len(symbols.support), amplitudes.bit_length, directions.bit_length)
@@ -312,16 +315,16 @@ def write_body(
 
 
 _PASSES = 4
-_ROUNDING = 1 / 3  # of the DCT: a coefficient below two thirds of a step is none
+_ROUNDING = 1 / 3  # of the DCT: a coefficient below two thirds of a step becomes 0
 
 
 def encode_staged(frames: Sequence[ForceField], stage: str, step_n: float) -> CodedSegment:
-    """The frames as a segment of a stage, each alone. InvalidArgument if the step is too fine for the forces."""
+    """Code frames as a segment of a stage; InvalidArgument if the step is too fine for the forces."""
     parts, stats = [struct.pack("<d", step_n)], []
     for frame in frames:
         support = encode_support(frame.grid, frame.bricks, frame.mask)
         numbers, runs = _numbers(frame, stage, step_n)
-        if np.abs(numbers).max(initial=0) > LARGEST:
+        if np.abs(numbers).max(initial=0) > MAX_NUMBER:
             raise InvalidArgument("step_n", f"{step_n:g} N", "at least 2^-20 of the largest component")
         code = encode_numbers(numbers)
         data = chunk(support) + (write_varint(runs) if stage == "runs" else b"") + chunk(code)
@@ -333,44 +336,46 @@ def encode_staged(frames: Sequence[ForceField], stage: str, step_n: float) -> Co
 
 
 def _numbers(frame: ForceField, stage: str, step_n: float) -> tuple[Int64s, int]:
-    """The numbers of a frame, int64 [any], and how many runs there are."""
+    """Numbers of a frame, int64 [any], and its number of runs."""
     if stage in BY_BRICK:
-        filled = _filled(frame) / step_n
-        made = _to_wavelet(_points(filled)) if stage == "wavelet" else _to_dct(filled)
-        return made.reshape(-1, BRICK**3, 3)[:, ORDER].transpose(2, 1, 0).reshape(-1), 0
+        filled = _fill_bricks(frame) / step_n
+        coefficients = _to_wavelet(_round_steps(filled)) if stage == "wavelet" else _to_dct(filled)
+        return coefficients.reshape(-1, BRICK**3, 3)[:, ORDER].transpose(2, 1, 0).reshape(-1), 0
     vectors = frame.vectors_n().astype(np.float64) / step_n
     if stage == "adpcm":
-        grains = np.ascontiguousarray(_points(vectors * GRAIN).T)
+        grains = np.ascontiguousarray(_round_steps(vectors * GRAIN).T)
         residuals = np.zeros_like(grains)
         for values, out in zip(grains, residuals, strict=True):
             adpcm(values, out, False)
         return residuals.reshape(-1), 0
-    points = _points(vectors)
+    points = _round_steps(vectors)
     if stage == "dpcm":
         return np.diff(points, axis=0, prepend=np.zeros((1, 3), np.int64)).T.reshape(-1), 0
-    begins = np.flatnonzero(np.append(True, (points[1:] != points[:-1]).any(axis=1))[: len(points)])
-    lengths = np.diff(begins, append=len(points)) - 1
-    return np.concatenate([lengths, points[begins].T.reshape(-1)]), len(begins)
+    starts = np.flatnonzero(np.append(True, (points[1:] != points[:-1]).any(axis=1))[: len(points)])
+    lengths = np.diff(starts, append=len(points)) - 1
+    return np.concatenate([lengths, points[starts].T.reshape(-1)]), len(starts)
 
 
-def _points(steps: Float64s) -> Int64s:
-    return np.rint(np.clip(steps, -float(1 << 40), float(1 << 40))).astype(
-        np.int64
-    )  # too large is told later
+def _round_steps(steps: Float64s) -> Int64s:
+    limited = np.clip(steps, -float(1 << 40), float(1 << 40))  # numbers that are too large are refused later
+    return np.rint(limited).astype(np.int64)
 
 
-def _filled(frame: ForceField) -> Float64s:
-    """Forces [n, 8, 8, 8, 3], those beside the support chosen smooth: the brick's mean, then means of
-    neighbours.
+def _fill_bricks(frame: ForceField) -> Float64s:
+    """Forces [n, 8, 8, 8, 3], with smooth values outside the support.
+
+    These start as the mean of the brick; each pass replaces them by the mean of their neighbours.
     """
-    held = frame.mask[..., None]
+    supported = frame.mask[..., None]
     x = frame.forces_n.astype(np.float64)
     mean = x.sum(axis=(1, 2, 3)) / np.maximum(frame.mask.sum(axis=(1, 2, 3)), 1)[:, None]
-    x = np.where(held, x, mean[:, None, None, None, :])
+    x = np.where(supported, x, mean[:, None, None, None, :])
     for _ in range(_PASSES):
         p = np.pad(x, ((0, 0), (1, 1), (1, 1), (1, 1), (0, 0)), mode="edge")
-        around = p[:, :-2, 1:-1, 1:-1] + p[:, 2:, 1:-1, 1:-1] + p[:, 1:-1, :-2, 1:-1] + p[:, 1:-1, 2:, 1:-1]
-        x = np.where(held, x, (around + p[:, 1:-1, 1:-1, :-2] + p[:, 1:-1, 1:-1, 2:]) / 6)
+        neighbours = (
+            p[:, :-2, 1:-1, 1:-1] + p[:, 2:, 1:-1, 1:-1] + p[:, 1:-1, :-2, 1:-1] + p[:, 1:-1, 2:, 1:-1]
+        )
+        x = np.where(supported, x, (neighbours + p[:, 1:-1, 1:-1, :-2] + p[:, 1:-1, 1:-1, 2:]) / 6)
     return x
 
 
@@ -391,4 +396,4 @@ def _to_dct(steps: Float64s) -> Int64s:
     from scipy.fft import dctn
 
     spectrum = dctn(steps, axes=(1, 2, 3), norm="ortho") if len(steps) else steps
-    return np.sign(spectrum).astype(np.int64) * _points(np.floor(np.abs(spectrum) + _ROUNDING))
+    return np.sign(spectrum).astype(np.int64) * _round_steps(np.floor(np.abs(spectrum) + _ROUNDING))

@@ -1,7 +1,6 @@
-"""Q of the measures: a force vector becomes one symbol (paper section 3.1; theory: "every entropy must state
-Q").
+"""Quantiser Q of the measures: one symbol for a force vector (paper section 3.1).
 
-In words such as a command line takes:
+Every entropy must state its Q (docs/theory.md). The text forms, as on the command line:
 
 * ``AMPLITUDE:NUMBER/DIRECTIONS``: an amplitude quantiser of the coder (``weber:0.1``, the Weber fraction;
   ``uniform:0.05``, the step in newtons; ``lloyd-max:6``, bits) times a direction codebook (``ico5`` if none
@@ -12,10 +11,9 @@ In words such as a command line takes:
   the last of which ends at F_max (paper table 1: three times six bits). The symbol is the triple. Where every
   component is beyond F_min the error is within k |F|; one below becomes zero, and up to sqrt(3) F_min is
   lost.
-* ``distinct``: nothing is quantised; every different vector of the fields is a symbol. For fields that were
-  decoded.
+* ``distinct``: nothing is quantised; every distinct vector of the fields is a symbol. For decoded fields.
 
-Symbol 0 is "no force": where the amplitude falls into the zero bin, too.
+Symbol 0 is "no force", including amplitudes in the zero bin.
 """
 
 from __future__ import annotations
@@ -43,25 +41,25 @@ from touchfield.perception.weber import WeberLadder
 
 DEFAULT_QUANTISER: Final = "weber:0.1"
 FORMS: Final = ("weber", "uniform", "lloyd-max", "components", "weber-components", "distinct")
-MOST_LEVELS: Final = 511  # of one component to each side, so that a triple stays within 2^30 symbols
-MOST_DISTINCT: Final = 1 << 22
+MAX_LEVELS: Final = 511  # of one component to each side, so that a triple stays within 2^30 symbols
+MAX_DISTINCT: Final = 1 << 22
 
-_MOST_TRAINED: Final = 1 << 22  # amplitudes a Lloyd-Max quantiser is trained on; of more, evenly spaced ones
-_MOST_OF_A_FRAME: Final = 1 << 20
+_MAX_TRAINING: Final = 1 << 22  # amplitudes a Lloyd-Max quantiser is trained on; of more, evenly spaced ones
+_MAX_PER_FRAME: Final = 1 << 20
 _SLACK: Final = 1 + 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class FieldQuantiser(ABC):
-    """Q, resolved: fields to symbols, for forces of `top_n` newtons at most."""
+    """A fitted Q: fields to symbols, for forces of at most `top_n` newtons."""
 
-    words: str
+    text: str
     top_n: float
 
     @property
     @abstractmethod
     def alphabet(self) -> int:
-        """K: how many symbols there are, "no force" among them."""
+        """K: the number of symbols, "no force" included."""
 
     @abstractmethod
     def _symbols(self, vectors_n: Float32s) -> Int32s: ...
@@ -73,7 +71,7 @@ class FieldQuantiser(ABC):
         """The symbols of one frame; see `symbols_of`."""
         symbols = np.zeros((len(field.bricks), BRICK, BRICK, BRICK), np.int32)
         symbols[field.mask] = self.symbols_of(field.forces_n[field.mask])
-        return FieldSymbols(field.grid, field.bricks, symbols, self.alphabet, self.words)
+        return FieldSymbols(field.grid, field.bricks, symbols, self.alphabet, self.text)
 
     def symbols_of(self, vectors_n: Float32s) -> Int32s:
         """The symbols of force vectors, newtons, float32 [m, 3], int32 [m].
@@ -83,14 +81,14 @@ class FieldQuantiser(ABC):
         top = float(amplitudes_n(vectors_n).max(initial=0.0))
         if top > self.top_n:
             found, allowed = f"a force of {top:.6g} N", f"up to the {self.top_n:.6g} N it was made for"
-            raise InvalidArgument(f"quantiser {self.words}", found, allowed, "Fit it to this field, too.")
+            raise InvalidArgument(f"quantiser {self.text}", found, allowed, "Fit it to this field, too.")
         return self._symbols(vectors_n)
 
     def vectors_of(self, symbols: Int32s) -> Float32s:
-        """The codewords of symbols [m], newtons, float32 [m, 3]: the inverse of `symbols_of` but for what Q
-        lost.
+        """The codewords of symbols [m], newtons, float32 [m, 3].
 
-        InvalidArgument if the quantiser keeps no direction, or there is no such symbol.
+        The inverse of `symbols_of` up to quantisation. InvalidArgument if the quantiser has no directions, or
+        a symbol does not exist.
         """
         if len(symbols) and not 0 <= symbols.min() <= symbols.max() < self.alphabet:
             raise InvalidArgument(
@@ -101,7 +99,7 @@ class FieldQuantiser(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Pairs(FieldQuantiser):
-    """Amplitude level times direction, of which there are N_d; without a codebook the amplitude alone.
+    """Amplitude level times direction, of N_d directions; without a codebook the amplitude alone.
 
     Symbol s > 0 is the pair divmod(s - 1, N_d).
     """
@@ -124,10 +122,10 @@ class Pairs(FieldQuantiser):
     def _symbols(self, vectors_n: Float32s) -> Int32s:
         amplitudes = amplitudes_n(vectors_n)
         levels = self.levels.encode(amplitudes).astype(np.int64) - self._zeros
-        is_told = (levels >= 0) & (amplitudes != 0)
+        is_sent = (levels >= 0) & (amplitudes != 0)
         symbols = np.zeros(len(levels), np.int32)
-        direction: Any = 0 if self.codebook is None else self.codebook.nearest(vectors_n[is_told])
-        symbols[is_told] = 1 + levels[is_told] * self._directions + direction
+        direction: Any = 0 if self.codebook is None else self.codebook.nearest(vectors_n[is_sent])
+        symbols[is_sent] = 1 + levels[is_sent] * self._directions + direction
         return symbols
 
     def _vectors(self, symbols: Int32s) -> Float32s:
@@ -156,38 +154,38 @@ class Components(FieldQuantiser):
         return symbols
 
     def _vectors(self, symbols: Int32s) -> Float32s:
-        side, most = 2 * len(self.levels) - 1, len(self.levels) - 1
-        places = (symbols.astype(np.int64) + (self.alphabet - 1) // 2) % self.alphabet
-        signed = np.stack(np.unravel_index(places, (side,) * 3), axis=-1) - most
-        words: Float32s = self.levels.levels_n[np.abs(signed)] * np.sign(signed).astype(np.float32)
-        return words
+        side, highest = 2 * len(self.levels) - 1, len(self.levels) - 1
+        indices = (symbols.astype(np.int64) + (self.alphabet - 1) // 2) % self.alphabet
+        signed = np.stack(np.unravel_index(indices, (side,) * 3), axis=-1) - highest
+        vectors: Float32s = self.levels.levels_n[np.abs(signed)] * np.sign(signed).astype(np.float32)
+        return vectors
 
 
 @dataclass(frozen=True, eq=False)
 class _Distinct(FieldQuantiser):
-    """Every different vector, as the twelve bytes of it, ascending."""
+    """Each distinct vector is a symbol; `vectors` are their twelve bytes, ascending."""
 
-    known: NDArray[Any]
+    vectors: NDArray[Any]
 
     @property
     def alphabet(self) -> int:
-        return 1 + len(self.known)
+        return 1 + len(self.vectors)
 
     def _symbols(self, vectors_n: Float32s) -> Int32s:
-        wanted, zero = _packed(vectors_n), ~vectors_n.any(axis=1)
-        place = np.minimum(np.searchsorted(self.known, wanted), max(0, len(self.known) - 1))
-        if not (zero | (self.known[place] == wanted if len(self.known) else zero)).all():
+        packed, zero = _pack(vectors_n), ~vectors_n.any(axis=1)
+        index = np.minimum(np.searchsorted(self.vectors, packed), max(0, len(self.vectors) - 1))
+        if not (zero | (self.vectors[index] == packed if len(self.vectors) else zero)).all():
             found, mend = "a force that it has not seen", "Fit it to this field, too."
             raise InvalidArgument("quantiser distinct", found, "the fields it was made for", mend)
-        return np.where(zero, 0, place + 1).astype(np.int32)
+        return np.where(zero, 0, index + 1).astype(np.int32)
 
     def _vectors(self, symbols: Int32s) -> Float32s:
         vectors = np.zeros((len(symbols), 3), np.float32)
-        vectors[symbols > 0] = self.known[symbols[symbols > 0] - 1].view(np.float32).reshape(-1, 3)
+        vectors[symbols > 0] = self.vectors[symbols[symbols > 0] - 1].view(np.float32).reshape(-1, 3)
         return vectors
 
 
-def _packed(vectors_n: Float32s) -> NDArray[Any]:
+def _pack(vectors_n: Float32s) -> NDArray[Any]:
     """Each vector as one value that sorts: its twelve bytes; -0.0 is 0.0."""
     rows = np.ascontiguousarray(vectors_n + np.float32(0))
     return rows.view(np.dtype((np.void, 12))).reshape(-1)
@@ -195,8 +193,7 @@ def _packed(vectors_n: Float32s) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class FieldQuantiserSpec:
-    """A quantiser as it is asked for, in the parts of its words; InvalidArgument if one is unknown or out of
-    range.
+    """Parts of the text of a quantiser; InvalidArgument if one is unknown or out of range.
 
     `number` is k, a step in newtons or n_q, as the form has it; `directions` a codebook or "none"; `levels`
     are those of "weber-components" to each side of zero.
@@ -215,33 +212,31 @@ class FieldQuantiserSpec:
         if self.directions != "none":
             Codebook.get(self.directions)
         if self.form != "distinct":
-            self._made(self.number if "weber" not in self.form else 1.0, np.zeros(0, np.float32))
+            self._build(self.number if "weber" not in self.form else 1.0, np.zeros(0, np.float32))
 
     @classmethod
     def parse(cls, text: str) -> FieldQuantiserSpec:
-        """From words such as ``weber:0.1``, ``lloyd-max:6/octa3``, ``uniform:0.05/none``,
-        ``components:0.02``.
-        """
+        """Parse text such as ``weber:0.1``, ``lloyd-max:6/octa3``, ``uniform:0.05/none``."""
         if text == "distinct":
             return cls(text, 0.0, "none")
-        amplitude, slash, beside = text.partition("/")
+        amplitude, slash, suffix = text.partition("/")
         form, _, number = amplitude.partition(":")
-        takes = {"components": not slash, "weber-components": beside.isdecimal()}.get(
-            form, not slash or beside
+        is_complete = {"components": not slash, "weber-components": suffix.isdecimal()}.get(
+            form, not slash or suffix
         )
         value = math.nan
         with suppress(ValueError):
-            value = float(number) if takes else math.nan
+            value = float(number) if is_complete else math.nan
         if not math.isfinite(value):
             expected = "FORM:NUMBER, FORM:NUMBER/DIRECTIONS or weber-components:K/LEVELS, such as weber:0.1"
             raise InvalidArgument("quantiser", repr(text), expected)
         if form in ("components", "weber-components"):
-            return cls(form, value, "none", int(beside or cls.levels))
-        return cls(form, value, beside or DEFAULT_DIRECTIONS)
+            return cls(form, value, "none", int(suffix or cls.levels))
+        return cls(form, value, suffix or DEFAULT_DIRECTIONS)
 
     @property
-    def words(self) -> str:
-        """Words that `parse` takes."""
+    def text(self) -> str:
+        """The text that `parse` accepts."""
         if self.form == "distinct":
             return self.form
         amplitude = f"{self.form}:{self.number!r}".removesuffix(".0")
@@ -254,33 +249,33 @@ class FieldQuantiserSpec:
         if force_max_n is not None and not 0 <= force_max_n < math.inf:
             raise InvalidArgument("force_max_n", repr(force_max_n), "newtons, 0 or more")
         if self.form == "distinct":
-            known = _packed(np.zeros((0, 3), np.float32))
+            distinct = _pack(np.zeros((0, 3), np.float32))
             for field in fields:
-                known = np.unique(np.concatenate([known, _packed(field.vectors_n())]))
-                if len(known) > MOST_DISTINCT:
+                distinct = np.unique(np.concatenate([distinct, _pack(field.vectors_n())]))
+                if len(distinct) > MAX_DISTINCT:
                     found, mend = (
-                        f"more than {MOST_DISTINCT} different vectors",
+                        f"more than {MAX_DISTINCT} different vectors",
                         "Name a quantiser such as weber:0.1.",
                     )
                     raise InvalidArgument("quantiser distinct", found, "a field of a decoder", mend)
-            return _Distinct(self.words, math.inf, known)
+            return _Distinct(self.text, math.inf, distinct)
         top, amplitudes = 0.0 if force_max_n is None else float(force_max_n), np.zeros(0, np.float32)
         for field in fields if force_max_n is None or self.form == "lloyd-max" else ():
             sizes = amplitudes_n(field.vectors_n())
             top = max(top, float(sizes.max(initial=0.0)))
             if self.form == "lloyd-max":
-                amplitudes = np.concatenate([amplitudes, sizes[:: -(-len(sizes) // _MOST_OF_A_FRAME) or 1]])
-                amplitudes = amplitudes[:: -(-len(amplitudes) // _MOST_TRAINED) or 1]
-        return self._made(top, amplitudes)
+                amplitudes = np.concatenate([amplitudes, sizes[:: -(-len(sizes) // _MAX_PER_FRAME) or 1]])
+                amplitudes = amplitudes[:: -(-len(amplitudes) // _MAX_TRAINING) or 1]
+        return self._build(top, amplitudes)
 
-    def _made(self, top_n: float, amplitudes: Float32s) -> FieldQuantiser:
+    def _build(self, top_n: float, amplitudes: Float32s) -> FieldQuantiser:
         """The quantiser up to `top_n` newtons."""
         if self.form == "weber-components":
-            if not 1 <= self.levels <= MOST_LEVELS:
-                raise InvalidArgument("weber-components", f"{self.levels} levels", f"1 to {MOST_LEVELS}")
-            least = (top_n or 1.0) / WeberLadder(self.number, 1.0, 1).ratio ** self.levels
-            levels = quantisers.weber_levels(WeberLadder(self.number, least, self.levels))
-            return Components(self.words, top_n * _SLACK, levels)
+            if not 1 <= self.levels <= MAX_LEVELS:
+                raise InvalidArgument("weber-components", f"{self.levels} levels", f"1 to {MAX_LEVELS}")
+            lowest = (top_n or 1.0) / WeberLadder(self.number, 1.0, 1).ratio ** self.levels
+            levels = quantisers.weber_levels(WeberLadder(self.number, lowest, self.levels))
+            return Components(self.text, top_n * _SLACK, levels)
         if self.form == "weber":
             levels = quantisers.weber_levels(quantisers.weber_ladder(self.number, top_n))
         elif self.form == "lloyd-max":
@@ -288,11 +283,11 @@ class FieldQuantiserSpec:
         else:
             levels = quantisers.uniform_levels(self.number, top_n)
         if self.form == "components":
-            if len(levels) - 1 > MOST_LEVELS:
+            if len(levels) - 1 > MAX_LEVELS:
                 found = f"{len(levels) - 1} steps of {self.number:g} N to {top_n:.3g} N"
                 raise InvalidArgument(
-                    "quantiser components", found, f"up to {MOST_LEVELS}", "Take a larger step."
+                    "quantiser components", found, f"up to {MAX_LEVELS}", "Take a larger step."
                 )
-            return Components(self.words, top_n * _SLACK, levels)
+            return Components(self.text, top_n * _SLACK, levels)
         codebook = None if self.directions == "none" else Codebook.get(self.directions)
-        return Pairs(self.words, top_n * _SLACK, levels, codebook)
+        return Pairs(self.text, top_n * _SLACK, levels, codebook)

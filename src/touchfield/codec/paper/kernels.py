@@ -6,23 +6,23 @@ import math
 
 import numpy as np
 
-from touchfield.compute.jit import entry, kernel
-from touchfield.medium.kernels import first_at_least
+from touchfield.compute.coder_jit import entry
+from touchfield.compute.jit import kernel
+from touchfield.medium.kernels import lower_bound
 
 
 @entry
-def nearest(begin, end, vectors, vertices, reach, out):
+def nearest(start, stop, vectors, vertices, reach, out):
     """Fill uint16 [m] with the first of the vertices [3, n] of largest dot product for finite float32 [m, 3].
 
-    Vertices ascend by x; the nearest of a direction is no farther than `reach`, so that no other x is looked
-    at.
+    Vertices ascend by x; the nearest vertex of a direction is within `reach`, so only these x are searched.
     """
-    for i in range(begin, end):
+    for i in range(start, stop):
         x, y, z = np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
         size = math.sqrt(x * x + y * y + z * z)
         best, winner = -np.inf, 0
         if size > 0.0:
-            j, last = first_at_least(vertices[0], x / size - reach), x / size + reach
+            j, last = lower_bound(vertices[0], x / size - reach), x / size + reach
             while j < vertices.shape[1] and vertices[0, j] <= last:
                 dot = vertices[0, j] * x + vertices[1, j] * y + vertices[2, j] * z
                 if dot > best:
@@ -31,47 +31,47 @@ def nearest(begin, end, vectors, vertices, reach, out):
         out[i] = winner
 
 
-LONGEST = 24  # bits of a Huffman code, at most
+MAX_CODE_BITS = 24  # bits of a Huffman code, at most
 
 
 @kernel
 def pack_bits(values, lengths, out):
-    """Write the low ``lengths[i]`` bits (44 at most) of each int64 value to uint8 `out`, which holds zeros."""
-    held = filled = place = np.int64(0)
+    """Write the low ``lengths[i]`` bits (at most 44) of each int64 value to uint8 `out`, initially zeros."""
+    pending = filled = byte_index = np.int64(0)
     for i in range(values.shape[0]):
-        held = (held << np.int64(lengths[i])) | values[i]
+        pending = (pending << np.int64(lengths[i])) | values[i]
         filled += lengths[i]
         while filled >= 8:
             filled -= 8
-            out[place] = held >> filled
-            place += 1
-            held &= (np.int64(1) << filled) - 1
+            out[byte_index] = pending >> filled
+            byte_index += 1
+            pending &= (np.int64(1) << filled) - 1
     if filled:
-        out[place] = held << (8 - filled)
+        out[byte_index] = pending << (8 - filled)
 
 
 @kernel
 def decode(data, limits, ranks, order, level_count, sent, levels):
     """Read symbols until `sent` bool [L] is full; levels go to uint16 `levels`, runs leave `sent` as it is.
 
-    Behind the end of `data` there are zeros. Returns the bits that were read, or -1 for bits that are no
-    code, more levels than there is room for, or a run beyond the end; and the number of levels.
+    Zeros follow the end of `data`. Returns the number of bits read, or -1 for bits that are no code, too many
+    levels for `levels`, or a run beyond the end; and the number of levels.
     """
-    held = filled = place = used = np.int64(0)
+    pending = filled = byte_index = used = np.int64(0)
     sample = level = np.int64(0)
     while sample < sent.shape[0]:
         while filled <= 48:
-            byte = np.int64(data[place]) if place < data.shape[0] else np.int64(0)
-            held = ((held << 8) | byte) & ((np.int64(1) << 56) - 1)
+            byte = np.int64(data[byte_index]) if byte_index < data.shape[0] else np.int64(0)
+            pending = ((pending << 8) | byte) & ((np.int64(1) << 56) - 1)
             filled += 8
-            place += 1
-        window = (held >> (filled - LONGEST)) & ((1 << LONGEST) - 1)
+            byte_index += 1
+        window = (pending >> (filled - MAX_CODE_BITS)) & ((1 << MAX_CODE_BITS) - 1)
         bits = 1
-        while bits <= LONGEST and window >= limits[bits]:
+        while bits <= MAX_CODE_BITS and window >= limits[bits]:
             bits += 1
-        if bits > LONGEST:
+        if bits > MAX_CODE_BITS:
             return np.int64(-1), level
-        symbol = np.int64(order[ranks[bits] + (window >> (LONGEST - bits))])
+        symbol = np.int64(order[ranks[bits] + (window >> (MAX_CODE_BITS - bits))])
         filled -= bits
         used += bits
         if symbol < level_count:
@@ -85,7 +85,7 @@ def decode(data, limits, ranks, order, level_count, sent, levels):
         j = symbol - level_count
         filled -= j
         used += j
-        sample += (np.int64(1) << j) + ((held >> filled) & ((np.int64(1) << j) - 1))
+        sample += (np.int64(1) << j) + ((pending >> filled) & ((np.int64(1) << j) - 1))
         if sample > sent.shape[0]:
             return np.int64(-1), level
     return used, level
@@ -100,11 +100,11 @@ _FAR = 1 << 40
 
 @kernel
 def adpcm(values, residuals, decoding):
-    """ADPCM of one component, int64 [n], in sixteenths: reads `values` and writes `residuals`, or the
-    reverse.
+    """ADPCM of one component, int64 [n], in sixteenths of the finest step.
 
-    Two weights follow the signal by the sign of what they miss (as in G.726), and the step goes up after a
-    residual of 2 or more and down after a 0. ``values`` holds the decoded signal in both cases.
+    Reads `values` and writes `residuals`, or the reverse if `decoding`. Two weights adapt by the sign of the
+    prediction error (as in G.726); the step increases after a residual of 2 or more and decreases after a 0.
+    `values` becomes the decoded signal in both cases.
     """
     w0, w1 = np.int64(_ONE), np.int64(0)
     last = before = rung = np.int64(0)
@@ -115,13 +115,12 @@ def adpcm(values, residuals, decoding):
         if decoding:
             q = residuals[i]
         else:
-            miss = values[i] - predicted
-            q = (2 * abs(miss) + step) // (2 * step)
-            q = -q if miss < 0 else q
+            residual = values[i] - predicted
+            q = (2 * abs(residual) + step) // (2 * step)
+            q = -q if residual < 0 else q
             residuals[i] = q
-        value = min(
-            max(predicted + q * step, np.int64(-_FAR)), np.int64(_FAR)
-        )  # only strangers' bytes reach it
+        # the limit is only reached with bytes that no encoder wrote
+        value = min(max(predicted + q * step, np.int64(-_FAR)), np.int64(_FAR))
         values[i] = value
         sign = np.int64(q > 0) - np.int64(q < 0)
         w0 += _NUDGE * sign * (np.int64(last > 0) - np.int64(last < 0))

@@ -1,7 +1,7 @@
 """Amplitude quantisers (paper section 4.2, eq. 6, and section 5.2): levels, and the thresholds between them.
 
-Three ways to levels: Lloyd-Max, trained on samples; the Weber ladder, whose steps grow with the force so that
-the relative error stays within k; and uniform steps.
+Three kinds of levels: Lloyd-Max, trained on samples; the Weber ladder, whose steps grow with the force so
+that the relative error stays within k; and uniform steps.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ def amplitudes_n(vectors_n: Float32s) -> Float32s:
 
 @dataclass(frozen=True, eq=False)
 class AmplitudeLevels:
-    """A quantiser of amplitudes. InvalidArgument if the levels are no such levels."""
+    """Quantiser of amplitudes; InvalidArgument for invalid levels."""
 
     levels_n: Float32s  # [n]; newtons, finite, not negative, strictly ascending, 1 to 65536 of them
-    # [n - 1]; borders of the cells; an amplitude on a border takes the level above it, and one beyond the
-    # ends the nearest. By default the midpoints
+    # [n - 1]; borders of the cells, by default the midpoints; an amplitude on a border takes the level above
+    # it, and one outside all cells the nearest
     thresholds_n: Float32s | None = None
 
     def __post_init__(self) -> None:
@@ -48,7 +48,7 @@ class AmplitudeLevels:
         thresholds = self.thresholds_n
         if thresholds is None:
             wide = levels.astype(np.float64)
-            thresholds = _rounded_up((wide[1:] + wide[:-1]) / 2)
+            thresholds = _round_up((wide[1:] + wide[:-1]) / 2)
         for name, array in (("levels_n", levels), ("thresholds_n", thresholds)):
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -58,18 +58,18 @@ class AmplitudeLevels:
 
     def encode(self, amplitudes_n: Float32s) -> NDArray[np.uint16]:
         """Indices of the levels of float32 [m] newtons, 0 or more (else InvalidArgument), uint16 [m]."""
-        amplitudes = _checked(amplitudes_n)
+        amplitudes = _check_amplitudes(amplitudes_n)
         assert self.thresholds_n is not None
         return np.searchsorted(self.thresholds_n, amplitudes, "right").astype(np.uint16)
 
 
-def _rounded_up(thresholds: Float64s) -> Float32s:
+def _round_up(thresholds: Float64s) -> Float32s:
     """The smallest float32 at or above each float64: a float32 compares with both alike."""
     nearest = thresholds.astype(np.float32)
     return np.where(nearest < thresholds, np.nextafter(nearest, np.float32(np.inf)), nearest)
 
 
-def _checked(values: NDArray[Any]) -> Float32s:
+def _check_amplitudes(values: NDArray[Any]) -> Float32s:
     amplitudes = np.asarray(values, np.float32)
     if amplitudes.ndim != 1 or not (np.isfinite(amplitudes).all() and amplitudes.min(initial=0.0) >= 0):
         raise InvalidArgument(
@@ -79,16 +79,16 @@ def _checked(values: NDArray[Any]) -> Float32s:
 
 
 def weber_levels(ladder: WeberLadder) -> AmplitudeLevels:
-    """A Weber ladder with a zero bin: level 0 is zero, level i + 1 is r_i; below F_min all is zero."""
-    return AmplitudeLevels(ladder.levels_n, _rounded_up(ladder.thresholds_n))
+    """Levels of a Weber ladder with a zero bin: level 0 is zero, level i + 1 is r_i; below F_min is zero."""
+    return AmplitudeLevels(ladder.levels_n, _round_up(ladder.thresholds_n))
 
 
 def weber_ladder(k: float, top_n: float, steps: int | None = None) -> WeberLadder:
-    """The ladder of the corrected eq. 6 with Weber fraction k up to `top_n` newtons, 0 where there is no
-    force.
+    """Ladder of the corrected eq. 6 with Weber fraction k up to `top_n` newtons (0 if there is no force).
 
-    With `steps` exactly so many levels above zero, from the top down: 63 at k = 0.05 span 547:1, 6 bits with
-    the zero. Else as many as k needs from 0.03 N on. InvalidArgument if a number is out of range.
+    `steps`, if given, is the number of levels above zero, from the top down: 63 at k = 0.05 span 547:1, 6
+    bits with the zero. Otherwise there are as many as k needs from 0.03 N on. InvalidArgument if a number is
+    out of range.
     """
     if steps is None:
         return WeberLadder.spanning(k, WEBER_FORCE_MIN_N, max(WEBER_FORCE_MIN_N, top_n))
@@ -102,14 +102,12 @@ def weber_ladder(k: float, top_n: float, steps: int | None = None) -> WeberLadde
             "Take fewer bits (--nq) or a smaller --k.",
         )
     # a hair above the top: rounding must not leave it out
-    least = math.exp(math.log(top_n or WEBER_FORCE_MIN_N) - steps * rise) * (1 + _HAIR)
-    return WeberLadder(k, max(_SMALLEST_FORCE_N, least), steps)
+    lowest = math.exp(math.log(top_n or WEBER_FORCE_MIN_N) - steps * rise) * (1 + _HAIR)
+    return WeberLadder(k, max(_SMALLEST_FORCE_N, lowest), steps)
 
 
 def uniform_levels(step_n: float, top_n: float) -> AmplitudeLevels:
-    """Multiples of a step, as many as `top_n` newtons need. InvalidArgument: more than 65536, or no such
-    step.
-    """
+    """Multiples of a step up to `top_n` newtons; InvalidArgument for more than 65536, or an invalid step."""
     if not 1e-30 <= step_n <= 1e30:
         raise InvalidArgument("step_n", repr(step_n), "newtons, from 1e-30 to 1e30")
     count = math.floor(min(top_n / step_n, 1e9) + 0.5) + 1
@@ -124,48 +122,46 @@ _TOLERANCE = 1e-6
 
 
 def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
-    """At most 2^nq levels of least mean squared error for samples [m] ("by the Lloyd max algorithm", section
-    5.2).
+    """At most 2^nq levels of least mean squared error for samples [m] (Lloyd-Max, section 5.2).
 
-    A local optimum: from a start with as many levels in an interval as the cube root of its density asks for
-    (Panter and Dite), by Lloyd's iteration; each level is the mean of its cell and each threshold midway.
-    Samples of no more different values than levels get exactly these. Weber's law is not known here: how
-    often the result leaves the mask is to be reported beside it. InvalidArgument if `nq` is not 1 to 12, or a
-    sample is no amplitude.
+    The result is a local optimum: Lloyd's iteration from levels whose density is the cube root of that of the
+    samples (Panter and Dite); each level is the mean of its cell and each threshold midway. If the samples
+    have no more distinct values than levels, these are the levels. Weber's law is not taken into account:
+    report how often the result violates the mask. InvalidArgument if `nq` is not 1 to 12, or a sample is not
+    an amplitude.
     """
     if nq != int(nq) or not 1 <= nq <= 12:
         raise InvalidArgument("nq", repr(nq), "1 to 12 bits of amplitude")
-    values = np.sort(_checked(samples_n) + np.float32(0))  # no negative zero
+    values = np.sort(_check_amplitudes(samples_n) + np.float32(0))  # no negative zero
     if not len(values):
         return AmplitudeLevels(np.zeros(1, np.float32))
     distinct = np.unique(values)
     if len(distinct) <= 1 << int(nq):
         return AmplitudeLevels(distinct)
     wide, count = values.astype(np.float64), 1 << int(nq)
-    found, least = wide[:1], math.inf
-    thresholds = _companded(wide, count)
+    best_means, smallest_error = wide[:1], math.inf
+    thresholds = _compand(wide, count)
     for _ in range(_MOVES):
         counts, means, errors = _lloyd(wide, thresholds, count)
         total = float(errors.sum())
-        if total >= least * (1 - _TOLERANCE):
+        if total >= smallest_error * (1 - _TOLERANCE):
             break
-        found, least = means, total
+        best_means, smallest_error = means, total
         # a level is taken from where two can be merged cheaply to the cell with the largest error
         costs = counts[1:] * counts[:-1] / (counts[1:] + counts[:-1]) * np.diff(means) ** 2
         merged, split = int(costs.argmin()), int(errors.argmax())
-        thresholds = np.delete((found[1:] + found[:-1]) / 2, merged)
-        thresholds = np.sort(np.append(thresholds, found[split]))
-    return AmplitudeLevels(np.unique(found.astype(np.float32)))
+        thresholds = np.delete((best_means[1:] + best_means[:-1]) / 2, merged)
+        thresholds = np.sort(np.append(thresholds, best_means[split]))
+    return AmplitudeLevels(np.unique(best_means.astype(np.float32)))
 
 
 def _lloyd(values: Float64s, thresholds: Float64s, count: int) -> tuple[Float64s, Float64s, Float64s]:
-    """Lloyd's iteration on ascending values: number, mean and squared error of each cell's samples, float64
-    [n].
+    """Lloyd's iteration on ascending values: number, mean and squared error of each cell, float64 [n].
 
-    Where a cell runs empty, the one with the largest error is split.
+    If a cell becomes empty, the one with the largest error is split.
     """
     sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (values, values * values))
-    before = math.inf
+    previous_error = math.inf
     for _ in range(_ITERATIONS):
         edges = np.unique(np.concatenate([[0], np.searchsorted(values, thresholds), [len(values)]]))
         counts = np.diff(edges).astype(np.float64)
@@ -173,14 +169,17 @@ def _lloyd(values: Float64s, thresholds: Float64s, count: int) -> tuple[Float64s
         errors = np.diff(squares[edges]) - np.diff(sums[edges]) * means
         missing = count - len(means)
         total = float(errors.sum())
-        if not missing and before - total <= _TOLERANCE * total:
+        if not missing and previous_error - total <= _TOLERANCE * total:
             break
-        worst = np.argsort(-errors, kind="stable")[:missing]
-        thresholds, before = np.sort(np.concatenate([(means[1:] + means[:-1]) / 2, means[worst]])), total
+        largest_errors = np.argsort(-errors, kind="stable")[:missing]
+        thresholds, previous_error = (
+            np.sort(np.concatenate([(means[1:] + means[:-1]) / 2, means[largest_errors]])),
+            total,
+        )
     return counts, means, errors
 
 
-def _companded(values: Float64s, count: int) -> Float64s:
+def _compand(values: Float64s, count: int) -> Float64s:
     """Thresholds at equal steps of the integral of (density)^(1/3)."""
     bins = max(256, 4 * count)
     ranks = np.linspace(0, len(values) - 1, bins + 1).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Options of the paper's coder (paper figure 4 and section 5.2), each part literal or corrected; its entry."""
+"""Options of the paper's coder (figure 4 and section 5.2), literal or corrected, and its registry entry."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CHOICES: Final = {
 
 @dataclass(frozen=True)
 class PaperSpec:
-    """The paper's coder, as asked for; InvalidArgument if a part cannot be, or does nothing beside the stage."""
+    """Options of the paper's coder; InvalidArgument if one is invalid, or without effect with the stage."""
 
     k: float = option(0.1, "Weber fraction of the deadband. [default: 0.1]")
     """Weber fraction of the deadband (eq. 8), between 0 and 1."""
@@ -42,11 +42,10 @@ class PaperSpec:
     """Of frames: "closed" (difference to the decoded previous frame), "open" (to the original one, as
     printed: errors add up), or "none" (every frame alone)."""
     choose_by_size: bool = True
-    """Each frame alone or as a difference, whichever is smaller; the literal coder always takes the
-    difference.
-    """
+    """Code each frame on its own or as a difference, whichever is smaller; the literal coder always takes the
+    difference."""
     hold_runs: bool = True
-    """Held samples are coded in runs; the literal coder writes one zero symbol for each."""
+    """Code held samples in runs; the literal coder writes one zero symbol for each."""
     segment_frames: int = option(8, "frames in an independent segment. [default: 8]")
     """Frames in an independent segment, 1 to 4096."""
     weber_levels: str = "auto"
@@ -71,13 +70,13 @@ class PaperSpec:
         if not 1e-9 <= self.step_n <= 1e6:
             raise InvalidArgument("step_n", repr(self.step_n), "newtons, from 1e-9 to 1e6")
         if self.amplitude == "weber" and self.weber_steps is not None:
-            weber_ladder(self.k, 1.0, self.weber_steps)  # says what is not possible before the work
+            weber_ladder(self.k, 1.0, self.weber_steps)  # report invalid values early
         with_any, is_staged = ("k", "segment_frames", "stage"), self.stage != "none"
-        for one in fields(self):
-            is_idle = one.name not in with_any and (one.name == "step_n") != is_staged
-            if is_idle and getattr(self, one.name) != one.default:
+        for part in fields(self):
+            is_idle = part.name not in with_any and (part.name == "step_n") != is_staged
+            if is_idle and getattr(self, part.name) != part.default:
                 expected = "it without a stage only" if is_staged else "it with a stage only"
-                raise InvalidArgument(one.name, f"it with stage {self.stage}", expected)
+                raise InvalidArgument(part.name, f"it with stage {self.stage}", expected)
 
     def for_device(self, is_array: bool) -> PaperSpec:
         """The spec with what is "auto" resolved for a kind of device."""
@@ -89,16 +88,16 @@ class PaperSpec:
 
     @property
     def weber_steps(self) -> int | None:
-        """Levels above zero of a full Weber ladder; None where k says how many."""
+        """Number of levels above zero of a full Weber ladder; None if k determines it."""
         return 2**self.nq - 1 if self.weber_levels == "full" else None
 
     @classmethod
-    def literal(cls, **asked: Any) -> PaperSpec:
+    def literal(cls, **options: Any) -> PaperSpec:
         """The coder as the paper prints it: eq. 8 on amplitudes, open loop, always the difference."""
         printed = cls(
             directions="octa3", deadband="previous", interframe="open", choose_by_size=False, hold_runs=False
         )
-        return replace(printed, **asked)
+        return replace(printed, **options)
 
 
 CODER = Coder(
@@ -107,8 +106,8 @@ CODER = Coder(
     decoder="touchfield.codec.paper.decoder:PaperDecoder",
     spec=PaperSpec,
     makers={
-        "paper": lambda asked: PaperSpec(**asked),
-        "paper-literal": lambda asked: PaperSpec.literal(**asked),
+        "paper": lambda options: PaperSpec(**options),
+        "paper-literal": lambda options: PaperSpec.literal(**options),
     },
     resolve=PaperSpec.for_device,
     summary=lambda spec: {"stage": spec.stage} if spec.stage != "none" else {},

@@ -1,1 +1,1 @@
-"""The coder `touch`: no error beyond max(F_0, k |F|) (docs/format/touch.md tells its bytes)."""
+"""The coder `touch`: errors of at most max(F_0, k |F|); docs/format/touch.md defines its bytes."""

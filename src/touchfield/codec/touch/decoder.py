@@ -1,26 +1,26 @@
-"""The decoder of the coder `touch`: segments to fields; needs nothing but the stream."""
+"""Decoder of the coder `touch`: segments to fields, from the stream alone."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
-from touchfield.codec.segment import FrameCost, Worst
-from touchfield.codec.touch.body import BodyReader, numbers_of, read_parameters, with_exceptions
+from touchfield.codec.segment import FrameCost, MaxError
+from touchfield.codec.touch.body import BodyReader, apply_outliers, numbers_of, read_parameters
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
-    from touchfield.codec.touch.frame import Told
+    from touchfield.codec.touch.frame import DecodedFrame
 
 NAME: Final = "touch"
 
 
 class TouchDecoder:
-    """Decodes segments of one stream; any number of threads may use it at once.
+    """Decoder of the segments of one stream; thread-safe.
 
-    `parameters` are `HEAD.coder_parameters`, or what `where` calls them; CorruptFile or UnsupportedVersion
-    for others.
+    `parameters` are the bytes of the field that `where` names, by default `HEAD.coder_parameters`.
+    CorruptFile or UnsupportedVersion if they are invalid.
     """
 
     name = NAME
@@ -29,40 +29,40 @@ class TouchDecoder:
         self._grid, self.spec = grid, read_parameters(parameters, where)
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
-        """The frames of a segment in turn; CorruptFile or TruncatedFile for other bytes than the encoder's."""
-        from touchfield.codec.touch.frame import decode_exact, decode_frame, fresh_memory
-        from touchfield.codec.touch.guess import synthesise
+        """Yield the frames of a segment in order; CorruptFile or TruncatedFile if the bytes are invalid."""
+        from touchfield.codec.touch.base_layer import decode_base_layer
+        from touchfield.codec.touch.frame import decode_exact, decode_frame, new_memory
 
         reader = self._reader(body)
-        lattice, memory = reader.lattice, fresh_memory()
+        lattice, memory = reader.lattice, new_memory()
         previous: FixedField | None = None
-        told: Told | None = None
+        decoded: DecodedFrame | None = None
         for record in reader.records(frame_count):
             if lattice is None:
-                told = decode_exact(record.payload, self._grid, told if record.inter else None)
-                yield told.field
+                decoded = decode_exact(record.payload, self._grid, decoded if record.inter else None)
+                yield decoded.field
                 continue
             if not record.inter:
-                memory = fresh_memory()
+                memory = new_memory()
             reference = previous if record.inter else None
-            if record.guess:
-                reference = synthesise(record.guess, self._grid)
+            if record.base_layer:
+                reference = decode_base_layer(record.base_layer, self._grid)
             previous = decode_frame(record.payload, self._grid, lattice, reference, memory)
             field = previous.field(self._grid, lattice.unit_n)
-            if record.exceptions:
-                field = with_exceptions(field, record.exceptions)
+            if record.outliers:
+                field = apply_outliers(field, record.outliers)
             yield field
 
     def costs(self, body: bytes, frame_count: int) -> list[FrameCost]:
         """Cost of each frame of a segment, without decoding it."""
         return [record.cost for record in self._reader(body).records(frame_count)]
 
-    def worst(self, body: bytes) -> Worst | None:
-        """Worst voxel of a segment, nothing decoded; None in mode "nmse", which promises nothing."""
-        return self._reader(body).worst
+    def max_error(self, body: bytes) -> MaxError | None:
+        """Largest error of a segment, read without decoding; None in mode "nmse", which has no bound."""
+        return self._reader(body).max_error
 
     def describe(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
+        """Parameters of the stream, under stable keys."""
         return {
             name: getattr(self.spec, name) for name in ("mode", "effort", "support", *numbers_of(self.spec))
         }

@@ -22,17 +22,17 @@ _CHOICES: Final = {
 
 @dataclass(frozen=True)
 class TouchSpec:
-    """The coder `touch`, as asked for; InvalidArgument if a part is out of range."""
+    """Options of the coder `touch`; InvalidArgument if one is out of range."""
 
-    k: float = option(0.1, "Weber fraction of the promise. [default: 0.1; of pins half a step]")
-    """Weber fraction of the promise |F_dec - F| <= max(F_0, k |F|), 0.001 to below 1."""
-    f0_n: float = option(0.05, "F_0 of the promise, newtons. [default: 0.05]")
+    k: float = option(0.1, "Weber fraction of the error bound. [default: 0.1; of pins half a step]")
+    """Weber fraction of the error bound |F_dec - F| <= max(F_0, k |F|), 0.001 to below 1."""
+    f0_n: float = option(0.05, "F_0 of the error bound, newtons. [default: 0.05]")
     """F_0, newtons, 0 or more."""
     mode: str = option("mask", "mask (|error| <= max(F_0, k |F|); default), mask-direction, or nmse.")
-    """One of "mask" (the promise above); "mask-direction" (| |F_dec| - |F| | <= max(F_0, k |F|), and where
-    |F| > F_0 / sin(direction JND) the angle between is at most `direction_jnd_deg`; elsewhere an error is F_0 at most);
-    "nmse" (no promise: a mean squared error for the fewest bytes, by `step_n`); "lossless" (an already
-    quantised field exactly as it is)."""
+    """One of "mask" (the error bound above); "mask-direction" (| |F_dec| - |F| | <= max(F_0, k |F|), and if
+    |F| > F_0 / sin(direction JND) the angle between is at most `direction_jnd_deg`; elsewhere the error is at
+    most F_0); "nmse" (no error bound: a mean squared error for the fewest bytes, by `step_n`); "lossless" (a
+    field that is quantised already, exactly as it is)."""
     direction_jnd_deg: float = option(18.4, "mask-direction: greatest angle, degrees. [default: 18.4]")
     """Just noticeable difference of a direction, degrees, above 0 and below 90 (docs: Barbagli 2006, Tan
     2006).
@@ -40,23 +40,21 @@ class TouchSpec:
     step_n: float = option(0.05, "mode nmse: step of the lattice, newtons. [default: 0.05]")
     """Step of the uniform lattice of mode "nmse", newtons."""
     effort: str = option("default", "default, or fast: 1.2 to 1.6 times as quick, decodes nothing to check.")
-    """Either "fast" or "default": time against certainty, never against the promise. "fast" checks it on the
-    encoder's own reconstruction, which a decoder makes again bit for bit, and codes 1.2 to 1.6 times as
-    quickly; "default" decodes its bytes. Both take the same bytes."""
+    """Either "fast" or "default"; both keep the error bound. "fast" checks it on the encoder's own
+    reconstruction, which a decoder reproduces bit for bit, and codes 1.2 to 1.6 times as quickly; "default"
+    decodes its bytes. Both write the same bytes."""
     support: str = option("movable", "movable (where |F| is at most F_0), or exact. [default: movable]")
-    """Either "movable", a force of at most F_0 may become none, and none one of at most F_0; or "exact"."""
-    masking: float = option(0.0, "share of the mean force around that is hidden, 0 to 1. [default: 0]")
-    """Spatial masking, mode "mask" only: share beta, 0 to 1, of the mean force around that is hidden at a
-    voxel; the promise is then max(F_0, k |F| + beta mean), see `touchfield.perception.SpatialMasking`. 0:
-    none."""
+    """Either "movable": a force of at most F_0 may vanish, and one of at most F_0 may appear; or "exact"."""
+    masking: float = option(0.0, "fraction of the mean surrounding force that hides errors. [default: 0]")
+    """Spatial masking, mode "mask" only: fraction beta, 0 to 1, of the mean surrounding force that hides an
+    error at a voxel. The error bound is then max(F_0, k |F| + beta mean), see
+    `touchfield.perception.SpatialMasking`. 0: none."""
     masking_radius_m: float = 0.0025
-    """R of that mean, metres: how far apart two points are felt as two, by default on a finger."""
+    """R of that mean, metres: two-point threshold of the skin, by default of a finger."""
     guess: str = "auto"
-    """Whether a surface or a spline is sent to predict a frame from: "auto" (where that is smaller), or
-    "off".
-    """
+    """Whether a frame may have a base layer (spline or columns): "auto" (if that is smaller), or "off"."""
     interframe: str = option("auto", "auto, off or on. [default: auto]")
-    """Whether a frame is predicted from the one before: "auto" (where it is smaller), "off", "on"."""
+    """Whether a frame is predicted from the one before: "auto" (if that is smaller), "off", "on"."""
     segment_frames: int | None = option(None, "frames a segment. [default: half a second, 8 to 64]")
     """Frames in an independent segment, 1 to 4096; None: by the medium's rate (`codec.segment`)."""
 
@@ -69,7 +67,7 @@ class TouchSpec:
             ("direction_jnd_deg", 0 < self.direction_jnd_deg < 90, "degrees above 0 and below 90"),
             ("step_n", 0 < self.step_n < math.inf, "newtons above 0"),
             ("segment_frames", frames is None or 1 <= frames <= 4096, "1 to 4096 frames"),
-            ("masking", 0 <= self.masking <= 1, "a share from 0 to 1, such as 0.05"),
+            ("masking", 0 <= self.masking <= 1, "a fraction from 0 to 1, such as 0.05"),
             ("masking_radius_m", 1e-6 <= self.masking_radius_m <= 1, "metres from 1e-6 to 1"),
         ):
             if not fits:
@@ -78,30 +76,30 @@ class TouchSpec:
             raise InvalidArgument("masking", f"it in mode {self.mode}", "it in mode mask only")
 
 
-def _spec(asked: dict[str, Any]) -> TouchSpec:
-    """Spec of what is asked, with the mode that other options imply, and none that does nothing in it."""
-    chosen = dict(asked)
-    if chosen.pop("lossless_quantised", False):
+def _spec(options: dict[str, Any]) -> TouchSpec:
+    """Spec from options, with the mode they imply; InvalidArgument for one without effect in that mode."""
+    values = dict(options)
+    if values.pop("lossless_quantised", False):
         for key in ("mode", "k", "f0_n", "support"):
-            if key in chosen:
+            if key in values:
                 found = "it together with --lossless-quantised, which keeps every force as it is"
                 raise InvalidArgument(_option(key), found, "one of both")
-        chosen["mode"] = "lossless"
-    if chosen.pop("target_nmse_db", None) is not None:
-        chosen = {"mode": "nmse", **chosen}
-    site = chosen.pop("body_site", None)
+        values["mode"] = "lossless"
+    if values.pop("target_nmse_db", None) is not None:
+        values = {"mode": "nmse", **values}
+    site = values.pop("body_site", None)
     if site is not None:
-        if not chosen.get("masking"):
+        if not values.get("masking"):
             raise InvalidArgument("--body-site", "it without --masking", "both", "Add --masking 0.05.")
         from touchfield.perception.mask import site_radius_m
 
-        chosen["masking_radius_m"] = site_radius_m(site)
-    mode = chosen.get("mode", TouchSpec.mode)
+        values["masking_radius_m"] = site_radius_m(site)
+    mode = values.get("mode", TouchSpec.mode)
     for key, only in (("direction_jnd_deg", "mask-direction"), ("step_n", "nmse")):
-        if key in chosen and mode != only:
+        if key in values and mode != only:
             found, expected = f"it in mode {mode}", f"it in mode {only} only"
             raise InvalidArgument(_option(key), found, expected, f"Add --mode {only}.")
-    return TouchSpec(**chosen)
+    return TouchSpec(**values)
 
 
 def _option(key: str) -> str:
@@ -109,31 +107,31 @@ def _option(key: str) -> str:
 
 
 def _summary(spec: TouchSpec) -> dict[str, Any]:
-    more = (
+    extra = (
         {"step_n": spec.step_n} if spec.mode == "nmse" else {"masking": spec.masking} if spec.masking else {}
     )
-    return {"mode": spec.mode, "effort": spec.effort, **more}
+    return {"mode": spec.mode, "effort": spec.effort, **extra}
 
 
 def _bound(spec: TouchSpec) -> BoundRule:
-    """The guarantee of a mode, in words."""
-    floor, share = f"{spec.f0_n:g} N", f"{spec.k:g} |F|"
+    """Error bound of a mode, as text."""
+    floor, relative = f"{spec.f0_n:g} N", f"{spec.k:g} |F|"
     if spec.mode == "lossless":
         return BoundRule("every force bit for bit")
     if spec.mode == "mask":
-        around = f" + {spec.masking:g} of the mean force within {1e3 * spec.masking_radius_m:g} mm"
-        return BoundRule(mask_text(spec.k, spec.f0_n, around if spec.masking else ""))
+        masking = f" + {spec.masking:g} of the mean force within {1e3 * spec.masking_radius_m:g} mm"
+        return BoundRule(mask_text(spec.k, spec.f0_n, masking if spec.masking else ""))
     if spec.mode == "mask-direction":
         angle = f"{spec.direction_jnd_deg:g} degrees"
-        length = f"the length within max({floor}, {share}) and the direction within {angle}"
+        length = f"the length within max({floor}, {relative}) and the direction within {angle}"
         return BoundRule(f"{length} where |F| > {floor} / sin({angle}), elsewhere |error| <= {floor}")
     reason = f"mode {spec.mode} keeps a mean squared error, which bounds no single voxel; take --mode mask"
     return BoundRule(None, reason)
 
 
 _OPTIONS: Final = (
-    "k", "segment_frames", "f0_n", "mode", "direction_jnd_deg", "step_n", "support", "effort", "masking", "body_site",
-    "lossless_quantised", "interframe",
+    "k", "segment_frames", "f0_n", "mode", "direction_jnd_deg", "step_n", "support", "effort", "masking",
+    "body_site", "lossless_quantised", "interframe",
 )  # fmt: skip
 
 CODER = Coder(
@@ -143,12 +141,12 @@ CODER = Coder(
     spec=TouchSpec,
     makers={"touch": _spec},
     options=_OPTIONS,
-    words={
+    extra_options={
         "body_site": (str, "masking: where it is felt: finger, palm, belly, forearm. [default: finger]"),
         "lossless_quantised": (bool, "keep a field that is quantised already exactly."),
     },
     hints=("target_nmse_db",),
     summary=_summary,
     bound=_bound,
-    has_promise=True,
+    has_error_bound=True,
 )

@@ -1,4 +1,4 @@
-"""Small jobs of the coder `touch` that compile what a first ``touchfield encode`` takes longest to compile."""
+"""Small tasks of the coder `touch` that compile the kernels a first ``touchfield encode`` waits for."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from touchfield.medium import ForceField, Grid
 
 
 def solid() -> ForceField:
-    """A solid with a wavy top that fills three bricks along each axis of its grid."""
+    """A solid with a wavy top, on a grid of three bricks along each axis."""
     x, y, z = np.indices((24, 24, 24), np.float32)
     depth = 18 + np.sin(x / 3) + np.cos(y / 4) - z
     steep = np.stack([-np.cos(x / 3) / 3, np.sin(y / 4) / 4, np.ones_like(z)], axis=-1)
@@ -27,16 +27,16 @@ def _passes() -> None:
 
 
 def _columns() -> None:
+    from touchfield.codec.touch.base_layer import decode_columns
+    from touchfield.codec.touch.base_layer_fit import fit_columns
     from touchfield.codec.touch.frame_encoder import lattice_for, limits_for
-    from touchfield.codec.touch.guess import columns_of_bytes
-    from touchfield.codec.touch.guess_fit import fit_columns
 
     field, spec = solid(), TouchSpec()
     lattice = lattice_for(spec, 2.0)
     columns = fit_columns(field, lattice, limits_for(spec, lattice))
     if columns is not None:
-        columns_of_bytes(columns[0], field.grid)
+        decode_columns(columns[0], field.grid)
 
 
 GROUPS: Final[Mapping[str, Callable[[], None]]] = {"passes": _passes, "columns": _columns}
-"""Kernels that are compiled together, each by a small job that calls them as the large ones do."""
+"""Groups of kernels; each task compiles its group by calling the kernels as an encoder does."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.codec.touch.kernels import guess as layout
-from touchfield.compute.jit import entry, inlined, lean
+from touchfield.compute.coder_jit import entry, inlined, lean
 
 _STEEP = 0.05  # no direction is less outward
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.kernels import PLACE, code, mix
+from touchfield.codec.kernels import POSITION, code, mix
 from touchfield.codec.touch.kernels import voxel
 from touchfield.codec.touch.kernels import workspace as ws
 from touchfield.codec.touch.kernels.voxel import before, held
-from touchfield.compute.jit import entry, inlined, lean
+from touchfield.compute.coder_jit import entry, inlined, lean
 
 _BRICK = voxel.CONTEXTS
 _BLOCK = _BRICK + 16
@@ -160,7 +160,7 @@ def decode_bricks(bits, scan, law, work):
     """Fill ``scan.cells``, as far as the code goes."""
     last = np.int64(0)
     for n in range(scan.near.shape[0]):
-        if bits.state[PLACE] > bits.buffer.shape[0] + _SPARE:
+        if bits.state[POSITION] > bits.buffer.shape[0] + _SPARE:
             return
         known, state = enter(scan, work, n), np.int64(0)
         if known:

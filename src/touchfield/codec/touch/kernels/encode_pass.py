@@ -11,7 +11,7 @@ from touchfield.codec.kernels import mix, price
 from touchfield.codec.touch.kernels import decode_pass as shared
 from touchfield.codec.touch.kernels import voxel
 from touchfield.codec.touch.kernels import workspace as ws
-from touchfield.compute.jit import entry, inlined, lean
+from touchfield.compute.coder_jit import entry, inlined, lean
 
 ROOM = 1 << 14  # bytes that a brick cannot fill
 _AROUND = np.array([0, -1, 1], np.int64)

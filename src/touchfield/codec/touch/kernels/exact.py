@@ -9,8 +9,8 @@ import numpy as np
 from touchfield.arrays import Float64s, Int64s
 from touchfield.codec.kernels import LIST_CONTEXTS as _TABLE
 from touchfield.codec.kernels import LIST_SETS as _SETS
-from touchfield.codec.kernels import PLACE, READING, TASK, mix, price
-from touchfield.compute.jit import entry, inlined, lean
+from touchfield.codec.kernels import POSITION, READING, TASK, mix, price
+from touchfield.compute.coder_jit import entry, inlined, lean
 
 _SIZE: Final = 1 << 18
 _BESIDE: Final = (
@@ -139,7 +139,7 @@ def _sample(bits, f, slot):
 def code_samples(bits, f):
     """The samples of all bricks, z fastest; False after a symbol that there is not, or the end of the bytes."""
     for brick in range(f.near.shape[0]):
-        if bits.state[TASK] == READING and bits.state[PLACE] > bits.buffer.shape[0] + 6:
+        if bits.state[TASK] == READING and bits.state[POSITION] > bits.buffer.shape[0] + 6:
             return False
         for n in range(512):
             x, y, z = n >> 6, n >> 3 & 7, n & 7

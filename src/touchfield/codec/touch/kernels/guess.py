@@ -13,7 +13,7 @@ import numpy as np
 from touchfield.arrays import Int64s
 from touchfield.codec.kernels import READING, TASK, code, even, gamma, mix
 from touchfield.codec.touch.kernels.workspace import LIMIT, bounded
-from touchfield.compute.jit import entry, inlined, lean
+from touchfield.compute.coder_jit import entry, inlined, lean
 
 REACH: Final = 1 << 23  # no coefficient is beyond it, units
 _CLASSES: Final = 10

@@ -15,7 +15,7 @@ import numpy as np
 
 from touchfield.codec.kernels import gamma, mix
 from touchfield.codec.touch.kernels import workspace as ws
-from touchfield.compute.jit import inlined, lean
+from touchfield.compute.coder_jit import inlined, lean
 
 # Places in ``Work.of``: 2^32 over the step; the cell that is followed; the class of weights (-1: none)
 INVERSE, FOLLOWED, _CORRECTED = 13, 14, 15

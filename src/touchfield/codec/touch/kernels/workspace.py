@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from touchfield.arrays import Int32s, Int64s
-from touchfield.compute.jit import entry, inlined, lean
+from touchfield.compute.coder_jit import entry, inlined, lean
 
 FEATURES = 13  # differences of neighbours that the blend is made of
 # sets of weights of the blend: which neighbours across a face hold a force, and whether the reference does

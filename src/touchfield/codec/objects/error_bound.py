@@ -1,0 +1,222 @@
+"""Check of the error bound of the composed field, in all frames and at all voxels.
+
+|F_decoded - F| <= max(F_0, k |F|), where F is the force of the source with its bodies at their decoded poses.
+The coded poses move no point of a body by more than a *tolerance in place* (`displacement_m`): where a field
+jumps, as at the edge of a wall, no pose of finite accuracy satisfies a rule voxel by voxel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchfield.arrays import Float64s, Int64s
+from touchfield.compute.threads import for_chunks
+from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
+from touchfield.medium.cells import CellPool
+from touchfield.medium.field import brick_keys
+
+# of F_max: a body's own force below it is rounding of a position, as in the receiver
+_FLOOR_FRACTION: Final = 1e-9
+_CHUNK_FRAMES: Final = 32
+
+
+@dataclass(frozen=True)
+class BoundCheck:
+    """Result of checking frames against the error bound."""
+
+    ratios: Float64s  # [bodies]; the largest |error| / mask at the voxels that each body contributes to
+    voxels: Int64s  # [bodies, 4]; frame and voxel of it; -1 for none
+    violations: int  # voxels of all frames whose error exceeds the mask
+
+    @classmethod
+    def empty(cls, body_count: int) -> BoundCheck:
+        """Result for no frames."""
+        return cls(np.zeros(body_count), np.full((body_count, 4), -1), 0)
+
+    @property
+    def max_error(self) -> tuple[float, int, tuple[int, int, int]]:
+        """The largest ratio, its frame and its voxel; zeros if there is no force."""
+        n = int(np.argmax(self.ratios))
+        frame, x, y, z = np.maximum(self.voxels[n], 0).tolist()
+        return float(self.ratios[n]), frame, (x, y, z)
+
+    def merged(self, other: BoundCheck) -> BoundCheck:
+        """Combine with the result of later frames."""
+        is_larger = other.ratios > self.ratios
+        voxels = np.where(is_larger[:, None], other.voxels, self.voxels)
+        return BoundCheck(np.maximum(self.ratios, other.ratios), voxels, self.violations + other.violations)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The source and the decoded field of a body, on one lattice."""
+
+    source: ForceField
+    decoded: ForceField
+
+    @cached_property
+    def pools(self) -> tuple[CellPool, CellPool]:
+        """Both fields as cells, in the same order."""
+        return CellPool.of(self.source, self.decoded), CellPool.of(self.decoded, self.source)
+
+    def inexact_corners(self, marks: NDArray[np.uint8]) -> Int64s:
+        """Corners of marked cells at which the decoded force differs from the source's.
+
+        `marks`: uint8 [bricks of the pools, 512]. Returns numbers of samples, int64 [m], ascending: 512 times
+        the key of the brick (`field.brick_keys`), plus the sample within it.
+        """
+        pool, grid = self.pools[0], self.source.grid
+        slots, cells = np.nonzero(marks)
+        corner_m = pool.lattices[0, 3:]
+        first = np.rint((corner_m - grid.origin_m) / grid.spacing_m).astype(np.int64)
+        low = (
+            first
+            + 8 * pool.bricks[slots].astype(np.int64)
+            + np.stack(np.unravel_index(cells, (8, 8, 8)), axis=-1)
+        )
+        samples = (low[:, None] + np.array(list(np.ndindex(2, 2, 2)))).reshape(-1, 3)
+        samples = samples[((samples >= 0) & (samples < grid.shape)).all(axis=1)]
+        bricks, local = samples >> 3, samples & 7
+        sample = (local[:, 0] * 8 + local[:, 1]) * 8 + local[:, 2]
+        numbers = np.unique(512 * brick_keys(grid, bricks) + sample)
+        keys, local_index = np.unique(numbers >> 9, return_inverse=True), numbers & 511
+        source_forces, decoded_forces = (
+            field.forces_at(keys[0]).reshape(-1, 512, 3)[keys[1], local_index]
+            for field in (self.source, self.decoded)
+        )
+        inexact: Int64s = numbers[(source_forces != decoded_forces).any(axis=1)]
+        return inexact
+
+
+class Moves(NamedTuple):
+    """Decoded poses, float64 [frames, bodies, 7], and b (v, omega) of both tracks, [frames, bodies, 6]."""
+
+    poses: Float64s
+    source: Float64s
+    decoded: Float64s
+
+    @classmethod
+    def of(cls, scene: HapticScene, decoded: Sequence[PoseTrack]) -> Moves:
+        """Moves of a scene whose bodies have these decoded tracks."""
+        b = scene.surface_damping_n_s_per_m
+
+        def motions(tracks: Sequence[PoseTrack]) -> Float64s:
+            if not b:
+                return np.zeros((scene.frame_count, len(tracks), 6))
+            with np.errstate(over="ignore"):  # the kernels limit infinite values
+                return np.stack([b * np.hstack(track.velocities(scene.rate_hz)) for track in tracks], axis=1)
+
+        poses = np.stack([np.hstack([track.quaternions, track.positions_m]) for track in decoded], axis=1)
+        return cls(poses, motions([body.track for body in scene.objects]), motions(decoded))
+
+
+@dataclass(frozen=True)
+class ComposedRule:
+    """Error bound of the composed field of a scene; `f0_n` in newtons, 0 or more."""
+
+    scene: HapticScene
+    k: float
+    f0_n: float
+
+    def check(self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int]) -> BoundCheck:
+        """Check frames of the scene, whose bodies have these fields and moves."""
+        return self._compare(pairs, moves, frames, is_marking=False)[0]
+
+    def violating_samples(self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int]) -> list[Int64s]:
+        """Samples of each body that are not exact and contribute to a voxel outside the bound.
+
+        Numbers as from `Pair.inexact_corners`. If these are sent exactly, the only error left there is that
+        of the motion, which a surface damping turns into a force.
+        """
+        marks = self._compare(pairs, moves, frames, is_marking=True)[1]
+        starts = np.cumsum([0, *(len(pair.pools[0].bricks) for pair in pairs)])
+        return [
+            pair.inexact_corners(marks[a:b])
+            for pair, a, b in zip(pairs, starts[:-1], starts[1:], strict=True)
+        ]
+
+    def _compare(
+        self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int], *, is_marking: bool
+    ) -> tuple[BoundCheck, NDArray[np.uint8]]:
+        """Result of `check`, and marks of cells with a part in a violation, uint8 [bricks, 512]."""
+        from touchfield.codec.objects import kernels
+
+        grid, limit_n = self.scene.grid, self.scene.force_max_n
+        rule = kernels.Rule(self.k, self.f0_n, limit_n * _FLOOR_FRACTION, limit_n)
+        source, decoded = (
+            CellPool.joined(pools) for pools in zip(*(pair.pools for pair in pairs), strict=True)
+        )
+        count, is_damped = len(source.bricks), self.scene.surface_damping_n_s_per_m != 0
+        # with damping the error includes that of the motion, for which cells have no bound
+        bounds = np.full((count, 512), np.inf if is_damped else 0.0, np.float32)
+        if not is_damped:
+            for_chunks(kernels.bound_cells, count, source.cells, decoded.cells, rule, bounds, chunk=64)
+        marks = np.zeros((count if is_marking else 0, 512), np.uint8)
+        bodies = kernels.Bodies(
+            source.lattices, source.boxes, source.starts, source.bricks, source.tables,
+            source.supported | decoded.supported, source.cells, decoded.cells,
+            bounds, bounds.max(axis=1, initial=0.0), marks,
+        )  # fmt: skip
+        frame_indices = np.asarray(frames)
+        selected = Moves(*(column[frame_indices] for column in moves))
+        stays = np.zeros((len(frame_indices), len(pairs)), np.bool_)
+        stays[1:] = np.all([(column[1:] == column[:-1]).all(axis=2) for column in selected], axis=0)
+        arguments = bodies, selected, stays, np.array([grid.origin_m, grid.spacing_m, grid.shape]), rule
+        total = BoundCheck.empty(len(pairs))
+        for chunk_result in for_chunks(
+            kernels.compare_frames, len(frame_indices), *arguments, chunk=_CHUNK_FRAMES
+        ):
+            total = total.merged(BoundCheck(*chunk_result))
+        total.voxels[:, 0] = np.where(total.voxels[:, 0] >= 0, frame_indices[total.voxels[:, 0]], -1)
+        return total, marks
+
+
+def compare_scenes(
+    source: HapticScene, decoded: HapticScene, k: float, f0_n: float
+) -> tuple[BoundCheck, float]:
+    """Check all frames of a decoded scene; also return the largest displacement of a point, metres.
+
+    `source` and `decoded` have the same objects on the same lattices. `f0_n`: newtons, 0 or more.
+    """
+    rule, moves = ComposedRule(source, k, f0_n), Moves.of(source, [body.track for body in decoded.objects])
+    bodies = list(zip(source.objects, decoded.objects, strict=True))
+    rigid_pairs = [Pair(body.field(0), other.field(0)) if body.is_rigid else None for body, other in bodies]
+    displacements_m = [displacement_m(body.track, other.track, reach_m(body)).max() for body, other in bodies]
+    total = BoundCheck.empty(len(bodies))
+    all_frames = range(source.frame_count)
+    for frames in [all_frames] if all(rigid_pairs) else [[i] for i in all_frames]:
+        pairs = [
+            pair or Pair(body.field(frames[0]), other.field(frames[0]))
+            for pair, (body, other) in zip(rigid_pairs, bodies)
+        ]
+        total = total.merged(rule.check(pairs, moves, frames))
+    return total, float(max(displacements_m))
+
+
+def displacement_m(source: PoseTrack, decoded: PoseTrack, reach_m: float) -> Float64s:
+    """Upper bound of the displacement of points within `reach_m` of the origin, metres, float64 [n]."""
+    q, p = source.quaternions, decoded.quaternions
+    turn = 2 * np.linalg.norm(p - (p * q).sum(axis=1, keepdims=True) * q, axis=1)
+    distance_m: Float64s = np.linalg.norm(decoded.positions_m - source.positions_m, axis=1) + turn * reach_m
+    return distance_m
+
+
+def reach_m(body: HapticObject) -> float:
+    """Distance that the fields of an object reach from its origin, plus one cell, metres.
+
+    0 for an object that never rotates.
+    """
+    if (body.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all():
+        return 0.0
+    farthest_m = 0.0
+    for field in body.medium:
+        corners = np.abs(field.grid.to_m(field.positions())) + np.asarray(field.grid.spacing_m)
+        farthest_m = max(farthest_m, math.sqrt((corners * corners).sum(axis=1).max(initial=0.0)))
+    return farthest_m
