@@ -29,7 +29,7 @@ from machine import Bar, Figures, at_least, at_most, bench
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import Head, TouchReader, TouchWriter
-from touchfield.filters.resample import rebuilt
+from touchfield.filters.resample import rebuild_level
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.network.access import Access
@@ -38,7 +38,7 @@ from touchfield.network.live import LiveReceiver, LiveSegment, LiveSender, Lost,
 from touchfield.network.live_server import LiveServer
 from touchfield.network.udp import REPAIR
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.tasks.live import LiveSpec, broadcast, opened_sender
+from touchfield.tasks.live import LiveSpec, broadcast, open_sender
 
 RATE_HZ, FRAMES = 30.0, 8
 GRID = Grid((64, 64, 64), (0.002,) * 3, (-0.063,) * 3)
@@ -92,9 +92,9 @@ def sender_process(link: Connection, seconds: float) -> None:
                 "segments": number,
                 "cores": (time.process_time() - cpu) / took,
                 "memory_mib": [memory[min(1, len(memory) - 1)], memory[-1], max(memory)],
-                "receivers": server.most_receivers,
+                "receivers": server.max_receivers,
                 "skipped": server.skipped,
-                "left": server.left,
+                "left": server.dropped,
             }
         )
         server.end()
@@ -162,7 +162,7 @@ def live_process(link: Connection, segment_s: float) -> None:
     medium = HapticMedium.from_frames(
         [ball(i) for i in range(60)], RATE_HZ, "x right, y up, z towards the user"
     )
-    prepared, sender = opened_sender(medium, EncodeSpec())
+    prepared, sender = open_sender(medium, EncodeSpec())
     began = list[float]()
 
     def clock() -> float:
@@ -217,7 +217,7 @@ def large(folder: Path, mib: int) -> Figures:
     """A file of so many MiB on a server: what is fetched before a segment in its middle."""
     from touchfield.container.remote import RemoteFile
     from touchfield.network.server import application
-    from touchfield.pipeline.decoding import opened
+    from touchfield.pipeline.decoding import stream_of
 
     rng = np.random.default_rng(0)
     encoder = TouchEncoder(GRID, TouchSpec(effort="fast", mode="lossless"))
@@ -250,7 +250,7 @@ def large(folder: Path, mib: int) -> Figures:
     with TouchReader(address[0]) as reader:
         remote: RemoteFile = reader._source.remote  # type: ignore[assignment]
         opening = {"requests": remote.requests, "bytes": remote.received, "segments": count}
-        field = opened(reader).medium[count // 2]
+        field = stream_of(reader).medium[count // 2]
         took = time.perf_counter() - began
         told = {
             "file_bytes": reader.size,
@@ -290,14 +290,14 @@ def coarse_share() -> Figures:
     from touchfield.codec.registry import field_encoder
     from touchfield.tasks.live import coarse_layer
 
-    prepared, _ = opened_sender("sample:motorcycle", EncodeSpec(nw=6))
+    prepared, _ = open_sender("sample:motorcycle", EncodeSpec(nw=6))
     coarse, _ = coarse_layer("sample:motorcycle", prepared)
     sizes = [
         len(field_encoder(one.medium.grid, one.coding).encode_segment([one.medium[0]]).body)
         for one in (prepared, coarse)
     ]
     meter = FidelityMeter(prepared.spec.k, prepared.spec.f0_n)
-    meter.add(prepared.medium[0], rebuilt(coarse.medium[0], prepared.medium.grid))
+    meter.add(prepared.medium[0], rebuild_level(coarse.medium[0], prepared.medium.grid))
     return {"bytes": sizes, "share": sizes[1] / sizes[0], "nmse_db": meter.nmse_db}
 
 
@@ -309,8 +309,8 @@ def layered_losses(messages: int, share: float) -> Figures:
     for size in (20_000, 60_000):
         for name, burst in (("alone", 1.0), ("bursts", 5.0)):
             ends = [
-                (Datagrams(1, REPAIR["fine"]), Gathering(most_open=11)),
-                (Datagrams(2, REPAIR["coarse"]), Gathering(most_open=11)),
+                (Datagrams(1, REPAIR["fine"]), Gathering(max_open=11)),
+                (Datagrams(2, REPAIR["coarse"]), Gathering(max_open=11)),
             ]
             bodies, sent, is_bad = [rng.bytes(size), rng.bytes(round(share * size))], 0, False
             in_time: list[set[int]] = [set(), set()]

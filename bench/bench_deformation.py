@@ -100,7 +100,7 @@ def model(path: Path, rest: int, nw: int, folder: Path) -> Moving:
     # the pose alone, where the whole stretch has been fitted to
     encode(str(path), stream, replace(spec, frames=(rest, rest + 1), fit_frames=(first, stop)))
     told = tracks_of(stream, out, Motion(path, None, (first, stop), rest))
-    return Moving(list(medium), medium[SIDE], read_deformation(out), told.shown["rms_mm"] / 1e3)
+    return Moving(list(medium), medium[SIDE], read_deformation(out), told.figures["rms_mm"] / 1e3)
 
 
 def carried(moving: Moving, folder: Path) -> Figures:
@@ -128,7 +128,7 @@ def carried(moving: Moving, folder: Path) -> Figures:
     bent.write(out)
     coded = len(TouchEncoder(grid, TouchSpec()).encode_segment(frames).body)
     return {
-        "frames": len(frames), "least_determinant": bent.least_determinant()[0], "rms_mm": 1e3 * rms_m,
+        "frames": len(frames), "least_determinant": bent.min_determinant()[0], "rms_mm": 1e3 * rms_m,
         "still_db": db(np.concatenate(as_it_is), whole), "bent_db": db(np.concatenate(error), whole),
         "size_kept_db": db(np.concatenate(size_kept), whole),
         "worst_frame_db": max(db(e, f) for e, f in zip(error, force, strict=True)),

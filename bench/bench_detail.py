@@ -20,7 +20,7 @@ from scipy import ndimage
 
 from machine import SHARED, Bar, Figures, at_most, bench
 from touchfield import EncodeSpec, prepare
-from touchfield.filters import interpolated, pyramid, resample
+from touchfield.filters import interpolate, pyramid, resample
 from touchfield.medium import ForceField, Grid
 
 K, F0_N, LEVELS = 0.1, 0.05, 3
@@ -90,8 +90,8 @@ def measure(nw: int) -> Figures:
         ours, theirs = pyramid(field, LEVELS), low_pass(field)
         for level in range(1, LEVELS + 1):
             ways: dict[str, NDArray[Any]] = {
-                OURS: interpolated(ours[level], field.grid, border="cell").to_dense(),
-                LOW_PASS: interpolated(theirs[level], field.grid, border="cell").to_dense(),
+                OURS: interpolate(ours[level], field.grid, border="cell").to_dense(),
+                LOW_PASS: interpolate(theirs[level], field.grid, border="cell").to_dense(),
                 SIGNED: signed(field, level),
             }
             for way, made in ways.items():

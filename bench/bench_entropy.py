@@ -37,7 +37,7 @@ def best_ms(job: Callable[[], object]) -> float:
     return timed(job, runs=9)["min_ms"]
 
 
-# -- Huffman ----------------------------------------------------------------------------------------------
+# -- Huffman -----------------------------------------------------------------------------------------------
 
 
 def fit(symbols: NDArray[np.uint16], count: int) -> Any:
@@ -87,7 +87,7 @@ def run_rates(count: int) -> dict[str, dict[str, float]]:
     return rows
 
 
-# -- the support ------------------------------------------------------------------------------------------
+# -- the support -------------------------------------------------------------------------------------------
 
 
 def spheres(roughness: float) -> NDArray[np.bool_]:

@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from machine import Bar, Figures, at_least, at_most, bench, figure, timed
 from touchfield.compute.threads import worker_count
-from touchfield.filters import limited, resample
+from touchfield.filters import limit_forces, resample
 from touchfield.medium import ForceField, Grid
 
 PEER = "scipy gaussian_filter, sliced, dense"
@@ -58,7 +58,7 @@ def measure(samples: int) -> Figures:
         for count in (samples // 2, samples * 100 // 256, samples)
         for kernel in ("spline", "sinc")
     }
-    jobs["clip and floor"] = lambda: limited(half, 0.5, 0.005)
+    jobs["clip and floor"] = lambda: limit_forces(half, 0.5, 0.005)
     jobs[PEER] = lambda: scipy_half(dense)
     rows = {f"{name}, ms": timed(job, 2 if name == PEER else 9)["min_ms"] for name, job in jobs.items()}
     return {"samples": samples, "bricks": len(field.bricks), "threads": worker_count(), "rows": rows}

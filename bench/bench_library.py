@@ -126,14 +126,14 @@ def measure(files: int) -> Figures:
         for part in sorted(p for p in folder.iterdir() if p.is_dir()):
             alone_s = decoded(part)  # in turn, for a machine that others use, too
             done = index_folder(part, folder.parent / f"{part.name}.npz")
-            pairs.append((alone_s, done.shown["seconds"]))
+            pairs.append((alone_s, done.figures["seconds"]))
             for name, row in done.library.rows.items():
                 whole.file(f"{part.name}/{name}", done.library.entries[name], row)
         whole.save(library_path(folder))
         again = index_folder(folder)
         alone_s, index_s = (sum(times) for times in zip(*pairs, strict=True))
         index = {"decoder_s": alone_s, "index_s": index_s, "files_per_s": len(whole.rows) / index_s}
-        index |= {"unchanged_s": again.shown["seconds"], "described_again": again.shown["described"]}
+        index |= {"unchanged_s": again.figures["seconds"], "described_again": again.figures["described"]}
         return {
             "files": {"count": len(whole.rows), "mean_bytes": mean_bytes, "frames": 3, "lattice": [N, N, N]},
             "index": index | {"times_the_decoder": index_s / alone_s},

@@ -28,10 +28,10 @@ import touchfield as tf
 from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figure
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.reduction.kernel_points import _LENGTHS, _NOISES, Kernel, most_candidates, variance_points
+from touchfield.reduction.kernel_points import _LENGTHS, _NOISES, Kernel, max_candidates, variance_points
 from touchfield.reduction.modes import ModePoints, Modes, mode_points, pod
 from touchfield.sources.recordings.contact_trace import CurlFree
-from touchfield.tasks.reduction import _Domain, _kept
+from touchfield.tasks.reduction import _Domain, _best_points
 
 SEEDS, TIMES, FRAMES = 5, (1, 2, 4), 200
 POINTS, MOVING_POINTS = (10, 20, 40), (10, 15, 20)
@@ -113,11 +113,11 @@ def rebuilt_db(places: Any, forces: Any, chosen: Any, kernel: Kernel) -> float:
 def on_kernel(places: Any, forces: Any, count: int) -> Figures:
     """Points by error and by variance beside random ones."""
     began = time.perf_counter()
-    _, kernel, back = _kept(places, forces, count)
+    _, kernel, back = _best_points(places, forces, count)
     took, error = time.perf_counter() - began, share_db(back - forces, forces)
     extent, some = (
         np.ptp(places, axis=0).max(),
-        np.arange(len(places))[:: -(-len(places) // most_candidates(count))],
+        np.arange(len(places))[:: -(-len(places) // max_candidates(count))],
     )
     kernels = [Kernel(part * extent, noise) for part in _LENGTHS for noise in _NOISES]
     by_random = {}

@@ -28,8 +28,8 @@ from machine import SHARED, Bar, Figures, at_least, at_most, bench, figure
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import ReductionSpec
-from touchfield.reduction import Hand, Reduced, freedom, held_out, reach_of, reduced
-from touchfield.tasks.reduction import culled, hand_of
+from touchfield.reduction import Hand, ReducedMedium, freedom, held_out, reach_of, reduce_to_modes
+from touchfield.tasks.reduction import without_unreachable, hand_of
 
 HAND = hand_of(tf.device("phantom-premium-1.5"), ReductionSpec())
 PILLOW = """axes = "x right, y up, z towards the viewer"
@@ -61,7 +61,7 @@ def kept(medium: tf.HapticMedium) -> tf.HapticMedium:
     return tf.HapticMedium.from_frames([medium[i] for i in range(len(medium))], medium.rate_hz, medium.axes)
 
 
-def by_modes_bytes(found: Reduced, least_n: float) -> int:
+def by_modes_bytes(found: ReducedMedium, least_n: float) -> int:
     """Modes and coefficients of a medium, through LZMA."""
     coefficients = np.concatenate([found.coefficients(i) for i in range(len(found.medium))])
     coefficients[np.abs(coefficients) < least_n] = 0
@@ -95,7 +95,7 @@ def modes_of(frames: int) -> Figures:
         for kind in kinds:
             began = time.perf_counter()
             told = held_out(medium, kind)
-            found = reduced(medium, kind, told.modes)
+            found = reduce_to_modes(medium, kind, told.modes)
             free = freedom(found, 0.05)
             rows[f"{name}, {kind}"] = {
                 "frames": len(medium),
@@ -180,7 +180,7 @@ def culling(count: int) -> Figures:
         began = time.perf_counter()
         reach = reach_of(medium, HAND)
         took = time.perf_counter() - began
-        shell = kept(culled(medium, reach.samples))
+        shell = kept(without_unreachable(medium, reach.samples))
         before, after = (sum(own[i].support_count for i in range(len(own))) for own in (medium, shell))
         exact, sizes = tf.EncodeSpec(touch=tf.codec.TouchSpec(mode="lossless")), []
         with tempfile.TemporaryDirectory() as folder:

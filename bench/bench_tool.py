@@ -26,7 +26,7 @@ from touchfield.render.block import words as W
 from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
 from touchfield.render.kernels.tick import tick
 from touchfield.render.spec import RenderSpec, write_parameters
-from touchfield.render.tool import Tool, tool_words, write_tool
+from touchfield.render.tool import Tool, tool_word_count, write_tool
 
 GRID = Grid((128, 128, 128), (0.00125,) * 3, (-0.08,) * 3)
 AXES = "x right, y up, z towards the user"
@@ -47,7 +47,7 @@ def block(tool: Tool, fields: list[ForceField], parts: list[list[FramePart]]) ->
     are.
     """
     pools = [CellPool.of(field) for field in fields]
-    first = W.FREE + tool_words(tool)
+    first = W.FREE + tool_word_count(tool)
     begins = first + np.cumsum([0, *map(field_words, pools)])
     room = frame_words(max(map(len, parts)))
     frames = [int(begins[-1]) + n * room for n in range(len(parts))]

@@ -30,7 +30,7 @@ from touchfield.devices.drivers.registry import point_device
 from touchfield.medium.trace import Trace
 from touchfield.perception.hand_motion import third_octave_power
 from touchfield.perception.human import vibration_threshold
-from touchfield.perception.vibrotactile import BANDS_HZ, Crossover, Stft, band_rms, dft321, reduced
+from touchfield.perception.vibrotactile import BANDS_HZ, Crossover, Stft, band_rms, dft321, reduce_vibration
 from touchfield.render.material import Material
 from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec
@@ -52,7 +52,7 @@ def laws(seconds: float) -> Figures:
             spectrum, 1e-9 * spectrum.max()
         )
         stft = Stft()
-        lost = np.linalg.norm(stft.of_real(stft.real_spectra(one), len(one)) - one)
+        lost = np.linalg.norm(stft.signal_from(stft.real_spectra(one), len(one)) - one)
         worst["crossover"] = max(
             worst["crossover"], float(np.abs(low + high - signal).max() / np.abs(signal).max())
         )
@@ -96,7 +96,7 @@ def reduction(signals: dict[str, Any], rate_hz: float) -> Figures:
     rows = {}
     for name, signal in signals.items():
         began = time.perf_counter()
-        sent = reduced(signal, rate_hz)
+        sent = reduce_vibration(signal, rate_hz)
         took = time.perf_counter() - began
         rows[name] = {
             "rms_mn": 1e3 * float(np.sqrt((signal**2).mean())),

@@ -50,8 +50,7 @@ Bar = dict[str, Any]
 """
 
 
-# -- the machine
-# ----------------------------------------------------------------------------------------------
+# -- the machine -------------------------------------------------------------------------------------------
 
 
 def machine() -> Figures:
@@ -73,8 +72,7 @@ def machine() -> Figures:
     return {"processor": model, "cores": cores, "python": sys.version.split()[0], **versions}
 
 
-# -- bars
-# -----------------------------------------------------------------------------------------------------
+# -- bars --------------------------------------------------------------------------------------------------
 
 
 def at_most(name: str, measured: float | None, limit: float, unit: str = "") -> Bar:
@@ -114,8 +112,7 @@ def told(bar: Bar) -> str:
     return f"{VERDICTS[bar['met']]:12} {bar['bar']}: {measured} ({bar['way']} {limit})"
 
 
-# -- telling
-# --------------------------------------------------------------------------------------------------
+# -- telling -----------------------------------------------------------------------------------------------
 
 
 def text(value: Any) -> str:
@@ -179,8 +176,7 @@ def _flat(row: Figures) -> Figures:
     return flat
 
 
-# -- the command
-# ----------------------------------------------------------------------------------------------
+# -- the command -------------------------------------------------------------------------------------------
 
 
 def arguments(doc: str | None, options: Mapping[str, tuple[Any, Any]]) -> tuple[Figures, bool]:
@@ -257,8 +253,7 @@ def stale(name: str) -> list[str]:
     return provenance.changed(code_path(name), stored(name).get("code"))
 
 
-# -- exact figures
-# --------------------------------------------------------------------------------------------
+# -- exact figures -----------------------------------------------------------------------------------------
 
 
 def exact_figures(figures: Figures, without: Iterable[str] = ()) -> dict[str, float]:
@@ -328,8 +323,7 @@ def check_quick(name: str, figures: Figures, without: Iterable[str] = ()) -> Non
         sys.exit("\n".join(["exact figures differ from bench/reference/quick:", *lines, hint]))
 
 
-# -- a benchmark
-# ----------------------------------------------------------------------------------------------
+# -- a benchmark -------------------------------------------------------------------------------------------
 
 
 def bench(

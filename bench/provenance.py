@@ -39,8 +39,7 @@ _STRINGS: Final = r"\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'|`(?:\\.|[^`\\])*`"
 _C_TOKENS: Final = re.compile(rf"{_STRINGS}|//[^\n]*|/\*.*?\*/|\s+", re.DOTALL)
 
 
-# -- files and their hashes
-# -----------------------------------------------------------------------------------
+# -- files and their hashes --------------------------------------------------------------------------------
 
 
 class Trace:
@@ -172,8 +171,7 @@ def c_meaning(text: str) -> str:
     )
 
 
-# -- what is stored, and what of it is stale
-# ------------------------------------------------------------------
+# -- what is stored, and what of it is stale ---------------------------------------------------------------
 
 
 def code_of(files: Iterable[str]) -> dict[str, str]:
@@ -223,8 +221,7 @@ def _all_digests() -> frozenset[str]:
     return frozenset(digest(path.relative_to(ROOT).as_posix()) for path in found)
 
 
-# -- the run
-# --------------------------------------------------------------------------------------------------
+# -- the run -----------------------------------------------------------------------------------------------
 
 
 class Run:

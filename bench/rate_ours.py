@@ -115,8 +115,7 @@ def object_bytes(nw: int) -> dict[str, float]:
     return found
 
 
-# -- speed
-# ----------------------------------------------------------------------------------------------------
+# -- speed -------------------------------------------------------------------------------------------------
 
 
 def speed(frames: list[ForceField], effort: str, runs: int = 3) -> dict[str, float]:
@@ -144,8 +143,7 @@ def speed(frames: list[ForceField], effort: str, runs: int = 3) -> dict[str, flo
     }
 
 
-# -- an equal error
-# -------------------------------------------------------------------------------------------
+# -- an equal error ----------------------------------------------------------------------------------------
 
 Trial = tuple[float, ...]
 """NMSE in dB, then one or more sizes."""

@@ -52,8 +52,7 @@ def absent() -> list[str]:
     return [name for name in MODULES if module(name) is None]
 
 
-# -- bytes to bytes
-# --------------------------------------------------------------------------------------------
+# -- bytes to bytes ----------------------------------------------------------------------------------------
 
 
 def xz(data: bytes) -> int:
@@ -79,8 +78,7 @@ def back_ends() -> dict[str, Callable[[bytes], int]]:
     return {name: back for name, back in every.items() if name == "xz" or module(name)}
 
 
-# -- layouts of symbols
-# ----------------------------------------------------------------------------------------
+# -- layouts of symbols ------------------------------------------------------------------------------------
 
 
 def plain(symbols: Symbols) -> NDArray[Any]:
@@ -203,8 +201,7 @@ def draco(symbols: Symbols) -> int:
     return total
 
 
-# -- lossy
-# ------------------------------------------------------------------------------------------------------
+# -- lossy -------------------------------------------------------------------------------------------------
 
 
 def lossy() -> dict[str, Lossy]:
@@ -246,8 +243,7 @@ def _sperr(volume: Forces, tolerance: float) -> tuple[int, Forces]:
 LOSSY: dict[str, Lossy] = {"zfp": _zfp, "SZ3": _sz3, "SPERR": _sperr}
 """Of one component."""
 
-# -- the contest
-# ------------------------------------------------------------------------------------------------
+# -- the contest --------------------------------------------------------------------------------------------
 
 
 def at_error(volume: Volume, target_db: float) -> dict[str, float]:

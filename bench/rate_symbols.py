@@ -94,8 +94,7 @@ def promised(forces_n: Forces) -> list[Quantised]:
     return [one for one in made if one is not None]
 
 
-# -- companded
-# ------------------------------------------------------------------------------------------------
+# -- companded ---------------------------------------------------------------------------------------------
 
 
 def compand(forces_n: Forces) -> NDArray[np.float64]:
@@ -120,8 +119,7 @@ def companded(forces_n: Forces, step: float) -> Quantised:
     return Quantised(symbols, expand(symbols * step))
 
 
-# -- log-polar
-# ------------------------------------------------------------------------------------------------
+# -- log-polar ---------------------------------------------------------------------------------------------
 
 
 def ladder(top_n: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

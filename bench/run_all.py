@@ -69,8 +69,7 @@ def selected(only: str | None) -> list[str]:
     return requested
 
 
-# -- running
-# --------------------------------------------------------------------------------------------------
+# -- running -----------------------------------------------------------------------------------------------
 
 
 def run(name: str, is_quick: bool, limit_s: float, is_shown: bool = True) -> Outcome:
@@ -136,8 +135,7 @@ def run_each(names: list[str], is_quick: bool, limit_s: float, jobs: int) -> boo
     return not failed
 
 
-# -- kept results
-# ---------------------------------------------------------------------------------------------
+# -- kept results ------------------------------------------------------------------------------------------
 
 
 def missing_need(name: str) -> str | None:

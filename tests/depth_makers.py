@@ -114,8 +114,7 @@ def write_pfm(path: Path, values: np.ndarray, order: str = "<") -> Path:
     return path
 
 
-# -- folders as people have them: depth in millimetres, poses and cameras in their ways
-# ------------------------------
+# -- folders as people have them: depth in millimetres, poses and cameras in their ways --------------------
 
 
 def write_frames(folder: Path, depth: str = "depth/{:04d}.png", frames: int = FRAMES) -> Path:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from touchfield.filters.lifting import (
     FCC,
     QUINCUNX,
-    Chain,
+    SublatticeChain,
     fcc_forward,
     fcc_inverse,
     quincunx_forward,
@@ -25,19 +25,19 @@ def coarse_mask(shape: tuple[int, ...], stages: int) -> NDArray[np.bool_]:
     """The sites that hold the coarse signal after some stages."""
     splits = {2: QUINCUNX, 3: FCC}[len(shape)].splits(stages)
     mask = np.full(shape, not splits)
-    for residue in splits[-1].kept if splits else ():
+    for residue in splits[-1].coarse if splits else ():
         mask[tuple(slice(r * splits[-1].scale, None, 2 * splits[-1].scale) for r in residue)] = True
     return mask
 
 
-def coarse_only(array: NDArray[Any], chain: Chain, stages: int) -> NDArray[Any]:
+def coarse_only(array: NDArray[Any], chain: SublatticeChain, stages: int) -> NDArray[Any]:
     """The array rebuilt from its coarse signal, every detail being zero."""
     coefficients = chain.forward(array, stages)
     coefficients[~coarse_mask(coefficients.shape[: chain.dimensions], stages)] = 0
     return chain.inverse(coefficients, stages)
 
 
-def mean_squares(coefficients: NDArray[Any], chain: Chain, stages: int) -> NDArray[np.float64]:
+def mean_squares(coefficients: NDArray[Any], chain: SublatticeChain, stages: int) -> NDArray[np.float64]:
     """The mean square of the details of each stage, and last that of the coarse signal."""
     masks = [coarse_mask(coefficients.shape[: chain.dimensions], stage) for stage in range(stages + 1)]
     parts = [before & ~after for before, after in zip(masks, masks[1:], strict=False)] + masks[-1:]

@@ -42,7 +42,7 @@ def moving_scene(frame_count: int = 7, deforming: bool = True, surface_damping: 
             tumbling(frame_count, 0.003, 0.02),
         ),
         HapticObject(
-            "stand", HapticMedium.from_frames([ball(world, 0.012, 0.5)], 1000.0), PoseTrack.still(frame_count)
+            "stand", HapticMedium.from_frames([ball(world, 0.012, 0.5)], 1000.0), PoseTrack.constant(frame_count)
         ),
     ]
     if deforming:

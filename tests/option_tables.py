@@ -133,7 +133,7 @@ def _address(port: str) -> dict[str, Case]:
     }
 
 
-_WORKERS: Final = case("processes:3", "executor_of.words", "processes:3")
+_WORKERS: Final = case("processes:3", "executor_of.text", "processes:3")
 _DEVICE_COMPUTE: Final = case("auto", "computing.where", "auto")
 _JSON: Final = case(None, "show.as_json", True)
 _DRAWN: Final = "{tmp}/picture.png"
@@ -363,7 +363,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "segment-s": case("0.5", "broadcast.spec.segment_s", 0.5),
         "loop": case(None, "broadcast.spec.loop", True),
         "udp": Case(
-            "127.0.0.1:9", {"UdpSender": CALLED, "UdpSender.place": "127.0.0.1:9", "broadcast.send": MISSING}
+            "127.0.0.1:9", {"UdpSender": CALLED, "UdpSender.text": "127.0.0.1:9", "broadcast.send": MISSING}
         ),
         "coarse": Case(None, {"coarse_layer": CALLED, "LiveServer.coarse": STUB, "broadcast.coarse": STUB}),
         "on-air-s": case("2.5", "broadcast.spec.seconds", 2.5),

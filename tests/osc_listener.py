@@ -10,7 +10,7 @@ import numpy as np
 from pythonosc.osc_bundle import OscBundle
 
 from touchfield.devices import Device
-from touchfield.devices.drivers.osc import MOST_BYTES
+from touchfield.devices.drivers.osc import MAX_BYTES
 
 
 class Listener:
@@ -25,7 +25,7 @@ class Listener:
         self._parts = 0
 
     def take(self, datagram: bytes) -> None:
-        assert len(datagram) <= MOST_BYTES and OscBundle.dgram_is_bundle(datagram)
+        assert len(datagram) <= MAX_BYTES and OscBundle.dgram_is_bundle(datagram)
         self.sizes.append(len(datagram))
         head, *rest = list(OscBundle(datagram))
         assert head.address == "/touchfield/frame" and rest

@@ -1,4 +1,4 @@
-"""touchfield from a program: rooms that open when they are named, media from arrays, errors of our own."""
+"""touchfield from a program: packages that are imported when they are used, media from arrays, errors of our own."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 import touchfield as tf
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("adapters", "codec", "container", "filters", "job", "measure", "medium", "perception",
-         "reduction", "render", "sources", "stream", "viewer")  # fmt: skip
+PACKAGES = (
+    *("cli", "codec", "compute", "container", "devices", "exchange", "filters", "measure", "medium", "network"),
+    *("perception", "pipeline", "reduction", "render", "sources", "tasks", "viewer"),
+)
 GRID = tf.Grid.over_box((-0.05,) * 3, (0.05,) * 3, (16, 16, 16))
 
 USER = """
@@ -55,22 +57,21 @@ def medium_of(forces: NDArray[np.float64]) -> tf.HapticMedium:
     return tf.HapticMedium.from_array(forces, GRID, 20.0)
 
 
-# -- names
-# ----------------------------------------------------------------------------------------------------------
+# -- names -------------------------------------------------------------------------------------------------
 
 
-def test_every_name_is_there_and_the_rooms_open_by_themselves() -> None:
+def test_every_name_is_there_and_packages_are_imported_when_used() -> None:
     program = f"""
 import sys, touchfield as tf
 heavy = [m for m in ("numba", "scipy", "trimesh", "matplotlib", "touchfield.pipeline") if m in sys.modules]
 assert not heavy, heavy
-for room in {ROOMS}:
-    assert getattr(tf, room).__name__ == "touchfield." + room
+for package in {PACKAGES}:
+    assert getattr(tf, package).__name__ == "touchfield." + package
 for name in tf.__all__:
     assert getattr(tf, name) is not None
 assert tf.render.sampler.FieldSampler is tf.FieldSampler and tf.sources.laws and tf.codec.registry
 assert tf.devices() == tf.devices.devices() and tf.devices.device is tf.device
-assert set(dir(tf)) == set(tf.__all__)
+assert set(dir(tf)) == {{*tf.__all__, *{PACKAGES}}}
 """
     subprocess.run([sys.executable, "-c", program], check=True, timeout=300)
 
@@ -111,8 +112,7 @@ def test_a_program_of_a_user_is_checked_by_mypy(tmp_path: Path) -> None:
     assert "no_such_name" in done.stdout and "Incompatible types" in done.stdout
 
 
-# -- media
-# ----------------------------------------------------------------------------------------------------------
+# -- media -------------------------------------------------------------------------------------------------
 
 
 def test_an_array_becomes_a_medium_that_can_be_cut_and_asked(forces: NDArray[np.float64]) -> None:
@@ -149,8 +149,7 @@ def test_a_plot_is_a_figure_and_a_file(forces: NDArray[np.float64], tmp_path: Pa
     assert (tmp_path / "seen.png").read_bytes().startswith(b"\x89PNG")
 
 
-# -- coding
-# ---------------------------------------------------------------------------------------------------------
+# -- coding ------------------------------------------------------------------------------------------------
 
 
 def test_media_fields_and_arrays_are_coded_as_they_are(forces: NDArray[np.float64], tmp_path: Path) -> None:
@@ -181,8 +180,7 @@ def test_what_a_decoded_medium_is_made_of_stays_open_as_long_as_it_is_used(
     assert tf.decode(out)[1:][0].support_count == 64
 
 
-# -- copies
-# ---------------------------------------------------------------------------------------------------------
+# -- copies ------------------------------------------------------------------------------------------------
 
 
 def test_values_can_be_copied_and_sent_to_other_processes(forces: NDArray[np.float64]) -> None:
@@ -203,8 +201,7 @@ def test_what_is_no_field_is_not_added(forces: NDArray[np.float64]) -> None:
         medium_of(forces)[0] + 1.0  # type: ignore[operator]
 
 
-# -- words
-# ----------------------------------------------------------------------------------------------------------
+# -- words -------------------------------------------------------------------------------------------------
 
 
 def test_values_and_results_tell_of_themselves_in_one_line(

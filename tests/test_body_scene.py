@@ -63,7 +63,7 @@ def test_the_field_is_the_sum_of_the_formulas(seed: int, profile: ForceProfile, 
     bodies = [
         Body(str(n), scene, track(seed + n, spread_m=0.08)) for n, scene in enumerate((BALL, BOX, PILL))
     ]
-    bodies.append(Body("floor", FLOOR, PoseTrack.still(3)))
+    bodies.append(Body("floor", FLOOR, PoseTrack.constant(3)))
     field = BodyScene(bodies, RATE_HZ).field(frame, GRID, profile)
     expected = sum(by_formula(body.scene, body.track, frame, profile) for body in bodies)  # type: ignore[arg-type]
     off = np.abs(field.to_dense() - expected).max(axis=-1) > 1e-5
@@ -125,8 +125,7 @@ def test_a_motion_that_is_none() -> None:
                 scene.moved(matrix, np.zeros(3))
 
 
-# -- the two ways to a field
-# ----------------------------------------------------------------------------------------
+# -- the two ways to a field -------------------------------------------------------------------------------
 
 OWN = Grid.over_box((-0.048,) * 3, (0.048,) * 3, (48,) * 3)
 """The lattice of each body, 2 mm."""
@@ -216,15 +215,14 @@ def _phi(body: Body, frame: int) -> np.ndarray:
     return body.scene.shapes[0].signed_distance_and_normal(own)[0]
 
 
-# -- surface damping
-# ------------------------------------------------------------------------------------------------
+# -- surface damping ---------------------------------------------------------------------------------------
 
 
 def test_a_moving_body_drags_a_hand_that_rests() -> None:
     times = np.arange(3) / RATE_HZ
     turns = Rotation.from_rotvec(times[:, None] * np.array([0.0, 0.0, 6.0]))
     flight = PoseTrack(turns.as_quat()[:, [3, 0, 1, 2]], times[:, None] * np.array([0.5, 0.0, 0.0]))
-    bodies = [Body("ball", BALL, flight), Body("floor", FLOOR, PoseTrack.still(3))]
+    bodies = [Body("ball", BALL, flight), Body("floor", FLOOR, PoseTrack.constant(3))]
     damped = replace(WALL, surface_damping_n_s_per_m=3.0)
     at_rest, dragged = (BodyScene(bodies, RATE_HZ).field(1, GRID, law).to_dense() for law in (WALL, damped))
     ball = BodyScene([Body("ball", BALL, flight)], RATE_HZ).field(1, GRID, WALL).to_dense().any(axis=-1)
@@ -235,8 +233,7 @@ def test_a_moving_body_drags_a_hand_that_rests() -> None:
     assert (dragged - at_rest)[ball][:, 0].mean() > 1
 
 
-# -- bounds
-# ---------------------------------------------------------------------------------------------------------
+# -- bounds ------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=20)
@@ -256,8 +253,8 @@ def test_the_bounds_hold_every_body_in_every_frame(seed: int) -> None:
 
 def test_a_plane_counts_with_its_point_among_others() -> None:
     ball, floor = (
-        Body("ball", BALL, PoseTrack.still(2)),
-        Body("floor", FLOOR, PoseTrack.still(2, (0.1, 0.0, 0.0))),
+        Body("ball", BALL, PoseTrack.constant(2)),
+        Body("floor", FLOOR, PoseTrack.constant(2, (0.1, 0.0, 0.0))),
     )
     bounds = BodyScene([ball, floor], RATE_HZ).bounds_m()
     np.testing.assert_allclose(bounds, [[-0.03, -0.03, -0.06], [0.1, 0.03, 0.03]])
@@ -266,8 +263,7 @@ def test_a_plane_counts_with_its_point_among_others() -> None:
     )
 
 
-# -- what is kept, and what cannot be
-# -------------------------------------------------------------------------------
+# -- what is kept, and what cannot be ----------------------------------------------------------------------
 
 
 class Counted(Scene):
@@ -286,7 +282,7 @@ class Counted(Scene):
 
 def test_bodies_that_stand_still_are_evaluated_once() -> None:
     ball = Counted()
-    bodies = [Body("still", ball, PoseTrack.still(3)), Body("box", BOX, track(5))]
+    bodies = [Body("still", ball, PoseTrack.constant(3)), Body("box", BOX, track(5))]
     scene = BodyScene(bodies, RATE_HZ)
     first = [scene.field(frame, GRID, WALL) for frame in (0, 1, 2, 0)]
     assert ball.asked == 1
@@ -299,17 +295,17 @@ def test_bodies_that_stand_still_are_evaluated_once() -> None:
 
 
 def test_a_body_that_deforms_takes_its_own_frame() -> None:
-    scene = BodyScene([Body("grows", Counted(3), PoseTrack.still(3))], RATE_HZ)
+    scene = BodyScene([Body("grows", Counted(3), PoseTrack.constant(3))], RATE_HZ)
     for frame in range(3):
         assert scene.field(frame, GRID, WALL) == Counted(3).field(frame, GRID, WALL)
     first, _, last = (scene.field(frame, GRID, WALL).support_count for frame in range(3))
     assert first < last
     with pytest.raises(InvalidArgument, match="rigid motion"):
-        BodyScene([Body("grows", Counted(3), PoseTrack.still(3, (0.1, 0, 0)))], RATE_HZ).field(1, GRID, WALL)
+        BodyScene([Body("grows", Counted(3), PoseTrack.constant(3, (0.1, 0, 0)))], RATE_HZ).field(1, GRID, WALL)
 
 
 def test_bodies_beyond_the_lattice_and_on_its_border() -> None:
-    away = Body("away", MeshScene(*TETRA), PoseTrack.still(2, (1.0, 0.0, 0.0)))
+    away = Body("away", MeshScene(*TETRA), PoseTrack.constant(2, (1.0, 0.0, 0.0)))
     assert BodyScene([away], RATE_HZ).field(1, GRID, WALL) == ForceField.empty(GRID)
     low, high = GRID.box_m
     for corner in (low, high):
@@ -320,7 +316,7 @@ def test_bodies_beyond_the_lattice_and_on_its_border() -> None:
 
 
 def test_scenes_that_cannot_be() -> None:
-    ball = Body("ball", BALL, PoseTrack.still(3))
+    ball = Body("ball", BALL, PoseTrack.constant(3))
     for frame in (-1, 3):
         with pytest.raises(InvalidArgument, match=f"frame: found {frame}; expected 0 to 2"):
             BodyScene([ball], RATE_HZ).field(frame, GRID, WALL)
@@ -329,7 +325,7 @@ def test_scenes_that_cannot_be() -> None:
     with pytest.raises(InvalidArgument, match="rate_hz"):
         BodyScene([ball], 0.0)
     with pytest.raises(InvalidArgument, match="body short: found 2 poses"):
-        BodyScene([ball, Body("short", BALL, PoseTrack.still(2))], RATE_HZ)
+        BodyScene([ball, Body("short", BALL, PoseTrack.constant(2))], RATE_HZ)
     for count in (2, 4):
         with pytest.raises(InvalidArgument, match=f"body grows: found {count} frames"):
-            BodyScene([ball, Body("grows", Counted(count), PoseTrack.still(3))], RATE_HZ)
+            BodyScene([ball, Body("grows", Counted(count), PoseTrack.constant(3))], RATE_HZ)

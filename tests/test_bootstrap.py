@@ -94,8 +94,7 @@ def counted(symbols: Ints, blocks: int, alphabet: int) -> Ints:
     return np.bincount(owner * alphabet + symbols, minlength=blocks * alphabet).reshape(blocks, alphabet)
 
 
-# -- the interval
-# -----------------------------------------------------------------------------------------------
+# -- the interval ------------------------------------------------------------------------------------------
 
 
 def by_hand(
@@ -175,8 +174,7 @@ def test_coverage_on_dependent_sources(
     assert percentile <= percentile_at_most * 100 and percentile <= ours
 
 
-# -- statistics that take their own bias off
-# -------------------------------------------------------------------
+# -- statistics that take their own bias off ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", [*ESTIMATORS])

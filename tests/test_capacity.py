@@ -46,8 +46,7 @@ def valid_box(image: NDArray[np.int64]) -> NDArray[np.int64]:
     return sum(image[i : i + 2, j : j + 2] for i in range(3) for j in range(3))  # type: ignore[return-value]
 
 
-# -- numbers of the theory
-# --------------------------------------------------------------------------------------
+# -- numbers of the theory ---------------------------------------------------------------------------------
 
 
 def test_box_sum_of_a_periodic_image() -> None:
@@ -76,8 +75,7 @@ def test_the_omni_alone_keeps_one_sample_in_125(per_sample: float) -> None:
     assert found.hil.value == pytest.approx(0.992, rel=1e-12)
 
 
-# -- laws
-# -------------------------------------------------------------------------------------------------------
+# -- laws --------------------------------------------------------------------------------------------------
 
 
 @given(bits, bits, bits)
@@ -125,8 +123,7 @@ def test_an_interval_that_misses_its_estimate_is_widened_to_it() -> None:
     assert (spread.low, spread.high) == (0.0, 0.5)
 
 
-# -- guards
-# -----------------------------------------------------------------------------------------------------
+# -- guards ------------------------------------------------------------------------------------------------
 
 
 def test_the_min_guards_against_upsampling_and_says_so() -> None:
@@ -180,8 +177,7 @@ def test_the_summary_is_json() -> None:
     assert table["wmr"]["value"] == 0.6 and table["hil"]["interval"]["low"] == pytest.approx(0.25)
 
 
-# -- bad input
-# --------------------------------------------------------------------------------------------------
+# -- bad input ---------------------------------------------------------------------------------------------
 
 
 def asked(**changes: object) -> Capacity:

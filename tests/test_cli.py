@@ -19,7 +19,7 @@ from PIL import Image
 
 import touchfield as tf
 from touchfield import pipeline
-from touchfield.cli.main import _exit_code, open_rooms
+from touchfield.cli.main import _exit_code, load_commands
 from touchfield.medium.stores.npz import write_npz
 from touchfield.pipeline.comparison import Comparison
 from touchfield.pipeline.spec import EncodeSpec
@@ -522,6 +522,6 @@ def test_each_command_is_found_in_its_room() -> None:
     names = {room: name for name, room in COMMANDS.items()}.values()
     subprocess.run([sys.executable, "-c", program, *names], check=True)
     everything = [
-        one.name or getattr(one.callback, "__name__", "") for one in open_rooms().registered_commands
+        one.name or getattr(one.callback, "__name__", "") for one in load_commands().registered_commands
     ]
     assert everything == list(COMMANDS)

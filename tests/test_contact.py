@@ -44,8 +44,7 @@ def power(force: NDArray[np.float64], velocity: tuple[float, ...]) -> tuple[floa
     return math.fsum(f * v), 2 * np.finfo(float).eps * float((np.abs(f) * np.abs(v)).sum())
 
 
-# -- friction
-# ---------------------------------------------------------------------------------------------------
+# -- friction ----------------------------------------------------------------------------------------------
 
 
 def test_friction_slides_and_sticks() -> None:
@@ -143,8 +142,7 @@ def test_friction_is_odd_in_the_velocity_and_even_in_the_force(
     assert np.array_equal(friction_n(np.negative(force), velocity, 0.7), made)
 
 
-# -- a field that is touched
-# ------------------------------------------------------------------------------------
+# -- a field that is touched -------------------------------------------------------------------------------
 
 
 def test_a_sliding_point_comes_to_rest_without_gaining_energy() -> None:

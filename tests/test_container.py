@@ -49,7 +49,7 @@ def write(
             first += frame_count
 
 
-# -- the table --------------------------------------------------------------------------------------------
+# -- the table ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", [*(p.values[0].kind for p in ROWS), *TYPES], ids=repr)  # type: ignore[attr-defined]
@@ -119,7 +119,7 @@ def test_every_field_of_a_record_has_its_row_in_the_table(layout: type) -> None:
         assert row.unit == unit
 
 
-# -- whole files ------------------------------------------------------------------------------------------
+# -- whole files -------------------------------------------------------------------------------------------
 
 
 @st.composite
@@ -211,7 +211,7 @@ def test_an_open_file_stays_open_and_a_path_is_closed(tmp_path: Path) -> None:
         reader.read_segment(0)
 
 
-# -- the writer's order -----------------------------------------------------------------------------------
+# -- the writer's order ------------------------------------------------------------------------------------
 
 
 def segment(writer: TouchWriter, first: int, count: int) -> None:

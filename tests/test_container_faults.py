@@ -78,7 +78,7 @@ def refused(data: bytes, kind: type[FormatError], match: str) -> str:
     return str(caught.value)
 
 
-# -- damage -----------------------------------------------------------------------------------------------
+# -- damage ------------------------------------------------------------------------------------------------
 
 
 def test_a_file_cut_at_any_byte_is_truncated() -> None:

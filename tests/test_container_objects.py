@@ -68,7 +68,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return write(tmp_path_factory.mktemp("container") / "a.touch", HEAD, [ONE, OTHER])
 
 
-# -- what comes back --------------------------------------------------------------------------------------
+# -- what comes back ---------------------------------------------------------------------------------------
 
 
 @given(
@@ -133,7 +133,7 @@ def test_too_many_objects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert MAX_OBJECTS == 4096
 
 
-# -- damage -----------------------------------------------------------------------------------------------
+# -- damage ------------------------------------------------------------------------------------------------
 
 
 def test_a_file_cut_at_any_byte_is_refused(whole: bytes) -> None:
@@ -179,7 +179,7 @@ def test_objects_of_other_files_lost_twice_or_swapped_are_noticed(whole: bytes) 
             content(changed)
 
 
-# -- crafted files, whose CRC-32 hold ---------------------------------------------------------------------
+# -- crafted files, whose CRC-32 hold ----------------------------------------------------------------------
 
 
 def encoded_object(one: ObjectRecord, flags: int = 1) -> bytes:

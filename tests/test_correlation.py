@@ -15,10 +15,10 @@ from scipy import ndimage
 from touchfield.errors import InvalidArgument
 from touchfield.measure.similarity import (
     Contact,
-    classes_of_equal_share,
     contact_along_rays,
     correlation_length_px,
     picture_correlation,
+    quantile_classes,
 )
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.grid import Placement
@@ -49,8 +49,7 @@ def contact_along_axis(
     return Contact(met.amplitudes_n.squeeze(axis), met.distances_m.squeeze(axis))
 
 
-# -- rays
-# -----------------------------------------------------------------------------------------------------------
+# -- rays --------------------------------------------------------------------------------------------------
 
 
 @given(st.integers(0, 200), st.integers(0, 2), st.booleans(), st.sampled_from(["first", "peak"]))
@@ -113,8 +112,7 @@ def test_rays_that_are_refused(wavy_field: ForceField, monkeypatch: pytest.Monke
         contact_along_rays(wavy_field, origin, (0.0, 0.0, 1.0), "mean")
 
 
-# -- classes and lengths
-# --------------------------------------------------------------------------------------------
+# -- classes and lengths -----------------------------------------------------------------------------------
 
 
 @given(st.integers(0, 500), st.integers(2, 9), st.integers(1, 400))
@@ -122,14 +120,14 @@ def test_classes_keep_order_and_equal_values_and_share(seed: int, count: int, si
     rng = np.random.default_rng(seed)
     values = rng.integers(0, 40, size).astype(float)
     values[rng.random(size) < 0.1] = np.nan
-    found = classes_of_equal_share(values, count)
+    found = quantile_classes(values, count)
     assert np.array_equal(found == -1, np.isnan(values))
     known = ~np.isnan(values)
     order = np.argsort(values[known], kind="stable")
     assert (np.diff(found[known][order]) >= 0).all()
     for value in np.unique(values[known]):
         assert len(set(found[values == value])) == 1
-    distinct = classes_of_equal_share(rng.permutation(count * 10), count)
+    distinct = quantile_classes(rng.permutation(count * 10), count)
     assert (np.bincount(distinct) == 10).all()
 
 
@@ -146,8 +144,7 @@ def test_correlation_length_of_both() -> None:
         assert correlation_length_px(ramp, nothing) == 0
 
 
-# -- the test against chance
-# ----------------------------------------------------------------------------------------
+# -- the test against chance -------------------------------------------------------------------------------
 
 
 def wall(depth: Float64s) -> ForceField:
@@ -233,8 +230,7 @@ def test_pictures_that_are_refused() -> None:
             picture_correlation(a, a, **option)
 
 
-# -- a real scene
-# ---------------------------------------------------------------------------------------------------
+# -- a real scene ------------------------------------------------------------------------------------------
 
 
 def to_hand(placement: Placement, points_m: Float64s) -> Float64s:

@@ -209,8 +209,7 @@ def test_other_refusals() -> None:
         Counts.of(full, full, full, full)
 
 
-# -- joint
-# ----------------------------------------------------------------------------------------------------------
+# -- joint -------------------------------------------------------------------------------------------------
 
 
 @given(
@@ -235,8 +234,7 @@ def test_large_joint_histograms() -> None:
     joint_agrees(Counts.of(*wide), *wide)
 
 
-# -- blocks
-# ---------------------------------------------------------------------------------------------------------
+# -- blocks ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("dtype", ["?", "i1", ">i2", "i2", "i4", "i8"])
@@ -272,8 +270,8 @@ def test_how_many_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     assert few.blocks is None and "fewer than 8 blocks" in few.notes[0]
     fewer = Counts.of(x[:20], blocks=64).blocks
     assert fewer is not None and len(fewer) == 20
-    monkeypatch.setattr("touchfield.measure.counts.MOST_BLOCK_CELLS", 50 * 10)
+    monkeypatch.setattr("touchfield.measure.counts.MAX_BLOCK_CELLS", 50 * 10)
     bounded = Counts.of(x, blocks=64).blocks
     assert bounded is not None and len(bounded) == 10
-    monkeypatch.setattr("touchfield.measure.counts.MOST_BLOCK_CELLS", 50 * 7)
+    monkeypatch.setattr("touchfield.measure.counts.MAX_BLOCK_CELLS", 50 * 7)
     assert Counts.of(x, blocks=64).blocks is None

@@ -19,8 +19,7 @@ from touchfield.sources.options import SourceOptions
 depth_map = LAYOUTS[5]
 
 
-# -- one picture
-# ---------------------------------------------------------------------------------------------------
+# -- one picture -------------------------------------------------------------------------------------------
 
 
 def test_a_depth_map_of_each_kind(tmp_path: Path) -> None:
@@ -53,8 +52,7 @@ def test_a_depth_map_says_what_it_needs(tmp_path: Path, options: SourceOptions, 
         depth_map.read_sequence(tmp_path, options)
 
 
-# -- disparity
-# -----------------------------------------------------------------------------------------------------
+# -- disparity ---------------------------------------------------------------------------------------------
 
 RIG = SourceOptions(intrinsics="100,100,5.5,4", baseline_m=0.2, disparity_offset_px=2.0)
 

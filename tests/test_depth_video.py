@@ -228,8 +228,7 @@ def test_without_the_library_the_user_is_told_of_the_extra(
         depth_video.read_sequence(path, TOLD)
 
 
-# -- stacks
-# --------------------------------------------------------------------------------------------------------
+# -- stacks ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["depth.npy", "depth_f.npy"])

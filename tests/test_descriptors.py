@@ -56,8 +56,7 @@ def turn_of(seed: int) -> Float64s:
     return Rotation.random(random_state=seed).as_matrix()
 
 
-# -- directions
-# -----------------------------------------------------------------------------------------------------
+# -- directions --------------------------------------------------------------------------------------------
 
 
 @given(seeds)
@@ -131,8 +130,7 @@ def test_power_of_a_body_in_two_poses(kind: str) -> None:
     assert apart < min(np.linalg.norm(poses[0] - other) for other in others) / 5
 
 
-# -- octree
-# ---------------------------------------------------------------------------------------------------------
+# -- octree ------------------------------------------------------------------------------------------------
 
 
 def levels_of(shape: tuple[int, int, int], amplitude: float = 1.0) -> tuple[Float64s, Float64s]:
@@ -160,8 +158,7 @@ def test_levels_finer_than_the_lattice_repeat() -> None:
     assert entropies == pytest.approx([binary_entropy_bits(p) for p in fractions])
 
 
-# -- invariances of the whole
-# ---------------------------------------------------------------------------------------
+# -- invariances of the whole ------------------------------------------------------------------------------
 
 
 def sheet(grid: Grid = GRID, shift: int = 0) -> ForceField:
@@ -220,8 +217,7 @@ def test_entropies_of_levels_are_over_the_most_of_all_classes_and_no_force() -> 
     assert descriptor(sheet())["level_entropy"] == pytest.approx(entropies / math.log2(22))
 
 
-# -- time
-# -----------------------------------------------------------------------------------------------------------
+# -- time --------------------------------------------------------------------------------------------------
 
 
 def film(frames: list[ForceField], rate_hz: float) -> HapticMedium:
@@ -282,8 +278,7 @@ def test_few_frames_are_looked_at() -> None:
         assert asked == places
 
 
-# -- the record
-# -----------------------------------------------------------------------------------------------------
+# -- the record --------------------------------------------------------------------------------------------
 
 
 def test_parts_fill_the_vector() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters import RigidMotion, halved, interpolated, most_levels, pyramid, rebuilt
+from touchfield.filters import RigidMotion, half_grid, interpolate, max_levels, pyramid, rebuild_level
 from touchfield.medium import ForceField, Grid
 
 GRID = Grid((32, 32, 32), (0.001,) * 3, (-0.0155,) * 3)
@@ -33,13 +33,13 @@ shapes = st.tuples(*[st.integers(1, 40)] * 3)
 @given(shapes)
 def test_a_level_has_half_the_samples_and_twice_the_cell(shape: tuple[int, int, int]) -> None:
     grid = Grid(shape, (0.001, 0.002, 0.003), (0.1, 0.2, 0.3))
-    coarse = halved(grid)
+    coarse = half_grid(grid)
     for axis in range(3):
         assert np.allclose(coarse.axis_m(axis), grid.axis_m(axis)[::2], rtol=0, atol=1e-12)
         assert coarse.spacing_m[axis] == grid.spacing_m[axis] * (2 if shape[axis] > 1 else 1)
-    for _ in range(most_levels(grid)):
+    for _ in range(max_levels(grid)):
         assert grid.shape != (1, 1, 1)
-        grid = halved(grid)
+        grid = half_grid(grid)
     assert grid.shape == (1, 1, 1)
 
 
@@ -48,7 +48,7 @@ def test_a_level_keeps_every_second_sample(shape: tuple[int, int, int], seed: in
     rng = np.random.default_rng(seed)
     grid = Grid(shape, (0.001, 0.002, 0.003), (0.1, 0.2, 0.3))
     field = ForceField.from_dense(grid, rng.normal(size=(*shape, 3)).astype(np.float32))
-    for level, made in enumerate(pyramid(field, most_levels(grid))):
+    for level, made in enumerate(pyramid(field, max_levels(grid))):
         step = 1 << level
         assert np.array_equal(made.to_dense(), field.to_dense()[::step, ::step, ::step])
 
@@ -61,7 +61,7 @@ def test_a_constant_stays_itself() -> None:
         inner = (
             slice(None) if n < 2 else slice(0, 57),
         ) * 3  # the last sample of level 1 stands beyond its cell
-        assert np.abs((rebuilt(level, wide).to_dense() - field.to_dense())[inner]).max() < 1e-6
+        assert np.abs((rebuild_level(level, wide).to_dense() - field.to_dense())[inner]).max() < 1e-6
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -76,7 +76,7 @@ def test_a_thin_wall_stays_closed_and_never_comes_forward(
     (_, coarse) = pyramid(ForceField.from_dense(GRID, dense), 1)
     made = np.moveaxis(coarse.to_dense(), axis, 0)[..., axis]
     assert (np.abs(made).max(axis=0) == 1).all(), "no hole"
-    back = np.moveaxis(rebuilt(coarse, GRID).to_dense(), axis, 0)[..., axis]
+    back = np.moveaxis(rebuild_level(coarse, GRID).to_dense(), axis, 0)[..., axis]
     # the surface is where the force points to; trilinear rendering fades over one spacing of the level
     front = back[first + thick + 1 :] if sign > 0 else back[: max(0, first - 1)]
     assert not front.any(), "nothing in front of the wall"
@@ -97,7 +97,7 @@ def test_a_wall_that_has_a_sample_is_not_made_thicker() -> None:
 def test_what_is_smooth_comes_back_and_what_is_fine_does_not() -> None:
     def lost(wave_m: float) -> float:
         field = smooth(wave_m)
-        error = rebuilt(pyramid(field, 1)[1], GRID).to_dense() - field.to_dense()
+        error = rebuild_level(pyramid(field, 1)[1], GRID).to_dense() - field.to_dense()
         return float((error**2).sum() / (field.to_dense() ** 2).sum())
 
     assert lost(0.03) < 0.005 < 0.02 < lost(0.002)
@@ -109,7 +109,7 @@ def test_no_level_is_stronger() -> None:
     for field in (smooth(0.01), ForceField.from_dense(GRID, noise)):
         top = np.linalg.norm(field.vectors_n(), axis=1).max()
         for level in pyramid(field, 5):
-            for made in (level, rebuilt(level, GRID)):
+            for made in (level, rebuild_level(level, GRID)):
                 assert np.linalg.norm(made.vectors_n().astype(float), axis=1).max(initial=0) <= top * (
                     1 + 1e-6
                 )
@@ -119,28 +119,28 @@ def test_interpolation_is_the_query_and_stays_within_its_cells(wavy_field: Force
     fine = Grid((30, 41, 33), (0.0007, 0.0011, 0.0009), (-0.012, -0.001, 0.018))
     points = np.stack(np.meshgrid(*(fine.axis_m(a) for a in range(3)), indexing="ij"), axis=-1)
     np.testing.assert_allclose(
-        interpolated(wavy_field, fine).to_dense(), wavy_field.sample_n(points), atol=1e-6
+        interpolate(wavy_field, fine).to_dense(), wavy_field.sample_n(points), atol=1e-6
     )
-    assert interpolated(wavy_field, wavy_field.grid) == wavy_field
-    held = interpolated(wavy_field, fine, border="cell").to_dense().any(axis=-1)
+    assert interpolate(wavy_field, wavy_field.grid) == wavy_field
+    held = interpolate(wavy_field, fine, border="cell").to_dense().any(axis=-1)
     low, high = wavy_field.grid.box_m
     within = ((points > low - 1e-9) & (points < high + 1e-9)).all(axis=-1)
     assert held.any() and not (held & ~within).any()
     far = RigidMotion.move((1.0, 0.0, 0.0))
-    assert interpolated(wavy_field, wavy_field.grid, far) == ForceField.empty(wavy_field.grid)
+    assert interpolate(wavy_field, wavy_field.grid, far) == ForceField.empty(wavy_field.grid)
 
 
 def test_a_force_at_the_edge_of_a_brick_reaches_the_next() -> None:
     grid = Grid((24, 24, 24), (0.001,) * 3, (0.0,) * 3)
     fine = Grid((40, 40, 40), (0.00025,) * 3, (0.00575,) * 3)  # a brick begins just below 8 mm
     points = np.stack(np.meshgrid(*(fine.axis_m(a) for a in range(3)), indexing="ij"), axis=-1)
-    motion = RigidMotion.turn((0, 0, 1), 90.0, (0.011,) * 3).then(RigidMotion.move((0.0, 0.0, 0.002)))
+    motion = RigidMotion.turn((0, 0, 1), 90.0, (0.011,) * 3).followed_by(RigidMotion.move((0.0, 0.0, 0.002)))
     for at in ([8, 8, 8], [15, 15, 13], [8, 15, 8]):
         field = ForceField.from_support(grid, [at], [[1.0, 2.0, -3.0]])
-        np.testing.assert_allclose(interpolated(field, fine).to_dense(), field.sample_n(points), atol=1e-5)
+        np.testing.assert_allclose(interpolate(field, fine).to_dense(), field.sample_n(points), atol=1e-5)
         expected = motion.vectors(field.sample_n(motion.inverse.points_m(points)))
         assert expected.any()
-        np.testing.assert_allclose(interpolated(field, fine, motion).to_dense(), expected, atol=1e-5)
+        np.testing.assert_allclose(interpolate(field, fine, motion).to_dense(), expected, atol=1e-5)
 
 
 def test_flat_fields_and_empty_ones() -> None:
@@ -156,6 +156,6 @@ def test_what_is_asked_in_vain() -> None:
         with pytest.raises(InvalidArgument, match="levels"):
             pyramid(smooth(0.01), levels)  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match="border"):
-        interpolated(smooth(0.01), GRID, border="wrap")
+        interpolate(smooth(0.01), GRID, border="wrap")
     with pytest.raises(InvalidArgument, match="bricks reached"):
-        interpolated(smooth(0.01), Grid((1 << 14,) * 3, (2e-6,) * 3, (-0.0155,) * 3))
+        interpolate(smooth(0.01), Grid((1 << 14,) * 3, (2e-6,) * 3, (-0.0155,) * 3))

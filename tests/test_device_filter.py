@@ -23,7 +23,7 @@ from touchfield.filters import (
     Placement,
     device_grid,
     device_medium,
-    limited,
+    limit_forces,
 )
 from touchfield.filters.device_filter import same_lattice
 from touchfield.medium import ForceField, Grid, HapticMedium
@@ -64,8 +64,7 @@ def floor_at(height_m: float) -> Formula:
     return Formula(lambda p, f: f(p[..., 1] - height_m)[..., None] * np.array([0.0, 1.0, 0.0]))
 
 
-# -- clip and floor
-# ------------------------------------------------------------------------------------------------
+# -- clip and floor ----------------------------------------------------------------------------------------
 
 
 @given(
@@ -77,18 +76,17 @@ def test_limits_hold_keep_the_direction_and_do_nothing_twice(
     forces: NDArray[np.float32], force_max: float, share: float
 ) -> None:
     field = ForceField.from_dense(Grid((3, 2, 9), (1, 1, 1), (0, 0, 0)), forces)
-    once = limited(field, force_max, share * force_max)
+    once = limit_forces(field, force_max, share * force_max)
     before, after = field.to_dense().astype(float), once.to_dense().astype(float)
     long, short = np.linalg.norm(before, axis=-1), np.linalg.norm(after, axis=-1)
     assert (short <= force_max).all()
     assert not short[long < share * force_max * (1 - 1e-6)].any()
     assert short == pytest.approx(np.where(short > 0, np.minimum(long, force_max), 0), rel=1e-5, abs=1e-30)
     assert np.abs(np.cross(before, after)).max() <= 1e-5 * (long * short).max()
-    assert limited(once, force_max, share * force_max) == once
+    assert limit_forces(once, force_max, share * force_max) == once
 
 
-# -- the device filter, type 1
-# -------------------------------------------------------------------------------------
+# -- the device filter, type 1 -----------------------------------------------------------------------------
 
 
 def mapped(
@@ -125,7 +123,7 @@ def test_the_floor_keeps_tails_out_of_the_support() -> None:
     all_of_it = mapped(ball(0.025), DeviceFilterSpec(force_floor_share=0), Placement(), nw=5)
     kept = mapped(ball(0.025), DeviceFilterSpec(), Placement(), nw=5)
     assert 0 < kept.support_count < all_of_it.support_count
-    assert limited(all_of_it, OMNI.force_max_n, 0.01 * OMNI.force_max_n) == kept
+    assert limit_forces(all_of_it, OMNI.force_max_n, 0.01 * OMNI.force_max_n) == kept
 
 
 def test_scene_and_hand_metres_meet() -> None:
@@ -167,8 +165,7 @@ def test_a_spec_that_is_impossible(wrong: dict[str, object]) -> None:
         DeviceFilterSpec(**wrong)  # type: ignore[arg-type]
 
 
-# -- the device filter, type 2
-# -------------------------------------------------------------------------------------
+# -- the device filter, type 2 -----------------------------------------------------------------------------
 
 PITCH_M = 0.0125
 
@@ -385,8 +382,7 @@ def test_a_deep_array_is_pooled_in_slabs(monkeypatch: pytest.MonkeyPatch) -> Non
     assert scene.asked - before > 5
 
 
-# -- the medium
-# ----------------------------------------------------------------------------------------------------
+# -- the medium --------------------------------------------------------------------------------------------
 
 
 class Stored(Formula):

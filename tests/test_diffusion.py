@@ -41,8 +41,7 @@ def noisy(shape: tuple[int, ...], seed: int = 0) -> NDArray[np.float32]:
     return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
 
 
-# -- the equation
-# -----------------------------------------------------------------------------------------------
+# -- the equation ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("shape", [(21, 10, 17, 3), (40,), (9, 33), (17, 3, 9), (1, 8, 1, 3)])
@@ -98,8 +97,7 @@ def test_one_conductance_for_the_vector() -> None:
     assert np.abs(apart @ turn.T - turned_first).max() > 0.1
 
 
-# -- laws
-# -------------------------------------------------------------------------------------------------------
+# -- laws --------------------------------------------------------------------------------------------------
 
 numbers = st.floats(-1e3, 1e3, width=32)
 shapes = array_shapes(min_dims=3, max_dims=3, max_side=10).map(lambda s: (*s, 3))
@@ -128,7 +126,7 @@ def test_the_same_of_pictures_and_lines(values: NDArray[np.float32], kappa: floa
 
 
 def test_beyond_the_limit_the_linear_step_diverges() -> None:
-    from touchfield.filters.shading import _diffused
+    from touchfield.filters.shading import _diffuse
 
     start = noisy((1, 24, 24, 1))
     grid = Grid((1, 24, 24), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
@@ -136,7 +134,7 @@ def test_beyond_the_limit_the_linear_step_diverges() -> None:
     greatest = {}
     for lam in (0.25, 0.6):
         law = DiffusionFilter(math.inf, steps=60)
-        values = _diffused(grid, field.bricks, field.mask, field.forces_n.copy(), [lam] * 3, law)
+        values = _diffuse(grid, field.bricks, field.mask, field.forces_n.copy(), [lam] * 3, law)
         greatest[lam] = float(np.abs(values).max())
     assert greatest[0.25] <= np.abs(start).max()
     assert greatest[0.6] > 1e20
@@ -161,8 +159,7 @@ def test_an_edge_is_kept_where_a_gaussian_blurs_it() -> None:
     assert across["gauss"] < 0.8
 
 
-# -- sparse bricks
-# ----------------------------------------------------------------------------------------------
+# -- sparse bricks -----------------------------------------------------------------------------------------
 
 
 def test_sparse_is_dense(wavy_field: ForceField) -> None:
@@ -231,8 +228,7 @@ def test_empty_fields_flat_grids_and_forces_that_cancel() -> None:
     assert len(crossed.bricks) == 4 and gone.bricks.tolist() == [[0, 0, 1], [0, 1, 0], [1, 0, 0]]
 
 
-# -- words and refusals
-# -----------------------------------------------------------------------------------------
+# -- words and refusals ------------------------------------------------------------------------------------
 
 
 def test_words() -> None:
@@ -240,7 +236,7 @@ def test_words() -> None:
     of_old = "0.3, region=support,conductance=exponential"  # as older streams have it
     assert DiffusionFilter.parse(of_old) == DiffusionFilter(0.3)
     for step in (DiffusionFilter(0.25, 3), DiffusionFilter(math.inf, 7)):
-        assert DiffusionFilter.parse(step.words) == step
+        assert DiffusionFilter.parse(step.text) == step
     with pytest.raises(InvalidArgument, match="each of kappa, steps at most once"):
         DiffusionFilter.parse("0.3,lam=0.1")
     with pytest.raises(InvalidArgument, match="no kappa"):

@@ -16,21 +16,21 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters import (
     Ball,
     Box,
-    Composed,
+    Compose,
     EditOperator,
-    Erased,
+    Erase,
     Everywhere,
     ForceRange,
     Gain,
     HalfSpace,
-    Limited,
-    Moved,
+    Limit,
+    Move,
     Region,
     RigidMotion,
     Voxels,
-    cross_faded,
-    edited,
-    edited_medium,
+    cross_fade,
+    edit_field,
+    edit_medium,
     field_filters,
     filter_of,
 )
@@ -54,11 +54,11 @@ SMALLER = {"lowpass": "pitch=4.5mm"}
 
 OPERATORS: list[EditOperator] = [
     Gain(-2.5),
-    Erased(),
-    Limited(0.5),
-    Moved(RigidMotion.turn((1.0, 2.0, 0.5), 33.0, MIDDLE)),
-    Moved(RigidMotion.mirror((1.0, 1.0, 0.0), MIDDLE)),
-    *(Composed(OTHER, how) for how in ("replace", "over", "add", "max")),
+    Erase(),
+    Limit(0.5),
+    Move(RigidMotion.turn((1.0, 2.0, 0.5), 33.0, MIDDLE)),
+    Move(RigidMotion.mirror((1.0, 1.0, 0.0), MIDDLE)),
+    *(Compose(OTHER, how) for how in ("replace", "over", "add", "max")),
     *(filter_of(name, SMALLER.get(name, kind.example)) for name, kind in field_filters().items()),
 ]
 REGIONS: list[Region] = [
@@ -78,7 +78,7 @@ def test_the_outside_keeps_its_bits_and_the_inside_is_what_the_operator_makes(op
     changed = (before != after).any(axis=-1)
     elsewhere = 0
     for region, feather_m in itertools.product(REGIONS, (0.0, 0.0021)):
-        made = edited(FIELD, region, operator, feather_m).to_dense()
+        made = edit_field(FIELD, region, operator, feather_m).to_dense()
         place = region.on(FIELD)
         inside = place.holds(POINTS)
         beyond = ~inside & (place.distance_m(POINTS) >= feather_m)
@@ -93,27 +93,26 @@ def test_the_outside_keeps_its_bits_and_the_inside_is_what_the_operator_makes(op
 
 def test_an_edit_makes_a_sound_field() -> None:
     for operator in OPERATORS:
-        made = edited(FIELD, REGIONS[1], operator, 0.002)
+        made = edit_field(FIELD, REGIONS[1], operator, 0.002)
         assert ForceField.from_bricks(made.grid, made.bricks, made.forces_n) == made
-    assert edited(FIELD, Everywhere(), Erased()) == ForceField.empty(GRID)
-    assert edited(FIELD, ~Everywhere(), Erased(), 0.01) == FIELD
+    assert edit_field(FIELD, Everywhere(), Erase()) == ForceField.empty(GRID)
+    assert edit_field(FIELD, ~Everywhere(), Erase(), 0.01) == FIELD
     empty = ForceField.empty(GRID)
     for region in REGIONS:
-        assert edited(empty, region, Gain(2.0), 0.001) == empty
+        assert edit_field(empty, region, Gain(2.0), 0.001) == empty
 
 
 def test_a_feather_falls_in_a_straight_line() -> None:
     flat = ForceField.from_dense(GRID, np.broadcast_to(np.float32([0, 0, 1]), (*GRID.shape, 3)))
     for feather_m in (0.004, 0.011):
-        made = edited(flat, Box((-1.0, -1.0, -1.0), (-0.0055, 1.0, 1.0)), Erased(), feather_m).to_dense()
+        made = edit_field(flat, Box((-1.0, -1.0, -1.0), (-0.0055, 1.0, 1.0)), Erase(), feather_m).to_dense()
         expected = np.clip((GRID.axis_m(0) + 0.0055) / feather_m, 0, 1)
         np.testing.assert_allclose(made[:, 5, 5, 2], expected, atol=1e-6)
         assert not made[..., :2].any()
     assert ((expected > 0) & (expected < 0.1)).any() and ((expected > 0.9) & (expected < 1)).any()
 
 
-# -- regions
-# --------------------------------------------------------------------------------------------------------
+# -- regions -----------------------------------------------------------------------------------------------
 
 
 def brute_distance(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -204,11 +203,10 @@ def test_what_is_no_region() -> None:
         ForceRange(2.0, 1.0)
     other = Grid(GRID.shape, GRID.spacing_m, (0, 0, 0))
     with pytest.raises(InvalidArgument, match="region of voxels"):
-        edited(FIELD, Voxels(other, [[0, 0, 0]]), Erased())
+        edit_field(FIELD, Voxels(other, [[0, 0, 0]]), Erase())
 
 
-# -- operators
-# ------------------------------------------------------------------------------------------------------
+# -- operators ---------------------------------------------------------------------------------------------
 
 
 def test_compositions_are_what_they_say() -> None:
@@ -217,40 +215,40 @@ def test_compositions_are_what_they_say() -> None:
     longer = (y.astype(float) ** 2).sum(-1, keepdims=True) > (x.astype(float) ** 2).sum(-1, keepdims=True)
     expected = {"replace": y, "over": np.where(there, y, x), "add": x + y, "max": np.where(longer, y, x)}
     for how, forces in expected.items():
-        assert np.array_equal(Composed(OTHER, how)(FIELD).to_dense(), forces)
-    assert Composed(FIELD.scaled(-1), "max")(FIELD) == FIELD  # the field's where both are as long
+        assert np.array_equal(Compose(OTHER, how)(FIELD).to_dense(), forces)
+    assert Compose(FIELD.scaled(-1), "max")(FIELD) == FIELD  # the field's where both are as long
 
 
 def test_whole_steps_and_quarter_turns_are_exact() -> None:
     cube = Grid((18, 18, 18), (0.001,) * 3, (0.1, 0.2, -0.3))
     field = random_field(3, 0.3, cube)
     dense, centre = field.to_dense(), cube.to_m((8.5, 8.5, 8.5))
-    moved = Moved(RigidMotion.move((0.003, -0.002, 0.0)))(field).to_dense()
+    moved = Move(RigidMotion.move((0.003, -0.002, 0.0)))(field).to_dense()
     assert np.array_equal(moved[3:, :-2], dense[:-3, 2:]) and not moved[:3].any() and not moved[:, -2:].any()
-    turned = Moved(RigidMotion.turn((0, 0, 1), 90.0, centre))(field).to_dense()
+    turned = Move(RigidMotion.turn((0, 0, 1), 90.0, centre))(field).to_dense()
     assert np.array_equal(turned, np.rot90(dense, axes=(0, 1))[..., [1, 0, 2]] * np.float32([-1, 1, 1]))
-    mirrored = Moved(RigidMotion.mirror((0, 1, 0), centre))(field).to_dense()
+    mirrored = Move(RigidMotion.mirror((0, 1, 0), centre))(field).to_dense()
     assert np.array_equal(mirrored, dense[:, ::-1] * np.float32([1, -1, 1]))
-    assert Moved(RigidMotion())(field) == field
+    assert Move(RigidMotion())(field) == field
     assert RigidMotion.turn((0, 0, 1), 90.0).matrix == ((0, -1, 0), (1, 0, 0), (0, 0, 1))
 
 
 @given(triple.filter(lambda t: math.hypot(*t) > 1e-6), st.floats(-360, 360), triple, triple)
 def test_motions_are_rigid_and_go_back(axis: Any, angle_deg: float, about_m: Any, offset_m: Any) -> None:
-    motion = RigidMotion.turn(axis, angle_deg, about_m).then(RigidMotion.move(offset_m))
-    motion = motion.then(RigidMotion.mirror(axis, offset_m))
+    motion = RigidMotion.turn(axis, angle_deg, about_m).followed_by(RigidMotion.move(offset_m))
+    motion = motion.followed_by(RigidMotion.mirror(axis, offset_m))
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
     there = motion.points_m(points)
     gaps = [np.linalg.norm(p[:, None] - p[None], axis=-1) for p in (points, there)]
     np.testing.assert_allclose(*gaps, atol=1e-12)
     np.testing.assert_allclose(motion.inverse.points_m(there), points, atol=1e-12)
-    np.testing.assert_allclose(motion.then(motion.inverse).points_m(points), points, atol=1e-12)
+    np.testing.assert_allclose(motion.followed_by(motion.inverse).points_m(points), points, atol=1e-12)
 
 
 def test_a_moved_field_is_the_trilinear_query_of_where_it_came_from() -> None:
-    motion = RigidMotion.turn((1, 2, 3), 50.0, MIDDLE).then(RigidMotion.move((0.002, 0.0, -0.001)))
+    motion = RigidMotion.turn((1, 2, 3), 50.0, MIDDLE).followed_by(RigidMotion.move((0.002, 0.0, -0.001)))
     expected = motion.vectors(FIELD.sample_n(motion.inverse.points_m(POINTS)))
-    np.testing.assert_allclose(Moved(motion)(FIELD).to_dense(), expected, atol=1e-6)
+    np.testing.assert_allclose(Move(motion)(FIELD).to_dense(), expected, atol=1e-6)
 
 
 def test_what_is_no_operator() -> None:
@@ -259,12 +257,12 @@ def test_what_is_no_operator() -> None:
         with pytest.raises(InvalidArgument, match="gain"):
             Gain(bad)
     with pytest.raises(InvalidArgument, match="limit"):
-        Limited(0.0)
+        Limit(0.0)
     with pytest.raises(InvalidArgument, match="one of replace, over, add, max"):
-        Composed(OTHER, "under")
+        Compose(OTHER, "under")
     for how in ("replace", "over", "add", "max"):
         with pytest.raises(InvalidArgument, match="compose"):
-            edited(FIELD, Everywhere(), Composed(other, how))
+            edit_field(FIELD, Everywhere(), Compose(other, how))
     for matrix in (np.ones((3, 3)), np.full((3, 3), np.nan), np.eye(2)):
         with pytest.raises(InvalidArgument, match="orthogonal"):
             RigidMotion(matrix)  # type: ignore[arg-type]
@@ -275,11 +273,10 @@ def test_what_is_no_operator() -> None:
             RigidMotion.mirror((0.0, bad, 0.0))
     for feather_m in (-1.0, math.nan, math.inf):
         with pytest.raises(InvalidArgument, match="feather_m"):
-            edited(FIELD, Everywhere(), Erased(), feather_m)
+            edit_field(FIELD, Everywhere(), Erase(), feather_m)
 
 
-# -- media
-# ----------------------------------------------------------------------------------------------------------
+# -- media -------------------------------------------------------------------------------------------------
 
 
 def medium(frames: int, seed: int = 10, rate_hz: float = 25.0) -> HapticMedium:
@@ -288,11 +285,11 @@ def medium(frames: int, seed: int = 10, rate_hz: float = 25.0) -> HapticMedium:
 
 def test_a_range_of_frames_is_edited_and_the_provenance_tells() -> None:
     before = medium(6)
-    once = edited_medium(before, REGIONS[0], Gain(2.0), 0.001, frames=(2, 4))
-    after = edited_medium(once, REGIONS[1], Erased())
+    once = edit_medium(before, REGIONS[0], Gain(2.0), 0.001, frames=(2, 4))
+    after = edit_medium(once, REGIONS[1], Erase())
     for i, (x, y) in enumerate(zip(before, once, strict=True)):
-        assert y == (edited(x, REGIONS[0], Gain(2.0), 0.001) if 2 <= i < 4 else x)
-    assert after[3] == edited(once[3], REGIONS[1], Erased())
+        assert y == (edit_field(x, REGIONS[0], Gain(2.0), 0.001) if 2 <= i < 4 else x)
+    assert after[3] == edit_field(once[3], REGIONS[1], Erase())
     first, second = after.provenance["edits"].split("; ")
     assert (
         first == "gain 2.0, box (-0.006, 0.004, 0.025) to (0.001, 0.016, 0.036), feather 0.001 m, frames 2:4"
@@ -300,28 +297,28 @@ def test_a_range_of_frames_is_edited_and_the_provenance_tells() -> None:
     assert second.startswith("erase, ball (") and "edits" not in before.provenance
     for frames in ((3, 3), (-1, 2), (2, 7)):
         with pytest.raises(InvalidArgument, match="frames to edit"):
-            edited_medium(before, REGIONS[0], Erased(), frames=frames)
+            edit_medium(before, REGIONS[0], Erase(), frames=frames)
 
 
 def test_a_medium_over_a_medium_begins_with_the_range() -> None:
     below, above = medium(5), medium(2, seed=50)
-    made = edited_medium(below, Everywhere(), Composed(above, "over"), frames=(3, None))
+    made = edit_medium(below, Everywhere(), Compose(above, "over"), frames=(3, None))
     assert made[2] == below[2]
-    assert made[4] == Composed(above[1], "over")(below[4])
+    assert made[4] == Compose(above[1], "over")(below[4])
     assert made.provenance["edits"] == "compose over another medium, everywhere, frames 3:5"
     with pytest.raises(InvalidArgument, match="at least the 3"):
-        edited_medium(below, Everywhere(), Composed(above, "over"), frames=(2, None))
+        edit_medium(below, Everywhere(), Compose(above, "over"), frames=(2, None))
     with pytest.raises(InvalidArgument, match="2 frames"):
-        Composed(above)(below[0])
+        Compose(above)(below[0])
 
 
 def test_pieces_put_together_are_the_whole() -> None:
     whole, other = medium(6), medium(3, seed=40)
-    joined = cross_faded(cross_faded(whole.between(0, 2), whole.between(2, 3), 0), whole.between(3, 6), 0)
+    joined = cross_fade(cross_fade(whole.between(0, 2), whole.between(2, 3), 0), whole.between(3, 6), 0)
     assert list(joined) == list(whole)
-    both = cross_faded(whole, other, 0)
+    both = cross_fade(whole, other, 0)
     assert len(both) == 9 and both[5] == whole[5] and both[6] == other[0] and both[-1] == other[2]
-    cut = cross_faded(both.between(0, 1), both.between(4, 9), 0)
+    cut = cross_fade(both.between(0, 1), both.between(4, 9), 0)
     assert list(cut) == [both[i] for i in (0, 4, 5, 6, 7, 8)]
     assert both.provenance["splices"] == "6 frames into 3 over 0"
     assert cut.provenance["splices"].endswith("1 frames into 5 over 0")
@@ -329,24 +326,24 @@ def test_pieces_put_together_are_the_whole() -> None:
 
 def test_a_cross_fade_goes_in_equal_steps() -> None:
     first, second = medium(4), medium(5, seed=40)
-    made = cross_faded(first, second, 3)
+    made = cross_fade(first, second, 3)
     assert len(made) == 6
     assert made[0] == first[0] and made[4] == second[3] and made[5] == second[4]
     for i in range(3):
         share = (i + 1) / 4
         expected = (1 - share) * first[1 + i].to_dense() + share * second[i].to_dense()
         np.testing.assert_allclose(made[1 + i].to_dense(), expected, atol=1e-6)
-    same = cross_faded(first, first, 4)  # one medium into itself, frame on frame
+    same = cross_fade(first, first, 4)  # one medium into itself, frame on frame
     np.testing.assert_allclose(same[2].to_dense(), first[2].to_dense(), atol=1e-6)
 
 
 def test_what_cannot_be_spliced() -> None:
     one = medium(3)
     with pytest.raises(InvalidArgument, match=r"medium 1 to splice, rate_hz: found 30\.0; expected 25\.0"):
-        cross_faded(one, medium(3, rate_hz=30.0), 0)
+        cross_fade(one, medium(3, rate_hz=30.0), 0)
     other = HapticMedium.from_frames([ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))], 25.0)
     with pytest.raises(InvalidArgument, match="medium 1 to splice, grid"):
-        cross_faded(one, other, 1)
+        cross_fade(one, other, 1)
     for frames in (-1, 4, True, 1.0):
         with pytest.raises(InvalidArgument, match="cross-fade"):
-            cross_faded(one, one, frames)  # type: ignore[arg-type]
+            cross_fade(one, one, frames)  # type: ignore[arg-type]

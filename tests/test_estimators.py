@@ -38,8 +38,7 @@ def bits_of(p: Probabilities) -> float:
 counts_lists = st.lists(st.integers(0, 10**6), min_size=1, max_size=60).filter(any)
 small_counts = st.lists(st.integers(0, 6), min_size=1, max_size=30).filter(any)
 
-# -- known values
-# -----------------------------------------------------------------------------------------------
+# -- known values -------------------------------------------------------------------------------------------
 
 
 @given(counts_lists)
@@ -139,8 +138,7 @@ def test_the_tail_of_chao_wang_jost_for_many_samples(z: float) -> None:
     )
 
 
-# -- bias
-# -------------------------------------------------------------------------------------------------------
+# -- bias --------------------------------------------------------------------------------------------------
 
 
 def expected_bits(p: Probabilities, n: int, term: Callable[[Probabilities], Probabilities]) -> float:
@@ -261,8 +259,7 @@ def test_is_biased_low_is_what_happens(name: str) -> None:
         )
 
 
-# -- properties of all of them
-# ----------------------------------------------------------------------------------
+# -- properties of all of them -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
@@ -288,12 +285,11 @@ def test_one_symbol_seen_often_says_nothing(name: str) -> None:
 def test_the_counts_of_the_counts() -> None:
     t = tally([[3, 0, 1], [1, 3, 3]])
     assert (t.counts.tolist(), t.times.tolist()) == ([1, 3], [2, 3])
-    assert (t.samples, t.observed, t.seen(1), t.seen(2), t.seen(3), t.seen(9)) == (11, 5, 2, 0, 3, 0)
+    assert (t.samples, t.observed, t.symbols_counted(1), t.symbols_counted(2), t.symbols_counted(3), t.symbols_counted(9)) == (11, 5, 2, 0, 3, 0)
     assert not t.counts.flags.writeable
 
 
-# -- refusals
-# ---------------------------------------------------------------------------------------------------
+# -- refusals ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)

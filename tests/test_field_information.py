@@ -50,8 +50,7 @@ def joint(first: Any, second: Any, over: str = "voxel", interval: bool = True) -
     return field_counts(first, second, (over,), interval=interval)[over]
 
 
-# -- one field
-# ------------------------------------------------------------------------------------------------------
+# -- one field ---------------------------------------------------------------------------------------------
 
 
 @given(
@@ -138,8 +137,7 @@ def test_when_a_field_has_no_interval() -> None:
         assert small.interval is None and any("too few bricks" in n for n in small.notes)
 
 
-# -- two fields
-# -----------------------------------------------------------------------------------------------------
+# -- two fields --------------------------------------------------------------------------------------------
 
 
 @given(st.integers(0, 1000), st.sampled_from([0.0, 0.02, 0.4]))
@@ -188,8 +186,7 @@ def test_a_joint_measure_warns() -> None:
         assert any("few samples" in n for n in info.mutual_information(found).notes)
 
 
-# -- frames that are made when asked for
-# ----------------------------------------------------------------------------
+# -- frames that are made when asked for -------------------------------------------------------------------
 
 
 class Unlike(FieldSymbols):
@@ -315,8 +312,7 @@ def test_each_frame_is_checked_as_it_passes() -> None:
             field_entropy(no_sequence)  # type: ignore[arg-type]
 
 
-# -- refusals
-# -------------------------------------------------------------------------------------------------------
+# -- refusals ----------------------------------------------------------------------------------------------
 
 
 def test_what_does_not_match() -> None:
@@ -354,8 +350,7 @@ def test_what_does_not_match() -> None:
             empties()
 
 
-# -- parts of space
-# -------------------------------------------------------------------------------------------------
+# -- parts of space ----------------------------------------------------------------------------------------
 
 
 @given(st.tuples(*[st.integers(1, 90)] * 3), st.integers(1, 70))

@@ -19,10 +19,10 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import (
     Claims,
     FieldFilter,
+    apply_filters,
     field_filters,
+    filter_medium,
     filter_of,
-    filtered,
-    filtered_medium,
 )
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, Grid, HapticMedium
@@ -194,8 +194,7 @@ def test_an_impulse_stays_where_it_is(name: str, text: str) -> None:
     np.testing.assert_allclose(centre, [18, 16, 14], atol=1e-4)
 
 
-# -- information
-# ----------------------------------------------------------------------------------------------
+# -- information -------------------------------------------------------------------------------------------
 
 
 def joint_bits(frames: list[ForceField], words: str | None = None) -> float:
@@ -237,12 +236,12 @@ def test_a_chain_is_applied_in_order_and_says_so() -> None:
     expected = field
     for step in chain:
         expected = step(expected)
-    assert filtered(field, chain) == expected
-    medium = filtered_medium(HapticMedium.from_frames([field], 30.0), chain)
+    assert apply_filters(field, chain) == expected
+    medium = filter_medium(HapticMedium.from_frames([field], 30.0), chain)
     assert medium[0] == expected
     assert medium.provenance["filters"].startswith(names[0])
-    assert filtered_medium(medium, []) is medium
-    again = filtered_medium(medium, chain[:1])
+    assert filter_medium(medium, []) is medium
+    again = filter_medium(medium, chain[:1])
     assert again.provenance["filters"] == f"{medium.provenance['filters']}; {chain[0].name} {chain[0].words}"
 
 

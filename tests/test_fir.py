@@ -35,8 +35,7 @@ def filter_of_array(taps: ArrayLike, **others: Any) -> FirFilter:
     return FirFilter(f"{'x'.join(str(n) for n in h.shape)}:{text}" if h.ndim != 1 else text, **others)
 
 
-# -- dense
-# ------------------------------------------------------------------------------------------------------
+# -- dense -------------------------------------------------------------------------------------------------
 
 
 def test_the_literal_sum_of_equation_4() -> None:
@@ -114,8 +113,7 @@ def test_a_signal_that_is_not_finite_is_refused() -> None:
         fir_filter(np.array([1.0, np.nan, 2.0]), np.ones(1))
 
 
-# -- item 11: does filtering lower the entropy?
-# -----------------------------------------------------------------
+# -- item 11: does filtering lower the entropy? ------------------------------------------------------------
 
 
 def entropy_bits(counts: Counter[object]) -> float:
@@ -148,8 +146,7 @@ def test_the_joint_entropy_of_a_valid_box_of_4_by_4() -> None:
     assert -(share * np.log2(share)).sum() == pytest.approx(8.786455, abs=1e-6)
 
 
-# -- bricks
-# -----------------------------------------------------------------------------------------------------
+# -- bricks ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("taps", [[1.0, 3.0, 2.0], [0.5, -1.0, 0.0, 2.0, 1.0]])
@@ -207,8 +204,7 @@ def test_bricks_of_a_lattice_that_could_never_be_dense() -> None:
     assert made.vectors_n().sum(axis=0) == pytest.approx([0, -4, 0])
 
 
-# -- what it declares
-# -------------------------------------------------------------------------------------------
+# -- what it declares --------------------------------------------------------------------------------------
 
 
 def test_claims_of_a_smoothing_and_a_high_pass() -> None:
@@ -247,16 +243,15 @@ def test_a_flat_field_is_filtered_along_its_two_axes() -> None:
     assert np.abs(FirFilter("1/2/1")(field).to_dense() - expected).max() < 1e-6
 
 
-# -- words
-# ------------------------------------------------------------------------------------------------------
+# -- words -------------------------------------------------------------------------------------------------
 
 
 def test_words_come_back() -> None:
     asked = FirFilter.parse("1/2/1,anchor=centred,boundary=zero")  # as older streams have it
-    assert asked == FirFilter("1/2/1") == FirFilter.parse(asked.words)
+    assert asked == FirFilter("1/2/1") == FirFilter.parse(asked.text)
     h = np.random.default_rng(1).normal(size=(3, 1, 3))
     of_array, field = filter_of_array(h), random_field((16, 16, 16), 2)
-    assert np.array_equal(of_array.kernel, h) and of_array(field) == FirFilter.parse(of_array.words)(field)
+    assert np.array_equal(of_array.kernel, h) and of_array(field) == FirFilter.parse(of_array.text)(field)
 
 
 def test_an_empty_field_stays_empty() -> None:

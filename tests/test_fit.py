@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from touchfield.cli.main import open_rooms
+from touchfield.cli.main import load_commands
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.medium import Grid, PoseTrack
@@ -87,8 +87,7 @@ def test_frames_that_are_not_there_are_refused(spec: dict, words: str) -> None:
     assert EncodeSpec.from_json(EncodeSpec(fit_frames=(1, None)).to_json()).fit_frames == (1, None)
 
 
-# -- scene to hand and back
-# ----------------------------------------------------------------------------------------
+# -- scene to hand and back --------------------------------------------------------------------------------
 
 
 def test_points_go_to_the_hand_and_back() -> None:
@@ -172,10 +171,10 @@ def test_field_draws_a_preview_without_writing_a_field(tmp_path: Path) -> None:
     source = tmp_path / "ball.toml"
     source.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0, 0, 0]\nradius_m = 0.02\n')
     result = CliRunner().invoke(
-        open_rooms(), ["field", str(source), "--nw", "4", "--preview", str(tmp_path / "a.png"), "--json"]
+        load_commands(), ["field", str(source), "--nw", "4", "--preview", str(tmp_path / "a.png"), "--json"]
     )
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
     assert told["preview"] == str(tmp_path / "a.png") and "file" not in told
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG") and not list(tmp_path.glob("*.npz"))
-    assert CliRunner().invoke(open_rooms(), ["field", str(source)]).exit_code != 0
+    assert CliRunner().invoke(load_commands(), ["field", str(source)]).exit_code != 0

@@ -40,8 +40,7 @@ def by_scipy(dense: NDArray[np.float32], sigmas: tuple[float, ...], boundary: st
     return ndimage.gaussian_filter(dense.astype(float), sigma, mode=SCIPY_MODES[boundary], truncate=truncate)
 
 
-# -- dense arrays
-# -----------------------------------------------------------------------------------------------
+# -- dense arrays ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("boundary", BOUNDARIES)
@@ -88,8 +87,7 @@ def test_taps_are_symmetric_positive_and_of_unit_sum(sigma: float) -> None:
     assert np.array_equal(taps, taps[::-1])
 
 
-# -- bricks
-# -----------------------------------------------------------------------------------------------------
+# -- bricks ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("shape", [(24, 33, 41), (17, 18, 30), (40, 17, 64)])
@@ -158,8 +156,7 @@ def test_the_same_bits_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch
         assert np.array_equal(dense, made[0][1])
 
 
-# -- what the filter declares
-# -----------------------------------------------------------------------------------
+# -- what the filter declares ------------------------------------------------------------------------------
 
 
 def test_claims_hold_on_a_field_clear_of_the_border(wavy_field: ForceField) -> None:
@@ -189,7 +186,7 @@ def test_an_axis_of_one_sample_is_left_alone() -> None:
 
 def test_an_empty_field_stays_empty_and_words_come_back() -> None:
     smooth = GaussianFilter.parse("sigma=2mm,truncate=4.0,boundary=zero")  # as older streams have it
-    assert smooth == GaussianFilter(0.002) == GaussianFilter.parse(smooth.words)
+    assert smooth == GaussianFilter(0.002) == GaussianFilter.parse(smooth.text)
     empty = ForceField.empty(Grid((32, 32, 32), (0.001,) * 3, (0.0,) * 3))
     assert smooth(empty) == empty
 
@@ -204,8 +201,7 @@ def test_factors_of_a_product_and_of_what_is_none() -> None:
     assert factors(np.zeros((3, 3))) is None
 
 
-# -- bad input
-# --------------------------------------------------------------------------------------------------
+# -- bad input ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

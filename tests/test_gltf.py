@@ -31,8 +31,7 @@ def floats(gltf: Gltf, number: int, kind: str, tmp_path: Path) -> np.ndarray:
     return Document(gltf.save(tmp_path / "a.gltf")).array(number, kind)
 
 
-# -- bytes
-# ---------------------------------------------------------------------------------------------------------
+# -- bytes -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("how", ["base64", "bin", "glb"])
@@ -100,8 +99,7 @@ def test_sparse_changes_are_made(has_base: bool, tmp_path: Path) -> None:
     np.testing.assert_array_equal(floats(gltf, number, "VEC3", tmp_path), base)
 
 
-# -- time
-# ----------------------------------------------------------------------------------------------------------
+# -- time --------------------------------------------------------------------------------------------------
 
 TIMES = st.lists(st.integers(0, 400), min_size=1, max_size=6, unique=True).map(lambda t: np.sort(t) / 37)
 
@@ -170,8 +168,7 @@ def test_a_translated_node_is_where_the_standard_says(
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-# -- places
-# --------------------------------------------------------------------------------------------------------
+# -- places ------------------------------------------------------------------------------------------------
 
 
 def test_a_tree_of_nodes_multiplies_from_the_root(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def scenes(draw: st.DrawFn) -> HapticScene:
         if draw(st.booleans()):
             dense = frames[0].to_dense()
             frames += [ForceField.from_dense(frames[0].grid, s * dense[::d]) for s, d in ((0.5, -1), (-2, 1))]
-        track = PoseTrack.still(count) if draw(st.booleans()) else tracks(rng, count)
+        track = PoseTrack.constant(count) if draw(st.booleans()) else tracks(rng, count)
         objects.append(HapticObject(f"object {n}", HapticMedium.from_frames(frames, RATE_HZ), track))
     damping = draw(st.sampled_from([0.0, 0.3]))
     return HapticScene(WORKSPACE, RATE_HZ, tuple(objects), draw(st.sampled_from([0.7, 50.0])), damping)
@@ -161,7 +161,7 @@ def test_with_the_receivers_damping_a_hand_that_goes_along_feels_none() -> None:
 
 
 def placed(field: ForceField, position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> HapticScene:
-    one = HapticObject("one", HapticMedium.from_frames([field], RATE_HZ), PoseTrack.still(1, position_m))
+    one = HapticObject("one", HapticMedium.from_frames([field], RATE_HZ), PoseTrack.constant(1, position_m))
     return HapticScene(WORKSPACE, RATE_HZ, (one,), 3.0)
 
 
@@ -212,7 +212,7 @@ def test_what_cannot_be_asked(monkeypatch: pytest.MonkeyPatch) -> None:
         fine.voxelise()[0]
     assert replace(scene, file_bytes=0).voxelise(fine.grid)[0].support_count == 8 * 4097
     for change, found in (
-        ({"track": PoseTrack.still(2)}, "object one: found 2 poses; expected 1"),
+        ({"track": PoseTrack.constant(2)}, "object one: found 2 poses; expected 1"),
         (
             {"medium": HapticMedium.from_frames([sphere()] * 2, 1.0)},
             "object one: found 2 fields; expected 1 or 1",

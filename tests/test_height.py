@@ -251,7 +251,7 @@ def test_a_sequence_without_depth_is_refused() -> None:
         HeightScene.from_depth_sequence(Blank())
 
 
-# -- files ------------------------------------------------------------------------------------------------
+# -- files -------------------------------------------------------------------------------------------------
 
 
 def opened(path: Path, **options: float) -> HeightScene:

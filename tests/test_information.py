@@ -49,8 +49,7 @@ def cover_thomas(times: int = 10) -> tuple[Symbols, Symbols]:
     return np.repeat(x.ravel(), table.ravel()), np.repeat(y.ravel(), table.ravel())
 
 
-# -- values
-# ---------------------------------------------------------------------------------------------------------
+# -- values ------------------------------------------------------------------------------------------------
 
 
 def test_numbers_of_the_literature() -> None:
@@ -202,8 +201,7 @@ def test_any_type_and_shape() -> None:
     assert float(info.mutual_information(x > 2, x.astype(">u2"))) == pytest.approx(float(info.entropy(x > 2)))
 
 
-# -- what is said of a value
-# ----------------------------------------------------------------------------------------
+# -- what is said of a value -------------------------------------------------------------------------------
 
 
 def test_a_quantity_says_what_it_is_of() -> None:
@@ -269,7 +267,7 @@ def test_when_there_is_no_interval(monkeypatch: pytest.MonkeyPatch) -> None:
     assert info.jensen_shannon_distance(x, Counts.of(x)).interval is None
     uneven = info.jensen_shannon_distance(x, x[:12])
     assert uneven.interval is not None and "12 blocks" in uneven.interval.method
-    monkeypatch.setattr("touchfield.measure.counts.MOST_BLOCK_CELLS", 4 * 7)
+    monkeypatch.setattr("touchfield.measure.counts.MAX_BLOCK_CELLS", 4 * 7)
     assert info.entropy(x).interval is None
     assert info.mutual_information(x, x).interval is None
 
@@ -283,8 +281,7 @@ def test_resamples_without_variation() -> None:
     assert q.interval is not None and q.interval.high == 1
 
 
-# -- refusals
-# -------------------------------------------------------------------------------------------------------
+# -- refusals ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("two", TWO)

@@ -48,8 +48,7 @@ def quiet(trace: Trace, symbols: FieldSymbols | Sequence[FieldSymbols], **more: 
         return interaction_entropy(trace, symbols, **more)  # type: ignore[arg-type]
 
 
-# -- visits
-# -----------------------------------------------------------------------------------------------------
+# -- visits ------------------------------------------------------------------------------------------------
 
 
 @given(inside_m)
@@ -61,11 +60,11 @@ def test_visits_are_of_the_nearest_lattice_point(positions: NDArray[np.float64])
     ):  # of every sample, no lattice point is nearer than the one it is given
         assert (distance.min(axis=1) <= GRID.spacing_m[axis] * (0.5 + 1e-9)).all()
     nearest = Counter(zip(*(d.argmin(axis=1).tolist() for d in axes)))
-    shifted = Counter({tuple(p): n for p, n in zip(found.places.tolist(), found.counts.tolist())})
+    shifted = Counter({tuple(p): n for p, n in zip(found.indices.tolist(), found.counts.tolist())})
     ties = sum(int((np.abs(np.diff(np.sort(d, axis=1)[:, :2], axis=1)) < 1e-12).sum()) for d in axes)
     assert (nearest - shifted).total() <= ties
     assert found.outside == 0 and found.counts.sum() == len(positions)
-    keys = np.ravel_multi_index(tuple(found.places.T), GRID.shape)
+    keys = np.ravel_multi_index(tuple(found.indices.T), GRID.shape)
     assert (np.diff(keys) > 0).all()
 
 
@@ -73,14 +72,13 @@ def test_what_lies_outside_is_counted_apart() -> None:
     edge = np.array([LOW_M + 1e-9, LOW_M - 1e-9, HIGH_M - 1e-9, HIGH_M + 1e-9, [1e300, 0, 0], [-1e300] * 3])
     found = visits(Trace.regular(edge), GRID)
     assert (
-        found.places.tolist() == [[0, 0, 0], [4, 11, 8]]
+        found.indices.tolist() == [[0, 0, 0], [4, 11, 8]]
         and found.counts.tolist() == [1, 1]
         and found.outside == 4
     )
 
 
-# -- entropy
-# ----------------------------------------------------------------------------------------------------
+# -- entropy -----------------------------------------------------------------------------------------------
 
 
 @given(inside_m, st.integers(0, 5))
@@ -89,7 +87,7 @@ def test_entropy_of_what_a_hand_meets(positions: NDArray[np.float64], seed: int)
     trace = Trace.regular(positions)
     found = quiet(trace, symbols, interval=False)
     mu = visits(trace, GRID)
-    weight = np.bincount(symbols.symbols_at(mu.places), weights=mu.counts, minlength=4)
+    weight = np.bincount(symbols.symbols_at(mu.indices), weights=mu.counts, minlength=4)
     assert found.value == pytest.approx(stats.entropy(weight, base=2), abs=1e-12)
     assert (found.weighting, found.unit, found.quantiser) == ("interaction", "bit/sample", "given")
     assert (found.samples, found.symbols) == (len(positions), np.count_nonzero(weight))
@@ -169,8 +167,7 @@ def test_uneven_times_are_noted() -> None:
     assert any("not sampled regularly" in n for n in found.notes)
 
 
-# -- frames
-# -----------------------------------------------------------------------------------------------------
+# -- frames ------------------------------------------------------------------------------------------------
 
 
 class Asked(list[FieldSymbols]):
@@ -191,7 +188,7 @@ def test_frames_are_felt_while_they_last() -> None:
     positions = walk(80).positions_m
     found = quiet(Trace(times, positions), frames, rate_hz=10.0, interval=False)
     met = [
-        frames[n // 10].symbols_at(visits(Trace.regular(p[None]), GRID).places)[0]
+        frames[n // 10].symbols_at(visits(Trace.regular(p[None]), GRID).indices)[0]
         for n, p in enumerate(positions[20:])
     ]
     assert found.value == pytest.approx(
@@ -251,8 +248,7 @@ def test_too_few_blocks() -> None:
         interaction_entropy(walk(100), symbols_of(0), blocks=7)
 
 
-# -- traces and their files
-# -------------------------------------------------------------------------------------
+# -- traces and their files --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -375,8 +371,7 @@ def test_a_file_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         read_trace(path)
 
 
-# -- a real hand
-# ------------------------------------------------------------------------------------------------
+# -- a real hand -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.shared
@@ -414,7 +409,7 @@ def test_a_hand_that_traces_a_symbol(shared_data: Path, tmp_path: Path) -> None:
     met = interaction_entropy(hand, symbols, blocks=16)
     mu = visits(hand, grid)
     assert 0 < mu.outside < 0.3 * len(hand) and met.samples == len(hand) - mu.outside
-    weight = np.bincount(symbols.symbols_at(mu.places), weights=mu.counts)
+    weight = np.bincount(symbols.symbols_at(mu.indices), weights=mu.counts)
     assert met.value == pytest.approx(stats.entropy(weight, base=2), abs=1e-12)
     assert met.interval is not None and met.interval.low < met.value < met.interval.high
     everywhere = stats.entropy(np.bincount(symbols.to_dense().ravel()), base=2)

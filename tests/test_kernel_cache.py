@@ -19,7 +19,7 @@ from numba import types
 from numba.core import caching
 from numba.core.dispatcher import Dispatcher
 
-from touchfield.compute import jit
+from touchfield.compute import numba_internals
 from touchfield.compute.kernel_sources import PACKAGE, SourceState, kernel_sources, open_folder
 
 INNER = (
@@ -63,7 +63,7 @@ def test_an_edit_of_an_inner_function_reaches_its_callers_in_other_files(package
     )  # behind the last: nothing is compared
     assert run(package) == "0 0"
     assert run(package) == "0 1"
-    assert len(list((package / "__pycache__").glob("kernels-*"))) == 2
+    assert len(list((package / "compute" / "__pycache__").glob("kernels-*"))) == 2
 
 
 @pytest.mark.parametrize("path", [path.relative_to(PACKAGE).as_posix() for path in kernel_sources()])
@@ -119,7 +119,8 @@ def test_every_compiled_function_lies_in_a_kernel_source() -> None:
         path
         for path in PACKAGE.rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.ImportFrom) and node.module == "touchfield.compute.jit"
+        if isinstance(node, ast.ImportFrom)
+        and node.module in ("touchfield.compute.jit", "touchfield.compute.coder_jit")
         if {alias.name for alias in node.names} & {"kernel", "inner", "uncounted", "entry", "lean", "inlined"}
     }
     assert files and files <= set(kernel_sources())
@@ -139,7 +140,7 @@ def test_a_process_older_than_its_sources_stores_nothing(package: Path) -> None:
 def test_a_package_that_nobody_may_write_to_has_its_kernels_in_the_cache_of_the_user(
     package: Path, tmp_path: Path
 ) -> None:
-    (package / "__pycache__").write_text("a file, not a folder")
+    (package / "compute" / "__pycache__").write_text("a file, not a folder")
     user = {"HOME": str(tmp_path / "home"), "XDG_CACHE_HOME": str(tmp_path / "home" / "cache")}
     assert run(package, **user) == "2 0"
     assert run(package, **user) == "2 1"
@@ -200,5 +201,9 @@ def test_named_tuples_of_other_fields_are_other_variants() -> None:
     ]
     within: list[Any] = [types.UniTuple(pair, 2) for pair in pairs]
     for first, second in (pairs, within):
-        assert jit._fields_of([types.int64, first]) != jit._fields_of([types.int64, second])
-        assert jit._fields_of([types.int64, first]) == jit._fields_of([types.int64, first])
+        assert numba_internals.field_names([types.int64, first]) != numba_internals.field_names(
+            [types.int64, second]
+        )
+        assert numba_internals.field_names([types.int64, first]) == numba_internals.field_names(
+            [types.int64, first]
+        )

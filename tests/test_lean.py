@@ -5,18 +5,22 @@ wrapper.
 from __future__ import annotations
 
 import ast
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 from numba import njit
-from numba.np import arraymath, linalg
 
-import touchfield.compute.jit
-from touchfield.compute.jit import KernelFiles, inner
+import touchfield
+from touchfield.compute.jit import inner, kernel
+from touchfield.compute.numba_internals import KernelFiles
 
 HOUSE = Path(__file__).parents[1]
 DECORATORS = {"njit", "kernel", "inner", "uncounted", "entry", "lean", "inlined"}
@@ -41,17 +45,39 @@ def test_two_variants_of_a_function_that_are_saved_at_once_do_not_share_a_file(t
     assert len(list(tmp_path.glob("*.nbc"))) == 2
 
 
-def test_a_kernel_that_multiplies_matrices_finds_those_of_scipy() -> None:
-    """They are not loaded with numba, which then knows all the same that they are there."""
-    assert linalg.ensure_blas.__module__ == linalg.__name__ and arraymath._HAVE_BLAS
+def test_a_kernel_multiplies_matrices() -> None:
+    """SciPy's BLAS is not loaded with numba, and found all the same when a kernel needs it."""
+
+    @kernel
+    def product(a, b):
+        return a @ b
+
+    a, b = np.arange(6.0).reshape(2, 3), np.arange(12.0).reshape(3, 4)
+    np.testing.assert_allclose(product(a, b), a @ b)
+
+
+def test_kernels_work_with_a_numba_that_has_other_private_parts(tmp_path: Path) -> None:
+    (tmp_path / "functions.py").write_text(
+        "from touchfield.compute.jit import inner, kernel\nfrom touchfield.compute.coder_jit import lean\n"
+        "@inner\ndef double(x):\n    return 2 * x\n"
+        "@lean\ndef half(x):\n    return x / 2\n"
+        "@kernel\ndef both(x):\n    return double(x) + half(x)\n"
+    )
+    code = (
+        "import numba.core.caching as caching\ndel caching.InTreeCacheLocator\n"
+        "from touchfield.compute import jit\nimport functions\n"
+        "print(jit.numba_internals, jit.kernel_folder(), functions.both(3.0))"
+    )
+    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])}
+    done = subprocess.run([sys.executable, "-c", code], env=surroundings, capture_output=True, text=True)
+    assert done.stdout.split() == ["None", "None", "7.5"], done.stderr
 
 
 def test_every_kernel_is_saved_so() -> None:
-    lean = Path(touchfield.compute.jit.__file__)
-    files = [*lean.parent.rglob("*.py"), *(HOUSE / "reproduction").rglob("*.py")]
-    assert [
-        path for path in files if re.search(r"^from numba import .*\bnjit\b", path.read_text(), re.M)
-    ] == [lean]
+    package = Path(str(touchfield.__file__)).parent
+    files = [*package.rglob("*.py"), *(HOUSE / "reproduction").rglob("*.py")]
+    users = [path for path in files if re.search(r"^from numba import .*\bnjit\b", path.read_text(), re.M)]
+    assert users == [package / "compute" / "jit.py"]
 
 
 def names_for_python(tree: ast.AST) -> Iterator[ast.AST]:

@@ -72,8 +72,7 @@ def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
-# -- filing
-# ---------------------------------------------------------------------------------------------------------
+# -- filing ------------------------------------------------------------------------------------------------
 
 
 def test_every_medium_is_filed_and_what_cannot_be_is_told(folder: Path) -> None:
@@ -83,7 +82,7 @@ def test_every_medium_is_filed_and_what_cannot_be_is_told(folder: Path) -> None:
     names = {f"{kind}.touch" for kind in BODIES} | {f"deeper/{kind}-large.touch" for kind in BODIES}
     assert set(done.library.rows) == names
     assert set(done.faults) == {"cut.touch", "still.touch"}
-    assert (done.shown["described"], done.shown["left_out"]) == (6, 2), "who is left out is not described"
+    assert (done.figures["described"], done.figures["left_out"]) == (6, 2), "who is left out is not described"
     with pytest.raises(SourceError, match=r"still\.touch, medium: found no force"):
         search(folder, folder / "still.touch")
     assert "expected" in done.faults["cut.touch"] and "no force" in done.faults["still.touch"]
@@ -108,13 +107,13 @@ def test_only_what_changed_is_decoded_again(folder: Path, decoded: list[str]) ->
     decoded.clear()
     before = first.path.read_bytes()
     again = index_folder(folder)
-    assert not decoded and again.shown["described"] == 0 and again.shown["kept"] == 8
+    assert not decoded and again.figures["described"] == 0 and again.figures["kept"] == 8
     assert first.path.read_bytes() == before
     os.utime(folder / "sphere.touch", ns=(1, 1))  # another time, the same bytes
     (folder / "torus.touch").rename(folder / "ring.touch")
     shutil.copyfile(folder / "plate.touch", folder / "copy.touch")
     third = index_folder(folder)
-    assert not decoded and third.shown["gone"] == 1
+    assert not decoded and third.figures["gone"] == 1
     assert {"ring.touch", "copy.touch"} < set(third.library.rows) and "torus.touch" not in third.library.rows
     tf.encode(body("lens"), folder / "plate.touch")
     (folder / "cut.touch").unlink()
@@ -209,19 +208,18 @@ def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
         index_folder(tmp_path / "nowhere")
 
 
-# -- searching
-# ------------------------------------------------------------------------------------------------------
+# -- searching ---------------------------------------------------------------------------------------------
 
 
 def nearest(folder: Path, like: Any, weights: dict[str, float] | None = None) -> str:
-    return str(search(folder, like, 1, weights).shown["matches"][0]["name"])
+    return str(search(folder, like, 1, weights).figures["matches"][0]["name"])
 
 
 def test_the_nearest_is_of_the_same_kind(folder: Path) -> None:
     index_folder(folder)
     for kind in BODIES:
         found = search(folder, folder / f"{kind}.touch", 3)
-        names, distances = ([row[key] for row in found.shown["matches"]] for key in ("name", "distance"))
+        names, distances = ([row[key] for row in found.figures["matches"]] for key in ("name", "distance"))
         assert names[0] == f"deeper/{kind}-large.touch"
         assert f"{kind}.touch" not in names and len(names) == 3
         assert distances == sorted(distances)
@@ -242,10 +240,10 @@ def test_what_changed_since_is_told(folder: Path) -> None:
     (folder / "plate.touch").unlink()
     found = search(folder, folder / "sphere.touch")
     assert "2 files changed" in found.notes[0]
-    assert len(search(folder, folder / "sphere.touch", 1).shown["matches"]) == 1
+    assert len(search(folder, folder / "sphere.touch", 1).figures["matches"]) == 1
     expected = tf.measure.descriptor(tf.decode(folder / "sphere.touch"))
     best = MediumIndex.load(library_path(folder)).query(expected, 2)
-    assert found.shown["matches"][0]["distance"] == next(m.distance for m in best if m.name != "sphere.touch")
+    assert found.figures["matches"][0]["distance"] == next(m.distance for m in best if m.name != "sphere.touch")
     index_folder(folder)
     (folder / "torus.touch").unlink()
     index_folder(folder)
@@ -257,20 +255,19 @@ def test_without_an_index_it_is_told_how_to_make_one(folder: Path) -> None:
         search(folder, folder / "sphere.touch")
 
 
-# -- two media
-# ------------------------------------------------------------------------------------------------------
+# -- two media ---------------------------------------------------------------------------------------------
 
 
 def test_a_medium_is_like_itself_and_less_like_others() -> None:
     one = body("torus", frames=2)
     same, other = similar(one, one), similar(one, body("plate", frames=2))
-    assert same.shown["normalised"]["value"] == 1.0 and same.shown["variation"]["value"] == 0.0
-    assert same.shown["descriptor_distance"] == 0.0 and not same.notes
-    assert other.shown["normalised"]["value"] < 0.5 and other.shown["jensen_shannon"]["value"] > 0.1
-    assert other.shown["descriptor_distance"] > 0.2
-    parts = other.shown["descriptor_parts"].values()
-    assert other.shown["descriptor_distance"] == pytest.approx(sum(part**2 for part in parts) ** 0.5)
-    assert set(other.shown["descriptor_parts"]) == set(tf.measure.descriptors.PARTS)
+    assert same.figures["normalised"]["value"] == 1.0 and same.figures["variation"]["value"] == 0.0
+    assert same.figures["descriptor_distance"] == 0.0 and not same.notes
+    assert other.figures["normalised"]["value"] < 0.5 and other.figures["jensen_shannon"]["value"] > 0.1
+    assert other.figures["descriptor_distance"] > 0.2
+    parts = other.figures["descriptor_parts"].values()
+    assert other.figures["descriptor_distance"] == pytest.approx(sum(part**2 for part in parts) ** 0.5)
+    assert set(other.figures["descriptor_parts"]) == set(tf.measure.descriptors.PARTS)
     assert json.dumps(other.summary())
 
 
@@ -280,16 +277,15 @@ def test_media_of_other_lattices_rates_and_axes_are_compared() -> None:
     other = body("plate", 0.06, frames=6, grid=finer, rate_hz=60.0)
     found = similar(one, other)
     unlike = similar(one, body("torus", frames=4))
-    assert found.shown["normalised"]["value"] > unlike.shown["normalised"]["value"] + 0.1
-    assert len(found.notes) == 2 and found.shown["frames"] == 3, "those that both have"
+    assert found.figures["normalised"]["value"] > unlike.figures["normalised"]["value"] + 0.1
+    assert len(found.notes) == 2 and found.figures["frames"] == 3, "those that both have"
 
 
-# -- a video beside
-# -------------------------------------------------------------------------------------------------
+# -- a video beside ----------------------------------------------------------------------------------------
 
 
 def looks(video: Path, stream: Path, **asked: Any) -> list[dict[str, Any]]:
-    return list(correlate(video, stream, **asked).shown["looks"])
+    return list(correlate(video, stream, **asked).figures["looks"])
 
 
 def wavy(seed: int, axes: str) -> tuple[tf.HapticMedium, NDArray[np.float64]]:
@@ -359,8 +355,7 @@ def test_each_time_is_held_beside_the_picture_of_that_time(tmp_path: Path) -> No
     assert all(look["p"] <= 0.01 for look in found)
 
 
-# -- the command line
-# -----------------------------------------------------------------------------------------------
+# -- the command line --------------------------------------------------------------------------------------
 
 
 def test_index_search_and_similar_as_their_user_meets_them(

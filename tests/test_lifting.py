@@ -18,8 +18,8 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.lifting import (
     FCC,
     QUINCUNX,
-    Chain,
     MultiresolutionFilter,
+    SublatticeChain,
     fcc_forward,
     fcc_inverse,
     quincunx_forward,
@@ -137,8 +137,7 @@ def test_the_bits_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.Mon
     assert np.array_equal(made[0], made[1]) and np.array_equal(made[0], made[2])
 
 
-# -- the coarse signal
-# ------------------------------------------------------------------------------------------
+# -- the coarse signal -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
@@ -153,7 +152,7 @@ def test_the_coarse_samples_alone_rebuild_the_coarse_signal(dimensions: int, sta
 
 
 @pytest.mark.parametrize("chain", [QUINCUNX, FCC], ids=lambda c: c.name)
-def test_a_constant_has_no_details_and_a_ramp_none_inside(chain: Chain) -> None:
+def test_a_constant_has_no_details_and_a_ramp_none_inside(chain: SublatticeChain) -> None:
     d = chain.dimensions
     flat = FORWARD[d](np.full((9, 10, 11)[:d], 3, np.int16), 2 * d)
     mask = coarse_mask(flat.shape, 2 * d)
@@ -173,8 +172,7 @@ def test_details_are_small_where_the_field_is_smooth() -> None:
     assert of_noise[:3].min() > 0.5 * of_noise[3]
 
 
-# -- what cannot be lifted
-# --------------------------------------------------------------------------------------
+# -- what cannot be lifted ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("stages", [-1, 61, 1.5, "3", None, True])

@@ -53,8 +53,7 @@ def dense(field: ForceField, masks: NDArray[np.float32]) -> NDArray[np.float64]:
     return filled[tuple(slice(n) for n in field.grid.shape)]
 
 
-# -- of a field
-# -------------------------------------------------------------------------------------------------
+# -- of a field --------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=20)
@@ -161,8 +160,7 @@ def test_an_empty_field_has_no_masks() -> None:
     )
 
 
-# -- faults
-# -----------------------------------------------------------------------------------------------------
+# -- faults ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bad", [-0.1, math.nan, math.inf])

@@ -37,15 +37,14 @@ from touchfield.render.material import (
 from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec
 from touchfield.sources.recordings.recording import Recording, read_recording
-from touchfield.tasks.texture import merged, store_materials, texture_of
+from touchfield.tasks.texture import merge_materials, store_materials, texture_of
 
 GRID = tf.Grid((65, 33, 33), (0.005,) * 3, (-0.16, -0.08, -0.08))
 
 STRONG = replace(device("phantom-omni"), force_max_n=40.0, force_continuous_n=None)
 
 
-# -- recordings
-# ----------------------------------------------------------------------------------------------------
+# -- recordings --------------------------------------------------------------------------------------------
 
 
 def wav(path: Path, samples: NDArray[Any], rate_hz: int = 5000) -> Path:
@@ -125,8 +124,7 @@ def test_sound_of_too_many_channels_and_files_that_are_not_there(tmp_path: Path)
         read_recording(wrong)
 
 
-# -- materials
-# -----------------------------------------------------------------------------------------------------
+# -- materials ---------------------------------------------------------------------------------------------
 
 
 def oak(scale: float = 1.0, **others: Any) -> Material:
@@ -310,7 +308,7 @@ def test_a_table_goes_through_its_file_and_a_stream_unharmed(tmp_path: Path) -> 
     heard, still = slide(stored, 0.1, spec), slide(plain, 0.1, spec)
     x = heard["position_m"][:, 0]
     assert vibration(heard)[x < -0.01].std() > 10 * max(vibration(still)[x < -0.01].std(), 1e-6)
-    with pytest.raises(InvalidArgument, match=r"letters; expected at most 4096\. Give it beside the file"):
+    with pytest.raises(InvalidArgument, match=r"characters; expected at most 4096\. Give it separately"):
         store_materials(
             tmp_path / "a.touch", [replace(oak(), name=str(n)) for n in range(9)], tmp_path / "c.touch"
         )
@@ -386,11 +384,10 @@ def test_recordings_become_a_table(tmp_path: Path) -> None:
         texture_of([Recording(5000.0, tone) for tone in tones[:3]], speeds[:3], forces[:3])
     with pytest.raises(InvalidArgument, match=r"0\.2 s; expected 0\.5 s or more"):
         texture_of([Recording(5000.0, tones[0][:1000])], [0.1], [1.0])
-    assert merged((oak(),), (made, replace(oak(), friction=1.0)))[0].friction == 1.0
+    assert merge_materials((oak(),), (made, replace(oak(), friction=1.0)))[0].friction == 1.0
 
 
-# -- the door
-# ------------------------------------------------------------------------------------------------------
+# -- the door ----------------------------------------------------------------------------------------------
 
 
 def test_the_command_makes_a_table_puts_it_into_a_stream_and_plays_it(

@@ -44,8 +44,7 @@ def check_against_brute_force(mesh: Mesh, grid: Grid, band_m: float) -> None:
     assert (distance_to(mesh, points - phi[:, None] * normals) < 2e-6 * size).all()
 
 
-# -- distance, direction, sign
-# -------------------------------------------------------------------------------------
+# -- distance, direction, sign -----------------------------------------------------------------------------
 
 
 def test_box_has_the_analytic_distance_and_direction() -> None:
@@ -202,8 +201,7 @@ def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fields[0] == fields[1] and fields[0].support_count > 1000
 
 
-# -- open meshes
-# ---------------------------------------------------------------------------------------------------
+# -- open meshes -------------------------------------------------------------------------------------------
 
 
 def sheet() -> Mesh:
@@ -290,8 +288,7 @@ def test_directions_on_the_surface_are_pseudo_normals() -> None:
         np.testing.assert_allclose(dense[2, 2, 2], -np.ones(3) / math.sqrt(3), atol=1e-6)
 
 
-# -- faults
-# --------------------------------------------------------------------------------------------------------
+# -- faults ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

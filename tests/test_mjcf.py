@@ -47,7 +47,7 @@ def test_bodies_rate_and_duration() -> None:
     assert (scene.frame_count, scene.rate_hz, scene.axes) == (100, 1000.0, "x east, y north, z up")
     world, ball = scene.bodies()
     assert (world.name, ball.name) == ("world", "ball")
-    assert world.track.is_still and not ball.track.is_still and len(ball.track) == 100
+    assert world.track.is_constant and not ball.track.is_constant and len(ball.track) == 100
     assert ball.track.positions_m[0].tolist() == [0, 0, 0.5]
     t = np.arange(100) / 1000
     np.testing.assert_allclose(ball.track.positions_m[:, 2], 0.5 - 9.81 * t * t / 2, atol=9.81 * 0.001 * 0.1)

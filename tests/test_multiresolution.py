@@ -114,7 +114,7 @@ def test_words() -> None:
     assert MultiresolutionFilter.parse("stages=5,keep=coarse") == MultiresolutionFilter(
         5
     )  # as older streams have it
-    assert MultiresolutionFilter.parse(MultiresolutionFilter(7).words) == MultiresolutionFilter(7)
+    assert MultiresolutionFilter.parse(MultiresolutionFilter(7).text) == MultiresolutionFilter(7)
     for text in ("0", "13", "-1", "2.5", "stages=nan"):
         with pytest.raises(InvalidArgument, match="stages"):
             MultiresolutionFilter.parse(text)

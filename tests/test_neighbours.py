@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.medium import Grid
-from touchfield.medium.field import brick_keys, dilated, slots_around
+from touchfield.medium.field import brick_keys, dilated, neighbour_slots
 
 GRID = Grid((40, 21, 33), (1, 1, 1), (0, 0, 0))
 places = st.sets(st.tuples(st.integers(0, 4), st.integers(0, 2), st.integers(0, 4)), max_size=12)
@@ -36,7 +36,7 @@ def test_dilated(found: set[tuple[int, int, int]], reach: tuple[int, int, int]) 
 @given(places)
 def test_slots_around(found: set[tuple[int, int, int]]) -> None:
     bricks = ascending(found)
-    slots = slots_around(bricks, bricks, GRID.brick_shape)
+    slots = neighbour_slots(bricks, bricks, GRID.brick_shape)
     for b, row in zip(bricks.tolist(), slots.tolist()):
         for offset, slot in zip(itertools.product((-1, 0, 1), repeat=3), row):
             there = tuple(np.add(b, offset).tolist())

@@ -10,9 +10,9 @@ import pytest
 from touchfield.compute import threads
 
 
-@pytest.mark.parametrize("threads", ["1", "2", "5"])
-def test_the_whole_range_once_and_in_order(monkeypatch: pytest.MonkeyPatch, threads: str) -> None:
-    monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
+@pytest.mark.parametrize("count_text", ["1", "2", "5"])
+def test_the_whole_range_once_and_in_order(monkeypatch: pytest.MonkeyPatch, count_text: str) -> None:
+    monkeypatch.setenv("TOUCHFIELD_THREADS", count_text)
     for count in (0, 1, 7, 1000):
         seen = np.zeros(count, int)
 

@@ -89,10 +89,10 @@ def test_boxes_are_disjoint_and_cover_and_lambda_is_monotone(
         covered = np.zeros(lat.grid.shape, int)
         for box in made.boxes:
             covered[slices(made, box)] += 1
-            assert box.lost_bits == losses[box.depth][box.index]
+            assert box.loss_bits == losses[box.depth][box.index]
         assert (covered == 1).all()
     assert len(few.boxes) <= len(many.boxes)
-    assert few.lost_bits >= many.lost_bits - 1e-9
+    assert few.loss_bits >= many.loss_bits - 1e-9
 
 
 def slices(made: Partition, box: Any) -> tuple[slice, ...]:
@@ -115,7 +115,7 @@ def test_each_box_fills_the_device() -> None:
         np.testing.assert_allclose(np.subtract(*reversed(grid.box_m)), extent)
     summary = made.summary()
     assert sum(summary["boxes_by_depth"].values()) == summary["boxes"] == len(made.boxes)
-    assert summary["lost_bits_per_frame"] == made.lost_bits < summary["cost_bits"] == made.cost_bits
+    assert summary["lost_bits_per_frame"] == made.loss_bits < summary["cost_bits"] == made.cost_bits
     assert summary["device_shape"] == [4, 2, 5]
 
 
@@ -125,8 +125,7 @@ def test_of_equal_partitions_the_fewer_boxes() -> None:
     assert len(optimal_partition(lat, none, 0.0).boxes) == 1
 
 
-# -- losses
-# ---------------------------------------------------------------------------------------------------------
+# -- losses ------------------------------------------------------------------------------------------------
 
 
 def conditional_bits(pairs: list[tuple[int, int]]) -> float:
@@ -173,8 +172,7 @@ def test_an_empty_workspace_loses_nothing() -> None:
     assert not any(loss.any() for loss in losses.bits())
 
 
-# -- media
-# ----------------------------------------------------------------------------------------------------------
+# -- media -------------------------------------------------------------------------------------------------
 
 
 def corner_medium(frames: int = 2) -> HapticMedium:
@@ -195,11 +193,11 @@ def test_small_boxes_go_where_the_detail_is() -> None:
     rough = [b for b in made.boxes if all(i < (8 << b.depth) / 32 for i in b.index)]
     assert max(b.depth for b in made.boxes) == 3
     assert {b.depth for b in made.boxes if b not in rough} == {1, 2}
-    assert len(rough) == 8 and made.lost_bits == 0.0
+    assert len(rough) == 8 and made.loss_bits == 0.0
     assert len(made.boxes) == 7 + 7 + 8
     # the whole depth everywhere loses nothing either, at 512 boxes
     dear = partition_workspace(medium, (4, 4, 4), penalty_bits=1e6)
-    assert len(dear.boxes) == 1 and dear.lost_bits > 1000
+    assert len(dear.boxes) == 1 and dear.loss_bits > 1000
 
 
 def test_the_same_partition_for_any_threads(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,7 +210,7 @@ def test_the_same_partition_for_any_threads(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_a_medium_on_the_devices_own_lattice_is_one_box() -> None:
     made = partition_workspace(corner_medium(1), (32, 32, 32), 0.0)
-    assert len(made.boxes) == 1 and made.lost_bits == 0.0
+    assert len(made.boxes) == 1 and made.loss_bits == 0.0
     assert made.grid(made.boxes[0]) == made.lattice.grid
 
 

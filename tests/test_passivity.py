@@ -54,8 +54,7 @@ def with_directions(field: ForceField, name: str) -> ForceField:
     return ForceField.from_support(field.grid, support.positions, turned)
 
 
-# -- curl
-# -------------------------------------------------------------------------------------------------------
+# -- curl --------------------------------------------------------------------------------------------------
 
 
 @given(vectors)
@@ -116,8 +115,7 @@ def test_curl_against_numpy_within_the_support(wavy_field: ForceField) -> None:
         assert found.rms_curl_n_per_m == pytest.approx(np.sqrt((lengths**2).mean()), rel=1e-6)
 
 
-# -- squares
-# ----------------------------------------------------------------------------------------------------
+# -- squares -----------------------------------------------------------------------------------------------
 
 
 def squares_by_hand(field: ForceField) -> Float64s:
@@ -158,8 +156,7 @@ def test_squares_of_a_rotation() -> None:
     assert found.rms_square_j == pytest.approx(2 * 50 * 0.01 * 0.02 / math.sqrt(3), rel=1e-4)
 
 
-# -- loops
-# ------------------------------------------------------------------------------------------------------
+# -- loops -------------------------------------------------------------------------------------------------
 
 
 def star(centre_m: Float64s, u: Float64s, v: Float64s, corners: int = 24) -> Float64s:
@@ -216,8 +213,7 @@ def test_a_path_beyond_the_field_does_no_work() -> None:
     assert loop_work_j(field, np.array([[0.001, 0.01, 0.03]] * 3)) == 0  # a hand that rests
 
 
-# -- passive, and not
-# -------------------------------------------------------------------------------------------
+# -- passive, and not --------------------------------------------------------------------------------------
 
 
 def test_a_penalty_sphere_is_passive_as_far_as_the_lattice_lets_it() -> None:
@@ -262,8 +258,7 @@ def test_threads_do_not_change_a_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     assert passivity(field) == one
 
 
-# -- little to see
-# ----------------------------------------------------------------------------------------------
+# -- little to see -----------------------------------------------------------------------------------------
 
 
 def test_a_sheet_has_squares_and_no_curl() -> None:
@@ -289,8 +284,7 @@ def test_the_summary_is_json() -> None:
     assert passivity(sheet).summary()["rms_curl_n_per_m"] is None
 
 
-# -- bad input
-# --------------------------------------------------------------------------------------------------
+# -- bad input ---------------------------------------------------------------------------------------------
 
 
 def test_of_a_medium_it_is_told_of_the_frame_with_the_largest_support(wavy_field: ForceField) -> None:

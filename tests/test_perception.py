@@ -13,11 +13,11 @@ from touchfield.perception.mask import mask_n, violations
 from touchfield.perception.weber import (
     READINGS,
     WeberLadder,
+    fixed_step_within_mask_from_n,
     gate,
     gate_in_time,
     guaranteeing_fraction,
     jnd_gain,
-    mask_kept_from_n,
     quantise_fixed_step,
 )
 
@@ -44,8 +44,7 @@ def relative_errors(x, y):
     return np.linalg.norm(x - y, axis=1)[size > 0] / size[size > 0]
 
 
-# -- the mask
-# -------------------------------------------------------------------------------------------------
+# -- the mask ----------------------------------------------------------------------------------------------
 
 
 def test_the_mask_is_the_larger_of_floor_and_fraction():
@@ -91,8 +90,7 @@ def test_violations_refuse_other_shapes_and_nan():
         violations(along_x([1.0]), along_x([np.nan]), 0.1)
 
 
-# -- eq. 6
-# ----------------------------------------------------------------------------------------------------
+# -- eq. 6 -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("k", [0.25, 0.1, 0.05])
@@ -111,7 +109,7 @@ def test_a_fixed_step_keeps_half_a_step_and_the_mask_only_above_its_limit():
     error = np.abs(quantise_fixed_step(x, step) - x)
     assert error.max() <= step / 2 * (1 + 1e-12)
     left = error > k * np.abs(x) * (1 + 1e-12)
-    limit = mask_kept_from_n(step, k)
+    limit = fixed_step_within_mask_from_n(step, k)
     assert limit == pytest.approx(0.1)
     assert left.any() and not left[np.abs(x) >= limit].any()
     zero_bin = (np.abs(x) < step / 2) & (x != 0)
@@ -119,8 +117,7 @@ def test_a_fixed_step_keeps_half_a_step_and_the_mask_only_above_its_limit():
     assert quantise_fixed_step(-0.011, step) == pytest.approx(-0.02)  # rounds half away, keeps the sign
 
 
-# -- the Weber ladder
-# -----------------------------------------------------------------------------------------
+# -- the Weber ladder --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("k", "steps"), [(0.05, 47), (0.07, 34), (0.1, 24), (0.15, 16), (0.25, 10)])
@@ -177,8 +174,7 @@ def test_a_ladder_is_refused_where_it_would_be_endless():
     assert WeberLadder(1e-4, 0.03, 65535).force_max_n < 1e30
 
 
-# -- the deadband
-# ---------------------------------------------------------------------------------------------
+# -- the deadband ------------------------------------------------------------------------------------------
 
 
 def slowly(reading, vectors, k, decoded):

@@ -31,8 +31,7 @@ def few_modes(rank: int, noise: float = 0.0, seed: int = 1) -> np.ndarray:
     return rng.normal(size=(40, rank)) * 0.7 ** np.arange(rank) @ shapes + noise * rng.normal(size=(40, 300))
 
 
-# -- points on modes
-# -----------------------------------------------------------------------------------------------
+# -- points on modes ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("rank", "count"), [(5, 2), (6, 2), (7, 7), (6, 20), (1, 1)])
@@ -92,8 +91,7 @@ def test_points_that_cannot_be_are_refused() -> None:
         mode_points(pod(few_modes(4)[:, :299], 4), 5)
 
 
-# -- points with a kernel without curl
-# -----------------------------------------------------------------------------
+# -- points with a kernel without curl ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("measured", [0, 4, 40])
@@ -167,8 +165,7 @@ def test_points_by_error_miss_less_than_twice_as_many_at_random() -> None:
     assert ours < np.median(drawn)
 
 
-# -- media, recordings, the command
-# --------------------------------------------------------------------------------
+# -- media, recordings, the command ------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

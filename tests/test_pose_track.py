@@ -79,15 +79,15 @@ def test_at_both_ends_a_velocity_is_that_of_one_step() -> None:
 
 
 def test_a_single_pose_and_a_still_one_do_not_move() -> None:
-    for track in (PoseTrack.still(1), PoseTrack.still(4, (1.0, 2.0, 3.0))):
+    for track in (PoseTrack.constant(1), PoseTrack.constant(4, (1.0, 2.0, 3.0))):
         velocity, turning = track.velocities(30.0)
         assert velocity.shape == turning.shape == (len(track), 3)
         assert not velocity.any() and not turning.any()
-        assert track.is_still
-    assert not any_track(1)[1].is_still
-    there_and_back = PoseTrack(PoseTrack.still(3).quaternions, [[0, 0, 0], [0, 0, 1], [0, 0, 0]])
+        assert track.is_constant
+    assert not any_track(1)[1].is_constant
+    there_and_back = PoseTrack(PoseTrack.constant(3).quaternions, [[0, 0, 0], [0, 0, 1], [0, 0, 0]])
     spinning = PoseTrack([[1, 0, 0, 0], [0.6, 0.8, 0, 0]], np.zeros((2, 3)))
-    assert not there_and_back.is_still and not spinning.is_still
+    assert not there_and_back.is_constant and not spinning.is_constant
 
 
 def test_scaling_the_scene_scales_the_body_and_its_place() -> None:

@@ -134,8 +134,7 @@ def test_too_few_blocks() -> None:
         paired_ratio(both((few, few)), (1, 1), math.inf)
 
 
-# -- in equations 2 and 3
-# ---------------------------------------------------------------------------------------
+# -- in equations 2 and 3 ----------------------------------------------------------------------------------
 
 
 def frame_bits(value: float) -> Quantity:

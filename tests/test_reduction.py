@@ -18,10 +18,20 @@ from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.pipeline.spec import ReductionSpec
-from touchfield.reduction import Hand, freedom, held_out, klt, pod, reach, reach_of, reduced, snapshots
+from touchfield.reduction import (
+    Hand,
+    freedom,
+    held_out,
+    klt,
+    pod,
+    reach,
+    reach_of,
+    reduce_to_modes,
+    snapshots,
+)
 from touchfield.reduction.kernels import weak_cells
 from touchfield.reduction.reach import _Flood, _layers
-from touchfield.tasks.reduction import culled, reduce_medium
+from touchfield.tasks.reduction import without_unreachable, reduce_medium
 
 HAND = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
 STEP_M, COUNT = 0.003, 40
@@ -49,8 +59,7 @@ def floor(frames: int = 1, swing_m: float = 0.0) -> tf.HapticMedium:
     return tf.HapticMedium.from_frames(fields, 60.0)
 
 
-# -- modes
-# ---------------------------------------------------------------------------------------------------------
+# -- modes -------------------------------------------------------------------------------------------------
 
 
 @given(st.integers(0, 2**20))
@@ -92,7 +101,7 @@ def test_short_snapshots_give_the_same_modes() -> None:
         lambda: klt([np.ones((2, 3)), np.ones((2, 4))]),
         lambda: pod(np.eye(3)).coefficients(np.ones((2, 4))),
         lambda: pod(np.eye(3)).rebuild(np.ones((2, 4))),
-        lambda: reduced(floor(), "columns"),
+        lambda: reduce_to_modes(floor(), "columns"),
         lambda: held_out(floor(), "global"),
         lambda: held_out(
             tf.HapticMedium.from_frames([floor()[0], tf.ForceField.empty(GRID)], 30.0), "global"
@@ -109,7 +118,7 @@ def test_what_makes_no_sense_is_refused(wrong: Any) -> None:
 @pytest.mark.parametrize("kind", ["global", "bricks"])
 def test_a_medium_comes_back_from_its_modes(kind: str) -> None:
     medium = floor(3)
-    found = reduced(medium, kind)
+    found = reduce_to_modes(medium, kind)
     energy = error = 0.0
     for i in range(len(medium)):
         own, back = medium[i].to_dense().astype(float), found.field(i).to_dense()
@@ -122,9 +131,9 @@ def test_frames_that_were_not_learnt_from_are_told_with_what_they_cost() -> None
     medium = floor(60)
     found = held_out(medium, "global", -20.0)
     assert found.nmse_db <= -20.0 and found.share > found.share_of_coefficients > 0
-    length = len(reduced(medium, "global", 1).modes.basis)
+    length = len(reduce_to_modes(medium, "global", 1).modes.basis)
     assert found.share == pytest.approx(found.modes * (length + 60) / (60 * length))
-    learnt, odd = reduced(medium, "global", 15, step=2), range(1, 60, 2)
+    learnt, odd = reduce_to_modes(medium, "global", 15, step=2), range(1, 60, 2)
     energy = sum(float((medium[i].forces_n.astype(float) ** 2).sum()) for i in odd)
     caught = sum(float((learnt.coefficients(i)[:, : found.modes] ** 2).sum()) for i in odd)
     assert found.nmse_db == pytest.approx(10 * np.log10(1 - caught / energy), abs=1e-3)
@@ -147,14 +156,14 @@ def test_of_bricks_the_greatest_coefficients_are_kept_with_their_places(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     medium, odd = patchwork(), range(1, 20, 2)
-    learnt, asked = reduced(medium, "bricks", 8, step=2), []
+    learnt, asked = reduce_to_modes(medium, "bricks", 8, step=2), []
     monkeypatch.setattr(snapshots, "reduced", lambda *given, step: asked.append((*given[1:], step)) or learnt)
     found, every = (held_out(medium, "bricks", decibels) for decibels in (-10.0, -300.0))
     assert asked == [("bricks", 8, 2)] * 2  # a mode for twenty bricks at most
     energy = error = kept = 0.0
     for i in odd:
         rows = learnt.coefficients(i)
-        rows[np.abs(rows) < found.least_n * (1 - 1e-9)] = 0.0
+        rows[np.abs(rows) < found.min_n * (1 - 1e-9)] = 0.0
         kept += np.count_nonzero(rows)
         own = medium[i].forces_n.reshape(8, -1).astype(float)
         energy, error = energy + (own**2).sum(), error + ((own - learnt.modes.rebuild(rows)) ** 2).sum()
@@ -174,15 +183,14 @@ def test_degrees_of_freedom_are_those_that_were_put_in() -> None:
     ]
     frames = [100 * a * both[0] + 90 * b * both[1] for a in (-1, 1) for b in (-1, 1)] * 8
     medium = tf.HapticMedium.from_array(np.array(frames, np.float32), GRID)
-    told = freedom(reduced(medium, "global"), 0.05)
+    told = freedom(reduce_to_modes(medium, "global"), 0.05)
     assert 1.98 < told.effective < 2.0 and told.modes == 2
     assert told.bits == pytest.approx(1.0, abs=1e-9)  # heads or tails
     held = sum(field.support_count for field in medium)
     assert told.step_n == pytest.approx(0.05 * np.sqrt(12 * held / (32 * 2)))
 
 
-# -- what no hand reaches
-# ------------------------------------------------------------------------------------------
+# -- what no hand reaches ----------------------------------------------------------------------------------
 
 
 def forces_along(
@@ -220,13 +228,13 @@ def forces_along(
 def test_no_hand_feels_what_is_left_out_of_a_solid(frames: int, swing_m: float) -> None:
     medium = floor(frames, swing_m)
     reach = reach_of(medium, HAND)
-    shell = culled(medium, reach.samples)
+    shell = without_unreachable(medium, reach.samples)
     assert shell[0].support_count < 0.5 * medium[0].support_count and reach.stopped_n > HAND.push_n
     differ, most = forces_along(medium, shell, HAND, 3)
     assert differ == 0 and most > 1.0
     skin = np.linalg.norm(medium[0].to_dense(), axis=-1) < 2.0
     assert (
-        forces_along(medium, culled(medium, skin), HAND, 3, most_different=0)[0] > 0
+        forces_along(medium, without_unreachable(medium, skin), HAND, 3, most_different=0)[0] > 0
     )  # these hands do come in
 
 
@@ -344,8 +352,7 @@ def test_a_force_that_rises_from_corner_to_corner_loses_nothing_between_them(
     assert is_weak(corners, place, step_m, held_nm + 1e-6, 0.0)
 
 
-# -- the command
-# ---------------------------------------------------------------------------------------------------
+# -- the command -------------------------------------------------------------------------------------------
 
 
 def test_the_command_tells_and_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -391,4 +398,4 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     tf.write_field(empty, tf.HapticMedium.from_array(np.zeros((2, *GRID.shape, 3)), GRID))
     assert _exit_code(["reduce", str(empty)]) in (1, 2)
     assert "no frame with a force" in capsys.readouterr().err
-    assert reduce_medium(field, spec=ReductionSpec(rank=1)).shown["rank"] == 1
+    assert reduce_medium(field, spec=ReductionSpec(rank=1)).figures["rank"] == 1

@@ -51,8 +51,7 @@ def expected_m(values: np.ndarray, near_m: float = 1.0, far_m: float = 2.0) -> n
     return 1 / np.interp(values, [values.min(), values.max()], [1 / far_m, 1 / near_m])
 
 
-# -- values
-# --------------------------------------------------------------------------------------------------------
+# -- values ------------------------------------------------------------------------------------------------
 
 
 def test_the_largest_value_is_near_and_the_smallest_far(mapped: Path) -> None:
@@ -119,8 +118,7 @@ def test_sixteen_bits_and_grey_stored_as_rgb(photo: Path) -> None:
     assert np.allclose(read_sequence(photo, NOTHING).depth_m(0), fine, rtol=1e-6)
 
 
-# -- where it is looked for
-# ----------------------------------------------------------------------------------------
+# -- where it is looked for --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -169,8 +167,7 @@ def test_the_map_may_lie_elsewhere(mapped: Path, tmp_path: Path) -> None:
     assert isinstance(open_source(alone, SourceOptions(relative_depth=str(other))), DepthScene)
 
 
-# -- the camera
-# ----------------------------------------------------------------------------------------------------
+# -- the camera --------------------------------------------------------------------------------------------
 
 
 def test_without_a_camera_sixty_degrees_are_taken(mapped: Path) -> None:
@@ -207,8 +204,7 @@ def test_a_photograph_taken_upright_fits_its_upright_map(photo: Path) -> None:
     assert read_sequence(photo, NOTHING).width == WIDTH
 
 
-# -- videos
-# --------------------------------------------------------------------------------------------------------
+# -- videos ------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -264,8 +260,7 @@ def test_as_many_maps_as_frames(clip: Path) -> None:
         read_sequence(clip, NOTHING)
 
 
-# -- faults
-# --------------------------------------------------------------------------------------------------------
+# -- faults ------------------------------------------------------------------------------------------------
 
 
 def test_maps_that_cannot_be_used(photo: Path, tmp_path: Path) -> None:

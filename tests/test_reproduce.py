@@ -158,8 +158,7 @@ def test_a_bar_in_a_cell_stays_in_its_cell() -> None:
     assert markdown_table(["a"], [["|F|"]]).splitlines()[2] == "| \\|F\\| |"
 
 
-# -- the sequences
-# --------------------------------------------------------------------------------------------
+# -- the sequences -----------------------------------------------------------------------------------------
 
 
 def test_a_moving_view_of_a_plane_is_exact() -> None:
@@ -212,8 +211,7 @@ def test_first_frames_are_the_first(tmp_path: Path) -> None:
         cut.depth_m(2)
 
 
-# -- the figures
-# ----------------------------------------------------------------------------------------------
+# -- the figures -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["figure_2", "figure_3", "figure_8", "figure_9", "table_3"])

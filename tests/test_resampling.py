@@ -32,8 +32,7 @@ def decibels(gain: NDArray[np.complex128]) -> NDArray[np.float64]:
     return 20 * np.log10(np.abs(gain))
 
 
-# -- frequency response, equation 5
-# --------------------------------------------------------------------------------
+# -- frequency response, equation 5 ------------------------------------------------------------------------
 
 
 def test_frequency_response_of_known_filters() -> None:
@@ -80,8 +79,7 @@ def test_the_table_of_kernels_is_as_documented(
     assert (taps.min() >= 0) == (overshoot == 0)
 
 
-# -- resampling
-# ----------------------------------------------------------------------------------------------------
+# -- resampling --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kernel", LOW_PASSES)

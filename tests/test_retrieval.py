@@ -49,8 +49,7 @@ def index_of(entries: dict[str, Descriptor]) -> MediumIndex:
     return index
 
 
-# -- the search
-# -----------------------------------------------------------------------------------------------------
+# -- the search --------------------------------------------------------------------------------------------
 
 
 @given(
@@ -117,8 +116,7 @@ def test_refusals() -> None:
             index.query(entry, weights=weights)
 
 
-# -- files
-# ----------------------------------------------------------------------------------------------------------
+# -- files -------------------------------------------------------------------------------------------------
 
 
 def test_a_file_holds_the_same_bits_twice(tmp_path: Path) -> None:
@@ -190,8 +188,7 @@ def test_other_archives_are_told_apart(tmp_path: Path) -> None:
         MediumIndex.load(tmp_path / "absent.npz")
 
 
-# -- a collection whose kinds are known
-# -----------------------------------------------------------------------------
+# -- a collection whose kinds are known --------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -68,7 +68,7 @@ def test_what_moves_alike_is_one_what_stands_is_still_and_what_deforms_stays_a_m
     bodies = scene.bodies()
     assert len(bodies) == 3 and not scene.is_of_bodies
     assert sorted(len(b.scene.surface.triangles) for b in bodies[:2]) == [12, 24]  # type: ignore[attr-defined]
-    assert [b.track.is_still for b in bodies] == [False, True, True]
+    assert [b.track.is_constant for b in bodies] == [False, True, True]
     shifted = scene.moved(np.eye(3), np.array([10.0, 0.0, 0.0])).bodies()
     np.testing.assert_allclose(
         [b.track.positions_m[3, 0] for b in shifted[:2]], [b.track.positions_m[3, 0] + 10 for b in bodies[:2]]

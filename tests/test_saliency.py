@@ -76,8 +76,7 @@ def peak(values: np.ndarray) -> tuple[int, int]:
     return int(row), int(column)
 
 
-# -- the model
-# -----------------------------------------------------------------------------------------------------
+# -- the model ---------------------------------------------------------------------------------------------
 
 
 def test_the_peak_follows_the_blob() -> None:
@@ -160,8 +159,7 @@ def test_the_reduced_picture(width: int, height: int) -> None:
     assert SaliencyModel(25.0).update(colours)[0].max() == 0
 
 
-# -- maps in any order
-# ---------------------------------------------------------------------------------------------
+# -- maps in any order -------------------------------------------------------------------------------------
 
 
 def test_maps_in_any_order_are_those_in_sequence() -> None:
@@ -181,8 +179,7 @@ def test_a_pass_in_order_reads_each_picture_once() -> None:
     assert pictures.read == list(range(COUNT))
 
 
-# -- the scene
-# -----------------------------------------------------------------------------------------------------
+# -- the scene ---------------------------------------------------------------------------------------------
 
 
 def test_the_field_is_saliency_in_newtons_along_z() -> None:
@@ -273,8 +270,7 @@ def test_frames_are_held_at_a_higher_rate_and_skipped_at_a_lower_one() -> None:
     assert SaliencyScene(Drawn([picture(0)]), 25.0, 1000.0).frame_count == 1
 
 
-# -- files
-# ---------------------------------------------------------------------------------------------------------
+# -- files -------------------------------------------------------------------------------------------------
 
 
 def test_a_video_is_recognised_and_its_peak_follows(tmp_path: Path) -> None:

@@ -47,8 +47,7 @@ def off_radial_deg(field: ForceField) -> Float64s:
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
-# -- what it is for
-# ---------------------------------------------------------------------------------------------
+# -- what it is for ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("triangles", [80, 320])
@@ -61,8 +60,7 @@ def test_the_facets_of_a_coarse_sphere_vanish(triangles: int) -> None:
     assert after.max() < before.max() / 12
 
 
-# -- what it is
-# -------------------------------------------------------------------------------------------------
+# -- what it is --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sigma_m", [0.0011, 0.0025, 0.02])
@@ -155,8 +153,7 @@ def test_where_directions_cancel_a_sample_keeps_its_own() -> None:
     assert ShadingFilter(0.005)(field).vectors_n()[:, 1] == pytest.approx([1, 1, -1, -1])
 
 
-# -- bits, scales, edges
-# ----------------------------------------------------------------------------------------
+# -- bits, scales, edges -----------------------------------------------------------------------------------
 
 
 def test_the_same_bits_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -191,9 +188,9 @@ def test_words() -> None:
     assert ShadingFilter.parse("2mm") == ShadingFilter(0.002)
     assert ShadingFilter.parse("sigma=2mm,smooth=direction") == ShadingFilter(0.002, "direction")
     for step in (ShadingFilter(0.0015), ShadingFilter(1e-4, "amplitude")):
-        assert ShadingFilter.parse(step.words) == step
+        assert ShadingFilter.parse(step.text) == step
         assert (
-            ShadingFilter.parse(f"{step.words},truncate=4.0,spread=false") == step
+            ShadingFilter.parse(f"{step.text},truncate=4.0,spread=false") == step
         )  # as older streams have it
     with pytest.raises(InvalidArgument, match="each of sigma, smooth at most once"):
         ShadingFilter.parse("2mm,truncate=3")

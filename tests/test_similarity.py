@@ -18,7 +18,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import resample
 from touchfield.measure import information as info
 from touchfield.measure.field_symbols import FieldSymbols, Frames
-from touchfield.measure.similarity import Similarity, compression_distance, packed, similarity
+from touchfield.measure.similarity import Similarity, compression_distance, pack, similarity
 from touchfield.medium import ForceField, Grid
 
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
@@ -43,8 +43,7 @@ def on_row(*symbols: int) -> FieldSymbols:
 dense = arrays(np.int32, SMALL.shape, elements=st.integers(0, K - 1))
 
 
-# -- metrics
-# --------------------------------------------------------------------------------------------------------
+# -- metrics -----------------------------------------------------------------------------------------------
 
 
 @given(dense, dense, dense)
@@ -99,8 +98,7 @@ def test_the_triangle_does_not_hold_over_the_object() -> None:
     assert sides["object"][2] > 3 * (sides["object"][0] + sides["object"][1])
 
 
-# -- frames, lattices, errors
-# ---------------------------------------------------------------------------------------
+# -- frames, lattices, errors ------------------------------------------------------------------------------
 
 
 def test_frames_are_samples_together() -> None:
@@ -151,8 +149,7 @@ def test_refusals() -> None:
         compression_distance(a, on_row(1, 2))
 
 
-# -- compression
-# ----------------------------------------------------------------------------------------------------
+# -- compression -------------------------------------------------------------------------------------------
 
 
 def noise(seed: int, k: int = 200) -> FieldSymbols:
@@ -183,18 +180,18 @@ def test_packed_bytes_are_of_the_symbols_and_not_of_their_storage(seed: int, k: 
     for place, symbols in zip(sparse.bricks.tolist(), sparse.symbols, strict=True):
         full[bricks.tolist().index(place)] = symbols
     stored = FieldSymbols(SMALL, bricks, full, k, "a Q")
-    assert packed(Frames(sparse, "a")) == packed(Frames(stored, "b"))
+    assert pack(Frames(sparse, "a")) == pack(Frames(stored, "b"))
     other = s.copy()
     other[0, 0, 0] = (other[0, 0, 0] + 1) % k
-    assert packed(Frames(sparse, "a")) != packed(Frames(field(other, SMALL, k), "b"))
+    assert pack(Frames(sparse, "a")) != pack(Frames(field(other, SMALL, k), "b"))
 
 
 def test_too_many_symbols_to_pack_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     one = field(np.ones(SMALL.shape, np.int64))
-    size = len(packed(Frames(one, "a")))
-    assert len(packed(Frames(one, "a"), size)) == size
+    size = len(pack(Frames(one, "a")))
+    assert len(pack(Frames(one, "a"), size)) == size
     with pytest.raises(InvalidArgument, match="fewer frames"):
-        packed(Frames(one, "a"), size - 1)
+        pack(Frames(one, "a"), size - 1)
     monkeypatch.setattr(sys.modules[similarity.__module__], "MOST_BYTES", 2 * size)  # of both together
     assert compression_distance(one, one).samples == 2 * SMALL.voxel_count
     monkeypatch.setattr(sys.modules[similarity.__module__], "MOST_BYTES", 2 * size - 1)

@@ -42,7 +42,7 @@ def fields(draw: st.DrawFn) -> ForceField:
     return ForceField.from_dense(Grid(shape, (0.001, 0.002, 0.003), (0.1, -0.2, 0.3)), dense)
 
 
-# -- slabs and atomic files -------------------------------------------------------------------------------
+# -- slabs and atomic files --------------------------------------------------------------------------------
 
 
 @given(fields(), st.integers(0, 2))
@@ -109,7 +109,7 @@ def test_where_nothing_can_be_written(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-# -- npz --------------------------------------------------------------------------------------------------
+# -- npz ---------------------------------------------------------------------------------------------------
 
 
 def test_npz_keeps_the_medium_and_numpy_reads_it(tmp_path: Path, medium: HapticMedium) -> None:
@@ -218,7 +218,7 @@ def test_an_array_of_either_order_is_read_as_it_was_saved(tmp_path: Path, order:
     np.testing.assert_array_equal(NpzArchive(tmp_path / "a.npz").read("values"), values)
 
 
-# -- vti --------------------------------------------------------------------------------------------------
+# -- vti ---------------------------------------------------------------------------------------------------
 
 
 def forces_in_vti(path: Path) -> np.ndarray:
@@ -285,7 +285,7 @@ def test_damaged_files_give_a_field_or_a_source_error(
     assert outcome == ""
 
 
-# -- the scene --------------------------------------------------------------------------------------------
+# -- the scene ---------------------------------------------------------------------------------------------
 
 
 def test_a_stored_scene_gives_the_stored_field_on_its_own_grid(tmp_path: Path, medium: HapticMedium) -> None:

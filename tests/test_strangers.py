@@ -17,7 +17,7 @@ from depth_makers import write_plain, write_redwood, write_sun3d, write_threedma
 from touchfield.container import TouchReader
 from touchfield.devices.profile import device
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
-from touchfield.files import keep_sources, readable, require_beside, require_plain
+from touchfield.files import refuse_overwriting, readable, require_in_folder, require_plain
 from touchfield.json_values import JsonValue, read_json
 from touchfield.medium.trace import read_trace
 from touchfield.pipeline.spec import EncodeSpec
@@ -69,7 +69,7 @@ def not_for_ever() -> Iterator[None]:
     signal.signal(signal.SIGALRM, before)
 
 
-# -- pipes, sockets, devices --------------------------------------------------------------------------------
+# -- pipes, sockets, devices -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -115,9 +115,9 @@ def test_a_folder_is_taken_where_it_may_be_and_nothing_is_written_over_what_is_r
     for path, is_folder_taken in ((tmp_path / "pipe", True), (tmp_path, False)):
         with pytest.raises(SourceError, match=r"found a (pipe|folder)"):
             require_plain(path, "a file", or_folder=is_folder_taken)
-    keep_sources(tmp_path / "new", tmp_path / "own", tmp_path / "absent")
+    refuse_overwriting(tmp_path / "new", tmp_path / "own", tmp_path / "absent")
     with pytest.raises(InvalidArgument, match="the file that is read"):
-        keep_sources(tmp_path / "link", tmp_path / "absent", tmp_path / "own")
+        refuse_overwriting(tmp_path / "link", tmp_path / "absent", tmp_path / "own")
     expected = r"found No such file or directory; expected a list\. Make it"
     with pytest.raises(SourceError, match=expected), readable(tmp_path / "absent", "a list", "Make it."):
         (tmp_path / "absent").read_bytes()
@@ -132,14 +132,14 @@ def test_json_is_taken_up_to_its_bounds(tmp_path: Path) -> None:
 
     document = told(f'\ufeff{{"a": [1.0, 9.9e299, 1e300, true, "{"x" * 60}"]}}'.ljust(398))
     assert path.stat().st_size == 400
-    whole, most, more, truth, text = document.at("a").each(5)
-    assert whole.whole(1, 1) == 1 and most.number() == 9.9e299
+    whole, most, more, truth, text = document.at("a").elements(5)
+    assert whole.bounded_integer(1, 1) == 1 and most.number() == 9.9e299
     for take, found in (
         (more.number, r"\$\.a\[2\]: found 1e\+300; expected a finite number"),
         (truth.number, r"\$\.a\[3\]: found true; expected a number"),
-        (lambda: truth.whole(0, 1), "found true; expected an integer from 0 to 1"),
+        (lambda: truth.bounded_integer(0, 1), "found true; expected an integer from 0 to 1"),
         (text.number, f'found "{"x" * 59}\\.\\.\\.; expected a number'),
-        (lambda: document.at("a").each(6), "found an array of 5; expected at least 6"),
+        (lambda: document.at("a").elements(6), "found an array of 5; expected at least 6"),
         (lambda: told("[NaN]"), "no JSON .the constant NaN"),
         (lambda: told(f"1{'0' * 301}").number(), "found a number of over 300 digits"),
         (lambda: told("1" * 401), "more than 400 bytes"),
@@ -177,7 +177,7 @@ def test_a_pipe_in_place_of_any_file_of_a_sequence(tmp_path: Path, write: Callab
         file.write_bytes(data)
 
 
-# -- files outside the folder -------------------------------------------------------------------------------
+# -- files outside the folder ------------------------------------------------------------------------------
 
 MESH = '<worldbody><geom type="mesh" mesh="m"/></worldbody>'
 OUTSIDE = {
@@ -323,10 +323,10 @@ def test_a_number_in_a_stream_that_no_float_holds() -> None:
 def test_names_that_are_none(tmp_path: Path) -> None:
     for name in ("\0", "a" * 5000 + "/../../b"):
         with pytest.raises(SourceError, match="--allow-outside"):
-            require_beside(tmp_path, name, "here")
+            require_in_folder(tmp_path, name, "here")
 
 
-# -- videos and physics -------------------------------------------------------------------------------------
+# -- videos and physics ------------------------------------------------------------------------------------
 
 
 def test_a_video_whose_codec_is_damaged(tmp_path: Path) -> None:

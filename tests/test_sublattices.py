@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lifting_makers import coarse_mask
-from touchfield.filters.lifting import FCC, QUINCUNX, Chain
+from touchfield.filters.lifting import FCC, QUINCUNX, SublatticeChain
 
 
 def test_the_quincunx_keeps_the_sites_of_its_matrix() -> None:
@@ -31,7 +31,7 @@ def test_the_fcc_and_what_follows_it() -> None:
 
 
 @pytest.mark.parametrize("chain", [QUINCUNX, FCC], ids=lambda c: c.name)
-def test_each_stage_keeps_half_of_a_lattice_and_the_neighbours_are_the_nearest(chain: Chain) -> None:
+def test_each_stage_keeps_half_of_a_lattice_and_the_neighbours_are_the_nearest(chain: SublatticeChain) -> None:
     d = chain.dimensions
     centre = np.full(d, 16)
     for stage, split in enumerate(chain.splits(2 * d)):

@@ -33,8 +33,7 @@ def plane() -> SequenceRuns:
     return found
 
 
-# -- arithmetic
-# -----------------------------------------------------------------------------------------------
+# -- arithmetic --------------------------------------------------------------------------------------------
 
 
 def _orderly() -> dict[Case, Point]:
@@ -100,8 +99,7 @@ def test_what_the_paper_prints() -> None:
     assert "from 0.00540 (m = 2) to 0.00478 (m = 5)" in told
 
 
-# -- runs
-# -----------------------------------------------------------------------------------------------------
+# -- runs --------------------------------------------------------------------------------------------------
 
 
 def test_a_run_is_the_main_job(tmp_path: Path) -> None:
@@ -179,8 +177,7 @@ def test_the_page_has_a_row_for_each_setting(plane: SequenceRuns) -> None:
     assert reasons.count("| plane |") == failing, "each failing trend has its reason"
 
 
-# -- real inputs
-# ----------------------------------------------------------------------------------------------
+# -- real inputs -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.shared

@@ -13,7 +13,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters import contact
 from touchfield.filters.contact import TextureFilter
 from touchfield.filters.fir import frequency_response
-from touchfield.filters.registry import felt_medium
+from touchfield.filters.registry import filter_and_limit
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, Grid, HapticMedium
 
@@ -68,8 +68,7 @@ def amplitudes(field: ForceField) -> NDArray[np.float64]:
     return np.linalg.norm(field.to_dense().astype(float), axis=-1)
 
 
-# -- salt and pepper
-# --------------------------------------------------------------------------------------------
+# -- salt and pepper ---------------------------------------------------------------------------------------
 
 
 def test_the_hash_is_splitmix64() -> None:
@@ -78,7 +77,7 @@ def test_the_hash_is_splitmix64() -> None:
         (1234567, [6457827717110365317, 3203168211198807973, 9817491932198370423]),
     ):
         states = [np.uint64((seed + n * GOLDEN) & WORD) for n in (1, 2, 3)]
-        assert [int(contact.mixed(s)) for s in states] == words
+        assert [int(contact.splitmix64(s)) for s in states] == words
         assert mixed(np.array(states)).tolist() == words
 
 
@@ -156,7 +155,7 @@ def test_no_force_turns_round_doubles_or_appears() -> None:
 
 def test_no_force_exceeds_the_device() -> None:
     field = noise(cube(20), 6)
-    made = felt_medium(HapticMedium.from_frames([field], 30.0), (TextureFilter(rms=0.5, density=0.5),), 0.75)[
+    made = filter_and_limit(HapticMedium.from_frames([field], 30.0), (TextureFilter(rms=0.5, density=0.5),), 0.75)[
         0
     ]
     length = np.linalg.norm(made.vectors_n().astype(float), axis=1)
@@ -220,8 +219,7 @@ def test_nothing_comes_of_nothing() -> None:
     assert TextureFilter()(ForceField.empty(cube(12))).support_count == 0
 
 
-# -- claims, words, faults
-# --------------------------------------------------------------------------------------
+# -- claims, words, faults ---------------------------------------------------------------------------------
 
 
 def test_claims() -> None:
@@ -233,14 +231,14 @@ def test_claims() -> None:
 def test_words() -> None:
     asked = TextureFilter.parse("salt-pepper:seed=3,density=0.1,rms=0.2,grain=2mm")
     assert asked == TextureFilter("salt-pepper", 3, 0.1, 0.2, 2e-3)
-    assert TextureFilter.parse(f"{asked.words},limit=1.0") == asked  # as older streams have it
+    assert TextureFilter.parse(f"{asked.text},limit=1.0") == asked  # as older streams have it
     assert (
         TextureFilter.parse("") == TextureFilter.parse("salt-pepper") == TextureFilter.parse("salt-pepper:")
     )
     field = constant(cube(9))  # 1 mm apart: a grain has whole samples, the nearest
     assert TextureFilter(grain_m=1.9e-3)(field) == TextureFilter(grain_m=2e-3)(field)
     for texture in (asked, TextureFilter(), TextureFilter(grain_m=1e-3)):
-        assert TextureFilter.parse(texture.words) == texture
+        assert TextureFilter.parse(texture.text) == texture
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.paper.quantisers import lloyd_max_levels, uniform_levels, weber_levels
 from touchfield.codec.segment import RAW_BITS_PER_VECTOR
 from touchfield.devices import device
-from touchfield.filters import LOW_PASSES, limited, resample
+from touchfield.filters import LOW_PASSES, limit_forces, resample
 from touchfield.filters.fir import fir_filter
 from touchfield.measure import information as info
 from touchfield.measure.capacity import capacity, codomain_bits
@@ -34,7 +34,7 @@ from touchfield.measure.estimators import binary_entropy_bits, estimate_bits
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.quantity import Quantity
 from touchfield.medium import ForceField, Grid
-from touchfield.perception.weber import WeberLadder, mask_kept_from_n, quantise_fixed_step
+from touchfield.perception.weber import WeberLadder, fixed_step_within_mask_from_n, quantise_fixed_step
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.tiny_scenes import tiny_scenes
 
@@ -54,8 +54,7 @@ def on_a_line(symbols: NDArray[np.int64]) -> FieldSymbols:
     return FieldSymbols.from_dense(grid, symbols.reshape(grid.shape), int(symbols.max()) + 1, "as given")
 
 
-# -- Gaussian sources
-# -----------------------------------------------------------------------------------------------
+# -- Gaussian sources --------------------------------------------------------------------------------------
 
 
 def rounded_pair(rho: float, step: float) -> Floats:
@@ -118,8 +117,7 @@ def test_a_drawn_chain_has_the_rate_of_its_law() -> None:
     assert float(context_entropy([on_a_line(from_zero)], "previous").per_voxel) == pytest.approx(rate, **near)
 
 
-# -- rate and distortion
-# --------------------------------------------------------------------------------------------
+# -- rate and distortion -----------------------------------------------------------------------------------
 
 
 def test_even_steps_with_an_entropy_code_are_a_quarter_of_a_bit_from_the_bound() -> None:
@@ -183,8 +181,7 @@ def test_raw_sizes() -> None:
     assert math.prod(omni.lattice) ** (1 / 3) == pytest.approx(2006, abs=1)
 
 
-# -- the law of data processing
-# -------------------------------------------------------------------------------------
+# -- the law of data processing ----------------------------------------------------------------------------
 
 
 def joint_codes(frames: NDArray[np.generic]) -> Symbols:
@@ -250,7 +247,7 @@ def test_the_mapping_makes_no_information(kernel: str, shape: tuple[int, int, in
         for bits in itertools.product((0, 1), repeat=7)
     ]
     linear = [resample(f, target, kernel) for f in fields]
-    clipped = [limited(f, 1.0, 0.05) for f in linear]
+    clipped = [limit_forces(f, 1.0, 0.05) for f in linear]
     first = joint_codes(np.stack([f.to_dense() for f in linear]))
     second = joint_codes(np.stack([f.to_dense() for f in clipped]))
     bits = [7.0] + [float(info.entropy(codes, interval=False)) for codes in (first, second)]
@@ -280,8 +277,7 @@ def test_voxel_entropies_that_the_object_entropies_of_the_paper_imply() -> None:
     assert 8e9 * binary_entropy_bits(1.8e5 / 8e9) == pytest.approx(3.0e6, rel=0.02)  # what object mode hides
 
 
-# -- the bias of counting
-# -------------------------------------------------------------------------------------------
+# -- the bias of counting ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("share", [0.5, 0.3, 0.2])
@@ -303,15 +299,14 @@ def test_the_plug_in_is_low_by_half_a_nat_for_each_symbol_but_one(share: float) 
     assert bias["miller-madow", 200] / bias["miller-madow", 800] == pytest.approx(16, rel=0.05)
 
 
-# -- quantisers and codebooks
-# ---------------------------------------------------------------------------------------
+# -- quantisers and codebooks ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("k", "steps"), [(0.05, 1090), (0.10, 545)])
 def test_even_steps_that_keep_the_mask_are_many(k: float, steps: int) -> None:
     """0.03 to 3.3 N; the Weber ladder takes 47 and 24."""
     step_n = 2 * k * 0.03
-    assert mask_kept_from_n(step_n, k) == pytest.approx(0.03)
+    assert fixed_step_within_mask_from_n(step_n, k) == pytest.approx(0.03)
     levels = uniform_levels(step_n, 3.3).levels_n
     assert np.count_nonzero(levels > 0.03 * (1 + 1e-6)) == steps
     assert WeberLadder.spanning(k, 0.03, 3.3).steps < steps / 20

@@ -62,8 +62,7 @@ def scenes() -> dict[str, Scene]:
     return {"direct": DepthScene(Room()), "symbolic": blob()}
 
 
-# -- the ladder of 6 bits
-# ------------------------------------------------------------------------------------------
+# -- the ladder of 6 bits ----------------------------------------------------------------------------------
 
 
 def test_63_steps_and_a_zero_span_547_to_1() -> None:
@@ -109,8 +108,7 @@ def test_arrays_take_all_levels_and_points_as_many_as_k_needs() -> None:
         PaperSpec(weber_levels="most")
 
 
-# -- the whole chain
-# -----------------------------------------------------------------------------------------------
+# -- the whole chain ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("tag", ["direct", "symbolic"])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
-from touchfield.filters.contact import VibrationRule, vibrating
+from touchfield.filters.contact import VibrationRule, add_vibration
 from touchfield.filters.device_filter import device_medium
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.grid import Placement
@@ -69,7 +69,7 @@ def test_each_frame_is_made_once_for_force_and_vibration() -> None:
         made.append(i)
         return ForceField.from_dense(GRID, np.full((*GRID.shape, 3), 1 + i, np.float32))
 
-    medium = vibrating(HapticMedium(GRID, 10.0, 3, make), VibrationRule(), 3.3)
+    medium = add_vibration(HapticMedium(GRID, 10.0, 3, make), VibrationRule(), 3.3)
     assert medium.vibration is not None
     for i in range(3):
         assert medium[i].support_count == len(medium.vibration(i)) == GRID.voxel_count
@@ -77,7 +77,7 @@ def test_each_frame_is_made_once_for_force_and_vibration() -> None:
 
 
 def test_a_lattice_that_differs_by_rounding_keeps_the_vibration() -> None:
-    made = vibrating(HapticMedium.from_frames([ForceField.empty(GRID)], 10.0), VibrationRule(), 3.3)
+    made = add_vibration(HapticMedium.from_frames([ForceField.empty(GRID)], 10.0), VibrationRule(), 3.3)
     x, y, z = GRID.origin_m
     near = Grid(GRID.shape, GRID.spacing_m, (x + 1e-10, y, z))
     passed = device_medium(

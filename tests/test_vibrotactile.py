@@ -18,13 +18,12 @@ from touchfield.perception.vibrotactile import (
     band_rms,
     dft321,
     handle_force_n,
-    reduced,
+    reduce_vibration,
 )
 from touchfield.sources.recordings.recording import Recording
 from touchfield.tasks.texture import texture_of
 
-# -- crossover
-# -----------------------------------------------------------------------------------------------------
+# -- crossover ----------------------------------------------------------------------------------------------
 
 
 @settings(deadline=None, max_examples=30)
@@ -64,8 +63,7 @@ def test_a_crossover_is_of_linear_phase_without_delay_and_6_db_down() -> None:
     np.testing.assert_allclose(own.split(short)[0], longer[400:-400], atol=1e-12)
 
 
-# -- DFT321 and spectra
-# --------------------------------------------------------------------------------------------
+# -- DFT321 and spectra ------------------------------------------------------------------------------------
 
 
 @settings(deadline=None, max_examples=40)
@@ -98,8 +96,8 @@ def test_spectra_give_the_signal_back_and_keep_its_energy(seed: int, n: int, len
     assert (twice * np.abs(spectra) ** 2).sum() == pytest.approx((signal**2).sum(), rel=1e-12)
     real = stft.real_spectra(signal)
     assert real.size <= n + 3 * length and (real**2).sum() == pytest.approx((signal**2).sum(), rel=1e-12)
-    np.testing.assert_allclose(stft.of_real(real, n), signal, atol=1e-12)
-    assert db(np.linalg.norm(signal) / max(np.linalg.norm(stft.of_real(real, n) - signal), 1e-300)) > 100
+    np.testing.assert_allclose(stft.signal_from(real, n), signal, atol=1e-12)
+    assert db(np.linalg.norm(signal) / max(np.linalg.norm(stft.signal_from(real, n) - signal), 1e-300)) > 100
     assert np.abs(stft.window**2 + np.roll(stft.window**2, length // 2) - 1).max() < 1e-14
 
 
@@ -128,8 +126,7 @@ def test_a_handle_is_shaken_by_the_force_as_it_was_recorded() -> None:
     assert slow < 1e-9 < felt  # the lowest band begins at 28.2 Hz
 
 
-# -- what must be sent
-# ---------------------------------------------------------------------------------------------
+# -- what must be sent -------------------------------------------------------------------------------------
 
 
 def worst_margin_db(error: Float64s, rate_hz: float) -> float:
@@ -157,7 +154,7 @@ def test_what_is_lost_stays_below_the_threshold_in_every_third(kind: str, newton
             "speech": noise(6000) * np.maximum(0, np.sin(2 * np.pi * 2 * t)) ** 4,
         }[kind]
     )
-    sent = reduced(signal, 2000.0)
+    sent = reduce_vibration(signal, 2000.0)
     error = signal - sent.decoded()
     assert worst_margin_db(error, 2000.0) > 2.0  # 3 dB asked for; windows of another form
     assert 0 < sent.bits < 16 * len(signal)
@@ -171,26 +168,26 @@ def test_what_is_lost_is_as_far_below_the_threshold_as_asked_and_no_farther(
     kind: str, margin_db: float
 ) -> None:
     signal = 0.1 * (noise(6000) if kind == "white" else np.sin(2 * np.pi * 97 * np.arange(6000) / 2000))
-    sent = reduced(signal, 2000.0, margin_db=margin_db)
+    sent = reduce_vibration(signal, 2000.0, margin_db=margin_db)
     assert (
         -1.0 < worst_margin_db(signal - sent.decoded(), 2000.0) - margin_db < 1.5
     )  # windows of another form
     if margin_db == 3.0:  # the one that is taken where none is asked for
-        np.testing.assert_array_equal(reduced(signal, 2000.0).symbols, sent.symbols)
+        np.testing.assert_array_equal(reduce_vibration(signal, 2000.0).symbols, sent.symbols)
 
 
 def test_nothing_is_sent_of_what_nobody_feels_and_a_margin_costs_bits() -> None:
-    assert not reduced(1e-5 * noise(4000), 2000.0).symbols.any()
-    costs = [reduced(0.1 * noise(4000), 2000.0, margin_db=m).bits for m in (0.0, 3.0, 12.0)]
+    assert not reduce_vibration(1e-5 * noise(4000), 2000.0).symbols.any()
+    costs = [reduce_vibration(0.1 * noise(4000), 2000.0, margin_db=m).bits for m in (0.0, 3.0, 12.0)]
     assert costs == sorted(costs) and costs[2] > 1.2 * costs[0]
     tone = 0.05 * np.sin(2 * np.pi * 200 * np.arange(8000) / 2000)
-    assert reduced(tone, 2000.0).bits_per_s < 0.05 * 16 * 2000
-    probe = reduced(0.1 * noise(4000), 2000.0, vibration_threshold("probe"))
+    assert reduce_vibration(tone, 2000.0).bits_per_s < 0.05 * 16 * 2000
+    probe = reduce_vibration(0.1 * noise(4000), 2000.0, vibration_threshold("probe"))
     assert probe.bits < costs[1]  # a skin that is less sensitive
 
 
 def test_the_bits_are_those_of_a_code_that_learns() -> None:
-    sent = reduced(0.05 * noise(4000), 2000.0)
+    sent = reduce_vibration(0.05 * noise(4000), 2000.0)
     edges = 1000 * 10 ** (0.1 * (np.arange(-15, 1) - 0.5))
     band = np.searchsorted(edges, (np.arange(sent.length // 2) + 0.5) * 2000 / sent.length, side="right")
     total = 16.0 * len(sent.exponents)
@@ -207,8 +204,7 @@ def test_the_bits_are_those_of_a_code_that_learns() -> None:
     assert sent.bits == pytest.approx(total, rel=1e-9)
 
 
-# -- bad input
-# -----------------------------------------------------------------------------------------------------
+# -- bad input ---------------------------------------------------------------------------------------------
 
 NAN = np.full((8, 3), np.nan)
 
@@ -227,11 +223,11 @@ CALLS = {
     "dft321 words": (lambda: dft321([["a"] * 3]), "no array of numbers"),  # type: ignore[list-item]
     "stft without samples": (lambda: Stft(0), "length: found 0"),
     "stft length": (lambda: Stft(6), "length: found 6; expected samples, a multiple of 4"),
-    "reduced shape": (lambda: reduced(np.zeros((9, 3)), 2000.0), "dft321 makes one axis of three"),
-    "reduced nan": (lambda: reduced(NAN[:, 0], 2000.0), "vibration_n: found nan"),
-    "reduced rate": (lambda: reduced(np.zeros(9), 50.0), "100 Hz or more"),
-    "reduced margin": (lambda: reduced(np.zeros(9), 500.0, margin_db=-1.0), "margin_db: found -1.0"),
-    "reduced unit": (lambda: reduced(1e12 * noise(900), 2000.0), "Check its unit"),
+    "reduced shape": (lambda: reduce_vibration(np.zeros((9, 3)), 2000.0), "dft321 makes one axis of three"),
+    "reduced nan": (lambda: reduce_vibration(NAN[:, 0], 2000.0), "vibration_n: found nan"),
+    "reduced rate": (lambda: reduce_vibration(np.zeros(9), 50.0), "100 Hz or more"),
+    "reduced margin": (lambda: reduce_vibration(np.zeros(9), 500.0, margin_db=-1.0), "margin_db: found -1.0"),
+    "reduced unit": (lambda: reduce_vibration(1e12 * noise(900), 2000.0), "Check its unit"),
     "levels short": (lambda: band_rms(np.zeros(9), 2000.0), "Record longer"),
     "recording": (lambda: Recording(1000.0, NAN), "acceleration_m_s2: found nan at sample 0"),
     "no recording": (lambda: texture_of([], [], []), "0 recordings"),
@@ -250,5 +246,5 @@ def test_what_cannot_be_taken_is_refused_in_one_line(name: str) -> None:
 @pytest.mark.parametrize("n", [1, 2, 15, 16, 17, 129])
 def test_short_signals_are_taken(n: int) -> None:
     signal = noise(n)
-    assert reduced(signal, 500.0).decoded().shape == (n,)
+    assert reduce_vibration(signal, 500.0).decoded().shape == (n,)
     assert len(THIRDS_HZ) == 11 and set(np.round(THIRDS_HZ, 6)) <= set(np.round(BANDS_HZ, 6))

@@ -50,7 +50,7 @@ rest = tf.HapticMedium.from_array(force_n(at, bends[0])[None], grid, 30.0)
 points = [np.concatenate([skin_m(bend, depth) for depth in (0.0, 0.004, 0.008)]) for bend in bends]
 lattice = Deformation.at_rest((-0.042, -0.018, -0.018), (0.042, 0.018, 0.046), controls=8)
 tracks, rms_m = fitted(points[0], points, lattice, 30.0)
-print(f"{tracks}: to {1e6 * rms_m:.0f} um, least determinant {tracks.least_determinant()[0]:.2f}")
+print(f"{tracks}: to {1e6 * rms_m:.0f} um, least determinant {tracks.min_determinant()[0]:.2f}")
 
 # %%
 # ## Beside the field made anew

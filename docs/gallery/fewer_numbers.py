@@ -19,8 +19,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import touchfield as tf
-from touchfield.reduction import Hand, freedom, held_out, reach_of, reduced
-from touchfield.tasks.reduction import culled
+from touchfield.reduction import Hand, freedom, held_out, reach_of, reduce_to_modes
+from touchfield.tasks.reduction import without_unreachable
 
 # %%
 # ## A solid that breathes, and one that walks
@@ -54,7 +54,7 @@ media = {
 # Whole frames are the snapshots. What is left after so many modes is the tail of their singular values, known
 # beforehand. The odd frames are told with the modes of the even ones. Of a body that walks each frame is new:
 # it has more degrees of freedom, though it has only one.
-found = {name: reduced(medium, "global") for name, medium in media.items()}
+found = {name: reduce_to_modes(medium, "global") for name, medium in media.items()}
 for name, medium in media.items():
     told, free = held_out(medium, "global"), freedom(found[name], 0.05)
     print(
@@ -71,7 +71,7 @@ for name, medium in media.items():
 hand = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
 solid = tf.HapticMedium.from_frames([ball((0, 0, 0), 0.068)], 30.0)
 reach = reach_of(solid, hand)
-shell = culled(solid, reach.samples)
+shell = without_unreachable(solid, reach.samples)
 print(f"{hand.words}: {shell[0].support_count / solid[0].support_count:.0%} of a ball of 68 mm is left")
 
 # %%

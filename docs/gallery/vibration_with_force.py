@@ -23,7 +23,7 @@ import touchfield as tf
 from touchfield.devices.drivers.registry import point_device
 from touchfield.medium.trace import Trace
 from touchfield.perception.human import vibration_threshold
-from touchfield.perception.vibrotactile import BANDS_HZ, Crossover, band_rms, dft321, reduced
+from touchfield.perception.vibrotactile import BANDS_HZ, Crossover, band_rms, dft321, reduce_vibration
 from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec
 from touchfield.sources.recordings.recording import Recording
@@ -78,7 +78,7 @@ print(next(note for note in run.notes if "slew" in note))
 # are dropped, the others quantised so that what is lost stays 3 dB below it.
 low, high = Crossover(2500.0).split(felt[0.16])
 one = dft321(high)
-sent = reduced(one, 2500.0)
+sent = reduce_vibration(one, 2500.0)
 lost = one - sent.decoded()
 print(f"low and high add up to {np.abs(low + high - felt[0.16]).max():.0g} N")
 print(f"{16 * 2.5:.0f} kbit/s of 16-bit samples become {sent.bits_per_s / 1e3:.1f}")

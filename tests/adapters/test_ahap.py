@@ -124,7 +124,7 @@ def test_sounds_are_left_out(tmp_path: Path) -> None:
     sound, touch = event("AudioContinuous", 0, 1.0), event("HapticTransient", 0.0)
     made = read_ahap(written(tmp_path / "a.ahap", {"Pattern": [sound, touch, {"Other": 1}], "Metadata": {}}))
     assert "1 events of sound" in made.notes[0]
-    with pytest.raises(SourceError, match="none to feel"):
+    with pytest.raises(SourceError, match="and no other"):
         read(tmp_path, sound)
 
 

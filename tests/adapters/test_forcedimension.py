@@ -18,7 +18,7 @@ from touchfield.devices.drivers.forcedimension import ForceDimension, quaternion
 from touchfield.devices.drivers.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.medium.pose_track import rotation_matrices
-from touchfield.render.servo import _zero
+from touchfield.render.servo import _write_zero
 
 VARIABLE = "TOUCHFIELD_FORCEDIMENSION_LIBRARY"
 
@@ -81,7 +81,7 @@ def test_a_fresh_connection_ends_the_torque_of_a_process_that_was_killed(fake) -
     fake.library.dhdEnableForce(0, 0)
     fake.library.dhdClose(0)  # as the system does; the torque is put still
     answers: list[str] = []
-    _zero(ForceDimension, SimpleNamespace(send=answers.append))
+    _write_zero(ForceDimension, SimpleNamespace(send=answers.append))
     assert answers == [""] and not fake.faults
     assert not torques(fake)[-1].any() and not fake.forces[-1].any()
 
@@ -212,5 +212,5 @@ def test_the_check_finds_it(fake) -> None:
 
 
 def test_nothing_stands_behind_the_name() -> None:
-    with pytest.raises(InvalidArgument, match="nothing behind"):
+    with pytest.raises(InvalidArgument, match="without a colon"):
         point_device("forcedimension:1")

@@ -101,7 +101,7 @@ def test_a_send_that_nobody_reads_ends_in_time(answer_s: float) -> None:
 
     with (
         socket.create_server(("127.0.0.1", 0)) as deaf,
-        links.connected(deaf.getsockname(), "deaf", 3.0, "", answer_s) as line,
+        links.connect(deaf.getsockname(), "deaf", 3.0, "", answer_s) as line,
     ):
         assert send_limit_s(line) == pytest.approx(answer_s, abs=0.02)
         assert line.gettimeout() is None
@@ -178,7 +178,7 @@ def placed(x) -> str:
         (placed("true"), "x = True"),
         (placed('"0.1"'), "x = '0.1'"),
         (placed("2.5"), "x = 2.5"),
-        (" " * links.MOST_MESSAGE_BYTES + "{}", "connection that broke"),
+        (" " * links.MAX_MESSAGE_BYTES + "{}", "connection that broke"),
     ],
 )
 def test_a_state_that_cannot_be_is_one_clear_line(answer, words) -> None:

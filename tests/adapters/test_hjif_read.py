@@ -267,8 +267,7 @@ def test_wavelets_that_cannot_be(tmp_path: Path, more: dict[str, Any], told: str
         read(tmp_path, channel(wavelets(*BLOCKS, **more)))
 
 
-# -- what is wrong with a file
-# ---------------------------------------------------------------------------------------
+# -- what is wrong with a file -----------------------------------------------------------------------------
 
 P, C = ("perceptions", 0), ("perceptions", 0, "channels", 0)
 B = (*C, "bands", 0)

@@ -77,8 +77,7 @@ def check_band(band: dict[str, Any], gain: float) -> None:
             assert all(type(one["frequency_modulation"]) is int for one in keyframes)
 
 
-# -- arrays
-# ---------------------------------------------------------------------------------------------------------
+# -- arrays ------------------------------------------------------------------------------------------------
 
 
 @given(made=effects())
@@ -163,8 +162,7 @@ def test_options_of_an_array_that_cannot_be(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-# -- forces
-# ---------------------------------------------------------------------------------------------------------
+# -- forces ------------------------------------------------------------------------------------------------
 
 
 @given(trace=traces())
@@ -229,8 +227,7 @@ def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-# -- the published schemas
-# ------------------------------------------------------------------------------------------
+# -- the published schemas ---------------------------------------------------------------------------------
 
 
 @pytest.mark.shared

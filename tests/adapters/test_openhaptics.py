@@ -172,13 +172,13 @@ def test_a_driver_that_never_calls_is_told_and_let_go(fake, block, monkeypatch) 
     monkeypatch.setattr(openhaptics, "_SILENCE_S", 0.05)
     monkeypatch.setattr(openhaptics, "_LAST_FRAME_S", 0.05)  # there is none
     fake.fail("dead", 0)
-    device, kept = driven(block), len(openhaptics._KEPT)
+    device, kept = driven(block), len(openhaptics._LEAKED)
     time.sleep(0.1)
     with pytest.raises(DeviceError, match=r"not called for 0\.05 s, after 0 calls"):
         device.watch()
     device.close()
     assert fake.log == "IESRTUD" and not len(fake.forces)
-    assert len(openhaptics._KEPT) == kept + 1  # what such a driver may call after all is there
+    assert len(openhaptics._LEAKED) == kept + 1  # what such a driver may call after all is there
 
 
 @pytest.mark.parametrize(("function", "log"), [

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from osc_listener import Listener, listening
 from touchfield.devices import Device, device
 from touchfield.devices.drivers import osc
-from touchfield.devices.drivers.osc import _FLOATS_AT_ONCE, MOST_BYTES, Osc
+from touchfield.devices.drivers.osc import _FLOATS_PER_MESSAGE, MAX_BYTES, Osc
 from touchfield.devices.drivers.registry import array_device
 from touchfield.errors import DeviceError, InvalidArgument
 
@@ -64,7 +64,7 @@ def test_a_large_array_is_cut_into_datagrams() -> None:
     assert (told.frames[0]["drives"] == pins).all() and len(told.sizes) == 4
 
 
-@example(_FLOATS_AT_ONCE + 1, 1, 2, None, 0.5, True)  # one actuator begins a datagram of its own
+@example(_FLOATS_PER_MESSAGE + 1, 1, 2, None, 0.5, True)  # one actuator begins a datagram of its own
 @given(
     st.integers(1, 70),
     st.integers(1, 70),
@@ -94,7 +94,7 @@ def test_any_array_in_datagrams_that_fit(
     expected = min(max(value, 0.0), 1.0) if value == value else 0.0
     assert np.abs(shown - expected).max() <= (0.5 / max(levels - 1, 0.5) if levels else 0) + 1e-6
     least = 5 * drives.size * (1 + (vibrates and np.isfinite(value)))
-    assert len(listener.sizes) <= least // (MOST_BYTES // 2) + 1  # no datagram is half empty without need
+    assert len(listener.sizes) <= least // (MAX_BYTES // 2) + 1  # no datagram is half empty without need
 
 
 def test_nobody_listens_no_such_host_and_bad_addresses() -> None:

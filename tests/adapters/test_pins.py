@@ -195,7 +195,7 @@ def test_the_stream_tells_which_display_it_was_made_for() -> None:
         ("pins:127.0.0.1:9", device("phantom-omni"), "dotpad"), ("osc:127.0.0.1:9", vest, "tactsuit-pro"),
         ("osc:127.0.0.1:9", graphiti, "tactile-vest-8x8"), ("bhaptics:127.0.0.1:9", vest, "tactsuit-x40"),
     ):  # fmt: skip
-        assert array_device(words, own=own).profile.name == expected
+        assert array_device(words, stream_profile=own).profile.name == expected
     assert array_device("pins:127.0.0.1:9", device("hyperbraille"), graphiti).profile.name == "hyperbraille"
 
 
@@ -222,7 +222,7 @@ def test_a_board_that_starts_when_its_port_is_opened() -> None:
         display := Display(lambda number: b"ok %d\n" % number if number else sizes.pop(0))
     ) as words:
         pad = array_device(words, SMALL)
-        pad._patience_s = 0.1
+        pad._timeout_s = 0.1
         pad.open()
         pad.put_drives(drives(SMALL, 1.0), None, 0.1)
         pad.close()
@@ -293,7 +293,7 @@ def test_a_display_that_answers_wrongly_or_late_or_not_at_all(which: str) -> Non
     answer, told = WRONG[which]
     with over_tcp(Display(lambda number: answer if number == 1 else b"ok %d\n" % number)) as words:
         pad = array_device(words, SMALL)
-        pad._patience_s = 0.2
+        pad._timeout_s = 0.2
         pad.open()
         with pytest.raises(DeviceError, match=f"^pins:127.0.0.1:[0-9]+: {told}"):
             pad.put_drives(drives(SMALL, 1.0), None, 0.1)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from effect_makers import TactSpan, read_tact
 from touchfield.errors import InvalidArgument
-from touchfield.exchange.effect_files import LEAST_SPAN_MS, write_tact
+from touchfield.exchange.effect_files import MIN_SPAN_MS, write_tact
 from touchfield.exchange.symbolic import ArrayEffect
 
 
@@ -50,7 +50,7 @@ def test_short_frames_are_gathered_and_their_greatest_is_kept(tmp_path: Path) ->
     drives[37, 2, 1] = 0.75  # a tap of one millisecond
     write_tact(tmp_path / "a.tact", ArrayEffect(1000.0, drives))
     (span,) = read_tact(tmp_path / "a.tact")
-    assert (span.start_ms, span.end_ms) == (20, 20 + LEAST_SPAN_MS)
+    assert (span.start_ms, span.end_ms) == (20, 20 + MIN_SPAN_MS)
     assert span.intensities[2, 1] == 0.75 and np.count_nonzero(span.intensities) == 1
     write_tact(tmp_path / "b.tact", ArrayEffect(4000.0, drives[37:38]))  # of a quarter of a millisecond
     (span,) = read_tact(tmp_path / "b.tact")

@@ -53,7 +53,7 @@ def test_a_frequency_that_moves_has_no_jump_and_what_is_too_fast_is_told(tmp_pat
 def test_parts_are_one_wave(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     effect = ArrayEffect(20.0, np.random.default_rng(0).random((10, 2, 2)).astype(np.float32))
     write_wav_array(tmp_path / "a.wav", effect)
-    monkeypatch.setattr("touchfield.exchange.effect_files._AT_ONCE", 100)
+    monkeypatch.setattr("touchfield.exchange.effect_files._CHUNK_SAMPLES", 100)
     write_wav_array(tmp_path / "b.wav", effect)
     assert np.abs(heard(tmp_path / "a.wav") - heard(tmp_path / "b.wav")).max() < 1e-4
 

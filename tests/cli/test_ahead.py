@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from numba import njit
 
-from touchfield.cli import ahead
-from touchfield.cli.show import compilation_told
+from touchfield.cli import compile_ahead
+from touchfield.cli.output import announce_compilation
 
 Started = list["subprocess.Popen[bytes]"]
 
@@ -30,7 +30,7 @@ def started(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Started:
             super().__init__(*arguments, **options)  # type: ignore[call-overload]
             found.append(self)
 
-    monkeypatch.setattr(ahead.subprocess, "Popen", Told)
+    monkeypatch.setattr(compile_ahead.subprocess, "Popen", Told)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setenv("TOUCHFIELD_THREADS", "3")
     monkeypatch.delenv("TOUCHFIELD_HELPERS")
@@ -46,17 +46,17 @@ def test_helpers_start_with_the_first_kernel_to_be_compiled_and_end_with_the_job
     started: Started, tmp_path: Path
 ) -> None:
     kernel = njit(lambda x: x + 1)
-    with compilation_told(lambda line: None, ("passes", "columns", "filters")):
+    with announce_compilation(lambda line: None, ("passes", "columns", "filters")):
         assert not started
         assert kernel(2) == 3
         assert [one.args[-2:] for one in started] == [
             ["passes", "filters"],
-            ["touchfield.cli.ahead", "columns"],
+            ["touchfield.cli.compile_ahead", "columns"],
         ]
         assert all(one.poll() is None for one in started)
     assert all(one.returncode is not None for one in started)
     assert not compiled_passes(tmp_path)
-    with compilation_told(lambda line: None, ("passes",)):
+    with announce_compilation(lambda line: None, ("passes",)):
         assert kernel(2) == 3
     assert len(started) == 2
 
@@ -66,7 +66,7 @@ def test_no_helper_where_none_is_wanted_or_only_one_core_is_there(
     started: Started, monkeypatch: pytest.MonkeyPatch, name: str, value: str
 ) -> None:
     monkeypatch.setenv(name, value)
-    with ahead.helpers(["passes"]) as start:
+    with compile_ahead.helpers(["passes"]) as start:
         start()
     assert not started
 
@@ -74,11 +74,11 @@ def test_no_helper_where_none_is_wanted_or_only_one_core_is_there(
 def test_a_broken_helper_does_not_matter(
     started: Started, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    with ahead.helpers(["no such group"]) as start:
+    with compile_ahead.helpers(["no such group"]) as start:
         start()
         assert started[0].wait(60) == 1
     monkeypatch.setattr(sys, "executable", str(tmp_path / "nobody"))
-    with ahead.helpers(["passes"]) as start:
+    with compile_ahead.helpers(["passes"]) as start:
         start()
     assert len(started) == 1
 
@@ -89,15 +89,15 @@ def test_a_broken_helper_does_not_matter(
 def test_a_helper_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     code = """if True:
         import subprocess, time
-        from touchfield.cli import ahead
+        from touchfield.cli import compile_ahead
 
         class Told(subprocess.Popen):
             def __init__(self, *arguments, **options):
                 super().__init__(*arguments, **options)
                 print(self.pid, flush=True)
 
-        ahead.subprocess.Popen = Told
-        with ahead.helpers(["passes"]) as start:
+        compile_ahead.subprocess.Popen = Told
+        with compile_ahead.helpers(["passes"]) as start:
             start()
             time.sleep(600)
     """

@@ -8,16 +8,16 @@ import gc
 import pytest
 from numba import njit
 
-from touchfield.cli.show import compilation_told
+from touchfield.cli.output import announce_compilation
 
 
 def test_compilation_is_told_once_and_only_where_it_takes_place() -> None:
     kernels = [njit(lambda x: x + 1), njit(lambda x: x - 1)]
     lines: list[str] = []
-    with compilation_told(lines.append):
+    with announce_compilation(lines.append):
         assert [kernel(2) for kernel in kernels] == [3, 1]
     assert len(lines) == 1 and lines[0].startswith("compiling kernels") and gc.isenabled()
-    with compilation_told(lines.append):
+    with announce_compilation(lines.append):
         assert [kernel(2) for kernel in kernels] == [3, 1]
     assert len(lines) == 1
 
@@ -27,6 +27,6 @@ def test_an_interrupt_that_a_compiler_cannot_raise_ends_the_job(capfd: pytest.Ca
     def interrupted() -> None:
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt), compilation_told(lambda line: interrupted()):
+    with pytest.raises(KeyboardInterrupt), announce_compilation(lambda line: interrupted()):
         njit(lambda x: x + 1)(2)
     assert not capfd.readouterr().err and gc.isenabled()

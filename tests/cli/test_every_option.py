@@ -23,10 +23,10 @@ import pytest
 import typer.main
 
 from option_tables import ARGUMENTS, CALLED, EXPECTED, MISSING, STUB, Case
-from touchfield.cli.main import _exit_code, open_rooms
-from touchfield.cli.show import Answer
+from touchfield.cli.main import _exit_code, load_commands
+from touchfield.cli.output import Answer
 
-GROUP: Any = typer.main.get_command(open_rooms())
+GROUP: Any = typer.main.get_command(load_commands())
 
 
 class Stub(MagicMock):
@@ -115,10 +115,10 @@ def is_explained(path: str, expected: dict[str, Any]) -> bool:
 
 
 TASKS = {
-    "encode": ("job:encode", "job:encode_to_target", "cli.make:computing", "cli.make:executor_of"),
-    "filter": ("job:encode", "job:prepare", "job:write_field", "job:filter_report", "cli.make:executor_of"),
-    "field": ("job:prepare", "job:draw_preview", "job:write_field", "cli.make:computing"),
-    "plan": ("job:plan", "cli.make:executor_of"),
+    "encode": ("pipeline:encode", "pipeline:encode_to_target", "cli.encode:computing", "cli.encode:executor_of"),
+    "filter": ("pipeline:encode", "pipeline:prepare", "pipeline:write_field", "pipeline:filter_report", "cli.encode:executor_of"),
+    "field": ("pipeline:prepare", "tasks.view:draw_preview", "pipeline:write_field", "cli.encode:computing"),
+    "plan": ("tasks.plan:plan", "cli.encode:executor_of"),
     "decode": ("pipeline.decoding:open_stream", "pipeline.decoding:write_field"),
     "export": ("tasks.exchange:export",),
     "import": ("tasks.exchange:import_effect",),
@@ -128,25 +128,25 @@ TASKS = {
     "lod": ("tasks.editing:levels_of_detail",),
     "partition": ("tasks.editing:read_medium", "pipeline.mapping:partition_workspace"),
     "texture": (
-        "sources.recordings.recording:read_recording", "tasks.texture:texture_of", "tasks.texture:merged",
+        "sources.recordings.recording:read_recording", "tasks.texture:texture_of", "tasks.texture:merge_materials",
         "tasks.texture:store_materials", "render.material:write_table", "viewer.plots:draw_textures",
     ),
     "deform": ("tasks.deformation:tracks_of",),
     "info": ("pipeline.decoding:open_stream",),
     "view": ("tasks.view:view",),
-    "compare": ("job:compare",),
+    "compare": ("pipeline:compare",),
     "play": (
-        "tasks.play:play", "tasks.play:check_play", "network.bridge:Bridge", "cli.feel:read_materials",
-        "cli.feel:read_deformation",
+        "tasks.play:play", "tasks.play:check_play", "network.bridge:Bridge", "cli.play:read_materials",
+        "cli.play:read_deformation",
     ),
     "serve": ("network.server:serve",),
     "live": (
-        "tasks.live:opened_sender", "tasks.live:broadcast", "tasks.live:coarse_layer", "network.live_server:LiveServer",
+        "tasks.live:open_sender", "tasks.live:broadcast", "tasks.live:coarse_layer", "network.live_server:LiveServer",
         "network.udp:UdpSender", "network.live:write_message",
     ),
     "mux": ("network.mux:mux",),
     "demux": ("network.mux:demux",),
-    "measure": ("job:measure_medium",),
+    "measure": ("tasks.measure:measure_medium",),
     "reduce": ("tasks.reduction:reduce_medium",),
     "index": ("tasks.library:index_folder", "cli.library:executor_of"),
     "search": ("tasks.library:search",),
@@ -270,7 +270,7 @@ def test_who_receives_is_told_the_end_of_a_live_stream(folder: Path, monkeypatch
     monkeypatch.setattr(
         "touchfield.network.live_server.LiveServer", lambda *_: servers.append(Stub()) or servers[0]
     )
-    monkeypatch.setattr("touchfield.tasks.live.opened_sender", lambda *_: RESULTS["opened_sender"])
+    monkeypatch.setattr("touchfield.tasks.live.open_sender", lambda *_: RESULTS["opened_sender"])
     monkeypatch.setattr("touchfield.tasks.live.broadcast", breaks)
     assert _exit_code(["live", "scene.stl"]) == 1
     assert servers[0].__enter__.return_value.end.called, "also where it is interrupted"

@@ -227,7 +227,7 @@ def test_what_is_no_tool_is_one_clear_line(stream: Path, tool: str, capsys: Capt
 def test_in_time_and_in_a_process_of_its_own(
     stream: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("touchfield.tasks.play._FEW_ROWS", 0)  # what is kept of a play that is not logged
+    monkeypatch.setattr("touchfield.tasks.play._DEFAULT_ROWS", 0)  # what is kept of a play that is not logged
     log = tmp_path / "forces.csv"
     asked = ["play", str(stream), "--seconds", "0.3", "--device", "sim:spring", "--log", str(log), "--json"]
     assert _exit_code(asked) == 0

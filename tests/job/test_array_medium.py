@@ -88,7 +88,7 @@ class Shown:
     def __exit__(self, *error: object) -> None:
         pass
 
-    def wait_begun(self, seconds: float) -> bool:
+    def wait_started(self, seconds: float) -> bool:
         return True
 
     def wait(self, seconds: float) -> bool:
@@ -108,7 +108,7 @@ def test_an_array_is_played_as_it_was_asked_for(tmp_path: Path, monkeypatch: pyt
     times = {"loop": True, "speed": 2.0, "start_s": 0.5}
     for profile in (None, "tshirt-32x32"):
         spec = PlaySpec("osc:127.0.0.1:9", profile=profile, **times)  # type: ignore[arg-type]
-        played = play(path, spec, tell=said.append)
+        played = play(path, spec, on_note=said.append)
         assert played.statistics["stalled_share"] == 0.05 and played.is_starved
         assert SHOWN[-1].times == times and played.notes == Shown.notes
         assert SHOWN[-1].told == played.statistics["profile"] == (profile or VEST.name)
@@ -122,7 +122,7 @@ def test_an_array_is_played_as_it_was_asked_for(tmp_path: Path, monkeypatch: pyt
 
 @pytest.mark.parametrize("pool", ["max", "mean"])
 def test_what_is_pooled_along_the_depth_is_the_field_at_each_point_of_it(pool: str) -> None:
-    from touchfield.filters.kernels.forces import pooled
+    from touchfield.filters.kernels.forces import pool_depth
 
     random = np.random.default_rng(3)
     forces = random.normal(size=(19, 12, 21, 3)) * (random.random((19, 12, 21, 1)) < 0.1)
@@ -131,7 +131,7 @@ def test_what_is_pooled_along_the_depth_is_the_field_at_each_point_of_it(pool: s
     asked = Grid((37, 41, 60), (0.006, 0.007, 0.0061), (0.08, -0.23, 0.0))
     points = np.stack(np.meshgrid(*(asked.axis_m(n) for n in range(3)), indexing="ij"), axis=-1)
     size = np.linalg.norm(stored.sample_n(points).astype(np.float64), axis=-1)
-    greatest, mean, first, last = pooled(stored, asked)
+    greatest, mean, first, last = pool_depth(stored, asked)
     if pool == "max":
         np.testing.assert_allclose(greatest, size.max(axis=2), rtol=1e-6, atol=1e-9)
     else:
@@ -141,7 +141,7 @@ def test_what_is_pooled_along_the_depth_is_the_field_at_each_point_of_it(pool: s
     numbers = np.where(size > 0, np.arange(1, 61), 0)
     assert np.array_equal(last, numbers.max(axis=2))
     assert np.array_equal(first, np.where(last > 0, np.where(size > 0, numbers, 61).min(axis=2), 0))
-    assert not pooled(ForceField.empty(stored.grid), asked).any()
+    assert not pool_depth(ForceField.empty(stored.grid), asked).any()
 
 
 def test_no_drive_is_beyond_1_even_where_f_max_is_next_to_nothing() -> None:

@@ -15,15 +15,15 @@ import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.tasks.editing import (
+    change_lattice,
+    change_rate,
     edit,
-    joined,
     levels_of_detail,
+    match_medium,
     operator_of,
     read_medium,
     region_of,
     resample_file,
-    resampled,
-    retimed,
     splice,
 )
 
@@ -64,8 +64,7 @@ def points() -> NDArray[np.float64]:
     return GRID.to_m(np.stack(np.meshgrid(*(np.arange(n) for n in GRID.shape), indexing="ij"), axis=-1))
 
 
-# -- words
-# ----------------------------------------------------------------------------------------------------------
+# -- words -------------------------------------------------------------------------------------------------
 
 
 def test_regions_in_words_are_the_regions() -> None:
@@ -137,8 +136,7 @@ def test_operators_in_words_are_the_operators(stream: Path) -> None:
             operator_of(words, given)
 
 
-# -- edit
-# -----------------------------------------------------------------------------------------------------------
+# -- edit --------------------------------------------------------------------------------------------------
 
 
 def test_an_edit_is_exact_outside_its_region_and_its_frames(stream: Path, tmp_path: Path) -> None:
@@ -176,7 +174,7 @@ def test_another_medium_is_composed_over_one(stream: Path, tmp_path: Path) -> No
     edit(stream, tmp_path / "x.npz", operators=[f"add:{tmp_path / 'o.touch'}"], frames=(2, 4))
     made = read_medium(tmp_path / "x.npz").medium
     for n in (2, 3):  # a still one is there in each
-        expected = tf.decode(stream)[n] + resampled(tf.decode(tmp_path / "o.touch"), GRID)[0]
+        expected = tf.decode(stream)[n] + change_lattice(tf.decode(tmp_path / "o.touch"), GRID)[0]
         assert_near(made[n].to_dense(), expected.to_dense())
     assert made[1] == tf.decode(stream)[1]
     tf.encode(rolling(frames=2), tmp_path / "short.touch", EXACT)
@@ -212,19 +210,18 @@ def _sphere(folder: Path) -> Path:
     return path
 
 
-# -- other lattices, rates and axes
-# ---------------------------------------------------------------------------------
+# -- other lattices, rates and axes ------------------------------------------------------------------------
 
 
 def test_another_rate_is_linear_between_the_frames() -> None:
     medium = rolling()
-    twice, less = retimed(medium, 60.0), retimed(medium, 20.0)
+    twice, less = change_rate(medium, 60.0), change_rate(medium, 20.0)
     assert (len(twice), len(less)) == (12, 4) and twice.rate_hz == 60.0
     assert twice[4] == medium[2] and less[2] == medium[3] and twice[11] == medium[5]
     assert_near(twice[5].to_dense(), (medium[2].to_dense() + medium[3].to_dense()) / 2)
-    assert retimed(medium, 30.0) is medium and len(retimed(medium[:4], 20.0)) == 3
+    assert change_rate(medium, 30.0) is medium and len(change_rate(medium[:4], 20.0)) == 3
     with pytest.raises(InvalidArgument):
-        retimed(medium, 0.0)
+        change_rate(medium, 0.0)
 
 
 def test_a_frame_serves_all_that_are_made_of_it() -> None:
@@ -236,7 +233,7 @@ def test_a_frame_serves_all_that_are_made_of_it() -> None:
         return medium[i]
 
     counted = tf.HapticMedium(medium.grid, 30.0, 6, make, AXES)
-    assert len(list(retimed(counted, 210.0))) == 42
+    assert len(list(change_rate(counted, 210.0))) == 42
     assert made == list(range(6))
 
 
@@ -244,7 +241,7 @@ def test_media_are_joined_in_space_time_and_axes() -> None:
     like = rolling()
     grid = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (48, 48, 48))
     finer = rolling(grid, 12, 60.0)
-    same, notes = joined(finer, like)
+    same, notes = match_medium(finer, like)
     assert (same.grid, same.rate_hz, len(same), len(notes)) == (GRID, 30.0, 6, 2)
     error = np.linalg.norm(same[3].to_dense() - like[3].to_dense(), axis=-1)
     assert error.sum() < 0.12 * np.linalg.norm(like[3].to_dense(), axis=-1).sum()
@@ -252,7 +249,7 @@ def test_media_are_joined_in_space_time_and_axes() -> None:
         np.stack([frame.to_dense()[:, ::-1, ::-1] * np.float32([1, -1, -1]) for frame in like]), GRID, 30.0,
         "x right, y down, z forward",
     )  # fmt: skip
-    back, notes = joined(turned, like)
+    back, notes = match_medium(turned, like)
     assert_near(back[2].to_dense(), like[2].to_dense())
     assert "turned" in notes[0]
     flat, high = ((0.04, 0.03, 0.02), (32, 24, 16)), ((0.04, 0.02, 0.03), (32, 16, 24))
@@ -262,15 +259,15 @@ def test_media_are_joined_in_space_time_and_axes() -> None:
     turned = tf.HapticMedium.from_array(
         rolling(standing)[0].to_dense(), standing, 30.0, "x right, y forward, z up"
     )
-    back, notes = joined(turned, rolling(lying))
+    back, notes = match_medium(turned, rolling(lying))
     swapped = turned[0].to_dense().transpose(0, 2, 1, 3)[:, :, ::-1, [0, 2, 1]] * np.float32([1, 1, -1])
     assert back.grid == lying and len(notes) == 1
     assert_near(back[0].to_dense(), swapped)
     small = tf.Grid.over_box((-0.04, -0.04, -0.04), (0.0, 0.04, 0.04), (16, 32, 32))
-    note = joined(like, rolling(small))[1][1]
+    note = match_medium(like, rolling(small))[1][1]
     share = np.mean(like.grid.to_m(like[3].positions())[:, 0] > 0)
     assert f": {100 * share:.3g} % of its samples lie outside" in note and 0.1 < share < 0.9
-    assert joined(like, like)[0][1] == like[1] and not joined(like, like)[1]
+    assert match_medium(like, like)[0][1] == like[1] and not match_medium(like, like)[1]
 
 
 def test_rooms_of_other_rates_and_lattices_are_spliced(stream: Path, tmp_path: Path) -> None:
@@ -278,7 +275,7 @@ def test_rooms_of_other_rates_and_lattices_are_spliced(stream: Path, tmp_path: P
     tf.encode(rolling(grid, 10, 50.0), tmp_path / "b.touch", EXACT)
     done = splice([f"{stream}@1:5", str(tmp_path / "b.touch")], tmp_path / "s.touch", fade_s=0.09, spec=EXACT)
     made, first = tf.decode(tmp_path / "s.touch"), tf.decode(stream)
-    second, _ = joined(tf.decode(tmp_path / "b.touch"), first)
+    second, _ = match_medium(tf.decode(tmp_path / "b.touch"), first)
     assert len(made) == 4 + 6 - 3 and made.grid == GRID and made.rate_hz == 30.0
     assert made[0] == first[1]
     assert_near(made[4].to_dense(), second[3].to_dense())
@@ -330,23 +327,22 @@ def test_a_file_is_brought_onto_another_lattice_and_its_error_told(stream: Path,
             resample_file(stream, tmp_path / "x.touch", lattice, rate)
 
 
-# -- levels and boxes
-# -----------------------------------------------------------------------------------------------
+# -- levels and boxes --------------------------------------------------------------------------------------
 
 
 def test_each_level_of_detail_tells_its_bytes_and_its_error(stream: Path, tmp_path: Path) -> None:
     done = levels_of_detail(stream, tmp_path / "levels", spec=EXACT)
-    sizes = [row["file_bytes"] for row in done.shown["levels"]]
-    errors = [row["mask_violations_per_supported_voxel"] for row in done.shown["levels"]]
-    assert [row["grid_shape"] for row in done.shown["levels"]] == [[32] * 3, [16] * 3, [8] * 3]
+    sizes = [row["file_bytes"] for row in done.figures["levels"]]
+    errors = [row["mask_violations_per_supported_voxel"] for row in done.figures["levels"]]
+    assert [row["grid_shape"] for row in done.figures["levels"]] == [[32] * 3, [16] * 3, [8] * 3]
     assert sizes == sorted(sizes, reverse=True) and errors == sorted(errors) and errors[0] == 0
-    for level, row in enumerate(done.shown["levels"]):
+    for level, row in enumerate(done.figures["levels"]):
         path = tmp_path / "levels" / f"level-{level}.touch"
         assert row["file"] == str(path) and path.stat().st_size == row["file_bytes"]
         assert list(tf.decode(path).grid.shape) == row["grid_shape"]
-    assert levels_of_detail(stream, most_bytes=sizes[1], spec=EXACT).shown["level"] == 1
-    none = levels_of_detail(stream, levels=1, most_bytes=10, spec=EXACT)
-    assert none.shown["level"] is None and "10 bytes" in none.notes[0]
+    assert levels_of_detail(stream, max_bytes=sizes[1], spec=EXACT).figures["level"] == 1
+    none = levels_of_detail(stream, levels=1, max_bytes=10, spec=EXACT)
+    assert none.figures["level"] is None and "10 bytes" in none.notes[0]
     with pytest.raises(InvalidArgument):
         levels_of_detail(stream, levels=9)
     with pytest.raises(InvalidArgument, match="found a file; expected a folder"):
@@ -365,8 +361,7 @@ def test_levels_that_are_broken_off_leave_no_folder(stream: Path, tmp_path: Path
     assert not (tmp_path / "new").exists() and mine.is_dir()
 
 
-# -- the command line
-# -----------------------------------------------------------------------------------------------
+# -- the command line --------------------------------------------------------------------------------------
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, object]:

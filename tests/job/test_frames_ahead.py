@@ -60,7 +60,7 @@ def test_in_sequence_every_segment_is_decoded_once(
     threads: str, most_bytes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
-    monkeypatch.setattr(module, "MOST_BYTES_AHEAD", most_bytes)
+    monkeypatch.setattr(module, "MAX_LOOKAHEAD_BYTES", most_bytes)
     begun: list[int] = []
     frames = frames_of(begun.append)
     assert [number_of(frames(i)) for i in range(LENGTH * COUNT)] == list(range(LENGTH * COUNT))
@@ -93,7 +93,7 @@ def test_the_next_segments_are_decoded_by_other_threads(monkeypatch: pytest.Monk
 
 def test_of_a_large_segment_only_the_first_frames_are_decoded_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
-    monkeypatch.setattr(module, "MOST_BYTES_AHEAD", field(0).forces_n.nbytes)
+    monkeypatch.setattr(module, "MAX_LOOKAHEAD_BYTES", field(0).forces_n.nbytes)
     made: list[int] = []
 
     def decode(segment: int) -> Iterator[ForceField]:

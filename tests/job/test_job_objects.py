@@ -31,7 +31,7 @@ def falling() -> BodyScene:
     way = np.stack([0 * t, 0.02 + 0 * t, 0.06 - 4.905 * t**2], axis=1)
     box = AnalyticScene((Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.01)),))
     ball = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02),))
-    still = PoseTrack.still(FRAMES, (0.08, 0.0, 0.02))
+    still = PoseTrack.constant(FRAMES, (0.08, 0.0, 0.02))
     return BodyScene((Body("box", box, PoseTrack(turn, way)), Body("ball", ball, still)), 1000.0)
 
 
@@ -179,14 +179,14 @@ def test_what_is_too_small_to_be_felt_is_named(tmp_path: Path) -> None:
     grain = AnalyticScene((Sphere((0.0, 0.0, 0.0), 1e-5),))
     way = PoseTrack(np.tile([1.0, 0, 0, 0], (FRAMES, 1)), np.linspace((0, 0, 0.02), (0.01, 0, 0.02), FRAMES))
     seen = BodyScene((*falling().bodies(), Body("grain", grain, way)), 1000.0)
-    unfelt = [note for note in pipeline.prepare(seen, SPEC).notes if "Not felt" in note]
+    unfelt = [note for note in pipeline.prepare(seen, SPEC).notes if "Objects without any force" in note]
     assert len(unfelt) == 1 and "'grain'" in unfelt[0] and "box" not in unfelt[0]
-    assert not [note for note in pipeline.prepare(falling(), SPEC).notes if "Not felt" in note]
+    assert not [note for note in pipeline.prepare(falling(), SPEC).notes if "Objects without any force" in note]
     alone = BodyScene((Body("grain", grain, way),), 1000.0)
     spec = replace(SPEC, mapping="1")
-    assert "Nothing can be felt" in pipeline.encode(alone, tmp_path / "a.touch", spec).notes[-1]
+    assert "The result is empty" in pipeline.encode(alone, tmp_path / "a.touch", spec).notes[-1]
     voxels = replace(spec, representation="voxel")
-    assert "Nothing can be felt" in pipeline.encode(alone, tmp_path / "a.touch", voxels).notes[-1]
+    assert "The result is empty" in pipeline.encode(alone, tmp_path / "a.touch", voxels).notes[-1]
 
 
 def test_the_voxel_representation_is_offered_only_where_none_was_asked_for(stream: Path) -> None:
@@ -248,7 +248,7 @@ def test_a_filter_wider_than_a_body_finds_room_and_loses_no_force() -> None:
 def test_the_report_of_a_filter_is_of_the_objects_that_are_coded(tmp_path: Path) -> None:
     plain = replace(SPEC, stiffness_n_per_m=20.0)
     spec = replace(plain, filters=(("gaussian", "3mm"),))
-    report = pipeline.filter_report(falling(), spec).shown["stages"]
+    report = pipeline.filter_report(falling(), spec).figures["stages"]
     coded = pipeline.prepare(falling(), spec).medium
     assert report[0]["supported_voxels"] == sum(
         f.support_count for f in pipeline.prepare(falling(), plain).medium

@@ -13,7 +13,7 @@ from touchfield.medium import Grid
 from touchfield.medium.stores.npz import read_npz
 from touchfield.pipeline import compare, encode
 from touchfield.pipeline.decoding import FILTERED, open_stream
-from touchfield.pipeline.spec import OWN_FORCES, EncodeSpec
+from touchfield.pipeline.spec import SOURCE_FORCES, EncodeSpec
 
 SPEC = EncodeSpec(nw=4, touch=TouchSpec(mode="lossless"))
 SMALL = ((11, 9, 10), 0.002)
@@ -51,10 +51,10 @@ def test_a_stored_field_keeps_its_lattice_and_every_bit(
     grid, found = decoded(tmp_path / "a.touch")
     assert grid == Grid(shape, (spacing_m,) * 3, origin_m) == read_npz(source).grid
     assert np.array_equal(found.view(np.uint32), forces.view(np.uint32))
-    assert done.summary()["promise_against"] == OWN_FORCES
+    assert done.summary()["promise_against"] == SOURCE_FORCES
     assert any("keeps its own lattice" in note for note in done.notes)
     with open_stream(tmp_path / "a.touch") as opened:
-        assert opened.summary()["promise_against"] == OWN_FORCES and opened.summary()["promise_kept"]
+        assert opened.summary()["promise_against"] == SOURCE_FORCES and opened.summary()["promise_kept"]
     assert compare(source, tmp_path / "a.touch").summary()["mask_violations"] == 0
 
 
@@ -108,4 +108,4 @@ def test_what_a_promise_is_held_against_is_said(tmp_path: Path) -> None:
             assert opened.summary()["promise_against"] == FILTERED
     encode(tmp_path / "a.touch", tmp_path / "b.touch", SPEC)
     with open_stream(tmp_path / "b.touch") as opened:
-        assert opened.summary()["promise_against"] == OWN_FORCES
+        assert opened.summary()["promise_against"] == SOURCE_FORCES

@@ -26,7 +26,7 @@ from touchfield.errors import InvalidArgument, MissingExtra, SourceError, Touchf
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.stores.npz import write_npz
 from touchfield.pipeline import segments
-from touchfield.pipeline.segments import Task, code_part
+from touchfield.pipeline.segments import EncodeTask, encode_part
 from touchfield.tasks.library import index_folder
 from touchfield.tasks.plan import PlanGrid, plan
 
@@ -53,7 +53,7 @@ def moving(count: int = FRAMES) -> np.ndarray:
 def short_stretches() -> Iterator[None]:
     """Stretches of one segment, so that there are many."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(segments, "STRETCH", 1)
+        patch.setattr(segments, "SEGMENTS_PER_RANGE", 1)
         yield
 
 
@@ -128,7 +128,7 @@ def test_bytes_are_those_of_one_process_in_any_order(source: Path, alone: bytes,
 def test_a_part_may_have_several_segments(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(segments, "STRETCH", 2)
+    monkeypatch.setattr(segments, "SEGMENTS_PER_RANGE", 2)
     here = encode(source, tmp_path / "a.touch", SPEC)
     there = encode(source, tmp_path / "b.touch", SPEC, executor=Straight())
     assert (tmp_path / "a.touch").read_bytes() == (tmp_path / "b.touch").read_bytes()
@@ -163,12 +163,12 @@ def test_segments_of_a_world_that_stands_begin_with_the_same_bytes(alone: bytes)
 
 def test_a_world_that_stands_keeps_its_anchor_from_stretch_to_stretch(source: Path) -> None:
     from touchfield.codec.registry import field_encoder
-    from touchfield.pipeline.segments import stretches
+    from touchfield.pipeline.segments import frame_ranges
 
     medium = HapticMedium.from_array(moving(), GRID)
-    cut = [s for s, _ in stretches(medium, SPEC, field_encoder(GRID, SPEC.touch))]
+    cut = [s for s, _ in frame_ranges(medium, SPEC, field_encoder(GRID, SPEC.touch))]
     assert [s.start for s in cut] == list(range(0, FRAMES, 3))
-    assert [s.anchor for s in cut] == [0, 3, 6, 6, 6, 15, 18]  # it stands in frames 6 to 14
+    assert [s.key_frame for s in cut] == [0, 3, 6, 6, 6, 15, 18]  # it stands in frames 6 to 14
 
 
 def test_a_run_goes_on_from_what_was_finished(source: Path, alone: bytes, tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_frames_without_a_force_are_told_of_where_parts_were_there(source: Path,
     notes = encode(source, out, asked, executor=Straight()).notes
     assert any("4 of 7 parts" in note for note in notes)
     told = [
-        note for note in encode(source, tmp_path / "b.touch", asked).notes if "nothing can be felt" in note
+        note for note in encode(source, tmp_path / "b.touch", asked).notes if "decoded without any force" in note
     ]
     assert told and set(told) <= set(notes) and f"{FRAMES} of {FRAMES}" in told[0]
 
@@ -220,18 +220,18 @@ def test_a_job_is_another_where_its_source_was_written_again(tmp_path: Path) -> 
     path = tmp_path / "depth" / "0.png"
     path.parent.mkdir()
     path.write_bytes(b"12")
-    names = [segments.name_of(str(where), "asked") for where in (path, path.parent)]
-    assert names == [segments.name_of(str(where), "asked") for where in (path, path.parent)]
-    assert names[0] != segments.name_of(str(path), "asked otherwise")
+    names = [segments.job_name(str(where), "asked") for where in (path, path.parent)]
+    assert names == [segments.job_name(str(where), "asked") for where in (path, path.parent)]
+    assert names[0] != segments.job_name(str(path), "asked otherwise")
     os.utime(path, (1, 1))
-    later = [segments.name_of(str(where), "asked") for where in (path, path.parent)]
+    later = [segments.job_name(str(where), "asked") for where in (path, path.parent)]
     assert len({*names, *later}) == 4
 
 
 def test_a_part_that_is_damaged_before_the_join_is_named(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write = segments._Parts.write
+    write = segments._PartFolder.write
 
     def damaged(self: Any, stretch: Any, part: Any) -> None:
         write(self, stretch, part)
@@ -240,7 +240,7 @@ def test_a_part_that_is_damaged_before_the_join_is_named(
         data[len(data) // 2] ^= 1
         path.write_bytes(data)
 
-    monkeypatch.setattr(segments._Parts, "write", damaged)
+    monkeypatch.setattr(segments._PartFolder, "write", damaged)
     with pytest.raises(TouchfieldError, match="parts"):
         encode(source, tmp_path / "a.touch", SPEC, executor=Shuffled())
     assert not (tmp_path / "a.touch").exists()
@@ -250,9 +250,9 @@ def test_what_cannot_be_is_said(source: Path, tmp_path: Path, monkeypatch: pytes
     medium = HapticMedium.from_array(moving(4), GRID)
     with pytest.raises(InvalidArgument, match="a path, which workers can open"):
         encode(medium, tmp_path / "a.touch", SPEC, executor=Shuffled())
-    task = Task("job", str(source), SPEC, segments.Stretch(0, 3, 0), "0.0.1")
+    task = EncodeTask("job", str(source), SPEC, segments.FrameRange(0, 3, 0), "0.0.1")
     with pytest.raises(InvalidArgument, match=r"a worker: found touchfield .*; expected 0\.0\.1"):
-        code_part(task)
+        encode_part(task)
     for words in ("", "processes", "processes:0", "processes:x", "dask:", "slurm:4"):
         with pytest.raises(InvalidArgument, match="--workers"), executor_of(words):
             pass

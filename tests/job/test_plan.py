@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
-from touchfield.filters import rebuilt
+from touchfield.filters import rebuild_level
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import HapticMedium
 from touchfield.pipeline import encode, prepare
@@ -22,8 +22,7 @@ from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Sphere
 from touchfield.sources.stored import StoredScene
-from touchfield.tasks import plan
-from touchfield.tasks.plan import Budget, Plan, PlanGrid, Trial, amount, parse_budget
+from touchfield.tasks.plan import Budget, Plan, PlanGrid, Trial, amount, parse_budget, plan
 
 SPEC = EncodeSpec(thickness_m=0.01, oversample=1, touch=TouchSpec(effort="fast"))
 SEARCH = PlanGrid(nw=(4, 5), k=(0.1, 0.4), step_n=(0.1, 0.4), directions=("ico3",))
@@ -72,19 +71,19 @@ def test_every_setting_is_tried_and_the_best_within_the_budget_taken() -> None:
     tried = found()
     assert len(tried.trials) == 2 * (2 * 2 + 2 + 1)
     within = [t for t in tried.trials if t.file_bytes <= 3750]
-    assert tried.chosen.nmse == min(t.nmse for t in within)
+    assert tried.choice.nmse == min(t.nmse for t in within)
     assert 0 < len(within) < len(tried.trials), "the budget cuts"
     finest = [
         t for t in tried.trials if t.spec.nw == 5 and t.spec.coder == "touch" and t.spec.touch.mode == "mask"
     ]
-    assert finest[0].mask_kept == 1, "the promise, where nothing is interpolated"
+    assert finest[0].mask_fraction == 1, "the promise, where nothing is interpolated"
     coarse = [t for t in tried.trials if t.spec.nw == 4]
-    assert all(t.mask_kept < 1 for t in coarse), "what a coarse lattice leaves out counts"
+    assert all(t.mask_fraction < 1 for t in coarse), "what a coarse lattice leaves out counts"
 
 
 def test_the_rate_is_that_of_the_file(tmp_path: Path) -> None:
     scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),))
-    chosen = found().chosen
+    chosen = found().choice
     size = encode(scene, tmp_path / "s.touch", chosen.spec).file_bytes
     assert chosen.file_bytes == pytest.approx(size, abs=450), "head and provenance are a guess"
 
@@ -109,7 +108,7 @@ def test_a_scene_that_the_coarsest_lattice_misses_is_planned_all_the_same() -> N
     spec = EncodeSpec(mapping="1", oversample=1, touch=TouchSpec(effort="fast"))
     assert not prepare(scene, EncodeSpec(mapping="1", oversample=1, nw=3)).medium[0].support_count
     tried = plan(scene, Budget(bytes=60000), spec, PlanGrid((3, 6), (0.1,), (), ()))
-    assert tried.chosen.spec.nw == 6
+    assert tried.choice.spec.nw == 6
     with pytest.raises(InvalidArgument, match="frames without a force"):
         plan(scene, Budget(bytes=60000), spec, PlanGrid((3,), (0.1, 0.2), (), ()))
 
@@ -124,7 +123,7 @@ def test_lambda_makes_the_choice_where_it_lies_on_the_hull(rows: list[tuple[int,
             Plan(trials, 0.1, 0.05, budget, "x", 2)
         return
     made = Plan(trials, 0.1, 0.05, budget, "x", 2)
-    chosen, multiplier = made.chosen, made.multiplier
+    chosen, multiplier = made.choice, made.multiplier
     assert chosen.bits_per_s <= budget
     assert not any(t.bits_per_s <= budget and t.nmse < chosen.nmse for t in trials)
     if multiplier is not None:
@@ -179,11 +178,11 @@ def test_a_trial_is_what_encode_and_a_meter_make(tmp_path: Path) -> None:
         with open_stream(tmp_path / "one.touch") as opened:
             decoded = opened.medium[0]
         if trial.spec.nw == 4:
-            decoded = rebuilt(decoded, reference.grid)
+            decoded = rebuild_level(decoded, reference.grid)
         meter.add(reference, decoded)
         assert meter.nmse_db is not None
         assert trial.nmse == pytest.approx(10 ** (meter.nmse_db / 10))
-        assert trial.mask_kept == 1 - meter.mask_violation_share
+        assert trial.mask_fraction == 1 - meter.mask_violation_share
 
 
 def test_what_the_settings_do() -> None:
@@ -237,10 +236,10 @@ def drifting(frames: int = 6) -> StoredScene:
 def test_a_medium_that_moves_has_a_rate_and_a_size_is_one_over_its_time(tmp_path: Path) -> None:
     scene, search = drifting(), PlanGrid((4, 5), (0.1,), (0.1,), ())
     by_rate = plan(scene, 400_000.0, SPEC, search)
-    assert by_rate.unit == "bit/s" and by_rate.chosen.bits_per_s <= 400_000
+    assert by_rate.unit == "bit/s" and by_rate.choice.bits_per_s <= 400_000
     assert "bits_per_s" in by_rate.summary()["trials"][0] and by_rate.frames_tried == 6
     by_size = plan(scene, Budget(bytes=400_000 / 8 * 6 / 25), SPEC, search)
-    assert by_size.budget == pytest.approx(400_000) and by_size.chosen == by_rate.chosen
+    assert by_size.budget == pytest.approx(400_000) and by_size.choice == by_rate.choice
     trial = by_rate.trials[-1]
     size = encode(scene, tmp_path / "s.touch", trial.spec).file_bytes
     assert trial.frames == 6 and trial.file_bytes == pytest.approx(size, rel=0.2)
@@ -258,7 +257,7 @@ def test_what_is_tried_are_pairs_of_frames_all_over_the_medium() -> None:
 def test_a_still_medium_takes_of_a_rate_what_one_second_carries() -> None:
     scene, search = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), PlanGrid((4,), (0.4,), (), ())
     made = plan(scene, 64_000.0, SPEC, search)
-    assert (made.budget, made.unit) == (8000, "bytes") and made.chosen.file_bytes <= 8000
+    assert (made.budget, made.unit) == (8000, "bytes") and made.choice.file_bytes <= 8000
     assert not any("bits_per_s" in key for key in (*made.summary(), *made.summary()["trials"][0]))
 
 

@@ -29,14 +29,14 @@ half_extents_m = [0.05, 0.04, 0.001]
 
 def test_a_stream_names_a_profile_and_never_a_file(tmp_path: Path) -> None:
     told = replace(device("phantom-omni"), title="as the stream tells", force_max_n=2.0)
-    assert stream_device(SimpleNamespace(told_device=told)) == device("phantom-omni")
+    assert stream_device(SimpleNamespace(declared_device=told)) == device("phantom-omni")
     path = tmp_path / "profile.toml"
     path.write_text("no profile")
     for name in (str(path), "mine", ""):
         named = replace(told, name=name)
-        assert stream_device(SimpleNamespace(told_device=named)) is named
+        assert stream_device(SimpleNamespace(declared_device=named)) is named
     array = replace(told, type=2)
-    assert stream_device(SimpleNamespace(told_device=array)) is array
+    assert stream_device(SimpleNamespace(declared_device=array)) is array
 
 
 def test_what_comes_behind_the_end_of_a_live_stream_was_missed_by_nobody() -> None:

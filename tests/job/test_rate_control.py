@@ -15,7 +15,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline import compare, encode, rate_control
 from touchfield.pipeline.decoding import open_stream
-from touchfield.pipeline.rate_control import MOST_ENCODES, RootSearch, Target, encode_to_target
+from touchfield.pipeline.rate_control import MAX_ENCODES, RootSearch, Target, encode_to_target
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
 
@@ -49,7 +49,7 @@ def test_a_promise_is_weakened_until_it_fits_and_says_so(frames: int, tmp_path: 
     assert out.stat().st_size == told["file_bytes"]
     assert 0.97 * target <= told["file_bytes"] <= target
     assert told["k"] > 0.1 == told["asked_k"] and told["f0_n"] == pytest.approx(0.5 * told["k"])
-    assert told["encodes"] <= MOST_ENCODES and told["target_bytes"] == target
+    assert told["encodes"] <= MAX_ENCODES and told["target_bytes"] == target
     assert any(f"raised from 0.1 to {told['k']:.4g}" in note for note in done.notes)
     with open_stream(out) as opened:
         assert opened.reader.head.weber_fraction == told["k"]
@@ -71,17 +71,17 @@ def test_a_mean_error_is_reached(frames: int, tmp_path: Path, monkeypatch: pytes
     found = compare(source, out).summary()
     assert found["nmse_db"] == pytest.approx(-24.0, abs=0.13)
     assert told["nmse_db"] == pytest.approx(found["nmse_db"], abs=1e-6)
-    assert told["mode"] == "nmse" and told["encodes"] == len(calls) <= MOST_ENCODES
+    assert told["mode"] == "nmse" and told["encodes"] == len(calls) <= MAX_ENCODES
 
 
 def test_of_what_fits_the_best_is_kept_wherever_the_search_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     steps = iter((0.5, *np.linspace(0.2, 0.1, 20)))  # of which the first alone fits
-    monkeypatch.setattr(RootSearch, "guess", lambda search: next(map(math.log, steps), None))
+    monkeypatch.setattr(RootSearch, "next_x", lambda search: next(map(math.log, steps), None))
     spec = replace(NMSE, touch=replace(NMSE.touch, step_n=0.8))
     told = encode_to_target(rough(2), tmp_path / "s.touch", spec, Target(bytes=6000)).summary()
-    assert told["step_n"] == 0.5 and told["encodes"] == MOST_ENCODES
+    assert told["step_n"] == 0.5 and told["encodes"] == MAX_ENCODES
     assert told["file_bytes"] == (tmp_path / "s.touch").stat().st_size < 6000
 
 

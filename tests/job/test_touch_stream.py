@@ -55,7 +55,7 @@ def test_a_stream_tells_what_its_head_and_its_segments_say(tmp_path: Path) -> No
         writer.write_segment(0, 3, encoder.encode_segment(frames[:1] * 3).body)
         writer.write_segment(3, 2, encoder.encode_segment(frames[1:] * 2).body)
     with open_stream(path) as opened:
-        told, medium, device = opened.summary(), opened.medium, opened.told_device
+        told, medium, device = opened.summary(), opened.medium, opened.declared_device
         assert opened.masking == (0.03, 0.006) and medium.segments == Segments((0, 3), 0.2, 0.07)
         held = opened.supported_voxels(lambda *at: notes.append(at))
         size = 8 * path.stat().st_size
@@ -170,7 +170,7 @@ def test_a_provenance_holds_what_is_asked_of_its_coder_alone() -> None:
     assert "touch" not in json.loads(spec.to_json()) and "paper" not in json.loads(EncodeSpec().to_json())
     new = EncodeSpec(touch=TouchSpec(k=0.25, mode="mask-direction"))
     assert EncodeSpec.from_json(new.to_json()) == new
-    assert new.asked() == {"k": 0.25, "mode": "mask-direction"}
+    assert new.changed_options() == {"k": 0.25, "mode": "mask-direction"}
 
 
 def test_what_a_coder_does_not_take_is_refused() -> None:

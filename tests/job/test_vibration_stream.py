@@ -18,7 +18,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument
-from touchfield.filters.contact import VibrationRule, vibrating
+from touchfield.filters.contact import VibrationRule, add_vibration
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationFrame
 from touchfield.pipeline.decoded_objects import record_of
@@ -116,7 +116,7 @@ def test_frames_are_cut_with_their_vibration(tmp_path: Path) -> None:
 
 def test_a_stored_medium_keeps_its_band(tmp_path: Path) -> None:
     path, rule = tmp_path / "a.touch", VibrationRule(0.5, 200, 200)
-    made = vibrating(medium(3), rule, 3.3)
+    made = add_vibration(medium(3), rule, 3.3)
     pipeline.encode(StoredScene(made), path, spec())
     assert made.vibration is not None
     assert_near(frames_of(path)[2], made.vibration(2))
@@ -192,7 +192,7 @@ def test_objects_do_not_vibrate() -> None:
 
 def test_the_spec_travels_with_its_words() -> None:
     asked = spec(vibration=WORDS)
-    assert EncodeSpec.from_json(asked.to_json()) == asked and asked.asked()["vibration"] == WORDS
+    assert EncodeSpec.from_json(asked.to_json()) == asked and asked.changed_options()["vibration"] == WORDS
     assert "vibration" not in spec().to_json()
     with pytest.raises(CorruptFile):
         EncodeSpec.from_json(asked.to_json().replace(WORDS, "gain=no"))

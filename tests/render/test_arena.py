@@ -13,7 +13,7 @@ from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.render.block import PREFIX, Block, Layout, Memory, Ring, check_fits, shared_folder
 from touchfield.render.block import words as W
-from touchfield.render.feeder import FrameSource, arena_words
+from touchfield.render.feeder import FrameSource, arena_word_count
 from touchfield.render.player import Session, ramp_limit_s
 from touchfield.render.spec import RenderSpec
 
@@ -59,8 +59,8 @@ def test_parts_of_the_block_lie_one_behind_the_other() -> None:
 
 def test_no_more_memory_than_the_medium_needs() -> None:
     few, many = FrameSource(telling(2)), FrameSource(telling(2000))
-    assert arena_words(few, 1 << 40) < arena_words(many, 1 << 40)
-    assert arena_words(many, 1 << 20) == 1 << 17
+    assert arena_word_count(few, 1 << 40) < arena_word_count(many, 1 << 40)
+    assert arena_word_count(many, 1 << 20) == 1 << 17
     slots = [
         Session(telling(2000), device("phantom-omni"), RenderSpec(), speed=s).layout.slots
         for s in (0.1, 1, 9)

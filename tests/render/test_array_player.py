@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from touchfield.devices import device
 from touchfield.errors import DeviceError, InvalidArgument, SourceError
-from touchfield.render.array_player import MOST_AHEAD, ArrayDevice, ArrayPlayer, DrivesAhead
+from touchfield.render.array_player import MAX_LOOKAHEAD_FRAMES, ArrayDevice, ArrayPlayer, DrivePrefetcher
 
 VEST = replace(device("tactsuit-x40"), lattice=(2, 3, 1), panels=2)
 SHAPE = (2, 3, 2)
@@ -97,7 +97,7 @@ def test_the_mean_rate_is_that_of_the_intervals_between_frames() -> None:
 
 
 def test_linear_between_frames_and_the_last_is_held() -> None:
-    ahead = DrivesAhead(Frames(lambda i: [0.0, 1.0, 0.5][i], 3), SHAPE, 0.0, 0.25, 50, False)
+    ahead = DrivePrefetcher(Frames(lambda i: [0.0, 1.0, 0.5][i], 3), SHAPE, 0.0, 0.25, 50, False)
     ahead.thread.start()
     for position, drive in (
         (0.0, 0.0),
@@ -120,7 +120,7 @@ def test_frequencies_come_from_the_nearer_frame_that_has_one() -> None:
         def frequencies(self, frame: int) -> np.ndarray:
             return np.broadcast_to(np.array([[100.0, 0.0], [200.0, 150.0]][frame], np.float32), SHAPE)
 
-    ahead = DrivesAhead(Vibrating(lambda i: 0.5, 2), SHAPE, 0.0, 0.25, 50, False)
+    ahead = DrivePrefetcher(Vibrating(lambda i: 0.5, 2), SHAPE, 0.0, 0.25, 50, False)
     ahead.thread.start()
     ahead.wait_for(0.25)
     for position, expected in ((0.0, [100, 0]), (0.25, [100, 150]), (0.75, [200, 150])):
@@ -167,11 +167,11 @@ def test_a_fast_medium_is_not_decoded_where_it_is_not_shown() -> None:
 
 def test_what_is_decoded_ahead_is_bounded() -> None:
     frames = Frames(lambda i: 0.5, 1 << 30, 1e6)
-    ahead = DrivesAhead(frames, SHAPE, 0.0, 0.5, 2000.0, True)
+    ahead = DrivePrefetcher(frames, SHAPE, 0.0, 0.5, 2000.0, True)
     ahead.thread.start()
     ahead.wait_for(200.0)
     time.sleep(0.05)
-    assert len(frames.asked) <= MOST_AHEAD and len(ahead._buffer) <= MOST_AHEAD
+    assert len(frames.asked) <= MAX_LOOKAHEAD_FRAMES and len(ahead._buffer) <= MAX_LOOKAHEAD_FRAMES
     ahead.stop()
     ahead.thread.join(5.0)
 
@@ -210,14 +210,14 @@ def test_preparation_is_told_from_play() -> None:
     released = threading.Event()
     frames = Frames(lambda i: 0.5 if released.wait(20) else 0.0, 1)
     with ArrayPlayer(frames, Recorder(), rate_hz=200) as player:
-        assert not player.wait_begun(0.05)
+        assert not player.wait_started(0.05)
         released.set()
-        assert player.wait_begun(20)
+        assert player.wait_started(20)
     with (
         pytest.raises(SourceError),
         ArrayPlayer(Frames(lambda i: SourceError("a", "b"), 1), Recorder()) as player,
     ):
-        assert player.wait_begun(20) and player.wait(20)
+        assert player.wait_started(20) and player.wait(20)
 
 
 def test_a_close_waits_for_the_frame_that_is_being_decoded() -> None:

@@ -38,7 +38,7 @@ class Desk:
         force = (0.0, 0.0, 0.0)
         for _ in range(count):
             if self.is_fed:
-                self.feeder.keep_ahead(4)
+                self.feeder.fill_lookahead(4)
             force = cycle(*self.memory.views, 0.0, 0.0, 0.0, self.now_ns)
             self.now_ns += step_ns
         return force

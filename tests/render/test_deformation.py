@@ -66,8 +66,7 @@ def moved(lattice: Deformation, u: Float64s, p: Float64s) -> Float64s:
     return np.einsum("nw,nwc->nc", weights, u.reshape(-1, 3)[flat])
 
 
-# -- the map
-# ------------------------------------------------------------------------------------------------------
+# -- the map -----------------------------------------------------------------------------------------------
 
 
 def test_at_rest_every_bit_is_as_without() -> None:
@@ -91,12 +90,12 @@ def test_an_affine_map_is_that_map_and_turns_forces_with_it() -> None:
     j = np.eye(3) + a
     expected = spring(p @ j.T + shift) @ j
     assert np.abs(made - expected).max() < 1e-6 * np.abs(expected).max()
-    assert bent.least_determinant()[0] == pytest.approx(np.linalg.det(j))
-    assert np.linalg.norm(j, 2) <= bent.most_stretch < 1.15 * np.linalg.norm(j, 2)
+    assert bent.min_determinant()[0] == pytest.approx(np.linalg.det(j))
+    assert np.linalg.norm(j, 2) <= bent.max_stretch < 1.15 * np.linalg.norm(j, 2)
     for frames in (1, 2):  # of one frame the field is shared
         sources = [FrameSource(medium(spring, frames), deformation=d) for d in (None, bent)]
         plain, stretched = (max(s.stiffest_n_per_m, s.prepare(0).stiffest_n_per_m) for s in sources)
-        assert plain > 0 and stretched == pytest.approx(bent.most_stretch**2 * plain)
+        assert plain > 0 and stretched == pytest.approx(bent.max_stretch**2 * plain)
 
 
 def test_force_and_slopes_are_those_of_the_formula() -> None:
@@ -152,7 +151,7 @@ def test_beyond_the_lattice_it_is_flat_and_joins_on() -> None:
 def test_what_folds_or_is_no_deformation_is_refused() -> None:
     lattice = Deformation.at_rest(*BOX)
     swap = replace(lattice, displacement_m=(-0.99 * controls_m(lattice))[None])
-    assert 0 < swap.least_determinant()[0] < 2e-6
+    assert 0 < swap.min_determinant()[0] < 2e-6
     folded = np.stack([0 * controls_m(lattice), -1.2 * controls_m(lattice) * [1, 0, 0]])
     with pytest.raises(InvalidArgument, match="frame 1: found a fold"):
         replace(lattice, displacement_m=folded)
@@ -206,8 +205,7 @@ def test_a_file_keeps_whole_steps_and_strangers_are_refused(tmp_path: Path) -> N
         read_deformation(tmp_path / "d.npz")
 
 
-# -- tracks
-# ---------------------------------------------------------------------------------------------------------
+# -- tracks ------------------------------------------------------------------------------------------------
 
 
 def test_tracks_make_the_frames_of_a_still_medium_and_follow_those_of_another() -> None:
@@ -245,8 +243,7 @@ def test_a_fit_finds_an_affine_motion_to_the_last_and_carries_it_on() -> None:
         fitted(rest, [rest * [-1, 1, 1]], Deformation.at_rest(*BOX), 25.0)
 
 
-# -- what gives way
-# -------------------------------------------------------------------------------------------------
+# -- what gives way ----------------------------------------------------------------------------------------
 
 
 def soft(compliance: float, relax_s: float = 0.02, controls: int = 8) -> Deformation:
@@ -267,7 +264,7 @@ def test_a_wall_that_yields_is_a_spring_in_series(compliance: float) -> None:
     assert force[2] == pytest.approx(expected, rel=0.12) and np.abs(force[:2]).max() < 0.1 * force[2]
     assert force[2] < stiffness * depth
     held = bench.memory.f8[bench.yields :]
-    assert 0 < np.abs(held).max() <= soft(compliance).most_yield_m
+    assert 0 < np.abs(held).max() <= soft(compliance).max_yield_m
     before = np.abs(held).max()
     for _ in range(20):  # one time constant
         bench.tick(0.0, 0.0, 0.02)
@@ -281,7 +278,7 @@ def test_it_never_folds_however_hard_it_is_pressed() -> None:
     for _ in range(300):
         bench.tick(*rng.uniform(-0.06, 0.06, 2), -0.05)
     held = bench.memory.f8[bench.yields :][: lattice.displacement_m.size]
-    assert np.abs(held).max() == pytest.approx(lattice.most_yield_m)
+    assert np.abs(held).max() == pytest.approx(lattice.max_yield_m)
     assert replace(lattice, displacement_m=held.reshape(lattice.displacement_m.shape), compliance_m_per_n=0.0)
 
 
@@ -322,8 +319,7 @@ def test_the_player_takes_it() -> None:
     assert 0.3 * np.abs(made[0]).max() < np.abs(made[2][:499]).max() < 0.9 * np.abs(made[0]).max()
 
 
-# -- the command
-# ----------------------------------------------------------------------------------------------------
+# -- the command -------------------------------------------------------------------------------------------
 
 
 def test_an_animated_model_bends_the_stream_of_a_pose(

@@ -48,8 +48,7 @@ def released_m(
     return np.array(way)
 
 
-# -- friction, damping
-# ------------------------------------------------------------------------------------------
+# -- friction, damping -------------------------------------------------------------------------------------
 
 
 def test_friction_and_damping_of_a_hand_that_slides() -> None:
@@ -100,8 +99,7 @@ def test_the_velocity_follows_true_times() -> None:
     assert bench.word(W.VELOCITY) == pytest.approx(0.05 * (1 - math.exp(-2 * math.pi * 20 * 0.008)))
 
 
-# -- coupling
-# ---------------------------------------------------------------------------------------------------
+# -- coupling ----------------------------------------------------------------------------------------------
 
 
 def test_a_coupling_gives_the_force_of_the_field_in_steady_contact() -> None:
@@ -192,8 +190,7 @@ def test_a_coupling_does_not_drag_in_free_space() -> None:
     assert np.abs([f for _, f in bench.along(path)]).max() < 1e-12
 
 
-# -- passivity
-# --------------------------------------------------------------------------------------------------
+# -- passivity ---------------------------------------------------------------------------------------------
 
 CURL = 40.0 * np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]])  # 0.8 N along the way at 20 mm
 
@@ -265,8 +262,7 @@ def test_the_weight_of_the_handle_is_no_gain() -> None:
     assert forces == pytest.approx(np.broadcast_to([0, 0.5, 0], forces.shape))
 
 
-# -- vibration
-# --------------------------------------------------------------------------------------------------
+# -- vibration ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("force", "axis"), [((0.0, 0.0, 0.0), 2), ((1.5, 0.0, 0.0), 0)])

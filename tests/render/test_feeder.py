@@ -45,8 +45,8 @@ def run_dry(feeder: Feeder) -> int:
 def test_frames_come_in_order_until_the_end() -> None:
     session, memory = laid_out(telling(5))
     feeder = session.feeder(memory)
-    assert not feeder.is_ahead
-    assert run_dry(feeder) == 5 and feeder.is_ahead
+    assert not feeder.is_preloaded
+    assert run_dry(feeder) == 5 and feeder.is_preloaded
     assert [shown(session, memory, 1, n) for n in range(5)] == [0.5 + n / 64 for n in range(5)]
     assert shown(session, memory, 1, 5) is None
 
@@ -55,7 +55,7 @@ def test_a_loop_counts_on_and_begins_in_the_middle() -> None:
     session, memory = laid_out(telling(5), loop=True, start_s=13 / 50)  # the third time round
     feeder = session.feeder(memory)
     assert memory.f8[W.MEDIA_S] == pytest.approx(3 / 50)  # also before the first tick
-    feeder.keep_ahead(6)
+    feeder.fill_lookahead(6)
     assert [shown(session, memory, 1, n) for n in range(3, 9)] == [0.5 + n % 5 / 64 for n in range(3, 9)]
 
 
@@ -64,7 +64,7 @@ def test_one_frame_is_written_once() -> None:
     feeder = session.feeder(memory)
     assert run_dry(feeder) == 1 and shown(session, memory, 1, 0) == 0.5
     ends = session, laid_out(telling(10))[0]  # there is none, and there is one
-    assert [one.checked_s(7.0) for one in ends] == [0, 0.2]
+    assert [one.media_time_s(7.0) for one in ends] == [0, 0.2]
     feeder.seek(2, 0)
     memory.i8[W.NEEDS] = tag(2, 0)
     assert run_dry(feeder) == 1 and shown(session, memory, 2, 0) == 0.5
@@ -117,11 +117,11 @@ def test_frames_that_are_past_are_not_decoded() -> None:
     memory.i8[W.NEEDS] = tag(1, 9)
     feeder.step()
     assert shown(session, memory, 1, 9) == 0.5 + 9 / 64 and shown(session, memory, 1, 1) is None
-    assert feeder.left_out == 8
+    assert feeder.dropped_frames == 8
     feeder.seek(2, 0)
     memory.i8[W.NEEDS] = tag(2, 3)
     feeder.step()
-    assert feeder.left_out == 8  # none of what comes before the first of a seek was to be shown
+    assert feeder.dropped_frames == 8  # none of what comes before the first of a seek was to be shown
 
 
 class Desk:
@@ -192,7 +192,7 @@ def test_a_stream_that_is_too_slow_is_thinned_out_and_keeps_time(ticks: int, sta
     there = [late for late in desk.late if late is not None]
     assert len(desk.late) >= 9910 and len(there) > 0.95 * len(desk.late)
     assert min(there) == 0 and max(there) <= 2.5 * max(ticks / 20, 10)  # a late frame is one that is held
-    assert desk.feeder.left_out > 100 and desk.feeder.left_out + len(set(desk.decoded)) == 496
+    assert desk.feeder.dropped_frames > 100 and desk.feeder.dropped_frames + len(set(desk.decoded)) == 496
     assert len(set(desk.decoded)) > 0.3 * 10_000 / ticks
 
 
@@ -207,7 +207,7 @@ def test_a_rate_that_suffices_is_not_told_as_the_cause() -> None:
 def test_a_stream_that_is_quick_enough_loses_no_frame() -> None:
     desk = Desk(500, 15, tuple(range(0, 500, 10)))
     desk.play()
-    assert desk.decoded == list(range(500)) and desk.feeder.left_out == 0
+    assert desk.decoded == list(range(500)) and desk.feeder.dropped_frames == 0
     assert set(desk.late) == {0.0}
 
 
@@ -259,9 +259,9 @@ def test_the_thread_feeds_and_ends() -> None:
     feeder = session.feeder(memory)
     feeder.start()
     ends = time.monotonic() + 20
-    while not feeder.is_ahead and time.monotonic() < ends:
+    while not feeder.is_preloaded and time.monotonic() < ends:
         time.sleep(0.001)
-    assert feeder.is_ahead
+    assert feeder.is_preloaded
     feeder.seek(2, 5)
     memory.i8[W.NEEDS] = tag(2, 5)
     while shown(session, memory, 2, 19) is None and time.monotonic() < ends:

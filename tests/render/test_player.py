@@ -21,7 +21,7 @@ from touchfield.render.block import FLAGS, PREFIX, shared_folder
 from touchfield.render.block import words as W
 from touchfield.render.feeder import FrameSource
 from touchfield.render.player import Player
-from touchfield.render.servo import zero_afresh
+from touchfield.render.servo import zero_by_reconnecting
 
 
 @pytest.fixture(autouse=True)
@@ -156,7 +156,7 @@ def test_a_process_that_is_killed_is_told() -> None:
         os.kill(player.servo_pid, signal.SIGKILL)
         with pytest.raises(DeviceError, match="exit code -9"):
             player.wait(30)
-    assert any("written through a fresh connection" in note for note in player.notes)
+    assert any("set to zero through a new connection" in note for note in player.notes)
 
 
 def test_a_read_that_hangs_is_told_and_zero_is_written_through_a_fresh_connection(
@@ -169,11 +169,11 @@ def test_a_read_that_hangs_is_told_and_zero_is_written_through_a_fresh_connectio
         with pytest.raises(DeviceError, match="no answer for"):
             player.wait(30)
     assert noted.read_text().splitlines() == ["open", "force 0 0 0", "open", "force 0 0 0"]
-    assert any("written through a fresh connection" in note for note in player.notes)
+    assert any("set to zero through a new connection" in note for note in player.notes)
 
 
 def test_a_fresh_connection_that_fails_is_told() -> None:
-    assert "nothing on the bus" in zero_afresh(Absent)
+    assert "nothing on the bus" in zero_by_reconnecting(Absent)
 
 
 def test_a_device_that_hangs_cannot_keep_us(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -214,7 +214,7 @@ def test_what_cannot_be_is_refused_before_anything_is_begun(monkeypatch: pytest.
     monkeypatch.setattr(
         "touchfield.render.player.free_bytes", lambda: 5000
     )  # of which nine tenths may be taken
-    body = HapticScene(GRID, 50.0, (HapticObject("body", telling(1), PoseTrack.still(2)),), 4.0)
+    body = HapticScene(GRID, 50.0, (HapticObject("body", telling(1), PoseTrack.constant(2)),), 4.0)
     with pytest.raises(InvalidArgument, match=r"memory_bytes: found 0\.00 MiB of room"):
         Player(body, OMNI, Still)
 
@@ -277,7 +277,7 @@ def test_a_program_without_its_guard_is_told_whatever_goes_to_the_device(tmp_pat
     )
     assert done.returncode == 1
     assert done.stderr.rstrip().endswith(
-        'Begin the player under `if __name__ == "__main__":` of your program.'
+        'Start the player under `if __name__ == "__main__":` of your program.'
     )
 
 

@@ -249,7 +249,7 @@ def test_a_session_chooses_and_tells() -> None:
     assert _peak_n(medium, soft)[0] == pytest.approx(300 * 0.006, rel=0.1)
     session, memory = laid_out(medium, soft)
     chosen = memory.f8[[W.BRAKE, W.COUPLING]]
-    session.feeder(memory).keep_ahead(1)  # its stiffest slope is that of the field, which nobody feels
+    session.feeder(memory).fill_lookahead(1)  # its stiffest slope is that of the field, which nobody feels
     assert (memory.f8[[W.BRAKE, W.COUPLING]] == chosen).all()
     for spec in (RenderSpec(render="field"), RenderSpec(coupling_n_per_m=300.0)):
         plain, notes = _peak_n(medium, spec)

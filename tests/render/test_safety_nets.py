@@ -163,7 +163,7 @@ def served(net: Net, spec: RenderSpec = SPEC, force_n: float = 0.0) -> tuple[Wri
         nonlocal is_fed
         if is_fed:
             try:
-                feeder.keep_ahead(3)
+                feeder.fill_lookahead(3)
             except CorruptFile:
                 is_fed = False
         ticks = int(memory.i8[W.TICKS])
@@ -220,7 +220,7 @@ def test_heat_and_peak_limit_force_and_torque_from_both_sides(name: str) -> None
     hand = Wrist(clock)
 
     def must_stop() -> bool:
-        feeder.keep_ahead(3)
+        feeder.fill_lookahead(3)
         return int(memory.i8[W.TICKS]) >= 2300
 
     serve(memory, hand, clock, must_stop)
@@ -240,5 +240,5 @@ def test_a_fresh_connection_zeroes_the_torque_too(monkeypatch: pytest.MonkeyPatc
         def send(self, word: str) -> None:
             told_.append(word)
 
-    servo._zero(lambda: hand, Pipe())  # type: ignore[arg-type]
+    servo._write_zero(lambda: hand, Pipe())  # type: ignore[arg-type]
     assert hand.wrenches == [(0.0,) * 6] and hand.closed == 1 and told_ == [""]

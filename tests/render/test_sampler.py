@@ -34,7 +34,7 @@ def some_scene(rng: np.random.Generator, count: int = 3, limit_n: float = 1.5) -
     objects = (
         HapticObject("rigid", rigid, tracks[0]),
         HapticObject("soft", soft, tracks[1]),
-        HapticObject("still", rigid, PoseTrack.still(count)),
+        HapticObject("still", rigid, PoseTrack.constant(count)),
     )
     return HapticScene(GRID, RATE_HZ, objects, limit_n, 0.2)
 

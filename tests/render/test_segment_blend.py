@@ -160,7 +160,7 @@ def as_told(frame: int) -> float:
 
 def test_play_on_is_blended_and_play_elsewhere_is_not() -> None:
     feeder, memory, z_of = in_order(SEGMENTED)
-    feeder.keep_ahead(20)
+    feeder.fill_lookahead(20)
     for n in range(20):
         assert z_of(n) == pytest.approx(blended_z(n) if 10 <= n < 14 else as_told(n), abs=1e-6)
     assert z_of(10) < as_told(10) - 0.01
@@ -176,7 +176,7 @@ def test_play_on_is_blended_and_play_elsewhere_is_not() -> None:
 
 def test_a_seek_to_the_next_segment_right_behind_the_last_frame_is_no_play() -> None:
     feeder, memory, z_of = in_order(SEGMENTED)
-    feeder.keep_ahead(10)
+    feeder.fill_lookahead(10)
     feeder.seek(2, 10)
     memory.i8[W.NEEDS] = (2 << W.FRAME_BITS) | 10
     assert feeder.step() and z_of(10) == as_told(10)
@@ -185,7 +185,7 @@ def test_a_seek_to_the_next_segment_right_behind_the_last_frame_is_no_play() -> 
 def test_a_loop_goes_over_into_its_beginning() -> None:
     near = replace(SEGMENTED, make_frame=lambda n: told(n % 10 // 2))
     feeder, _, z_of = in_order(near, loop=True)
-    feeder.keep_ahead(35)
+    feeder.fill_lookahead(35)
     assert z_of(0) == 0.5 and z_of(30) == pytest.approx(
         0.5 + 4 / 64 * (0.5 + 0.5 * np.cos(np.pi / 5)), abs=1e-6
     )
@@ -193,13 +193,13 @@ def test_a_loop_goes_over_into_its_beginning() -> None:
 
 def test_it_can_be_left_out() -> None:
     feeder, _, z_of = in_order(SEGMENTED, RenderSpec(blend=False))
-    feeder.keep_ahead(20)
+    feeder.fill_lookahead(20)
     assert [z_of(n) for n in range(20)] == [as_told(n) for n in range(20)]
 
 
 def test_the_medium_and_its_queries_stay_exact() -> None:
     feeder, _, _ = in_order(SEGMENTED)
-    feeder.keep_ahead(20)
+    feeder.fill_lookahead(20)
     sampler = FieldSampler(SEGMENTED)
     for n in (9, 10, 11):
         assert SEGMENTED[n] == told(n)
@@ -214,7 +214,7 @@ def test_what_vibrates_is_not_touched() -> None:
 
     medium = replace(SEGMENTED, vibration=hum)
     session, memory = laid_out(medium)
-    session.feeder(memory).keep_ahead(20)
+    session.feeder(memory).fill_lookahead(20)
     for n in range(20):
         at = W.FREE + W.DIRECTORY_WORDS * (n % session.layout.slots)
         place = int(memory.i8[at + 1])
@@ -223,11 +223,11 @@ def test_what_vibrates_is_not_touched() -> None:
 
 
 def test_a_rigid_body_has_nothing_to_blend_and_one_that_deforms_has() -> None:
-    rigid = HapticObject("rigid", telling(1), PoseTrack.still(30))
+    rigid = HapticObject("rigid", telling(1), PoseTrack.constant(30))
     scene = HapticScene(SEGMENTED.grid, 1000.0, (rigid,), 4.0)
     slow = replace(SEGMENTED, rate_hz=20.0)  # between whose frames 50 ms are interpolated
     assert with_blends(scene) == (scene, ()) and with_blends(slow) == (slow, ())
-    soft = HapticObject("soft", SEGMENTED, PoseTrack.still(30))
+    soft = HapticObject("soft", SEGMENTED, PoseTrack.constant(30))
     both, blends = with_blends(replace(scene, objects=(rigid, soft)))
     assert isinstance(both, HapticScene) and both.objects[0] is not rigid and len(blends) == 1
     found = [both.objects[1].field(n).to_dense()[3, 3, 3, 2] for n in range(20)]

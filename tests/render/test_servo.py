@@ -135,7 +135,7 @@ def test_whatever_happens_forces_keep_their_limits_and_the_last_is_zero(
             if what == "seek_s":
                 feeder.seek(given_.generation, session.frame_at(given_.start_s))
         if is_fed:
-            feeder.keep_ahead(5)
+            feeder.fill_lookahead(5)
         return ticks >= 300
 
     try:
@@ -160,7 +160,7 @@ def served(device: PointDevice, must_stop: Callable[[int], bool], **options: obj
     session.order(memory, mode=W.PLAYING)
 
     def before_tick() -> bool:
-        feeder.keep_ahead(3)
+        feeder.fill_lookahead(3)
         return must_stop(int(memory.i8[W.TICKS]))
 
     serve(memory, device, VirtualClock(), before_tick)
@@ -267,15 +267,14 @@ def test_a_driver_calls_us_until_the_force_is_zero() -> None:
 
 
 def test_a_driver_that_calls_no_more_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("touchfield.render.servo._MOST_SILENT_S", 0.2)
+    monkeypatch.setattr("touchfield.render.servo._MAX_SILENCE_S", 0.2)
     device = Driver(calls=20)
     with pytest.raises(DeviceError, match="no call for"):
         served(device, lambda ticks: False)
     assert device.closed == 1
 
 
-# -- without a process
-# --------------------------------------------------------------------------------------------
+# -- without a process -------------------------------------------------------------------------------------
 
 
 def test_offline_the_whole_medium_is_felt_and_the_same_twice() -> None:

@@ -64,8 +64,7 @@ def chosen(bench: Bench, device: Device, stiffness: float, spec: RenderSpec | No
     return bench
 
 
-# -- what is repaired
-# -------------------------------------------------------------------------------------------
+# -- what is repaired --------------------------------------------------------------------------------------
 
 
 def test_a_coupling_on_a_soft_field_is_still_where_positions_come_in_steps() -> None:
@@ -96,8 +95,7 @@ def test_passivity_with_a_sample_of_delay_keeps_what_a_wall_would_give() -> None
     assert kept < 0.1 * leaking
 
 
-# -- what is chosen
-# ---------------------------------------------------------------------------------------------
+# -- what is chosen ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("stiffness", [200.0, 2000.0])
@@ -154,8 +152,7 @@ def test_of_a_scaled_field_the_device_feels_the_same() -> None:
     assert scaled.brake_n_s_per_m * 1.5 == pytest.approx(once.brake_n_s_per_m)
 
 
-# -- the damper in contact
-# --------------------------------------------------------------------------------------
+# -- the damper in contact ---------------------------------------------------------------------------------
 
 
 def test_the_damper_acts_along_the_force_alone_and_takes_no_more() -> None:
@@ -192,8 +189,7 @@ def test_in_free_space_nothing_is_damped() -> None:
     assert not np.array([f for _, f in bench.along(path)]).any()
 
 
-# -- the medium's stiffest slope
-# --------------------------------------------------------------------------------
+# -- the medium's stiffest slope ---------------------------------------------------------------------------
 
 
 def field(stiffness: float, most_n: float = np.inf) -> ForceField:
@@ -227,11 +223,11 @@ def test_a_later_frame_that_is_stiffer_is_damped_more_and_without_a_jump() -> No
     memory = Memory.empty(session.layout.words)
     session.set_up(memory)
     feeder = session.feeder(memory, is_timed=False)
-    feeder.keep_ahead(1)
+    feeder.fill_lookahead(1)
     first = memory.f8[W.BRAKE]
     assert first == pytest.approx(2 * 200 * 0.0015 - 0.3, rel=0.1)
     assert "stiffest slope" in session.notes[-1]
-    feeder.keep_ahead(3)
+    feeder.fill_lookahead(3)
     assert memory.f8[W.BRAKE] == pytest.approx(2 * 1500 * 0.0015 - 0.3, rel=0.05)
 
 

@@ -35,8 +35,7 @@ def test_a_hand_at_rest_gets_the_force_of_the_field() -> None:
     assert not bench.settled(9e5, 0.0, -0.02).any()
 
 
-# -- mapping
-# ----------------------------------------------------------------------------------------------------
+# -- mapping -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -76,8 +75,7 @@ def test_friction_and_damping_take_from_the_hand_in_any_axes(
 MAPPED = Bench(constant(0.0, 0.0, 0.5))
 
 
-# -- ramps
-# ------------------------------------------------------------------------------------------------------
+# -- ramps -------------------------------------------------------------------------------------------------
 
 
 def test_the_force_comes_and_goes_within_the_ramp() -> None:
@@ -149,8 +147,7 @@ def test_the_same_ticks_give_the_same_forces() -> None:
     assert (once == np.array([f for _, f in bench.along(path)])).all()
 
 
-# -- parameters
-# -------------------------------------------------------------------------------------------------
+# -- parameters --------------------------------------------------------------------------------------------
 
 
 def written(spec: RenderSpec, **device_changes: object) -> tuple[Memory, tuple[str, ...]]:

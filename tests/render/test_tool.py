@@ -24,7 +24,7 @@ from touchfield.render.block.frames import FramePart, field_words, frame_words, 
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.kernels.points import tool_force
 from touchfield.render.spec import RenderSpec
-from touchfield.render.tool import MOST_POINTS, Tool, tool_words, write_tool
+from touchfield.render.tool import MAX_POINTS, Tool, tool_word_count, write_tool
 
 SIGMA = device("sigma.7")
 Law = Callable[[Vector], Vector]
@@ -84,7 +84,7 @@ class Held:
         pools = [
             CellPool.of(ForceField.from_dense(grid, law(points(grid)).astype(np.float32))) for law in laws
         ]
-        first = W.FREE + tool_words(tool)
+        first = W.FREE + tool_word_count(tool)
         begins = first + np.cumsum([0, *map(field_words, pools)])
         self.frames = [int(begins[-1]) + n * frame_words(2) for n in range(max(len(pools), 1))]
         self.memory = Memory.empty(self.frames[-1] + frame_words(2))
@@ -221,7 +221,7 @@ def test_points_of_a_mesh_are_even_and_face_outward(count: int) -> None:
         lambda: Tool.sphere(0.0),
         lambda: Tool.sphere(np.nan),
         lambda: Tool.sphere(0.01, 0),
-        lambda: Tool.sphere(0.01, MOST_POINTS + 1),
+        lambda: Tool.sphere(0.01, MAX_POINTS + 1),
         lambda: Tool(np.zeros((0, 3)), np.zeros((0, 3))),
         lambda: Tool(np.full((2, 3), np.nan), np.eye(3)[:2]),
         lambda: Tool(np.eye(3), 2 * np.eye(3)),
@@ -236,8 +236,7 @@ def test_what_is_no_tool_is_refused(make: Callable[[], object]) -> None:
         make()
 
 
-# -- through the tick
-# ----------------------------------------------------------------------------------------------
+# -- through the tick --------------------------------------------------------------------------------------
 
 
 class Grip(Bench):
@@ -250,8 +249,8 @@ class Grip(Bench):
     def restart(self, spec: RenderSpec) -> tuple[str, ...]:
         notes = super().restart(replace(spec, tool=self.tool))
         top = self.frame + frame_words(1)
-        if self.memory.words < top + tool_words(self.tool):
-            grown = Memory.empty(top + tool_words(self.tool))
+        if self.memory.words < top + tool_word_count(self.tool):
+            grown = Memory.empty(top + tool_word_count(self.tool))
             grown.i8[: self.memory.words] = self.memory.i8
             self.memory = grown
         write_tool(self.memory, top, self.tool)

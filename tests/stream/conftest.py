@@ -14,7 +14,7 @@ def left(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
 
     told = threading.Event()
 
-    class Left(access.ConnectionLeft):
+    class Left(access.ClientDropped):
         def __init__(self) -> None:
             told.set()
 

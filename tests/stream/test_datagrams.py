@@ -25,9 +25,9 @@ pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
 from live_makers import HEAD, field, segment, sender_of
 from touchfield.network import datagrams as datagrams_module
 from touchfield.network import udp
-from touchfield.network.datagrams import MOST_DATAGRAM, Datagrams, Gathering
+from touchfield.network.datagrams import MAX_DATAGRAM, Datagrams, Gathering
 from touchfield.network.live_client import open_live
-from touchfield.network.udp import UdpSender, _place_of, listen
+from touchfield.network.udp import UdpSender, _parse_address, listen
 
 MESSAGES = [
     np.random.default_rng(i).bytes(n) for i, n in enumerate((300, 40_000, 1, 5_000, 70_000, 128, 12_345, 20))
@@ -47,7 +47,7 @@ def received(datagrams: list[bytes]) -> tuple[list[bytes], Gathering]:
 def test_without_loss_all_comes_in_order() -> None:
     out, gathering = received(sent(MESSAGES))
     assert out == MESSAGES and gathering.lost == gathering.refused == 0
-    assert max(map(len, sent(MESSAGES))) <= MOST_DATAGRAM
+    assert max(map(len, sent(MESSAGES))) <= MAX_DATAGRAM
 
 
 @pytest.mark.parametrize("burst", [1.0, 5.0])
@@ -222,10 +222,10 @@ def test_two_datagrams_bear_out_another_stream_once_the_first_is_silent() -> Non
 )
 def test_addresses_that_are_none(text: str) -> None:
     with pytest.raises(InvalidArgument, match="a host and a port from 1 to 65535"):
-        _place_of(text)
+        _parse_address(text)
     assert (
-        _place_of(f"udp://[::1]:{1}/") == ("::1", 1)
-        and _place_of("HOST.example.:65535")[0] == "host.example."
+        _parse_address(f"udp://[::1]:{1}/") == ("::1", 1)
+        and _parse_address("HOST.example.:65535")[0] == "host.example."
     )
 
 

@@ -13,7 +13,16 @@ import pytest
 
 from live_makers import field, segment, sender_of
 from touchfield.network.access import Access
-from touchfield.network.live import END, KEPT, Ended, LiveReceiver, LiveSegment, LiveSender, Lost, Opened
+from touchfield.network.live import (
+    END,
+    MAX_SEGMENTS,
+    Ended,
+    LiveReceiver,
+    LiveSegment,
+    LiveSender,
+    Lost,
+    Opened,
+)
 from touchfield.network.live_client import open_live
 from touchfield.network.live_server import LiveServer
 
@@ -52,13 +61,13 @@ def test_a_receiver_that_has_read_so_many_gets_the_last_segment_and_the_end(read
     )
     got = [event.first_frame // 5 for event in events if isinstance(event, LiveSegment)]
     left = COUNT - read
-    kept = list(range(read, COUNT)) if left <= KEPT else [COUNT - 1]
+    kept = list(range(read, COUNT)) if left <= MAX_SEGMENTS else [COUNT - 1]
     assert got == [*range(read), *kept], "all that is kept, or the newest alone"
     lost = sum(event.frame_count for event in events if isinstance(event, Lost))
-    assert lost == (0 if left <= KEPT or not read else 5 * (left - 1)), (
+    assert lost == (0 if left <= MAX_SEGMENTS or not read else 5 * (left - 1)), (
         "a receiver that had none knows of none"
     )
-    assert slow.skipped == (0 if left <= KEPT else left - 1)
+    assert slow.skipped == (0 if left <= MAX_SEGMENTS else left - 1)
 
 
 def test_who_joins_behind_the_end_gets_the_last_segment_and_the_end() -> None:
@@ -112,7 +121,7 @@ def test_a_manifest_that_is_read_behind_the_end_still_has_the_last_segments() ->
         server.end()
         manifest = asyncio.run(asked(server.address, "live.json"))
         numbers = [one["number"] for one in manifest["segments"]]
-        assert manifest["is_ended"] and numbers == list(range(COUNT - KEPT, COUNT))
+        assert manifest["is_ended"] and numbers == list(range(COUNT - MAX_SEGMENTS, COUNT))
         assert asyncio.run(asked(server.address, f"live/{COUNT - 1}")) == messages[-1]
 
 

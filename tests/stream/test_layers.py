@@ -25,16 +25,16 @@ from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.filters.resample import halved, interpolated, pyramid, rebuilt
+from touchfield.filters.resample import half_grid, interpolate, pyramid, rebuild_level
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationFrame
 from touchfield.network.live import ENDLESS, Ended, LiveReceiver, LiveSegment, Lost, Opened
-from touchfield.network.live_medium import WAITED_S, LiveEnd, LiveFrames, LiveStream
+from touchfield.network.live_medium import MAX_LAYER_LAG_S, LiveEnd, LiveFrames, LiveStream
 from touchfield.pipeline.preparation import Prepared
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.tasks.live import LiveSpec, broadcast, coarse_layer, opened_sender
+from touchfield.tasks.live import LiveSpec, broadcast, coarse_layer, open_sender
 
-HALF = halved(GRID)
+HALF = half_grid(GRID)
 UNDER = TouchEncoder(HALF, TouchSpec(k=0.2, f0_n=0.1, effort="fast"))
 UNDER_HEAD = replace(
     HEAD, grid_shape=HALF.shape, spacing_m=HALF.spacing_m, origin_m=HALF.origin_m, frame_count=ENDLESS,
@@ -53,7 +53,7 @@ COARSE = {
 @cache
 def wanted(number: int) -> dict[str, np.ndarray]:
     """Forces of a frame where the stream has it, where its coarse layer has, and where neither."""
-    coarse = rebuilt(pyramid(field(number), 1)[-1], GRID)
+    coarse = rebuild_level(pyramid(field(number), 1)[-1], GRID)
     made = {"fine": field(number), "coarse": coarse, "nothing": ForceField.empty(GRID)}
     return {name: one.to_dense() for name, one in made.items()}
 
@@ -79,7 +79,7 @@ class Pair:
 
 
 def test_the_layers_differ_by_more_than_their_masks() -> None:
-    coarse, fine = rebuilt(pyramid(field(1), 1)[-1], GRID).to_dense(), field(1).to_dense()
+    coarse, fine = rebuild_level(pyramid(field(1), 1)[-1], GRID).to_dense(), field(1).to_dense()
     assert np.abs(coarse - fine).max() > 0.9
 
 
@@ -125,7 +125,7 @@ def test_a_stream_that_is_always_too_late_delays_nothing() -> None:
         if step >= 6:  # 0.6 s behind
             pair.frames.take(replace(FINE[0], first_frame=5 * (step - 6)))
     due_s = pair.frames.due_s(50.0)
-    assert due_s is not None and pair.now_s - due_s < 0.1 + WAITED_S + 0.05
+    assert due_s is not None and pair.now_s - due_s < 0.1 + MAX_LAYER_LAG_S + 0.05
 
 
 def test_a_stream_that_fails_goes_on_coarse_until_both_have_ended() -> None:
@@ -161,7 +161,7 @@ def test_another_programme_of_which_the_coarse_layer_comes_first_or_alone(comes:
             if layer is pair.frames and (comes == "coarse alone" or (comes == "coarse first" and step < 2)):
                 continue
             if step == 0 or (step == 2 and layer is pair.frames and comes == "coarse first"):
-                layer.begin_anew()
+                layer.start_programme()
             layer.take(own[5 * step])
     assert pair.frames.stream_frame(10) == 0, "what comes next is behind what was there"
     pair.now_s = 5.65
@@ -194,7 +194,7 @@ def test_what_only_the_coarse_layer_could_have_is_nothing_where_it_lost_it() -> 
 def test_a_layer_of_another_lattice_is_refused() -> None:
     for head in (OPENED.head, replace(UNDER_HEAD, rate_hz=25.0)):
         with pytest.raises(SourceError, match="half of"):
-            LiveFrames(OPENED, under=LiveFrames(Opened(head, {})))
+            LiveFrames(OPENED, coarse=LiveFrames(Opened(head, {})))
 
 
 class Layers(RuleBasedStateMachine):
@@ -253,14 +253,13 @@ def test_twice_as_fine_is_what_interpolation_gives(
 ) -> None:
     rng = np.random.default_rng(seed)
     fine = Grid(shape, (0.002, 0.003, 0.001), (0.1, 0.2, -0.3))
-    dense = rng.normal(size=(*halved(fine).shape, 3)) * (rng.random((*halved(fine).shape, 1)) < share)
-    level = ForceField.from_dense(halved(fine), dense.astype(np.float32))
-    expected = interpolated(level, fine, border="cell").to_dense()
-    np.testing.assert_allclose(rebuilt(level, fine).to_dense(), expected, atol=2e-6)
+    dense = rng.normal(size=(*half_grid(fine).shape, 3)) * (rng.random((*half_grid(fine).shape, 1)) < share)
+    level = ForceField.from_dense(half_grid(fine), dense.astype(np.float32))
+    expected = interpolate(level, fine, border="cell").to_dense()
+    np.testing.assert_allclose(rebuild_level(level, fine).to_dense(), expected, atol=2e-6)
 
 
-# -- the sending end
-# ------------------------------------------------------------------------------------------
+# -- the sending end ---------------------------------------------------------------------------------------
 
 
 class Paced:
@@ -281,7 +280,7 @@ class Paced:
 def test_both_layers_go_on_the_air() -> None:
     one, ones = np.ones((1, 3), np.int32), np.ones(1, np.float32)
     shaken = replace(medium(), vibration=lambda i: VibrationFrame(GRID, one, ones, (100 + i) * ones))
-    prepared, _ = opened_sender(shaken, EncodeSpec())
+    prepared, _ = open_sender(shaken, EncodeSpec())
     assert prepared.spec.touch.effort == "fast"
     coarse, under = coarse_layer(shaken, prepared)
     took: tuple[list[LiveSegment], list[LiveSegment]] = ([], [])
@@ -290,7 +289,7 @@ def test_both_layers_go_on_the_air() -> None:
     sent = broadcast(
         prepared, took[0].append, spec, clock_s=lambda: paced.now_s, pause=paced.pause, coarse=layer
     )
-    assert sent.segments == len(took[0]) == len(took[1]) == 20 and sent.left_out == 0
+    assert sent.segments == len(took[0]) == len(took[1]) == 20 and sent.skipped_frames == 0
     assert sent.coarse_bytes == sum(len(one.body) for one in took[1]) > 0
     assert sent.sent_bytes == sum(len(one.body) + len(one.vibration or b"") for one in took[0])
     assert not any(one.vibration for one in took[1]), "what vibrates is in the fine layer"
@@ -315,7 +314,7 @@ def test_both_layers_go_on_the_air() -> None:
 
 
 def sent_messages(with_layer: bool) -> list[bytes]:
-    prepared, sender = opened_sender(medium(), EncodeSpec())
+    prepared, sender = open_sender(medium(), EncodeSpec())
     messages, under = list[bytes](), list[LiveSegment]()
     paced = Paced(25, messages, *([under] if with_layer else []))
     coarse = (coarse_layer(medium(), prepared)[0], under.append) if with_layer else None
@@ -338,13 +337,12 @@ def test_what_cannot_be_halved_is_refused() -> None:
     one = HapticMedium.from_frames(
         [ForceField.from_dense(grid, np.ones((1, 1, 1, 3), np.float32))], 30.0, HEAD.axes
     )
-    prepared, _ = opened_sender(one, EncodeSpec())
+    prepared, _ = open_sender(one, EncodeSpec())
     with pytest.raises(InvalidArgument, match="halved"):
         coarse_layer(one, prepared)
 
 
-# -- through a network
-# ----------------------------------------------------------------------------------------
+# -- through a network -------------------------------------------------------------------------------------
 
 pytest.importorskip("aiohttp", reason="live streams need the extra broadcast")
 pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
@@ -364,8 +362,8 @@ def test_the_coarse_layer_survives_bursts_that_the_fine_one_does_not() -> None:
     rng, is_bad, sent_bytes, count = np.random.default_rng(5), False, 0, 400
     sizes, bodies = (20_000, 2_800), rng.bytes(20_000)
     ends = [
-        (Datagrams(1, REPAIR["fine"]), Gathering(most_open=11)),
-        (Datagrams(2, REPAIR["coarse"]), Gathering(most_open=11)),
+        (Datagrams(1, REPAIR["fine"]), Gathering(max_open=11)),
+        (Datagrams(2, REPAIR["coarse"]), Gathering(max_open=11)),
     ]
     came: tuple[dict[int, int], dict[int, int]] = ({}, {})
     for slot in range(count + 1):
@@ -394,16 +392,16 @@ def rough() -> HapticMedium:
 def felt_share(has_layer: bool, segments: int = 150) -> float:
     """Share of the time that a hand feels: frames from datagrams that are lost in bursts, on a clock of ours."""
     source, now, rng, is_bad = rough(), [0.0], np.random.default_rng(11), False
-    fine, sender = opened_sender(source, EncodeSpec())
+    fine, sender = open_sender(source, EncodeSpec())
     _, under = coarse_layer(source, fine)
     layers = []
     for own, layer in ((under, "coarse"), (sender, "fine"))[not has_layer :]:
         bodies = coded_rough()[layer]
         (opened,) = LiveReceiver().receive(own.opening)
         assert isinstance(opened, Opened)
-        frames = LiveFrames(opened, clock_s=lambda: now[0], under=layers[0][0] if layers else None)
+        frames = LiveFrames(opened, clock_s=lambda: now[0], coarse=layers[0][0] if layers else None)
         repair = REPAIR[layer if has_layer else "alone"]  # type: ignore[index]
-        ends = Datagrams(7, repair), Gathering(most_open=11 if has_layer else 24), LiveReceiver()
+        ends = Datagrams(7, repair), Gathering(max_open=11 if has_layer else 24), LiveReceiver()
         layers.append((frames, own, bodies, *ends))
     frames, hand = layers[-1][0], Hand(0.0)
     live, ticks, felt = LiveStream("live", frames), 0, 0
@@ -454,7 +452,7 @@ def bodies_of(prepared: Prepared) -> list[bytes]:
 @cache
 def coded_rough() -> dict[str, list[bytes]]:
     """The bodies of both layers of `rough`."""
-    prepared, _ = opened_sender(rough(), EncodeSpec())
+    prepared, _ = open_sender(rough(), EncodeSpec())
     return {"fine": bodies_of(prepared), "coarse": bodies_of(coarse_layer(rough(), prepared)[0])}
 
 
@@ -467,7 +465,7 @@ class OnAir:
 
     def __init__(self, port: int | None = None) -> None:
         source = medium() if port is None else rough()
-        prepared, self._sender = opened_sender(source, EncodeSpec())
+        prepared, self._sender = open_sender(source, EncodeSpec())
         coarse, self._under = coarse_layer(source, prepared)
         self._bodies = (
             (bodies_of(prepared), bodies_of(coarse)) if port is None else tuple(coded_rough().values())
@@ -546,7 +544,7 @@ def test_a_hand_goes_on_feeling_where_only_the_coarse_layer_comes(
             return keep_up(live, player)
 
         monkeypatch.setattr(LiveStream, "keep_up", played_already)
-        played = play(f"udp://127.0.0.1:{port}", spec, tell=notes.append)
+        played = play(f"udp://127.0.0.1:{port}", spec, on_note=notes.append)
     assert played.error is None and played.rows is not None, notes
     assert alone, (played.statistics, notes)
     felt = np.linalg.norm(played.rows["force_n"][played.rows["media_s"] > alone[0][0]], axis=1)
@@ -572,7 +570,7 @@ def test_a_coarse_layer_of_which_no_datagram_comes_delays_the_start_by_seconds(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Not by the minute that a first segment is waited for; and the stream's own segments are felt."""
-    assert live_client._BESIDE_S <= 5
+    assert live_client._COARSE_WAIT_S <= 5
     monkeypatch.setattr(live_client, "_BESIDE_S", 0.1)
     notes, port, began = list[str](), free_port(), time.monotonic()
     with (

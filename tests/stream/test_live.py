@@ -25,7 +25,7 @@ from touchfield.network.live import (  # fmt: skip
     Lost,
     Opened,
     Refused,
-    _opened,
+    _parse_opening,
 )
 
 
@@ -102,7 +102,7 @@ def test_what_is_no_live_stream_or_too_long_is_refused(monkeypatch: pytest.Monke
 def test_a_sender_that_is_started_again_begins_anew() -> None:
     (_, before), (sender, again) = sender_of(4), sender_of(2)
     retold = LiveSender()
-    retold.open(HEAD, {"source": "test", "programme": _opened(sender.opening).provenance["programme"]})
+    retold.open(HEAD, {"source": "test", "programme": _parse_opening(sender.opening).provenance["programme"]})
     assert retold.opening != sender.opening, "a live stream that is sent on is another programme"
     receiver = LiveReceiver()
     for message in before:

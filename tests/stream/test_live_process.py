@@ -55,10 +55,10 @@ def test_a_hand_feels_what_falls_elsewhere(tmp_path: Path, monkeypatch: pytest.M
             address = next(line for line in sender.stderr if line.startswith("ws://")).split()[0]
             threading.Thread(target=sender.stderr.read, daemon=True).start()
             felt = play(
-                f"udp://127.0.0.1:{port}", PlaySpec("sim", seconds=60.0, trace=hand), tell=notes.append
+                f"udp://127.0.0.1:{port}", PlaySpec("sim", seconds=60.0, trace=hand), on_note=notes.append
             )
             least_n = -1.0
-            beside = play(address, PlaySpec("sim", seconds=60.0), tell=notes.append)
+            beside = play(address, PlaySpec("sim", seconds=60.0), on_note=notes.append)
         finally:
             sender.terminate()
             done.set()

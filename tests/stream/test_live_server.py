@@ -42,12 +42,12 @@ from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.player import Player
 from touchfield.sources.stored import StoredScene
-from touchfield.tasks.live import LiveSpec, Sent, _Lane, broadcast, opened_sender
+from touchfield.tasks.live import LiveSpec, Sent, _Layer, broadcast, open_sender
 from touchfield.tasks.play import PlaySpec, play
 
 
 def test_frames_go_on_the_air_in_time() -> None:
-    prepared, sender = opened_sender(medium(), EncodeSpec())
+    prepared, sender = open_sender(medium(), EncodeSpec())
     now = [0.0]
     took: list[tuple[float, LiveSegment]] = []
 
@@ -63,7 +63,7 @@ def test_frames_go_on_the_air_in_time() -> None:
     sent = broadcast(
         prepared, send, LiveSpec(0.1, loop=True, seconds=3.0), clock_s=lambda: now[0], pause=pause
     )
-    assert sent.frames + sent.left_out == 150 and sent.segments == len(took) >= 3
+    assert sent.frames + sent.skipped_frames == 150 and sent.segments == len(took) >= 3
     assert all(one.first_frame % 5 == 0 for _, one in took)
     assert all(at - one.stop / 50 >= -1e-9 for at, one in took)  # nothing before its time
 
@@ -73,7 +73,7 @@ def test_segments_of_a_world_that_stands_begin_with_the_same_forces() -> None:
     world = field(5).to_dense() * rng.uniform(0.2, 1, (16, 16, 16, 1)).astype(np.float32)
     near = [world * (1 + rng.normal(0, 3e-4, world.shape).astype(np.float32)) for _ in range(6)]
     made = [ForceField.from_dense(GRID, dense) for dense in (*near, 0.5 * world)]
-    prepared, _ = opened_sender(HapticMedium.from_frames(made, 50.0, HEAD.axes), EncodeSpec())
+    prepared, _ = open_sender(HapticMedium.from_frames(made, 50.0, HEAD.axes), EncodeSpec())
     now, bodies = [0.0], list[bytes]()
 
     def pause(seconds: float) -> None:
@@ -93,7 +93,7 @@ def test_segments_of_a_world_that_stands_begin_with_the_same_forces() -> None:
 
 
 def test_an_interrupt_ends_a_broadcast_in_order() -> None:
-    prepared, sender = opened_sender(medium(), EncodeSpec())
+    prepared, sender = open_sender(medium(), EncodeSpec())
     now, notes = [0.0], list[str]()
 
     def pause(seconds: float) -> None:
@@ -102,7 +102,7 @@ def test_an_interrupt_ends_a_broadcast_in_order() -> None:
             raise KeyboardInterrupt
 
     sent = broadcast(prepared, sender.add, LiveSpec(0.1, loop=True), notes.append, lambda: now[0], pause)
-    assert 0 < sent.frames <= 25 and sent.frames + sent.left_out >= 24 and notes[-1].startswith("interrupted")
+    assert 0 < sent.frames <= 25 and sent.frames + sent.skipped_frames >= 24 and notes[-1].startswith("interrupted")
 
 
 def test_who_makes_frames_too_slowly_is_told_at_once() -> None:
@@ -113,30 +113,30 @@ def test_who_makes_frames_too_slowly_is_told_at_once() -> None:
         return field(index)
 
     slow_medium = HapticMedium(grid=GRID, rate_hz=50.0, axes=HEAD.axes, frame_count=50, make_frame=slow)
-    prepared, sender = opened_sender(slow_medium, EncodeSpec())
+    prepared, sender = open_sender(slow_medium, EncodeSpec())
     spec = LiveSpec(0.1, loop=True, seconds=1.9)
     sent = broadcast(
-        prepared, sender.add, spec, notes.append, lambda: now[0], ready=lambda: notes.append("ready")
+        prepared, sender.add, spec, notes.append, lambda: now[0], on_start=lambda: notes.append("ready")
     )
-    assert sent.frames + sent.left_out == 95 and sent.left_out > 50
+    assert sent.frames + sent.skipped_frames == 95 and sent.skipped_frames > 50
     assert "makes some 10 frames a second, and the medium has 50" in notes[0] and notes[1] == "ready"
 
 
 def test_a_broadcast_has_one_frame_at_least_and_so_has_a_segment() -> None:
-    prepared, sender = opened_sender(replace(medium(), rate_hz=20.0), EncodeSpec())
+    prepared, sender = open_sender(replace(medium(), rate_hz=20.0), EncodeSpec())
     looks = iter(range(10_000))
     spec = LiveSpec(0.01, seconds=0.01)
     sent = broadcast(
         prepared, sender.add, spec, clock_s=lambda: 1e-6 * next(looks), pause=lambda seconds: None
     )
-    assert (sent.frames, sent.segments, sent.left_out) == (1, 1, 0)
+    assert (sent.frames, sent.segments, sent.skipped_frames) == (1, 1, 0)
 
 
 def test_frames_that_are_left_out_are_told_each_time_that_they_are_twice_as_many() -> None:
     sent, notes = Sent(), list[str]()
     for _ in range(9):
         sent.leave_out(1, "slow", notes.append)
-    assert [note.split()[1] for note in notes] == ["1", "2", "4", "8"] and sent.left_out == 9
+    assert [note.split()[1] for note in notes] == ["1", "2", "4", "8"] and sent.skipped_frames == 9
 
 
 @pytest.mark.parametrize("wrong", [{"segment_s": 0.0}, {"segment_s": 11.0}, {"seconds": 0.0}])
@@ -206,8 +206,8 @@ def test_what_is_live_is_played_until_its_end() -> None:
         played = play(
             f"ws://{server.address}/live",
             PlaySpec("sim", seconds=60.0),
-            tell=notes.append,
-            watch=players.append,
+            on_note=notes.append,
+            on_player=players.append,
         )
     assert played.error is None and "the sender has ended the stream" in played.notes
     assert played.statistics["frames_used"] > 20 and played.statistics["last_force_n"] == 0
@@ -229,7 +229,7 @@ def test_connections_that_say_nothing_are_left(monkeypatch: pytest.MonkeyPatch) 
     """A hundred connections where sixty fit: the others are closed, and soon the sixty, and a receiver hears
     all.
     """
-    monkeypatch.setattr("touchfield.network.access._most_connections", lambda: 60)
+    monkeypatch.setattr("touchfield.network.access._max_connections", lambda: 60)
     monkeypatch.setattr("touchfield.network.access._PATIENCE_S", 0.5)
 
     def is_closed(link: socket.socket) -> bool:
@@ -274,8 +274,8 @@ def test_no_more_are_served_than_can_be(monkeypatch: pytest.MonkeyPatch) -> None
     """A connection too many is closed at once; an answer too many is refused, and none once others have
     ended.
     """
-    monkeypatch.setattr("touchfield.network.access._most_connections", lambda: 3)
-    monkeypatch.setattr("touchfield.network.access._MOST_BUSY", 1)
+    monkeypatch.setattr("touchfield.network.access._max_connections", lambda: 3)
+    monkeypatch.setattr("touchfield.network.access._MAX_BUSY", 1)
     monkeypatch.setattr("touchfield.network.access._ENDING_S", 0.01)
     with LiveServer(sender_of(1)[0], Access(port=0)) as server, ExitStack() as others:
         for _ in range(2):
@@ -301,7 +301,7 @@ def test_an_answer_that_fails_gives_its_place_back(
     method: str, path: str, status: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With room for one answer at once: an error of each kind, and next to it an answer."""
-    monkeypatch.setattr("touchfield.network.access._MOST_BUSY", 1)
+    monkeypatch.setattr("touchfield.network.access._MAX_BUSY", 1)
     application = guarded(Access(port=0))
 
     async def answer(request: web.Request) -> web.Response:
@@ -390,7 +390,7 @@ def test_many_receivers_and_bad_ones_beside_them() -> None:
         assert all(len(seen) == 8 and np.diff(seen).tolist() == [5] * 7 for seen in heard)
         assert len(talker) < 8  # who speaks is left
         with open_stream(f"ws://{server.address}/live"):
-            assert server.most_receivers >= 11  # at once, however few there are now
+            assert server.max_receivers >= 11  # at once, however few there are now
         for link in (mute, garbage, *idle):
             link.close()
 
@@ -408,12 +408,12 @@ def test_who_asks_for_a_segment_and_does_not_read_it_is_left(
             with suppress(ConnectionError):
                 while part := link.recv(1 << 20):
                     received += len(part)
-        assert received < 1 << 25 and server.left == 0
+        assert received < 1 << 25 and server.dropped == 0
         with asking(server.address, "/live", *UPGRADE):
             ends = time.monotonic() + 30
-            while not server.left and time.monotonic() < ends:
+            while not server.dropped and time.monotonic() < ends:
                 time.sleep(0.01)
-        assert server.left == 1, "of receivers alone it is told"
+        assert server.dropped == 1, "of receivers alone it is told"
 
 
 def test_who_may_not_receive() -> None:
@@ -445,13 +445,13 @@ def test_addresses_are_told_once_the_code_is_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     encode(StoredScene(medium()), tmp_path / "some.touch", EncodeSpec(nw=4))
-    warm = _Lane.warm
+    warm = _Layer.warm
 
-    def told(lane: _Lane, frame: ForceField) -> float:
+    def told(lane: _Layer, frame: ForceField) -> float:
         print("compiling", file=sys.stderr)
         return warm(lane, frame)
 
-    monkeypatch.setattr(_Lane, "warm", told)
+    monkeypatch.setattr(_Layer, "warm", told)
     assert _exit_code(["live", str(tmp_path / "some.touch"), "--port", "0", "--on-air-s", "0.1"]) == 0
     said = capsys.readouterr().err
     assert 0 <= said.rindex("compiling") < said.index("ws://")

@@ -17,7 +17,7 @@ from touchfield.container.wire import OPENING_SIZE, ByteSource, records_between
 from touchfield.errors import InvalidArgument, TouchfieldError, UnboundedError
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.network import mux as mux_module
-from touchfield.network.mux import BEGINS, demux, mux
+from touchfield.network.mux import START_SCHEME, demux, mux
 from touchfield.pipeline import encode
 from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.spec import EncodeSpec
@@ -137,7 +137,7 @@ def test_a_manifest_names_the_movie_and_the_touch(folder: Path, tmp_path: Path, 
     shown = sets[2].find(f"{space}Representation")
     assert shown is not None and shown.get("bandwidth") == str(round(8 * size / 0.9))
     told = sets[2].find(f"{space}SupplementalProperty")
-    assert told is not None and (told.get("schemeIdUri"), told.get("value")) == (BEGINS, "0.5")
+    assert told is not None and (told.get("schemeIdUri"), told.get("value")) == (START_SCHEME, "0.5")
     assert (tmp_path / f"{stem}.touch").read_bytes() == (folder / "noise.touch").read_bytes()
     assert [data for _, data in pictures(tmp_path / str(named[0]))] == [
         data for _, data in pictures(folder / "movie.mp4")
@@ -196,8 +196,8 @@ def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(
             assert back.read_bytes() == (folder / "noise.touch").read_bytes()
             back.unlink()
     assert refused > 5
-    found = mux_module._found
-    monkeypatch.setattr(mux_module, "_found", lambda *given: (found(*given)[0][:2], 0.0))
+    found = mux_module._touch_samples
+    monkeypatch.setattr(mux_module, "_touch_samples", lambda *given: (found(*given)[0][:2], 0.0))
     with pytest.raises(TouchfieldError, match=r"both\.ts: INDX\.segments: found 6 frames; expected 9"):
         demux(out, back)
     assert not back.exists()

@@ -164,9 +164,9 @@ def test_a_page_with_the_source_tells_its_bytes(
     assert list(tf.view(stream, source).figures["capacity"]) == ["phantom-omni"]
 
     def share(most_bytes: int) -> float:
-        monkeypatch.setattr("touchfield.tasks.view.MOST_BYTES", most_bytes)
+        monkeypatch.setattr("touchfield.tasks.view.MAX_SOURCE_BYTES", most_bytes)
         with tf.open_stream(stream) as opened:
-            return fine_source(source, opened).share
+            return fine_source(source, opened).error_fraction
 
     assert [share(told["source_bytes"] - n) for n in (0, 1)] == pytest.approx([0.1, 0.3])
     with pytest.raises(InvalidArgument, match="at most 100 in a page"):

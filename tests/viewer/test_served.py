@@ -22,7 +22,7 @@ from browser import ROOT, drive, needs_browser
 import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.tasks.live import LiveSpec, broadcast, opened_sender
+from touchfield.tasks.live import LiveSpec, broadcast, open_sender
 from touchfield.viewer.browser import empty_page, served_page
 
 pytest.importorskip("aiohttp", reason="servers need the extra broadcast")
@@ -127,7 +127,7 @@ class _Answers(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """A page, or a range of the file."""
-        pages = {"/view/a.touch": PAGES.around, "/view-page.html": PAGES.within}
+        pages = {"/view/a.touch": PAGES.outer, "/view-page.html": PAGES.inner}
         asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
         if self.path in pages:
             self._send(200, pages[self.path].encode(), "text/html")
@@ -274,7 +274,7 @@ def test_faulty_files_in_parts_are_refused(tmp_path: Path) -> None:
 
 @needs_browser
 def test_what_is_live_is_followed(tmp_path: Path) -> None:
-    prepared, sender = opened_sender(rising(), EncodeSpec())
+    prepared, sender = open_sender(rising(), EncodeSpec())
     stop = threading.Event()
 
     def pause(seconds: float) -> None:

@@ -1,4 +1,4 @@
-"""The commands that broadcast: serve a folder of streams, send a source live, put touch beside a movie."""
+"""Commands that broadcast: serve a folder of streams, send a source live, mux touch into a movie."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from touchfield.cli.main import Asked, Stream, command
-from touchfield.cli.options import SCENE, address_rows, asks, encode_spec
-from touchfield.cli.show import Answer, progress
+from touchfield.cli.main import Options, Stream, command
+from touchfield.cli.options import SCENE, address_rows, encode_spec, with_options
+from touchfield.cli.output import Answer, progress
 
 if TYPE_CHECKING:
     from touchfield.network.access import Access
@@ -27,9 +27,9 @@ _LIVE: Final = (
 
 
 @command("Broadcast", "serve streams", "serve streams --host 0.0.0.0 --token a-long-word")
-@asks(address_rows(8075, "read"))
+@with_options(address_rows(8075, "read"))
 def serve(
-    asked: Asked,
+    options: Options,
     folder: Annotated[Path, "Folder of .touch files, and of pages and videos beside them."],
 ) -> None:
     """Serve a folder of streams: anyone plays them by their address, and fetches only what is felt."""
@@ -37,21 +37,23 @@ def serve(
     from touchfield.network.server import serve as run
     from touchfield.viewer.browser import empty_page, served_page
 
-    run(folder, _access(asked), typer.echo, Pages(served_page(), empty_page()))
+    run(folder, _access(options), typer.echo, Pages(served_page(), empty_page()))
 
 
-def _access(asked: dict[str, Any]) -> Access:
+def _access(options: dict[str, Any]) -> Access:
     from touchfield.network.access import Access
 
-    return Access(asked["host"], asked["port"], asked["token"], asked["open"], tuple(asked["cors"] or ()))
+    return Access(
+        options["host"], options["port"], options["token"], options["open"], tuple(options["cors"] or ())
+    )
 
 
 @command(
     "Broadcast", "live sample:falling-4 --rate-hz 20", "live watch:pictures --world causal --depth-scale 1000"
 )
-@asks(address_rows(8076, "receive"), SCENE)
+@with_options(address_rows(8076, "receive"), SCENE)
 def live(
-    asked: Asked,
+    options: Options,
     source: Annotated[str, typer.Argument(help=_LIVE)],
     out: Annotated[
         str | None,
@@ -70,10 +72,10 @@ def live(
     from touchfield.network.access import Pages
     from touchfield.network.live import END, write_message
     from touchfield.network.live_server import LiveServer
-    from touchfield.tasks.live import LiveSpec, broadcast, coarse_layer, opened_sender
+    from touchfield.tasks.live import LiveSpec, broadcast, coarse_layer, open_sender
     from touchfield.viewer.browser import empty_page, served_page
 
-    def say(note: str) -> None:
+    def print_note(note: str) -> None:
         typer.echo(f"note: {note}", err=True)
 
     if out not in (None, "-"):
@@ -81,39 +83,48 @@ def live(
     if coarse and out == "-":
         raise InvalidArgument("--coarse", "a pipe, which loses nothing", "a server, or --udp")
     spec = LiveSpec(segment_s, loop, on_air_s)
-    prepared, sender = opened_sender(source, encode_spec(asked))
+    prepared, sender = open_sender(source, encode_spec(options))
     if out == "-":
         pipe = sys.stdout.buffer
         write_message(pipe, sender.opening)
-        sent = broadcast(prepared, lambda segment: write_message(pipe, sender.add(segment)), spec, say)
+        sent = broadcast(prepared, lambda segment: write_message(pipe, sender.add(segment)), spec, print_note)
         write_message(pipe, END)
-        say(_counts(sent.summary()))
+        print_note(_counts(sent.summary()))
         bound = sent.error_bound(prepared)
         if bound["error_bound"]:
-            say(f"error bound: {bound['error_bound']}; largest error {sent.worst_mask_ratio:.3f} of it")
+            print_note(
+                f"error bound: {bound['error_bound']}; largest error {sent.worst_mask_ratio:.3f} of it"
+            )
         return None
     layer = coarse_layer(source, prepared) if coarse else None
     under = layer[1] if layer else None
     pages = Pages(served_page(), empty_page())
-    with LiveServer(sender, _access(asked), pages, under) as server, ExitStack() as stack:
-        word = "?token=..." if asked["token"] else ""
+    with LiveServer(sender, _access(options), pages, under) as server, ExitStack() as stack:
+        query = "?token=..." if options["token"] else ""
 
-        def tell_addresses() -> None:
-            typer.echo(f"ws://{server.address}/live{word}  http://{server.address}/live.json{word}", err=True)
-            typer.echo(f"in a browser: http://{server.address}/view{word}", err=True)
+        def print_addresses() -> None:
+            typer.echo(
+                f"ws://{server.address}/live{query}  http://{server.address}/live.json{query}", err=True
+            )
+            typer.echo(f"in a browser: http://{server.address}/view{query}", err=True)
             if layer:
-                typer.echo(f"coarse layer: ws://{server.address}/coarse/live{word}", err=True)
+                typer.echo(f"coarse layer: ws://{server.address}/coarse/live{query}", err=True)
 
         send = _sending(server.add, sender, udp, "fine" if layer else "alone", stack)
         also = None
         if layer:
             also = layer[0], _sending(partial(server.add, is_coarse=True), layer[1], udp, "coarse", stack)
         try:
-            sent = broadcast(prepared, send, spec, say, coarse=also, ready=tell_addresses)
+            sent = broadcast(prepared, send, spec, print_note, coarse=also, on_start=print_addresses)
         finally:
             server.end()
     counts = {**sent.summary(), **sent.error_bound(prepared)}
-    sums = {**counts, "most_receivers": server.most_receivers, "skipped": server.skipped, "left": server.left}
+    sums = {
+        **counts,
+        "most_receivers": server.max_receivers,
+        "skipped": server.skipped,
+        "left": server.dropped,
+    }
     return Answer(sums, source, prepared.notes)
 
 
@@ -128,7 +139,7 @@ def _sending(
     layer: Layer,
     stack: ExitStack,
 ) -> Callable[[LiveSegment], bytes]:
-    """A call that has a segment sent, by datagrams too where an address is given."""
+    """Return a function that sends a segment, also by datagrams if an address is given."""
     if address is None:
         return add
     from touchfield.network.udp import UdpSender

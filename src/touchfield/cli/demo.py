@@ -1,6 +1,6 @@
-"""`touchfield demo`: the main job on real scenes that come with the libraries, and a hand that feels them.
+"""`touchfield demo`: encode, compare and play real scenes that come with optional libraries.
 
-Where a library is missing its scene is left out, and where none is there a tray of shapes takes their place.
+The scene of a missing library is skipped; without any of them a tray of shapes is used instead.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from touchfield.atomic import atomic_path
-from touchfield.cli.show import Answer, progress
+from touchfield.cli.output import Answer, progress
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.pipeline import compare, encode
 from touchfield.pipeline.spec import EncodeSpec
@@ -33,11 +33,11 @@ SCENES: Final = {
     ),
     "shapes": ("six shapes on a tray, for a Phantom Omni", EncodeSpec(friction=FRICTION)),
 }
-"""The last needs no library beside the core."""
+"""Description and settings of each scene. The last needs no optional library."""
 
 
 def run_demo(folder: Path, as_json: bool) -> None:
-    """Encode, decode, measure, draw and touch each scene; what a library does not carry is said and left out."""
+    """Encode, decode, measure, draw and play each scene; report and skip those whose library is missing."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -47,16 +47,16 @@ def run_demo(folder: Path, as_json: bool) -> None:
     results: dict[str, Any] = {}
     missing: list[TouchfieldError] = []
     draws = find_spec("matplotlib") is not None
-    for name, (what, spec) in SCENES.items():
+    for name, (description, spec) in SCENES.items():
         if name == "shapes" and results:
             break
         try:
-            results[name] = _one(folder / name, f"sample:{name}", spec, draws)
+            results[name] = _run_scene(folder / name, f"sample:{name}", spec, draws)
         except MissingExtra as error:
             missing.append(error)
             continue
         if not as_json:
-            Answer(results[name], f"{name}: {what}", _made(folder / name, draws)).show()
+            Answer(results[name], f"{name}: {description}", _result_notes(folder / name, draws)).show()
     if as_json:
         Answer(results, "demo", [str(error) for error in missing]).show(True)
         return
@@ -64,8 +64,8 @@ def run_demo(folder: Path, as_json: bool) -> None:
         sys.stdout.write(f"left out: {fault}\n")
 
 
-def _made(stem: Path, draws: bool) -> list[str]:
-    """Things to look at."""
+def _result_notes(stem: Path, draws: bool) -> list[str]:
+    """Return notes on the files that were written."""
     pictures = (
         f"look at {stem}.png, and at {stem}.forces.png: a simulated hand comes, presses, slides and leaves"
     )
@@ -73,7 +73,7 @@ def _made(stem: Path, draws: bool) -> list[str]:
     return [f"stream: {stem}.touch, report: {stem}.json", page, *([pictures] if draws else [])]
 
 
-def _one(stem: Path, source: str, spec: EncodeSpec, draws: bool) -> dict[str, Any]:
+def _run_scene(stem: Path, source: str, spec: EncodeSpec, draws: bool) -> dict[str, Any]:
     stream, picture = stem.with_suffix(".touch"), stem.with_suffix(".png")
     with progress(f"encode {stem.name}") as report:
         encode(source, stream, spec, report)

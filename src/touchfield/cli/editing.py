@@ -7,9 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from touchfield.cli.main import Asked, command
-from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, fields_of, frames_of, numbers_of, rows_of
-from touchfield.cli.show import Answer, check_results, progress, show_notes, show_rows
+from touchfield.cli.main import Options, command
+from touchfield.cli.options import (
+    CODER,
+    FORCE_ROWS,
+    coder_spec,
+    fields_of,
+    frames_of,
+    numbers_of,
+    rows_of,
+    with_options,
+)
+from touchfield.cli.output import Answer, check_results, progress, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import length_m
 from touchfield.pipeline.spec import Motion, ReductionSpec
@@ -19,7 +28,7 @@ from touchfield.tasks import editing
 if TYPE_CHECKING:
     from touchfield.render.material import Material
 
-RUBBED = tuple(row for row in BESIDE if row.name != "vibration")
+RUBBED = tuple(row for row in FORCE_ROWS if row.name != "vibration")
 
 Medium = Annotated[
     str, typer.Argument(help="A .touch file, or a stored field (.npz, .vti).", metavar="MEDIUM")
@@ -32,9 +41,9 @@ _COUNTS = "NX,NY,NZ, such as 64,64,32"
 
 
 @command("Make", 'edit room.touch soft.touch --region "ball:0mm,10mm,0mm,15mm" --operator gain:0.5')
-@asks(CODER)
+@with_options(CODER)
 def edit(
-    asked: Asked,
+    options: Options,
     medium: Medium,
     out: Out,
     operator: Annotated[
@@ -59,15 +68,15 @@ def edit(
     span = frames_of("--frames", frames)
     with progress("edit") as report:
         done = editing.edit(
-            medium, out, region, operator, length_m(feather, "--feather"), span, coder_spec(asked), report
+            medium, out, region, operator, length_m(feather, "--feather"), span, coder_spec(options), report
         )
     return Answer(done.summary(), str(done.path), done.notes)
 
 
 @command("Make", "splice first.touch second.touch both.touch")
-@asks(RUBBED, CODER)
+@with_options(RUBBED, CODER)
 def splice(
-    asked: Asked,
+    options: Options,
     media: Annotated[list[str], "FILE or FILE@START:STOP, in order; the last one is OUT.touch."],
     fade_s: Annotated[float, "Seconds in which one fades into the next."] = 0.0,
     kernel: Kernel = "spline",
@@ -78,14 +87,14 @@ def splice(
             "touchfield splice", f"{len(media)} file", "media to join, and OUT.touch behind them"
         )
     with progress("splice") as report:
-        done = editing.splice(media[:-1], Path(media[-1]), fade_s, kernel, coder_spec(asked), report)
+        done = editing.splice(media[:-1], Path(media[-1]), fade_s, kernel, coder_spec(options), report)
     return Answer(done.summary(), str(done.path), done.notes)
 
 
 @command("Make", "resample room.touch small.touch --nw 5", "resample room.touch slow.touch --rate-hz 15")
-@asks(CODER)
+@with_options(CODER)
 def resample(
-    asked: Asked,
+    options: Options,
     medium: Medium,
     out: Out,
     nw: Annotated[int | None, "2^nw samples per axis over the same box."] = None,
@@ -94,18 +103,18 @@ def resample(
     rate_hz: Annotated[float | None, "Frames a second."] = None,
     kernel: Kernel = "spline",
 ) -> Answer:
-    """Bring MEDIUM onto another lattice or to another rate, and tell what a receiver then lacks."""
+    """Resample MEDIUM to another lattice or rate, and report the loss at a receiver."""
     samples = None if shape is None else numbers_of("--shape", shape, (3,), _COUNTS, int)
     lattice = nw, samples, None if spacing is None else length_m(spacing, "--spacing")
     with progress("resample") as report:
-        done = editing.resample_file(medium, out, lattice, rate_hz, kernel, coder_spec(asked), report)
+        done = editing.resample_file(medium, out, lattice, rate_hz, kernel, coder_spec(options), report)
     return Answer(done.summary(), str(done.path), done.notes)
 
 
 @command("Make", "lod room.touch levels --most-bytes 20000")
-@asks(CODER)
+@with_options(CODER)
 def lod(
-    asked: Asked,
+    options: Options,
     medium: Medium,
     folder: Annotated[
         Path | None,
@@ -118,13 +127,13 @@ def lod(
 ) -> Answer:
     """Make levels of detail of MEDIUM, each a file with its bytes and its error."""
     with progress("lod") as report:
-        done = editing.levels_of_detail(medium, folder, levels, most_bytes, coder_spec(asked), report)
+        done = editing.levels_of_detail(medium, folder, levels, most_bytes, coder_spec(options), report)
 
-    def people() -> None:
-        show_rows(done.shown["levels"], f"levels of detail of {medium}")
+    def print_text() -> None:
+        show_rows(done.figures["levels"], f"levels of detail of {medium}")
         show_notes(done.notes)
 
-    return Answer(done.summary(), "", done.notes, people=people)
+    return Answer(done.summary(), "", done.notes, print_text=print_text)
 
 
 @command("Make", "partition room.touch --depth 1 --penalty-bits 100")
@@ -147,7 +156,7 @@ def partition(
     rows = []
     for box in done.boxes:
         low, high = ((1e3 * corner).round(6).tolist() for corner in done.grid(box).box_m)
-        rows.append({"depth": box.depth, "low_mm": low, "high_mm": high, "lost_bits": box.lost_bits})
+        rows.append({"depth": box.depth, "low_mm": low, "high_mm": high, "lost_bits": box.loss_bits})
     figures = {name: value for name, value in done.summary().items() if name != "boxes"}
     return Answer({"box_count": len(rows), **figures, "boxes": rows}, medium)
 
@@ -172,7 +181,7 @@ def texture(
     """Make a material of recorded accelerations; put materials into a stream."""
     from touchfield.render.material import read_materials, write_table
     from touchfield.sources.recordings.recording import read_recording
-    from touchfield.tasks.texture import merged, store_materials, texture_of
+    from touchfield.tasks.texture import merge_materials, store_materials, texture_of
 
     check_results((*sources, into), out, plot)
     tables = [read_materials(path) for path in sources if path.suffix.lower() == ".json"]
@@ -183,13 +192,13 @@ def texture(
         expected = f"one number, or one for each of {count} recordings: 0.05,0.1"
         named = ("--speed-m-s", speed_m_s), ("--force-n", force_n)
         values = [numbers_of(option, text, (1, count), expected) for option, text in named]
-        speeds, forces = ((own * count)[:count] for own in values)  # one number is that of all
+        speeds, forces = ((numbers * count)[:count] for numbers in values)  # one number is that of all
         tables.append((texture_of(recordings, speeds, forces, name or out.stem, friction),))
     elif speed_m_s or force_n or name or friction is not None:
         raise InvalidArgument(
             "--speed-m-s, --force-n, --name and --friction are those of recordings; a table has its own"
         )
-    materials = merged(*tables)
+    materials = merge_materials(*tables)
     if into is None:
         write_table(out, materials)
     else:
@@ -206,10 +215,10 @@ def _draw(path: Path, materials: tuple[Material, ...]) -> None:
     from touchfield.viewer.plots import draw_textures
 
     rows = {
-        f"{one.name}, {1e3 * speed:g} mm/s, {force:g} N": one.levels_n[i, j]
-        for one in materials
-        for i, speed in enumerate(one.speeds_m_s)
-        for j, force in enumerate(one.forces_n)
+        f"{material.name}, {1e3 * speed:g} mm/s, {force:g} N": material.levels_n[i, j]
+        for material in materials
+        for i, speed in enumerate(material.speeds_m_s)
+        for j, force in enumerate(material.forces_n)
     }
     draw_textures(path, BANDS_HZ, rows, 1e-3 * vibration_threshold().force_rms_mn(BANDS_HZ))
 
@@ -221,9 +230,9 @@ def _draw(path: Path, materials: tuple[Material, ...]) -> None:
     "play fox.touch --deformation walk.npz --offline --seconds 2",
     "deform fox.touch -o soft.npz --yield-m-per-n 0.002 --relax-s 0.1",
 )
-@asks(rows_of(Motion))
+@with_options(rows_of(Motion))
 def deform(
-    asked: Asked,
+    options: Options,
     stream: Annotated[Path, "Stream of voxels, .touch."],
     model: Annotated[Path | None, typer.Argument(help="Animated glTF that STREAM shows at rest.")] = None,
     out: Annotated[Path, typer.Option("-o", "--out", help="Deformation to write, .npz.")] = Path(
@@ -237,7 +246,7 @@ def deform(
     from touchfield.tasks.deformation import tracks_of
 
     check_results((stream, model), out)
-    moved = fields_of(Motion, asked) | {"frames": frames_of("--frames", asked["frames"])}
+    moved = fields_of(Motion, options) | {"frames": frames_of("--frames", options["frames"])}
     motion = Motion(model, **moved) if model else None
     with progress("deform") as report:
         done = tracks_of(
@@ -258,22 +267,20 @@ def deform(
     "reduce ground.touch --cull shell.touch --mode lossless",
     "reduce fox.touch few-modes.touch --rank 20 --trace log.csv",
 )
-@asks(rows_of(ReductionSpec), CODER)
+@with_options(rows_of(ReductionSpec), CODER)
 def reduce(
-    asked: Asked,
+    options: Options,
     medium: Medium,
     out: Annotated[
         Path | None, typer.Argument(help="OUT.touch of the modes that are kept; none without it.")
     ] = None,
     cull: Annotated[Path | None, "OUT.touch without what the hand can never feel."] = None,
 ) -> Answer:
-    """Tell in how few numbers MEDIUM varies, how many bits a degree of freedom has, and what no hand can
-    feel.
-    """
+    """Reduce MEDIUM to a few modes; report degrees of freedom, their entropy, and samples no hand can reach."""
     from touchfield.tasks.reduction import reduce_medium
 
     check_results((medium,), out, cull)
-    spec = ReductionSpec(**fields_of(ReductionSpec, asked))
+    spec = ReductionSpec(**fields_of(ReductionSpec, options))
     with progress("reduce") as report:
-        done = reduce_medium(medium, out, cull, spec, coder_spec(asked), report)
+        done = reduce_medium(medium, out, cull, spec, coder_spec(options), report)
     return Answer(done.summary(), medium, done.notes, {"held_out": "frames that were not learnt"})

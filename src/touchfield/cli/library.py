@@ -1,4 +1,4 @@
-"""Commands of a library of media (paper section 4): index to correlate; of the fewest points (6.2): points."""
+"""Commands for a library of media (paper section 4): index to correlate; points (section 6.2)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from touchfield.cli.main import Asked, Stream, command
-from touchfield.cli.options import CODER, SCENE, Workers, asks, coder_spec, encode_spec, numbers_of
-from touchfield.cli.show import Answer, check_results, progress, show_notes
+from touchfield.cli.main import Options, Stream, command
+from touchfield.cli.options import CODER, SCENE, Workers, coder_spec, encode_spec, numbers_of, with_options
+from touchfield.cli.output import Answer, check_results, progress, show_notes
 from touchfield.compute.executors import executor_of
 from touchfield.errors import InvalidArgument
 
@@ -19,7 +19,7 @@ IndexFile = Annotated[
     typer.Option("--index", help="File of the index; default: FOLDER.index.npz beside the folder."),
 ]
 
-_TOLD = 20
+_MAX_REPORTED = 20
 
 
 @command("Study", "index recordings")
@@ -32,10 +32,14 @@ def index(folder: Folder, index_file: IndexFile = None, workers: Workers = None)
     with progress("index") as report, executor_of(workers) as executor:
         done = index_folder(folder, index_file, report, executor)
     faults = done.faults
-    left_out = [f"left out: {name}: {fault}" for name, fault in list(faults.items())[:_TOLD]]
-    more = (f"{len(faults) - _TOLD} more are left out; --json tells them all",) if len(faults) > _TOLD else ()
-    people = Answer(done.summary(), str(done.path), (*done.notes, *left_out, *more)).show
-    return Answer({**done.summary(), "faults": faults}, str(folder), done.notes, people=people)
+    fault_notes = [f"left out: {name}: {fault}" for name, fault in list(faults.items())[:_MAX_REPORTED]]
+    more = (
+        (f"{len(faults) - _MAX_REPORTED} more are left out; --json tells them all",)
+        if len(faults) > _MAX_REPORTED
+        else ()
+    )
+    print_text = Answer(done.summary(), str(done.path), (*done.notes, *fault_notes, *more)).show
+    return Answer({**done.summary(), "faults": faults}, str(folder), done.notes, print_text=print_text)
 
 
 @command("Study", "search recordings like.touch")
@@ -54,28 +58,28 @@ def search(
     from touchfield.tasks.library import search as run
 
     weights = dict(ANY_POSE) if any_pose else {}
-    for words in weight or ():
-        name, _, number = words.partition("=")
+    for text in weight or ():
+        name, _, number = text.partition("=")
         try:
             weights[name] = float(number)
         except ValueError:
-            raise InvalidArgument("--weight", repr(words), "PART=NUMBER, such as amplitude=2") from None
+            raise InvalidArgument("--weight", repr(text), "PART=NUMBER, such as amplitude=2") from None
     result = run(folder, like, count, weights, index_file)
     figures = result.summary()
 
-    def people() -> None:
+    def print_text() -> None:
         typer.echo(f"like {like}, of {figures['media']} media ({figures['query_ms']:.1f} ms)")
         for match in figures["matches"]:
             typer.echo("{rank:4d}  {distance:.4f}  {name}".format(**match))
         show_notes(result.notes)
 
-    return Answer(figures, str(like), result.notes, people=people)
+    return Answer(figures, str(like), result.notes, print_text=print_text)
 
 
 @command("Study", "similar one.touch other.touch")
-@asks(SCENE)
+@with_options(SCENE)
 def similar(
-    asked: Asked,
+    options: Options,
     first: Annotated[str, "A .touch file, or any SOURCE."],
     second: Annotated[str, "Another; it is brought onto the lattice of the first."],
     quantiser: Annotated[str, "Q, the same for both; coarse, lest a coder's error counts."] = (
@@ -91,7 +95,7 @@ def similar(
 
     with progress("similar") as report:
         done = run(
-            first, second, encode_spec(asked), quantiser=quantiser, over=over, frames=looks, report=report
+            first, second, encode_spec(options), quantiser=quantiser, over=over, frames=looks, report=report
         )
     figures = done.summary()
     names = {
@@ -102,7 +106,7 @@ def similar(
     }
     short = {names.get(k, k): v["value"] if k in names and v else v for k, v in figures.items()}
     title = f"{first} and {second}"
-    return Answer(figures, title, done.notes, people=Answer(short, title, done.notes).show)
+    return Answer(figures, title, done.notes, print_text=Answer(short, title, done.notes).show)
 
 
 @command("Study", "correlate video.mp4 room.touch")
@@ -132,9 +136,9 @@ def correlate(
 
 
 @command("Study", "points 15 fox.touch rebuilt.touch", "points 5 felt.csv --next")
-@asks(CODER)
+@with_options(CODER)
 def points(
-    asked: Asked,
+    options: Options,
     count: Annotated[int, "How many points."],
     source: Annotated[
         str, typer.Argument(help="A .touch file, a stored field, or a recording of contacts.", metavar="IN")
@@ -160,7 +164,7 @@ def points(
         done = next_points(source, count, measured)
     else:
         with progress("points") as report:
-            done = fewest_points(source, count, out, modes, coder_spec(asked), report)
+            done = fewest_points(source, count, out, modes, coder_spec(options), report)
     return Answer(
         done.summary(), f"{count} points of {source}", done.notes, {"next": "places, the first one first"}
     )

@@ -1,8 +1,7 @@
-"""The `touchfield` command: a command's room is opened when the command is asked for, all of them for the
-help.
+"""The `touchfield` command. Only the module of the requested command is imported; the help imports all.
 
-Exit code 0 if all went well, 2 for a usage error, 1 for data at fault; an error is one line on stderr, of a
-command with ``--json`` one object.
+Exit codes: 0 success, 2 usage error, 1 faulty data. An error is one line on stderr, or with ``--json`` one
+JSON object.
 """
 
 from __future__ import annotations
@@ -31,8 +30,8 @@ app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
 
 _SAMPLES = ", ".join(f"sample:{name}" for name in SAMPLES)
 
-Asked = dict[str, Any]
-"""What was asked for by the options of `touchfield.cli.options.asks`."""
+Options = dict[str, Any]
+"""Values of the options that `touchfield.cli.options.with_options` adds, by parameter name."""
 
 Json = Annotated[
     bool, typer.Option("--json", help="Print one machine-readable object; an error, too, as one.")
@@ -42,11 +41,11 @@ Stream = Annotated[str, typer.Argument(help="A .touch file, or the address of on
 
 
 def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Callable[..., Any]], Any]:
-    """Make a function a command, in a panel of the help, with examples at the end of its own help.
+    """Register a function as a command in a panel of the help; its own help ends with the examples.
 
-    A parameter ``Annotated[TYPE, "words"]`` is an argument, or with a default an option of its name; `asked`
-    are those of `touchfield.cli.options.asks`. One that returns an `Answer` is given ``--json``, and that is
-    printed.
+    A parameter ``Annotated[TYPE, "help text"]`` becomes an argument or, with a default, an option of the same
+    name. The parameter `options` receives the values of `touchfield.cli.options.with_options`. A command
+    that returns an `Answer` also gets ``--json``, and its answer is printed.
     """
     epilog = (
         "\n\n".join(["Examples:", *(f"touchfield {example}" for example in examples)]) if examples else None
@@ -56,44 +55,46 @@ def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Ca
         signature = inspect.signature(function, eval_str=True)
         options: list[inspect.Parameter] = getattr(function, "options", [])
         names, has_answer = {p.name for p in options}, signature.return_annotation is not None
-        own = [_described(p) for p in signature.parameters.values() if p.name != "asked"]
+        command_parameters = [_described(p) for p in signature.parameters.values() if p.name != "options"]
         if has_answer:
-            own.append(inspect.Parameter("as_json", BY_NAME, default=False, annotation=Json))
-        own.append(inspect.Parameter("context", BY_NAME, annotation=typer.Context))
+            command_parameters.append(inspect.Parameter("as_json", BY_NAME, default=False, annotation=Json))
+        command_parameters.append(inspect.Parameter("context", BY_NAME, annotation=typer.Context))
 
-        def call(context: typer.Context, **given: Any) -> None:
-            as_json = given.pop("as_json") if has_answer else False
-            if options:  # as on the command line; what is not there follows
-                given["asked"] = {key.rstrip("_"): given.pop(key) for key in context.params if key in names}
+        def call(context: typer.Context, **arguments: Any) -> None:
+            as_json = arguments.pop("as_json") if has_answer else False
+            if options:  # options of the command line first, then the defaults
+                arguments["options"] = {
+                    key.rstrip("_"): arguments.pop(key) for key in context.params if key in names
+                }
             try:
-                with _warnings_shown() as shown:
-                    answer = function(**given)
-            except InvalidArgument as error:  # a job names a field; here it is an option
+                with _print_warnings() as warning_texts:
+                    answer = function(**arguments)
+            except InvalidArgument as error:  # the task names a field; the command line names the option
                 typed = {p.name: p.opts[0] for p in context.command.params if p.param_type_name == "option"}
                 if error.where not in typed:
                     raise
-                raise InvalidArgument(typed[error.where], error.found, error.expected, error.mend) from error
+                raise InvalidArgument(typed[error.where], error.found, error.expected, error.hint) from error
             if answer is not None:
-                answer.show(as_json, shown)
+                answer.show(as_json, warning_texts)
 
-        made: Any = wraps(function)(call)
-        made.__signature__ = inspect.Signature([*own, *options])
-        made.__annotations__ = {p.name: p.annotation for p in (*own, *options)}
-        return app.command(name=name, rich_help_panel=panel, epilog=epilog)(made)
+        command_function: Any = wraps(function)(call)
+        command_function.__signature__ = inspect.Signature([*command_parameters, *options])
+        command_function.__annotations__ = {p.name: p.annotation for p in (*command_parameters, *options)}
+        return app.command(name=name, rich_help_panel=panel, epilog=epilog)(command_function)
 
     return register
 
 
 @contextmanager
-def _warnings_shown() -> Iterator[list[str]]:
-    """Print warnings of bounds that are not proved to stderr as they come, each once; yields their texts."""
+def _print_warnings() -> Iterator[list[str]]:
+    """Print each distinct `UnboundedError` warning to stderr when it occurs; yield a list of their texts."""
     texts: list[str] = []
     with warnings.catch_warnings():
         usual = warnings.showwarning
 
-        def show(message: Any, category: type[Warning], *place: Any, **more: Any) -> None:
+        def show(message: Any, category: type[Warning], *location: Any, **details: Any) -> None:
             if not issubclass(category, UnboundedError):
-                usual(message, category, *place, **more)
+                usual(message, category, *location, **details)
             elif str(message) not in texts:
                 texts.append(str(message))
                 sys.stderr.write(f"warning: {message}\n")
@@ -107,53 +108,55 @@ BY_NAME: Final = inspect.Parameter.KEYWORD_ONLY
 
 
 def _described(parameter: inspect.Parameter) -> inspect.Parameter:
-    words = getattr(parameter.annotation, "__metadata__", (None,))[0]
-    if not isinstance(words, str):
+    help_text = getattr(parameter.annotation, "__metadata__", (None,))[0]
+    if not isinstance(help_text, str):
         return parameter.replace(kind=BY_NAME)
     flag = f"--{parameter.name.replace('_', '-')}"
     is_argument = parameter.default is parameter.empty
-    declaration = typer.Argument(help=words) if is_argument else typer.Option(flag, help=words)
+    declaration = typer.Argument(help=help_text) if is_argument else typer.Option(flag, help=help_text)
     return parameter.replace(kind=BY_NAME, annotation=Annotated[parameter.annotation.__origin__, declaration])
 
 
-# typer carries a click of its own in some versions and imports it in others; its errors' base is found either
-# way
+# some versions of typer bundle click and others import it: this finds the base of its errors in both
 USAGE_ERROR: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 TYPER_INTERRUPTED = 130
-"""Typer's result for Ctrl-C."""
+"""Result that Typer returns after Ctrl-C."""
 
 
 COMMANDS: Final = {
-    **dict.fromkeys(("encode", "filter", "field", "plan"), "make"),
-    "decode": "reading",
-    **dict.fromkeys(("export", "import"), "make"),
+    **dict.fromkeys(("encode", "filter", "field", "plan"), "encode"),
+    "decode": "decode",
+    **dict.fromkeys(("export", "import"), "encode"),
     **dict.fromkeys(("edit", "splice", "resample", "lod", "partition"), "editing"),
     **dict.fromkeys(("texture", "deform"), "editing"),
-    "info": "reading",
-    **dict.fromkeys(("view", "compare"), "look"),
-    "play": "feel",
+    "info": "decode",
+    **dict.fromkeys(("view", "compare"), "view"),
+    "play": "play",
     **dict.fromkeys(("serve", "live", "mux", "demux"), "broadcast"),
-    "measure": "look",
+    "measure": "view",
     "reduce": "editing",
     **dict.fromkeys(("index", "search", "similar", "correlate", "points"), "library"),
-    **dict.fromkeys(("demo", "devices", "sources", "doctor", "warmup"), "machine"),
+    **dict.fromkeys(("demo", "devices", "sources", "doctor", "warmup"), "setup"),
 }
-"""Module of each command, which registers it when it is imported; in the order of the help."""
+"""Module of each command, in the order of the help. Importing the module registers the command."""
 
 
 _FILELESS: Final = ("index", "live", "play", "serve")
 
 
-def open_rooms(arguments: Sequence[str] = ()) -> typer.Typer:
-    """An app of the command that these arguments name, or of all where they name none."""
-    named = COMMANDS.get(arguments[0]) if arguments else None
-    for room in [named] if named else dict.fromkeys(COMMANDS.values()):
-        import_module(f"touchfield.cli.{room}")
-    known = {str(one.name or getattr(one.callback, "__name__", "")): one for one in app.registered_commands}
-    opened = copy(app)
-    opened.registered_commands = [known[name] for name in (arguments[:1] if named else COMMANDS)]
-    return opened
+def load_commands(arguments: Sequence[str] = ()) -> typer.Typer:
+    """Import and return an app with the command that the arguments name, or with all commands."""
+    module = COMMANDS.get(arguments[0]) if arguments else None
+    for module_name in [module] if module else dict.fromkeys(COMMANDS.values()):
+        import_module(f"touchfield.cli.{module_name}")
+    registered = {
+        str(command_info.name or getattr(command_info.callback, "__name__", "")): command_info
+        for command_info in app.registered_commands
+    }
+    loaded = copy(app)
+    loaded.registered_commands = [registered[name] for name in (arguments[:1] if module else COMMANDS)]
+    return loaded
 
 
 @app.callback(invoke_without_command=True)
@@ -170,55 +173,54 @@ def root(
 
 def run(arguments: list[str] | None = None, commands: typer.Typer = app) -> None:
     """The console entry point."""
-    # a request to end (a job scheduler, `timeout`) cleans up as Ctrl-C does
+    # SIGTERM (from a job scheduler or `timeout`) cleans up as Ctrl-C does
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    if isinstance(
-        sys.stdout, io.TextIOWrapper
-    ):  # a name may have letters that the terminal's encoding has not
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # a name may contain characters that the terminal's encoding cannot represent
         sys.stdout.reconfigure(errors="backslashreplace")
     sys.exit(_exit_code(arguments, commands))
 
 
 def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
-    """Run a command, and say what ended it."""
-    given = sys.argv[1:] if arguments is None else arguments
-    as_json = "--json" in given
+    """Run a command, print the error that ended it, and return the exit code."""
+    argv = sys.argv[1:] if arguments is None else arguments
+    as_json = "--json" in argv
 
-    def say(text: str, code: int, kind: str) -> int:
+    def fail(text: str, code: int, kind: str) -> int:
         line = " ".join(text.split())
-        told = (
+        output = (
             json.dumps({"error": line, "kind": kind, "exit_code": code}) if as_json else f"touchfield: {line}"
         )
-        sys.stderr.write(told + "\n")
+        sys.stderr.write(output + "\n")
         return code
 
     try:
-        opened = open_rooms(given) if commands is app else commands
+        opened = load_commands(argv) if commands is app else commands
         result = opened(args=arguments, standalone_mode=False)
         if result == TYPER_INTERRUPTED:
             raise KeyboardInterrupt
         return result if isinstance(result, int) else 0
     except TouchfieldError as error:
-        return say(str(error), error.exit_code, type(error).__name__)
+        return fail(str(error), error.exit_code, type(error).__name__)
     except (KeyboardInterrupt, typer.Abort) as error:
-        if isinstance(error.__cause__, EOFError):  # which Typer takes for somebody who leaves
-            return say(f"a file ended too early: {error.__cause__}. Make it anew", 1, "EOFError")
-        kept = "" if given[:1] and given[0] in _FILELESS else "; nothing was written under the final name"
-        return say(f"interrupted{kept}", 1, "Interrupted")
+        if isinstance(error.__cause__, EOFError):  # Typer treats it as an abort
+            return fail(f"a file ended too early: {error.__cause__}. Make it anew", 1, "EOFError")
+        note = "" if argv[:1] and argv[0] in _FILELESS else "; nothing was written under the final name"
+        return fail(f"interrupted{note}", 1, "Interrupted")
     except USAGE_ERROR as error:
-        own = f"{given[0]} " if commands is app and given and given[0] in COMMANDS else ""
-        return say(f"{error.format_message()} (touchfield {own}--help tells more)", 2, "UsageError")
+        command_name = f"{argv[0]} " if commands is app and argv and argv[0] in COMMANDS else ""
+        return fail(f"{error.format_message()} (touchfield {command_name}--help tells more)", 2, "UsageError")
     except MemoryError:
         text = "out of memory: a smaller --nw, fewer --frames or a thinner --thickness-m take less"
-        return say(text, 1, "MemoryError")
+        return fail(text, 1, "MemoryError")
     except BrokenPipeError:
         return 1
     except OSError as error:
         name = error.filename or "file system"
         text = f"{name}: {error.strerror or error}. Check the path, the permissions and the free space"
-        return say(text, 1, "OSError")
+        return fail(text, 1, "OSError")
     except Exception as error:
         if os.environ.get("TOUCHFIELD_TRACEBACK"):
             raise
         text = f"a fault of touchfield itself ({type(error).__name__}: {error})"
-        return say(f"{text}. Run again with TOUCHFIELD_TRACEBACK=1 and report what it prints", 1, "Fault")
+        return fail(f"{text}. Run again with TOUCHFIELD_TRACEBACK=1 and report what it prints", 1, "Fault")

@@ -1,6 +1,6 @@
-"""The options of the commands, once: how the scene is read, felt, mapped, filtered and coded.
+"""Options shared by commands: how a scene is read, mapped, filtered and coded.
 
-Each is one row; `with_options` gives a command the rows it takes, so that two commands cannot drift apart.
+Each option is one row, and `with_options` adds rows to a command, so that commands stay consistent.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ DeviceCompute = Annotated[
         help="Where forces of depth pictures are computed: cpu, cuda (extra cuda), or auto.",
     ),
 ]
-"""Of a command that makes fields of a scene."""
+"""Option of commands that compute fields of a scene."""
 
 Workers = Annotated[
     str | None,
@@ -38,7 +38,7 @@ Workers = Annotated[
 
 
 class Row(NamedTuple):
-    """An option: its name, type, default and help, and its group in the help; None: none of its own."""
+    """An option: its name, type, default and help, and its panel in the help (None: the common one)."""
 
     name: str
     kind: Any
@@ -48,14 +48,12 @@ class Row(NamedTuple):
 
     @property
     def key(self) -> str:
-        """The name of the field, and of the parameter, of the option."""
+        """Name of the field and the parameter."""
         return self.name.replace("-", "_")
 
 
 def _kind(annotation: Any) -> Any:
-    """By the annotation of a field its type on the command line; what is none of `KINDS` is asked for in
-    words.
-    """
+    """Return the command-line type of a field by its annotation; types outside `KINDS` are given as text."""
     text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
     name, none, _ = text.partition(" | None")
     kind, *_ = KINDS.get(name, KINDS["str"])
@@ -63,7 +61,7 @@ def _kind(annotation: Any) -> Any:
 
 
 def rows_of(spec: Any, panel: str | None = None, *names: str) -> tuple[Row, ...]:
-    """The fields of a spec that are options (`touchfield.options`): all, or those of these names."""
+    """Return the fields of a spec that are options (`touchfield.options`): all, or those named."""
     selected = [field for field in fields(spec) if field.metadata and (not names or field.name in names)]
     return tuple(
         Row(dashed(field.name), _kind(field.type), field.default, field.metadata["help"], panel)
@@ -72,19 +70,19 @@ def rows_of(spec: Any, panel: str | None = None, *names: str) -> tuple[Row, ...]
 
 
 def rows(panel: str, *options: tuple[str, Any, Any, str]) -> tuple[Row, ...]:
-    """Options in one group of the help: of each its name, type, default and words."""
+    """Return options of one panel, each given by its name, type, default and help."""
     return tuple(Row(*option, panel) for option in options)
 
 
 def dashed(name: str) -> str:
-    """A field's name as that of an option."""
+    """Return the option's name for a field's name."""
     return name.replace("_", "-")
 
 
 _FIRST: Final = (
     "device", "nw", "frames", "mapping", "stiffness-n-per-m", "thickness-m", "k", "f0-n", "mode", "target-bytes",
 )  # fmt: skip
-"""Of what concerns scene and coder the options that most people need."""
+"""Options of scene and coder that most people need."""
 _LATTICE: Final = "Device and lattice"
 _SCENE: Final = "Scene"
 
@@ -100,7 +98,7 @@ SCENE: Final = (
 
 
 def _options_of(coder: Coder) -> dict[str, tuple[Any, str]]:
-    """Of a coder the type and the help of each option."""
+    """Return the type and the help of each option of a coder."""
     option_types = {row.key: (row.kind, row.help_text) for row in rows_of(coder.spec)} | dict(
         coder.extra_options
     )
@@ -108,7 +106,7 @@ def _options_of(coder: Coder) -> dict[str, tuple[Any, str]]:
 
 
 def _coder_rows() -> tuple[Row, ...]:
-    """One option for each that a coder takes; where several take one, its help tells what it is to each."""
+    """Return one option for each field of a coder; the help of a shared option names each coder."""
     coder_names = [word for coder in field_coders().values() for word in coder.makers]
     options: dict[str, tuple[Any, list[str], list[str]]] = {}
     for coder in field_coders().values():
@@ -145,7 +143,7 @@ TARGET: Final = rows(
 
 
 def address_rows(port: int, verb: str) -> tuple[Row, ...]:
-    """The options of a server: where it listens, and who may receive."""
+    """Return the options of a server: its address and who may receive."""
     return rows(
         "Address",
         ("host", str, "127.0.0.1", "Address to listen at; beyond this machine only with a token."),
@@ -162,13 +160,13 @@ def address_rows(port: int, verb: str) -> tuple[Row, ...]:
 
 
 def filter_rows() -> tuple[Row, ...]:
-    """One option for each registered haptic filter; their order on the command line is their order of work."""
+    """Return one option for each registered haptic filter; they are applied in command-line order."""
     kinds = field_filters().items()
     return rows("Haptic filters", *((name, list[str] | None, None, kind.summary) for name, kind in kinds))
 
 
 def with_options(*groups: Sequence[Row]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Give a command the options of `groups`; it gets `asked`, in the order of the command line."""
+    """Decorate a command with the options of `groups`; it gets `options`, in the order of the command line."""
     all_rows = sorted((row for group in groups for row in group), key=lambda row: row.name not in _FIRST)
 
     def decorate(command: Any) -> Any:
@@ -179,7 +177,7 @@ def with_options(*groups: Sequence[Row]) -> Callable[[Callable[..., Any]], Calla
 
 
 def _parameter(row: Row) -> inspect.Parameter:
-    help_text = row.help_text.replace("[", r"\[")  # what stands in brackets is no markup
+    help_text = row.help_text.replace("[", r"\[")  # brackets are not markup
     group = "What most people need" if row.panel and row.name in _FIRST else row.panel
     option = typer.Option(f"--{row.name}", help=help_text, rich_help_panel=group)
     key = "as_" if row.name == "as" else row.key
@@ -187,7 +185,7 @@ def _parameter(row: Row) -> inspect.Parameter:
 
 
 def frames_of(option: str, text: str | None) -> Frames | None:
-    """The frames of START:STOP, or of the number of one."""
+    """Parse START:STOP, or the number of one frame."""
     if text is None:
         return None
     start, colon, stop = text.partition(":")
@@ -203,7 +201,7 @@ def frames_of(option: str, text: str | None) -> Frames | None:
 def numbers_of(
     option: str, text: str | None, counts: Sequence[int], expected: str, kind: type = float
 ) -> Any:
-    """The numbers between commas, as a tuple; there must be as many as one of `counts`."""
+    """Parse comma-separated numbers to a tuple, whose length must be one of `counts`."""
     try:
         numbers = tuple(kind(word) for word in (text or "").split(","))
     except ValueError:
@@ -214,12 +212,12 @@ def numbers_of(
 
 
 def fields_of(spec: type[Any], options: dict[str, Any]) -> dict[str, Any]:
-    """The values of the fields of a spec; an option is called as its field is."""
+    """Return the option values of the fields of a spec."""
     return {f.name: options[f.name] for f in fields(spec) if f.name in options}
 
 
 def _coder(options: dict[str, Any]) -> dict[str, Any]:
-    """The coder and what is asked of it; an option of another coder is refused, not ignored."""
+    """Return the coder and its options; an option of another coder raises InvalidArgument."""
     name, coders = options["coder"], field_coders().values()
     coder = next((candidate for candidate in coders if name in candidate.makers), None)
     if coder is None:
@@ -239,7 +237,7 @@ def _coder(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def encode_spec(options: dict[str, Any]) -> EncodeSpec:
-    """The options as the job takes them."""
+    """Return the spec of an encoding from the options."""
     source = SourceOptions(kind=options["as"], **fields_of(SourceOptions, options))
     values = {name: value for name, value in fields_of(EncodeSpec, options).items() if name != "coder"}
     chain = []
@@ -260,12 +258,12 @@ def encode_spec(options: dict[str, Any]) -> EncodeSpec:
 
 
 def coder_spec(options: dict[str, Any]) -> EncodeSpec:
-    """The coder's options alone, without a scene's."""
+    """Return a spec from the coder's options alone, with defaults for the scene."""
     return encode_spec(options | {row.key: row.default for row in SCENE})
 
 
 def target_of(options: dict[str, Any]) -> Target | None:
-    """The size or the error to reach, where one was asked for."""
+    """Return the requested size or error, or None."""
     if options["target_bytes"] is None and options["target_nmse_db"] is None:
         return None
     return Target(options["target_bytes"], options["target_nmse_db"])

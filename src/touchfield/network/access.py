@@ -26,15 +26,15 @@ except ImportError:
     raise MissingExtra("a server of streams", "aiohttp", "broadcast") from None
 
 
-_OWN: Final = {
+_PAGE_HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-cache",
     "X-Frame-Options": "SAMEORIGIN",
 }
 _PATIENCE_S: Final = 10.0
 _ENDING_S: Final = 2.0  # half of what answers that are under way may take once a server ends
-_MOST_CONNECTIONS: Final = 1 << 15
-_MOST_BUSY: Final = 4096
+_CONNECTION_LIMIT: Final = 1 << 15
+_MAX_BUSY: Final = 4096
 """Answers and live receivers at once; who comes beyond is told to come again."""
 
 
@@ -72,15 +72,15 @@ class Access:
                 "--token", f"{len(self.token)} characters", "8 or more, that nobody guesses"
             )
         if not (_is_loopback(self.host) or self.token or self.is_open):
-            mend = "Add --token WORD, or --open if anyone may read."
-            raise InvalidArgument("--host", f"{self.host}, which others reach", "a token", mend)
+            hint = "Add --token WORD, or --open if anyone may read."
+            raise InvalidArgument("--host", f"{self.host}, which others reach", "a token", hint)
 
-    def knows(self, request: web.Request) -> bool:
+    def is_authorised(self, request: web.Request) -> bool:
         """True where no token is asked for, or the request brings it."""
         if self.token is None:
             return True
-        word = request.query.get("token") or request.headers.get("Authorization", "").removeprefix("Bearer ")
-        return hmac.compare_digest(word.encode(), self.token.encode())
+        token = request.query.get("token") or request.headers.get("Authorization", "").removeprefix("Bearer ")
+        return hmac.compare_digest(token.encode(), self.token.encode())
 
     def cors(self, request: web.Request) -> dict[str, str]:
         """Headers that let a page elsewhere read, where it may."""
@@ -109,7 +109,7 @@ def guarded(access: Access) -> web.Application:
         request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
     ) -> web.StreamResponse:
         nonlocal busy
-        if busy >= _MOST_BUSY:
+        if busy >= _MAX_BUSY:
             return web.Response(status=503, text="busy", headers={"Retry-After": "1"})
         if _is_loopback(access.host) and not _is_loopback(request.url.host or ""):
             return web.Response(status=403, text="this name is not that of this machine")  # a name bound anew
@@ -117,7 +117,7 @@ def guarded(access: Access) -> web.Application:
             return web.Response(status=403, text="a page elsewhere, which may not read")
         if request.method == "OPTIONS":
             return web.Response(status=204, headers=access.cors(request))
-        if not access.knows(request):
+        if not access.is_authorised(request):
             return web.Response(status=401, text="a token is needed", headers={"WWW-Authenticate": "Bearer"})
         busy += 1
         try:
@@ -129,26 +129,26 @@ def guarded(access: Access) -> web.Application:
 
 
 @asynccontextmanager
-async def left_unless_read(request: web.BaseRequest, seconds: float) -> AsyncIterator[None]:
-    """A client that is left, with `ConnectionLeft`, where it takes longer to read what is sent within."""
+async def dropped_unless_read(request: web.BaseRequest, seconds: float) -> AsyncIterator[None]:
+    """A client that is left, with `ClientDropped`, where it takes longer to read what is sent within."""
     try:
         async with asyncio.timeout(seconds):
             yield
     except TimeoutError:
         if request.transport is not None:
             request.transport.abort()
-        raise ConnectionLeft from None
+        raise ClientDropped from None
 
 
-class ConnectionLeft(ConnectionResetError):
+class ClientDropped(ConnectionResetError):
     """A client was left, as it did not read."""
 
 
 class Pages(NamedTuple):
-    """Pages for a browser: `around` fetches from its server what `within`, in its frame, shows."""
+    """Pages for a browser: `outer` fetches from its server what `inner`, in its frame, shows."""
 
-    around: str
-    within: str
+    outer: str
+    inner: str
 
 
 def add_pages(application: web.Application, pattern: str, pages: Pages | None) -> None:
@@ -158,16 +158,16 @@ def add_pages(application: web.Application, pattern: str, pages: Pages | None) -
 
     def add(path: str, text: str) -> None:
         async def answer(request: web.Request) -> web.Response:
-            return web.Response(text=text, content_type="text/html", headers=_OWN)
+            return web.Response(text=text, content_type="text/html", headers=_PAGE_HEADERS)
 
         application.router.add_get(path, answer)
 
-    add("/view-page.html", pages.within)
-    add(f"/view{pattern}", pages.around)
+    add("/view-page.html", pages.inner)
+    add(f"/view{pattern}", pages.outer)
 
 
 async def run(
-    application: web.Application, access: Access, ready: Callable[[str], None], until: asyncio.Event
+    application: web.Application, access: Access, ready: Callable[[str], None], stop: asyncio.Event
 ) -> None:
     """Run a web application until an event; `ready` gets its address, without an end.
 
@@ -176,27 +176,27 @@ async def run(
 
     Raises InvalidArgument if the address cannot be listened at.
     """
-    loop, heard = asyncio.get_running_loop(), WeakSet[object]()
+    loop, active = asyncio.get_running_loop(), WeakSet[object]()
 
     @web.middleware
     async def hear(
         request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
     ) -> web.StreamResponse:
-        heard.add(request.transport)
+        active.add(request.transport)
         return await handler(request)
 
     application.middlewares.insert(0, hear)
     runner = web.AppRunner(application, access_log=None, keepalive_timeout=15.0, shutdown_timeout=_ENDING_S)
     await runner.setup()
     assert runner.server is not None
-    answering, most, newcomers = runner.server, _most_connections(), deque[web.RequestHandler]()
+    answering, max_connections, newcomers = runner.server, _max_connections(), deque[web.RequestHandler]()
 
     def leave(connection: web.RequestHandler) -> None:
-        if connection.transport is not None and connection.transport not in heard:
+        if connection.transport is not None and connection.transport not in active:
             connection.transport.abort()
 
     def connected() -> asyncio.Protocol:
-        if len(answering.connections) + len(newcomers) >= most:
+        if len(answering.connections) + len(newcomers) >= max_connections:
             return _Refusal()
         connection = answering()
         newcomers.append(connection)
@@ -215,7 +215,7 @@ async def run(
             ) from None
         host, port = listening.sockets[0].getsockname()[:2]
         ready(f"[{host}]:{port}" if ":" in host else f"{host}:{port}")
-        await until.wait()
+        await stop.wait()
     finally:
         if listening is not None:
             listening.close()
@@ -276,7 +276,7 @@ class _Refusal(asyncio.Protocol):
         transport.abort()
 
 
-def _most_connections() -> int:
+def _max_connections() -> int:
     """Connections at once: seven eighths of the files that the system lets a process have."""
     try:
         import resource
@@ -284,11 +284,13 @@ def _most_connections() -> int:
         return 8192
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     unbounded = resource.RLIM_INFINITY
-    soft, most = (_MOST_CONNECTIONS if n == unbounded else min(n, _MOST_CONNECTIONS) for n in (soft, hard))
-    if soft < most:
+    soft, max_files = (
+        _CONNECTION_LIMIT if n == unbounded else min(n, _CONNECTION_LIMIT) for n in (soft, hard)
+    )
+    if soft < max_files:
         with suppress(OSError, ValueError):
-            resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
-            soft = most
+            resource.setrlimit(resource.RLIMIT_NOFILE, (max_files, hard))
+            soft = max_files
     return max(8, soft * 7 // 8)
 
 

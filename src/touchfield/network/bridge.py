@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
 
-from touchfield.network.access import Access, Background, Pages, add_pages, guarded, left_unless_read, web
+from touchfield.network.access import Access, Background, Pages, add_pages, dropped_unless_read, guarded, web
 from touchfield.network.live import MEDIA_TYPE
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class Bridge(Background):
 
     def _application(self) -> web.Application:
         served = guarded(self._access)
-        served.router.add_get("/hand", self._tell)
+        served.router.add_get("/hand", self._send_positions)
         add_pages(served, "/{name:.*}", self._pages)
         served.router.add_get("/{name:.*}", self._file)
         return served
@@ -60,7 +60,7 @@ class Bridge(Background):
         }
         return web.FileResponse(self._stream, headers=headers)
 
-    async def _tell(self, request: web.Request) -> web.StreamResponse:
+    async def _send_positions(self, request: web.Request) -> web.StreamResponse:
         """The hand's place in the field, metres, and the medium's time, seconds, where they change."""
         socket = web.WebSocketResponse(max_msg_size=1 << 10, compress=False)
         await socket.prepare(request)
@@ -70,7 +70,7 @@ class Bridge(Background):
                 hand = self._hand
                 now = () if hand is None else (*hand.position_m, hand.media_s)
                 if now and now != before:
-                    async with left_unless_read(request, _PATIENCE_S):
+                    async with dropped_unless_read(request, _PATIENCE_S):
                         await socket.send_json(now)
                     before = now
                 await asyncio.sleep(_PERIOD_S)

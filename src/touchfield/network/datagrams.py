@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple
 
 from touchfield.container.records import MAGIC
 from touchfield.errors import InvalidArgument, import_extra
-from touchfield.network.live import MOST_BYTES
+from touchfield.network.live import MAX_BYTES
 
 raptorq = import_extra("raptorq", "datagrams with parity", "raptorq", "broadcast")
 
@@ -31,19 +31,19 @@ _PACKET: Final = 4
 _SYMBOLS: Final = 36
 """Least number of pieces of a message: the fewer there are, the larger the share of repair."""
 
-_LEAST_REPAIR: Final = 3
+_MIN_REPAIR: Final = 3
 _SPREAD: Final = 8
 """Messages over whose time the datagrams of one are spread; the last ones come so many messages later."""
 
-_LEAST_SYMBOL, _MOST_SYMBOL = 128, 1152
+_MIN_SYMBOL, _MAX_SYMBOL = 128, 1152
 _BLOCK: Final = 56403
 """Symbols of a block of RFC 6330, at most; its number is the first byte of a packet."""
 
-MOST_DATAGRAM: Final = _HEAD.size + _PACKET + _MOST_SYMBOL
-MOST_OPEN: Final = 24
+MAX_DATAGRAM: Final = _HEAD.size + _PACKET + _MAX_SYMBOL
+MAX_OPEN: Final = 24
 """Messages that are waited for at once."""
 
-_MOST_WAITING: Final = 1 << 27
+_MAX_WAITING_BYTES: Final = 1 << 27
 """Bytes of the messages that are waited for; beyond, the oldest is given up."""
 
 _SILENT_S: Final = 2.0
@@ -68,11 +68,11 @@ class Datagrams:
 
     def add(self, message: bytes) -> list[bytes]:
         """The datagrams to be sent now that there is a further message: some of it, and some of those before."""
-        if not 0 < len(message) <= MOST_BYTES:
-            raise InvalidArgument("message", f"{len(message)} bytes", f"1 to {MOST_BYTES}")
-        symbol = min(max(-(-len(message) // _SYMBOLS), _LEAST_SYMBOL), _MOST_SYMBOL) // 8 * 8
+        if not 0 < len(message) <= MAX_BYTES:
+            raise InvalidArgument("message", f"{len(message)} bytes", f"1 to {MAX_BYTES}")
+        symbol = min(max(-(-len(message) // _SYMBOLS), _MIN_SYMBOL), _MAX_SYMBOL) // 8 * 8
         packets = raptorq.Encoder.with_defaults(message, symbol + _PACKET).get_encoded_packets(
-            max(_LEAST_REPAIR, round(self._repair * -(-len(message) // symbol)))
+            max(_MIN_REPAIR, round(self._repair * -(-len(message) // symbol)))
         )
         datagrams = [self._datagram(len(message), symbol, packet) for packet in packets]
         self._number = (self._number + 1) & 0xFFFFFFFF
@@ -88,7 +88,7 @@ class Datagrams:
 
     def _due(self) -> list[bytes]:
         turns = zip_longest(
-            *(shares.pop(0) for shares in self._waiting)
+            *(parts.pop(0) for parts in self._waiting)
         )  # one of each in turn: bursts are shared
         datagrams = [datagram for turn in turns for datagram in turn if datagram is not None]
         while self._waiting and not self._waiting[0]:
@@ -118,7 +118,7 @@ class _Part:
         self.length, self.symbol = length, symbol
         self.decoder: Any = raptorq.Decoder.with_defaults(length, symbol + _PACKET)
         self.message: bytes | None = None
-        self.most = 2 * (-(-length // symbol)) + 64
+        self.remaining = 2 * (-(-length // symbol)) + 64
         """Datagrams that are looked at, whatever comes."""
 
 
@@ -128,7 +128,7 @@ class Gathering:
 
     Where none of its datagrams has come for two seconds, another stream that comes takes its place. One
     datagram alone, forged, costs one message: another datagram must bear out what it tells of another stream,
-    or of a number further than `_SPREAD` above the newest or `MOST_OPEN` below it, and a stream has one
+    or of a number further than `_SPREAD` above the newest or `MAX_OPEN` below it, and a stream has one
     opening. Where it is the first of all, it costs as many messages as are waited for, or the first two
     seconds.
 
@@ -147,87 +147,95 @@ class Gathering:
         Messages that were given up.
     """
 
-    def __init__(self, most_open: int = MOST_OPEN, clock_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, max_open: int = MAX_OPEN, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._stream: int | None = None
-        self._clock_s, self._came_s = clock_s, clock_s()
+        self._clock_s, self._received_s = clock_s, clock_s()
         self._next, self._newest = 0, -1
-        self._most_open, self._opening = most_open, b""
+        self._max_open, self._opening = max_open, b""
         self._parts: dict[int, _Part] = {}
-        self._doubted: _Datagram | None = None
+        self._unconfirmed: _Datagram | None = None
         self.refused = self.lost = 0
 
     def receive(self, datagram: bytes) -> list[bytes]:
         """Take a datagram; the messages that are whole now, and next in order."""
-        one = _told(datagram)
-        if one is None:
+        parsed = _parse(datagram)
+        if parsed is None:
             self.refused += 1
             return []
         now = self._clock_s()
-        if one.stream == self._stream and -MOST_OPEN <= one.number - self._newest <= _SPREAD:
-            self._came_s = now
-            return self._taken(one)
-        doubted, self._doubted = self._doubted or one, one
-        is_borne_out = (
-            doubted != one and doubted.stream == one.stream and abs(doubted.number - one.number) <= _SPREAD
+        if parsed.stream == self._stream and -MAX_OPEN <= parsed.number - self._newest <= _SPREAD:
+            self._received_s = now
+            return self._accept(parsed)
+        earlier, self._unconfirmed = self._unconfirmed or parsed, parsed
+        is_confirmed = (
+            earlier != parsed
+            and earlier.stream == parsed.stream
+            and abs(earlier.number - parsed.number) <= _SPREAD
         )
-        is_borne_out &= one.stream == self._stream or now - self._came_s > _SILENT_S
-        if not is_borne_out and self._stream is not None:
+        is_confirmed &= parsed.stream == self._stream or now - self._received_s > _SILENT_S
+        if not is_confirmed and self._stream is not None:
             self.refused += 1
             return []
-        if one.stream != self._stream or one.number < self._newest:
-            self._stream, self._next, self._newest = one.stream, min(one.number, doubted.number), -1
+        if parsed.stream != self._stream or parsed.number < self._newest:
+            self._stream, self._next, self._newest = parsed.stream, min(parsed.number, earlier.number), -1
             self._parts, self._opening = {}, b""
-        self._came_s, self._doubted = now, None
-        return [message for each in dict.fromkeys((doubted, one)) for message in self._taken(each)]
+        self._received_s, self._unconfirmed = now, None
+        return [
+            message
+            for parsed_datagram in dict.fromkeys((earlier, parsed))
+            for message in self._accept(parsed_datagram)
+        ]
 
-    def _taken(self, one: _Datagram) -> list[bytes]:
-        if one.number < self._next:
+    def _accept(self, datagram: _Datagram) -> list[bytes]:
+        if datagram.number < self._next:
             return []  # late, or what was sent beyond need
-        self._newest = max(self._newest, one.number)
-        part = self._parts.get(one.number)
+        self._newest = max(self._newest, datagram.number)
+        part = self._parts.get(datagram.number)
         if part is None:
-            part = self._parts[one.number] = _Part(one.length, one.symbol)
+            part = self._parts[datagram.number] = _Part(datagram.length, datagram.symbol)
         if part.message is not None:
             return []  # what was sent beyond need
-        if (part.length, part.symbol) != (one.length, one.symbol) or part.most <= 0:
+        if (part.length, part.symbol) != (datagram.length, datagram.symbol) or part.remaining <= 0:
             self.refused += 1
         else:
-            part.most -= 1
-            is_told_again = one.length == len(self._opening) and one.packet[_PACKET:] in self._opening
-            part.message = self._opening if is_told_again else part.decoder.decode(one.packet)
+            part.remaining -= 1
+            is_repeated = datagram.length == len(self._opening) and datagram.packet[_PACKET:] in self._opening
+            part.message = self._opening if is_repeated else part.decoder.decode(datagram.packet)
             if part.message is not None and part.message.startswith(MAGIC):
                 self._opening = self._opening or part.message  # told again, it holds up no segment behind it
                 part.message = self._opening  # a stream has no other
-        return self._released()
+        return self._release()
 
-    def _released(self) -> list[bytes]:
+    def _release(self) -> list[bytes]:
         messages: list[bytes] = []
         while self._parts:
             part = self._parts.get(self._next)
-            beyond = self._next + 1
+            following = self._next + 1
             if part is not None and part.message is not None:
                 messages.append(part.message)
             elif (
-                self._newest - self._next < self._most_open
-                and sum(one.length for one in self._parts.values()) <= _MOST_WAITING
+                self._newest - self._next < self._max_open
+                and sum(part_size.length for part_size in self._parts.values()) <= _MAX_WAITING_BYTES
             ):
                 break
             else:
-                least = self._newest - self._most_open + 1
-                beyond = max(beyond, min([least, *(number for number in self._parts if number > self._next)]))
-                self.lost += beyond - self._next
+                oldest = self._newest - self._max_open + 1
+                following = max(
+                    following, min([oldest, *(number for number in self._parts if number > self._next)])
+                )
+                self.lost += following - self._next
             self._parts.pop(self._next, None)
-            self._next = beyond
+            self._next = following
         return messages
 
 
-def _told(datagram: bytes) -> _Datagram | None:
-    if not _HEAD.size + _PACKET < len(datagram) <= MOST_DATAGRAM:
+def _parse(datagram: bytes) -> _Datagram | None:
+    if not _HEAD.size + _PACKET < len(datagram) <= MAX_DATAGRAM:
         return None
     magic, stream, number, length, symbol, crc = _HEAD.unpack_from(datagram)
     packet = datagram[_HEAD.size :]
-    is_ours = magic == _MAGIC and 0 < length <= MOST_BYTES
-    is_ours &= symbol % 8 == 0 and _LEAST_SYMBOL <= symbol <= _MOST_SYMBOL and len(packet) == symbol + _PACKET
+    is_ours = magic == _MAGIC and 0 < length <= MAX_BYTES
+    is_ours &= symbol % 8 == 0 and _MIN_SYMBOL <= symbol <= _MAX_SYMBOL and len(packet) == symbol + _PACKET
     is_ours &= packet[0] * _BLOCK * symbol < length <= symbol * 65536
     if (
         not is_ours

@@ -32,7 +32,7 @@ from touchfield.container.wire import (
 )
 from touchfield.container.writer import TouchWriter, opening_of
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, SourceError
-from touchfield.files import exactly
+from touchfield.files import read_up_to
 
 MEDIA_TYPE: Final = "haptics/vnd.touchfield"
 """Of a ``.touch`` file (RFC 9695 makes the tree; haptics/hmpg is MPEG's)."""
@@ -40,13 +40,13 @@ MEDIA_TYPE: Final = "haptics/vnd.touchfield"
 ENDLESS: Final = (1 << 31) - 1
 """`HEAD.frame_count` of a live stream."""
 
-MOST_BYTES: Final = 1 << 26
+MAX_BYTES: Final = 1 << 26
 """Of a message."""
 
-KEPT: Final = 4
+MAX_SEGMENTS: Final = 4
 """Segments that a sender keeps for those who come late."""
 
-_FAR: Final = 8
+_MAX_LEAD: Final = 8
 """Where anyone may send, one that ends so many segments beyond the latest counts once a later one comes next.
 
 """
@@ -55,8 +55,7 @@ END: Final = b""
 """The message that the stream has ended."""
 
 
-# -- events
-# ---------------------------------------------------------------------------------------------------
+# -- events ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -131,60 +130,67 @@ class LiveReceiver:
         if message.startswith(MAGIC):
             if message == self._opening:  # told again, for those who come later
                 return []
-            opened = _opened(message)
+            opened = _parse_opening(message)
             self._opening, self._next = message, None
             return [opened]
         if message[:4] not in (b"SEGM", b"VIBR"):
             return [Refused("neither an opening nor a segment")]
         if not self._opening:
             return [Refused("a segment before any opening")]
-        segment = _segment(message)
+        segment = _parse_segment(message)
         expected = segment.first_frame if self._next is None else self._next
         if segment.first_frame < expected:
             return [Refused(f"frames from {segment.first_frame}, late or again: {expected} is next")]
-        came = [segment]
-        if self.is_open and self._next is not None and segment.stop - expected > _FAR * self._length:
+        accepted = [segment]
+        if self.is_open and self._next is not None and segment.stop - expected > _MAX_LEAD * self._length:
             doubted, self._doubted = self._doubted, segment
             if doubted is None or doubted.stop > segment.first_frame:
                 return []
-            came = [doubted, segment]
+            accepted = [doubted, segment]
         self._next, self._length, self._doubted = segment.stop, segment.frame_count, None
         events: list[Event] = []
-        for one in came:
-            events += [Lost(expected, one.first_frame - expected)] if one.first_frame > expected else []
-            events, expected = [*events, one], one.stop
+        for live_segment in accepted:
+            events += (
+                [Lost(expected, live_segment.first_frame - expected)]
+                if live_segment.first_frame > expected
+                else []
+            )
+            events, expected = [*events, live_segment], live_segment.stop
         return events
 
 
-def _opened(message: bytes) -> Opened:
+def _parse_opening(message: bytes) -> Opened:
     source = _source(message, "opening")
     read_opening(source)
     is_alone = find_record(source, OPENING_SIZE, source.size).end == source.size
-    head, *story = _values(source, OPENING_SIZE, (Head,) if is_alone else (Head, Provenance))
+    head, *provenance = _read_records(source, OPENING_SIZE, (Head,) if is_alone else (Head, Provenance))
     if head.frame_count != ENDLESS:
         raise CorruptFile("opening: HEAD.frame_count", str(head.frame_count), f"{ENDLESS} of a live stream")
-    return Opened(head, {pair.key: pair.value for one in story for pair in one.pairs})
+    return Opened(head, {pair.key: pair.value for record in provenance for pair in record.pairs})
 
 
-def _segment(message: bytes) -> LiveSegment:
+def _parse_segment(message: bytes) -> LiveSegment:
     layouts = (Vibration, Segment) if message.startswith(b"VIBR") else (Segment,)
-    *beside, frames = _values(_source(message, "segment"), 0, layouts)
-    if any((one.first_frame, one.frame_count) != (frames.first_frame, frames.frame_count) for one in beside):
+    *vibrations, frames = _read_records(_source(message, "segment"), 0, layouts)
+    if any(
+        (vibration.first_frame, vibration.frame_count) != (frames.first_frame, frames.frame_count)
+        for vibration in vibrations
+    ):
         raise CorruptFile("segment", "a VIBR of other frames", "one of its own")
     return LiveSegment(
-        frames.first_frame, frames.frame_count, frames.body, beside[0].body if beside else None
+        frames.first_frame, frames.frame_count, frames.body, vibrations[0].body if vibrations else None
     )
 
 
-def _values(source: ByteSource, place: int, layouts: tuple[type, ...]) -> list[Any]:
+def _read_records(source: ByteSource, offset: int, layouts: tuple[type, ...]) -> list[Any]:
     """The values of the records from a place on, which must be these and the last ones."""
     values: list[Any] = []
     for layout in layouts:
-        record = find_record(source, place, source.size)
+        record = find_record(source, offset, source.size)
         values.append(read_record(source, record, layout)[0])
-        place = record.end
-    if place != source.size:
-        raise CorruptFile(source.name, f"{source.size - place} bytes behind it", "none")
+        offset = record.end
+    if offset != source.size:
+        raise CorruptFile(source.name, f"{source.size - offset} bytes behind it", "none")
     return values
 
 
@@ -193,7 +199,7 @@ def file_of(opening: bytes, message: bytes) -> bytes:
 
     Raises FormatError if the opening or the message is at fault.
     """
-    live, segment, file = _opened(opening), _segment(message), io.BytesIO()
+    live, segment, file = _parse_opening(opening), _parse_segment(message), io.BytesIO()
     with TouchWriter(file) as writer:
         writer.write_head(replace(live.head, frame_count=segment.frame_count), live.provenance)
         if segment.vibration is not None:
@@ -203,15 +209,14 @@ def file_of(opening: bytes, message: bytes) -> bytes:
 
 
 def _source(message: bytes, name: str) -> ByteSource:
-    if len(message) > MOST_BYTES:
-        raise CorruptFile(name, f"{len(message)} bytes", f"at most {MOST_BYTES}")
+    if len(message) > MAX_BYTES:
+        raise CorruptFile(name, f"{len(message)} bytes", f"at most {MAX_BYTES}")
     data: Any = io.BytesIO(message)
     data.name = name
     return ByteSource(data)
 
 
-# -- sending
-# --------------------------------------------------------------------------------------------------
+# -- sending -----------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -241,13 +246,13 @@ class LiveSender:
     def __init__(self) -> None:
         self._lock = Lock()
         self.opening = b""
-        self._kept: deque[tuple[int, LiveSegment, bytes]] = deque(maxlen=KEPT)
+        self._latest: deque[tuple[int, LiveSegment, bytes]] = deque(maxlen=MAX_SEGMENTS)
         self._count, self._is_ended = 0, False
 
     def open(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
         """Begin a programme, whose frames begin at 0; a random word in its opening tells it from all others."""
-        story = {**(provenance or {}), "programme": secrets.token_hex(8)}
-        opening = b"".join(opening_of(replace(head, frame_count=ENDLESS), story))
+        provenance_pairs = {**(provenance or {}), "programme": secrets.token_hex(8)}
+        opening = b"".join(opening_of(replace(head, frame_count=ENDLESS), provenance_pairs))
         with self._lock:
             if self.opening:
                 raise InvalidArgument("open", "a second call", "one")
@@ -259,17 +264,17 @@ class LiveSender:
         message = encode_record("SEGM", Segment(**frames, body=segment.body))
         if segment.vibration is not None:
             message = encode_record("VIBR", Vibration(**frames, body=segment.vibration)) + message
-        if len(message) > MOST_BYTES:
+        if len(message) > MAX_BYTES:
             raise InvalidArgument(
-                "segment", f"{len(message)} bytes", f"at most {MOST_BYTES}", "Take shorter segments."
+                "segment", f"{len(message)} bytes", f"at most {MAX_BYTES}", "Take shorter segments."
             )
         with self._lock:
             if not self.opening or self._is_ended:
                 raise InvalidArgument("add", "a stream that is not open", "open before, end behind")
-            latest = self._kept[-1][1].stop if self._kept else 0
+            latest = self._latest[-1][1].stop if self._latest else 0
             if segment.first_frame < latest:
                 raise InvalidArgument("segment", f"frames from {segment.first_frame}", f"{latest} or later")
-            self._kept.append((self._count, segment, message))
+            self._latest.append((self._count, segment, message))
             self._count += 1
         return message
 
@@ -290,11 +295,11 @@ class LiveSender:
                 receiver._is_open = bool(self.opening)
                 return self.opening or None
             if receiver._next < self._count:
-                oldest = self._kept[0][0]
+                oldest = self._latest[0][0]
                 if receiver._next < oldest:  # too slow: on to the newest
                     receiver.skipped += self._count - 1 - receiver._next
                     receiver._next = self._count - 1
-                message = self._kept[receiver._next - oldest][2]
+                message = self._latest[receiver._next - oldest][2]
                 receiver._next += 1
                 return message
             if self._is_ended and not receiver.is_over:
@@ -308,21 +313,23 @@ class LiveSender:
             segments = [
                 {
                     "number": number,
-                    "first_frame": one.first_frame,
-                    "frames": one.frame_count,
+                    "first_frame": segment.first_frame,
+                    "frames": segment.frame_count,
                     "bytes": len(message),
                 }
-                for number, one, message in self._kept
+                for number, segment, message in self._latest
             ]
             return {"is_ended": self._is_ended, "segments": segments}
 
     def message(self, number: int) -> bytes | None:
         """The message of a segment of the manifest; None where it is none any more."""
         with self._lock:
-            return next((message for own, _, message in self._kept if own == number), None)
+            return next(
+                (message for segment_number, _, message in self._latest if segment_number == number), None
+            )
 
 
-# -- through a pipe ------------------------------------------------------------------------------------------
+# -- through a pipe ----------------------------------------------------------------------------------------
 
 _LENGTH: Final = struct.Struct("<I")
 
@@ -338,11 +345,11 @@ def messages(file: IO[bytes], name: str) -> Iterator[bytes]:
 
     Raises SourceError if it ends within a message, or a message is too long to be one.
     """
-    while length := exactly(file, _LENGTH.size):
-        count = _LENGTH.unpack(length)[0] if len(length) == _LENGTH.size else MOST_BYTES + 1
-        if count > MOST_BYTES:
-            raise SourceError(name, f"{length!r}", f"the length of a message, at most {MOST_BYTES}")
-        message = exactly(file, count)
+    while length := read_up_to(file, _LENGTH.size):
+        count = _LENGTH.unpack(length)[0] if len(length) == _LENGTH.size else MAX_BYTES + 1
+        if count > MAX_BYTES:
+            raise SourceError(name, f"{length!r}", f"the length of a message, at most {MAX_BYTES}")
+        message = read_up_to(file, count)
         if len(message) < count:
             raise SourceError(name, "its end within a message", "whole messages of touchfield live SOURCE -")
         yield message

@@ -20,20 +20,20 @@ from urllib.parse import urlsplit, urlunsplit
 from touchfield.container.remote import without_secret
 from touchfield.errors import MissingExtra, SourceError, TouchfieldError, reason
 from touchfield.files import standard_input
-from touchfield.network.live import MOST_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
-from touchfield.network.live_medium import PATIENCE_S, TOLD_S, LiveFrames, LiveStream
+from touchfield.network.live import MAX_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
+from touchfield.network.live_medium import PATIENCE_S, REPORT_AFTER_S, LiveFrames, LiveStream
 
 _SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 2.0  # between two tries to connect
 _POLL_S: Final = 0.05
 _ANSWER_S: Final = 10.0
-_MEND: Final = "Check the address, and that it is on."
-_MOST_MANIFEST: Final = 1 << 16
-_BESIDE_S: Final = 5.0  # so long a coarse layer is waited for, once its stream has opened
+_HINT: Final = "Check the address, and that it is on."
+_MAX_MANIFEST_BYTES: Final = 1 << 16
+_COARSE_WAIT_S: Final = 5.0  # so long a coarse layer is waited for, once its stream has opened
 
 
 @contextmanager
 def open_live(
-    url: str, tell: Callable[[str], None] = lambda note: None, coarse: str | None = None
+    url: str, report: Callable[[str], None] = lambda note: None, coarse: str | None = None
 ) -> Iterator[LiveStream]:
     """Open a live stream; it is received in a thread until the block ends.
 
@@ -43,27 +43,29 @@ def open_live(
     Raises SourceError if there is none, or no first segment has come for a minute.
     """
     with ExitStack() as stack:
-        beside: _Client | None = None
+        coarse_client: _Client | None = None
         if coarse is not None:
-            beside = _Client(coarse, lambda note: tell(f"coarse layer: {note}"), is_layered=True)
-            stack.enter_context(beside)
-        yield stack.enter_context(_Client(url, tell, beside, is_layered=beside is not None)).stream()
+            coarse_client = _Client(coarse, lambda note: report(f"coarse layer: {note}"), is_layered=True)
+            stack.enter_context(coarse_client)
+        yield stack.enter_context(
+            _Client(url, report, coarse_client, is_layered=coarse_client is not None)
+        ).stream()
 
 
 class _Client:
     """Receives a stream in a thread while a block lasts."""
 
     def __init__(
-        self, url: str, tell: Callable[[str], None], beside: _Client | None = None, is_layered: bool = False
+        self, url: str, report: Callable[[str], None], coarse: _Client | None = None, is_layered: bool = False
     ) -> None:
         if find_spec("aiohttp") is None and url != "-":
             raise MissingExtra("a live stream", "aiohttp", "broadcast")
-        self._url, self._tell, self._beside, self._is_layered = url, tell, beside, is_layered
+        self._url, self._report, self._coarse, self._is_layered = url, report, coarse, is_layered
         self._name = "standard input" if url == "-" else without_secret(url)
         self._receiver = LiveReceiver(is_open=url.lower().startswith("udp:"))
         self._frames: LiveFrames | None = None
-        self._begun = Flag()
-        self._error: TouchfieldError = SourceError(self._name, "nothing in time", "a live stream", _MEND)
+        self._has_segment = Flag()
+        self._error: TouchfieldError = SourceError(self._name, "nothing in time", "a live stream", _HINT)
         self._loop = asyncio.new_event_loop()
         self._task: asyncio.Task[None] | None = None
         self._thread = Thread(target=self._run, name="touchfield-receiver", daemon=True)
@@ -79,22 +81,22 @@ class _Client:
 
     def stream(self) -> LiveStream:
         """The stream, once a first segment is there."""
-        if not self._begun.wait(TOLD_S):
-            self._tell(
+        if not self._has_segment.wait(REPORT_AFTER_S):
+            self._report(
                 f"waiting for a first segment of {self._name}, a minute at most: its sender may be starting"
             )
-            self._begun.wait(PATIENCE_S - TOLD_S)
+            self._has_segment.wait(PATIENCE_S - REPORT_AFTER_S)
         if self._frames is None:
             raise self._error
         return LiveStream(self._name, self._frames)
 
-    def layer(self, tell: Callable[[str], None]) -> LiveFrames | None:
+    def layer(self, report: Callable[[str], None]) -> LiveFrames | None:
         """The frames of a coarse layer, whose stream has opened; None where it does not come, which is told."""
-        if self._begun.wait(_BESIDE_S) and self._frames is not None:
+        if self._has_segment.wait(_COARSE_WAIT_S) and self._frames is not None:
             return self._frames
         if not isinstance(self._error, SourceError):  # what was asked cannot be
             raise self._error
-        tell(f"without its coarse layer: {self._error}")
+        report(f"without its coarse layer: {self._error}")
         self.__exit__()
         return None
 
@@ -114,7 +116,7 @@ class _Client:
             if self._frames is not None:
                 self._frames.fail(error)
         finally:
-            self._begun.set()
+            self._has_segment.set()
             self._loop.close()
 
     def _take(self, message: bytes) -> bool:
@@ -123,11 +125,11 @@ class _Client:
         for event in events:
             if isinstance(event, Opened):
                 if self._frames is None:
-                    under = None if self._beside is None else self._beside.layer(self._tell)
-                    self._frames = LiveFrames(event, self._tell, under=under)
+                    coarse = None if self._coarse is None else self._coarse.layer(self._report)
+                    self._frames = LiveFrames(event, self._report, coarse=coarse)
                 elif event.head == self._frames.opened.head:
-                    self._tell("another programme begins")
-                    self._frames.begin_anew()
+                    self._report("another programme begins")
+                    self._frames.start_programme()
                 else:  # who plays the old one opens anew
                     raise SourceError(
                         self._name, "another programme", "the one that was opened", "Open it again."
@@ -137,7 +139,7 @@ class _Client:
             else:
                 self._frames.take(event)
                 if isinstance(event, LiveSegment):
-                    self._begun.set()
+                    self._has_segment.set()
         return any(isinstance(event, Ended) for event in events)
 
     async def _receive(self) -> None:
@@ -148,7 +150,7 @@ class _Client:
             return
         import aiohttp
 
-        told_s: float | None = None
+        reported_s: float | None = None
         timeout = aiohttp.ClientTimeout(total=_ANSWER_S, sock_connect=_ANSWER_S)
         async with aiohttp.ClientSession(timeout=timeout) as session:
             follow = self._by_socket if self._url.lower().startswith("ws") else self._by_manifest
@@ -163,13 +165,13 @@ class _Client:
                         error, aiohttp.ClientResponseError
                     ):  # whose text has the address, with its word
                         found = f"{error.status} {error.message}"
-                came_s = -math.inf if self._frames is None else self._frames.came_s
-                silent_s = time.monotonic() - came_s
+                latest_s = -math.inf if self._frames is None else self._frames.received_s
+                silent_s = time.monotonic() - latest_s
                 if silent_s > PATIENCE_S:
-                    raise SourceError(self._name, found, "a live stream", _MEND)
-                if came_s != told_s:
-                    self._tell(f"{found}: connecting again")
-                    told_s = came_s
+                    raise SourceError(self._name, found, "a live stream", _HINT)
+                if latest_s != reported_s:
+                    self._report(f"{found}: connecting again")
+                    reported_s = latest_s
                 await asyncio.sleep(min(max(_SHORTEST_PAUSE_S, silent_s / 2), _LONGEST_PAUSE_S))
 
     async def _by_socket(self, session: Any) -> bool:
@@ -177,7 +179,7 @@ class _Client:
         import aiohttp
 
         async with session.ws_connect(
-            self._url, max_msg_size=MOST_BYTES, heartbeat=_ANSWER_S, compress=0
+            self._url, max_msg_size=MAX_BYTES, heartbeat=_ANSWER_S, compress=0
         ) as socket:
             async for message in socket:
                 if message.type is aiohttp.WSMsgType.BINARY and await asyncio.to_thread(
@@ -198,26 +200,28 @@ class _Client:
         parts = urlsplit(self._url)
         folder = parts.path.removesuffix(".json")
 
-        async def got(path: str, most: int) -> bytes:
+        async def got(path: str, max_bytes: int) -> bytes:
             async with session.get(urlunsplit((parts.scheme, parts.netloc, path, parts.query, ""))) as answer:
                 if answer.status != 200:
                     raise OSError(f"{answer.status} {answer.reason}")
-                data: bytes = await answer.content.read(most + 1)
-                while len(data) <= most and (more := await answer.content.read(most + 1 - len(data))):
+                data: bytes = await answer.content.read(max_bytes + 1)
+                while len(data) <= max_bytes and (
+                    more := await answer.content.read(max_bytes + 1 - len(data))
+                ):
                     data += more
-                if len(data) > most:
-                    raise SourceError(self._name, f"more than {most} bytes", f"at most {most}")
+                if len(data) > max_bytes:
+                    raise SourceError(self._name, f"more than {max_bytes} bytes", f"at most {max_bytes}")
                 return data
 
-        await asyncio.to_thread(self._take, await got(f"{folder}/opening", MOST_BYTES))
+        await asyncio.to_thread(self._take, await got(f"{folder}/opening", MAX_BYTES))
         next_number: int | None = None
         while True:
-            is_over, numbers = _manifest(await got(parts.path, _MOST_MANIFEST), self._name)
+            is_over, numbers = _manifest(await got(parts.path, _MAX_MANIFEST_BYTES), self._name)
             if numbers and next_number is not None and numbers[-1] + 1 < next_number:
                 return False  # another programme
             numbers = [n for n in numbers if next_number is None or n >= next_number]
             for number in numbers[-1:] if next_number is None else numbers:
-                await asyncio.to_thread(self._take, await got(f"{folder}/{number}", MOST_BYTES))
+                await asyncio.to_thread(self._take, await got(f"{folder}/{number}", MAX_BYTES))
                 next_number = number + 1
             if is_over:
                 return await asyncio.to_thread(self._take, b"")
@@ -228,7 +232,7 @@ def _manifest(data: bytes, name: str) -> tuple[bool, list[int]]:
     """True where a stream is over, and the numbers of its segments, ascending."""
     try:
         manifest = json.loads(data)
-        numbers = [int(one["number"]) for one in manifest["segments"]]
+        numbers = [int(segment["number"]) for segment in manifest["segments"]]
         is_over = bool(manifest["is_ended"])
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         raise SourceError(name, "a manifest that is none", "one of a live stream") from None

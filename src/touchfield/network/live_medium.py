@@ -21,7 +21,7 @@ from touchfield.codec.registry import coder
 from touchfield.codec.segment import BitAccount
 from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import FormatError, SourceError, TouchfieldError, UnsupportedVersion
-from touchfield.filters.resample import halved, rebuilt
+from touchfield.filters.resample import half_grid, rebuild_level
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationFrame
 from touchfield.network.live import ENDLESS, Ended, Event, LiveSegment, Lost, Opened, Refused
@@ -32,40 +32,40 @@ if TYPE_CHECKING:
     from touchfield.render.player import Player
 
 
-KEPT: Final = 4
+MAX_SEGMENTS: Final = 4
 """Segments that are kept decoded."""
 
-MOST_BYTES: Final = 1 << 30
+MAX_BYTES: Final = 1 << 30
 """Of the fields that are kept; fewer segments are, where they are larger."""
 
 PATIENCE_S: Final = 60.0
 """So long a segment is waited for: its sender may be starting, or be started again."""
 
-TOLD_S: Final = 3.0
+REPORT_AFTER_S: Final = 3.0
 """From here on, beyond the length of a segment, it is told that one is waited for."""
 
-FORGOTTEN: Final = 0.2
+FORGETTING: Final = 0.2
 """Share of a delay that is forgotten with each segment that came sooner: one that was late once holds nobody
 back for long, and the delays that keep coming do."""
 
-ANEW_S: Final = 1.0
+RESET_BEYOND_S: Final = 1.0
 """Where a segment comes so much sooner, a clock has jumped, or a hold-up is over: all is forgotten."""
 
-SPARE_S: Final = 0.03
+MARGIN_S: Final = 0.03
 """How much later than that the next one may come, and be in time."""
 
-FAR_S: Final = 0.25
+SEEK_BEYOND_S: Final = 0.25
 """From what is due on, play goes there at once; nearer, it goes there a little faster or slower."""
 
-FASTER: Final = 0.1
+MAX_SPEED_CHANGE: Final = 0.1
 
-WAITED_S: Final = 0.25
+MAX_LAYER_LAG_S: Final = 0.25
 """How much later than the other a layer may come and be felt: what comes later still is not waited for."""
 
-GONE_S: Final = 1.0
+LAYER_LOST_S: Final = 1.0
 """A layer so far behind the other has no say in when play is."""
 
-_AHEAD: Final = 1 << 12
+_MAX_LOOKAHEAD: Final = 1 << 12
 """A frame so far behind the newest is not waited for."""
 
 
@@ -117,9 +117,9 @@ class LiveFrames:
     def __init__(
         self,
         opened: Opened,
-        tell: Callable[[str], None] = lambda note: None,
+        report: Callable[[str], None] = lambda note: None,
         clock_s: Callable[[], float] = time.monotonic,
-        under: LiveFrames | None = None,
+        coarse: LiveFrames | None = None,
     ) -> None:
         self.opened, head = opened, opened.head
         self.vibrates = False
@@ -128,24 +128,27 @@ class LiveFrames:
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
         self._decoder: FieldDecoder = coder(head.coder).decoder_class(self.grid, head.coder_parameters)
         self._rate_hz: float = head.rate_hz
-        if under is not None and (under.grid, under._rate_hz) != (halved(self.grid), head.rate_hz):
-            found = f"{under.grid.shape} samples at {under._rate_hz:g} Hz"
+        if coarse is not None and (coarse.grid, coarse._rate_hz) != (half_grid(self.grid), head.rate_hz):
+            found = f"{coarse.grid.shape} samples at {coarse._rate_hz:g} Hz"
             raise SourceError("coarse layer", found, f"half of {self.grid.shape} at {head.rate_hz:g} Hz")
-        self._tell, self._clock_s = tell, clock_s
-        self._under, self._rebuilt = under, (-1, ForceField.empty(self.grid))
-        self._layers: tuple[LiveFrames, ...] = (self,) if under is None else (self, under)
-        self._news: Condition = Condition() if under is None else under._news
-        self._kept: deque[_Decoded] = deque()
+        self._report, self._clock_s = report, clock_s
+        self._coarse, self._rebuilt = coarse, (-1, ForceField.empty(self.grid))
+        self._layers: tuple[LiveFrames, ...] = (self,) if coarse is None else (self, coarse)
+        self._news: Condition = Condition() if coarse is None else coarse._news
+        self._segments: deque[_Decoded] = deque()
         self._base: int | None = None
-        self._over: LiveFrames | None = None
-        self._programmes = self._begun = 0  # of this layer, and in those of both that are kept
+        self._fine: LiveFrames | None = None
+        self._programmes = self._started_programmes = 0  # of this layer, and in those of both that are kept
         self._error: TouchfieldError | None = None
         self.lost = self.refused = self.skipped = self.covered = 0
-        self.came_s, self._told_s = clock_s(), -math.inf
-        self._begins_s: float | None = None
-        self._played, self._room = (math.inf, 0.0), KEPT
-        if under is not None:
-            under._over, under._room = self, 2 * KEPT  # the stream over it may be that much later
+        self.received_s, self._reported_s = clock_s(), -math.inf
+        self._start_s: float | None = None
+        self._played, self._capacity = (math.inf, 0.0), MAX_SEGMENTS
+        if coarse is not None:
+            coarse._fine, coarse._capacity = (
+                self,
+                2 * MAX_SEGMENTS,
+            )  # the stream over it may be that much later
 
     def take(self, event: Event) -> None:
         """Take an event; a segment is decoded here, in the thread that receives."""
@@ -155,11 +158,11 @@ class LiveFrames:
             self._lose(event.frame_count, "did not come")
         elif isinstance(event, Refused):
             self.refused += 1
-            self._tell(f"a message was of no use: {event.reason}")
+            self._report(f"a message was of no use: {event.reason}")
         elif isinstance(event, Ended):
             self.fail(LiveEnd("the sender has ended the stream"))
 
-    def begin_anew(self) -> None:
+    def start_programme(self) -> None:
         """Another programme on the same lattice follows: its frames count on behind the latest one that is
         there.
         """
@@ -169,17 +172,17 @@ class LiveFrames:
         """Nothing more will come: who waits for a frame is told."""
         self._error = self._error or error
 
-    def _lose(self, frames: int, why: str) -> None:
+    def _lose(self, frames: int, reason: str) -> None:
         """Count frames that are lost, and tell each time that they have become twice as many."""
         before, self.lost = self.lost, self.lost + frames
         if self.lost.bit_length() > before.bit_length():
-            self._tell(f"{frames} frames {why}; {self.lost} are lost so far")
+            self._report(f"{frames} frames {reason}; {self.lost} are lost so far")
 
     def _take_segment(self, segment: LiveSegment) -> None:
         """Decode a segment, frame by frame: the first can be felt while the last is not there yet."""
-        came, first, fields = self._clock_s(), segment.first_frame, list[ForceField]()
+        received_s, first, fields = self._clock_s(), segment.first_frame, list[ForceField]()
         self.vibrates |= segment.vibration is not None
-        begins_s = came - first / self._rate_hz  # when the stream's frame 0 would have been in time
+        start_s = received_s - first / self._rate_hz  # when the stream's frame 0 would have been in time
         try:
             band = (
                 decode_vibration(segment.vibration, self.grid, segment.frame_count)
@@ -190,89 +193,99 @@ class LiveFrames:
                 fields.append(field)
                 with self._news:
                     if len(fields) == 1:
-                        self.came_s = came
+                        self.received_s = received_s
                         self._keep(_Decoded(first, fields, band))
-                    begins_s = max(begins_s, self._clock_s() - (first + len(fields) - 1) / self._rate_hz)
+                    start_s = max(start_s, self._clock_s() - (first + len(fields) - 1) / self._rate_hz)
                     self._news.notify_all()
         except FormatError as error:
             self._lose(segment.frame_count - len(fields), f"could not be decoded: {error}")
         with self._news:
-            before_s = begins_s if self._begins_s is None else self._begins_s
-            is_anew = before_s - begins_s > ANEW_S
-            self._begins_s = (
-                begins_s if is_anew else max(begins_s, before_s + FORGOTTEN * (begins_s - before_s))
-            )
+            before_s = start_s if self._start_s is None else self._start_s
+            is_anew = before_s - start_s > RESET_BEYOND_S
+            self._start_s = start_s if is_anew else max(start_s, before_s + FORGETTING * (start_s - before_s))
 
-    def _keep(self, one: _Decoded) -> None:
+    def _keep(self, segment: _Decoded) -> None:
         """Keep a segment whose first frame has been decoded, and of the others what there is room for."""
-        top = self._over or self
-        if self._programmes > top._begun:  # what is there has the numbers of the programme before
-            top._base = None if top._base is None else one.first + top._base - top._there
-            for layer in top._layers:
-                layer._kept.clear()
-                layer._begins_s = None
-            top._begun, top._rebuilt = self._programmes, (-1, top._rebuilt[1])
-        self._kept.append(one)
-        while len(self._kept) > 1 and (
-            len(self._kept) > self._room or sum(one.size for one in self._kept) > MOST_BYTES
+        fine = self._fine or self
+        if (
+            self._programmes > fine._started_programmes
+        ):  # what is there has the numbers of the programme before
+            fine._base = None if fine._base is None else segment.first + fine._base - fine._newest_stop
+            for layer in fine._layers:
+                layer._segments.clear()
+                layer._start_s = None
+            fine._started_programmes, fine._rebuilt = self._programmes, (-1, fine._rebuilt[1])
+        self._segments.append(segment)
+        while len(self._segments) > 1 and (
+            len(self._segments) > self._capacity
+            or sum(segment.size for segment in self._segments) > MAX_BYTES
         ):
-            self._kept.popleft()
+            self._segments.popleft()
         if self._base is None:
-            self._base = one.first
+            self._base = segment.first
 
     def due_s(self, rate_hz: float) -> float | None:
         """The time of the medium that is to be felt now, seconds: segments begin as the late ones were ready."""
         with self._news:
-            begins_s = self._zero_s
-            if begins_s is None or self._base is None:
+            start_s = self._zero_s
+            if start_s is None or self._base is None:
                 return None
-            due_s = min(self._clock_s() - begins_s - SPARE_S, self._there / rate_hz) - self._base / rate_hz
-            return due_s if self._under is None else max(0.0, due_s)  # a layer may have begun later
+            due_s = (
+                min(self._clock_s() - start_s - MARGIN_S, self._newest_stop / rate_hz) - self._base / rate_hz
+            )
+            return due_s if self._coarse is None else max(0.0, due_s)  # a layer may have begun later
 
     @property
     def _zero_s(self) -> float | None:
         """When the stream's frame 0 would have been in time: the later layer, if not much behind the other."""
-        own, under = self._begins_s, self._under
-        other = under._begins_s if under else None
-        if under is None or own is None or other is None:
-            return other if own is None else own
-        ahead_s = (self._stop - under._stop) / self._rate_hz
-        if abs(ahead_s) > GONE_S:
-            return own if ahead_s > 0 else other
-        return min(max(own, other), min(own, other) + WAITED_S)
+        own_start_s, coarse = self._start_s, self._coarse
+        coarse_start_s = coarse._start_s if coarse else None
+        if coarse is None or own_start_s is None or coarse_start_s is None:
+            return coarse_start_s if own_start_s is None else own_start_s
+        lead_s = (self._stop - coarse._stop) / self._rate_hz
+        if abs(lead_s) > LAYER_LOST_S:
+            return own_start_s if lead_s > 0 else coarse_start_s
+        return min(max(own_start_s, coarse_start_s), min(own_start_s, coarse_start_s) + MAX_LAYER_LAG_S)
 
     @property
     def _stop(self) -> int:
         """The frame of the stream behind the newest that is there; 0 before the first."""
-        return self._kept[-1].first + len(self._kept[-1].fields) if self._kept else 0
+        return self._segments[-1].first + len(self._segments[-1].fields) if self._segments else 0
 
     @property
-    def _there(self) -> int:
+    def _newest_stop(self) -> int:
         """The frame behind the newest in any layer: nothing beyond it can be felt."""
         return max(layer._stop for layer in self._layers)
 
-    def _holding(self, wanted: int) -> _Decoded | None:
+    def _segment_with(self, frame: int) -> _Decoded | None:
         """The segment that holds a frame of the stream, if it is kept."""
-        return next((one for one in self._kept if one.first <= wanted < one.first + len(one.fields)), None)
+        return next(
+            (
+                segment
+                for segment in self._segments
+                if segment.first <= frame < segment.first + len(segment.fields)
+            ),
+            None,
+        )
 
-    def _is_settled(self, wanted: int) -> bool:
+    def _is_settled(self, frame: int) -> bool:
         """True where a frame of the stream has come, in a layer that is to be felt, or will come in none."""
-        under, is_past = self._under, wanted < self._stop
-        if under is None or self._holding(wanted) is not None:
+        coarse, is_past = self._coarse, frame < self._stop
+        if coarse is None or self._segment_with(frame) is not None:
             return is_past
-        is_past |= wanted < under._stop - GONE_S * self._rate_hz
-        if under._holding(wanted) is not None:
-            return is_past or self._error is not None or self._is_due(wanted)
-        return is_past and (wanted < under._stop or self._is_due(wanted))
+        is_past |= frame < coarse._stop - LAYER_LOST_S * self._rate_hz
+        if coarse._segment_with(frame) is not None:
+            return is_past or self._error is not None or self._is_due(frame)
+        return is_past and (frame < coarse._stop or self._is_due(frame))
 
-    def _is_due(self, wanted: int) -> bool:
+    def _is_due(self, frame: int) -> bool:
         """True where the player, or one that is in time, needs the frame: to go on from the one before."""
-        begins_s, now, needed_s = self._zero_s, self._clock_s(), (wanted - 1) / self._rate_hz
-        at, media_s = self._played
-        is_needed = media_s + (self._base or 0) / self._rate_hz + now - at + SPARE_S >= needed_s
-        return is_needed or (begins_s is not None and now - begins_s >= needed_s)
+        start_s, now, needed_s = self._zero_s, self._clock_s(), (frame - 1) / self._rate_hz
+        noted_s, media_s = self._played
+        is_needed = media_s + (self._base or 0) / self._rate_hz + now - noted_s + MARGIN_S >= needed_s
+        return is_needed or (start_s is not None and now - start_s >= needed_s)
 
-    def play_is_at(self, media_s: float) -> None:
+    def set_played_time(self, media_s: float) -> None:
         """Take note of the time of the medium that is felt now."""
         self._played = self._clock_s(), media_s
 
@@ -286,39 +299,41 @@ class LiveFrames:
         Raises LiveEnd where the sender has ended the stream before it; SourceError where nothing came for a
         minute, or the frame lies far ahead.
         """
-        wanted, one = self._place_of(index)
-        if one is not None:
-            return one.fields[wanted - one.first]
+        frame, segment = self._find_frame(index)
+        if segment is not None:
+            return segment.fields[frame - segment.first]
         with self._news:
-            coarse = self._under._holding(wanted) if self._under else None
+            coarse = self._coarse._segment_with(frame) if self._coarse else None
         if coarse is None:
             return ForceField.empty(self.grid)
-        if self._rebuilt[0] != wanted:
-            self._rebuilt = wanted, rebuilt(coarse.fields[wanted - coarse.first], self.grid)
+        if self._rebuilt[0] != frame:
+            self._rebuilt = frame, rebuild_level(coarse.fields[frame - coarse.first], self.grid)
             self.covered += 1
         return self._rebuilt[1]
 
     def is_there(self, index: int) -> bool:
         """True where `__call__` answers at once, be it with an error."""
         with self._news:
-            is_settled = self._base is not None and self._there > 0 and self._is_settled(self._base + index)
+            is_settled = (
+                self._base is not None and self._newest_stop > 0 and self._is_settled(self._base + index)
+            )
             return is_settled or self._is_over or self._is_silent
 
     @property
     def _latest_s(self) -> float:
         """When something came last, in any layer, seconds of the clock."""
-        return max(layer.came_s for layer in self._layers)
+        return max(layer.received_s for layer in self._layers)
 
     @property
     def _is_silent(self) -> bool:
         """True where no segment is waited for any longer; that one is waited for is told once."""
-        told_s = TOLD_S + (len(self._kept[-1].fields) / self._rate_hz if self._kept else 0.0)
+        limit_s = REPORT_AFTER_S + (len(self._segments[-1].fields) / self._rate_hz if self._segments else 0.0)
         now = self._clock_s()
-        if now - self.came_s > told_s and self._told_s != self.came_s:
-            self._told_s = self.came_s
-            is_alone = now - self._latest_s < told_s
-            meanwhile = "its coarse layer is felt" if is_alone else f"waiting, for {PATIENCE_S:g} s in all"
-            self._tell(f"nothing has come for {now - self.came_s:.0f} s: {meanwhile}")
+        if now - self.received_s > limit_s and self._reported_s != self.received_s:
+            self._reported_s = self.received_s
+            is_alone = now - self._latest_s < limit_s
+            status = "its coarse layer is felt" if is_alone else f"waiting, for {PATIENCE_S:g} s in all"
+            self._report(f"nothing has come for {now - self.received_s:.0f} s: {status}")
         return now - self._latest_s > PATIENCE_S
 
     @property
@@ -328,34 +343,36 @@ class LiveFrames:
 
     def vibration(self, index: int) -> VibrationFrame:
         """Vibrations in a frame; see `__call__`."""
-        wanted, one = self._place_of(index)
+        frame, segment = self._find_frame(index)
         return (
-            one.band[wanted - one.first] if one is not None and one.band else VibrationFrame.empty(self.grid)
+            segment.band[frame - segment.first]
+            if segment is not None and segment.band
+            else VibrationFrame.empty(self.grid)
         )
 
-    def _place_of(self, index: int) -> tuple[int, _Decoded | None]:
+    def _find_frame(self, index: int) -> tuple[int, _Decoded | None]:
         """The stream's number of a frame, and the segment that holds it, if it came: once it is known."""
         with self._news:
             while True:
-                kept = self._kept or self._layers[-1]._kept
-                if kept and self._base is not None:
-                    wanted = self._base + index
-                    if wanted > self._there + _AHEAD:
+                segments = self._segments or self._layers[-1]._segments
+                if segments and self._base is not None:
+                    frame = self._base + index
+                    if frame > self._newest_stop + _MAX_LOOKAHEAD:
                         raise SourceError("live stream", f"frame {index}, far ahead", "one that comes soon")
-                    if wanted < kept[0].first and not self._layers[-1]._holding(wanted):
-                        missed = kept[-1].first - wanted
+                    if frame < segments[0].first and not self._layers[-1]._segment_with(frame):
+                        missed = segments[-1].first - frame
                         self.skipped, self._base = self.skipped + missed, self._base + missed
-                        self._tell(f"play had fallen behind, and goes on {missed} frames later")
+                        self._report(f"play had fallen behind, and goes on {missed} frames later")
                         continue
-                    if self._is_settled(wanted):
-                        return wanted, self._holding(wanted)
+                    if self._is_settled(frame):
+                        return frame, self._segment_with(frame)
                 if self._error is not None and self._is_over:
                     raise self._error
                 if self._is_silent:
                     raise SourceError(
                         "live stream", f"no segment for {PATIENCE_S:g} s", "one that comes in time"
                     )
-                self._news.wait(SPARE_S)  # what is due tells nobody
+                self._news.wait(MARGIN_S)  # what is due tells nobody
 
 
 class LiveStream(OpenStream):
@@ -380,14 +397,14 @@ class LiveStream(OpenStream):
         due_s = self.frames.due_s(self.reader.head.rate_hz)
         if due_s is None:
             return False
-        behind_s = due_s - player.media_s
-        if abs(behind_s) > FAR_S:
-            self.frames.skipped += max(0, round(behind_s * self.reader.head.rate_hz))
+        lag_s = due_s - player.media_s
+        if abs(lag_s) > SEEK_BEYOND_S:
+            self.frames.skipped += max(0, round(lag_s * self.reader.head.rate_hz))
             player.seek(due_s)
-            behind_s = 0.0
-        self.frames.play_is_at(due_s - behind_s)
-        player.set_speed(1 + max(-FASTER, min(FASTER, behind_s)))
-        return behind_s == 0.0
+            lag_s = 0.0
+        self.frames.set_played_time(due_s - lag_s)
+        player.set_speed(1 + max(-MAX_SPEED_CHANGE, min(MAX_SPEED_CHANGE, lag_s)))
+        return lag_s == 0.0
 
     @property
     def medium(self) -> HapticMedium:
@@ -406,7 +423,7 @@ class LiveStream(OpenStream):
         return self.bits
 
     @property
-    def promise(self) -> Any:
+    def max_error_summary(self) -> Any:
         return self.bits
 
     def _coder(self) -> Any:

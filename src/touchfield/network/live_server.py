@@ -14,11 +14,11 @@ from typing import Final
 from touchfield.network.access import (
     Access,
     Background,
-    ConnectionLeft,
+    ClientDropped,
     Pages,
     add_pages,
+    dropped_unless_read,
     guarded,
-    left_unless_read,
     web,
 )
 from touchfield.network.live import MEDIA_TYPE, LiveSegment, LiveSender, file_of
@@ -55,23 +55,23 @@ class LiveServer(Background):
         self, sender: LiveSender, access: Access, pages: Pages | None = None, coarse: LiveSender | None = None
     ) -> None:
         super().__init__(access, pages)
-        self._senders = [one for one in (sender, coarse) if one is not None]
+        self._senders = [layer_sender for layer_sender in (sender, coarse) if layer_sender is not None]
         self._news = asyncio.Event()
-        self.receivers = self.most_receivers = self.skipped = self.left = 0
+        self.receivers = self.max_receivers = self.skipped = self.dropped = 0
 
     def add(self, segment: LiveSegment, *, is_coarse: bool = False) -> bytes:
         """Have a segment sent, or one of the coarse layer; its message."""
         message = self._senders[is_coarse].add(segment)
-        self._tell()
+        self._wake_threadsafe()
         return message
 
     def end(self) -> None:
         """Say to all that nothing follows."""
         for sender in self._senders:
             sender.end()
-        self._tell()
+        self._wake_threadsafe()
 
-    def _tell(self) -> None:
+    def _wake_threadsafe(self) -> None:
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._wake)
 
@@ -95,14 +95,14 @@ class LiveServer(Background):
         await socket.prepare(request)
         receiver = sender.joined()
         self.receivers += 1
-        self.most_receivers = max(self.most_receivers, self.receivers)
+        self.max_receivers = max(self.max_receivers, self.receivers)
         listener = asyncio.ensure_future(_ended(socket))
         try:
             while not socket.closed:
                 news = self._news
                 message = sender.next(receiver)
                 if message is not None:
-                    async with left_unless_read(request, _PATIENCE_S):
+                    async with dropped_unless_read(request, _PATIENCE_S):
                         await socket.send_bytes(message)
                 elif receiver.is_over:
                     break
@@ -112,8 +112,8 @@ class LiveServer(Background):
                     waits.cancel()
                     if listener.done():
                         break
-        except ConnectionLeft:
-            self.left += 1
+        except ClientDropped:
+            self.dropped += 1
         except ConnectionError:
             pass
         finally:
@@ -127,7 +127,7 @@ class LiveServer(Background):
             raise web.HTTPNotFound(text="no such segment now")
         answer = web.Response(body=data, content_type=MEDIA_TYPE, headers=self._access.cors(request))
         with suppress(ConnectionError):
-            async with left_unless_read(request, _PATIENCE_S):
+            async with dropped_unless_read(request, _PATIENCE_S):
                 await answer.prepare(request)
                 await answer.write_eof()
         return answer

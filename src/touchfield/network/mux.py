@@ -48,13 +48,13 @@ from touchfield.errors import (
     require_ending,
     warn_unbounded,
 )
-from touchfield.files import keep_sources, readable
+from touchfield.files import readable, refuse_overwriting
 from touchfield.network.live import MEDIA_TYPE
-from touchfield.pipeline.decoding import opened
+from touchfield.pipeline.decoding import stream_of
 
-BEGINS: Final = "urn:touchfield:begins-s"
+START_SCHEME: Final = "urn:touchfield:begins-s"
 _CLOCK: Final = Fraction(1, 90000)
-_MOST_BYTES: Final = 1 << 30
+_MAX_BYTES: Final = 1 << 30
 """Of all touch in a movie that is taken out."""
 
 _KLV: Final = bytes.fromhex("060e2b34010101010f00") + b"touch\1\x84"
@@ -104,21 +104,21 @@ def mux(
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FORMS)}")
     if not 0 <= at_s < 1e6:
         raise InvalidArgument("--at-s", f"{at_s:g}", "0 or more seconds of the movie")
-    keep_sources(out, movie, stream)
+    refuse_overwriting(out, movie, stream)
     kind = out.suffix.lower()
     with TouchReader(stream) as reader, _opened(movie) as source:
-        warn_unbounded(opened(reader).error_bound().get("error_bound_note"))
+        warn_unbounded(stream_of(reader).error_bound().get("error_bound_note"))
         seconds = reader.head.frame_count / reader.head.rate_hz
         if kind == ".mpd":
             names = _write_dash(source, Path(stream), out, at_s, 8 * reader.size / seconds)
             return Muxed(str(out), len(reader.segments), reader.size, seconds, at_s, names)
         samples = list(_samples(reader, at_s, is_ts=kind == ".ts"))
         options = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if kind != ".ts" else {}
-        kept = [one for one in source.streams if one.type in ("video", "audio", "subtitle")]
-        names = tuple(one.type for one in kept)
+        tracks = [track for track in source.streams if track.type in ("video", "audio", "subtitle")]
+        names = tuple(track.type for track in tracks)
         with atomic_path(out) as temporary:
             _copy(
-                source, kept, out, temporary, "mpegts" if kind == ".ts" else "mp4", options, samples, report
+                source, tracks, out, temporary, "mpegts" if kind == ".ts" else "mp4", options, samples, report
             )
     size = sum(len(data) for _, _, data in samples)
     return Muxed(str(out), len(samples), size, seconds, at_s, names)
@@ -132,18 +132,18 @@ def demux(movie: str | Path, out: str | Path) -> Muxed:
     """
     require_ending(out, "OUT.touch")
     if Path(movie).suffix.lower() == ".mpd":
-        mend = f"Its touch stands beside it: {Path(movie).with_suffix('.touch').name}."
-        raise InvalidArgument(str(movie), "a DASH manifest", "a movie with touch in it", mend)
+        hint = f"Its touch stands beside it: {Path(movie).with_suffix('.touch').name}."
+        raise InvalidArgument(str(movie), "a DASH manifest", "a movie with touch in it", hint)
     with _opened(movie) as source:
-        samples, at_s = _found(source, str(movie))
-    whole: Any = BytesIO(_joined(samples, str(movie)))
-    whole.name = str(movie)
-    with TouchReader(whole) as reader, atomic_path(Path(out)) as temporary:
+        samples, at_s = _touch_samples(source, str(movie))
+    file: Any = BytesIO(_join_samples(samples, str(movie)))
+    file.name = str(movie)
+    with TouchReader(file) as reader, atomic_path(Path(out)) as temporary:
         for i in range(reader.object_count):
             reader.read_object(i)
         for i in range(len(reader.segments)):
             reader.read_vibration(i)
-        temporary.write_bytes(whole.getvalue())
+        temporary.write_bytes(file.getvalue())
         seconds = reader.head.frame_count / reader.head.rate_hz
     return Muxed(str(out), len(reader.segments), sum(map(len, samples)), seconds, at_s)
 
@@ -153,21 +153,21 @@ _Sample = tuple[float, float, bytes]
 
 
 def _samples(reader: TouchReader, at_s: float, is_ts: bool) -> Iterator[_Sample]:
-    data, begin, rate_hz = reader.read_all(), 0, reader.head.rate_hz
+    data, start, rate_hz = reader.read_all(), 0, reader.head.rate_hz
     head_end = reader.segments[0].offset
     for i, entry in enumerate(reader.segments):
-        end = entry.offset + entry.length
-        sample = data[begin:end]
+        stop = entry.offset + entry.length
+        sample = data[start:stop]
         if is_ts:
             head = data[:head_end] if i and reader.head.coder != OBJECTS_CODER else b""
             sample = _KLV + (len(head) + len(sample)).to_bytes(4, "big") + head + sample
         yield at_s + entry.first_frame / rate_hz, entry.frame_count / rate_hz, sample
-        begin = end
+        start = stop
 
 
 def _copy(
     source: Any,
-    kept: list[Any],
+    source_tracks: list[Any],
     out: Path,
     temporary: Path,
     form: str,
@@ -181,22 +181,22 @@ def _copy(
     waiting = list(reversed(samples))
     try:
         with av.open(str(temporary), "w", format=form, options=options) as sink:
-            tracks = {one.index: sink.add_stream_from_template(one) for one in kept}
+            tracks = {track.index: sink.add_stream_from_template(track) for track in source_tracks}
             touch: Any = sink.add_data_stream("klv" if form == "mpegts" else "bin_data") if samples else None
 
             def put(until_s: float) -> None:
                 while waiting and waiting[-1][0] <= until_s:
-                    begin_s, length_s, data = waiting.pop()
+                    start_s, length_s, data = waiting.pop()
                     packet = av.Packet(data)
                     packet.stream, packet.time_base = touch, _CLOCK
-                    packet.pts = packet.dts = round(begin_s / _CLOCK)
+                    packet.pts = packet.dts = round(start_s / _CLOCK)
                     packet.duration = round(length_s / _CLOCK)
                     sink.mux(packet)
                     report(len(samples) - len(waiting), len(samples))
 
             if touch is not None:
                 touch.time_base = _CLOCK
-            for packet in source.demux(kept):
+            for packet in source.demux(source_tracks):
                 if packet.dts is None:
                     continue
                 put(float(packet.dts * packet.time_base))
@@ -207,39 +207,44 @@ def _copy(
         raise InvalidArgument(str(out), str(error), "a form that holds the tracks of the movie") from None
 
 
-def _found(source: Any, name: str) -> tuple[list[bytes], float]:
+def _touch_samples(source: Any, name: str) -> tuple[list[bytes], float]:
     """The samples of the first track of touch, from its first head on, and the movie's second at which that
     is.
     """
-    begins = min(
-        (float(one.start_time * one.time_base) for one in source.streams if one.start_time), default=0.0
+    movie_start_s = min(
+        (
+            float(sample_track.start_time * sample_track.time_base)
+            for sample_track in source.streams
+            if sample_track.start_time
+        ),
+        default=0.0,
     )
     times: dict[int, float] = {}
-    data = [one for one in source.streams if one.type == "data"]
+    data = [sample_track for sample_track in source.streams if sample_track.type == "data"]
     tracks: dict[int, list[bytearray]] = {}
     size = 0
     for packet in source.demux(data) if data else ():
         track = tracks.setdefault(packet.stream.index, [])
-        begin = len(_KLV) + 4 if bytes(packet).startswith(_KLV) else 0
-        if not packet.size or not (track or bytes(packet)[begin:].startswith(MAGIC)):
+        start = len(_KLV) + 4 if bytes(packet).startswith(_KLV) else 0
+        if not packet.size or not (track or bytes(packet)[start:].startswith(MAGIC)):
             continue
         times.setdefault(packet.stream.index, float((packet.pts or 0) * packet.time_base))
         size += packet.size
-        if size > _MOST_BYTES:
-            raise SourceError(name, f"more than {_MOST_BYTES} bytes of touch", "less")
+        if size > _MAX_BYTES:
+            raise SourceError(name, f"more than {_MAX_BYTES} bytes of touch", "less")
         if packet.pts is None and track:  # MPEG-TS tells a long sample in several packets
             track[-1] += bytes(packet)
         else:
-            track.append(bytearray(packet)[begin:])
+            track.append(bytearray(packet)[start:])
     first = next(((index, track) for index, track in tracks.items() if track), None)
     if first is None:
         raise SourceError(name, "no track of touch", "a movie that touchfield mux made")
-    return [bytes(one) for one in first[1]], max(
-        0.0, times[first[0]] - (begins if name.endswith(".ts") else 0.0)
+    return [bytes(sample_track) for sample_track in first[1]], max(
+        0.0, times[first[0]] - (movie_start_s if name.endswith(".ts") else 0.0)
     )
 
 
-def _joined(samples: list[bytes], name: str) -> bytes:
+def _join_samples(samples: list[bytes], name: str) -> bytes:
     """The file that the samples are, the first of which begins with its head: index and end are made again."""
 
     def source_of(data: bytes, where: str) -> ByteSource:
@@ -283,11 +288,11 @@ def _opened(movie: str | Path) -> Iterator[Any]:
 
 def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: float) -> tuple[str, ...]:
     """Write NAME.mpd, beside it tracks as NAME-N.mp4 and the stream as NAME.touch; the kinds of the tracks."""
-    kept = [one for one in source.streams if one.type in ("video", "audio")]
+    tracks = [track for track in source.streams if track.type in ("video", "audio")]
     names = {"single_file": "1", "single_file_name": f"{out.stem}-$RepresentationID$.mp4"}
     with TemporaryDirectory(prefix=".touchfield-", dir=out.parent) as folder:
         manifest = Path(folder) / out.name
-        _copy(source, kept, out, manifest, "dash", names)
+        _copy(source, tracks, out, manifest, "dash", names)
         _add_touch(manifest, at_s, rate_bits)
         with readable(out, "a folder that can be written"):
             shutil.copyfile(stream, Path(folder) / f"{out.stem}.touch")
@@ -300,14 +305,14 @@ def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: fl
                 Path(folder).iterdir(), key=lambda path: path.suffix == ".mpd"
             ):  # what it names first
                 os.replace(path, out.parent / path.name)
-    return tuple(one.type for one in kept)
+    return tuple(track.type for track in tracks)
 
 
 def _add_touch(manifest: Path, at_s: float, rate_bits: float) -> None:
     """Add the set of the touch to a manifest, which ffmpeg wrote a moment ago, in one period."""
     stem = escape(manifest.stem)
     touch = f"""\t<AdaptationSet contentType="application" mimeType="{MEDIA_TYPE}">
-\t\t\t<SupplementalProperty schemeIdUri="{BEGINS}" value="{at_s:g}"/>
+\t\t\t<SupplementalProperty schemeIdUri="{START_SCHEME}" value="{at_s:g}"/>
 \t\t\t<Representation id="touch" bandwidth="{max(1, round(rate_bits))}">
 \t\t\t\t<BaseURL>{stem}.touch</BaseURL>
 \t\t\t</Representation>

@@ -16,7 +16,7 @@ from urllib.parse import quote
 from aiohttp.abc import AbstractStreamWriter
 
 from touchfield.errors import InvalidArgument
-from touchfield.network.access import Access, Pages, add_pages, guarded, left_unless_read, run, web
+from touchfield.network.access import Access, Pages, add_pages, dropped_unless_read, guarded, run, web
 from touchfield.network.live import MEDIA_TYPE
 
 _TYPES: Final = {
@@ -27,7 +27,7 @@ _PATIENCE_S: Final = 30.0
 _SLOWEST: Final = 1 << 14
 """Bytes a second of a client that reads, beyond the patience."""
 
-_MOST_NAMED: Final = 20
+_MAX_NAMED: Final = 20
 
 
 class _Answer(web.FileResponse):
@@ -35,7 +35,7 @@ class _Answer(web.FileResponse):
 
     async def prepare(self, request: web.BaseRequest) -> AbstractStreamWriter | None:
         """Send it; who does not read is left."""
-        async with left_unless_read(request, _PATIENCE_S + self._path.stat().st_size / _SLOWEST):
+        async with dropped_unless_read(request, _PATIENCE_S + self._path.stat().st_size / _SLOWEST):
             return await super().prepare(request)
 
 
@@ -62,9 +62,12 @@ def application(folder: Path, access: Access, pages: Pages | None = None) -> web
 
 
 def serve(
-    folder: Path, access: Access, tell: Callable[[str], None] = lambda note: None, pages: Pages | None = None
+    folder: Path,
+    access: Access,
+    report: Callable[[str], None] = lambda note: None,
+    pages: Pages | None = None,
 ) -> None:
-    """Serve until interrupted; `tell` gets the address of each stream once they can be read.
+    """Serve until interrupted; `report` gets the address of each stream once they can be read.
 
     Raises InvalidArgument if there is no such folder, or the address cannot be listened at.
     """
@@ -73,16 +76,16 @@ def serve(
     def ready(address: str) -> None:
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*.touch"))
         if not names:
-            tell(f"{folder} holds no .touch file yet")
-        for name in names[:_MOST_NAMED]:
-            tell(f"http://{address}/{quote(name)}" + ("?token=..." if access.token else ""))
+            report(f"{folder} holds no .touch file yet")
+        for name in names[:_MAX_NAMED]:
+            report(f"http://{address}/{quote(name)}" + ("?token=..." if access.token else ""))
         if names and pages:
-            tell(
+            report(
                 f"in a browser: http://{address}/view/{quote(names[0])}"
                 + ("?token=..." if access.token else "")
             )
-        if len(names) > _MOST_NAMED:
-            tell(f"and {len(names) - _MOST_NAMED} more")
+        if len(names) > _MAX_NAMED:
+            report(f"and {len(names) - _MAX_NAMED} more")
 
     asyncio.run(run(served, access, ready, asyncio.Event()))
 

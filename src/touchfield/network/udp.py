@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import Any, Final, Literal
 
 from touchfield.errors import InvalidArgument, reason
-from touchfield.network.datagrams import MOST_DATAGRAM, MOST_OPEN, Datagrams, Gathering
+from touchfield.network.datagrams import MAX_DATAGRAM, MAX_OPEN, Datagrams, Gathering
 from touchfield.network.live import END, LiveSender
 from touchfield.options import Address, address
 
@@ -35,7 +35,7 @@ layer, a seventh of the bytes, is protected more, and both together take no larg
 alone."""
 
 
-def _place_of(text: str) -> Address:
+def _parse_address(text: str) -> Address:
     return address(text.lower().removeprefix("udp://").rstrip("/"), "address of datagrams")
 
 
@@ -45,15 +45,15 @@ class UdpSender:
     `layer` tells what is sent; a coarse layer goes to the next port.
     """
 
-    def __init__(self, sender: LiveSender, place: str, layer: Layer = "alone") -> None:
-        host, port = _place_of(place)
+    def __init__(self, sender: LiveSender, text: str, layer: Layer = "alone") -> None:
+        host, port = _parse_address(text)
         if layer == "coarse":
-            host, port = _place_of(f"{host}:{port + 1}")
+            host, port = _parse_address(f"{host}:{port + 1}")
         self._to: Any
         try:
             family, kind, _, _, self._to = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         except OSError as error:
-            raise InvalidArgument("address", f"{place}: {reason(error)}", "a host that is there") from None
+            raise InvalidArgument("address", f"{text}: {reason(error)}", "a host that is there") from None
         self._socket = socket.socket(family, kind)
         self._socket.setblocking(False)
         self._sender, self._datagrams, self._count = sender, Datagrams(secrets.randbits(32), REPAIR[layer]), 0
@@ -79,32 +79,32 @@ class UdpSender:
 
 
 class _Protocol(asyncio.DatagramProtocol):
-    def __init__(self, coming: asyncio.Queue[bytes]) -> None:
-        self._coming = coming
+    def __init__(self, queue: asyncio.Queue[bytes]) -> None:
+        self._queue = queue
 
     def datagram_received(self, data: bytes, addr: object) -> None:
         """Queue a datagram; one too many is as if lost on its way, one that is too long is none of ours."""
-        if len(data) <= MOST_DATAGRAM and not self._coming.full():
-            self._coming.put_nowait(data)
+        if len(data) <= MAX_DATAGRAM and not self._queue.full():
+            self._queue.put_nowait(data)
 
 
-async def listen(place: str, take: Callable[[bytes], bool], is_layered: bool = False) -> None:
+async def listen(text: str, take: Callable[[bytes], bool], is_layered: bool = False) -> None:
     """Receive datagrams at an address, until ``take(message)`` says that the stream is over.
 
     With `is_layered` another layer is felt for what is lost: it is given up once it could have come.
     """
-    host, port = _place_of(place)
-    gathering, coming = (
-        Gathering(most_open=_LAYERED_OPEN if is_layered else MOST_OPEN),
+    host, port = _parse_address(text)
+    gathering, queue = (
+        Gathering(max_open=_LAYERED_OPEN if is_layered else MAX_OPEN),
         asyncio.Queue[bytes](1 << 14),
     )
     loop = asyncio.get_running_loop()
-    transport, _ = await loop.create_datagram_endpoint(lambda: _Protocol(coming), local_addr=(host, port))
+    transport, _ = await loop.create_datagram_endpoint(lambda: _Protocol(queue), local_addr=(host, port))
     is_last = False
     try:
         while True:
             try:
-                datagram = await asyncio.wait_for(coming.get(), _LAST_S if is_last else None)
+                datagram = await asyncio.wait_for(queue.get(), _LAST_S if is_last else None)
             except TimeoutError:
                 await asyncio.to_thread(take, END)
                 return

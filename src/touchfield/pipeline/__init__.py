@@ -1,12 +1,14 @@
-"""The main pipeline (paper, figure 4): a scene becomes a ``.touch`` file, and the file a medium again.
+"""The main pipeline (figure 4 of the paper): from a scene to a ``.touch`` file, and back to a medium.
 
-source -> workspace -> device filter (M) -> medium          `preparation`, `placement`
-medium -> coder -> segments -> file                         `segments`, `encoding`
-file -> segments -> decoder -> medium                       `decoding`
-received medium against its source, and as a hand feels it  `comparison`
-scene -> a file of a given size or error                    `rate_control`
-scene -> a huge lattice, as tiles of a zarr store           `tiles`
-medium -> workspace in boxes that each fill the device      `mapping`
+source -> device filter (M) -> haptic filters -> medium   `preparation`, `placement`
+medium -> coder -> segments -> container                  `segments`, `encoding`
+container -> segments -> decoder -> medium                `decoding`, `decoded_frames`, `decoded_objects`
+decoded medium against its source                         `comparison`
+
+source -> a file of a requested size or error             `rate_control`
+source -> a huge lattice, as tiles of a zarr store        `tiles`
+medium -> M(W) of a device, for measures in bits          `mapping`
+stream -> drives of an array of actuators                 `array_medium`
 """
 
 from typing import TYPE_CHECKING

@@ -1,10 +1,10 @@
 """A stream on an array of actuators (type 2, paper section 5.1): its medium there, and the drives.
 
-A stream for an array of the same columns and rows goes through as it is; any other is pooled onto the
-actuators as the device filter does it for any stored field, the placement being "fit". The drive of an
-actuator is |F| over the force that drives it fully, cut to 0 to 1, or the amplitude of the vibration band
-where that is greater: their sum would count a band that was made from the force twice. Departure from the
-paper: its array has one panel. Of a device with several the medium fills one, in front by default.
+A stream that was made for an array of the same columns and rows is used unchanged. Any other is pooled onto
+the actuators by the device filter, like a stored field, with the placement "fit". The drive of an actuator is
+the force |F| or the amplitude of the vibration band, whichever is greater, over the force of a full drive,
+clipped to 0 to 1. (Their sum would count a band that was derived from the force twice.) Departure from the
+paper: its array has one panel. On a device with several panels the medium fills one, by default the front.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from touchfield.arrays import Float32s, Int64s
 from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
 from touchfield.medium import Grid, HapticMedium
-from touchfield.medium.grid import Placement, axis_words
+from touchfield.medium.grid import Placement, axis_description
 from touchfield.medium.medium import VibrationFrame
 from touchfield.pipeline.decoding import OpenStream
 from touchfield.pipeline.placement import mapping_of
@@ -27,63 +27,61 @@ from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
 
 PANELS: Final = ("front", "back")
-"""Names of the panels of an array, in their order."""
+"""Names of the panels of an array, in order."""
 
 
 class Drives:
-    """Drives of the actuators of a device, frame by frame; a frame is made when it is asked for.
+    """Drives of the actuators of a device, frame by frame; a frame is made on access.
 
-    `medium` is on (columns, rows, 1) samples, and so is its vibration band, if it has one. Sample (i, j, 0)
-    is column i; if j counts from the top tells `is_top_first`. `force_max_n` drives an actuator fully: that
-    of the stream where it was made for an array, else of the device. The medium fills one `panel` of the
-    device, of `PANELS`; the others stay off. InvalidArgument if the device has no such panel.
+    `medium` and its vibration band, if any, have (columns, rows, 1) samples. Sample (i, j, 0) is in column i;
+    j counts from the top if `is_top_first`. `force_max_n` is the force of a full drive: that of the stream if
+    it was made for an array, else that of the device. The medium fills one `panel` of the device (`PANELS`);
+    the others stay off. InvalidArgument if the device has no such panel.
     """
 
     def __init__(
         self, medium: HapticMedium, device: Device, force_max_n: float, panel: str = PANELS[0]
     ) -> None:
-        there = PANELS[: device.panels]
-        if panel not in there:
-            raise InvalidArgument("panel", f"{panel!r} of {device.name}", " or ".join(there))
+        panels = PANELS[: device.panels]
+        if panel not in panels:
+            raise InvalidArgument("panel", f"{panel!r} of {device.name}", " or ".join(panels))
         self.medium, self.device, self.force_max_n = medium, device, force_max_n
         self.rate_hz, self.frame_count = medium.rate_hz, medium.frame_count
         columns, rows, _ = device.lattice
-        self._shape, self._panel = (device.panels, rows, columns), there.index(panel)
+        self._shape, self._panel = (device.panels, rows, columns), panels.index(panel)
         self._flip = not is_top_first(medium.axes)
 
     def __len__(self) -> int:
         return self.frame_count
 
     def drives(self, frame: int) -> Float32s:
-        """Drives of one frame, float32 [panels, rows, columns], 0 to 1; row 0 is the top one, column 0 the
-        left.
-        """
+        """Drives of one frame, 0 to 1, float32 [panels, rows, columns] from the top left."""
         support = self.medium[frame].support()
         image_n = np.zeros(self._shape[:0:-1], np.float32)
         image_n[support.positions[:, 0], support.positions[:, 1]] = support.amplitudes_n
         band = self.medium.vibration
         if band is not None:
-            one = band(frame)
-            at = (one.positions[:, 0], one.positions[:, 1])
-            image_n[at] = np.maximum(image_n[at], one.amplitudes_n)
-        with np.errstate(over="ignore"):  # of a stream whose F_max is next to nothing
-            share = np.minimum(image_n.astype(np.float64) / self.force_max_n, 1.0)
-        return self._on_panel(share.astype(np.float32))
+            vibration = band(frame)
+            columns_rows = (vibration.positions[:, 0], vibration.positions[:, 1])
+            image_n[columns_rows] = np.maximum(image_n[columns_rows], vibration.amplitudes_n)
+        with np.errstate(over="ignore"):  # the F_max of a stream may be tiny
+            fraction = np.minimum(image_n.astype(np.float64) / self.force_max_n, 1.0)
+        return self._on_panel(fraction.astype(np.float32))
 
     def frequencies(self, frame: int) -> Float32s | None:
         """Frequencies of one frame, Hz, float32 [panels, rows, columns]; 0 where nothing vibrates.
 
-        None, for every frame alike, where the medium has no band.
+        None, for every frame, if the medium has no vibration band.
         """
         band = self.medium.vibration
         if band is None:
             return None
-        one, image_hz = band(frame), np.zeros(self._shape[:0:-1], np.float32)
-        image_hz[one.positions[:, 0], one.positions[:, 1]] = one.frequencies_hz
+        vibration, image_hz = band(frame), np.zeros(self._shape[:0:-1], np.float32)
+        image_hz[vibration.positions[:, 0], vibration.positions[:, 1]] = vibration.frequencies_hz
         return self._on_panel(image_hz)
 
     def _on_panel(self, image: Float32s) -> Float32s:
-        """An image [columns, rows] of the lattice as the rows of the one panel, all others 0."""
+        """An image [columns, rows] of the lattice as the rows of the used panel; 0 on all others."""
         rows = image.T
         panels = np.zeros(self._shape, np.float32)
         panels[self._panel] = rows[::-1] if self._flip else rows
@@ -91,19 +89,18 @@ class Drives:
 
 
 def stream_device(stream: OpenStream) -> Device:
-    """The profile that a stream was made for, or what it tells of one that is not known."""
-    own = stream.told_device
-    if own.name not in device_names():  # nor is a file looked for whose path a stream names
-        return own
-    known = device(own.name)
-    return known if known.is_array == own.is_array else own
+    """The profile that a stream was made for; if it is unknown, the device that the stream declares."""
+    declared = stream.declared_device
+    if declared.name not in device_names():  # a stream's device name is never opened as a file
+        return declared
+    profile = device(declared.name)
+    return profile if profile.is_array == declared.is_array else declared
 
 
 def array_drives(stream: OpenStream, device: Device, panel: str = PANELS[0]) -> Drives:
-    """A stream on the actuators of a device of type 2; it must stay open as long as frames are asked for.
+    """The drives of a stream on a device of type 2; the stream must stay open while they are in use.
 
-    InvalidArgument if the device is not an array, or the stream's box has no extent that could be laid over
-    it.
+    InvalidArgument if the device is not an array, or the stream's box has no extent.
     """
     if not device.is_array:
         raise InvalidArgument("device", f"{device.name}, a point", "an array of actuators (type 2)")
@@ -119,52 +116,54 @@ def array_drives(stream: OpenStream, device: Device, panel: str = PANELS[0]) -> 
 
 
 def is_top_first(axes: str) -> bool:
-    """True where the lattice's y counts from the top: "x right, y down, ..." as a camera has it; else y is
-    up.
+    """True if the lattice's y points down, as in "x right, y down, ..." of a camera.
 
-    "y north" of a map is up, too: the north is at the top.
+    The y axis of "y north", of a map, points up.
     """
-    return "down" in axis_words(axes, 1)
+    return "down" in axis_description(axes, 1)
 
 
 def _pooled_band(
-    band: Callable[[int], VibrationFrame], own: Grid, placement: Placement, grid: Grid
+    band: Callable[[int], VibrationFrame], source_grid: Grid, placement: Placement, grid: Grid
 ) -> Callable[[int], VibrationFrame]:
-    """The strongest vibration within the area of each actuator; a mean of frequencies would have no meaning."""
-    reached = [_reached(own, placement, grid, axis) for axis in (0, 1)]
+    """Pool a band: the strongest vibration within each actuator's area, as frequencies have no mean."""
+    spans = [_actuator_span(source_grid, placement, grid, axis) for axis in (0, 1)]
 
     def make(frame: int) -> VibrationFrame:
-        one = band(frame)
-        order = np.argsort(
-            one.amplitudes_n, kind="stable"
-        )  # of samples that share an actuator the last one stays
+        vibration = band(frame)
+        # the last write to an actuator wins: ascending order leaves the strongest sample
+        order = np.argsort(vibration.amplitudes_n, kind="stable")
         (first_x, stop_x), (first_y, stop_y) = (
-            (first[one.positions[order, axis]], stop[one.positions[order, axis]])
-            for axis, (first, stop) in enumerate(reached)
+            (first[vibration.positions[order, axis]], stop[vibration.positions[order, axis]])
+            for axis, (first, stop) in enumerate(spans)
         )
-        wide, high = stop_x - first_x, stop_y - first_y
-        each = wide * high
-        nth = np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each)
-        column, row = np.divmod(nth, np.repeat(np.maximum(high, 1), each))
+        widths, heights = stop_x - first_x, stop_y - first_y
+        counts = widths * heights  # actuators of each sample
+        nth = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        column, row = np.divmod(nth, np.repeat(np.maximum(heights, 1), counts))
+        columns, rows = np.repeat(first_x, counts) + column, np.repeat(first_y, counts) + row
         strongest = np.full(grid.shape[:2], -1, np.int64)
-        strongest[np.repeat(first_x, each) + column, np.repeat(first_y, each) + row] = np.repeat(order, each)
+        strongest[columns, rows] = np.repeat(order, counts)
         driven = np.argwhere(strongest >= 0).astype(np.int32)
-        chosen = strongest[driven[:, 0], driven[:, 1]]
+        winners = strongest[driven[:, 0], driven[:, 1]]
         positions = np.concatenate([driven, np.zeros((len(driven), 1), np.int32)], axis=1)
-        return VibrationFrame(grid, positions, one.amplitudes_n[chosen], one.frequencies_hz[chosen])
+        return VibrationFrame(
+            grid, positions, vibration.amplitudes_n[winners], vibration.frequencies_hz[winners]
+        )
 
     return make
 
 
-def _reached(source: Grid, placement: Placement, grid: Grid, axis: int) -> tuple[Int64s, Int64s]:
-    """First and behind the last actuator along an axis in whose area a sample lies, or whose middle in its
-    cell.
+def _actuator_span(source: Grid, placement: Placement, grid: Grid, axis: int) -> tuple[Int64s, Int64s]:
+    """Start and stop of each sample's actuators along an axis.
+
+    An actuator counts if the sample is within its area, or if its centre is within the sample's cell.
     """
     hand = placement.to_hand(source)
     middle = (hand.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis]
     half = hand.spacing_m[axis] / grid.spacing_m[axis] / 2
-    own = np.floor(middle + 0.5)
-    first, last = np.minimum(own, np.ceil(middle - half)), np.maximum(own, np.ceil(middle + half) - 1)
+    nearest = np.floor(middle + 0.5)
+    first, last = np.minimum(nearest, np.ceil(middle - half)), np.maximum(nearest, np.ceil(middle + half) - 1)
     count = grid.shape[axis]
     first, stop = np.clip(first, 0, count), np.clip(last + 1, 0, count)
     return first.astype(np.int64), np.maximum(first, stop).astype(np.int64)

@@ -1,8 +1,6 @@
-"""The frames of a stream by their number, forces and vibration: a cursor within the segment that was asked
-for last.
+"""Random access to the frames of a stream, forces and vibration, by a cursor in the last segment used.
 
-Frames that are asked for in sequence are decoded ahead: while one segment is read, the next ones are decoded
-on the other cores.
+Sequential access is decoded ahead: while one segment is read, the next ones are decoded on the other cores.
 """
 
 from __future__ import annotations
@@ -19,21 +17,21 @@ from touchfield.container import TouchReader
 from touchfield.medium import ForceField, Grid, Segments
 from touchfield.medium.medium import VibrationFrame
 
-MOST_BYTES_AHEAD: Final = 1 << 28
-"""Bytes of a segment before it is asked for; its other frames are decoded then."""
+MAX_LOOKAHEAD_BYTES: Final = 1 << 28
+"""Limit of the bytes of a segment that are decoded ahead; its other frames are decoded on access."""
 
 Decode = Callable[[int], Iterator[ForceField]]
 
 
 class SegmentFrames:
-    """``frames(i) -> ForceField``; frames in sequence are decoded once, and the latest is kept.
+    """``frames(i) -> ForceField``; sequential frames are decoded once, and the latest is cached.
 
     Parameters
     ----------
     reader : TouchReader
     decode : callable
-        ``decode(segment) -> iterator`` over the fields of one segment, which reads its body to the end; safe
-        to be called from several threads.
+        ``decode(segment) -> iterator`` over the fields of one segment, which reads its body to the end;
+        thread-safe.
     """
 
     def __init__(self, reader: TouchReader, decode: Decode) -> None:
@@ -41,10 +39,10 @@ class SegmentFrames:
         self._lock = Lock()
         self._cursor: tuple[int, Iterator[ForceField], int] | None = None
         self._latest: tuple[int, ForceField] | None = None
-        self._ahead: dict[int, Future[Iterator[ForceField]]] = {}
+        self._lookahead: dict[int, Future[Iterator[ForceField]]] = {}
 
     def __call__(self, frame: int) -> ForceField:
-        """One frame; it costs the decoding of its segment up to it, or one frame in sequence."""
+        """One frame; decodes its segment up to it, or one frame in sequential access."""
         with self._lock:
             if self._latest is not None and self._latest[0] == frame:
                 return self._latest[1]
@@ -55,69 +53,66 @@ class SegmentFrames:
             else:
                 self._forget(range(segment, segment))
             if self._cursor is None or self._cursor[0] != segment or self._cursor[2] > frame:
-                self._cursor = (segment, self._begin(segment), entry.first_frame)
-            _, coming, at = self._cursor
-            self._cursor = None  # an error on the way leaves nothing half-read behind
-            for _ in range(at, frame + 1):
-                decoded = next(coming)
+                self._cursor = (segment, self._segment_fields(segment), entry.first_frame)
+            _, fields, next_frame = self._cursor
+            self._cursor = None  # after an error, the segment is decoded from its start
+            for _ in range(next_frame, frame + 1):
+                decoded = next(fields)
             if frame + 1 == entry.first_frame + entry.frame_count:
-                next(coming, None)  # that the body ends here is checked behind its last frame
-            self._cursor, self._latest = (segment, coming, frame + 1), (frame, decoded)
+                next(fields, None)  # checks that the body ends after its last frame
+            self._cursor, self._latest = (segment, fields, frame + 1), (frame, decoded)
             return decoded
 
     def _look_ahead(self, segment: int) -> None:
-        """Have the segments that follow decoded, one for each core."""
+        """Start to decode the following segments, one per core."""
         workers = worker_count()
         if workers == 1:
             return
-        wanted = range(segment, min(segment + workers, len(self._reader.segments) - 1) + 1)
-        self._forget(wanted)
-        for later in wanted[1:]:
-            if later not in self._ahead:
-                self._ahead[later] = _pool(workers).submit(_begun, self._decode, later)
+        window = range(segment, min(segment + workers, len(self._reader.segments) - 1) + 1)
+        self._forget(window)
+        for later in window[1:]:
+            if later not in self._lookahead:
+                self._lookahead[later] = _pool(workers).submit(_start_decoding, self._decode, later)
 
-    def _forget(self, wanted: range) -> None:
-        for later in [i for i in self._ahead if i not in wanted]:
-            self._ahead.pop(later).cancel()
+    def _forget(self, window: range) -> None:
+        for later in [i for i in self._lookahead if i not in window]:
+            self._lookahead.pop(later).cancel()
 
-    def _begin(self, segment: int) -> Iterator[ForceField]:
-        """The fields of a segment from its first; one that failed ahead is decoded again, and fails in its
-        place.
-        """
-        ahead = self._ahead.pop(segment, None)
-        if ahead is None or ahead.cancel():
+    def _segment_fields(self, segment: int) -> Iterator[ForceField]:
+        """The fields of a segment; one whose lookahead failed is decoded again, and fails on access."""
+        future = self._lookahead.pop(segment, None)
+        if future is None or future.cancel():
             return self._decode(segment)
         try:
-            return ahead.result()
+            return future.result()
         except Exception:
             return self._decode(segment)
 
 
-def _begun(decode: Decode, segment: int) -> Iterator[ForceField]:
-    """The fields of a segment, the first of which are decoded already."""
-    coming = decode(segment)
-    fields: deque[ForceField] = deque()
+def _start_decoding(decode: Decode, segment: int) -> Iterator[ForceField]:
+    """The fields of a segment; the first of them are decoded now."""
+    fields = decode(segment)
+    decoded: deque[ForceField] = deque()
     size = 0
-    for field in coming:
-        fields.append(field)
+    for field in fields:
+        decoded.append(field)
         size += field.forces_n.nbytes
-        if size > MOST_BYTES_AHEAD:
+        if size > MAX_LOOKAHEAD_BYTES:
             break
 
     def resumed() -> Iterator[ForceField]:
-        while fields:
-            yield fields.popleft()
-        yield from coming
+        while decoded:
+            yield decoded.popleft()
+        yield from fields
 
     return resumed()
 
 
-def segments_of(reader: TouchReader, keys: Mapping[str, Any]) -> Segments | None:
-    """The first frames of a stream's segments, by what its field coder tells (`describe`); None if it keeps
-    no mask.
+def segment_layout(reader: TouchReader, keys: Mapping[str, Any]) -> Segments | None:
+    """The first frames of a stream's segments and its mask, from its decoder's `describe`; None without mask.
 
-    A mask that bounds length and direction apart is none here: what lies between two of its forces may leave
-    it.
+    None also for a mask that bounds length and direction separately: a force between two forces within it may
+    be outside.
     """
     if keys.get("mode") != "mask":
         return None
@@ -130,7 +125,7 @@ def _pool(workers: int) -> ThreadPoolExecutor:
 
 
 class VibrationFrames:
-    """``frames(i) -> VibrationFrame``; the latest segment is kept.
+    """``frames(i) -> VibrationFrame``; the latest segment is cached.
 
     Parameters
     ----------
@@ -143,12 +138,12 @@ class VibrationFrames:
         self._reader, self._segment = reader, lru_cache(1)(partial(_vibrations, reader, grid))
 
     def __call__(self, frame: int) -> VibrationFrame:
-        """One frame; it costs the decoding of its whole segment, or nothing in sequence."""
+        """One frame; decodes its whole segment, unless that is the latest one."""
         segment = self._reader.segment_of(frame)
         return self._segment(segment)[frame - self._reader.segments[segment].first_frame]
 
     def summary(self) -> dict[str, Any]:
-        """Samples that vibrate, added up over the frames, their lowest and highest frequency, and the bits."""
+        """Number of vibrating samples over all frames, their lowest and highest frequency, and the bits."""
         samples, lowest, highest, size = 0, float("inf"), 0.0, 0
         for i in range(len(self._reader.segments)):
             size += len(self._reader.read_vibration(i) or b"")
@@ -165,7 +160,7 @@ class VibrationFrames:
 
 
 def _vibrations(reader: TouchReader, grid: Grid, segment: int) -> list[VibrationFrame]:
-    """The frames of a segment."""
+    """The vibration of the frames of a segment."""
     body, count = reader.read_vibration(segment), reader.segments[segment].frame_count
     if body is None:
         return [VibrationFrame.empty(grid)] * count

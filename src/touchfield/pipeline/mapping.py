@@ -1,11 +1,10 @@
-"""A medium as a device can render it, in bits: the mapping M of the paper's section 3.1 applied to a stored
-W.
+"""The mapping M of a stored medium W to a device (paper section 3.1), for measures in bits.
 
 W is a medium on its own lattice, the reference space. For each device it is scaled into the workspace,
 low-passed and resampled to the device's lattice, clipped to F_max and quantised; equations 1 to 3 then
-compare the two. A point device is given the lattice over as much of W's box as its workspace holds, and no
-finer one than W's: more samples of the same field would not be more information (the "active mappings" that
-the paper's min() excludes).
+compare the two. For a point device the lattice covers the part of W's box that fits into its workspace, and
+is never finer than W's: more samples of the same field would not be more information (the "active mappings"
+that the paper's min() excludes).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuant
 from touchfield.compute.threads import Report, silent
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import limited
+from touchfield.filters.device_filter import limit_forces
 from touchfield.filters.resample import resample
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.partition import BoxLosses, DyadicLattice, Partition, optimal_partition
@@ -33,85 +32,87 @@ from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.stored import StoredScene
 
-_COARSE_QUANTISER: Final = "weber:0.25/ico1"  # ten amplitudes by twelve directions: a box holds many of each
+_COARSE_QUANTISER: Final = "weber:0.25/ico1"  # ten amplitudes by twelve directions: a box has many of each
 
 
 @dataclass(frozen=True)
-class Mapped:
+class MappedMedium:
     """M(W) for one device.
 
-    `own_grid` is the lattice of W in the hand metres of `medium`, so that both can be asked about the same
-    places; `quantiser` the force levels that the device is given: its own steps where the profile counts
-    them, else Q.
+    `source_grid` is the lattice of W in the hand metres of `medium`, so that both can be sampled at the same
+    positions. `quantiser` has the force levels of the device: its own steps if the profile states them,
+    else Q.
     """
 
     device: Device
     medium: HapticMedium
-    own_grid: Grid
+    source_grid: Grid
     quantiser: FieldQuantiserSpec
     notes: tuple[str, ...]
 
 
-def mapped(
+def map_to_device(
     medium: HapticMedium,
     name: str,
-    asked: FieldQuantiserSpec,
+    quantiser: FieldQuantiserSpec,
     spec: EncodeSpec | None = None,
     density: float | None = None,
-) -> Mapped:
-    """A medium, whose forces are used as they are, through the mapping M of one device: a profile, or a TOML
-    file.
+) -> MappedMedium:
+    """Apply the mapping M of one device, a profile or a TOML file, to a medium with forces as they are.
 
-    `asked` is Q of W; of `spec` the mapping, oversample, pool and cutoff are used. `density`: samples of W
-    along each axis for one of a point device, in place of what its data sheet says.
+    `quantiser` is Q of W. Of `spec` the mapping, oversample, pool and cutoff are used. `density` is the
+    number of samples of W along each axis per sample of a point device, instead of its data sheet's value.
     """
     spec = replace(spec or EncodeSpec(), device=name, nw=None)
-    chosen, scene = device(name), StoredScene(medium)
-    # a stored field has no law; this one only says how thin a wall the depth pooling of an array must not
-    # miss
-    law = profile_of(LawSpec("penalty", 500.0, chosen.force_max_n), math.inf)
-    mapping = mapping_of(scene, chosen, spec, law)
-    shown, notes = _shown(scene, mapping, density)
+    target, scene = device(name), StoredScene(medium)
+    # a stored field has no law; this one only sets the thinnest wall that an array's depth pooling detects
+    law = profile_of(LawSpec("penalty", 500.0, target.force_max_n), math.inf)
+    mapping = mapping_of(scene, target, spec, law)
+    on_device, notes = _medium_on_device(scene, mapping, density)
     # a lattice equal to W's passes the device filter untouched, but no device exceeds its F_max
-    clipped = replace(shown, make_frame=lambda i: limited(shown[i], chosen.force_max_n))
+    clipped = replace(on_device, make_frame=lambda i: limit_forces(on_device[i], target.force_max_n))
     scale_note = f"1 mm of the device's hand is {1 / mapping.placement.scale:.4g} mm of the medium"
-    own = mapping.placement.to_hand(medium.grid)
-    if asked.form == "distinct":
-        asked = FieldQuantiserSpec.parse(DEFAULT_QUANTISER)
-    if chosen.levels is not None and chosen.levels > 1:  # its own levels
-        asked = FieldQuantiserSpec("uniform", chosen.force_max_n / (chosen.levels - 1), "none")
-    elif chosen.is_array:  # renders magnitudes, and has no directions to tell
-        asked = replace(asked, directions="none")
-    return Mapped(chosen, clipped, own, asked, (*notes, scale_note))
+    source_grid = mapping.placement.to_hand(medium.grid)
+    if quantiser.form == "distinct":
+        quantiser = FieldQuantiserSpec.parse(DEFAULT_QUANTISER)
+    if target.levels is not None and target.levels > 1:
+        quantiser = FieldQuantiserSpec("uniform", target.force_max_n / (target.levels - 1), "none")
+    elif target.is_array:  # an array renders magnitudes without direction
+        quantiser = replace(quantiser, directions="none")
+    return MappedMedium(target, clipped, source_grid, quantiser, (*notes, scale_note))
 
 
-def _shown(
+def _medium_on_device(
     scene: StoredScene, mapping: Mapping, density: float | None
 ) -> tuple[HapticMedium, tuple[str, ...]]:
-    """W on the lattice that the device is given; that of `mapping` is the device's own."""
+    """W on the lattice that the device renders, and notes; `mapping` has the device's own lattice."""
     if mapping.device.is_array:
         return mapping.medium(scene), ()
-    nominal, own = mapping.grid, mapping.placement.to_hand(scene.medium.grid)
-    first, last = (own.to_index(corner) for corner in nominal.box_m)
-    low = np.clip(np.ceil(first - 1e-6), 0, np.subtract(own.shape, 1)).astype(np.int64)
-    high = np.clip(np.floor(last + 1e-6) + 1, low + 1, own.shape).astype(np.int64)  # one sample at least
-    each = np.asarray(nominal.spacing_m) / own.spacing_m if density is None else density
-    counts = np.minimum(np.maximum(1, np.round((high - low) / each)), high - low)
+    nominal, source_grid = mapping.grid, mapping.placement.to_hand(scene.medium.grid)
+    first, last = (source_grid.to_index(corner) for corner in nominal.box_m)
+    low = np.clip(np.ceil(first - 1e-6), 0, np.subtract(source_grid.shape, 1)).astype(np.int64)
+    stop = np.clip(np.floor(last + 1e-6) + 1, low + 1, source_grid.shape)  # at least one sample
+    high = stop.astype(np.int64)
+    ratio = np.asarray(nominal.spacing_m) / source_grid.spacing_m if density is None else density
+    counts = np.minimum(np.maximum(1, np.round((high - low) / ratio)), high - low)
     if (counts < high - low).any():
-        box = own.to_m(low - 0.5), own.to_m(high - 0.5)
+        box = source_grid.to_m(low - 0.5), source_grid.to_m(high - 0.5)
         x, y, z = counts.astype(int).tolist()
-        note = f"{density:g} samples of the medium along each axis for one of the device" if density else ""
-        return replace(mapping, grid=Grid.over_box(*box, (x, y, z))).medium(scene), (note,) if note else ()
-    was = "x".join(map(str, nominal.shape))
-    note = f"its {was} samples are finer than the medium's, whose own are taken: its lattice loses nothing"
-    note += "" if density else " (--density 5 sets it as far below the medium's as the paper does)"
-    return _cropped(scene.medium, own, low, high), (note,)
+        resampled = replace(mapping, grid=Grid.over_box(*box, (x, y, z))).medium(scene)
+        if not density:
+            return resampled, ()
+        return resampled, (f"{density:g} samples of the medium along each axis for one of the device",)
+    shape_text = "x".join(map(str, nominal.shape))
+    note = f"its {shape_text} samples are finer than the medium's, which are used: its lattice loses nothing"
+    if not density:
+        note += " (--density 5 sets it as far below the medium's as the paper does)"
+    return _cropped(scene.medium, source_grid, low, high), (note,)
 
 
-def _cropped(medium: HapticMedium, own: Grid, low: Int64s, high: Int64s) -> HapticMedium:
-    """Samples `low` to `high` of a medium, on the part of the grid `own` that they are."""
+def _cropped(medium: HapticMedium, source_grid: Grid, low: Int64s, high: Int64s) -> HapticMedium:
+    """Samples `low` to `high` of a medium, on that part of its grid `source_grid`."""
     x, y, z = (high - low).tolist()
-    grid = Grid((x, y, z), own.spacing_m, tuple(own.to_m(low).tolist()))
+    grid = Grid((x, y, z), source_grid.spacing_m, tuple(source_grid.to_m(low).tolist()))
 
     def frame(i: int) -> ForceField:
         field = medium[i]
@@ -125,16 +126,16 @@ def _cropped(medium: HapticMedium, own: Grid, low: Int64s, high: Int64s) -> Hapt
 
 
 class SymbolFrames(Sequence[FieldSymbols]):
-    """The frames of a medium through Q, each made when it is asked for; the last two are kept.
+    """The frames of a medium after Q, each made on access; the last two are cached.
 
-    `object_counts` tells how many voxels of each that was made are not 0. A slice makes nothing yet, and
-    shares what is kept.
+    `object_counts` has the number of voxels that are not 0, of each frame that was made. A slice makes no
+    frame, and shares the cache.
     """
 
     def __init__(self, medium: HapticMedium, quantiser: FieldQuantiser) -> None:
         self.medium, self.quantiser = medium, quantiser
         self.object_counts: dict[int, int] = {}
-        self._kept: dict[int, FieldSymbols] = {}
+        self._recent: dict[int, FieldSymbols] = {}
         self._numbers = range(len(medium))
 
     def __len__(self) -> int:
@@ -146,12 +147,12 @@ class SymbolFrames(Sequence[FieldSymbols]):
             part._numbers = self._numbers[index]
             return part
         i = self._numbers[index]
-        if i not in self._kept:
-            while len(self._kept) > 1:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[i] = self.quantiser(self.medium[i])
-            self.object_counts[i] = self._kept[i].object_count
-        return self._kept[i]
+        if i not in self._recent:
+            while len(self._recent) > 1:
+                self._recent.pop(next(iter(self._recent)))
+            self._recent[i] = self.quantiser(self.medium[i])
+            self.object_counts[i] = self._recent[i].object_count
+        return self._recent[i]
 
 
 def partition_workspace(
@@ -161,24 +162,23 @@ def partition_workspace(
     quantiser: str | FieldQuantiserSpec = _COARSE_QUANTISER,
     report: Report = silent,
 ) -> Partition:
-    """Divide the workspace into the dyadic boxes, each of the device's lattice, that lose least (paper
-    section 4).
+    """Divide the workspace into dyadic boxes of the device's lattice with the least loss (paper section 4).
 
-    The medium lies on 2^D times the samples that the device shows at once, `device_shape`
-    (`touchfield.measure.partition`). `penalty_bits` is lambda, bits a frame that another box must save; what
-    a box is told of a cell is Q of its mean force. InvalidArgument if the lattice does not fit, lambda is
-    negative or the quantiser knows no forces but those of the medium.
+    The lattice of the medium has 2^D times the samples that the device renders at once, `device_shape`
+    (`touchfield.measure.partition`). `penalty_bits` is lambda, the bits per frame that another box must save.
+    The value of a cell in a box is Q of its mean force. InvalidArgument if the lattice does not fit, lambda
+    is negative, or the quantiser has only the forces of the medium.
     """
-    asked = FieldQuantiserSpec.parse(quantiser) if isinstance(quantiser, str) else quantiser
-    if asked.form == "distinct":
+    quantiser_spec = FieldQuantiserSpec.parse(quantiser) if isinstance(quantiser, str) else quantiser
+    if quantiser_spec.form == "distinct":
         raise InvalidArgument(
-            "quantiser", "distinct", "one that also knows mean forces, such as weber:0.25/ico1"
+            "quantiser", "distinct", "one that also has mean forces, such as weber:0.25/ico1"
         )
     lattice = DyadicLattice(medium.grid, device_shape)
-    losses, quantise = BoxLosses(lattice), asked.fit(medium)
+    losses, quantise = BoxLosses(lattice), quantiser_spec.fit(medium)
     for i, frame in enumerate(medium):
         coarse = [resample(frame, lattice.lattice(d), "box") for d in range(lattice.depth)]
         # weights that round up must not leave Q
-        losses.add([quantise(limited(level, quantise.top_n)) for level in (*coarse, frame)])
+        losses.add([quantise(limit_forces(level, quantise.top_n)) for level in (*coarse, frame)])
         report(i + 1, len(medium))
     return optimal_partition(lattice, losses.bits(), penalty_bits)

@@ -1,8 +1,7 @@
-"""Frames by `touchfield_core`, where it is installed: ``c/touch.h`` in place of kernels that would first be
-compiled.
+"""Decoding by `touchfield_core` (``c/touch.h``), if it is installed, without compiling kernels first.
 
-Its forces are those of the decoder in Python to the bit. What it refuses that one decodes, or refuses in
-words.
+Its forces are equal to those of the Python decoder bit by bit. The Python decoder decodes, or rejects with a
+message, whatever the core rejects.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ if TYPE_CHECKING:
     from touchfield.container import TouchReader
 
 
-MOST_BYTES: Final = 1 << 28
-"""Of a file: all of it lies in memory."""
+MAX_FILE_BYTES: Final = 1 << 28
+"""Largest file that the core decodes, as all of it is in memory."""
 
 
 @cache
@@ -33,14 +32,14 @@ def _core() -> Any:
 
 
 def decoder(
-    reader: TouchReader, grid: Grid, otherwise: Callable[[int], Iterator[ForceField]]
+    reader: TouchReader, grid: Grid, fallback: Callable[[int], Iterator[ForceField]]
 ) -> Callable[[int], Iterator[ForceField]] | None:
-    """``decode(segment) -> iterator`` over its fields; `otherwise` decodes what C refuses.
+    """``decode(segment) -> iterator`` over its fields; `fallback` decodes what the core rejects.
 
-    None if `touchfield_core` is not there, or the file none that it decodes.
+    None if `touchfield_core` is not installed, or does not decode such a file.
     """
     core = _core()
-    if core is None or reader.head.coder != "touch" or reader.is_remote or reader.size > MOST_BYTES:
+    if core is None or reader.head.coder != "touch" or reader.is_remote or reader.size > MAX_FILE_BYTES:
         return None
     file = cache(lambda: core.open(reader.read_all()))
 
@@ -51,20 +50,20 @@ def decoder(
             while (frame := core.next(frames)) is not None:
                 yield _field(grid, *frame)
                 count += 1
-        except (TypeError, ValueError):  # no file for C, or bytes that contradict themselves
-            coming = otherwise(segment)
+        except (TypeError, ValueError):  # not supported by the core, or inconsistent bytes
+            python_fields = fallback(segment)
             for _ in range(count):
-                next(coming)
-            yield from coming
+                next(python_fields)
+            yield from python_fields
 
     return fields
 
 
-def _field(grid: Grid, numbers: bytes, forces: bytes) -> ForceField:
-    """The field of bricks in any order; those without a force, to the bit, are left out."""
-    raster = np.frombuffer(numbers, np.uint32)
+def _field(grid: Grid, brick_numbers: bytes, forces: bytes) -> ForceField:
+    """The field of bricks in any order, without the bricks whose forces are all zero bits."""
+    raster = np.frombuffer(brick_numbers, np.uint32)
     forces_n = np.frombuffer(forces, np.float32).reshape(-1, 8, 8, 8, 3)
-    holds = np.flatnonzero(forces_n.view(np.uint32).any(axis=(1, 2, 3, 4)))
-    order = holds[np.argsort(raster[holds])]
-    places = np.stack(np.unravel_index(raster[order], grid.brick_shape), axis=1).astype(np.int32)
-    return ForceField(grid, places, forces_n[order])
+    with_force = np.flatnonzero(forces_n.view(np.uint32).any(axis=(1, 2, 3, 4)))
+    order = with_force[np.argsort(raster[with_force])]
+    positions = np.stack(np.unravel_index(raster[order], grid.brick_shape), axis=1).astype(np.int32)
+    return ForceField(grid, positions, forces_n[order])

@@ -1,9 +1,9 @@
-"""A size or an error to reach: the control of coder `touch` is searched, on a few segments first.
+"""Rate control: search the control of coder `touch` that gives a file of a requested size or error.
 
-In mode "nmse" the control is the step of the lattice; in the other modes it is k, with F_0 in proportion.
-Bytes are those of the whole file and a budget, of which at least 97 % are used where the control allows; the
-NMSE is reached within 0.13 dB, which is 3 % of the error's energy. With a promise and a size, k is only ever
-raised.
+The control is the step of the lattice in mode "nmse", and k, with F_0 in proportion, in the other modes. The
+search starts on a few segments. A size in bytes is a budget for the whole file, of which at least 97 % are
+used if the control allows it. An NMSE is reached to within 0.13 dB, which is 3 % of the error's energy. With
+an error bound and a size, k is only ever raised.
 """
 
 from __future__ import annotations
@@ -23,22 +23,23 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 from touchfield.medium.selection import select_frames
 from touchfield.pipeline.decoding import open_stream
-from touchfield.pipeline.encoding import Encoded, encode_prepared, provenance_of
+from touchfield.pipeline.encoding import Encoded, encode_prepared, file_provenance
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.spec import NO_FLOOR_N, EncodeSpec
 from touchfield.sources.scene import Scene
 
-MOST_ENCODES: Final = 8
+MAX_ENCODES: Final = 8
 NMSE_WITHIN_DB: Final = 0.13  # 3 % of the error's energy
-LEAST_SHARE: Final = 0.97
-_AIM: Final = 0.985  # of the bytes asked for: what is aimed at, between the least share and all of them
+MIN_FILL: Final = 0.97
+"""Smallest fraction of the requested bytes that a file may take."""
+_AIM: Final = 0.985  # fraction of the requested bytes that is aimed at, between MIN_FILL and 1
 _SUBSET_ENCODES: Final = 4
 _SUBSET_SEGMENTS: Final = 2
 _K_BOUNDS: Final = (0.001, 0.99)
 _STEPS: Final = 1 << 15  # the finest step of mode "nmse" is the device's F_max over this
-_MOST_BYTES_KEPT: Final = 1 << 30
-_LARGEST_MOVE: Final = 2.1  # of a logarithm, beyond what is known: a factor of 8
-_WITHIN: Final = 0.05  # a guess keeps this share of a bracket away from its ends
+_MAX_CACHE_BYTES: Final = 1 << 30
+_LARGEST_MOVE: Final = 2.1  # of a logarithm, beyond the known points: a factor of 8
+_BRACKET_MARGIN: Final = 0.05  # distance of the next x from the ends of a bracket, as a fraction of it
 
 
 @dataclass(frozen=True)
@@ -64,18 +65,17 @@ class Target:
         return "--target-bytes" if self.bytes is not None else "--target-nmse-db"
 
     def is_reached(self, excess: float, fits: bool = False) -> bool:
-        """If a file is near enough to what is aimed at; with `fits` any size within the target is."""
+        """True if the excess over the aim is small enough; with `fits`, if the size is within the target."""
         if self.bytes is None:
             return abs(excess) <= NMSE_WITHIN_DB
-        return excess <= math.log(1 / _AIM) and (fits or excess >= math.log(LEAST_SHARE / _AIM))
+        return excess <= math.log(1 / _AIM) and (fits or excess >= math.log(MIN_FILL / _AIM))
 
 
 @dataclass
 class RootSearch:
-    """Search for the x in `low` to `high` where a falling y(x) is zero, each value of which is dear.
+    """Search for the zero of a falling y(x) in `low` to `high`, with few evaluations.
 
-    `slope` is dy/dx where nothing better is known, negative; `points` are x and y known so far, the last the
-    latest.
+    `slope` is the default for dy/dx, negative; `points` are the evaluated x and y, in order of evaluation.
     """
 
     low: float
@@ -84,34 +84,40 @@ class RootSearch:
     points: list[tuple[float, float]] = field(default_factory=list)
 
     def run(
-        self, value: Callable[[float], float], start: float, is_near: Callable[[float], bool], most: int
+        self,
+        value: Callable[[float], float],
+        start: float,
+        is_close: Callable[[float], bool],
+        max_values: int,
     ) -> bool:
-        """Evaluate from `start` on until `is_near(y)`, no guess is left or `most` values are known; if it is
-        near.
+        """Evaluate y from `start` on; True as soon as ``is_close(y)``.
+
+        False if no further x is worth a value, or after `max_values` values.
         """
         x: float | None = min(max(start, self.low), self.high)
-        while x is not None and len(self.points) < most:
+        while x is not None and len(self.points) < max_values:
             self.points.append((x, value(x)))
-            if is_near(self.points[-1][1]):
+            if is_close(self.points[-1][1]):
                 return True
-            x = self.guess()
+            x = self.next_x()
         return False
 
-    def guess(self) -> float | None:
-        """The next x worth a value; None where the curve does not reach zero within the bounds."""
+    def next_x(self) -> float | None:
+        """The next x to evaluate; None if the curve does not reach zero within the bounds."""
         above = max((p for p in self.points if p[1] > 0), default=None)
         below = min((p for p in self.points if p[1] <= 0), default=None)
         if above is not None and below is not None:
             (a, up), (b, down) = above, below
-            x = a + min(max(up / (up - down), _WITHIN), 1 - _WITHIN) * (b - a)
+            x = a + min(max(up / (up - down), _BRACKET_MARGIN), 1 - _BRACKET_MARGIN) * (b - a)
         else:
-            near, y = above or below or self.points[-1]  # the last on that side, also where the curve is flat
-            x = near + min(max(-y / self.measured_slope(), -_LARGEST_MOVE), _LARGEST_MOVE)
+            # the last point on that side, also where the curve is flat
+            latest_x, y = above or below or self.points[-1]
+            x = latest_x + min(max(-y / self.measured_slope(), -_LARGEST_MOVE), _LARGEST_MOVE)
         x = min(max(x, self.low), self.high)
-        return None if any(abs(x - known) < 1e-6 for known, _ in self.points) else x
+        return None if any(abs(x - evaluated) < 1e-6 for evaluated, _ in self.points) else x
 
     def measured_slope(self) -> float:
-        """dy/dx between the two points that are nearest to zero; `slope` where they tell none."""
+        """dy/dx between the two points that are closest to zero; `slope` if that is not plausible."""
         if len(self.points) < 2:
             return self.slope
         (a, ya), (b, yb) = sorted(self.points, key=lambda p: abs(p[1]))[:2]
@@ -120,8 +126,12 @@ class RootSearch:
 
 
 @dataclass
-class _Tries:
-    """The encodings so far, of all frames or of a part that is `1 / whole` of them; each goes to `temporary`."""
+class _Trials:
+    """Trial encodings of all frames, or of a part of them; each is written to `temporary`.
+
+    `total_over_part` is the number of all frames over that of the part. `reached` has the size in bytes and
+    the NMSE in dB of each trial, by the logarithm of its control; `count` includes those of the part.
+    """
 
     source: str | Path | Scene
     prepared: Prepared
@@ -129,57 +139,54 @@ class _Tries:
     temporary: Path
     report: Report
     count: int = 0
-    whole: float = 1.0
+    total_over_part: float = 1.0
     last: Encoded | None = None
     reached: dict[float, tuple[int, float | None]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         touch = self.prepared.spec.touch
         self.is_step = touch.mode == "nmse"
-        self.asked = touch.step_n if self.is_step else touch.k
-        # a promise that was asked for is not made sharper to fill a file
-        self.only_up = self.target.bytes is not None and not self.is_step
+        self.requested = touch.step_n if self.is_step else touch.k
+        # a requested error bound is not made stricter to fill a file
+        self.only_raise = self.target.bytes is not None and not self.is_step
         top = self.prepared.device.force_max_n
         low, high = (top / _STEPS, top) if self.is_step else _K_BOUNDS
-        if self.only_up:
-            low, high = self.asked, max(self.asked, high)
-        usual = (
-            -0.6 if self.target.bytes is not None else -8.7
-        )  # bytes fall slower than the step; 20 dB a decade
-        self.search = RootSearch(math.log(low), math.log(high), usual)
+        if self.only_raise:
+            low, high = self.requested, max(self.requested, high)
+        # bytes fall more slowly than the step grows; an NMSE changes by 20 dB per decade
+        default_slope = -0.6 if self.target.bytes is not None else -8.7
+        self.search = RootSearch(math.log(low), math.log(high), default_slope)
 
     def spec(self, log_control: float) -> EncodeSpec:
-        """The spec with its control set, exactly as it was asked for where the search begins; F_0 goes with
-        k.
-        """
+        """The spec with its control set, F_0 in proportion to k; exactly the requested one at the start."""
         spec, touch = self.prepared.spec, self.prepared.spec.touch
-        control = self.asked if log_control == math.log(self.asked) else math.exp(log_control)
+        control = self.requested if log_control == math.log(self.requested) else math.exp(log_control)
         if self.is_step:
             return replace(spec, touch=replace(touch, step_n=control))
         return replace(spec, touch=replace(touch, k=control, f0_n=touch.f0_n * control / touch.k))
 
     def encode(self, log_control: float) -> Encoded:
-        """Encode with a control."""
+        """Encode with a control, given as its logarithm."""
         self.count += 1
         prepared = replace(self.prepared, spec=self.spec(log_control))
         self.last = encode_prepared(
-            prepared, self.temporary, provenance_of(self.source, prepared), self.report
+            prepared, self.temporary, file_provenance(self.source, prepared), self.report
         )
         return self.last
 
     def excess(self, log_control: float) -> float:
-        """Encode with a control; how far that is from what is aimed at, above 0 where it must be raised."""
-        done, medium = self.encode(log_control), self.prepared.medium
-        if not done.supported_voxels and self.target.bytes is None:
+        """Encode with a control; the distance from the aim, above 0 if the control must be raised."""
+        encoded, medium = self.encode(log_control), self.prepared.medium
+        if not encoded.supported_voxels and self.target.bytes is None:
             raise InvalidArgument(
                 self.target.option, "frames without a force", "a force to measure the error by"
             )
         with open_stream(self.temporary) as opened:
             reader, head = opened.reader, opened.reader.head
-            coded = sum(
+            segment_bytes = sum(
                 e.length + len(reader.read_vibration(i) or b"") for i, e in enumerate(reader.segments)
             )
-            size = done.file_bytes + (self.whole - 1) * coded
+            size = encoded.file_bytes + (self.total_over_part - 1) * segment_bytes
             if self.target.bytes is not None:
                 self.reached[log_control] = round(size), None
                 return math.log(size / (_AIM * self.target.bytes))
@@ -191,8 +198,8 @@ class _Tries:
         assert self.target.nmse_db is not None
         return self.target.nmse_db - nmse_db
 
-    def words(self, log_control: float) -> str:
-        """The size or the error of a file."""
+    def measured_text(self, log_control: float) -> str:
+        """The size or the error of a trial, as text."""
         size, nmse_db = self.reached[log_control]
         return f"{size} bytes" if nmse_db is None else f"{nmse_db:.2f} dB"
 
@@ -207,104 +214,110 @@ def encode_to_target(
     """Turn a source into a ``.touch`` file of a given size or error, in at most 8 encodings.
 
     `spec` is of coder `touch`, in any mode but "lossless"; `report` gets ``(done, total)`` in frames, for one
-    encoding after another. InvalidArgument says what the nearest is; nothing is then left under the name
-    `out`.
+    encoding after another. InvalidArgument names the nearest size or error that was reached; no file `out` is
+    then left.
     """
-    began = time.perf_counter()
+    start_s = time.perf_counter()
     spec = spec or EncodeSpec()
     require_ending(out, "OUT.touch")
     if spec.coder != "touch" or spec.touch.mode == "lossless":
-        asked = f"coder {spec.coder}" + (", lossless" if spec.coder == "touch" else "")
-        raise InvalidArgument(target.option, asked, "coder touch in mode mask, mask-direction or nmse")
+        found = f"coder {spec.coder}" + (", lossless" if spec.coder == "touch" else "")
+        raise InvalidArgument(target.option, found, "coder touch in mode mask, mask-direction or nmse")
     with atomic_path(Path(out)) as temporary:
-        tries = _Tries(source, _kept(prepare(source, spec)), target, temporary, report)
-        control = _on_all(tries, _first_guess(tries))
-        assert tries.last is not None
-    figures, note = _wording(tries, control)
+        trials = _Trials(source, _with_frame_cache(prepare(source, spec)), target, temporary, report)
+        control = _search_all_frames(trials, _start_from_subset(trials))
+        assert trials.last is not None
+    figures, note = _search_report(trials, control)
     return replace(
-        tries.last, encode_s=time.perf_counter() - began, told=(*tries.last.told, note), search=figures
+        trials.last,
+        encode_s=time.perf_counter() - start_s,
+        coding_notes=(*trials.last.coding_notes, note),
+        search=figures,
     )
 
 
-def _first_guess(tries: _Tries) -> float:
-    """The logarithm of the control to begin with: from two whole segments, where there are enough of them."""
-    prepared, start = tries.prepared, math.log(tries.asked)
+def _start_from_subset(trials: _Trials) -> float:
+    """The logarithm of the first control: from a search on two whole segments, if there are enough."""
+    prepared, start = trials.prepared, math.log(trials.requested)
     length = prepared.spec.segment_frames_at(prepared.medium.rate_hz)
     count = len(prepared.medium) // length
-    if prepared.scene is not None or count < 2 * _SUBSET_SEGMENTS:  # hardly more than a part, or objects
+    if prepared.scene is not None or count < 2 * _SUBSET_SEGMENTS:  # objects, or hardly more than the subset
         return start
     firsts = [length * (count * (2 * i + 1) // (2 * _SUBSET_SEGMENTS)) for i in range(_SUBSET_SEGMENTS)]
-    part = replace(
-        prepared, medium=select_frames(prepared.medium, [n + j for n in firsts for j in range(length)])
-    )
-    of_part = replace(tries, prepared=part, whole=len(prepared.medium) / len(part.medium), reached={})
-    search, within = of_part.search, NMSE_WITHIN_DB if tries.target.bytes is None else 1 - LEAST_SHARE
+    indices = [first + i for first in firsts for i in range(length)]
+    part = replace(prepared, medium=select_frames(prepared.medium, indices))
+    total_over_part = len(prepared.medium) / len(part.medium)
+    subset_trials = replace(trials, prepared=part, total_over_part=total_over_part, reached={})
+    search = subset_trials.search
+    tolerance = NMSE_WITHIN_DB if trials.target.bytes is None else 1 - MIN_FILL
 
-    def is_near(excess: float) -> bool:
-        return (tries.only_up and len(search.points) == 1 and excess <= 0) or abs(excess) <= within / 4
+    def is_close(excess: float) -> bool:
+        return (trials.only_raise and len(search.points) == 1 and excess <= 0) or abs(excess) <= tolerance / 4
 
-    search.run(of_part.excess, start, is_near, _SUBSET_ENCODES)
-    tries.count, tries.search.slope = of_part.count, search.measured_slope()
+    search.run(subset_trials.excess, start, is_close, _SUBSET_ENCODES)
+    trials.count, trials.search.slope = subset_trials.count, search.measured_slope()
     best = min(search.points, key=lambda p: abs(p[1]))
-    following = None if is_near(best[1]) else search.guess()
+    following = None if is_close(best[1]) else search.next_x()
     return best[0] if following is None else following
 
 
-def _on_all(tries: _Tries, start: float) -> float:
-    """All frames, coded until the target is reached; the logarithm of the control of the temporary file."""
-    search, target = tries.search, tries.target
+def _search_all_frames(trials: _Trials, start: float) -> float:
+    """Encode all frames until the target is reached; the logarithm of the temporary file's control."""
+    search, target = trials.search, trials.target
 
-    def is_near(excess: float) -> bool:
-        return target.is_reached(excess, fits=tries.only_up and search.points[-1][0] <= search.low)
+    def is_close(excess: float) -> bool:
+        return target.is_reached(excess, fits=trials.only_raise and search.points[-1][0] <= search.low)
 
-    if search.run(tries.excess, start, is_near, MOST_ENCODES - 1 - tries.count):
+    if search.run(trials.excess, start, is_close, MAX_ENCODES - 1 - trials.count):
         return search.points[-1][0]
     fitting = [p for p in search.points if target.is_reached(p[1], fits=True)]
     nearest = min(search.points, key=lambda p: abs(p[1]))
     is_finest = nearest[0] <= search.low and target.bytes is not None
     if not fitting or (is_finest and nearest[1] < 0):
-        control = f"{'step_n' if tries.is_step else 'k'} was {math.exp(nearest[0]):.4g}"
-        mend = f"Ask for that, or change the mode, --effort or --nw ({control})."
-        wanted = target.bytes if target.bytes is not None else target.nmse_db
-        raise InvalidArgument(target.option, f"{wanted:g}", f"{tries.words(nearest[0])}, the nearest", mend)
+        control = f"{'step_n' if trials.is_step else 'k'} was {math.exp(nearest[0]):.4g}"
+        hint = f"Request that, or change the mode, --effort or --nw ({control})."
+        target_value = target.bytes if target.bytes is not None else target.nmse_db
+        raise InvalidArgument(
+            target.option, f"{target_value:g}", f"{trials.measured_text(nearest[0])}, the nearest", hint
+        )
     best = max(fitting, key=lambda p: p[1])
     if best is not search.points[-1]:
-        tries.encode(best[0])
+        trials.encode(best[0])
     return best[0]
 
 
-def _wording(tries: _Tries, log_control: float) -> tuple[dict[str, Any], str]:
-    """Keys of the summary that tell of the search, and a note for people."""
-    asked, chosen, target = tries.prepared.spec.touch, tries.spec(log_control).touch, tries.target
+def _search_report(trials: _Trials, log_control: float) -> tuple[dict[str, Any], str]:
+    """Keys of the summary on the search, and a note for people."""
+    requested, found, target = trials.prepared.spec.touch, trials.spec(log_control).touch, trials.target
     figures: dict[str, Any] = {"target_bytes": target.bytes, "target_nmse_db": target.nmse_db}
-    figures |= {"nmse_db": tries.reached[log_control][1], "encodes": tries.count}
-    figures |= {"asked_k": asked.k, "asked_f0_n": asked.f0_n}
-    reached = tries.words(log_control)
-    if tries.is_step:
-        return figures, f"{reached} with a step of {chosen.step_n:.4g} N, found in {tries.count} encodings"
-    if chosen.k == asked.k:
-        return figures, f"{reached} with the k that was asked for, {chosen.k:g}"
-    way = "raised" if chosen.k > asked.k else "lowered"
-    of_k, of_f0 = f"{asked.k:g} to {chosen.k:.4g}", f"{asked.f0_n:g} to {chosen.f0_n:.4g} N"
-    weaker = "; this weaker promise is the one that is kept" if way == "raised" else ""
-    return figures, f"{reached}: k was {way} from {of_k}, and F_0 from {of_f0}{weaker}"
+    figures |= {"nmse_db": trials.reached[log_control][1], "encodes": trials.count}
+    figures |= {"asked_k": requested.k, "asked_f0_n": requested.f0_n}
+    reached = trials.measured_text(log_control)
+    if trials.is_step:
+        return figures, f"{reached} with a step of {found.step_n:.4g} N, found in {trials.count} encodings"
+    if found.k == requested.k:
+        return figures, f"{reached} with the requested k, {found.k:g}"
+    change = "raised" if found.k > requested.k else "lowered"
+    of_k, of_f0 = f"{requested.k:g} to {found.k:.4g}", f"{requested.f0_n:g} to {found.f0_n:.4g} N"
+    weaker = "; this weaker error bound is the guaranteed one" if change == "raised" else ""
+    return figures, f"{reached}: k was {change} from {of_k}, and F_0 from {of_f0}{weaker}"
 
 
-def _kept(prepared: Prepared) -> Prepared:
-    """The same, whose frames are kept once they are made, as far as memory allows; all of a vibration's."""
-    kept: dict[int, ForceField] = {}
-    room = _MOST_BYTES_KEPT
+def _with_frame_cache(prepared: Prepared) -> Prepared:
+    """The same with a cache of its frames, up to 1 GiB, and of all frames of its vibration."""
+    cache_by_frame: dict[int, ForceField] = {}
+    free_bytes = _MAX_CACHE_BYTES
     make, band = prepared.medium.make_frame, prepared.medium.vibration
 
     def frame(i: int) -> ForceField:
-        nonlocal room
-        if i in kept:
-            return kept[i]
-        fresh = make(i)
-        if fresh.forces_n.nbytes <= room:
-            kept[i] = fresh
-            room -= fresh.forces_n.nbytes
-        return fresh
+        nonlocal free_bytes
+        if i in cache_by_frame:
+            return cache_by_frame[i]
+        field = make(i)
+        if field.forces_n.nbytes <= free_bytes:
+            cache_by_frame[i] = field
+            free_bytes -= field.forces_n.nbytes
+        return field
 
     return replace(
         prepared, medium=replace(prepared.medium, make_frame=frame, vibration=band and cache(band))

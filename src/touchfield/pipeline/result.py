@@ -1,4 +1,4 @@
-"""The result of a job, as commands print it and programs read it."""
+"""The result of a task, for commands and programs."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Result:
-    """Figures of a job by stable keys, and notes for people."""
+    """Figures by stable keys, and notes for people."""
 
-    shown: Mapping[str, Any]
+    figures: Mapping[str, Any]
     notes: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        return dict(self.shown)
+        return dict(self.figures)

@@ -1,4 +1,4 @@
-"""Everything asked of the main job, and how it travels in a stream's provenance."""
+"""Options of the pipeline, and their JSON form in a stream's provenance."""
 
 from __future__ import annotations
 
@@ -29,28 +29,27 @@ from touchfield.perception.human import figure
 from touchfield.sources.laws import LawSpec
 from touchfield.sources.options import SourceOptions
 
-CODERS: Final = tuple(field_coders())  # of fields, those of plug-ins last; the first is the default
+CODERS: Final = tuple(field_coders())  # coders of fields; the first is the default, plug-ins come last
 BUILT_IN_CODERS: Final = ("touch", "paper")
 DEFAULT_F0_N = figure("force_threshold_n")
-"""F_0, the absolute force threshold of the mask of coder `paper`, newtons; its source is in
-perception/human.toml.
-"""
+"""F_0 in newtons, the absolute force threshold of the mask of coder `paper` (perception/human.toml)."""
 
 Frames = tuple[int, int | None]
-"""The first of some frames, and the one behind the last; None: the end."""
+"""Start and stop of a range of frames; stop None is the end."""
 
 REPRESENTATIONS: Final = ("auto", "voxel", "object")
 COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
 _OPTIONAL: Final = ("vibration", "fit_frames", *COEFFICIENTS)
-NO_FLOOR_N: Final = 1e-30  # in place of F_0 = 0 where a measure takes none: less than any force
-OWN_FORCES: Final = "the source's own forces, sample by sample"
-"""Likewise where the source is a stored field on the lattice of the file, and no haptic filter is asked for.
+NO_FLOOR_N: Final = 1e-30  # for a measure that needs F_0 above 0: smaller than any force
+SOURCE_FORCES: Final = "the source's own forces, sample by sample"
+"""The field that an error bound refers to, if the source is a stored field on the lattice of the file.
 
+No haptic filter is then applied; for any other source it is `touchfield.pipeline.decoding.FILTERED`.
 """
 
 
 def require_frames(where: str, frames: Any) -> None:
-    """`InvalidArgument` for what are no `Frames`, and not None."""
+    """`InvalidArgument` unless `frames` are `Frames` or None."""
     try:
         start, stop = frames or (0, None)
         is_range = start >= 0 and (stop is None or start < stop)
@@ -60,23 +59,25 @@ def require_frames(where: str, frames: Any) -> None:
         raise InvalidArgument(where, repr(frames), "START below STOP, neither negative")
 
 
-def _asked(spec: Any) -> dict[str, Any]:
-    """The fields of a spec that are not as by default."""
-    usual, every = type(spec)(), ((one.name, getattr(spec, one.name)) for one in fields(spec))
-    return {name: value for name, value in every if value != getattr(usual, name)}
+def _changed_fields(spec: Any) -> dict[str, Any]:
+    """The fields of a spec that differ from their defaults."""
+    defaults = type(spec)()
+    names = [item.name for item in fields(spec)]
+    return {name: getattr(spec, name) for name in names if getattr(spec, name) != getattr(defaults, name)}
 
 
 @dataclass(frozen=True)
 class EncodeSpec:
-    """Everything asked of the main job.
+    """Options of the pipeline.
 
-    Lengths and stiffness are in the metres that the hand moves. `nw` None means the device's nominal lattice;
-    `representation` "auto" is "object" where the scene is of rigid bodies that move and the device is a
-    point; `mapping` "fill" leaves no margin; `coder` is one of `CODERS`, and `touch` or `paper` what is asked
-    of it; `filters` are the haptic filters that follow the device filter, each its name and its words
-    (`touchfield.filters.registry`); `vibration` (`touchfield.filters.contact`) takes the voxel
-    representation; `friction` and `damping_n_s_per_m` are mu and b of paper 3.2.
-    InvalidArgument if there is no such coder, or something is asked of the coder that is not taken.
+    Lengths and stiffness are in metres of the hand. `nw` None is the device's nominal lattice.
+    `representation` "auto" is "object" for moving rigid bodies on a point device, else "voxel". `mapping`
+    "fill" leaves no margin. `coder` is one of `CODERS`, and `touch` or `paper` has its options. `filters` are
+    the haptic filters after the device filter, each a name and its arguments
+    (`touchfield.filters.registry`). `vibration` (`touchfield.filters.contact`) needs the voxel
+    representation. `friction` and `damping_n_s_per_m` are mu and b of paper 3.2.
+
+    InvalidArgument if there is no such coder, or an option belongs to a coder that is not used.
     """
 
     device: str = option(
@@ -100,11 +101,11 @@ class EncodeSpec:
     surface_damping_n_s_per_m: float = option(0.0, "Drag of a moving surface: b times its velocity is added.")
     representation: str = option("auto", "voxel, object (fields and pose tracks), or auto.")
     mapping: str | float = option(
-        "fit", "Scene to workspace: fit (5 % room is left), fill, crop, or a factor such as 0.05."
+        "fit", "Scene to workspace: fit (leaves a margin of 5 %), fill, crop, or a factor such as 0.05."
     )
     oversample: int = option(2, "Samples per axis and device sample before the anti-alias low-pass.")
     pool: str = option(
-        "auto", "Depth of an array: max, mean, relief (heights, from above), or auto: what suits it."
+        "auto", "Depth of an array: max, mean, relief (heights, from above), or auto: by the device."
     )
     cutoff: str = option("nyquist", "Low-pass of an actuator array: nyquist = 1/(2d), or literal = 2/d.")
     source: SourceOptions = field(default_factory=SourceOptions)
@@ -131,61 +132,59 @@ class EncodeSpec:
             require_frames(name, getattr(self, name))
         require_nw(self.nw)
         is_list = isinstance(self.filters, tuple | list)
-        if not (is_list and all(isinstance(one, tuple | list) and len(one) == 2 for one in self.filters)):
+        if not (
+            is_list and all(isinstance(entry, tuple | list) and len(entry) == 2 for entry in self.filters)
+        ):
             raise InvalidArgument(
                 "filters", repr(self.filters), 'names and words, such as (("gaussian", "2mm"),)'
             )
-        for name, _ in self.filters:  # not the words: those of a stranger's stream may name a file
+        for name, _ in self.filters:  # not the arguments: those of an untrusted stream may name a file
             require_one_of("filters", name, field_filters())
-        _ = self.factor, self.device_filter, self.law_spec(1.0)  # each says what cannot be
+        _ = self.factor, self.device_filter, self.law_spec(1.0)  # each checks its options
         if self.vibration is not None:
             VibrationRule.parse(self.vibration)
             if self.representation == "object":
-                said = "--vibration works with --representation voxel or auto, not with object"
-                raise InvalidArgument(f"{said}: objects have no samples that could vibrate, so take voxel")
+                message = "--vibration works with --representation voxel or auto, not with object"
+                raise InvalidArgument(f"{message}: objects have no samples that could vibrate, so take voxel")
         self._require_spec_of_coder()
 
     def _require_spec_of_coder(self) -> None:
-        """InvalidArgument if a plug-in's coder has no spec, or something is asked of a coder that is not
-        taken.
-        """
+        """InvalidArgument if the coder's spec is missing, or an unused coder has options."""
         expected = field_coders()[self.coder].spec
         if not isinstance(self.coding, expected or object):
             where = self.coder if self.coder in BUILT_IN_CODERS else "extension"
             raise InvalidArgument(where, repr(self.coding), f"a {getattr(expected, '__name__', expected)}")
         for other in BUILT_IN_CODERS:
-            stray = _asked(getattr(self, other)) if other != self.coder else {}
+            stray = _changed_fields(getattr(self, other)) if other != self.coder else {}
             for name, value in stray.items():
                 raise InvalidArgument(f"{name} {value!r} works with coder {other}, not with {self.coder}")
 
     @property
     def coding(self) -> Any:
-        """The spec of the coder that is taken."""
+        """The spec of the chosen coder."""
         return getattr(self, self.coder) if self.coder in BUILT_IN_CODERS else self.extension
 
     @property
     def k(self) -> float:
-        """The Weber fraction of the coder that is taken."""
+        """The Weber fraction of the chosen coder."""
         return float(self.coding.k)
 
     @property
     def f0_n(self) -> float:
-        """F_0 of the mask, newtons: what the coder is asked to keep, or, where it keeps none, what a hand
-        feels.
-        """
+        """F_0 of the mask, newtons: that of the coder, or of a hand if the coder has none."""
         return float(getattr(self.coding, "f0_n", DEFAULT_F0_N))
 
     def segment_frames_at(self, rate_hz: float) -> int:
-        """Frames in an independent segment of a medium of that rate."""
+        """Frames in an independent segment of a medium of this rate."""
         return segment_length(self.coding.segment_frames, rate_hz)
 
     def longest_segment_at(self, rate_hz: float) -> int:
-        """Frames of a segment at most, where frames that are the one before again do not count."""
+        """Limit of the frames of a segment, with those that repeat the frame before."""
         return longest_segment(self.coding.segment_frames, rate_hz)
 
     @property
     def factor(self) -> float | None:
-        """Metres of the hand for one of the scene; None where the scene is fitted into the workspace."""
+        """Metres of the hand per metre of the scene; None if the scene is fitted into the workspace."""
         if self.mapping in ("fit", "fill"):
             return None
         try:
@@ -197,14 +196,14 @@ class EncodeSpec:
         return factor
 
     def law_spec(self, force_max_n: float) -> LawSpec:
-        """The force law that is asked for, of a device with this F_max."""
+        """The force law for a device with this F_max."""
         damping = self.surface_damping_n_s_per_m
         return LawSpec(self.law, self.stiffness_n_per_m, force_max_n, self.thickness_m, self.band_m, damping)
 
     @property
     def chain(self) -> tuple[FieldFilter, ...]:
-        """The haptic filters asked for."""
-        return tuple(filter_of(name, words) for name, words in self.filters)
+        """The haptic filters, in order."""
+        return tuple(filter_of(name, arguments) for name, arguments in self.filters)
 
     @property
     def device_filter(self) -> DeviceFilterSpec:
@@ -212,9 +211,9 @@ class EncodeSpec:
         return DeviceFilterSpec(oversample=self.oversample, pool=self.pool, cutoff=self.cutoff)
 
     def to_json(self, has_law: bool = True) -> str:
-        """The spec as the stream's provenance keeps it, without what is asked of a coder that is not taken.
+        """The spec as JSON for a stream's provenance, without the options of unused coders.
 
-        Without `has_law` it states no law and no stiffness: a receiver would make walls of it.
+        Without `has_law` it has no law and no stiffness, because a receiver would render walls from them.
         """
         values = {**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None}
         values[self.coder] = asdict(self.coding)
@@ -222,21 +221,23 @@ class EncodeSpec:
         other_coders = (name for name in BUILT_IN_CODERS if name != self.coder)
         for name in (*other_coders, "extension", *(n for n in _OPTIONAL if values[n] is None), *unused):
             del values[name]
-        del values["source"]["allow_outside"]  # the user's alone, each time
+        del values["source"]["allow_outside"]  # the user decides this each time
         return json.dumps(values, separators=(",", ":"))
 
-    def asked(self) -> dict[str, Any]:
-        """All that differs from the defaults, by the names of the options."""
+    def changed_options(self) -> dict[str, Any]:
+        """The options that differ from their defaults, by name."""
         inner = "source", *BUILT_IN_CODERS
-        own = {name: value for name, value in _asked(self).items() if name not in (*inner, "extension")}
+        top_level = {
+            name: value for name, value in _changed_fields(self).items() if name not in (*inner, "extension")
+        }
         specs = [getattr(self, name) for name in inner] + [self.extension] * (self.extension is not None)
-        return own | {name: value for spec in specs for name, value in _asked(spec).items()}
+        return top_level | {name: value for spec in specs for name, value in _changed_fields(spec).items()}
 
     @classmethod
     def from_json(cls, text: str) -> EncodeSpec:
-        """The spec of a stream, so that its source can be filtered again in the same way.
+        """The spec of a stream, to filter its source again in the same way.
 
-        CorruptFile if the provenance cannot be understood.
+        CorruptFile if the provenance cannot be read.
         """
         try:
             values = json_of(text)
@@ -252,7 +253,9 @@ class EncodeSpec:
             for name in ("frames", "fit_frames"):
                 if values.get(name) is not None:
                     values[name] = tuple(values[name])
-            values["filters"] = tuple((str(name), str(words)) for name, words in values.get("filters", ()))
+            values["filters"] = tuple(
+                (str(name), str(arguments)) for name, arguments in values.get("filters", ())
+            )
             return cls(**values)
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
             raise CorruptFile(
@@ -262,20 +265,20 @@ class EncodeSpec:
 
 @dataclass(frozen=True)
 class ReductionSpec:
-    """Wishes of `touchfield.tasks.reduction.reduce_medium`: its modes, and the hand.
+    """Options of `touchfield.tasks.reduction.reduce_medium`: the modes, and the hand.
 
-    By default the hand pushes with the continuous force of `device`, has its mass with a light hand's, and
-    0.2 m/s.
+    By default the hand pushes with the continuous force of `device`, has the mass of the device and of a
+    light hand, and moves at 0.2 m/s.
     """
 
     modes: str = option("global", "global: of whole frames; bricks: of bricks of 8^3 samples.")
     rank: int | None = option(None, "Modes to keep; default: as many as --nmse-db needs.")
-    nmse_db: float = option(-30.0, "Error that modes are counted for.")
-    push_n: float | None = option(None, "Of the hand, at most; default: the device's.")
-    mass_kg: float | None = option(None, "Of hand and device; default: 50 g and its own.")
-    speed_m_s: float | None = option(None, "Of the hand, at most; default: 0.2.")
+    nmse_db: float = option(-30.0, "Error that determines the number of modes.")
+    push_n: float | None = option(None, "Largest force of the hand; default: the device's.")
+    mass_kg: float | None = option(None, "Mass of hand and device; default: 50 g and the device's.")
+    speed_m_s: float | None = option(None, "Largest speed of the hand; default: 0.2.")
     device: str | None = option(None, "Device in the hand; default: that of MEDIUM.")
-    trace: Path | None = option(None, "Where a hand was: t_s,x_m,y_m,z_m, as a play's --log.")
+    trace: Path | None = option(None, "Positions of a hand: t_s,x_m,y_m,z_m, as of play --log.")
 
     def __post_init__(self) -> None:
         require_kinds(self)
@@ -285,9 +288,7 @@ class ReductionSpec:
 
 @dataclass(frozen=True)
 class Motion:
-    """Frames of an animated model that become tracks, first and behind the last, and the one that a stream
-    shows.
-    """
+    """The animation of a model that becomes tracks, and the frame that a stream shows."""
 
     model: str | Path
     animation: str | None = option(None, "Name or number of MODEL's animation; default: the first.")

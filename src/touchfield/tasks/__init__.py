@@ -1,6 +1,4 @@
-"""Tasks: the function behind each command that is more than one step of the pipeline, a module for each
-group.
-"""
+"""Tasks: the functions behind the commands that are more than one step of the pipeline, by group."""
 
 from typing import TYPE_CHECKING
 

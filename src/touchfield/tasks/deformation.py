@@ -1,4 +1,4 @@
-"""A deformation for a stream: tracks of a model that it shows at rest, or a lattice that yields (paper 6.3)."""
+"""Deformation of a stream: the tracks of an animated model, or a lattice that yields to force (paper 6.3)."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from touchfield.pipeline.result import Result
 from touchfield.pipeline.spec import Motion
 from touchfield.sources.animation.animated_mesh import AnimatedMeshScene
 
-_MARGIN: Final = 0.05  # of the lattice beyond what it bends, of its longest side
-_BEHIND: Final = 2.0  # mean spacings below the surface, where a second layer of points is held
+_MARGIN: Final = 0.05  # margin of the lattice around the body, as a fraction of its longest side
+_LAYER_SPACINGS: Final = 2.0  # depth of a second layer of points below the surface, in mean spacings
 
 
 def lattice_of(low_m: Float64s, high_m: Float64s, controls: int, **yields: float) -> Deformation:
@@ -27,10 +27,8 @@ def lattice_of(low_m: Float64s, high_m: Float64s, controls: int, **yields: float
     return Deformation.at_rest(low_m - margin, high_m + margin, controls, **yields)
 
 
-def body_points_m(scene: AnimatedMeshScene, frame: int, behind_m: float) -> Float64s:
-    """Vertices of a frame, and as many so far behind them, along the normals: what moves with the skin, [n,
-    3].
-    """
+def body_points_m(scene: AnimatedMeshScene, frame: int, depth_m: float) -> Float64s:
+    """Vertices of a frame, and as many points at a depth below them along the normals, [n, 3]."""
     vertices, triangles = scene.vertices_m(frame), scene.surface(frame).triangles
     a, b, c = (vertices[triangles[:, n]] for n in range(3))
     faces, normals = np.cross(b - a, c - a), np.zeros_like(vertices)
@@ -38,7 +36,7 @@ def body_points_m(scene: AnimatedMeshScene, frame: int, behind_m: float) -> Floa
         np.add.at(normals, triangles[:, n], faces)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
     used = np.unique(triangles)
-    return np.concatenate([vertices[used], (vertices - behind_m * normals)[used]])
+    return np.concatenate([vertices[used], (vertices - depth_m * normals)[used]])
 
 
 def tracks_of(
@@ -51,59 +49,62 @@ def tracks_of(
     relax_s: float = 0.05,
     report: Report = silent,
 ) -> Result:
-    """Write the deformation of a stream: the motion of a model, which it shows at rest, and what it yields.
+    """Write the deformation of a stream: the motion of a model that it shows at rest, and its compliance.
 
-    What moves far from rest folds: a long motion is stretches, each with a rest of its own. Without a motion
-    the lattice lies over what holds a force in the first frame. InvalidArgument if neither a model nor a
-    compliance is given, or the stream holds objects; SourceError if the model has no animation.
+    A motion far from rest folds the lattice; divide a long motion into parts with a rest frame each. Without
+    a motion the lattice covers the samples with a force of the first frame. InvalidArgument if neither a
+    model nor a compliance is given, or the stream has objects; SourceError if the model has no animation.
     """
     require_ending(out, "DEFORMATION.npz")
     if motion is None and not compliance_m_per_n:
-        mend = "Name MODEL.glb, or --yield-m-per-n."
-        raise InvalidArgument("deform", "no model and no compliance", "one of both", mend)
+        hint = "Name MODEL.glb, or --yield-m-per-n."
+        raise InvalidArgument("deform", "no model and no compliance", "one of both", hint)
     with open_stream(stream) as opened:
         if opened.scene is not None:
-            mend = "Encode it with --representation voxel."
-            raise InvalidArgument(str(stream), "a stream of objects", "one of voxels", mend)
+            hint = "Encode it with --representation voxel."
+            raise InvalidArgument(str(stream), "a stream of objects", "one of voxels", hint)
         first, placement = opened.medium[0], opened.placement
     spacing = np.asarray(first.grid.spacing_m)
     if motion is None:
-        at = np.asarray(first.grid.origin_m) + first.positions() * spacing
-        if not len(at):
+        positions_m = np.asarray(first.grid.origin_m) + first.positions() * spacing
+        if not len(positions_m):
             raise InvalidArgument(str(stream), "a first frame without any force", "one that can be felt")
         yields = {"compliance_m_per_n": compliance_m_per_n, "relax_s": relax_s}
-        bend, rms = lattice_of(at.min(axis=0), at.max(axis=0), controls, **yields), 0.0
+        deformation, rms = (
+            lattice_of(positions_m.min(axis=0), positions_m.max(axis=0), controls, **yields),
+            0.0,
+        )
     else:
         scene = AnimatedMeshScene(Path(motion.model), motion.animation, rate_hz=motion.rate_hz)
-        behind = _BEHIND * float(spacing.mean()) / opened.reader.head.mapping_scale
+        depth = _LAYER_SPACINGS * float(spacing.mean()) / opened.reader.head.mapping_scale
 
         def points(frame: int) -> Float64s:
-            return np.asarray(placement.to_hand(body_points_m(scene, frame, behind)))
+            return np.asarray(placement.to_hand(body_points_m(scene, frame, depth)))
 
         first_frame, stop = motion.frames or (0, None)
-        taken = range(scene.frame_count)[first_frame:stop]
-        if not taken:
+        indices = range(scene.frame_count)[first_frame:stop]
+        if not indices:
             raise InvalidArgument(
                 "frames", f"{first_frame}:{stop}", f"some of the model's {scene.frame_count}"
             )
-        looks = np.concatenate(
-            [points(taken[n]) for n in np.unique(np.linspace(0, len(taken) - 1, 16).astype(int))]
+        sampled = np.concatenate(
+            [points(indices[n]) for n in np.unique(np.linspace(0, len(indices) - 1, 16).astype(int))]
         )
-        lattice = lattice_of(looks.min(axis=0), looks.max(axis=0), controls)
-        rest = points(taken[0] if motion.rest_frame is None else motion.rest_frame)
-        bend, rms = fitted(
-            rest, map(points, taken), lattice, motion.rate_hz, lambda done: report(done, len(taken))
+        lattice = lattice_of(sampled.min(axis=0), sampled.max(axis=0), controls)
+        rest = points(indices[0] if motion.rest_frame is None else motion.rest_frame)
+        deformation, rms = fitted(
+            rest, map(points, indices), lattice, motion.rate_hz, lambda done: report(done, len(indices))
         )
-        bend = replace(bend, compliance_m_per_n=compliance_m_per_n, relax_s=relax_s)
-    bend.write(out)
+        deformation = replace(deformation, compliance_m_per_n=compliance_m_per_n, relax_s=relax_s)
+    deformation.write(out)
     size = Path(out).stat().st_size
     figures = {
-        "frames": len(bend),
-        "control_points": list(bend.displacement_m.shape[1:4]),
+        "frames": len(deformation),
+        "control_points": list(deformation.displacement_m.shape[1:4]),
         "rms_mm": 1e3 * rms,  # distance of the points of the surface from where the model has them
-        "least_determinant": bend.least_determinant()[0],
-        "compliance_m_per_n": bend.compliance_m_per_n,
+        "least_determinant": deformation.min_determinant()[0],
+        "compliance_m_per_n": deformation.compliance_m_per_n,
         "file_bytes": size,
-        "bytes_per_frame": size / len(bend),
+        "bytes_per_frame": size / len(deformation),
     }
     return Result({"file": str(out), **figures})

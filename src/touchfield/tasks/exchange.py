@@ -1,14 +1,14 @@
-"""Streams into the formats of others, and effects of others into streams (paper figure 1: symbolic media).
+"""Export of streams to other formats, and import of effects (paper figure 1: symbolic media).
 
-stream -> array of actuators -> drives -> .hjif, .tact, .wav, .haptic, .ahap     `export`
-stream + trajectory of a probe -> force over time -> .hjif, .wav                 `export`
+stream -> array of actuators -> drives -> .hjif, .tact, .wav, .haptic, .ahap      `export`
+stream + trajectory of a probe -> force over time -> .hjif, .wav                  `export`
 stream -> the page in the browser -> .html                                        `export`
-.hjif, .hmpg, .ahap -> drives -> symbolic medium -> stream   `import_effect`
+.hjif, .hmpg, .ahap -> drives -> symbolic medium -> stream                        `import_effect`
 
-The force over time is that of the field where the probe is, at every tick of the file, a thousand a second
-(fewer beyond 65 s), the probe going straight from one sample to the next and waiting at the first. What the
-receiver adds, friction, damping and its device's limits, depends on the hand: only what exceeds the peak is
-shortened to it.
+The force over time is that of the field at the probe, at every tick of the file, a thousand per second
+(fewer beyond 65 s). The probe moves in a straight line from one sample to the next, and waits at the first.
+Friction, damping and device limits, which the receiver adds, depend on the hand; only a force above the peak
+is clipped to it.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ from touchfield.filters.device_filter import device_grid
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace, read_trace
 from touchfield.pipeline.array_medium import PANELS, array_drives, stream_device
 from touchfield.pipeline.decoding import FILTERED, OpenStream, open_stream
-from touchfield.pipeline.encoding import Encoded, encode_prepared, provenance_of
-from touchfield.pipeline.preparation import KeptScene, Source, prepare
+from touchfield.pipeline.encoding import Encoded, encode_prepared, file_provenance
+from touchfield.pipeline.preparation import FixedLatticeScene, Source, prepare
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.sampler import FieldSampler
 from touchfield.tasks.view import view
 
 EXPORTS: Final = (".hjif", ".tact", ".wav", ".haptic", ".ahap", ".html")
-_FORCES: Final = (".hjif", ".wav")  # of these, what holds a force over time
+_FORCES: Final = (".hjif", ".wav")  # the formats of a force over time
 IMPORTS: Final = (".hjif", ".hmpg", ".ahap")
-_MOST_SAMPLES: Final = 1 << 23
+_MAX_SAMPLES: Final = 1 << 23
 _VEST: Final = "tactsuit-x40"
 
 
@@ -71,16 +71,16 @@ def export(
     full_scale_n: float = 1.0,
     against: Source | None = None,
 ) -> Result:
-    """Write a stream in another format, by the ending of `out`.
+    """Write a stream in another format, chosen by the ending of `out`.
 
     ``.hjif`` (ISO/IEC 23090-31) and ``.wav`` (a channel an actuator) hold the drives of an array, or with
     `trajectory`, where the probe is over time (`touchfield.medium.trace.read_trace`), a force over time;
     ``.tact`` is for a vest of bHaptics; ``.haptic`` (Meta) and ``.ahap`` (Apple) have one track; ``.html`` is
-    the page, with the stream within. `device_name` is a profile, of an array or with `trajectory` of a point:
-    by default the device that the stream was made for, and for ``.tact`` a TactSuit X40 where it was made for
-    another. `panel` is that of an array, "front" or "back"; `against`, of the page, what was encoded;
-    `full_scale_n`, of a force as ``.hjif``, are the newtons that are told as 1; 1 tells newtons.
-    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
+    the page that contains the stream. `device_name` is the profile of an array, or with `trajectory` of a
+    point: by default the device that the stream was made for, and for ``.tact`` a TactSuit X40 if that is no
+    vest. `panel` is that of an array, "front" or "back". `against` is the source to show in the page.
+    `full_scale_n` is the force in newtons that ``.hjif`` has as 1; with 1 the values are newtons.
+    Raises TouchfieldError; no file `out` is then left.
     """
     path = Path(out)
     kind = path.suffix.lower()
@@ -98,7 +98,7 @@ def export(
             page.save(path)
             figures = {"frames": head.frame_count}
             figures |= {key: page.figures[key] for key in ("source_bytes",) if key in page.figures}
-            return _exported(path, head.device_name, head.frame_count / head.rate_hz, figures)
+            return _export_result(path, head.device_name, head.frame_count / head.rate_hz, figures)
         if trajectory is not None:
             return _export_force(opened, path, kind, device_name, trajectory, full_scale_n)
         return _export_array(opened, path, kind, device_name, panel, report)
@@ -112,17 +112,16 @@ def import_effect(
     force_max_n: float | None = None,
     report: Report = silent,
 ) -> Encoded:
-    """Turn an effect of others into a ``.touch`` file: a symbolic medium for an array of actuators.
+    """Import an effect as a ``.touch`` file: a symbolic medium for an array of actuators.
 
-    A stream keeps a drive as exactly as its coder is asked to keep the force, and beside it the frequency in
-    whole hertz with the drive to within a ninth (`touchfield.codec.vibration`); what is shown is the greater
-    of the two. `source` is ``.hjif``, ``.hmpg`` (its binary form) or ``.ahap``; of `spec` are taken the
-    coder, its haptic filters, frames and vibration in place of the effect's own; the device is that of the
-    effect. `rate_hz` are the frames a second, and `force_max_n` the force that a full drive stands for: None
-    takes what the file tells, or else 3.3 N. TouchfieldError if anything is at fault; nothing is then left
-    under the name `out`.
+    A stream has the drive as a force, within the error bound of its coder, and as a vibration with the
+    frequency in whole hertz and the drive to within a ninth (`touchfield.codec.vibration`); a receiver
+    renders the greater of the two. `source` is ``.hjif``, ``.hmpg`` (its binary form) or ``.ahap``. Of `spec`
+    the coder, haptic filters, frames and vibration are used; the device is that of the effect. `rate_hz` is
+    the number of frames per second, and `force_max_n` the force of a full drive: None is that of the file,
+    or else 3.3 N. Raises TouchfieldError; no file `out` is then left.
     """
-    asked = spec or EncodeSpec()
+    options = spec or EncodeSpec()
     if force_max_n is not None and not 0 < force_max_n <= 1e6:
         raise InvalidArgument("force_max_n", repr(force_max_n), "newtons above 0, up to a million")
     kind = Path(source).suffix.lower()
@@ -130,14 +129,19 @@ def import_effect(
     require_ending(out, "OUT.touch")
     pattern = (read_ahap if kind == ".ahap" else read_hjif_array)(source, rate_hz)
     full_n = pattern.force_max_n if force_max_n is None else force_max_n
-    own = effect_device(pattern.effect.lattice, pattern.device_name, full_n)
-    symbolic = effect_medium(pattern.effect, device_grid(own), own.force_max_n, {"format": kind[1:]})
-    prepared = prepare(KeptScene(symbolic, own, pattern.notes), replace(asked, device=own.name, nw=None))
+    effect_profile = effect_device(pattern.effect.lattice, pattern.device_name, full_n)
+    symbolic = effect_medium(
+        pattern.effect, device_grid(effect_profile), effect_profile.force_max_n, {"format": kind[1:]}
+    )
+    prepared = prepare(
+        FixedLatticeScene(symbolic, effect_profile, pattern.notes),
+        replace(options, device=effect_profile.name, nw=None),
+    )
     prepared = replace(prepared, reference=FILTERED)
-    return encode_prepared(prepared, out, provenance_of(source, prepared), report)
+    return encode_prepared(prepared, out, file_provenance(source, prepared), report)
 
 
-def _exported(
+def _export_result(
     path: Path, device_name: str, seconds: float, figures: dict[str, Any], notes: tuple[str, ...] = ()
 ) -> Result:
     size = path.stat().st_size
@@ -148,23 +152,23 @@ def _export_array(
     stream: OpenStream, path: Path, kind: str, device_name: str | None, panel: str, report: Report
 ) -> Result:
     require_one_of("panel", panel, PANELS)
-    chosen = _array(stream, kind, device_name)
-    # a back that the profile does not count is a front worn behind
-    drives = array_drives(stream, chosen, panel if chosen.panels > 1 else PANELS[0])
-    columns, rows, _ = chosen.lattice
+    target = _target_array(stream, kind, device_name)
+    # the back of a profile with one panel is its front, worn on the back
+    drives = array_drives(stream, target, panel if target.panels > 1 else PANELS[0])
+    columns, rows, _ = target.lattice
     checked_frames("stream", len(drives), columns * rows, MAX_MEDIUM_VALUES)
-    nth = PANELS.index(panel) if chosen.panels > 1 else 0
-    shown, hertz = np.zeros((len(drives), rows, columns), np.float32), None
+    panel_index = PANELS.index(panel) if target.panels > 1 else 0
+    drive_frames, frequency_frames = np.zeros((len(drives), rows, columns), np.float32), None
     for i in range(len(drives)):
-        shown[i] = drives.drives(i)[nth]
-        own = drives.frequencies(i)
-        if own is not None:
-            hertz = np.zeros_like(shown) if hertz is None else hertz
-            hertz[i] = own[nth]
+        drive_frames[i] = drives.drives(i)[panel_index]
+        frequencies = drives.frequencies(i)
+        if frequencies is not None:
+            frequency_frames = np.zeros_like(drive_frames) if frequency_frames is None else frequency_frames
+            frequency_frames[i] = frequencies[panel_index]
         report(i + 1, len(drives))
-    effect = ArrayEffect(drives.rate_hz, shown, hertz)
+    effect = ArrayEffect(drives.rate_hz, drive_frames, frequency_frames)
     notes: tuple[str, ...] = ()
-    title = f"{Path(stream.reader.provenance.get('source', '')).name or 'a stream'} for {chosen.name}"
+    title = f"{Path(stream.reader.provenance.get('source', '')).name or 'a stream'} for {target.name}"
     if kind == ".tact":
         write_tact(path, effect, panel=panel)
         if effect.frequencies_hz is not None:
@@ -172,7 +176,7 @@ def _export_array(
     elif kind == ".wav":
         notes = write_wav_array(path, effect)
     elif kind == ".hjif":
-        write_hjif_array(path, effect, chosen.name, panel=panel, description=title)
+        write_hjif_array(path, effect, target.name, panel=panel, description=title)
     else:
         notes = (write_ahap if kind == ".ahap" else write_haptic)(path, effect, path.stem, title)
     figures = {
@@ -182,35 +186,35 @@ def _export_array(
         "frames": len(effect),
         "rate_hz": effect.rate_hz,
     }
-    if "height" in (chosen.shows, stream_device(stream).shows):
+    if "height" in (target.shows, stream_device(stream).shows):
         notes = (
             *notes,
             f"{kind} knows no pins: who reads it takes the heights of a pin display for vibration.",
         )
     if not effect.drives.any():
-        notes = (*notes, "Nothing can be felt: no actuator is driven.")
-    return _exported(path, chosen.name, len(effect) / effect.rate_hz, figures, notes)
+        notes = (*notes, "The result is empty: no actuator is driven.")
+    return _export_result(path, target.name, len(effect) / effect.rate_hz, figures, notes)
 
 
-def _array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
-    """The array that was asked for; else the stream's own; of a vest else the usual one."""
+def _target_array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
+    """The requested array; else that of the stream; for a vest else the default vest."""
     if device_name is not None:
         return device(device_name)
     head = stream.reader.head
     columns, rows, depth = head.grid_shape
-    own = (
+    stream_array = (
         effect_device((columns, rows, depth), head.device_name, head.force_max_n)
         if head.device_type == 2
         else None
     )
     if kind == ".tact":
-        return own if own is not None and fits_vest(own.lattice) else device(_VEST)
-    if own is None:
-        mend = "Name an array with --device, or a trajectory for the force along it."
+        return stream_array if stream_array is not None and fits_vest(stream_array.lattice) else device(_VEST)
+    if stream_array is None:
+        hint = "Name an array with --device, or a trajectory for the force along it."
         raise InvalidArgument(
-            "device", f"a stream for {head.device_name}, a point", "an array of actuators", mend
+            "device", f"a stream for {head.device_name}, a point", "an array of actuators", hint
         )
-    return own
+    return stream_array
 
 
 def _export_force(
@@ -224,18 +228,18 @@ def _export_force(
     head = stream.reader.head
     name, peak_n = head.device_name, head.force_max_n
     if device_name is not None:
-        chosen = device(device_name)
-        if chosen.is_array:
-            raise InvalidArgument("device", f"{chosen.name}, an array", "a point (type 1) with a trajectory")
-        name, peak_n = chosen.name, chosen.force_max_n
+        target = device(device_name)
+        if target.is_array:
+            raise InvalidArgument("device", f"{target.name}, an array", "a point (type 1) with a trajectory")
+        name, peak_n = target.name, target.force_max_n
     trace = read_trace(trajectory)
     timescale = WAV_RATE_HZ if kind == ".wav" else _ticks_per_second(trace)
-    if trace.times_s[-1] * timescale > _MOST_SAMPLES:
-        most = f"at most {_MOST_SAMPLES / timescale:g} s"
-        raise InvalidArgument("trajectory", f"{trace.times_s[-1]:g} s", most, "Cut it.")
+    if trace.times_s[-1] * timescale > _MAX_SAMPLES:
+        limit = f"at most {_MAX_SAMPLES / timescale:g} s"
+        raise InvalidArgument("trajectory", f"{trace.times_s[-1]:g} s", limit, "Cut it.")
     times_s = np.arange(max(1, math.floor(trace.times_s[-1] * timescale + 1e-6) + 1)) / timescale
-    places_m = np.stack([np.interp(times_s, trace.times_s, of) for of in trace.positions_m.T], axis=1)
-    field_n = FieldSampler(stream.scene or stream.medium).force_n(times_s, places_m).astype(np.float64)
+    positions_m = np.stack([np.interp(times_s, trace.times_s, of) for of in trace.positions_m.T], axis=1)
+    field_n = FieldSampler(stream.scene or stream.medium).force_n(times_s, positions_m).astype(np.float64)
     magnitude_n = np.linalg.norm(field_n, axis=1, keepdims=True)
     forces_n = field_n * np.minimum(1, peak_n / np.maximum(magnitude_n, peak_n))
     along_n = float(np.abs(forces_n).max())
@@ -254,20 +258,23 @@ def _export_force(
                 f"{full_scale_n:g} N; --full-scale-n {along_n:.3g} tells shares of that instead.",
             )
     if (magnitude_n > peak_n).any():
-        share = float(np.mean(magnitude_n > peak_n))
-        notes = (f"{100 * share:.3g} % of the samples exceed {peak_n:g} N and are shortened to it.", *notes)
+        fraction = float(np.mean(magnitude_n > peak_n))
+        notes = (
+            f"{100 * fraction:.3g} % of the samples exceed {peak_n:g} N and are clipped to it.",
+            *notes,
+        )
     if not forces_n.any():
-        notes = ("Nothing can be felt: the trajectory meets no force.",)
+        notes = ("The result is empty: the trajectory meets no force.",)
     greatest_n = float(np.linalg.norm(forces_n, axis=1).max())
     figures: dict[str, Any] = {"samples": len(times_s), "ticks_per_second": timescale}
     figures |= {"force_max_n": peak_n, "greatest_n": greatest_n}
-    return _exported(path, name, float(times_s[-1]), figures, notes)
+    return _export_result(path, name, float(times_s[-1]), figures, notes)
 
 
 def _ticks_per_second(trace: Trace) -> int:
-    """A thousand, fewer where so many would not go into one effect."""
+    """A thousand, or fewer if that would not fit into one effect."""
     seconds = float(trace.times_s[-1])
-    wanted = min(round(HAPTIC_RATE_HZ), math.floor(MAX_SPAN_TICKS / max(seconds, 1.0)))
-    if wanted < 1:
+    ticks = min(round(HAPTIC_RATE_HZ), math.floor(MAX_SPAN_TICKS / max(seconds, 1.0)))
+    if ticks < 1:
         raise InvalidArgument("trajectory", f"{seconds:g} s", f"at most {MAX_SPAN_TICKS} s", "Cut it.")
-    return wanted
+    return ticks

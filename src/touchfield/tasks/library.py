@@ -1,8 +1,7 @@
-"""Media beside media (paper section 4): a folder filed and searched, two held side by side, one beside a
-video.
+"""Comparison of media (paper section 4): search of a folder, similarity, correlation with a video.
 
-The file of a library is that of `MediumIndex` with one array more: of each file its size, time and CRC-32,
-and what is wrong with those that cannot be described.
+The file of a library is that of `MediumIndex` with one more array: the size, time and CRC-32 of each file,
+and the fault of those that cannot be described.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from touchfield.atomic import atomic_path
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Report, silent
-from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, blamed_on
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, as_source_error
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, Descriptor, descriptor, part_slots
 from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.measure.retrieval import MediumIndex
@@ -48,17 +47,17 @@ from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import CAMERA_AXES
-from touchfield.tasks.editing import joined
+from touchfield.tasks.editing import match_medium
 
-MOST_BYTES_UNDER_WAY: Final = 1 << 24  # no further file is begun while those under way take more, packed
-SAVE_EVERY_S: Final = 5.0  # so much work at most is lost by a kill; more where saving takes a twentieth of it
+MAX_PENDING_BYTES: Final = 1 << 24  # no further file is started while those in work take more, compressed
+SAVE_EVERY_S: Final = 5.0  # most work that a kill loses; longer if saving takes more than a twentieth of it
 _UNREAD: Final = -1
-_MOST_STATE_BYTES: Final = 1 << 29
+_MAX_STATE_BYTES: Final = 1 << 29
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A file as it was when it was described; `fault` tells why it could not be, "" where it could."""
+    """State of a file when it was described; `fault` is the reason why it could not be, or ""."""
 
     size: int
     mtime_ns: int
@@ -68,20 +67,20 @@ class Entry:
 
 @dataclass
 class Library:
-    """Index of a folder: `entries` of all its files, and the descriptors of those that have one."""
+    """Index of a folder: `entries` of all its files, and `rows`, the descriptors of those that have one."""
 
     entries: dict[str, Entry] = field(default_factory=dict)
     rows: dict[str, Float64s] = field(default_factory=dict)
 
     @classmethod
     def load(cls, path: Path) -> Library:
-        """Read what `save` wrote.
+        """Read a file that `save` wrote.
 
-        SourceError if it is no such file, is damaged, or was made by another version of the descriptor.
+        SourceError if it is another file, is damaged, or has another version of the descriptor.
         """
         index, archive = MediumIndex.load(path), NpzArchive(path)
         where, expected = f"{path}, array files", "what `touchfield index` wrote"
-        if "files" not in archive.names or archive.header("files").data_bytes > _MOST_STATE_BYTES:
+        if "files" not in archive.names or archive.header("files").data_bytes > _MAX_STATE_BYTES:
             raise SourceError(where, "no such array, or one that is too large", expected)
         try:
             rows_by_name: dict[str, Any] = json.loads(archive.read("files").tobytes())
@@ -93,26 +92,26 @@ class Library:
         rows = {name: index[name].values for name in index.names if name in entries}
         return cls(entries, rows)
 
-    def file(self, name: str, entry: Entry, row: Float64s | None) -> None:
-        """Keep a file, and its descriptor if it has one, in place of what was known of it."""
+    def store(self, name: str, entry: Entry, row: Float64s | None) -> None:
+        """Store the entry of a file and its descriptor, if any, in place of the former ones."""
         self.forget(name)
         self.entries[name] = entry
         self.rows |= {} if row is None else {name: row}
 
     def forget(self, name: str) -> None:
-        """Keep nothing of a file."""
+        """Remove a file."""
         self.entries.pop(name, None)
         self.rows.pop(name, None)
 
     def index(self) -> MediumIndex:
-        """The descriptors, to be searched."""
+        """The descriptors as a searchable index."""
         index = MediumIndex()
         for name in sorted(self.rows):
             index.add(name, Descriptor(self.rows[name]))
         return index
 
     def save(self, path: Path) -> None:
-        """Write the library, whole or not at all; equal ones give equal bytes."""
+        """Write the library atomically; equal libraries give equal bytes."""
         entries = {name: astuple(self.entries[name]) for name in sorted(self.entries)}
         with atomic_path(path) as temporary:
             self.index().save(temporary)
@@ -123,11 +122,11 @@ class Library:
 
 
 def library_path(folder: Path, path: Path | None = None) -> Path:
-    """The file of a folder's library: beside it, unless another is named."""
-    whole = folder.resolve()
-    if not whole.is_dir():
+    """The file of a folder's library: `path`, or FOLDER.index.npz next to the folder."""
+    resolved = folder.resolve()
+    if not resolved.is_dir():
         raise InvalidArgument(str(folder), "no folder", "a folder of .touch files")
-    return path or whole.parent / f"{whole.name or 'root'}.index.npz"
+    return path or resolved.parent / f"{resolved.name or 'root'}.index.npz"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,73 +138,79 @@ class Indexed(Result):
 
     @property
     def faults(self) -> dict[str, str]:
-        """Faults of the files that are left out, by name."""
+        """Faults of the files without descriptor, by name."""
         return {name: entry.fault for name, entry in self.library.entries.items() if entry.fault}
 
 
 def index_folder(
     folder: str | Path, path: Path | None = None, report: Report = silent, executor: Executor | None = None
 ) -> Indexed:
-    """File every .touch file of a folder and its folders under its descriptor; only what changed is decoded.
+    """Index every .touch file in a folder and its subfolders by its descriptor; decodes only changed files.
 
-    A file of the same size and time is kept as it is, and one of the same bytes takes over its descriptor,
-    whatever it is called now. What was described is saved every few seconds and after an error, so that the
-    next run goes on. `path` is the file to write, FOLDER.index.npz beside the folder unless another is named;
-    `report` counts files; with `executor` its workers read them. TouchfieldError if there is no such folder,
-    or the file cannot be read or written. A damaged .touch file is told in `faults`.
+    An entry of the same size and time is kept, and a file of the same bytes takes over the descriptor, even
+    under a new name. The library is saved every few seconds and after an error, so that the next run
+    continues. `path` is the file to write, by default FOLDER.index.npz next to the folder. `report` counts
+    files; with `executor` its workers read them. TouchfieldError if there is no such folder, or the file
+    cannot be read or written. Damaged .touch files are in `faults`.
     """
-    began, folder = time.perf_counter(), Path(folder)
+    start_s, folder = time.perf_counter(), Path(folder)
     target = library_path(folder, path)
     before = Library.load(target) if target.exists() else Library()
     files = _files(folder)
-    changed = sorted(name for name, told in files.items() if not _same(before.entries.get(name), told))
+    changed = sorted(
+        name
+        for name, size_and_time in files.items()
+        if not _is_unchanged(before.entries.get(name), size_and_time)
+    )
     checks = {name: _crc(folder / name) for name in changed}
-    known = {(e.size, e.crc): name for name, e in before.entries.items() if e.crc != _UNREAD}
+    names_by_content = {(e.size, e.crc): name for name, e in before.entries.items() if e.crc != _UNREAD}
     twins = {
-        name: known[files[name][0], crc] for name, crc in checks.items() if (files[name][0], crc) in known
+        name: names_by_content[files[name][0], crc]
+        for name, crc in checks.items()
+        if (files[name][0], crc) in names_by_content
     }
-    kept = Library(dict(before.entries), dict(before.rows))
+    library = Library(dict(before.entries), dict(before.rows))
     for name, twin in twins.items():
-        kept.file(name, replace(before.entries[twin], mtime_ns=files[name][1]), before.rows.get(twin))
-    fresh = [name for name in changed if name not in twins]
-    done, saved, pause = len(files) - len(fresh), time.perf_counter(), SAVE_EVERY_S
+        library.store(name, replace(before.entries[twin], mtime_ns=files[name][1]), before.rows.get(twin))
+    new_names = [name for name in changed if name not in twins]
+    done, saved_s, pause_s = len(files) - len(new_names), time.perf_counter(), SAVE_EVERY_S
     report(done, len(files))
     try:
-        whole = folder.resolve()
-        sizes = {whole / name: files[name][0] for name in fresh}
-        results = in_order(described, sizes, sizes.__getitem__, MOST_BYTES_UNDER_WAY, executor)
-        for name, (values, fault) in zip(fresh, results, strict=True):
-            kept.file(name, Entry(*files[name], checks[name], fault), values)
+        resolved = folder.resolve()
+        sizes = {resolved / name: files[name][0] for name in new_names}
+        results = in_order(describe_file, sizes, sizes.__getitem__, MAX_PENDING_BYTES, executor)
+        for name, (values, fault) in zip(new_names, results, strict=True):
+            library.store(name, Entry(*files[name], checks[name], fault), values)
             done += 1
             report(done, len(files))
-            if time.perf_counter() - saved > pause:
+            if time.perf_counter() - saved_s > pause_s:
                 start = time.perf_counter()
-                kept.save(target)
-                saved = time.perf_counter()
-                pause = max(SAVE_EVERY_S, 20 * (saved - start))
+                library.save(target)
+                saved_s = time.perf_counter()
+                pause_s = max(SAVE_EVERY_S, 20 * (saved_s - start))
     except BaseException:
-        kept.save(target)
+        library.save(target)
         raise
-    gone = before.entries.keys() - files.keys()
-    for name in gone:
-        kept.forget(name)
-    if changed or gone or not target.exists():
-        kept.save(target)
-    well = sum(not kept.entries[name].fault for name in fresh)
-    counts = {"described": well, "kept": len(files) - len(fresh), "gone": len(gone)}
-    counts |= {"left_out": sum(bool(entry.fault) for entry in kept.entries.values())}
+    deleted = before.entries.keys() - files.keys()
+    for name in deleted:
+        library.forget(name)
+    if changed or deleted or not target.exists():
+        library.save(target)
+    described_count = sum(not library.entries[name].fault for name in new_names)
+    counts = {"described": described_count, "kept": len(files) - len(new_names), "gone": len(deleted)}
+    counts |= {"left_out": sum(bool(entry.fault) for entry in library.entries.values())}
     figures = {
         "index": str(target),
-        "media": len(kept.rows),
+        "media": len(library.rows),
         **counts,
-        "seconds": time.perf_counter() - began,
+        "seconds": time.perf_counter() - start_s,
     }
     notes = () if files else (f"no .touch file in {folder} or the folders in it",)
-    return Indexed(figures, notes, path=target, library=kept)
+    return Indexed(figures, notes, path=target, library=library)
 
 
-def described(path: Path) -> tuple[Float64s | None, str]:
-    """The descriptor of a file, or what is wrong with it."""
+def describe_file(path: Path) -> tuple[Float64s | None, str]:
+    """The descriptor of a file, or None and its fault."""
     try:
         return descriptor(decode(path)).values, ""
     except (TouchfieldError, OSError, MemoryError) as error:
@@ -220,12 +225,12 @@ def _files(folder: Path) -> dict[str, tuple[int, int]]:
     }
 
 
-def _same(entry: Entry | None, size_and_time: tuple[int, int]) -> bool:
+def _is_unchanged(entry: Entry | None, size_and_time: tuple[int, int]) -> bool:
     return entry is not None and (entry.size, entry.mtime_ns) == size_and_time and entry.crc != _UNREAD
 
 
 def _crc(path: Path) -> int:
-    """CRC-32 of a file's bytes; `_UNREAD` where it cannot be read, which its description then tells."""
+    """CRC-32 of a file's bytes; `_UNREAD` if it cannot be read, which `describe_file` then reports."""
     crc = 0
     try:
         with path.open("rb") as stream:
@@ -243,12 +248,12 @@ def search(
     weights: Mapping[str, float] | None = None,
     path: Path | None = None,
 ) -> Result:
-    """The media of an indexed folder that are most like one, the nearest first; a file is not compared with
-    itself.
+    """Find the media of an indexed folder that are most similar to one, the nearest first.
 
-    `like` is a .touch file, in the folder or not, or a medium; `weights` are those of the parts of the
-    descriptor (`MediumIndex.query`; `touchfield.measure.retrieval.ANY_POSE` for any pose), and `path` is the
-    library's file. TouchfieldError if the folder was not indexed, or `like` cannot be described.
+    `like` is a .touch file, in the folder or not, or a medium; a file is not compared with itself. `weights`
+    are those of the parts of the descriptor (`MediumIndex.query`; `touchfield.measure.retrieval.ANY_POSE` for
+    any pose), and `path` is the library's file. TouchfieldError if the folder was not indexed, or `like`
+    cannot be described.
     """
     folder, target = Path(folder), library_path(Path(folder), path)
     if count < 1:
@@ -259,23 +264,25 @@ def search(
         )
     library = Library.load(target)
     files = _files(folder)
-    stale = sum(not _same(library.entries.get(name), told) for name, told in files.items())
+    stale = sum(
+        not _is_unchanged(library.entries.get(name), size_and_time) for name, size_and_time in files.items()
+    )
     stale += len(library.entries.keys() - files.keys())
     notes = (f"{stale} files changed since: touchfield index {folder}",) if stale else ()
-    own, whole = "", folder.resolve()  # the name of a file in the folder
-    if not isinstance(like, HapticMedium) and Path(like).resolve().is_relative_to(whole):
-        own = Path(like).resolve().relative_to(whole).as_posix()
-    if own in library.rows and _same(library.entries[own], files.get(own, (-1, -1))):
-        entry = Descriptor(library.rows[own])
+    own_name, resolved = "", folder.resolve()  # the name of a file in the folder
+    if not isinstance(like, HapticMedium) and Path(like).resolve().is_relative_to(resolved):
+        own_name = Path(like).resolve().relative_to(resolved).as_posix()
+    if own_name in library.rows and _is_unchanged(library.entries[own_name], files.get(own_name, (-1, -1))):
+        entry = Descriptor(library.rows[own_name])
     else:
         medium = like if isinstance(like, HapticMedium) else decode(like)
-        with blamed_on("" if medium is like else f"{like}, "):
+        with as_source_error("" if medium is like else f"{like}, "):
             entry = descriptor(medium)
     index = library.index()
-    began = time.perf_counter()
-    nearest = index.query(entry, count + (own in library.rows), weights)
-    matches = [match for match in nearest if match.name != own][:count]
-    figures = {"media": len(index), "query_ms": 1e3 * (time.perf_counter() - began)}
+    start_s = time.perf_counter()
+    nearest = index.query(entry, count + (own_name in library.rows), weights)
+    matches = [match for match in nearest if match.name != own_name][:count]
+    figures = {"media": len(index), "query_ms": 1e3 * (time.perf_counter() - start_s)}
     rows = [{"rank": n, "name": m.name, "distance": m.distance} for n, m in enumerate(matches, start=1)]
     return Result({**figures, "matches": rows}, notes)
 
@@ -290,46 +297,45 @@ def similar(
     frames: int = 8,
     report: Report = silent,
 ) -> Result:
-    """How alike two media are: by their symbols where they lie, and by their descriptors wherever they lie.
+    """Measure the similarity of two media: by their symbols at equal positions, and by their descriptors.
 
-    The second is brought onto the lattice and to the rate of the first; ``descriptor_distance`` is as
-    `search` ranks.
-
-    Each is a path, a scene, a medium or a field; `spec` tells how a scene becomes a medium. `quantiser` is Q
-    in words, fitted to both at once, and coarse so that a small error of a coder is none; `over` ("voxel" or
-    "object") is mu of NMI and VI, and `frames` how many of those that both have are compared, evenly spaced.
-    InvalidArgument if one of them has no force, or an option is unknown.
+    The second is brought to the lattice and the rate of the first; ``descriptor_distance`` is the distance by
+    which `search` ranks. Each is a path, a scene, a medium or a field; `spec` has the options by which a
+    scene becomes a medium. `quantiser` is Q as text, fitted to both together, and coarse, so that a small
+    coding error does not count. `over` ("voxel" or "object") is mu of NMI and VI; `frames` is the number of
+    frames to compare, evenly spaced over those that both have. InvalidArgument if one of them has no force,
+    or an option is unknown.
     """
     if frames < 1:
         raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
     prepared = [prepare(source, spec) for source in (first, second)]
-    one, other = (each.medium for each in prepared)
+    first_medium, second_medium = (item.medium for item in prepared)
     values = [np.zeros(DESCRIPTOR_LENGTH)] * 2
-    for n, medium in enumerate((one, other)):
+    for n, medium in enumerate((first_medium, second_medium)):
         values[n] = descriptor(medium, frames).values
         report(n + 1, 3)
-    beside, notes = joined(other, one, name="the second")
-    if spec is not None and spec.asked():
-        notes = (*dict.fromkeys(note for each in prepared for note in each.notes), *notes)
-    count = min(len(one), len(beside))
-    places = evenly_spaced(count, frames)
-    media = [select_frames(m, places) for m in (one, beside)]
+    matched, notes = match_medium(second_medium, first_medium, name="the second")
+    if spec is not None and spec.changed_options():
+        notes = (*dict.fromkeys(note for item in prepared for note in item.notes), *notes)
+    count = min(len(first_medium), len(matched))
+    indices = evenly_spaced(count, frames)
+    media = [select_frames(m, indices) for m in (first_medium, matched)]
     quantise = FieldQuantiserSpec.parse(quantiser).fit(itertools.chain(*media))
-    mine, theirs = (SymbolFrames(m, quantise) for m in media)
+    first_symbols, second_symbols = (SymbolFrames(m, quantise) for m in media)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
         try:
-            measured = similarity(mine, theirs, over)
+            measured = similarity(first_symbols, second_symbols, over)
         except InvalidArgument as error:
             if error.where != "symbols to compress":
                 raise
-            measured = similarity(mine, theirs, over, compressed=False)
+            measured = similarity(first_symbols, second_symbols, over, compressed=False)
             notes = (*notes, f"no NCD: {error}")
     report(3, 3)
     parts = {name: float(np.linalg.norm(values[0][slot] - values[1][slot])) for name, slot in part_slots()}
     distance = math.sqrt(sum(d * d for d in parts.values()))
-    told = {"descriptor_distance": distance, "descriptor_parts": parts, "frames": len(places)}
-    return Result({**measured.summary(), **told}, notes)
+    figures = {"descriptor_distance": distance, "descriptor_parts": parts, "frames": len(indices)}
+    return Result({**measured.summary(), **figures}, notes)
 
 
 def correlate(
@@ -342,16 +348,17 @@ def correlate(
     source_rate_hz: float | None = None,
     report: Report = silent,
 ) -> Result:
-    """I(V;A) of the luma of a video and the |F| behind each pixel, at a few times, each with its test against
-    chance.
+    """Measure I(V;A) of a video's luma and the |F| behind each pixel, at a few times, with a test.
 
-    The picture covers the lattice as one sees it from the front. With `intrinsics` it is that of a camera at
-    the origin of the scene, and |F| is met along the ray of each pixel. `video` is a video, a GIF, a picture
-    or a folder of pictures, `source_rate_hz` its rate where it does not say; `frames` are the times that are
-    looked at, evenly spaced over what both have, `reading` is "first" or "peak"
-    (`touchfield.measure.correlation`), and `intrinsics` are fx, fy, cx, cy, pixels of the video.
-    InvalidArgument or SourceError if a file cannot be read, nothing is felt within the picture, or the camera
-    does not fit the medium.
+    The test is against chance, one for each time.
+
+    The picture covers the lattice as seen from the front. With `intrinsics` it is the picture of a camera at
+    the origin of the scene, and |F| is taken along the ray of each pixel. `video` is a video, a GIF, a
+    picture or a folder of pictures, `source_rate_hz` its rate if it states none. `frames` is the number of
+    times, evenly spaced over the common duration; `reading` is "first" or "peak"
+    (`touchfield.measure.correlation`); `intrinsics` are fx, fy, cx, cy in pixels of the video.
+    InvalidArgument or SourceError if a file cannot be read, the picture meets no force, or the camera does
+    not match the medium.
     """
     if frames < 1:
         raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
@@ -363,10 +370,10 @@ def correlate(
     last = len(medium) - 1
     if pictures.frame_count > 1:
         last = min(last, math.floor((pictures.frame_count - 1) / rate_hz * medium.rate_hz + 1e-9))
-    places = evenly_spaced(last + 1, frames)
+    indices = evenly_spaced(last + 1, frames)
     looks: list[dict[str, Any]] = []
     notes: dict[str, None] = {}
-    for n in places:
+    for n in indices:
         at = min(round(n / medium.rate_hz * rate_hz), pictures.frame_count - 1)
         luma = pictures.values(at).astype(np.float64) @ np.array([0.2126, 0.7152, 0.0722])
         rays = _rays(luma.shape, pictures, medium, opened.placement, intrinsics)
@@ -375,7 +382,7 @@ def correlate(
         mutual = figures.pop("mutual")["value"]
         looks.append({"frame": n, "picture": at, "mutual_bits": mutual, **figures})
         notes |= dict.fromkeys(found.mutual.notes)
-        report(len(looks), len(places))
+        report(len(looks), len(indices))
     return Result({"looks": looks}, tuple(notes))
 
 
@@ -386,15 +393,13 @@ def _rays(
     placement: Placement,
     intrinsics: tuple[float, float, float, float] | None,
 ) -> tuple[Float64s, Float64s]:
-    """Where the ray of each pixel of the reduced picture begins and ends, hand metres: of a camera, or the
-    front.
-    """
+    """Start and end of the ray of each pixel of the reduced picture, in hand metres."""
     height, width = shape
     v, u = np.mgrid[:height, :width] + 0.5
     low, high = (np.asarray(corner) for corner in medium.grid.box_m)
     if intrinsics is None:
         across, ways = [2 * u / width - 1, 1 - 2 * v / height], axes_matrix(BOX_AXES, medium.axes).T
-        front, back = (np.stack([*across, np.full(shape, far)], axis=-1) @ ways for far in (1.0, -1.0))
+        front, back = (np.stack([*across, np.full(shape, side)], axis=-1) @ ways for side in (1.0, -1.0))
         return (low + high + (high - low) * front) / 2, (low + high + (high - low) * back) / 2
     if medium.axes != CAMERA_AXES:
         raise InvalidArgument(
@@ -402,8 +407,8 @@ def _rays(
         )
     fx, fy, cx, cy = intrinsics
     x, y = (u * pictures.size[0] / width - 0.5 - cx) / fx, (v * pictures.size[1] / height - 0.5 - cy) / fy
-    near_m, far_m = (float(placement.to_scene(corner)[2]) for corner in (low, high))
-    if not far_m > 0:
+    first_m, last_m = (float(placement.to_scene(corner)[2]) for corner in (low, high))
+    if not last_m > 0:
         raise InvalidArgument("intrinsics", "a workspace behind the camera", "one before it")
     rays = np.stack([x, y, np.ones_like(x)], axis=-1)
-    return placement.to_hand(max(near_m, 0.0) * rays), placement.to_hand(far_m * rays)
+    return placement.to_hand(max(first_m, 0.0) * rays), placement.to_hand(last_m * rays)

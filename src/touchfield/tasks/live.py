@@ -169,9 +169,8 @@ def broadcast(
         max_rate_hz = 1 / max(clock_s() - start_s, *(lane.warm(frame) for lane in lanes), 1e-9)
         if max_rate_hz < rate_hz:
             hint = "a lower --rate-hz or a smaller --nw keeps up"
-            on_note(
-                f"this machine makes some {max_rate_hz:.2g} frames a second, and the medium has {rate_hz:g}: {hint}"
-            )
+            rates = f"some {max_rate_hz:.2g} frames a second, and the medium has {rate_hz:g}"
+            on_note(f"this machine makes {rates}: {hint}")
         on_start()
         for first, frames, band in _timed_segments(prepared, spec, sent, on_note, clock_s, pause):
             queues = [lane.start_segment(first, band if lane is lanes[0] else []) for lane in lanes]

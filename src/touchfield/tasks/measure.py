@@ -57,14 +57,14 @@ _IN_TIME: Final[tuple[tuple[Callable[..., Quantity], str], ...]] = (
 class Measurement:
     """The result of `measure_medium`.
 
-    `quantiser` is Q as text, `alphabet` is K, the number of its symbols with "no force"; `voxels` counts
-    those of one frame, `supported_voxels` those of all frames after Q. `entropy` is H(S) with the requested weighting,
-    `voxel` over all voxels and `object` over the object alone: of the plug-in estimates H_voxel = h2(p) + p
-    H_object holds exactly. `corrected` is `voxel` with the correction of Miller and Madow: how far the
-    estimate may be trusted at all; `per_frame` is H(W), H_voxel times the voxels of a frame. `in_time` is of
-    a frame and the next, over voxels: H(S_t | S_t-1), I(S_t; S_t-1), normalised, and the variation of
-    information; empty for one frame. `capacities` are by device, `passivity` is of the frame with the largest
-    support, `file_bits` are all of the ``.touch`` file.
+    `quantiser` is Q as text; `alphabet` is K, the number of its symbols with "no force". `voxels` counts
+    those of one frame, `supported_voxels` those of all frames with a force after Q. `entropy` is H(S) with
+    the requested weighting, `voxel` over all voxels and `object` over the object alone: for the plug-in
+    estimates H_voxel = h2(p) + p H_object holds exactly. `corrected` is `voxel` with the correction of Miller
+    and Madow, which shows how reliable the estimate is. `per_frame` is H(W), H_voxel times the voxels of a
+    frame. `in_time` is of consecutive frames, over voxels: H(S_t | S_t-1), I(S_t; S_t-1), normalised, and the
+    variation of information; empty for one frame. `capacities` are by device, `passivity` is that of the
+    frame with the largest support, `file_bits` counts all bits of the ``.touch`` file.
     """
 
     name: str
@@ -252,13 +252,11 @@ def measure_medium(
             on_step()
     energy = passivity(medium[max(sorted(frames.object_counts), key=frames.object_counts.__getitem__)])
     if quantise.text == "distinct" and spec.limits:
-        notes += (
-            f"the limits do not count the table that tells what the {quantise.alphabet - 1:,} vectors are",
-        )
+        notes += (f"the limits do not count the table of the {quantise.alphabet - 1:,} vectors",)
     on_step()
     return Measurement(
-        name, quantise.text, quantise.alphabet, len(medium), medium.grid.voxel_count, supported, entropy_over, voxel,
-        on_object, corrected, per_frame, in_time, limits, capacities, energy, file_bits, notes,
+        name, quantise.text, quantise.alphabet, len(medium), medium.grid.voxel_count, supported, entropy_over,
+        voxel, on_object, corrected, per_frame, in_time, limits, capacities, energy, file_bits, notes,
     )  # fmt: skip
 
 

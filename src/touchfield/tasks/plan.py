@@ -1,10 +1,10 @@
-"""The lattice and the settings of the coders that spend a budget best: min R + lambda D (paper section 4).
+"""Search for the lattice and coder settings that make the best use of a budget: min R + lambda D (section 4).
 
-A medium that moves has a bit rate: R is that of a long stream, from a few pairs of frames that follow each
-other, spread over the scene; the first of a pair tells what a frame alone takes, the second what one that
-follows takes. A still medium is sent once, and has a size in bytes. D is the NMSE on one lattice, that of the
-greatest n_w: a coarser stream is decoded and interpolated there as a receiver does, so that what a coarse
-lattice leaves out counts. The mask is the same for all, whatever k a coder took.
+A moving medium has a bit rate: R is that of a long stream, estimated from a few pairs of consecutive frames
+spread over the scene. The first frame of a pair gives the cost of a frame alone, the second that of a frame
+that follows. A static medium is sent once, and has a size in bytes. D is the NMSE on the lattice of the
+largest n_w: a coarser stream is decoded and interpolated there, as by a receiver, so that the loss of a
+coarse lattice counts. The mask is the same for all settings, whatever k a coder used.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Report, silent
 from touchfield.errors import InvalidArgument, is_finite
-from touchfield.filters.resample import interpolated
+from touchfield.filters.resample import interpolate
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 from touchfield.pipeline.preparation import open_scene, prepare
@@ -42,17 +42,17 @@ _COLOURS: Final = {
 _SHAPES: Final = "os^Dv<>p"
 _SIZE_INCH: Final = (9.5, 5.6)
 _BUDGET: Final = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(?:(bit|kbit|Mbit|B|kB)/s|(B|kB|MB))")
-_PLACES: Final = 3
+_PAIRS: Final = 3
 _SEGMENT_BYTES: Final = 60  # frame, checksum and index entry of a segment
 _FILE_BYTES: Final = 1340  # head, provenance and end of a file, about
-_MASK_KEPT: Final = (
+_MIN_MASK_FRACTION: Final = (
     0.95  # where fewer of the voxels are within the mask, the choice is offered with a word on it
 )
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Bits a second of a medium that moves, or bytes of the whole file, one of both."""
+    """A budget: bits per second of a moving medium, or bytes of the whole file; one of the two."""
 
     bits_per_s: float | None = None
     bytes: float | None = None
@@ -63,13 +63,11 @@ class Budget:
             raise InvalidArgument("budget", repr(self), "bits a second or bytes, one of both, above 0")
 
     def of(self, frames: int, rate_hz: float) -> tuple[float, str]:
-        """The amount and its unit: "bytes" for a single frame, else "bit/s"; of a rate that is what 1 s
-        carries.
-        """
-        is_still = frames == 1
-        seconds = 1.0 if is_still else frames / rate_hz
+        """The amount and its unit: "bytes" for a single frame (of a rate: those of 1 s), else "bit/s"."""
+        is_static = frames == 1
+        seconds = 1.0 if is_static else frames / rate_hz
         size = (self.bits_per_s or 0.0) * seconds / 8 if self.bytes is None else self.bytes
-        return (size, "bytes") if is_still else (self.bits_per_s or 8 * size / seconds, "bit/s")
+        return (size, "bytes") if is_static else (self.bits_per_s or 8 * size / seconds, "bit/s")
 
 
 def parse_budget(text: str) -> Budget:
@@ -110,19 +108,19 @@ class PlanGrid:
 
     @property
     def coarsest(self) -> PlanGrid:
-        """Of these the settings that take least: the coarsest lattice, the weakest promise, the greatest
-        step.
-        """
+        """The cheapest of these settings: the coarsest lattice, the weakest bound, the largest step."""
         greatest = {
             name: (max(axis),) for name in ("k", "step_n", "paper_k") if (axis := getattr(self, name))
         }
         return replace(self, nw=(min(self.nw),), nq=self.nq and (min(self.nq),), **greatest)
 
-    def specs(self, asked: EncodeSpec, share: float = 1.0) -> list[EncodeSpec]:
-        """Every setting on the lattice of `asked`; of coder `touch` with this share of the Weber fractions."""
-        touch = asked.touch
-        masks = [replace(touch, k=k, f0_n=touch.f0_n * k / touch.k) for k in (share * k for k in self.k)]
-        coders = [replace(one, mode=mode) for mode in ("mask", "mask-direction") for one in masks]
+    def specs(self, base: EncodeSpec, fraction: float = 1.0) -> list[EncodeSpec]:
+        """Every setting on the lattice of `base`; of coder `touch` with this share of the Weber fractions."""
+        touch = base.touch
+        masks = [replace(touch, k=k, f0_n=touch.f0_n * k / touch.k) for k in (fraction * k for k in self.k)]
+        coders = [
+            replace(coder_spec, mode=mode) for mode in ("mask", "mask-direction") for coder_spec in masks
+        ]
         coders += [replace(touch, mode="nmse", step_n=step) for step in self.step_n]
         length = touch.segment_frames or PaperSpec().segment_frames
         papers = [
@@ -130,18 +128,18 @@ class PlanGrid:
             for k, nq, d in product(self.paper_k, self.nq, self.directions)
         ]
         return [
-            *(replace(asked, touch=one) for one in coders),
-            *(replace(asked, coder="paper", touch=TouchSpec(), paper=one) for one in papers),
+            *(replace(base, touch=coder_spec) for coder_spec in coders),
+            *(replace(base, coder="paper", touch=TouchSpec(), paper=coder_spec) for coder_spec in papers),
         ]
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One setting, as `touchfield.pipeline.encode` takes it, and what came of it.
+    """One setting, as an argument of `touchfield.pipeline.encode`, and its result.
 
-    `file_bytes` are the file of a still medium, or of a medium that moves a segment of `frames` in a long
-    stream. Measured on the finest lattice are `nmse`, sum |e|^2 / sum |F|^2, and `mask_kept`, the share of
-    the voxels whose error no hand can feel.
+    `file_bytes` is the file of a static medium, or a segment of `frames` in a long stream of a moving one.
+    Measured on the finest lattice are `nmse`, sum |e|^2 / sum |F|^2, and `mask_fraction`, the fraction of the
+    voxels within the mask.
     """
 
     spec: EncodeSpec
@@ -149,7 +147,7 @@ class Trial:
     frames: int
     nmse: float
     rate_hz: float = 1.0
-    mask_kept: float = 1.0
+    mask_fraction: float = 1.0
 
     @property
     def bits_per_frame(self) -> float:
@@ -181,7 +179,7 @@ class Trial:
         return {name: getattr(self.spec.coding, name) for name in names}
 
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs; None for a setting that the coder or its mode has not."""
+        """Stable keys for people and programs; None for a setting that the coder or its mode lacks."""
         return {
             "nw": self.spec.nw,
             "coder": self.spec.coder,
@@ -191,26 +189,28 @@ class Trial:
             "bits_per_frame": self.bits_per_frame,
             "nmse": self.nmse,
             "nmse_db": self.nmse_db if self.nmse > 0 else None,
-            "mask_kept": self.mask_kept,
+            "mask_kept": self.mask_fraction,
         }
 
     @property
     def options(self) -> str:
         """The options of `touchfield encode` for it."""
-        words = [] if self.spec.nw is None else [f"--nw {self.spec.nw}"]
+        options = [] if self.spec.nw is None else [f"--nw {self.spec.nw}"]
         if self.spec.coder == "paper":
-            words.append("--coder paper")
+            options.append("--coder paper")
         for key, value in self.settings.items():
             if value != "mask":
-                words.append(f"--{key.replace('_', '-')} {value if isinstance(value, str) else f'{value:g}'}")
-        return " ".join(words)
+                options.append(
+                    f"--{key.replace('_', '-')} {value if isinstance(value, str) else f'{value:g}'}"
+                )
+        return " ".join(options)
 
 
 @dataclass(frozen=True)
 class Plan:
     """All settings that were tried, in the order of the search, and the best within a budget.
 
-    `k` and `f0_n` are the mask of `Trial.mask_kept`; `unit` is the budget's, "bit/s", or
+    `k` and `f0_n` are the mask of `Trial.mask_fraction`; `unit` is the budget's, "bit/s", or
     "bytes" for a still medium. InvalidArgument if no setting is within the budget; it names the smallest.
     """
 
@@ -224,8 +224,10 @@ class Plan:
 
     def __post_init__(self) -> None:
         if not any(map(self.is_within, self.trials)):
-            least = min(self.trials, key=self.cost)
-            nearest = f"it takes at least {self.cost(least):.0f} {self.unit}, the nearest ({least.options})"
+            cheapest = min(self.trials, key=self.cost)
+            nearest = (
+                f"it takes at least {self.cost(cheapest):.0f} {self.unit}, the nearest ({cheapest.options})"
+            )
             raise InvalidArgument(f"--budget of {self.budget:g} {self.unit} is too small: {nearest}")
 
     def cost(self, trial: Trial) -> float:
@@ -233,13 +235,11 @@ class Plan:
         return trial.bits_per_s if self.unit == "bit/s" else float(trial.file_bytes)
 
     def is_within(self, trial: Trial) -> bool:
-        """True of a trial that keeps to the budget."""
+        """True if a trial is within the budget."""
         return self.cost(trial) <= self.budget
 
     def front(self) -> tuple[Trial, ...]:
-        """Settings that no other beats in both size and NMSE, the smallest first; of equal ones the first
-        tried.
-        """
+        """The Pareto front in size and NMSE, the smallest first; of equal settings the first one tried."""
         front: list[Trial] = []
         for trial in sorted(self.trials, key=lambda t: (t.bits_per_s, t.nmse)):
             if not front or trial.nmse < front[-1].nmse:
@@ -247,30 +247,28 @@ class Plan:
         return tuple(front)
 
     @property
-    def chosen(self) -> Trial:
+    def choice(self) -> Trial:
         """The least NMSE within the budget."""
         return next(t for t in reversed(self.front()) if self.is_within(t))
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """A word on a choice that a hand tells from the source, and on what would keep the mask."""
-        if self.chosen.mask_kept >= _MASK_KEPT:
+        """Notes on a choice outside the mask, and on the cheapest setting within it."""
+        if self.choice.mask_fraction >= _MIN_MASK_FRACTION:
             return ()
-        share = f"only {100 * self.chosen.mask_kept:.3g} % of the voxels are within the mask"
-        note = f"a hand feels the difference: {share}"
-        keeping = [t for t in self.trials if t.mask_kept >= _MASK_KEPT]
+        message = f"only {100 * self.choice.mask_fraction:.3g} % of the voxels are within the mask"
+        note = f"a hand feels the difference: {message}"
+        keeping = [t for t in self.trials if t.mask_fraction >= _MIN_MASK_FRACTION]
         if not keeping:
             return (f"{note}; no setting that was tried keeps it (more --nw, a smaller --k)",)
-        least = min(keeping, key=self.cost)
-        return (f"{note}; {least.options} keeps it, for {amount(self.cost(least), self.unit)}",)
+        cheapest = min(keeping, key=self.cost)
+        return (f"{note}; {cheapest.options} keeps it, for {amount(self.cost(cheapest), self.unit)}",)
 
     @property
     def multiplier(self) -> float | None:
-        """lambda: bits a second (bytes of a still medium) that one unit of NMSE is worth at the choice, if
-        any.
+        """lambda at the choice, bits per second (or bytes) per unit of NMSE; None if undefined.
 
-        The slope of the frontier's convex hull there: with it, R + lambda D is least at both ends of that
-        edge.
+        It is the slope of the front's convex hull: R + lambda D is minimal at both ends of that edge.
         """
 
         def slope(a: Trial, b: Trial) -> float:
@@ -281,12 +279,12 @@ class Plan:
             while len(hull) > 1 and slope(hull[-2], hull[-1]) <= slope(hull[-2], t):
                 hull.pop()
             hull.append(t)
-        at = self.cost(self.chosen)
+        at = self.cost(self.choice)
         edges = [(a, b) for a, b in pairwise(hull) if self.cost(a) <= at <= self.cost(b)]
         return 1 / slope(*edges[-1]) if edges else None
 
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs; of a still medium bytes in place of bits a second."""
+        """Stable keys for people and programs; of a static medium bytes instead of bits per second."""
         is_rate = self.unit == "bit/s"
         return {
             "source": self.source,
@@ -295,16 +293,16 @@ class Plan:
             "k": self.k,
             "f0_n": self.f0_n,
             "lambda_bits_per_s" if is_rate else "lambda_bytes": self.multiplier,
-            "chosen": self.trials.index(self.chosen),
-            "encode_options": self.chosen.options,
+            "chosen": self.trials.index(self.choice),
+            "encode_options": self.choice.options,
             "front": [self.trials.index(t) for t in self.front()],
             "trials": [t.summary() | ({"bits_per_s": t.bits_per_s} if is_rate else {}) for t in self.trials],
         }
 
     def draw(self, path: str | Path) -> None:
         """Write the picture, PNG: NMSE over the cost, the frontier, the budget and the choice."""
-        chosen = self.chosen
-        title = f"{self.source}: {chosen.options} for {amount(self.budget, self.unit)}"
+        choice = self.choice
+        title = f"{self.source}: {choice.options} for {amount(self.budget, self.unit)}"
         figure = titled_figure("the picture of a plan", title, *_SIZE_INCH)
         panel = figure.subplots()
         nws = sorted({t.spec.nw or 0 for t in self.trials})
@@ -315,11 +313,11 @@ class Plan:
         front = [t for t in self.front() if t.nmse > 0]
         panel.plot([self.cost(t) for t in front], [t.nmse_db for t in front], color="black", lw=1, zorder=1)
         panel.axvline(self.budget, color="0.3", lw=1, ls="--", zorder=0)
-        if chosen.nmse > 0:
-            at = self.cost(chosen), chosen.nmse_db
+        if choice.nmse > 0:
+            at = self.cost(choice), choice.nmse_db
             panel.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6)
-            cost = f"{amount(at[0], self.unit)}, {100 * chosen.mask_kept:.1f} % in the mask"
-            panel.annotate(f"{chosen.kind}, {chosen.options}\n{cost}", at, (12, 12), textcoords="offset "
+            cost = f"{amount(at[0], self.unit)}, {100 * choice.mask_fraction:.1f} % in the mask"
+            panel.annotate(f"{choice.kind}, {choice.options}\n{cost}", at, (12, 12), textcoords="offset "
                                                                                                 "points",
                            fontsize=8, parse_math=False)  # fmt: skip
         panel.set_xscale("log")
@@ -346,20 +344,20 @@ def plan(
     report: Report = silent,
     executor: Executor | None = None,
 ) -> Plan:
-    """Code a few frames of a source, as voxels, under every setting, and choose the best within a budget.
+    """Encode a few frames of a source, as voxels, with every setting; choose the best within a budget.
 
-    A number as `budget` is bits a second, words are such as "64kbit/s" (`parse_budget`); `spec` is of coder
-    `touch`: its k and F_0 are the mask that is reported, its effort that of every trial. `report` gets
-    ``(done, total)`` in settings; with `executor` its workers try them. TouchfieldError if a setting is not
-    possible, the frames hold no force, or nothing is within the budget; the message then names what takes
-    least. The settings that take least are tried first, so that this is told soon.
+    `budget` is a number of bits per second, or text such as "64kbit/s" (`parse_budget`). `spec` is of coder
+    `touch`: its k and F_0 are the reported mask, and its effort is that of every trial. `report` gets
+    ``(done, total)`` in settings; with `executor` its workers try them. TouchfieldError if a setting is
+    impossible, the frames have no force, or no setting is within the budget; the message then names the
+    cheapest. The cheapest settings are tried first, so that this is reported early.
     """
     spec, search = spec or EncodeSpec(), search or PlanGrid()
     budget = parse_budget(budget) if isinstance(budget, str) else budget
     budget = budget if isinstance(budget, Budget) else Budget(bits_per_s=budget)
     if spec.coder != "touch":
         raise InvalidArgument("plan", f"coder {spec.coder}", "coder touch; the paper's is tried, too")
-    asked = replace(spec, representation="voxel", touch=replace(spec.touch, mode="mask"))
+    base = replace(spec, representation="voxel", touch=replace(spec.touch, mode="mask"))
     scene = open_scene(source, spec.source)
 
     def searched(grid: PlanGrid, report: Report) -> Plan:
@@ -367,7 +365,7 @@ def plan(
 
         def tries() -> Iterator[tuple[Lattice, EncodeSpec]]:
             nonlocal total, lattice
-            for lattice in _lattices(scene, asked, sorted(grid.nw)):
+            for lattice in _lattices(scene, base, sorted(grid.nw)):
                 # the coarsest lattice alone may miss a thin scene that the finest one has
                 if grid is search and not any(field.support_count for field in lattice.reference):
                     raise InvalidArgument("source of a search", "frames without a force", "a force")
@@ -385,14 +383,12 @@ def plan(
         return Plan(tuple(trials), touch.k, touch.f0_n, amount, str(source), len(lattice.reference), unit)
 
     if search.coarsest != search:
-        searched(search.coarsest, silent)  # refuses what cannot be before a finer lattice is made
+        searched(search.coarsest, silent)  # rejects an impossible budget before a finer lattice is made
     return searched(search, report)
 
 
 class Lattice(NamedTuple):
-    """The frames to try of a medium on one lattice, and the same frames on the finest; it can be sent to a
-    worker.
-    """
+    """The frames to try on one lattice, and the same frames on the finest; can be sent to a worker."""
 
     spec: EncodeSpec
     is_array: bool
@@ -403,30 +399,30 @@ class Lattice(NamedTuple):
 
 
 def _lattices(scene: Scene, base: EncodeSpec, nws: Sequence[int]) -> Iterator[Lattice]:
-    """The lattices of several n_w, each made once; an array has its own alone."""
+    """The lattices of several n_w, each made once; an array has only its own."""
     finest = prepare(scene, replace(base, nw=max(nws)))
     reference = tuple(finest.medium[i] for i in chain.from_iterable(_pairs(len(finest.medium))))
     is_array = finest.device.is_array
     for nw in nws[:1] if is_array else nws:
-        asked = replace(finest.spec, nw=None if is_array else nw)
+        lattice_spec = replace(finest.spec, nw=None if is_array else nw)
         is_finest = nw == max(nws) or is_array
-        medium = finest.medium if is_finest else prepare(scene, asked).medium
+        medium = finest.medium if is_finest else prepare(scene, lattice_spec).medium
         count = len(medium)
         fields = reference if is_finest else tuple(medium[i] for i in chain.from_iterable(_pairs(count)))
-        yield Lattice(asked, is_array, count, medium.rate_hz, fields, reference)
+        yield Lattice(lattice_spec, is_array, count, medium.rate_hz, fields, reference)
 
 
 def _pairs(count: int) -> tuple[tuple[int, ...], ...]:
-    """Frames that follow each other, spread over all: pairs, or the one frame that there is."""
+    """Pairs of consecutive frames, spread over all frames; of a single frame that one."""
     if count == 1:
         return ((0,),)
-    places = min(_PLACES, count // 2)
-    starts = [(2 * i + 1) * (count - 2) // (2 * places) for i in range(places)]
+    pair_count = min(_PAIRS, count // 2)
+    starts = [(2 * i + 1) * (count - 2) // (2 * pair_count) for i in range(pair_count)]
     return tuple((start, start + 1) for start in starts)
 
 
 def _trial(setting: tuple[Lattice, EncodeSpec]) -> Trial:
-    """A setting coded, decoded and measured by the mask of k and F_0 that is asked for."""
+    """Encode and decode with a setting, and measure by the mask of the requested k and F_0."""
     lattice, spec = setting
     grid, fields, reference = lattice.fields[0].grid, iter(lattice.fields), iter(lattice.reference)
     encoder = field_encoder(grid, coder(spec.coder).resolve(spec.coding, lattice.is_array))
@@ -444,14 +440,14 @@ def _trial(setting: tuple[Lattice, EncodeSpec]) -> Trial:
         for field in decoder.frames(coded.body, len(pair)):
             original = next(reference)
             same = field.grid.shape == original.grid.shape
-            meter.add(original, field if same else interpolated(field, original.grid, border="cell"))
+            meter.add(original, field if same else interpolate(field, original.grid, border="cell"))
     size = round(_SEGMENT_BYTES + _FILE_BYTES * length / lattice.frames + bits / 8 / len(pairs))
     nmse = 0.0 if meter.nmse_db is None else 10 ** (meter.nmse_db / 10)
     return Trial(spec, size, length, nmse, lattice.rate_hz, 1 - meter.mask_violation_share)
 
 
 def amount(cost: float, unit: str) -> str:
-    """A cost in words."""
+    """A cost as text."""
     if unit == "bytes":
         return f"{cost:,.0f} bytes"
     size, name = next(((s, n) for s, n in ((1e6, "Mbit/s"), (1e3, "kbit/s")) if cost >= s), (1.0, "bit/s"))

@@ -1,7 +1,7 @@
-"""stream -> decoder -> renderer -> device: the receiver's half of figure 4, and what it left behind.
+"""stream -> decoder -> renderer -> device: the receiver's half of figure 4, and the log of a play.
 
-A point is played by a servo at 1 kHz or more in a process of its own, an array by a thread at its own rate; a
-simulated hand may also be played offline, as fast as the machine goes and with the same forces.
+A point device is driven by a servo at 1 kHz or more in its own process, an array by a thread at its own rate.
+A simulated hand may also be played offline, as fast as the machine runs and with the same forces.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,40 +33,40 @@ from touchfield.render.array_player import ArrayPlayer
 from touchfield.render.block import FLAGS
 from touchfield.render.feeder import FrameSource
 from touchfield.render.offline import run_offline
-from touchfield.render.player import FASTEST, Player
+from touchfield.render.player import MAX_SPEED, Player
 from touchfield.render.spec import RenderSpec
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
-Tell = Callable[[str], None]
+OnNote = Callable[[str], None]
 
 
-_LOOK_S: Final = 0.1
-MOST_NOTHING: Final = (
+_POLL_S: Final = 0.1
+MAX_STALLED_FRACTION: Final = (
     0.01  # of the ticks of a play: where more had nothing, as frames came too late, it has failed
 )
-_LEAST_S: Final = 0.1
-_LONGEST_S: Final = 24 * 3600.0
-_LEAST_PRESS_N: Final = 0.01
-_SHARE_HELD: Final = 0.8  # of the continuous limit, so that friction has room
-_MOST_ROWS: Final = 1 << 22  # 70 minutes at 1 kHz, 1 GB
-_FEW_ROWS: Final = 1 << 16
+_MIN_S: Final = 0.1
+_MAX_S: Final = 24 * 3600.0
+_MIN_PRESS_N: Final = 0.01
+_PRESS_FRACTION: Final = 0.8  # of the continuous limit, so that friction has room
+_MAX_ROWS: Final = 1 << 22  # 70 minutes at 1 kHz, 1 GB
+_DEFAULT_ROWS: Final = 1 << 16
 
 _CHECKED_SEGMENTS: Final = 8
 _LONGEST_CHECK_S: Final = 20.0
-_SPARE: Final = (
+_SPEED_MARGIN: Final = (
     1.2  # so much quicker than needed the decoder must be: the servo wants its share of the processor
 )
 
 
 @dataclass(frozen=True)
 class PlaySpec:
-    """Everything asked of a play; InvalidArgument if a number is out of range.
+    """Options of a play; InvalidArgument if a number is out of range.
 
-    `device` is one of `touchfield.devices.drivers`; `profile` of "sim" is by default that of the stream.
-    `trajectory` and `trace` are of the simulated hand, which else comes, presses, slides and leaves.
-    `seconds` count from the first frame on; None: the trajectory, or else the medium (a single frame, or a
-    loop: until interrupted). `is_logged`: all rows of the log are wanted, else the latest minute; `is_drawn`:
-    a frame is wanted behind a picture.
+    `device` is one of `touchfield.devices.drivers`; the default `profile` of "sim" is that of the stream.
+    `trajectory` and `trace` move the simulated hand, which by default approaches, presses, slides and leaves.
+    `seconds` count from the first frame; None is the length of the trajectory, or of the medium (a single
+    frame, or a loop: until interrupted). `is_logged` keeps all rows of the log instead of the latest minute;
+    `is_drawn` keeps a frame as the background of the picture.
     """
 
     device: str = option(
@@ -79,7 +79,7 @@ class PlaySpec:
     speed: float = option(1.0, "Seconds of the medium in one of yours.")
     loop: bool = option(False, "Begin again at the end.")
     panel: str = option("front", "Of an array with two panels: front or back.")
-    offline: bool = option(False, "sim: no clock, as fast as it goes; the same forces.")
+    offline: bool = option(False, "sim: as fast as the machine runs, without a clock; the same forces.")
     is_logged: bool = False
     is_drawn: bool = False
     render: RenderSpec = field(default_factory=RenderSpec)
@@ -93,17 +93,17 @@ class PlaySpec:
         if self.trace is not None and self.trajectory is not None:
             raise InvalidArgument("--trace and --trajectory say the same in two frames: take one of them")
         if self.seconds is not None:
-            require_up_to(_LONGEST_S, seconds=self.seconds)
+            require_up_to(_MAX_S, seconds=self.seconds)
         require_not_negative(start_s=self.start_s)
-        require_up_to(FASTEST, speed=self.speed)
+        require_up_to(MAX_SPEED, speed=self.speed)
 
 
 @dataclass(frozen=True)
 class Played:
-    """The traces of a play.
+    """The result of a play.
 
-    `statistics` have stable keys; `rows` are of `touchfield.render.block.COLUMNS`, a row a tick, None for an
-    array; `error` is what ended it half way: what was felt until then is here.
+    `statistics` has stable keys; `rows` has a row per tick of `touchfield.render.block.COLUMNS`, None for an
+    array; `error` is the exception that ended the play early, after the rows.
     """
 
     statistics: dict[str, Any]
@@ -114,19 +114,19 @@ class Played:
 
     @property
     def is_starved(self) -> bool:
-        """True where more of it than `MOST_NOTHING` was nothing, because frames came too late."""
-        return bool(self.statistics.get("stalled_share", 0.0) > MOST_NOTHING)
+        """True if more than `MAX_STALLED_FRACTION` of the ticks had no force because frames were late."""
+        return bool(self.statistics.get("stalled_share", 0.0) > MAX_STALLED_FRACTION)
 
     def checked(self) -> Played:
-        """Itself, or the exception that ended it half way, raised."""
+        """Itself; raises the exception that ended the play early."""
         if self.error is not None:
             raise self.error
         return self
 
     def write_log(self, path: Path) -> None:
-        """Write the log as comma-separated text, whole or not at all."""
-        rows = self._felt(self.rows, "log")
-        words = {
+        """Write the log atomically as comma-separated text."""
+        rows = self._point_result(self.rows, "log")
+        flag_text = {
             flags: "+".join(name for name, bit in FLAGS.items() if flags & bit) or "idle"
             for flags in np.unique(rows["flags"]).tolist()
         }
@@ -138,13 +138,13 @@ class Played:
                 for row, buttons, flags in zip(
                     numbers.tolist(), some["buttons"].tolist(), some["flags"].tolist()
                 ):
-                    file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{words[flags]}\n")
+                    file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{flag_text[flags]}\n")
 
     def draw(self, path: Path) -> None:
-        """The picture of the interaction."""
-        draw_interaction(path, self._felt(self.view, "plot"))
+        """Draw the picture of the interaction."""
+        draw_interaction(path, self._point_result(self.view, "plot"))
 
-    def _felt(self, part: Any, option: str) -> Any:
+    def _point_result(self, part: Any, option: str) -> Any:
         if part is None:
             raise _for_points(option)
         return part
@@ -154,18 +154,18 @@ def play(
     path: str | Path,
     spec: PlaySpec | None = None,
     report: Report = silent,
-    tell: Tell = lambda note: None,
-    watch: Callable[[Player], None] = lambda player: None,
+    on_note: OnNote = lambda note: None,
+    on_player: Callable[[Player], None] = lambda player: None,
 ) -> Played:
-    """Play a ``.touch`` file on a device until it is over, `seconds` are, or an interrupt comes.
+    """Play a ``.touch`` file on a device until its end, for `seconds`, or until an interrupt.
 
-    An error half way is in `Played.error`, beside what was felt until then; `tell` gets notes while it plays,
-    `watch` the player of a point device once it is there. InvalidArgument or DeviceError or FormatError if
-    the device is unknown or not there, the trajectory is unusable, or the file or its first frame cannot be
-    read.
+    An error during the play is in `Played.error`, with the rows until then. `on_note` gets notes during the
+    play, `on_player` the player of a point device once it is ready. InvalidArgument, DeviceError or
+    FormatError if the device is unknown or missing, the trajectory is unusable, or the file or its first
+    frame cannot be read.
     """
     spec = spec or PlaySpec()
-    with open_stream(path, tell, spec.coarse) as stream:
+    with open_stream(path, on_note, spec.coarse) as stream:
         count, seconds = (
             stream.reader.head.frame_count,
             stream.reader.head.frame_count / stream.reader.head.rate_hz,
@@ -175,154 +175,194 @@ def play(
                 "start_s", f"{spec.start_s:g} s", f"0 to below {seconds:g} s, the medium's end"
             )
         if is_array_device(spec.device):
-            return _play_array(stream, spec, report, tell)
-        return _play_point(stream, Path(path).name, spec, report, tell, watch)
+            return _play_array(stream, spec, report, on_note)
+        return _play_point(stream, Path(path).name, spec, report, on_note, on_player)
 
 
 def _play_point(
-    stream: OpenStream, name: str, spec: PlaySpec, report: Report, tell: Tell, watch: Callable[[Player], None]
+    stream: OpenStream,
+    name: str,
+    spec: PlaySpec,
+    report: Report,
+    on_note: OnNote,
+    on_player: Callable[[Player], None],
 ) -> Played:
-    field_of: HapticMedium | HapticScene = stream.scene or stream.medium
+    """Play a stream on a point device."""
+    medium_or_scene: HapticMedium | HapticScene = stream.scene or stream.medium
     if stream.reader.head.device_type == 2:
-        mend = (
-            "Play it on an array (bhaptics, osc, pins), or encode the scene for a point (--device "
-            "phantom-omni)."
-        )
-        raise InvalidArgument(
-            name, f"a stream for the array {stream.reader.head.device_name}", "one in space", mend
-        )
-    trajectory = None if spec.trajectory is None else read_trace(spec.trajectory)
-    if spec.trace is not None:
-        recorded = read_trace(spec.trace)
-        trajectory = Trace(recorded.times_s, stream.placement.to_hand(recorded.positions_m))
+        found = f"a stream for the array {stream.reader.head.device_name}"
+        array, point = "(bhaptics, osc, pins)", "(--device phantom-omni)"
+        hint = f"Play it on an array {array}, or encode the scene for a point {point}."
+        raise InvalidArgument(name, found, "one in space", hint)
+    trajectory = _read_trajectory(spec, stream)
     choice = point_device(spec.device, trajectory)
-    named = spec.profile or choice.profile
-    profile = device(named) if named else stream_device(stream)
+    profile_name = spec.profile or choice.profile
+    profile = device(profile_name) if profile_name else stream_device(stream)
     if choice.is_simulated:
-        profile = replace(profile, axes=field_of.axes)
+        profile = replace(profile, axes=medium_or_scene.axes)
         spec = replace(spec, render=replace(spec.render, up="lattice"))  # it moves in the field's own axes
-        trajectory = trajectory or _probe(spec, profile, stream.medium[:1] if stream.is_live else field_of)
+        if not trajectory:
+            trajectory = _probe(spec, profile, stream.medium[:1] if stream.is_live else medium_or_scene)
         choice = point_device(spec.device, trajectory)
     elif spec.offline:
         raise InvalidArgument(f"--offline works with --device sim, not with {choice.name}")
-    seconds = spec.seconds  # None: to the end of the medium, or for ever where it has none
+    seconds = spec.seconds  # None: to the end of the medium, or without limit if it has no end
     if seconds is None and trajectory is not None:
-        seconds = max(float(trajectory.times_s[-1]), _LEAST_S)
+        seconds = max(float(trajectory.times_s[-1]), _MIN_S)
     times: dict[str, Any] = {"loop": spec.loop, "speed": spec.speed, "start_s": spec.start_s}
     if spec.offline:
-        error: Exception | None
-        run = run_offline(
-            field_of, profile, choice.opener, spec.render, seconds=seconds, keeps_error=True, **times
+        offline = run_offline(
+            medium_or_scene, profile, choice.opener, spec.render, seconds=seconds, keeps_error=True, **times
         )
-        rows, notes, error = run.log, run.notes, run.error
-        of_a_clock = "jitter", "lateness"  # that it has not
-        statistics = {key: value for key, value in run.statistics.items() if not key.startswith(of_a_clock)}
+        clock_keys = "jitter", "lateness"  # without a clock they have no meaning
+        statistics = {
+            key: value for key, value in offline.statistics.items() if not key.startswith(clock_keys)
+        }
+        run = _Run(statistics, offline.log, offline.notes, offline.error)
     else:
-        log_rows = _MOST_ROWS if spec.is_logged else _FEW_ROWS
-        player = Player(field_of, profile, choice.opener, spec.render, log_rows=log_rows, **times)
-        watch(player)
-        error = None
-        with player:
-            player.play()
-            try:
-                _wait(player, seconds, report, tell, stream)
-            except Exception as failed:
-                if failed is not player.error:
-                    raise
-                error = failed
-        error = error or player.error
-        statistics, rows, notes = player.statistics(), player.log(), player.notes
-        rows = rows[
-            np.append(np.flatnonzero(rows["flags"]), len(rows))[0] :
-        ].copy()  # from the first that ran
-        rows["time_s"] -= rows["time_s"][:1]
-        if isinstance(error, LiveEnd) and statistics["frames_used"]:
-            notes, error, statistics = (*notes, str(error)), None, _before_end(statistics, rows)
-    friction = spec.render.friction if spec.render.friction is not None else field_of.friction
-    put, touched = np.linalg.norm(rows["force_n"], axis=1), rows["field_force_n"].any(axis=1)
-    figures = {
+        log_rows = _MAX_ROWS if spec.is_logged else _DEFAULT_ROWS
+        player = Player(medium_or_scene, profile, choice.opener, spec.render, log_rows=log_rows, **times)
+        on_player(player)
+        run = _run_player(player, seconds, report, on_note, stream)
+    friction = spec.render.friction if spec.render.friction is not None else medium_or_scene.friction
+    figures = _point_figures(run, spec, profile, friction)
+    if run.error is not None:
+        return Played(figures, run.rows, None, run.notes, run.error)
+    return Played(figures, run.rows, _interaction_view(name, run.rows, spec, profile, stream), run.notes)
+
+
+class _Run(NamedTuple):
+    """What a servo left, with a clock or offline: figures, rows of the log, notes, and its error."""
+
+    statistics: dict[str, Any]
+    rows: NDArray[Any]
+    notes: tuple[str, ...]
+    error: Exception | None
+
+
+def _read_trajectory(spec: PlaySpec, stream: OpenStream) -> Trace | None:
+    """The positions of the simulated hand, hand metres, from a file; None if none is named."""
+    trajectory = None if spec.trajectory is None else read_trace(spec.trajectory)
+    if spec.trace is None:
+        return trajectory
+    recorded = read_trace(spec.trace)
+    return Trace(recorded.times_s, stream.placement.to_hand(recorded.positions_m))
+
+
+def _run_player(
+    player: Player, seconds: float | None, report: Report, on_note: OnNote, stream: OpenStream
+) -> _Run:
+    """Run the servo until the end; the log starts at the first tick that ran."""
+    error: Exception | None = None
+    with player:
+        player.play()
+        try:
+            _wait(player, seconds, report, on_note, stream)
+        except Exception as failed:
+            if failed is not player.error:
+                raise
+            error = failed
+    error = error or player.error
+    statistics, rows, notes = player.statistics(), player.log(), player.notes
+    first = np.append(np.flatnonzero(rows["flags"]), len(rows))[0]
+    rows = rows[first:].copy()
+    rows["time_s"] -= rows["time_s"][:1]
+    if isinstance(error, LiveEnd) and statistics["frames_used"]:
+        return _Run(_before_end(statistics, rows), rows, (*notes, str(error)), None)
+    return _Run(statistics, rows, notes, error)
+
+
+def _point_figures(run: _Run, spec: PlaySpec, profile: Device, friction: float) -> dict[str, Any]:
+    """Stable keys of a play on a point device."""
+    rows = run.rows
+    force_n, has_contact = np.linalg.norm(rows["force_n"], axis=1), rows["field_force_n"].any(axis=1)
+    return {
         "device": spec.device,
         "profile": profile.name,
         "friction": friction,
-        "contact_share": float(touched.mean()) if len(rows) else 0.0,
-        "greatest_force_n": float(put.max(initial=0.0)),
-        "last_force_n": float(put[-1]) if len(rows) else 0.0,
-        **statistics,
+        "contact_share": float(has_contact.mean()) if len(rows) else 0.0,
+        "greatest_force_n": float(force_n.max(initial=0.0)),
+        "last_force_n": float(force_n[-1]) if len(rows) else 0.0,
+        **run.statistics,
     }
-    if error is not None:
-        return Played(figures, rows, None, notes, error)
+
+
+def _interaction_view(
+    name: str, rows: NDArray[Any], spec: PlaySpec, profile: Device, stream: OpenStream
+) -> InteractionView:
+    """The content of the picture of a play."""
     render, medium = spec.render, stream.medium
-    drawn = medium[0 if stream.is_live else len(medium) // 2] if spec.is_drawn else None
-    caption = (
-        f"{spec.device} with the limits of {profile.name}, {len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
-    )
-    peak_n, continuous_n = (
-        render.peak_n or profile.force_max_n,
-        render.continuous_n or profile.force_continuous_n,
-    )
-    view = InteractionView(name, caption, medium.axes, rows, peak_n, continuous_n, drawn)
-    return Played(figures, rows, view, notes)
+    background = medium[0 if stream.is_live else len(medium) // 2] if spec.is_drawn else None
+    ticks = f"{len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
+    caption = f"{spec.device} with the limits of {profile.name}, {ticks}"
+    peak_n = render.peak_n or profile.force_max_n
+    continuous_n = render.continuous_n or profile.force_continuous_n
+    return InteractionView(name, caption, medium.axes, rows, peak_n, continuous_n, background)
 
 
 def _before_end(statistics: dict[str, Any], rows: NDArray[Any]) -> dict[str, Any]:
-    """The statistics without the ticks behind the last frame of a live stream, which nobody missed."""
+    """The statistics without the stalled ticks after the last frame of a live stream."""
     running = np.flatnonzero(rows["flags"] & FLAGS["running"])
-    behind = int(np.count_nonzero(rows["flags"][running[-1] :] & FLAGS["stalled"])) if len(running) else 0
-    stalled, share = statistics["stalled_ticks"], statistics["stalled_share"]
-    if not behind or not share:
+    stalled_after_end = (
+        int(np.count_nonzero(rows["flags"][running[-1] :] & FLAGS["stalled"])) if len(running) else 0
+    )
+    stalled, fraction = statistics["stalled_ticks"], statistics["stalled_share"]
+    if not stalled_after_end or not fraction:
         return statistics
-    left = max(stalled - behind, 0)
-    return {**statistics, "stalled_ticks": left, "stalled_share": left / max(stalled / share - behind, 1)}
+    remaining = max(stalled - stalled_after_end, 0)
+    return {
+        **statistics,
+        "stalled_ticks": remaining,
+        "stalled_share": remaining / max(stalled / fraction - stalled_after_end, 1),
+    }
 
 
 def _probe(spec: PlaySpec, profile: Device, field_of: HapticMedium | HapticScene) -> Trace:
-    """A trajectory for a hand that was given none; it presses no harder than the device can hold for long."""
-    held_n = spec.render.continuous_n or profile.force_continuous_n or math.inf
-    most_n = max(_SHARE_HELD * held_n / max(spec.render.force_scale, 1e-3), _LEAST_PRESS_N)
+    """The default trajectory of a hand; it presses no harder than the device can sustain."""
+    continuous_n = spec.render.continuous_n or profile.force_continuous_n or math.inf
+    max_press_n = max(_PRESS_FRACTION * continuous_n / max(spec.render.force_scale, 1e-3), _MIN_PRESS_N)
     stiffness = STIFFNESS_N_PER_M if spec.device.strip().lower().endswith(":spring") else math.inf
     times = {"start_s": spec.start_s, "speed": spec.speed}
-    return touch_down(field_of, stiffness_n_per_m=stiffness, force_max_n=most_n, **times)
+    return touch_down(field_of, stiffness_n_per_m=stiffness, force_max_n=max_press_n, **times)
 
 
 def _wait(
-    player: Player | ArrayPlayer, seconds: float | None, report: Report, tell: Tell, stream: OpenStream
+    player: Player | ArrayPlayer, seconds: float | None, report: Report, on_note: OnNote, stream: OpenStream
 ) -> None:
-    """Until the time is over, the medium has ended, or the user interrupts: what was felt until then is kept."""
-    ends = math.inf if seconds is None else seconds
-    waited, told = 0.0, set(player.notes)
+    """Wait for the end of the time or of the medium, or for an interrupt; pass on notes and progress."""
+    limit_s = math.inf if seconds is None else seconds
+    waited, reported = 0.0, set(player.notes)
     try:
-        while waited < ends and not player.wait(min(_LOOK_S, ends - waited)):
-            waited += _LOOK_S
+        while waited < limit_s and not player.wait(min(_POLL_S, limit_s - waited)):
+            waited += _POLL_S
             if isinstance(stream, LiveStream) and isinstance(player, Player):
                 stream.keep_up(player)
             for note in player.notes:
-                if note not in told:
-                    told.add(note)
-                    tell(note)
+                if note not in reported:
+                    reported.add(note)
+                    on_note(note)
             if seconds is not None:
                 report(int(waited), math.ceil(seconds))
     except KeyboardInterrupt:
         return
 
 
-def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) -> Played:
+def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, on_note: OnNote) -> Played:
     if spec.offline or spec.trajectory is not None or spec.trace is not None:
         raise _for_points("offline" if spec.offline else "trajectory" if spec.trajectory else "trace")
     if spec.is_logged:
         raise _for_points("log or --plot")
-    own = stream_device(stream)
-    chosen = array_device(spec.device, device(spec.profile) if spec.profile else None, own)
-    if own.is_array and own.name != chosen.profile.name:
-        tell(
-            f"The stream was made for {own.name}, and is shown on {chosen.profile.name}; --profile takes "
-            "another."
-        )
-    drives = array_drives(stream, chosen.profile, spec.panel)
-    with ArrayPlayer(drives, chosen, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:
+    declared = stream_device(stream)
+    driver = array_device(spec.device, device(spec.profile) if spec.profile else None, declared)
+    if declared.is_array and declared.name != driver.profile.name:
+        change = f"for {declared.name}, and is shown on {driver.profile.name}"
+        on_note(f"The stream was made {change}; --profile takes another.")
+    drives = array_drives(stream, driver.profile, spec.panel)
+    with ArrayPlayer(drives, driver, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:
         try:
-            while not player.wait_begun(_LOOK_S):  # preparation is no playing time
+            while not player.wait_started(_POLL_S):  # preparation does not count as playing time
                 pass
-            _wait(player, spec.seconds, report, tell, stream)
+            _wait(player, spec.seconds, report, on_note, stream)
         except (KeyboardInterrupt, LiveEnd):
             pass
     error, figures = player.error, player.statistics()
@@ -330,7 +370,7 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
         raise error
     notes = (*player.notes, *([] if error is None else [str(error)]))
     figures["stalled_share"] = figures["stalled"] / max(figures["sent"], 1)
-    return Played({"device": spec.device, "profile": chosen.profile.name, **figures}, None, None, notes)
+    return Played({"device": spec.device, "profile": driver.profile.name, **figures}, None, None, notes)
 
 
 def _for_points(option: str) -> InvalidArgument:
@@ -340,30 +380,30 @@ def _for_points(option: str) -> InvalidArgument:
 def check_play(
     path: str | Path, speed: float = 1.0, clock_s: Callable[[], float] = perf_counter
 ) -> dict[str, Any]:
-    """Decode up to 8 segments, evenly spread, for at most 20 s, and compare with the time that they last.
+    """Decode up to 8 evenly spaced segments for at most 20 s, and compare with their duration.
 
-    ``greatest_speed`` is the one that can be played in time, and ``can_play`` is of the speed asked for.
+    ``greatest_speed`` is the highest speed that can be played in time; ``can_play`` is for the given speed.
     InvalidArgument if that is not positive, TouchfieldError if the file cannot be read.
     """
-    require_up_to(FASTEST, speed=speed)
+    require_up_to(MAX_SPEED, speed=speed)
     with open_stream(path) as stream:
         source = FrameSource(stream.scene or stream.medium)
         count = source.frame_count
         starts = [*(source.starts or range(0, count, max(1, count // _CHECKED_SEGMENTS)))]
         checked = range(min(_CHECKED_SEGMENTS, len(starts)))
-        chosen = [starts[i * len(starts) // len(checked)] for i in checked]
-        source.prepare(chosen[-1])  # code is loaded or compiled first, and is no part of it
-        begun, frames = clock_s(), 0
-        for first in chosen:
+        checked_starts = [starts[i * len(starts) // len(checked)] for i in checked]
+        source.prepare(checked_starts[-1])  # load or compile code before the time starts
+        start_s, frames = clock_s(), 0
+        for first in checked_starts:
             stop = min((at for at in starts if at > first), default=count)
             for frame in range(first, stop):
-                if frames and clock_s() - begun > _LONGEST_CHECK_S:
+                if frames and clock_s() - start_s > _LONGEST_CHECK_S:
                     break
                 source.prepare(frame)
                 frames += 1
-        took_s = max(clock_s() - begun, 1e-9)
+        took_s = max(clock_s() - start_s, 1e-9)
     needed_hz = source.rate_hz * speed if count > 1 else 0.0
-    greatest = frames / took_s / source.rate_hz / _SPARE
+    greatest = frames / took_s / source.rate_hz / _SPEED_MARGIN
     return {
         "frames_decoded": frames,
         "decode_s": took_s,
@@ -381,10 +421,13 @@ COLUMNS: Final = (
     "qw", "qx", "qy", "qz", "field_torque_x_nm", "field_torque_y_nm", "field_torque_z_nm",
     "torque_x_nm", "torque_y_nm", "torque_z_nm", "gripper_m", "media_s", "buttons", "state",
 )  # fmt: skip
-"""Seconds since the first tick; the hand, the field's force and friction in the field's axes; the force that
-the device got, in its own; how the grip was turned, in the device's axes; the torque of the field and that
-which the device got, likewise; how far the gripper was open; the time of the medium; the buttons (bit n is
-button n); and what was going on, words joined by +."""
+"""Columns of the log.
+
+Seconds since the first tick; position and velocity of the hand, force of the field and friction, in the
+field's axes; the force sent to the device, in the device's axes; orientation of the grip, torque of the
+field and torque sent to the device, in the device's axes; opening of the gripper; time of the medium; buttons
+(bit n is button n); and the state, words joined by +.
+"""
 
 _LOGGED: Final = (
     "time_s", "position_m", "velocity_m_s", "field_force_n", "friction_n", "force_n", "orientation",

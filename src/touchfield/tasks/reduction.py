@@ -1,9 +1,8 @@
-"""A medium in fewer numbers (paper section 6.1): its modes and degrees of freedom; what no hand can feel left
-out.
+"""Reduce a medium to a few modes or points, and remove what no hand can reach (paper section 6.1).
 
 medium -> modes -> error, held-out frames, degrees of freedom, bits; the reduced medium as a file
-medium -> a hand, a device, a trace -> what cannot be reached; the medium without it as a file
-medium -> the fewest points that tell it, by its modes or a field without curl; where to measure next (6.2)
+medium -> a hand, a device, a trace -> unreachable samples; the medium without them as a file
+medium -> the fewest points that determine it, by its modes or a curl-free field; where to measure next (6.2)
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from touchfield.codec.segment import BOUND_KEYS
 from touchfield.compute.threads import Report, silent
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_between
-from touchfield.filters.registry import noted
+from touchfield.filters.registry import add_note
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.interaction import visits
 from touchfield.medium import ForceField, Grid, HapticMedium
@@ -35,12 +34,12 @@ from touchfield.medium.trace import ContactTrace, read_trace
 from touchfield.pipeline.preparation import Prepared
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.spec import EncodeSpec, ReductionSpec
-from touchfield.reduction import Hand, Reduced, freedom, held_out, reach_of, reduced
+from touchfield.reduction import Hand, ReducedMedium, freedom, held_out, reach_of, reduce_to_modes
 from touchfield.reduction.kernel_points import (
     Kernel,
     best_kernel,
     error_points,
-    most_candidates,
+    max_candidates,
     variance_points,
 )
 from touchfield.reduction.modes import ModePoints, mode_points, pod
@@ -49,33 +48,38 @@ from touchfield.sources.recordings.contact_trace import (
     CurlFree,
     recorded_contacts,
     require_contacts,
-    thinned_contacts,
+    thin_contacts,
 )
-from touchfield.tasks.editing import _write, fidelity_of, read_medium
+from touchfield.tasks.editing import fidelity_of, read_medium, write_result
 
-_HAND_KG, _INERTIA_KG = 0.05, 0.045  # as `touchfield.render.spec` has them, the second of the least device
+_HAND_KG, _INERTIA_KG = (
+    0.05,
+    0.045,
+)  # as in `touchfield.render.spec`; the second is that of the lightest device
 _SPEED_M_S: Final = 0.2  # the fastest slide of `touchfield.perception.hand_motion`
-_PUSH_SHARE: Final = 0.25  # of a device's greatest force, where its continuous one is not known
+_PUSH_FRACTION: Final = 0.25  # fraction of a device's largest force, if its continuous force is unknown
 
 
-def hand_of(known: Device, spec: ReductionSpec) -> Hand:
-    """The hand that is asked for, with what a device tells where it is not."""
-    push = known.force_continuous_n or _PUSH_SHARE * known.force_max_n
-    mass = _HAND_KG + (known.inertia_kg or _INERTIA_KG)
-    pairs = (spec.push_n, push), (spec.mass_kg, mass), (spec.speed_m_s, _SPEED_M_S)
-    return Hand(*(own if asked is None else asked for asked, own in pairs))
+def hand_of(device: Device, spec: ReductionSpec) -> Hand:
+    """The requested hand; values that are not given are those of the device."""
+    push = device.force_continuous_n or _PUSH_FRACTION * device.force_max_n
+    mass = _HAND_KG + (device.inertia_kg or _INERTIA_KG)
+    values_and_defaults = (spec.push_n, push), (spec.mass_kg, mass), (spec.speed_m_s, _SPEED_M_S)
+    return Hand(*(default if value is None else value for value, default in values_and_defaults))
 
 
-def culled(medium: HapticMedium, felt: Bools) -> HapticMedium:
-    """The medium with no force but at these samples, bool [nx, ny, nz]; there it keeps its bits."""
+def without_unreachable(medium: HapticMedium, reachable: Bools) -> HapticMedium:
+    """The medium with forces only at `reachable` samples, bool [nx, ny, nz]; these keep their bits."""
 
     def make(i: int) -> ForceField:
         return ForceField.from_dense(
-            medium.grid, np.where(felt[..., None], medium[i].to_dense(), np.float32(0))
+            medium.grid, np.where(reachable[..., None], medium[i].to_dense(), np.float32(0))
         )
 
-    words = noted(medium.provenance, "edits", f"without {np.count_nonzero(~felt)} samples that no hand feels")
-    return replace(medium, make_frame=make, segments=None, provenance=words)
+    provenance = add_note(
+        medium.provenance, "edits", f"without {np.count_nonzero(~reachable)} samples that no hand feels"
+    )
+    return replace(medium, make_frame=make, segments=None, provenance=provenance)
 
 
 def reduce_medium(
@@ -86,23 +90,24 @@ def reduce_medium(
     coder: EncodeSpec | None = None,
     report: Report = silent,
 ) -> Result:
-    """Modes, degrees of freedom and what no hand can feel of a medium; `out` and `cull` are written if named.
+    """Reduce a medium to a few modes; report degrees of freedom, their entropy, and unreachable samples.
 
-    TouchfieldError if anything is at fault; nothing is then left under these names.
+    `out` is the file rebuilt from the modes, `cull` the medium without the unreachable samples; each is
+    written if named. Raises TouchfieldError; neither file is then left.
     """
     spec = spec or ReductionSpec()
     prepared = read_medium(source, coder)
     trace = None if spec.trace is None else read_trace(spec.trace)
-    known = device(spec.device) if spec.device else prepared.device
-    medium, hand = prepared.medium, hand_of(known, spec)
-    approximation, shown = _modes(prepared, spec)
+    target = device(spec.device) if spec.device else prepared.device
+    medium, hand = prepared.medium, hand_of(target, spec)
+    approximation, figures = _modes(prepared, spec)
     reach = reach_of(medium, hand)
-    felt, held = reach.samples, np.zeros(medium.grid.shape, bool)
+    perceptible, supported = reach.samples, np.zeros(medium.grid.shape, bool)
     for frame in medium:
-        held[tuple(frame.positions().T)] = True
-    left_out = {"behind": ~felt}
+        supported[tuple(frame.positions().T)] = True
+    excluded = {"behind": ~perceptible}
     notes: tuple[str, ...] = (
-        f"nothing changes for {hand.words}, if it begins where no force is and stays between the outermost "
+        f"nothing changes for {hand.text}, if it begins where no force is and stays between the outermost "
         "samples",
     )
     if not reach.stopped_n:
@@ -110,52 +115,57 @@ def reduce_medium(
             "nothing is proved to stop such a hand: less push, a lower speed or a finer lattice may help",
         )
     if spec.device:
-        left_out["outside_workspace"] = _outside(medium, known)
-        notes += (f"and, as to what is outside, if it stays in the workspace of {known.name}",)
+        excluded["outside_workspace"] = _outside(medium, target)
+        notes += (f"and, as to what is outside, if it stays in the workspace of {target.name}",)
     if trace is not None:
-        near = np.zeros(felt.shape, bool)
-        near[tuple(visits(trace, medium.grid).places.T)] = True
-        left_out["never_visited"] = ~binary_dilation(near, np.ones((3, 3, 3), bool), iterations=2)
+        visited = np.zeros(perceptible.shape, bool)
+        visited[tuple(visits(trace, medium.grid).indices.T)] = True
+        excluded["never_visited"] = ~binary_dilation(visited, np.ones((3, 3, 3), bool), iterations=2)
         notes += (
             "what the hand of --trace never came near is left out, too: nothing is promised to another",
         )
-    felt = ~np.logical_or.reduce(list(left_out.values()))
-    shown |= {
-        "hand": hand.words,
+    perceptible = ~np.logical_or.reduce(list(excluded.values()))
+    figures |= {
+        "hand": hand.text,
         "stopping_force_n": reach.stopped_n,
-        "supported_samples": int(np.count_nonzero(held)),
-        **{f"{name}_samples": int(np.count_nonzero(held & own)) for name, own in left_out.items()},
-        "felt_samples": int(np.count_nonzero(held & felt)),
+        "supported_samples": int(np.count_nonzero(supported)),
+        **{
+            f"{name}_samples": int(np.count_nonzero(supported & samples))
+            for name, samples in excluded.items()
+        },
+        "felt_samples": int(np.count_nonzero(supported & perceptible)),
     }
     if cull is not None:
-        done = _write(prepared, [source], culled(medium, felt), cull, report)
-        shown |= {"culled_file": str(done.path), "culled_file_bytes": done.path.stat().st_size}
-        shown |= {f"culled_{name}": value for name, value in done.shown.items() if name in BOUND_KEYS}
-        notes += done.notes
+        written = write_result(prepared, [source], without_unreachable(medium, perceptible), cull, report)
+        figures |= {"culled_file": str(written.path), "culled_file_bytes": written.path.stat().st_size}
+        figures |= {f"culled_{name}": value for name, value in written.figures.items() if name in BOUND_KEYS}
+        notes += written.notes
         if prepared.spec.coder != "touch" or prepared.spec.touch.mode != "lossless":
             notes += ("what is left was coded again: --mode lossless keeps its bits",)
     if out is not None:
-        words = noted(
+        provenance = add_note(
             medium.provenance, "edits", f"rebuilt from {approximation.modes.rank} modes, {spec.modes}"
         )
-        rebuilt = replace(medium, make_frame=approximation.field, segments=None, provenance=words)
-        done = _write(prepared, [source], rebuilt, out, report)
-        shown |= {"file": str(done.path), "file_bytes": done.path.stat().st_size}
-        shown |= {name: value for name, value in done.shown.items() if name in BOUND_KEYS}
-        notes += done.notes
-    return Result(shown, notes)
+        rebuilt = replace(medium, make_frame=approximation.field, segments=None, provenance=provenance)
+        written = write_result(prepared, [source], rebuilt, out, report)
+        figures |= {"file": str(written.path), "file_bytes": written.path.stat().st_size}
+        figures |= {name: value for name, value in written.figures.items() if name in BOUND_KEYS}
+        notes += written.notes
+    return Result(figures, notes)
 
 
-def _modes(prepared: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, Any]]:
-    """The modes that are kept, and what they and the held-out frames tell."""
+def _modes(prepared: Prepared, spec: ReductionSpec) -> tuple[ReducedMedium, dict[str, Any]]:
+    """The reduced medium, and the figures of its modes and of the held-out frames."""
     medium = prepared.medium
-    found = reduced(medium, spec.modes, spec.rank)
+    approximation = reduce_to_modes(medium, spec.modes, spec.rank)
     if spec.rank is None:
-        found = replace(found, modes=found.modes.first(max(1, found.modes.rank_for(spec.nmse_db))))
+        approximation = replace(
+            approximation, modes=approximation.modes.first(max(1, approximation.modes.rank_for(spec.nmse_db)))
+        )
     f0_n = prepared.spec.f0_n or EncodeSpec().f0_n
-    modes, free = found.modes, freedom(found, f0_n)
-    meter = fidelity_of(prepared, replace(medium, make_frame=found.field))
-    shown: dict[str, Any] = {
+    modes, degrees = approximation.modes, freedom(approximation, f0_n)
+    meter = fidelity_of(prepared, replace(medium, make_frame=approximation.field))
+    figures: dict[str, Any] = {
         "modes": spec.modes,
         "rank": modes.rank,
         "snapshots": modes.count,
@@ -163,41 +173,41 @@ def _modes(prepared: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, 
         "nmse_db_beforehand": 10 * math.log10(max(modes.tail(modes.rank) / modes.energy, 1e-30)),
         "nmse_db": meter.nmse_db,
         "mask_violation_share": meter.mask_violation_share,
-        "degrees_of_freedom": free.effective,
-        "step_n": free.step_n,
-        "bits_per_coefficient": free.bits,
-        "coefficients_not_zero": free.modes,
+        "degrees_of_freedom": degrees.effective,
+        "step_n": degrees.step_n,
+        "bits_per_coefficient": degrees.bits,
+        "coefficients_not_zero": degrees.modes,
     }
     if len(medium) > 1:
         other = held_out(medium, spec.modes, spec.nmse_db)
-        shown["held_out"] = {name: value for name, value in other._asdict().items() if name != "least_n"}
-    return found, shown
+        figures["held_out"] = {name: value for name, value in other._asdict().items() if name != "min_n"}
+    return approximation, figures
 
 
-def _outside(medium: HapticMedium, known: Device) -> Bools:
-    """Samples that a device's point cannot be at nor beside, bool [nx, ny, nz]."""
-    grid, half_m = medium.grid, np.array(known.physical_mm or known.workspace_mm) / 2000
+def _outside(medium: HapticMedium, device: Device) -> Bools:
+    """Samples that are neither in a device's workspace nor next to it, bool [nx, ny, nz]."""
+    grid, half_m = medium.grid, np.array(device.physical_mm or device.workspace_mm) / 2000
     half_m = np.abs(axes_matrix(BOX_AXES, medium.axes, "lattice")) @ half_m
     inside = [np.abs(grid.axis_m(axis)) <= half_m[axis] + grid.spacing_m[axis] for axis in range(3)]
     outside: Bools = ~(inside[0][:, None, None] & inside[1][:, None] & inside[2])
     return outside
 
 
-MOST_POINTS: Final = 1000
-_LEARNT: Final = 400
-_LATTICE: Final = 8000
+MAX_POINTS: Final = 1000
+_MAX_LEARNT_FRAMES: Final = 400
+_MAX_CANDIDATES: Final = 8000
 _COLUMNS: Final = "x_m,y_m,z_m,fx_n,fy_n,fz_n"
 
 
 @dataclass(frozen=True, kw_only=True)
 class FewestPoints(Result):
-    """Points of a medium or a recording, in the order they were chosen."""
+    """Points of a medium or a recording, in the order of selection."""
 
     points_m: Float64s = field(repr=False)  # [n, 3]
 
 
 class _Domain:
-    """The samples of a medium that ever hold a force."""
+    """The samples of a medium that have a force in any frame."""
 
     def __init__(self, medium: HapticMedium, frames: list[int], where: str) -> None:
         self.grid, keys = medium.grid, np.zeros(0, np.int64)
@@ -213,23 +223,25 @@ class _Domain:
             )
         self.keys = keys
         self.index = np.stack(np.unravel_index(keys, self.grid.shape), axis=1)
-        self.places_m = self.grid.to_m(self.index)
+        self.positions_m = self.grid.to_m(self.index)
 
-    def _keys(self, one: ForceField) -> Int64s:
-        return np.asarray(np.ravel_multi_index(tuple(one.positions().T.astype(np.int64)), self.grid.shape))
+    def _keys(self, field: ForceField) -> Int64s:
+        return np.asarray(np.ravel_multi_index(tuple(field.positions().T.astype(np.int64)), self.grid.shape))
 
-    def forces_n(self, one: ForceField) -> Float32s:
-        """Of a field at the samples, float32 [m, 3]."""
-        own, forces = self._keys(one), np.zeros((len(self.keys), 3), np.float32)
-        at = np.minimum(np.searchsorted(self.keys, own), len(self.keys) - 1)
-        is_here = self.keys[at] == own  # a frame that was not learnt may reach further
-        forces[at[is_here]] = one.vectors_n()[is_here]
+    def forces_n(self, field: ForceField) -> Float32s:
+        """Forces of a field at the samples, float32 [m, 3]."""
+        field_keys, forces = self._keys(field), np.zeros((len(self.keys), 3), np.float32)
+        nearest = np.minimum(np.searchsorted(self.keys, field_keys), len(self.keys) - 1)
+        is_in_domain = (
+            self.keys[nearest] == field_keys
+        )  # a frame that was not used for learning may have others
+        forces[nearest[is_in_domain]] = field.vectors_n()[is_in_domain]
         return forces
 
-    def field(self, forces_n: NDArray[Any], least_n: float) -> ForceField:
-        """The field of forces [m, 3]; those below the threshold of a hand are left out."""
-        felt = lengths_of(forces_n) >= least_n
-        return ForceField.from_support(self.grid, self.index[felt], forces_n[felt])
+    def field(self, forces_n: NDArray[Any], threshold_n: float) -> ForceField:
+        """The field of forces [m, 3], without those below the threshold of a hand."""
+        perceptible = lengths_of(forces_n) >= threshold_n
+        return ForceField.from_support(self.grid, self.index[perceptible], forces_n[perceptible])
 
 
 def fewest_points(
@@ -240,59 +252,65 @@ def fewest_points(
     spec: EncodeSpec | None = None,
     report: Report = silent,
 ) -> FewestPoints:
-    """The points of a medium or a recording of contacts from which all of it is rebuilt best.
+    """Find the `count` points from which a medium or a recording of contacts is rebuilt best.
 
-    `count` is how many, `modes` that of the modes of a medium that moves (`count`, or as many as it has).
-    `out` is the medium rebuilt, OUT.touch, FIELD.npz or FIELD.vti, or the points with their forces, OUT.csv
-    (of a recording only these). `spec` is the coder's and the mask's. TouchfieldError if anything is at
-    fault; nothing is then left under the name `out`.
+    `modes` is the number of modes of a moving medium (default: `count`, or as many as it has). `out` is the
+    rebuilt medium, OUT.touch, FIELD.npz or FIELD.vti, or the points with their forces, OUT.csv (the only form
+    for a recording). `spec` has the coder and the mask. Raises TouchfieldError; no file `out` is then left.
     """
-    require_between(1, MOST_POINTS, points=count)
+    require_between(1, MAX_POINTS, points=count)
     trace = recorded_contacts(Path(source))
     if trace is not None:
         if modes is not None:
             raise InvalidArgument("modes", "a recording", "a medium that moves")
-        return _of_recording(trace, str(source), count, out)
-    given = read_medium(source, spec)
-    frames = evenly_spaced(len(given.medium), _LEARNT)
-    domain = _Domain(given.medium, frames, str(source))
-    middle = domain.forces_n(given.medium[len(given.medium) // 2]).astype(np.float64)
-    if len(given.medium) == 1:
+        return _points_of_recording(trace, str(source), count, out)
+    prepared = read_medium(source, spec)
+    frames = evenly_spaced(len(prepared.medium), _MAX_LEARNT_FRAMES)
+    domain = _Domain(prepared.medium, frames, str(source))
+    middle = domain.forces_n(prepared.medium[len(prepared.medium) // 2]).astype(np.float64)
+    if len(prepared.medium) == 1:
         if modes is not None:
             raise InvalidArgument("modes", "a medium of one frame", "one that moves")
-        chosen, kernel, back = _kept(domain.places_m, middle, count)
-        rebuild: Callable[[ForceField], NDArray[Any]] = lambda one: back  # noqa: E731
-        shown = _words(kernel)
+        indices, kernel, rebuilt_n = _best_points(domain.positions_m, middle, count)
+        rebuild: Callable[[ForceField], NDArray[Any]] = lambda one: rebuilt_n  # noqa: E731
+        criterion = _kernel_figures(kernel)
     else:
-        by_modes = _by_modes(given.medium, domain, frames, count, modes)
-        chosen, rank = by_modes.points, by_modes.modes.rank
+        by_modes = _by_modes(prepared.medium, domain, frames, count, modes)
+        indices, rank = by_modes.points, by_modes.modes.rank
         floor = by_modes.modes.tail(rank) / by_modes.modes.energy
-        shown = {"criterion": "modes", "modes": rank, "floor_db": _db(floor), "bound": by_modes.bound}
+        criterion = {
+            "criterion": "modes",
+            "modes": rank,
+            "floor_db": _decibels(floor),
+            "bound": by_modes.bound,
+        }
 
-        def rebuild(one: ForceField) -> NDArray[Any]:
-            measured = domain.forces_n(one)[chosen].astype(np.float64)
+        def rebuild(field: ForceField) -> NDArray[Any]:
+            measured = domain.forces_n(field)[indices].astype(np.float64)
             return np.asarray(by_modes.modes.rebuild(by_modes.coefficients(measured)).reshape(-1, 3))
 
-    meter = FidelityMeter(given.spec.k, given.spec.f0_n or EncodeSpec().f0_n)
-    words = noted(given.medium.provenance, "edits", f"rebuilt from {count} points")
-    medium = replace(given.medium, vibration=None, segments=None, provenance=words)
-    medium = replace(medium, make_frame=lambda i: domain.field(rebuild(given.medium[i]), meter.f0_n))
+    meter = FidelityMeter(prepared.spec.k, prepared.spec.f0_n or EncodeSpec().f0_n)
+    provenance = add_note(prepared.medium.provenance, "edits", f"rebuilt from {count} points")
+    medium = replace(prepared.medium, vibration=None, segments=None, provenance=provenance)
+    medium = replace(medium, make_frame=lambda i: domain.field(rebuild(prepared.medium[i]), meter.f0_n))
     for n, frame in enumerate(frames):
-        meter.add(given.medium[frame], medium[frame])
+        meter.add(prepared.medium[frame], medium[frame])
         report(n + 1, len(frames))
-    figures = {"points": count, "samples": len(middle), "frames_learnt": len(frames), **shown}
+    figures = {"points": count, "samples": len(middle), "frames_learnt": len(frames), **criterion}
     figures |= {
         name: getattr(meter, name) for name in ("nmse_db", "worst_mask_ratio", "mask_violation_share")
     }
-    done = FewestPoints(figures, points_m=domain.places_m[chosen])
+    result = FewestPoints(figures, points_m=domain.positions_m[indices])
     if out is None or Path(out).suffix == ".csv":
-        return _with_points(done, out, middle[chosen])
-    written = _write(given, [source], medium, out, report)
-    left_out = () if given.medium.vibration is None else ("the vibration is left out",)
-    return replace(done, shown={**figures, **written.shown}, notes=(*written.notes, *left_out))
+        return _with_points(result, out, middle[indices])
+    written = write_result(prepared, [source], medium, out, report)
+    notes = () if prepared.medium.vibration is None else ("the vibration is left out",)
+    return replace(result, figures={**figures, **written.figures}, notes=(*written.notes, *notes))
 
 
-def _of_recording(trace: ContactTrace, source: str, count: int, out: str | Path | None) -> FewestPoints:
+def _points_of_recording(
+    trace: ContactTrace, source: str, count: int, out: str | Path | None
+) -> FewestPoints:
     require_contacts(trace, source)
     if out is not None and Path(out).suffix != ".csv":
         raise InvalidArgument(str(out), "the points of a recording", "OUT.csv, which encode reads")
@@ -300,27 +318,34 @@ def _of_recording(trace: ContactTrace, source: str, count: int, out: str | Path 
         raise InvalidArgument(
             "points", f"{count}", f"at most {len(trace.positions_m)}, the samples of {source}"
         )
-    chosen, kernel, back = _kept(trace.positions_m, trace.forces_n, count)
-    error, whole = ((back - trace.forces_n) ** 2).sum(), (trace.forces_n**2).sum()
-    shown = {"points": count, "samples": len(back), **_words(kernel), "nmse_db": _db(error / whole)}
-    return _with_points(FewestPoints(shown, points_m=trace.positions_m[chosen]), out, trace.forces_n[chosen])
+    indices, kernel, rebuilt_n = _best_points(trace.positions_m, trace.forces_n, count)
+    error, energy = ((rebuilt_n - trace.forces_n) ** 2).sum(), (trace.forces_n**2).sum()
+    figures = {
+        "points": count,
+        "samples": len(rebuilt_n),
+        **_kernel_figures(kernel),
+        "nmse_db": _decibels(error / energy),
+    }
+    return _with_points(
+        FewestPoints(figures, points_m=trace.positions_m[indices]), out, trace.forces_n[indices]
+    )
 
 
-def _kept(points_m: Float64s, forces_n: Float64s, count: int) -> tuple[Int64s, Kernel, Float64s]:
-    """Points of a known field that stands still, the kernel, and the field rebuilt."""
-    some = np.arange(len(points_m))[:: -(-len(points_m) // most_candidates(count))]
-    kernel = best_kernel(points_m[some], forces_n[some], count)
-    chosen = some[error_points(points_m[some], forces_n[some], count, kernel)]
-    through = CurlFree.through(points_m[chosen], forces_n[chosen], kernel.length_m, kernel.noise)
-    return chosen, kernel, through.forces_n(points_m)
+def _best_points(points_m: Float64s, forces_n: Float64s, count: int) -> tuple[Int64s, Kernel, Float64s]:
+    """Best points of a static field, the kernel, and the rebuilt field."""
+    candidates = np.arange(len(points_m))[:: -(-len(points_m) // max_candidates(count))]
+    kernel = best_kernel(points_m[candidates], forces_n[candidates], count)
+    indices = candidates[error_points(points_m[candidates], forces_n[candidates], count, kernel)]
+    interpolant = CurlFree.through(points_m[indices], forces_n[indices], kernel.length_m, kernel.noise)
+    return indices, kernel, interpolant.forces_n(points_m)
 
 
 def _by_modes(
     medium: HapticMedium, domain: _Domain, frames: list[int], count: int, modes: int | None
 ) -> ModePoints:
-    most = min(3 * count, len(frames))
-    if modes is not None and not 1 <= modes <= most:
-        raise InvalidArgument("modes", f"{modes}", f"1 to {most}")
+    max_modes = min(3 * count, len(frames))
+    if modes is not None and not 1 <= modes <= max_modes:
+        raise InvalidArgument("modes", f"{modes}", f"1 to {max_modes}")
     rows = np.empty((len(frames), 3 * len(domain.keys)), np.float32)
     for row, frame in zip(rows, frames, strict=True):
         row[:] = domain.forces_n(medium[frame]).reshape(-1)
@@ -330,65 +355,71 @@ def _by_modes(
 
 
 def next_points(source: str | Path, count: int, measured: str | Path | None = None) -> FewestPoints:
-    """Where a robot or a hand should record next, each place once those before it are recorded.
+    """Find where a robot or a hand should record next, each position given those before it.
 
-    `source` is a recording, whose box is looked through, or a medium, whose felt samples are; `measured` a
-    recording of what is known already (without it, that of the source). `shown["next"]` has a row for each:
-    metres, and the standard deviation of the force there, newtons. TouchfieldError if anything is at fault.
+    The candidates are in the box of `source`, a recording, or at the samples with a force of a medium.
+    `measured` is a recording of the known forces (default: the source). ``figures["next"]`` has a row for
+    each: its position in metres, and the standard deviation of the force there in newtons. Raises
+    TouchfieldError.
     """
-    require_between(1, MOST_POINTS, points=count)
-    known = recorded_contacts(Path(measured or source))
-    if known is None:
-        mend = "Name what was measured: --measured FELT.csv."
+    require_between(1, MAX_POINTS, points=count)
+    recording = recorded_contacts(Path(measured or source))
+    if recording is None:
+        hint = "Name what was measured: --measured FELT.csv."
         raise InvalidArgument(
-            str(measured or source), "no recording of contacts", f"columns {_COLUMNS}", mend
+            str(measured or source), "no recording of contacts", f"columns {_COLUMNS}", hint
         )
-    require_contacts(known, str(measured or source))
-    points_m, forces_n, side_m = thinned_contacts(known.positions_m, known.forces_n)
-    apart_m = KDTree(points_m).query(points_m, k=2)[0][:, 1]
-    interpolant = CurlFree.fitted(points_m, forces_n, max(side_m, float(np.median(apart_m))))
-    own = known if measured is None else recorded_contacts(Path(source))
-    if own is not None:
-        low, high = own.positions_m.min(axis=0), own.positions_m.max(axis=0)
+    require_contacts(recording, str(measured or source))
+    points_m, forces_n, side_m = thin_contacts(recording.positions_m, recording.forces_n)
+    neighbour_m = KDTree(points_m).query(points_m, k=2)[0][:, 1]
+    interpolant = CurlFree.fitted(points_m, forces_n, max(side_m, float(np.median(neighbour_m))))
+    source_recording = recording if measured is None else recorded_contacts(Path(source))
+    if source_recording is not None:
+        low, high = source_recording.positions_m.min(axis=0), source_recording.positions_m.max(axis=0)
         side = np.maximum(high - low, 1e-3 * float((high - low).max()))
-        step = float(np.prod(side) / _LATTICE) ** (1 / 3)
-        shape = np.clip(np.rint(side / step), 1, _LATTICE ** (1 / 2)).astype(int)
+        step = float(np.prod(side) / _MAX_CANDIDATES) ** (1 / 3)
+        shape = np.clip(np.rint(side / step), 1, _MAX_CANDIDATES ** (1 / 2)).astype(int)
         grid = Grid.over_box(low, low + side, tuple(shape.tolist()))
-        places = grid.to_m(np.indices(grid.shape).reshape(3, -1).T)
+        candidates_m = grid.to_m(np.indices(grid.shape).reshape(3, -1).T)
     else:
         medium = read_medium(source).medium
-        places = _Domain(medium, evenly_spaced(len(medium), _LEARNT), str(source)).places_m
-    most = max(count, most_candidates(len(interpolant.points_m) + count) - len(interpolant.points_m))
-    places = places[:: -(-len(places) // most)]
+        candidates_m = _Domain(
+            medium, evenly_spaced(len(medium), _MAX_LEARNT_FRAMES), str(source)
+        ).positions_m
+    max_count = max(count, max_candidates(len(interpolant.points_m) + count) - len(interpolant.points_m))
+    candidates_m = candidates_m[:: -(-len(candidates_m) // max_count)]
     kernel = Kernel(interpolant.length_m, interpolant.noise)
-    every = np.concatenate([interpolant.points_m, places])
-    chosen, variances = variance_points(every, count, kernel, len(interpolant.points_m))
+    points_and_candidates_m = np.concatenate([interpolant.points_m, candidates_m])
+    indices, variances = variance_points(points_and_candidates_m, count, kernel, len(interpolant.points_m))
     deviations = interpolant.scale_n * np.sqrt(variances)
     names = ("x_m", "y_m", "z_m", "deviation_n")
-    rows = [dict(zip(names, row)) for row in np.column_stack([every[chosen], deviations]).tolist()]
-    shown = {
-        "measured": len(known.positions_m),
-        "candidates": len(places),
-        **_words(kernel, "variance"),
+    rows = [
+        dict(zip(names, row))
+        for row in np.column_stack([points_and_candidates_m[indices], deviations]).tolist()
+    ]
+    figures = {
+        "measured": len(recording.positions_m),
+        "candidates": len(candidates_m),
+        **_kernel_figures(kernel, "variance"),
         "deviation_nowhere_measured_n": interpolant.scale_n * 3**0.5,
         "next": rows,
     }
-    return FewestPoints(shown, points_m=every[chosen])
+    return FewestPoints(figures, points_m=points_and_candidates_m[indices])
 
 
-def _words(kernel: Kernel, criterion: str = "error") -> dict[str, Any]:
+def _kernel_figures(kernel: Kernel, criterion: str = "error") -> dict[str, Any]:
     return {"criterion": criterion, "length_mm": 1e3 * kernel.length_m, "noise": kernel.noise}
 
 
-def _db(share: float) -> float | None:
-    return float(10 * np.log10(share)) if share > 0 else None
+def _decibels(ratio: float) -> float | None:
+    return float(10 * np.log10(ratio)) if ratio > 0 else None
 
 
-def _with_points(done: FewestPoints, out: str | Path | None, forces_n: Float64s) -> FewestPoints:
-    """The same once its points are in a file, with their forces."""
+def _with_points(result: FewestPoints, out: str | Path | None, forces_n: Float64s) -> FewestPoints:
+    """Write the points and their forces to a file, if one is named; the result with its name."""
     if out is None:
-        return done
+        return result
     with atomic_path(Path(out)) as temporary:
-        rows = np.hstack([done.points_m, forces_n])
+        rows = np.hstack([result.points_m, forces_n])
         np.savetxt(temporary, rows, delimiter=",", header=_COLUMNS, comments="", fmt="%.9g")
-    return replace(done, shown={**done.shown, "file": str(out)})
+    return replace(result, figures={**result.figures, "file": str(out)})

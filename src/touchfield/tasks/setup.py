@@ -1,4 +1,4 @@
-"""Setting up a machine: what is installed and what is missing, and every kernel compiled before it is needed."""
+"""Check the installation and suggest fixes; compile every kernel before it is needed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from touchfield.sources.tiny_scenes import tiny_scenes
 from touchfield.tasks.measure import MeasureSpec, measure_medium
 from touchfield.tasks.play import PlaySpec, play
 
-_LEAST_SHARED_BYTES: Final = 1 << 28
+_MIN_SHARED_BYTES: Final = 1 << 28
 LIBRARIES: Final = (
     ("numpy", "numpy", "", "everything"),
     ("scipy", "scipy", "", "sources and measures"),
@@ -43,12 +43,11 @@ LIBRARIES: Final = (
     ("websockets", "websockets", "devices", "haply and bhaptics"),
     ("pyserial", "serial", "devices", "pin displays on a serial line"),
 )
-"""Distribution, module, extra (none: the core), what it is for."""
+"""Distribution, module, extra ("" is the core), purpose."""
 
 
 def examine(name: str | None = None) -> dict[str, list[Check]]:
-    """Everything there is, by what it is for: the libraries, the machine, and each device; or one device
-    alone.
+    """Check the libraries, the machine, and each device; or one device alone.
 
     InvalidArgument if there is no such device.
     """
@@ -58,10 +57,10 @@ def examine(name: str | None = None) -> dict[str, list[Check]]:
     if name is None:
         devices = {known: checks() for known, checks in kinds.items()}
         return {"libraries": library_checks(), "machine": host_checks(), **devices}
-    wanted = name.strip().partition(":")[0].lower()
-    if wanted not in kinds:
+    kind_name = name.strip().partition(":")[0].lower()
+    if kind_name not in kinds:
         raise InvalidArgument("device", repr(name[:80]), f"one of {', '.join(kinds)}")
-    return {wanted: kinds[wanted]()}
+    return {kind_name: kinds[kind_name]()}
 
 
 def library_checks() -> list[Check]:
@@ -77,53 +76,53 @@ def library_checks() -> list[Check]:
 def host_checks() -> list[Check]:
     """Checks of the machine for a loop of 1 kHz."""
     cores = worker_count()
-    mend = "Allow the process a second core."
-    checks = [Check("two cores, one of them for the servo", cores > 1, f"{cores}", mend), _realtime()]
+    hint = "Allow the process a second core."
+    checks = [Check("two cores, one of them for the servo", cores > 1, f"{cores}", hint), _realtime()]
 
-    what, latency = "processors that stay awake while the servo runs", Path("/dev/cpu_dma_latency")
+    purpose, latency = "processors that stay awake while the servo runs", Path("/dev/cpu_dma_latency")
     is_allowed = os.access(latency, os.W_OK)
     found = "allowed" if is_allowed else "not allowed" if latency.exists() else f"no {latency}"
-    mend = f"It works without; where it is there, let your user write to {latency} (a udev rule)."
-    checks.append(Check(what, is_allowed, found, mend))
+    hint = f"It works without; where it is there, let your user write to {latency} (a udev rule)."
+    checks.append(Check(purpose, is_allowed, found, hint))
 
-    what = "locked memory, so that no tick waits for a page"
+    purpose = "locked memory, so that no tick waits for a page"
     try:
         import resource
     except ImportError:
         found = f"{platform.system()} has no such limit to ask"
-        checks.append(Check(what, False, found, "The servo runs without it."))
+        checks.append(Check(purpose, False, found, "The servo runs without it."))
     else:
         soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
         is_endless = soft == resource.RLIM_INFINITY
-        enough = is_endless or soft >= _LEAST_SHARED_BYTES or os.geteuid() == 0
+        enough = is_endless or soft >= _MIN_SHARED_BYTES or os.geteuid() == 0
         found = "no limit" if is_endless else f"up to {soft / 2**20:.0f} MiB"
         checks.append(
-            Check(what, enough, found, "Add '@realtime - memlock unlimited' to /etc/security/limits.conf.")
+            Check(purpose, enough, found, "Add '@realtime - memlock unlimited' to /etc/security/limits.conf.")
         )
 
-    what, folder = "shared memory of 256 MiB for decoded frames", Path("/dev/shm")
+    purpose, folder = "shared memory of 256 MiB for decoded frames", Path("/dev/shm")
     free = shutil.disk_usage(folder).free if folder.is_dir() else None
     found = "managed by the system" if free is None else f"{free / 2**20:.0f} MiB free"
-    mend = "Free some of /dev/shm, or enlarge it (mount -o remount,size=1G /dev/shm)."
-    checks.append(Check(what, free is None or free >= _LEAST_SHARED_BYTES, found, mend))
+    hint = "Free some of /dev/shm, or enlarge it (mount -o remount,size=1G /dev/shm)."
+    checks.append(Check(purpose, free is None or free >= _MIN_SHARED_BYTES, found, hint))
 
-    kernels, mend = kernel_folder(), "Set NUMBA_CACHE_DIR to a folder of yours."
+    kernels, hint = kernel_folder(), "Set NUMBA_CACHE_DIR to a folder of yours."
     found = "not writeable" if kernels is None else f"{kernels}"
-    return [*checks, Check("a folder in which compiled kernels are kept", kernels is not None, found, mend)]
+    return [*checks, Check("a folder in which compiled kernels are kept", kernels is not None, found, hint)]
 
 
 def _realtime() -> Check:
-    what = "SCHED_FIFO, the scheduling class that keeps the servo in time"
+    purpose = "SCHED_FIFO, the scheduling class that keeps the servo in time"
     if not hasattr(os, "sched_setscheduler"):
-        return Check(what, False, f"{platform.system()} has none", "The servo runs at normal priority.")
-    before, beside = os.sched_getscheduler(0), os.sched_getparam(0)
+        return Check(purpose, False, f"{platform.system()} has none", "The servo runs at normal priority.")
+    before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     except OSError as error:
-        mend = "Add '@realtime - rtprio 80' to /etc/security/limits.conf and yourself to that group"
-        return Check(what, False, error.strerror or str(error), f"{mend}; it works without.")
-    os.sched_setscheduler(0, before, beside)
-    return Check(what, True, "allowed")
+        hint = "Add '@realtime - rtprio 80' to /etc/security/limits.conf and yourself to that group"
+        return Check(purpose, False, error.strerror or str(error), f"{hint}; it works without.")
+    os.sched_setscheduler(0, before, parameters)
+    return Check(purpose, True, "allowed")
 
 
 def _filters() -> None:
@@ -138,16 +137,16 @@ def _measures() -> None:
 
 
 GROUPS: Final[Mapping[str, Callable[[], None]]] = {**TOUCH, "filters": _filters, "measures": _measures}
-"""Kernels that are compiled together, each by a small job."""
+"""Groups of kernels that are compiled together, by a small run."""
 
 
 def warm_up(report: Report = silent) -> None:
-    """Compile and cache every kernel by running what there is on tiny scenes."""
+    """Compile and cache every kernel by running the pipeline on tiny scenes."""
     scenes = tiny_scenes()
     jobs = [(scene, EncodeSpec(nw=3)) for scene in scenes]
     jobs += [(scenes[0], EncodeSpec(device="tshirt-32x32"))]
     jobs += [(scenes[-1], EncodeSpec(nw=3, representation="voxel", surface_damping_n_s_per_m=1.0))]
-    jobs += [(scenes[1], EncodeSpec(nw=4, touch=asked)) for asked in (TouchSpec(), TouchSpec(mode="nmse"))]
+    jobs += [(scenes[1], EncodeSpec(nw=4, touch=touch)) for touch in (TouchSpec(), TouchSpec(mode="nmse"))]
     total = len(jobs) + len(GROUPS)
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "warm.touch"

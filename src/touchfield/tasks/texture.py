@@ -1,4 +1,4 @@
-"""Recorded vibrations as a material's table, and a table put into a stream (`touchfield.render.material`)."""
+"""Materials from recorded vibrations, and their storage in a stream (`touchfield.render.material`)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
 from touchfield.perception.vibrotactile import band_rms, dft321, handle_force_n
-from touchfield.pipeline.decoding import opened
+from touchfield.pipeline.decoding import stream_of
 from touchfield.render.material import KEY, Material, stored_json
 from touchfield.sources.recordings.recording import Recording
 
@@ -32,9 +32,9 @@ def texture_of(
         found = f"{len(recordings)} recordings, {len(speeds_m_s)} speeds and {len(forces_n)} forces"
         raise InvalidArgument("recordings", found, "one speed and one force for each, in the same order")
     levels = {}
-    for one, speed, force in zip(recordings, speeds_m_s, forces_n, strict=True):
-        shaken_n = handle_force_n(dft321(one.acceleration_m_s2), one.rate_hz)
-        levels[float(speed), float(force)] = tuple(map(float, band_rms(shaken_n, one.rate_hz)))
+    for recording, speed, force in zip(recordings, speeds_m_s, forces_n, strict=True):
+        shaken_n = handle_force_n(dft321(recording.acceleration_m_s2), recording.rate_hz)
+        levels[float(speed), float(force)] = tuple(map(float, band_rms(shaken_n, recording.rate_hz)))
     speeds, forces = (tuple(sorted({key[n] for key in levels})) for n in range(2))
     if not len(levels) == len(recordings) == len(speeds) * len(forces):
         found = f"{len(recordings)} for {len(speeds)} speeds and {len(forces)} forces"
@@ -43,13 +43,13 @@ def texture_of(
     return Material(name, friction, speeds_m_s=speeds, forces_n=forces, texture_rms_n=table)
 
 
-def merged(*tables: Sequence[Material]) -> tuple[Material, ...]:
-    """The materials of all tables; of those of one name the last."""
-    return tuple({one.name: one for table in tables for one in table}.values())
+def merge_materials(*tables: Sequence[Material]) -> tuple[Material, ...]:
+    """The materials of all tables; of those with one name the last."""
+    return tuple({material.name: material for table in tables for material in table}.values())
 
 
 def store_materials(stream: str | Path, materials: Sequence[Material], out: str | Path) -> None:
-    """Write a stream anew with these materials in its provenance; nothing is decoded, all else is as it was.
+    """Copy a stream with these materials in its provenance; nothing is decoded or changed otherwise.
 
     Raises `InvalidArgument` if the table is longer than 4096 letters, `FormatError` of the stream,
     `SourceError` if the system refuses.
@@ -57,7 +57,7 @@ def store_materials(stream: str | Path, materials: Sequence[Material], out: str 
     require_ending(out, "OUT.touch")
     text = stored_json(materials)
     with TouchReader(stream) as reader, TouchWriter(out) as writer:
-        warn_unbounded(opened(reader).error_bound().get("error_bound_note"))
+        warn_unbounded(stream_of(reader).error_bound().get("error_bound_note"))
         writer.write_head(reader.head, {**reader.provenance, KEY: text})
         for n in range(reader.object_count):
             writer.write_object(reader.read_object(n))

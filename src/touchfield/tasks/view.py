@@ -1,4 +1,4 @@
-"""Media and plans to look at: as the page in the browser, one HTML file, and as pictures."""
+"""Views of media: the page in the browser, one HTML file, and pictures."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from touchfield.viewer.browser import page_of
 from touchfield.viewer.page import write_png
 from touchfield.viewer.picture import shadows
 
-_MOST_FRAMES: Final = 30  # of a medium in memory, which is coded for the page
+_MAX_FRAMES: Final = 30  # of a medium in memory, which is coded for the page
 _HEIGHT_PX: Final = 640
 _MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
 _DRAWN_FRAMES: Final = 3  # the first, the middle one and the last
-MOST_BYTES: Final = 1 << 25  # of the source within a page
-_SHARES: Final = (0.1, 0.3)
-_LEAST_K: Final = 1e-3
-_FIGURES: Final = ("mode", "masking", "promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
-_COMPARED: Final = (
+MAX_SOURCE_BYTES: Final = 1 << 25  # of the source within a page
+_ERROR_FRACTIONS: Final = (0.1, 0.3)
+_MIN_K: Final = 1e-3
+_SUMMARY_KEYS: Final = ("mode", "masking", "promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
+_COMPARISON_KEYS: Final = (
     "nmse_db", "worst_mask_ratio", "bits_per_supported_voxel", "hand_vibration_mn",
     "place_tolerance_um",
 )  # fmt: skip
@@ -47,9 +47,7 @@ _COMPARED: Final = (
 
 @dataclass(frozen=True)
 class Page:
-    """A page that shows a file, and figures that it tells beyond it; a notebook shows it as a cell's last
-    value.
-    """
+    """A page that shows a file, and additional figures; a notebook displays it as a cell's last value."""
 
     html: str
     figures: Mapping[str, Any]
@@ -59,21 +57,24 @@ class Page:
 
     def _repr_html_(self) -> str:
         style = f"width: 100%; height: {_HEIGHT_PX}px; border: 1px solid #d9dee6; border-radius: 8px"
-        # nothing of the notebook around it
-        may = 'sandbox="allow-scripts" allow="gamepad *; vibrate *; autoplay *"'
-        return f'<iframe srcdoc="{html.escape(self.html)}" {may} style="{style}" title="touchfield"></iframe>'
+        # without access to the notebook
+        permissions = 'sandbox="allow-scripts" allow="gamepad *; vibrate *; autoplay *"'
+        attributes = f'{permissions} style="{style}" title="touchfield"'
+        return f'<iframe srcdoc="{html.escape(self.html)}" {attributes}></iframe>'
 
     def save(self, path: str | Path) -> Path:
-        """Write the page as one file that opens from a file URL, whole or not at all."""
+        """Write the page atomically as one file that opens from a file URL."""
         with atomic_path(Path(path)) as temporary:
             temporary.write_text(self.html, encoding="utf-8")
         return Path(path)
 
     def open(self, path: str | Path | None = None) -> Path:
-        """Show the page in the browser, from a file where it was saved or a temporary one; where that is."""
-        shown = Path(path) if path else self.save(Path(tempfile.mkdtemp(prefix="touchfield-")) / "page.html")
-        webbrowser.open(shown.absolute().as_uri())
-        return shown
+        """Show the page in the browser, from the file `path` or a temporary one; returns its path."""
+        page_path = (
+            Path(path) if path else self.save(Path(tempfile.mkdtemp(prefix="touchfield-")) / "page.html")
+        )
+        webbrowser.open(page_path.absolute().as_uri())
+        return page_path
 
 
 def view(
@@ -84,19 +85,18 @@ def view(
 ) -> Page:
     """The page of a ``.touch`` file, of a movie with touch, or of the first 30 frames of a medium.
 
-    `against` is what was encoded, a path, Scene, medium or field: the page then tells NMSE and the vibration
-    of the coding, and shows the source, and the difference, too; it holds both. `devices` are profiles whose
-    capacity, WMR and HIL are told beside the entropy of the medium; where there is none of these, but a
-    source, that of the stream. TouchfieldError if the file cannot be read, or is of a coder that the page
-    does not know.
+    `against` is the encoded path, scene, medium or field: the page then contains it, shows it and the
+    difference, and has the NMSE and the vibration of the coding. `devices` are profiles whose capacity, WMR
+    and HIL are shown with the entropy of the medium; with a source and no profile, that of the stream.
+    TouchfieldError if the file cannot be read, or the page does not support its coder.
     """
     with tempfile.TemporaryDirectory() as folder:
         if isinstance(medium, HapticMedium):
             path, spec = Path(folder) / "medium.touch", EncodeSpec(touch=TouchSpec(effort="fast"))
-            encode(medium[:_MOST_FRAMES], path, spec)
+            encode(medium[:_MAX_FRAMES], path, spec)
             page = _page(path, against, report, devices)
-            told = {"frames_of": len(medium)} if len(medium) > _MOST_FRAMES else {}
-            return replace(page, figures={**page.figures, **told})
+            extra_figures = {"frames_of": len(medium)} if len(medium) > _MAX_FRAMES else {}
+            return replace(page, figures={**page.figures, **extra_figures})
         movie = Path(str(medium))
         kind = _MOVIES.get(movie.suffix.lower())
         if kind is None:
@@ -117,16 +117,16 @@ def _page(
         reader = opened.reader
         coders = [reader.head.coder, *(reader.read_object(i).field_coder for i in range(reader.object_count))]
         if "paper" in coders:
-            found, mend = "a file of coder paper", f"Code it again: touchfield encode {path} NEW.touch."
-            raise InvalidArgument(str(path), found, "coder touch, or objects of it, for the page", mend)
-        promises, data, name = opened.summary(), reader.read_all(), PurePath(reader.name).name
-        figures = {key: promises[key] for key in _FIGURES if promises.get(key) is not None}
+            found, hint = "a file of coder paper", f"Code it again: touchfield encode {path} NEW.touch."
+            raise InvalidArgument(str(path), found, "coder touch, or objects of it, for the page", hint)
+        summary, data, name = opened.summary(), reader.read_all(), PurePath(reader.name).name
+        figures = {key: summary[key] for key in _SUMMARY_KEYS if summary.get(key) is not None}
         fine = None if against is None else fine_source(against, opened, report)
         device = reader.head.device_name
-        own = (device,) if fine and device in device_names() else ()
+        stream_devices = (device,) if fine and device in device_names() else ()
     try:
-        if devices or own:
-            measured = measure_medium(path, MeasureSpec(devices=devices or own, limits=False))
+        if devices or stream_devices:
+            measured = measure_medium(path, MeasureSpec(devices=devices or stream_devices, limits=False))
             figures |= {
                 "entropy_voxel_bits": measured.voxel.value,
                 "entropy_frame_bits": measured.per_frame.value,
@@ -141,25 +141,27 @@ def _page(
     if against is None or fine is None:
         return Page(page_of(data, name, figures, movie), figures)
     figures_of_source = compare(against, path, report=report).summary()
-    figures |= {key: figures_of_source[key] for key in _COMPARED if figures_of_source.get(key) is not None}
-    figures |= {"source_bytes": len(fine.data), "source_share": fine.share}
+    figures |= {
+        key: figures_of_source[key] for key in _COMPARISON_KEYS if figures_of_source.get(key) is not None
+    }
+    figures |= {"source_bytes": len(fine.data), "source_share": fine.error_fraction}
     return Page(page_of(data, name, figures, movie, fine.data), figures)
 
 
 def draw_preview(prepared: Prepared, path: str | Path) -> None:
-    """Write a PNG of the forces in the workspace, seen from the viewer, from the side and from above.
+    """Write a PNG of the forces in the workspace: seen from the viewer, from the side and from above.
 
     MissingExtra if matplotlib is not installed.
     """
     medium, placement = prepared.medium, prepared.placement
     x, y, z = placement.offset_m
     up = "lattice" if prepared.device.is_array else "auto"  # as `play` lays it
-    turn = axes_matrix(BOX_AXES, medium.axes, up)
+    permutation = axes_matrix(BOX_AXES, medium.axes, up)
     where = f"in the workspace of {prepared.device.name}"
-    if (turn != axes_matrix(BOX_AXES, medium.axes)).any():
-        where = f"{'xyz'[int(np.argmax(np.abs(turn[:, 1])))]} up for the hand, {where}"
+    if (permutation != axes_matrix(BOX_AXES, medium.axes)).any():
+        where = f"{'xyz'[int(np.argmax(np.abs(permutation[:, 1])))]} up for the hand, {where}"
     caption = f"{placement.wording}; the middle is the scene's ({x:.4g}, {y:.4g}, {z:.4g}) m; {medium.axes}"
-    write_png(_shadows(medium, where, caption, turn), Path(path))
+    write_png(_shadows(medium, where, caption, permutation), Path(path))
 
 
 def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
@@ -169,51 +171,53 @@ def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
     MissingExtra if matplotlib is not installed.
     """
     turn = axes_matrix(BOX_AXES, medium.axes, "auto")
-    figure = _shadows(medium, "on the medium's lattice", f"{medium.grid.words}; {medium.axes}", turn)
+    figure = _shadows(medium, "on the medium's lattice", f"{medium.grid.description}; {medium.axes}", turn)
     if path is not None:
         write_png(figure, Path(path))
     return figure
 
 
-def _shadows(medium: HapticMedium, where: str, caption: str, turn: Float64s) -> Any:
-    """The first frame of a medium, the middle one and the last in one figure."""
+def _shadows(medium: HapticMedium, where: str, caption: str, permutation: Float64s) -> Any:
+    """A figure of the first, the middle and the last frame of a medium."""
     frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
     title = (
         f"frame{'s' * (len(frames) > 1)} {', '.join(str(n + 1) for n in frames)} of {len(medium)}, {where} "
         "(dashed)"
     )
-    return shadows([medium[i] for i in frames], f"{title}\n{caption}", turn)
+    return shadows([medium[i] for i in frames], f"{title}\n{caption}", permutation)
 
 
 class FineSource(NamedTuple):
-    """A source as the bytes of a ``.touch`` file; `share`: its error, of what the promise of the stream
-    allows.
-    """
+    """A source as the bytes of a ``.touch`` file; its error as a fraction of the stream's error bound."""
 
     data: bytes
-    share: float
+    error_fraction: float
 
 
 def fine_source(source: Source, opened: OpenStream, report: Report = silent) -> FineSource:
-    """Code the source of a stream on the stream's lattice, to a tenth of its mask, or three where that is too
-    large.
+    """Code the source of a stream on its lattice, to a tenth of its mask, or to three tenths if too large.
 
-    InvalidArgument if the source lies elsewhere, has other frames, or takes more than `MOST_BYTES`.
+    InvalidArgument if the source is elsewhere, has other frames, or takes more than `MAX_SOURCE_BYTES`.
     """
     head, original = opened.reader.head, source_medium(source, opened)
     size = 0
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "source.touch"
-        for share in _SHARES:
-            k = min(max(share * head.weber_fraction, _LEAST_K), 0.999)
-            spec = EncodeSpec(touch=TouchSpec(k=k, f0_n=share * head.force_threshold_n, effort="fast"))
+        for fraction in _ERROR_FRACTIONS:
+            k = min(max(fraction * head.weber_fraction, _MIN_K), 0.999)
+            spec = EncodeSpec(touch=TouchSpec(k=k, f0_n=fraction * head.force_threshold_n, effort="fast"))
             prepared = Prepared(
-                original.medium, opened.told_device, opened.placement, spec, original.notes, original.scene
+                original.medium,
+                opened.declared_device,
+                opened.placement,
+                spec,
+                original.notes,
+                original.scene,
             )
             size = encode_prepared(prepared, out, {}, report).file_bytes
-            if size <= MOST_BYTES:
-                return FineSource(out.read_bytes(), max(share, k / max(head.weber_fraction, k)))
-    mend = "Leave it out, or take fewer frames."
+            if size <= MAX_SOURCE_BYTES:
+                return FineSource(out.read_bytes(), max(fraction, k / max(head.weber_fraction, k)))
+    hint = "Leave it out, or take fewer frames."
     raise InvalidArgument(
-        "the source", f"{size:,} bytes, coded finely", f"at most {MOST_BYTES:,} in a page", mend
+        "the source", f"{size:,} bytes, coded finely", f"at most {MAX_SOURCE_BYTES:,} in a page", hint
     )

@@ -1,8 +1,6 @@
-"""The page in the browser: a file, a decoder of it and all that shows it in one HTML file that asks no
-network.
+"""The page in the browser: one HTML file with a stream, its decoder and its viewer, without network access.
 
-The page itself, `web/page.html`, is made from the sources in the folder `web` of the repository (``make
-web``).
+The page itself, `web/page.html`, is built from the folder `web` of the repository (``make web``).
 """
 
 from __future__ import annotations
@@ -24,15 +22,13 @@ _MEDIUM: Final = '<script type="text/plain" id="given-medium" data-name=""></scr
 
 @cache
 def empty_page() -> str:
-    """The page without a file: one is dropped on it, or opened."""
+    """The page without a file; the user drops or opens one."""
     return resources.files("touchfield.viewer").joinpath("web/page.html").read_text(encoding="utf-8")
 
 
 @cache
 def served_page() -> str:
-    """The page around `empty_page` that fetches from its own server: a file by its name, or what is live
-    there.
-    """
+    """The page that loads a file by name, or the live stream, from its own server."""
     page = resources.files("touchfield.viewer").joinpath("web/from-server.html").read_text(encoding="utf-8")
     for mark, element in (("@SCRIPT@", "script"), ("@STYLE@", "style")):
         text = page.partition(f"<{element}>")[2].partition(f"</{element}>")[0]
@@ -47,25 +43,27 @@ def page_of(
     movie: tuple[bytes, str, float] | None = None,
     source: bytes = b"",
 ) -> str:
-    """The page with a ``.touch`` file within, and perhaps a movie beside it, on one clock.
+    """The page with a ``.touch`` file, and optionally a movie on the same clock.
 
-    `figures` is what is known beyond the file, by the keys of ``touchfield info --json`` and ``compare
-    --json``; `movie` a file that browsers play, its media type, and its second at which the touch begins;
-    `source` what was encoded, as a file on the same lattice: the page shows it, and the difference, too.
+    `figures` has additional figures by the keys of ``touchfield info --json`` and ``compare --json``. `movie`
+    is a file that browsers play, its media type, and its second at which the touch starts. `source` is the
+    source as a ``.touch`` file on the same lattice; the page also shows it and the difference.
     """
-    known = json.dumps(figures, default=str).replace(
+    figures_json = json.dumps(figures, default=str).replace(
         "<", "\\u003c"
     )  # no word of a stranger's ends the element
     medium = base64.b64encode(data).decode("ascii")
-    named = _MEDIUM.replace('data-name=""', f'data-name="{html.escape(name)}"')
-    shown = _MOVIE
+    medium_element = _MEDIUM.replace('data-name=""', f'data-name="{html.escape(name)}"')
+    movie_element = _MOVIE
     if movie is not None:
         film, kind, at_s = movie
-        shown = _MOVIE.replace(
+        movie_element = _MOVIE.replace(
             'data-type="" data-at="0"', f'data-type="{html.escape(kind)}" data-at="{at_s:.6f}"'
         )
-        shown = shown.replace("><", f">{base64.b64encode(film).decode('ascii')}<")
-    beside = _SOURCE.replace("><", f">{base64.b64encode(source).decode('ascii')}<")
-    page = empty_page().replace(_MOVIE, shown).replace(_FIGURES, _FIGURES.replace("null", known))
-    page = page.replace(_SOURCE, beside)
-    return page.replace(_MEDIUM, named.replace("><", f">{medium}<"))
+        movie_element = movie_element.replace("><", f">{base64.b64encode(film).decode('ascii')}<")
+    source_element = _SOURCE.replace("><", f">{base64.b64encode(source).decode('ascii')}<")
+    page = (
+        empty_page().replace(_MOVIE, movie_element).replace(_FIGURES, _FIGURES.replace("null", figures_json))
+    )
+    page = page.replace(_SOURCE, source_element)
+    return page.replace(_MEDIUM, medium_element.replace("><", f">{medium}<"))

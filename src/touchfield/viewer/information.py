@@ -1,7 +1,6 @@
-"""The picture of a measurement: what a medium holds in bits, and what each device renders of it (paper
-section 3.1).
+"""Picture of a measurement: the bits of a medium, and those that each device renders (paper section 3.1).
 
-One hue for limits, another for what a file takes; every value carries its number, and intervals are drawn.
+Limits have one hue, file sizes another; every value has its number, and intervals are drawn.
 """
 
 from __future__ import annotations
@@ -18,16 +17,14 @@ if TYPE_CHECKING:
     from touchfield.measure.capacity import Capacity
 
 
-_LIMIT, _ACTUAL, _KEPT, _LOST = "#0072b2", "#d55e00", "#0072b2", "0.82"
+_LIMIT, _ACTUAL, _RENDERED, _LOST = "#0072b2", "#d55e00", "#0072b2", "0.82"
 _WIDTH_INCH = 9.5
-_MOST_IN_LABEL = 40  # the end of a path tells most
+_MAX_LABEL = 40  # of the end, which is the most specific part of a path
 
 
 @dataclass(frozen=True)
 class Bar:
-    """A value, and its interval where there is one; `is_actual`: what something takes, rather than a limit to
-    it.
-    """
+    """A value and its interval, if any; `is_actual` marks a real size, as opposed to a limit."""
 
     label: str
     value: float
@@ -42,8 +39,8 @@ def draw_information(
 
     `MissingExtra` if matplotlib is not installed.
     """
-    # a device takes a line of words and the bar below it
-    rows = [0.7 + each * len(part) for part, each in ((bars, 0.36), (capacities, 0.5)) if part]
+    # a device has a line of text and a bar below it
+    rows = [0.7 + height * len(part) for part, height in ((bars, 0.36), (capacities, 0.5)) if part]
     figure = titled_figure("the picture of a measurement", title, _WIDTH_INCH, 0.9 + sum(rows))
     panels = figure.subplots(len(rows), 1, squeeze=False, gridspec_kw={"height_ratios": rows})[:, 0]
     if bars:
@@ -57,38 +54,36 @@ def _draw_bars(panel: Any, bars: Sequence[Bar], unit: str) -> None:
     """Points on a scale of powers: raw numbers and the best limit may lie a factor of a thousand apart."""
     values = [v for b in bars for v in (b.value, *(b.interval or ())) if v > 0]
     low, high = min(values, default=0.1), max(values, default=1.0)
-    left, right = low / 1.6, high * 1.6 * (high / low) ** 0.15  # room for the last number
-    for place, bar in enumerate(bars):
+    low_edge, high_edge = low / 1.6, high * 1.6 * (high / low) ** 0.15  # room for the last number
+    for row, bar in enumerate(bars):
         colour = _ACTUAL if bar.is_actual else _LIMIT
-        edge = max(bar.value, left)
+        edge = max(bar.value, low_edge)
         if bar.interval is not None:
-            ends = [max(end, left) for end in bar.interval]
-            panel.plot(ends, [place, place], color=colour, lw=5, alpha=0.3, solid_capstyle="butt")
-            edge = max(edge, ends[1])
+            interval = [max(end, low_edge) for end in bar.interval]
+            panel.plot(interval, [row, row], color=colour, lw=5, alpha=0.3, solid_capstyle="butt")
+            edge = max(edge, interval[1])
         # no place on this scale is 0: an arrow at its lower end says that the point lies beyond
         shape = "o" if bar.value > 0 else "<"
-        panel.plot(max(bar.value, left), place, shape, ms=7, color=colour, clip_on=False)
+        panel.plot(max(bar.value, low_edge), row, shape, ms=7, color=colour, clip_on=False)
         number = "none" if bar.value != bar.value else f"{bar.value + 0.0:.4g}"  # no sign on 0
-        panel.annotate(number, (edge, place), (7, 0), textcoords="offset points", va="center",
+        panel.annotate(number, (edge, row), (7, 0), textcoords="offset points", va="center",
                        fontsize=8, parse_math=False)  # fmt: skip
     panel.set_xscale("log")
-    panel.set_xlim(left, right)
+    panel.set_xlim(low_edge, high_edge)
     panel.grid(axis="y", color="0.9")
     _finish(panel, [b.label for b in bars], unit)
 
 
 def _draw_devices(panel: Any, capacities: Mapping[str, Capacity]) -> None:
-    """WMR and HIL share a bar of length 1, below its numbers: what of the medium is rendered, and what is
-    lost.
-    """
-    for place, c in enumerate(capacities.values()):
+    """Draw a bar of length 1 for each device, divided into WMR (rendered) and HIL (lost), and its numbers."""
+    for row, c in enumerate(capacities.values()):
         wmr = c.wmr.value
         if wmr != wmr:  # NaN: H(W) = 0
-            panel.text(0.005, place, "no information to render", va="center", fontsize=8)
+            panel.text(0.005, row, "no information to render", va="center", fontsize=8)
             continue
-        low = place + 0.18
+        low = row + 0.18
         panel.barh(low, 1.0, color=_LOST, height=0.36)
-        panel.barh(low, wmr, color=_KEPT, height=0.36)
+        panel.barh(low, wmr, color=_RENDERED, height=0.36)
         i = c.wmr.interval
         if i is not None and c.rendered.interval is not None:
             panel.plot([i.low, i.high], [low, low], color="black", lw=1.6, solid_capstyle="butt", marker="|",
@@ -96,16 +91,16 @@ def _draw_devices(panel: Any, capacities: Mapping[str, Capacity]) -> None:
         text = (
             f"C = {c.capacity.value + 0.0:,.0f} bit/frame   WMR {wmr + 0.0:.3g}   HIL {c.hil.value + 0.0:.5g}"
         )
-        panel.text(0.005, place - 0.22, text, va="center", fontsize=8, parse_math=False)
+        panel.text(0.005, row - 0.22, text, va="center", fontsize=8, parse_math=False)
     panel.set_xlim(0, 1)
-    share = "share of the medium's information: rendered (WMR, blue) and lost (HIL, grey)"
-    _finish(panel, list(capacities), share)
+    label = "share of the medium's information: rendered (WMR, blue) and lost (HIL, grey)"
+    _finish(panel, list(capacities), label)
 
 
 def _finish(panel: Any, names: Sequence[str], label: str) -> None:
     """A row for each name, from the top down."""
     panel.set_ylim(len(names) - 0.5, -0.5)
-    panel.set_yticks(range(len(names)), [n[-_MOST_IN_LABEL:] for n in names], fontsize=8, parse_math=False)
+    panel.set_yticks(range(len(names)), [n[-_MAX_LABEL:] for n in names], fontsize=8, parse_math=False)
     panel.set_xlabel(label, fontsize=8, parse_math=False)
     panel.tick_params(labelsize=8)
     for side in ("top", "right"):

@@ -1,7 +1,6 @@
-"""The picture of an interaction: where the hand was, what the field did there, and what the device pushed
-with.
+"""Picture of an interaction: position of the hand, force of the field there, and force of the device.
 
-Times on the left, places on the right; where the hand was in contact the background is tinted.
+Curves over time are on the left, paths on the right; the background is tinted during contact.
 """
 
 from __future__ import annotations
@@ -31,8 +30,8 @@ _PUT, _FIELD, _FRICTION, _CONTACT = "0.1", "#0072b2", "#d55e00", "#f0e442"
 class InteractionView:
     """Content of `draw_interaction`.
 
-    `rows` are those of a play's log: places of the hand, the field's force there and friction are in the
-    field's axes, which `axes` words; what the device was told to push with is in its own. The support of
+    `rows` are those of a play's log: positions of the hand, force of the field there and friction are in the
+    field's axes, described by `axes`; the force sent to the device is in the device's axes. The support of
     `background` is drawn behind the path.
     """
 
@@ -48,20 +47,22 @@ class InteractionView:
 def draw_interaction(path: Path, view: InteractionView) -> None:
     """Write the picture as PNG; `MissingExtra` if matplotlib is not installed."""
     figure = titled_figure("the picture of an interaction", f"{view.title}\n{view.caption}", 14.0, 9.0)
-    places = figure.add_gridspec(3, 2, width_ratios=(3, 2))
-    hand, force, parts = (figure.add_subplot(places[row, 0]) for row in range(3))
+    gridspec = figure.add_gridspec(3, 2, width_ratios=(3, 2))
+    hand, force, parts = (figure.add_subplot(gridspec[row, 0]) for row in range(3))
     rows, times_s = view.rows, view.rows["time_s"]
-    touched = rows["field_force_n"].any(axis=1)
+    has_contact = rows["field_force_n"].any(axis=1)
     _draw_axes(hand, times_s, 1e3 * rows["position_m"], "xyz", "hand, mm", title=view.axes, title_fontsize=7)
     _draw_force(force, view)
     _draw_axes(parts, times_s, rows["force_n"], ("Fx", "Fy", "Fz"), "put out, N\n(device's axes)")
     for axis in (hand, force, parts):
-        whole = axis.get_xaxis_transform()  # as high as the panel
-        axis.fill_between(times_s, 0, 1, where=touched, transform=whole, color=_CONTACT, alpha=0.22, lw=0)
+        full_height = axis.get_xaxis_transform()  # as high as the panel
+        axis.fill_between(
+            times_s, 0, 1, where=has_contact, transform=full_height, color=_CONTACT, alpha=0.22, lw=0
+        )
         if len(times_s):
             axis.set_xlim(times_s[0], max(times_s[-1], times_s[0] + 1e-3))
     parts.set_xlabel("time, s")
-    right = places[:, 1].subgridspec(2, 1)
+    right = gridspec[:, 1].subgridspec(2, 1)
     _draw_path(figure, figure.add_subplot(right[0]), view, 0, 1)
     _draw_path(figure, figure.add_subplot(right[1]), view, 0, 2)
     write_png(figure, path)
@@ -77,7 +78,7 @@ def _draw_axes(
 
 
 def _draw_legend(axis: Any, **options: Any) -> None:
-    """Above the lines, which get the lower part of the panel."""
+    """Draw the legend above the lines, which use the lower part of the panel."""
     low, high = axis.get_ylim()
     axis.set_ylim(low, high + 0.3 * (high - low))
     axis.legend(loc="upper right", ncols=3, fontsize=8, **options)
@@ -102,26 +103,27 @@ def _draw_force(axis: Any, view: InteractionView) -> None:
 
 
 def _draw_path(figure: Any, axis: Any, view: InteractionView, horizontal: int, vertical: int) -> None:
-    """The path seen along the third axis, its colour |F| put out, over the shadow of the field."""
+    """Draw the path along the third axis, coloured by the device's |F|, over the shadow of the field."""
     field = view.background
     if field is not None and len(field.bricks):
         low, high = 1e3 * np.stack(field.grid.box_m)
         shadow = shadow_n([field], horizontal, vertical)
         axis.imshow(
-            shadow.T, origin="lower", cmap="Greys", alpha=0.6, vmin=0, vmax=2 * max(float(shadow.max()), 1e-9),
+            shadow.T, origin="lower", cmap="Greys", alpha=0.6,
+            vmin=0, vmax=2 * max(float(shadow.max()), 1e-9),
             extent=(low[horizontal], high[horizontal], low[vertical], high[vertical]), aspect="equal",
         )  # fmt: skip
     else:
         axis.set_aspect("equal", adjustable="datalim")
-    size, places_mm = np.linalg.norm(view.rows["force_n"], axis=1), 1e3 * view.rows["position_m"]
+    size, positions_mm = np.linalg.norm(view.rows["force_n"], axis=1), 1e3 * view.rows["position_m"]
     order = np.argsort(size, kind="stable")
     drawn = axis.scatter(
-        places_mm[order, horizontal], places_mm[order, vertical],
+        positions_mm[order, horizontal], positions_mm[order, vertical],
         c=size[order], s=5, cmap="viridis", vmin=0, vmax=max(float(size.max(initial=0.0)), 1e-9),
     )  # fmt: skip
     figure.colorbar(drawn, ax=axis, label="|F| put out, N", shrink=0.85)
-    names, words = "xyz", view.axes.split(",")
-    if vertical < len(words) and "down" in words[vertical].split():
+    names, axis_words = "xyz", view.axes.split(",")
+    if vertical < len(axis_words) and "down" in axis_words[vertical].split():
         axis.invert_yaxis()  # as it was seen
     axis.set_xlabel(f"{names[horizontal]}, mm")
     axis.set_ylabel(f"{names[vertical]}, mm")

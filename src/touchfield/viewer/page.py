@@ -1,4 +1,4 @@
-"""The page of a picture: its size, its title, and how it becomes a file."""
+"""Figures with a title, and their PNG files."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ _DOTS_PER_INCH = 110
 _HEAD_BYTES = 1 << 12
 _SIZE_PT = 11.0
 _LINE_INCH = 1.3 * _SIZE_PT / 72
-_LETTERS_PER_INCH = 9.0  # of text of that size, with room: the mean is 11
+_LETTERS_PER_INCH = 9.0  # of text of that size, with a margin: the mean is 11
 
 
 def titled_figure(purpose: str, title: str, width_inch: float, height_inch: float) -> Figure:
-    """An empty figure below its title; `height_inch` is that with a title of one line, more lines make it
-    higher.
+    """An empty figure with a title; `height_inch` is the height with a title of one line.
 
     Raises MissingExtra, which names the `purpose` ("the picture of a comparison"), if matplotlib is not
     installed.
@@ -39,7 +38,7 @@ def titled_figure(purpose: str, title: str, width_inch: float, height_inch: floa
 
 
 def write_png(figure: Figure, path: Path) -> None:
-    """Write a figure, whole or not at all; its file tells who drew it (`is_our_picture`)."""
+    """Write a figure atomically; its file names touchfield as its creator (`is_our_picture`)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     with atomic_path(path) as temporary, temporary.open("wb") as file:  # savefig would draw all twice
@@ -48,14 +47,12 @@ def write_png(figure: Figure, path: Path) -> None:
 
 
 def is_our_picture(path: Path) -> bool:
-    """A file that `write_png` wrote, and may write again."""
+    """True if `write_png` wrote a file, and may overwrite it."""
     with path.open("rb") as file:
         return b"Creator\0touchfield" in file.read(_HEAD_BYTES)
 
 
 def lines_that_fit(text: str, width_inch: float) -> list[str]:
-    """A title in lines for a page of a width, broken at blanks, inside a word only where it is longer than a
-    line.
-    """
+    """A title in lines for a page width, broken at blanks, and within words longer than a line."""
     count = int(_LETTERS_PER_INCH * width_inch)
     return [line for part in text.split("\n") for line in wrap(part, count) or [""]]

@@ -1,7 +1,6 @@
-"""Pictures of fields: a comparison (source, decoded, error in units of the mask), and a field in its
-workspace.
+"""Pictures of fields: a comparison (source, decoded, error in units of the mask), a field in its workspace.
 
-Colours are perceptually even and safe for the colour-blind; what is compared shares one scale, with its unit.
+Colours are perceptually uniform and safe for colour-blind readers; compared panels share a scale with a unit.
 """
 
 from __future__ import annotations
@@ -40,9 +39,9 @@ def draw_comparison(
 ) -> None:
     """Write a PNG that compares two fields on one grid.
 
-    Rows: where a hand that comes from the viewer's side first feels a force; |F| on a slice along the line of
-    sight; the direction on the same slice; of an array of actuators, |F| of each. Columns: source, decoded,
-    error. `axes` are as the medium words them, "x right, y down, z forward"; `mask` is (k, F_0) of max(F_0, k
+    Rows: first contact of a hand that comes from the viewer's side; |F| on a slice along the line of sight;
+    the direction on the same slice; of an array of actuators, |F| of each. Columns: source, decoded, error.
+    `axes` are those of the medium, such as "x right, y down, z forward"; `mask` is (k, F_0) of max(F_0, k
     |F|). `MissingExtra` if matplotlib is not installed.
     """
     panels = _Panels(original, decoded, axes, mask)
@@ -51,14 +50,14 @@ def draw_comparison(
         rows = [panels.draw_contact, *rows, panels.draw_directions]
     heights = panels.row_heights()[: len(rows)]
     figure = titled_figure("the picture of a comparison", title, 14.0, 1.2 + 4.3 * sum(heights))
-    places = figure.subplots(len(rows), 3, squeeze=False, gridspec_kw={"height_ratios": heights})
-    for draw, row in zip(rows, places, strict=True):
+    subplots = figure.subplots(len(rows), 3, squeeze=False, gridspec_kw={"height_ratios": heights})
+    for draw, row in zip(rows, subplots, strict=True):
         draw(figure, row)
     write_png(figure, path)
 
 
 class _Panels:
-    """Both fields cropped to the box that holds forces, and how to draw them."""
+    """The panels of a comparison: both fields, cropped to the box with forces."""
 
     def __init__(
         self,
@@ -69,25 +68,27 @@ class _Panels:
     ) -> None:
         self.axes, self.mask = axes, mask
         grid = original.grid
-        # an array of actuators is one sample deep: all there is to see is the force of each
+        # an array of actuators is one sample deep: only the force of each is shown
         self.is_array = grid.shape[_Z] == 1
         x, y = original.to_dense(), decoded.to_dense()
-        held = (x != 0).any(-1) | (y != 0).any(-1)
-        crop = [_span(held.any(axis=tuple(b for b in range(3) if b != a)), grid.shape[a]) for a in range(3)]
-        x, y, held = x[tuple(crop)], y[tuple(crop)], held[tuple(crop)]
+        supported = (x != 0).any(-1) | (y != 0).any(-1)
+        crop = [
+            _span(supported.any(axis=tuple(b for b in range(3) if b != a)), grid.shape[a]) for a in range(3)
+        ]
+        x, y, supported = x[tuple(crop)], y[tuple(crop)], supported[tuple(crop)]
         self.low_mm = [1e3 * (grid.box_m[0][a] + crop[a].start * grid.spacing_m[a]) for a in range(3)]
         self.step_mm = [1e3 * h for h in grid.spacing_m]
-        self.shape = held.shape
+        self.shape = supported.shape
         self.vectors = (x, y)
         self.forces = tuple(lengths_of(v) for v in self.vectors)
         error = lengths_of(y - x) / mask_n(self.forces[0], *mask)
-        self.error = np.where(held, error, np.nan)
+        self.error = np.where(supported, error, np.nan)
         self.cut = int(np.argmax(self.forces[0].sum(axis=(_X, _Z), dtype=np.float64)))
         self.top_n = float(max(*(f.max(initial=0) for f in self.forces), 1e-6))
-        # whoever looks along +z meets the lowest z first; whoever has z towards the eye, the highest
+        # a viewer along +z meets the lowest z first; with z towards the viewer, the highest
         self.from_low_z = "z forward" in axes
 
-    # -- geometry of the page -----------------------------------------------------------------------------
+    # -- geometry of the page -------------------------------------------------------------------------------
 
     def row_heights(self) -> list[float]:
         """Height over width of the front view and of the slice, twice; within reason."""
@@ -114,32 +115,34 @@ class _Panels:
         worst = self._image(panel, up, values, title, vmin=0, vmax=2, cmap="PuOr_r")
         _bar(figure, worst, panel, f"|error| / max({self.mask[1]:g} N, {self.mask[0]:g} |F|)", extend="max")
 
-    # -- rows ---------------------------------------------------------------------------------------------
+    # -- rows -----------------------------------------------------------------------------------------------
 
     def draw_contact(self, figure: Any, row: Any) -> None:
-        """Where a hand first feels a force, and the worst error behind each point of that surface."""
+        """First contact of a hand along z, and the largest error behind each point of that surface."""
         depths = [self._contact_mm(force) for force in self.forces]
         both = np.concatenate([d[np.isfinite(d)] for d in depths])
         scale: dict[str, Any] = {"cmap": "cividis" if not self.from_low_z else "cividis_r"}
         if len(both):
-            # a few samples at the rim, felt only deep behind it, must not take the whole scale
+            # a few deep samples at the rim must not use the whole scale
             low, high = np.percentile(both, (1, 99))
-            if low == high:  # a flat scene, and what little stands out of it is what there is to see
+            if low == high:  # a flat scene: show the small parts that stand out
                 low, high = both.min(), both.max()
             scale |= {"vmin": low, "vmax": high}
         for panel, depth, name in zip(row, depths, _COLUMNS, strict=False):
-            shown = self._image(panel, _Y, depth, f"{name}: first contact along z", **scale)
-        _bar(figure, shown, list(row[:2]), "z of first contact / mm")
+            image = self._image(panel, _Y, depth, f"{name}: first contact along z", **scale)
+        _bar(figure, image, list(row[:2]), "z of first contact / mm")
         worst = np.nanmax(np.where(np.isnan(self.error), -1, self.error), axis=_Z)
         self._mask_bar(figure, row[2], _Y, np.where(worst < 0, np.nan, worst), "worst error along z")
 
     def _contact_mm(self, force: Float32s) -> Float64s:
-        felt = force > self.mask[1]
+        perceptible = force > self.mask[1]
         index = (
-            felt.argmax(axis=_Z) if self.from_low_z else felt.shape[_Z] - 1 - felt[:, :, ::-1].argmax(axis=_Z)
+            perceptible.argmax(axis=_Z)
+            if self.from_low_z
+            else perceptible.shape[_Z] - 1 - perceptible[:, :, ::-1].argmax(axis=_Z)
         )
         z = self.low_mm[_Z] + (index + 0.5) * self.step_mm[_Z]
-        return np.where(felt.any(axis=_Z), z, np.nan)
+        return np.where(perceptible.any(axis=_Z), z, np.nan)
 
     def _slice_name(self) -> str:
         y_mm = round(self.low_mm[_Y] + (self.cut + 0.5) * self.step_mm[_Y], 1) + 0.0  # never -0
@@ -147,38 +150,38 @@ class _Panels:
 
     def draw_amplitudes(self, figure: Any, row: Any) -> None:
         """|F| on the slice with the most force, or of each actuator of an array."""
-        up, where = _Z, f", {self._slice_name()}"
+        up, slice_text = _Z, f", {self._slice_name()}"
         cut: tuple[Any, ...] = (slice(None), self.cut)
         if self.is_array:
-            up, cut, where = _Y, (..., 0), ""
+            up, cut, slice_text = _Y, (..., 0), ""
         for panel, force, name in zip(row, self.forces, _COLUMNS, strict=False):
-            felt = np.where(force[cut] > 0, force[cut], np.nan)
-            shown = self._image(
-                panel, up, felt, f"{name} |F|{where}", vmin=0, vmax=self.top_n, cmap="cividis"
+            supported_n = np.where(force[cut] > 0, force[cut], np.nan)
+            image = self._image(
+                panel, up, supported_n, f"{name} |F|{slice_text}", vmin=0, vmax=self.top_n, cmap="cividis"
             )
-        _bar(figure, shown, list(row[:2]), "|F| / N")
+        _bar(figure, image, list(row[:2]), "|F| / N")
         self._mask_bar(figure, row[2], up, self.error[cut], "error, in units of the mask")
 
     def draw_directions(self, figure: Any, row: Any) -> None:
-        """Direction on the same slice, and by how many degrees it is off."""
+        """Direction on the same slice, and its error in degrees."""
         units = [_unit(v[:, self.cut]) for v in self.vectors]
         for panel, unit, name in zip(row, units, _COLUMNS, strict=False):
-            shown = self._quiver(panel, unit, f"{name} direction, {self._slice_name()}")
-        _bar(figure, shown, list(row[:2]), "part of the force along y")
-        held = np.logical_and(*((u != 0).any(-1) for u in units))
+            image = self._quiver(panel, unit, f"{name} direction, {self._slice_name()}")
+        _bar(figure, image, list(row[:2]), "part of the force along y")
+        supported = np.logical_and(*((u != 0).any(-1) for u in units))
         across = lengths_of(np.cross(units[0], units[1]))
-        angle = np.where(held, np.degrees(np.arctan2(across, (units[0] * units[1]).sum(-1))), np.nan)
+        angle = np.where(supported, np.degrees(np.arctan2(across, (units[0] * units[1]).sum(-1))), np.nan)
         worst = self._image(row[2], _Z, angle, "direction error", vmin=0, vmax=20, cmap="cividis")
         _bar(figure, worst, row[2], "angle / degrees", extend="max")
 
     def _quiver(self, panel: Any, unit: Float32s, title: str) -> Any:
         extent = self._frame(panel, _Z, title)
         cell_mm = max(extent[1] - extent[0], extent[3] - extent[2]) / _ARROWS
-        # the first supported sample of each cell of the page, so that thin walls are not jumped over
-        places = np.argwhere((unit != 0).any(-1))
-        cells = np.floor(places * [self.step_mm[_X] / cell_mm, self.step_mm[_Z] / cell_mm])
+        # the first supported sample of each cell of the page, so that thin walls are not skipped
+        positions = np.argwhere((unit != 0).any(-1))
+        cells = np.floor(positions * [self.step_mm[_X] / cell_mm, self.step_mm[_Z] / cell_mm])
         _, first = np.unique(cells, axis=0, return_index=True)
-        i, j = places[first].T
+        i, j = positions[first].T
         u = unit[i, j]
         arrows = panel.quiver(
             self.low_mm[_X] + (i + 0.5) * self.step_mm[_X], self.low_mm[_Z] + (j + 0.5) * self.step_mm[_Z],
@@ -196,12 +199,12 @@ def _bar(figure: Any, image: Any, panels: Any, label: str, **style: Any) -> None
 
 
 def _span(has_force: Bools, count: int) -> slice:
-    """The range that is held, with a margin of a twentieth; all if nothing is."""
-    places = np.flatnonzero(has_force)
-    if not len(places):
+    """The range with forces and a margin of a twentieth; the whole range if there is no force."""
+    indices = np.flatnonzero(has_force)
+    if not len(indices):
         return slice(0, count)
-    margin = 1 + (places[-1] - places[0]) // 20
-    return slice(max(0, int(places[0] - margin)), min(count, int(places[-1] + margin + 1)))
+    margin = 1 + (indices[-1] - indices[0]) // 20
+    return slice(max(0, int(indices[0] - margin)), min(count, int(indices[-1] + margin + 1)))
 
 
 def _unit(vectors: Float32s) -> Float32s:
@@ -210,53 +213,56 @@ def _unit(vectors: Float32s) -> Float32s:
     return unit
 
 
-# -- a field in its workspace -----------------------------------------------------------------------------
+# -- a field in its workspace ------------------------------------------------------------------------------
 
 _PANELS: Final = (
     ("from the viewer", (1, 0, 0), (0, 1, 0)),
     ("from the side", (0, 0, -1), (0, 1, 0)),
     ("from above", (1, 0, 0), (0, 0, -1)),
 )
-"""Each view, and what lies across and upwards in it: x right, y up, z towards the viewer."""
+"""Each view and its horizontal and vertical direction, in x right, y up, z towards the viewer."""
 
-_ROOM: Final = 0.12  # around the workspace, of its largest side
+_MARGIN: Final = 0.12  # around the workspace, of its largest side
 
 
-def shadows(fields: Sequence[ForceField], title: str, turn: Float64s) -> Figure:
+def shadows(fields: Sequence[ForceField], title: str, permutation: Float64s) -> Figure:
     """A figure of fields on one grid: three projections with the box of the grid, in millimetres.
 
-    `turn`: the signed permutation [3, 3] from x right, y up, z towards the viewer to the axes of the fields.
+    `permutation` is the signed permutation [3, 3] from x right, y up, z towards the viewer to their axes.
     """
     grid = fields[0].grid
     low_mm, high_mm = (1e3 * corner for corner in grid.box_m)
     sides = high_mm - low_mm
-    room = _ROOM * float(sides.max())
-    panels_of = [(name, *_seen(turn, across), *_seen(turn, up)) for name, across, up in _PANELS]
-    widths = [float(sides[across] + 2 * room) for _, across, _, _, _ in panels_of]
-    heights = [float(sides[up] + 2 * room) for *_, up, _ in panels_of]
+    margin = _MARGIN * float(sides.max())
+    panels_of = [
+        (name, *_seen_axis(permutation, across), *_seen_axis(permutation, up)) for name, across, up in _PANELS
+    ]
+    widths = [float(sides[across] + 2 * margin) for _, across, _, _, _ in panels_of]
+    heights = [float(sides[up] + 2 * margin) for *_, up, _ in panels_of]
     height_inch = 1.6 + 13.0 * max(heights) / sum(widths)
     figure = titled_figure("the preview of a field", title, 15.0, height_inch)
     from matplotlib.patches import Rectangle
 
     panels = figure.subplots(1, 3, gridspec_kw={"width_ratios": widths})
     top_n = max(max(float(f.support().amplitudes_n.max(initial=0.0)) for f in fields), 1e-6)
-    for panel, (name, across, is_left, up, is_down) in zip(panels, panels_of, strict=True):
+    for panel, (name, across, is_mirrored, up, is_upside_down) in zip(panels, panels_of, strict=True):
         shadow = shadow_n(fields, across, up)
         image = panel.imshow(
             np.where(shadow > 0, shadow, np.nan).T, origin="lower", interpolation="nearest", aspect="equal",
-            extent=(low_mm[across], high_mm[across], low_mm[up], high_mm[up]), cmap="viridis_r", vmin=0, vmax=top_n,
+            extent=(low_mm[across], high_mm[across], low_mm[up], high_mm[up]),
+            cmap="viridis_r", vmin=0, vmax=top_n,
         )  # fmt: skip
         corner, size = (low_mm[across], low_mm[up]), (sides[across], sides[up])
         panel.add_patch(Rectangle(corner, *size, fill=False, edgecolor="0.2", linewidth=1.2, linestyle="--"))
-        panel.set_xlim(low_mm[across] - room, high_mm[across] + room)
-        panel.set_ylim(low_mm[up] - room, high_mm[up] + room)
+        panel.set_xlim(low_mm[across] - margin, high_mm[across] + margin)
+        panel.set_ylim(low_mm[up] - margin, high_mm[up] + margin)
         panel.set_title(name, fontsize=10)
         panel.set_xlabel(f"{'xyz'[across]} / mm", fontsize=9)
         panel.set_ylabel(f"{'xyz'[up]} / mm", fontsize=9)
         panel.tick_params(labelsize=8)
-        if is_left:
+        if is_mirrored:
             panel.invert_xaxis()
-        if is_down:
+        if is_upside_down:
             panel.invert_yaxis()
     style = {"xycoords": "axes fraction", "fontsize": 9, "color": "#d55e00", "fontweight": "bold"}
     panels[1].annotate(
@@ -269,21 +275,19 @@ def shadows(fields: Sequence[ForceField], title: str, turn: Float64s) -> Figure:
     return figure
 
 
-def _seen(turn: Float64s, way: tuple[int, int, int]) -> tuple[int, bool]:
-    """Axis of the fields that lies along a way of the viewer's, and whether it points against it."""
-    along = turn @ np.array(way, np.float64)
+def _seen_axis(permutation: Float64s, direction: tuple[int, int, int]) -> tuple[int, bool]:
+    """The axis of the fields along a direction of the viewer's, and whether it points the opposite way."""
+    along = permutation @ np.array(direction, np.float64)
     axis = int(np.argmax(np.abs(along)))
     return axis, bool(along[axis] < 0)
 
 
 def shadow_n(fields: Sequence[ForceField], across: int, up: int) -> Float64s:
-    """The greatest force of fields on one grid along its third axis, newtons, float64 [shape[across],
-    shape[up]].
-    """
+    """Largest force of fields on one grid along the third axis, newtons [shape[across], shape[up]]."""
     shape = fields[0].grid.shape
     shadow = np.zeros((shape[across], shape[up]))
     for field in fields:
         support = field.support()
-        places = support.positions[:, across], support.positions[:, up]
-        np.maximum.at(shadow, places, support.amplitudes_n)
+        columns_rows = support.positions[:, across], support.positions[:, up]
+        np.maximum.at(shadow, columns_rows, support.amplitudes_n)
     return shadow

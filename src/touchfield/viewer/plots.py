@@ -16,7 +16,7 @@ from touchfield.viewer.page import titled_figure, write_png
 if TYPE_CHECKING:
     from pathlib import Path
 
-_QUANTISED, _FELT = "#0072b2", "#d55e00"
+_QUANTISED, _PERCEPTIBLE = "#0072b2", "#d55e00"
 
 
 def draw_masked_signal(
@@ -25,7 +25,7 @@ def draw_masked_signal(
     """Draw a column for each reading Q(x): above the signal and Q of it, below the error and its mask k x.
 
     Times are in seconds, the signal and its readings, by the names above them, in newtons, float64 [n]. An
-    error beyond the mask, which a hand could feel, is drawn in orange.
+    error outside the mask, which is perceptible, is drawn in orange.
     """
     title = f"a force, quantised; its error, and the mask of {k:g} x"
     figure = titled_figure("the picture of a quantised signal", title, 4.3 * len(readings), 6.0)
@@ -38,7 +38,7 @@ def draw_masked_signal(
         bottom.fill_between(t_s, mask, color="0.85", lw=0, label=f"mask, {k:g} x")
         bottom.plot(t_s, error, color=_QUANTISED, lw=1.2, label="error |Q(x) - x|")
         beyond = np.where(error > mask * (1 + 1e-9), error, np.nan)
-        bottom.plot(t_s, beyond, color=_FELT, lw=2.2, label="beyond the mask")
+        bottom.plot(t_s, beyond, color=_PERCEPTIBLE, lw=2.2, label="beyond the mask")
         bottom.set_xlabel("time / s")
     axes[0, 0].set_ylabel("force / N")
     axes[1, 0].set_ylabel("error / N")
@@ -50,12 +50,12 @@ def draw_masked_signal(
 def draw_textures(
     path: Path, bands_hz: tuple[float, ...], rows: dict[str, Float64s], threshold_n: Float64s
 ) -> None:
-    """Draw a line for each row, newtons rms [bands] by its label, and the threshold of a hand, likewise."""
+    """Draw a line for each row, newtons rms [bands] by label, and the perception threshold, also [bands]."""
     figure = titled_figure("the picture of a texture", "vibration in thirds of an octave", 8.0, 4.5)
     axis = figure.subplots()
     for n, (label, levels_n) in enumerate(rows.items()):
-        shown = np.where(levels_n > 0, 1e3 * levels_n, np.nan)
-        axis.loglog(bands_hz, shown, "o-", ms=3, lw=1.2, color=f"C{n % 10}", label=label)
+        levels_mn = np.where(levels_n > 0, 1e3 * levels_n, np.nan)
+        axis.loglog(bands_hz, levels_mn, "o-", ms=3, lw=1.2, color=f"C{n % 10}", label=label)
     axis.fill_between(
         bands_hz, 1e3 * threshold_n, 1e3 * threshold_n.min() / 10, color="0.9", lw=0, label="not felt"
     )

@@ -19,10 +19,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import cfunc, types
-from numba.core import cgutils
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import carray, cfunc, types
 from numba.extending import intrinsic
-from numba.np.numpy_support import carray
 
 from touchfield.compute.jit import inner, kernel
 
@@ -49,7 +48,7 @@ def _as_pointer(_typing, address):
     """An address as a pointer."""
 
     def made(_context, builder, _signature, arguments):
-        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+        return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
 
     return types.voidptr(types.int64), made
 

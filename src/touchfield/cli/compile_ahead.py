@@ -1,8 +1,7 @@
-"""Helpers of a first run: processes that compile what a job needs later while it compiles what it needs
-first.
+"""Helper processes of a first run: they compile the kernels that a job needs later.
 
-They fill numba's cache, where the job finds the kernels when it comes to them. Run as a program, this file is
-one of them: ``python -m touchfield.cli.ahead GROUP...``.
+Meanwhile the job compiles those that it needs first, and finds the others in numba's cache. Run as a program,
+this module is one helper: ``python -m touchfield.cli.compile_ahead GROUP...``.
 """
 
 from __future__ import annotations
@@ -19,25 +18,25 @@ from typing import Final
 
 from touchfield.compute.threads import worker_count
 
-_MOST: Final = 3
+_MAX_HELPERS: Final = 3
 _NICE: Final = 5
 
 
 @contextmanager
 def helpers(groups: Sequence[str]) -> Iterator[Callable[[], None]]:
-    """Yields what starts them, one for each core but one; they end with the block, and with this process.
+    """Yield a function that starts helpers on all cores but one; they end with the block or this process.
 
-    `groups` are of `touchfield.tasks.setup.GROUPS`, what takes longest first. ``TOUCHFIELD_HELPERS`` gives
-    the most helpers, 3 where it is not set; 0: none.
+    `groups` are names in `touchfield.tasks.setup.GROUPS`, the longest first. ``TOUCHFIELD_HELPERS`` is the
+    maximum number of helpers, 3 by default; 0 starts none.
     """
     started: list[subprocess.Popen[bytes]] = []
 
     def start() -> None:
-        asked = os.environ.get("TOUCHFIELD_HELPERS", "")
-        count = min(int(asked) if asked.isdigit() else _MOST, worker_count() - 1, len(groups))
+        limit = os.environ.get("TOUCHFIELD_HELPERS", "")
+        count = min(int(limit) if limit.isdigit() else _MAX_HELPERS, worker_count() - 1, len(groups))
         for n in range(count):
-            code = [sys.executable, "-P", "-m", "touchfield.cli.ahead", *groups[n::count]]
-            with suppress(OSError):  # the job compiles by itself what nobody compiled for it
+            code = [sys.executable, "-P", "-m", "touchfield.cli.compile_ahead", *groups[n::count]]
+            with suppress(OSError):  # without helpers the job compiles everything itself
                 quiet = subprocess.DEVNULL
                 started.append(subprocess.Popen(code, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet))
 
@@ -51,7 +50,7 @@ def helpers(groups: Sequence[str]) -> Iterator[Callable[[], None]]:
 
 
 def _end_with_parent() -> None:
-    """Nothing is ever written to the pipe of standard input: it ends when the other end does."""
+    """Exit when standard input is closed: nothing is written to that pipe, so the read ends with the parent."""
     os.read(0, 1)
     os._exit(0)
 
@@ -63,9 +62,9 @@ def _main(groups: list[str]) -> None:
     gc.disable()
     from touchfield.codec.touch.warm import GROUPS
 
-    every = GROUPS if set(groups) <= GROUPS.keys() else import_module("touchfield.tasks.setup").GROUPS
+    functions = GROUPS if set(groups) <= GROUPS.keys() else import_module("touchfield.tasks.setup").GROUPS
     for group in groups:
-        every[group]()
+        functions[group]()
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from touchfield.cli.main import Json, command
-from touchfield.cli.show import Answer, literal_console, progress, show_table
+from touchfield.cli.output import Answer, literal_console, progress, show_table
 from touchfield.devices import devices as profiles
 
 _PROFILE_FIELDS = (
@@ -39,11 +39,11 @@ def devices(verbose: Annotated[bool, typer.Option(help="With all sources.")] = F
     drivers = {kind.name: kind.summary for kind in device_kinds()}
     forms = [(kind.form, kind.summary) for kind in device_kinds()]
 
-    def people() -> None:
+    def print_text() -> None:
         _show_profiles(verbose)
         show_table(forms, ("device", ""), "drivers (play --device)")
 
-    return Answer({"profiles": by_name, "drivers": drivers}, "", people=people)
+    return Answer({"profiles": by_name, "drivers": drivers}, "", print_text=print_text)
 
 
 def _show_profiles(verbose: bool) -> None:
@@ -84,23 +84,26 @@ def sources() -> Answer:
 def doctor(
     device: Annotated[str | None, "Only what this device needs: haply, bhaptics, ..."] = None,
 ) -> Answer:
-    """Say what is installed, what is missing, and how to mend it."""
+    """Check the installation and suggest fixes."""
     from touchfield.tasks.setup import examine
 
     report = examine(device)
 
-    def people() -> None:
+    def print_text() -> None:
         console = literal_console()
         for name, checks in report.items():
             console.print(name, style="bold")
-            for one in checks:
-                state, mend = "ok     " if one.is_there else "missing", f". {one.mend}" if one.mend else ""
+            for check in checks:
+                state, mend = (
+                    "ok     " if check.is_there else "missing",
+                    f". {check.mend}" if check.mend else "",
+                )
                 console.print(
-                    f"  {state}  {one.what}: {one.found}{'' if one.is_there else mend}", soft_wrap=True
+                    f"  {state}  {check.what}: {check.found}{'' if check.is_there else mend}", soft_wrap=True
                 )
 
-    told = {name: [asdict(one) for one in checks] for name, checks in report.items()}
-    return Answer(told, "", people=people)
+    values = {name: [asdict(check) for check in checks] for name, checks in report.items()}
+    return Answer(values, "", print_text=print_text)
 
 
 @command("Set up")

@@ -1,4 +1,4 @@
-"""Commands that make: encode, filter, field, plan, decode, export and import."""
+"""Commands that write streams and other formats: encode, filter, field, plan, export and import."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Annotated, Any
 import typer
 
 from touchfield import pipeline, tasks
-from touchfield.cli.main import Asked, Source, Stream, command
+from touchfield.cli.main import Options, Source, Stream, command
 from touchfield.cli.options import (
-    BESIDE,
     CODER,
+    FORCE_ROWS,
     SCENE,
     TARGET,
     DeviceCompute,
     Workers,
-    asks,
     encode_spec,
     filter_rows,
     target_of,
+    with_options,
 )
-from touchfield.cli.show import (
+from touchfield.cli.output import (
     Answer,
     check_results,
     literal_console,
@@ -35,11 +35,11 @@ from touchfield.compute.cuda import computing
 from touchfield.compute.executors import executor_of
 from touchfield.container.remote import is_remote
 from touchfield.errors import InvalidArgument, require_ending
-from touchfield.files import keep_sources
+from touchfield.files import refuse_overwriting
 from touchfield.tasks.plan import Plan, Trial
 
 LATER = {"touch": ("passes", "columns")}
-"""Of a coder, what is compiled last, and longest, before a first field is coded."""
+"""For each coder the groups of kernels that are compiled last, and longest, before the first field is coded."""
 
 
 @command(
@@ -48,9 +48,9 @@ LATER = {"touch": ("passes", "columns")}
     "encode depth-folder room.touch --frames 0:90 --k 0.2",
     "encode sample:terrain small.touch --target-bytes 60000",
 )
-@asks(SCENE, BESIDE, CODER, TARGET)
+@with_options(SCENE, FORCE_ROWS, CODER, TARGET)
 def encode(
-    asked: Asked,
+    options: Options,
     source: Source,
     to: Annotated[
         str,
@@ -63,9 +63,9 @@ def encode(
 ) -> Answer:
     """Turn SOURCE into a .touch file."""
     out = Path(to)
-    keep_sources(out, source)
-    require_ending(to, "OUT.touch", "OUT.zarr", mend="For a field take: touchfield field.")
-    spec, target = encode_spec(asked), target_of(asked)
+    refuse_overwriting(out, source)
+    require_ending(to, "OUT.touch", "OUT.zarr", hint="For a field take: touchfield field.")
+    spec, target = encode_spec(options), target_of(options)
     if is_remote(to) and (target is not None or out.suffix == ".zarr"):
         raise InvalidArgument("targets and .zarr work with a path, not with an address")
     if target is not None and workers is not None:
@@ -91,9 +91,9 @@ def encode(
 
 
 @command("Make", "filter room.touch soft.touch --gaussian sigma=2mm --report", name="filter")
-@asks(filter_rows(), BESIDE, SCENE, CODER)
+@with_options(filter_rows(), FORCE_ROWS, SCENE, CODER)
 def filter_(
-    asked: Asked,
+    options: Options,
     source: Source,
     out: Annotated[Path, "OUT.touch, or the filtered field: FIELD.npz, FIELD.vti."],
     with_report: Annotated[
@@ -103,14 +103,14 @@ def filter_(
     workers: Workers = None,
 ) -> Answer:
     """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
-    spec = encode_spec(asked)
-    beside = {row.name: getattr(spec, row.key) for row in BESIDE}
-    if not spec.filters and all(words is None for words in beside.values()):
-        names = ", ".join(f"--{row.name}" for row in (*filter_rows(), *BESIDE))
+    spec = encode_spec(options)
+    force_options = {row.name: getattr(spec, row.key) for row in FORCE_ROWS}
+    if not spec.filters and all(value is None for value in force_options.values()):
+        names = ", ".join(f"--{row.name}" for row in (*filter_rows(), *FORCE_ROWS))
         raise InvalidArgument(f"touchfield filter has no filter to apply: name at least one of {names}")
     require_ending(out, "OUT.touch", "FIELD.npz", "FIELD.vti")
     is_stream = out.suffix == ".touch"
-    stray = [name for name, words in {**beside, "workers": workers}.items() if words is not None]
+    stray = [name for name, value in {**force_options, "workers": workers}.items() if value is not None]
     if stray and not is_stream:
         raise InvalidArgument(f"--{stray[0]} works with OUT.touch, not with {out.suffix}, a field file")
     check_results((source,), out)
@@ -122,26 +122,26 @@ def filter_(
         if is_stream:
             with executor_of(workers) as executor:
                 done = pipeline.encode(source, out, spec, report, executor=executor)
-            shown, notes = done.summary(), done.notes
+            summary, notes = done.summary(), done.notes
         else:
             prepared = pipeline.prepare(source, spec)
-            shown, notes = prepared.summary(), prepared.notes
+            summary, notes = prepared.summary(), prepared.notes
             out = pipeline.write_field(out, prepared.medium, report, prepared.placement)
-    shown["filters"] = "; ".join(f"{step.name} {step.words}" for step in spec.chain) or "none"
+    summary["filters"] = "; ".join(f"{step.name} {step.text}" for step in spec.chain) or "none"
     if not measured:
-        return Answer(shown, str(out), notes)
+        return Answer(summary, str(out), notes)
 
-    def people() -> None:
+    def print_text() -> None:
         title = f"before and after each filter (Q {measured['quantiser']})"
-        Answer({**shown, "stages": measured["stages"]}, str(out), notes, {"stages": title}).show()
+        Answer({**summary, "stages": measured["stages"]}, str(out), notes, {"stages": title}).show()
 
-    return Answer({**shown, "report": measured}, str(out), notes, people=people)
+    return Answer({**summary, "report": measured}, str(out), notes, print_text=print_text)
 
 
 @command("Make", "field scan.ply --preview look.png", "field scan.ply field.npz --nw 6")
-@asks(SCENE)
+@with_options(SCENE)
 def field(
-    asked: Asked,
+    options: Options,
     source: Source,
     out: Annotated[Path | None, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")] = None,
     preview: Annotated[Path | None, "PNG to draw: where the scene lies in the workspace."] = None,
@@ -155,21 +155,21 @@ def field(
             "touchfield field makes FIELD.npz or FIELD.vti, or draws --preview PNG: name one"
         )
     check_results((source,), preview, out)
-    shown: dict[str, Any] = {}
+    summary: dict[str, Any] = {}
     with computing(device_compute), progress("field") as report:
-        prepared = pipeline.prepare(source, encode_spec(asked))
+        prepared = pipeline.prepare(source, encode_spec(options))
         if preview is not None:
             tasks.view.draw_preview(prepared, preview)
-            shown["preview"] = str(preview)
+            summary["preview"] = str(preview)
         if out is not None:
-            shown["file"] = str(pipeline.write_field(out, prepared.medium, report, prepared.placement))
-    return Answer({**shown, **prepared.summary()}, str(out or preview), (*prepared.notes, *prepared.learnt))
+            summary["file"] = str(pipeline.write_field(out, prepared.medium, report, prepared.placement))
+    return Answer({**summary, **prepared.summary()}, str(out or preview), (*prepared.notes, *prepared.learnt))
 
 
 @command("Make", "plan depth-folder --budget 64kbit/s --plot plan.png", "plan scan.ply --budget 60kB")
-@asks(SCENE)
+@with_options(SCENE)
 def plan(
-    asked: Asked,
+    options: Options,
     source: Source,
     budget: Annotated[
         str,
@@ -181,60 +181,60 @@ def plan(
     workers: Workers = None,
 ) -> Answer:
     """Find the lattice and the settings that spend a budget best; --nw is the finest of three lattices."""
-    amount, search, spec = tasks.plan.parse_budget(budget), tasks.plan.PlanGrid(), encode_spec(asked)
+    amount, search, spec = tasks.plan.parse_budget(budget), tasks.plan.PlanGrid(), encode_spec(options)
     if spec.nw is None:
         raise InvalidArgument("--nominal does not go with plan: name --nw, the finest lattice to try")
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
     check_results((source,), plot)
     spec = replace(spec, touch=replace(spec.touch, effort=effort))
     with progress("plan") as report, executor_of(workers) as executor:
-        chosen = tasks.plan.plan(source, amount, spec, search, report, executor)
+        result = tasks.plan.plan(source, amount, spec, search, report, executor)
     if plot is not None:
-        chosen.draw(plot)
-    options, notes = _options(chosen, asked), (f"the picture is {plot}",) if plot else ()
-    values = {**chosen.summary(), "encode_options": shlex.join(options)}
-    return Answer(values, "", (*chosen.notes, *notes), people=lambda: _show_plan(chosen, options, notes))
+        result.draw(plot)
+    arguments, notes = _encode_arguments(result, options), (f"the picture is {plot}",) if plot else ()
+    values = {**result.summary(), "encode_options": shlex.join(arguments)}
+    return Answer(
+        values, "", (*result.notes, *notes), print_text=lambda: _show_plan(result, arguments, notes)
+    )
 
 
-def _options(plan: Plan, asked: dict[str, Any]) -> list[str]:
-    """The options with which `encode` makes the choice: its settings, and those of the scene as they were
-    given.
-    """
-    words = [*plan.chosen.options.split(), "--representation", "voxel"]
-    if plan.chosen.spec.coder == "touch":
-        words += ["--effort", plan.chosen.spec.touch.effort]
+def _encode_arguments(plan: Plan, options: dict[str, Any]) -> list[str]:
+    """Return the options with which `encode` repeats the choice: its settings and those of the scene."""
+    arguments = [*plan.choice.options.split(), "--representation", "voxel"]
+    if plan.choice.spec.coder == "touch":
+        arguments += ["--effort", plan.choice.spec.touch.effort]
     for row in SCENE:
-        value = asked[row.key]
+        value = options[row.key]
         if value != row.default and row.name not in ("nw", "representation"):
-            words += [f"--{row.name}"] if value is True else [f"--{row.name}", str(value)]
-    return words
+            arguments += [f"--{row.name}"] if value is True else [f"--{row.name}", str(value)]
+    return arguments
 
 
-def _show_plan(plan: Plan, options: list[str], notes: tuple[str, ...]) -> None:
+def _show_plan(plan: Plan, arguments: list[str], notes: tuple[str, ...]) -> None:
     """Print a plan as a table with its notes."""
     frames = f"{plan.frames_tried} frame{'s' * (plan.frames_tried > 1)}"
     title = f"{plan.source}: {frames} under {len(plan.trials)} settings; the frontier"
     literal_console().print(title, style="bold", soft_wrap=True)
-    rows = [("->" if trial is plan.chosen else "", *_cells(plan, trial)) for trial in plan.front()]
+    rows = [("->" if trial is plan.choice else "", *_cells(plan, trial)) for trial in plan.front()]
     headings = ("", "nw", "coder", "k or step", plan.unit, "NMSE dB", "mask kept")
     show_table(rows, headings, right=(1, 3, 4, 5, 6))
-    said = [
+    lines = [
         *plan.notes,
         f"mask kept: share of the voxels within max({plan.f0_n:g} N, {plan.k:g} |F|) on the finest lattice",
     ]
     if plan.multiplier is not None:
-        said.append(f"lambda is {plan.multiplier:.4g} {plan.unit} for a unit of NMSE at the choice")
-    said.append(shlex.join(["touchfield", "encode", plan.source, "OUT.touch", *options]))
-    show_notes((*said, *notes))
+        lines.append(f"lambda is {plan.multiplier:.4g} {plan.unit} for a unit of NMSE at the choice")
+    lines.append(shlex.join(["touchfield", "encode", plan.source, "OUT.touch", *arguments]))
+    show_notes((*lines, *notes))
 
 
 def _cells(plan: Plan, trial: Trial) -> tuple[str, ...]:
     figures = trial.summary()
     control = f"{figures['step_n']:g} N" if figures["step_n"] is not None else f"{figures['k']:g}"
     nmse = "exact" if figures["nmse_db"] is None else f"{figures['nmse_db']:.2f}"
-    kept = f"{100 * trial.mask_kept:.2f} %"
+    within_bound = f"{100 * trial.mask_fraction:.2f} %"
     kind = f"paper {figures['directions']}" if figures["directions"] else trial.kind
-    return (str(figures["nw"] or "-"), kind, control, f"{plan.cost(trial):,.0f}", nmse, kept)
+    return (str(figures["nw"] or "-"), kind, control, f"{plan.cost(trial):,.0f}", nmse, within_bound)
 
 
 @command(
@@ -277,7 +277,7 @@ def import_(
     """Turn an effect into a .touch file: a symbolic medium for an array of actuators."""
     from touchfield.tasks.exchange import import_effect
 
-    keep_sources(out, effect)
+    refuse_overwriting(out, effect)
     with progress("import") as report:
         done = import_effect(effect, out, None, rate_hz, force_max_n, report)
     return Answer(done.summary(), str(out), done.notes)

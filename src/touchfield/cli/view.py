@@ -1,4 +1,4 @@
-"""Commands that look and study: view and compare, measure; and how a measurement is printed."""
+"""The commands view, compare and measure, and the printing of a measurement."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from urllib.parse import urlsplit
 import typer
 
 from touchfield import pipeline, tasks
-from touchfield.cli.main import Asked, Source, Stream, command
-from touchfield.cli.options import SCENE, asks, encode_spec, fields_of, rows_of
-from touchfield.cli.show import (
+from touchfield.cli.main import Options, Source, Stream, command
+from touchfield.cli.options import SCENE, encode_spec, fields_of, rows_of, with_options
+from touchfield.cli.output import (
     Answer,
     check_results,
     literal_console,
@@ -74,7 +74,7 @@ def compare(
     if not no_picture and target.exists() and not is_our_picture(target):
         mend = "Name another --picture, or take --no-picture."
         raise InvalidArgument(
-            f"{target} is there, and touchfield did not draw it: it is left as it is", mend=mend
+            f"{target} is there, and touchfield did not draw it: it is left as it is", hint=mend
         )
     with progress("compare") as report:
         compared = pipeline.compare(
@@ -97,17 +97,20 @@ def compare(
 
 
 def _free_name(source: str, stream: str) -> Path:
-    """STREAM.png, or STREAM.compare.png where that is the source or was not drawn here; here for an address."""
-    own = Path(urlsplit(stream).path).name if is_remote(stream) else stream
-    usual = Path(own).with_suffix(".png")
+    """Return STREAM.png, or STREAM.compare.png if that is the source or another program's picture.
+
+    For an address the name is in the current folder.
+    """
+    name = Path(urlsplit(stream).path).name if is_remote(stream) else stream
+    usual = Path(name).with_suffix(".png")
     is_free = not usual.exists() or (is_our_picture(usual) and not is_same_file(source, usual))
     return usual if is_free else usual.with_suffix(".compare.png")
 
 
 @command("Study", "measure room.touch", "measure scan.ply --device phantom-omni --device tshirt-32x32")
-@asks(rows_of(MeasureSpec), tuple(row for row in SCENE if row.name != "device"))
+@with_options(rows_of(MeasureSpec), tuple(row for row in SCENE if row.name != "device"))
 def measure(
-    asked: Asked,
+    options: Options,
     medium: Annotated[str, typer.Argument(help="A .touch file, or any SOURCE.", metavar="MEDIUM")],
     device: Annotated[
         list[str] | None, "Device whose capacity, WMR and HIL are wanted; may be repeated."
@@ -117,28 +120,29 @@ def measure(
     plot: Annotated[Path | None, "PNG to draw."] = None,
 ) -> Answer:
     """Measure a medium in bits: entropies, coding limits, capacity of devices, energy."""
-    encode = encode_spec({**asked, "device": reference})
-    own = fields_of(MeasureSpec, asked)
-    spec = MeasureSpec(**own, devices=tuple(device or ()), limits=not no_limits, encode=encode)
+    encode = encode_spec({**options, "device": reference})
+    measure_fields = fields_of(MeasureSpec, options)
+    spec = MeasureSpec(**measure_fields, devices=tuple(device or ()), limits=not no_limits, encode=encode)
     check_results((medium,), plot)
     with progress("measure") as report:
         measurement = tasks.measure.measure_medium(medium, spec, report)
     if plot is not None:
         measurement.draw(plot)
     notes = (f"the picture is {plot}",) if plot else ()
-    told = (*measurement.notes, *notes)
-    return Answer(measurement.summary(), "", told, people=lambda: show_measurement(measurement, notes))
+    all_notes = (*measurement.notes, *notes)
+    return Answer(
+        measurement.summary(), "", all_notes, print_text=lambda: show_measurement(measurement, notes)
+    )
 
 
-# -- a measurement in lines: each quantity with its interval and its unit
-# --------------------------------------------
+# -- a measurement in lines: each quantity with its interval and its unit ----------------------------------
 
 Row = tuple[str, str, str, str]
 """Name, value, interval, what it is."""
 
 _DILUTED = "too few samples for its contexts: not to be trusted"
 _WARNINGS = ("bias", "few", "too low", "overshoots", "negative", "diluted", "not to be trusted")
-"""Words of notes that tell how far a number may be trusted; such notes come first."""
+"""Words of notes on the reliability of a number; such notes come first."""
 
 
 def show_measurement(m: Measurement, notes: tuple[str, ...]) -> None:
@@ -149,14 +153,14 @@ def show_measurement(m: Measurement, notes: tuple[str, ...]) -> None:
         style="bold", soft_wrap=True,
     )  # fmt: skip
     tables = {
-        "information": [_row(q, what) for q, what in _information(m)],
+        "information": [_row(q, meaning) for q, meaning in _information(m)],
         "coding limits: what a coder of this medium can hope for": _limits(m),
         "capacity of devices (eq. 1 to 3)": _capacities(m),
         "energy, frame with the largest support": [] if m.passivity is None else _energy(m.passivity),
     }
     for title, rows in tables.items():
         if rows:
-            show_table(rows, title=title, right=(1,), whole=3)
+            show_table(rows, title=title, right=(1,), unbroken=3)
     interval = m.entropy.interval
     if interval is not None:
         literal_console().print(
@@ -166,8 +170,8 @@ def show_measurement(m: Measurement, notes: tuple[str, ...]) -> None:
 
 
 def _notes(m: Measurement, notes: tuple[str, ...]) -> list[str]:
-    """Each note once, after the quantities that it is about: warnings, other notes, those of the scene."""
-    named = [(f"{q.name} {what}".strip(), q) for q, what in _information(m) if q is not m.per_frame]
+    """Return each note once, prefixed by the quantities it concerns: warnings first, those of the scene last."""
+    named = [(f"{q.name} {meaning}".strip(), q) for q, meaning in _information(m) if q is not m.per_frame]
     if m.limits is not None:
         named += [(c.per_voxel.name, c.per_voxel) for c in m.limits.contexts]
     for device, c in m.capacities.items():
@@ -180,24 +184,24 @@ def _notes(m: Measurement, notes: tuple[str, ...]) -> list[str]:
     for note in m.passivity.notes if m.passivity is not None else ():
         about.setdefault(note, {})["energy"] = None
     # what a device's capacity says is among the notes of the measurement too, as "DEVICE: NOTE"
-    every = [f"{', '.join(names)}: {note}" for note, names in about.items()]
-    every = list(dict.fromkeys((*every, *m.notes, *notes)))
-    return sorted(every, key=lambda note: not any(word in note for word in _WARNINGS) or note in notes)
+    all_notes = [f"{', '.join(names)}: {note}" for note, names in about.items()]
+    all_notes = list(dict.fromkeys((*all_notes, *m.notes, *notes)))
+    return sorted(all_notes, key=lambda note: not any(word in note for word in _WARNINGS) or note in notes)
 
 
-def _row(quantity: Quantity, what: str) -> Row:
+def _row(quantity: Quantity, meaning: str) -> Row:
     i = quantity.interval
     spread = "" if i is None else f"{_number(i.low, 5)} to {_number(i.high, 5)}"
-    return quantity.name, _number(quantity.value, 6), spread, f"{quantity.unit} {what}".strip()
+    return quantity.name, _number(quantity.value, 6), spread, f"{quantity.unit} {meaning}".strip()
 
 
 def _number(value: float, digits: int) -> str:
-    """Without the sign of -0; "none" for NaN, whose reason is a note."""
+    """Format a number without the sign of -0; "none" for NaN, which a note explains."""
     return "none" if math.isnan(value) else f"{value + 0.0:.{digits}g}"
 
 
 def _information(m: Measurement) -> list[tuple[Quantity, str]]:
-    """H(S) under each weighting, and what that is; H(W); and what a frame tells of the next."""
+    """Return the entropies to be printed, each with its meaning: H(S) by weighting, H(W), and those in time."""
     visits = [(m.entropy, "over the visits of the trace")] if m.entropy.weighting == "interaction" else []
     everywhere = [(m.voxel, "over all voxels"), (m.corrected, "over all voxels, Miller-Madow")]
     others = [(quantity, "") for quantity in (m.per_frame, *m.in_time.values())]
@@ -207,11 +211,11 @@ def _information(m: Measurement) -> list[tuple[Quantity, str]]:
 def _limits(m: Measurement) -> list[Row]:
     if m.limits is None:
         return []
-    each = m.voxels * m.frames / m.supported_voxels
-    rows = [("H(S)", _number(m.voxel.value * each, 5), "", "bit/supported voxel, no neighbours")]
+    per_supported = m.voxels * m.frames / m.supported_voxels
+    rows = [("H(S)", _number(m.voxel.value * per_supported, 5), "", "bit/supported voxel, no neighbours")]
     for c in m.limits.contexts:
-        what = _DILUTED if c.is_diluted else f"{c.contexts:,} contexts"
-        rows.append((c.per_voxel.name, _number(c.per_voxel.value * each, 5), "", what))
+        meaning = _DILUTED if c.is_diluted else f"{c.contexts:,} contexts"
+        rows.append((c.per_voxel.name, _number(c.per_voxel.value * per_supported, 5), "", meaning))
     if m.file_bits is not None:
         rows.append(("this file", _number(m.file_bits / m.supported_voxels, 5), "", "everything counted"))
     return rows
@@ -222,23 +226,25 @@ def _capacities(m: Measurement) -> list[Row]:
     for name, c in m.capacities.items():
         # no interval where that of H(M(W)) is unknown: it would speak of H(W) alone, and be too narrow
         unknown = c.rendered.interval is None
-        of = f"of the {c.codomain_bits:,.0f} that it could be told"
-        for quantity, label, what in (
-            (c.capacity, name, of),
+        available = f"of the {c.codomain_bits:,.0f} that it could be told"
+        for quantity, label, meaning in (
+            (c.capacity, name, available),
             (c.wmr, "  WMR", "rendered"),
             (c.hil, "  HIL", "lost"),
         ):
-            rows.append(_row(quantity.of(name=label, interval=None if unknown else quantity.interval), what))
+            rows.append(
+                _row(quantity.of(name=label, interval=None if unknown else quantity.interval), meaning)
+            )
     return rows
 
 
 def _energy(p: Passivity) -> list[Row]:
-    """Where nothing could be seen, the reason stands in place of what the number means."""
-    why = "; ".join(p.notes) or "not defined here"
+    """Return the rows of the energy measures; for an undefined number the reason replaces its meaning."""
+    reason = "; ".join(p.notes) or "not defined here"
     curl, square = p.relative_curl, 1e3 * p.worst_square_j
     meaning = "0: no loop gains energy; 1: a pure rotation"
     gained = f"mJ gained in one round, of {p.squares:,} squares of the lattice"
     return [
-        ("relative curl", _number(curl, 4), "", why if math.isnan(curl) else meaning),
-        ("worst square", _number(square, 4), "", why if math.isnan(square) else gained),
+        ("relative curl", _number(curl, 4), "", reason if math.isnan(curl) else meaning),
+        ("worst square", _number(square, 4), "", reason if math.isnan(square) else gained),
     ]

@@ -1,6 +1,4 @@
-"""The command line as its user meets it: tables, notes, one JSON object, progress bars; and no source
-overwritten.
-"""
+"""Output of the command line: tables, notes, one JSON object, progress bars; and checks of output files."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from touchfield.errors import InvalidArgument
-from touchfield.files import keep_sources
+from touchfield.files import refuse_overwriting
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,16 +23,17 @@ _GAP = 2  # blanks between columns
 
 
 def check_results(reads: Sequence[str | Path | None], *results: Path | None) -> None:
-    """Check before the work that results can be written, or InvalidArgument.
+    """Raise InvalidArgument before the work if a result cannot be written.
 
-    The folder of each must be there, and it must be none of the files that are read; None is no file.
+    The folder of each result must exist, and no result may be one of the files that are read. None is
+    ignored.
     """
     for out in results:
         if out is None:
             continue
         if not out.parent.is_dir():
             raise InvalidArgument(str(out), f"no folder {out.parent}", "a folder that is there")
-        keep_sources(out, *(read for read in reads if read is not None))
+        refuse_overwriting(out, *(read for read in reads if read is not None))
 
 
 def literal_console() -> Console:
@@ -46,27 +45,29 @@ def literal_console() -> Console:
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer of a command: for programs values by stable keys and notes, as one object; for people under a
-    title.
+    """Result of a command, printed as one JSON object or as text.
 
-    Of `tables` each is the key of rows that people see beside each other, and the words above them; where
-    `people` is given it prints in place of all this.
+    values : results by stable keys.
+    title : heading of the text.
+    notes : printed after the values, and the key "notes" of the JSON object.
+    tables : key of each value that the text shows as a table of rows, and the table's title.
+    print_text : prints the whole text in place of the default.
     """
 
     values: Mapping[str, Any]
     title: str
     notes: Sequence[str] = ()
     tables: Mapping[str, str] = field(default_factory=dict)
-    people: Callable[[], None] | None = None
+    print_text: Callable[[], None] | None = None
 
     def show(self, as_json: bool = False, warnings: Sequence[str] = ()) -> None:
-        """Print it as one JSON object, with `warnings` if there are any, or for people, who have seen those."""
+        """Print it as one JSON object with `warnings`, if any, or as text, after warnings were printed."""
         if as_json:
             warned = {"warnings": list(warnings)} if warnings else {}
             answer = _unsigned_zeros({**self.values, "notes": list(self.notes), **warned})
             sys.stdout.write(json.dumps(answer, default=_plain, allow_nan=False) + "\n")
-        elif self.people is not None:
-            self.people()
+        elif self.print_text is not None:
+            self.print_text()
         else:
             literal_console().print(self.title, style="bold", soft_wrap=True)
             lines = [
@@ -89,19 +90,19 @@ def show_notes(notes: Sequence[str]) -> None:
 
 
 def show_rows(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print rows of the same keys as a table, turned: one line for each key, one column for each row.
+    """Print rows of the same keys as a transposed table: one line for each key, one column for each row.
 
-    Where the page is too narrow for all of them, further columns follow below, beside the keys again.
+    If the terminal is too narrow, the remaining columns follow below with the keys repeated.
     """
     console = literal_console()
     if title:
         console.print(title, style="bold", soft_wrap=True)
     keys = [key for key in rows[0] if key != "error_thirds_mn"]  # 39 numbers for programs
     columns = [[_text(row[key], key) for key in keys] for row in rows]
-    room = console.width - max(map(len, keys))
+    width = console.width - max(map(len, keys))
     while columns:
-        ends = accumulate(_GAP + max(map(len, column)) for column in columns)
-        count = max(1, sum(end <= room for end in ends))
+        right_edges = accumulate(_GAP + max(map(len, column)) for column in columns)
+        count = max(1, sum(end <= width for end in right_edges))
         show_table(list(zip(keys, *columns[:count], strict=True)))
         columns = columns[count:]
         if columns:
@@ -113,19 +114,19 @@ def show_table(
     headings: Sequence[str] = (),
     title: str | None = None,
     right: Sequence[int] = (),
-    whole: int = 1,
+    unbroken: int = 1,
 ) -> None:
-    """Print lines of cells; what is too long goes on below, and nothing is cut off.
+    """Print lines of cells; long cells are wrapped, never truncated.
 
-    Columns `right`, counted from 0, are flush right; the first `whole` are not broken.
+    Columns `right`, counted from 0, are right-aligned; the first `unbroken` columns are not wrapped.
     """
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, _GAP, 0, 0))
     table.show_header = bool(headings)
-    for place, heading in enumerate(headings or [""] * len(lines[0] if lines else ())):
-        justify: Literal["left", "right"] = "right" if place in right else "left"
-        table.add_column(heading, justify=justify, overflow="fold", no_wrap=place < whole)
+    for column, heading in enumerate(headings or [""] * len(lines[0] if lines else ())):
+        justify: Literal["left", "right"] = "right" if column in right else "left"
+        table.add_column(heading, justify=justify, overflow="fold", no_wrap=column < unbroken)
     for line in lines:
         table.add_row(*line)
     literal_console().print(table)
@@ -138,7 +139,7 @@ def _plain(value: Any) -> Any:
 
 
 def _unsigned_zeros(value: Any) -> Any:
-    """The same with 0 for each -0, which differs from it for nobody who reads it."""
+    """Return `value` with each -0.0 replaced by 0.0."""
     if isinstance(value, float):
         return float(value) + 0.0
     if isinstance(value, Mapping):
@@ -152,7 +153,7 @@ def _text(value: Any, name: str = "") -> str:
     if isinstance(value, float):
         return f"{value + 0.0:.6g}" if math.isfinite(value) else str(value)
     if isinstance(value, list | tuple) and any(isinstance(v, Mapping) for v in value):
-        return f"{len(value)}, told by --json"
+        return f"{len(value)}, see --json"
     if isinstance(value, list | tuple):
         is_size = name.endswith(("shape", "spacing_mm", "points"))  # a place is none
         return (" x " if is_size else ", ").join(_text(v) for v in value)
@@ -163,15 +164,16 @@ def _text(value: Any, name: str = "") -> str:
 
 @contextmanager
 def progress(
-    what: str, later: Sequence[str] = (), compiles: bool = True
+    label: str, later: Sequence[str] = (), compiles: bool = True
 ) -> Iterator[Callable[[int, int], None]]:
-    """A bar with the time left on a terminal, nothing elsewhere; yields ``report(done, total)``.
+    """Show a progress bar on a terminal, nothing elsewhere; yield ``report(done, total)``.
 
-    `later` are the kernels that helpers compile ahead, if any need be compiled; without `compiles` none does.
+    `later` are the groups of kernels that helpers compile ahead if anything has to be compiled. Without
+    `compiles` the job compiles nothing.
     """
 
-    def compilation(tell: Callable[[str], None]) -> AbstractContextManager[None]:
-        return compilation_told(tell, later) if compiles else nullcontext()
+    def compilation(announce: Callable[[str], None]) -> AbstractContextManager[None]:
+        return announce_compilation(announce, later) if compiles else nullcontext()
 
     if not sys.stderr.isatty():
         with compilation(lambda line: None):
@@ -182,35 +184,34 @@ def progress(
 
     columns = *Progress.get_default_columns(), MofNCompleteColumn()
     with Progress(*columns, console=Console(stderr=True, emoji=False), transient=True) as bar:
-        task = bar.add_task(what, total=None)
+        task = bar.add_task(label, total=None)
         with compilation(lambda line: bar.console.print(line, highlight=False)):
             yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 @contextmanager
-def compilation_told(tell: Callable[[str], None], later: Sequence[str] = ()) -> Iterator[None]:
-    """Tell, in one line, that kernels are compiled, and have helpers compile those of `later`.
+def announce_compilation(announce: Callable[[str], None], later: Sequence[str] = ()) -> Iterator[None]:
+    """Announce in one line that kernels are compiled, and let helpers compile those of `later`.
 
-    Where all come from the cache nothing is told, and no helper started.
-    While they are, no garbage is collected: a compiler makes little of it, and a seventh of its time went
-    there. An interrupt that comes where a compiler lets none out, and would go on or fail, ends the job like
-    any other.
+    If all kernels come from the cache, nothing is announced and no helper is started. Garbage collection is
+    off during compilation: it took a seventh of the time and found little. An interrupt that the compiler
+    swallows still ends the job.
     """
     import gc
 
     from numba.core.event import Event, Listener, install_listener
 
-    from touchfield.cli.ahead import helpers
+    from touchfield.cli.compile_ahead import helpers
 
     class First(Listener):
-        told = False
+        is_announced = False
         depth = 0
 
         def on_start(self, event: Event) -> None:
             self.depth += 1
-            if not self.told:
-                self.told = True
-                tell(
+            if not self.is_announced:
+                self.is_announced = True
+                announce(
                     "compiling kernels, once: some 10 to 30 s, kept for later runs (touchfield warmup "
                     "compiles all)"
                 )
@@ -221,14 +222,14 @@ def compilation_told(tell: Callable[[str], None], later: Sequence[str] = ()) -> 
             self.depth -= 1
             if not self.depth:
                 gc.enable()
-            if lost:
+            if interrupts:
                 raise KeyboardInterrupt
 
-    usual, lost = sys.unraisablehook, []
+    usual, interrupts = sys.unraisablehook, []
 
     def unraisable(event: sys.UnraisableHookArgs) -> None:
         if event.exc_type is KeyboardInterrupt:
-            lost.append(True)
+            interrupts.append(True)
         else:
             usual(event)
 

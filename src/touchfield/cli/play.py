@@ -1,4 +1,4 @@
-"""The command that feels: play, the options of its renderer, and the tool in the hand."""
+"""The command play, the options of its renderer, and the tool in the hand."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from touchfield.cli.main import Asked, Json, Stream, command
-from touchfield.cli.options import asks, fields_of, numbers_of, rows, rows_of
-from touchfield.cli.show import Answer, check_results, progress
+from touchfield.cli.main import Json, Options, Stream, command
+from touchfield.cli.options import fields_of, numbers_of, rows, rows_of, with_options
+from touchfield.cli.output import Answer, check_results, progress
 from touchfield.errors import InvalidArgument
 from touchfield.medium.deformation import read_deformation
 from touchfield.render.material import read_materials
@@ -55,9 +55,9 @@ _FORMS: Final = "point, sphere:RADIUS_M or MESH.obj, with ,points=N behind the l
     "play room.touch --device haply --friction 0.4",
     "play vest.touch --device bhaptics --loop",
 )
-@asks(rows_of(PlaySpec), RENDER)
+@with_options(rows_of(PlaySpec), RENDER)
 def play(
-    asked: Asked,
+    options: Options,
     stream: Stream,
     log: Annotated[Path | None, "CSV to write: every tick."] = None,
     plot: Annotated[Path | None, "PNG to draw: the hand, the field, the forces."] = None,
@@ -70,17 +70,17 @@ def play(
     from touchfield.tasks.play import play as run
 
     if check:
-        verdict = check_play(stream, asked["speed"])
+        verdict = check_play(stream, options["speed"])
         Answer(verdict, stream).show(as_json)
         if not verdict["can_play"]:
             raise typer.Exit(1)
         return
     check_results((stream,), log, plot)
     is_logged = not (log is plot is None)
-    beside = {"is_logged": is_logged, "is_drawn": plot is not None, "render": render_spec(asked)}
-    spec = PlaySpec(**{**fields_of(PlaySpec, asked), **beside})
+    derived = {"is_logged": is_logged, "is_drawn": plot is not None, "render": render_spec(options)}
+    spec = PlaySpec(**{**fields_of(PlaySpec, options), **derived})
     with _bridge(stream, bridge) as watch, progress("play") as report:
-        played = run(stream, spec, report, _say, watch)
+        played = run(stream, spec, report, _print_note, watch)
     notes = played.notes
     if log is not None:
         played.write_log(log)
@@ -89,10 +89,10 @@ def play(
         played.draw(plot)
         notes = (*notes, f"the picture is {plot}")
     if played.is_starved:
-        share = played.statistics["stalled_share"]
+        percent = played.statistics["stalled_share"]
         notes = (
             *notes,
-            f"{100 * share:.3g} % of the time there was nothing, as frames came too late: this has failed",
+            f"{100 * percent:.3g} % of the time there was nothing, as frames came too late: this has failed",
         )
     Answer(played.statistics, stream, notes).show(as_json)
     played.checked()
@@ -101,9 +101,9 @@ def play(
 
 
 @contextmanager
-def _bridge(stream: str, is_shown: bool) -> Iterator[Callable[[Any], None]]:
-    """A call that has a player shown in a browser, where that is wanted."""
-    if not is_shown:
+def _bridge(stream: str, is_enabled: bool) -> Iterator[Callable[[Any], None]]:
+    """Yield a function that shows a player in a browser, or does nothing if that is not enabled."""
+    if not is_enabled:
         yield lambda player: None
         return
     from touchfield.network.access import Access, Pages
@@ -113,48 +113,48 @@ def _bridge(stream: str, is_shown: bool) -> Iterator[Callable[[Any], None]]:
     if not Path(stream).is_file():
         raise InvalidArgument("--bridge", stream, "a .touch file on this machine")
     with Bridge(Path(stream), Access(port=0), Pages(served_page(), empty_page())) as server:
-        _say(f"open {server.page} in a browser")
+        _print_note(f"open {server.page} in a browser")
         yield server.follow
 
 
-def _say(note: str) -> None:
-    """Print a note at once, beside the result."""
+def _print_note(note: str) -> None:
+    """Print a note to stderr immediately."""
     typer.echo(f"note: {note}", err=True)
 
 
-def render_spec(asked: dict[str, Any]) -> RenderSpec:
-    """The options as the renderer takes them."""
-    values = {name: value for name, value in fields_of(RenderSpec, asked).items() if value is not None}
-    values["tool"] = tool_of(asked["tool"])
-    if asked["materials"] is not None:
-        values["materials"] = read_materials(asked["materials"])
-    if asked["deformation"] is not None:
-        values["deformation"] = read_deformation(asked["deformation"])
-    if asked["clutch_mm"] is not None:
+def render_spec(options: dict[str, Any]) -> RenderSpec:
+    """Return the spec of the renderer from the options."""
+    values = {name: value for name, value in fields_of(RenderSpec, options).items() if value is not None}
+    values["tool"] = tool_of(options["tool"])
+    if options["materials"] is not None:
+        values["materials"] = read_materials(options["materials"])
+    if options["deformation"] is not None:
+        values["deformation"] = read_deformation(options["deformation"])
+    if options["clutch_mm"] is not None:
         values["clutch_m"] = tuple(
-            v / 1000 for v in numbers_of("--clutch-mm", asked["clutch_mm"], (3,), _TRIPLE)
+            v / 1000 for v in numbers_of("--clutch-mm", options["clutch_mm"], (3,), _TRIPLE)
         )
-    if asked["gravity_n"] is not None:
-        values["gravity_n"] = numbers_of("--gravity-n", asked["gravity_n"], (3,), _TRIPLE)
-    return RenderSpec(**values, blend=not asked["no_blend"])
+    if options["gravity_n"] is not None:
+        values["gravity_n"] = numbers_of("--gravity-n", options["gravity_n"], (3,), _TRIPLE)
+    return RenderSpec(**values, blend=not options["no_blend"])
 
 
-def tool_of(words: str) -> Tool | None:
-    """The tool that `words` name; None is a point.
+def tool_of(text: str) -> Tool | None:
+    """Return the tool that a text names; None for a point.
 
-    A mesh is in metres of the field, its origin is the device's point and its axes are the field's where the
-    grip is not turned.
+    A mesh is in metres of the field. Its origin is the device's point, and its axes are those of the field
+    while the grip is not rotated.
 
-    InvalidArgument if the words name none or a number is out of range, SourceError if the mesh cannot be
-    read.
+    Raises InvalidArgument if the text is invalid or a number is out of range, SourceError if the mesh cannot
+    be read.
     """
-    name, comma, option = words.rpartition(",") if ",points=" in words else (words, "", "")
+    name, comma, option = text.rpartition(",") if ",points=" in text else (text, "", "")
     points = SPHERE_POINTS
     if comma:
         try:
             points = int(option.removeprefix("points="))
         except ValueError:
-            raise InvalidArgument("--tool", repr(words[:80]), _FORMS) from None
+            raise InvalidArgument("--tool", repr(text[:80]), _FORMS) from None
     kind, colon, rest = name.strip().partition(":")
     if kind == "point" and not colon and not comma:
         return None
@@ -162,10 +162,10 @@ def tool_of(words: str) -> Tool | None:
         try:
             radius_m = float(rest)
         except ValueError:
-            raise InvalidArgument("--tool", repr(words[:80]), _FORMS) from None
+            raise InvalidArgument("--tool", repr(text[:80]), _FORMS) from None
         return Tool.sphere(radius_m, points)
     path = Path(name)
     if not path.is_file():
-        raise InvalidArgument("--tool", repr(words[:80]), f"{_FORMS}; no such file is there")
+        raise InvalidArgument("--tool", repr(text[:80]), f"{_FORMS}; no such file is there")
     vertices, triangles, _ = read_triangles(path)
     return Tool.of_triangles(vertices, triangles, points, path.name)

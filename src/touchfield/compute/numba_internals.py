@@ -1,0 +1,205 @@
+"""The one place that uses private parts of numba: the kernel cache, a faster compiler, and compiler events.
+
+`touchfield.compute.jit` imports this file and does without it where a version of numba no longer has these
+parts. What each is for, measured with numba 0.67 on two cores:
+
+- *Cache* (`attach_cache`): numba compares the file of a kernel alone and goes on using old machine code of
+  functions that the kernel calls in other files (decision 20). Nothing public replaces that.
+- *Compiler* (`CoderCompiler`): compiling the coder takes a tenth less time.
+- *Start* (`without_blas`): importing numba takes 0.2 s less, which every command and the servo's process wait
+  for.
+- *Events* (`compilation_events`): a person who waits for a compiler is told so.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any, Final
+from zlib import crc32
+
+import llvmlite  # type: ignore[import-untyped]
+import numba
+from numba.core import caching, compiler, event, types
+from numba.np import linalg
+
+from touchfield.compute.kernel_sources import PACKAGE, SourceState, kernel_sources, open_folder
+
+_CONFIG: Any = numba.config
+_COMPILER: Any = compiler.CompilerBase
+_PASSES: Any = compiler.DefaultPassBuilder
+_CACHING: Any = caching
+_LINALG: Any = linalg
+_EVENT: Any = event
+_VERSIONS: Final = f"numba {numba.__version__}, llvmlite {llvmlite.__version__}"
+_SOURCES: Final = SourceState(kernel_sources(), _VERSIONS)
+
+
+# -- cache ---------------------------------------------------------------------------------------------------
+
+
+def attach_cache(dispatcher: Any, function: Any) -> bool:
+    """Store the variants of a kernel in the folder of all kernel sources; False where that cannot be.
+
+    Within an archive the package is a single file, which numba's own cache compares as a whole.
+    """
+    if not _SOURCES.files:
+        return False
+    dispatcher._cache = _KernelCache(function)
+    return True
+
+
+@cache
+def kernel_folder() -> Path | None:
+    """The folder of compiled kernels of these sources, created when first needed; None where none can be.
+
+    It lies where numba would keep this file's kernels: in NUMBA_CACHE_DIR, else beside the package, else in
+    the user's cache.
+    """
+    try:
+        root = _CACHING.CompileResultCacheImpl(kernel_folder.__wrapped__).locator.get_cache_path()
+        return open_folder(Path(root), _SOURCES.digest)
+    except (OSError, RuntimeError):  # RuntimeError: numba finds no folder it may write to
+        return None
+
+
+class _Locator(_CACHING.InTreeCacheLocator):  # type: ignore[misc]
+    """Where the files of one function lie in the folder of these sources."""
+
+    def __init__(self, function: Any, file: str) -> None:
+        super().__init__(function, file)
+        parent = Path(file).parent
+        if parent.is_relative_to(PACKAGE):
+            name = ".".join(parent.relative_to(PACKAGE).parts)
+        else:
+            name = self.get_suitable_cache_subpath(file)
+        self._cache_path = str((kernel_folder() or PACKAGE) / name)
+
+    @classmethod
+    def from_function(cls, function: Any, file: str) -> Any:
+        """A locator without numba's trial, which writes and removes a file for each function."""
+        return cls(function, file)
+
+
+class _Functions(_CACHING.CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes: Final = (_Locator,)
+
+
+class KernelFiles(_CACHING.IndexDataCacheFile):  # type: ignore[misc]
+    """The files of one function, one for each variant that is compiled."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """Save a variant under a name made of its key.
+
+        numba numbers variants; two processes that compile two at once might take one number for both.
+        """
+        self._data_name_pattern = f"{self._index_name[:-4]}.{crc32(repr(key).encode()):08x}.{{number}}.nbc"
+        super().save(key, data)
+
+
+class _KernelCache(_CACHING.FunctionCache):  # type: ignore[misc]
+    """numba's cache of one function, in a folder that only these sources have.
+
+    It looks for the folder when a kernel is first called, not when it is imported. A failure to read or write
+    is no failure of the kernel, which is compiled again: another process may remove the folder at any time.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self._py_func, self._name = function, repr(function)
+        self.enable()
+
+    @cached_property
+    def _impl(self) -> Any:
+        return _Functions(self._py_func)
+
+    @cached_property
+    def _cache_path(self) -> str:
+        return str(self._impl.locator.get_cache_path())
+
+    @cached_property
+    def _cache_file(self) -> KernelFiles:
+        return KernelFiles(self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp())
+
+    def _is_usable(self) -> bool:
+        return kernel_folder() is not None and _SOURCES.is_current()
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """The compiled variant, or None."""
+        with suppress(OSError):
+            return super().load_overload(signature, context) if self._is_usable() else None
+        return None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Store a compiled variant, if that is possible."""
+        with suppress(OSError):
+            if self._is_usable():
+                super().save_overload(signature, result)
+
+    def _index_key(self, signature: Any, codegen: Any) -> Any:
+        arguments = signature if isinstance(signature, tuple) else signature.args
+        return (*super()._index_key(signature, codegen), field_names(arguments))
+
+
+def field_names(arguments: Iterable[Any]) -> tuple[Any, ...]:
+    """Field names of named tuples, in order: numba compares the types of fields, but not their names."""
+    tuples: list[Any] = [argument for argument in arguments if isinstance(argument, types.BaseTuple)]
+    return tuple((getattr(argument, "fields", ()), field_names(argument.types)) for argument in tuples)
+
+
+# -- compiler ------------------------------------------------------------------------------------------------
+
+
+class CoderCompiler(_COMPILER):  # type: ignore[misc]
+    """The compiler without searches for what no kernel has, and with the first level of LLVM's optimiser.
+
+    The higher levels take a tenth of all the time, and make none of the coder's passes faster.
+    """
+
+    _NEEDLESS: Final = ("inline_closure_likes", "nopython_rewrites", "inline_overloads", "literal_unroll")
+
+    def define_pipelines(self) -> list[Any]:
+        pipeline = _PASSES.define_nopython_pipeline(self.state)
+        pipeline.passes = [step for step in pipeline.passes if step[0].name() not in self._NEEDLESS]
+        pipeline.finalize()
+        return [pipeline]
+
+    def compile_extra(self, function: Any) -> Any:
+        level, _CONFIG.OPT = _CONFIG.OPT, min(_CONFIG.OPT, 1)
+        try:
+            return super().compile_extra(function)
+        finally:
+            _CONFIG.OPT = level
+
+
+# -- start and events ----------------------------------------------------------------------------------------
+
+
+def without_blas() -> None:
+    """Import numba's array functions without SciPy's BLAS; a kernel that multiplies matrices loads it."""
+    ensure_blas = _LINALG.ensure_blas
+    _LINALG.ensure_blas = lambda: None
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        _LINALG.ensure_blas = ensure_blas
+
+
+@contextmanager
+def compilation_events(on_start: Callable[[], None], on_end: Callable[[], None]) -> Iterator[None]:
+    """Call `on_start` and `on_end` around each compilation, nested ones too, while the block lasts."""
+
+    class Listener(_EVENT.Listener):  # type: ignore[misc]
+        def on_start(self, event: Any) -> None:
+            on_start()
+
+        def on_end(self, event: Any) -> None:
+            on_end()
+
+    with _EVENT.install_listener("numba:compile", Listener()):
+        yield
+
+
+without_blas()
