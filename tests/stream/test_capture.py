@@ -203,7 +203,7 @@ def test_a_capture_goes_on_the_air_until_its_end(tmp_path: Path, monkeypatch: py
         prepared, lambda segment: sent.append(segment), LiveSpec(1.0), notes.append, lambda: now[0],
         lambda seconds: now.__setitem__(0, now[0] + seconds),
     )  # fmt: skip
-    assert told.frames == 12 and told.skipped_frames == 0
+    assert told.frames == 12 and told.left_out == 0
     assert [(one.first_frame, one.frame_count) for one in sent] == [(0, 12)]
     assert notes == ["standard input: its end"]
 

@@ -289,7 +289,7 @@ def test_both_layers_go_on_the_air() -> None:
     sent = broadcast(
         prepared, took[0].append, spec, clock_s=lambda: paced.now_s, pause=paced.pause, coarse=layer
     )
-    assert sent.segments == len(took[0]) == len(took[1]) == 20 and sent.skipped_frames == 0
+    assert sent.segments == len(took[0]) == len(took[1]) == 20 and sent.left_out == 0
     assert sent.coarse_bytes == sum(len(one.body) for one in took[1]) > 0
     assert sent.sent_bytes == sum(len(one.body) + len(one.vibration or b"") for one in took[0])
     assert not any(one.vibration for one in took[1]), "what vibrates is in the fine layer"

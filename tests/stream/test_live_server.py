@@ -63,7 +63,7 @@ def test_frames_go_on_the_air_in_time() -> None:
     sent = broadcast(
         prepared, send, LiveSpec(0.1, loop=True, seconds=3.0), clock_s=lambda: now[0], pause=pause
     )
-    assert sent.frames + sent.skipped_frames == 150 and sent.segments == len(took) >= 3
+    assert sent.frames + sent.left_out == 150 and sent.segments == len(took) >= 3
     assert all(one.first_frame % 5 == 0 for _, one in took)
     assert all(at - one.stop / 50 >= -1e-9 for at, one in took)  # nothing before its time
 
@@ -102,7 +102,7 @@ def test_an_interrupt_ends_a_broadcast_in_order() -> None:
             raise KeyboardInterrupt
 
     sent = broadcast(prepared, sender.add, LiveSpec(0.1, loop=True), notes.append, lambda: now[0], pause)
-    assert 0 < sent.frames <= 25 and sent.frames + sent.skipped_frames >= 24 and notes[-1].startswith("interrupted")
+    assert 0 < sent.frames <= 25 and sent.frames + sent.left_out >= 24 and notes[-1].startswith("interrupted")
 
 
 def test_who_makes_frames_too_slowly_is_told_at_once() -> None:
@@ -118,7 +118,7 @@ def test_who_makes_frames_too_slowly_is_told_at_once() -> None:
     sent = broadcast(
         prepared, sender.add, spec, notes.append, lambda: now[0], on_start=lambda: notes.append("ready")
     )
-    assert sent.frames + sent.skipped_frames == 95 and sent.skipped_frames > 50
+    assert sent.frames + sent.left_out == 95 and sent.left_out > 50
     assert "makes some 10 frames a second, and the medium has 50" in notes[0] and notes[1] == "ready"
 
 
@@ -129,14 +129,14 @@ def test_a_broadcast_has_one_frame_at_least_and_so_has_a_segment() -> None:
     sent = broadcast(
         prepared, sender.add, spec, clock_s=lambda: 1e-6 * next(looks), pause=lambda seconds: None
     )
-    assert (sent.frames, sent.segments, sent.skipped_frames) == (1, 1, 0)
+    assert (sent.frames, sent.segments, sent.left_out) == (1, 1, 0)
 
 
 def test_frames_that_are_left_out_are_told_each_time_that_they_are_twice_as_many() -> None:
     sent, notes = Sent(), list[str]()
     for _ in range(9):
         sent.leave_out(1, "slow", notes.append)
-    assert [note.split()[1] for note in notes] == ["1", "2", "4", "8"] and sent.skipped_frames == 9
+    assert [note.split()[1] for note in notes] == ["1", "2", "4", "8"] and sent.left_out == 9
 
 
 @pytest.mark.parametrize("wrong", [{"segment_s": 0.0}, {"segment_s": 11.0}, {"seconds": 0.0}])

@@ -62,7 +62,7 @@ class LiveSpec:
 
 @dataclass
 class Sent:
-    """Counts of a broadcast; `skipped_frames` were too late to be made or coded.
+    """Counts of a broadcast; `left_out` were too late to be made or coded.
 
     All but `coarse_bytes` are without the coarse layer. `worst_mask_ratio` is the largest error of all voxels
     sent, in units of the error bound; None if the mode has no bound, or nothing was sent.
@@ -71,7 +71,7 @@ class Sent:
     frames: int = 0
     segments: int = 0
     sent_bytes: int = 0
-    skipped_frames: int = 0
+    left_out: int = 0
     coarse_bytes: int = 0
     worst_mask_ratio: float | None = None
 
@@ -84,9 +84,9 @@ class Sent:
 
     def skip(self, frames: int, reason: str, on_note: Callable[[str], None]) -> None:
         """Count skipped frames, and report each time that their number has doubled."""
-        before, self.skipped_frames = self.skipped_frames, self.skipped_frames + frames
-        if self.skipped_frames.bit_length() > before.bit_length():
-            on_note(f"{reason}: {self.skipped_frames} frames are skipped so far")
+        before, self.left_out = self.left_out, self.left_out + frames
+        if self.left_out.bit_length() > before.bit_length():
+            on_note(f"{reason}: {self.left_out} frames are skipped so far")
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
