@@ -154,7 +154,7 @@ def percentiles(us: Floats) -> dict[str, float]:
 def compiled(sampler: FieldSampler, time_s: float, points_m: Floats) -> dict[str, float]:
     """One query in compiled code; what it takes to read the counter is taken off."""
     first, second, blend = sampler._instant(time_s)
-    pair = sampler._take(first, second)
+    pair = sampler._pair(first, second)
     counts, forces = np.zeros((len(points_m), 2), np.int64), np.zeros(points_m.shape)
     for _ in range(2):
         call(one_by_one, points_m, *pair.memory.views, pair.first, pair.second, blend, counts, forces)

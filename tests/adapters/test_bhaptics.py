@@ -213,7 +213,7 @@ def test_a_player_that_goes_ends_the_play_with_one_line() -> None:
 
 
 def test_nobody_listens_or_no_websocket_or_silence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bhaptics, "_PATIENCE_S", 0.2)
+    monkeypatch.setattr(bhaptics, "_TIMEOUT_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         port = silent.getsockname()[1]
         vest = BHaptics(X40, ("127.0.0.1", port))

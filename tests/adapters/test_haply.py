@@ -221,7 +221,7 @@ def test_whatever_a_device_tells_it_is_a_position_or_a_device_error(told) -> Non
     def none(seconds: float) -> None:
         raise TimeoutError
 
-    device._received = none  # type: ignore[method-assign]
+    device._receive = none  # type: ignore[method-assign]
     try:
         place = device.position_m()
     except DeviceError:

@@ -180,7 +180,7 @@ def test_few_frames_are_kept_and_the_rest_made_again() -> None:
             rtol=0,
         )
         assert tight._pairs.take(0, 1).memory.words * 8 < 1_000_000
-        assert tight._pairs._words * 8 <= 1_400_000
+        assert tight._pairs._cached_words * 8 <= 1_400_000
 
 
 def test_what_does_not_fit_is_told() -> None:

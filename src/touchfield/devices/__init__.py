@@ -1,6 +1,8 @@
-"""Devices: what each haptic display can show (paper sections 3.1 and 5.1), from TOML profiles.
+"""Devices: profiles of what haptic displays can show (paper sections 3.1 and 5.1).
 
-`touchfield.devices()` is `touchfield.devices.devices()`: the package is called by its own name.
+The public function ``touchfield.devices()`` has the same name as this package. Importing any submodule binds
+the package to ``touchfield.devices``, which hides a function of that name. So the package itself is callable:
+its module object gets a class with ``__call__``.
 """
 
 import sys
@@ -11,10 +13,12 @@ from touchfield.devices.profile import Device, device, device_names, devices
 __all__ = ["Device", "device", "device_names", "devices"]
 
 
-class _Room(ModuleType):
+class _CallablePackage(ModuleType):
+    """The class of this package: a module that can be called, ``touchfield.devices()``."""
+
     def __call__(self) -> tuple[Device, ...]:
         """All device profiles."""
         return tuple(devices())
 
 
-sys.modules[__name__].__class__ = _Room
+sys.modules[__name__].__class__ = _CallablePackage

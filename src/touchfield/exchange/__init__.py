@@ -1,5 +1,6 @@
-"""Haptic effects in files of other tools: HJIF and HMPG (MPEG haptics), AHAP, .haptic and .tact (bHaptics),
-WAV.
+"""Haptic effects in the files of other tools.
+
+HJIF and HMPG (MPEG haptics), AHAP (Apple), .haptic (Meta), .tact (bHaptics) and WAV.
 """
 
 from touchfield._lazy import lazy_attributes

@@ -1,26 +1,26 @@
-"""Arrays and forces written as HJIF, the JSON of MPEG haptics (ISO/IEC 23090-31).
+"""Writer of HJIF, the JSON of MPEG haptics (ISO/IEC 23090-31).
 
-Valid against the published schemas, and within what the public reference decoder takes: whole numbers
-wherever it reads whole numbers, keyframes within 65535 ticks of their effect, a Curve as one effect of three
-keyframes or more.
+It writes arrays and forces. The files are valid by the published schemas, and within what the public
+reference decoder accepts: integers wherever it reads integers, keyframes within 65535 ticks of their effect,
+and a Curve as one effect of three keyframes or more.
 
 **Resolution.** Times are whole ticks, amplitudes multiples of 1e-5 of full scale, frequencies whole hertz.
 Keyframes are left out where a straight line between others passes within half such a step, so that a sample
-on a tick comes back to within one step of amplitude and one hertz. A sample between two ticks is told at the
-nearer one. A thousand ticks a second are usual, which a decoder that knows only milliseconds reads correctly,
-too.
+on a tick is restored to within one step of amplitude and one hertz. A sample between two ticks is placed at
+the nearer one. A thousand ticks a second are usual, and are also read correctly by a decoder that supports
+only milliseconds.
 
-**An array** is a perception of vibration with a channel for each actuator, and in it one VectorialWave: a
-sine of the frequency and drive at each keyframe, both linear in between. What is longer than 65535 ticks goes
-into several effects, each of which begins where the one before it ended, with the value and the phase that it
-had there. The reference decoder takes the latest effect that has begun, so that nothing is heard twice.
-Targets count columns from the left and rows from below (`Y` is "up" in the schema of vectors); the channels
-lie row by row from the top.
+**An array** is a perception of vibration with a channel for each actuator, with one VectorialWave: a sine of
+the frequency and drive at each keyframe, both linear in between. A wave longer than 65535 ticks is split into
+several effects, each of which starts where the one before ended, with its value and phase there. The
+reference decoder uses the latest effect that has started, so that nothing is played twice. Targets count
+columns from the left and rows from below (`Y` is "up" in the schema of vectors); the channels are in order of
+rows from the top.
 
-**A force** is a perception with three channels, along x, y and z, in each one Curve, linear between
-keyframes. The gain of a channel is its greatest force: F = amplitude * gain newtons. The binary form keeps an
-amplitude in steps of 2/255, so that it misses a small force by as little of it as a large one, and an axis
-without force not at all.
+**A force** is a perception with three channels, along x, y and z, each with one Curve, linear between
+keyframes. The gain of a channel is its largest force: F = amplitude * gain newtons. The binary form quantises
+an amplitude in steps of 2/255, so that the error is relative to the largest force of the axis, and an axis
+without force stays zero.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ import numpy as np
 from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.atomic import atomic_path
 from touchfield.errors import InvalidArgument, require_one_of, require_up_to
-from touchfield.exchange.hjif_read import DEFAULT_TIMESCALE, LARGEST_VECTOR
+from touchfield.exchange.hjif_read import DEFAULT_TIMESCALE, MAX_VECTOR
 from touchfield.exchange.symbolic import filled_hz
 from touchfield.medium.medium import MAX_FREQUENCY_HZ
 
@@ -47,18 +47,18 @@ if TYPE_CHECKING:
 
 
 AMPLITUDE_STEP: Final = 1e-5
-"""Of full scale."""
+"""Amplitude step, of full scale."""
 
 MAX_SPAN_TICKS: Final = 65535
-"""From the beginning of an effect to its last keyframe."""
+"""Limit from the start of an effect to its last keyframe."""
 
 _DIGITS: Final = 5
 _LEVEL_1_CHANNELS: Final = 127
 _PANELS: Final = {"front": ("Front", 0x10 | 0x20 | 0x40), "back": ("Back", 0x100 | 0x200)}
-"""Body part, and its bits: chest right and left with abdomen, upper and lower back."""
+"""Body part and its bits: chest right and left with abdomen; upper and lower back."""
 
-_LARGEST_FORCE_N: Final = 1e6
-_LARGEST_PHASE: Final = 6.28318
+_MAX_FORCE_N: Final = 1e6
+_MAX_PHASE: Final = 6.28318
 
 
 def write_hjif_array(
@@ -72,21 +72,21 @@ def write_hjif_array(
     """Write the drives of an array as ``.hjif``.
 
     Raises InvalidArgument if the array has more than 127 columns or rows, there is no such panel, or a frame
-    takes less than one tick of a millisecond or more than 65535; SourceError if the system refuses to write.
+    takes less than one tick of a millisecond or more than 65535; SourceError if the file cannot be written.
 
     Parameters
     ----------
     path : Path
     effect : ArrayEffect
-        An only frame is held for the time of a frame. Without frequencies: `DEFAULT_CARRIER_HZ`.
+        A single frame lasts one frame period. Without frequencies: `DEFAULT_CARRIER_HZ`.
     device_name : str
-        Goes in as the reference device.
+        Name of the reference device.
     panel : str
         "front" or "back" of the chest.
     description : str
     """
     columns, rows, _ = effect.lattice
-    if max(columns, rows) > LARGEST_VECTOR:
+    if max(columns, rows) > MAX_VECTOR:
         raise InvalidArgument(
             "array", f"{columns} x {rows} actuators", "at most 127 columns and rows in HJIF"
         )
@@ -134,7 +134,7 @@ def write_hjif_force(
 ) -> None:
     """Write a force over time as ``.hjif``.
 
-    Raises InvalidArgument if the full scale is out of range; SourceError if the system refuses to write.
+    Raises InvalidArgument if the full scale is out of range; SourceError if the file cannot be written.
 
     Parameters
     ----------
@@ -144,15 +144,15 @@ def write_hjif_force(
     timescale : int
         Ticks a second, 1 to 48000.
     device_name : str
-        Goes in as the reference device.
+        Name of the reference device.
     full_scale_n : float
-        Newtons that are told as 1; 1 tells newtons. Readers that put newtons out as sound, the reference
-        synthesiser among them, clip them at 1; with another value the file tells shares of it.
+        Newtons that are written as 1; with 1 the file is in newtons. Readers that play newtons as sound, such
+        as the reference synthesiser, clip them at 1; with another value the file contains fractions of it.
     description : str
     """
-    require_up_to(_LARGEST_FORCE_N, full_scale_n=full_scale_n)
+    require_up_to(_MAX_FORCE_N, full_scale_n=full_scale_n)
     peaks_n = np.abs(forces_n).max(axis=0)
-    shares = np.clip(forces_n / np.where(peaks_n > 0, peaks_n, 1), -1, 1)
+    amplitudes = np.clip(forces_n / np.where(peaks_n > 0, peaks_n, 1), -1, 1)
     channels = [
         {
             "description": f"force along {name.lower()}",
@@ -160,7 +160,7 @@ def write_hjif_force(
             "mixing_coefficient": 1.0,
             "body_part_mask": 0,
             "direction": {other: 127 * (other == name) for other in "XYZ"},
-            "bands": [_curve(shares[:, axis], timescale)],
+            "bands": [_curve(amplitudes[:, axis], timescale)],
         }
         for axis, name in enumerate("XYZ")
     ]
@@ -179,7 +179,10 @@ def _write(
     channels: Iterable[dict[str, Any]],
     channel_count: int,
 ) -> None:
-    """Write one perception (modality, description), a channel at a time: an array may be large."""
+    """Write one perception (modality, description), a channel at a time.
+
+    An array may be too large to be in memory as JSON at once.
+    """
     root: dict[str, Any] = {
         "version": "2023",
         "profile": "Main",
@@ -190,18 +193,18 @@ def _write(
         "avatars": [],
         "syncs": [],
     }
-    modality, words = perception
+    modality, perception_text = perception
     devices = {"reference_devices": [{"id": 1, "name": device_name}]} if device_name else {}
-    one = {
+    perception_fields = {
         "id": 0, "avatar_id": 0, "unit_exponent": -3, "perception_unit_exponent": 0,
-        "perception_modality": modality, "description": words, **devices, "effect_library": [],
+        "perception_modality": modality, "description": perception_text, **devices, "effect_library": [],
     }  # fmt: skip
-    own = {"reference_device_id": 1} if device_name else {}
+    device = {"reference_device_id": 1} if device_name else {}
     with atomic_path(Path(path)) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.write(json.dumps(root)[:-1] + ', "perceptions": [')
-        file.write(json.dumps(one)[:-1] + ', "channels": [')
+        file.write(json.dumps(perception_fields)[:-1] + ', "channels": [')
         for n, channel in enumerate(channels):
-            file.write(("" if n == 0 else ",") + "\n" + json.dumps({"id": n, **own, **channel}))
+            file.write(("" if n == 0 else ",") + "\n" + json.dumps({"id": n, **device, **channel}))
         file.write("]}]}\n")
 
 
@@ -223,13 +226,17 @@ def _effects(ticks: Int64s, samples: Float64s) -> Iterator[dict[str, Any]]:
     first, phase = 0, 0.0
     while first < len(ticks) - 1:
         last = int(np.searchsorted(ticks, ticks[first] + MAX_SPAN_TICKS, side="right")) - 1
-        kept = first + thinned(ticks[first : last + 1], samples[first : last + 1], (AMPLITUDE_STEP / 2, 0.5))
+        indices = first + keyframe_indices(
+            ticks[first : last + 1], samples[first : last + 1], (AMPLITUDE_STEP / 2, 0.5)
+        )
         keyframes = [
             {"relative_position": tick, "amplitude_modulation": amplitude, "frequency_modulation": int(hertz)}
-            for tick, (amplitude, hertz) in zip((ticks[kept] - ticks[first]).tolist(), samples[kept].tolist())
+            for tick, (amplitude, hertz) in zip(
+                (ticks[indices] - ticks[first]).tolist(), samples[indices].tolist()
+            )
         ]
-        yield _effect(int(ticks[first]), min(round(phase, _DIGITS), _LARGEST_PHASE), keyframes)
-        seconds, hertz = np.diff(ticks[kept]) / DEFAULT_TIMESCALE, samples[kept, 1]
+        yield _effect(int(ticks[first]), min(round(phase, _DIGITS), _MAX_PHASE), keyframes)
+        seconds, hertz = np.diff(ticks[indices]) / DEFAULT_TIMESCALE, samples[indices, 1]
         cycles = float(seconds @ (hertz[1:] + hertz[:-1])) / 2
         first, phase = last, math.fmod(phase + 2 * math.pi * cycles, 2 * math.pi)
 
@@ -244,19 +251,17 @@ def _effect(position: int, phase: float, keyframes: list[dict[str, Any]]) -> dic
     }
 
 
-def _curve(shares: Float64s, timescale: int) -> dict[str, Any]:
-    """The Curve of one axis, a share a tick."""
-    amplitudes = np.round(shares, _DIGITS)
-    kept = thinned(np.arange(len(shares)), amplitudes[:, None], (AMPLITUDE_STEP / 2,))
-    line = list(zip(kept.tolist(), amplitudes[kept].tolist()))
-    if (
-        len(line) == 2 and line[1][0] > 1
-    ):  # one more on the line, not rounded: a Curve of two breaks the reference
-        middle, share = line[1][0] // 2, line[1][1] - line[0][1]
-        line.insert(1, (middle, line[0][1] + share * middle / line[1][0]))
-    line += [
-        (line[-1][0] + n, line[-1][1]) for n in range(1, 4 - len(line))
-    ]  # too short for it: the last is held
+def _curve(values: Float64s, timescale: int) -> dict[str, Any]:
+    """The Curve of one axis, from one value a tick."""
+    amplitudes = np.round(values, _DIGITS)
+    indices = keyframe_indices(np.arange(len(values)), amplitudes[:, None], (AMPLITUDE_STEP / 2,))
+    line = list(zip(indices.tolist(), amplitudes[indices].tolist()))
+    if len(line) == 2 and line[1][0] > 1:
+        # the reference decoder fails on a Curve of two keyframes: add one on the line, not rounded
+        middle, rise = line[1][0] // 2, line[1][1] - line[0][1]
+        line.insert(1, (middle, line[0][1] + rise * middle / line[1][0]))
+    # too short to be divided: repeat the last keyframe
+    line += [(line[-1][0] + n, line[-1][1]) for n in range(1, 4 - len(line))]
     return {
         "band_type": "Curve",
         "curve_type": "Linear",
@@ -266,13 +271,13 @@ def _curve(shares: Float64s, timescale: int) -> dict[str, Any]:
     }
 
 
-def thinned(ticks: Int64s, values: Float64s, tolerances: Sequence[float]) -> Int64s:
-    """The samples to keep so that straight lines between them miss no sample by more than the tolerance.
+def keyframe_indices(ticks: Int64s, values: Float64s, tolerances: Sequence[float]) -> Int64s:
+    """Samples to keep so that lines between them stay within a tolerance of all samples.
 
     The first and the last are always kept. Each line reaches as far as the tolerances allow (the cone of
-    slopes that pass all samples on the way); one pass, in time proportional to the samples.
+    slopes that pass all samples on the way); one pass, in time proportional to the number of samples.
 
-    Returns int64 [k]: indices of the samples that are kept, ascending.
+    Returns int64 [k]: indices of the samples to keep, ascending.
 
     Parameters
     ----------
@@ -281,26 +286,26 @@ def thinned(ticks: Int64s, values: Float64s, tolerances: Sequence[float]) -> Int
     values : float64 [n, m]
         Samples of m signals that share their keyframes.
     tolerances : m floats
-        Greatest distance of each signal from the lines.
+        Largest distance of each signal from the lines.
     """
     inner = (values[1:-1] == values[:-2]).all(axis=1) & (values[1:-1] == values[2:]).all(axis=1)
-    places = np.flatnonzero(np.concatenate([[True], ~inner, [True]])[: len(ticks)])
-    if len(places) < 3:
-        return places
-    # a sample between two equal ones lies on any line that both tolerate
-    times, points, kept = ticks[places].tolist(), values[places].tolist(), [0]
+    candidates = np.flatnonzero(np.concatenate([[True], ~inner, [True]])[: len(ticks)])
+    if len(candidates) < 3:
+        return candidates
+    # a sample between two equal samples lies on any line within the tolerance of both
+    times, points, selected = ticks[candidates].tolist(), values[candidates].tolist(), [0]
     signals = range(len(tolerances))
     low, high = [-np.inf] * len(tolerances), [np.inf] * len(tolerances)
     for i in range(1, len(times)):
-        span = times[i] - times[kept[-1]]
-        rises = [(points[i][s] - points[kept[-1]][s]) / span for s in signals]
+        span = times[i] - times[selected[-1]]
+        rises = [(points[i][s] - points[selected[-1]][s]) / span for s in signals]
         if not all(low[s] <= rises[s] <= high[s] for s in signals):
-            kept.append(i - 1)
+            selected.append(i - 1)
             span = times[i] - times[i - 1]
             rises = [(points[i][s] - points[i - 1][s]) / span for s in signals]
             low, high = [-np.inf] * len(tolerances), [np.inf] * len(tolerances)
         for s in signals:
             low[s] = max(low[s], rises[s] - tolerances[s] / span)
             high[s] = min(high[s], rises[s] + tolerances[s] / span)
-    kept.append(len(times) - 1)
-    return places[kept]
+    selected.append(len(times) - 1)
+    return candidates[selected]

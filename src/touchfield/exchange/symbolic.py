@@ -1,12 +1,12 @@
-"""Effects: how strongly each actuator of an array is driven over time, and at which frequency.
+"""Effects: the drive of each actuator of an array over time, and its frequency.
 
-A symbolic medium of figure 1: an effect stands for something and was not measured. `ArrayEffect` is the one
-value that all formats are written from and read into; it lies between them and the medium of a stream.
+It is a symbolic medium of figure 1: an effect represents something and was not measured. All formats are
+written from and read into `ArrayEffect`, which lies between them and the medium of a stream.
 
-An actuator has one drive: as in `touchfield.pipeline.array_medium` the greater of |F| and of the vibration's
-amplitude, over the force that drives it fully. A medium made of an effect therefore holds the drive twice: as
-the force along the array's normal, for whatever knows only forces, and as the vibration's amplitude, with the
-frequency beside it.
+An actuator has one drive: as in `touchfield.pipeline.array_medium`, the greater of |F| and the vibration's
+amplitude, over the force that drives it fully. A medium made from an effect therefore contains the drive
+twice: as the force along the array's normal, for programs that use only forces, and as the vibration's
+amplitude, with the frequency.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 
 DEFAULT_RATE_HZ: Final = 100.0
-"""Frames a second that an effect is sampled at: two to each of the shortest transients."""
+"""Frames a second at which an effect is sampled: two in the shortest transients."""
 
 DEFAULT_CARRIER_HZ: Final = 150.0
-"""Where nothing names a frequency: within the best of what skin feels, and of what small motors shake at."""
+"""Frequency if none is given: within the best range of skin, and of small motors."""
 
 MAX_RATE_HZ: Final = 10000.0
 
@@ -42,19 +42,20 @@ MAX_SECONDS: Final = 3600.0
 """Longest effect that is read."""
 
 MAX_VALUES: Final = 1 << 24
-"""Most drives that are made of a file, actuators times frames: 64 MiB, and as much for the frequencies."""
+"""Limit of drives read from a file, actuators times frames.
+
+They take 64 MiB, and the frequencies as much.
+"""
 
 MAX_MEDIUM_VALUES: Final = 1 << 26
-"""Most drives that are made of a medium of our own: 256 MiB."""
+"""Limit of drives made from a medium: 256 MiB."""
 
 TRANSIENT_S: Final = 0.022
-"""How long a transient is felt, seconds; as long as the public reference decoder of ISO/IEC 23090-31 lets it
-ring.
-"""
+"""Duration of a transient, s, as in ISO/IEC 23090-31's public reference decoder."""
 
 _PITCH_MM: Final = 20.0
 _FORCE_MAX_N: Final = 3.3
-_OURS: Final = "our choice: an effect file tells neither sizes nor forces"
+_OURS: Final = "our choice: an effect file states neither sizes nor forces"
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class ArrayEffect:
     drives : float32 [frames, rows, columns]
         0 to 1; row 0 is the top one, column 0 the left one, as one looks at the array.
     frequencies_hz : float32 [frames, rows, columns] or None
-        0 where none is known; None if there are none at all.
+        0 where unknown; None if all are unknown.
     """
 
     rate_hz: float
@@ -109,10 +110,10 @@ class ArrayEffect:
 
 @dataclass(frozen=True)
 class ImportedEffect:
-    """An effect as its file tells it.
+    """An effect as read from a file.
 
-    With it the device that the file names ("": none), the force that a full drive stands for, where that is
-    told, and notes for the user on what was left out or read in our way.
+    With it the device that the file names ("": none), the force of a full drive if the file states it, and
+    notes for the user on what was left out or interpreted.
     """
 
     effect: ArrayEffect
@@ -123,61 +124,65 @@ class ImportedEffect:
 
 @dataclass
 class Drive:
-    """Amplitudes and frequencies (0: none known) over the frames, float64 [frames] each."""
+    """Amplitudes and frequencies (0: unknown) over the frames, float64 [frames] each."""
 
     amplitudes: Float64s
     frequencies_hz: Float64s
 
     @classmethod
     def silent(cls, frames: int) -> Drive:
-        """Nothing to be felt."""
+        """A drive of zero."""
         return cls(np.zeros(frames), np.zeros(frames))
 
     def add(self, other: Drive, frames: slice = slice(None)) -> None:
-        """Amplitudes add up in these frames; the frequency is that of the stronger."""
+        """Add amplitudes in these frames; the frequency is that of the stronger drive."""
         stronger = other.amplitudes > self.amplitudes[frames]
         self.frequencies_hz[frames][stronger] = other.frequencies_hz[stronger]
         self.amplitudes[frames] += other.amplitudes
 
 
 def filled_hz(drives: Float32s, frequencies_hz: Float32s | None) -> Float32s:
-    """A frequency for each drive, float32 [frames, ...] as the drives.
+    """A frequency for each drive, float32 [frames, ...] like the drives.
 
-    Where an actuator is told none, it is that of its last frame that tells one, before any its first, else
-    `DEFAULT_CARRIER_HZ`. A frequency of what is not driven tells nothing.
+    Where it is unknown, it is the latest known one of the actuator, before that the first known one, and
+    `DEFAULT_CARRIER_HZ` if there is none. The frequency of a drive of zero does not count.
     """
     if frequencies_hz is None:
         return np.full(drives.shape, DEFAULT_CARRIER_HZ, np.float32)
-    known = (frequencies_hz > 0) & (drives > 0)
+    has_frequency = (frequencies_hz > 0) & (drives > 0)
     order = np.arange(len(drives)).reshape(-1, *(1,) * (drives.ndim - 1))
-    last = np.maximum.accumulate(np.where(known, order, -1), axis=0)
-    hertz = np.take_along_axis(frequencies_hz, np.where(last >= 0, last, known.argmax(axis=0)), axis=0)
-    return np.where(known.any(axis=0), hertz, np.float32(DEFAULT_CARRIER_HZ))
+    last = np.maximum.accumulate(np.where(has_frequency, order, -1), axis=0)
+    hertz = np.take_along_axis(
+        frequencies_hz, np.where(last >= 0, last, has_frequency.argmax(axis=0)), axis=0
+    )
+    return np.where(has_frequency.any(axis=0), hertz, np.float32(DEFAULT_CARRIER_HZ))
 
 
 def check_rate(rate_hz: float) -> None:
-    """InvalidArgument unless an effect can be sampled at so many frames a second."""
+    """InvalidArgument unless an effect can be sampled at this rate."""
     require_between(1, MAX_RATE_HZ, rate_hz=rate_hz)
 
 
-def checked_frames(where: str, frames: int, actuators: int, most: int = MAX_VALUES) -> int:
-    """So many frames, if they are not too many to be held in memory; else InvalidArgument."""
-    if frames * actuators > most:
+def checked_frames(where: str, frames: int, actuators: int, max_values: int = MAX_VALUES) -> int:
+    """`frames`, unless they would take too much memory; else InvalidArgument."""
+    if frames * actuators > max_values:
         found = f"{frames} frames of {actuators} actuators"
-        raise InvalidArgument(where, found, f"at most {most} drives", "Take fewer frames, or a lower rate.")
+        raise InvalidArgument(
+            where, found, f"at most {max_values} drives", "Take fewer frames, or a lower rate."
+        )
     return frames
 
 
 def effect_device(lattice: tuple[int, int, int], name: str = "", force_max_n: float | None = None) -> Device:
-    """The device of an effect: the profile of that name if its array is the same, else one of our own.
+    """The profile `name` if its array matches that of an effect, else a generic one.
 
-    `lattice` is columns, rows, 1; `force_max_n` the force that a full drive stands for, None the profile's or
-    3.3 N.
+    `lattice` is columns, rows, 1; `force_max_n` is the force of a full drive, by default the profile's or 3.3
+    N.
     """
     if name in device_names():
-        known = device(name)
-        if known.is_array and known.lattice == lattice and force_max_n in (None, known.force_max_n):
-            return known
+        profile = device(name)
+        if profile.is_array and profile.lattice == lattice and force_max_n in (None, profile.force_max_n):
+            return profile
     columns, rows, _ = lattice
     return Device(
         name=f"array-{columns}x{rows}",
@@ -197,7 +202,7 @@ def effect_medium(
 ) -> HapticMedium:
     """An effect as a symbolic medium on (columns, rows, 1) samples, x right and y up.
 
-    The force along z is the drive's share of `force_max_n`, which drives an actuator fully.
+    The force along z is the drive times `force_max_n`, which drives an actuator fully.
     """
     if grid.shape != effect.lattice:
         raise InvalidArgument("grid", f"{grid.shape}", f"{effect.lattice}, as the effect has it")

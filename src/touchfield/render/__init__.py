@@ -1,11 +1,11 @@
-"""Rendering: the receiver's half of the paper (section 3.2, figure 4's last box), a thousand times a second
-or more.
+"""Rendering on a device: the receiver of the paper (section 3.2, end of figure 4).
 
     file -> segments -> decoder -> frames -> `feeder` -> shared memory | -> `cycle` -> limits -> device
                         (the player's process)                         |    (the servo's process)
 
-`memory` is what both processes see, `sampler` the force at a point, `kernels.tick` effects and limits,
-`servo` the loop, `player` the one that a program holds on to. docs/decisions/0010 tells why it is cut so.
+The loop runs at 1 kHz or more. `block` is the memory that both processes share, `sampler` computes the force
+at a point, `kernels.tick` applies effects and limits, `servo` runs the loop, and `player` is the object that
+a program uses. docs/decisions/0010 gives the reasons for two processes.
 """
 
 from touchfield._lazy import lazy_attributes

@@ -1,13 +1,12 @@
-"""The player of type 2 devices: frames of drives, decoded ahead, to an array of actuators at the device's own
-rate.
+"""Player for type 2 devices: sends frames of drives to an array of actuators.
 
-    frames -> `DrivesAhead` (a thread that decodes) -> the sender (a thread): linear in time, 0 to 1 -> device
+    frames -> `DrivePrefetcher` (a decoding thread) -> sender (a thread): linear in time, 0 to 1 -> device
 
-An array has no loop that closes through a hand and needs a tenth of the rate of a point
-(docs/decisions/0010), so that threads of the user's process do. What comes out of them is safe whatever goes
-in: each drive is from 0 to 1, and the last frame is all off, be it the end, a call of `close`, an error of
-the frames or of the device. While the feed stalls the actuators are off and time stands still; it goes on
-with the frame that was missing. A medium of a single frame has no end: it stays until it is closed.
+An array closes no loop through a hand and needs a tenth of the rate of a point, so threads of the user's
+process are enough (docs/decisions/0010). The output is safe for any input: each drive is from 0 to 1, and the
+last frame switches all actuators off, whether the medium has ended, `close` was called, or the frames or the
+device have raised an error. While the feed stalls, the actuators are off and the medium's time stands still;
+playback continues with the missing frame. A medium of a single frame has no end: it plays until it is closed.
 """
 
 from __future__ import annotations
@@ -29,40 +28,47 @@ if TYPE_CHECKING:
     from touchfield.devices import Device
 
 
-Shown = tuple[Float32s, Float32s | None]
+DriveSample = tuple[Float32s, Float32s | None]
 
-AHEAD_S: Final = 0.5  # how much is decoded ahead, in seconds of the player
-MOST_AHEAD: Final = 256  # frames that are held at most; of the largest array known, 6240 pins, 13 MB
-USUAL_RATE_HZ: Final = 50.0  # of a device whose profile states no rate
-HIGHEST_USUAL_RATE_HZ: Final = 100.0
-"""Intensities of a vibration that change faster than this are no longer felt apart."""
+LOOKAHEAD_S: Final = 0.5
+"""Seconds of playback that are decoded ahead."""
+
+MAX_LOOKAHEAD_FRAMES: Final = 256
+"""Limit of buffered frames: 13 MB for the largest array known, of 6240 pins."""
+
+DEFAULT_RATE_HZ: Final = 50.0
+"""Rate of a device whose profile states none."""
+
+MAX_DEFAULT_RATE_HZ: Final = 100.0
+"""Changes in a vibration's intensity that are faster than this cannot be told apart by touch."""
 
 MAX_RATE_HZ: Final = 2000.0
 
-_LONGEST_CLOSE_S: Final = 5.0  # how long `close` waits for a decoder that is in the middle of a frame
+_MAX_CLOSE_S: Final = 5.0
+"""How long `close` waits for a decoder that is in the middle of a frame."""
 
 
 class DriveFrames(Protocol):
-    """Frames of drives, made when they are asked for; asked by one thread only."""
+    """Frames of drives, computed on request; used by one thread only."""
 
     rate_hz: float
     frame_count: int
 
     def drives(self, frame: int) -> Float32s:
-        """Float32 [panels, rows, columns], 0 to 1."""
+        """Drives of a frame, float32 [panels, rows, columns], 0 to 1."""
         ...
 
     def frequencies(self, frame: int) -> Float32s | None:
-        """Hz, of the same shape, or None."""
+        """Frequencies of a frame in Hz, of the same shape, or None."""
         ...
 
 
-class DrivesAhead:
-    """Decodes the frames that a player will need next, in a thread of its own.
+class DrivePrefetcher:
+    """Decodes, in its own thread, the frames that a player needs next.
 
-    A *position* counts frames from the beginning and goes on through the repeats of a loop; it need not be
-    whole. `shape` is that of every frame; `first` is the position of the player's first frame, and `stride`
-    how far it goes from one to the next, at `rate_hz`.
+    A *position* counts frames from the start and continues through the repeats of a loop; it may have a
+    fraction. Every frame has the shape `shape`. `first` is the position of the player's first frame, `stride`
+    the step from one of its frames to the next, and `rate_hz` the player's rate.
     """
 
     def __init__(
@@ -75,72 +81,75 @@ class DrivesAhead:
         loop: bool,
     ) -> None:
         self._frames, self._shape, self._loop = frames, shape, loop
-        self._steps = stride * np.arange(max(2, math.ceil(AHEAD_S * rate_hz)))
+        self._lookahead = stride * np.arange(max(2, math.ceil(LOOKAHEAD_S * rate_hz)))
         self._position = first
-        self._buffer: dict[int, Shown] = {}
+        self._buffer: dict[int, DriveSample] = {}
         self._changed = threading.Condition()
         self._error: BaseException | None = None
         self._is_stopped = False
         self.thread = threading.Thread(target=self._run, name="touchfield-array-ahead", daemon=True)
 
     def stop(self) -> None:
-        """Decode no further frame."""
+        """Stop decoding."""
         with self._changed:
             self._is_stopped = True
             self._changed.notify_all()
 
     def wait_for(self, position: float) -> None:
-        """Wait until what is shown at a position is there, or will never be."""
+        """Wait until the frames for a position are decoded, or decoding has ended."""
         with self._changed:
             needed = self._needed(position)
             self._changed.wait_for(
                 lambda: self._is_stopped or self._error is not None or all(n in self._buffer for n in needed)
             )
 
-    def at(self, position: float) -> Shown | None:
+    def at(self, position: float) -> DriveSample | None:
         """Drives and frequencies at a position, linear between frames; None while the feed stalls.
 
-        Frequencies are those of the nearer frame, and of the other one where that has none. What the frames
-        raised is raised once they are needed.
+        The frequencies are those of the nearest frame, and of the other frame where it has none. An error of
+        the frames is raised once a frame that it prevented is needed.
         """
         with self._changed:
             self._position = position
             self._changed.notify_all()
             needed = self._needed(position)
-            shown = [self._buffer.get(n) for n in needed]
-            missing = any(one is None for one in shown)
-            if missing and self._error is not None:
+            samples = [self._buffer[n] for n in needed if n in self._buffer]
+            is_missing = len(samples) < len(needed)
+            if is_missing and self._error is not None:
                 raise self._error
-        if missing:
+        if is_missing:
             return None
-        before, after = ([one for one in shown if one is not None] * 2)[:2]
-        share = np.float32(position - needed[0])
-        drives = before[0] + share * (after[0] - before[0])
-        near, far = (before[1], after[1]) if share < 0.5 else (after[1], before[1])
-        if near is not None and far is not None:
-            near = np.where(near > 0, near, far)
-        return np.clip(drives, np.float32(0), np.float32(1)), far if near is None else near
+        before, after = samples[0], samples[-1]
+        weight = np.float32(position - needed[0])
+        drives = before[0] + weight * (after[0] - before[0])
+        nearest_hz, other_hz = (before[1], after[1]) if weight < 0.5 else (after[1], before[1])
+        if nearest_hz is None:
+            frequencies_hz = other_hz
+        elif other_hz is None:
+            frequencies_hz = nearest_hz
+        else:
+            frequencies_hz = np.where(nearest_hz > 0, nearest_hz, other_hz)
+        return np.clip(drives, np.float32(0), np.float32(1)), frequencies_hz
 
     def _run(self) -> None:
         try:
             while True:
                 with self._changed:
-                    while (at := self._next()) is None and not self._is_stopped:
+                    while (number := self._next()) is None and not self._is_stopped:
                         self._changed.wait()
-                    if self._is_stopped or at is None:
+                    if self._is_stopped or number is None:
                         return
-                frame = at % self._frames.frame_count
+                frame = number % self._frames.frame_count
                 drives = self._frames.drives(frame)
                 if drives.shape != self._shape:
                     raise InvalidArgument(
                         f"drives of frame {frame}", f"shape {drives.shape}", f"{self._shape}"
                     )
-                drives = np.clip(np.nan_to_num(drives, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(
-                    np.float32
-                )
-                shown = drives, self._frames.frequencies(frame)
+                finite = np.nan_to_num(drives, nan=0.0, posinf=1.0, neginf=0.0)
+                limited = np.clip(finite, 0.0, 1.0).astype(np.float32)
+                sample = limited, self._frames.frequencies(frame)
                 with self._changed:
-                    self._buffer[at] = shown
+                    self._buffer[number] = sample
                     self._changed.notify_all()
         except BaseException as error:
             with self._changed:
@@ -148,37 +157,38 @@ class DrivesAhead:
                 self._changed.notify_all()
 
     def _next(self) -> int | None:
-        """The first position that the player will need and that is not held; forgets those that it left
-        behind.
-        """
-        coming = self._needed(self._position)
-        later = np.floor(self._position + self._steps).astype(np.int64)
-        plan = np.unique(np.concatenate([coming, later, later + 1]))
+        """The next position to decode, or None; drops positions that were passed."""
+        current = self._needed(self._position)
+        later = np.floor(self._position + self._lookahead).astype(np.int64)
+        plan = np.unique(np.concatenate([current, later, later + 1]))
         if self._frames.frame_count == 1:
             plan = np.zeros(1, np.int64)
         elif not self._loop:
             plan = plan[plan < self._frames.frame_count]
-        plan = plan[:MOST_AHEAD]
-        for gone in self._buffer.keys() - set(plan.tolist()):
-            del self._buffer[gone]
+        plan = plan[:MAX_LOOKAHEAD_FRAMES]
+        for passed in self._buffer.keys() - set(plan.tolist()):
+            del self._buffer[passed]
         return next((int(n) for n in plan if int(n) not in self._buffer), None)
 
     def _needed(self, position: float) -> list[int]:
-        """One or two positions of frames for a position of the player; the last frame of the medium is held."""
-        low, count = math.floor(position), self._frames.frame_count
+        """Positions of the frames, one or two, for a position of the player.
+
+        The last frame of the medium is not blended into another.
+        """
+        first, count = math.floor(position), self._frames.frame_count
         if count == 1:
-            return [0]  # however often it is shown, it is made once
-        is_last = (low + 1) % count == 0
-        return [low] if is_last or low == position else [low, low + 1]
+            return [0]  # decoded once, however often it is shown
+        is_last = (first + 1) % count == 0
+        return [first] if is_last or first == position else [first, first + 1]
 
 
 class ArrayPlayer:
-    """Plays frames of drives on an array; a context manager, which closes it.
+    """Plays frames of drives on an array; a context manager that closes the device.
 
-    `frames` are such as `touchfield.pipeline.array_medium.Drives`; `rate_hz`, frames a second to the device,
-    is by default the profile's, up to 100, or 50 where it states none; `speed` is seconds of the medium in a
-    second, `start_s` where in it to begin. `InvalidArgument` if a number is out of range, or the medium does
-    not last until `start_s`.
+    `frames` are for example `touchfield.pipeline.array_medium.Drives`. `rate_hz` is the number of frames a
+    second sent to the device; its default is the profile's rate, at most 100, or 50 if the profile has none.
+    `speed` is seconds of the medium for one second, and `start_s` the time of the medium to start at. Raises
+    `InvalidArgument` if a number is out of range or `start_s` is past the end of the medium.
     """
 
     def __init__(
@@ -191,8 +201,8 @@ class ArrayPlayer:
         speed: float = 1.0,
         start_s: float = 0.0,
     ) -> None:
-        usual = min(device.profile.rate_hz or USUAL_RATE_HZ, HIGHEST_USUAL_RATE_HZ)
-        rate = usual if rate_hz is None else float(rate_hz)
+        default_hz = min(device.profile.rate_hz or DEFAULT_RATE_HZ, MAX_DEFAULT_RATE_HZ)
+        rate = default_hz if rate_hz is None else float(rate_hz)
         require_between(0.1, MAX_RATE_HZ, rate_hz=rate)
         require_between(0.001, 1000.0, speed=speed)
         seconds = frames.frame_count / frames.rate_hz
@@ -205,64 +215,69 @@ class ArrayPlayer:
         self._stride = speed * frames.rate_hz / rate
         columns, rows, _ = device.profile.lattice
         self._shape = (device.profile.panels, rows, columns)
-        self._ahead = DrivesAhead(frames, self._shape, self._first, self._stride, rate, loop)
-        self._stop, self._begun, self._done = threading.Event(), threading.Event(), threading.Event()
+        self._prefetcher = DrivePrefetcher(frames, self._shape, self._first, self._stride, rate, loop)
+        self._stop, self._started, self._done = threading.Event(), threading.Event(), threading.Event()
         self._sender = threading.Thread(target=self._run, name="touchfield-array", daemon=True)
-        self.error: BaseException | None = None  # that ended it early
+        self.error: BaseException | None = None  # what ended playback early
         self._is_open = False
         self._counts = dict.fromkeys(("sent", "late", "skipped", "stalled"), 0)
         self._span_s = 0.0
 
     def start(self) -> None:
-        """Open the device, or raise `DeviceError`, and begin; once only."""
+        """Open the device, or raise `DeviceError`, and start playing; can be called once only."""
         if self._is_open or self._stop.is_set():
             raise InvalidArgument("start", "a player that was started before", "a new player")
         self._is_open = True
         try:
             self._device.open()
         except BaseException:
-            for event in (self._stop, self._begun, self._done):
+            for event in (self._stop, self._started, self._done):
                 event.set()
             self._device.close()
             raise
         atexit.register(self.close)  # a program that ends without `close` must not leave an actuator on
-        self._ahead.thread.start()
+        self._prefetcher.thread.start()
         self._sender.start()
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Wait until everything is played and the actuators are off; whether it is so.
+        """Wait until all is played and the actuators are off; returns whether that is so.
 
-        Raises what ended it, an error of the device or of the frames.
+        Raises the error of the device or of the frames that ended playback.
         """
         is_done = self._done.wait(timeout_s)
         if is_done and self.error is not None:
             raise self.error
         return is_done
 
-    def wait_begun(self, timeout_s: float | None = None) -> bool:
-        """Wait until the first frame is about to be sent, or never will be; whether it is so."""
-        return self._begun.wait(timeout_s)
+    def wait_started(self, timeout_s: float | None = None) -> bool:
+        """Wait until the first frame is about to be sent, or never will be.
+
+        Returns whether that is so.
+        """
+        return self._started.wait(timeout_s)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """A note for the user where the feed stalled."""
-        note = "Frames are not made in time: the actuators are off meanwhile. A lower --speed may help"
+        """A note for the user if the feed stalled."""
+        note = "Frames are not ready in time: the actuators are off until they are. A lower --speed may help"
         return (note,) if self._counts["stalled"] else ()
 
     def close(self) -> None:
-        """All actuators off, and the device let go; never raises, and may be called twice."""
+        """Switch all actuators off and close the device; never raises, and may be called twice."""
         atexit.unregister(self.close)
         self._stop.set()
-        self._ahead.stop()
+        self._prefetcher.stop()
         if self._sender.is_alive():
             self._sender.join()
-        if self._ahead.thread.is_alive():
-            self._ahead.thread.join(_LONGEST_CLOSE_S)
+        if self._prefetcher.thread.is_alive():
+            self._prefetcher.thread.join(_MAX_CLOSE_S)
 
     def statistics(self) -> dict[str, float]:
-        """Frames ``sent``, of these ``late`` by more than half a period, ``skipped`` as the one before took
-        too long, of those sent ``stalled``, all off as the feed had nothing; ``mean_rate_hz``, 0 before the
-        second.
+        """Counts of frames, and the mean rate.
+
+        ``sent``; ``late``, sent more than half a period late; ``skipped``, not sent because the frame before
+        took too long; ``stalled``, sent with all actuators off because no frame was ready; and
+        ``mean_rate_hz``, which is 0 until two frames were sent.
         """
         sent = self._counts["sent"]
         return {
@@ -283,36 +298,36 @@ class ArrayPlayer:
         except BaseException as error:
             self.error = error
         finally:
-            with suppress(Exception):  # a device that is gone cannot be told
+            with suppress(Exception):  # the device may be gone
                 self._device.put_drives(np.zeros(self._shape, np.float32), None, 1 / self.rate_hz)
             with suppress(Exception):
                 self._device.close()
-            self._begun.set()
+            self._started.set()
             self._done.set()
 
     def _play(self) -> None:
         period, position = 1 / self.rate_hz, self._first
-        self._ahead.wait_for(position)
-        self._begun.set()
-        tick = step = 0  # of the clock, and of the medium, which stands still while the feed stalls
-        begin = first_s = monotonic()
+        self._prefetcher.wait_for(position)
+        self._started.set()
+        tick = step = 0  # periods of the clock; frames of the medium, which waits while the feed stalls
+        start_s = first_sent_s = monotonic()
         while self._loop or self._count == 1 or position < self._count:
-            if self._stop.wait(max(0.0, begin + tick * period - monotonic())):
+            if self._stop.wait(max(0.0, start_s + tick * period - monotonic())):
                 return
-            late_s = monotonic() - (begin + tick * period)
-            shown = self._ahead.at(position)
-            drives, frequencies = shown if shown is not None else (np.zeros(self._shape, np.float32), None)
+            late_s = monotonic() - (start_s + tick * period)
+            sample = self._prefetcher.at(position)
+            drives, frequencies = sample if sample is not None else (np.zeros(self._shape, np.float32), None)
             self._device.put_drives(drives, frequencies, period)
             now = monotonic()
-            first_s = now if not self._counts["sent"] else first_s
-            self._span_s = now - first_s
-            missed = max(0, math.floor((now - begin) / period) - tick - 1)  # their time is over
+            first_sent_s = now if not self._counts["sent"] else first_sent_s
+            self._span_s = now - first_sent_s
+            missed = max(0, math.floor((now - start_s) / period) - tick - 1)  # periods already over
             self._counts["sent"] += 1
             self._counts["late"] += late_s > period / 2
             self._counts["skipped"] += missed
-            self._counts["stalled"] += shown is None
+            self._counts["stalled"] += sample is None
             tick += 1 + missed
-            if shown is not None:
+            if sample is not None:
                 step += 1 + missed
                 position = self._first + step * self._stride
 
@@ -321,24 +336,25 @@ class ArrayDevice(ABC):
     """A fixed array of actuators; its `profile` has columns, rows, panels and levels."""
 
     profile: Device
-    _line: Any = None  # what `open` made, with a `close` of its own
+    _line: Any = None  # the connection that `open` made; has `close`
 
     @abstractmethod
     def open(self) -> None:
-        """Find the device and make it ready; `DeviceError` if it is not there, or answers wrongly."""
+        """Find the device and make it ready; `DeviceError` if it is missing or answers wrongly."""
 
     @abstractmethod
     def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
-        """Show drives, float32 [panels, rows, columns] from 0 to 1, for about so many seconds.
+        """Show drives, float32 [panels, rows, columns] from 0 to 1, for about `seconds`.
 
-        Row 0 is the top row as one looks at the panel, column 0 the left one; panel 0 is the front. The
-        frequencies of the vibration band have the same shape; None where the medium has none. `DeviceError`
-        if it is gone.
+        Row 0 is the top row as one looks at the panel, column 0 the left column, and panel 0 the front. The
+        frequencies of the vibration band have the same shape; they are None if the medium has none. Raises
+        `DeviceError` if the device is gone.
         """
 
     def close(self) -> None:
-        """All actuators off, then let it go; must not raise, and may be called twice, or after a failed
-        `open`.
+        """Switch all actuators off and release the device.
+
+        Must not raise, and may be called twice or after a failed `open`.
         """
         if self._line is None:
             return
@@ -350,5 +366,5 @@ class ArrayDevice(ABC):
             line.close()
 
     def _put_off(self, off: Float32s) -> None:
-        """Show the last frame, all off."""
+        """Show the last frame, in which all actuators are off."""
         self.put_drives(off, None, 0.0)

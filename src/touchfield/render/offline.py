@@ -1,6 +1,6 @@
-"""A run without a process: the same cycle as fast as it goes, on a clock that stands still between ticks.
+"""Offline rendering: the same cycle without a process, on a virtual clock.
 
-For tests, exports and plots: the same input gives the same forces, and frames are always there in time.
+For tests, exports and plots. The same input gives the same forces, and frames are always ready in time.
 """
 
 from __future__ import annotations
@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OfflineRun:
-    """Outcome of a run: a row of `block.COLUMNS` for each tick, statistics as of `Player.statistics` with
-    times of the virtual clock, notes for the user, and the error of the medium, where it was to be kept.
+    """Result of an offline run.
+
+    `log` has a row of `block.COLUMNS` for each tick, `statistics` is that of `Player.statistics` in times of
+    the virtual clock, `notes` are for the user, and `error` is that of the medium if it was to be returned.
     """
 
     log: NDArray[Any]
@@ -47,37 +49,38 @@ def run_offline(
     memory_bytes: int = DEFAULT_BYTES,
     keeps_error: bool = False,
 ) -> OfflineRun:
-    """Play a medium to a device in this process, as fast as it goes; other arguments as of `Player`.
+    """Play a medium to a device in this process, as fast as possible.
 
-    The device must not have a rhythm of its own. `seconds` are of the device; None plays to the end of the
-    medium, which must have one. With `keeps_error` an error of the medium, as a corrupt segment, is kept
-    beside what was felt before it, and else raised once the force is zero. `InvalidArgument` if a number is
-    out of range, a frame does not fit, or the run has no end; `DeviceError` of the device.
+    The other arguments are those of `Player`. The device must not set its own rate. `seconds` are those of
+    the device; None plays to the end of the medium, which must have one. With `keeps_error`, an error of the
+    medium such as a corrupt segment is returned together with the forces before it; otherwise it is raised
+    once the force is zero. Raises `InvalidArgument` if a number is out of range, a frame does not fit, or the
+    run has no end; `DeviceError` if the device fails.
     """
     spec = RenderSpec() if spec is None else spec
     session = Session(medium, device_profile, spec, memory_bytes, loop, speed, start_s)
     if seconds is None and (loop or session.source.frame_count == 1):
-        raise InvalidArgument("seconds", "none for a medium without end", "how long to play it")
+        raise InvalidArgument("seconds", "none for a medium without an end", "the seconds to play")
     if seconds is not None:
         require_between(0, 1e6, seconds=seconds)
     device = opener()
     if device.is_paced or device.is_driven:
-        raise InvalidArgument("device", "one with a rhythm of its own", "a simulated one")
+        raise InvalidArgument("device", "one that sets its own rate", "a simulated one")
     memory = Memory.empty(session.layout.words)
     session.set_up(memory, mode=W.PLAYING)
     feeder = session.feeder(memory, is_timed=False)
-    most = None if seconds is None else round(seconds * spec.rate_hz)
+    max_ticks = None if seconds is None else round(seconds * spec.rate_hz)
     log = TickLog(memory, 1 << 62)
     i8, drain_every = memory.i8, session.layout.log_rows // 2
-    ahead = 2 + int(speed * session.source.rate_hz / spec.rate_hz + 1)
+    lookahead = 2 + int(speed * session.source.rate_hz / spec.rate_hz + 1)
 
     def before_tick() -> bool:
         ticks = int(i8[W.TICKS])
         if ticks % drain_every == 0:
             log.drain()
-        feeder.keep_ahead(ahead)
-        if most is not None and not feeder.error:
-            return ticks >= most
+        feeder.fill_lookahead(lookahead)
+        if max_ticks is not None and not feeder.error:
+            return ticks >= max_ticks
         return is_over(memory)
 
     serve(memory, device, VirtualClock(), before_tick)

@@ -1,10 +1,10 @@
-"""The player: what a program holds on to while a medium is felt.
+"""The player: the object that a program uses while a medium is rendered.
 
     with Player(medium, profile, opener) as player:
         player.play()
         player.wait()
 
-Frames are decoded here, ahead; the force is rendered in a process of its own (docs/decisions/0010).
+Frames are decoded ahead in this process; the force is rendered in a process of its own (docs/decisions/0010).
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from touchfield.render.block import (
     statistics_of,
 )
 from touchfield.render.block import words as W
-from touchfield.render.feeder import FIRST_GENERATION, Feeder, FrameSource, arena_words
-from touchfield.render.material import material_words, stored_materials, write_materials
-from touchfield.render.servo import Opener, ServoProcess, zero_afresh
+from touchfield.render.feeder import FIRST_GENERATION, Feeder, FrameSource, arena_word_count
+from touchfield.render.material import material_word_count, stored_materials, write_materials
+from touchfield.render.servo import Opener, ServoProcess, zero_by_reconnecting
 from touchfield.render.spec import RenderSpec, Stability, Wall, stability_of, write_parameters
-from touchfield.render.tool import tool_words, write_tool
+from touchfield.render.tool import tool_word_count, write_tool
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
@@ -46,21 +46,21 @@ if TYPE_CHECKING:
 
 _WATCH_S: Final = 0.01
 _PRELOAD_S: Final = 0.5
-_SHARE_OF_FREE: Final = 0.9
+_FRACTION_OF_FREE: Final = 0.9
 _JOIN_S: Final = 5.0
 
 
 class Player:
-    """Plays a medium to a type 1 device.
+    """Plays a medium on a type 1 device.
 
-    Entering it opens the device, which is then without force until `play`; leaving it brings the force to
+    Entering the context opens the device, which has no force until `play`. Leaving it brings the force to
     zero and closes the device, whatever happened.
 
-    `device_profile` is of type 1; `opener` makes the device in the servo's process and can be pickled.
-    `memory_bytes` bounds what is decoded ahead, `speed` is media seconds for one second (above 0, up to 100),
-    `start_s` the media time at which it begins. Of the log the latest `log_rows` are kept; `is_realtime`:
-    SCHED_FIFO is asked for. `InvalidArgument` if a number is out of range, or there is no memory for the
-    frames.
+    `device_profile` is of type 1. `opener` makes the device in the servo's process and can be pickled.
+    `memory_bytes` bounds the frames decoded ahead, `speed` is seconds of the medium for one second (above 0,
+    up to 100), and `start_s` is the media time to start at. The log keeps the latest `log_rows` rows.
+    `is_realtime` requests SCHED_FIFO. Raises `InvalidArgument` if a number is out of range or the memory is
+    too small for the frames.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class Player:
         is_realtime: bool = True,
     ) -> None:
         require_positive(memory_bytes=memory_bytes)
-        bound = min(int(memory_bytes), int(_SHARE_OF_FREE * free_bytes()))
+        bound = min(int(memory_bytes), int(_FRACTION_OF_FREE * free_bytes()))
         self._session = Session(medium, device_profile, spec or RenderSpec(), bound, loop, speed, start_s)
         self._opener, self._log_rows, self._is_realtime = opener, log_rows, is_realtime
         self._lock = threading.RLock()
@@ -111,10 +111,12 @@ class Player:
             memory.i8[W.HEARTBEAT_NS] = time.perf_counter_ns()
             self._watcher = threading.Thread(target=self._watch, name="touchfield-player", daemon=True)
             self._watcher.start()
-            ends = time.monotonic() + _PRELOAD_S  # `play` begins at once if they are quick
-            while not self._feeder.is_ahead and self._feeder.error is None and time.monotonic() < ends:
+            deadline = time.monotonic() + _PRELOAD_S  # so that `play` usually starts at once
+            while (
+                not self._feeder.is_preloaded and self._feeder.error is None and time.monotonic() < deadline
+            ):
                 time.sleep(0.002)
-            if self._feeder.error is not None and not self._feeder.is_ahead:
+            if self._feeder.error is not None and not self._feeder.is_preloaded:
                 raise self._feeder.error
         except BaseException:
             self.close()
@@ -125,53 +127,56 @@ class Player:
         self.close()
 
     def play(self) -> None:
-        """Let the media clock run."""
-        self._order(mode=W.PLAYING)
+        """Start the media clock."""
+        self._send_orders(mode=W.PLAYING)
 
     def pause(self) -> None:
-        """Let the media clock stand; the field is felt as it is."""
-        self._order(mode=W.PAUSED)
+        """Stop the media clock; the field stays as it is."""
+        self._send_orders(mode=W.PAUSED)
 
     def set_speed(self, speed: float) -> None:
-        """Media seconds for one second; above 0, up to 100."""
-        self._order(speed=speed)
+        """Set the speed, seconds of the medium for one second; above 0, up to 100."""
+        self._send_orders(speed=speed)
 
     def seek(self, time_s: float) -> None:
-        """Go to a media time, playing or not; the force goes to zero until its frames are there."""
-        self._order(seek_s=self._session.checked_s(time_s))
+        """Go to a media time, playing or not; the force is zero until its frames are ready."""
+        self._send_orders(seek_s=self._session.media_time_s(time_s))
 
-    def _order(self, **wanted: Any) -> None:
+    def _send_orders(self, **changes: Any) -> None:
         with self._lock:
             if self._block is None or self._feeder is None:
                 raise InvalidArgument("player", "one that is not open", "use within its `with`")
-            orders = self._session.order(self._block.memory, **wanted)
-            if "seek_s" in wanted:
+            orders = self._session.order(self._block.memory, **changes)
+            if "seek_s" in changes:
                 self._feeder.seek(orders.generation, self._session.frame_at(orders.start_s))
 
     @property
     def error(self) -> Exception | None:
-        """The error that ended the feed, the device or the servo's process; None while all is well."""
+        """The error that ended the feed, the device or the servo's process, or None."""
         return self._error
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the user: of axes, limits, damping, coupling; of frames left out and the servo's end."""
+        """Notes for the user.
+
+        They concern axes, limits, damping, coupling, frames left out, and the end of the servo.
+        """
         return (*self._session.notes, *self._notes)
 
     @property
     def servo_pid(self) -> int | None:
-        """The servo's process; None where there is none."""
+        """Process id of the servo; None if there is none."""
         return self._servo.pid if self._servo is not None else None
 
     @property
     def media_s(self) -> float:
-        """The media time now, seconds."""
+        """Current media time, seconds."""
         with self._lock:
             return float(self._block.memory.f8[W.MEDIA_S]) if self._block is not None else 0.0
 
     @property
     def position_m(self) -> tuple[float, float, float]:
-        """Where the hand is in the field, metres; zeros before the first tick."""
+        """Position of the hand in the field, metres; zeros before the first tick."""
         with self._lock:
             if self._block is None:
                 return 0.0, 0.0, 0.0
@@ -180,53 +185,55 @@ class Player:
 
     @property
     def is_ended(self) -> bool:
-        """True if the medium, or the servo, has come to its end and the force to zero."""
+        """True if the medium or the servo has ended and the force is zero."""
         with self._lock:
             if self._block is None or self._servo is None:
                 return True
             return self._servo.is_done or self._servo.error is not None or is_over(self._block.memory)
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Wait for the end, or at most so many seconds; whether it has ended.
+        """Wait for the end, or at most `seconds`; returns whether it has ended.
 
-        Raises what ended the feed, the device or the process (`error`); the force is zero by then.
+        Raises the error that ended the feed, the device or the process (`error`); the force is zero by then.
         """
-        ends = None if seconds is None else time.monotonic() + seconds
+        deadline = None if seconds is None else time.monotonic() + seconds
         while not self.is_ended:
-            left = _WATCH_S if ends is None else min(_WATCH_S, ends - time.monotonic())
-            if left <= 0:
+            pause_s = _WATCH_S if deadline is None else min(_WATCH_S, deadline - time.monotonic())
+            if pause_s <= 0:
                 return False
-            time.sleep(left)
-        self._look()  # the watch may not have had its turn since
+            time.sleep(pause_s)
+        self._update()  # the watch may not have had its turn since
         if self._error is not None:
             raise self._error
         return True
 
     def statistics(self) -> dict[str, Any]:
-        """Counts and times so far, also after the end.
+        """Counts and times so far; also available after the end.
 
-        ``ticks``, ``seconds``, ``rate_hz``, ``mean_rate_hz``; ``jitter_`` (|dT - 1/rate|) and ``lateness_``
+        ``ticks``, ``seconds``, ``rate_hz``, ``mean_rate_hz``; ``jitter_`` (|dT - 1/rate|) and ``lateness_``,
         each with ``p50_us``, ``p99_us``, ``p99_9_us`` and ``worst_us``; ``late_ticks`` (by more than half a
         period), ``missed_ticks``; ``underruns``, ``stalled_ticks``; ``waits`` (after start and seeks),
         ``waiting_ticks``; ``frames_used``; ``decode_median_s`` of one frame; ``frames_left_out``, which could
-        not be decoded in time; ``stalled_share`` of the ticks of play that had nothing; ``log_rows_lost``;
-        ``priority``, ``memory``, ``processors``.
+        not be decoded in time; ``stalled_share``, the fraction of ticks during play without a frame;
+        ``log_rows_lost``; ``priority``, ``memory``, ``processors``.
         """
         with self._lock:
             if self._block is not None and self._servo is not None and self._log is not None and self._feeder:
+                decode_s = self._feeder.decode_s
                 self._statistics = {
                     **statistics_of(self._block.memory),
-                    "decode_median_s": float(np.median(self._feeder.decode_s))
-                    if self._feeder.decode_s
-                    else 0.0,
-                    "frames_left_out": self._feeder.left_out,
+                    "decode_median_s": float(np.median(decode_s)) if decode_s else 0.0,
+                    "frames_left_out": self._feeder.dropped_frames,
                     "log_rows_lost": self._log.lost,
                     **self._servo.report,
                 }
             return dict(self._statistics)
 
     def log(self) -> NDArray[Any]:
-        """The latest rows of the log so far, a structured array of `block.COLUMNS`, also after the end."""
+        """The latest rows of the log, a structured array of `block.COLUMNS`.
+
+        Also available after the end.
+        """
         with self._lock:
             if self._log is None:
                 raise InvalidArgument("player", "one that was never open", "use within its `with`")
@@ -234,32 +241,36 @@ class Player:
             return self._log.rows()
 
     def _watch(self) -> None:
-        """A sign of life for the servo, the log out of the ring, and what the process told."""
+        """Send the servo a sign of life, drain the log and read the servo's messages."""
         while not self._is_closing.wait(_WATCH_S):
-            self._look()
+            self._update()
 
-    def _look(self) -> None:
+    def _update(self) -> None:
         with self._lock:
             if self._block is None or self._servo is None or self._log is None or self._feeder is None:
                 return
             self._block.memory.i8[W.HEARTBEAT_NS] = time.perf_counter_ns()
             self._log.drain()
-            self._servo.listen()
+            self._servo.receive()
             i8 = self._block.memory.i8
-            self._servo.notice(int(i8[W.TICKS]), bool(i8[W.RELEASED]))
-            if self._servo.is_lost and self._rescue is None:
-                self._rescue = threading.Thread(target=self._let_go, name="touchfield-zero", daemon=True)
+            self._servo.check_progress(int(i8[W.TICKS]), bool(i8[W.RELEASED]))
+            if self._servo.is_unreleased and self._rescue is None:
+                self._rescue = threading.Thread(target=self._force_zero, name="touchfield-zero", daemon=True)
                 self._rescue.start()
             self._error = self._error or self._servo.error or self._feeder.error
-            if self._feeder.left_out and not self._is_slow:
+            if self._feeder.dropped_frames and not self._is_slow:
                 self._is_slow = True
                 self._notes = (*self._notes, self._feeder.note)
 
-    def _let_go(self) -> None:
-        self._notes = (*self._notes, zero_afresh(self._opener))
+    def _force_zero(self) -> None:
+        """Set the force to zero through a new connection, after the servo's process was lost."""
+        self._notes = (*self._notes, zero_by_reconnecting(self._opener))
 
     def close(self) -> None:
-        """Bring the force to zero, close the device and end the process. May be called twice."""
+        """Bring the force to zero, close the device and end the process.
+
+        May be called twice.
+        """
         with self._lock:
             block = self._block
             if block is None or self._is_closing.is_set():
@@ -271,7 +282,7 @@ class Player:
                 self._watcher.join(_JOIN_S)
             if self._servo is not None:
                 self._servo.join(1e-9 * float(block.memory.i8[W.RAMP_LIMIT_NS]) + _JOIN_S)
-            self._look()
+            self._update()
             if self._rescue is not None:
                 self._rescue.join()
             self.statistics()
@@ -286,18 +297,16 @@ class Player:
                 block.close()
 
 
-FASTEST: Final = 100.0
-_AHEAD_S: Final = 4.0  # the directory has room for so much of a medium; frames of a high rate are many
-_MOST_SLOTS: Final = 1 << 14
-_RAMP_SPARE_S: Final = 1.0
-_LONGEST_RAMP_S: Final = 10.0
+MAX_SPEED: Final = 100.0
+_LOOKAHEAD_S: Final = 4.0  # seconds of a medium that the directory can hold, up to `_MAX_SLOTS` frames
+_MAX_SLOTS: Final = 1 << 14
+_RAMP_MARGIN_S: Final = 1.0
+_MAX_RAMP_S: Final = 10.0
 
 
 @dataclass(frozen=True)
 class Orders:
-    """Wishes of the player to the servo at one time: a generation, which begins at a media time, and its
-    mode.
-    """
+    """Orders of the player to the servo: a generation, its start time, and a mode."""
 
     generation: int
     start_s: float
@@ -306,16 +315,19 @@ class Orders:
     is_stopping: bool = False
 
     def __post_init__(self) -> None:
-        require_up_to(FASTEST, speed=self.speed)
+        require_up_to(MAX_SPEED, speed=self.speed)
 
 
 def ramp_limit_s(peak_n: float, slew_n_per_s: float, ramp_s: float) -> float:
-    """The longest that a force may take to go to zero, with time to spare, seconds."""
-    return min(_RAMP_SPARE_S + ramp_s + 2 * peak_n / slew_n_per_s, _LONGEST_RAMP_S)
+    """Longest time that a force may take to go to zero, with a margin, seconds."""
+    return min(_RAMP_MARGIN_S + ramp_s + 2 * peak_n / slew_n_per_s, _MAX_RAMP_S)
 
 
 class Session:
-    """Sizes, parameters, first order and feeder of one session on a type 1 device; arguments as of `Player`."""
+    """Sizes, parameters, first order and feeder of a session on a type 1 device.
+
+    The arguments are those of `Player`.
+    """
 
     def __init__(
         self,
@@ -329,15 +341,23 @@ class Session:
     ) -> None:
         self.source = FrameSource(medium, spec.blend, spec.deformation)
         self._device, self._spec, self.is_loop = device, spec, loop
-        self.orders = Orders(FIRST_GENERATION, self.checked_s(start_s), speed)
-        ahead = min(_AHEAD_S * self.source.rate_hz * max(speed, 1.0), float(_MOST_SLOTS))
-        slots = max(1 << math.ceil(ahead - 1).bit_length(), SLOTS)
+        self.orders = Orders(FIRST_GENERATION, self.media_time_s(start_s), speed)
+        lookahead = min(_LOOKAHEAD_S * self.source.rate_hz * max(speed, 1.0), float(_MAX_SLOTS))
+        slots = max(1 << math.ceil(lookahead - 1).bit_length(), SLOTS)
         self._materials = stored_materials(medium.provenance) if spec.materials is None else spec.materials
-        self._objects = tuple(one.name for one in getattr(medium, "objects", ()))
-        bent = spec.deformation
-        self._yield_words = bent.displacement_m[0].size if bent is not None and bent.compliance_m_per_n else 0
-        behind = tool_words(spec.tool), material_words(self._materials), self._yield_words
-        self.layout = Layout(arena_words(self.source, memory_bytes), slots, LOG_ROWS, *behind)
+        self._objects = tuple(body.name for body in getattr(medium, "objects", ()))
+        deformation = spec.deformation
+        self._yield_word_count = 0
+        if deformation is not None and deformation.compliance_m_per_n:
+            self._yield_word_count = deformation.displacement_m[0].size
+        self.layout = Layout(
+            arena_word_count(self.source, memory_bytes),
+            slots,
+            LOG_ROWS,
+            tool_word_count(spec.tool),
+            material_word_count(self._materials),
+            self._yield_word_count,
+        )
         self._notes: tuple[str, ...] = ()
         self._wall = self._wall_of_spec()
         self._stability: Stability | None = None
@@ -345,29 +365,28 @@ class Session:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the user; of the damping and coupling that were chosen, those of the frames so far."""
+        """Notes for the user; those on damping and coupling reflect the frames so far."""
         return self._notes if self._stability is None else (*self._notes, self._stability.note)
 
     def _wall_of_spec(self) -> Wall | None:
-        """The wall of the proxy; None where the field is rendered as it is."""
+        """The wall of the proxy; None if the field is rendered as it is."""
         spec = self._spec
-        if (
-            spec.render == "field"
-            or spec.deformation is not None
-            or (spec.render == "auto" and (spec.coupling_n_per_m or spec.tool is not None))
-        ):
+        excludes_proxy = spec.coupling_n_per_m or spec.tool is not None
+        if spec.render == "field" or spec.deformation is not None:
+            return None
+        if spec.render == "auto" and excludes_proxy:
             return None
         wall = self.source.wall()
         if wall is None and spec.render == "proxy":
-            raise InvalidArgument("render", "'proxy' of a field that is no wall's", "field, or auto")
+            raise InvalidArgument("render", "'proxy' for a field without walls", "field, or auto")
         if wall is None or spec.wall_n_per_m is None:
             return wall
         return replace(wall, stiffness_n_per_m=spec.wall_n_per_m)
 
-    def checked_s(self, time_s: float) -> float:
-        """A media time to go to; past the end it begins anew where the medium is looped, and else is the end."""
+    def media_time_s(self, time_s: float) -> float:
+        """The media time for a seek: past the end, it wraps in a loop and else is the end."""
         if not (is_finite(time_s) and time_s >= 0):
-            raise InvalidArgument("time", repr(time_s), "seconds from the beginning, 0 or more")
+            raise InvalidArgument("time", repr(time_s), "seconds from the start, 0 or more")
         if self.source.frame_count == 1:
             return 0.0
         seconds = self.source.frame_count / self.source.rate_hz
@@ -387,13 +406,13 @@ class Session:
             memory, spec, self._device, source.friction, source.damping_n_s_per_m, source.axes
         )
         write_tool(memory, self.layout.tool, spec.tool)
-        own_friction = spec.friction is None
+        has_friction = spec.friction is None
         self._notes += write_materials(
-            memory, self.layout.material, self._materials, self._objects, own_friction
+            memory, self.layout.material, self._materials, self._objects, has_friction
         )
         f8 = memory.f8
-        if self._yield_words:
-            f8[self.layout.yields : self.layout.yields + self._yield_words] = 0.0
+        if self._yield_word_count:
+            f8[self.layout.yields : self.layout.yields + self._yield_word_count] = 0.0
             source.yield_at = self.layout.yields
         if self._wall is not None:
             f8[W.WALL], f8[W.WALL_LEVEL] = self._wall.stiffness_n_per_m, self._wall.level_n
@@ -411,49 +430,57 @@ class Session:
         self.order(memory, mode=mode)
 
     def _adapt(self, memory: Memory, stiffness_n_per_m: float) -> None:
-        """Choose damping and coupling anew for a frame that is stiffer than those before; the ticks follow
-        slowly.
+        """Choose damping and coupling anew if a frame is stiffer than those before.
+
+        The ticks approach the new values slowly.
         """
-        if stiffness_n_per_m <= self._stiffest_n_per_m or (
-            self._wall is not None and self._stability is not None
-        ):
+        is_final = self._wall is not None and self._stability is not None
+        if stiffness_n_per_m <= self._stiffest_n_per_m or is_final:
             return
         self._stiffest_n_per_m = stiffness_n_per_m
-        chosen = stability_of(self._device, self._spec, self.source.damping_n_s_per_m, stiffness_n_per_m)
-        memory.f8[W.BRAKE] = chosen.brake_n_s_per_m
-        memory.f8[W.COUPLING] = chosen.coupling_n_per_m
+        stability = stability_of(self._device, self._spec, self.source.damping_n_s_per_m, stiffness_n_per_m)
+        memory.f8[W.BRAKE] = stability.brake_n_s_per_m
+        memory.f8[W.COUPLING] = stability.coupling_n_per_m
         if self._spec.damping_n_s_per_m is None or self._spec.coupling_n_per_m is None:
-            self._stability = chosen
+            self._stability = stability
 
     def order(self, memory: Memory, *, seek_s: float | None = None, **changes: Any) -> Orders:
-        """Change what is wanted (fields of `Orders`), the rest as it was; a seek is a new generation."""
+        """Change some fields of `Orders` and send them; a seek starts a new generation."""
         if seek_s is not None:
-            changes |= {"generation": self.orders.generation + 1, "start_s": self.checked_s(seek_s)}
+            changes |= {"generation": self.orders.generation + 1, "start_s": self.media_time_s(seek_s)}
         from touchfield.render.kernels.tick import give_order
 
-        self.orders = one = replace(self.orders, **changes)
-        order = one.generation, one.start_s, float(one.speed), one.mode, int(one.is_stopping)
+        self.orders = orders = replace(self.orders, **changes)
+        order = orders.generation, orders.start_s, float(orders.speed), orders.mode, int(orders.is_stopping)
         give_order(memory.i8, memory.f8, *order)
-        return one
+        return orders
 
     def feeder(
         self, memory: Memory, reserve: Callable[[int], None] | None = None, is_timed: bool = True
     ) -> Feeder:
-        """The feeder of this block, not yet begun."""
-        first, tell = self.frame_at(self.orders.start_s), partial(self._adapt, memory)
+        """The feeder of this block, not yet started."""
+        first_frame, on_stiffness = self.frame_at(self.orders.start_s), partial(self._adapt, memory)
         return Feeder(
-            self.source, memory, self.layout, first, self.is_loop, reserve, is_timed, tell_stiffness=tell
+            self.source,
+            memory,
+            self.layout,
+            first_frame,
+            self.is_loop,
+            reserve,
+            is_timed,
+            on_stiffness=on_stiffness,
         )
 
 
 def is_over(memory: Memory) -> bool:
-    """True if the medium is over, or its feed has failed and all that was fed is shown, and the force is
-    zero.
+    """True if no frame is left to render and the force is zero.
+
+    That is so if the medium has ended, or its feed has failed and all that it wrote was shown.
     """
     i8 = memory.i8
-    if i8[W.SEQUENCE_SEEN] != i8[W.SEQUENCE]:  # read first, and written last: the rest is of this order
+    if i8[W.SEQUENCE_SEEN] != i8[W.SEQUENCE]:  # the servo writes this last, after the rest of the order
         return False
     feed = int(i8[W.FEED])
     is_starved = feed in (W.STALLED, W.WAITING) or i8[W.MODE_NOW] != W.PLAYING
-    has_come = feed == W.ENDED or (i8[W.FEED_FAILED] and is_starved)
-    return bool(has_come and i8[W.RESTING])
+    is_finished = feed == W.ENDED or (i8[W.FEED_FAILED] and is_starved)
+    return bool(is_finished and i8[W.RESTING])

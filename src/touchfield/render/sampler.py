@@ -1,8 +1,8 @@
-"""F(x, t) of a decoded medium at any point and time: what the servo asks at each tick, for a program in one
-process.
+"""F(x, t) of a decoded medium at any point and time, for a program in one process.
 
-Trilinear in space, zero outside, exact at the samples. Between two frames, a body that moves is at the pose
-between and a field that changes is blended linearly; exact at the frames.
+The servo evaluates the same function at each tick. It is trilinear in space, zero outside, and exact at the
+samples. Between two frames, a moving body is at the interpolated pose and a changing field is blended
+linearly; at the frames the function is exact.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ if TYPE_CHECKING:
     from touchfield.medium.deformation import Deformation
 
 
-_POINTS_AT_ONCE: Final = 8192
-_ALWAYS: Final = sys.float_info.max
-_NEVER: Final = (1.0, -1.0, 0.0)
-_NOWHERE: Final = 8  # words in front that nothing takes: place 0 means none
+_CHUNK_POINTS: Final = 8192
+_UNBOUNDED: Final = sys.float_info.max
+_EMPTY_INTERVAL: Final = (1.0, -1.0, 0.0)
+_FIRST_OFFSET: Final = 8  # offset 0 means "none", so that the first words stay unused
 
 
 class FieldSampler:
     """The force at a point and a time.
 
-    Frame i lies at i / rate_hz. Before the first and after the last frame the field is that of the first and
-    the last. One thread at a time; a batch itself runs on all cores.
+    Frame i is at i / rate_hz. Before the first and after the last frame, the field is that of the first or
+    the last. Only one thread may use a sampler at a time; a batch itself runs on all cores.
 
-    `memory_bytes` are for the latest fields, which are kept; blocks of two frames, one for `at`, one that it
-    begins and one for all other queries, take as much each at most. A `deformation` bends a medium of voxels
-    by its tracks. A query raises `InvalidArgument` if a time is not finite, shapes do not fit, or two frames
-    do not fit there.
+    `memory_bytes` bounds the cache of fields. A block of two frames for `at`, one that is prepared for it and
+    one for all other queries take up to as much each. A `deformation` bends a medium of voxels by its tracks.
+    A query raises `InvalidArgument` if a time is not finite, shapes do not match, or two frames do not fit
+    into the memory.
     """
 
     def __init__(
@@ -60,130 +60,129 @@ class FieldSampler:
     ) -> None:
         self._parts = FrameParts(medium, deformation)
         self._pairs = Pairs(self._parts, memory_bytes)
-        self._is_voxels = not isinstance(medium, HapticScene) and deformation is None
+        self._has_voxels = not isinstance(medium, HapticScene) and deformation is None
         self._rate_hz = self._parts.rate_hz
         self._latest: Pair | None = None
         self._at = 0, 0
-        self._words: Any = None
-        self._low, self._high, self._base = (
-            _NEVER  # between which instants, in frames, `at` has all that it needs
-        )
+        self._u8: Any = None
+        # the interval, in frames, for which `at` is prepared, and its first frame
+        self._low, self._high, self._base = _EMPTY_INTERVAL
         self._point: Any = None
 
     def force_n(self, time_s: ArrayLike, points_m: ArrayLike) -> Float32s:
-        """Force, newtons, float32 [..., 3], at points float [..., 3], metres; one that is not finite has
-        none.
+        """Force, newtons, float32 [..., 3], at points float [..., 3], metres.
 
-        `time_s`, seconds, is one time for all points, or one for each.
+        The force at a point that is not finite is zero. `time_s`, seconds, is one time for all points or one
+        for each point.
         """
         from touchfield.render.kernels import points as kernels
 
         times = numbers_of("time_s", time_s)
-        if not times.ndim and self._is_voxels:
-            return self._voxels_n(float(times), _points(points_m, np.float32))
-        return self._each(kernels.forces_at_points, times, points_m, 3, np.float32)
+        if not times.ndim and self._has_voxels:
+            return self._voxel_forces_n(float(times), _points(points_m, np.float32))
+        return self._evaluate(kernels.forces_at_points, times, points_m, 3, np.float32)
 
     def gradient_n_per_m(self, time_s: ArrayLike, points_m: ArrayLike) -> Float64s:
-        """dF_i/dx_j, N/m, float64 [..., 3, 3]: the derivative of the interpolation; zeros where no force can
-        be.
+        """dF_i/dx_j, N/m, float64 [..., 3, 3]: derivative of the interpolated force.
 
-        On a plane of the lattice it is the one towards greater indices.
+        Zeros where no force can be. On a plane of the lattice it is the derivative towards greater indices.
         """
         from touchfield.render.kernels import points as kernels
 
-        rows: Float64s = self._each(kernels.gradients_at_points, time_s, points_m, 9, np.float64)
+        rows: Float64s = self._evaluate(kernels.gradients_at_points, time_s, points_m, 9, np.float64)
         return rows.reshape(*rows.shape[:-1], 3, 3)
 
     def vibration(self, time_s: ArrayLike, points_m: ArrayLike) -> tuple[Float32s, Float32s]:
-        """Amplitudes, newtons, and frequencies, Hz, of the vibration, each float32 [...]; zeros where none
-        is.
+        """Amplitudes in newtons and frequencies in Hz of the vibration, each float32 [...].
+
+        Zeros where there is none.
         """
         from touchfield.render.kernels import points as kernels
 
-        both: Float32s = self._each(kernels.vibrations_at_points, time_s, points_m, 2, np.float32)
+        both: Float32s = self._evaluate(kernels.vibrations_at_points, time_s, points_m, 2, np.float32)
         return both[..., 0], both[..., 1]
 
     def at(self, time_s: float, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
-        """Force at one point, newtons: one query a call, in float64, with as little around it as can be.
+        """Force at one point, newtons, float64, with as little overhead as possible.
 
-        The frames that follow are made in the background, for times that grow as the clock does.
+        The following frames are prepared in the background, for times that increase like a clock.
         """
         force_n: tuple[float, float, float]
         try:
-            place = time_s * self._rate_hz
-            if not self._low <= place <= self._high:
+            position = time_s * self._rate_hz
+            if not self._low <= position <= self._high:
                 self._prepare(time_s)
             first, second = self._at
-            force_n = self._point(self._words, first, second, place - self._base, x_m, y_m, z_m)
+            force_n = self._point(self._u8, first, second, position - self._base, x_m, y_m, z_m)
         except (TypeError, ValueError):
-            given = time_s, x_m, y_m, z_m
-            if all(type(one) is float for one in given):  # it is not for their types
+            arguments = time_s, x_m, y_m, z_m
+            if all(type(argument) is float for argument in arguments):  # not an error of their types
                 raise
-            force_n = self.at(*numbers_of("time_s, x_m, y_m, z_m", given, shape=(4,)).tolist())
+            force_n = self.at(*numbers_of("time_s, x_m, y_m, z_m", arguments, shape=(4,)).tolist())
         return force_n
 
     def _prepare(self, time_s: float) -> None:
-        """Make `at` ready for the frames about an instant."""
+        """Prepare `at` for the frames around an instant."""
         from touchfield.render.kernels.points import force_at_once
 
         a, _, _ = self._instant(time_s)
         b = min(a + 1, self._parts.frame_count - 1)
-        self._low, self._high, self._base = _NEVER
+        self._low, self._high, self._base = _EMPTY_INTERVAL
         memory, first, second = self._pairs.take(a, b)[:3]
-        self._pairs.begin(b, b + 1)
+        self._pairs.prepare(b, b + 1)
         if not force_at_once.signatures:
             force_at_once(memory.u8, first, second, 0.0, 0.0, 0.0, 0.0)
-            # a whole number becomes a float, and takes no compiled code of its own
+            # integers are converted to float then, instead of compiling another version
             force_at_once.disable_compile()
-        self._words, self._at, self._point = memory.u8, (first, second), force_at_once
+        self._u8, self._at, self._point = memory.u8, (first, second), force_at_once
         self._base = float(a)
-        self._low = float(a) if a > 0 else -_ALWAYS
-        self._high = float(b) if b < self._parts.frame_count - 1 else _ALWAYS
+        self._low = float(a) if a > 0 else -_UNBOUNDED
+        self._high = float(b) if b < self._parts.frame_count - 1 else _UNBOUNDED
 
     def _instant(self, time_s: float) -> tuple[int, int, float]:
-        """Two frames and the blend between them."""
+        """The two frames around an instant, and the blend between them."""
         firsts, blends = self._instants(time_s, ())
         a, blend = int(firsts[0]), float(blends[0])
         return a, a + (blend > 0.0), blend
 
     def _instants(self, time_s: ArrayLike, shape: tuple[int, ...]) -> tuple[Int64s, Float64s]:
-        """First frames int64 [m] and blends [m] of one time, or of one for each of the points."""
+        """First frames int64 [m] and blends [m] of one time, or of one time for each point."""
         times = numbers_of("time_s", time_s)
         if times.ndim and times.shape != shape:
             raise InvalidArgument("time_s", f"shape {times.shape}", f"one time, or {shape} as the points")
         with np.errstate(over="ignore"):
-            place = times.reshape(-1) * self._rate_hz
-        if not np.isfinite(place).all():
+            positions = times.reshape(-1) * self._rate_hz
+        if not np.isfinite(positions).all():
             raise InvalidArgument("time_s", "a time that is not finite", "finite numbers of seconds")
-        place = np.clip(place, 0.0, self._parts.frame_count - 1.0)
-        firsts = (place + W.AT_A_FRAME).astype(np.int64)
-        blends = place - firsts
+        positions = np.clip(positions, 0.0, self._parts.frame_count - 1.0)
+        frames = (positions + W.AT_A_FRAME).astype(np.int64)
+        blends = positions - frames
         blends[blends <= W.AT_A_FRAME] = 0.0
-        return firsts, blends
+        return frames, blends
 
-    def _take(self, a: int, b: int) -> Pair:
-        """Two frames for all queries but `at`; the latest are kept."""
+    def _pair(self, a: int, b: int) -> Pair:
+        """Two frames for all queries but `at`; the latest pair is cached."""
         if self._latest is None or self._latest.frames != (a, b):
             self._latest = self._pairs.take(a, b, self._latest)
         return self._latest
 
-    def _voxels_n(self, time_s: float, points: NDArray[Any]) -> Float32s:
-        """One field, or two that are blended, at many points of one instant."""
+    def _voxel_forces_n(self, time_s: float, points: NDArray[Any]) -> Float32s:
+        """Forces of one field, or of two blended ones, at many points of one instant."""
         from touchfield.render.kernels import points as kernels
 
         a, b, blend = self._instant(time_s)
-        pair = self._take(a, b)
+        pair = self._pair(a, b)
         out = np.empty(points.shape, np.float32)
         flat, forces = points.reshape(-1, 3), out.reshape(-1, 3)
-        for n, (field, share) in enumerate(pair.shares(blend)):
-            arguments = (flat, *pair.memory.views, field, share, n == 0, forces)
-            for_chunks(kernels.field_at_points, len(flat), *arguments, chunk=_POINTS_AT_ONCE)
+        for n, (field, weight) in enumerate(pair.weighted_fields(blend)):
+            arguments = (flat, *pair.memory.views, field, weight, n == 0, forces)
+            for_chunks(kernels.field_at_points, len(flat), *arguments, chunk=_CHUNK_POINTS)
         return out
 
-    def _each(
+    def _evaluate(
         self, kernel: Callable[..., Any], time_s: ArrayLike, points_m: ArrayLike, columns: int, dtype: Any
     ) -> NDArray[Any]:
-        """A kernel at all points; those between the same two frames together."""
+        """Run a kernel at all points, grouped by the pair of frames that they need."""
         points = _points(points_m)
         flat = points.reshape(-1, 3)
         out = np.empty((len(flat), columns), dtype)
@@ -192,30 +191,27 @@ class FieldSampler:
         if len(blends) != 1:
             order = np.argsort(firsts, kind="stable")
             groups = np.split(order, np.flatnonzero(np.diff(firsts[order])) + 1) if len(order) else []
-        for which in groups:
-            a, shares, part = int(firsts[which][0]), blends[which], out[which]
-            memory, *frames = self._take(a, a + bool(shares.any()))[:3]
-            arguments = (flat[which], shares, *memory.views, *frames, part)
-            for_chunks(kernel, len(part), *arguments, chunk=_POINTS_AT_ONCE // 4)
-            out[which] = part
+        for group in groups:
+            a, group_blends, result = int(firsts[group][0]), blends[group], out[group]
+            memory, *frames = self._pair(a, a + bool(group_blends.any()))[:3]
+            arguments = (flat[group], group_blends, *memory.views, *frames, result)
+            for_chunks(kernel, len(result), *arguments, chunk=_CHUNK_POINTS // 4)
+            out[group] = result
         return out.reshape(*points.shape[:-1], columns)
 
 
-def _points(points_m: ArrayLike, *others: type[np.float32]) -> NDArray[Any]:
-    """Points as the kernels take them: float64 or one of `others`, contiguous, writeable."""
-    kind = np.float32 if getattr(points_m, "dtype", None) in others else np.float64
-    points = np.ascontiguousarray(numbers_of("points_m", points_m, kind))
+def _points(points_m: ArrayLike, *accepted: type[np.float32]) -> NDArray[Any]:
+    """Points for the kernels: float64 or one of `accepted`, contiguous, writeable."""
+    dtype = np.float32 if getattr(points_m, "dtype", None) in accepted else np.float64
+    points = np.ascontiguousarray(numbers_of("points_m", points_m, dtype))
     if points.ndim == 0 or points.shape[-1] != 3:
         raise InvalidArgument("points_m", f"shape {points.shape}", "points [..., 3] in metres")
-    return (
-        points if points.flags.writeable else points.copy()
-    )  # to the compiler read-only arrays are another type
+    # the compiler treats a read-only array as another type
+    return points if points.flags.writeable else points.copy()
 
 
 class Pair(NamedTuple):
-    """Two frames, perhaps the same: their block and their places in it, as the kernels take them; and its
-    fields.
-    """
+    """Two frames, possibly equal: their block, their offsets in it, and their fields."""
 
     memory: Memory
     first: int
@@ -223,98 +219,101 @@ class Pair(NamedTuple):
     frames: tuple[int, int]
     fields: dict[FieldName, int]
 
-    def shares(self, blend: float) -> list[tuple[int, float]]:
-        """Of frames of voxels the place of the field of each, and its share between the two."""
-        ends = ((self.first, 1.0 - blend), (self.second, blend))[: 1 + (blend > 0.0)]
+    def weighted_fields(self, blend: float) -> list[tuple[int, float]]:
+        """For frames of voxels, the offset and the weight of the field of each frame."""
+        weighted_frames = ((self.first, 1.0 - blend), (self.second, blend))[: 1 + (blend > 0.0)]
         return [
-            (int(self.memory.views[0][frame + W.FRAME_WORDS + W.PART_FIELD]), share) for frame, share in ends
+            (int(self.memory.views[0][frame + W.FRAME_WORDS + W.PART_FIELD]), weight)
+            for frame, weight in weighted_frames
         ]
 
 
 class Pairs:
-    """Pairs (a, b) of frames, each in a block of its own, made when asked for or begun before.
+    """Pairs (a, b) of frames, each in a block of its own, made on request or in advance.
 
-    Cells of the latest fields are kept in `memory_bytes`, about twice those of their bricks, and copied into
-    the pairs that need them. Frames are made by one thread at a time, the caller's or a background one.
+    The cells of the latest fields are cached in `memory_bytes`, which is about twice the size of their
+    bricks, and copied into the pairs that need them. One thread at a time makes frames, the caller's or one
+    in the background.
     """
 
     def __init__(self, parts: FrameParts, memory_bytes: int) -> None:
         require_not_negative(memory_bytes=memory_bytes)
-        self._parts, self._most_words = parts, int(memory_bytes) // W.WORD
-        self._cells: dict[FieldName, CellPool] = {}  # in the order of use
-        self._words = 0  # of them
-        self._coming: Future[Pair] | None = None
-        self._coming_frames = -1, -1
+        self._parts, self._max_words = parts, int(memory_bytes) // W.WORD
+        self._cells: dict[FieldName, CellPool] = {}  # least recently used first
+        self._cached_words = 0  # size of all of them
+        self._pending: Future[Pair] | None = None
+        self._pending_frames = -1, -1
 
-    def take(self, a: int, b: int, before: Pair | None = None) -> Pair:
-        """The pair; written over the one `before`, which is given up, where that has all fields.
+    def take(self, a: int, b: int, reusable: Pair | None = None) -> Pair:
+        """The pair (a, b); it replaces the pair `reusable` in memory if that has all fields.
 
-        InvalidArgument where it does not fit into the memory allowed.
+        `reusable` must not be used afterwards. Raises InvalidArgument if the pair does not fit into the
+        memory.
         """
-        coming, self._coming = self._coming, None
-        if coming is not None and self._coming_frames == (a, b):
-            return coming.result()
-        if coming is not None and not coming.cancel():
-            coming.exception()  # both would make frames at once
-        return self._make(a, b, before)
+        pending, self._pending = self._pending, None
+        if pending is not None and self._pending_frames == (a, b):
+            return pending.result()
+        if pending is not None and not pending.cancel():
+            pending.exception()  # wait for it, so that only one thread makes frames
+        return self._build(a, b, reusable)
 
-    def begin(self, a: int, b: int) -> None:
-        """Make a pair in the background for the next `take`, where there is one; its error comes then."""
+    def prepare(self, a: int, b: int) -> None:
+        """Make a pair in the background for the next `take`, which raises its errors."""
         if b < self._parts.frame_count:
-            self._coming_frames, self._coming = (a, b), _pool().submit(self._make, a, b)
+            self._pending_frames, self._pending = (a, b), _pool().submit(self._build, a, b)
 
-    def _make(self, a: int, b: int, before: Pair | None = None) -> Pair:
+    def _build(self, a: int, b: int, reusable: Pair | None = None) -> Pair:
         names = dict.fromkeys(name for frame in (a, b) for name in self._parts.names(frame))
-        first, second = _NOWHERE, _NOWHERE + self._parts.words * (a != b)
-        if before is not None and names.keys() <= before.fields.keys():
-            memory, fields = before.memory, before.fields
+        first, second = _FIRST_OFFSET, _FIRST_OFFSET + self._parts.words * (a != b)
+        if reusable is not None and names.keys() <= reusable.fields.keys():
+            memory, fields = reusable.memory, reusable.fields
         else:
-            pools = {name: self._cells_of(name) for name in names}
-            self._let_go(names)
-            begin, fields = _NOWHERE + 2 * self._parts.words, dict[FieldName, int]()
-            memory = Memory.empty(begin + sum(map(field_words, pools.values())))
-            write_fields(memory, begin, pools, fields)
-        for at, frame in {first: a, second: b}.items():
-            self._parts.write(memory, at, frame, fields)
+            pools = {name: self._cached_cells(name) for name in names}
+            self._evict(names)
+            start, fields = _FIRST_OFFSET + 2 * self._parts.words, dict[FieldName, int]()
+            memory = Memory.empty(start + sum(map(field_words, pools.values())))
+            write_fields(memory, start, pools, fields)
+        for offset, frame in {first: a, second: b}.items():
+            self._parts.write(memory, offset, frame, fields)
         return Pair(memory, first, second, (a, b), fields)
 
-    def _cells_of(self, name: FieldName) -> CellPool:
+    def _cached_cells(self, name: FieldName) -> CellPool:
         pool = self._cells.pop(name, None)
         if pool is None:
             pool = self._parts.cells(name)
-            self._words += field_words(pool)
+            self._cached_words += field_words(pool)
         self._cells[name] = pool
         return pool
 
-    def _let_go(self, needed: Container[FieldName]) -> None:
-        """Drop what was not asked for since longest until the rest has room."""
-        while self._words > self._most_words:
+    def _evict(self, needed: Container[FieldName]) -> None:
+        """Drop the least recently used fields until the rest fits into the memory."""
+        while self._cached_words > self._max_words:
             oldest = next(iter(self._cells))
             if oldest in needed:
-                found = f"{self._words * W.WORD / 2**20:.1f} MiB for the fields of one instant"
-                allowed = f"at most {self._most_words * W.WORD / 2**20:.1f} MiB"
+                found = f"{self._cached_words * W.WORD / 2**20:.1f} MiB for the fields of one instant"
+                allowed = f"at most {self._max_words * W.WORD / 2**20:.1f} MiB"
                 raise InvalidArgument(
                     "memory_bytes", found, allowed, "Allow more memory, or take a coarser grid."
                 )
-            self._words -= field_words(self._cells.pop(oldest))
+            self._cached_words -= field_words(self._cells.pop(oldest))
 
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    def stand_back() -> None:  # when woken, not take the processor from the one that asks (4 ms of it, else)
+    def lower_priority() -> None:
+        """On waking, leave the processor to the requesting thread; taking it costs that thread 4 ms."""
         if hasattr(os, "SCHED_BATCH"):
             with suppress(OSError):
                 os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
-    return ThreadPoolExecutor(1, thread_name_prefix="touchfield-pairs", initializer=stand_back)
+    return ThreadPoolExecutor(1, thread_name_prefix="touchfield-pairs", initializer=lower_priority)
 
 
 class DeviceSampler:
-    """Forces of a medium or a scene of objects at points in the memory of a GPU (extra ``cuda``).
+    """Forces of a medium or a scene at points in the memory of a GPU (extra ``cuda``).
 
-    The frames about an instant are made by the processor and copied once; points and forces are not copied.
-
-    `memory_bytes` are for frames, as of `FieldSampler`.
+    The frames around an instant are made by the processor and copied once; points and forces are not copied.
+    `memory_bytes` is for frames, as in `FieldSampler`.
     """
 
     def __init__(self, medium: HapticMedium | HapticScene, memory_bytes: int = 256 << 20) -> None:
@@ -325,8 +324,9 @@ class DeviceSampler:
     def force_n(self, time_s: float, points_m: Any) -> Any:
         """Force, newtons, float32 [n, 3], on the device, with a ``__cuda_array_interface__``.
 
-        Points, float64 [n, 3] in metres, are an array on a GPU of any library (``__dlpack__`` or
-        ``__cuda_array_interface__``), or one of NumPy, which is copied there; `InvalidArgument` for others.
+        The points, float64 [n, 3] in metres, are an array on a GPU of any library (``__dlpack__`` or
+        ``__cuda_array_interface__``), or a NumPy array, which is copied to the GPU. Raises `InvalidArgument`
+        for others.
         """
         from touchfield.compute.cuda import empty, for_each, on_device
         from touchfield.render.kernels.points import field_at_points, forces_at_points
@@ -335,14 +335,14 @@ class DeviceSampler:
             found = f"{points_m.dtype}, shape {tuple(points_m.shape)}"
             raise InvalidArgument("points_m", found, "float64 [n, 3], metres")
         a, b, blend = self._sampler._instant(time_s)
-        pair = self._sampler._take(a, b)
+        pair = self._sampler._pair(a, b)
         if self._latest is not pair:
             self._views, self._latest = on_device(tuple(pair.memory.views)), pair
         count, points = points_m.shape[0], on_device(points_m)
         out = empty((count, 3), np.float32)
-        if self._sampler._is_voxels:
-            for n, (field, share) in enumerate(pair.shares(blend)):
-                for_each(field_at_points, count, points, *self._views, field, share, n == 0, out)
+        if self._sampler._has_voxels:
+            for n, (field, weight) in enumerate(pair.weighted_fields(blend)):
+                for_each(field_at_points, count, points, *self._views, field, weight, n == 0, out)
         else:
             blends = on_device(np.array([blend]))
             for_each(forces_at_points, count, points, blends, *self._views, pair.first, pair.second, out)

@@ -1,12 +1,13 @@
-"""A medium as a receiver plays it on from segment to segment: without the step where one starts.
+"""Blending of segments: removes the step at the start of a segment during playback.
 
-Each segment is coded anew, so that the force of a world that stands still jumps at its start, within the
-mask. Here the last frame of the segment before goes over into the new one by a raised cosine in `BLEND_S`, or
-half the segment where that is shorter, voxel by voxel, where both forces can be of one source; elsewhere the
-new one is taken at once. Where the source stands, both keep its mask, which is a ball, and so does all
-between. One that moves by less than two masks is shown later by `BLEND_S` at most.
+Each segment is encoded independently, so that the force of a static world jumps at the start of a segment, by
+less than the mask. Here the last frame of the segment before is blended into the new one by a raised cosine
+of `BLEND_S`, or half the segment if that is shorter. This is done voxel by voxel, where both forces can come
+from one source; elsewhere the new frame is used at once. Where the source does not move, both forces are
+within its mask, which is a ball, and so is every blend of them. A source that moves by less than two masks is
+shown late by `BLEND_S` at most.
 
-The frames depend on what was played before; `HapticMedium` itself, and all that reads it, stays exact.
+The frames depend on what was played before. `HapticMedium` itself, and all that reads it, stays exact.
 """
 
 from __future__ import annotations
@@ -25,23 +26,29 @@ if TYPE_CHECKING:
     from touchfield.medium import Segments
 
 BLEND_S: Final = 0.1
-"""Seconds of the medium; half of the way is done in half of it. At 30 Hz these are three frames, none of
-which makes more than half of the way; with 0.05 s the first makes three quarters. Of fast media, the edge of
-a raised cosine that lasts T has 1 / (4 f^2 T^2 - 1) of what a step has at a frequency f at most: 36 dB less
-at 40 Hz, where the band in which a hand feels vibration best begins. Longer gained nothing on a room at 30
-Hz, and shows later what moves by less than the mask."""
+"""Length of a blend, seconds of the medium; half of it makes half of the change.
 
-SLOW_HZ: Final = 20.0
-"""At this rate and below nothing is done: from frame to frame the receiver interpolates for 50 ms or more."""
+At 30 Hz it is three frames, none of which makes more than half of the change; with 0.05 s the first would
+make three quarters. In fast media, the edge of a raised cosine of duration T has at most 1 / (4 f^2 T^2 - 1)
+of the amplitude that a step has at frequency f: 36 dB less at 40 Hz, where the band begins in which a hand
+feels vibration best. A longer blend gained nothing on a room at 30 Hz, and delays what moves by less than the
+mask.
+"""
 
-_BRICKS_AT_ONCE: Final = 64
+MAX_UNBLENDED_HZ: Final = 20.0
+"""Highest frame rate that is not blended.
+
+At this rate and below, the receiver interpolates between frames for 50 ms or more.
+"""
+
+_CHUNK_BRICKS: Final = 64
 
 
 class SegmentBlend:
-    """The frames of a decoded medium in the order of play; asked for by one thread.
+    """The frames of a decoded medium in the order of play; used by one thread.
 
-    A frame that does not follow the one asked for before, but in its own segment or a loop, is as it was
-    decoded, and so are those after it, up to the next segment.
+    A frame that follows the frame requested before neither within its segment nor in a loop is returned as it
+    was decoded, and so are the frames after it, up to the next segment.
     """
 
     def __init__(self, medium: HapticMedium, segments: Segments) -> None:
@@ -49,71 +56,75 @@ class SegmentBlend:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: the next frame does not follow the one asked for last."""
+        """Start anew: the next frame does not follow the latest one."""
         self._latest: tuple[int, ForceField] | None = None
-        self._before: ForceField | None = None
+        self._previous: ForceField | None = None
 
     def __call__(self, frame: int) -> ForceField:
-        """Decode a frame, and blend it where a segment has just begun."""
-        at, latest = self._latest or (-1, None)
-        if at == frame and latest is not None:
+        """Decode a frame, and blend it if a segment has just started."""
+        latest_frame, latest = self._latest or (-1, None)
+        if latest_frame == frame and latest is not None:
             return latest
-        shown, count = self._medium[frame], len(self._medium)
-        first, length = self._segments.around(frame, count)
+        field, count = self._medium[frame], len(self._medium)
+        first, length = self._segments.segment_at(frame, count)
         if frame == first:
-            self._before = latest if at >= 0 and (at + 1) % count == frame else None
-        elif not first <= at < frame:
-            self._before = None
-        lasts = BLEND_S * self._medium.rate_hz
-        if first + length < count:  # nothing follows the last one, which may be of a single frame
-            lasts = min(lasts, length / 2)
-        if frame - first + 1 >= lasts:
-            self._before = None
-        if self._before is not None:
-            share = 0.5 - 0.5 * math.cos(math.pi * (frame - first + 1) / lasts)
-            shown = _blended(self._before, shown, share, self._segments)
-        self._latest = frame, shown
-        return shown
+            self._previous = latest if latest_frame >= 0 and (latest_frame + 1) % count == frame else None
+        elif not first <= latest_frame < frame:
+            self._previous = None
+        blend_frames = BLEND_S * self._medium.rate_hz
+        if first + length < count:  # the last segment, perhaps of a single frame, is not followed by another
+            blend_frames = min(blend_frames, length / 2)
+        if frame - first + 1 >= blend_frames:
+            self._previous = None
+        if self._previous is not None:
+            weight = 0.5 - 0.5 * math.cos(math.pi * (frame - first + 1) / blend_frames)
+            field = _blend_fields(self._previous, field, weight, self._segments)
+        self._latest = frame, field
+        return field
 
 
 def with_blends(
     medium: HapticMedium | HapticScene,
 ) -> tuple[HapticMedium | HapticScene, tuple[SegmentBlend, ...]]:
-    """A medium or a scene whose fields are asked for in the order of play, and what blends them.
+    """A medium or a scene that blends its segments, and the blends that do so.
 
-    Rigid bodies have one field, which is coded once; of those that deform, each field is blended in its own
-    frame.
+    The fields must be requested in the order of play. A rigid body has one field, which is encoded once. Of
+    bodies that deform, each field is blended in its own frame of reference.
     """
     if isinstance(medium, HapticMedium):
         return _with_blend(medium)
-    pairs = [_with_blend(one.medium) for one in medium.objects]
-    blends = tuple(blend for _, own in pairs for blend in own)
+    pairs = [_with_blend(body.medium) for body in medium.objects]
+    blends = tuple(blend for _, body_blends in pairs for blend in body_blends)
     if not blends:
         return medium, ()
-    objects = (replace(one, medium=blended) for one, (blended, _) in zip(medium.objects, pairs))
+    objects = (replace(body, medium=blended) for body, (blended, _) in zip(medium.objects, pairs))
     return replace(medium, objects=tuple(objects)), blends
 
 
 def _with_blend(medium: HapticMedium) -> tuple[HapticMedium, tuple[SegmentBlend, ...]]:
-    if medium.segments is None or len(medium) == 1 or medium.rate_hz <= SLOW_HZ:
+    if medium.segments is None or len(medium) == 1 or medium.rate_hz <= MAX_UNBLENDED_HZ:
         return medium, ()
     blend = SegmentBlend(medium, medium.segments)
     return replace(medium, make_frame=blend, segments=None), (blend,)
 
 
-def _blended(before: ForceField, after: ForceField, share: float, segments: Segments) -> ForceField:
+def _blend_fields(previous: ForceField, current: ForceField, weight: float, segments: Segments) -> ForceField:
+    """`previous` blended into `current` by a weight, where both can be one source."""
     from touchfield.render.kernels.points import blend_bricks
 
-    both = [brick_keys(field.grid, field.bricks) for field in (before, after)]
-    keys = np.union1d(*both)
+    keys_of_fields = [brick_keys(field.grid, field.bricks) for field in (previous, current)]
+    keys = np.union1d(*keys_of_fields)
     slots = np.full((2, len(keys)), -1)
-    for own, of_field in zip(slots, both):
-        own[np.searchsorted(keys, of_field)] = np.arange(len(of_field))
-    bricks = bricks_of(after.grid, keys)
-    forces, held = np.empty((len(keys), BRICK, BRICK, BRICK, 3), np.float32), np.empty(len(keys), np.bool_)
-    rows = [field.forces_n.reshape(-1, 3 * BRICK**3) for field in (before, after)]
-    arguments = (slots, *rows, share, segments.k, segments.f0_n, forces.reshape(len(keys), -1), held)
-    for_chunks(blend_bricks, len(keys), *arguments, chunk=_BRICKS_AT_ONCE)
-    if not held.all():
-        bricks, forces = bricks[held], forces[held]
-    return ForceField(after.grid, bricks, forces)
+    for field_slots, field_keys in zip(slots, keys_of_fields):
+        field_slots[np.searchsorted(keys, field_keys)] = np.arange(len(field_keys))
+    bricks = bricks_of(current.grid, keys)
+    forces, is_supported = (
+        np.empty((len(keys), BRICK, BRICK, BRICK, 3), np.float32),
+        np.empty(len(keys), np.bool_),
+    )
+    rows = [field.forces_n.reshape(-1, 3 * BRICK**3) for field in (previous, current)]
+    arguments = (slots, *rows, weight, segments.k, segments.f0_n, forces.reshape(len(keys), -1), is_supported)
+    for_chunks(blend_bricks, len(keys), *arguments, chunk=_CHUNK_BRICKS)
+    if not is_supported.all():
+        bricks, forces = bricks[is_supported], forces[is_supported]
+    return ForceField(current.grid, bricks, forces)

@@ -1,7 +1,7 @@
-"""The servo: tick after tick, from the device's position to its force; and every way in which that can end.
+"""The servo: at each tick, from the device's position to its force.
 
-However it ends, the device gets forces that go to zero within the slew limit, then zero, and is closed: at an
-order, at a signal, when the player is gone, when the device itself fails (as far as it still listens).
+However it ends, the device gets forces that go to zero within the slew limit, then zero, and is closed: after
+an order, a signal, the loss of the player, or a failure of the device (as far as it still accepts forces).
 """
 
 from __future__ import annotations
@@ -28,25 +28,27 @@ from touchfield.render.block import Block, Memory
 from touchfield.render.block import words as W
 from touchfield.render.point_device import Point, PointDevice
 
-Opener = Callable[[], PointDevice]  # makes the device, not yet open; can be pickled
+Opener = Callable[[], PointDevice]
+"""Makes the device, not yet open; can be pickled."""
+
 _WATCH_S: Final = 0.01
-_MOST_SILENT_S: Final = 2.0  # A driver that does not call for so long is taken for dead
+_MAX_SILENCE_S: Final = 2.0  # without a call for so long, a driver counts as dead
 
 
 class WallClock:
-    """The machine's clock that never goes back, the same for all its processes, in its finest steps."""
+    """The monotonic clock of the machine, the same for all its processes."""
 
     now_ns = staticmethod(time.perf_counter_ns)
 
     def sleep_until(self, deadline_ns: int) -> int:
-        """Wait for a deadline, so that what was slept too long is not added up; the time then."""
+        """Wait for a deadline, so that sleep errors do not add up; returns the time."""
         while (now_ns := self.now_ns()) < deadline_ns:
             time.sleep(1e-9 * (deadline_ns - now_ns))
         return now_ns
 
 
 class VirtualClock:
-    """Time that passes only where it is waited for."""
+    """Time that passes only by waiting for it."""
 
     def __init__(self) -> None:
         self._now_ns = 0
@@ -56,7 +58,7 @@ class VirtualClock:
         return self._now_ns
 
     def sleep_until(self, deadline_ns: int) -> int:
-        """It is the deadline now."""
+        """Set the clock to the deadline."""
         self._now_ns = max(self._now_ns, deadline_ns)
         return self._now_ns
 
@@ -64,9 +66,10 @@ class VirtualClock:
 Clock = WallClock | VirtualClock
 
 
-class Grip:
-    """Traffic between a device and the block beside its place; a device that tells no more is not asked for
-    it.
+class DeviceLink:
+    """Exchange between a device and the block, apart from the position.
+
+    A method that the device does not override is never called.
     """
 
     def __init__(self, memory: Memory, device: PointDevice) -> None:
@@ -75,13 +78,13 @@ class Grip:
         def has(name: str) -> bool:
             return getattr(type(device), name) is not getattr(PointDevice, name)
 
-        self._is_turning, self._has_buttons, self._has_gripper, self._is_twisting = map(
+        self._has_orientation, self._has_buttons, self._has_gripper, self._has_torque = map(
             has, ("orientation", "buttons", "gripper_m", "put_wrench")
         )
 
     def read(self) -> None:
-        """Keep what the device tells beside its place."""
-        if self._is_turning:
+        """Store orientation, buttons and gripper of the device in the block."""
+        if self._has_orientation:
             self._f8[W.ORIENTATION : W.ORIENTATION + 4] = self._device.orientation()
         if self._has_buttons:
             self._i8[W.BUTTONS] = self._device.buttons()
@@ -89,28 +92,28 @@ class Grip:
             self._f8[W.GRIPPER_M] = self._device.gripper_m()
 
     def put(self, force_n: Point) -> None:
-        """Put a force, and the torque that the latest tick left."""
-        if self._is_twisting:
+        """Apply a force, and the torque of the latest tick."""
+        if self._has_torque:
             self._device.put_wrench(*force_n, *self._f8[W.TORQUE : W.TORQUE + 3].tolist())
         else:
             self._device.put_force_n(*force_n)
 
 
 def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable[[], bool]) -> None:
-    """Open a device and serve it until a stop has brought the force to zero; closes it in any case.
+    """Serve a device until a stop has brought the force to zero; always closes it.
 
-    `must_stop` is asked before each tick. What the device raises is raised once the force is zero.
+    `must_stop` is called before each tick. An error of the device is raised once the force is zero.
     """
     from touchfield.render.kernels.tick import cycle
 
     i8, views, dt_s = memory.i8, memory.views, 1.0 / float(memory.f8[W.RATE_HZ])
-    is_paced, grip, at_m = device.is_paced, Grip(memory, device), (0.0, 0.0, 0.0)
+    is_paced, link, latest_m = device.is_paced, DeviceLink(memory, device), (0.0, 0.0, 0.0)
     i8[W.IS_SIMULATED] = type(device).advance is not PointDevice.advance
     i8[W.IS_PACED] = is_paced or device.is_driven
     try:
         device.open()
         if device.is_driven:
-            _watch(memory, device, must_stop)
+            _supervise(memory, device, must_stop)
             return
         sleep_until, position_m = clock.sleep_until, device.position_m
         try:
@@ -118,45 +121,46 @@ def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable
                 now_ns = 0 if is_paced else sleep_until(int(i8[W.DEADLINE_NS]))
                 if must_stop():
                     i8[W.STOP_HERE] = 1
-                at_m = position_m()
-                grip.read()
-                grip.put(cycle(*views, *at_m, clock.now_ns() if is_paced else now_ns))
+                latest_m = position_m()
+                link.read()
+                link.put(cycle(*views, *latest_m, clock.now_ns() if is_paced else now_ns))
                 device.advance(0.0 if i8[W.MODE] == W.IDLE else dt_s)
         except BaseException:
-            _let_go(memory, device, grip, clock, cycle, at_m)
+            _ramp_to_zero(memory, device, link, clock, cycle, latest_m)
             raise
     finally:
         device.close()
 
 
-def _let_go(memory: Memory, device: PointDevice, grip: Grip, clock: Clock, cycle: Any, at_m: Point) -> None:
-    """Force and torque to zero, whatever the device says to it."""
+def _ramp_to_zero(
+    memory: Memory, device: PointDevice, link: DeviceLink, clock: Clock, cycle: Any, position_m: Point
+) -> None:
+    """Bring force and torque to zero, ignoring errors of the device."""
     i8, f8, dt_s = memory.i8, memory.f8, 1.0 / float(memory.f8[W.RATE_HZ])
     i8[W.STOP_HERE] = 1
-    ends_ns = clock.now_ns() + int(i8[W.RAMP_LIMIT_NS])
+    deadline_ns = clock.now_ns() + int(i8[W.RAMP_LIMIT_NS])
     while not i8[W.RELEASED]:
         now_ns = clock.sleep_until(int(i8[W.DEADLINE_NS]))
-        if now_ns > ends_ns:  # it takes its time to answer; zero, but no sooner than the slew limit allows
+        if now_ns > deadline_ns:  # the device is slow: set zero, no sooner than the slew limit allows
             limits = ((W.FORCE, W.SLEW), (W.TORQUE, W.TORQUE_SLEW))
-            forces = [(math.hypot(*f8[at : at + 3]), float(f8[slew])) for at, slew in limits]
-            clock.sleep_until(
-                now_ns + math.ceil(1e9 * max(size / slew if size else 0.0 for size, slew in forces))
-            )
+            sizes = [(math.hypot(*f8[at : at + 3]), float(f8[slew])) for at, slew in limits]
+            ramp_s = max(size / slew if size else 0.0 for size, slew in sizes)
+            clock.sleep_until(now_ns + math.ceil(1e9 * ramp_s))
             f8[W.TORQUE : W.TORQUE + 3] = 0.0
             with contextlib.suppress(Exception):
-                grip.put((0.0, 0.0, 0.0))
+                link.put((0.0, 0.0, 0.0))
             return
-        force = cycle(*memory.views, *at_m, now_ns)
+        force = cycle(*memory.views, *position_m, now_ns)
         with contextlib.suppress(Exception):
-            grip.put(force)
+            link.put(force)
             device.advance(dt_s)
 
 
-def _watch(memory: Memory, device: PointDevice, must_stop: Callable[[], bool]) -> None:
+def _supervise(memory: Memory, device: PointDevice, must_stop: Callable[[], bool]) -> None:
     """Leave the ticks to the vendor's driver, and wait for the end."""
     i8 = memory.i8
     device.drive(int(i8.ctypes.data), memory.words)
-    seen, seen_s = -1, time.monotonic()
+    latest_ticks, latest_tick_s = -1, time.monotonic()
     try:
         while not i8[W.RELEASED]:
             if must_stop():
@@ -164,45 +168,54 @@ def _watch(memory: Memory, device: PointDevice, must_stop: Callable[[], bool]) -
             time.sleep(_WATCH_S)
             device.watch()
             now_s, ticks = time.monotonic(), int(i8[W.TICKS])
-            if ticks != seen:
-                seen, seen_s = ticks, now_s
-            elif now_s - seen_s > _MOST_SILENT_S:
+            if ticks != latest_ticks:
+                latest_ticks, latest_tick_s = ticks, now_s
+            elif now_s - latest_tick_s > _MAX_SILENCE_S:
                 raise DeviceError(
                     "driver of the device",
-                    f"no call for {_MOST_SILENT_S:g} s",
+                    f"no call for {_MAX_SILENCE_S:g} s",
                     "its own rate",
                     "Plug it in again.",
                 )
     finally:
         i8[W.STOP_HERE] = 1
-        ends_s = time.monotonic() + 1e-9 * float(i8[W.RAMP_LIMIT_NS])
-        while not i8[W.RELEASED] and seen_s + _MOST_SILENT_S > time.monotonic() and time.monotonic() < ends_s:
+        deadline_s = time.monotonic() + 1e-9 * float(i8[W.RAMP_LIMIT_NS])
+        while (
+            not i8[W.RELEASED]
+            and latest_tick_s + _MAX_SILENCE_S > time.monotonic()
+            and time.monotonic() < deadline_s
+        ):
             time.sleep(_WATCH_S)
 
 
-_BEGIN_S: Final = (
-    180.0  # in which interpreter and code are loaded; on a fresh machine the code is compiled first
-)
-_SILENT_S: Final = (
-    0.03  # without a tick for so long, a process that waits for something is one whose device hangs
-)
-_MOST_STARVED_S: Final = 2.0  # the same of one that could run, and has only not got the processor
-FIFO_PRIORITY: Final = (
-    50  # in the middle: above all ordinary processes, below what the kernel itself runs there
-)
-_LATENCY: Final = (
-    "/dev/cpu_dma_latency"  # while it is open, no processor takes longer to wake than was written, us
-)
+_START_S: Final = 180.0
+"""Limit for loading interpreter and code; on a new machine the code is compiled first."""
+
+_SILENT_S: Final = 0.03
+"""Time without a tick after which a process that waits has a device that hangs."""
+
+_MAX_STARVED_S: Final = 2.0
+"""The same for a process that is runnable, and only did not get the processor."""
+
+FIFO_PRIORITY: Final = 50
+"""Above all ordinary processes, below the kernel's own threads."""
+
+_LATENCY: Final = "/dev/cpu_dma_latency"
+"""While this file is open, no processor takes longer to wake than the value written, us."""
+
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4
 _PR_SET_TIMERSLACK: Final = 29
 
-_LONGEST_S: Final = 5.0  # in which a new interpreter starts, the device is opened, and zero is written
+_ZERO_FORCE_S: Final = 5.0  # limit for starting an interpreter, opening the device, and writing zero
 _TERMINATE_S: Final = 3.0
 _KILL_S: Final = 2.0
 
 
-def _main(path: str, is_realtime: bool, pipe: Connection) -> None:
-    """The process: attach, hear of the device, warm up, open, serve, tell."""
+def _run_servo(path: str, is_realtime: bool, pipe: Connection) -> None:
+    """Main function of the servo's process.
+
+    Attaches to the block, receives the device, warms up, serves, and reports.
+    """
     parent = os.getppid()
     block = Block.attach(Path(path))
     pipe.send(("attached", None))
@@ -212,18 +225,18 @@ def _main(path: str, is_realtime: bool, pipe: Connection) -> None:
     def stop(*_: Any) -> None:
         i8[W.STOP_HERE] = 1
 
-    for one in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(one, stop)
+    for signal_number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(signal_number, stop)
     try:
         opener: Opener = pipe.recv()
         warm_up(memory)
-        report = prefer(is_realtime)
+        report = make_realtime(is_realtime)
         device = opener()
         is_ready = False
 
         def must_stop() -> bool:
             nonlocal is_ready
-            if not is_ready:  # asked for the first time once the device is open
+            if not is_ready:  # the first call: the device is open
                 is_ready = True
                 pipe.send(("ready", report))
             return os.getppid() != parent
@@ -231,35 +244,34 @@ def _main(path: str, is_realtime: bool, pipe: Connection) -> None:
         serve(memory, device, WallClock(), must_stop)
         pipe.send(("done", None))
     except BaseException as error:
-        own = (
-            error
-            if isinstance(error, TouchfieldError)
-            else DeviceError("device", f"{type(error).__name__}: {error}")
-        )
+        reported = error
+        if not isinstance(error, TouchfieldError):
+            reported = DeviceError("device", f"{type(error).__name__}: {error}")
         with contextlib.suppress(OSError):
-            pipe.send(("error", own))
+            pipe.send(("error", reported))
     finally:
         with contextlib.suppress(OSError):
             pipe.close()
 
 
 def warm_up(memory: Memory) -> None:
-    """Load the compiled code, or compile it, by ticks on a copy of the block without frames."""
+    """Load or compile the code by running ticks on a copy of the block without frames."""
     from touchfield.render.kernels.tick import cycle
 
-    mute = Memory.empty(max(int(memory.i8[W.ARENA]), W.FREE))
-    mute.i8[:] = memory.i8[: mute.words]
+    scratch = Memory.empty(max(int(memory.i8[W.ARENA]), W.FREE))
+    scratch.i8[:] = memory.i8[: scratch.words]
     for n in range(32):
-        cycle(*mute.views, 0.0, 0.0, 0.0, 1 + n * int(mute.i8[W.TICK_NS]))
-    mute.i8[W.STOP_HERE] = 1
-    cycle(*mute.views, 0.0, 0.0, 0.0, 1 << 40)
+        cycle(*scratch.views, 0.0, 0.0, 0.0, 1 + n * int(scratch.i8[W.TICK_NS]))
+    scratch.i8[W.STOP_HERE] = 1
+    cycle(*scratch.views, 0.0, 0.0, 0.0, 1 << 40)
 
 
-def prefer(is_realtime: bool = True) -> dict[str, str]:
-    """Make this process punctual; what was had is told, and what was not is no error.
+def make_realtime(is_realtime: bool = True) -> dict[str, str]:
+    """Make this process punctual; reports what was obtained, and raises nothing.
 
-    No collector, wake-ups by themselves, and with `is_realtime` SCHED_FIFO, locked memory, and processors
-    that stay awake until it ends. ``priority``, ``memory`` and ``processors`` tell what there is, or why not.
+    Disables the garbage collector and the grouping of timers. With `is_realtime`, also requests SCHED_FIFO,
+    locked memory, and processors that stay awake until the process ends. ``priority``, ``memory`` and
+    ``processors`` describe what was obtained, or why not.
     """
     gc.collect()
     gc.disable()
@@ -268,31 +280,34 @@ def prefer(is_realtime: bool = True) -> dict[str, str]:
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     if not is_realtime:
-        rest = {"memory": "not locked: not asked for", "processors": "may sleep: not asked for"}
-        return {"priority": "normal: asked for", **rest}
+        skipped = {"memory": "not locked: not requested", "processors": "may sleep: not requested"}
+        return {"priority": "normal: requested", **skipped}
 
-    def lock() -> None:  # what was and will be touched of the block, which need not be there as a whole
+    def lock() -> None:
+        """Lock all pages that are or will be touched; the block need not be resident as a whole."""
         if ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_ONFAULT):
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
 
+    def use_fifo() -> None:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+
+    def keep_awake() -> None:
+        os.write(os.open(_LATENCY, os.O_WRONLY), struct.pack("i", 0))
+
     report = {"priority": f"SCHED_FIFO {FIFO_PRIORITY}", "memory": "locked", "processors": "kept awake"}
-    for key, otherwise, act in (
-        (
-            "priority",
-            "normal",
-            lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY)),
-        ),
-        ("memory", "not locked", lock),  # on Linux alone, as its flags
-        ("processors", "may sleep", lambda: os.write(os.open(_LATENCY, os.O_WRONLY), struct.pack("i", 0))),
+    for key, fallback, request in (
+        ("priority", "normal", use_fifo),
+        ("memory", "not locked", lock),  # the flags are those of Linux
+        ("processors", "may sleep", keep_awake),
     ):
         try:
-            act()
+            request()
         except (OSError, AttributeError) as error:
-            report[key] = f"{otherwise}: {getattr(error, 'strerror', None) or 'not on this system'}"
+            report[key] = f"{fallback}: {getattr(error, 'strerror', None) or 'not on this system'}"
     return report
 
 
-def _zero(opener: Opener, pipe: Connection) -> None:
+def _write_zero(opener: Opener, pipe: Connection) -> None:
     try:
         device = opener()
         try:
@@ -306,15 +321,18 @@ def _zero(opener: Opener, pipe: Connection) -> None:
         pipe.send(f"{type(error).__name__}: {error}")
 
 
-def zero_afresh(opener: Opener) -> str:
-    """Zero through a fresh connection from a process of its own, where a servo is gone without; how it went."""
+def zero_by_reconnecting(opener: Opener) -> str:
+    """Set the force to zero through a new connection; describes the outcome.
+
+    It runs in a process of its own, after a servo has died without releasing the device.
+    """
     context = multiprocessing.get_context("spawn")
-    mine, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_zero, args=(opener, theirs), name="touchfield-zero", daemon=True)
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_write_zero, args=(opener, sender), name="touchfield-zero", daemon=True)
     try:
         process.start()
-        theirs.close()
-        answer = mine.recv() if mine.poll(_LONGEST_S) else f"no answer within {_LONGEST_S:g} s"
+        sender.close()
+        answer = receiver.recv() if receiver.poll(_ZERO_FORCE_S) else f"no answer within {_ZERO_FORCE_S:g} s"
     except (EOFError, OSError) as error:
         answer = f"{type(error).__name__}"
     finally:
@@ -322,21 +340,18 @@ def zero_afresh(opener: Opener) -> str:
         if process.is_alive():
             process.kill()
             process.join()
-        mine.close()
+        receiver.close()
         process.close()
     if answer:
-        return (
-            f"A force of zero was tried through a fresh connection, which failed ({answer}): switch the "
-            "device off"
-        )
-    return "A force of zero was written through a fresh connection to the device"
+        return f"Setting the force to zero through a new connection failed ({answer}): switch the device off"
+    return "The force was set to zero through a new connection to the device"
 
 
 def is_waiting(pid: int) -> bool:
-    """True if no thread of a process runs or could run, and where the system does not tell."""
+    """True if no thread of a process is running or runnable, or the system hides it."""
     try:
-        for one in Path(f"/proc/{pid}/task").iterdir():
-            if (one / "stat").read_text().rpartition(")")[2].split()[0] == "R":
+        for thread in Path(f"/proc/{pid}/task").iterdir():
+            if (thread / "stat").read_text().rpartition(")")[2].split()[0] == "R":
                 return False
     except (OSError, IndexError):
         pass
@@ -344,15 +359,16 @@ def is_waiting(pid: int) -> bool:
 
 
 class ServoProcess:
-    """The process as its parent holds it; the block is laid out, with the first order in it.
+    """The servo's process as seen by its parent.
 
-    `report` is that of `prefer`, once it is ready; `error` is what ended it; `is_done`: it ended in order;
-    `is_lost`: without having brought the force to zero.
+    The block is laid out before, with the first order in it. `report` is that of `make_realtime`, once the
+    process is ready; `error` is what ended it. `is_done`: it ended as ordered. `is_unreleased`: it ended
+    without bringing the force to zero.
     """
 
     def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
         context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
+        self._pipe, child_pipe = context.Pipe()
         self._block = block
         try:
             self._opener = ForkingPickler.dumps(opener)
@@ -362,25 +378,29 @@ class ServoProcess:
             ) from error
         self.report: dict[str, str] = {}
         self.error: TouchfieldError | None = None
-        self.is_ready = self.is_done = self.is_lost = self._is_joined = False
+        self.is_ready = self.is_done = self.is_unreleased = self._is_joined = False
         self._ticks, self._ticked_s = -1, time.monotonic()
         self._silent_s = max(_SILENT_S, 3 / float(block.memory.f8[W.RATE_HZ]))
         self._process = context.Process(
-            target=_main, args=(str(block.path), is_realtime, theirs), name="touchfield-servo", daemon=True
+            target=_run_servo,
+            args=(str(block.path), is_realtime, child_pipe),
+            name="touchfield-servo",
+            daemon=True,
         )
         try:
             self._process.start()
         finally:
-            theirs.close()
+            child_pipe.close()
 
     @property
     def pid(self) -> int | None:
-        """Of the process; None once it has ended."""
+        """Id of the process; None once it has ended."""
         return None if self._is_joined else self._process.pid
 
-    def notice(self, ticks: int, has_released: bool) -> None:
-        """End the process of a device that hangs: no tick has come since long ago, and the force is not at
-        zero.
+    def check_progress(self, ticks: int, has_released: bool) -> None:
+        """Kill the process if its device hangs while a force is applied.
+
+        A device hangs if the process waits for it and no tick has passed for too long.
         """
         now_s = time.monotonic()
         is_over = self._is_joined or self.error or self.is_done or not self._process.is_alive()
@@ -388,27 +408,26 @@ class ServoProcess:
             self._ticks, self._ticked_s = ticks, now_s
             return
         silent_s = now_s - self._ticked_s
-        if silent_s < self._silent_s or (
-            silent_s < _MOST_STARVED_S and self.pid and not is_waiting(self.pid)
-        ):
+        if silent_s < self._silent_s:
+            return
+        if silent_s < _MAX_STARVED_S and self.pid and not is_waiting(self.pid):
             return
         self.error = DeviceError(
             "device", f"no answer for {1e3 * silent_s:.0f} ms", "a position at each tick", "Plug it in again."
         )
-        self.is_lost = True
+        self.is_unreleased = True
         self._process.kill()
 
-    def listen(self) -> None:
-        """Take what it told since; never waits."""
+    def receive(self) -> None:
+        """Read the messages of the process; never waits."""
         if self._is_joined:
             return
-        is_alive = self._process.is_alive()  # asked first: the words of one that is not are all there
+        is_alive = self._process.is_alive()  # checked first: a dead process has sent all its messages
         with contextlib.suppress(EOFError, OSError):
             while self._pipe.poll():
                 kind, content = self._pipe.recv()
                 if kind == "attached":
-                    # not as an argument: `start` would wait for ever to hand a long one to a process that is
-                    # gone
+                    # not passed as an argument: if the process is gone, `start` would block on a long one
                     self._pipe.send_bytes(self._opener)
                     if os.name == "posix":
                         self._block.unlink()
@@ -419,38 +438,41 @@ class ServoProcess:
                 else:
                     self.error = content
         if not is_alive and not self.is_done and self.error is None:
-            self.is_lost = self.is_ready
+            self.is_unreleased = self.is_ready
+            hint = (
+                ""
+                if self.is_ready
+                else 'Start the player under `if __name__ == "__main__":` of your program.'
+            )
             self.error = DeviceError(
                 "servo process",
                 f"its end with exit code {self._process.exitcode}",
-                "a process that runs until it is told to stop",
-                ""
-                if self.is_ready
-                else 'Begin the player under `if __name__ == "__main__":` of your program.',
+                "a process that runs until it is stopped",
+                hint,
             )
 
     def wait_ready(self) -> None:
-        """Wait until the device is open; raises what it could not be opened for."""
-        ends = time.monotonic() + _BEGIN_S
+        """Wait until the device is open; raises the error if it cannot be opened."""
+        deadline = time.monotonic() + _START_S
         while not self.is_ready:
-            self.listen()
+            self.receive()
             if self.error is not None:
                 raise self.error
             if self.is_done:
                 return
-            if time.monotonic() > ends:
-                raise DeviceError("servo process", f"no sign for {_BEGIN_S:g} s", "an open device")
+            if time.monotonic() > deadline:
+                raise DeviceError("servo process", f"no sign for {_START_S:g} s", "an open device")
             time.sleep(0.002)
 
     def join(self, ramp_s: float) -> None:
-        """Wait for its end, after it was told to stop; one that does not end is terminated, then killed."""
+        """Wait for the end of the process after a stop; terminate it, then kill it, if needed."""
         process = self._process
         process.join(ramp_s)
         for end, seconds in ((process.terminate, _TERMINATE_S), (process.kill, _KILL_S)):
             if process.is_alive():
                 end()
                 process.join(seconds)
-        self.listen()
+        self.receive()
         self._is_joined = True
         self._pipe.close()
         if not process.is_alive():

@@ -1,6 +1,7 @@
-"""Wishes of a receiver: effects, mapping to the device, limits (paper section 3.2).
+"""Options of the renderer: effects, mapping and limits (paper section 3.2).
 
-`write_parameters` puts it into the block, with what device and medium say, before the servo starts.
+`write_parameters` writes them to the block, together with the values of the device and the medium, before the
+servo starts.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from touchfield.errors import (
 from touchfield.files import json_of
 from touchfield.options import option
 from touchfield.render.block import words as W
-from touchfield.render.point_device import UPS, axes_matrix, axes_notes
+from touchfield.render.point_device import UP_CHOICES, axes_matrix, axes_notes
 from touchfield.render.tool import Tool
 
 if TYPE_CHECKING:
@@ -40,84 +41,79 @@ if TYPE_CHECKING:
 
 Triple = tuple[float, float, float]
 
-PEAK_RISE_S: Final = (
-    0.005  # a slew limit that is not given lets the force rise from zero to its peak in this time
-)
-_LEAST_N: Final = 1e-6
-_MOST_N: Final = (
-    1e6  # A limit out of this range is a mistake; within it no square of a force or torque is lost
-)
-_FROM_ZERO: Final = ("force_scale", "friction", "damping_n_s_per_m", "coupling_n_per_m")
-_NUMBERS: Final = (
+PEAK_RISE_S: Final = 0.005
+"""Time in which the default slew limit lets the force rise from zero to its peak."""
+
+_MIN_LIMIT_N, _MAX_LIMIT_N = 1e-6, 1e6
+"""Range of limits: others are mistakes, and within it the square of a force does not under- or overflow."""
+
+_NON_NEGATIVE: Final = ("force_scale", "friction", "damping_n_s_per_m", "coupling_n_per_m")
+_CHECKED_NUMBERS: Final = (
     *("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz", "wall_n_per_m"),
     *("peak_n", "continuous_n", "slew_n_per_s", "peak_nm", "continuous_nm", "slew_nm_per_s"),
-    *_FROM_ZERO,
+    *_NON_NEGATIVE,
 )
-"""Finite numbers above 0 where they are given; some may be 0."""
+"""Options that are finite numbers above 0 if given; those of `_NON_NEGATIVE` may be 0."""
 
 
 @dataclass(frozen=True)
 class RenderSpec:
-    """Wishes of a receiver to the renderer; every default is safe for a hand.
+    """Options of the renderer; every default is safe for a hand.
 
-    `InvalidArgument` if a number is out of range or not finite, or a tool is asked for together with a
-    coupling.
+    Raises `InvalidArgument` if a number is out of range or not finite, or a tool is combined with a coupling.
     """
 
     rate_hz: float = option(1000.0, "Ticks of the servo a second.")
     friction: float | None = option(None, "mu; default: the stream's.")
     damping_n_s_per_m: float | None = option(
-        None, "b everywhere; default: the stream's, in contact what is stable."
+        None, "b everywhere; default: the stream's, and in contact the stable value."
     )
     slip_speed_m_s: float = 0.001  # v_s of `touchfield.filters.contact`
     coupling_n_per_m: float | None = option(
-        None, "A virtual coupling's stiffness; 0: none; default: what is stable."
+        None, "Stiffness of the virtual coupling; 0: none; default: the stable value."
     )
     passivity: bool = option(
-        False, "Take out the energy that the loop makes (time-domain passivity control)."
+        False, "Dissipate the energy that the loop generates (time-domain passivity control)."
     )
     scale: float = option(1.0, "Metres of the field for one metre of the device.")
-    clutch_m: Triple = (
-        0.0,
-        0.0,
-        0.0,
-    )  # point of the field that lies at the device's origin, the field's axes
+    # point of the field at the device's origin, in the field's axes
+    clutch_m: Triple = (0.0, 0.0, 0.0)
     force_scale: float = option(1.0, "Newtons of the device for one of the field.")
-    gravity_n: Triple = (0.0, 0.0, 0.0)  # a steady force for the weight of the handle, the device's axes
-    peak_n: float | None = option(None, "Limit of |F|; default: the device's, which it cannot pass.")
-    continuous_n: float | None = option(None, "Limit of |F| in the long run; default: the device's.")
+    # constant force for the weight of the handle, in the device's axes
+    gravity_n: Triple = (0.0, 0.0, 0.0)
+    peak_n: float | None = option(None, "Limit of |F|; default, and maximum: the device's.")
+    continuous_n: float | None = option(None, "Continuous limit of |F|; default: the device's.")
     slew_n_per_s: float | None = option(None, "Limit of |dF/dt|; default: to the peak in 5 ms.")
-    thermal_s: float = (
-        1.0  # time constant of the heat that lets the force exceed the continuous limit for a while
-    )
-    ramp_s: float = 0.02  # in which the force goes to zero when the feed stalls, and comes back
-    velocity_cutoff_hz: float = 100.0  # of the low-pass on the velocity that is estimated from positions
-    blend: bool = True  # whether one segment of a stream goes over into the next (`render.segment_blend`)
+    # time constant of the heat model that lets the force exceed the continuous limit for a while
+    thermal_s: float = 1.0
+    # time in which the force goes to zero when the feed stalls, and comes back
+    ramp_s: float = 0.02
+    # cut-off of the low-pass on the velocity, which is estimated from positions
+    velocity_cutoff_hz: float = 100.0
+    # whether the segments of a stream are blended into each other (`render.segment_blend`)
+    blend: bool = True
     render: str = option(
-        "auto", "proxy (thin walls hold), field (the stored force) or auto (proxy where walls are)."
+        "auto", "proxy (for thin walls), field (the stored force) or auto (proxy for fields with walls)."
     )
     wall_n_per_m: float | None = option(None, "Stiffness of the proxy's spring; default: the field's own.")
-    tool: Tool | None = None  # that the hand holds into the field; None: a point
-    peak_nm: float | None = option(
-        None, "Limit of the torque, N m; default: the device's, which it cannot pass."
-    )
-    continuous_nm: float | None = option(None, "Limit of the torque in the long run; default: the device's.")
-    slew_nm_per_s: float | None = option(None, "Limit of its change; default: to the peak in 5 ms.")
+    # the tool in the hand; None: a point
+    tool: Tool | None = None
+    peak_nm: float | None = option(None, "Limit of the torque, N m; default, and maximum: the device's.")
+    continuous_nm: float | None = option(None, "Continuous limit of the torque; default: the device's.")
+    slew_nm_per_s: float | None = option(None, "Limit of the torque's change; default: to the peak in 5 ms.")
     up: str = option(
-        "auto", "Up for the hand: x to -z; auto: as the stream says; lattice: y or -y, as it was laid."
+        "auto", "Up for the hand: x to -z; auto: as the stream states; lattice: y or -y, as stored."
     )
-    materials: tuple[Material, ...] | None = None  # None: those that travel with the medium
-    deformation: Deformation | None = (
-        None  # bends the medium, or lets it yield; it is rendered as a field then
-    )
+    # None: those that travel with the medium
+    materials: tuple[Material, ...] | None = None
+    # bends the medium, or lets it yield; rendering is then that of "field"
+    deformation: Deformation | None = None
 
     def __post_init__(self) -> None:
-        require_kinds(self, render=("auto", "proxy", "field"), up=UPS)
-        for name in _NUMBERS:
-            value, check = (
-                getattr(self, name),
-                require_not_negative if name in _FROM_ZERO else require_positive,
-            )
+        require_kinds(self, render=("auto", "proxy", "field"), up=UP_CHOICES)
+        for name in _CHECKED_NUMBERS:
+            value = getattr(self, name)
+            check = require_not_negative if name in _NON_NEGATIVE else require_positive
             if value is not None:
                 check(**{name: value})
         if self.tool is not None and self.coupling_n_per_m:
@@ -128,7 +124,7 @@ class RenderSpec:
                 "render", f"'proxy' with {self.tool.name}", "field: the proxy is that of a point"
             )
         if self.deformation is not None and (self.tool is not None or self.render == "proxy"):
-            raise InvalidArgument("deformation", "it with a tool or a proxy", "a point in the field as it is")
+            raise InvalidArgument("deformation", "one with a tool or a proxy", "a point in the field itself")
         for name in ("clutch_m", "gravity_n"):
             values = getattr(self, name)
             if np.shape(values) != (3,) or not all(map(is_finite, values)):
@@ -144,20 +140,20 @@ def write_parameters(
     medium_damping: float,
     field_axes: str,
 ) -> tuple[str, ...]:
-    """Write the parameters of the ticks to come, and begin their state anew; notes for the user.
+    """Write the parameters for the servo and reset its state; notes for the user.
 
-    Not while a servo runs; mu and b of the medium are taken where `spec` gives none. `InvalidArgument` if a
-    limit is beyond the device's or a coefficient negative or not finite; `DeviceError` if it is no point, or
-    states no force.
+    Must not be called while a servo runs. mu and b are those of the medium unless `spec` gives them. Raises
+    `InvalidArgument` if a limit exceeds the device's, or a coefficient is negative or not finite;
+    `DeviceError` if the device is not of type 1 or states no force.
     """
     if device.is_array:
         raise DeviceError(device.name, "a type 2 device", "a type 1 device: a point that the hand moves")
-    words = memory.f8
+    f8 = memory.f8
     memory.i8[[W.MATERIAL, W.MATERIAL_COUNT]] = 0
-    words[W.STATE : W.STATE + W.STATE_WORDS] = 0.0
-    words[W.WRENCH : W.WRENCH + W.WRENCH_WORDS] = 0.0
-    _write_limits(words, spec, device)
-    for place, value in (
+    f8[W.STATE : W.STATE + W.STATE_WORDS] = 0.0
+    f8[W.WRENCH : W.WRENCH + W.WRENCH_WORDS] = 0.0
+    _write_limits(f8, spec, device)
+    for index, value in (
         (W.RATE_HZ, spec.rate_hz),
         (W.FRICTION, _coefficient("friction of the medium", spec.friction, medium_friction)),
         (W.DAMPING, _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)),
@@ -173,43 +169,45 @@ def write_parameters(
         (W.DELAY, min(delay_s(device) * spec.rate_hz, W.MOST_DELAY)),
         (W.ORIENTATION, 1.0),
     ):
-        words[place] = value
-    words[W.FRICTION_NOW] = words[W.FRICTION]
+        f8[index] = value
+    f8[W.FRICTION_NOW] = f8[W.FRICTION]
     axes = axes_matrix(device.axes, field_axes, spec.up)
-    words[W.WALL : W.WALL_SPACING + 3] = 0.0
-    words[W.CLUTCH : W.CLUTCH + 3] = spec.clutch_m
-    words[W.GRAVITY : W.GRAVITY + 3] = spec.gravity_n
-    words[W.AXES : W.AXES + 9] = axes.ravel()
-    words[W.HANDEDNESS] = np.sign(np.linalg.det(axes))
+    f8[W.WALL : W.WALL_SPACING + 3] = 0.0
+    f8[W.CLUTCH : W.CLUTCH + 3] = spec.clutch_m
+    f8[W.GRAVITY : W.GRAVITY + 3] = spec.gravity_n
+    f8[W.AXES : W.AXES + 9] = axes.ravel()
+    f8[W.HANDEDNESS] = np.sign(np.linalg.det(axes))
     notes = [] if device.axes == field_axes else list(axes_notes(device.axes, field_axes, spec.up))
     if spec.tool is not None and device.torque_max_nm is None:
-        notes.append(f"{device.name} states no torque: the tool's force alone is felt")
-    weight, most = float(np.linalg.norm(spec.gravity_n)), float(words[W.CONTINUOUS] or words[W.PEAK])
-    if weight >= most:
-        notes.append(f"the steady force of {weight:g} N leaves nothing of {most:g} N to the field")
+        notes.append(f"{device.name} states no torque: only the tool's force is rendered")
+    weight, limit_n = float(np.linalg.norm(spec.gravity_n)), float(f8[W.CONTINUOUS] or f8[W.PEAK])
+    if weight >= limit_n:
+        notes.append(
+            f"the constant force of {weight:g} N leaves nothing of the limit of {limit_n:g} N to the field"
+        )
     return tuple(notes)
 
 
-def _write_limits(words: Float64s, spec: RenderSpec, device: Device) -> None:
-    """Limits of the force and, where the device states one, of the torque."""
-    if not _LEAST_N <= device.force_max_n <= _MOST_N:
+def _write_limits(f8: Float64s, spec: RenderSpec, device: Device) -> None:
+    """Write the limits of the force and, if the device states one, of the torque."""
+    if not _MIN_LIMIT_N <= device.force_max_n <= _MAX_LIMIT_N:
         peak_n = f"{device.force_max_n:g} N"
-        raise DeviceError(f"{device.name}: force_max_n", peak_n, f"{_LEAST_N:g} to {_MOST_N:g} N")
+        raise DeviceError(f"{device.name}: force_max_n", peak_n, f"{_MIN_LIMIT_N:g} to {_MAX_LIMIT_N:g} N")
     force = device.force_max_n, device.force_continuous_n, (W.PEAK, W.CONTINUOUS, W.SLEW, W.LIMIT)
-    places = W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_SLEW, W.TORQUE_LIMIT
-    torque = device.torque_max_nm, device.torque_continuous_nm, places
+    torque_indices = W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_SLEW, W.TORQUE_LIMIT
+    torque = device.torque_max_nm, device.torque_continuous_nm, torque_indices
     for (stated, stated_long, at), unit, name in ((force, "n", "N"), (torque, "nm", "N m")):
         keys = f"peak_{unit}", f"continuous_{unit}", f"slew_{unit}_per_s"
         peak, continuous, slew = (getattr(spec, key) for key in keys)
         if stated is None:
-            stray = [key for key in keys if getattr(spec, key) is not None]
-            if stray:
-                raise InvalidArgument(stray[0], f"it with {device.name}", "a device that states a torque")
+            extra = [key for key in keys if getattr(spec, key) is not None]
+            if extra:
+                raise InvalidArgument(extra[0], f"a limit for {device.name}", "a device that states a torque")
             continue
         peak = _limit(keys[0], peak, stated, f"{name}, the limit of {device.name}")
         long = math.inf if stated_long is None else stated_long
-        long = _limit(keys[1], continuous, long, f"in the long run, the limit of {device.name}")
-        words[list(at)] = (
+        long = _limit(keys[1], continuous, long, f"continuously, the limit of {device.name}")
+        f8[list(at)] = (
             peak,
             long if long < peak else 0.0,
             peak / PEAK_RISE_S if slew is None else slew,
@@ -217,41 +215,50 @@ def _write_limits(words: Float64s, spec: RenderSpec, device: Device) -> None:
         )
 
 
-def _limit(name: str, asked: float | None, stated: float, whose: str) -> float:
-    if asked is not None and not _LEAST_N <= asked <= stated:
-        raise InvalidArgument(name, f"{asked:g}", f"{_LEAST_N:g} to {stated:g} {whose}")
-    return float(stated if asked is None else asked)
+def _limit(name: str, requested: float | None, stated: float, explanation: str) -> float:
+    if requested is not None and not _MIN_LIMIT_N <= requested <= stated:
+        raise InvalidArgument(name, f"{requested:g}", f"{_MIN_LIMIT_N:g} to {stated:g} {explanation}")
+    return float(stated if requested is None else requested)
 
 
-def _coefficient(name: str, asked: float | None, stated: float) -> float:
-    value = float(stated if asked is None else asked)
+def _coefficient(name: str, requested: float | None, stated: float) -> float:
+    value = float(stated if requested is None else requested)
     require_not_negative(**{name: value})
     return value
 
 
-_DELAY_S: Final = 1e-3
-_INERTIA_KG: Final = 0.045
-"""Of a device that does not say: one frame of USB, and the least of the desktop devices. Damping: none."""
+_DEFAULT_DELAY_S: Final = 1e-3
+_MIN_INERTIA_KG: Final = 0.045
+"""For a device that states none: one frame of USB; the smallest of the desktop devices. Damping: none."""
 
 _HAND_KG: Final = 0.05
-_MARGIN: Final = 2.0
-_TURN: Final = 0.4  # (w L)^2 of the swing of hand and wall, in which the damper comes late by L
-_STEP_N: Final = 0.035
-_FELT: Final = 0.92  # Of what Colgate's rule allows the bare device: at least so much is felt
+_SAFETY_FACTOR: Final = 2.0
+
+_MAX_PHASE_SQUARED: Final = 0.4
+"""Limit of (w L)^2, for the oscillation w of hand and wall, and the damper's lag L."""
+
+_MAX_STEP_N: Final = 0.035
+
+_MIN_STIFFNESS_FRACTION: Final = 0.92
+"""Rendered fraction of a stiffness that Colgate's rule allows for the bare device, at least."""
 
 
-# A force that is sampled, held and late by d is -K x (t - T/2 - d) for slow movements: beside the spring a
-# negative damper of K (T/2 + d), which the device must bear (Colgate and Schenkel 1997). The renderer brakes
-# with B = 2 K (T/2 + d) - b in contact, along the force, never with more than that force
-# (`kernels.effects.braked`). The damper lags by L: against a mass m (the device and a light hand) B is kept
-# below m / 2L and K below 0.4 m / L^2. One step of the encoder moves the force by q (K + B / T share): below
-# 35 mN and twice the friction (Diolaiti 2006). A stiffer field is felt through a coupling; but what Colgate's
-# rule allows the bare device is felt within 8 %.
+# For slow movements, a force that is sampled, held and delayed by d equals -K x(t - T/2 - d): a spring with a
+# negative damper of K (T/2 + d), which the device must compensate (Colgate and Schenkel 1997). In contact the
+# renderer brakes with B = 2 K (T/2 + d) - b along the force, never with more than that force
+# (`kernels.effects.braked`). The damper lags by L: against a mass m (the device and a light hand), B is
+# limited to m / 2L and K to 0.4 m / L^2. One step q of the encoder changes the force by q (K + B / T s), with
+# s the weight of a new sample in the velocity filter; this is limited to 35 mN and twice the friction
+# (Diolaiti 2006). A stiffer field is rendered through a coupling; but a stiffness that Colgate's rule allows
+# for the bare device is rendered to within 8 %.
 
 
 @dataclass(frozen=True)
 class Stability:
-    """Damper in contact and coupling of a medium on a device, in the units of the field, 0: none; and why."""
+    """Damper in contact and coupling for a medium on a device, with a note.
+
+    Both are in the units of the field; 0 means none.
+    """
 
     brake_n_s_per_m: float
     coupling_n_per_m: float
@@ -259,92 +266,110 @@ class Stability:
 
 
 def delay_s(device: Device) -> float:
-    """From a place that is told to a force that acts, beside sampling and holding, seconds."""
-    return _DELAY_S if device.delay_ms is None else 1e-3 * device.delay_ms
+    """Delay from a reported position to the resulting force, seconds.
+
+    Sampling and hold are not included.
+    """
+    return _DEFAULT_DELAY_S if device.delay_ms is None else 1e-3 * device.delay_ms
 
 
 def stability_of(
     device: Device, spec: RenderSpec, medium_damping: float, stiffest_n_per_m: float
 ) -> Stability:
-    """Damper in contact and coupling for a field of this stiffest slope; what `spec` states stays as it is."""
-    tick, late = 1 / spec.rate_hz, delay_s(device)
+    """Damper in contact and coupling for a field with this largest slope.
+
+    Values that `spec` gives are kept.
+    """
+    tick, delay = 1 / spec.rate_hz, delay_s(device)
     scale = spec.scale * spec.force_scale
-    k, own = scale * stiffest_n_per_m, device.damping_n_s_per_m or 0.0
+    field_k, device_damping = scale * stiffest_n_per_m, device.damping_n_s_per_m or 0.0
     coupling = scale * spec.coupling_n_per_m if spec.coupling_n_per_m else 0.0
-    hold = tick / 2 + late
-    if spec.coupling_n_per_m is None and k > 0:
-        most = _stiffest(device, spec, k, hold)
-        coupling = k * most / (k - most) if k > most else 0.0
-    felt = k
+    lag = tick / 2 + delay
+    if spec.coupling_n_per_m is None and field_k > 0:
+        max_k = _max_stiffness(device, spec, field_k, lag)
+        coupling = field_k * max_k / (field_k - max_k) if field_k > max_k else 0.0
+    rendered_k = field_k
     if coupling > 0:
-        felt = 1 / (1 / k + 1 / coupling) if k > 0 else 0.0
+        rendered_k = 1 / (1 / field_k + 1 / coupling) if field_k > 0 else 0.0
     brake = 0.0
     if spec.damping_n_s_per_m is None:
-        brake = max(0.0, _MARGIN * felt * hold - own - scale * medium_damping)
-    note = f"the medium's stiffest slope is {k:.0f} N/m, the device holds {own / hold:.0f} N/m by itself"
+        brake = max(0.0, _SAFETY_FACTOR * rendered_k * lag - device_damping - scale * medium_damping)
+    note = f"the medium's stiffest slope is {field_k:.0f} N/m, and the device alone "
+    note += f"can render {device_damping / lag:.0f} N/m"
     if spec.damping_n_s_per_m is None:
         note += f": damping in contact {brake:.2g} N s/m"
-    if spec.coupling_n_per_m is None:
-        note += (
-            f", coupling {coupling:.0f} N/m, so that {felt:.0f} N/m are felt" if coupling else ", no coupling"
-        )
+    if spec.coupling_n_per_m is None and coupling:
+        note += f", coupling {coupling:.0f} N/m, so that {rendered_k:.0f} N/m are felt"
+    elif spec.coupling_n_per_m is None:
+        note += ", no coupling"
     return Stability(brake / scale if scale else 0.0, coupling / scale if scale else 0.0, note)
 
 
-def _stiffest(device: Device, spec: RenderSpec, k: float, hold: float) -> float:
-    """Most of a field of k that a damper makes stable and the encoder's steps let be still; N/m of the
-    device.
+def _max_stiffness(device: Device, spec: RenderSpec, k: float, lag: float) -> float:
+    """Largest stable stiffness for a field of stiffness k, N/m of the device.
+
+    It is limited by what a damper makes stable, and by the vibration that the encoder's steps cause.
     """
-    tick, own = 1 / spec.rate_hz, device.damping_n_s_per_m or 0.0
-    share = -math.expm1(-2 * math.pi * spec.velocity_cutoff_hz * tick)
-    lag = hold + tick / 2 + tick * (1 - share) / share
-    mass = _HAND_KG + (_INERTIA_KG if device.inertia_kg is None else device.inertia_kg)
-    by_damper = min((mass / (2 * lag) + own) / (_MARGIN * hold), _TURN * mass / lag**2)
+    tick, device_damping = 1 / spec.rate_hz, device.damping_n_s_per_m or 0.0
+    smoothing = -math.expm1(-2 * math.pi * spec.velocity_cutoff_hz * tick)
+    damper_lag = lag + tick / 2 + tick * (1 - smoothing) / smoothing
+    mass = _HAND_KG + (_MIN_INERTIA_KG if device.inertia_kg is None else device.inertia_kg)
+    by_damper = min(
+        (mass / (2 * damper_lag) + device_damping) / (_SAFETY_FACTOR * lag),
+        _MAX_PHASE_SQUARED * mass / damper_lag**2,
+    )
     by_steps = math.inf
     if device.resolution_mm:
-        steps_n = _STEP_N + 2 * (device.friction_n or 0.0)
-        by_steps = steps_n / (1e-3 * device.resolution_mm) + share * own / tick
-        by_steps /= 1 + share * _MARGIN * hold / tick
-    return max(min(by_damper, by_steps), _FELT * k if k * hold < own else 0.0)
+        steps_n = _MAX_STEP_N + 2 * (device.friction_n or 0.0)
+        by_steps = steps_n / (1e-3 * device.resolution_mm) + smoothing * device_damping / tick
+        by_steps /= 1 + smoothing * _SAFETY_FACTOR * lag / tick
+    return max(min(by_damper, by_steps), _MIN_STIFFNESS_FRACTION * k if k * lag < device_damping else 0.0)
 
 
-# -- what a field tells
-# ----------------------------------------------------------------------------------------
+# -- stiffness and walls of a field
 
-_SHARE: Final = 1e-3  # of the cells that push back may be stiffer: edges, corners, noise
+_STEEP_FRACTION: Final = 1e-3
+"""Fraction of the cells that push back which may be stiffer: edges, corners, noise."""
 
 
 def stiffest_n_per_m(pools: Iterable[CellPool]) -> float:
-    """Growth of a force with a way against it, N/m: what one cell in a thousand of a field passes, at the
-    most.
+    """Largest slope of a force against its own direction, N/m.
+
+    One cell in a thousand of a field may exceed it.
     """
     from touchfield.render.kernels.points import BINS, count_slopes, slope_of_bin
 
     stiffest = 0.0
     for pool in pools:
         counts = np.zeros(BINS, np.int64)
-        count_slopes(pool.cells, pool.held, 1.0 / pool.lattices[0, :3], counts)
-        beyond = np.cumsum(counts[::-1])[::-1]
+        count_slopes(pool.cells, pool.supported, 1.0 / pool.lattices[0, :3], counts)
+        counts_above = np.cumsum(counts[::-1])[::-1]
         if counts.any():
-            stiffest = max(stiffest, slope_of_bin(int(np.flatnonzero(beyond > _SHARE * beyond[0])[-1])))
+            stiffest = max(
+                stiffest,
+                slope_of_bin(int(np.flatnonzero(counts_above > _STEEP_FRACTION * counts_above[0])[-1])),
+            )
     return stiffest
 
 
-_LOOKED_AT: Final = 20_000  # samples
-_LARGE: Final = 98.0  # percentile of the forces: their limit, or near it; a few overshoot it
-_RAMP: Final = (0.1, 0.85)  # of a large force: neither at the surface nor at the limit
-_ALIKE: Final = 0.8  # cosine of forces a sample apart
-_LESS: Final = 0.97  # of a force, a sample farther out
-_LEAST: Final = 0.6  # of the samples
-_STEEPER: Final = 75.0  # percentile
-_LEVEL_N: Final = 0.05
-_STATED_N_PER_M: Final = (1.0, 5000.0)  # what a file may ask for
-_LEVEL_SHARE: Final = 0.1  # of a large force
+# constants of `wall_of`
+_MAX_SAMPLES: Final = 20_000
+_LARGE_PERCENTILE: Final = 98.0  # percentile of a "large" force: near the limit, which a few overshoot
+_RAMP_FRACTIONS: Final = (0.1, 0.85)  # fractions of a large force between the surface and the limit
+_MIN_COSINE: Final = 0.8  # between the forces of a sample and of the point one sample farther out
+_MAX_RATIO: Final = 0.97  # between the sizes of these two forces
+_MIN_WALL_FRACTION: Final = 0.6  # samples that must look like a wall
+_STIFFNESS_PERCENTILE: Final = 75.0  # percentile of the slopes that is the wall's stiffness
+_MAX_LEVEL_N: Final = 0.05
+_LEVEL_FRACTION: Final = 0.1  # level of the surface, over a large force
+
+_STATED_RANGE_N_PER_M: Final = (1.0, 5000.0)
+"""Stiffness that a file may state."""
 
 
 @dataclass(frozen=True)
 class Wall:
-    """Growth of the force behind the surface, the force at which this lies, and the spacing of the samples."""
+    """A wall: slope of the force, force at the surface, and spacing of the samples."""
 
     stiffness_n_per_m: float
     level_n: float
@@ -352,39 +377,41 @@ class Wall:
 
 
 def wall_of(field: ForceField) -> Wall | None:
-    """The wall that a field tells of; None where most of it does not grow against its force, as a steady
-    pull.
+    """The wall in a field, or None.
 
-    Where most samples are less by K for each metre farther out and point alike it is a wall's; its stiffness
-    is that of the steeper ones, as edges, thin walls and the low-pass lessen it.
+    A field is a wall if most samples have a force that decreases by K per metre outwards, and is nearly
+    parallel to that of the next sample. A constant pull, for example, is none. The stiffness is that of the
+    steeper samples, because edges, thin walls and the low-pass decrease it.
     """
     sizes = lengths_of(field.forces_n)
     if not sizes.any():
         return None
-    large = float(np.percentile(sizes[sizes > 0], _LARGE))
-    brick, *local = np.nonzero((sizes > _RAMP[0] * large) & (sizes < _RAMP[1] * large))
+    large = float(np.percentile(sizes[sizes > 0], _LARGE_PERCENTILE))
+    brick, *local = np.nonzero((sizes > _RAMP_FRACTIONS[0] * large) & (sizes < _RAMP_FRACTIONS[1] * large))
     if not len(brick):
         return None
-    some = slice(None, None, -(-len(brick) // _LOOKED_AT))
-    forces = field.forces_n[brick, *local][some].astype(np.float64)
+    subset = slice(None, None, -(-len(brick) // _MAX_SAMPLES))
+    forces = field.forces_n[brick, *local][subset].astype(np.float64)
     size = lengths_of(forces)
     outwards = forces / size[:, None]
     spacing_m = np.array(field.grid.spacing_m)
-    way_m = lengths_of(outwards * spacing_m)
-    at = 8 * field.bricks[brick[some]] + np.stack(local, axis=-1)[some]
-    beyond = field.sample_n(field.grid.to_m(at) + way_m[:, None] * outwards).astype(np.float64)
-    farther = lengths_of(beyond)
-    is_wall = (np.einsum("ij,ij->i", beyond, outwards) >= _ALIKE * farther) & (farther < _LESS * size)
-    if np.mean(is_wall) < _LEAST:
+    step_m = lengths_of(outwards * spacing_m)
+    positions = 8 * field.bricks[brick[subset]] + np.stack(local, axis=-1)[subset]
+    outer_forces = field.sample_n(field.grid.to_m(positions) + step_m[:, None] * outwards).astype(np.float64)
+    outer_size = lengths_of(outer_forces)
+    is_wall = (np.einsum("ij,ij->i", outer_forces, outwards) >= _MIN_COSINE * outer_size) & (
+        outer_size < _MAX_RATIO * size
+    )
+    if np.mean(is_wall) < _MIN_WALL_FRACTION:
         return None
-    stiffness = float(np.percentile(((size - farther) / way_m)[is_wall], _STEEPER))
-    return Wall(stiffness, min(_LEVEL_N, _LEVEL_SHARE * large), field.grid.spacing_m)
+    stiffness = float(np.percentile(((size - outer_size) / step_m)[is_wall], _STIFFNESS_PERCENTILE))
+    return Wall(stiffness, min(_MAX_LEVEL_N, _LEVEL_FRACTION * large), field.grid.spacing_m)
 
 
 def stated_n_per_m(provenance: Mapping[str, str]) -> float | None:
-    """The stiffness that a medium's provenance states for its walls; None where it states none that could be.
+    """Stiffness of walls in the provenance of a medium; None if none is valid.
 
-    A stream that was coded anew has that of its source, one that was edited none.
+    A stream that was encoded again has that of its source, one that was edited none.
     """
     if "edits" in provenance:
         return None
@@ -393,5 +420,5 @@ def stated_n_per_m(provenance: Mapping[str, str]) -> float | None:
         stated = float(spec["stiffness_n_per_m"]) if spec["law"] == "penalty" else math.nan
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
-    low, high = _STATED_N_PER_M
+    low, high = _STATED_RANGE_N_PER_M
     return stated if low <= stated <= high else None

@@ -1,16 +1,16 @@
-"""bHaptics vests through the bHaptics Player, by its WebSocket of version 2: no key, no licence, loopback.
+"""bHaptics vests, through the WebSocket (version 2) of the bHaptics Player.
 
-Protocol: one JSON message a frame to ``/v2/feedbacks``, in which each panel is a submission of the type
-"frame": its position (VestFront, VestBack), its dots (index and intensity 0 to 100) and how long they last. A
-later submission of the same key takes the place of the one before. What the Player sends is its own state; it
-is read and left aside.
+It needs no key and no licence, and uses loopback. Protocol: one JSON message a frame to ``/v2/feedbacks``, in
+which each panel is a submission of the type "frame": its position (VestFront, VestBack), its dots (index and
+intensity 0 to 100) and their duration. A later submission with the same key replaces the one before. The
+Player sends its own state, which is read and ignored.
 
-The protocol speaks of 20 dots a side, 4 columns and 5 rows from the top left, whatever the vest: that is the
-TactSuit X40. A vest with fewer rows is driven through all 20, so that no motor is missed whichever dots the
-Player takes it from: of four rows (TactSuit Pro) the lowest is sent as the fourth and the fifth, of two (X16,
-Air) the upper as the first two and the lower as the other three. The second is how the firmware SenseShift
-groups the dots for an X16; the first is our choice. Intensities are rounded to the steps that the profile's
-motors have.
+The protocol has 20 dots a side, 4 columns and 5 rows from the top left, for every vest: these are the motors
+of the TactSuit X40. A vest with fewer rows is driven through all 20, so that no motor is missed whichever
+dots the Player uses for it: with four rows (TactSuit Pro) the lowest is sent as the fourth and the fifth,
+with two (X16, Air) the upper as the first two and the lower as the other three. The second grouping is that
+of the firmware SenseShift for an X16; the first is our choice. Intensities are rounded to the steps of the
+profile's motors.
 """
 
 from __future__ import annotations
@@ -34,24 +34,25 @@ if TYPE_CHECKING:
 
 PLAYER: Final[Address] = ("127.0.0.1", 15881)
 _NAME: Final = "bHaptics Player"
-_MEND: Final = "Start the bHaptics Player on that machine and pair the vest"
+_HINT: Final = "Start the bHaptics Player on that machine and pair the vest"
 
 POSITIONS: Final = ("VestFront", "VestBack")
 COLUMNS: Final = 4
-ROWS_OF: Final = {5: (0, 1, 2, 3, 4), 4: (0, 1, 2, 3, 3), 2: (0, 0, 1, 1, 1)}
-"""Rows of the vest -> the one that each row of dots shows."""
+VEST_ROWS: Final = {5: (0, 1, 2, 3, 4), 4: (0, 1, 2, 3, 3), 2: (0, 0, 1, 1, 1)}
+"""Number of rows of a vest -> the row that each of the five rows of dots shows."""
 
 _FULL: Final = 100
-_LASTS: Final = 1.5
-"""Frames that a frame lasts if none follows: a little late must not be felt as a gap."""
+_DURATION_FRAMES: Final = 1.5
+"""Duration of a message in frames, so that a slightly late frame leaves no gap."""
 _SHORTEST_MS, _LONGEST_MS = 50, 10000  # bHaptics tact-js, submitDot
 
-_PATIENCE_S: Final = 2.0
-_MOST_ANSWERS: Final = 64
-"""Messages of the Player that are read and left aside in a frame."""
-_MOST_WAITING: Final = 1024
-"""Messages that may wait; a full queue of websockets 17 holds up for ever who then sends on a line just
-closed.
+_TIMEOUT_S: Final = 2.0
+_MAX_ANSWERS: Final = 64
+"""Messages of the Player that are read and ignored in a frame."""
+_MAX_QUEUE: Final = 1024
+"""Messages that may wait.
+
+With a full queue, websockets 17 blocks a sender for ever if the connection has just been closed.
 """
 
 
@@ -68,38 +69,38 @@ class BHaptics(ArrayDevice):
 
     def __init__(self, profile: Device, player: Address = PLAYER) -> None:
         columns, rows, _ = profile.lattice
-        if columns != COLUMNS or rows not in ROWS_OF or profile.panels > len(POSITIONS):
+        if columns != COLUMNS or rows not in VEST_ROWS or profile.panels > len(POSITIONS):
             found = f"{profile.name}, {profile.panels} panels of {columns} x {rows}"
             raise InvalidArgument("bhaptics", found, "one or two panels of 4 x 5, 4 x 4 or 4 x 2 motors")
         self.profile, self._player = profile, player
-        self._rows = np.array(ROWS_OF[rows])
+        self._rows = np.array(VEST_ROWS[rows])
 
     def open(self) -> None:
         """See `ArrayDevice`."""
         path = "v2/feedbacks?app_id=touchfield&app_name=touchfield"
         self._line = web_socket(
-            self._player, path, _NAME, _MEND, _PATIENCE_S, _PATIENCE_S,
-            close_timeout=_PATIENCE_S / 2, max_queue=_MOST_WAITING,
+            self._player, path, _NAME, _HINT, _TIMEOUT_S, _TIMEOUT_S,
+            close_timeout=_TIMEOUT_S / 2, max_queue=_MAX_QUEUE,
         )  # fmt: skip
 
     def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
-        """See `ArrayDevice`; the motors have one frequency each, their own."""
+        """See `ArrayDevice`; each motor has one fixed frequency."""
         levels = min(self.profile.levels or _FULL + 1, _FULL + 1)
         steps = steps_of(self.profile, drives, levels)
         intensities = np.floor(steps * (_FULL / max(levels - 1, 1)) + 0.5).astype(np.int64)
-        lasts = math.ceil(1000 * _LASTS * seconds) if math.isfinite(seconds) else _LONGEST_MS
+        duration_ms = math.ceil(1000 * _DURATION_FRAMES * seconds) if math.isfinite(seconds) else _LONGEST_MS
         if self._line is None:
             raise DeviceError(_NAME, "no connection", "one that was opened")
         try:
-            self._line.send(self._message(intensities, min(max(lasts, _SHORTEST_MS), _LONGEST_MS)))
-            for _ in range(_MOST_ANSWERS):
+            self._line.send(self._message(intensities, min(max(duration_ms, _SHORTEST_MS), _LONGEST_MS)))
+            for _ in range(_MAX_ANSWERS):
                 self._line.recv(timeout=0)
         except TimeoutError:
             return  # nothing more to read
         except Exception as error:  # closed, broken, or nobody reads what is sent
-            raise DeviceError(_NAME, f"that it is gone ({reason(error)})", mend=_MEND) from error
+            raise DeviceError(_NAME, f"that it is gone ({reason(error)})", hint=_HINT) from error
 
-    def _message(self, intensities: Int64s, lasts_ms: int) -> str:
+    def _message(self, intensities: Int64s, duration_ms: int) -> str:
         submissions = []
         for panel, position in zip(intensities, POSITIONS):
             dots = panel[self._rows].reshape(-1).tolist()
@@ -107,19 +108,19 @@ class BHaptics(ArrayDevice):
                 "Position": position,
                 "DotPoints": [{"Index": index, "Intensity": value} for index, value in enumerate(dots)],
                 "PathPoints": [],
-                "DurationMillis": lasts_ms,
+                "DurationMillis": duration_ms,
             }
             submissions.append({"Type": "frame", "Key": f"touchfield-{position}", "Frame": frame})
         return json.dumps({"Submit": submissions}, separators=(",", ":"))
 
 
-def _make(words: str, profile: Device) -> ArrayDevice:
-    return BHaptics(profile, address(words, "bhaptics[:HOST:PORT]", PLAYER))
+def _make(text: str, profile: Device) -> ArrayDevice:
+    return BHaptics(profile, address(text, "bhaptics[:HOST:PORT]", PLAYER))
 
 
 def checks() -> list[Check]:
-    """The library, and whether a Player listens on this machine."""
-    return [library_check("websockets", "devices"), service_check(_NAME, PLAYER, _MEND)]
+    """Check the library, and whether a Player listens on this machine."""
+    return [library_check("websockets", "devices"), service_check(_NAME, PLAYER, _HINT)]
 
 
 KIND = DeviceKind(

@@ -1,10 +1,9 @@
-"""Force Dimension devices (omega, delta, sigma, and the Falcon) by the maker's library dhd; asked at each
-tick.
+"""Force Dimension devices (omega, delta, sigma, Falcon), by the vendor's library.
 
-Metres and newtons in the device's own axes: x towards the user, y right, z up. The library adds the weight of
-the handle to what is put, so `gravity_n` stays zero. A device without a wrist tells that it is not turned,
-one without a gripper that it is closed; torque is put from the first that is not zero on, so that no device
-without motors for it is asked.
+The library is dhd, and is called at each tick. Metres and newtons are in the device's own axes: x towards the
+user, y right, z up. The library adds the weight of the handle to the force, so `gravity_n` stays zero. A
+device without a wrist reports no rotation, one without a gripper reports it closed. Torque is sent only from
+the first nonzero torque on, so that a device without motors for it never receives one.
 """
 
 from __future__ import annotations
@@ -56,8 +55,8 @@ class ForceDimension(PointDevice):
     def __init__(self) -> None:
         self._library: Any = None
         self._device: int | None = None
-        self._place = (c_double(), c_double(), c_double())
-        self._at = tuple(map(byref, self._place))
+        self._position = (c_double(), c_double(), c_double())
+        self._position_pointers = tuple(map(byref, self._position))
         self._frame, self._gap = (9 * c_double)(), c_double()
         self._has_wrist = self._has_gripper = self._has_torque = False
 
@@ -79,15 +78,15 @@ class ForceDimension(PointDevice):
             raise
 
     def position_m(self) -> tuple[float, float, float]:
-        """Where the device says it is."""
-        self._call("dhdGetPosition", "get position", *self._at)  # 1: the same as a moment ago
-        x, y, z = (axis.value for axis in self._place)
+        """Position as the device reports it."""
+        self._call("dhdGetPosition", "get position", *self._position_pointers)  # 1: unchanged
+        x, y, z = (axis.value for axis in self._position)
         if not math.isfinite(x + y + z):
             raise DeviceError(_WHERE, f"a position of {x:g}, {y:g}, {z:g} m", "finite metres")
         return x, y, z
 
     def orientation(self) -> Quaternion:
-        """How the wrist is turned."""
+        """Orientation of the wrist."""
         if not self._has_wrist:
             return 1.0, 0.0, 0.0, 0.0
         self._call("dhdGetOrientationFrame", "get orientation", self._frame)
@@ -97,7 +96,7 @@ class ForceDimension(PointDevice):
         return w, x, y, z
 
     def buttons(self) -> int:
-        """Its button mask."""
+        """The button mask."""
         return self._call("dhdGetButtonMask", "get buttons")
 
     def gripper_m(self) -> float:
@@ -108,7 +107,10 @@ class ForceDimension(PointDevice):
         return float(self._gap.value)
 
     def put_wrench(self, fx: float, fy: float, fz: float, tx: float, ty: float, tz: float) -> None:
-        """Set force and torque, and no force of the gripper; from the first torque on, both in one call."""
+        """Set force and torque, with no gripper force.
+
+        From the first nonzero torque on, both are set in one call.
+        """
         self._has_torque = self._has_torque or tx != 0.0 or ty != 0.0 or tz != 0.0
         if not self._has_torque:
             self.put_force_n(fx, fy, fz)
@@ -125,11 +127,11 @@ class ForceDimension(PointDevice):
         self._call("dhdSetForce", "set force", x, y, z)  # 2: a motor is at its limit
 
     def close(self) -> None:
-        """Force and torque of zero, forces off, device closed."""
+        """Set force and torque to zero, switch forces off, and close the device."""
         device, self._device = self._device, None
         if device is not None:
             with suppress(Exception):
-                # a torque may act that an earlier process has put; a wrist without motors refuses one
+                # an earlier process may have left a torque; a wrist without motors rejects one
                 is_zero = False
                 if self._has_wrist:
                     is_zero = self._library.dhdSetForceAndTorqueAndGripperForce(*(7 * (0.0,)), device) >= 0
@@ -138,25 +140,25 @@ class ForceDimension(PointDevice):
                 self._library.dhdEnableForce(0, device)
                 self._library.dhdClose(device)
 
-    def _call(self, function: str, what: str, *arguments: Any) -> int:
-        """The result of a function that takes the device last; `DeviceError` if it tells a failure."""
+    def _call(self, function: str, action: str, *arguments: Any) -> int:
+        """Call a function whose last argument is the device; `DeviceError` if it fails."""
         if self._device is None:
             raise DeviceError(_WHERE, "a device that is not open", "an open one")
         result: int = getattr(self._library, function)(*arguments, self._device)
         if result < 0:
-            raise self._error(what)
+            raise self._error(action)
         return result
 
-    def _error(self, what: str, mend: str = "") -> DeviceError:
-        words = self._library.dhdErrorGetLastStr() or b"no reason given"
-        found = f"that it could not {what} ({words[:120].decode('ascii', 'replace')})"
-        return DeviceError(_WHERE, found, mend=mend)
+    def _error(self, action: str, hint: str = "") -> DeviceError:
+        text = self._library.dhdErrorGetLastStr() or b"no reason given"
+        found = f"that it could not {action} ({text[:120].decode('ascii', 'replace')})"
+        return DeviceError(_WHERE, found, hint=hint)
 
 
 def quaternion_of_rows(
     a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float
 ) -> Quaternion:
-    """The quaternion w, x, y, z of a rotation matrix, row by row; not a number where it is none."""
+    """The quaternion w, x, y, z of a rotation matrix given by rows; NaN if it is none."""
     squares = (1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i)  # four times those of w, x, y, z
     rows = (
         (squares[0], h - f, c - g, d - b),
@@ -164,7 +166,7 @@ def quaternion_of_rows(
         (c - g, b + d, squares[2], f + h),
         (d - b, c + g, f + h, squares[3]),
     )
-    row = rows[max(range(4), key=squares.__getitem__)]  # the greatest, so that nothing cancels
+    row = rows[max(range(4), key=squares.__getitem__)]  # the largest, to avoid cancellation
     length = math.hypot(*row)
     w, x, y, z = (v / length for v in row)
     return w, x, y, z
@@ -172,7 +174,7 @@ def quaternion_of_rows(
 
 def _opener(rest: str, trajectory: Trace | None) -> Opener:
     if rest:
-        raise InvalidArgument("device", f"'forcedimension:{rest[:40]}'", "forcedimension, nothing behind it")
+        raise InvalidArgument("device", f"'forcedimension:{rest[:40]}'", "forcedimension, without a colon")
     return ForceDimension
 
 

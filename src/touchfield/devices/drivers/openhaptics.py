@@ -1,11 +1,11 @@
-"""Touch, Touch X, Phantom Omni and Premium by the maker's OpenHaptics: its driver calls us, in a thread of
-its own.
+"""Touch, Touch X, Phantom Omni and Premium, through the vendor's OpenHaptics.
 
-What it calls is compiled (`kernels.compiled_callback`): begin a frame, read the position (millimetres), one
-cycle of the renderer, set the force, end the frame. The interpreter's lock is not met on the way.
+Its driver calls us in a thread of its own. The callback is compiled (`kernels.compiled_callback`): begin a
+frame, read the position (millimetres), run one cycle of the renderer, set the force, end the frame. It does
+not take the interpreter's lock.
 
-On `close` the servo has already ordered the release: the force is waited for until it is zero, one more frame
-with zero is set, and only then callback, scheduler and device are let go.
+Before `close` the servo has ordered the release. `close` waits until the force is zero, sets zero for one
+more frame, and then removes callback, scheduler and device.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "hdStartScheduler": (None, ()),
     "hdStopScheduler": (None, ()),
 }
-_CALLED: Final = ("hdBeginFrame", "hdEndFrame", "hdGetDoublev", "hdSetDoublev", "hdGetError")
-"""By the compiled callback."""
+_CALLBACK_FUNCTIONS: Final = ("hdBeginFrame", "hdEndFrame", "hdGetDoublev", "hdSetDoublev", "hdGetError")
+"""Functions that the compiled callback calls."""
 
 _FORCE_OUTPUT: Final = 0x4000
 _INVALID_HANDLE: Final = 0xFFFFFFFF
@@ -70,19 +70,19 @@ _SILENCE_S: Final = 0.5
 _LAST_FRAME_S: Final = 0.5
 _WHERE: Final = "OpenHaptics device"
 
-_KEPT: Final[list[Any]] = []
-"""Callbacks that a driver may still call, because it did not answer when it was told to stop."""
+_LEAKED: Final[list[Any]] = []
+"""Callbacks that a driver may still call, because it did not stop when ordered to."""
 
 
 class OpenHaptics(PointDevice):
-    """A device by the name that the driver's configuration gives it.
+    """A device, by its name in the driver's configuration.
 
     Parameters
     ----------
     name : str or None
-        Such as "Left Device"; None takes the default device.
+        For example "Left Device"; None is the default device.
     cycle : compiled function or None
-        What the callback calls; None takes `touchfield.render.kernels.tick.cycle`.
+        Function for the callback; None is `touchfield.render.kernels.tick.cycle`.
     """
 
     is_driven: ClassVar[bool] = True
@@ -94,16 +94,19 @@ class OpenHaptics(PointDevice):
         self._operation: int | None = None
         self._callback: Any = None
         self._box = np.zeros(1, np.int64)
-        self._seen = (0, 0.0)  # calls, and when there were more of them
+        self._progress = (0, 0.0)  # number of calls, and the time of the last change
 
     def open(self) -> None:
-        """Load the driver, compile the callback, find the device and switch forces on; no callback yet."""
+        """Load the driver, compile the callback, find the device and switch forces on.
+
+        The callback is not called yet.
+        """
         self.close()
         library = self._library = DRIVER.load(_FUNCTIONS)
         cycle = self._cycle or import_module("touchfield.render.kernels.tick").cycle
         kernel = import_module("touchfield.devices.drivers.kernels")
-        called = (getattr(library, name) for name in _CALLED)
-        self._callback = kernel.compiled_callback(cycle, *map(kernel.address_of, called))
+        functions = (getattr(library, name) for name in _CALLBACK_FUNCTIONS)
+        self._callback = kernel.compiled_callback(cycle, *map(kernel.address_of, functions))
         device = library.hdInitDevice(None if self._name is None else self._name.encode())
         error = self._error("find the device", "Is it plugged in, and set up with the maker's own tool?")
         if error is None and device == _INVALID_HANDLE:
@@ -114,69 +117,69 @@ class OpenHaptics(PointDevice):
             raise error
         self._device = device
         library.hdEnable(_FORCE_OUTPUT)
-        self._raise("switch forces on")
+        self._raise_error("switch forces on")
 
-    def drive(self, address: int, words: int) -> None:
+    def drive(self, address: int, word_count: int) -> None:
         """Let the driver call the compiled cycle over the block at `address`; returns at once."""
         from touchfield.devices.drivers import kernels as kernel
 
         if self._device is None or self._operation is not None:
             raise DeviceError(_WHERE, "a device that is not open, or driven already", "an open one")
         box = self._box = np.zeros(kernel.BOX, np.int64)
-        box[[kernel.ADDRESS, kernel.WORDS, kernel.HANDLE]] = address, words, self._device
+        box[[kernel.ADDRESS, kernel.WORD_COUNT, kernel.HANDLE]] = address, word_count, self._device
         self._operation = self._library.hdScheduleAsynchronous(
             self._callback.address, box.ctypes.data, _HIGHEST_PRIORITY
         )
-        self._raise("schedule the callback")
+        self._raise_error("schedule the callback")
         self._library.hdStartScheduler()
-        self._raise("start the scheduler")
-        self._seen = (0, time.monotonic())
+        self._raise_error("start the scheduler")
+        self._progress = (0, time.monotonic())
 
     def watch(self) -> None:
-        """Check that the driver calls, and has no fault to tell."""
+        """Check that the driver calls the callback and has no fault."""
         from touchfield.devices.drivers import kernels as kernel
 
         if self._operation is None:
             raise DeviceError(_WHERE, "a device that is not driven", "a driven one")
         calls, done, code = self._box[[kernel.CALLS, kernel.DONE, kernel.ERROR]].tolist()
         now = time.monotonic()
-        if calls != self._seen[0]:
-            self._seen = (calls, now)
+        if calls != self._progress[0]:
+            self._progress = (calls, now)
         if code:
             raise DeviceError(
-                _WHERE, f"a fault while it ran ({self._reason(code)})", mend="Is it still plugged in?"
+                _WHERE, f"a fault while it ran ({self._reason(code)})", hint="Is it still plugged in?"
             )
         if done:
             raise DeviceError(_WHERE, "a renderer that failed", "forces", "See what it printed.")
-        if now - self._seen[1] > _SILENCE_S:
+        if now - self._progress[1] > _SILENCE_S:
             found = f"a driver that has not called for {_SILENCE_S:g} s, after {calls} calls"
             raise DeviceError(_WHERE, found, "a call each millisecond", "Is it still plugged in?")
 
     def position_m(self) -> tuple[float, float, float]:
         """Not for a device whose driver calls us."""
-        raise DeviceError(_WHERE, "a question for its position", "drive", "Its driver calls the renderer.")
+        raise DeviceError(_WHERE, "a call of position_m", "drive", "Its driver calls the renderer.")
 
     def put_force_n(self, x: float, y: float, z: float) -> None:
         """Not for a device whose driver calls us."""
-        raise DeviceError(_WHERE, "a force", "drive", "Its driver calls the renderer.")
+        raise DeviceError(_WHERE, "a call of put_force_n", "drive", "Its driver calls the renderer.")
 
     def close(self) -> None:
-        """Wait for the force to be zero, end the callback, stop the scheduler, let the device go."""
+        """Wait until the force is zero, then end the callback and release the device."""
         library, device, operation = self._library, self._device, self._operation
         self._device = self._operation = None
         if device is None:
             return
         with suppress(Exception):
-            done = operation is None or self._ended()
+            done = operation is None or self._end_callback()
             library.hdStopScheduler()
             if operation is not None and not done:
                 library.hdUnschedule(operation)
-                _KEPT.append((self._callback, self._box))
+                _LEAKED.append((self._callback, self._box))
         with suppress(Exception):
             library.hdDisableDevice(device)
 
-    def _ended(self) -> bool:
-        """True once the callback put its last force, zero, and will be called no more."""
+    def _end_callback(self) -> bool:
+        """End the callback after a last force of zero; True if it will not be called."""
         from touchfield.devices.drivers import kernels as kernel
 
         box, force = self._box, self._box.view(np.float64)[kernel.FORCE : kernel.FORCE + 3]
@@ -184,32 +187,32 @@ class OpenHaptics(PointDevice):
         box[kernel.STOP] = 1
         return _wait(lambda: bool(box[kernel.DONE]), _LAST_FRAME_S)
 
-    def _raise(self, what: str) -> None:
-        error = self._error(what)
+    def _raise_error(self, action: str) -> None:
+        error = self._error(action)
         if error is not None:
             self.close()
             raise error
 
-    def _error(self, what: str, mend: str = "") -> DeviceError | None:
-        """The latest error of the driver's stack, which is emptied."""
+    def _error(self, action: str, hint: str = "") -> DeviceError | None:
+        """The latest error on the driver's stack, which is cleared; None if there is none."""
         first = self._library.hdGetError()
         if not first.code:
             return None
         for _ in range(64):
             if not self._library.hdGetError().code:
                 break
-        return DeviceError(_WHERE, f"that it could not {what} ({self._reason(first.code)})", mend=mend)
+        return DeviceError(_WHERE, f"that it could not {action} ({self._reason(first.code)})", hint=hint)
 
     def _reason(self, code: int) -> str:
-        words = self._library.hdGetErrorString(code) or b"no reason given"
-        return f"{words[:120].decode('ascii', 'replace')}, code {code:#06x}"
+        text = self._library.hdGetErrorString(code) or b"no reason given"
+        return f"{text[:120].decode('ascii', 'replace')}, code {code:#06x}"
 
 
 def _wait(condition: Any, seconds: float) -> bool:
-    """Wait for `condition`; True if it came true in time."""
-    end = time.monotonic() + seconds
+    """Wait for `condition`; False if it did not come true in time."""
+    deadline = time.monotonic() + seconds
     while not condition():
-        if time.monotonic() >= end:
+        if time.monotonic() >= deadline:
             return False
         time.sleep(0.001)
     return True

@@ -1,19 +1,20 @@
-"""Any array of actuators by Open Sound Control over UDP: a frame is one bundle, or several where it is large.
+"""Any array of actuators, by Open Sound Control over UDP.
 
-Each bundle is one datagram of at most 8 kB and begins with the first of these messages::
+A frame is one bundle, or several if it is large. Each bundle is one datagram of at most 8 kB and starts with
+the first of these messages::
 
     /touchfield/frame              i number   d seconds   i part   i parts   i panels   i rows   i columns
     /touchfield/drives/PANEL       i first    f drive ... 0 to 1
-    /touchfield/frequencies/PANEL  i first    f hertz ... 0 where nothing vibrates; only of a medium that vibrates
+    /touchfield/frequencies/PANEL  i first    f hertz ... 0 without vibration; only if the medium has any
 
 ``number`` counts frames from 0, and ``seconds`` is their time since the device was opened. PANEL is front,
-back, or the panel's number from 2; ``first`` is the place of the message's first drive in its panel, counted
-row after row from the top left. All parts of a frame are of one number. A drive is rounded to the profile's
-levels, if it states any.
+back, or the panel's number from 2; ``first`` is the index of the message's first drive in its panel, counted
+row after row from the top left. All parts of a frame have the same number. A drive is rounded to the
+profile's levels, if it states any.
 
-UDP may lose a datagram: the frame that turns all off is sent three times. The addresses are ours; there is no
-common scheme for arrays of actuators. The bytes are put together here: a library that checks each number by
-itself took 100 ms for the 6240 pins of a HyperBraille, where this takes 0.7 ms.
+UDP may lose a datagram, so the frame that switches all actuators off is sent three times. The addresses are
+ours; there is no common scheme for arrays of actuators. The bytes are assembled here: a library that checks
+each number separately took 100 ms for the 6240 pins of a HyperBraille, this code 0.7 ms.
 """
 
 from __future__ import annotations
@@ -37,17 +38,17 @@ if TYPE_CHECKING:
     from touchfield.devices import Device
 
 
-MOST_BYTES: Final = 8192
-"""Of a datagram: one that needs no more than a few fragments on any net."""
+MAX_BYTES: Final = 8192
+"""Size limit of a datagram, which then needs only a few fragments on any network."""
 
-_HEAD_BYTES: Final = 128  # of a bundle: its own head and the frame message
-_FLOATS_AT_ONCE: Final = (
-    MOST_BYTES - 2 * _HEAD_BYTES
+_HEAD_BYTES: Final = 128  # limit for the head of a bundle and its frame message
+_FLOATS_PER_MESSAGE: Final = (
+    MAX_BYTES - 2 * _HEAD_BYTES
 ) // 5  # a float is four bytes and one letter of the type
 _PANELS: Final = ("front", "back")
-_GOODBYES: Final = 3
-_AT_ONCE: Final = b"#bundle\0" + struct.pack(">Q", 1)
-"""Head of a bundle that is to be shown as soon as it comes (OSC 1.0)."""
+_LAST_FRAME_COPIES: Final = 3
+_BUNDLE_HEAD: Final = b"#bundle\0" + struct.pack(">Q", 1)
+"""Head of a bundle that is to be shown at once (OSC 1.0)."""
 
 
 class Osc(ArrayDevice):
@@ -56,10 +57,10 @@ class Osc(ArrayDevice):
     def __init__(self, profile: Device, to: Address) -> None:
         self.profile, self._to = profile, to
         self._where = f"osc:{to[0]}:{to[1]}"
-        self._number, self._began_s = 0, 0.0
+        self._number, self._start_s = 0, 0.0
 
     def open(self) -> None:
-        """See `ArrayDevice`; UDP cannot tell whether anything listens on another machine."""
+        """See `ArrayDevice`; UDP does not show whether anything listens on another machine."""
         try:
             family, kind, protocol, _, to = socket.getaddrinfo(*self._to, type=socket.SOCK_DGRAM)[0]
             line = socket.socket(family, kind, protocol)
@@ -75,27 +76,27 @@ class Osc(ArrayDevice):
                 self._where, f"no way there ({reason(error)})", "a host that can be reached"
             ) from error
         line.settimeout(1.0)
-        self._line, self._number, self._began_s = line, 0, monotonic()
+        self._line, self._number, self._start_s = line, 0, monotonic()
 
     def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
         """See `ArrayDevice`."""
         levels = self.profile.levels
         if levels is None:
-            shown = drives_of(self.profile, drives)
+            values = drives_of(self.profile, drives)
         else:
-            shown = steps_of(self.profile, drives, levels) / max(levels - 1, 1)
+            values = steps_of(self.profile, drives, levels) / max(levels - 1, 1)
         if self._line is None:
             raise DeviceError(self._where, "no connection", "one that was opened")
         try:
-            for datagram in self._datagrams(shown, frequencies_hz):
+            for datagram in self._datagrams(values, frequencies_hz):
                 self._line.send(datagram)
         except OSError as error:
-            mend = "Start what listens there first"
-            raise DeviceError(self._where, f"that nothing listens ({reason(error)})", mend=mend) from error
+            hint = "Start what listens there first"
+            raise DeviceError(self._where, f"that nothing listens ({reason(error)})", hint=hint) from error
         self._number += 1
 
     def _put_off(self, off: Float32s) -> None:
-        for datagram in _GOODBYES * list(self._datagrams(off.astype(np.float64), None)):
+        for datagram in _LAST_FRAME_COPIES * list(self._datagrams(off.astype(np.float64), None)):
             with suppress(OSError):
                 self._line.send(datagram)
 
@@ -105,36 +106,36 @@ class Osc(ArrayDevice):
         if frequencies_hz is not None:
             values["frequencies"] = np.asarray(frequencies_hz, np.float64)
         bodies = [b""]
-        for what, array in values.items():
-            for nth, panel in enumerate(array.reshape(len(array), -1)):
-                name = f"/touchfield/{what}/{_PANELS[nth] if nth < len(_PANELS) else nth}"
-                for first in range(0, len(panel), _FLOATS_AT_ONCE):
-                    flat = panel[first : first + _FLOATS_AT_ONCE]
+        for quantity, array in values.items():
+            for index, panel in enumerate(array.reshape(len(array), -1)):
+                name = f"/touchfield/{quantity}/{_PANELS[index] if index < len(_PANELS) else index}"
+                for first in range(0, len(panel), _FLOATS_PER_MESSAGE):
+                    flat = panel[first : first + _FLOATS_PER_MESSAGE]
                     numbers = struct.pack(">i", first) + flat.astype(">f4").tobytes()
                     message = _message(name, "i" + "f" * len(flat), numbers)
-                    if len(bodies[-1]) + len(message) > MOST_BYTES - _HEAD_BYTES:
+                    if len(bodies[-1]) + len(message) > MAX_BYTES - _HEAD_BYTES:
                         bodies.append(b"")
                     bodies[-1] += message
-        number, seconds = self._number & 0x7FFFFFFF, monotonic() - self._began_s
+        number, seconds = self._number & 0x7FFFFFFF, monotonic() - self._start_s
         for part, body in enumerate(bodies):
             head = struct.pack(">idiiiii", number, seconds, part, len(bodies), *drives.shape)
-            yield _AT_ONCE + _message("/touchfield/frame", "idiiiii", head) + body
+            yield _BUNDLE_HEAD + _message("/touchfield/frame", "idiiiii", head) + body
 
 
 def _message(name: str, types: str, values: bytes) -> bytes:
-    """A message with its length before it, as bundles have them."""
+    """A message, preceded by its length, as in a bundle."""
     message = _text(name) + _text("," + types) + values
     return struct.pack(">i", len(message)) + message
 
 
-def _text(words: str) -> bytes:
-    """Ended by a zero, and filled with zeros to a multiple of four bytes."""
-    data = words.encode("ascii")
+def _text(text: str) -> bytes:
+    """Text with a final zero, padded with zeros to a multiple of four bytes."""
+    data = text.encode("ascii")
     return data + bytes(4 - len(data) % 4)
 
 
-def _make(words: str, profile: Device) -> ArrayDevice:
-    return Osc(profile, address(words, "osc:HOST:PORT"))
+def _make(text: str, profile: Device) -> ArrayDevice:
+    return Osc(profile, address(text, "osc:HOST:PORT"))
 
 
 KIND = DeviceKind(

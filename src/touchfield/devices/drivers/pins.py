@@ -1,7 +1,7 @@
-"""Pin displays (Dot Pad, Graphiti, HyperBraille and their like) by lines of text, over a serial port or TCP.
+"""Pin displays (Dot Pad, Graphiti, HyperBraille), by lines of text over serial or TCP.
 
-Makers' own protocols differ and are mostly not public; this is a plain one of ours for the small program or
-board that stands between. A line is ASCII, ends in a line feed, and carries a check sum of all before the
+The vendors' own protocols differ and are mostly not public. This simple protocol of ours is for a small
+program or board in between. A line is ASCII, ends in a line feed, and carries a checksum of all before the
 blank and star::
 
     line     size ROWS COLUMNS LEVELS *CRC        first, and again if there is no answer; its number is 0
@@ -11,13 +11,13 @@ blank and star::
 
 ``HEIGHTS`` is a digit for each pin, row after row from the top left: 0 (down) to LEVELS - 1 (up), 0 to 9 and
 then a to z, so that there are at most 36 levels. ``CRC`` is CRC-16/CCITT-FALSE (polynomial 1021, initial
-value ffff) as four digits of base 16. For 2 x 2 pins that are up or down::
+value ffff) as four hexadecimal digits. For 2 x 2 pins that are up or down::
 
     size 2 2 2 *af5a
     pins 1 0110 *204a
 
-The next line is sent when the one before was answered; a second ``ok 0`` is left aside. A frame that changes
-no pin is not sent: pins stay where they are. `close` lets all pins down.
+The next line is sent when the one before was answered; a second ``ok 0`` is ignored. A frame that changes no
+pin is not sent, since pins keep their height. `close` lowers all pins.
 """
 
 from __future__ import annotations
@@ -42,25 +42,25 @@ if TYPE_CHECKING:
 
 
 DIGITS: Final = b"0123456789abcdefghijklmnopqrstuvwxyz"
-MOST_ANSWER_BYTES: Final = 256
-PATIENCE_S: Final = 2.0
-_LAST_PATIENCE_S: Final = 0.5
-_MEND: Final = "Check that it is on, that the port is the right one, and that it speaks this protocol"
+MAX_ANSWER_BYTES: Final = 256
+TIMEOUT_S: Final = 2.0
+_CLOSE_TIMEOUT_S: Final = 0.5
+_HINT: Final = "Check that it is on, that the port is the right one, and that it speaks this protocol"
 _FORM: Final = "pins:PORT[@BAUD] | pins:HOST:PORT"
 
 
-def checked_line(words: bytes) -> bytes:
-    """A line with its check sum."""
-    return b"%s *%04x\n" % (words, binascii.crc_hqx(words, 0xFFFF))
+def checked_line(content: bytes) -> bytes:
+    """A line with its checksum."""
+    return b"%s *%04x\n" % (content, binascii.crc_hqx(content, 0xFFFF))
 
 
 class Pins(ArrayDevice):
-    """A display of pins.
+    """A pin display.
 
     Parameters
     ----------
     profile : Device
-        Of one panel, else InvalidArgument. Where it states no levels, or more than 36, there are 36.
+        A profile of one panel, else InvalidArgument. It has 36 levels if it states none, or more.
     where : str
         Its name in messages.
     connect : callable
@@ -70,88 +70,88 @@ class Pins(ArrayDevice):
     def __init__(self, profile: Device, where: str, connect: Callable[[], Line]) -> None:
         if profile.panels != 1:
             raise InvalidArgument("pins", f"{profile.name}, {profile.panels} panels", "an array of one panel")
-        self.profile, self._where, self._connect, self._patience_s = profile, where, connect, PATIENCE_S
+        self.profile, self._where, self._connect, self._timeout_s = profile, where, connect, TIMEOUT_S
         self._levels = min(profile.levels or len(DIGITS), len(DIGITS))
         self._digits = np.frombuffer(DIGITS, np.uint8)
         self._number = 0
-        self._shown = b""
+        self._heights = b""
 
     def open(self) -> None:
         """See `ArrayDevice`."""
-        self._line, self._number, self._shown = self._connect(), 0, b""
+        self._line, self._number, self._heights = self._connect(), 0, b""
         columns, rows, _ = self.profile.lattice
         size = b"size %d %d %d" % (rows, columns, self._levels)
         try:
-            self._exchange(size, 0, self._patience_s)
+            self._exchange(size, 0, self._timeout_s)
         except DeviceError as error:
             if not isinstance(error.__cause__, TimeoutError):
                 raise
-            self._exchange(size, 0, self._patience_s)  # many a board starts anew when its port is opened
+            self._exchange(size, 0, self._timeout_s)  # many boards restart when their port is opened
 
     def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
         """See `ArrayDevice`: a drive is a height; pins do not vibrate."""
-        self._show(steps_of(self.profile, drives, self._levels), self._patience_s)
+        self._show(steps_of(self.profile, drives, self._levels), self._timeout_s)
 
     def _put_off(self, off: Float32s) -> None:
-        self._show(steps_of(self.profile, off, self._levels), _LAST_PATIENCE_S)
+        self._show(steps_of(self.profile, off, self._levels), _CLOSE_TIMEOUT_S)
 
-    def _show(self, steps: Int64s, patience_s: float) -> None:
+    def _show(self, steps: Int64s, timeout_s: float) -> None:
         heights = self._digits[steps.reshape(-1)].tobytes()
-        if heights == self._shown:
+        if heights == self._heights:
             return
-        self._shown = b""  # whatever goes wrong from here on, the next one is sent
+        self._heights = b""  # after an error from here on, the next frame is sent in any case
         self._number += 1
-        self._exchange(b"pins %d %s" % (self._number, heights), self._number, patience_s)
-        self._shown = heights
+        self._exchange(b"pins %d %s" % (self._number, heights), self._number, timeout_s)
+        self._heights = heights
 
-    def _exchange(self, words: bytes, number: int, patience_s: float) -> None:
+    def _exchange(self, content: bytes, number: int, timeout_s: float) -> None:
         if self._line is None:
             raise DeviceError(self._where, "no connection", "one that was opened")
-        deadline_s = monotonic() + patience_s
+        deadline_s = monotonic() + timeout_s
         try:
-            self._line.write(checked_line(words))
-            while (answer := self._line.read_line(deadline_s, MOST_ANSWER_BYTES)) == b"ok 0" and number:
+            self._line.write(checked_line(content))
+            while (answer := self._line.read_line(deadline_s, MAX_ANSWER_BYTES)) == b"ok 0" and number:
                 continue  # the answer to the first of two sizes
         except TimeoutError as error:
             raise DeviceError(
-                self._where, f"no answer within {patience_s:g} s", f"ok {number}", _MEND
+                self._where, f"no answer within {timeout_s:g} s", f"ok {number}", _HINT
             ) from error
         except (OSError, EOFError) as error:
             raise DeviceError(
-                self._where, f"that it is gone ({error or 'it was closed'})", mend=_MEND
+                self._where, f"that it is gone ({error or 'it was closed'})", hint=_HINT
             ) from error
         if answer == b"ok %d" % number:
             return
         text = "".join(chr(byte) if 32 <= byte < 127 else "?" for byte in answer[:80])
         if answer.startswith(b"err "):
             raise DeviceError(self._where, f"that it refuses line {number}: {text[4:]}", f"ok {number}")
-        raise DeviceError(self._where, f"the answer '{text}'", f"ok {number}", _MEND)
+        raise DeviceError(self._where, f"the answer '{text}'", f"ok {number}", _HINT)
 
 
-def _make(words: str, profile: Device) -> ArrayDevice:
-    where = f"pins:{words}"
-    host, _, port = words.rpartition(":")
-    if host and port.isdigit() and not words.startswith(("/", "\\")):
-        to = address(words, _FORM)
-        return Pins(profile, where, lambda: Line(to, where, PATIENCE_S, _MEND))
-    name, at, baud = words.partition("@")
+def _make(text: str, profile: Device) -> ArrayDevice:
+    where = f"pins:{text}"
+    host, _, port = text.rpartition(":")
+    if host and port.isdigit() and not text.startswith(("/", "\\")):
+        to = address(text, _FORM)
+        return Pins(profile, where, lambda: Line(to, where, TIMEOUT_S, _HINT))
+    name, separator, baud = text.partition("@")
     is_baud = baud.isascii() and baud.isdigit() and len(baud) <= 8 and int(baud) > 0
-    if not name or not name.isprintable() or (at and not is_baud):
+    if not name or not name.isprintable() or (separator and not is_baud):
         raise InvalidArgument(
-            _FORM, repr(words), "a serial port such as /dev/ttyUSB0@115200, or a host and a port"
+            _FORM, repr(text), "a serial port such as /dev/ttyUSB0@115200, or a host and a port"
         )
-    return Pins(profile, where, lambda: SerialLine(name, int(baud or 115200), where, PATIENCE_S, _MEND))
+    return Pins(profile, where, lambda: SerialLine(name, int(baud or 115200), where, TIMEOUT_S, _HINT))
 
 
 def checks() -> list[Check]:
-    """The library, and the serial ports that are there."""
+    """Check the library, and list the serial ports."""
     library = library_check("pyserial", "devices", "serial")
     if not library.is_there:
         return [library]
     ports = serial_ports()
     names = ", ".join(ports[:8]) if ports else "none"
-    mend = "" if ports else "Plug it in; on Linux the user must belong to the group that owns it (dialout)"
-    return [library, Check("serial port", bool(ports), names, mend)]
+    hint = "" if ports else "Plug it in; on Linux the user must belong to the group that owns it (dialout)"
+    return [library, Check("serial port", bool(ports), names, hint)]
 
 
 KIND = DeviceKind(

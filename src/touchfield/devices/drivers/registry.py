@@ -1,11 +1,11 @@
-"""Devices: which there are, how what a user wrote becomes one, and what each needs of the machine.
+"""Registry of devices: kinds, parsing of a user's text, and what each kind needs.
 
     sim   sim:spring   haply:HOST:PORT   openhaptics:NAME   forcedimension     a point (type 1)
     bhaptics:HOST:PORT   osc:HOST:PORT   pins:/dev/ttyUSB0   pins:HOST:PORT    an array of actuators (type 2)
 
-A new device is a `DeviceKind`: of this package ``KIND`` of a module in `MODULES`, of other distributions an
-entry point of the group ``touchfield.drivers``. The modules must be cheap to import: libraries and drivers
-are looked for when a device is opened.
+A new device is a `DeviceKind`: ``KIND`` of a module in `MODULES` in this package, or an entry point of the
+group ``touchfield.drivers`` in another distribution. The modules must be cheap to import: libraries and
+drivers are loaded when a device is opened.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 MODULES = ("simulated", "haply", "openhaptics", "forcedimension", "bhaptics", "osc", "pins")
 
 Opener = Callable[[], PointDevice]
-"""Makes a point, in the servo's process: it can be pickled. `PointDevice.open` then finds the device."""
+"""Makes a point device, not yet open, in the servo's process; can be pickled."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that a device or a format needs, what was found of it, and one line on how to mend it."""
+    """One requirement of a device or a format: what was found, and how to fix it."""
 
     what: str
     is_there: bool
@@ -47,52 +47,51 @@ class Check:
 
 
 def library_check(name: str, extra: str = "", module: str = "", purpose: str = "") -> Check:
-    """Check that a library is installed; how to get it if not.
+    """Check that a library is installed.
 
     Parameters
     ----------
     name : str
-        Of its distribution.
+        Name of its distribution.
     extra : str
-        Of touchfield, which brings it; "" for the core.
+        Extra of touchfield that installs it; "" for the core.
     module : str
-        To import, where it has not the distribution's name.
+        Module to import, if it differs from the name.
     purpose : str
-        Told where it is not plain from the device.
+        What it is for, if that is not plain from the device.
     """
-    what = f"{name}, for {purpose}" if purpose else f"library {name}"
+    subject = f"{name}, for {purpose}" if purpose else f"library {name}"
     if util.find_spec(module or name) is None:
-        wanted = f"touchfield[{extra}]" if extra else "touchfield"
-        return Check(what, False, "not installed", f'pip install "{wanted}"')
+        package = f"touchfield[{extra}]" if extra else "touchfield"
+        return Check(subject, False, "not installed", f'pip install "{package}"')
     try:
-        return Check(what, True, metadata.version(name))
+        return Check(subject, True, metadata.version(name))
     except metadata.PackageNotFoundError:
-        return Check(what, True, "of unknown version")
+        return Check(subject, True, "of unknown version")
 
 
 @dataclass(frozen=True)
 class DeviceKind:
     """One kind of device.
 
-    Of a point ``make(rest, trajectory)`` gives an `Opener`, of an array ``make(rest, profile)`` an
-    `ArrayDevice`; `rest` stands behind the colon, or is "". Raises `InvalidArgument`.
+    For a point ``make(rest, trajectory)`` returns an `Opener`, for an array ``make(rest, profile)`` an
+    `ArrayDevice`; `rest` is the text after the colon, or "". Raises `InvalidArgument`.
     """
 
     name: str  # for ``--device``, before the colon
-    form: str  # the same as a user may write it, such as "bhaptics[:HOST:PORT]"
+    form: str  # syntax for the user, such as "bhaptics[:HOST:PORT]"
     summary: str  # one line for the user
-    profile: str | None  # name of the one that holds unless another is named; None for that of the stream
+    profile: str | None  # name of the default profile; None for that of the stream
     make: Callable[[str, Any], Any]
-    checks: Callable[[], list[Check]]  # what is there of what it needs; quick, and never raises
-    takes_any: bool = (
-        False  # an array of any profile: that of a stream holds where it shows what the usual one does
-    )
-    is_simulated: bool = False  # a point that takes a trajectory, and whose axes and metres are the field's
+    checks: Callable[[], list[Check]]  # checks its requirements; quick, and never raises
+    # accepts an array of any profile; that of a stream is used if it shows the same as the default one
+    takes_any: bool = False
+    is_simulated: bool = False  # a point that takes a trajectory, in the axes and metres of the field
     is_array: bool = False  # type 2
 
 
 class PointChoice(NamedTuple):
-    """The point that a user named; the rest as of its `DeviceKind`."""
+    """The point device that a user named; other fields as in its `DeviceKind`."""
 
     name: str
     opener: Opener
@@ -117,23 +116,25 @@ def array_kinds() -> tuple[DeviceKind, ...]:
     return tuple(kind for kind in device_kinds() if kind.is_array)
 
 
-def _kind(words: str, name: str, kinds: tuple[DeviceKind, ...]) -> DeviceKind:
+def _kind(text: str, name: str, kinds: tuple[DeviceKind, ...]) -> DeviceKind:
     for kind in kinds:
         if kind.name == name:
             return kind
-    near = difflib.get_close_matches(name.lower(), [kind.name for kind in kinds], n=1, cutoff=0.5)
+    matches = difflib.get_close_matches(name.lower(), [kind.name for kind in kinds], n=1, cutoff=0.5)
     forms = ", ".join(kind.form for kind in (*point_kinds(), *array_kinds()))
-    raise InvalidArgument("--device", repr(words[:80]), forms, f"Did you mean {near[0]}?" if near else "")
+    raise InvalidArgument(
+        "--device", repr(text[:80]), forms, f"Did you mean {matches[0]}?" if matches else ""
+    )
 
 
-def point_device(words: str, trajectory: Trace | None = None) -> PointChoice:
-    """The point that `words` name, such as "sim", "haply:127.0.0.1:10001"; nothing is opened.
+def point_device(text: str, trajectory: Trace | None = None) -> PointChoice:
+    """The point device named by `text`, such as "haply:127.0.0.1:10001"; not opened.
 
-    Raises InvalidArgument if there is no such kind, what stands behind the colon is wrong, or a device that a
-    hand moves was given a trajectory.
+    Raises InvalidArgument if there is no such kind, the text after the colon is wrong, or a trajectory is
+    given for a device that a hand moves.
     """
-    name, _, rest = words.strip().partition(":")
-    kind = _kind(words, name.lower(), point_kinds())
+    name, _, rest = text.strip().partition(":")
+    kind = _kind(text, name.lower(), point_kinds())
     if trajectory is not None and not kind.is_simulated:
         raise InvalidArgument(
             "trajectory", f"one for {kind.name}", "none: there a hand moves", "Take --device sim."
@@ -141,38 +142,46 @@ def point_device(words: str, trajectory: Trace | None = None) -> PointChoice:
     return PointChoice(kind.name, kind.make(rest, trajectory), kind.profile, kind.is_simulated)
 
 
-def is_array_device(words: str) -> bool:
-    """True if these words name an array, rightly written or not."""
-    return words.strip().partition(":")[0].lower() in {kind.name for kind in array_kinds()}
+def is_array_device(text: str) -> bool:
+    """True if `text` names an array, even if the rest of it is invalid."""
+    return text.strip().partition(":")[0].lower() in {kind.name for kind in array_kinds()}
 
 
-def array_device(words: str, profile: Device | None = None, own: Device | None = None) -> ArrayDevice:
-    """The array that `words` name, such as "osc:127.0.0.1:9000", of the kind's usual profile unless one is
-    given.
+def array_device(
+    text: str, profile: Device | None = None, stream_profile: Device | None = None
+) -> ArrayDevice:
+    """The array named by `text`, such as "osc:127.0.0.1:9000", with a profile.
 
-    Where the kind takes any, `own`, for which a stream was made, comes before the usual one.
-
-    Raises InvalidArgument if there is no such device, its address is no address, or the profile does not fit
-    it.
+    The profile is `profile` if given. Else, if the kind takes any, it is `stream_profile`, for which a stream
+    was made; else the kind's default. Raises InvalidArgument if there is no such device, its address is
+    invalid, or the profile does not fit it.
     """
     from touchfield.devices import device
 
-    name, _, rest = words.strip().partition(":")
-    kind = _kind(words, name.lower(), array_kinds())
-    usual = device(str(kind.profile))
-    if kind.takes_any and own is not None and own.is_array and own.shows == usual.shows:
-        usual = own
-    chosen = profile or usual
-    if not chosen.is_array:
+    name, _, rest = text.strip().partition(":")
+    kind = _kind(text, name.lower(), array_kinds())
+    default = device(str(kind.profile))
+    if (
+        kind.takes_any
+        and stream_profile is not None
+        and stream_profile.is_array
+        and stream_profile.shows == default.shows
+    ):
+        default = stream_profile
+    selected = profile or default
+    if not selected.is_array:
         raise InvalidArgument(
-            f"profile of {name}", f"{chosen.name}, a point", "an array of actuators (type 2)"
+            f"profile of {name}", f"{selected.name}, a point", "an array of actuators (type 2)"
         )
-    array: ArrayDevice = kind.make(rest, chosen)
+    array: ArrayDevice = kind.make(rest, selected)
     return array
 
 
 def drives_of(profile: Device, drives: Float32s) -> Float64s:
-    """Drives from 0 to 1, float64 [panels, rows, columns], a NaN as 0; InvalidArgument if of another shape."""
+    """Drives from 0 to 1, float64 [panels, rows, columns]; NaN becomes 0.
+
+    Raises InvalidArgument if the shape is wrong.
+    """
     columns, rows, _ = profile.lattice
     shape = (profile.panels, rows, columns)
     if np.shape(drives) != shape:
@@ -181,5 +190,8 @@ def drives_of(profile: Device, drives: Float32s) -> Float64s:
 
 
 def steps_of(profile: Device, drives: Float32s, levels: int) -> Int64s:
-    """The nearest of so many levels, 0 to levels - 1, int64 [panels, rows, columns]; halves go up."""
+    """The nearest of `levels` levels, int64 [panels, rows, columns].
+
+    Levels count from 0; halves round up.
+    """
     return np.floor(drives_of(profile, drives) * (levels - 1) + 0.5).astype(np.int64)

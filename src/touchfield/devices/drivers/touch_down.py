@@ -179,9 +179,8 @@ def _path(
     come, press = np.stack([surface + out * lead, before]), np.stack([before, touched])
     leave = slide[-1] + out * np.linspace(0.0, pressed + lead, _LINE_POINTS)[:, None]
     sizes = _sizes(query(leave))
-    if (
-        sizes[-1] > 1e-6 * sizes[0] or sizes.max() > 1.05 * sizes[0]
-    ):  # another wall: back as it came, which is free
+    is_blocked = sizes[-1] > 1e-6 * sizes[0] or sizes.max() > 1.05 * sizes[0]
+    if is_blocked:  # by another wall: go back the way it came, which is free
         leave = np.concatenate([come, press, slide])[::-1]
     return {"come": come, "press": press, "slide": slide, "leave": leave}
 
@@ -203,10 +202,9 @@ def _way_out(
             line = query(point + out * distances[:, None])
             sizes = _sizes(line)
             has_force = sizes > 1e-6 * sizes.max()
-            indices = np.append(
-                np.flatnonzero(has_force), len(has_force) + gap
-            )  # the way beyond the last point is free
-            last = int(np.argmax(np.diff(indices) > gap))  # the first of them that free space follows
+            # the way beyond the last point is free
+            indices = np.append(np.flatnonzero(has_force), len(has_force) + gap)
+            last = int(np.argmax(np.diff(indices) > gap))  # the first index that free space follows
             exit_, free_end = int(indices[last]) + 1, min(int(indices[last + 1]), len(has_force))
             outermost = slice(max(0, exit_ - 6), exit_)
             resisting = float((line[outermost] @ out).sum() / sizes[outermost].sum())
