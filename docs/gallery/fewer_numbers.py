@@ -72,7 +72,7 @@ hand = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
 solid = tf.HapticMedium.from_frames([ball((0, 0, 0), 0.068)], 30.0)
 reach = reach_of(solid, hand)
 shell = without_unreachable(solid, reach.samples)
-print(f"{hand.words}: {shell[0].support_count / solid[0].support_count:.0%} of a ball of 68 mm is left")
+print(f"{hand.text}: {shell[0].support_count / solid[0].support_count:.0%} of a ball of 68 mm is left")
 
 # %%
 # ## The figure

@@ -19,7 +19,12 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 import numpy as np
 
 import touchfield as tf
-from touchfield.perception.weber import WeberLadder, jnd_gain, fixed_step_within_mask_from_n, quantise_fixed_step
+from touchfield.perception.weber import (
+    WeberLadder,
+    fixed_step_within_mask_from_n,
+    jnd_gain,
+    quantise_fixed_step,
+)
 from touchfield.viewer.plots import draw_masked_signal
 
 prepared = tf.prepare(

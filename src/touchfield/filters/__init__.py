@@ -1,16 +1,15 @@
-"""Filters: the device filter, the paper's mapping M (sections 3.1 and 4.1), and the haptic filters of section
-3.2.
+"""Device filter (the paper's mapping M, sections 3.1 and 4.1) and haptic filters (section 3.2).
 
-==================  ===========================================================================================
+==================  ==========================================================================================
 M of a device       `DeviceFilter`, `device_medium`, `resample`, `LOW_PASSES`, `device_grid`, `Placement`
-on arrays           `fir_filter`, `gaussian`, `perona_malik`, `quincunx_forward`, `fcc_forward` and their inverses
-on fields           `field_filters` names them all; `filter_of`, `filtered`, `filtered_medium`
+on arrays           `fir_filter`, `gaussian`, `perona_malik`, `quincunx_forward`, `fcc_forward`, inverses
+on fields           `field_filters` names them all; `filter_of`, `apply_filters`, `filter_medium`
 eq. 5               `frequency_response`
-editing             `edited`, `edited_medium`; regions `Box`, `Ball`, `HalfSpace`, `Voxels`, `ForceRange`; operators
-                    `Gain`, `Erased`, `Composed`, `Moved`, `Limited` or any filter; `RigidMotion`
-in time             `cross_faded`
-level of detail     `pyramid`, `rebuilt`, `interpolated`
-==================  ===========================================================================================
+editing             `edit_field`, `edit_medium`; regions `Box`, `Ball`, `HalfSpace`, `Voxels`, `ForceRange`;
+                    operators `Gain`, `Erase`, `Compose`, `Move`, `Limit` or any filter; `RigidMotion`
+in time             `cross_fade`
+level of detail     `pyramid`, `rebuild_level`, `interpolate`
+==================  ==========================================================================================
 """
 
 from touchfield.filters.device_filter import (
@@ -19,19 +18,19 @@ from touchfield.filters.device_filter import (
     DeviceFilterSpec,
     device_grid,
     device_medium,
-    limited,
+    limit_forces,
 )
 from touchfield.filters.edit import (
     COMPOSITIONS,
-    Composed,
+    Compose,
     EditOperator,
-    Erased,
+    Erase,
     Gain,
-    Limited,
-    Moved,
-    cross_faded,
-    edited,
-    edited_medium,
+    Limit,
+    Move,
+    cross_fade,
+    edit_field,
+    edit_medium,
 )
 from touchfield.filters.fir import fir_filter, frequency_response
 from touchfield.filters.lifting import (
@@ -53,19 +52,19 @@ from touchfield.filters.region import (
 from touchfield.filters.registry import (
     Claims,
     FieldFilter,
+    apply_filters,
     field_filters,
+    filter_medium,
     filter_of,
-    filtered,
-    filtered_medium,
 )
 from touchfield.filters.resample import (
     LOW_PASSES,
     LowPass,
-    halved,
-    interpolated,
-    most_levels,
+    half_grid,
+    interpolate,
+    max_levels,
     pyramid,
-    rebuilt,
+    rebuild_level,
     resample,
 )
 from touchfield.filters.shading import perona_malik
@@ -73,11 +72,53 @@ from touchfield.filters.smoothing import actuator_taps, cutoff_per_m, gaussian
 from touchfield.medium.grid import Placement
 
 __all__ = [
-    "COMPOSITIONS", "LOW_PASSES", "NW_RANGE", "Ball", "Box", "Claims", "Composed", "DeviceFilter", "DeviceFilterSpec",
-    "EditOperator", "Erased", "Everywhere", "FieldFilter", "ForceRange", "Gain", "HalfSpace",
-    "Limited", "LowPass", "Moved", "Placement", "Region", "RigidMotion", "Voxels", "actuator_taps",
-    "cross_faded", "cutoff_per_m", "device_grid", "device_medium", "edited", "edited_medium",
-    "fcc_forward", "fcc_inverse", "field_filters", "filter_of", "filtered", "filtered_medium", "fir_filter",
-    "frequency_response", "gaussian", "halved", "interpolated", "limited", "most_levels",
-    "perona_malik", "pyramid", "quincunx_forward", "quincunx_inverse", "rebuilt", "resample",
+    "COMPOSITIONS",
+    "LOW_PASSES",
+    "NW_RANGE",
+    "Ball",
+    "Box",
+    "Claims",
+    "Compose",
+    "DeviceFilter",
+    "DeviceFilterSpec",
+    "EditOperator",
+    "Erase",
+    "Everywhere",
+    "FieldFilter",
+    "ForceRange",
+    "Gain",
+    "HalfSpace",
+    "Limit",
+    "LowPass",
+    "Move",
+    "Placement",
+    "Region",
+    "RigidMotion",
+    "Voxels",
+    "actuator_taps",
+    "apply_filters",
+    "cross_fade",
+    "cutoff_per_m",
+    "device_grid",
+    "device_medium",
+    "edit_field",
+    "edit_medium",
+    "fcc_forward",
+    "fcc_inverse",
+    "field_filters",
+    "filter_medium",
+    "filter_of",
+    "fir_filter",
+    "frequency_response",
+    "gaussian",
+    "half_grid",
+    "interpolate",
+    "limit_forces",
+    "max_levels",
+    "perona_malik",
+    "pyramid",
+    "quincunx_forward",
+    "quincunx_inverse",
+    "rebuild_level",
+    "resample",
 ]  # fmt: skip

@@ -1,31 +1,29 @@
-"""Effects that a surface adds to a force (paper section 3.2): friction, damping, texture; and vibration
-(6.4).
+"""Contact effects (paper section 3.2): friction, damping, texture; and vibration (section 6.4).
 
-The coefficients mu and b travel beside the frames of a medium, and no frame changes. With the force F of the
-field where the point is, and its velocity v, the receiver adds (`filters/kernels/forces.py`,
-`render/kernels/tick.py`) ::
+The coefficients mu and b are metadata of a medium and change no frame. With the force F of the field at the
+point, and its velocity v, the receiver adds (`filters/kernels/forces.py`, `render/kernels/tick.py`) ::
 
     n = F / |F|,  v_t = v - (v . n) n,  F_t = -mu |F| v_t / max(|v_t|, v_s),      F_d = -b v
 
-Our addition: below the slip speed v_s friction falls in proportion to v_t; without it the force would jump
+Our addition: below the slip speed v_s friction falls in proportion to v_t; otherwise the force would flip
 from one side to the other as the hand rests. A loop of step dt that moves a mass m is steady if v_s >= mu |F|
-dt / m. Both take energy out, whatever F and v are: F_t . v <= 0, F_d . v <= 0, and |F_t| <= mu |F|. Damping
-acts everywhere; friction needs a force. F / |F| is the normal of a sphere to 0.8 degrees between samples, and
-to 3.7 at its rim.
+dt / m. Both effects remove energy for all F and v: F_t . v <= 0, F_d . v <= 0, and |F_t| <= mu |F|. Damping
+acts everywhere; friction needs a force. F / |F| is the normal of a sphere to within 0.8 degrees between
+samples, and 3.7 degrees at its rim.
 
-Vibration: a sine whose amplitude is a share of |F|, its frequency the same everywhere, or rising with |F| up
-to F_max. It stands behind the haptic filters, and is no filter itself: a filter makes a field of a field.
+Vibration: a sine whose amplitude is a fraction of |F|; its frequency is constant or rises with |F| up to
+F_max. It is applied after the haptic filters and is no filter itself: a filter maps a field to a field.
 
-Texture: section 3.2, "convolving the force field with a high-pass kernel". Departure: of a field the kernel
-would leave its edges alone. It takes impulses, and what comes out is added to the amplitude along the force's
-own direction, where there is a force::
+Texture: section 3.2, "convolving the force field with a high-pass kernel". Departure: applied to a field, the
+kernel would leave only its edges. Here the kernel filters impulses, and the result is added to the amplitude
+along the force's own direction, where there is a force::
 
     y = x (1 + t),    t = clip(g (h * s), -1, 1),    g = rms / sqrt(density (1 - 1/taps))
 
-s is +1 or -1 at a share `density` of all grains and 0 at the others, drawn by a hash of the seed and the
-grain's place in the lattice, like the grain of wood: the texture neither flickers from frame to frame nor
-moves when a brick comes or goes. The clip, which keeps a force from being turned round, acts from about rms >
-sqrt(density) on; what is added then has less than the RMS asked for.
+s is +1 or -1 at a fraction `density` of all grains and 0 at the others, drawn by a hash of the seed and the
+grain's index in the lattice, so that the texture neither flickers from frame to frame nor moves when a brick
+appears or vanishes. The clip, which keeps a force from being reversed, acts from about rms > sqrt(density)
+on; the added part then has less than the requested RMS.
 """
 
 from __future__ import annotations
@@ -61,9 +59,9 @@ _EXPECTED = "such as gain=0.1,frequency=150 or gain=0.1,frequency=80..250"
 
 @dataclass(frozen=True)
 class VibrationRule:
-    """The rule of a vibration beside a force."""
+    """The rule by which a vibration follows a force."""
 
-    gain: float = 0.1  # amplitude of the sine, as a share of |F|; above 0
+    gain: float = 0.1  # amplitude of the sine, as a fraction of |F|; above 0
     low_hz: float = 150.0  # frequency at no force, and at F_max; 1 to `MAX_FREQUENCY_HZ`
     high_hz: float = 150.0
 
@@ -74,39 +72,42 @@ class VibrationRule:
 
     @classmethod
     def parse(cls, text: str) -> VibrationRule:
-        """A rule of words: "gain=0.1,frequency=150", "frequency=80..250"; what is not named is as by default.
+        """Parse a rule such as "gain=0.1,frequency=150" or "frequency=80..250"; the rest takes its default.
 
-        Raises `InvalidArgument` if a word is unknown, there twice, or has no number.
+        Raises `InvalidArgument` if a name is unknown or given twice, or has no number.
         """
-        given: dict[str, float] = {}
+        options: dict[str, float] = {}
         for part in (p for p in text.split(",") if p.strip()):
             name, _, value = (piece.strip() for piece in part.partition("="))
             names = {"gain": ("gain",), "frequency": ("low_hz", "high_hz")}.get(name, ())
             values = value.split("..") if name == "frequency" else [value]
-            if not names or names[0] in given or len(values) > len(names):
+            if not names or names[0] in options or len(values) > len(names):
                 raise InvalidArgument(_OPTION, repr(part.strip()), _EXPECTED)
             try:
-                numbers = [float(one) for one in values]
+                numbers = [float(number) for number in values]
             except ValueError:
                 raise InvalidArgument(f"{_OPTION} {name}", repr(value), _EXPECTED) from None
-            given |= dict(zip(names, numbers * len(names) if len(numbers) == 1 else numbers))
-        return cls(**given)
+            options |= dict(zip(names, numbers * len(names) if len(numbers) == 1 else numbers))
+        return cls(**options)
 
     def of(self, field: ForceField, force_max_n: float) -> VibrationFrame:
-        """The vibration beside one field: all of its support, but for amplitudes too small for a number."""
+        """Return the vibration of one field, at all of its support except where the amplitude underflows."""
         support = field.support()
-        own = support.amplitudes_n.astype(np.float64)
-        amplitudes, share = (self.gain * own).astype(np.float32), np.minimum(own / force_max_n, 1)
-        hertz = (self.low_hz + (self.high_hz - self.low_hz) * share).astype(np.float32)
-        kept = (amplitudes > 0) & np.isfinite(amplitudes)
-        return VibrationFrame(field.grid, support.positions[kept], amplitudes[kept], hertz[kept])
+        forces_n = support.amplitudes_n.astype(np.float64)
+        amplitudes, fraction = (
+            (self.gain * forces_n).astype(np.float32),
+            np.minimum(forces_n / force_max_n, 1),
+        )
+        hertz = (self.low_hz + (self.high_hz - self.low_hz) * fraction).astype(np.float32)
+        is_audible = (amplitudes > 0) & np.isfinite(amplitudes)
+        return VibrationFrame(
+            field.grid, support.positions[is_audible], amplitudes[is_audible], hertz[is_audible]
+        )
 
 
-def vibrating(medium: HapticMedium, rule: VibrationRule, force_max_n: float) -> HapticMedium:
-    """The medium with a vibration by a rule beside it, in place of any that it has; F_max is in newtons."""
-    latest = lru_cache(maxsize=1)(
-        medium.__getitem__
-    )  # its force and its vibration are asked for one after the other
+def add_vibration(medium: HapticMedium, rule: VibrationRule, force_max_n: float) -> HapticMedium:
+    """Return the medium with a vibration by a rule, in place of any that it has; F_max is in newtons."""
+    latest = lru_cache(maxsize=1)(medium.__getitem__)  # force and vibration are requested in turn
     return replace(medium, make_frame=latest, vibration=lambda i: rule.of(latest(i), force_max_n))
 
 
@@ -127,8 +128,8 @@ class TextureFilter(FieldFilter):
 
     kind: str = "salt-pepper"
     seed: int = 1  # 0 to 2^64 - 1
-    density: float = 0.05  # share of the grains that hold an impulse, above 0, at most 1
-    rms: float = 0.1  # root mean square of what is added, as a share of the local |F|; 0 to 1
+    density: float = 0.05  # fraction of the grains with an impulse, above 0, at most 1
+    rms: float = 0.1  # root mean square of the added part, as a fraction of the local |F|; 0 to 1
     grain_m: float | None = None
 
     name: ClassVar[str] = "texture"
@@ -153,7 +154,7 @@ class TextureFilter(FieldFilter):
         return super().parse(text)
 
     def claims(self, grid: Grid) -> Claims:
-        """A factor for each sample."""
+        """Linear: one factor for each sample."""
         self._grain_and_half(grid)
         return Claims(reach=(0, 0, 0), linear=True, keeps_support=True, keeps_direction=True)
 
@@ -161,15 +162,15 @@ class TextureFilter(FieldFilter):
         """The field with its texture, newtons, on the same grid."""
         grain, half = self._grain_and_half(field.grid)
         forces = zero_forces(len(field.bricks))
-        for begin in range(0, len(forces), _BRICKS_AT_ONCE):
-            some = slice(begin, begin + _BRICKS_AT_ONCE)
-            factor = 1 + np.clip(self._shares(field.bricks[some], grain, half), -1.0, 1.0)
+        for start in range(0, len(forces), _BRICKS_AT_ONCE):
+            chunk = slice(start, start + _BRICKS_AT_ONCE)
+            factor = 1 + np.clip(self._factors(field.bricks[chunk], grain, half), -1.0, 1.0)
             with np.errstate(over="ignore"):
-                forces[some] = field.forces_n[some] * factor[..., None]
+                forces[chunk] = field.forces_n[chunk] * factor[..., None]
         without_overflow(forces, "--texture forces")
         return ForceField.from_bricks(field.grid, field.bricks, forces)
 
-    def _shares(self, bricks: Int32s, grain: Triple, half: Triple) -> Float64s:
+    def _factors(self, bricks: Int32s, grain: Triple, half: Triple) -> Float64s:
         """g (h * s) at the samples of some bricks, float64 [n, 8, 8, 8], not yet limited."""
         first = bricks.astype(np.int64) * BRICK // grain
         samples = bricks[:, :, None] * BRICK + np.arange(BRICK)
@@ -184,9 +185,9 @@ class TextureFilter(FieldFilter):
             i[:, :, None, None] | j[:, None, :, None] << np.uint64(21) | k[:, None, None] << np.uint64(42)
         )
         with np.errstate(over="ignore"):
-            bits = mixed(mixed(np.uint64(self.seed) + _GOLDEN) + (number + np.uint64(1)) * _GOLDEN)
-        is_there = (bits >> np.uint64(11)) * 2.0**-53 < self.density
-        total = impulses = np.where(is_there, np.where(bits & np.uint64(1), 1, -1), 0)
+            bits = splitmix64(splitmix64(np.uint64(self.seed) + _GOLDEN) + (number + np.uint64(1)) * _GOLDEN)
+        is_impulse = (bits >> np.uint64(11)) * 2.0**-53 < self.density
+        total = impulses = np.where(is_impulse, np.where(bits & np.uint64(1), 1, -1), 0)
         for axis in np.flatnonzero(half):
             total = total + np.roll(total, 1, axis + 1) + np.roll(total, -1, axis + 1)
         taps = 3 ** sum(half)
@@ -196,7 +197,7 @@ class TextureFilter(FieldFilter):
         return np.asarray(gain * values[n, x[:, :, None, None], y[:, None, :, None], z[:, None, None]])
 
     def _grain_and_half(self, grid: Grid) -> tuple[Triple, Triple]:
-        """Samples to a grain, and 1 for each axis that the kernel runs along: none with one sample."""
+        """Return the samples per grain, and 1 for each axis with several samples, which the kernel covers."""
         half = tuple(int(n > 1) for n in grid.shape)
         if not any(half):
             raise InvalidArgument("texture", "a field of one sample", "more samples than one")
@@ -213,7 +214,7 @@ class TextureFilter(FieldFilter):
         return (grain[0], grain[1], grain[2]), (half[0], half[1], half[2])
 
 
-def mixed(z: Any) -> Any:
+def splitmix64(z: Any) -> Any:
     """The output function of splitmix64 (Steele, Lea and Flood 2014), uint64 to uint64, one to one."""
     with np.errstate(over="ignore"):  # products are meant to wrap round
         z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

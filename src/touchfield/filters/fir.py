@@ -1,10 +1,10 @@
-"""Equation 4, the finite impulse response filter of a haptic medium, and 5, what it does to each frequency.
+"""Finite impulse response filter (equation 4) and its frequency response (equation 5).
 
-y[n] = sum over k of h[k] x[n - k], componentwise, along any number of axes of space and time. Printed like
-this, with k = 0 .. N - 1, it is causal and moves the signal by (N - 1)/2 samples; that is
-``anchor="causal"``. The default, ``anchor="centred"``, and the only one for a field, puts the middle tap over
-the sample, and needs an odd number of taps along each axis. What lies beyond the border, which the paper
-leaves open, is said by name (`touchfield.filters.separable`).
+y[n] = sum over k of h[k] x[n - k], componentwise, along any number of axes of space and time. As printed,
+with k = 0 .. N - 1, it is causal and shifts the signal by (N - 1)/2 samples; that is ``anchor="causal"``. The
+default, ``anchor="centred"``, which is the only one for a field, puts the middle tap over the sample and
+needs an odd number of taps along each axis. The paper does not define the signal beyond the border; the
+argument `boundary` does (`touchfield.filters.separable`).
 
 H(w1, ..) = sum over n of h[n] exp(-i (w1 n1 + ..)), frequencies in radians per sample (paper section 3.2).
 """
@@ -36,22 +36,22 @@ from touchfield.filters.separable import (
 )
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import blocks_around, bricks_of, frozen, numbers_of
+from touchfield.medium.field import bricks_of, frozen, numbers_of, padded_blocks
 
 if TYPE_CHECKING:
     from touchfield.filters.separable import Axes
     from touchfield.medium import Grid
 
 ANCHORS: Final = ("centred", "causal")
-_MANY: Final = 1 << 20  # numbers: fewer are checked by numpy
+_MIN_THREADED: Final = 1 << 20  # numbers: fewer are checked by numpy
 
 
 def fir_filter(
     signal: ArrayLike, taps: ArrayLike, *, anchor: str = "centred", boundary: str = "zero"
 ) -> NDArray[Any]:
-    """Equation 4 on a dense array.
+    """Apply equation 4 to a dense array.
 
-    signal : float32, or taken as float64, M-D; its leading axes are filtered, as many as `taps` has.
+    signal : float32, else converted to float64, M-D; its leading axes are filtered, as many as `taps` has.
     taps : float, N-D, N <= M; h, the kernel.
     anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as
         printed.
@@ -72,8 +72,9 @@ def fir_filter(
 
 
 def checked_signal(signal: ArrayLike, boundary: str) -> NDArray[Any]:
-    """A dense array in float32 or float64; `InvalidArgument` for other boundaries, or a number that is not
-    finite.
+    """Return a dense array in float32 or float64.
+
+    Raises `InvalidArgument` for an unknown boundary, or a number that is not finite.
     """
     require_one_of("boundary", boundary, BOUNDARIES)
     kind = np.float32 if getattr(signal, "dtype", None) == np.float32 else np.float64
@@ -84,9 +85,7 @@ def checked_signal(signal: ArrayLike, boundary: str) -> NDArray[Any]:
 
 
 def without_overflow(sums: NDArray[Any], where: str) -> NDArray[Any]:
-    """The result of a filter of finite numbers; `InvalidArgument` naming `where` if a sum went beyond its
-    type.
-    """
+    """Return the sums; raise `InvalidArgument` naming `where` if a sum overflowed its type."""
     if not _is_all_finite(sums):
         expected = f"sums below {np.finfo(sums.dtype).max:.3g}"
         mend = "Scale the signal or the taps down."
@@ -95,12 +94,12 @@ def without_overflow(sums: NDArray[Any], where: str) -> NDArray[Any]:
 
 
 def _is_all_finite(x: NDArray[Any]) -> bool:
-    """Whether all numbers are finite; of many, by all threads and without an array of answers."""
-    if x.size < _MANY or not x.flags.c_contiguous:
+    """True if all numbers are finite; large arrays are checked by all threads without a temporary array."""
+    if x.size < _MIN_THREADED or not x.flags.c_contiguous:
         return bool(np.isfinite(x).all())
-    from touchfield.filters.kernels.separable import COUNTED, count_not_finite
+    from touchfield.filters.kernels.separable import COUNT_BLOCK, count_not_finite
 
-    counts = np.zeros(-(-x.size // COUNTED), np.int64)
+    counts = np.zeros(-(-x.size // COUNT_BLOCK), np.int64)
     for_chunks(count_not_finite, len(counts), frozen(x).reshape(-1), np.finfo(x.dtype).max, counts)
     return not counts.any()
 
@@ -121,28 +120,26 @@ def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
 def direct_sums(
     x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[int], boundary: str
 ) -> NDArray[Any]:
-    """The sums of a box of taps, by `scipy.ndimage`, or of one row after the other."""
+    """Filter by a box of taps with `scipy.ndimage`, or by one row of taps after the other."""
     if isinstance(taps, list):
         return _separable_sums(x, taps, origins, boundary)
     from scipy import ndimage
 
     # scipy counts the origin from the middle of the mirrored kernel
-    places = [n - 1 - o - n // 2 for n, o in zip(taps.shape, origins, strict=True)]
-    beside = x.ndim - taps.ndim
-    mirrored = np.flip(taps).reshape(*taps.shape, *[1] * beside)
+    origin = [n - 1 - o - n // 2 for n, o in zip(taps.shape, origins, strict=True)]
+    trailing = x.ndim - taps.ndim
+    mirrored = np.flip(taps).reshape(*taps.shape, *[1] * trailing)
     return np.asarray(
-        ndimage.correlate(x, mirrored, mode=SCIPY_MODES[boundary], origin=[*places, *[0] * beside])
+        ndimage.correlate(x, mirrored, mode=SCIPY_MODES[boundary], origin=[*origin, *[0] * trailing])
     )
 
 
 _Along = tuple[Int64s, Int64s, NDArray[Any], tuple[int, int, int]]
-"""Of an axis: runs, places, weights and sizes, as `touchfield.filters.kernels.separable.sums_along` takes
-them.
-"""
+"""Runs, indices, weights and sizes of an axis: see `touchfield.filters.kernels.separable.sums_along`."""
 
 
 def _separable_sums(x: NDArray[Any], taps: list[Float64s], origins: list[int], boundary: str) -> NDArray[Any]:
-    """The sums along one axis after the other; those of a plane, of the last two of three axes, at once."""
+    """Filter along one axis after the other; the last two of three axes are done together, plane by plane."""
     from touchfield.filters.kernels.separable import sums_along, sums_along_float32, sums_of_planes
 
     is_float32, source, out = x.dtype == np.float32, np.ascontiguousarray(x), np.empty(x.shape, x.dtype)
@@ -152,12 +149,12 @@ def _separable_sums(x: NDArray[Any], taps: list[Float64s], origins: list[int], b
     ]
     counts = [math.prod(x.shape[:axis]) for axis in range(len(taps))]  # of the rows that an axis has
     has_planes = is_float32 and len(taps) > 2 and counts[-2] >= 2 * worker_count()
-    for (runs, places, weights, sizes), count in list(zip(along, counts, strict=True))[
+    for (runs, indices, weights, sizes), count in list(zip(along, counts, strict=True))[
         : -2 if has_planes else None
     ]:
         blocks, arrays = (
             -(-sizes[1] // sizes[2]),
-            (frozen(source).reshape(count, -1), runs, places, weights, sizes),
+            (frozen(source).reshape(count, -1), runs, indices, weights, sizes),
         )
         for_chunks(
             sums_along_float32 if is_float32 else sums_along, count * blocks, *arrays, out.reshape(count, -1)
@@ -170,27 +167,27 @@ def _separable_sums(x: NDArray[Any], taps: list[Float64s], origins: list[int], b
 
 
 def _along(x: NDArray[Any], weights: Float64s, origin: int, axis: int, boundary: str) -> _Along:
-    """What sums of samples along an axis are made of, the last weight of those `origin` ahead."""
+    """Return the arguments of `sums_along` for an axis; the last weight is of the sample `origin` ahead."""
     from touchfield.filters.kernels.separable import COLUMNS
 
-    count, beside = x.shape[axis], math.prod(x.shape[axis + 1 :])
+    count, stride = x.shape[axis], math.prod(x.shape[axis + 1 :])
     # the samples that a line continues with, and which of them lie one behind the other; -1 for zero
     line = np.pad(np.arange(count) + 1, (len(weights) - 1 - origin, origin), mode=NUMPY_MODES[boundary]) - 1
-    held = np.flatnonzero(line >= 0)
-    begins = held if beside > COLUMNS else held[np.diff(line[held], prepend=-2) != 1]
-    runs = np.stack([begins, line[begins], np.diff(begins, append=held[-1:] + 1)], axis=1)
-    places = np.flatnonzero(weights)
+    filled = np.flatnonzero(line >= 0)
+    starts = filled if stride > COLUMNS else filled[np.diff(line[filled], prepend=-2) != 1]
+    runs = np.stack([starts, line[starts], np.diff(starts, append=filled[-1:] + 1)], axis=1)
+    indices = np.flatnonzero(weights)
     fill = (
         0,
-        0 if x.dtype == np.float32 else -len(places) % 4,
+        0 if x.dtype == np.float32 else -len(indices) % 4,
     )  # the kernel of float64 takes four weights at once
-    some, places = np.pad(weights[places].astype(x.dtype), fill), np.pad(places, fill)
-    return runs, places, some, (len(line), beside, max(1, min(beside, COLUMNS)))
+    taps, indices = np.pad(weights[indices].astype(x.dtype), fill), np.pad(indices, fill)
+    return runs, indices, taps, (len(line), stride, max(1, min(stride, COLUMNS)))
 
 
 @dataclass(frozen=True)
 class FirFilter(FieldFilter):
-    """Equation 4 on the sparse bricks of a field; nothing is made dense.
+    """Equation 4 on the sparse bricks of a field, without a dense copy.
 
     taps : str; the taps of one axis, ``1/2/1``, applied along all three but those of a single sample; or a
         box of taps in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``.
@@ -217,7 +214,7 @@ class FirFilter(FieldFilter):
 
     @cached_property
     def kernel(self) -> Float64s:
-        """The taps as they were given, float64 [n] or [nx, ny, nz]."""
+        """The taps before normalisation, float64 [n] or [nx, ny, nz]."""
         h = _checked_taps(_read_taps(self.taps), "centred")
         if h.ndim not in (1, 3):
             raise InvalidArgument("--fir taps", f"an array of {h.ndim} axes", "one axis or three")
@@ -225,7 +222,7 @@ class FirFilter(FieldFilter):
 
     @cached_property
     def _weights(self) -> Float64s:
-        """The taps, of unit sum where that is asked."""
+        """The taps, of unit sum if `normalise` is set."""
         return self.kernel / self.kernel.sum() if self.normalise else self.kernel
 
     @cached_property
@@ -248,19 +245,21 @@ class FirFilter(FieldFilter):
         """Linear, with the sum of the taps as its gain."""
         axes = self._axes(grid)
         parts = [a.taps for a in axes] if self._rows else [self._weights]
-        gain, most = (math.prod(float(part.sum()) for part in each) for each in (parts, map(np.abs, parts)))
+        gain, magnitude_sum = (
+            math.prod(float(part.sum()) for part in factors) for factors in (parts, map(np.abs, parts))
+        )
         return Claims(
             reach_of(axes),
             linear=True,
             dc_gain=gain,
             keeps_mean=abs(gain - 1) < 1e-9,
-            max_principle=most < 1 + 1e-9,
+            max_principle=magnitude_sum < 1 + 1e-9,
         )
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`."""
         axes = self._axes(field.grid)
-        with np.errstate(over="ignore", invalid="ignore"):  # of taps that float32 cannot hold
+        with np.errstate(over="ignore", invalid="ignore"):  # taps beyond float32
             if self._rows or not len(field.bricks):
                 result = filter_field(field, axes)[0]
             else:
@@ -269,20 +268,20 @@ class FirFilter(FieldFilter):
         return result
 
     def _summed(self, field: ForceField, axes: Axes) -> ForceField:
-        """All taps of the kernel at once, for kernels that are no product of rows."""
+        """Filter by all taps of the kernel at once, for kernels that are no product of rows."""
         from scipy import ndimage
 
         bricks = bricks_of(field.grid, keys_of_passes(field, axes)[3])
         weights, sums = np.flip(self._weights)[None, ..., None], zero_forces(len(bricks))
         middle = (slice(None), *(slice(n // 2, n // 2 + BRICK) for n in self.kernel.shape))
         reach = reach_of(axes)
-        for span, blocks in blocks_around(field, field.forces_n, bricks, reach, reach):
+        for span, blocks in padded_blocks(field, field.forces_n, bricks, reach, reach):
             sums[span] = ndimage.correlate(blocks, weights, mode="constant")[middle]
         return brick_field(field.grid, bricks, sums, np.asarray(sums.any(axis=(1, 2, 3, 4))))
 
 
 def _read_taps(text: str) -> Float64s:
-    """The taps of a text, see `FirFilter`."""
+    """Parse the taps of a text, see `FirFilter`."""
     shape, colon, numbers = text.rpartition(":")
     try:
         row = np.array([float(part) for part in numbers.split("/")])
@@ -293,11 +292,10 @@ def _read_taps(text: str) -> Float64s:
 
 
 def frequency_response(taps: ArrayLike, *omegas: ArrayLike) -> NDArray[np.complex128]:
-    """Equation 5: H(w1, ..) of a kernel [n1, ...] at frequencies in radians per sample, complex128 of their
-    shape.
+    """Return equation 5, H(w1, ..) of a kernel [n1, ...], complex128 of the shape of the frequencies.
 
-    One of `omegas` for each axis of the kernel; `InvalidArgument` for more or fewer. 20 log10 |H| is the gain
-    in dB.
+    omegas : frequencies in radians per sample, one array for each axis of the kernel; `InvalidArgument` for
+        more or fewer. 20 log10 |H| is the gain in dB.
     """
     kernel = numbers_of("taps", taps)
     if kernel.ndim != len(omegas) or not omegas:

@@ -1,13 +1,13 @@
 """Lifting on a chain of sublattices (paper section 3.2).
 
 Paper section 3.2 asks for "optimal quincunx sampling and filtering" and gives no filter; this is the shortest
-lifting (after Sweldens). A stage keeps every second site of the lattice before it. It first predicts each
-site that is dropped from the mean of its k nearest kept ones and leaves the difference there, the detail;
-then it adds to each kept site 1/(2k) of the sum of the details around it, which keeps the mean of the field.
-Each of the two steps is undone by the same step with the other sign: perfect reconstruction needs nothing
-else. With whole numbers the mean and the share are rounded (floor of the value plus 1/2), and the same bits
-come back. A neighbour beyond the border is its mirror image about the site; along an axis with one site there
-are none, and the mean is over the others.
+lifting (after Sweldens). A stage keeps every second site of the lattice before it. The predict step replaces
+each dropped site by its difference from the mean of its k nearest kept sites, the detail. The update step
+adds 1/(2k) of the sum of the surrounding details to each kept site, which preserves the mean of the field.
+Each step is inverted by the same step with the opposite sign, which gives perfect reconstruction. For whole
+numbers the mean and the update are rounded (floor of the value plus 1/2), and reconstruction is bit-exact. A
+neighbour beyond the border is its mirror image about the site; along an axis with one site there are none,
+and the mean is over the others.
 
 In two dimensions the quincunx of D = [[1, 1], [1, -1]] keeps n1 + n2 even (four neighbours), and the next
 stage, along the diagonals, both even: two stages an octave. In three (x-y-z, or x-y-t with t on the third
@@ -16,11 +16,11 @@ even and n3 even (eight), the third all even (four). There is no body-centred la
 of those that lie between it and 2Z^3 we take the one which for x-y-t is a quincunx picture in every second
 frame.
 
-What lies in the diamond |w1| + |w2| <= pi, or the octahedron |w1| + |w2| + |w3| <= 3 pi / 2, can be told from
-its image: a pattern along an axis passes up to the full Nyquist rate. With P the mean of the cosines of w the
-coarse signal is seen through 1 + P/2 - P^2/2, which is far from steep.
+Frequencies in the diamond |w1| + |w2| <= pi, or the octahedron |w1| + |w2| + |w3| <= 3 pi / 2, do not alias:
+a pattern along an axis passes up to the full Nyquist rate. With P the mean of the cosines of w the response
+of the coarse signal is 1 + P/2 - P^2/2, which is far from steep.
 
-The multiresolution filter takes a field down the FCC chain, puts its details to zero and rebuilds it.
+The multiresolution filter takes a field down the FCC chain, sets its details to zero and reconstructs it.
 """
 
 from __future__ import annotations
@@ -39,48 +39,42 @@ from touchfield.medium.budget import require_memory
 
 Site = tuple[int, ...]
 
-MAX_STAGES: Final = (
-    60  # one site is left of any array long before; a stage without sites to drop does nothing
-)
+MAX_STAGES: Final = 60  # any array is down to one site long before; further stages do nothing
 _MAX_FILTER_STAGES: Final = 12  # four octaves
-_DENSE_BYTES: Final = (
-    60  # of a sample: a field, its coefficients, those of the level, and two of what is on its way
-)
+_DENSE_BYTES: Final = 60  # per sample: field, coefficients, coefficients of the level, two temporaries
 _HEADROOM: Final = 2.0**-16  # of the range of a float: sums of neighbours, stage after stage, stay finite
 
 
 @dataclass(frozen=True)
 class Split:
-    """One stage: which sites of a lattice stay, which become details, and who is whose neighbour.
+    """One stage: which sites of a lattice stay, which become details, and the neighbour offsets.
 
     Offsets are closed under a change of sign, so that a neighbour beyond the border has a mirror image.
     """
 
     scale: int  # sites of the stage lie at multiples of this, in samples
-    kept: tuple[Site, ...]  # residues modulo 2 of the coordinates in units of `scale`
+    coarse: tuple[Site, ...]  # residues modulo 2 of the coordinates in units of `scale`
     details: tuple[Site, ...]
     offsets: tuple[Site, ...]  # from any site to its nearest ones of the other kind
 
     def offsets_in(self, shape: tuple[int, ...]) -> tuple[Site, ...]:
-        """The offsets that an array has room for: an axis with a single site has no neighbours along it."""
+        """Return the offsets that apply to an array: an axis with a single site has no neighbours."""
         return tuple(
             o for o in self.offsets if all(n > self.scale for n, d in zip(shape, o, strict=True) if d)
         )
 
 
-def _signed(*places: Site) -> tuple[Site, ...]:
+def _signed(*sites: Site) -> tuple[Site, ...]:
     """Each place with every choice of signs of its non-zero coordinates."""
-    return tuple(sorted(o for p in places for o in product(*((-d, d) if d else (0,) for d in p))))
+    return tuple(sorted(o for site in sites for o in product(*((-d, d) if d else (0,) for d in site))))
 
 
 @dataclass(frozen=True)
-class Chain:
-    """Lattices within lattices: the splits of one octave, from scale 1, repeated at twice the scale for the
-    next.
-    """
+class SublatticeChain:
+    """Nested lattices: the splits of one octave, from scale 1, repeated at twice the scale for the next."""
 
     name: str
-    what: str  # an array of as many axes
+    signal_name: str  # an array of as many axes
     octave: tuple[Split, ...]
 
     @property
@@ -90,11 +84,11 @@ class Chain:
 
     def splits(self, stages: int) -> list[Split]:
         """The first `stages` splits, finest first."""
-        places = [divmod(n, len(self.octave)) for n in range(stages)]
-        return [replace(self.octave[stage], scale=2**octave) for octave, stage in places]
+        stage_numbers = [divmod(n, len(self.octave)) for n in range(stages)]
+        return [replace(self.octave[stage], scale=2**octave) for octave, stage in stage_numbers]
 
     def forward(self, array: ArrayLike, stages: int) -> NDArray[Any]:
-        """The coefficients of an array: the coarse signal and the details, each at its own site.
+        """Transform an array to coefficients: the coarse signal and the details, each at its own site.
 
         array : [n1, ..., nd] or [n1, ..., nd, ...]; any real type, any shape without an empty axis; axes
             beyond those of the chain are components.
@@ -104,33 +98,37 @@ class Chain:
         inverse undoes. Raises `InvalidArgument` if `array` has too few axes, an empty one, or a number that
         is not real, finite and below 2^-16 of the range of its type; or if `stages` is out of range.
         """
-        values = _checked(array, self, self.what)
-        for split in self.splits(whole_stages(stages)):
+        values = _checked(array, self, self.signal_name)
+        for split in self.splits(require_stages(stages)):
             _lift(values, split, self, "predict", -1)
             _lift(values, split, self, "update", 1)
         return values
 
     def inverse(self, coefficients: ArrayLike, stages: int) -> NDArray[Any]:
-        """The array whose coefficients `forward` gave for as many stages: bit-exact for whole numbers.
+        """Invert `forward` with the same number of stages; bit-exact for whole numbers.
 
-        It is of the working type. Raises `InvalidArgument` as `forward`.
+        The result has the working type. Raises `InvalidArgument` as `forward` does.
         """
         values = _checked(coefficients, self, "coefficients")
-        for split in reversed(self.splits(whole_stages(stages))):
+        for split in reversed(self.splits(require_stages(stages))):
             _lift(values, split, self, "update", -1)
             _lift(values, split, self, "predict", 1)
         return values
 
 
-def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
-    """A number of stages; `InvalidArgument` if it is not a whole number from `least` to `most`."""
-    if isinstance(stages, bool) or not isinstance(stages, (int, np.integer)) or not least <= stages <= most:
-        raise InvalidArgument("stages", repr(stages), f"a whole number from {least} to {most}")
+def require_stages(stages: object, min_stages: int = 0, max_stages: int = MAX_STAGES) -> int:
+    """A number of stages; `InvalidArgument` if it is not a whole number from `min_stages` to `max_stages`."""
+    if (
+        isinstance(stages, bool)
+        or not isinstance(stages, (int, np.integer))
+        or not min_stages <= stages <= max_stages
+    ):
+        raise InvalidArgument("stages", repr(stages), f"a whole number from {min_stages} to {max_stages}")
     return int(stages)
 
 
-def _checked(array: ArrayLike, chain: Chain, name: str) -> NDArray[Any]:
-    """A copy in the working type."""
+def _checked(array: ArrayLike, chain: SublatticeChain, name: str) -> NDArray[Any]:
+    """Return a copy in the working type."""
     numbers = np.asarray(array)
     axes = chain.dimensions
     if numbers.ndim < axes or numbers.size == 0:
@@ -150,12 +148,10 @@ def _checked(array: ArrayLike, chain: Chain, name: str) -> NDArray[Any]:
     raise InvalidArgument(name, f"type {numbers.dtype}", "whole numbers, or floats of up to 64 bits")
 
 
-def _lift(values: NDArray[Any], split: Split, chain: Chain, kind: str, sign: int) -> None:
-    """One step in place, "predict" or "update": `sign` is that of the mean that is added to each site of the
-    kind.
+def _lift(values: NDArray[Any], split: Split, chain: SublatticeChain, kind: str, sign: int) -> None:
+    """Apply one step in place, "predict" or "update"; `sign` is the sign of the mean that is added.
 
-    A step changes sites of one kind by what their neighbours of the other kind hold: it reads nothing that it
-    writes.
+    A step changes sites of one kind by their neighbours of the other kind: it reads nothing that it writes.
     """
     offsets = split.offsets_in(values.shape[: chain.dimensions])
     if not offsets:
@@ -163,23 +159,23 @@ def _lift(values: NDArray[Any], split: Split, chain: Chain, kind: str, sign: int
     divisor = len(offsets) * (1 if kind == "predict" else 2)
     sites = values[(slice(None, None, split.scale),) * chain.dimensions]
     # a neighbour beyond the border is its mirror image about the site
-    room = [int(n > 1) for n in sites.shape[: chain.dimensions]]
-    wide = np.pad(sites, [(r, r) for r in room] + [(0, 0)] * (values.ndim - len(room)), mode="reflect")
-    for residue in split.details if kind == "predict" else split.kept:
-        here = sites[tuple(slice(r, None, 2) for r in residue)]
-        if not here.size:
+    margins = [int(n > 1) for n in sites.shape[: chain.dimensions]]
+    wide = np.pad(sites, [(r, r) for r in margins] + [(0, 0)] * (values.ndim - len(margins)), mode="reflect")
+    for residue in split.details if kind == "predict" else split.coarse:
+        target = sites[tuple(slice(r, None, 2) for r in residue)]
+        if not target.size:
             continue
-        total = np.zeros_like(here)
+        total = np.zeros_like(target)
         for offset in offsets:
-            first = [p + r + d for p, r, d in zip(room, residue, offset, strict=True)]
-            total += wide[tuple(slice(f, f + 2 * n - 1, 2) for f, n in zip(first, here.shape))]
+            first = [p + r + d for p, r, d in zip(margins, residue, offset, strict=True)]
+            total += wide[tuple(slice(f, f + 2 * n - 1, 2) for f, n in zip(first, target.shape))]
         if values.dtype.kind == "f":
-            here += values.dtype.type(sign / divisor) * total
+            target += values.dtype.type(sign / divisor) * total
         else:
-            here += sign * ((total + divisor // 2) // divisor)
+            target += sign * ((total + divisor // 2) // divisor)
 
 
-QUINCUNX: Final = Chain(
+QUINCUNX: Final = SublatticeChain(
     "quincunx",
     "image",
     (
@@ -188,7 +184,7 @@ QUINCUNX: Final = Chain(
     ),
 )
 
-FCC: Final = Chain(
+FCC: Final = SublatticeChain(
     "fcc",
     "volume",
     (
@@ -222,27 +218,25 @@ class MultiresolutionFilter(FieldFilter):
     stages: int = 3
 
     def __post_init__(self) -> None:
-        whole_stages(self.stages, 1, _MAX_FILTER_STAGES)
+        require_stages(self.stages, 1, _MAX_FILTER_STAGES)
 
     def claims(self, grid: Grid) -> Claims:
         """Linear; a constant passes with gain 1. Short filters overshoot at a contact."""
-        far = [0, 0, 0]
+        reach = [0, 0, 0]
         for split in FCC.splits(
             self.stages
         ):  # each stage takes a coarse site two neighbours far, and back one
             for axis in range(3):
                 if grid.shape[axis] > split.scale:
-                    far[axis] += 3 * split.scale * max(o[axis] for o in split.offsets)
-        return Claims((far[0], far[1], far[2]), linear=True, dc_gain=1.0, keeps_mean=True)
+                    reach[axis] += 3 * split.scale * max(o[axis] for o in split.offsets)
+        return Claims((reach[0], reach[1], reach[2]), linear=True, dc_gain=1.0, keeps_mean=True)
 
     def __call__(self, field: ForceField) -> ForceField:
-        """See `FieldFilter`; dense on the way, `InvalidArgument` where the memory allowed is too small for
-        that.
-        """
+        """See `FieldFilter`. Needs a dense copy; `InvalidArgument` if the memory budget is too small."""
         require_memory("--multiresolution", "dense samples", _DENSE_BYTES * field.grid.voxel_count)
         values, splits = FCC.forward(field.to_dense(), self.stages), FCC.splits(self.stages)
         coarse, scale = np.zeros_like(values), splits[-1].scale
-        for residue in splits[-1].kept:
+        for residue in splits[-1].coarse:
             sites = tuple(slice(r * scale, None, 2 * scale) for r in residue)
             coarse[sites] = values[sites]
         for split in reversed(splits):

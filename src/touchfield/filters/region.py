@@ -1,11 +1,11 @@
-"""Where an edit acts: boxes, balls, half-spaces, sets of voxels, ranges of force, and what is made of them.
+"""Regions of an edit: boxes, balls, half-spaces, voxel sets, force ranges, and combinations of them.
 
-Lengths are metres of the hand. ``a | b`` is the union of two regions, ``a & b`` what they share, and ``~a``
-all that is not in `a`. A region knows its samples exactly. Its distance, by which a feather fades, is the
-true one of a shape and of a set of voxels; of a union it is the smaller of the two and of an intersection the
-larger, which at a corner is less than the true one.
+Lengths are in metres of the hand. ``a | b`` is the union of two regions, ``a & b`` their intersection, and
+``~a`` the complement. Membership of a sample is exact. The distance, by which a feather fades, is the true
+one for a shape and for a set of voxels. For a union it is the smaller of the two distances and for an
+intersection the larger one, which at a corner is less than the true distance.
 
-Forces turn with a motion x -> R x + t: the moved field is F'(x) = R F(R^T (x - t)). A mirror image is
+Forces rotate with a motion x -> R x + t: the moved field is F'(x) = R F(R^T (x - t)). A mirror image is
 allowed, with det R = -1.
 """
 
@@ -33,33 +33,33 @@ class Region(ABC):
 
     @property
     @abstractmethod
-    def words(self) -> str:
-        """The region in words, for the provenance of an edit."""
+    def text(self) -> str:
+        """A description of the region, for the provenance of an edit."""
 
     def holds(self, points_m: Float64s) -> Bools:
-        """Tell which of the points [..., 3] lie in the region, bool [...]."""
+        """Return which of the points [..., 3] lie in the region, bool [...]."""
         return np.asarray(self.distance_m(points_m) <= 0)
 
     @abstractmethod
     def distance_m(self, points_m: Float64s) -> Float64s:
-        """The distances of points [..., 3] from the region, metres, float64 [...]; negative within."""
+        """Return the distances of points [..., 3] from the region, metres, float64 [...]; negative inside."""
 
     def on(self, field: ForceField) -> Region:
-        """The region as it lies in a field: a range of force is then a set of that field's samples."""
+        """Resolve the region in a field: a range of force becomes a set of that field's samples."""
         return self
 
     def __or__(self, other: Region) -> Region:
-        return _Made("or", (self, other))
+        return _Combined("or", (self, other))
 
     def __and__(self, other: Region) -> Region:
-        return _Made("and", (self, other))
+        return _Combined("and", (self, other))
 
     def __invert__(self) -> Region:
-        return _Made("not", (self,))
+        return _Combined("not", (self,))
 
 
 def weights(region: Region, points_m: Float64s, feather_m: float) -> Float64s:
-    """1 in the region, 0 from `feather_m` outside it on, and a straight line between, float64 [...]."""
+    """Return 1 in the region, falling linearly to 0 at `feather_m` outside it, float64 [...]."""
     inside = region.holds(points_m)
     if feather_m == 0:
         return inside.astype(np.float64)
@@ -72,7 +72,7 @@ class Everywhere(Region):
     """All of space."""
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         return "everywhere"
 
     def distance_m(self, points_m: Float64s) -> Float64s:
@@ -81,7 +81,7 @@ class Everywhere(Region):
 
 @dataclass(frozen=True)
 class Box(Region):
-    """The box between two corners, its faces with it; a bound may be infinite.
+    """The box between two corners, including its faces; a bound may be infinite.
 
     low_m, high_m : (float, float, float); corners, metres, ``low <= high``.
     Raises `InvalidArgument` if a bound is not a number, or the corners are the wrong way round.
@@ -99,7 +99,7 @@ class Box(Region):
             )
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         return f"box {_metres(self.low_m)} to {_metres(self.high_m)}"
 
     def holds(self, points_m: Float64s) -> Bools:
@@ -107,9 +107,9 @@ class Box(Region):
         return np.asarray(((points_m >= low) & (points_m <= high)).all(axis=-1))
 
     def distance_m(self, points_m: Float64s) -> Float64s:
-        beyond = np.maximum(np.subtract(self.low_m, points_m), np.subtract(points_m, self.high_m))
-        outside: Float64s = np.sqrt((np.maximum(beyond, 0.0) ** 2).sum(axis=-1))
-        inside: Float64s = np.minimum(beyond.max(axis=-1), 0.0)
+        excess = np.maximum(np.subtract(self.low_m, points_m), np.subtract(points_m, self.high_m))
+        outside: Float64s = np.sqrt((np.maximum(excess, 0.0) ** 2).sum(axis=-1))
+        inside: Float64s = np.minimum(excess.max(axis=-1), 0.0)
         return outside + inside
 
 
@@ -129,7 +129,7 @@ class Ball(Region):
             raise InvalidArgument("ball radius_m", repr(self.radius_m), "a length of 0 or more")
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         return f"ball {_metres(self.centre_m)} radius {self.radius_m:g} m"
 
     def distance_m(self, points_m: Float64s) -> Float64s:
@@ -139,7 +139,7 @@ class Ball(Region):
 
 @dataclass(frozen=True)
 class HalfSpace(Region):
-    """The side of a plane that `normal` points to, the plane with it.
+    """The side of a plane that `normal` points to, including the plane.
 
     normal : (float, float, float); of any length but 0.
     through_m : (float, float, float); a point of the plane, metres.
@@ -158,7 +158,7 @@ class HalfSpace(Region):
         object.__setattr__(self, "through_m", _point("half-space through_m", self.through_m))
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         return f"half-space {_metres(self.normal)} from {_metres(self.through_m)}"
 
     def distance_m(self, points_m: Float64s) -> Float64s:
@@ -170,7 +170,7 @@ class Voxels(Region):
     """Samples of a lattice, by their indices; a point belongs to its nearest sample.
 
     grid : Grid; of the fields to be edited.
-    positions : int [m, 3]; in any order and perhaps several times.
+    positions : int [m, 3]; in any order, with or without repetitions.
     Raises `InvalidArgument` if they are not whole numbers within the grid; from `on`, if a field has another
     grid.
     """
@@ -179,16 +179,16 @@ class Voxels(Region):
     positions: ArrayLike
 
     def __post_init__(self) -> None:
-        given = np.asarray(self.positions)
-        if given.size and (given.ndim != 2 or given.shape[1] != 3 or given.dtype.kind not in "iu"):
-            raise InvalidArgument("voxels", f"{given.dtype} {given.shape}", "whole numbers [m, 3]")
-        p = given.reshape(-1, 3).astype(np.int64)
+        array = np.asarray(self.positions)
+        if array.size and (array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iu"):
+            raise InvalidArgument("voxels", f"{array.dtype} {array.shape}", "whole numbers [m, 3]")
+        p = array.reshape(-1, 3).astype(np.int64)
         if len(p) and (p.min() < 0 or (p.max(axis=0) >= self.grid.shape).any()):
             raise InvalidArgument("voxels", "an index outside the grid", f"below {self.grid.shape}")
         object.__setattr__(self, "positions", p)
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         return f"{np.count_nonzero(self._mask)} voxels"
 
     def on(self, field: ForceField) -> Region:
@@ -207,9 +207,9 @@ class Voxels(Region):
     def distance_m(self, points_m: Float64s) -> Float64s:
         is_within = self.holds(points_m)
         distance = np.full(points_m.shape[:-1], np.inf)
-        for which, tree in zip((~is_within, is_within), self._trees, strict=True):
-            if tree is not None and which.any():
-                distance[which] = tree.query(points_m[which])[0]
+        for is_side, tree in zip((~is_within, is_within), self._trees, strict=True):
+            if tree is not None and is_side.any():
+                distance[is_side] = tree.query(points_m[is_side])[0]
         return np.where(is_within, -distance, distance)
 
     @cached_property
@@ -221,9 +221,9 @@ class Voxels(Region):
 
     @cached_property
     def _trees(self) -> tuple[Any, Any]:
-        """Of the samples of the set that have a neighbour outside, and of those neighbours; None for none.
+        """Trees of the set's samples with a neighbour outside, and of those neighbours; None for none.
 
-        The sample of the set nearest to one outside is among the first, and the other way round.
+        The sample of the set nearest to a sample outside is in the first tree, and vice versa.
         """
         from scipy.ndimage import binary_dilation
         from scipy.spatial import cKDTree
@@ -235,8 +235,7 @@ class Voxels(Region):
 
 @dataclass(frozen=True)
 class ForceRange(Region):
-    """The samples of the edited field whose |F| lies from `low_n` to `high_n`; with low_n = 0 empty space,
-    too.
+    """The samples of the edited field whose |F| is `low_n` to `high_n`; low_n = 0 includes empty space.
 
     Raises `InvalidArgument` if the range is empty or a bound is negative.
     """
@@ -249,7 +248,7 @@ class ForceRange(Region):
             raise InvalidArgument("force range", f"{self.low_n} to {self.high_n} N", "0 <= low_n <= high_n")
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         return f"|F| of {self.low_n:g} to {self.high_n:g} N"
 
     def on(self, field: ForceField) -> Region:
@@ -262,38 +261,38 @@ class ForceRange(Region):
 
     def distance_m(self, points_m: Float64s) -> Float64s:
         raise InvalidArgument(
-            self.words, "no field to look at", "a field", "Ask the region that on(field) gives."
+            self.text, "no field to look at", "a field", "Ask the region that on(field) gives."
         )
 
 
-_HELD: Final[dict[str, Any]] = {"or": np.logical_or, "and": np.logical_and, "not": np.logical_not}
-_AWAY: Final[dict[str, Any]] = {"or": np.minimum, "and": np.maximum, "not": np.negative}
+_CONTAINS: Final[dict[str, Any]] = {"or": np.logical_or, "and": np.logical_and, "not": np.logical_not}
+_DISTANCE: Final[dict[str, Any]] = {"or": np.minimum, "and": np.maximum, "not": np.negative}
 
 
 @dataclass(frozen=True)
-class _Made(Region):
-    """The union of two regions, what they share, or all that is not in one."""
+class _Combined(Region):
+    """The union or the intersection of two regions, or the complement of one."""
 
-    how: str
+    mode: str
     regions: tuple[Region, ...]
 
     @property
-    def words(self) -> str:
-        words = [f"({region.words})" for region in self.regions]
-        return f"not {words[0]}" if self.how == "not" else f" {self.how} ".join(words)
+    def text(self) -> str:
+        texts = [f"({region.text})" for region in self.regions]
+        return f"not {texts[0]}" if self.mode == "not" else f" {self.mode} ".join(texts)
 
     def on(self, field: ForceField) -> Region:
-        return _Made(self.how, tuple(region.on(field) for region in self.regions))
+        return _Combined(self.mode, tuple(region.on(field) for region in self.regions))
 
     def holds(self, points_m: Float64s) -> Bools:
-        return np.asarray(_HELD[self.how](*(region.holds(points_m) for region in self.regions)))
+        return np.asarray(_CONTAINS[self.mode](*(region.holds(points_m) for region in self.regions)))
 
     def distance_m(self, points_m: Float64s) -> Float64s:
-        return np.asarray(_AWAY[self.how](*(region.distance_m(points_m) for region in self.regions)))
+        return np.asarray(_DISTANCE[self.mode](*(region.distance_m(points_m) for region in self.regions)))
 
 
 _ORTHOGONAL: Final = 1e-9
-_WHOLE: Final = 1e-12  # the sine of half a turn is 1e-16
+_ROUNDING: Final = 1e-12  # the sine of half a turn is 1e-16
 
 Triple = tuple[float, float, float]
 
@@ -318,7 +317,7 @@ class RigidMotion:
             raise InvalidArgument(
                 "rigid motion offset_m", repr(self.offset_m), "three finite coordinates in metres"
             )
-        r = np.where(np.abs(r - np.rint(r)) < _WHOLE, np.rint(r), r) + 0.0
+        r = np.where(np.abs(r - np.rint(r)) < _ROUNDING, np.rint(r), r) + 0.0
         object.__setattr__(self, "matrix", tuple(tuple(row) for row in r.tolist()))
         object.__setattr__(self, "offset_m", tuple(t.tolist()))
 
@@ -329,7 +328,7 @@ class RigidMotion:
 
     @classmethod
     def turn(cls, axis: ArrayLike, angle_deg: float, about_m: ArrayLike = (0.0, 0.0, 0.0)) -> RigidMotion:
-        """A turn by the right-hand rule about an axis of that direction through `about_m`."""
+        """A rotation by the right-hand rule about the axis through `about_m` in direction `axis`."""
         x, y, z = _unit("turn axis", axis)
         angle = math.radians(angle_deg)
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -345,17 +344,20 @@ class RigidMotion:
 
     @classmethod
     def _about(cls, matrix: Any, fixed_m: ArrayLike) -> RigidMotion:
-        fixed, whole = _point("point of a rigid motion", np.asarray(fixed_m)), np.asarray(cls(matrix).matrix)
-        offset: Any = fixed - whole @ fixed
+        fixed, rotation = (
+            _point("point of a rigid motion", np.asarray(fixed_m)),
+            np.asarray(cls(matrix).matrix),
+        )
+        offset: Any = fixed - rotation @ fixed
         return cls(matrix, offset)
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """The motion, for the provenance of an edit."""
         return f"R {[list(row) for row in self.matrix]}, t {list(self.offset_m)} m"
 
-    def then(self, second: RigidMotion) -> RigidMotion:
-        """This motion, and then another."""
+    def followed_by(self, second: RigidMotion) -> RigidMotion:
+        """Return this motion followed by another."""
         r: Any = np.asarray(second.matrix)
         return RigidMotion(
             r @ np.asarray(self.matrix), r @ np.asarray(self.offset_m) + np.asarray(second.offset_m)
@@ -363,34 +365,34 @@ class RigidMotion:
 
     @property
     def inverse(self) -> RigidMotion:
-        """The way back."""
+        """The inverse motion."""
         r: Any = np.asarray(self.matrix).T
         return RigidMotion(r, -(r @ np.asarray(self.offset_m)))
 
     def points_m(self, points_m: ArrayLike) -> Float64s:
-        """Points [..., 3] moved, metres."""
+        """Move points [..., 3], metres."""
         return np.asarray(self.vectors(points_m) + np.asarray(self.offset_m))
 
     def vectors(self, vectors: ArrayLike) -> Float64s:
-        """Vectors [..., 3], such as forces, turned."""
+        """Rotate vectors [..., 3], such as forces."""
         return np.asarray(np.asarray(vectors, np.float64) @ np.asarray(self.matrix).T)
 
 
-def _unit(where: str, given: ArrayLike) -> Float64s:
-    v = numbers_of(where, given)
+def _unit(where: str, values: ArrayLike) -> Float64s:
+    v = numbers_of(where, values)
     length = float(np.sqrt((v * v).sum())) if v.shape == (3,) else math.nan
     if not (0 < length < math.inf):
-        raise InvalidArgument(where, repr(given), "three finite numbers, not all 0")
+        raise InvalidArgument(where, repr(values), "three finite numbers, not all 0")
     return np.asarray(v / length)
 
 
-def _point(where: str, given: Any, may_be_infinite: bool = False) -> tuple[float, float, float]:
-    values = numbers_of(where, given).tolist()
-    if np.shape(given) != (3,) or any(
+def _point(where: str, point: Any, may_be_infinite: bool = False) -> tuple[float, float, float]:
+    values = numbers_of(where, point).tolist()
+    if np.shape(point) != (3,) or any(
         math.isnan(v) or (math.isinf(v) and not may_be_infinite) for v in values
     ):
         raise InvalidArgument(
-            where, repr(given), "three numbers" if may_be_infinite else "three finite numbers"
+            where, repr(point), "three numbers" if may_be_infinite else "three finite numbers"
         )
     return (values[0], values[1], values[2])
 

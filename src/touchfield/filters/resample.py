@@ -1,10 +1,9 @@
-"""A force field on another lattice: through a low-pass, the middle of the mapping M (section 3.1), or
-trilinear.
+"""Resampling of a force field: through a low-pass (middle step of the mapping M, section 3.1), or trilinear.
 
 One separable low-pass takes the field to any lattice with the same axes: smoothing at the same rate,
 decimation by a whole number, or any other ratio and shift. Only output bricks that an input brick reaches are
-made. What lies beyond the source's grid counts as zero (a source that should not fade at its border is to be
-sampled beyond the target's).
+computed. The force beyond the source's grid counts as zero (sample a source beyond the target's border if it
+should not fade there).
 
 A kernel is a function of distance with a cut-off in cycles per metre. For each sample of the target lattice
 it is sampled at the source's positions around it and scaled to unit sum, so that a constant passes unchanged.
@@ -20,16 +19,16 @@ sinc     0.90 f_c -6.0 dB -54 dB    -78 dB    7.6       2.00 / f_c
 ======== ======== ======= ========= ========= ========= ==========
 
 The default is the cubic B-spline. A field of forces jumps at a contact, and a kernel with negative lobes
-rings there; one that is never negative gives a mean of the forces around: no force turns round, none exceeds
-what was there, and the price is a blunter edge in frequency.
+rings there. A kernel that is never negative gives a mean of the surrounding forces: no force is reversed or
+exceeds the input's maximum. The price is a less steep frequency response.
 
 Trilinear interpolation is what a receiver renders between samples; it has no low-pass.
 
 Levels of detail (paper section 4): level 0 is the field; each next level keeps every second sample of the one
-before along each axis, as it is: a force ends at a surface and bends there, and a low-pass takes the bend to
-all that is around (`bench/bench_detail.py`). What a lattice twice as coarse misses is a wall that passes
-between its samples. So a sample without a force, right behind such a wall, takes the mean of the forces on
-it: the wall stays closed, thicker behind and never in front.
+before along each axis, unchanged. A low-pass would spread the discontinuity of the force at a surface to the
+samples around it (`bench/bench_detail.py`). A lattice twice as coarse can miss a wall that passes between its
+samples. Therefore a sample without a force directly behind such a wall takes the mean of the wall's forces:
+the wall stays closed, thicker behind and never in front.
 """
 
 from __future__ import annotations
@@ -49,13 +48,13 @@ from touchfield.filters.region import RigidMotion
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import (
-    blocks_around,
     brick_keys,
     bricks_of,
     bricks_reached,
     bricks_within,
     dilated,
     field_of_points,
+    padded_blocks,
 )
 from touchfield.medium.grid import CORNERS, ON_A_SAMPLE
 
@@ -85,13 +84,13 @@ def _spline(x: Float64s, h: float) -> Float64s:
 
 
 def _box(x: Float64s, h: float) -> Float64s:
-    """The share of each sample's cell in the box, which is one cell of a lattice with that Nyquist rate."""
+    """The fraction of each sample's cell in the box, one cell of a lattice with that Nyquist rate."""
     overlap: Float64s = np.minimum(x + h / 2, 0.25) - np.maximum(x - h / 2, -0.25)
     return np.maximum(overlap, 0.0)
 
 
 def _sinc(x: Float64s, h: float) -> Float64s:
-    """Windowed by Kaiser."""
+    """A sinc with a Kaiser window."""
     inside = np.maximum(0.0, 1 - (x / _SINC_HALF_WIDTH) ** 2)
     return np.asarray(np.sinc(2 * x) * np.i0(_SINC_KAISER_BETA * np.sqrt(inside)) * (inside > 0))
 
@@ -104,23 +103,23 @@ LOW_PASSES: Final = {
         LowPass("sinc", _SINC_HALF_WIDTH, _sinc),
     )
 }
-"""The kernels by name; a new one is one more entry."""
+"""The kernels by name."""
 
 
 def low_pass(name: str) -> LowPass:
-    """The kernel of a name; `InvalidArgument` if there is none."""
+    """Return the kernel of a name; `InvalidArgument` if there is none."""
     require_one_of("low_pass", name, LOW_PASSES)
     return LOW_PASSES[name]
 
 
 class AxisWeights(NamedTuple):
-    """The weights of source samples for each target sample of one axis; beyond the source counts as zero."""
+    """The weights of source samples for each target sample of one axis; zero beyond the source."""
 
     first: Int64s  # [target]; the first source sample, which may lie beyond the source; ascending
-    weights: Float32s  # [target, taps]; of that sample and those that follow
+    weights: Float32s  # [target, taps]; of that sample and the following ones
 
     def dense(self, source_count: int) -> Float64s:
-        """The same as a matrix, float64 [target, source]."""
+        """Return the weights as a matrix, float64 [target, source]."""
         matrix = np.zeros((len(self.first), source_count))
         columns = self.first[:, None] + np.arange(self.weights.shape[1])
         rows, taps = np.nonzero((columns >= 0) & (columns < source_count))
@@ -131,10 +130,10 @@ class AxisWeights(NamedTuple):
 def axis_weights(
     source: tuple[int, float, float], target: tuple[int, float, float], kernel: LowPass, cutoff_per_m: float
 ) -> AxisWeights:
-    """The weights that take one axis of a lattice to another through a low-pass.
+    """Return the weights that resample one axis through a low-pass.
 
     source, target : (int, float, float); samples, spacing in metres, and position of the first one in metres.
-    cutoff_per_m : float; cycles per metre; a cut-off above the source's own Nyquist rate is taken down to it.
+    cutoff_per_m : float; cycles per metre; limited to the source's own Nyquist rate.
     Raises `InvalidArgument` if the cut-off is not positive, or so low for the source that the table would be
     too large.
     """
@@ -163,13 +162,13 @@ def axis_weights(
 
 
 def grid_weights(source: Grid, target: Grid, kernel: LowPass) -> list[AxisWeights]:
-    """The weights of the three axes from one lattice to another."""
-    ends = [[(g.shape[a], g.spacing_m[a], g.origin_m[a]) for a in range(3)] for g in (source, target)]
-    return [axis_weights(ends[0][a], ends[1][a], kernel, 0.5 / target.spacing_m[a]) for a in range(3)]
+    """Return the weights of the three axes from one lattice to another."""
+    axes = [[(g.shape[a], g.spacing_m[a], g.origin_m[a]) for a in range(3)] for g in (source, target)]
+    return [axis_weights(axes[0][a], axes[1][a], kernel, 0.5 / target.spacing_m[a]) for a in range(3)]
 
 
 def resample(field: ForceField, grid: Grid, kernel: str = "spline") -> ForceField:
-    """The field on another lattice, through a low-pass that cuts off at the lower of the two Nyquist rates.
+    """Resample a field through a low-pass that cuts off at the lower of the two Nyquist rates.
 
     grid : Grid; the target, with the same axes and in the same metres.
     kernel : str; a name of `touchfield.filters.LOW_PASSES`.
@@ -179,41 +178,43 @@ def resample(field: ForceField, grid: Grid, kernel: str = "spline") -> ForceFiel
     from touchfield.filters.kernels import forces as kernels
 
     weights = grid_weights(field.grid, grid, low_pass(kernel))
-    reach = [_reach(one, bricks) for one, bricks in zip(weights, field.grid.brick_shape)]
+    reach = [_reach(axis_weight, bricks) for axis_weight, bricks in zip(weights, field.grid.brick_shape)]
     bricks = bricks_within(grid, np.stack([row[field.bricks[:, a]] for a, row in enumerate(reach)], axis=1))
-    own = brick_keys(field.grid, field.bricks)
-    kept = [(bricks[:0], zero_forces(0))]
-    for begin in range(0, len(bricks), _BATCH):  # so that what proves empty is never in memory all at once
-        batch = bricks[begin : begin + _BATCH]
-        forces, is_held = kernels.resampled(batch, field.grid.shape, own, field.forces_n, weights)
-        kept.append((batch, forces) if is_held.all() else (batch[is_held], forces[is_held]))
-    if len(kept) == 2:
-        return ForceField(grid, *kept[1])
-    return ForceField(grid, *(np.concatenate(parts) for parts in zip(*kept)))
+    source_keys = brick_keys(field.grid, field.bricks)
+    results = [(bricks[:0], zero_forces(0))]
+    for start in range(0, len(bricks), _BATCH):  # bounds the memory of output bricks that turn out empty
+        batch = bricks[start : start + _BATCH]
+        forces, has_force = kernels.resample_bricks(
+            batch, field.grid.shape, source_keys, field.forces_n, weights
+        )
+        results.append((batch, forces) if has_force.all() else (batch[has_force], forces[has_force]))
+    if len(results) == 2:
+        return ForceField(grid, *results[1])
+    return ForceField(grid, *(np.concatenate(parts) for parts in zip(*results)))
 
 
 def _reach(weights: AxisWeights, source_bricks: int) -> Int64s:
-    """For each source brick of one axis, the range of target bricks it may reach, int64 [source_bricks, 2]."""
+    """Return the range of target bricks that each source brick may reach, int64 [source_bricks, 2]."""
     count = len(weights.first)
     last = np.minimum(np.arange(BRICK - 1, count + BRICK - 1, BRICK), count - 1)
     lowest = weights.first[::BRICK]
     highest = weights.first[last] + weights.weights.shape[1] - 1
     edges = np.arange(source_bricks, dtype=np.int64) * BRICK
-    begin = np.searchsorted(highest, edges, side="left")
-    end = np.searchsorted(lowest, edges + BRICK - 1, side="right")
-    return np.stack([begin, end], axis=1).astype(np.int64)
+    start = np.searchsorted(highest, edges, side="left")
+    stop = np.searchsorted(lowest, edges + BRICK - 1, side="right")
+    return np.stack([start, stop], axis=1).astype(np.int64)
 
 
 BORDERS: Final = ("zero", "cell")
 
 
-def interpolated(
+def interpolate(
     field: ForceField, grid: Grid, motion: RigidMotion | None = None, border: str = "zero"
 ) -> ForceField:
-    """The field at the samples of another lattice, trilinear between its own.
+    """Interpolate a field trilinearly at the samples of another lattice.
 
     grid : Grid; the target, in the same metres.
-    motion : RigidMotion, optional; moves and turns the field on the way.
+    motion : RigidMotion, optional; applied to the field first.
     border : str; "zero": beyond the outermost samples the force falls to zero over one spacing, as
         `ForceField.sample_n` does. "cell": the outermost sample stands for all of its cell.
     Raises `InvalidArgument` if the border is unknown, or the target is too fine for a field of that size.
@@ -227,12 +228,12 @@ def interpolated(
 
     def forces_n(points_m: Float64s) -> NDArray[Any]:
         index = field.grid.to_index(points_m if motion is None else motion.inverse.points_m(points_m))
-        whole = np.rint(index)
-        index = np.where(np.abs(index - whole) < ON_A_SAMPLE, whole, index)
+        nearest = np.rint(index)
+        index = np.where(np.abs(index - nearest) < ON_A_SAMPLE, nearest, index)
         if border == "cell":
-            beyond = ((index < -0.5 - ON_A_SAMPLE) | (index > last + 0.5 + ON_A_SAMPLE)).any(axis=-1)
+            is_outside = ((index < -0.5 - ON_A_SAMPLE) | (index > last + 0.5 + ON_A_SAMPLE)).any(axis=-1)
             index = np.clip(index, 0.0, last)
-            index[beyond] = -2.0
+            index[is_outside] = -2.0
         forces = kernels.sample(index, field.grid, keys, field.forces_n)
         return forces if motion is None else motion.vectors(forces)
 
@@ -240,101 +241,104 @@ def interpolated(
 
 
 _OFFSETS: Final = tuple(o for o in product((-1, 0, 1), repeat=3) if any(o))
-_A_WALL: Final = 3  # neighbours with a force, from which on they are a wall
+_MIN_WALL_NEIGHBOURS: Final = 3  # neighbours with a force, from which on they are a wall
 
 
-def halved(grid: Grid) -> Grid:
-    """The grid of every second sample of `grid` along each axis, the first among them."""
+def half_grid(grid: Grid) -> Grid:
+    """Return the grid of every second sample of `grid` along each axis, starting with the first."""
     nx, ny, nz = (-(-n // 2) for n in grid.shape)
     x, y, z = (h * (1 + (n > 1)) for h, n in zip(grid.spacing_m, grid.shape, strict=True))
     return Grid((nx, ny, nz), (x, y, z), grid.origin_m)
 
 
-def most_levels(grid: Grid) -> int:
-    """The number of halvings of a grid until one sample is left."""
+def max_levels(grid: Grid) -> int:
+    """Return the number of halvings of a grid until one sample is left."""
     return (max(grid.shape) - 1).bit_length()
 
 
 def pyramid(field: ForceField, levels: int) -> tuple[ForceField, ...]:
-    """The levels of detail of a field, the finest first.
+    """Return the levels of detail of a field, the finest first.
 
-    levels : int; how often it is halved, 0 to `most_levels`; each level has 1/8 of the samples of the one
+    levels : int; the number of halvings, 0 to `max_levels`; each level has 1/8 of the samples of the one
         before.
     Raises `InvalidArgument` if the grid cannot be halved so often.
     """
-    most = most_levels(field.grid)
-    if isinstance(levels, bool) or not isinstance(levels, int) or not 0 <= levels <= most:
-        raise InvalidArgument("levels", repr(levels), f"0 to {most} for {field.grid.shape} samples")
+    max_count = max_levels(field.grid)
+    if isinstance(levels, bool) or not isinstance(levels, int) or not 0 <= levels <= max_count:
+        raise InvalidArgument("levels", repr(levels), f"0 to {max_count} for {field.grid.shape} samples")
     fields = [field]
     for _ in range(levels):
-        last, grid = fields[-1], halved(fields[-1].grid)
+        last, grid = fields[-1], half_grid(fields[-1].grid)
         # a kept sample looks one sample back, into the brick before
-        around = np.concatenate([last.bricks + corner for corner in CORNERS])
-        around = around[(around < last.grid.brick_shape).all(axis=1)]
-        bricks = bricks_of(last.grid, np.unique(brick_keys(last.grid, around)))
+        candidates = np.concatenate([last.bricks + corner for corner in CORNERS])
+        candidates = candidates[(candidates < last.grid.brick_shape).all(axis=1)]
+        bricks = bricks_of(last.grid, np.unique(brick_keys(last.grid, candidates)))
         home, quarter = np.divmod(bricks, 2)
         coarse, slot = np.unique(brick_keys(grid, home), return_inverse=True)
         forces = np.zeros((len(coarse), 2, 4, 2, 4, 2, 4, 3), np.float32)
-        for span, wide in blocks_around(last, last.forces_n, bricks, (2, 2, 2), (1, 1, 1)):
+        for span, wide in padded_blocks(last, last.forces_n, bricks, (2, 2, 2), (1, 1, 1)):
             (x, y, z), at = quarter[span].T, slot.reshape(-1)[span]
-            forces[at, x, :, y, :, z] = _kept(wide, np.asarray(last.grid.spacing_m, np.float32))
+            forces[at, x, :, y, :, z] = _next_level(wide, np.asarray(last.grid.spacing_m, np.float32))
         fields.append(
             ForceField.from_bricks(grid, bricks_of(grid, coarse), forces.reshape(-1, *[BRICK] * 3, 3))
         )
     return tuple(fields)
 
 
-def _kept(wide: NDArray[Any], spacing: Float32s) -> Float32s:
-    """Next samples [n, 4, 4, 4, 3] in bricks [n, 11, 11, 11, 3] that have two samples before and one after."""
-    is_held: Bools = np.asarray(wide.any(axis=-1))
+def _next_level(wide: NDArray[Any], spacing: Float32s) -> Float32s:
+    """Return the next level [n, 4, 4, 4, 3] of bricks with two samples before and one after [n, 11, ..]."""
+    has_force: Bools = np.asarray(wide.any(axis=-1))
 
     def at(values: NDArray[Any], offset: tuple[int, ...]) -> NDArray[Any]:
         x, y, z = (slice(2 + o, 9 + o, 2) for o in offset)
         return values[:, x, y, z]
 
-    samples, there = at(wide, (0, 0, 0)).copy(), at(is_held, (0, 0, 0))
-    total, count = np.zeros(samples.shape), np.zeros(there.shape, np.int32)
+    samples, is_supported = at(wide, (0, 0, 0)).copy(), at(has_force, (0, 0, 0))
+    total, count = np.zeros(samples.shape), np.zeros(is_supported.shape, np.int32)
     for offset in _OFFSETS:
-        force, beyond = at(wide, offset), at(is_held, (2 * offset[0], 2 * offset[1], 2 * offset[2]))
-        # on a wall before this sample: the force points away from here, and the kept sample behind the wall
-        # has none
-        is_wall = ~beyond & ((force * (spacing * np.array(offset, np.float32))).sum(axis=-1) > 0)
+        force, has_force_behind = (
+            at(wide, offset),
+            at(has_force, (2 * offset[0], 2 * offset[1], 2 * offset[2])),
+        )
+        # on a wall before this sample: the force points away from it, and the kept sample beyond the wall has
+        # none
+        is_wall = ~has_force_behind & ((force * (spacing * np.array(offset, np.float32))).sum(axis=-1) > 0)
         total += np.where(is_wall[..., None], force, 0.0)
         count += is_wall
-    closes = ~there & (count >= _A_WALL)
-    samples[closes] = total[closes] / count[closes][:, None]
+    is_closed = ~is_supported & (count >= _MIN_WALL_NEIGHBOURS)
+    samples[is_closed] = total[is_closed] / count[is_closed][:, None]
     return samples
 
 
-def rebuilt(level: ForceField, grid: Grid) -> ForceField:
-    """A level of detail as a receiver renders it: trilinear between its samples, at those of a finer grid."""
-    if level.grid == halved(grid) and all(n > 1 for n in grid.shape):
+def rebuild_level(level: ForceField, grid: Grid) -> ForceField:
+    """Interpolate a level of detail trilinearly at a finer grid, as a receiver renders it."""
+    if level.grid == half_grid(grid) and all(n > 1 for n in grid.shape):
         return _doubled(level, grid)
-    return interpolated(level, grid, border="cell")
+    return interpolate(level, grid, border="cell")
 
 
 def _doubled(level: ForceField, grid: Grid) -> ForceField:
-    """The same at the samples of the next finer grid: axis by axis a sample, or the mean of two.
+    """Interpolate at the next finer grid: along each axis a sample, or the mean of two.
 
-    Beyond the outermost sample that one stands.
+    The outermost sample is repeated beyond the border.
     """
     bricks = dilated(level.grid, level.bricks, (1, 1, 1))
     parts = [np.empty((0, 8, BRICK, BRICK, BRICK, 3), np.float32)]
-    for span, wide in blocks_around(level, level.forces_n, bricks, (0, 0, 0), (1, 1, 1)):
+    for span, wide in padded_blocks(level, level.forces_n, bricks, (0, 0, 0), (1, 1, 1)):
         for axis in range(3):
-            lane = np.moveaxis(wide, axis + 1, 1)  # a view, to be filled beyond the border
+            along_axis = np.moveaxis(wide, axis + 1, 1)  # a view, to be filled beyond the border
             last = level.grid.shape[axis] - 1 - BRICK * bricks[span, axis]
-            ends = np.flatnonzero(last < BRICK)
-            lane[ends, last[ends] + 1] = lane[ends, last[ends]]
-            fine = np.empty((len(lane), 2 * BRICK, *lane.shape[2:]), np.float32)
-            fine[:, 0::2] = lane[:, :-1]
-            fine[:, 1::2] = np.float32(0.5) * (lane[:, :-1] + lane[:, 1:])
+            at_end = np.flatnonzero(last < BRICK)
+            along_axis[at_end, last[at_end] + 1] = along_axis[at_end, last[at_end]]
+            fine = np.empty((len(along_axis), 2 * BRICK, *along_axis.shape[2:]), np.float32)
+            fine[:, 0::2] = along_axis[:, :-1]
+            fine[:, 1::2] = np.float32(0.5) * (along_axis[:, :-1] + along_axis[:, 1:])
             wide = np.moveaxis(fine, 1, axis + 1)
         cut = wide.reshape(-1, 2, BRICK, 2, BRICK, 2, BRICK, 3).transpose(0, 1, 3, 5, 2, 4, 6, 7)
         parts.append(cut.reshape(-1, 8, BRICK, BRICK, BRICK, 3))
-    places = (2 * bricks[:, None] + np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)).reshape(
+    fine_bricks = (2 * bricks[:, None] + np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)).reshape(
         -1, 3
     )
-    inside = (places < np.array(grid.brick_shape)).all(axis=1)
+    inside = (fine_bricks < np.array(grid.brick_shape)).all(axis=1)
     forces = np.concatenate(parts).reshape(-1, BRICK, BRICK, BRICK, 3)[inside]
-    return ForceField.from_bricks(grid, places[inside], forces)
+    return ForceField.from_bricks(grid, fine_bricks[inside], forces)

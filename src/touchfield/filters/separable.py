@@ -1,11 +1,10 @@
-"""Equation 4 where its kernel is a product of one row of taps for each axis (paper section 3.2), and the
-border.
+"""Separable FIR filters (equation 4, paper section 3.2) and the continuation beyond the border.
 
-Three passes of N taps instead of one of N^3; each adds only the bricks that it reaches along its own axis.
-Departure from equation 4: the taps stand about the sample, so that a filter does not shift the field.
+Three passes of N taps replace one of N^3; each adds only the bricks that it reaches along its own axis.
+Departure from equation 4: the taps are centred on the sample, so that a filter does not shift the field.
 
-What a filter sees beyond the border equation 4 leaves open. Four continuations of samples a b c d, with the
-names of `scipy.ndimage`, which calls "zero" "constant":
+Equation 4 does not define the signal beyond the border. There are four continuations of samples a b c d, with
+the names of `scipy.ndimage` (which calls "zero" "constant"):
 
 ======== =====================================================
 zero     0 0 0 | a b c d | 0 0 0
@@ -14,7 +13,7 @@ reflect  c b a | a b c d | d c b, about the edge of the cell
 wrap     b c d | a b c d | a b c
 ======== =====================================================
 
-"zero" is what a field means: there is no force beyond its grid. The others are for arrays.
+Fields use "zero": there is no force beyond the grid. The others are for arrays.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from touchfield.medium.field import brick_keys, bricks_of, frozen, spread_keys
 Axes = tuple["AxisTaps", "AxisTaps", "AxisTaps"]
 
 SCIPY_MODES: Final = {"zero": "constant", "nearest": "nearest", "reflect": "reflect", "wrap": "wrap"}
-"""The name of each in `scipy.ndimage`."""
+"""The name of each continuation in `scipy.ndimage`."""
 
 NUMPY_MODES: Final[dict[str, Any]] = {
     "zero": "constant",
@@ -42,7 +41,7 @@ NUMPY_MODES: Final[dict[str, Any]] = {
     "reflect": "symmetric",
     "wrap": "wrap",
 }
-"""And in `numpy.pad`."""
+"""The name of each continuation in `numpy.pad`."""
 
 BOUNDARIES: Final = tuple(SCIPY_MODES)
 
@@ -91,11 +90,10 @@ def factors(kernel: Float64s) -> list[Float64s] | None:
 
 
 def filter_field(field: ForceField, axes: Axes) -> tuple[ForceField, bool]:
-    """A field filtered brick by brick, on the same grid, and whether all sums were finite while they were
-    made.
+    """Filter a field brick by brick on the same grid; also return whether all sums were finite.
 
-    Only bricks that a force reaches are made; the same bits for any number of threads. A sum that is not
-    finite may be one outside the grid. No axis may have more taps than samples (`AxisTaps.check_fits`).
+    Only bricks that a force reaches are computed; the bits do not depend on the number of threads. A sum that
+    is not finite may lie outside the grid. No axis may have more taps than samples (`AxisTaps.check_fits`).
     """
     if not len(field.bricks):
         return field, True
@@ -106,9 +104,7 @@ def filter_field(field: ForceField, axes: Axes) -> tuple[ForceField, bool]:
 
 
 def keys_of_passes(field: ForceField, axes: Axes) -> list[Int64s]:
-    """Ascending keys of the field's bricks, and of those that hold something after the passes along x, y and
-    z.
-    """
+    """Return ascending keys of the field's bricks, and of those reached after the passes along x, y and z."""
     lattice = field.grid.brick_shape
     keys = [brick_keys(field.grid, field.bricks)]
     for axis in range(3):
@@ -118,22 +114,23 @@ def keys_of_passes(field: ForceField, axes: Axes) -> list[Int64s]:
 
 
 def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s]) -> Any:
-    """The sums in the bricks ``keys[3]``, float32 [n, 8, 8, 8, 3], and the greatest size of a number of each.
+    """Return the sums in the bricks ``keys[3]``, float32 [n, 8, 8, 8, 3], and the largest value of each.
 
-    That size is 0 where a brick holds no force, and infinite or not a number where a sum went beyond float32.
-    `forces_n` float32 [m, 8, 8, 8, 3] lie in ``keys[0]``; ``keys[1]`` and ``keys[2]`` are made on the way.
+    The largest absolute value is 0 for a brick without a force, and infinite or NaN where a sum overflowed
+    float32. `forces_n` float32 [m, 8, 8, 8, 3] lie in ``keys[0]``; ``keys[1]`` and ``keys[2]`` are those of
+    the intermediate passes.
     """
     from touchfield.filters.kernels import separable as kernels
 
-    # places from the first sample of a sum, weights, and how many, of taps that are not zero
+    # indices from the first sample of a sum, weights, and count, of the taps that are not zero
     shape, counts = (3, max(len(a.taps) for a in axes)), np.zeros(3, np.int64)
-    places, weights = np.zeros(shape, np.int64), np.zeros(shape, np.float32)
-    for axis, one in enumerate(axes):
-        row = one.taps[::-1].astype(np.float32)
-        place = np.flatnonzero(row)
-        counts[axis] = len(place)
-        places[axis, : len(place)], weights[axis, : len(place)] = place, row[place]
-    before, deep = [tuple(n) for n in zip(*((a.reach, len(a.taps) - 1) for a in axes), strict=True)]
+    indices, weights = np.zeros(shape, np.int64), np.zeros(shape, np.float32)
+    for axis, axis_taps in enumerate(axes):
+        row = axis_taps.taps[::-1].astype(np.float32)
+        nonzero = np.flatnonzero(row)
+        counts[axis] = len(nonzero)
+        indices[axis, : len(nonzero)], weights[axis, : len(nonzero)] = nonzero, row[nonzero]
+    before, span = [tuple(n) for n in zip(*((a.reach, len(a.taps) - 1) for a in axes), strict=True)]
     count, (_, columns, depth) = len(keys[3]), grid.brick_shape
     require_memory("force field", f"{count} bricks", count * BYTES_PER_BRICK)
     out = np.empty((count, BRICK, BRICK, BRICK, 3), np.float32)  # the kernel sets every row
@@ -144,23 +141,22 @@ def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s
     )
     for_chunks(kernels.row_masks, len(masks), flat.view(np.uint64), masks, chunk=64)
     tile = min(depth, kernels.TILE)
-    tiles, sizes = -(-depth // tile), (tile, -(-max(before[2], deep[2] - before[2]) // BRICK))
-    every = np.unique(keys[3] // (columns * depth) * tiles + keys[3] % depth // tile)
-    hands = (
-        4 * worker_count()
-    )  # the pieces of `for_chunks`: slabs are dealt out in turn, so that all cost the same
-    items = np.stack(np.divmod(np.concatenate([every[hand::hands] for hand in range(hands)]), tiles), axis=1)
-    target, law = out.reshape(-1), (grid.brick_shape, before, deep, sizes, (places, weights, counts))
-    arguments = items, (flat, masks), tuple(keys), *law, target, target.view(np.uint32), tops
-    for_chunks(kernels.filtered_bricks, len(items), *arguments)
+    tiles, sizes = -(-depth // tile), (tile, -(-max(before[2], span[2] - before[2]) // BRICK))
+    slabs = np.unique(keys[3] // (columns * depth) * tiles + keys[3] % depth // tile)
+    batch_count = 4 * worker_count()  # the pieces of `for_chunks`; slabs are dealt out in turn for equal cost
+    items = np.stack(
+        np.divmod(np.concatenate([slabs[batch::batch_count] for batch in range(batch_count)]), tiles), axis=1
+    )
+    target, geometry = out.reshape(-1), (grid.brick_shape, before, span, sizes, (indices, weights, counts))
+    arguments = items, (flat, masks), tuple(keys), *geometry, target, target.view(np.uint32), tops
+    for_chunks(kernels.filter_bricks, len(items), *arguments)
     return out, tops.view(np.float32)
 
 
-def brick_field(grid: Grid, bricks: Int32s, forces_n: Float32s, is_held: Bools) -> ForceField:
-    """The field of the bricks that a kernel made: without what lies beyond the grid, and without empty
-    bricks.
+def brick_field(grid: Grid, bricks: Int32s, forces_n: Float32s, has_force: Bools) -> ForceField:
+    """Build a field from computed bricks: clear samples beyond the grid, and drop empty bricks.
 
-    `forces_n` float32 [n, 8, 8, 8, 3] and `is_held` bool [n], which bricks hold a force, are changed in
+    `forces_n` float32 [n, 8, 8, 8, 3] and `has_force` bool [n], which bricks hold a force, are changed in
     place.
     """
     for axis, count in enumerate(grid.shape):
@@ -170,7 +166,7 @@ def brick_field(grid: Grid, bricks: Int32s, forces_n: Float32s, is_held: Bools) 
             last = forces_n[at_end]
             np.moveaxis(last, axis + 1, 1)[:, rest:] = 0
             forces_n[at_end] = last
-            is_held[at_end] &= last.any(axis=(1, 2, 3, 4))
-    if not is_held.all():
-        bricks, forces_n = bricks[is_held], forces_n[is_held]
+            has_force[at_end] &= last.any(axis=(1, 2, 3, 4))
+    if not has_force.all():
+        bricks, forces_n = bricks[has_force], forces_n[has_force]
     return ForceField(grid, bricks, forces_n)

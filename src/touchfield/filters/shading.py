@@ -1,4 +1,4 @@
-"""Force shading (paper section 3.2): direction and amplitude smoothed apart, and anisotropic diffusion.
+"""Force shading (paper section 3.2): separate smoothing of direction and amplitude; Perona-Malik diffusion.
 
 The paper lists "off-line force shading" among the haptic filters and gives no formula. On-line it is the rule
 of Morgenbesser and Srinivasan, "Force shading for haptic shape perception", 1996: the direction of the force
@@ -8,9 +8,9 @@ both are taken from the field itself, with the Gaussian weights w and the suppor
     u_i = sum_S w_ij F_j/|F_j|                      direction u_i / |u_i|
     a_i = sum_S w_ij |F_j| / sum_S w_ij             amplitude
 
-Directions are unit vectors, so that the amplitudes have no say in them. The sums run over the support (a
-normalised convolution, Knutsson and Westin 1993): empty space neither pulls forces down nor blunts a contact.
-Where the directions around cancel a sample keeps its own.
+Directions are unit vectors, independent of the amplitudes. The sums run over the support (a normalised
+convolution, Knutsson and Westin 1993): empty space neither lowers forces nor blunts a contact. Where the
+surrounding directions cancel, a sample keeps its own.
 
 Diffusion: Perona and Malik, "Scale-space and edge detection using anisotropic diffusion", IEEE PAMI 12(7),
 1990, equations 7 to 9, for vectors. In each step a sample takes from each neighbour j along the axes ::
@@ -19,11 +19,11 @@ Diffusion: Perona and Malik, "Scale-space and edge detection using anisotropic d
     g(d) = exp(-(d/kappa)^2)
 
 with one conductance g for the three components: a change of direction is an edge as much as one of amplitude.
-The sum of the forces stays, and no |F| exceeds what was there as long as lambda <= 1/(2 axes); at that limit
-a checkerboard never fades, and lambda is 1/(2 axes + 1). With g = 1 (kappa = inf) n steps blur as a Gaussian
-of sigma = spacing sqrt(2 lambda n). Where spacings differ lambda along an axis is less by (finest spacing /
-spacing)^2, a diffusion in metres; kappa is not divided by the spacing. Nothing crosses the border of the
-grid, nor the edge of the support.
+The sum of the forces is preserved, and no |F| exceeds the input's maximum as long as lambda <= 1/(2 axes). At
+that limit a checkerboard never fades, so lambda is 1/(2 axes + 1). With g = 1 (kappa = inf) n steps blur as a
+Gaussian of sigma = spacing sqrt(2 lambda n). Where spacings differ, lambda along an axis is scaled by (finest
+spacing / spacing)^2, a diffusion in metres; kappa is not divided by the spacing. There is no flux across the
+border of the grid or the edge of the support.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from touchfield.filters.separable import AxisTaps, keys_of_passes, reach_of, sum
 from touchfield.filters.smoothing import gaussian_taps
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import bricks_of, numbers_of, slots_around, tiled
+from touchfield.medium.field import bricks_of, neighbour_slots, numbers_of, tiled
 
 if TYPE_CHECKING:
     from touchfield.filters.separable import Axes
@@ -77,7 +77,7 @@ class ShadingFilter(FieldFilter):
         require_one_of("shading smooth", self.smooth, SMOOTHED)
 
     def claims(self, grid: Grid) -> Claims:
-        """Means of amplitudes never exceed the greatest."""
+        """Not linear; a mean of amplitudes never exceeds the greatest of them."""
         return Claims(
             reach=reach_of(self._axes(grid)),
             dc_gain=1.0,
@@ -92,30 +92,30 @@ class ShadingFilter(FieldFilter):
         if not field.support_count:
             return field
         axes = self._axes(field.grid)
-        own = field.forces_n[field.mask].astype(np.float64)
-        lengths_n = np.sqrt((own * own).sum(axis=1))
+        forces_n = field.forces_n[field.mask].astype(np.float64)
+        lengths_n = np.sqrt((forces_n * forces_n).sum(axis=1))
         scale_n = math.ldexp(1.0, math.frexp(float(lengths_n.max()))[1])
         # unit vectors, and (1, |F| / scale, 0), both zero outside the support
         directions, masses = zero_forces(len(field.bricks)), zero_forces(len(field.bricks))
         directions[field.mask] = field.forces_n[field.mask] / lengths_n[:, None]
         masses[field.mask, 0], masses[field.mask, 1] = 1, lengths_n / scale_n
         keys = keys_of_passes(field, axes)
-        keys[3] = keys[0]  # the bricks around the support need not be made
+        keys[3] = keys[0]  # bricks outside the support are not needed
         mean_masses, mean_directions = (
             sums_of_bricks(field.grid, v, axes, keys)[0] for v in (masses, directions)
         )
-        reached = field.mask
-        weights = mean_masses[reached][:, 0]
+        support = field.mask
+        weights = mean_masses[support][:, 0]
         if self.smooth != "direction":
-            lengths_n = scale_n * mean_masses[reached][:, 1].astype(np.float64) / weights
-        unit = directions[reached].astype(np.float64)
+            lengths_n = scale_n * mean_masses[support][:, 1].astype(np.float64) / weights
+        unit = directions[support].astype(np.float64)
         if self.smooth != "amplitude":
-            sums = mean_directions[reached].astype(np.float64)
+            sums = mean_directions[support].astype(np.float64)
             lengths = np.sqrt((sums * sums).sum(axis=1))
-            taken = lengths > _CANCELLED * weights
-            unit[taken] = sums[taken] / lengths[taken, None]
+            has_direction = lengths > _CANCELLED * weights
+            unit[has_direction] = sums[has_direction] / lengths[has_direction, None]
         forces = zero_forces(len(field.bricks))
-        forces[reached] = unit * lengths_n[:, None]
+        forces[support] = unit * lengths_n[:, None]
         return ForceField.from_bricks(field.grid, field.bricks, forces)
 
     def _axes(self, grid: Grid) -> Axes:
@@ -123,21 +123,21 @@ class ShadingFilter(FieldFilter):
         rows = []
         for count, spacing_m in zip(grid.shape, grid.spacing_m, strict=True):
             taps = gaussian_taps(self.sigma_m / spacing_m)
-            beyond = max(0, len(taps) // 2 - (count - 1))
-            rows.append(AxisTaps(taps[beyond : len(taps) - beyond]))
+            excess = max(0, len(taps) // 2 - (count - 1))
+            rows.append(AxisTaps(taps[excess : len(taps) - excess]))
         return rows[0], rows[1], rows[2]
 
 
 MAX_STEPS: Final = 10_000
-_LEAST_KAPPA: Final = 1e-30
+_MIN_KAPPA_N: Final = 1e-30
 
 
 @dataclass(frozen=True)
 class DiffusionFilter(FieldFilter):
     """Perona-Malik diffusion of a force field.
 
-    kappa_n : float; newtons: of a difference to the next sample well below it little is left, well above it
-        is an edge. inf makes every conductance 1.
+    kappa_n : float; newtons: differences between neighbours well below it are smoothed, those well above it
+        are kept as edges. inf makes every conductance 1.
     steps : int; 1 to 10000.
     Raises `InvalidArgument` if a value is out of range; on a call, if the forces are too great for float32.
     """
@@ -153,12 +153,12 @@ class DiffusionFilter(FieldFilter):
         steps = self.steps
         if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or not 1 <= steps <= MAX_STEPS:
             raise InvalidArgument("perona-malik steps", repr(steps), f"a whole number from 1 to {MAX_STEPS}")
-        if not self.kappa_n >= _LEAST_KAPPA:
-            expected = f"newtons, {_LEAST_KAPPA:g} or more, or inf"
+        if not self.kappa_n >= _MIN_KAPPA_N:
+            expected = f"newtons, {_MIN_KAPPA_N:g} or more, or inf"
             raise InvalidArgument("perona-malik kappa_n", repr(self.kappa_n), expected)
 
     def claims(self, grid: Grid) -> Claims:
-        """One sample further in each step, within the support."""
+        """Reaches one sample further in each step, within the support."""
         x, y, z = (min(self.steps, n - 1) for n in grid.shape)
         return Claims(
             reach=(x, y, z),
@@ -173,24 +173,24 @@ class DiffusionFilter(FieldFilter):
         # an axis of one sample has no edges, and its spacing does not count
         finest = min((h for h, n in zip(field.grid.spacing_m, field.grid.shape) if n > 1), default=1.0)
         lam = [min(1.0, finest / h) ** 2 / 7 for h in field.grid.spacing_m]
-        forces = _diffused(field.grid, field.bricks, field.mask.copy(), field.forces_n.copy(), lam, self)
+        forces = _diffuse(field.grid, field.bricks, field.mask.copy(), field.forces_n.copy(), lam, self)
         return ForceField.from_bricks(field.grid, field.bricks, forces)
 
 
 def perona_malik(
     values: ArrayLike, *, steps: int, kappa_n: float, where: ArrayLike | None = None
 ) -> Float32s:
-    """Perona-Malik diffusion of a dense array, sample by sample; see the head of this module.
+    """Perona-Malik diffusion of a dense array; see the module docstring.
 
-    values : float array [nx, ny, nz, 3], or [nx], [nx, ny] or [nx, ny, nz]; taken as float32.
+    values : float array [nx, ny, nz, 3], or [nx], [nx, ny] or [nx, ny, nz]; converted to float32.
     steps : int; 1 to 10000.
     kappa_n : float; in the unit of the values; inf makes every conductance 1.
-    where : bool array of the shape of space, optional; the samples that take part; nothing flows to or from
-        the others. By default all.
+    where : bool array of the shape of space, optional; the samples that take part, by default all. There is
+        no flux to or from the others.
     Returns float32: Of the shape of `values`; the same bits for any number of threads.
     Raises `InvalidArgument` if a value is out of range or not finite, or shapes do not fit.
     """
-    law, array = DiffusionFilter(kappa_n, steps), numbers_of("values", values, np.float32, is_finite=True)
+    spec, array = DiffusionFilter(kappa_n, steps), numbers_of("values", values, np.float32, is_finite=True)
     if array.size == 0 or array.ndim not in (1, 2, 3, 4) or (array.ndim == 4 and array.shape[3] != 3):
         raise InvalidArgument(
             "values", f"shape {array.shape}", "[nx, ny, nz, 3], or scalars with one to three axes"
@@ -205,25 +205,25 @@ def perona_malik(
     support, forces = tiled(mask.reshape(lattice)).reshape(-1, *[BRICK] * 3), zero_forces(len(bricks))
     values_of = array.reshape(*lattice, -1)
     forces[..., : values_of.shape[3]] = tiled(values_of).reshape(len(bricks), *[BRICK] * 3, -1)
-    forces = _diffused(grid, bricks, support, forces, [1 / (2 * len(space) + 1)] * 3, law)
+    forces = _diffuse(grid, bricks, support, forces, [1 / (2 * len(space) + 1)] * 3, spec)
     rows = np.moveaxis(forces.reshape(*grid.brick_shape, BRICK, BRICK, BRICK, 3), (1, 2), (2, 4))
     dense = rows.reshape(*(n * BRICK for n in grid.brick_shape), 3)[:nx, :ny, :nz, : values_of.shape[3]]
     return np.ascontiguousarray(dense).reshape(array.shape)
 
 
-def _diffused(
-    grid: Grid, bricks: Int32s, support: Bools, forces: Float32s, lam: list[float], law: DiffusionFilter
+def _diffuse(
+    grid: Grid, bricks: Int32s, support: Bools, forces: Float32s, lam: list[float], spec: DiffusionFilter
 ) -> Float32s:
-    """All steps of the samples of bricks that take part, with lambda along each axis; `forces` are used up."""
+    """Run all steps for the samples in `support`, with lambda of each axis; `forces` are overwritten."""
     from touchfield.filters.kernels import steps as kernels
 
-    slots = slots_around(bricks, bricks, grid.brick_shape).astype(np.int32)
+    slots = neighbour_slots(bricks, bricks, grid.brick_shape).astype(np.int32)
     count, out = len(bricks), zero_forces(len(bricks))
     x, y, z = (np.float32(part) for part in lam)
-    numbers = (x, y, z), np.float32(1 / law.kappa_n)
-    takes_part = support.reshape(count, BRICK**3)
-    for _ in range(law.steps):
-        flat, into = (each.reshape(count, BRICK**3, 3) for each in (forces, out))
-        for_chunks(kernels.diffused_bricks, count, slots, takes_part, flat, *numbers, into, chunk=32)
+    numbers = (x, y, z), np.float32(1 / spec.kappa_n)
+    mask = support.reshape(count, BRICK**3)
+    for _ in range(spec.steps):
+        flat, into = (array.reshape(count, BRICK**3, 3) for array in (forces, out))
+        for_chunks(kernels.diffuse_bricks, count, slots, mask, flat, *numbers, into, chunk=32)
         forces, out = out, forces
     return without_overflow(forces, "perona-malik forces")

@@ -1,11 +1,11 @@
-"""Linear low-passes of a field: the Gaussian, and what an array of actuators can show (paper section 3.2).
+"""Linear low-passes of a field: Gaussian, and anti-aliasing for an array of actuators (paper section 3.2).
 
-The Gaussian, with the kernel of `scipy.ndimage.gaussian_filter`, acts on each component alone; the paper's
-force shading smooths direction and amplitude apart (`touchfield.filters.shading`).
+The Gaussian has the kernel of `scipy.ndimage.gaussian_filter` and acts on each component alone; the paper's
+force shading smooths direction and amplitude separately (`touchfield.filters.shading`).
 
-Actuators a pitch d apart can show waves up to 1/(2d); what is finer must be taken away before the field is
-sampled there, or it comes back as a false coarse wave. The paper prints the cut-off 2/d for its T-shirt, four
-times too high: a wave of 0.8/d passes it and appears as one of 0.2/d. Both are here, "nyquist" by default and
+Actuators a pitch d apart can show waves up to 1/(2d). Finer waves must be removed before the field is sampled
+there, or they alias to coarse ones. The paper prints the cut-off 2/d for its T-shirt, four times too high: a
+wave of 0.8/d passes it and appears as one of 0.2/d. Both cut-offs are available, "nyquist" (default) and
 "literal". For samples a distance delta apart the cut-off is pi delta/d radians a sample, or four times that.
 """
 
@@ -43,9 +43,9 @@ CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}  # cut-off times pitch
 
 
 def gaussian_taps(sigma_samples: float) -> Float64s:
-    """The taps of one axis, unit sum, float64 [2 r + 1], with r = floor(4 sigma + 1/2).
+    """Return the taps of one axis, unit sum, float64 [2 r + 1], with r = floor(4 sigma + 1/2).
 
-    sigma_samples : float; standard deviation in samples, 0 or more; 0 gives the one tap that changes nothing.
+    sigma_samples : float; standard deviation in samples, 0 or more; 0 gives the identity, a single tap.
     Raises `InvalidArgument` if it is negative, not finite, or the radius exceeds 2^15 samples.
     """
     require_not_negative(sigma_samples=sigma_samples)
@@ -62,11 +62,11 @@ def gaussian_taps(sigma_samples: float) -> Float64s:
 def gaussian(
     signal: ArrayLike, sigma_samples: float | Sequence[float], *, boundary: str = "zero"
 ) -> NDArray[Any]:
-    """A dense array smoothed by a Gaussian.
+    """Smooth a dense array by a Gaussian.
 
-    signal : float32, or taken as float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes.
-    sigma_samples : float or one for each leading axis; standard deviation in samples. One number holds for
-        every axis but the components of a field: those are the last axis, of length 3, of an array of four.
+    signal : float32, else converted to float64, N-D; a field [nx, ny, nz, 3], or scalars with any axes.
+    sigma_samples : float or one for each leading axis; standard deviation in samples. One number applies to
+        every axis but the components of a field (the last axis, of length 3, of a 4-D array).
     boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
     Returns float32 or float64: Of the signal's shape; the same bits for any number of threads.
     Raises `InvalidArgument` if a number is out of range or not finite, or the kernel is larger than the
@@ -97,7 +97,7 @@ class _LowPass(FieldFilter):
         """The taps along each axis of a grid; `InvalidArgument` if an axis has fewer samples."""
 
     def claims(self, grid: Grid) -> Claims:
-        """Linear, unit gain for a constant; a mean of the forces around where the kernel is never negative."""
+        """Linear, unit gain for a constant; a local mean of the forces where no tap is negative."""
         axes = self.taps(grid)
         is_mean = all((row.taps >= 0).all() for row in axes)
         return Claims(reach_of(axes), linear=True, dc_gain=1.0, keeps_mean=True, max_principle=is_mean)
@@ -138,9 +138,9 @@ class GaussianFilter(_LowPass):
 
 
 def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
-    """The cut-off for a pitch d, cycles per metre: "nyquist", 1/(2d), or "literal", the paper's 2/d.
+    """Return the cut-off for a pitch d, cycles per metre: "nyquist", 1/(2d), or "literal", the paper's 2/d.
 
-    Raises `InvalidArgument` if the pitch is not positive, or the word is unknown.
+    Raises `InvalidArgument` if the pitch is not positive, or the name is unknown.
     """
     require_positive(pitch_m=pitch_m)
     require_one_of("cutoff", cutoff, CUTOFFS)
@@ -150,34 +150,35 @@ def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
 def actuator_taps(
     spacing_m: float, pitch_m: float, cutoff: str = "nyquist", kernel: str = "sinc"
 ) -> Float64s:
-    """The centred taps of one axis, unit sum, float64 [odd].
+    """Return the centred taps of one axis, unit sum, float64 [odd].
 
     spacing_m, pitch_m : float; distance between the field's samples, and between neighbouring actuators,
         metres.
     cutoff : {"nyquist", "literal"}; see `cutoff_per_m`.
-    kernel : str; of `touchfield.filters.LOW_PASSES`. "sinc" has negative lobes: beside a contact they leave
-        up to some per cent of its force turned round.
+    kernel : str; of `touchfield.filters.LOW_PASSES`. "sinc" has negative lobes: next to a contact they leave
+        up to a few per cent of its force reversed.
     Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a value is out of
     range.
     """
     require_positive(spacing_m=spacing_m)
-    wanted, most = cutoff_per_m(pitch_m, cutoff), 0.5 / spacing_m
-    if wanted > most * (1 + 1e-9):
-        found = f"{pitch_m:g} m, whose {cutoff} cut-off is {wanted:g} cycles/m"
-        expected = f"a cut-off up to {most:g} cycles/m, the Nyquist rate of samples {spacing_m:g} m apart"
-        mend = f"Take a pitch of at least {CUTOFFS[cutoff] / most:g} m, or a finer field."
+    target_per_m, nyquist_per_m = cutoff_per_m(pitch_m, cutoff), 0.5 / spacing_m
+    if target_per_m > nyquist_per_m * (1 + 1e-9):
+        found = f"{pitch_m:g} m, whose {cutoff} cut-off is {target_per_m:g} cycles/m"
+        expected = (
+            f"a cut-off up to {nyquist_per_m:g} cycles/m, the Nyquist rate of samples {spacing_m:g} m apart"
+        )
+        mend = f"Take a pitch of at least {CUTOFFS[cutoff] / nyquist_per_m:g} m, or a finer field."
         raise InvalidArgument("pitch_m", found, expected, mend)
-    if wanted > most * (1 - 1e-9):
+    if target_per_m > nyquist_per_m * (1 - 1e-9):
         return np.ones(1)  # the samples are as far apart as the actuators: there is nothing finer
-    first, weights = axis_weights((0, spacing_m, 0.0), (1, pitch_m, 0.0), low_pass(kernel), wanted)
+    first, weights = axis_weights((0, spacing_m, 0.0), (1, pitch_m, 0.0), low_pass(kernel), target_per_m)
     taps = weights[0, : 1 - 2 * first[0]].astype(np.float64)
     return np.asarray(taps / taps.sum())
 
 
 @dataclass(frozen=True)
 class ActuatorLowPass(_LowPass):
-    """The part of a field that an array of actuators of this pitch along x and y can show, on its own
-    lattice.
+    """Low-pass a field to what an array of actuators of this pitch along x and y can show.
 
     pitch_m : float; distance between neighbouring actuators, metres, positive.
     cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d, which aliases.
@@ -203,8 +204,12 @@ class ActuatorLowPass(_LowPass):
         """The taps along each axis of a grid; `InvalidArgument` also for a cut-off above its Nyquist rate."""
         rows = []
         for axis, count, spacing_m in zip("xyz", grid.shape, grid.spacing_m, strict=True):
-            is_left = axis == "z" or count == 1
-            taps = np.ones(1) if is_left else actuator_taps(spacing_m, self.pitch_m, self.cutoff, self.kernel)
+            is_unfiltered = axis == "z" or count == 1
+            taps = (
+                np.ones(1)
+                if is_unfiltered
+                else actuator_taps(spacing_m, self.pitch_m, self.cutoff, self.kernel)
+            )
             rows.append(AxisTaps(taps))
             rows[-1].check_fits(count, f"--lowpass pitch {self.pitch_m:g} m along {axis}")
         return rows[0], rows[1], rows[2]

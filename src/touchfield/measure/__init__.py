@@ -1,5 +1,4 @@
-"""Measures: information (paper section 3, eq. 1 to 3), coding limits, fidelity (eq. 10, the mask), rate (eq.
-9).
+"""Measures of a medium: information (eq. 1 to 3), coding limits, fidelity (eq. 10, the mask), rate (eq. 9).
 
 =====================  ================================================================================
 counts                 `Counts` of arrays or of given probabilities; `field_counts`, `interaction_counts`
@@ -11,7 +10,7 @@ of a device            `capacity`, `codomain_bits`
 of energy              `passivity`, `loop_work_j`
 of two media           `similarity`, `compression_distance`
 of a collection        `descriptor`, `MediumIndex`
-of a picture beside    `contact_along_rays`, `picture_correlation`
+of a picture           `contact_along_rays`, `picture_correlation`
 =====================  ================================================================================
 
 A measured result is a `Quantity`: its unit, quantiser, weighting, estimator and interval travel with it.
@@ -49,9 +48,9 @@ from touchfield.measure.similarity import (
 from touchfield.medium.trace import Trace, read_trace
 
 __all__ = [
-    "ESTIMATORS", "Capacity", "CodingLimits", "Contact", "Correlation", "Counts", "Descriptor", "FewSamplesWarning",
-    "FieldSymbols", "Interval", "MediumIndex", "Passivity", "Quantity", "Similarity", "Trace", "capacity",
-    "coding_limits", "codomain_bits", "compression_distance", "conditional_entropy",
+    "ESTIMATORS", "Capacity", "CodingLimits", "Contact", "Correlation", "Counts", "Descriptor",
+    "FewSamplesWarning", "FieldSymbols", "Interval", "MediumIndex", "Passivity", "Quantity", "Similarity",
+    "Trace", "capacity", "coding_limits", "codomain_bits", "compression_distance", "conditional_entropy",
     "contact_along_rays", "descriptor", "entropy", "estimate_bits", "field_counts", "field_entropy",
     "interaction_counts", "interaction_entropy", "interval", "jensen_shannon_distance", "joint_entropy",
     "loop_work_j", "mutual_information", "normalised_mutual_information", "passivity", "picture_correlation",

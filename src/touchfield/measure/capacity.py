@@ -1,14 +1,13 @@
 """Workspace capacity, mapping ratio and information loss (paper section 3.1, eq. 1-3).
 
-Eq. 1 as printed, C(M) = min(C(M(W)), H(W)), has C on both sides. Literally read it is min(C_dev, H(W)) with
-C_dev = log2 |codomain|, all that the device could be told in one frame: of two numbers that stand here the
-less. What is made of it is C = I(W; M(W)) = H(M(W)) for a mapping without randomness, what it is told of this
-medium, bits per frame.
+Eq. 1 as printed, C(M) = min(C(M(W)), H(W)), has C on both sides. Read literally it is min(C_dev, H(W)) with
+C_dev = log2 |codomain|, the most information that the device can receive in one frame. Here C = I(W; M(W)) =
+H(M(W)) for a deterministic mapping: the information that the device receives of this medium, bits per frame.
 
-No mapping exceeds H(W), by the data-processing inequality, and the printed min() is empty. It stays as a
-guard against a biased estimate of either entropy and against a lattice finer than the medium's own ("active
-mappings" in the paper); `Capacity` notes when it acted. "Passive" means this inequality and nothing else:
-whether a field gives energy to the hand is asked in `touchfield.measure.passivity`.
+No mapping exceeds H(W), by the data-processing inequality, so that the printed min() never acts in theory. It
+remains as a guard against a biased estimate of either entropy and against a lattice finer than the medium's
+own ("active mappings" in the paper); `Capacity` notes when it acted. "Passive" means this inequality and
+nothing else: `touchfield.measure.passivity` measures whether a field gives energy to the hand.
 
 Eq. 2: WMR = C / H(W). Eq. 3: HIL = max(H(W) - C, 0) / H(W). They sum to 1, because eq. 1 keeps C <= H(W).
 
@@ -30,7 +29,7 @@ from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument, require_not_negative
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import estimate_bits
-from touchfield.measure.quantity import Interval, Quantity, Told, interval
+from touchfield.measure.quantity import Interval, Quantity, Report, interval
 
 _UNIT: Final = "bit/frame"
 _NEVER_TOO_HIGH: Final = ("exact", "plug-in")  # these cannot exceed log2 of the number of symbols
@@ -38,7 +37,7 @@ _ROUNDING: Final = 1e-9
 
 
 @dataclass(frozen=True)
-class Capacity(Told):
+class Capacity(Report):
     """Eq. 1 to 3 for one medium, device and mapping, all in bits per frame but for the ratios.
 
     `reference`: H(W). `rendered`: H(M(W)). `codomain_bits`: C_dev. `capacity`: C. `wmr`, `hil`: workspace
@@ -58,16 +57,15 @@ class Capacity(Told):
         return self.wmr.notes
 
     def summary(self) -> dict[str, Any]:
-        """See `Told`."""
+        """See `Report`."""
         return super().summary() | {"notes": list(self.notes)}
 
 
 def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
-    """C_dev = log2 |codomain| of a device, bits per frame; InvalidArgument if a number is not whole or
-    below 1.
+    """Return C_dev = log2 |codomain| of a device, bits per frame.
 
-    `samples_per_frame`: lattice points or actuators. `alphabet`: symbols that each can be told, with "no
-    force".
+    `samples_per_frame`: lattice points or actuators. `alphabet`: symbols that each can show, including "no
+    force". InvalidArgument if a number is not whole or below 1.
     """
     for where, count in (("samples_per_frame", samples_per_frame), ("alphabet", alphabet)):
         if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
@@ -78,7 +76,7 @@ def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
 def capacity(
     reference: Quantity, rendered: Quantity, codomain_bits: float, ratio: Interval | None = None
 ) -> Capacity:
-    """C, WMR and HIL of a mapping M of a medium W into a haptic workspace (paper eq. 1-3).
+    """Return C, WMR and HIL of a mapping M of a medium W into a haptic workspace (paper eq. 1-3).
 
     `reference`, `rendered`: H(W) and H(M(W)), "bit/frame", of one weighting: of the whole quantised frame, or
     of a sample times the samples of a frame (`Quantity.times`). `codomain_bits`: C_dev, from the function of
@@ -114,7 +112,7 @@ def capacity(
         raise InvalidArgument(
             "codomain_bits",
             f"{codomain_bits:.6g}, below H(M(W)) = {rendered.value:.6g} bit/frame",
-            "log2 of all frames that the device can be told",
+            "log2 of the number of frames that the device can show",
             "Count the samples and the alphabet of the lattice that was measured.",
         )
     return _of(reference, rendered, float(codomain_bits), ratio)
@@ -123,10 +121,10 @@ def capacity(
 def paired_ratio(
     counts: tuple[Counts, Counts], voxels: tuple[int, int], codomain_bits: float, estimator: str = "plug-in"
 ) -> Interval | None:
-    """An interval of min(H(M(W)), C_dev) / H(W) from blocks of space that hold the same places of both.
+    """Return an interval of min(H(M(W)), C_dev) / H(W) from blocks of space common to both.
 
-    M(W) is a function of W, so that their estimates err together: where a medium is rich, so is what a device
-    renders of it, and their ratio varies less than either. `counts`: of W and of M(W) over voxels, in the
+    M(W) is a function of W, so that the errors of their estimates are correlated and the ratio varies less
+    than either. `counts`: of W and of M(W) over voxels, in the
     same blocks (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): of a frame of W and of
     M(W). `codomain_bits`: C_dev, bits per frame. `estimator`: of both entropies. None where W is a single
     symbol in all the blocks of a resample. InvalidArgument as of `touchfield.measure.quantity.interval`.
@@ -156,14 +154,14 @@ def _of(reference: Quantity, rendered: Quantity, device_bits: float, paired: Int
     notes = _guards(reference, rendered, device_bits)
 
     def of_both(name: str) -> str:
-        mine, theirs = getattr(reference, name), getattr(rendered, name)
-        return str(mine) if mine == theirs else f"W: {mine}; M(W): {theirs}"
+        notes, other_notes = getattr(reference, name), getattr(rendered, name)
+        return str(notes) if notes == other_notes else f"W: {notes}; M(W): {other_notes}"
 
     base = rendered.of(unit="1", quantiser=of_both("quantiser"), estimator=of_both("estimator"), notes=notes)
     spread = _spread(reference, rendered, device_bits)
     c = base.of(name="C", value=bits, unit=_UNIT, interval=None if spread is None else spread[0])
     if reference.value == 0:
-        why = "H(W) = 0: a medium that tells nothing has nothing to lose, and the ratio does not exist"
+        why = "H(W) = 0: a medium without information loses none, and the ratio does not exist"
         nothing = base.of(value=math.nan, interval=None, notes=(*notes, why))
         return Capacity(reference, rendered, device_bits, c, nothing.of(name="WMR"), nothing.of(name="HIL"))
     ratio, loss = bits / reference.value, max(reference.value - bits, 0.0) / reference.value
@@ -185,7 +183,7 @@ def _guards(reference: Quantity, rendered: Quantity, device_bits: float) -> tupl
         notes.append(
             f"H(M(W)) was estimated as {rendered.value:.6g} bit/frame, more than the {device_bits:.6g} that "
             "the "
-            "device can be told, which stand in its place: the estimator overshoots"
+            "device can show, which replaces it: the estimator overshoots"
         )
     if min(rendered.value, device_bits) > reference.value * (1 + _ROUNDING):
         notes.append(
@@ -205,8 +203,8 @@ def _spread(reference: Quantity, rendered: Quantity, device_bits: float) -> tupl
     h_low, h_high = _range(reference)
     c_low, c_high = (min(end, device_bits) for end in _range(rendered))
     level = max(0.0, 1.0 - sum(1.0 - i.level for i in intervals))
-    told = f"H(W) in [{h_low:.6g}, {h_high:.6g}] and H(M(W)) in [{c_low:.6g}, {c_high:.6g}]"
-    method = f"interval arithmetic, {told}; {intervals[0].method}"
+    summary = f"H(W) in [{h_low:.6g}, {h_high:.6g}] and H(M(W)) in [{c_low:.6g}, {c_high:.6g}]"
+    method = f"interval arithmetic, {summary}; {intervals[0].method}"
     low = 1.0 if h_high == 0 else min(c_low / h_high, 1.0)
     high = 1.0 if h_low <= c_high else c_high / h_low
     return (

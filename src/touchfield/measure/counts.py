@@ -1,11 +1,10 @@
-"""`Counts`: how often each cell was seen, the one value that every entropy is a quantity of (paper section
-3).
+"""`Counts`: how often each symbol or joint symbol occurs, the input of every entropy (paper section 3).
 
-It is made of arrays, of given probabilities, of quantised fields (`field_counts`) or of a trace
-(`interaction_counts`). The memory is bounded by the different symbols, not by the samples: these are looked
-at in stretches, which for a `numpy.memmap` are read as they are counted. 8- and 16-bit symbols, and all whose
-range is at most 2^22, are counted in tables, on all cores; others are sorted, stretch after stretch, and
-merged. A joint symbol is the number of a cell in the box of the symbols' ranges, so that nothing is hashed.
+Counts come from arrays, from given probabilities, from quantised fields (`field_counts`) or from a trace
+(`interaction_counts`). The memory is bounded by the different symbols, not by the samples: these are read in
+stretches, so that a `numpy.memmap` is read as it is counted. 8- and 16-bit symbols, and all whose range is at
+most 2^22, are counted in tables, on all cores; others are sorted stretch by stretch and merged. A joint
+symbol is the index of a cell in the box of the symbols' ranges, so that nothing is hashed.
 """
 
 from __future__ import annotations
@@ -23,36 +22,36 @@ from touchfield.arrays import Float64s, Int64s
 from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import as_array, entropy_bits
-from touchfield.measure.quantity import LEAST_BLOCKS
+from touchfield.measure.quantity import MIN_BLOCKS
 from touchfield.medium.field import frozen, numbers_of
 
 Histogram = tuple[Int64s, Int64s]
-"""Symbols or numbers of cells, ascending, and how often each was seen."""
+"""Symbols or numbers of cells, ascending, and the count of each."""
 
 ABSENT: Final = (1 << 63) - 1
-"""The symbol of a column that a cell has none of: see `Counts.side_by_side`."""
+"""The symbol of a column without a value in this cell: see `Counts.side_by_side`."""
 
 TOLERANCE: Final = 1e-9
-"""How far from 1 probabilities may add up."""
+"""Largest deviation from 1 of the sum of given probabilities."""
 
 BLOCKS = 64
 """Blocks of the bootstrap of arrays, where there are enough samples."""
 
-MOST_BLOCK_CELLS = 1 << 24
-"""Blocks times cells that are held for a bootstrap: 128 MiB."""
+MAX_BLOCK_CELLS = 1 << 24
+"""Largest number of blocks times cells for a bootstrap: 128 MiB."""
 
 STRETCH = 1 << 18
 """Samples handled at once: 2 MiB of int64."""
 
 _TABLE = 1 << 22
-_MOST = 1 << 63
+_MAX_CELLS = 1 << 63
 _NOTHING = np.zeros(0, np.int64)
 _NO_BLOCKS = "no interval: fewer than 8 blocks, for there are too few samples or too many symbols"
 
 
 @dataclass(frozen=True)
 class Counts:
-    """How often each cell (symbol or joint symbol) was seen, and what they are of.
+    """The count of each cell (symbol or joint symbol), with quantiser, weighting and variables.
 
     `cells` int64 [K, d]: the symbols of d variables, rows in strictly ascending order, the first column
     slowest. `weights` int64 [K] or float64 [K]: counts of at least 1 each, or probabilities above 0 that add
@@ -116,12 +115,12 @@ class Counts:
 
     @classmethod
     def of_stream(cls, parts: Iterable[NDArray[Any]]) -> Counts:
-        """Count the symbols of arrays that come one by one; each is counted and let go."""
+        """Count the symbols of a stream of arrays; none is kept after it is counted."""
         total: Histogram = (_NOTHING, _NOTHING)
         waiting: list[Histogram] = []  # small ones wait until together they are as large as the sum
         for part in parts:
-            some = cls.of(part)
-            waiting.append((some.cells[:, 0], np.asarray(some.weights, np.int64)))
+            part_counts = cls.of(part)
+            waiting.append((part_counts.cells[:, 0], np.asarray(part_counts.weights, np.int64)))
             if sum(len(w[0]) for w in waiting) > max(len(total[0]), STRETCH):
                 total, waiting = merged([total, *waiting]), []
         symbols, counts = merged([total, *waiting])
@@ -149,11 +148,10 @@ class Counts:
 
     @classmethod
     def side_by_side(cls, first: Counts, second: Counts) -> Counts:
-        """Two variables that are never seen together, each `ABSENT` beside the other: for
-        `jensen_shannon_distance`.
+        """Combine two separately sampled variables; each is `ABSENT` in the cells of the other.
 
-        Block b of one is drawn together with block b of the other, which is right for samples taken side by
-        side and for independent ones. InvalidArgument if one of them is empty.
+        For `jensen_shannon_distance`. Block b of one is drawn together with block b of the other, which is
+        right for paired samples and for independent ones. InvalidArgument if one of them is empty.
         """
         if not (len(first.cells) and len(second.cells)):
             raise InvalidArgument("samples", "no sample", "at least one of each")
@@ -173,7 +171,7 @@ class Counts:
 
 
 class SymbolCounter:
-    """Counts the symbols of the support and the empty voxels, frame after frame."""
+    """Counter of the symbols of the support and of the empty voxels, frame after frame."""
 
     def __init__(self) -> None:
         self._counted: Histogram = (_NOTHING, _NOTHING)
@@ -197,7 +195,7 @@ class SymbolCounter:
 
 
 def merged(parts: Sequence[Histogram]) -> Histogram:
-    """The sum of several tallies."""
+    """Add several histograms."""
     full = [p for p in parts if len(p[0])]
     if len(full) < 2:
         return full[0] if full else (_NOTHING, _NOTHING)
@@ -210,10 +208,10 @@ def merged(parts: Sequence[Histogram]) -> Histogram:
 
 
 def checked_symbols(samples: ArrayLike, where: str = "samples") -> NDArray[Any]:
-    """`samples` as an array of whole numbers, not copied where it is one already.
+    """Return `samples` as an array of whole numbers, without a copy if it is one.
 
-    InvalidArgument if they are not whole numbers, or lists that differ in length; floats are refused even
-    where whole, for they are seldom meant as symbols.
+    InvalidArgument if they are not whole numbers, or ragged lists. Floats are rejected even if whole, as they
+    are seldom meant as symbols.
     """
     x = as_array(samples, where)
     if x.dtype.kind in "biu":
@@ -226,13 +224,12 @@ def checked_symbols(samples: ArrayLike, where: str = "samples") -> NDArray[Any]:
     raise InvalidArgument(where, found, "symbols: integers or booleans", "Quantise them first.")
 
 
-# -- counting
-# -----------------------------------------------------------------------------------------------------
+# -- counting ----------------------------------------------------------------------------------------------
 
 
-def _stretch(x: NDArray[Any], begin: int, end: int) -> NDArray[Any]:
+def _stretch(x: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
     """Samples begin .. end of an array in C order, contiguous, in this machine's byte order."""
-    part = x.reshape(-1)[begin:end] if x.flags.c_contiguous else x.flat[begin:end]
+    part = x.reshape(-1)[start:stop] if x.flags.c_contiguous else x.flat[start:stop]
     native: NDArray[Any] = np.require(part, part.dtype.newbyteorder("="), ("C", "A"))
     return native
 
@@ -254,20 +251,20 @@ class _Keys:
         columns: list[tuple[int, int, Int64s | None]] = []
         for low, high in map(_range, arrays):
             columns.append((low, high - low + 1, None))
-        if math.prod(width for _, width, _ in columns) >= _MOST:
-            ranks = [_sorted(partial(_wide, x), 0, x.size)[0] for x in arrays]
-            columns = [(0, len(known), known) for known in ranks]
+        if math.prod(width for _, width, _ in columns) >= _MAX_CELLS:
+            ranks = [_sorted(partial(_stretch_int64, x), 0, x.size)[0] for x in arrays]
+            columns = [(0, len(symbols), symbols) for symbols in ranks]
         span = math.prod(width for _, width, _ in columns)
-        if span >= _MOST:
+        if span >= _MAX_CELLS:
             raise InvalidArgument("samples", f"{span} joint symbols that there could be", "fewer than 2^63")
         return cls(arrays, tuple(columns), span)
 
-    def numbers(self, begin: int, end: int) -> Int64s:
+    def numbers(self, start: int, stop: int) -> Int64s:
         """Of samples begin .. end in C order, int64."""
         total: Int64s | None = None
-        for x, (low, width, known) in zip(self.arrays, self.columns, strict=True):
-            s = _wide(x, begin, end)
-            code = s - low if known is None else np.searchsorted(known, s)
+        for x, (low, width, by_rank) in zip(self.arrays, self.columns, strict=True):
+            s = _stretch_int64(x, start, stop)
+            code = s - low if by_rank is None else np.searchsorted(by_rank, s)
             total = code if total is None else total * width + code
         assert total is not None
         return total
@@ -276,34 +273,34 @@ class _Keys:
         """The symbols of numbers [K], int64 [K, d]."""
         out = np.empty((len(numbers), len(self.columns)), np.int64)
         rest = numbers
-        for j, (low, width, known) in reversed(list(enumerate(self.columns))):
+        for j, (low, width, by_rank) in reversed(list(enumerate(self.columns))):
             rest, code = np.divmod(rest, width)
-            out[:, j] = code + low if known is None else known[code]
+            out[:, j] = code + low if by_rank is None else by_rank[code]
         return out
 
 
-def _wide(x: NDArray[Any], begin: int, end: int) -> Int64s:
-    return _stretch(x, begin, end).astype(np.int64, copy=False)
+def _stretch_int64(x: NDArray[Any], start: int, stop: int) -> Int64s:
+    return _stretch(x, start, stop).astype(np.int64, copy=False)
 
 
 def _range(x: NDArray[Any]) -> tuple[int, int]:
     if x.dtype.kind == "b":
         return 0, 1
 
-    def piece(begin: int, end: int) -> list[int]:
-        ends = []
-        for b in range(begin, end, STRETCH):
-            part = _stretch(x, b, min(end, b + STRETCH))
-            ends += [int(part.min()), int(part.max())]
-        return ends
+    def piece(start: int, stop: int) -> list[int]:
+        extremes = []
+        for b in range(start, stop, STRETCH):
+            part = _stretch(x, b, min(stop, b + STRETCH))
+            extremes += [int(part.min()), int(part.max())]
+        return extremes
 
-    ends = [n for part in for_chunks(piece, x.size, chunk=STRETCH) for n in part]
-    if max(ends) >= _MOST:
-        raise InvalidArgument("samples", f"the symbol {max(ends)}", "symbols below 2^63")
-    return min(ends), max(ends)
+    extremes = [n for part in for_chunks(piece, x.size, chunk=STRETCH) for n in part]
+    if max(extremes) >= _MAX_CELLS:
+        raise InvalidArgument("samples", f"the symbol {max(extremes)}", "symbols below 2^63")
+    return min(extremes), max(extremes)
 
 
-def _count_small(x: NDArray[Any], begin: int, end: int) -> Histogram:
+def _count_small(x: NDArray[Any], start: int, stop: int) -> Histogram:
     """Symbols and counts of 8- or 16-bit samples begin .. end in C order, by a table of all that there can
     be.
     """
@@ -311,39 +308,39 @@ def _count_small(x: NDArray[Any], begin: int, end: int) -> Histogram:
 
     wide = x.dtype.itemsize == 2
     word, count = (np.uint16, counts_of_16_bits) if wide else (np.uint8, counts_of_8_bits)
-    whole = x.flags.c_contiguous and x.flags.aligned and x.dtype.isnative
-    step = end - begin if whole else 4 * STRETCH
+    is_viewable = x.flags.c_contiguous and x.flags.aligned and x.dtype.isnative
+    step = stop - start if is_viewable else 4 * STRETCH
     table = np.zeros(1 << (16 if wide else 8), np.int64)
-    for b in range(begin, end, max(1, step)):
-        table += count(_stretch(x, b, min(end, b + step)).view(word))
-    seen = np.flatnonzero(table)
+    for b in range(start, stop, max(1, step)):
+        table += count(_stretch(x, b, min(stop, b + step)).view(word))
+    occurring = np.flatnonzero(table)
     native = np.int8 if x.dtype == np.bool_ else x.dtype.newbyteorder("=")
-    symbols = seen.astype(word).view(native).astype(np.int64)
+    symbols = occurring.astype(word).view(native).astype(np.int64)
     order = np.argsort(symbols)
-    return symbols[order], table[seen[order]]
+    return symbols[order], table[occurring[order]]
 
 
-def _count_keys(keys: _Keys, begin: int, end: int) -> Histogram:
+def _count_keys(keys: _Keys, start: int, stop: int) -> Histogram:
     """The numbers that occur among samples begin .. end, ascending, and how often each does."""
     from touchfield.measure.kernels import add_counts
 
     if keys.span > _TABLE:
-        return _sorted(keys.numbers, begin, end)
+        return _sorted(keys.numbers, start, stop)
 
     def piece(first: int, last: int) -> Int64s:
         table = np.zeros(keys.span, np.int64)
         for b in range(first, last, STRETCH):
-            add_counts(keys.numbers(begin + b, begin + min(last, b + STRETCH)), table)
+            add_counts(keys.numbers(start + b, start + min(last, b + STRETCH)), table)
         return table
 
     total = sum(
-        for_chunks(piece, end - begin, chunk=max(STRETCH, 4 * keys.span)), np.zeros(keys.span, np.int64)
+        for_chunks(piece, stop - start, chunk=max(STRETCH, 4 * keys.span)), np.zeros(keys.span, np.int64)
     )
-    seen = np.flatnonzero(total)
-    return seen, total[seen]
+    occurring = np.flatnonzero(total)
+    return occurring, total[occurring]
 
 
-def _sorted(read: Callable[[int, int], Int64s], begin: int, end: int) -> Histogram:
+def _sorted(read: Callable[[int, int], Int64s], start: int, stop: int) -> Histogram:
     """Distinct numbers that are read from begin to end, a bounded part at a time."""
 
     def piece(first: int, last: int, offset: int) -> Histogram:
@@ -353,22 +350,22 @@ def _sorted(read: Callable[[int, int], Int64s], begin: int, end: int) -> Histogr
         )
 
     total: Histogram = (_NOTHING, _NOTHING)
-    for b in range(begin, end, 16 * STRETCH):
-        total = merged([total, *for_chunks(piece, min(end - b, 16 * STRETCH), b, chunk=STRETCH)])
+    for b in range(start, stop, 16 * STRETCH):
+        total = merged([total, *for_chunks(piece, min(stop - b, 16 * STRETCH), b, chunk=STRETCH)])
     return total
 
 
-def _blocks(count: Callable[[int, int], Histogram], n: int, known: Int64s, wanted: int) -> Int64s | None:
-    """The counts of known numbers in contiguous blocks of n samples, equal but for one sample, int64 [B, K]."""
-    blocks = min(int(wanted), n, MOST_BLOCK_CELLS // max(1, len(known)))
-    if blocks < LEAST_BLOCKS:
+def _blocks(count: Callable[[int, int], Histogram], n: int, symbols: Int64s, requested: int) -> Int64s | None:
+    """Return the counts of the numbers in contiguous blocks of (nearly) equal length, int64 [B, K]."""
+    blocks = min(int(requested), n, MAX_BLOCK_CELLS // max(1, len(symbols)))
+    if blocks < MIN_BLOCKS:
         return None
-    out = np.zeros((blocks, len(known)), np.int64)
+    out = np.zeros((blocks, len(symbols)), np.int64)
 
-    def piece(begin: int, end: int) -> None:
-        for b in range(begin, end):
+    def piece(start: int, stop: int) -> None:
+        for b in range(start, stop):
             numbers, times = count(n * b // blocks, n * (b + 1) // blocks)
-            out[b, np.searchsorted(known, numbers)] = times
+            out[b, np.searchsorted(symbols, numbers)] = times
 
     for_chunks(piece, blocks)
     return out

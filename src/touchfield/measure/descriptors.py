@@ -1,38 +1,37 @@
-"""Descriptor of a haptic medium: a short vector of numbers (paper section 4: "indexing"; 5.1: "data
-indexing").
+"""Descriptor of a haptic medium, a vector of 83 numbers (paper sections 4, "indexing", and 5.1).
 
 The paper names no descriptor. This one has seven named parts, of fixed lengths:
 
-================  ====  ==================================================  ====================================
+================  ====  ==================================================  ==============================
 part              size  is                                                  does not change with
-================  ====  ==================================================  ====================================
-amplitude           21  sqrt of the share of felt voxels at each of 21      place, pose, order of the frames
+================  ====  ==================================================  ==============================
+amplitude           21  sqrt of the fraction of felt voxels at each of 21   place, pose, order of the frames
                         levels of |F|, Weber steps of k = 0.1 from 0.05 N
                         to 2.8 N and above
-directions          42  sqrt of the share of sum |F| around each of 42      place, size, stiffness; it *does* with
-                        icosahedral directions                              pose
+directions          42  sqrt of the fraction of sum |F| around each of 42   place, size, stiffness; it *does*
+                        icosahedral directions                              with pose
 direction_power      8  sqrt(P_l), l = 1 .. 8: spherical-harmonic power of  place, size, stiffness, pose
                         the directions, weighted by |F|
-support              5  share of octree cells that are felt, levels 1 .. 5  place, size; pose by right angles
-                        of the cube around what is felt
-level_entropy        5  entropy of the cells' classes of |F|, over the      place, size; pose by right angles
-                        most there can be
-change               1  |F(t + 1/30 s) - F(t)| over |F|, root mean square   place, size, stiffness, pose; frame rate
-                        over the lattice, halved
-turnover             1  share of the voxels felt at t or t + 1/30 s that    the same but for stiffness
-                        are felt at one of them alone
-================  ====  ==================================================  ====================================
+support              5  fraction of octree cells that are felt, levels      place, size; pose by right angles
+                        1 .. 5 of the cube around the felt voxels
+level_entropy        5  entropy of the cells' classes of |F|, relative to   place, size; pose by right angles
+                        its maximum
+change               1  |F(t + 1/30 s) - F(t)| over |F|, root mean square   place, size, stiffness, pose;
+                        over the lattice, halved                            frame rate
+turnover             1  fraction of the voxels felt at t or t + 1/30 s      the same but for stiffness
+                        that are felt at only one of the two times
+================  ====  ==================================================  ==============================
 
 Both histograms are soft: a voxel is shared between the two nearest levels, and between the directions around
-it, so that a small error moves a small share. A voxel is *felt* where |F| is 0.05 N or more: what is weaker
-no hand can tell from nothing, and a filter or a coder may spread it over much of the lattice or take it away.
+it, so that a small error changes the histogram little. A voxel is *felt* (perceptible) if |F| is 0.05 N or
+more: weaker forces are imperceptible, and a filter or a coder may spread or remove them.
 
-"Does not change" holds up to the lattice: a body that is turned or scaled is sampled at other points of it.
-Square roots of shares are as far apart as the Hellinger distance says (times sqrt 2), and sqrt(P_l) is a
-length, so that Euclidean distances between parts mean something and are metrics.
+"Does not change" holds up to the lattice: a body that is rotated or scaled is sampled at other points of it.
+Euclidean distances between square roots of fractions are Hellinger distances (times sqrt 2), and sqrt(P_l) is
+a length, so that Euclidean distances between parts are meaningful and are metrics.
 
-A medium of many frames is looked at in a few, evenly spaced; the shares are of all of them together, the
-levels and changes are their means. Friction and damping, which travel beside the field, are not told.
+A medium of many frames is sampled at a few, evenly spaced; the fractions are of all of them together, the
+levels and changes are their means. Friction and damping, which are metadata, are not described.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ SPREAD: Final = 0.3
 
 
 class DirectionSums:
-    """Adds up forces by direction: around 42 icosahedral directions, and harmonics up to a degree.
+    """Sums of forces by direction: around 42 icosahedral directions, and harmonics up to a degree.
 
     `degree`: the highest, 1 or more. `by_direction` float64 [42]: sum of the amplitudes around each of
     `icosahedral_directions`, newtons. A force is shared between them in proportion to exp(cos(angle) /
@@ -79,12 +78,12 @@ class DirectionSums:
         self.coefficients = np.zeros((degree + 1) ** 2)
 
     def add(self, vectors_n: ArrayLike) -> None:
-        """Count force vectors, newtons, float [n, 3]; those of length 0 tell nothing."""
+        """Add force vectors, newtons, float [n, 3]; those of length 0 do not count."""
         from touchfield.measure.kernels import sums_by_direction
 
-        forces, around = np.ascontiguousarray(vectors_n, np.float64), icosahedral_directions()
+        forces, directions = np.ascontiguousarray(vectors_n, np.float64), icosahedral_directions()
         by_direction, coefficients = sums_by_direction(
-            forces, around, 1 / SPREAD**2, _harmonic_norms(self.degree)
+            forces, directions, 1 / SPREAD**2, _harmonic_norms(self.degree)
         )
         self.by_direction += by_direction
         self.coefficients += coefficients
@@ -113,14 +112,13 @@ def _harmonic_norms(degree: int) -> Float64s:
 
 @cache
 def icosahedral_directions() -> Float64s:
-    """The 12 corners of an icosahedron and the middles of its 30 edges, unit vectors, float64 [42, 3],
-    ascending.
+    """Return 42 unit vectors, float64 [42, 3], ascending: icosahedron corners and edge midpoints.
 
-    Those of the coder's codebook "ico2", which lies in a higher layer.
+    They equal the coder's codebook "ico2", which lies in a higher layer.
     """
     golden = (1 + math.sqrt(5)) / 2
-    one = np.array([(0.0, a, b * golden) for a in (1, -1) for b in (1, -1)])
-    corners = np.concatenate([np.roll(one, shift, axis=1) for shift in range(3)])
+    rectangle = np.array([(0.0, a, b * golden) for a in (1, -1) for b in (1, -1)])
+    corners = np.concatenate([np.roll(rectangle, shift, axis=1) for shift in range(3)])
     first, second = np.nonzero(np.triu(np.isclose(corners @ corners.T, golden)))  # neighbours
     points = np.concatenate([corners, corners[first] + corners[second]])
     points /= np.linalg.norm(points, axis=1, keepdims=True)
@@ -146,7 +144,7 @@ def octree_levels(
     low, high = positions.min(axis=0), positions.max(axis=0)
     side = float(((high - low + 1) * spacing).max())
     centre = (low + high) / 2 * spacing
-    places = (positions * spacing - centre) / side + 0.5
+    scaled = (positions * spacing - centre) / side + 0.5
     coarsest = float(np.max(np.where(high > low, spacing, 0.0)))
     fractions, entropies = np.zeros(LEVELS), np.zeros(LEVELS)
     for level in range(1, LEVELS + 1):
@@ -155,7 +153,7 @@ def octree_levels(
             fractions[level - 1], entropies[level - 1] = fractions[level - 2], entropies[level - 2]
             continue
         # a hair inwards, so that rounding does not decide which cell a sample on a border lies in
-        x, y, z = np.clip(np.floor(places * cells + 1e-9).astype(np.int64), 0, cells - 1).T
+        x, y, z = np.clip(np.floor(scaled * cells + 1e-9).astype(np.int64), 0, cells - 1).T
         of_sample = (x * cells + y) * cells + z
         occupied, cell = np.unique(of_sample, return_inverse=True)
         means = np.bincount(cell.reshape(-1), amplitudes_n) / np.bincount(cell.reshape(-1))
@@ -166,18 +164,17 @@ def octree_levels(
 
 
 DESCRIPTOR_VERSION: Final = 1
-"""Raised whenever a number of the vector changes its meaning."""
+"""Incremented whenever a number of the vector changes its meaning."""
 
 DEGREE: Final = 8
 WEBER_FRACTION: Final = 0.1
 FORCES_N: Final = (0.05, 3.3)
-"""From where to where the amplitude is told apart: F_0 of the mask as it was for version 1, and what a
-desktop device gives (the last Weber step below it). Written down here, for another F_0 would be another
-descriptor."""
+"""Range of the amplitude levels: F_0 of the mask as of version 1, and the maximum of a desktop device (the
+last Weber step below it). A constant here, because another F_0 would be another descriptor."""
 
 LAG_S: Final = 1 / 30
-"""Between the two frames that are compared for change; one frame where the medium has fewer a second, and all
-of it where it is shorter."""
+"""Time between the two frames that are compared for change; one frame at lower frame rates, and the whole
+medium if it is shorter."""
 
 PARTS: Final = MappingProxyType(
     {
@@ -222,42 +219,44 @@ class Descriptor(EqualByValue):
 
 
 def part_slots() -> Iterator[tuple[str, slice]]:
-    """Each part's name, and where it lies in the vector."""
-    begin = 0
+    """Yield each part's name and its slice of the vector."""
+    start = 0
     for name, size in PARTS.items():
-        yield name, slice(begin, begin + size)
-        begin += size
+        yield name, slice(start, start + size)
+        start += size
 
 
 def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor:
-    """Describe a medium for an index; a field is a medium that stands still.
+    """Describe a medium for an index; a field is a medium of one frame.
 
-    `frames`: how many are looked at, at most; each with the one 1/30 s later, as long as there is one.
+    `frames`: the largest number of frames to sample; each with the one 1/30 s later, if there is one.
     InvalidArgument if none of these frames holds a force of 0.05 N, or `frames` is below 1.
     """
     if frames < 1:
         raise InvalidArgument("frames", f"{frames}", "1 or more")
-    held = HapticMedium.from_frames([medium], 30.0) if isinstance(medium, ForceField) else medium
-    lag = min(max(1, round(held.rate_hz * LAG_S)), max(1, len(held) - 1))
-    starts = max(1, len(held) - lag)
-    looked_at = np.unique(np.linspace(0, starts - 1, min(frames, starts)).round().astype(np.int64)).tolist()
+    source = HapticMedium.from_frames([medium], 30.0) if isinstance(medium, ForceField) else medium
+    lag = min(max(1, round(source.rate_hz * LAG_S)), max(1, len(source) - 1))
+    starts = max(1, len(source) - lag)
+    sampled = np.unique(np.linspace(0, starts - 1, min(frames, starts)).round().astype(np.int64)).tolist()
     directions, classes = DirectionSums(DEGREE), np.zeros(PARTS["amplitude"])
     levels, changes = [], []
-    for n in looked_at:
-        field = held[n]
+    for n in sampled:
+        field = source[n]
         support = field.support()
-        felt = support.amplitudes_n >= FORCES_N[0]
-        if felt.any():
-            amplitudes = support.amplitudes_n[felt]
-            directions.add(field.vectors_n()[felt])
-            classes += _shared(amplitudes)
-            levels.append(octree_levels(field.grid, support.positions[felt], amplitudes, thresholds_n()))
-        if n + lag < len(held):
-            changes.append(_change(field, held[n + lag]))
+        is_perceptible = support.amplitudes_n >= FORCES_N[0]
+        if is_perceptible.any():
+            amplitudes = support.amplitudes_n[is_perceptible]
+            directions.add(field.vectors_n()[is_perceptible])
+            classes += _level_weights(amplitudes)
+            levels.append(
+                octree_levels(field.grid, support.positions[is_perceptible], amplitudes, thresholds_n())
+            )
+        if n + lag < len(source):
+            changes.append(_change(field, source[n + lag]))
     if not levels:
         raise InvalidArgument(
             "medium",
-            f"no force of {FORCES_N[0]} N in {len(looked_at)} frames",
+            f"no force of {FORCES_N[0]} N in {len(sampled)} frames",
             "something to feel",
             "Take other frames, or look at the source.",
         )
@@ -278,32 +277,33 @@ def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor
 
 @cache
 def thresholds_n() -> Float64s:
-    """The levels of the amplitude, newtons, float64 [21]; from one to the next is a class of an octree cell."""
+    """Return the levels of the amplitude, newtons, float64 [21]; they separate the octree cells' classes."""
     return WeberLadder.spanning(WEBER_FRACTION, *FORCES_N).thresholds_n
 
 
-def _shared(amplitudes_n: Float32s) -> Float64s:
-    """How many voxels each level of `thresholds_n` has, of felt ones, each shared between the two nearest."""
+def _level_weights(amplitudes_n: Float32s) -> Float64s:
+    """Return the voxels per level of `thresholds_n`; each voxel is shared between the two nearest levels."""
     levels = np.log(thresholds_n())
-    place = np.interp(np.log(amplitudes_n.astype(np.float64)), levels, np.arange(len(levels)))
-    lower = np.minimum(place.astype(np.int64), len(levels) - 2)
-    upper_share = place - lower
+    rank = np.interp(np.log(amplitudes_n.astype(np.float64)), levels, np.arange(len(levels)))
+    lower = np.minimum(rank.astype(np.int64), len(levels) - 2)
+    upper_weight = rank - lower
     shared = np.zeros(len(levels))
-    for level, share in ((lower, 1 - upper_share), (lower + 1, upper_share)):
-        shared += np.bincount(level, share, len(levels))
+    for level, weight in ((lower, 1 - upper_weight), (lower + 1, upper_weight)):
+        shared += np.bincount(level, weight, len(levels))
     return shared
 
 
 def _change(before: ForceField, after: ForceField) -> tuple[float, float]:
-    """sqrt(sum |b - a|^2 / sum (|a|^2 + |b|^2) / 2) / 2, and |A xor B| / |A or B| of what is felt; 0 without
-    any.
+    """Return change, sqrt(sum |b - a|^2 / sum (|a|^2 + |b|^2) / 2) / 2, and turnover, |A xor B| / |A or B|.
+
+    A and B are the perceptible voxels of the two frames. Both numbers are 0 without any force.
     """
     grid = before.grid
     keys = np.union1d(brick_keys(grid, before.bricks), brick_keys(grid, after.bricks))
     moved = power = 0.0
     alone = either = 0
-    for begin in range(0, len(keys), _BRICKS):
-        a, b = (f.forces_at(keys[begin : begin + _BRICKS]).astype(np.float64) for f in (before, after))
+    for start in range(0, len(keys), _BRICKS):
+        a, b = (f.forces_at(keys[start : start + _BRICKS]).astype(np.float64) for f in (before, after))
         moved += float(((b - a) ** 2).sum())
         power += float((a**2).sum() + (b**2).sum()) / 2
         in_a, in_b = (np.sqrt((f**2).sum(axis=-1)) >= FORCES_N[0] for f in (a, b))

@@ -1,10 +1,9 @@
-"""Entropy from counts: three estimators (paper section 3, which defines the entropy of known probabilities
-only).
+"""Entropy estimators from counts (paper section 3 defines the entropy of known probabilities only).
 
-The paper takes frequencies for probabilities, the plug-in estimate. It is low by about (K - 1)/(2 n ln 2)
-bits for K symbols and n samples, and half a bit low for a thousand codewords and as many samples, so other
-estimators stand beside it. All of them see only how many symbols were counted how often, and all converge on
-the entropy for large n.
+The paper uses frequencies as probabilities, the plug-in estimate. It is low by about (K - 1)/(2 n ln 2) bits
+for K symbols and n samples, and half a bit low for a thousand codewords and as many samples. Other estimators
+are therefore provided. All of them use only how many symbols were counted how often, and all converge to the
+entropy for large n.
 
 Measured bias in bits, mean of 3000 draws. ``zipf``: p ~ 1/rank, K = n = 1000, H = 7.489, one draw spreads by
 0.10. ``sparse``: 97 % zeros and 512 symbols as 1/rank, n = 10 000, H = 0.4006, one draw spreads by 0.02.
@@ -37,9 +36,7 @@ from touchfield.medium.field import frozen
 
 
 def as_array(values: ArrayLike, where: str) -> NDArray[Any]:
-    """`values` as an array, not copied where it is one already; InvalidArgument for lists that differ in
-    length.
-    """
+    """Return `values` as an array, without a copy if it is one; InvalidArgument for ragged lists."""
     try:
         return np.asarray(values)
     except ValueError:
@@ -49,7 +46,7 @@ def as_array(values: ArrayLike, where: str) -> NDArray[Any]:
 
 
 def entropy_bits(counts: ArrayLike) -> float:
-    """Plug-in entropy -sum p log2 p of a histogram, bits a sample; 0 for an empty one.
+    """Return the plug-in entropy -sum p log2 p of a histogram, bits a sample; 0 for an empty one.
 
     Exact to rounding also where one symbol dominates, such as the empty space around one brick.
     """
@@ -59,12 +56,12 @@ def entropy_bits(counts: ArrayLike) -> float:
 
 
 def _bits(counts: Float64s, times: Float64s) -> float:
-    """Plug-in entropy of symbols of which some were counted so often each."""
-    total, most = float((counts * times).sum()), int(counts.argmax())
+    """Return the plug-in entropy of `times` symbols with each of the `counts`."""
+    total, largest = float((counts * times).sum()), int(counts.argmax())
     log_p = np.log2(counts / total)
-    rest = float(np.delete(counts * times, most).sum())
-    if times[most] == 1 and rest < counts[most]:
-        log_p[most] = np.log1p(-rest / total) / np.log(
+    rest = float(np.delete(counts * times, largest).sum())
+    if times[largest] == 1 and rest < counts[largest]:
+        log_p[largest] = np.log1p(-rest / total) / np.log(
             2
         )  # its p is nearly 1, and the logarithm would be rounding
     return float(-(times * counts / total * log_p).sum()) + 0.0  # 0, and not -0
@@ -77,10 +74,10 @@ def binary_entropy_bits(p: float) -> float:
 
 @dataclass(frozen=True)
 class Tally:
-    """Counts as an estimator sees them: how many symbols were counted how often.
+    """Counts as an estimator uses them: how many symbols were counted how often.
 
     `counts` float64 [d]: the different counts, whole numbers of at least 1, ascending. `times` float64 [d]:
-    how many symbols were counted so often.
+    the number of symbols with each count.
     """
 
     counts: Float64s
@@ -93,13 +90,13 @@ class Tally:
 
     @property
     def observed(self) -> float:
-        """How many symbols were seen at least once."""
+        """The number of symbols that were counted at least once."""
         return float(self.times.sum())
 
-    def seen(self, count: int) -> float:
-        """How many symbols were seen exactly `count` times, f_count in the literature."""
-        place = int(np.searchsorted(self.counts, count))
-        return float(self.times[place]) if place < len(self.counts) and self.counts[place] == count else 0.0
+    def symbols_counted(self, count: int) -> float:
+        """Return how many symbols were counted exactly `count` times, f_count in the literature."""
+        index = int(np.searchsorted(self.counts, count))
+        return float(self.times[index]) if index < len(self.counts) and self.counts[index] == count else 0.0
 
 
 def tally(counts: ArrayLike) -> Tally:
@@ -125,9 +122,7 @@ def tally(counts: ArrayLike) -> Tally:
 
 
 def plug_in(t: Tally) -> float:
-    """-sum p ln p at p = count/n, the maximum-likelihood estimate (paper section 3). Low for every n, by
-    Jensen.
-    """
+    """-sum p ln p at p = count/n, the maximum-likelihood estimate (paper section 3); biased low (Jensen)."""
     return _bits(t.counts, t.times) * math.log(2)
 
 
@@ -148,15 +143,15 @@ def chao_wang_jost(t: Tally) -> float:
     """
     from scipy.special import digamma
 
-    n, once, twice = t.samples, t.seen(1), t.seen(2)
-    seen = float((t.times * t.counts * (digamma(n) - digamma(t.counts))).sum()) / n
+    n, once, twice = t.samples, t.symbols_counted(1), t.symbols_counted(2)
+    observed_part = float((t.times * t.counts * (digamma(n) - digamma(t.counts))).sum()) / n
     if once == 0:
-        return seen
+        return observed_part
     if twice:
         a = 2 * twice / ((n - 1) * once + 2 * twice)
     else:
         a = 2 / ((n - 1) * (once - 1) + 2)
-    return seen + once / n * _geometric_tail(a, n)
+    return observed_part + once / n * _geometric_tail(a, n)
 
 
 def _geometric_tail(a: float, n: float) -> float:
@@ -181,16 +176,16 @@ ESTIMATORS: Final[Mapping[str, Callable[[Tally], float]]] = MappingProxyType(
         "chao-wang-jost": chao_wang_jost,
     }
 )
-"""The registered estimators by name: each of a `Tally`, in nats. All but the plug-in take most of their bias
-off, so that an interval must not take it off again (`touchfield.measure.quantity.interval`)."""
+"""The registered estimators by name: each of a `Tally`, in nats. All but the plug-in correct most of their
+bias, so that an interval must not correct it again (`touchfield.measure.quantity.interval`)."""
 
 
 def estimate_bits(counts: ArrayLike, estimator: str = "plug-in", alphabet: int | None = None) -> float:
-    """The entropy that counts speak of, bits a sample.
+    """Estimate the entropy from counts, bits a sample.
 
-    An estimate outside 0 .. log2 K is taken to the nearer end, which can only mend it; the upper end holds
-    where `alphabet`, K, is given. InvalidArgument if the estimator is unknown, the counts are negative, not
-    whole, not finite or without a sample, or the alphabet is smaller than the number of observed symbols.
+    An estimate outside 0 .. log2 K is clipped to that range, which can only improve it; the upper bound
+    applies if `alphabet`, K, is given. InvalidArgument if the estimator is unknown, the counts are negative,
+    not whole, not finite or without a sample, or the alphabet is smaller than the number of observed symbols.
     """
     require_one_of("estimator", estimator, ESTIMATORS)
     t = tally(counts)
@@ -199,5 +194,5 @@ def estimate_bits(counts: ArrayLike, estimator: str = "plug-in", alphabet: int |
             "alphabet", f"{alphabet}", f"a whole number of at least {t.observed:.0f}, the observed symbols"
         )
     nats = ESTIMATORS[estimator](t)
-    most = math.inf if alphabet is None else math.log2(alphabet)
-    return min(max(0.0, nats / math.log(2)), most)  # 0.0 first, which is then kept instead of -0.0
+    max_bits = math.inf if alphabet is None else math.log2(alphabet)
+    return min(max(0.0, nats / math.log(2)), max_bits)  # 0.0 first, which is then kept instead of -0.0

@@ -1,13 +1,13 @@
-"""How much of a field survives (paper eq. 10), and whether a hand could feel the difference.
+"""Fidelity of a decoded field (paper eq. 10): NMSE in three readings, and violations of the mask.
 
-Eq. 10 as printed sums unsquared norms above and forgets the sum below. Three readings are reported:
+Eq. 10 as printed sums unsquared norms in the numerator and has no sum in the denominator. Three readings:
 
 * ``nmse_db`` = 10 log10(sum |e|^2 / sum |F|^2), the usual one and our default;
 * ``nmse_literal_db`` = 20 log10(sum |e| / sum |F|), the printed norms with the sum put in;
 * ``nmse_forensic_db`` = 20 log10(sum |e|^2 / sum |F|^2), which comes closest to the figures of table 3.
 
-All sums run over every voxel where either field is not zero. Beside them stands the mask max(F_0, k |F|):
-how many voxels differ by more than a hand can feel, and by how much the worst one does.
+All sums run over every voxel where either field is not zero. The mask max(F_0, k |F|) gives the number of
+voxels that differ perceptibly, and the largest ratio of error to mask.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _CHUNK = 4096  # bricks at a time: 25 MB of float32 forces
 
 
 class FidelityMeter:
-    """Adds up the error of decoded frames against their originals.
+    """Accumulated error of decoded frames against their originals.
 
     `k`: Weber fraction of the mask. `f0_n`: F_0, absolute threshold of the mask, newtons, positive.
-    `masking`: share of the forces around, and radius in metres, of a mask with spatial masking
-    (`perception.mask`).
+    `masking`: beta, the fraction of the surrounding forces, and radius in metres, of a mask with spatial
+    masking (`perception.mask`).
     """
 
     def __init__(self, k: float, f0_n: float, masking: tuple[float, float] | None = None) -> None:
@@ -55,23 +55,23 @@ class FidelityMeter:
             raise InvalidArgument(
                 "decoded field", f"shape {decoded.grid.shape}", f"the source's shape {original.grid.shape}"
             )
-        mine = brick_keys(original.grid, original.bricks)
-        keys = np.union1d(mine, brick_keys(decoded.grid, decoded.bricks))
+        original_keys = brick_keys(original.grid, original.bricks)
+        keys = np.union1d(original_keys, brick_keys(decoded.grid, decoded.bricks))
         hidden = None if self._masking is None else self._masking.hidden_n(original)
         for start in range(0, len(keys), _CHUNK):
             part = keys[start : start + _CHUNK]
-            around = np.zeros((len(part), BRICK, BRICK, BRICK), np.float32)
+            masking = np.zeros((len(part), BRICK, BRICK, BRICK), np.float32)
             if hidden is not None:  # nothing is hidden in bricks without a force
-                around[np.isin(part, mine)] = hidden[np.isin(mine, part)]
-            self._add_bricks(original.forces_at(part), decoded.forces_at(part), around)
+                masking[np.isin(part, original_keys)] = hidden[np.isin(original_keys, part)]
+            self._add_bricks(original.forces_at(part), decoded.forces_at(part), masking)
 
     def _add_bricks(self, original: Float32s, decoded: Float32s, hidden: Float32s) -> None:
         x, y = original.reshape(-1, 3), decoded.reshape(-1, 3)
-        is_held = (x != 0).any(axis=1) | (y != 0).any(axis=1)
-        x, y = np.ascontiguousarray(x[is_held]), np.ascontiguousarray(y[is_held])
-        beyond = violations(x, y, self.k, self.f0_n, masking_n=hidden.reshape(-1)[is_held])
-        self.mask_violations += beyond.count
-        self.worst_mask_ratio = max(self.worst_mask_ratio, beyond.worst_ratio or 0.0)
+        is_supported = (x != 0).any(axis=1) | (y != 0).any(axis=1)
+        x, y = np.ascontiguousarray(x[is_supported]), np.ascontiguousarray(y[is_supported])
+        violation = violations(x, y, self.k, self.f0_n, masking_n=hidden.reshape(-1)[is_supported])
+        self.mask_violations += violation.count
+        self.worst_mask_ratio = max(self.worst_mask_ratio, violation.worst_ratio or 0.0)
         force2 = (x.astype(np.float64) ** 2).sum(axis=1)
         error2 = ((y.astype(np.float64) - x) ** 2).sum(axis=1)
         force, error = np.sqrt(force2), np.sqrt(error2)

@@ -1,17 +1,16 @@
-"""Counting the symbols of quantised frames, over all voxels and over the object (paper section 3.1, tables 1
-and 2).
+"""Symbol counts of quantised frames over voxels and over the object (paper section 3.1, tables 1 and 2).
 
-The paper never says what is drawn at random. Here it is S = Q(F(X)), X uniform over all V voxels of all
-frames ("voxel", empty space being symbol 0), or over those where Q(F) is not zero ("object"), or as often as
-a probe was there ("interaction", `touchfield.measure.interaction`). The first two obey H_voxel = h2(p) + p
-H_object, p being the density of the support: that identity is what the paper calls "artificially escalated".
-It holds exactly for the plug-in estimates; others are corrected apart from each other, and obey it only as n
-grows. Empty space that no brick covers is counted and never allocated.
+The paper does not define the random variable. Here it is S = Q(F(X)) with X uniform over all V voxels of all
+frames ("voxel", empty space being symbol 0), or over those where Q(F) is not zero ("object"), or distributed
+as the visits of a probe ("interaction", `touchfield.measure.interaction`). The first two obey H_voxel = h2(p)
++ p H_object, where p is the density of the support; the paper calls this "artificially escalated". It holds
+exactly for the plug-in estimates; others are corrected separately, and obey it only as n grows. Empty space
+that no brick covers is counted but never allocated.
 
-Frames may be a lazy sequence; none is held once it is counted. The first pass counts, the second makes the
-blocks of a bootstrap, which need to know the symbols that occur; over voxels alone one pass makes both, where
-a table of all symbols that there can be holds every block. The object's counts are those of the voxels
-without symbol 0. Blocks hold all frames of a part of space: over "voxel" boxes of bricks that fill the
+Frames may be a lazy sequence; none is kept after it is counted. The first pass counts. The second makes the
+blocks of a bootstrap, for which the occurring symbols must be known; over voxels alone a single pass does
+both, if a table of all possible symbols fits for every block. The object's counts are those of the voxels
+without symbol 0. A block has all frames of a part of space: over "voxel" boxes of bricks that fill the
 lattice, over "object" equal numbers of neighbouring bricks of the support.
 """
 
@@ -27,23 +26,21 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.counts import MOST_BLOCK_CELLS, Counts
+from touchfield.measure.counts import MAX_BLOCK_CELLS, Counts
 from touchfield.measure.field_symbols import Fields, FramePairs, Frames, frames_changed
 from touchfield.measure.information import entropy
-from touchfield.measure.quantity import LEAST_BLOCKS, Quantity
+from touchfield.measure.quantity import MIN_BLOCKS, Quantity
 from touchfield.medium.field import brick_keys, bricks_of
 from touchfield.medium.grid import BRICK, Grid
 
 BLOCKS = 27
-"""Three along each side of a cube: fewer, larger blocks cover more of what neighbours share, see `bootstrap`.
-
-"""
+"""Three along each side of a cube: larger blocks capture more of the dependence between neighbours."""
 
 # -- parts of space for a block bootstrap: boxes of a lattice, or groups of bricks of the support
 
 
-LEAST_BLOCK_BRICKS = 8
-"""Of a block, where there are bricks enough: 16 samples along each side, some times what neighbours share."""
+MIN_BLOCK_BRICKS = 8
+"""Of a block, if there are enough bricks: 16 samples along each side, several correlation lengths."""
 
 
 @dataclass(frozen=True)
@@ -59,15 +56,15 @@ class BrickGroups:
     owners: Int64s
 
     @classmethod
-    def of(cls, grid: Grid, keys: Int64s, most: int) -> BrickGroups:
-        """At most so many groups of the bricks with these keys, ascending."""
+    def of(cls, grid: Grid, keys: Int64s, max_groups: int) -> BrickGroups:
+        """Make at most `max_groups` groups of the bricks with these keys, ascending."""
         bricks = bricks_of(grid, keys).astype(np.int64)
         along = np.zeros(len(keys), np.int64)
         for bit in range(max(grid.brick_shape).bit_length()):  # the bits of the three places, in turn
             along |= ((bricks >> bit & 1) << (3 * bit + np.arange(3))).sum(axis=1)
         curve = np.argsort(along)
         owners = np.empty(len(keys), np.int64)
-        owners[curve] = np.arange(len(keys)) * _wanted(most, len(keys)) // len(keys)
+        owners[curve] = np.arange(len(keys)) * _block_count(max_groups, len(keys)) // len(keys)
         return cls(grid, keys, owners)
 
     @property
@@ -77,28 +74,28 @@ class BrickGroups:
 
     def owner(self, bricks: Int32s) -> Int64s:
         """The block of each brick, int64 [m, 1], of int32 [m, 3]; bricks without a symbol may be anywhere."""
-        place = np.minimum(np.searchsorted(self.keys, brick_keys(self.grid, bricks)), len(self.keys) - 1)
-        return self.owners[place, None]
+        index = np.minimum(np.searchsorted(self.keys, brick_keys(self.grid, bricks)), len(self.keys) - 1)
+        return self.owners[index, None]
 
 
-def _wanted(most: int, bricks: int) -> int:
-    """Blocks of so many bricks: not so many that they are too small, where that leaves enough."""
-    return min(most, bricks, max(LEAST_BLOCKS, bricks // LEAST_BLOCK_BRICKS))
+def _block_count(max_blocks: int, bricks: int) -> int:
+    """Return the number of blocks for so many bricks: fewer if blocks would be too small, at least 8."""
+    return min(max_blocks, bricks, max(MIN_BLOCKS, bricks // MIN_BLOCK_BRICKS))
 
 
-def _cuts(sides: ArrayLike, room: Sequence[int], most: int) -> tuple[int, int, int]:
-    """At most so many boxes in all and `room` along each axis, cut again and again across the longest side."""
+def _cuts(sides: ArrayLike, max_cuts: Sequence[int], max_boxes: int) -> tuple[int, int, int]:
+    """Cut across the longest side repeatedly, to at most `max_boxes` in all and `max_cuts` along an axis."""
     cuts = [1, 1, 1]
     while True:
         longest_first = np.argsort(np.asarray(sides) / cuts)[::-1]
-        open_ = [
+        divisible = [
             a
             for a in longest_first
-            if cuts[a] < room[a] and math.prod(cuts) // cuts[a] * (cuts[a] + 1) <= most
+            if cuts[a] < max_cuts[a] and math.prod(cuts) // cuts[a] * (cuts[a] + 1) <= max_boxes
         ]
-        if not open_:
+        if not divisible:
             return cuts[0], cuts[1], cuts[2]
-        cuts[open_[0]] += 1
+        cuts[divisible[0]] += 1
 
 
 @dataclass(frozen=True)
@@ -112,9 +109,9 @@ class Boxes:
     along: tuple[Int64s, ...]
 
     @classmethod
-    def of_bricks(cls, grid: Grid, most: int) -> Boxes:
-        """At most so many boxes of bricks, cut again and again across the longest side."""
-        cuts = _cuts(grid.brick_shape, grid.brick_shape, _wanted(most, math.prod(grid.brick_shape)))
+    def of_bricks(cls, grid: Grid, max_boxes: int) -> Boxes:
+        """Make at most `max_boxes` boxes of bricks by repeated cuts across the longest side."""
+        cuts = _cuts(grid.brick_shape, grid.brick_shape, _block_count(max_boxes, math.prod(grid.brick_shape)))
         axes = zip(grid.brick_shape, grid.shape, cuts, strict=True)
         return cls(cuts, tuple(np.repeat(np.arange(n) * of // n, BRICK)[:size] for n, size, of in axes))
 
@@ -132,14 +129,12 @@ class Boxes:
 
     @cached_property
     def _of_bricks(self) -> list[Int64s]:
-        """The cut of each brick of an axis, int64 [n, 1]; of its samples, [n, 8], where boxes end within
-        bricks.
-        """
+        """The cut of each brick of an axis, int64 [n, 1]; of its samples, [n, 8], if boxes split bricks."""
         rows = [np.pad(o, (0, -len(o) % BRICK), "edge").reshape(-1, BRICK) for o in self.along]
         return [r[:, :1] for r in rows] if all((r == r[:, :1]).all() for r in rows) else rows
 
     def owner(self, bricks: Int32s) -> Int64s:
-        """The block of each brick, int64 [m, 1], or of each of its samples, [m, 512], of int32 [m, 3]."""
+        """Return the block of each brick, int64 [m, 1], or sample, [m, 512], of bricks int32 [m, 3]."""
         x, y, z = (rows[b] for rows, b in zip(self._of_bricks, bricks.T, strict=True))
         owner = (x[:, :, None, None] * self.cuts[1] + y[:, None, :, None]) * self.cuts[2] + z[:, None, None]
         return np.asarray(owner.reshape(len(bricks), -1))
@@ -175,13 +170,12 @@ def field_counts(
     interval: bool = True,
     blocks: int = BLOCKS,
 ) -> dict[str, Counts]:
-    """The symbols of all frames over each weighting of `overs`, or the joint symbols of two media, voxel by
-    voxel.
+    """Count the symbols of all frames over each weighting, or the joint symbols of two media.
 
-    `first`, `second`: FieldSymbols, or sequences of as many, S and T, of one grid; their quantisers may
-    differ. Sequences may make their frames when asked for them: they are asked for one by one, in order, the
-    second's before the first's, and none is held longer than it is counted. Each is asked for once without an
-    interval, and over "voxel" alone if `blocks` times the alphabet is at most 2^24; twice otherwise. `overs`:
+    `first`, `second`: FieldSymbols, or sequences of equal length, S and T, of one grid; their quantisers may
+    differ. Sequences may be lazy: frames are requested one by one, in order, the second's before the first's,
+    and none is kept after it is counted. Each is requested once without an interval, and over "voxel" alone
+    if `blocks` times the alphabet is at most 2^24; twice otherwise. `overs`:
     "voxel" for all voxels, "object" for those whose symbol is not 0, of two media those where one of the two
     has a force; no cells if there is none. `interval`: whether blocks are wanted. `blocks`: how many, 8 or
     more. InvalidArgument if the frames differ in grid or Q, or from one pass to the next, or the two media in
@@ -189,10 +183,8 @@ def field_counts(
     """
     if not overs or any(over not in ("voxel", "object") for over in overs):
         raise InvalidArgument("over", repr(overs), '"voxel" or "object"')
-    if interval and blocks < LEAST_BLOCKS:
-        raise InvalidArgument(
-            "blocks", f"{blocks}", f"{LEAST_BLOCKS} or more", "Give interval=False for none."
-        )
+    if interval and blocks < MIN_BLOCKS:
+        raise InvalidArgument("blocks", f"{blocks}", f"{MIN_BLOCKS} or more", "Give interval=False for none.")
     if second is None:
         return _count(Frames(first, "fields"), overs, interval, blocks)
     a, b = Frames(first, "first"), Frames(second, "second")
@@ -211,7 +203,7 @@ def field_counts(
 
 
 def supported(counts: Counts) -> Counts:
-    """The counts; InvalidArgument if they are of an object that there is none of."""
+    """Return the counts; InvalidArgument if they have no cell, that is, no voxel with a force."""
     if not len(counts.cells):
         raise InvalidArgument(
             "fields",
@@ -229,43 +221,51 @@ def _count(
     if everywhere >= 1 << 63:
         raise InvalidArgument("fields", f"{everywhere} voxels in all frames", "fewer than 2^63")
     of = partial(Counts, quantiser=frames.quantiser, variables=("S", "T"))
-    if overs == ("voxel",) and interval and blocks * frames.alphabet <= MOST_BLOCK_CELLS:
+    if overs == ("voxel",) and interval and blocks * frames.alphabet <= MAX_BLOCK_CELLS:
         boxes = Boxes.of_bricks(frames.grid, blocks)
-        if boxes.count >= LEAST_BLOCKS:
-            seen, each = _in_one_pass(frames, boxes)
+        if boxes.count >= MIN_BLOCKS:
+            occurring, by_block = _count_by_box(frames, boxes)
             return {
                 "voxel": of(
-                    seen[:, None], each.sum(axis=0), each, weighting="voxel", alphabet=frames.alphabet
+                    occurring[:, None],
+                    by_block.sum(axis=0),
+                    by_block,
+                    weighting="voxel",
+                    alphabet=frames.alphabet,
                 )
             }
-    held, support = _held_symbols(frames, interval and "object" in overs)
-    symbols, weights = held.cells[:, 0], np.asarray(held.weights, np.int64)
+    support_counts, support = _support_counts(frames, interval and "object" in overs)
+    symbols, weights = support_counts.cells[:, 0], np.asarray(support_counts.weights, np.int64)
     tallies = {"object": (symbols, weights), "voxel": (symbols, weights)}
-    if empty_count := everywhere - held.total:
+    if empty_count := everywhere - support_counts.total:
         tallies["voxel"] = np.append(0, symbols), np.append(empty_count, weights)
     parts: dict[str, Boxes | BrickGroups] = {}
     for over in overs if interval else ():
-        most = min(blocks, MOST_BLOCK_CELLS // max(1, len(tallies[over][0])))
+        max_blocks = min(blocks, MAX_BLOCK_CELLS // max(1, len(tallies[over][0])))
         part = (
-            BrickGroups.of(frames.grid, support, most)
+            BrickGroups.of(frames.grid, support, max_blocks)
             if over == "object"
-            else Boxes.of_bricks(frames.grid, most)
+            else Boxes.of_bricks(frames.grid, max_blocks)
         )
-        if min(most, part.count) >= LEAST_BLOCKS:
+        if min(max_blocks, part.count) >= MIN_BLOCKS:
             parts[over] = part
-    tables = _held_by_part(frames, symbols, parts)
-    few = f"no interval: fewer than {LEAST_BLOCKS} blocks, for there are too few bricks or too many symbols"
+    tables = _support_by_part(frames, symbols, parts)
+    few = f"no interval: fewer than {MIN_BLOCKS} blocks, for there are too few bricks or too many symbols"
     counts = {}
     for over in overs:
-        (seen, times), alphabet, space = tallies[over], frames.alphabet - (over == "object"), parts.get(over)
+        (occurring, times), alphabet, space = (
+            tallies[over],
+            frames.alphabet - (over == "object"),
+            parts.get(over),
+        )
         table = None if space is None else _with_empty(tables[over], space, frames.count, times)
         notes = (few,) if interval and table is None else ()
-        counts[over] = of(seen[:, None], times, table, weighting=over, alphabet=alphabet, notes=notes)
+        counts[over] = of(occurring[:, None], times, table, weighting=over, alphabet=alphabet, notes=notes)
     return counts
 
 
 def _with_empty(table: Int64s, part: Boxes | BrickGroups, frames: int, counts: Int64s) -> Int64s:
-    """The counts of each part with those of symbol 0 before them, where `counts` of all parts have it."""
+    """Prepend the counts of symbol 0 to the counts of each part, if `counts` of all parts have it."""
     if len(counts) > table.shape[1]:
         assert isinstance(part, Boxes)
         empty = part.voxels * frames - table.sum(axis=1)
@@ -275,47 +275,47 @@ def _with_empty(table: Int64s, part: Boxes | BrickGroups, frames: int, counts: I
     return table
 
 
-def _in_one_pass(frames: Frames | FramePairs, boxes: Boxes) -> tuple[Int64s, Int64s]:
-    """The symbols that occur, and their counts in each box, by a table of all symbols that there can be."""
+def _count_by_box(frames: Frames | FramePairs, boxes: Boxes) -> tuple[Int64s, Int64s]:
+    """Return the occurring symbols and their counts in each box, by a table of all possible symbols."""
     from touchfield.measure.kernels import add_counts
 
     table = np.zeros((boxes.count, frames.alphabet), np.int64)
     for bricks, symbols in frames.parts():
-        is_held = symbols != 0
-        owner = np.repeat(boxes.owner(bricks)[:, 0], is_held.sum(axis=1))
-        add_counts(owner * frames.alphabet + symbols[is_held], table.reshape(-1))
+        is_supported = symbols != 0
+        owner = np.repeat(boxes.owner(bricks)[:, 0], is_supported.sum(axis=1))
+        add_counts(owner * frames.alphabet + symbols[is_supported], table.reshape(-1))
     table[:, 0] = boxes.voxels * frames.count - table.sum(axis=1)
-    seen = np.flatnonzero(table.any(axis=0))
-    return seen, table[:, seen]
+    occurring = np.flatnonzero(table.any(axis=0))
+    return occurring, table[:, occurring]
 
 
-def _held_symbols(frames: Frames | FramePairs, keep_support: bool) -> tuple[Counts, Int64s]:
-    """The counts without symbol 0; and where it is wanted the keys of the bricks that hold one, ascending."""
+def _support_counts(frames: Frames | FramePairs, keep_support: bool) -> tuple[Counts, Int64s]:
+    """Return the counts without symbol 0 and, if requested, the keys of the supported bricks, ascending."""
     support = np.zeros(0, np.int64)
 
-    def held_symbols() -> Iterator[Int64s]:
+    def support_symbols() -> Iterator[Int64s]:
         nonlocal support
         for bricks, symbols in frames.parts():
             if keep_support:
                 support = np.union1d(support, brick_keys(frames.grid, bricks[symbols.any(axis=1)]))
             yield symbols[symbols != 0]
 
-    return Counts.of_stream(held_symbols()), support
+    return Counts.of_stream(support_symbols()), support
 
 
-def _held_by_part(
-    frames: Frames | FramePairs, known: Int64s, parts: Mapping[str, Boxes | BrickGroups]
+def _support_by_part(
+    frames: Frames | FramePairs, occurring: Int64s, parts: Mapping[str, Boxes | BrickGroups]
 ) -> dict[str, Int64s]:
-    """The counts of the `known` symbols in each part, int64 [B, K], for every way to part the space: one
+    """The counts of the `occurring` symbols in each part, int64 [B, K], for every way to part the space: one
     pass.
     """
     from touchfield.measure.kernels import add_counts
 
-    k = len(known)
+    k = len(occurring)
     out = {name: np.zeros((part.count, k), np.int64) for name, part in parts.items()}
     for bricks, symbols in frames.parts() if out else ():
         inside = symbols != 0
-        cells = np.searchsorted(known, symbols[inside])
+        cells = np.searchsorted(occurring, symbols[inside])
         if (cells == k).any():  # beyond the table
             raise frames_changed()
         for name, part in parts.items():
@@ -324,13 +324,11 @@ def _held_by_part(
     return out
 
 
-LEAST_SAMPLES = (BRICK, 2)
-"""Along each side of a box, of the medium and of what is rendered of it: their neighbours depend on each
-other.
-"""
+MIN_BOX_SAMPLES = (BRICK, 2)
+"""Along each side of a box, of the medium and of the rendered medium: neighbouring samples are dependent."""
 
 
-def shared_boxes(grid: Grid, other: Grid, most: int) -> tuple[Boxes, Boxes] | None:
+def shared_boxes(grid: Grid, other: Grid, max_boxes: int) -> tuple[Boxes, Boxes] | None:
     """At most so many boxes of two lattices in one space, which hold samples of both, or None for fewer
     than 8.
 
@@ -339,48 +337,56 @@ def shared_boxes(grid: Grid, other: Grid, most: int) -> tuple[Boxes, Boxes] | No
     as an array of actuators has, is not cut. What lies beyond belongs to the nearest.
     """
     low, high = grid.box_m
-    places = [other.axis_m(axis) for axis in range(3)]
-    inside = [int(((x >= lo) & (x < hi)).sum()) for x, lo, hi in zip(places, low, high, strict=True)]
-    room = [
-        max(1, min(n // LEAST_SAMPLES[0], m // LEAST_SAMPLES[1]))
+    positions_m = [other.axis_m(axis) for axis in range(3)]
+    inside = [int(((x >= lo) & (x < hi)).sum()) for x, lo, hi in zip(positions_m, low, high, strict=True)]
+    max_cuts = [
+        max(1, min(n // MIN_BOX_SAMPLES[0], m // MIN_BOX_SAMPLES[1]))
         for n, m in zip(grid.shape, inside, strict=True)
     ]
-    cuts = _cuts(high - low, room, most)
+    cuts = _cuts(high - low, max_cuts, max_boxes)
 
     def boxes_of(g: Grid) -> Boxes:
-        shares = [(g.axis_m(a) - low[a]) / (high[a] - low[a]) * cuts[a] for a in range(3)]
+        cut_positions = [(g.axis_m(a) - low[a]) / (high[a] - low[a]) * cuts[a] for a in range(3)]
         return Boxes(
-            cuts, tuple(np.clip(s, 0, n - 1).astype(np.int64) for s, n in zip(shares, cuts, strict=True))
+            cuts,
+            tuple(np.clip(s, 0, n - 1).astype(np.int64) for s, n in zip(cut_positions, cuts, strict=True)),
         )
 
-    own, others = boxes_of(grid), boxes_of(other)
-    return (own, others) if own.count >= LEAST_BLOCKS and own.voxels.all() and others.voxels.all() else None
+    boxes, other_boxes = boxes_of(grid), boxes_of(other)
+    return (
+        (boxes, other_boxes)
+        if boxes.count >= MIN_BLOCKS and boxes.voxels.all() and other_boxes.voxels.all()
+        else None
+    )
 
 
 def shared_counts(
-    fields: tuple[Fields, Fields], grids: tuple[Grid, Grid], counts: tuple[Counts, Counts], most: int = 64
+    fields: tuple[Fields, Fields],
+    grids: tuple[Grid, Grid],
+    counts: tuple[Counts, Counts],
+    max_boxes: int = 64,
 ) -> tuple[Counts, Counts] | None:
     """The counts over "voxel" of two media, with blocks that are the same boxes of space, for a joint
     bootstrap.
 
     `fields` two of FieldSymbols or a sequence of them: a medium, and what is rendered of it, frame by frame.
     Each frame is asked for once, those of the medium first. `grids` (Grid, Grid): their lattices in one
-    space, such as hand metres. `counts`: of all voxels of all frames of each. `most`: boxes that are wanted.
-    Fewer are made where 2^24 counts would not hold them. None where there would be fewer than 8 boxes, or one
-    of them held samples of one lattice alone. InvalidArgument if there are not as many frames of each, or the
-    counts are not those of the frames.
+    space, such as hand metres. `counts`: of all voxels of all frames of each. `max_boxes`: boxes that are
+    wanted. Fewer are made where 2^24 counts would not hold them. None where there would be fewer than 8
+    boxes, or one of them has samples of only one lattice. InvalidArgument if there are not as many frames
+    of each, or the counts are not those of the frames.
     """
     frames = Frames(fields[0], "medium"), Frames(fields[1], "rendered")
     if frames[0].count != frames[1].count:
         raise InvalidArgument(
             "rendered", f"{frames[1].count} frames", f"{frames[0].count}, as many as the medium"
         )
-    both = shared_boxes(*grids, min(most, MOST_BLOCK_CELLS // sum(len(c.cells) for c in counts)))
+    both = shared_boxes(*grids, min(max_boxes, MAX_BLOCK_CELLS // sum(len(c.cells) for c in counts)))
     if both is None:
         return None
     shared = []
     for f, boxes, c in zip(frames, both, counts, strict=True):
-        known = c.cells[int(c.cells[0, 0] == 0) :, 0]
-        table = _held_by_part(f, known, {"voxel": boxes})["voxel"]
+        occurring = c.cells[int(c.cells[0, 0] == 0) :, 0]
+        table = _support_by_part(f, occurring, {"voxel": boxes})["voxel"]
         shared.append(replace(c, blocks=_with_empty(table, boxes, f.count, np.asarray(c.weights))))
     return shared[0], shared[1]

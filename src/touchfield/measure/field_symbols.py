@@ -1,10 +1,9 @@
-"""S = Q(F): a quantised field as symbols, sparse in the bricks of its field (paper section 3.1).
+"""Symbols S = Q(F) of a quantised field, sparse in the bricks of the field (paper section 3.1).
 
 Symbol 0 is "no force" and fills all space that no brick covers; 1 .. K-1 are the codewords of Q. Departure
-from the text of the paper's tables: the *object* is where Q(F) is not zero, and not where F is not zero. A
-force that Q takes to zero is empty space to whoever receives it, and H_voxel = h2(p) + p H_object then holds
-for every Q: exactly for the entropies themselves and for their plug-in estimates, but not for bias-corrected
-ones.
+from the text of the paper's tables: the *object* is where Q(F) is not zero, rather than where F is not zero.
+A force that Q maps to zero is empty space for the receiver, and H_voxel = h2(p) + p H_object then holds for
+every Q: exactly for the entropies and for their plug-in estimates, but not for bias-corrected ones.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from touchfield.medium.grid import BRICK, Grid
 
 @dataclass(frozen=True)
 class FieldSymbols:
-    """The symbols of one frame, of a quantiser that `quantiser` names in words.
+    """The symbols of one frame; `quantiser` describes the quantiser.
 
     `bricks` int32 [n, 3]: strictly ascending (x slowest, z fastest) and within the grid, as in `ForceField`;
     bricks without any symbol but 0 are allowed. `symbols` int32 [n, 8, 8, 8]: 0 .. alphabet - 1; 0 beyond the
@@ -56,8 +55,7 @@ class FieldSymbols:
 
     @classmethod
     def from_dense(cls, grid: Grid, symbols: ArrayLike, alphabet: int, quantiser: str) -> FieldSymbols:
-        """From a dense array of symbols, integers or booleans [nx, ny, nz]; bricks without a force are left
-        out.
+        """Build from a dense array of symbols, integers or booleans [nx, ny, nz]; empty bricks are omitted.
 
         InvalidArgument if the shape is not that of the grid, or the symbols are no integers of 0 ..
         alphabet - 1.
@@ -77,7 +75,7 @@ class FieldSymbols:
         return cls(grid, bricks, tiles[tuple(bricks.T)], alphabet, quantiser)
 
     def to_dense(self) -> Int32s:
-        """All symbols, int32 [nx, ny, nz]."""
+        """Return all symbols, int32 [nx, ny, nz]."""
         bx, by, bz = self.grid.brick_shape
         tiles = np.zeros((bx, by, bz, BRICK, BRICK, BRICK), np.int32)
         tiles[tuple(self.bricks.T)] = self.symbols
@@ -114,16 +112,17 @@ _BRICKS = 1 << 11  # at a time: 8 MiB of int64
 
 
 class Frames:
-    """Frames of one grid and one Q, each asked for and checked when its turn comes.
+    """Frames of one grid and one Q, each requested and checked in turn.
 
-    The first, asked for to know grid and Q, is held until it is counted, and so not asked for twice.
+    The first frame, requested to find grid and Q, is kept until it is counted, so that no frame is requested
+    twice in a pass.
     """
 
-    def __init__(self, given: Fields, where: str) -> None:
-        if not isinstance(given, FieldSymbols | Sequence):
-            raise InvalidArgument(where, f"a {type(given).__name__}", "FieldSymbols or a sequence of them")
-        self._given, self._where = (given,) if isinstance(given, FieldSymbols) else given, where
-        self.count = len(self._given)
+    def __init__(self, fields: Fields, where: str) -> None:
+        if not isinstance(fields, FieldSymbols | Sequence):
+            raise InvalidArgument(where, f"a {type(fields).__name__}", "FieldSymbols or a sequence of them")
+        self._fields, self._where = (fields,) if isinstance(fields, FieldSymbols) else fields, where
+        self.count = len(self._fields)
         if not self.count:
             raise InvalidArgument(where, "no frame", "at least one FieldSymbols")
         first = self._checked_type(0)
@@ -131,7 +130,7 @@ class Frames:
         self._first: FieldSymbols | None = first
 
     def take(self, n: int) -> FieldSymbols:
-        """Frame n, which nothing here holds any longer."""
+        """Return frame n without keeping a reference to it."""
         if n == 0 and self._first is not None:
             first, self._first = self._first, None
             return first
@@ -142,32 +141,32 @@ class Frames:
     def check_like(
         self, other: FieldSymbols | Frames, where: str, of: str, mends: tuple[str, str] = ("", "")
     ) -> None:
-        """InvalidArgument naming `where` if another has not the grid and Q of these, which are those `of` a
-        name.
-        """
+        """Raise InvalidArgument naming `where` if grid or Q differ from those of these frames, named `of`."""
         if other.grid != self.grid:
             raise InvalidArgument(where, f"the grid {other.grid}", f"{self.grid}, as of {of}", mends[0])
         if (other.quantiser, other.alphabet) != (self.quantiser, self.alphabet):
-            found, expected = (f"{each.quantiser} with {each.alphabet} symbols" for each in (other, self))
+            found, expected = (
+                f"{frames.quantiser} with {frames.alphabet} symbols" for frames in (other, self)
+            )
             raise InvalidArgument(where, f"the quantiser {found}", f"{expected}, as of {of}", mends[1])
 
     def __iter__(self) -> Iterator[FieldSymbols]:
         return (self.take(n) for n in range(self.count))
 
     def parts(self) -> Iterator[Part]:
-        """One pass. No name is bound to a frame here, lest it live while the next is made."""
+        """Iterate once. No name is bound to a frame here, so that it is freed before the next is computed."""
         for n in range(self.count):
             yield from _parts(self.take(n))
 
     def _checked_type(self, n: int) -> FieldSymbols:
-        f = self._given[n]
+        f = self._fields[n]
         if not isinstance(f, FieldSymbols):
             raise InvalidArgument(f"{self._where}, frame {n}", f"a {type(f).__name__}", "FieldSymbols")
         return f
 
 
 class FramePairs:
-    """The frames of two sequences of one grid and one length together, as joint symbols s * K_T + t."""
+    """Two sequences of frames of one grid and one length, as joint symbols s * K_T + t."""
 
     def __init__(self, first: Frames, second: Frames) -> None:
         self._first, self._second = first, second
@@ -175,31 +174,29 @@ class FramePairs:
         self.quantiser = "; ".join(dict.fromkeys((first.quantiser, second.quantiser)))
 
     def parts(self) -> Iterator[Part]:
-        """One pass. The second is usually the frame before: asked for first, it is still there if two are
-        kept.
-        """
+        """Iterate once, the second frame first: it is usually the previous one, still in a cache of two."""
         for n in range(self.count):
             yield from _joint_parts(second=self._second.take(n), first=self._first.take(n))
 
 
 def _parts(f: FieldSymbols) -> Iterator[Part]:
     for b in range(0, len(f.bricks), _BRICKS):
-        some = f.symbols[b : b + _BRICKS]
-        yield f.bricks[b : b + _BRICKS], some.reshape(len(some), -1).astype(np.int64)
+        symbols = f.symbols[b : b + _BRICKS]
+        yield f.bricks[b : b + _BRICKS], symbols.reshape(len(symbols), -1).astype(np.int64)
 
 
 def _joint_parts(first: FieldSymbols, second: FieldSymbols) -> Iterator[Part]:
     """Joint symbols at the union of the bricks."""
     grid, both = first.grid, (first, second)
-    own = [brick_keys(grid, f.bricks) for f in both]
-    keys = np.union1d(*own)
+    keys_of = [brick_keys(grid, f.bricks) for f in both]
+    keys = np.union1d(*keys_of)
     for b in range(0, len(keys), _BRICKS):
-        some = keys[b : b + _BRICKS]
-        symbols = np.zeros((2, len(some), BRICK**3), np.int64)
-        for f, k, out in zip(both, own, symbols, strict=True):
-            low, high = np.searchsorted(k, [some[0], some[-1] + 1])
-            out[np.searchsorted(some, k[low:high])] = f.symbols[low:high].reshape(-1, BRICK**3)
-        yield bricks_of(grid, some), symbols[0] * second.alphabet + symbols[1]
+        chunk = keys[b : b + _BRICKS]
+        symbols = np.zeros((2, len(chunk), BRICK**3), np.int64)
+        for f, k, out in zip(both, keys_of, symbols, strict=True):
+            low, high = np.searchsorted(k, [chunk[0], chunk[-1] + 1])
+            out[np.searchsorted(chunk, k[low:high])] = f.symbols[low:high].reshape(-1, BRICK**3)
+        yield bricks_of(grid, chunk), symbols[0] * second.alphabet + symbols[1]
 
 
 def frames_changed() -> InvalidArgument:

@@ -1,15 +1,13 @@
-"""mu = where a hand was: entropy weighted by a recorded interaction (paper section 6.1; theory: three
-weightings).
+"""Entropy weighted by a recorded interaction (paper section 6.1): mu is the visit histogram of a probe.
 
-Section 6.1 sees that "the probability mass function of the haptic medium, theoretically depends on the
-interaction" and leaves it open. Here X, the place at which the field is felt, has the visit histogram of a
-recorded probe: each lattice point counts as often as a sample of the trace lies in its cell. S = Q(F_t(X))
-then has an entropy that says how much a hand was told, empty space being one more symbol, since a hand in
-empty space is told just that.
+Section 6.1 states that "the probability mass function of the haptic medium, theoretically depends on the
+interaction" and gives no method. Here X, the position at which the field is sampled, has the visit histogram
+of a recorded probe: each lattice point counts as often as a sample of the trace lies in its cell. The entropy
+of S = Q(F_t(X)) is then the information that a hand received; empty space is one more symbol.
 
-A visit is a sample of the trace, and not a duration: a trace whose samples are not equally far apart in time
-weights slow stretches wrongly, and the result carries a note. The samples of a trace depend on each other (a
-hand stays where it is), so that the interval comes from blocks of consecutive samples.
+A visit is a sample of the trace, not a duration: a trace that is not sampled regularly in time weights slow
+parts wrongly, and the result has a note. The samples of a trace are dependent (a hand moves continuously), so
+that the interval comes from blocks of consecutive samples.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.measure.counts import Counts
 from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.information import entropy
-from touchfield.measure.quantity import LEAST_BLOCKS, Quantity
+from touchfield.measure.quantity import MIN_BLOCKS, Quantity
 from touchfield.medium.field import frozen
 from touchfield.medium.grid import Grid
 from touchfield.medium.trace import Trace
@@ -38,18 +36,18 @@ _UNEVEN: Final = 2.0  # longest step of a trace over its median step that is sti
 class Visits(NamedTuple):
     """The visit histogram mu, up to its sum.
 
-    `places` int64 [m, 3]: indices of the visited lattice points in raster order (x slowest, z fastest).
+    `indices` int64 [m, 3]: indices of the visited lattice points in raster order (x slowest, z fastest).
     `counts` int64 [m]: samples of the trace in the cell of each. `outside`: samples of the trace in no cell
     of the grid.
     """
 
-    places: Int64s
+    indices: Int64s
     counts: Int64s
     outside: int
 
 
 def visits(trace: Trace, grid: Grid) -> Visits:
-    """How often a probe was nearest to each lattice point.
+    """Count how often a probe was nearest to each lattice point.
 
     A sample belongs to the lattice point in whose cell it lies (`Grid.box_m`: the cells of a grid reach half
     a spacing beyond its outermost samples; a cell holds its lower faces, up to rounding). Memory follows the
@@ -57,8 +55,8 @@ def visits(trace: Trace, grid: Grid) -> Visits:
     """
     cells = _cells(trace.positions_m, grid)
     keys, counts = np.unique(cells[cells >= 0], return_counts=True)
-    places = np.stack(np.unravel_index(keys, grid.shape), axis=-1).astype(np.int64)
-    return Visits(frozen(places), frozen(counts.astype(np.int64)), int(np.count_nonzero(cells < 0)))
+    indices = np.stack(np.unravel_index(keys, grid.shape), axis=-1).astype(np.int64)
+    return Visits(frozen(indices), frozen(counts.astype(np.int64)), int(np.count_nonzero(cells < 0)))
 
 
 def interaction_entropy(
@@ -69,7 +67,7 @@ def interaction_entropy(
     rate_hz: float | None = None,
     blocks: int = 64,
 ) -> Quantity:
-    """H(S) of the field as a probe met it, bits per sample of the trace: `entropy` of `interaction_counts`."""
+    """Return H(S) of the field along a trace, bits per sample: `entropy` of `interaction_counts`."""
     counts = interaction_counts(trace, symbols, interval, rate_hz, blocks)
     return entropy(counts, estimator=estimator, interval=interval)
 
@@ -81,7 +79,7 @@ def interaction_counts(
     rate_hz: float | None = None,
     blocks: int = 64,
 ) -> Counts:
-    """The symbols that a probe met, one for each sample of its trace that lies in the medium.
+    """Count the symbols that a probe met, one for each sample of its trace that lies in the medium.
 
     Samples before the first frame or after the last are left out, and so are those during the frames that lie
     outside the box of the grid; a note counts each of the two.
@@ -93,8 +91,8 @@ def interaction_counts(
     should last longer than a hand stays in one place: take fewer for a short trace. InvalidArgument if no
     sample meets the field, the frames do not fit each other, or an argument is out of range.
     """
-    if blocks < LEAST_BLOCKS:
-        raise InvalidArgument("blocks", repr(blocks), f"at least {LEAST_BLOCKS}")
+    if blocks < MIN_BLOCKS:
+        raise InvalidArgument("blocks", repr(blocks), f"at least {MIN_BLOCKS}")
     frames = Frames(symbols, "symbols")
     if isinstance(symbols, FieldSymbols):
         rate_hz = None
@@ -102,22 +100,22 @@ def interaction_counts(
         raise InvalidArgument(
             "rate_hz", repr(rate_hz), "the positive number of frames per second of the medium"
         )
-    met, in_time = _met(trace, frames, rate_hz)
+    met, in_time = _symbols_met(trace, frames, rate_hz)
     if not len(met):
         raise InvalidArgument("trace", *_where_it_was(trace, frames.grid, rate_hz))
     counts = Counts.of(met, blocks=blocks if interval else 0)
     notes = _notes(trace, in_time, len(met))
     if interval and counts.blocks is None:
-        few = f"{len(met)} samples of {len(counts.cells)} symbols fill fewer than {LEAST_BLOCKS} blocks"
+        few = f"{len(met)} samples of {len(counts.cells)} symbols fill fewer than {MIN_BLOCKS} blocks"
         notes.append(f"no interval: {few}")
     return replace(
-        counts, quantiser=frames.quantiser, weighting="interaction", variables=("S",), alphabet=frames.alphabet,
-        notes=tuple(notes),
+        counts, quantiser=frames.quantiser, weighting="interaction", variables=("S",),
+        alphabet=frames.alphabet, notes=tuple(notes),
     )  # fmt: skip
 
 
 def _cells(positions_m: Float64s, grid: Grid) -> Int64s:
-    """The raster number of the cell of each position, int64 [n]; -1 outside the grid."""
+    """Return the raster index of the cell of each position, int64 [n]; -1 outside the grid."""
     with np.errstate(over="ignore"):  # a position of 1e300 m is far away, and no error
         nearest = np.floor(grid.to_index(positions_m) + 0.5)
     inside = ((nearest >= 0) & (nearest < grid.shape)).all(axis=1)
@@ -126,7 +124,7 @@ def _cells(positions_m: Float64s, grid: Grid) -> Int64s:
     return cells
 
 
-def _met(trace: Trace, frames: Frames, rate_hz: float | None) -> tuple[Int32s, int]:
+def _symbols_met(trace: Trace, frames: Frames, rate_hz: float | None) -> tuple[Int32s, int]:
     """The symbol at each sample that meets the medium, in order of time; the samples during it.
 
     Times never fall, so that the positions during a frame are a slice.
@@ -134,16 +132,16 @@ def _met(trace: Trace, frames: Frames, rate_hz: float | None) -> tuple[Int32s, i
     frame = np.zeros(len(trace)) if rate_hz is None else np.floor(trace.times_s * rate_hz + _LATE)
     parts, in_time = [np.zeros(0, np.int32)], 0
     for number in np.unique(frame[(frame >= 0) & (frame < frames.count)]):
-        begin, end = np.searchsorted(frame, [number, number + 1])
-        cells = _cells(trace.positions_m[begin:end], frames.grid)
+        start, stop = np.searchsorted(frame, [number, number + 1])
+        cells = _cells(trace.positions_m[start:stop], frames.grid)
         index = np.stack(np.unravel_index(cells[cells >= 0], frames.grid.shape), axis=-1)
         parts.append(frames.take(int(number)).symbols_at(index))
-        in_time += int(end - begin)
+        in_time += int(stop - start)
     return np.concatenate(parts), in_time
 
 
 def _where_it_was(trace: Trace, grid: Grid, rate_hz: float | None) -> tuple[str, str, str]:
-    """Words of an error on a trace that never meets the field."""
+    """Return the parts of the error message for a trace that never meets the field."""
 
     def box(low: Any, high: Any) -> str:
         return " to ".join(f"({', '.join(f'{x:.4g}' for x in corner)})" for corner in (low, high)) + " m"
@@ -157,7 +155,7 @@ def _where_it_was(trace: Trace, grid: Grid, rate_hz: float | None) -> tuple[str,
 
 
 def _notes(trace: Trace, in_time: int, samples: int) -> list[str]:
-    """Notes for a reader; `in_time` samples are during the frames, `samples` of those inside the box."""
+    """Return notes; `in_time` samples are during the frames, `samples` of those inside the box."""
     notes = []
     if early_or_late := len(trace) - in_time:
         notes.append(

@@ -1,5 +1,4 @@
-"""Compiled loops: counting symbols in tables, causal neighbours as packed rows, curl and squares, sums by
-direction.
+"""Compiled loops: symbol tables, causal neighbours as packed rows, curl and squares, sums by direction.
 
 Imported only when first needed, because it imports numba.
 """
@@ -16,9 +15,9 @@ from touchfield.arrays import Int64s
 from touchfield.compute.jit import inner, kernel
 from touchfield.compute.threads import for_chunks
 
-# -- symbols in tables. One add to a table costs one or two cycles, and waits for an add to the same place
-# just before it: hence four tables, taken in turn, and eight bytes of symbols loaded at once. Stretches of
-# one symbol, most of a field, take four adds.
+# -- symbols in tables. One addition to a table costs one or two cycles, and waits for a preceding addition to
+# the same entry: hence four tables used in turn, and eight bytes of symbols loaded at once. Stretches of one
+# symbol, most of a field, take four additions.
 
 _SPAN = 1 << 16
 _PAD = 16  # entries between tables, so that they do not share the sets of the cache
@@ -30,41 +29,41 @@ _ROUND = 1 << 22  # stretches until the 32-bit tables are added up
 _FFFF = np.uint64(0xFFFF)
 _0, _1, _S, _16, _32, _48 = (np.uint64(i) for i in (0, 1, _STRETCH, 16, 32, 48))  # no sign to check
 _SAME, _SPARE, _TURNS = np.uint64(0x0001000100010001), np.uint64(_SPAN), np.uint64(8)
-_NONE, _ONE, _ALL = np.uint32(0), np.uint32(1), np.uint32(4 * _STRETCH)
+_NONE, _UNIT, _ALL = np.uint32(0), np.uint32(1), np.uint32(4 * _STRETCH)
 
 
 @kernel
-def _count_words(words, tables):
-    """Four 16-bit symbols a word into four tables in turn, uint32 [4, 65552]; `words` are whole stretches."""
+def _count_packed(packed, tables):
+    """Count four 16-bit symbols a word in four tables in turn, uint32 [4, 65552], in whole stretches."""
     t0, t1, t2, t3 = tables[0], tables[1], tables[2], tables[3]
-    for start in range(_0, np.uint64(len(words)), _S):
-        usual = words[start] & _FFFF
+    for start in range(_0, np.uint64(len(packed)), _S):
+        usual = packed[start] & _FFFF
         if (
-            words[start] == usual * _SAME
+            packed[start] == usual * _SAME
         ):  # of a stretch of mostly one symbol its adds take turns over spare entries
             differ = _0
             for i in range(start, start + _S):
-                differ |= words[i] ^ words[start]
+                differ |= packed[i] ^ packed[start]
             if differ == _0:
                 t0[usual] += _ALL
                 continue
             for i in range(start, start + _S):
-                v, turn = words[i], _SPARE + i % _TURNS
+                v, turn = packed[i], _SPARE + i % _TURNS
                 a, b, c, d = v & _FFFF, (v >> _16) & _FFFF, (v >> _32) & _FFFF, v >> _48
-                t0[turn if a == usual else a] += _ONE
-                t1[turn if b == usual else b] += _ONE
-                t2[turn if c == usual else c] += _ONE
-                t3[turn if d == usual else d] += _ONE
+                t0[turn if a == usual else a] += _UNIT
+                t1[turn if b == usual else b] += _UNIT
+                t2[turn if c == usual else c] += _UNIT
+                t3[turn if d == usual else d] += _UNIT
             for n in range(_SPARE, _SPARE + _TURNS):
                 t0[usual] += t0[n] + t1[n] + t2[n] + t3[n]
                 t0[n], t1[n], t2[n], t3[n] = _NONE, _NONE, _NONE, _NONE
             continue
         for i in range(start, start + _S):
-            v = words[i]
-            t0[v & _FFFF] += _ONE
-            t1[(v >> _16) & _FFFF] += _ONE
-            t2[(v >> _32) & _FFFF] += _ONE
-            t3[v >> _48] += _ONE
+            v = packed[i]
+            t0[v & _FFFF] += _UNIT
+            t1[(v >> _16) & _FFFF] += _UNIT
+            t2[(v >> _32) & _FFFF] += _UNIT
+            t3[v >> _48] += _UNIT
 
 
 def counts_of_16_bits(x: NDArray[np.uint16]) -> Int64s:
@@ -73,24 +72,24 @@ def counts_of_16_bits(x: NDArray[np.uint16]) -> Int64s:
         return np.bincount(x, minlength=_SPAN)
     head = min(len(x), (-x.ctypes.data % 8) // 2)
     tail = head + (len(x) - head) // (4 * _STRETCH) * (4 * _STRETCH)
-    words = x[head:tail].view(np.uint64)
+    packed = x[head:tail].view(np.uint64)
     total = np.bincount(x[:head], minlength=_SPAN) + np.bincount(x[tail:], minlength=_SPAN)
-    stretches = len(words) // _STRETCH
+    stretches = len(packed) // _STRETCH
     for start in range(0, stretches, _ROUND):
-        some = words[start * _STRETCH :]
-        for part in for_chunks(_piece, min(_ROUND, stretches - start), some, chunk=_PIECE):
+        chunk = packed[start * _STRETCH :]
+        for part in for_chunks(_count_stretches, min(_ROUND, stretches - start), chunk, chunk=_PIECE):
             total += part
     return total
 
 
-def _piece(begin: int, end: int, words: Any) -> Int64s:
+def _count_stretches(start: int, stop: int, packed: Any) -> Int64s:
     tables = np.zeros((4, _SPAN + _PAD), np.uint32)
-    _count_words(words[begin * _STRETCH : end * _STRETCH], tables)
+    _count_packed(packed[start * _STRETCH : stop * _STRETCH], tables)
     return tables.sum(axis=0, dtype=np.int64)[:_SPAN]
 
 
 def counts_of_8_bits(x: NDArray[np.uint8]) -> Int64s:
-    """How often each byte occurs, int64 [256]: margins of a table of 16-bit words. `x` uint8 [n], contiguous."""
+    """Count each byte of contiguous uint8 [n], int64 [256], as margins of a table of 16-bit words."""
     head = x.ctypes.data % 2
     tail = head + (len(x) - head) // 2 * 2
     counts = np.bincount(x[:head], minlength=256) + np.bincount(x[tail:], minlength=256)
@@ -115,7 +114,7 @@ CORNER = np.array(
 
 @inner
 def _fill_corner(local, symbols, slots):
-    """A brick and one sample before it along each axis, int32 [9, 9, 9]; `slots` int [27], -1 for no brick."""
+    """Copy a brick and one sample before it along each axis, int32 [9, 9, 9]; `slots` int [27], -1: none."""
     for x in range(9):
         for y in range(9):
             for z in range(9):
@@ -125,7 +124,7 @@ def _fill_corner(local, symbols, slots):
 
 @kernel
 def field_rows(slots, symbols, slots_before, before, extents, columns, bits, out):
-    """The rows of some bricks that are not all 0 into `out`, uint64 [512 n, words]; how many.
+    """Write the rows of some bricks that are not all 0 to `out`, uint64 [512 n, words]; return their count.
 
     A row holds `columns` symbols of `bits` bits, as many whole symbols to a word as fit, the first in the
     lowest bits: the symbol itself, its seven neighbours in `CORNER`, and the voxel of the previous frame.
@@ -138,19 +137,19 @@ def field_rows(slots, symbols, slots_before, before, extents, columns, bits, out
     count = 0
     for brick in range(extents.shape[0]):
         _fill_corner(local, symbols, slots[brick])
-        own = slots_before[brick, 13]
+        slot_before = slots_before[brick, 13]
         for a in range(1, extents[brick, 0] + 1):
             for b in range(1, extents[brick, 1] + 1):
                 for c in range(1, extents[brick, 2] + 1):
                     cells[0] = local[a, b, c]
-                    some = cells[0]
+                    bits_set = cells[0]
                     for n in range(7):
                         cells[n + 1] = local[a + CORNER[n, 0], b + CORNER[n, 1], c + CORNER[n, 2]]
-                        some |= cells[n + 1]
+                        bits_set |= cells[n + 1]
                     if columns > 8:
-                        cells[8] = before[own, a - 1, b - 1, c - 1] if own >= 0 else 0
-                        some |= cells[8]
-                    if some == 0:
+                        cells[8] = before[slot_before, a - 1, b - 1, c - 1] if slot_before >= 0 else 0
+                        bits_set |= cells[8]
+                    if bits_set == 0:
                         continue
                     for w in range(out.shape[1]):
                         out[count, w] = 0
@@ -161,18 +160,18 @@ def field_rows(slots, symbols, slots_before, before, extents, columns, bits, out
 
 
 @kernel
-def insert(rows, weights, begin, slots, keys, counts, used):
-    """Count rows uint64 [n, words] from `begin` on, until all are counted or `keys` is full: next row, keys
+def insert(rows, weights, start, slots, keys, counts, used):
+    """Count rows uint64 [n, words] from `start` on, until all are counted or `keys` is full: next row, keys
     in use.
 
     `weights` int64 [n] or [0] (each row once); the table is slots int32 [2^b] (-1: free), keys, counts int64
     [m].
     """
     mask = np.uint64(slots.shape[0] - 1)
-    words = rows.shape[1]
-    for n in range(begin, rows.shape[0]):
+    word_count = rows.shape[1]
+    for n in range(start, rows.shape[0]):
         h = np.uint64(0)
-        for w in range(words):
+        for w in range(word_count):
             h = (h ^ rows[n, w]) * np.uint64(0x9E3779B97F4A7C15)
             h ^= h >> np.uint64(29)
         h = (h * np.uint64(0xBF58476D1CE4E5B9)) >> np.uint64(20)
@@ -182,13 +181,13 @@ def insert(rows, weights, begin, slots, keys, counts, used):
                 if used == keys.shape[0]:
                     return n, used
                 slots[h & mask] = used
-                for w in range(words):
+                for w in range(word_count):
                     keys[used, w] = rows[n, w]
                 counts[used] = weights[n] if weights.shape[0] else 1
                 used += 1
                 break
             same = True  # the whole key decides, never its hash alone
-            for w in range(words):
+            for w in range(word_count):
                 same &= keys[key, w] == rows[n, w]
             if same:
                 counts[key] += weights[n] if weights.shape[0] else 1
@@ -201,8 +200,8 @@ def insert(rows, weights, begin, slots, keys, counts, used):
 
 
 @inner
-def _fill(slots, forces, halo, held):
-    """The 10^3 samples of a brick and around it: forces, and whether there is one."""
+def _fill_halo(slots, forces, halo, has_force):
+    """Copy the forces of a brick and one sample around it, 10^3, and whether each is a force."""
     for a in range(10):
         da, la = (a + 7) >> 3, (a + 7) & 7
         for b in range(10):
@@ -210,35 +209,37 @@ def _fill(slots, forces, halo, held):
             for c in range(10):
                 p = a * 100 + b * 10 + c
                 slot = slots[da * 9 + db * 3 + ((c + 7) >> 3)]
-                held[p] = False
+                has_force[p] = False
                 for d in range(3):
                     f = np.float64(0.0)
                     if slot >= 0:
                         f = np.float64(forces[slot, la, lb, (c + 7) & 7, d])
                     halo[p, d] = f
                     if f != 0.0:
-                        held[p] = True
+                        has_force[p] = True
 
 
 @kernel
-def curl_and_squares(begin, end, slots, spacing, forces, sums):
-    """Of each brick the samples with a curl, sums of |curl|^2 and |gradient|^2 there; the squares, and the
-    sum of W^2 around them; the largest |curl|^2 and |W|: float64 [n, 7], SI units.
+def curl_and_squares(start, stop, slots, spacing, forces, sums):
+    """Sums of |curl|^2, |gradient|^2 and squared loop work of each brick, float64 [n, 7], SI units.
+
+    Columns: samples with a curl, sum of |curl|^2, sum of |gradient|^2, squares, sum of W^2 around them,
+    largest |curl|^2, largest |W|.
 
     `slots` int32 [n, 27] are where in `forces` each neighbour of a brick lies, -1 for none.
     """
-    halo, held = np.empty((1000, 3)), np.empty(1000, np.bool_)
+    halo, has_force = np.empty((1000, 3)), np.empty(1000, np.bool_)
     jacobian = np.empty((3, 3))
     step = (100, 10, 1)
     half = (0.5 / spacing[0], 0.5 / spacing[1], 0.5 / spacing[2])
-    for n in range(begin, end):
-        _fill(slots[n], forces, halo, held)
+    for n in range(start, stop):
+        _fill_halo(slots[n], forces, halo, has_force)
         for s in range(512):
             p = (s // 64 + 1) * 100 + (s // 8 % 8 + 1) * 10 + s % 8 + 1
-            every = held[p]
+            has_neighbours = has_force[p]
             for d in range(3):
-                every = every and held[p + step[d]] and held[p - step[d]]
-            if every:
+                has_neighbours = has_neighbours and has_force[p + step[d]] and has_force[p - step[d]]
+            if has_neighbours:
                 square = 0.0
                 for d in range(3):
                     for e in range(3):
@@ -255,7 +256,7 @@ def curl_and_squares(begin, end, slots, spacing, forces, sums):
             for d in range(3):  # the square from p along axes d and e
                 e = (d + 1) % 3
                 u, v, w = p + step[d], p + step[d] + step[e], p + step[e]
-                if held[p] and held[u] and held[v] and held[w]:
+                if has_force[p] and has_force[u] and has_force[v] and has_force[w]:
                     work = 0.5 * spacing[d] * (halo[p, d] + halo[u, d] - halo[w, d] - halo[v, d])
                     work += 0.5 * spacing[e] * (halo[u, e] + halo[v, e] - halo[p, e] - halo[w, e])
                     sums[n, 3] += 1
@@ -267,32 +268,32 @@ def curl_and_squares(begin, end, slots, spacing, forces, sums):
 
 
 @kernel
-def sums_by_direction(forces, around, sharpness, norms):
+def sums_by_direction(forces, directions, sharpness, norms):
     """Sums of the lengths of forces [n, 3] around directions [k, 3], float64 [k], and times each harmonic.
 
     A force is shared between the directions by exp(`sharpness` cos(angle)). A harmonic is (sin(theta) exp(i
     phi))^m times the m-th derivative of the Legendre polynomial of degree l, which rises in l by the
     three-term recurrence.
     """
-    by_direction, coefficients = np.zeros(len(around)), np.zeros(len(norms) ** 2)
-    near = np.empty(len(around))
+    by_direction, coefficients = np.zeros(len(directions)), np.zeros(len(norms) ** 2)
+    weights = np.empty(len(directions))
     for n in range(len(forces)):
         length = math.sqrt(forces[n, 0] ** 2 + forces[n, 1] ** 2 + forces[n, 2] ** 2)
         if length == 0:
             continue
         x, y, z = forces[n, 0] / length, forces[n, 1] / length, forces[n, 2] / length
-        for k in range(len(around)):
-            cosine = x * around[k, 0] + y * around[k, 1] + z * around[k, 2]
-            near[k] = math.exp((cosine - 1) * sharpness)
-        by_direction += near * (length / near.sum())
+        for k in range(len(directions)):
+            cosine = x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2]
+            weights[k] = math.exp((cosine - 1) * sharpness)
+        by_direction += weights * (length / weights.sum())
         real, imaginary, of_m = 1.0, 0.0, length  # of_m: length (-1)^m 1 3 .. (2 m - 1)
         for m in range(len(norms)):
             before, legendre = 0.0, of_m
             for order in range(m, len(norms)):
-                middle, share = order * (order + 1), norms[order, m] * legendre
-                coefficients[middle + m] += share * real
+                middle, term = order * (order + 1), norms[order, m] * legendre
+                coefficients[middle + m] += term * real
                 if m > 0:
-                    coefficients[middle - m] += share * imaginary
+                    coefficients[middle - m] += term * imaginary
                 above = ((2 * order + 1) * z * legendre - (order + m) * before) / (order + 1 - m)
                 before, legendre = legendre, above
             real, imaginary = real * x - imaginary * y, real * y + imaginary * x

@@ -1,12 +1,11 @@
-"""The limits of coding a medium, so that a codec can be placed against its own data (theory sections 4 and
-5).
+"""Entropy bounds of coding a medium, to compare a codec against its own data (theory sections 4 and 5).
 
-Beside each other stand, of the same symbols S = Q(F) over all voxels of all frames: H(S) of the voxel and of
-the object; H(S | causal neighbours), with and without the previous frame. All are plug-in estimates of what
-an ideal coder with that context would need. What a real coder surely reaches is what one did: the bytes of a
-file of coder `touch` in its exact mode.
+For the same symbols S = Q(F) over all voxels of all frames the bounds are H(S) of the voxel and of the
+object, and H(S | causal neighbours) with and without the previous frame. All are plug-in estimates of the
+rate of an ideal coder with that context. A rate that is certainly attainable is that of an actual file of
+coder `touch` in its exact mode.
 
-A coder that visits the voxels in raster order (x slowest, z fastest) knows, of each voxel, the neighbours
+A coder that visits the voxels in raster order (x slowest, z fastest) knows, at each voxel, the neighbours
 with no greater index along any axis. Neighbourhoods are nested corners of the 2^3 cube of such neighbours:
 
 ========== ========== ==========================================================
@@ -18,13 +17,13 @@ axes       3          one before along each axis
 corner     7          all of {-1, 0}^3 but the voxel itself
 ========== ========== ==========================================================
 
-and each may take in the co-located voxel of the previous frame. What lies outside the grid, and before the
-first frame, is symbol 0, so that all quantities are over the same voxels. The estimate is H(S, c) - H(c) over
-one exact count, so that with the plug-in H(S | c) falls as c grows, whatever the data. The same law makes it
-*too low*: contexts dilute, and a context seen once costs nothing. `ContextEntropy` says how diluted it is.
+and each may include the co-located voxel of the previous frame. Voxels outside the grid, and before the first
+frame, have symbol 0, so that all quantities are over the same voxels. The estimate is H(S, c) - H(c) over one
+exact count, so that the plug-in H(S | c) falls as c grows, for any data. For the same reason it is *too low*:
+contexts dilute, and a context that occurs once costs nothing. `ContextEntropy` reports the dilution.
 
-Time: one pass over the frames, which may be made when asked for. Memory: two frames and the different joint
-cells (`CellCounter`).
+Time: one pass over the frames, which may be lazy. Memory: two frames and the different joint cells
+(`CellCounter`).
 """
 
 from __future__ import annotations
@@ -42,21 +41,21 @@ from touchfield.measure.estimators import entropy_bits
 from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.quantity import Quantity
 from touchfield.medium.budget import memory_budget_bytes
-from touchfield.medium.field import brick_keys, bricks_of, slots_around
+from touchfield.medium.field import brick_keys, bricks_of, neighbour_slots
 from touchfield.medium.grid import BRICK, Grid
 
 NEIGHBOURHOODS: Final = {"none": 0, "previous": 1, "axes": 3, "corner": 7}
-"""Names, and how many causal neighbours each takes."""
+"""Names, and the number of causal neighbours of each."""
 
 _SYMBOL, _PREVIOUS_FRAME = 0, 8  # columns of a row
 _BRICKS_AT_ONCE = 1024
 _FIRST_KEYS = 1 << 12
-_MOST_KEYS = 1 << 30
+_MAX_KEYS = 1 << 30
 _NO_FRAME = np.zeros((0, 8, 8, 8), np.int32)
 
 
 class CellCounter:
-    """Counts rows of `columns` symbols of `bits` bits, at most 32, packed as the kernels pack them.
+    """Counter of rows of `columns` symbols of `bits` bits, at most 32, packed as the kernels pack them.
 
     `zeros` counts the rows of nothing but 0, which are added in closed form.
     """
@@ -64,21 +63,21 @@ class CellCounter:
     def __init__(self, columns: int, bits: int) -> None:
         self.columns, self.bits = columns, bits
         self._per_word = 64 // bits
-        self.words = -(-columns // self._per_word)
+        self.word_count = -(-columns // self._per_word)
         self.zeros = 0
         self._used = 0
         self._allocate(_FIRST_KEYS)
 
     def _allocate(self, size: int) -> None:
-        needed = size * (8 * self.words + 16)
-        if size > _MOST_KEYS or needed > memory_budget_bytes() // 2:
+        needed = size * (8 * self.word_count + 16)
+        if size > _MAX_KEYS or needed > memory_budget_bytes() // 2:
             raise InvalidArgument(
                 "joint cells", f"more than {size // 2} different ones", f"up to {memory_budget_bytes() // 2} "
                                                                         "bytes",
                 "Give fewer frames or a coarser quantiser, or set TOUCHFIELD_MEMORY_GIB.",
             )  # fmt: skip
         self._slots = np.full(2 * size, -1, np.int32)
-        self._keys = np.zeros((size, self.words), np.uint64)
+        self._keys = np.zeros((size, self.word_count), np.uint64)
         self._counts = np.zeros(size, np.int64)
 
     def add(self, rows: NDArray[np.uint64], weights: Int64s | None = None) -> None:
@@ -101,13 +100,13 @@ class CellCounter:
         return int(self._counts[: self._used].sum()) + self.zeros
 
     def counts(self) -> Int64s:
-        """How often each cell was counted, int64 [K], that of nothing but 0 last, if it was."""
+        """Return the count of each cell, int64 [K]; that of the all-zero row is last, if there is one."""
         counts = self._counts[: self._used]
         return np.append(counts, self.zeros) if self.zeros else counts.copy()
 
     def marginal(self, columns: tuple[int, ...]) -> CellCounter:
-        """The counter of some columns alone; the others read 0."""
-        mask = np.zeros(self.words, np.uint64)
+        """Return the counter of some columns alone; the others read 0."""
+        mask = np.zeros(self.word_count, np.uint64)
         for c in columns:
             mask[c // self._per_word] |= np.uint64(((1 << self.bits) - 1) << (c % self._per_word * self.bits))
         out = CellCounter(self.columns, self.bits)
@@ -119,23 +118,23 @@ class CellCounter:
 
 
 def scan_axis(grid: Grid) -> int:
-    """The axis that the lines of a grid's raster run along: z, or the last that has more than one sample."""
+    """Return the axis of the raster's lines: z, or the last axis that has more than one sample."""
     return max((axis for axis in range(3) if grid.shape[axis] > 1), default=2)
 
 
 def _reached_bricks(frame: FieldSymbols, previous: FieldSymbols | None) -> Int32s:
-    """The bricks outside which a voxel, its causal neighbours and its predecessor are all 0, int32 [n, 3]."""
+    """Return the bricks with a voxel whose symbol, context or predecessor is not 0, int32 [n, 3]."""
     bricks = frame.bricks[frame.symbols.any(axis=(1, 2, 3))]
-    there = (bricks[:, None] + np.array(list(np.ndindex(2, 2, 2)), np.int32)).reshape(-1, 3)
+    corners = (bricks[:, None] + np.array(list(np.ndindex(2, 2, 2)), np.int32)).reshape(-1, 3)
     if previous is not None:
-        there = np.concatenate([there, previous.bricks])
-    keys = np.unique(brick_keys(frame.grid, there[(there < frame.grid.brick_shape).all(axis=1)]))
+        corners = np.concatenate([corners, previous.bricks])
+    keys = np.unique(brick_keys(frame.grid, corners[(corners < frame.grid.brick_shape).all(axis=1)]))
     return bricks_of(frame.grid, keys)
 
 
 @dataclass(frozen=True)
 class ContextEntropy:
-    """H(S | c) and how far to trust it.
+    """H(S | c) and its dilution.
 
     `neighbourhood`: one of `NEIGHBOURHOODS`. `previous_frame`: whether c takes in the co-located voxel of the
     previous frame. `per_voxel`: bit/sample over all voxels. `contexts`: how many different c were seen.
@@ -158,12 +157,11 @@ class ContextEntropy:
 
 
 class ContextCounter:
-    """Counts voxels with the widest context, frame after frame; every narrower one is a marginal of that
-    count.
+    """Counter of voxels with the widest context; every narrower context is a marginal of that count.
 
-    Memory beyond the frames grows with the different cells that are there (see `CellCounter`), never with the
-    lattice. `of`: frames of the grid and the Q of those to be counted. `previous_frame`: whether to count the
-    co-located voxel of the previous frame, too.
+    Memory beyond the frames grows with the different cells that occur (see `CellCounter`), not with the
+    lattice. `of`: frames with the grid and the Q of those to be counted. `previous_frame`: whether to count
+    the co-located voxel of the previous frame, too.
     """
 
     def __init__(self, of: FieldSymbols | Frames, *, previous_frame: bool) -> None:
@@ -189,10 +187,10 @@ class ContextCounter:
         for start in range(0, len(bricks), _BRICKS_AT_ONCE):
             part = bricks[start : start + _BRICKS_AT_ONCE]
             slots, old_slots = (
-                slots_around(part, b, grid.brick_shape, 14) for b in (frame.bricks, old_bricks)
+                neighbour_slots(part, b, grid.brick_shape, 14) for b in (frame.bricks, old_bricks)
             )
             extents = np.clip(np.asarray(grid.shape) - part.astype(np.int64) * BRICK, 0, BRICK)
-            rows = np.empty((BRICK**3 * len(part), self._cells.words), np.uint64)
+            rows = np.empty((BRICK**3 * len(part), self._cells.word_count), np.uint64)
             packing = self._cells.columns, self._bits
             count = field_rows(slots, symbols, old_slots, old_symbols, extents, *packing, rows)
             self._cells.add(rows[:count])
@@ -200,19 +198,19 @@ class ContextCounter:
         self._cells.zeros += frame.voxel_count - counted
 
     def symbol_counts(self) -> tuple[Int64s, int]:
-        """How often each symbol but 0 was counted, int64 [K], and how often 0."""
+        """Return the count of each symbol but 0, int64 [K], and the count of 0."""
         alone = self._cells.marginal((_SYMBOL,))
         counts = alone.counts()[: len(alone.counts()) - bool(alone.zeros)]
         return counts, alone.zeros
 
     def result(self, neighbourhood: str, *, previous_frame: bool = False) -> ContextEntropy:
-        """H(S | c) of what was counted."""
+        """Return H(S | c) of the counted voxels."""
         neighbours = NEIGHBOURHOODS[neighbourhood]
-        known = (self._before,) if neighbours == 1 else tuple(range(1, 1 + neighbours))
-        known += (_PREVIOUS_FRAME,) * previous_frame
-        joint = self._cells.marginal((_SYMBOL, *known))
+        columns = (self._before,) if neighbours == 1 else tuple(range(1, 1 + neighbours))
+        columns += (_PREVIOUS_FRAME,) * previous_frame
+        joint = self._cells.marginal((_SYMBOL, *columns))
         cells = joint.counts()
-        contexts = joint.marginal(known).counts()
+        contexts = joint.marginal(columns).counts()
         bits = max(0.0, entropy_bits(cells) - entropy_bits(contexts))  # below only by rounding
         informed = joint.samples - joint.zeros
         notes = [f"{len(contexts)} contexts"]
@@ -235,7 +233,7 @@ class ContextCounter:
 
 @dataclass(frozen=True)
 class CodingLimits:
-    """Rates that a coder of these frames can hope for.
+    """Entropy bounds on the rate of a coder of these frames.
 
     Of `voxels` in all frames `supported` are not 0. `voxel_entropy` and `object_entropy`: H(S) over all and
     over the supported voxels (NaN where there is none), bit/sample. `contexts`: 1, 3 and 7 neighbours; and
@@ -253,9 +251,9 @@ class CodingLimits:
 
     def context(self, neighbourhood: str, *, previous_frame: bool = False) -> ContextEntropy:
         """One of `contexts`; KeyError if it is not among them."""
-        for one in self.contexts:
-            if (one.neighbourhood, one.previous_frame) == (neighbourhood, previous_frame):
-                return one
+        for context in self.contexts:
+            if (context.neighbourhood, context.previous_frame) == (neighbourhood, previous_frame):
+                return context
         raise KeyError((neighbourhood, previous_frame))
 
     def summary(self) -> dict[str, Any]:
@@ -288,38 +286,41 @@ class CodingLimits:
 
 
 def coding_limits(frames: Fields) -> CodingLimits:
-    """The coding limits of quantised frames, of one grid and one Q, looked at once, in order.
+    """Return the coding limits of quantised frames, of one grid and one Q, read once and in order.
 
-    The raster's lines run along z, and the one neighbour lies there. Where z has a single sample, as on a
-    flat array of actuators, they go along the last axis that has more, as in an array without z: `scan_axis`.
+    The raster's lines run along z, and so does the single neighbour. If z has a single sample, as on a flat
+    array of actuators, they run along the last axis that has more: `scan_axis`.
 
     InvalidArgument if there is no frame, frames differ in grid or Q, or the joint cells outgrow the memory
     budget.
     """
-    given, last = Frames(frames, "frames"), None
-    contexts = ContextCounter(given, previous_frame=True)
-    for frame in given:
+    quantised, last = Frames(frames, "frames"), None
+    contexts = ContextCounter(quantised, previous_frame=True)
+    for frame in quantised:
         contexts.add(frame, last)
         last = frame
-    held, empty = contexts.symbol_counts()
-    every, quantiser = np.append(held, empty) if empty else held, given.quantiser
-    asked = [(name, False) for name in NEIGHBOURHOODS if name != "none"]
-    if given.count > 1:
-        asked += [(name, True) for name in NEIGHBOURHOODS]
-    supported, unit = int(held.sum()), "bit/sample"
-    bits, notes = (entropy_bits(held), ()) if supported else (math.nan, ("no voxel is supported",))
+    support_counts, empty = contexts.symbol_counts()
+    voxel_counts, quantiser = (
+        np.append(support_counts, empty) if empty else support_counts,
+        quantised.quantiser,
+    )
+    requested = [(name, False) for name in NEIGHBOURHOODS if name != "none"]
+    if quantised.count > 1:
+        requested += [(name, True) for name in NEIGHBOURHOODS]
+    supported, unit = int(support_counts.sum()), "bit/sample"
+    bits, notes = (entropy_bits(support_counts), ()) if supported else (math.nan, ("no voxel is supported",))
     return CodingLimits(
-        given.count,
+        quantised.count,
         supported + empty,
         supported,
         Quantity(
             "H(S)",
-            entropy_bits(every),
+            entropy_bits(voxel_counts),
             unit,
             quantiser,
             "voxel",
             samples=supported + empty,
-            symbols=len(every),
+            symbols=len(voxel_counts),
         ),
         Quantity(
             "H(S | S != 0)",
@@ -328,9 +329,9 @@ def coding_limits(frames: Fields) -> CodingLimits:
             quantiser,
             "object",
             samples=supported,
-            symbols=len(held),
+            symbols=len(support_counts),
             notes=notes,
         ),
-        tuple(contexts.result(name, previous_frame=before) for name, before in asked),
-        "xyz"[scan_axis(given.grid)],
+        tuple(contexts.result(name, previous_frame=before) for name, before in requested),
+        "xyz"[scan_axis(quantised.grid)],
     )

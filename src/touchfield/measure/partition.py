@@ -1,15 +1,15 @@
-"""Adaptive workspace partitioning: the best division into dyadic boxes (paper section 4).
+"""Adaptive workspace partitioning: the optimal division into dyadic boxes (paper section 4).
 
 "Optimal adaptive workspace partitioning in disjoint subspaces so as to minimize information loss taking into
 account the rendering device". Each box fills the device's own lattice, so that a small box is rendered finely
-and a large one coarsely. More boxes lose less and cost more: each one is another view that the hand must be
-taken to. What is minimised is
+and a large one coarsely. More boxes lose less information but cost more: each one is another view to which
+the hand must be moved. The objective is
 
     J = sum of the losses of the boxes + lambda * number of boxes,
 
-lambda in bits a box. J is a sum over boxes, so that the best division of a box is the box itself or the best
-divisions of its children, whichever is less: pruning from the smallest boxes up finds the optimum among all
-dyadic divisions. Of equal ones it takes the fewer boxes.
+lambda in bits a box. As J is a sum over boxes, the best division of a box is either the box itself or the
+best divisions of its children: pruning from the smallest boxes up finds the optimum among all dyadic
+divisions. Ties are resolved in favour of fewer boxes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from touchfield.measure.counts import Histogram, merged
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.medium.grid import BRICK, Grid
 
-MOST_DEPTH = 7
+MAX_DEPTH = 7
 """2^21 boxes."""
 
 
@@ -49,13 +49,13 @@ class DyadicLattice:
             raise InvalidArgument("device_shape", repr(self.device_shape), "three counts of at least 1")
         object.__setattr__(self, "device_shape", shape)
         split = {n // m for n, m in zip(self.grid.shape, shape, strict=True) if n != m}
-        whole = all(n % m == 0 for n, m in zip(self.grid.shape, shape, strict=True))
+        is_multiple = all(n % m == 0 for n, m in zip(self.grid.shape, shape, strict=True))
         factor = max(split, default=1)
-        if not whole or len(split) > 1 or factor & (factor - 1) or factor > 1 << MOST_DEPTH:
+        if not is_multiple or len(split) > 1 or factor & (factor - 1) or factor > 1 << MAX_DEPTH:
             raise InvalidArgument(
                 "grid to partition",
                 f"{self.grid.shape} samples for a device of {shape}",
-                f"2^D times the device's along each axis that is to be split, D up to {MOST_DEPTH}",
+                f"2^D times the device's along each axis that is to be split, D up to {MAX_DEPTH}",
                 "Prepare the medium on such a lattice.",
             )
 
@@ -66,14 +66,14 @@ class DyadicLattice:
         return max(factors).bit_length() - 1
 
     def boxes(self, depth: int) -> tuple[int, int, int]:
-        """How many boxes of a depth there are along each axis."""
+        """Return the number of boxes of a depth along each axis."""
         x, y, z = (
             1 if n == m else 1 << depth for n, m in zip(self.grid.shape, self.device_shape, strict=True)
         )
         return (x, y, z)
 
     def lattice(self, depth: int) -> Grid:
-        """The lattice over the whole workspace that has the spacing of the boxes of a depth."""
+        """Return the lattice over the whole workspace with the spacing of the boxes of a depth."""
         if depth == self.depth:
             return self.grid
         x, y, z = (m * b for m, b in zip(self.device_shape, self.boxes(depth), strict=True))
@@ -81,7 +81,7 @@ class DyadicLattice:
 
 
 class BoxLosses:
-    """Adds up the symbols of frames, and tells what each dyadic box loses."""
+    """Accumulated symbol counts of frames, and the information loss of each dyadic box."""
 
     def __init__(self, lattice: DyadicLattice) -> None:
         self.lattice = lattice
@@ -96,33 +96,33 @@ class BoxLosses:
         `levels` sequence of FieldSymbols: of one Q, on ``lattice.lattice(d)`` for d = 0 .. D. InvalidArgument
         if there are others, they differ in Q, or there are too many boxes and symbols to count.
         """
-        d_most, last = self.lattice.depth, levels[-1]
-        if [s.grid.shape for s in levels] != [self.lattice.lattice(d).shape for d in range(d_most + 1)]:
+        max_depth, last = self.lattice.depth, levels[-1]
+        if [s.grid.shape for s in levels] != [self.lattice.lattice(d).shape for d in range(max_depth + 1)]:
             raise InvalidArgument(
                 "levels", f"shapes {[s.grid.shape for s in levels]}", "those of the dyadic lattice"
             )
         self._alphabet, self._quantiser = self._alphabet or last.alphabet, self._quantiser or last.quantiser
         if any((s.alphabet, s.quantiser) != (self._alphabet, self._quantiser) for s in levels):
             raise InvalidArgument("levels", "several quantisers", f"{self._quantiser} for all")
-        if 8**d_most * self._alphabet**2 >= 1 << 63:
+        if 8**max_depth * self._alphabet**2 >= 1 << 63:
             raise InvalidArgument(
                 "quantiser", f"{self._alphabet} symbols", "fewer", "Take a coarser quantiser."
             )
-        places, symbols = _held(last)
-        for d in range(d_most):
+        indices, symbols = _supported(last)
+        for d in range(max_depth):
             ratio: Int64s = np.array(self.lattice.grid.shape) // np.array(self.lattice.lattice(d).shape)
-            cells = places // ratio
+            cells = indices // ratio
             coarse = levels[d].symbols_at(cells).astype(np.int64)
             boxes = self._box_of(cells, d)
             pairs = (boxes * self._alphabet + coarse) * self._alphabet + symbols
             self._pairs[d] = merged([self._pairs[d], np.unique(pairs, return_counts=True)])
-            cells, coarse = _held(levels[d])
+            cells, coarse = _supported(levels[d])
             rows, counts = np.unique(self._box_of(cells, d) * self._alphabet + coarse, return_counts=True)
             self._rows[d] = merged([self._rows[d], (rows, counts * int(ratio.prod()))])
         self.frame_count += 1
 
     def bits(self) -> tuple[Float64s, ...]:
-        """L of the boxes of each depth, bits a frame, float64 of shape ``lattice.boxes(d)`` for d = 0 .. D.
+        """Return L of the boxes, bits a frame, float64 of shape ``lattice.boxes(d)`` for d = 0 .. D.
 
         InvalidArgument if no frame was added.
         """
@@ -132,7 +132,7 @@ class BoxLosses:
         return (*coarser, np.zeros(self.lattice.boxes(self.lattice.depth)))
 
     def _bits(self, d: int) -> Float64s:
-        """L times the frames."""
+        """Return L times the number of frames."""
         shape = self.lattice.boxes(d)
         box_count = int(np.prod(shape))
         (rows, row_counts), (pairs, pair_counts) = self._rows[d], self._pairs[d]
@@ -143,8 +143,8 @@ class BoxLosses:
         np.add.at(in_rows, rows // self._alphabet, row_counts)
         per_box = self.lattice.grid.voxel_count // box_count * self.frame_count
         total = per_box - in_rows[box]  # of k = 0
-        known = coarse > 0
-        total[known] = row_counts[np.searchsorted(rows, paired[known])]
+        is_supported = coarse > 0
+        total[is_supported] = row_counts[np.searchsorted(rows, paired[is_supported])]
         empty = total - (np.add.reduceat(pair_counts, first) if len(first) else 0)
         bits = _xlog2x(total) - _xlog2x(empty)
         if len(first):
@@ -160,11 +160,11 @@ class BoxLosses:
         return box
 
 
-def _held(s: FieldSymbols) -> tuple[Int64s, Int64s]:
+def _supported(s: FieldSymbols) -> tuple[Int64s, Int64s]:
     """Indices int64 [L, 3] and symbols int64 [L] of the samples whose symbol is not 0."""
     brick, x, y, z = np.nonzero(s.symbols)
-    places = s.bricks[brick].astype(np.int64) * BRICK + np.stack([x, y, z], axis=1)
-    return places, s.symbols[brick, x, y, z].astype(np.int64)
+    indices = s.bricks[brick].astype(np.int64) * BRICK + np.stack([x, y, z], axis=1)
+    return indices, s.symbols[brick, x, y, z].astype(np.int64)
 
 
 def _xlog2x(counts: Int64s) -> Float64s:
@@ -178,12 +178,12 @@ class DyadicBox:
     """One box of a partition.
 
     `depth`: how often the workspace was halved along each axis. `index` (int, int, int): which of the 2^depth
-    boxes along each axis. `lost_bits`: what the device leaves out of it, bits a frame.
+    boxes along each axis. `loss_bits`: the information in it that the device omits, bits a frame.
     """
 
     depth: int
     index: tuple[int, int, int]
-    lost_bits: float
+    loss_bits: float
 
 
 @dataclass(frozen=True)
@@ -198,14 +198,14 @@ class Partition:
     boxes: tuple[DyadicBox, ...]
 
     @property
-    def lost_bits(self) -> float:
+    def loss_bits(self) -> float:
         """Of all boxes, bits a frame."""
-        return math.fsum(b.lost_bits for b in self.boxes)
+        return math.fsum(b.loss_bits for b in self.boxes)
 
     @property
     def cost_bits(self) -> float:
         """J."""
-        return self.lost_bits + self.penalty_bits * len(self.boxes)
+        return self.loss_bits + self.penalty_bits * len(self.boxes)
 
     def grid(self, box: DyadicBox) -> Grid:
         """The device's lattice in a box, metres of the hand."""
@@ -218,7 +218,7 @@ class Partition:
         return {
             "boxes": len(self.boxes),
             "boxes_by_depth": {d: depths.count(d) for d in sorted(set(depths))},
-            "lost_bits_per_frame": self.lost_bits,
+            "lost_bits_per_frame": self.loss_bits,
             "penalty_bits_per_box": self.penalty_bits,
             "cost_bits": self.cost_bits,
             "device_shape": list(self.lattice.device_shape),
@@ -226,7 +226,7 @@ class Partition:
 
 
 def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalty_bits: float) -> Partition:
-    """The partition with the least J.
+    """Return the partition with the smallest J.
 
     `losses` sequence of float64 arrays: for each depth 0 .. D the loss of its boxes, of shape
     ``lattice.boxes(d)``, bits a frame (`BoxLosses.bits`). `penalty_bits`: lambda, 0 or more. A greater one
@@ -239,23 +239,23 @@ def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalt
         raise InvalidArgument("losses", f"shapes {[np.shape(loss) for loss in losses]}", str(shapes))
     if not all(np.isfinite(loss).all() for loss in losses):
         raise InvalidArgument("losses", "one that is not finite", "finite bits")
-    kept: list[Bools] = [np.ones(shapes[-1], np.bool_)]
+    is_undivided: list[Bools] = [np.ones(shapes[-1], np.bool_)]
     cost = np.asarray(losses[-1], np.float64) + penalty_bits
     for d in reversed(range(lattice.depth)):
         (bx, by, bz), (nx, ny, nz) = shapes[d], cost.shape
-        alone = losses[d] + penalty_bits
-        parted = cost.reshape(bx, nx // bx, by, ny // by, bz, nz // bz).sum(
+        undivided = losses[d] + penalty_bits
+        divided = cost.reshape(bx, nx // bx, by, ny // by, bz, nz // bz).sum(
             axis=(1, 3, 5)
         )  # over the children
-        kept.insert(0, alone <= parted)
-        cost = np.minimum(alone, parted)
+        is_undivided.insert(0, undivided <= divided)
+        cost = np.minimum(undivided, divided)
     boxes = []
     reached = np.ones(shapes[0], np.bool_)
-    for d, whole in enumerate(kept):
-        for index in np.argwhere(reached & whole).tolist():
+    for d, is_leaf in enumerate(is_undivided):
+        for index in np.argwhere(reached & is_leaf).tolist():
             boxes.append(DyadicBox(d, (index[0], index[1], index[2]), float(losses[d][tuple(index)])))
         if d < lattice.depth:
-            reached = reached & ~whole
+            reached = reached & ~is_leaf
             for axis, n in enumerate(shapes[d + 1]):  # all their children
                 reached = np.repeat(reached, n // reached.shape[axis], axis=axis)
     return Partition(lattice, float(penalty_bits), tuple(boxes))

@@ -1,22 +1,21 @@
-"""Energy that a field could feed to a hand: curl, and work around closed loops (theory: apart from eq. 1).
+"""Energy that a field can feed to a hand: curl, and work around closed loops.
 
-The paper calls a mapping "passive" when it creates no information (eq. 1). That says nothing of energy: a
-field gives none to a hand that moves in a circle if and only if the integral of F dl vanishes around every
-closed loop, that is, if its curl is zero. Penalty forces of a distance are such fields; quantising their
-directions, resampling them and clipping components is not, and what a loop gains a hand can pump out of the
-device, again and again.
+The paper calls a mapping "passive" when it creates no information (eq. 1). This does not concern energy: a
+field gives none to a hand that moves in a closed loop if and only if the integral of F dl vanishes around
+every loop, that is, if its curl is zero. Penalty forces of a distance are conservative, but quantising their
+directions, resampling them or clipping components makes them non-conservative, and the hand can extract the
+work of a loop from the device repeatedly.
 
-Two looks, both of the field as a renderer that interpolates trilinearly (`ForceField.sample_n`) plays it:
+Two measures, both of the field as rendered by trilinear interpolation (`ForceField.sample_n`):
 
-* the curl at lattice points, by central differences, beside the gradient;
+* the curl at lattice points, by central differences, relative to the gradient;
 * the work around each square of four lattice edges, by the trapezoid rule, which is exact for that
   interpolation. A loop along lattice edges gains what the squares within it do.
 
-Only what lies wholly within the support is looked at. At the edge of a wall the stored field ends in a step
-of one spacing, which is the lattice's doing and not the wall's, and would drown all else; `loop_work_j`
-counts it, as the hand would, around any closed path: by Gauss's rule on each piece between two lattice
-planes, where F is cubic at most along a line, so that the rule is exact, too (but for the float32 of the
-forces).
+Only loops and stencils entirely within the support count. At the edge of a wall the stored field ends in a
+step of one spacing, an artefact of the lattice that would dominate the result. `loop_work_j` includes it, as
+the hand would, around any closed path: by Gauss's rule on each piece between two lattice planes, where F is
+at most cubic along a line, so that the rule is exact, too (up to the float32 of the forces).
 """
 
 from __future__ import annotations
@@ -32,19 +31,20 @@ from numpy.typing import ArrayLike
 from touchfield.arrays import Float64s, Int64s
 from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument
-from touchfield.measure.quantity import Told
-from touchfield.medium.field import ForceField, slots_around
+from touchfield.measure.quantity import Report
+from touchfield.medium.field import ForceField, neighbour_slots
 from touchfield.medium.grid import Grid
 
 _PIECES_AT_ONCE: Final = 1 << 19
-_FAR: Final = 1e9  # spacings from the grid; beyond it a path could not be cut precisely at the lattice planes
+_MAX_SPACINGS: Final = (
+    1e9  # spacings from the grid; beyond it a path could not be cut precisely at the lattice planes
+)
 _SHORTEST: Final = 1e-13  # share of a segment; less is rounding
 _GAUSS: Final = (0.5 - math.sqrt(1 / 12), 0.5 + math.sqrt(1 / 12))  # two points, exact for cubics
 
 
 def loop_work_j(force_field: ForceField, path_m: ArrayLike) -> float:
-    """The work of a field on a hand that goes once round a closed polyline, joules, exact for
-    `ForceField.sample_n`.
+    """Return the work of a field around a closed polyline, joules, exact for `ForceField.sample_n`.
 
     `path_m` float [n, 3]: corners in metres, at least three; the last is joined to the first. Beyond the grid
     there is no force. InvalidArgument if there are fewer corners, or one is not finite or 10^9 spacings away.
@@ -53,60 +53,59 @@ def loop_work_j(force_field: ForceField, path_m: ArrayLike) -> float:
     if path.ndim != 2 or path.shape[1] != 3 or len(path) < 3:
         raise InvalidArgument("path_m", f"shape {path.shape}", "[n, 3] with n at least 3")
     with np.errstate(over="ignore", invalid="ignore"):
-        far = ~(np.abs(force_field.grid.to_index(path)) < _FAR).all(axis=1)
-    if far.any():
+        is_far = ~(np.abs(force_field.grid.to_index(path)) < _MAX_SPACINGS).all(axis=1)
+    if is_far.any():
         raise InvalidArgument(
-            "path_m", f"corner {path[far][0].tolist()}", "finite metres, not far from the grid"
+            "path_m", f"corner {path[is_far][0].tolist()}", "finite metres, not far from the grid"
         )
     grid = force_field.grid
     starts = grid.to_index(path)
-    ends = np.roll(starts, -1, axis=0)
-    steps_m = (ends - starts) * np.asarray(grid.spacing_m)
+    stops = np.roll(starts, -1, axis=0)
+    steps_m = (stops - starts) * np.asarray(grid.spacing_m)
     works = np.zeros(len(starts))
-    for segment, begin, end in _pieces(starts, ends, grid.shape):
+    for segment, low, high in _pieces(starts, stops, grid.shape):
         for node in _GAUSS:
-            place = starts[segment] + (begin + node * (end - begin))[:, None] * (
-                ends[segment] - starts[segment]
+            position = starts[segment] + (low + node * (high - low))[:, None] * (
+                stops[segment] - starts[segment]
             )
-            forces = force_field.sample_n(grid.to_m(place)).astype(np.float64)
-            power = (forces * steps_m[segment]).sum(axis=1) * (end - begin) / 2
+            forces = force_field.sample_n(grid.to_m(position)).astype(np.float64)
+            power = (forces * steps_m[segment]).sum(axis=1) * (high - low) / 2
             works += np.bincount(segment, power, minlength=len(starts))
     return float(works.sum())
 
 
 def _pieces(
-    starts: Float64s, ends: Float64s, shape: tuple[int, int, int]
+    starts: Float64s, stops: Float64s, shape: tuple[int, int, int]
 ) -> Iterator[tuple[Int64s, Float64s, Float64s]]:
-    """Segments [n, 3] in samples, cut where they cross a lattice plane: segment, and from and to which share
-    of it.
+    """Cut segments [n, 3] at lattice planes; yield segment, and start and stop as fractions of it.
 
-    Beyond one sample from the grid there is no force, and nothing to cut. A bounded number of pieces at a
-    time.
+    Beyond one sample from the grid there is no force, and nothing to cut. The number of pieces at a time is
+    bounded.
     """
-    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+    low, high = np.minimum(starts, stops), np.maximum(starts, stops)
     first = np.maximum(np.floor(low) + 1, -1).astype(np.int64)
     last = np.minimum(np.ceil(high) - 1, shape).astype(np.int64)
     counts = np.maximum(last - first + 1, 0)
     turn = np.cumsum(counts.sum(axis=1) + 1) // _PIECES_AT_ONCE
     for part in np.split(np.arange(len(starts)), np.flatnonzero(np.diff(turn)) + 1):
-        segments, shares = [part, part], [np.zeros(len(part)), np.ones(len(part))]
+        segments, fractions = [part, part], [np.zeros(len(part)), np.ones(len(part))]
         for axis in range(3):
             n = counts[part, axis]
             owner = np.repeat(part, n)
             plane = first[owner, axis] + np.arange(len(owner)) - np.repeat(np.cumsum(n) - n, n)
-            begin, end = starts[owner, axis], ends[owner, axis]
+            start, stop = starts[owner, axis], stops[owner, axis]
             segments.append(owner)
-            shares.append(np.clip((plane - begin) / (end - begin), 0, 1))
-        segment, share = np.concatenate(segments), np.concatenate(shares)
-        order = np.lexsort((share, segment))
-        segment, share = segment[order], share[order]
-        whole = (segment[1:] == segment[:-1]) & (share[1:] - share[:-1] > _SHORTEST)
-        yield segment[:-1][whole], share[:-1][whole], share[1:][whole]
+            fractions.append(np.clip((plane - start) / (stop - start), 0, 1))
+        segment, fraction = np.concatenate(segments), np.concatenate(fractions)
+        order = np.lexsort((fraction, segment))
+        segment, fraction = segment[order], fraction[order]
+        is_piece = (segment[1:] == segment[:-1]) & (fraction[1:] - fraction[:-1] > _SHORTEST)
+        yield segment[:-1][is_piece], fraction[:-1][is_piece], fraction[1:][is_piece]
 
 
 @dataclass(frozen=True)
-class Passivity(Told):
-    """How far a field is from conservative; NaN where nothing could be seen, `notes` then say why.
+class Passivity(Report):
+    """Deviation of a field from conservative; NaN without a stencil, and `notes` give the reason.
 
     `support_count`: L, samples whose force is not zero; `points`: samples at which a curl was taken;
     `share_seen`: the supported ones among them over L. `rms_curl_n_per_m`, `worst_curl_n_per_m`: of the
@@ -130,7 +129,7 @@ class Passivity(Told):
 
 
 def passivity(force_field: ForceField) -> Passivity:
-    """Curl, and work around squares, of a field; the same bits for any number of threads.
+    """Measure the curl, and the work around squares, of a field; the same bits for any number of threads.
 
     InvalidArgument if the field is empty.
     """
@@ -140,7 +139,7 @@ def passivity(force_field: ForceField) -> Passivity:
         raise InvalidArgument("force_field", "a field without any force", "a support of at least one sample")
     grid = force_field.grid
     bricks = force_field.bricks
-    slots = slots_around(bricks, bricks, grid.brick_shape).astype(np.int32)
+    slots = neighbour_slots(bricks, bricks, grid.brick_shape).astype(np.int32)
     rows = np.zeros((len(bricks), 7))
     spacing_m = np.array(grid.spacing_m)
     for_chunks(curl_and_squares, len(bricks), slots, spacing_m, force_field.forces_n, rows, chunk=32)

@@ -1,24 +1,23 @@
-"""A measured quantity with its interval: never a bare number (paper section 3.1, which names neither Q nor
-X).
+"""A measured quantity with its unit, estimator and interval (paper section 3.1 names neither Q nor X).
 
-Every measure of this room returns a `Quantity`, which says what the number is an estimate of: the unit, the
-quantiser Q, the weighting mu of the samples, the estimator, how many samples and symbols it saw, and an
+Every measure of this package returns a `Quantity`, which states what the number estimates: the unit, the
+quantiser Q, the weighting mu of the samples, the estimator, the number of samples and symbols, and an
 interval.
 
-Intervals are of a block bootstrap (the paper gives no spread). Neighbouring voxels say much the same, so that
-resampling single voxels would promise far too narrow an interval: whole blocks are drawn instead, with
+Intervals come from a block bootstrap (the paper gives no spread). Neighbouring voxels are strongly dependent,
+so that resampling single voxels would give far too narrow an interval. Whole blocks are drawn instead, with
 replacement, as many as there are (E. Carlstein, Annals of Statistics 14, 1986; S. N. Lahiri, Resampling
-Methods for Dependent Data, 2003, chapter 12). Blocks that do not overlap let every statistic of counts be
+Methods for Dependent Data, 2003, chapter 12). As blocks do not overlap, every statistic of counts can be
 resampled from B tables.
 
-Of plug-in estimates the interval is the *basic* one, 2 E - q_high .. 2 E - q_low for the estimate E and the
-quantiles q of the resamples: a resample sees fewer symbols than the data, as the data saw fewer than there
-are, which the percentile interval q_low .. q_high would count twice. Its reach from its centre is multiplied
-by sqrt(B/(B - 1)) t/z, Student's t with B - 1 degrees of freedom over the normal quantile, and it is
-stretched to hold E. A bias-corrected estimate has the *normal* interval, E -+ t sqrt(B/(B - 1)) times the
-standard deviation of the resamples.
+Plug-in estimates have the *basic* interval, 2 E - q_high .. 2 E - q_low, for the estimate E and the quantiles
+q of the resamples: a resample has fewer symbols than the data, just as the data have fewer than the source,
+and the percentile interval q_low .. q_high would count this bias twice. Its half-widths are multiplied by
+sqrt(B/(B - 1)) t/z, Student's t with B - 1 degrees of freedom over the normal quantile, and it is extended to
+contain E. A bias-corrected estimate has the *normal* interval, E -+ t sqrt(B/(B - 1)) times the standard
+deviation of the resamples.
 
-The measured coverage stands at the head of `tests/test_bootstrap.py`: 89 % to 94 % for plug-in estimates of
+The measured coverage is documented in `tests/test_bootstrap.py`: 89 % to 94 % for plug-in estimates of
 dependent samples where the percentile interval has 58 % to 94 %; 94 % to 97 % for bias-corrected H;
 87 % to 95 % for ratios. Of plug-in H of Gaussian fields of correlation exp(-r^2/2L^2) 27 blocks cover 92 % at
 64^3 samples with L = 5, and 77 % with L = 8: blocks should be many times as long as the dependence, and 16 or
@@ -39,18 +38,18 @@ from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.estimators import as_array
 
-LEAST_BLOCKS: Final = 8
-LEAST_REPLICATES: Final = 50
+MIN_BLOCKS: Final = 8
+MIN_REPLICATES: Final = 50
 _CHUNK_VALUES: Final = 1 << 22
 
 
 WEIGHTINGS = ("samples", "voxel", "object", "interaction")
-"""mu: each sample of an array as often as it is there; each voxel of the lattice; each voxel whose quantised
-force is not zero; each voxel as often as a probe was there."""
+"""mu: each sample of an array; each voxel of the lattice; each voxel whose quantised force is not zero; each
+voxel as often as a probe visited it."""
 
 
-class Told:
-    """A dataclass that is told by the names of its fields."""
+class Report:
+    """A dataclass whose fields are reported by name."""
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; NaN becomes None, which JSON can hold."""
@@ -58,7 +57,7 @@ class Told:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, Told):
+    if isinstance(value, Report):
         return value.summary()
     if isinstance(value, float) and math.isnan(value):
         return None
@@ -66,15 +65,15 @@ def _plain(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Interval(Told):
+class Interval(Report):
     """A range for a quantity, in its unit, from a resampling.
 
-    `level`: share of the resamples between `low` and `high`, such as 0.95. `method`: how it was made, with
-    its numbers: "block bootstrap, 27 blocks, 200 resamples".
+    `level`: fraction of the resamples between `low` and `high`, such as 0.95. `method`: the method with its
+    numbers: "block bootstrap, 27 blocks, 200 resamples".
     """
 
     population: ClassVar[str] = "media from the source of this one, of which it is a single draw"
-    """Population of an interval: of this one medium the value itself is exact."""
+    """The population that an interval refers to; for this one medium the value itself is exact."""
 
     low: float
     high: float
@@ -82,23 +81,23 @@ class Interval(Told):
     method: str
 
     def summary(self) -> dict[str, Any]:
-        """See `Told`."""
+        """See `Report`."""
         return super().summary() | {"population": self.population}
 
 
 class FewSamplesWarning(UserWarning):
-    """There are fewer than ten samples to a symbol: the estimate is more bias than data."""
+    """Fewer than ten samples per symbol: the bias dominates the estimate."""
 
 
 @dataclass(frozen=True)
-class Quantity(Told):
-    """A number with what it means.
+class Quantity(Report):
+    """A number with its unit, quantiser, weighting, estimator, sample counts, interval and notes.
 
-    `name` is the usual notation: "H(S)", "I(X;Y)", "WMR". `value` is NaN where the quantity does not exist;
-    `notes` then says why. `unit`: "bit/sample", "bit/supported voxel", "bit/frame", "bit", "1", "sqrt(bit)".
-    `quantiser` is Q, `weighting` mu, one of `WEIGHTINGS`; `estimator` its registered name, "exact" for given
-    probabilities. `samples` is n, `symbols` K, how many different ones were seen (of pairs for a joint
-    quantity). `notes`: what a reader must know, such as few samples, or which guard acted.
+    `name` is the usual notation: "H(S)", "I(X;Y)", "WMR". `value` is NaN if the quantity does not exist;
+    `notes` then gives the reason. `unit`: "bit/sample", "bit/supported voxel", "bit/frame", "bit", "1",
+    "sqrt(bit)". `quantiser` is Q, `weighting` mu, one of `WEIGHTINGS`; `estimator` its registered name,
+    "exact" for given probabilities. `samples` is n, `symbols` K, the number of different symbols that occur
+    (of pairs for a joint quantity). `notes`: caveats, such as few samples, or which guard acted.
     """
 
     name: str
@@ -121,21 +120,17 @@ class Quantity(Told):
         return float(self.value)
 
     def of(self, **changes: Any) -> Quantity:
-        """The same quantity with other fields, such as the quantiser and the weighting that only the caller
-        knows.
-        """
+        """Return the quantity with other fields, such as a quantiser that only the caller knows."""
         return replace(self, **changes)
 
     def times(self, factor: float, unit: str, name: str | None = None) -> Quantity:
-        """The quantity and its interval in another unit: bits a sample times samples a frame are bits a
-        frame.
-        """
+        """Scale the quantity and its interval to another unit, such as bits a sample to bits a frame."""
         i = self.interval
         scaled = None if i is None else Interval(i.low * factor, i.high * factor, i.level, i.method)
         return replace(self, name=name or self.name, value=self.value * factor, unit=unit, interval=scaled)
 
     def __str__(self) -> str:
-        """One line: value, interval, unit, and what it is of."""
+        """One line: value, interval, unit, quantiser and weighting."""
         i = self.interval
         spread = "" if i is None else f" [{i.low:.6g}, {i.high:.6g}]"
         return f"{self.name} = {self.value:.6g}{spread} {self.unit} (Q {self.quantiser}, mu {self.weighting})"
@@ -154,19 +149,19 @@ def interval(
     *,
     corrects_bias: bool = False,
 ) -> Interval:
-    """An interval for a statistic of counts, from blocks drawn with replacement.
+    """Return a bootstrap interval for a statistic of counts, from blocks drawn with replacement.
 
-    It always holds the statistic of the sum of the blocks, and has no width only where the statistic is the
+    It always contains the statistic of the sum of the blocks, and has zero width only if the statistic is the
     same for every resample. Blocks without a sample are left out. The memory is 16 bytes for each of the B x
-    cells counts, and 64 MiB.
+    cells counts, plus 64 MiB.
 
     `statistic`: ``statistic(counts)``, a finite number, of counts int64 [*cells] (such as a joint histogram).
     `block_counts` int [B, *cells]: the counts of each block, at least 8 of them with a sample. `replicates`:
-    how many resamples, at least 50; the statistic is called once for each. `level`: inside (0, 1). `seed`: of
-    the draws; the same seed gives the same bits on any number of threads. `bounds`: the least and the
-    greatest value that what is estimated can have. The interval is cut there; where the estimate lies beyond
-    one of them, the interval reaches from it to that bound at least. `corrects_bias`: whether the statistic
-    takes its own bias off: the interval is then the normal one, not the basic. InvalidArgument if there are
+    number of resamples, at least 50; the statistic is called once for each. `level`: inside (0, 1). `seed`:
+    of the draws; the same seed gives the same bits on any number of threads. `bounds`: the smallest and the
+    largest possible value of the estimated quantity. The interval is cut there; if the estimate lies beyond
+    a bound, the interval reaches from it at least to that bound. `corrects_bias`: whether the statistic
+    corrects its own bias: the interval is then the normal one, not the basic. InvalidArgument if there are
     fewer than 8 blocks with a sample or 50 replicates; a count is negative or not whole; the level is outside
     (0, 1); or the statistic is not finite.
     """
@@ -175,28 +170,28 @@ def interval(
     counts = _checked(block_counts, replicates, level)
     blocks, upper = len(counts), (1 + level) / 2
     estimate = _finite(statistic(counts.sum(axis=0)))
-    values = _resampled(statistic, counts, replicates, seed)
+    values = _resample(statistic, counts, replicates, seed)
 
     def cut(low: float, high: float) -> tuple[float, float]:
-        """Cut at the bounds, and stretched to hold the estimate; 0, and not -0."""
+        """Cut an interval at the bounds and extend it to contain the estimate; 0, and not -0."""
         low, high = (min(max(edge, bounds[0]), bounds[1]) for edge in (low, high))
         return min(low, estimate) + 0.0, max(high, estimate) + 0.0
 
-    # few blocks are spread too little
+    # with few blocks the resamples vary too little
     wider = float(math.sqrt(blocks / (blocks - 1)) * stdtrit(blocks - 1, upper) / ndtri(upper))
-    kind, ends = "basic", (estimate, estimate)
+    kind, edges = "basic", (estimate, estimate)
     if not corrects_bias:
         centre = float(values.mean())
         low, high = np.quantile(values, [1 - upper, upper])
         middle = 2 * estimate - centre
-        ends = cut(middle - wider * float(high - centre), middle + wider * float(centre - low))
-    if corrects_bias or ends[0] == ends[1]:  # what the bias takes to a bound has a spread nevertheless
+        edges = cut(middle - wider * float(high - centre), middle + wider * float(centre - low))
+    if corrects_bias or edges[0] == edges[1]:  # an estimate moved to a bound by its bias still has a spread
         deviation = (
             float(values.std(ddof=1)) if values.min() < values.max() else 0.0
         )  # no rounding where all agree
         half = wider * float(ndtri(upper)) * deviation
-        kind, ends = "normal", cut(estimate - half, estimate + half)
-    return Interval(*ends, level, f"block bootstrap ({kind}), {blocks} blocks, {replicates} resamples")
+        kind, edges = "normal", cut(estimate - half, estimate + half)
+    return Interval(*edges, level, f"block bootstrap ({kind}), {blocks} blocks, {replicates} resamples")
 
 
 def _checked(block_counts: ArrayLike, replicates: int, level: float) -> Int64s:
@@ -207,16 +202,16 @@ def _checked(block_counts: ArrayLike, replicates: int, level: float) -> Int64s:
         raise InvalidArgument("block_counts", f"values of type {counts.dtype}", "whole numbers")
     if counts.size and counts.min() < 0:
         raise InvalidArgument("block_counts", f"{counts.min()}", "counts of at least 0")
-    if not (replicates >= LEAST_REPLICATES and int(replicates) == replicates):
-        raise InvalidArgument("replicates", f"{replicates}", f"a whole number of at least {LEAST_REPLICATES}")
+    if not (replicates >= MIN_REPLICATES and int(replicates) == replicates):
+        raise InvalidArgument("replicates", f"{replicates}", f"a whole number of at least {MIN_REPLICATES}")
     if not 0 < level < 1:
         raise InvalidArgument("level", f"{level}", "inside (0, 1), such as 0.95")
     filled = counts[counts.any(axis=tuple(range(1, counts.ndim)))]
-    if len(filled) < LEAST_BLOCKS:
+    if len(filled) < MIN_BLOCKS:
         raise InvalidArgument(
             "block_counts",
             f"{len(filled)} blocks with a sample",
-            f"at least {LEAST_BLOCKS}",
+            f"at least {MIN_BLOCKS}",
             "Take smaller blocks.",
         )
     return filled.astype(np.int64, copy=False)
@@ -228,10 +223,8 @@ def _finite(value: float) -> float:
     return float(value)
 
 
-def _resampled(statistic: Callable[[Int64s], float], counts: Int64s, replicates: int, seed: int) -> Float64s:
-    """The statistic of each resample [replicates]: multinomial weights times counts, a bounded part at a
-    time.
-    """
+def _resample(statistic: Callable[[Int64s], float], counts: Int64s, replicates: int, seed: int) -> Float64s:
+    """Return the statistic of each resample [replicates]: multinomial weights times counts, in chunks."""
     blocks, cells = len(counts), counts.shape[1:]
     flat = counts.reshape(blocks, -1)
     used = np.flatnonzero(flat.any(axis=0))
@@ -242,10 +235,10 @@ def _resampled(statistic: Callable[[Int64s], float], counts: Int64s, replicates:
     weights = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=replicates).astype(np.float64)
     at_once = max(1, _CHUNK_VALUES // max(1, flat.shape[1]))
     values = np.empty(replicates)
-    for begin in range(0, replicates, at_once):
-        drawn = weights[begin : begin + at_once] @ floats
+    for start in range(0, replicates, at_once):
+        drawn = weights[start : start + at_once] @ floats
         full = np.zeros((len(drawn), flat.shape[1]), np.int64)
         full[:, used] = drawn
         for i, resample in enumerate(full):
-            values[begin + i] = _finite(statistic(resample.reshape(cells)))
+            values[start + i] = _finite(statistic(resample.reshape(cells)))
     return values

@@ -1,7 +1,7 @@
-"""Search in a collection of haptic media: an index of descriptors, and the nearest of them (paper 4 and 5.1).
+"""Nearest-neighbour search in an index of descriptors of haptic media (paper sections 4 and 5.1).
 
-"Search and retrieval" is named by the paper and not described. A medium is filed under its descriptor
-(`touchfield.measure.descriptors`); a query is another descriptor, and the answer the names in the order of
+The paper names "search and retrieval" without a method. A medium is indexed by its descriptor
+(`touchfield.measure.descriptors`); a query is another descriptor, and the result the names in the order of
 their distance::
 
     d(x, y)^2 = sum over the parts p of weight_p |x_p - y_p|^2
@@ -24,7 +24,13 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.atomic import atomic_path
-from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_not_negative, require_one_of
+from touchfield.errors import (
+    InvalidArgument,
+    SourceError,
+    as_source_error,
+    require_not_negative,
+    require_one_of,
+)
 from touchfield.measure.descriptors import (
     DESCRIPTOR_LENGTH,
     DESCRIPTOR_VERSION,
@@ -35,19 +41,17 @@ from touchfield.measure.descriptors import (
 from touchfield.medium.stores.npz import NpzArchive
 
 ANY_POSE: Final[Mapping[str, float]] = MappingProxyType({"directions": 0.0})
-"""Weights that leave out what turns with the body; the octree levels still depend on the pose, but far less.
+"""Weights that omit the pose-dependent directions; the octree levels depend on the pose, but far less."""
 
-"""
-
-MOST_MEDIA: Final = 1 << 20
-_MOST_NAME: Final = 1000  # characters
+MAX_MEDIA: Final = 1 << 20
+_MAX_NAME: Final = 1000  # characters
 _BLOCK: Final = 1 << 14  # media whose distances are taken at once
-_MOST_HEAD_BYTES: Final = 1 << 28
+_MAX_HEAD_BYTES: Final = 1 << 28
 _FORMAT: Final = "touchfield medium index"
 
 
 class Match(NamedTuple):
-    """A medium that was found, and its distance from the query: 0 where the descriptors are the same."""
+    """A found medium and its distance from the query: 0 for equal descriptors."""
 
     name: str
     distance: float
@@ -82,22 +86,21 @@ class MediumIndex:
 
         InvalidArgument if the name is empty, too long or there already, or the index is full (2^20 media).
         """
-        if not isinstance(name, str) or not 1 <= len(name) <= _MOST_NAME:
-            raise InvalidArgument("name", repr(name)[:80], f"1 to {_MOST_NAME} characters")
+        if not isinstance(name, str) or not 1 <= len(name) <= _MAX_NAME:
+            raise InvalidArgument("name", repr(name)[:80], f"1 to {_MAX_NAME} characters")
         if name in self._rows:
             raise InvalidArgument("name", repr(name)[:80], "a name that is not there yet")
-        if len(self._rows) >= MOST_MEDIA:
-            raise InvalidArgument("index", f"{len(self._rows)} media", f"fewer than {MOST_MEDIA}")
+        if len(self._rows) >= MAX_MEDIA:
+            raise InvalidArgument("index", f"{len(self._rows)} media", f"fewer than {MAX_MEDIA}")
         self._rows[name] = entry.values
         self._values = None
 
     def query(
         self, entry: Descriptor, count: int | None = None, weights: Mapping[str, float] | None = None
     ) -> tuple[Match, ...]:
-        """The media nearest to a descriptor, the nearest first; of equally near ones that which was added
-        first.
+        """Return the media nearest to a descriptor, the nearest first; ties in the order of addition.
 
-        `count`: how many are wanted; all, where it is not given. `weights` mapping of str to float: of the
+        `count`: the number of matches; by default all. `weights` mapping of str to float: of the
         parts by name, 0 or more; 1 for those that are not named. `ANY_POSE` is such a mapping.
         InvalidArgument if the index is empty, `count` is below 1, or a weight is out of range or of no part.
         """
@@ -110,8 +113,8 @@ class MediumIndex:
             self._values = np.stack(list(self._rows.values()))
         distances = np.empty(len(self))
         for start in range(0, len(self), _BLOCK):
-            apart = (self._values[start : start + _BLOCK] - entry.values) * factors
-            distances[start : start + _BLOCK] = np.sqrt(np.einsum("ij,ij->i", apart, apart))
+            differences = (self._values[start : start + _BLOCK] - entry.values) * factors
+            distances[start : start + _BLOCK] = np.sqrt(np.einsum("ij,ij->i", differences, differences))
         names = self.names
         return tuple(
             Match(names[i], float(distances[i])) for i in np.argsort(distances, kind="stable")[:count]
@@ -149,16 +152,16 @@ class MediumIndex:
             raise SourceError(where, found, f"float64 [{len(names)}, {DESCRIPTOR_LENGTH}]")
         index = cls()
         for name, row in zip(names, archive.read("values"), strict=True):
-            with blamed_on(f"{path}, "):
+            with as_source_error(f"{path}, "):
                 index.add(name, Descriptor(row))
         return index
 
 
 def _names(archive: NpzArchive) -> list[str]:
-    """The names of an index file, after a look at what it says of itself."""
+    """Return the names of an index file, after checking its head."""
     where = f"{archive.path}, array head"
     header = archive.header("head")
-    if header.dtype != np.uint8 or len(header.shape) != 1 or header.data_bytes > _MOST_HEAD_BYTES:
+    if header.dtype != np.uint8 or len(header.shape) != 1 or header.data_bytes > _MAX_HEAD_BYTES:
         raise SourceError(where, f"{header.dtype} {list(header.shape)}", "the head of a medium index")
     try:
         head: Any = json.loads(archive.read("head").tobytes())

@@ -1,19 +1,20 @@
-"""How alike two haptic media are, and how much a picture tells of one (paper section 4: "similarity
-estimation", "correlation analysis between haptic media and visual media"). The paper names no measure of
-either.
+"""Similarity of two haptic media, and correlation of a picture with a medium (paper section 4).
+
+The paper names "similarity estimation" and "correlation analysis between haptic media and visual media"
+without a measure of either.
 
 Two quantised media S and T on one lattice:
 
-===================  ==========================================  ==================================================
+===================  ==========================================  ========================================
 measure              compares                                    metric
-===================  ==========================================  ==================================================
+===================  ==========================================  ========================================
 NMI                  symbols voxel by voxel                      no
 VI                   symbols voxel by voxel                      yes, over "voxel"
 sqrt(JSD)            histograms of the symbols, wherever         yes, over either
                      they lie
 NCD                  what one medium tells a compressor of the   no; see `compression_distance`
                      other, at any shift
-===================  ==========================================  ==================================================
+===================  ==========================================  ========================================
 
 "Metric" is said of the plug-in estimates, and holds up to what a measure cannot see: VI and NMI are blind to
 another name for each symbol, and sqrt(JSD) to where symbols lie. Over "object", NMI and VI look at the voxels
@@ -55,7 +56,7 @@ from touchfield.measure.information import (
     normalised_mutual_information,
     variation_of_information,
 )
-from touchfield.measure.quantity import FewSamplesWarning, Quantity, Told
+from touchfield.measure.quantity import FewSamplesWarning, Quantity, Report
 from touchfield.medium.field import brick_keys, numbers_of, values_at
 from touchfield.medium.grid import BRICK
 
@@ -63,7 +64,7 @@ if TYPE_CHECKING:
     from touchfield.medium import ForceField
 
 
-MOST_BYTES: Final = 1 << 25
+MAX_BYTES: Final = 1 << 25
 """Of the packed symbols of both media; lzma takes about twelve times as much memory."""
 
 _COUNT_BYTES: Final = 8
@@ -75,17 +76,19 @@ _NOT_A_METRIC: Final = "not a metric: NCD(x,x) is not 0, and the triangle inequa
 
 
 def compression_distance(first: Fields, second: Fields) -> Quantity:
-    """NCD of two media of one lattice and one Q, by lzma; about 0 for equal ones, about 1 for unrelated ones.
+    """Return the NCD of two media by lzma: about 0 for equal media, about 1 for unrelated ones.
 
-    `first`, `second`: FieldSymbols or sequences of them, each frame asked for once; they may differ in
-    length. Gives "NCD(S,T)", unit "1", mu "voxel". InvalidArgument if lattice or Q differ, or both together
-    take more than 32 MiB when packed.
+    `first`, `second`: FieldSymbols or sequences of them, of one lattice and one Q; each frame is requested
+    once; they may differ in length. Returns "NCD(S,T)", unit "1", mu "voxel". InvalidArgument if lattice or Q
+    differ, or both together take more than 32 MiB when packed.
     """
     a, b = Frames(first, "first"), Frames(second, "second")
     a.check_like(b, "second", "the first", _MENDS)
     voxels = a.grid.voxel_count * (a.count + b.count)
-    one = packed(a, MOST_BYTES)
-    x, y = sorted([one, packed(b, MOST_BYTES - len(one))], key=lambda d: (len(d), d))  # in whatever order
+    first_bytes = pack(a, MAX_BYTES)
+    x, y = sorted(
+        [first_bytes, pack(b, MAX_BYTES - len(first_bytes))], key=lambda d: (len(d), d)
+    )  # in whatever order
     window = max(1 << 12, 1 << (len(x) + len(y)).bit_length())
     filters = [{"id": lzma.FILTER_LZMA2, "preset": 6, "dict_size": window}]
     sizes = [len(lzma.compress(d, lzma.FORMAT_RAW, filters=filters)) for d in (x, y, x + y)]
@@ -94,28 +97,28 @@ def compression_distance(first: Fields, second: Fields) -> Quantity:
     return Quantity("NCD(S,T)", value, "1", a.quantiser, "voxel", "lzma", samples=voxels, notes=notes)
 
 
-def packed(frames: Frames, most_bytes: int = MOST_BYTES) -> bytes:
-    """The symbols of all frames as bytes, the same for the same symbols however they are stored.
+def pack(frames: Frames, max_bytes: int = MAX_BYTES) -> bytes:
+    """Pack the symbols of all frames as bytes; equal symbols give equal bytes however they are stored.
 
-    For each frame the number of bricks that hold a force, the place of each as the distance from the one
-    before it, and its 512 symbols, in whole bytes, the low bytes of a brick before the high ones.
+    For each frame: the number of bricks with a force, the key of each as the difference from the one before
+    it, and its 512 symbols, in whole bytes, the low bytes of a brick before the high ones.
 
-    InvalidArgument if there are more than `most_bytes`.
+    InvalidArgument if there are more than `max_bytes`.
     """
     width = max(1, -(-(frames.alphabet - 1).bit_length() // 8))
     parts: list[bytes] = []
     total = 0
     for n in range(frames.count):
         field = frames.take(n)
-        is_held = field.symbols.any(axis=(1, 2, 3))
-        total += _COUNT_BYTES + int(is_held.sum()) * (_COUNT_BYTES + BRICK**3 * width)
-        if total > most_bytes:
+        has_force = field.symbols.any(axis=(1, 2, 3))
+        total += _COUNT_BYTES + int(has_force.sum()) * (_COUNT_BYTES + BRICK**3 * width)
+        if total > max_bytes:
             raise InvalidArgument(
-                "symbols to compress", f"more than {MOST_BYTES >> 20} MiB of both media",
-                f"up to {MOST_BYTES >> 20} MiB", "Take fewer frames, a coarser lattice, or no NCD.",
+                "symbols to compress", f"more than {MAX_BYTES >> 20} MiB of both media",
+                f"up to {MAX_BYTES >> 20} MiB", "Take fewer frames, a coarser lattice, or no NCD.",
             )  # fmt: skip
-        keys = brick_keys(field.grid, field.bricks[is_held])
-        symbols = field.symbols[is_held].reshape(len(keys), BRICK**3).astype("<u4")
+        keys = brick_keys(field.grid, field.bricks[has_force])
+        symbols = field.symbols[has_force].reshape(len(keys), BRICK**3).astype("<u4")
         planes = symbols.view(np.uint8).reshape(len(keys), BRICK**3, 4)[:, :, :width].transpose(0, 2, 1)
         parts += [
             len(keys).to_bytes(_COUNT_BYTES, "little"),
@@ -126,12 +129,12 @@ def packed(frames: Frames, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 @dataclass(frozen=True)
-class Similarity(Told):
-    """Measures that tell two media apart; each a `Quantity`.
+class Similarity(Report):
+    """Similarity measures of two media; each a `Quantity`.
 
-    `normalised` I(S;T): 1 where each symbol of one medium tells that of the other, 0 where it tells nothing.
+    `normalised` I(S;T): 1 if each symbol of one medium determines that of the other, 0 for independent ones.
     `variation`: VI(S,T), bits a sample. `jensen_shannon`: sqrt(JSD) between the histograms of symbols, 0
-    to 1. `compression`: NCD, about 0 to 1; None where it was not asked for.
+    to 1. `compression`: NCD, about 0 to 1; None if it was not requested.
     """
 
     normalised: Quantity
@@ -148,7 +151,7 @@ def similarity(
 
     `first`, `second`: FieldSymbols or sequences of as many, S and T, compared frame by frame. "One Q" means
     that a symbol is the same codeword in both: a quantiser that is fitted to data is to be fitted to both.
-    Each frame is asked for at most twice, and once more for the NCD. `over`: mu of NMI and VI, "voxel" for
+    Each frame is requested at most twice, and once more for the NCD. `over`: mu of NMI and VI, "voxel" for
     all voxels or "object" for those where one of the two has a force; sqrt(JSD) over "object" compares the
     symbols of the forces of each medium. `compressed`: whether to make the NCD, which takes the longest.
     `interval`: whether the others get one, of 27 parts of space. InvalidArgument if the media differ in
@@ -157,12 +160,12 @@ def similarity(
     """
     Frames(first, "first").check_like(Frames(second, "second"), "second", "the first", _MENDS)
     counts = supported(field_counts(first, second, (over,), interval=interval)[over])
-    apart = jensen_shannon_distance(counts, absent=0 if over == "object" else ABSENT)
-    if math.isnan(apart.value):
+    distance = jensen_shannon_distance(counts, absent=0 if over == "object" else ABSENT)
+    if math.isnan(distance.value):
         supported(replace(counts, cells=counts.cells[:0], weights=counts.weights[:0]))
     compression = compression_distance(first, second) if compressed else None
     return Similarity(
-        normalised_mutual_information(counts), variation_of_information(counts), apart, compression
+        normalised_mutual_information(counts), variation_of_information(counts), distance, compression
     )
 
 
@@ -170,13 +173,13 @@ def similarity(
 
 
 READINGS: Final = ("first", "peak")
-MOST_LOOKUPS: Final = 1 << 31
+MAX_LOOKUPS: Final = 1 << 31
 _RAYS = 1 << 16  # at a time
 
 
 @dataclass(frozen=True)
 class Contact:
-    """Points that rays meet first.
+    """The points at which rays first meet a force, or the greatest force.
 
     `amplitudes_n` float64 [...]: |F|, newtons; NaN where a ray meets no force. `distances_m` float64 [...]:
     from the start of the ray to that sample's step, metres; NaN likewise.
@@ -187,53 +190,55 @@ class Contact:
 
 
 def contact_along_rays(
-    field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike, reading: str = "first"
+    field: ForceField, starts_m: ArrayLike, stops_m: ArrayLike, reading: str = "first"
 ) -> Contact:
-    """Follow straight rays through a field, to the first force or to the greatest.
+    """Follow straight rays through a field to the first or to the greatest force.
 
-    `starts_m`, `ends_m` float [..., 3]: of each ray, in the metres of the field, of shapes that broadcast:
+    `starts_m`, `stops_m` float [..., 3]: of each ray, in the metres of the field, of shapes that broadcast:
     one start is a camera, many a plane. `reading`: "first" or "peak". Gives a `Contact` of the shape of the
     rays. InvalidArgument if a point is not finite, the shapes do not fit, the reading is unknown, or rays and
     steps are too many.
     """
     require_one_of("reading", reading, READINGS)
-    begin, end = (numbers_of("rays", p, is_finite=True) for p in (starts_m, ends_m))
+    start, stop = (numbers_of("rays", p, is_finite=True) for p in (starts_m, stops_m))
     try:
-        shape = np.broadcast_shapes(begin.shape, end.shape)
+        shape = np.broadcast_shapes(start.shape, stop.shape)
     except ValueError:
-        raise InvalidArgument("rays", f"shapes {begin.shape} and {end.shape}", "one shape [..., 3]") from None
+        raise InvalidArgument(
+            "rays", f"shapes {start.shape} and {stop.shape}", "one shape [..., 3]"
+        ) from None
     if not shape or shape[-1] != 3 or not math.prod(shape):
         raise InvalidArgument("rays", f"shape {shape}", "[..., 3], at least one")
-    begin, end = (np.broadcast_to(p, shape).reshape(-1, 3) for p in (begin, end))
-    longest = float(np.sqrt(((end - begin) ** 2).sum(axis=1)).max())
+    start, stop = (np.broadcast_to(p, shape).reshape(-1, 3) for p in (start, stop))
+    longest = float(np.sqrt(((stop - start) ** 2).sum(axis=1)).max())
     steps = longest / (min(field.grid.spacing_m) / 2)
-    if steps * len(begin) > MOST_LOOKUPS:
+    if steps * len(start) > MAX_LOOKUPS:
         raise InvalidArgument(
-            "rays", f"{len(begin)} rays of {steps:.3g} steps", f"up to {MOST_LOOKUPS} steps in all",
+            "rays", f"{len(start)} rays of {steps:.3g} steps", f"up to {MAX_LOOKUPS} steps in all",
             "Take fewer pixels, or shorter rays.",
         )  # fmt: skip
-    looked_at = np.linspace(0.0, 1.0, 1 + math.ceil(steps))
-    some = [slice(b, b + _RAYS) for b in range(0, len(begin), _RAYS)]
-    followed = [_followed(field, begin[s], end[s], looked_at, reading == "first") for s in some]
-    amplitudes, at = np.concatenate(followed, axis=1)
-    lengths = np.sqrt(((end - begin) ** 2).sum(axis=1))
-    return Contact(amplitudes.reshape(shape[:-1]), (at * lengths).reshape(shape[:-1]))
+    fractions = np.linspace(0.0, 1.0, 1 + math.ceil(steps))
+    chunks = [slice(b, b + _RAYS) for b in range(0, len(start), _RAYS)]
+    followed = [_follow_rays(field, start[s], stop[s], fractions, reading == "first") for s in chunks]
+    amplitudes, fraction = np.concatenate(followed, axis=1)
+    lengths = np.sqrt(((stop - start) ** 2).sum(axis=1))
+    return Contact(amplitudes.reshape(shape[:-1]), (fraction * lengths).reshape(shape[:-1]))
 
 
-def _followed(
-    field: ForceField, begin: Float64s, end: Float64s, looked_at: Float64s, first: bool
+def _follow_rays(
+    field: ForceField, start: Float64s, stop: Float64s, fractions: Float64s, first: bool
 ) -> Float64s:
-    """|F| and the share of the way, float64 [2, n], NaN where there is none."""
-    low, across = field.grid.to_index(begin), (end - begin) / np.asarray(field.grid.spacing_m)
-    best = np.full((2, len(begin)), np.nan)
-    open_ = np.arange(len(begin))
-    for share in looked_at.tolist():
+    """Return |F| and the fraction of the ray, float64 [2, n], NaN for rays without a force."""
+    low, across = field.grid.to_index(start), (stop - start) / np.asarray(field.grid.spacing_m)
+    best = np.full((2, len(start)), np.nan)
+    open_ = np.arange(len(start))
+    for fraction in fractions.tolist():
         # ties to the lower sample, but for what rounding leaves of a column of the lattice
-        index = np.ceil(low[open_] + share * across[open_] - 0.5 - 1e-9).astype(np.int64)
+        index = np.ceil(low[open_] + fraction * across[open_] - 0.5 - 1e-9).astype(np.int64)
         forces = values_at(field.grid, field.bricks, field.forces_n, index).astype(np.float64)
         amplitudes = np.sqrt((forces**2).sum(axis=1))
         better = amplitudes > (0.0 if first else np.nan_to_num(best[0, open_]))
-        best[0, open_[better]], best[1, open_[better]] = amplitudes[better], share
+        best[0, open_[better]], best[1, open_[better]] = amplitudes[better], fraction
         if first:
             open_ = open_[~better]
             if not len(open_):
@@ -241,16 +246,16 @@ def _followed(
     return best
 
 
-_WHOLE_BLOCKS: Final = 16  # that a picture is to hold
+_MIN_BLOCKS: Final = 16  # that a picture is to hold
 BLOCK_LENGTHS: Final = 4
 """Side of a block over the correlation length of both."""
 
-MOST_SHUFFLES: Final = 1 << 20
+MAX_SHUFFLES: Final = 1 << 20
 _ESTIMATOR: Final = "miller-madow"  # plug-in is high by about (classes - 1)^2 / (2 n ln 2) bits
 
 
 @dataclass(frozen=True)
-class Correlation(Told):
+class Correlation(Report):
     """Information of a picture about a haptic medium.
 
     `mutual`: I(V;A), bits a pixel. `null_mean_bits`, `null_spread_bits`: mean and standard deviation of I
@@ -291,15 +296,15 @@ def picture_correlation(
     """
     v, a = _maps(picture, touched)
     require_between(2, 256, classes=classes)
-    require_between(19, MOST_SHUFFLES, shuffles=shuffles)
+    require_between(19, MAX_SHUFFLES, shuffles=shuffles)
     block, notes = _block_side(v, a, block_px)
-    x, y = (_in_blocks(classes_of_equal_share(m, classes), block) for m in (v, a))
+    x, y = (_in_blocks(quantile_classes(m, classes), block) for m in (v, a))
     both = (x >= 0) & (y >= 0)
     if int(both.any(axis=1).sum()) < 4:
         found = f"{int(both.any(axis=1).sum())} blocks of {block} pixels with both known"
         raise InvalidArgument("picture", found, "4 or more", "Give a smaller block_px, or larger pictures.")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FewSamplesWarning)  # its note tells
+        warnings.simplefilter("ignore", FewSamplesWarning)  # reported in its note
         blocks = max(8, min(64, len(x)))
         mutual = mutual_information(x[both], y[both], estimator=_ESTIMATOR, interval=interval, blocks=blocks)
     rng = np.random.default_rng(seed)
@@ -322,27 +327,26 @@ def picture_correlation(
     )
 
 
-def classes_of_equal_share(values: ArrayLike, count: int) -> Int64s:
-    """The class of each value, 0 .. count - 1, of about equal shares; -1 where NaN, int64 of the same shape.
+def quantile_classes(values: ArrayLike, count: int) -> Int64s:
+    """Return the quantile class of each value, 0 .. count - 1, int64 of the same shape; -1 for NaN.
 
     Equal values are of one class, that of the middle of their ranks.
     """
     from scipy.stats import rankdata
 
     numbers = np.asarray(values, np.float64)
-    known = ~np.isnan(numbers)
-    middle = rankdata(numbers[known]) - 0.5
+    is_known = ~np.isnan(numbers)
+    middle = rankdata(numbers[is_known]) - 0.5
     classes = np.full(numbers.shape, -1, np.int64)
-    classes[known] = np.minimum(middle / max(1, len(middle)) * count, count - 1)
+    classes[is_known] = np.minimum(middle / max(1, len(middle)) * count, count - 1)
     return classes
 
 
 def correlation_length_px(first: ArrayLike, second: ArrayLike) -> float:
-    """The shift at which the product of the autocorrelations of two pictures falls to 1/e, pixels, of the
-    worse axis.
+    """Return the shift, pixels, at which the product of two autocorrelations falls to 1/e (larger axis).
 
-    Unknown pixels (NaN) count as the mean. 0 where one of them does not vary; a whole side where it never
-    falls so far.
+    Unknown pixels (NaN) count as the mean. The result is 0 if one of the pictures does not vary, and a whole
+    side if the product never falls so far.
     """
     maps = [np.asarray(m, np.float64) for m in (first, second)]
     longest = 0.0
@@ -356,12 +360,12 @@ def correlation_length_px(first: ArrayLike, second: ArrayLike) -> float:
 
 
 def _autocorrelation(values: Float64s, axis: int) -> Float64s:
-    """Along one axis, of shifts from 0 on, float64 [side], 1 for no shift; all 0 where nothing varies."""
-    known = ~np.isnan(values)
+    """Return the autocorrelation along one axis, float64 [side], 1 for no shift; all 0 if constant."""
+    is_known = ~np.isnan(values)
     side = values.shape[axis]
-    if not known.any() or np.ptp(values[known]) == 0:
+    if not is_known.any() or np.ptp(values[is_known]) == 0:
         return np.zeros(side)
-    centred = np.where(known, values - values[known].mean(), 0.0)
+    centred = np.where(is_known, values - values[is_known].mean(), 0.0)
     spectrum = np.abs(np.fft.rfft(centred, 2 * side, axis=axis)) ** 2
     products = np.fft.irfft(spectrum.sum(axis=1 - axis), 2 * side)[:side]
     of_pairs: Float64s = np.clip(products / np.arange(side, 0, -1) * side / products[0], 0.0, None)
@@ -386,20 +390,20 @@ def _maps(picture: ArrayLike, touched: ArrayLike) -> tuple[Float64s, Float64s]:
     return maps[0], maps[1]
 
 
-def _block_side(v: Float64s, a: Float64s, asked_px: int | None) -> tuple[int, tuple[str, ...]]:
-    """The side of a block, and what is to be said of it."""
-    if asked_px is not None:
-        if not 1 <= asked_px <= min(v.shape):
-            raise InvalidArgument("block_px", f"{asked_px}", f"1 to {min(v.shape)}, the shorter side")
-        return asked_px, ()
+def _block_side(v: Float64s, a: Float64s, requested_px: int | None) -> tuple[int, tuple[str, ...]]:
+    """Return the side of a block, and notes on it."""
+    if requested_px is not None:
+        if not 1 <= requested_px <= min(v.shape):
+            raise InvalidArgument("block_px", f"{requested_px}", f"1 to {min(v.shape)}, the shorter side")
+        return requested_px, ()
     length = correlation_length_px(v, a)
-    wanted = 1
-    while wanted < BLOCK_LENGTHS * length:
-        wanted *= 2
-    block = wanted
-    while block > 1 and (v.shape[0] // block) * (v.shape[1] // block) < _WHOLE_BLOCKS:
+    ideal = 1
+    while ideal < BLOCK_LENGTHS * length:
+        ideal *= 2
+    block = ideal
+    while block > 1 and (v.shape[0] // block) * (v.shape[1] // block) < _MIN_BLOCKS:
         block //= 2
-    if block == wanted:
+    if block == ideal:
         return block, ()
     note = (
         f"blocks of {block} pixels for a correlation length of {length:.3g}: p is too small, and z too large"
@@ -408,14 +412,14 @@ def _block_side(v: Float64s, a: Float64s, asked_px: int | None) -> tuple[int, tu
 
 
 def _in_blocks(symbols: Int64s, side: int) -> Int64s:
-    """The pixels of each whole block, int64 [blocks, side^2]; what is left at the far borders is left out."""
+    """Return the pixels of each whole block, int64 [blocks, side^2]; partial blocks are omitted."""
     rows, columns = (n // side for n in symbols.shape)
-    whole = symbols[: rows * side, : columns * side].reshape(rows, side, columns, side)
-    return np.ascontiguousarray(whole.transpose(0, 2, 1, 3)).reshape(rows * columns, side * side)
+    trimmed = symbols[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    return np.ascontiguousarray(trimmed.transpose(0, 2, 1, 3)).reshape(rows * columns, side * side)
 
 
 def _bits(x: Int64s, y: Int64s, classes: int) -> float:
-    """I of the pixels where both are known, bits; 0 without any."""
+    """Return I of the pixels where both are known, bits; 0 without any."""
     both = (x >= 0) & (y >= 0)
     if not both.any():
         return 0.0

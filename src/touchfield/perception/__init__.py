@@ -1,4 +1,4 @@
-"""Perception: what a human can tell apart (paper section 4.2), every figure with its source."""
+"""Limits of human touch (paper section 4.2), every figure with its source; masks and deadbands."""
 
 from touchfield.perception.human import Figure, figure, human
 from touchfield.perception.mask import SpatialMasking, mask_n, violations

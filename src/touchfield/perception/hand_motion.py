@@ -1,22 +1,22 @@
-"""The difference between two fields as a hand feels it that slides along a surface, or holds still on it.
+"""Difference of two fields as felt by a hand that slides along a surface, or holds still on it.
 
 A mask bounds the error of each sample. A hand that moves meets one sample after another, so that an error
 that differs from one to the next becomes vibration: e(t) = F_decoded(x(t)) - F_source(x(t)), both
 interpolated as the receiver does, along seeded paths at three speeds, in the band from 40 to 400 Hz
 (Butterworth of order 4, forwards and backwards; thirds of an octave: the power of a Hann window's spectrum).
-Beside it stand what the source itself has in that band, and what its lattice adds to the field that it
-samples, where that is known.
+For comparison there is the source itself in that band and, if known, the error of its lattice relative to the
+exact field that it samples.
 
 A path starts at a random sample of the support and is brought to the level |F| = 1 N along the force, then
 steps along the surface by one spacing at a time and is brought back each time; its direction turns at random
 where the surface ends. Of these points one every 50 ms is kept, and a cubic spline runs through them, so that
 the path itself holds next to nothing above 20 Hz.
 
-Where nothing moves the source makes no step; a coder whose errors differ from frame to frame does. Points are
-seeded on the surface of a frame and held until the next points are, and the force at each is kept for source,
-for what a receiver plays, and for what is decoded. A step is the change from one frame to the next; for the
-band the frames are blended linearly up to 1000 samples a second, as the receiver does. Nothing here tells
-that an error cannot be felt.
+Where nothing moves, the source makes no step, but a coder whose errors differ from frame to frame does.
+Points are seeded on the surface of a frame and stay until the next points are seeded; the forces at each are
+recorded for the source and for the output of a receiver. A step is the change from one frame to the next; for
+the band the frames are blended linearly up to 1000 samples a second, as the receiver does. These measures do
+not prove that an error is imperceptible.
 """
 
 from __future__ import annotations
@@ -43,25 +43,25 @@ Forces = Callable[["Float64s"], "NDArray[Any]"]
 
 SPEEDS_MM_S: Final = (50.0, 100.0, 200.0)
 
-STILL_N: Final = 1e-3
+NO_STEP_N: Final = 1e-3
 """A source that changes by no more than this makes no step, newtons."""
 
 BAND_HZ: Final = (40.0, 400.0)
 LEVEL_N: Final = 1.0
 MARGIN_S: Final = 0.1  # filtered and not counted, on either side: the slowest pole has fallen to 1e-4
-LEAST_S: Final = 0.25  # a signal shorter than this, its margins beside, is not measured
+MIN_DURATION_S: Final = 0.25  # a signal shorter than this, without its margins, is not measured
 
 _KNOT_S: Final = 0.05
-_TRIES: Final = 32  # candidates for each start that is asked for
+_TRIES: Final = 32  # candidates for each requested start
 _TURNS: Final = 24  # directions that a path tries where the surface ends
 _PARTS: Final = 4
 _PART_S: Final = 0.5
-_MOST_FRAMES: Final = 4096
+_MAX_FRAMES: Final = 4096
 _SERVO_HZ: Final = 1000.0
 _AT_ONCE: Final = 1 << 17  # samples of signals that are filtered together
 
 
-# -- paths ---------------------------------------------------------------------------------------------------
+# -- paths -------------------------------------------------------------------------------------------------
 class SurfaceWalks(NamedTuple):
     """Points along the surface, one spacing apart."""
 
@@ -81,47 +81,44 @@ def points_on_surface(field: ForceField, count: int, rng: np.random.Generator) -
     positions = field.positions()
     if not len(positions):
         return np.zeros((0, 3))
-    chosen = positions[rng.integers(len(positions), size=_TRIES * count)]
-    start_m = field.grid.to_m(chosen + rng.uniform(-0.25, 0.25, chosen.shape))
-    points_m, met = _to_level(field, start_m, level_of(field), 48)
+    samples = positions[rng.integers(len(positions), size=_TRIES * count)]
+    start_m = field.grid.to_m(samples + rng.uniform(-0.25, 0.25, samples.shape))
+    points_m, met = _move_to_level(field, start_m, level_of(field), 48)
     return points_m[met][:count]
 
 
 def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random.Generator) -> SurfaceWalks:
-    """Walk along the surface from `count` random points, `length_m` each; one that finds no way on is
-    shorter.
-    """
+    """Walk along the surface from `count` random points, `length_m` each; a walk that is stuck is shorter."""
     level, step_m = level_of(field), min(field.grid.spacing_m)
-    at = points_on_surface(field, count, rng)
+    starts = points_on_surface(field, count, rng)
     steps = max(1, round(length_m / step_m)) + 1
-    points = np.empty((steps, len(at), 3))
-    points[0] = at
-    done = np.ones(len(at), np.int64)
-    heading = rng.normal(size=at.shape)
-    stuck = np.zeros(len(at), np.int64)
-    while len(at) and (going := np.flatnonzero((done < steps) & (stuck < _TURNS))).size:
-        here = points[done[going] - 1, going]
-        normal = _unit(field.sample_n(here).astype(np.float64))
-        ahead = _unit(heading[going] - (heading[going] * normal).sum(axis=1, keepdims=True) * normal)
-        found, met = _to_level(field, here + step_m * ahead, level, 6)
-        moved = lengths_of(found - here)
+    points = np.empty((steps, len(starts), 3))
+    points[0] = starts
+    point_counts = np.ones(len(starts), np.int64)
+    heading = rng.normal(size=starts.shape)
+    stuck = np.zeros(len(starts), np.int64)
+    while len(starts) and (active := np.flatnonzero((point_counts < steps) & (stuck < _TURNS))).size:
+        positions = points[point_counts[active] - 1, active]
+        normal = _unit(field.sample_n(positions).astype(np.float64))
+        directions = _unit(heading[active] - (heading[active] * normal).sum(axis=1, keepdims=True) * normal)
+        found, met = _move_to_level(field, positions + step_m * directions, level, 6)
+        moved = lengths_of(found - positions)
         met &= (moved > 0.5 * step_m) & (moved < 2 * step_m)
-        points[done[going][met], going[met]] = found[met]
-        heading[going] = np.where(met[:, None], ahead, rng.normal(size=ahead.shape))
-        done[going] += met
-        stuck[going] = np.where(met, 0, stuck[going] + 1)
-    for walk, last in enumerate(done):
+        points[point_counts[active][met], active[met]] = found[met]
+        heading[active] = np.where(met[:, None], directions, rng.normal(size=directions.shape))
+        point_counts[active] += met
+        stuck[active] = np.where(met, 0, stuck[active] + 1)
+    for walk, last in enumerate(point_counts):
         points[last:, walk] = points[last - 1, walk]
-    return SurfaceWalks(points, done, step_m)
+    return SurfaceWalks(points, point_counts, step_m)
 
 
 def slide_m(
     walks: SurfaceWalks, speed_m_per_s: float, duration_s: float, rate_hz: float
 ) -> Iterator[Float64s]:
-    """Where hands are that slide along the walks, metres, some of one length together, float64 [samples,
-    hands, 3].
+    """Yield positions of hands sliding along the walks, metres, float64 [samples, hands, 3], by length.
 
-    None slides along a walk below four knots.
+    Walks of fewer than four knots are omitted.
     """
     from scipy.interpolate import CubicSpline
 
@@ -141,14 +138,16 @@ def slide_m(
             yield np.asarray(CubicSpline(knots_s, points[:, first : first + at_once])(times_s))
 
 
-def _to_level(field: ForceField, points_m: Float64s, level_n: float, rounds: int) -> tuple[Float64s, Bools]:
+def _move_to_level(
+    field: ForceField, points_m: Float64s, level_n: float, rounds: int
+) -> tuple[Float64s, Bools]:
     """Points moved along the force to where it is `level_n`; where that came within 2 %."""
     from touchfield.perception import kernels
 
     grid, points, met = field.grid, points_m.copy(), np.empty(len(points_m), np.bool_)
     metres, sizes = (*grid.spacing_m, *grid.origin_m), (np.array(grid.shape), np.array(grid.brick_shape))
     limits, keys = (level_n, 0.5 * min(grid.spacing_m)), brick_keys(grid, field.bricks)
-    kernels.to_level(points, met, metres, *sizes, keys, field.forces_n, limits, rounds, np.empty(3))
+    kernels.move_to_level(points, met, metres, *sizes, keys, field.forces_n, limits, rounds, np.empty(3))
     return points, met
 
 
@@ -157,8 +156,7 @@ def _unit(vectors: Float64s) -> Float64s:
     return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
 
 
-# -- what lies in the band
-# -------------------------------------------------------------------------------------
+# -- what lies in the band ---------------------------------------------------------------------------------
 def in_band(signal: Float64s, rate_hz: float) -> Float64s:
     """The part of a signal [samples, ...] from 40 to 400 Hz, without its margins, float64 [samples - 2
     margin, ...].
@@ -195,23 +193,19 @@ def third_octave_power(signal: Float64s, rate_hz: float) -> Float64s:
 def _check(samples: int, rate_hz: float) -> None:
     if not rate_hz >= _SERVO_HZ:
         raise InvalidArgument("rate_hz", repr(rate_hz), f"{_SERVO_HZ:g} or more")
-    if samples < LEAST_S * rate_hz:
-        raise InvalidArgument("signal", f"{samples / rate_hz:.3g} s", f"{LEAST_S:g} s or more")
+    if samples < MIN_DURATION_S * rate_hz:
+        raise InvalidArgument("signal", f"{samples / rate_hz:.3g} s", f"{MIN_DURATION_S:g} s or more")
 
 
 class BandSums:
-    """Signals of some kinds from 40 to 400 Hz: sums of squares, peaks; of one kind thirds of an octave by
-    weight.
-    """
+    """Power and peaks of signals from 40 to 400 Hz by kind; weighted third-octave powers of one kind."""
 
     def __init__(self, kinds: int) -> None:
         self.samples, self._power, self._peak = np.zeros((3, kinds))
         self._weight, self._thirds = 0, np.zeros(len(THIRDS_HZ))
 
     def add(self, kind: int, signals: Float64s, rate_hz: float, weight: int = 0) -> None:
-        """Count signals of one length in newtons [samples, signals, 3]; a `weight` of 0 leaves their thirds
-        out.
-        """
+        """Add signals in newtons [samples, signals, 3]; a `weight` of 0 omits their third-octave powers."""
         squares = (in_band(signals, rate_hz) ** 2).sum(axis=2)
         self.samples[kind] += squares.size
         self._power[kind] += squares.sum()
@@ -230,8 +224,7 @@ class BandSums:
         return np.asarray(1e3 * np.sqrt(self._thirds / max(1, self._weight)))
 
 
-# -- a hand that slides
-# ------------------------------------------------------------------------------------------
+# -- a hand that slides ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class SlideSpec:
     """The slides to measure."""
@@ -243,12 +236,12 @@ class SlideSpec:
 
     def __post_init__(self) -> None:
         require_between(1, 1024, paths=self.paths)
-        require_between(LEAST_S, 60, duration_s=self.duration_s)
+        require_between(MIN_DURATION_S, 60, duration_s=self.duration_s)
         require_between(1000, 1e5, rate_hz=self.rate_hz)
 
 
 class Slide(NamedTuple):
-    """The slides at one speed from 40 to 400 Hz, millinewtons: rms, and the largest length, over all paths."""
+    """The slides at one speed from 40 to 400 Hz, millinewtons: rms, and the largest value, over all paths."""
 
     speed_mm_s: float
     paths: int  # 0 where no surface was long enough, and all figures are then 0
@@ -266,7 +259,7 @@ class Slide(NamedTuple):
 
 
 class Margin(NamedTuple):
-    """Decibels that a level stays below the threshold of a hand, in the third of an octave where it is least."""
+    """Smallest margin of a level below the threshold of a hand, decibels, and its third of an octave."""
 
     db: float
     third_hz: float
@@ -298,20 +291,20 @@ class SlideMeter:
         exact : callable, optional; the field that the source samples.
         """
         spec = self._spec
-        whole_s = spec.duration_s + 2 * MARGIN_S + 0.05
-        walks = surface_walks(surface, whole_s * max(self._sums) * 1e-3, spec.paths, self._rng)
+        total_s = spec.duration_s + 2 * MARGIN_S + 0.05
+        walks = surface_walks(surface, total_s * max(self._sums) * 1e-3, spec.paths, self._rng)
         for speed, total in self._sums.items():
-            for points in slide_m(walks, speed * 1e-3, whole_s, spec.rate_hz):
-                if len(points) < (LEAST_S + 2 * MARGIN_S) * spec.rate_hz:
+            for points in slide_m(walks, speed * 1e-3, total_s, spec.rate_hz):
+                if len(points) < (MIN_DURATION_S + 2 * MARGIN_S) * spec.rate_hz:
                     continue
                 flat = points.reshape(-1, 3)
-                ours, theirs = (
+                source_n, decoded_n = (
                     np.asarray(forces(flat), np.float64).reshape(points.shape) for forces in (source, decoded)
                 )
-                total.add(0, theirs - ours, spec.rate_hz, len(points))
-                total.add(1, ours, spec.rate_hz)
+                total.add(0, decoded_n - source_n, spec.rate_hz, len(points))
+                total.add(1, source_n, spec.rate_hz)
                 if exact is not None:
-                    total.add(2, ours - np.reshape(exact(flat), points.shape), spec.rate_hz)
+                    total.add(2, source_n - np.reshape(exact(flat), points.shape), spec.rate_hz)
                 self._paths[speed] += points.shape[1]
 
     def slides(self) -> tuple[Slide, ...]:
@@ -336,8 +329,7 @@ def slides(
     return meter.slides()
 
 
-# -- both, and a hand that holds still
-# -----------------------------------------------------------------------------
+# -- both, and a hand that holds still ---------------------------------------------------------------------
 @dataclass(frozen=True)
 class HandMotion:
     """Decoded less source as a hand feels it that moves, and (but for a single frame) as one that holds
@@ -394,7 +386,7 @@ class Hold(NamedTuple):
         float  # step of played less source, rms over points: where a segment starts, and elsewhere
     )
     error_step_mn: float
-    still_step_mn: float  # the largest, and over max(F_0, k |F|), where the source makes none (`STILL_N`)
+    still_step_mn: float  # the largest, and over max(F_0, k |F|), where the source makes none (`NO_STEP_N`)
     still_step_ratio: float
     error_mn: float | None  # from 40 to 400 Hz, rms and largest; None for a medium below 0.25 s
     error_peak_mn: float | None
@@ -416,7 +408,7 @@ class HoldMeter:
     def __init__(self, frame_count: int, rate_hz: float, k: float, f0_n: float, points: int = 64) -> None:
         self._rate_hz, self._k, self._f0_n, self._count = rate_hz, k, f0_n, points
         part = max(math.ceil(frame_count / _PARTS), math.ceil(_PART_S * rate_hz))
-        self._part, self._left = min(part, _MOST_FRAMES), frame_count
+        self._part, self._frames_remaining = min(part, _MAX_FRAMES), frame_count
         self._rng = np.random.default_rng(0)
         self._points_m = np.zeros((0, 3))
         self._forces: list[Float64s] = []
@@ -424,37 +416,43 @@ class HoldMeter:
         self._points = self._steps = 0
         self._largest = {"any": (0.0, 0.0), "start": (0.0, 0.0)}
         self._errors = {True: (0.0, 0), False: (0.0, 0)}
-        self._still = 0.0, 0.0
+        self._without_source_step = 0.0, 0.0
         self._band = BandSums(2)  # error, source
 
     def add(self, surface: ForceField, source: Forces, played: Forces, starts_segment: bool) -> None:
-        """Feel the next frame: `surface` of the source, to find points on, and `played` as a receiver has it."""
-        felt = (source, played)
-        self._feel(felt, starts_segment)
-        self._left -= 1
+        """Add the next frame: `surface` of the source is where points are seeded, `played` the output."""
+        forces = (source, played)
+        self._sample_forces(forces, starts_segment)
+        self._frames_remaining -= 1
         # the last of a part is the first of the next one, so that no step is missed; a rest too short joins
         # the part
-        if (len(self._starts) > self._part and self._left >= self._part // 2) or not self._starts:
+        if (len(self._starts) > self._part and self._frames_remaining >= self._part // 2) or not self._starts:
             self._close()
             self._points_m = points_on_surface(surface, self._count, self._rng)
-            self._feel(felt, starts_segment)
+            self._sample_forces(forces, starts_segment)
 
     def hold(self) -> Hold:
         """The result of all frames."""
         self._close()
         start, other = (1e3 * math.sqrt(p / max(1, n)) for p, n in (self._errors[True], self._errors[False]))
-        (step, own), (at_start, own_at_start) = self._largest["any"], self._largest["start"]
+        (step, source_step), (step_at_start, source_step_at_start) = (
+            self._largest["any"],
+            self._largest["start"],
+        )
         (rms, peak), (source, _) = self._band.mn(0), self._band.mn(1)
-        is_known = self._band.samples[0] > 0
+        has_band = self._band.samples[0] > 0
         return Hold(
-            self._points, self._steps, 1e3 * step, 1e3 * own, 1e3 * at_start, 1e3 * own_at_start,
-            start, other, 1e3 * self._still[0], self._still[1], rms if is_known else None,
-            peak if is_known else None, source if is_known else None, self._band.thirds_mn(),
+            self._points, self._steps, 1e3 * step, 1e3 * source_step, 1e3 * step_at_start, 1e3 *
+            source_step_at_start, start, other, 1e3 * self._without_source_step[0],
+            self._without_source_step[1], rms if has_band else None, peak if has_band else None, source if
+            has_band else None, self._band.thirds_mn(),
         )  # fmt: skip
 
-    def _feel(self, felt: tuple[Forces, Forces], starts_segment: bool) -> None:
+    def _sample_forces(self, sources: tuple[Forces, Forces], starts_segment: bool) -> None:
         if len(self._points_m):
-            self._forces.append(np.stack([np.asarray(forces(self._points_m), np.float64) for forces in felt]))
+            self._forces.append(
+                np.stack([np.asarray(forces(self._points_m), np.float64) for forces in sources])
+            )
             self._starts.append(starts_segment)
 
     def _close(self) -> None:
@@ -471,33 +469,36 @@ class HoldMeter:
         source, decoded = lengths_of(change)
         error = ((change[1] - change[0]) ** 2).sum(axis=-1)
         self._steps += decoded.size
-        for name, which in (("any", slice(None)), ("start", starts)):
-            if decoded[which].size:
-                worst = int(np.argmax(decoded[which]))
-                step = float(decoded[which].flat[worst]), float(source[which].flat[worst])
+        for name, selected in (("any", slice(None)), ("start", starts)):
+            if decoded[selected].size:
+                worst = int(np.argmax(decoded[selected]))
+                step = float(decoded[selected].flat[worst]), float(source[selected].flat[worst])
                 self._largest[name] = max(self._largest[name], step)
         for is_start in (True, False):
             power, count = self._errors[is_start]
-            some = error[starts == is_start]
-            self._errors[is_start] = power + float(some.sum()), count + some.size
-        still = source <= STILL_N
+            errors = error[starts == is_start]
+            self._errors[is_start] = power + float(errors.sum()), count + errors.size
+        is_constant = source <= NO_STEP_N
         mask_n = np.maximum(self._f0_n, self._k * lengths_of(forces_n[0]))
         ratio = decoded / np.minimum(mask_n[1:], mask_n[:-1])
-        largest, worst_ratio = (float(values[still].max(initial=0.0)) for values in (decoded, ratio))
-        self._still = max(self._still[0], largest), max(self._still[1], worst_ratio)
+        largest, worst_ratio = (float(values[is_constant].max(initial=0.0)) for values in (decoded, ratio))
+        self._without_source_step = (
+            max(self._without_source_step[0], largest),
+            max(self._without_source_step[1], worst_ratio),
+        )
 
     def _add_band(self, forces_n: Float64s) -> None:
-        """Add what of a part lies in the band; a part below 0.25 s tells nothing."""
+        """Add the band of a part; a part below 0.25 s is omitted."""
         from scipy.interpolate import make_interp_spline
 
         frames = forces_n.shape[1]
         servo_hz = max(_SERVO_HZ, self._rate_hz)
         at = np.arange(0.0, frames - 1 + 1e-9, self._rate_hz / servo_hz)
-        if len(at) < LEAST_S * servo_hz:
+        if len(at) < MIN_DURATION_S * servo_hz:
             return
         margin, at_once = ((round(MARGIN_S * servo_hz),) * 2, (0, 0), (0, 0)), max(1, _AT_ONCE // len(at))
         for first in range(0, forces_n.shape[2], at_once):
-            some = forces_n[:, :, first : first + at_once]
-            source, decoded = make_interp_spline(np.arange(frames), some, k=1, axis=1)(at)
+            chunk = forces_n[:, :, first : first + at_once]
+            source, decoded = make_interp_spline(np.arange(frames), chunk, k=1, axis=1)(at)
             self._band.add(0, np.pad(decoded - source, margin, "edge"), servo_hz, len(at))
             self._band.add(1, np.pad(source, margin, "edge"), servo_hz)

@@ -52,7 +52,7 @@ def human() -> Mapping[str, Figure]:
 
 
 def figure(name: str) -> float:
-    """The value of one figure (the first of several); `InvalidArgument` if there is no figure of that name."""
+    """Return the value of a figure (the first of several); `InvalidArgument` if the name is unknown."""
     require_one_of("perception figure", name, human())
     return human()[name].value
 

@@ -1,18 +1,17 @@
-"""The perceptual mask max(F_0, k |F|), where a decoded field leaves it, and spatial masking (paper section
-4.2).
+"""The perceptual mask max(F_0, k |F|), its violations, and spatial masking (paper section 4.2).
 
-The paper draws Delta(x) = k x alone (figure 2), which allows no error at all where the force is zero.
-Departure: an absolute floor F_0 below which nothing is felt; F_0 = 0 gives the paper's mask.
+The paper draws Delta(x) = k x alone (figure 2), which allows no error where the force is zero. Departure: an
+absolute threshold F_0 below which forces are imperceptible; F_0 = 0 gives the paper's mask.
 
-What is felt hides what is close by; the paper says so and gives no formula. Ours::
+A stimulus masks others close by; the paper mentions this without a formula. Ours::
 
     Delta_i = max(F_0, k |F_i| + beta sum_j w_ij |F_j|),    w_ii = 0,  sum_j w_ij = 1
 
 w_ij falls with the distance d as exp(-2 d^2 / R^2) and is zero where the distance along some axis is beyond
-R, the distance within which two points are felt as one; the cut at a cube lets the sum run axis by axis. beta
-has no agreed figure: it is 0 by default, which is the plain mask to the last bit.
+R, the distance within which two points are felt as one; the cut at a cube makes the sum separable. There is
+no agreed value of beta: the default 0 gives the plain mask to the last bit.
 
-The j are all the samples around, and space without a force counts as a stimulus of 0 N, beyond the grid too.
+The sum runs over all surrounding samples; space without a force, also beyond the grid, is a stimulus of 0 N.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float32s, Float64s, lengths_of
 from touchfield.errors import InvalidArgument, require_not_negative, require_one_of, require_positive
-from touchfield.medium.field import blocks_around
+from touchfield.medium.field import padded_blocks
 from touchfield.medium.grid import BRICK
 from touchfield.perception.human import figure, human
 
@@ -35,34 +34,32 @@ if TYPE_CHECKING:
     from touchfield.medium import ForceField
 
 ROUNDING = 1e-9
-"""An error counts as a violation beyond mask (1 + ROUNDING), which is above the rounding of the comparison.
-
-"""
+"""An error counts as a violation above mask (1 + ROUNDING), which exceeds the rounding of the comparison."""
 
 _CHUNK = 1 << 16
 
 
 class Violations(NamedTuple):
-    """The samples of a decoded field that leave the mask: how many, their share, and how far.
+    """The samples of a decoded field outside the mask: count, fraction, and largest ratio.
 
-    worst_ratio : float or None; the largest |error| / mask; 1 or less means that the promise is kept. None
-        where a force was decoded and the mask is zero (F = 0 and F_0 = 0).
+    worst_ratio : float or None; the largest |error| / mask; the guarantee holds if it is 1 or less. None if a
+        force was decoded where the mask is zero (F = 0 and F_0 = 0).
     """
 
     count: int  # type: ignore[assignment]
-    share: float
+    fraction: float
     worst_ratio: float | None
 
 
 def mask_n(amplitudes_n: ArrayLike, k: float, f0_n: float = 0.0, *, masking_n: ArrayLike = 0.0) -> Float64s:
-    """The mask max(F_0, k |F| + masking) of amplitudes |F| [...], newtons, float64 [...].
+    """Return the mask max(F_0, k |F| + masking) of amplitudes |F| [...], newtons, float64 [...].
 
-    masking_n : float [...], optional; what stimuli at other sites hide here, newtons.
+    masking_n : float [...], optional; the masking by stimuli at other sites, newtons.
     Raises `InvalidArgument` if `k` or `f0_n` (newtons) is negative or not finite.
     """
     require_not_negative(k=k, f0_n=f0_n)
-    own: Any = k * np.abs(np.asarray(amplitudes_n, np.float64))
-    mask: Float64s = np.maximum(f0_n, own + np.asarray(masking_n, np.float64))
+    proportional_n: Any = k * np.abs(np.asarray(amplitudes_n, np.float64))
+    mask: Float64s = np.maximum(f0_n, proportional_n + np.asarray(masking_n, np.float64))
     return mask
 
 
@@ -82,27 +79,27 @@ def violations(
             "forces to compare", f"{original_n.shape} and {decoded_n.shape}", "twice [L, 3]"
         )
     hidden = np.broadcast_to(np.asarray(masking_n, np.float64), len(original_n))
-    count, worst, beyond = 0, 0.0, False
-    for begin in range(0, len(original_n), _CHUNK):
-        x = original_n[begin : begin + _CHUNK].astype(np.float64)
-        error = decoded_n[begin : begin + _CHUNK].astype(np.float64) - x
+    count, worst, is_unbounded = 0, 0.0, False
+    for start in range(0, len(original_n), _CHUNK):
+        x = original_n[start : start + _CHUNK].astype(np.float64)
+        error = decoded_n[start : start + _CHUNK].astype(np.float64) - x
         size = lengths_of(error)
         if not np.isfinite(size).all():
             raise InvalidArgument("forces to compare", "a force that is not finite", "finite newtons")
-        mask = np.maximum(f0_n, k * lengths_of(x) + hidden[begin : begin + _CHUNK])
+        mask = np.maximum(f0_n, k * lengths_of(x) + hidden[start : start + _CHUNK])
         count += int(np.count_nonzero(size > mask * (1 + ROUNDING)))
-        is_wide = mask > 0
-        beyond = beyond or bool((size[~is_wide] > 0).any())
-        worst = max(worst, float((size[is_wide] / mask[is_wide]).max(initial=0.0)))
-    share = count / len(original_n) if len(original_n) else 0.0
-    return Violations(count, share, None if beyond else worst)
+        has_mask = mask > 0
+        is_unbounded = is_unbounded or bool((size[~has_mask] > 0).any())
+        worst = max(worst, float((size[has_mask] / mask[has_mask]).max(initial=0.0)))
+    fraction = count / len(original_n) if len(original_n) else 0.0
+    return Violations(count, fraction, None if is_unbounded else worst)
 
 
 MAX_REACH: Final = 64
 
 
 def site_radius_m(site: str) -> float:
-    """Two-point threshold of a body site, metres; InvalidArgument if there is no such site."""
+    """Return the two-point threshold of a body site, metres; InvalidArgument if there is no such site."""
     thresholds = human()["two_point_threshold_mm"]
     radii_mm = dict(zip(thresholds.of, thresholds.values, strict=True))
     require_one_of("body site", site, radii_mm)
@@ -127,14 +124,11 @@ class SpatialMasking:
         require_positive(radius_m=self.radius_m)
 
     def hidden_n(self, field: ForceField) -> Float32s:
-        """Beta times the mean of |F| around, at every sample of the stored bricks, newtons, float32 [n, 8, 8,
-        8].
-        """
+        """Return beta times the mean |F| around each stored sample, newtons, float32 [n, 8, 8, 8]."""
         return replace(self, k=0.0, f0_n=0.0).field_mask_n(field)
 
     def field_mask_n(self, field: ForceField) -> Float32s:
-        """Delta at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]; beta = 0 looks at no
-        neighbour.
+        """Return Delta at each stored sample, newtons, float32 [n, 8, 8, 8]; beta = 0 reads no neighbour.
 
         Raises `InvalidArgument` if beta > 0 and R is below the spacing along every axis of more than one
         sample, or above 64 samples.
@@ -157,28 +151,28 @@ class SpatialMasking:
         # exp(-2 d^2 / R^2) at 0, 1, .. samples along each axis
         steps = zip(reach, np.array(grid.spacing_m) / self.radius_m)
         factors = [np.exp(-2 * (np.arange(count + 1) * step) ** 2) for count, step in steps]
-        share = self.beta / float(np.prod([2 * row.sum() - 1 for row in factors]) - 1)
+        weight = self.beta / float(np.prod([2 * row.sum() - 1 for row in factors]) - 1)
         masks = np.empty(levels.shape, np.float32)
-        for span, blocks in blocks_around(field, levels, field.bricks, reach, reach):
+        for span, blocks in padded_blocks(field, levels, field.bricks, reach, reach):
             hidden_n = (
-                _neighbour_sums(blocks, factors)[(slice(None), *(slice(r, r + BRICK) for r in reach))] * share
+                _neighbour_sums(blocks, factors)[(slice(None), *(slice(r, r + BRICK) for r in reach))]
+                * weight
             )
             masks[span] = mask_n(levels[span], self.k, self.f0_n, masking_n=hidden_n)
         return masks
 
 
 def _neighbour_sums(levels: Float64s, factors: Sequence[Float64s]) -> Float64s:
-    """The weighted sum of the others around each sample of the last axes, a row of factors at 0, 1, .. for
-    each.
+    """Return the weighted sum of each sample's neighbours; `factors` has a row for each of the last axes.
 
-    No weight is negative and the sample itself is never added and taken off again, so that the sum rises with
-    every level to the last bit.
+    A row has the factors at distances 0, 1, .. No weight is negative, and the sample itself is never added
+    and subtracted again, so that the sum is monotonic in every level to the last bit.
     """
     from scipy import ndimage
 
     others, everything = np.zeros_like(levels), levels
     for axis, row in zip(range(-1, -len(factors) - 1, -1), reversed(factors)):
         both_sides = np.concatenate([row[:0:-1], [0.0], row[1:]])
-        beside = ndimage.correlate1d(everything, both_sides, axis=axis, mode="constant")
-        others, everything = others + beside, everything + beside
+        neighbours = ndimage.correlate1d(everything, both_sides, axis=axis, mode="constant")
+        others, everything = others + neighbours, everything + neighbours
     return others

@@ -1,17 +1,16 @@
-"""Vibration beside a force, as signals: what is force and what vibration, one axis for three, what must be
-sent.
+"""Vibration signals: crossover from force, reduction to one axis, and removal of imperceptible parts.
 
-The paper (section 6.4) leaves it open: "process the vibrotactile feedback in the spectral domain and then
-modulate the force feedback appropriately in the time domain". Here a `Crossover` splits a recorded force in
-two that add up to it again; `dft321` makes one axis of three, as a hand does not tell the direction of a
-vibration; a `Stft` is the spectral domain; and `reduced` leaves of a vibration what a hand can feel::
+The paper (section 6.4) gives no method: "process the vibrotactile feedback in the spectral domain and then
+modulate the force feedback appropriately in the time domain". Here a `Crossover` splits a recorded force into
+two parts that add up to it again; `dft321` reduces three axes to one, as a hand does not perceive the
+direction of a vibration; a `Stft` is the spectral domain; and `reduce_vibration` keeps the perceptible part::
 
     force -> Crossover -> low: the medium's force
                        -> high -> dft321 -> reduced -> symbols and steps -> decoded
 
 What is sent is off by less than the threshold of a hand (`perception.human`) in every third of an octave and
 every half second. A threshold is that of a sine alone: that a sum of thirds below it, or a vibration beside
-another one, is not felt either is likely, and not told by it.
+another one, is imperceptible, too, is likely but does not follow from it.
 """
 
 from __future__ import annotations
@@ -44,9 +43,9 @@ WINDOW_S: Final = 0.5
 _LONG_S: Final = 2.0  # the same where a mean is wanted, so that a band has many bins
 _HALF: Final = 10**0.05
 _TAPS: Final = 3.3  # of a Hamming window: its transition is as wide as the crossover is high
-_MOST_TAPS: Final = (1 << 20) - 1
+_MAX_TAPS: Final = (1 << 20) - 1
 _PER_OCTAVE: Final = 4  # of steps
-_DEAD: Final = 0.6  # of a step; what is smaller is left out
+_DEAD_ZONE: Final = 0.6  # of a step; what is smaller is left out
 _ROUNDS: Final = 400
 _PATIENCE: Final = 8
 
@@ -55,9 +54,9 @@ def _signal(where: str, values: ArrayLike, shapes: tuple[str, ...], rate_hz: flo
     """Numbers over time, checked; `shapes` are words of "[n]" and "[n, 3]"."""
     require_positive(rate_hz=rate_hz)
     x = numbers_of(where, values)
-    own = {1: "[n]", 2: f"[n, {x.shape[-1] if x.ndim else 0}]"}.get(x.ndim)
-    if own not in shapes or not len(x):
-        mend = "dft321 makes one axis of three." if own == "[n, 3]" else ""
+    found = {1: "[n]", 2: f"[n, {x.shape[-1] if x.ndim else 0}]"}.get(x.ndim)
+    if found not in shapes or not len(x):
+        mend = "dft321 makes one axis of three." if found == "[n, 3]" else ""
         raise InvalidArgument(where, f"shape {x.shape}", f"{' or '.join(shapes)}, n at least 1", mend)
     wrong = np.argwhere(~np.isfinite(x))
     if len(wrong):
@@ -65,8 +64,7 @@ def _signal(where: str, values: ArrayLike, shapes: tuple[str, ...], rate_hz: flo
     return x
 
 
-# -- force and vibration
-# ------------------------------------------------------------------------------------------
+# -- force and vibration -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ class Crossover:
         require_positive(rate_hz=self.rate_hz, cutoff_hz=self.cutoff_hz)
         if not 2 * self.cutoff_hz < self.rate_hz:
             raise InvalidArgument("cutoff_hz", f"{self.cutoff_hz:g} Hz", f"below half of {self.rate_hz:g} Hz")
-        if _TAPS * self.rate_hz / self.cutoff_hz > _MOST_TAPS:
+        if _TAPS * self.rate_hz / self.cutoff_hz > _MAX_TAPS:
             raise InvalidArgument(
                 "cutoff_hz", f"{self.cutoff_hz:g} Hz at {self.rate_hz:g} Hz", "a higher one"
             )
@@ -147,16 +145,15 @@ def handle_force_n(
     `InvalidArgument` if the shape is another or a number is not finite.
     """
     a = _signal("acceleration_m_s2", acceleration_m_s2, ("[n]",), rate_hz)
-    own = hand or vibration_threshold()
+    profile = hand or vibration_threshold()
     w = 2 * np.pi * np.fft.rfftfreq(len(a), 1 / rate_hz)
-    is_felt = w >= 2 * np.pi * BANDS_HZ[0] / _HALF
-    w = np.where(is_felt, w, 1.0)
-    n_per_m = own.stiffness_n_per_m - own.mass_kg * w**2 + 1j * own.damping_n_s_per_m * w
-    return np.fft.irfft(np.where(is_felt, -n_per_m / w**2, 0.0) * np.fft.rfft(a), len(a))
+    is_in_band = w >= 2 * np.pi * BANDS_HZ[0] / _HALF
+    w = np.where(is_in_band, w, 1.0)
+    n_per_m = profile.stiffness_n_per_m - profile.mass_kg * w**2 + 1j * profile.damping_n_s_per_m * w
+    return np.fft.irfft(np.where(is_in_band, -n_per_m / w**2, 0.0) * np.fft.rfft(a), len(a))
 
 
-# -- levels
-# -------------------------------------------------------------------------------------------------------
+# -- levels ------------------------------------------------------------------------------------------------
 
 
 def _edges(rate_hz: float) -> Float64s:
@@ -190,14 +187,13 @@ def band_rms(signal: ArrayLike, rate_hz: float) -> Float64s:
     longest_s = min(_LONG_S, len(x) / rate_hz)
     length = 4 * max(int(longest_s * rate_hz / 4), 1)
     inner = _window_power(x, rate_hz, edges, longest_s)[1 : 2 * len(x) // length]  # the others are not full
-    whole = np.zeros(len(BANDS_HZ))
+    rms = np.zeros(len(BANDS_HZ))
     count = min(len(edges) - int(not math.isclose(edges[-1] * 10**0.1, rate_hz / 2)), len(BANDS_HZ))
-    whole[:count] = np.sqrt(inner.mean(axis=0))[1 : count + 1]
-    return whole
+    rms[:count] = np.sqrt(inner.mean(axis=0))[1 : count + 1]
+    return rms
 
 
-# -- the spectral domain
-# ------------------------------------------------------------------------------------------
+# -- the spectral domain -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -218,7 +214,7 @@ class Stft:
             raise InvalidArgument("length", repr(self.length), "samples, a multiple of 4")
 
     def spectra(self, signal: ArrayLike) -> NDArray[np.complex128]:
-        """Coefficients, complex128 [frames, length / 2 + 1], of float [n]; `InvalidArgument` as of `dft321`."""
+        """Return complex128 [frames, length / 2 + 1] of float [n]; `InvalidArgument` as in `dft321`."""
         return np.asarray(np.fft.rfft(self._frames(signal), axis=1, norm="ortho"))
 
     def real_spectra(self, signal: ArrayLike) -> Float64s:
@@ -233,16 +229,16 @@ class Stft:
         folded = np.concatenate([-c[:, ::-1] - d, a - b[:, ::-1]], axis=1)
         return np.asarray(dct(folded, type=4, norm="ortho", axis=1))
 
-    def of_real(self, coefficients: Float64s, count: int) -> Float64s:
+    def signal_from(self, coefficients: Float64s, count: int) -> Float64s:
         """The first `count` samples of the signal of `real_spectra`, float64 [count]."""
         from scipy.fft import dct
 
         low, high = np.split(dct(coefficients, type=4, norm="ortho", axis=1), 2, axis=1)
-        own = np.concatenate([high, -high[:, ::-1], -low[:, ::-1], -low], axis=1) * self.window
-        hop, whole = self.length // 2, np.zeros((len(own) + 1) * self.length // 2)
-        whole[:-hop] += own[:, :hop].ravel()
-        whole[hop:] += own[:, hop:].ravel()
-        return whole[hop : hop + count]
+        frames = np.concatenate([high, -high[:, ::-1], -low[:, ::-1], -low], axis=1) * self.window
+        hop, signal = self.length // 2, np.zeros((len(frames) + 1) * self.length // 2)
+        signal[:-hop] += frames[:, :hop].ravel()
+        signal[hop:] += frames[:, hop:].ravel()
+        return signal[hop : hop + count]
 
     @cached_property
     def window(self) -> Float64s:
@@ -255,13 +251,12 @@ class Stft:
         return np.asarray(np.lib.stride_tricks.sliding_window_view(wide, self.length)[::hop] * self.window)
 
 
-# -- what must be sent
-# --------------------------------------------------------------------------------------------
+# -- what must be sent -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Reduced:
-    """Rest of a vibration that is sent: whole numbers, and a step for each third of an octave.
+class ReducedVibration:
+    """The part of a vibration that is sent: integers, and a step for each third of an octave.
 
     symbols : int32 [frames, length / 2]; coefficients of `Stft.real_spectra`, in steps.
     exponents : int16 [bands]; steps are 2 ** (exponent / 4) newtons; -32768: nothing of the band is sent.
@@ -306,7 +301,7 @@ class Reduced:
     def decoded(self) -> Float64s:
         """The vibration, newtons, float64 [count]."""
         step = _steps(self.exponents)[_bands_of_bins(self.length, self.rate_hz)]
-        return Stft(self.length).of_real(self.symbols * step, self.count)
+        return Stft(self.length).signal_from(self.symbols * step, self.count)
 
 
 _NOTHING: Final = np.int16(-32768)
@@ -322,17 +317,17 @@ def _bands_of_bins(length: int, rate_hz: float) -> Int64s:
     return np.searchsorted(_edges(rate_hz), (np.arange(length // 2) + 0.5) * rate_hz / length, side="right")
 
 
-def reduced(
+def reduce_vibration(
     vibration_n: ArrayLike,
     rate_hz: float,
     threshold: VibrationThreshold | None = None,
     margin_db: float = 3.0,
-) -> Reduced:
-    """Reduce a vibration to what must be sent, so that a hand does not feel that the rest is missing.
+) -> ReducedVibration:
+    """Reduce a vibration to the part that must be sent for the loss to be imperceptible.
 
     vibration_n : float [n]; newtons at `rate_hz`, such as the high part of a `Crossover` after `dft321`.
     threshold : VibrationThreshold, optional; of the hand, by default the stylus.
-    margin_db : float; how far what is lost stays below the threshold in each third of an octave, 0 or more.
+    margin_db : float; how far the loss stays below the threshold in each third of an octave, 0 or more.
 
     Bands whose level is below that are not sent. In the others a coefficient below 0.6 steps is left out and
     the rest is rounded to steps, which shrink until the error that is there keeps below the threshold in
@@ -351,50 +346,54 @@ def reduced(
     stft = Stft(1 << max(4, round(math.log2(0.064 * rate_hz))))
     spectra, band = stft.real_spectra(x), _bands_of_bins(stft.length, rate_hz)
 
-    def with_steps(exponents: NDArray[np.int16]) -> Reduced:
+    def with_steps(exponents: NDArray[np.int16]) -> ReducedVibration:
         parts = spectra / _steps(exponents)[band]
         if np.abs(parts).max(initial=0.0) >= 2**31:
             found = f"{np.abs(parts).max():g} steps"
             raise InvalidArgument("vibration_n", found, "fewer than 2^31", "Check its unit.")
-        is_sent = (np.abs(parts) >= _DEAD) & (exponents > _NOTHING)[band]
+        is_sent = (np.abs(parts) >= _DEAD_ZONE) & (exponents > _NOTHING)[band]
         symbols = np.where(is_sent, np.rint(parts), 0).astype(np.int32)
-        return Reduced(symbols, exponents, rate_hz, len(x))
+        return ReducedVibration(symbols, exponents, rate_hz, len(x))
 
-    def beyond(exponents: NDArray[np.int16]) -> Bools:
-        lost = _window_power(x - with_steps(exponents).decoded(), rate_hz, edges)
-        return np.asarray(np.sqrt(lost.max(axis=0)) > limits)
+    def exceeds_limit(exponents: NDArray[np.int16]) -> Bools:
+        error_power = _window_power(x - with_steps(exponents).decoded(), rate_hz, edges)
+        return np.asarray(np.sqrt(error_power.max(axis=0)) > limits)
 
     bins = np.maximum(np.bincount(band, minlength=len(limits)), 1)
-    begin = np.ceil(_PER_OCTAVE * np.log2(limits * np.sqrt(6 * stft.length / bins))).astype(np.int16)
-    is_felt = np.sqrt(_window_power(x, rate_hz, edges).max(axis=0)) > 0.9 * limits
-    exponents = _fine_enough(np.where(is_felt, begin, _NOTHING), begin, beyond)
+    first_exponents = np.ceil(_PER_OCTAVE * np.log2(limits * np.sqrt(6 * stft.length / bins))).astype(
+        np.int16
+    )
+    is_perceptible = np.sqrt(_window_power(x, rate_hz, edges).max(axis=0)) > 0.9 * limits
+    exponents = _fine_enough(
+        np.where(is_perceptible, first_exponents, _NOTHING), first_exponents, exceeds_limit
+    )
     for b in np.flatnonzero((exponents > _NOTHING) & np.isin(np.arange(len(limits)), band)):
         for _ in range(_PATIENCE):  # coarser again, where the others shrank it
             coarser = exponents.copy()
             coarser[b] += 1
-            if beyond(coarser).any():
+            if exceeds_limit(coarser).any():
                 break
             exponents = coarser
     return with_steps(exponents)
 
 
 def _fine_enough(
-    exponents: NDArray[np.int16], begin: NDArray[np.int16], beyond: Callable[[NDArray[np.int16]], Bools]
+    exponents: NDArray[np.int16],
+    first_exponents: NDArray[np.int16],
+    exceeds_limit: Callable[[NDArray[np.int16]], Bools],
 ) -> NDArray[np.int16]:
-    """Steps that shrink until no band is `beyond` its limit; a band that was not sent is, if nothing else
-    helps.
-    """
-    failed = np.zeros(len(begin), np.int64)
+    """Shrink steps until no band exceeds its limit; send an unsent band only if nothing else helps."""
+    failed = np.zeros(len(first_exponents), np.int64)
     for _ in range(_ROUNDS):
-        wrong = beyond(exponents)
+        wrong = exceeds_limit(exponents)
         if not wrong.any():
             return exponents
         failed += wrong
-        near = np.convolve(wrong, np.ones(3), "same") > 0  # a window lets a band speak in the next
+        is_affected = np.convolve(wrong, np.ones(3), "same") > 0  # a window lets a band speak in the next
         woken = wrong | (np.convolve(wrong & (failed > _PATIENCE), np.ones(3), "same") > 0)
         silent = exponents == _NOTHING
-        finer = np.where(near, exponents - 1, exponents)
-        exponents = np.where(silent, np.where(woken, begin, _NOTHING), finer).astype(np.int16)
+        finer = np.where(is_affected, exponents - 1, exponents)
+        exponents = np.where(silent, np.where(woken, first_exponents, _NOTHING), finer).astype(np.int16)
     raise InvalidArgument(
         "vibration_n", "what no step makes fine enough", "forces of a hand", "Check its unit."
     )

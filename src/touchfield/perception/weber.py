@@ -1,12 +1,11 @@
-"""Steps that a Weber fraction k makes imperceptible (paper section 4.2): quantisers (eq. 6) and the deadband
-(eq. 8).
+"""Imperceptible steps for a Weber fraction k (paper section 4.2): quantisers (eq. 6) and deadband (eq. 8).
 
 Q(x) = sgn(x) Delta [|x| / Delta + 1/2]; the bracket must be the floor. As printed, with Delta = k |x|, it is
-k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the mask k |x| is kept for certain
-only from |x| = Delta / (2 k) on.
+k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the error is guaranteed to be
+within the mask k |x| only from |x| = Delta / (2 k) on.
 
-What figure 2 asks for, an error that never leaves the mask k |x|, is met with the fewest levels by a ladder
-of cells whose borders grow by a constant ratio::
+Figure 2 requires an error that never leaves the mask k |x|. A ladder of cells whose borders grow by a
+constant ratio needs the fewest levels for that::
 
     t_i = F_min rho^i     rho = (1 + kappa) / (1 - kappa)     r_i = (1 + kappa) t_i
 
@@ -18,10 +17,10 @@ Of the paper's criteria "error" (figure 2, default) keeps the error within the m
 (text of section 4.2) puts two neighbouring levels within the mask of each other, rho = 1 + k, with about
 twice the levels.
 
-The deadband says which samples are sent, and which repeat the last one. Eq. 8 compares a_i with a_{i-1} and
-transmits 0 for "hold". It leaves open what a_{i-1} is; a drift that stays below k a sample is never sent, the
-0 collides with a true zero, and a change of direction alone goes unseen. The readings, by what a sample is
-compared with:
+The deadband decides which samples are sent, and which repeat the last one. Eq. 8 compares a_i with a_{i-1}
+and transmits 0 for "hold". It does not define a_{i-1}; a drift that stays below k a sample is never sent, the
+0 collides with a true zero, and a change of direction alone is missed. The readings, by the value that a
+sample is compared with:
 
 * ``previous`` (as printed): the amplitude of the sample before, sent or not. The drift is unbounded.
 * ``zero``: the same, where the zero has been written in place. After a held sample always comes a sent one.
@@ -59,10 +58,10 @@ from touchfield.errors import (
 
 
 def jnd_gain(k: float) -> float:
-    """k floor(1/k + 1/2), the gain that eq. 6 with Delta = k |x| comes to, and by which a force is
-    multiplied.
+    """Return k floor(1/k + 1/2), the gain that eq. 6 with Delta = k |x| amounts to.
 
-    Sample by sample |x| / (k |x|) would be rounded, and decide the floor where 1/k + 1/2 is whole (k = 0.4).
+    Computed per sample, |x| / (k |x|) would be rounded, which would decide the floor where 1/k + 1/2 is whole
+    (k = 0.4).
     """
     require_positive(k=k)
     return k * math.floor(1 / k + 0.5)
@@ -76,8 +75,8 @@ def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> Float64s:
     return result
 
 
-def mask_kept_from_n(step_n: float, k: float) -> float:
-    """Delta / (2 k), newtons: from this amplitude on a fixed step keeps the mask k |x|."""
+def fixed_step_within_mask_from_n(step_n: float, k: float) -> float:
+    """Return Delta / (2 k), newtons: from this amplitude on a fixed step stays within the mask k |x|."""
     require_positive(k=k, step_n=step_n)
     return step_n / (2 * k)
 
@@ -88,7 +87,7 @@ MAX_STEPS = 65535
 """Steps above the zero bin: with it they fill 16-bit symbols."""
 
 _NARROWING = 2.0**-22
-"""Taken off kappa, so that rounding levels to float32 cannot lift the error above it."""
+"""Subtracted from kappa, so that rounding levels to float32 cannot raise the error above it."""
 
 _SMALLEST_K = 1e-5
 _SMALLEST_FORCE_N = 1e-30
@@ -103,7 +102,7 @@ class WeberLadder:
     """
 
     k: float  # Weber fraction, 1e-5 or more and less than 1
-    force_min_n: float  # F_min: what is weaker becomes zero
+    force_min_n: float  # F_min: weaker forces become zero
     steps: int  # N, the levels above the zero bin, 1 to 65535
     criterion: str = "error"  # or "neighbours"
 
@@ -147,7 +146,7 @@ class WeberLadder:
         """t_0 .. t_{N-1}, newtons, float64 [N]: an amplitude of t_i or more and less than t_{i+1} takes level
         i + 1.
 
-        By multiplication one after the other, so that every machine has the same bits.
+        Computed by successive multiplication, so that every machine has the same bits.
         """
         thresholds = np.cumprod(np.concatenate([[self.force_min_n], np.full(self.steps - 1, self.ratio)]))
         thresholds.flags.writeable = False
@@ -162,7 +161,7 @@ class WeberLadder:
 
     @property
     def force_max_n(self) -> float:
-        """t_N, newtons: up to here the relative error is kept."""
+        """t_N, newtons: the relative error is bounded up to here."""
         return float(self.thresholds_n[-1]) * self.ratio
 
 
@@ -170,7 +169,7 @@ READINGS = ("closed", "last-sent", "previous", "zero")
 
 
 def guaranteeing_fraction(k: float) -> float:
-    """k' = k / (1 + k): the fraction of the reference that guarantees k of the true value.
+    """Return k' = k / (1 + k): the fraction of the reference that guarantees k of the true value.
 
     Raises `InvalidArgument` if `k` is not in 0 <= k < 1.
     """
@@ -180,16 +179,16 @@ def guaranteeing_fraction(k: float) -> float:
 
 
 def _vectors(name: str, array: Float32s, count: int | None = None) -> Float32s:
-    wanted = f"float32 [{'L' if count is None else count}, 3]"
+    expected = f"float32 [{'L' if count is None else count}, 3]"
     if array.dtype != np.float32 or array.ndim != 2 or array.shape[1] != 3:
-        raise InvalidArgument(name, f"{array.dtype} {array.shape}", wanted)
+        raise InvalidArgument(name, f"{array.dtype} {array.shape}", expected)
     if count is not None and len(array) != count:
-        raise InvalidArgument(name, f"{len(array)} samples", wanted)
+        raise InvalidArgument(name, f"{len(array)} samples", expected)
     return np.ascontiguousarray(array)
 
 
 def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s | None = None) -> Bools:
-    """The samples of a scan that are sent.
+    """Return which samples of a scan are sent.
 
     vectors : float32 [L, 3]; forces in scan order, newtons.
     k : float; deadband parameter, 0 <= k < 1.
@@ -213,7 +212,7 @@ def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s
 
 
 def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
-    """The samples that differ perceptibly from the decoded frame before.
+    """Return which samples differ perceptibly from the previous decoded frame.
 
     vectors, reference : float32 [L, 3]; of this frame, and decoded of the one before, zero where there was
         none.

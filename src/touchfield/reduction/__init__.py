@@ -1,18 +1,26 @@
-"""A medium in fewer numbers (paper section 6): what varies together, what no hand can reach, the fewest
-points.
+"""Model reduction of a medium (paper section 6): modes, reachable samples, and sample points.
 
-modes          snapshots as a few modes, their error known beforehand; points that tell their coefficients
-snapshots      a medium as such: frames, or bricks; degrees of freedom
-reach          where a hand can get to, and where never
-kernel_points  points of a field without curl: where least is known, or most would be missed
+modes          snapshots as a few modes, with a known error; points that determine their coefficients
+snapshots      a medium as snapshots: frames, or bricks; degrees of freedom
+reach          the samples that a hand can reach
+kernel_points  points of a curl-free field, by largest variance or by largest error
 """
 
 from touchfield.reduction.kernel_points import Kernel, best_kernel, error_points, variance_points
 from touchfield.reduction.modes import ModePoints, Modes, klt, mode_points, pod
 from touchfield.reduction.reach import Hand, Reach, reach_of
-from touchfield.reduction.snapshots import KINDS, Freedom, HeldOut, Reduced, freedom, held_out, reduced
+from touchfield.reduction.snapshots import (
+    KINDS,
+    Freedom,
+    HeldOut,
+    ReducedMedium,
+    freedom,
+    held_out,
+    reduce_to_modes,
+)
 
 __all__ = [
-    "KINDS", "Freedom", "Hand", "HeldOut", "Kernel", "ModePoints", "Modes", "Reach", "Reduced", "best_kernel",
-    "error_points", "freedom", "held_out", "klt", "mode_points", "pod", "reach_of", "reduced", "variance_points",
+    "KINDS", "Freedom", "Hand", "HeldOut", "Kernel", "ModePoints", "Modes", "Reach", "ReducedMedium",
+    "best_kernel", "error_points", "freedom", "held_out", "klt", "mode_points", "pod", "reach_of",
+    "reduce_to_modes", "variance_points",
 ]  # fmt: skip

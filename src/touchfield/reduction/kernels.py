@@ -10,11 +10,11 @@ import numpy as np
 
 from touchfield.compute.jit import inner, kernel
 
-_MOST = 1024  # nearest places of one cell; a cell with more is taken as weak
+_MAX_CANDIDATES = 1024  # nearest places of one cell; a cell with more is taken as weak
 
 
 @inner
-def _candidates(edge, cell, step_m, reach_m, found, count):
+def _nearest_nodes(edge, cell, step_m, reach_m, found, count):
     """Nodes within a distance of the cell's centre, metres from it, into `found` behind `count`; how many
     then.
 
@@ -36,90 +36,102 @@ def _candidates(edge, cell, step_m, reach_m, found, count):
                         return -1
                     found[count, 0], found[count, 1], found[count, 2] = x, y, z
                     count += 1
-    kept = first
+    nearest_end = first
     for a in range(first, count):  # the nearest of those that are left, so that it can beat the others
-        least, at = math.inf, a
+        nearest, at = math.inf, a
         for b in range(a, count):
             square = found[b, 0] ** 2 + found[b, 1] ** 2 + found[b, 2] ** 2
-            if square < least:
-                least, at = square, b
+            if square < nearest:
+                nearest, at = square, b
         for axis in range(3):
             found[a, axis], found[at, axis] = found[at, axis], found[a, axis]
         is_beaten = False
-        for b in range(first, kept):
-            most, other = 0.0, 0.0
+        for b in range(first, nearest_end):
+            max_shift, other = 0.0, 0.0
             for axis in range(3):
-                most += abs(found[a, axis] - found[b, axis]) * step_m[axis]
+                max_shift += abs(found[a, axis] - found[b, axis]) * step_m[axis]
                 other += found[b, axis] ** 2
-            if most <= least - other:
+            if max_shift <= nearest - other:
                 is_beaten = True
                 break
         if not is_beaten:
             for axis in range(3):
-                found[kept, axis] = found[a, axis]
-            kept += 1
-    return kept
+                found[nearest_end, axis] = found[a, axis]
+            nearest_end += 1
+    return nearest_end
 
 
 @inner
-def _bent(block, step_m, friction):
+def _interpolation_loss(block, step_m, friction):
     """By how much, N m, the force between samples may hold less than theirs tell; float [2, 2, 2, 3]."""
     total = 0.0
     for axis in range(3):
-        most, whole = 0.0, 0.0
+        max_drop, max_square = 0.0, 0.0
         for n in range(4):
             i, j, k = (
                 (0, n & 1, n >> 1) if axis == 0 else ((n & 1, 0, n >> 1) if axis == 1 else (n & 1, n >> 1, 0))
             )
             f, g = block[i, j, k], block[i + (axis == 0), j + (axis == 1), k + (axis == 2)]
-            most = max(most, f[axis] - g[axis])
-            whole = max(whole, (f[0] - g[0]) ** 2 + (f[1] - g[1]) ** 2 + (f[2] - g[2]) ** 2)
-        total += 0.25 * step_m[axis] * (most + friction * math.sqrt(whole))
+            max_drop = max(max_drop, f[axis] - g[axis])
+            max_square = max(max_square, (f[0] - g[0]) ** 2 + (f[1] - g[1]) ** 2 + (f[2] - g[2]) ** 2)
+        total += 0.25 * step_m[axis] * (max_drop + friction * math.sqrt(max_square))
     return total
 
 
 @inner
-def _holds(block, places, count, step_m, need_n, turn_nm, friction):
-    """True if the forces at a cell's corners, float [2, 2, 2, 3], hold a hand back from every nearest place."""
-    bent = _bent(block, step_m, friction)
+def _holds_back(block, nodes, count, step_m, need_n, turn_nm, friction):
+    """True if the forces at a cell's corners, [2, 2, 2, 3], hold a hand back from all its nearest nodes."""
+    loss = _interpolation_loss(block, step_m, friction)
     for a in range(count):
         for c in range(8):
             i, j, k = c & 1, (c >> 1) & 1, c >> 2
             x, y, z = (i - 0.5) * step_m[0], (j - 0.5) * step_m[1], (k - 0.5) * step_m[2]
-            x, y, z = x - places[a, 0], y - places[a, 1], z - places[a, 2]
+            x, y, z = x - nodes[a, 0], y - nodes[a, 1], z - nodes[a, 2]
             fx, fy, fz = block[i, j, k]
-            held = -(x * fx + y * fy + z * fz)
+            margin = -(x * fx + y * fy + z * fz)
             if friction > 0.0:
                 u, v, w = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
-                held -= friction * math.sqrt(u * u + v * v + w * w)
-            if held - need_n * math.sqrt(x * x + y * y + z * z) - turn_nm < bent:
+                margin -= friction * math.sqrt(u * u + v * v + w * w)
+            if margin - need_n * math.sqrt(x * x + y * y + z * z) - turn_nm < loss:
                 return False
     return True
 
 
 @kernel
 def weak_cells(
-    begin, end, cells, far_m, edges, later_m, beyond, frames, step_m, need_n, turn_nm, friction, weak
+    start,
+    stop,
+    cells,
+    max_distance_m,
+    edges,
+    later_m,
+    beyond,
+    frames,
+    step_m,
+    need_n,
+    turn_nm,
+    friction,
+    weak,
 ):
     """Into `weak`, bool [m], the cells begin to end - 1 of int [m, 3], where some frame does not hold a hand
     back.
 
-    `far_m` [m]: no place of a cell is farther from A. `edges`, bool [2, nx, ny, nz]: nodes that A began with
-    and those that joined it, which count as `later_m` farther, of both those with a neighbour that is none;
-    `beyond` of them on each side are outside of the box of `frames`, float32 [f, ...]. `need_n` is P + m v^2
-    / (2 D), `turn_nm` m v^2.
+    `max_distance_m` [m]: no place of a cell is farther from A. `edges`, bool [2, nx, ny, nz]: nodes that A
+    began with and those that joined it, which count as `later_m` farther, of both those with a neighbour that
+    is none; `beyond` of them on each side are outside of the box of `frames`, float32 [f, ...]. `need_n` is P
+    + m v^2 / (2 D), `turn_nm` m v^2.
     """
-    found = np.empty((_MOST, 3))
+    found = np.empty((_MAX_CANDIDATES, 3))
     half = 0.5 * math.sqrt(step_m[0] ** 2 + step_m[1] ** 2 + step_m[2] ** 2)
-    for c in range(begin, end):
+    for c in range(start, stop):
         cell = cells[c]
-        count = _candidates(edges[0], cell, step_m, far_m[c] + half, found, 0)
-        if count >= 0 and far_m[c] + half > later_m:
-            count = _candidates(edges[1], cell, step_m, far_m[c] + half - later_m, found, count)
+        count = _nearest_nodes(edges[0], cell, step_m, max_distance_m[c] + half, found, 0)
+        if count >= 0 and max_distance_m[c] + half > later_m:
+            count = _nearest_nodes(edges[1], cell, step_m, max_distance_m[c] + half - later_m, found, count)
         weak[c] = count <= 0
         i, j, k = cell[0] - beyond, cell[1] - beyond, cell[2] - beyond
         for f in range(frames.shape[0]):
             if weak[c]:
                 break
             block = frames[f, i : i + 2, j : j + 2, k : k + 2]
-            weak[c] = not _holds(block, found, count, step_m, need_n, turn_nm, friction)
+            weak[c] = not _holds_back(block, found, count, step_m, need_n, turn_nm, friction)

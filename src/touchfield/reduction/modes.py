@@ -1,4 +1,4 @@
-"""Snapshots as a few modes, and the fewest points that tell their coefficients (paper sections 6.1 and 6.2).
+"""Modes of snapshots, and the fewest points that determine their coefficients (paper sections 6.1, 6.2).
 
 A snapshot is a vector of d values: a frame on the union of its bricks, or one brick. The best r vectors to
 write n of them with are the first r right singular vectors of the n x d matrix, and the squared error is the
@@ -35,7 +35,7 @@ _BLOCK_VALUES: Final = 1 << 21
 _NOISE: Final = (
     1e-15  # of the greatest eigenvalue, times the order of the matrix: below it there is rounding only
 )
-_LEAST_NOISE: Final = 0.1  # of the mean over all points
+_MIN_NOISE: Final = 0.1  # of the mean over all points
 _WEAK: Final = 0.1  # of the first row of a point: weaker ones count only where points are too few
 _FLAT: Final = 1e-12  # of the first pivot, squared: rows below it lie in the span of those chosen
 
@@ -67,64 +67,61 @@ class Modes:
         return replace(self, basis=self.basis[:, :rank])
 
     def coefficients(self, snapshots: ArrayLike) -> Float64s:
-        """Coefficients of each mode in each snapshot, float64 [n, r], of snapshots [n, d]."""
-        given = _matrix(snapshots)
-        if given.shape[1] != len(self.basis):
-            found, expected = given.shape[1], len(self.basis)
+        """Return the coefficient of each mode in each snapshot, float64 [n, r], of snapshots [n, d]."""
+        matrix = _matrix(snapshots)
+        if matrix.shape[1] != len(self.basis):
+            found, expected = matrix.shape[1], len(self.basis)
             raise InvalidArgument("snapshots", f"{found} values each", f"{expected}, as the modes have")
         return np.asarray(
-            sum((given[:, p] @ self.basis[p] for p in _pieces(given)), np.zeros((1, self.rank)))
+            sum((matrix[:, p] @ self.basis[p] for p in _pieces(matrix)), np.zeros((1, self.rank)))
         )
 
     def rebuild(self, coefficients: ArrayLike) -> Float64s:
-        """The snapshots of these coefficients [n, r], float64 [n, d]."""
-        given = np.asarray(coefficients, np.float64)
-        if given.ndim != 2 or given.shape[1] != self.rank:
+        """Return the snapshots of coefficients [n, r], float64 [n, d]."""
+        matrix = np.asarray(coefficients, np.float64)
+        if matrix.ndim != 2 or matrix.shape[1] != self.rank:
             raise InvalidArgument(
-                "coefficients", f"shape {given.shape}", f"[n, {self.rank}], one for each mode"
+                "coefficients", f"shape {matrix.shape}", f"[n, {self.rank}], one for each mode"
             )
-        return given @ self.basis.T
+        return matrix @ self.basis.T
 
     def tail(self, rank: int) -> float:
-        """Sum of the squared errors of all snapshots when the first `rank` modes are kept, known beforehand."""
+        """Return the sum of squared errors of all snapshots with the first `rank` modes."""
         return float((self.values[rank:] ** 2).sum())
 
     def rank_for(self, decibels: float) -> int:
-        """The fewest modes whose error is at most so many decibels of the snapshots' energy, such as -30."""
-        left = np.append(np.cumsum((self.values**2)[::-1])[::-1], 0.0)  # added from the small ones
-        return int(np.argmax(left <= 10 ** (decibels / 10) * self.energy))
+        """Return the fewest modes whose error relative to the energy is at most `decibels`, such as -30."""
+        tail_energy = np.append(np.cumsum((self.values**2)[::-1])[::-1], 0.0)  # added from the small ones
+        return int(np.argmax(tail_energy <= 10 ** (decibels / 10) * self.energy))
 
 
 def pod(snapshots: ArrayLike, rank: int | None = None) -> Modes:
-    """The modes of n snapshots [n, d] that are longer than many, `rank` of them or all: the Gram matrix is n
-    x n.
+    """Return the modes of n long snapshots [n, d], `rank` of them or all; the Gram matrix is n x n.
 
-    A few columns are made float64 at a time. InvalidArgument if there is no value, one is not finite, or the
-    rank is none of 1 to n.
+    A few columns are converted to float64 at a time. InvalidArgument if there is no value, one is not finite,
+    or the rank is outside 1 to n.
     """
-    given = _matrix(snapshots)
-    if not given.size:
+    matrix = _matrix(snapshots)
+    if not matrix.size:
         raise InvalidArgument("snapshots", "no value", "at least one snapshot of one value")
-    gram = np.zeros((len(given), len(given)))
-    for p in _pieces(given):
-        block = given[:, p].astype(np.float64)
+    gram = np.zeros((len(matrix), len(matrix)))
+    for p in _pieces(matrix):
+        block = matrix[:, p].astype(np.float64)
         gram += block @ block.T
-    squares, left, kept = _decomposed(gram, rank)
-    weights = left[:, :kept] / np.sqrt(squares[:kept])
-    basis = np.concatenate([given[:, p].astype(np.float64).T @ weights for p in _pieces(given)])
-    if kept:  # against those before, as small ones hardly are: Cholesky's QR
+    squares, vectors, mode_count = _decompose(gram, rank)
+    weights = vectors[:, :mode_count] / np.sqrt(squares[:mode_count])
+    basis = np.concatenate([matrix[:, p].astype(np.float64).T @ weights for p in _pieces(matrix)])
+    if mode_count:  # against those before, as small ones hardly are: Cholesky's QR
         corner = scipy.linalg.cholesky(basis.T @ basis)
         basis = scipy.linalg.solve_triangular(corner, basis.T, trans="T", overwrite_b=True).T
-    return Modes(frozen(basis), frozen(np.sqrt(squares[: min(given.shape)])), len(given))
+    return Modes(frozen(basis), frozen(np.sqrt(squares[: min(matrix.shape)])), len(matrix))
 
 
 def klt(rows: Iterable[NDArray[Any]], rank: int | None = None) -> Modes:
-    """The modes of many short snapshots, blocks [m, d] that are gone through once; rank and errors as of
-    `pod`.
-    """
+    """Return the modes of many short snapshots, blocks [m, d] read once; rank and errors as in `pod`."""
     gram, count = np.zeros((0, 0)), 0
-    for given in rows:
-        block = _matrix(given).astype(np.float64)
+    for part in rows:
+        block = _matrix(part).astype(np.float64)
         if len(gram) and len(gram) != block.shape[1]:
             raise InvalidArgument(
                 "snapshots", f"{block.shape[1]} values each", f"{len(gram)}, as the first have"
@@ -133,13 +130,13 @@ def klt(rows: Iterable[NDArray[Any]], rank: int | None = None) -> Modes:
         count += len(block)
     if not count:
         raise InvalidArgument("snapshots", "none", "at least one")
-    squares, right, kept = _decomposed(gram, rank)
+    squares, vectors, mode_count = _decompose(gram, rank)
     values = np.sqrt(squares[: min(count, len(gram))])
-    return Modes(frozen(np.ascontiguousarray(right[:, :kept])), frozen(values), count)
+    return Modes(frozen(np.ascontiguousarray(vectors[:, :mode_count])), frozen(values), count)
 
 
-def _matrix(given: ArrayLike) -> NDArray[Any]:
-    array = np.asarray(given)
+def _matrix(snapshots: ArrayLike) -> NDArray[Any]:
+    array = np.asarray(snapshots)
     if array.ndim != 2 or array.dtype.kind not in "fiu":
         raise InvalidArgument("snapshots", f"{array.dtype} of shape {array.shape}", "numbers [n, d]")
     if not math.isfinite(float(np.abs(array).max(initial=0.0))):
@@ -153,16 +150,14 @@ def _pieces(snapshots: NDArray[Any]) -> list[slice]:
     return [slice(a, a + step) for a in range(0, snapshots.shape[1], step)]
 
 
-def _decomposed(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, int]:
-    """Eigenvalues, descending, none negative; eigenvectors as columns; the modes of those asked that can be
-    made.
-    """
-    found, vectors = scipy.linalg.eigh(gram, overwrite_a=True, check_finite=False)
-    squares, vectors = np.maximum(found[::-1], 0.0), vectors[:, ::-1]
-    kept = int(np.count_nonzero(squares > _NOISE * len(squares) * squares[0]))
+def _decompose(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, int]:
+    """Return descending non-negative eigenvalues, eigenvectors as columns, and the number of usable modes."""
+    eigenvalues, vectors = scipy.linalg.eigh(gram, overwrite_a=True, check_finite=False)
+    squares, vectors = np.maximum(eigenvalues[::-1], 0.0), vectors[:, ::-1]
+    mode_count = int(np.count_nonzero(squares > _NOISE * len(squares) * squares[0]))
     if rank is not None:
         require_between(1, len(squares), rank=rank)
-    return squares, vectors, min(kept, rank or kept)
+    return squares, vectors, min(mode_count, rank or mode_count)
 
 
 # -- points
@@ -170,7 +165,7 @@ def _decomposed(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, i
 
 @dataclass(frozen=True)
 class ModePoints:
-    """Points whose forces tell the coefficients of modes.
+    """Points whose forces determine the coefficients of modes.
 
     `modes`: of snapshots of d / 3 points, x, y and z of a point side by side. `points` int64 [n]: which of
     these points, in the order they were chosen. `weights` float64 [n]: W, how much each counts; all the same
@@ -188,7 +183,7 @@ class ModePoints:
 
     @property
     def bound(self) -> float:
-        """||(W P^T U)^+ W||, 1 or more: by how much what the modes cannot write may grow."""
+        """||(W P^T U)^+ W||, 1 or more: the largest amplification of the part outside the modes."""
         return max(1.0, float(scipy.linalg.svdvals(self._solver())[0]))
 
     def coefficients(self, measured_n: Float64s) -> Float64s:
@@ -201,7 +196,7 @@ class ModePoints:
 
 
 def mode_points(modes: Modes, count: int, missed_n2: Float64s | None = None) -> ModePoints:
-    """The points that tell the coefficients of some modes best, chosen one after the other.
+    """Choose greedily the points that best determine the coefficients of modes.
 
     `count`: a third of the number of modes or more, at most the points there are. `missed_n2` float64 [d /
     3]: mean square of what the modes cannot write at each point; alike without it. InvalidArgument if the
@@ -214,47 +209,47 @@ def mode_points(modes: Modes, count: int, missed_n2: Float64s | None = None) -> 
         raise InvalidArgument("points", f"{count}", f"{-(-rank // 3)} to {length // 3} for {rank} modes")
     weights = np.ones(length // 3)
     if missed_n2 is not None and missed_n2.any():
-        weights = 1 / np.sqrt(missed_n2 / missed_n2.mean() + _LEAST_NOISE)
+        weights = 1 / np.sqrt(missed_n2 / missed_n2.mean() + _MIN_NOISE)
     blocks = modes.basis.reshape(-1, 3, rank) * weights[:, None, None]
-    chosen = _pivots(blocks, count)
-    if len(chosen) < count:
-        _add_for_variance(blocks, chosen, count)
-    return ModePoints(modes, frozen(np.array(chosen, np.int64)), frozen(weights[chosen]))
+    selected = _pivots(blocks, count)
+    if len(selected) < count:
+        _add_for_variance(blocks, selected, count)
+    return ModePoints(modes, frozen(np.array(selected, np.int64)), frozen(weights[selected]))
 
 
 def _pivots(blocks: Float64s, count: int) -> list[int]:
     """Points by block-pivoted QR, until they span all columns."""
     rank = blocks.shape[2]
-    left, spanned = blocks.copy(), 0
-    chosen: list[int] = []
-    squares = np.einsum("pkr,pkr->p", left, left)
+    residual, spanned = blocks.copy(), 0
+    selected: list[int] = []
+    squares = np.einsum("pkr,pkr->p", residual, residual)
     first = squares.max()
-    while spanned < rank and len(chosen) < count:
+    while spanned < rank and len(selected) < count:
         best = int(np.argmax(squares))
         if not squares[best] > _FLAT * first:
             raise InvalidArgument("modes", f"{rank} of rank {spanned}", "modes that are independent")
-        _, sizes, rows = scipy.linalg.svd(left[best], full_matrices=False)
-        needed = -(-(rank - spanned) // (count - len(chosen)))  # of each point that is left
+        _, sizes, rows = scipy.linalg.svd(residual[best], full_matrices=False)
+        needed = -(-(rank - spanned) // (count - len(selected)))  # of each point that is left
         rows = rows[
             (sizes > _WEAK * sizes[0]) | (np.arange(len(sizes)) < needed) & (sizes**2 > _FLAT * first)
         ]
-        left -= (left @ rows.T) @ rows
-        squares = np.einsum("pkr,pkr->p", left, left)
-        chosen.append(best)
-        squares[chosen] = 0.0
+        residual -= (residual @ rows.T) @ rows
+        squares = np.einsum("pkr,pkr->p", residual, residual)
+        selected.append(best)
+        squares[selected] = 0.0
         spanned += len(rows)
-    return chosen
+    return selected
 
 
-def _add_for_variance(blocks: Float64s, chosen: list[int], count: int) -> None:
+def _add_for_variance(blocks: Float64s, selected: list[int], count: int) -> None:
     """Further points, each that which lessens the trace of the inverse of the Gram matrix most."""
-    rows = blocks[chosen].reshape(-1, blocks.shape[2])
+    rows = blocks[selected].reshape(-1, blocks.shape[2])
     inverse = np.linalg.inv(rows.T @ rows)
-    while len(chosen) < count:
+    while len(selected) < count:
         half = blocks @ inverse  # [p, 3, r]
         inner = np.eye(3) + half @ blocks.transpose(0, 2, 1)
         gains = np.einsum("pij,pji->p", np.linalg.inv(inner), half @ half.transpose(0, 2, 1))
-        gains[chosen] = -np.inf
+        gains[selected] = -np.inf
         best = int(np.argmax(gains))
         inverse -= half[best].T @ np.linalg.solve(inner[best], half[best])
-        chosen.append(best)
+        selected.append(best)

@@ -1,11 +1,11 @@
-"""Where a hand can get to in a medium, and where never: that need not be sent (paper section 6.1, "culling").
+"""Samples that a hand can reach in a medium; the others need not be sent (paper section 6.1, "culling").
 
 The hand is a mass m that pushes with at most P in any direction, and is never faster than v. A is a set of
 places, d(x) the distance to it, e the direction from the nearest of them. d is the least of the distances to
 the places of A, and so along any path, in the sense of an upper bound, d'' <= (v^2 - d'^2) / d + e . (P + F)
 / m. Where
 
-    -e . F - mu |F across e|  >=  P + m v^2 / d + m v^2 / (2 D)                                                    (*)
+    -e . F - mu |F across e|  >=  P + m v^2 / d + m v^2 / (2 D)                                          (*)
 
 all over the layer from d0 to d0 + D, d'' is below -v^2 / (2 D) there: a hand that passes d0 with d' <= v
 turns before d0 + D. Whatever it does, also with a run-up or off another wall, it is never farther from A. So
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 _MARGIN: Final = 1.05  # of the force that (*) asks for: it comes a tick late
 _USED: Final = (0.4, 0.6)  # of the field's greatest force: what (*) asks for
 _RETREAT: Final = 4.0  # r, in diagonals of a cell: from a little off A is smooth
-_TO_TURN: Final = 0.4  # of what that leaves beside the push, at most: m v^2 / d
+_TO_TURN: Final = 0.4  # largest fraction of the force left after the push: m v^2 / d
 _FEW, _HOPELESS = 0.03, 0.7  # weak samples where the layer may begin; weak cells of a layer that is none
 _LEAKS: Final = 0.02  # of A: less is roughness and no leak
 _FRAMES_BYTES: Final = 1 << 28
@@ -72,8 +72,8 @@ class Hand:
         return self.mass_kg * self.speed_m_s**2
 
     @property
-    def words(self) -> str:
-        """For whom a promise holds."""
+    def text(self) -> str:
+        """A description of the hand for which the result holds."""
         grams, push, speed = 1e3 * self.mass_kg, self.push_n, self.speed_m_s
         return (
             f"a hand of {grams:g} g with its device that pushes with {push:g} N and moves at {speed:g} m/s "
@@ -100,7 +100,7 @@ class Reach(NamedTuple):
 
 
 def reach_of(medium: HapticMedium, hand: Hand) -> Reach:
-    """Where a hand can get to that begins where no force is, and stays between the outermost samples."""
+    """Return where a hand can get that starts in free space and stays between the outermost samples."""
     grid, count = medium.grid, len(medium)
     require_memory("frame as a dense array", f"{grid.voxel_count} samples", 100 * grid.voxel_count)
     spread = np.unique(np.linspace(0, count - 1, 16).astype(int))
@@ -108,9 +108,9 @@ def reach_of(medium: HapticMedium, hand: Hand) -> Reach:
     best, stopped_n = np.ones(grid.shape, bool), 0.0
     for layer in _layers(medium, hand, greatest_n):
         flood = _Flood(medium, layer, hand)
-        felt = flood.settled()
-        if np.count_nonzero(felt) < np.count_nonzero(best):
-            best, stopped_n = felt, layer.need_n
+        samples = flood.settled()
+        if np.count_nonzero(samples) < np.count_nonzero(best):
+            best, stopped_n = samples, layer.need_n
         if flood.joined.sum() <= _LEAKS * flood.began.sum():  # a thicker layer only reaches deeper
             break
     return Reach(best, stopped_n)
@@ -121,23 +121,25 @@ def _layers(medium: HapticMedium, hand: Hand, greatest_n: float) -> list[_Layer]
     if min(medium.grid.shape) < 2:
         return []
     found: list[_Layer] = []
-    own = math.hypot(*medium.grid.spacing_m)
+    diagonal_m = math.hypot(*medium.grid.spacing_m)
     size = lengths_of(medium[0].to_dense())
-    held, bin_m = size > 0, 0.25 * own
-    bins = (distance_transform_edt(held, medium.grid.spacing_m)[held] / bin_m).astype(int)
-    whole = np.bincount(bins)
+    is_supported, bin_m = size > 0, 0.25 * diagonal_m
+    bins = (distance_transform_edt(is_supported, medium.grid.spacing_m)[is_supported] / bin_m).astype(int)
+    bin_counts = np.bincount(bins)
     for need in (used * greatest_n for used in _USED):
         spare = need / _MARGIN - hand.push_n
         if spare <= 0:
             continue
         # how deep in the field its force is so great, but for a few samples
-        strong = np.flatnonzero((whole > 0) & (np.bincount(bins, size[held] < need) <= _FEW * whole))
-        deep_m = float(strong[0] if len(strong) else len(whole)) * bin_m
-        ramp_m = max(deep_m + own, hand.lunge_nm / (_TO_TURN * spare))
+        strong = np.flatnonzero(
+            (bin_counts > 0) & (np.bincount(bins, size[is_supported] < need) <= _FEW * bin_counts)
+        )
+        deep_m = float(strong[0] if len(strong) else len(bin_counts)) * bin_m
+        ramp_m = max(deep_m + diagonal_m, hand.lunge_nm / (_TO_TURN * spare))
         stop_m = hand.lunge_nm / (2 * (spare - hand.lunge_nm / ramp_m))
-        start_m = _RETREAT * own + ramp_m
-        found.append(_Layer(_RETREAT * own, start_m, start_m + stop_m, need))
-    return sorted(found, key=lambda one: one.depth_m)
+        start_m = _RETREAT * diagonal_m + ramp_m
+        found.append(_Layer(_RETREAT * diagonal_m, start_m, start_m + stop_m, need))
+    return sorted(found, key=lambda layer: layer.depth_m)
 
 
 class _Flood:
@@ -153,18 +155,18 @@ class _Flood:
             layer.retreat_m / float(self.step_m.min())
         )  # A may lie outside of the box, if no hand does
         self.free = self._free()
-        apart = self.free & (self._distance(~self.free) >= layer.retreat_m)
-        self.began = apart if apart.any() else self.free
+        is_clear = self.free & (self._distance(~self.free) >= layer.retreat_m)
+        self.began = is_clear if is_clear.any() else self.free
         self.joined = np.zeros_like(self.began)
-        self.away_m = self._away()
+        self.distance_m = self._distance_to_a()
 
     def settled(self) -> Bools:
-        """The samples that are felt once A has grown until (*) holds; all, where most of the layer is weak."""
-        weak, weak_share = self._weak(None)
-        if weak_share > _HOPELESS or not self.free.any():
+        """Grow A until (*) holds; return the samples that are felt, all if most of the layer is weak."""
+        weak, weak_fraction = self._weak(None)
+        if weak_fraction > _HOPELESS or not self.free.any():
             return np.ones(self.medium.grid.shape, bool)
         while True:
-            weak = weak if weak.any() else self.free & (self.away_m > self.layer.start_m)
+            weak = weak if weak.any() else self.free & (self.distance_m > self.layer.start_m)
             if not weak.any():
                 reached = self._inner(self._bounds()[0]) <= self.layer.depth_m
                 # corners of these cells, and a sample more on every side
@@ -173,18 +175,18 @@ class _Flood:
                 )
             changed = self._distance(weak) + self.layer.retreat_m
             self.joined |= weak
-            self.away_m = self._away()
+            self.distance_m = self._distance_to_a()
             weak, _ = self._weak(changed)
 
     def _parts(self) -> Iterator[Float32s]:
         """The frames, float32 [f, nx, ny, nz, 3], as many at a time as memory allows."""
         count = len(self.medium)
-        most = max(1, _FRAMES_BYTES // (12 * self.medium.grid.voxel_count))
-        for a in range(0, count, most):
-            yield np.stack([self.medium[i].to_dense() for i in range(a, min(a + most, count))])
+        max_frames = max(1, _FRAMES_BYTES // (12 * self.medium.grid.voxel_count))
+        for a in range(0, count, max_frames):
+            yield np.stack([self.medium[i].to_dense() for i in range(a, min(a + max_frames, count))])
 
     def _free(self) -> Bools:
-        """Nodes without force in some frame, in one piece with others at the box's faces, if there are any."""
+        """Return force-free nodes of any frame, connected to the box's faces if any such node is there."""
         nodes = np.logical_or.reduce([(~part.any(axis=4)).any(axis=0) for part in self._parts()])
         at_faces = nodes.copy()
         at_faces[1:-1, 1:-1, 1:-1] = False
@@ -196,7 +198,7 @@ class _Flood:
             return np.full(nodes.shape, math.inf)
         return np.asarray(distance_transform_edt(~nodes, self.step_m))
 
-    def _away(self) -> Float64s:
+    def _distance_to_a(self) -> Float64s:
         """d at the nodes, metres: what joined A lies where a force begins, and so as far from it as that
         does.
         """
@@ -204,11 +206,11 @@ class _Flood:
 
     def _bounds(self) -> tuple[Float64s, Float64s]:
         """Of each cell the least and the greatest d that a point of it may have."""
-        corners = [self.away_m[i:, j:, k:][tuple(slice(n - 1) for n in self.away_m.shape)]
+        corners = [self.distance_m[i:, j:, k:][tuple(slice(n - 1) for n in self.distance_m.shape)]
                    for i, j, k in np.ndindex(2, 2, 2)]  # fmt: skip
-        least, most = np.minimum.reduce(corners), np.maximum.reduce(corners)
-        half, whole = 0.5 * self.diagonal_m, self.diagonal_m
-        return np.maximum(least - half, most - whole), np.minimum(most + half, least + whole)
+        lowest, highest = np.minimum.reduce(corners), np.maximum.reduce(corners)
+        half, diagonal = 0.5 * self.diagonal_m, self.diagonal_m
+        return np.maximum(lowest - half, highest - diagonal), np.minimum(highest + half, lowest + diagonal)
 
     def _inner(self, cells: NDArray[Any]) -> NDArray[Any]:
         """Those of the box."""
@@ -228,16 +230,25 @@ class _Flood:
             is_tested &= changed[tuple(slice(n - 1) for n in changed.shape)] <= high + 2 * self.diagonal_m
         cells = np.argwhere(is_tested)
         edges = np.stack(
-            [own & ~binary_erosion(own, _ALL, border_value=1) for own in (self.began, self.joined)]
+            [
+                nodes_of & ~binary_erosion(nodes_of, _ALL, border_value=1)
+                for nodes_of in (self.began, self.joined)
+            ]
         )
         weak = np.zeros(len(cells), bool)
         for part in self._parts() if len(cells) else ():
-            left = np.flatnonzero(~weak)
-            found = np.zeros(len(left), bool)
-            places = cells[left], high[tuple(cells[left].T)], edges, layer.retreat_m, self.beyond
+            open_cells = np.flatnonzero(~weak)
+            found = np.zeros(len(open_cells), bool)
+            arguments = (
+                cells[open_cells],
+                high[tuple(cells[open_cells].T)],
+                edges,
+                layer.retreat_m,
+                self.beyond,
+            )
             hold = self.step_m, self.need_n, self.turn_nm, self.medium.friction
-            for_chunks(kernels.weak_cells, len(left), *places, part, *hold, found, chunk=256)
-            weak[left] = found
+            for_chunks(kernels.weak_cells, len(open_cells), *arguments, part, *hold, found, chunk=256)
+            weak[open_cells] = found
         nodes = np.zeros(self.began.shape, bool)
         for corner in np.ndindex(2, 2, 2):
             nodes[tuple((cells[weak] + corner).T)] = True

@@ -1,8 +1,8 @@
 """A medium as snapshots for `modes`: whole frames on the union of their bricks, or every brick for itself.
 
-Frames are the snapshots of what deforms in place. A body that moves is somewhere else in each frame, and no
-few frames add up to it; its bricks look alike wherever it is. Numbers are counted with and without those of
-the modes.
+Frames are the snapshots of bodies that deform in place. A moving body is elsewhere in each frame, and no few
+frames span it, but its bricks are similar wherever it is. Counts of numbers are reported with and without the
+modes themselves.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ BRICK_VALUES: Final = 3 * BRICK**3
 
 
 @dataclass(frozen=True)
-class Reduced:
+class ReducedMedium:
     """A medium by its modes. `keys` int64: of "global" the `brick_keys` of the union of bricks; none of
     "bricks".
     """
@@ -58,23 +58,29 @@ def _bricks(field: ForceField) -> Float32s:
     return field.forces_n.reshape(-1, BRICK_VALUES)
 
 
-def reduced(medium: HapticMedium, kind: str = "global", rank: int | None = None, step: int = 1) -> Reduced:
+def reduce_to_modes(
+    medium: HapticMedium, kind: str = "global", rank: int | None = None, step: int = 1
+) -> ReducedMedium:
     """The modes of every `step`-th frame of a medium, all of them or the first `rank`; `kind` is one of
     `KINDS`.
     """
     require_one_of("modes", kind, KINDS)
-    places = range(0, len(medium), step)
+    indices = range(0, len(medium), step)
     if kind == "bricks":
-        return Reduced(medium, kind, klt((_bricks(medium[i]) for i in places), rank), np.zeros(0, np.int64))
-    keys = np.unique(np.concatenate([brick_keys(medium.grid, medium[i].bricks) for i in places]))
+        return ReducedMedium(
+            medium, kind, klt((_bricks(medium[i]) for i in indices), rank), np.zeros(0, np.int64)
+        )
+    keys = np.unique(np.concatenate([brick_keys(medium.grid, medium[i].bricks) for i in indices]))
     if not len(keys):
         raise InvalidArgument("medium", "no frame with a force", "a force somewhere")
-    most = min(rank or len(places), len(places))
+    max_rank = min(rank or len(indices), len(indices))
     require_memory(
-        "frames and modes", f"{len(keys)} bricks", 4 * BRICK_VALUES * len(keys) * (len(places) + 2 * most)
+        "frames and modes",
+        f"{len(keys)} bricks",
+        4 * BRICK_VALUES * len(keys) * (len(indices) + 2 * max_rank),
     )
-    frames = np.stack([medium[i].forces_at(keys).ravel() for i in places])
-    return Reduced(medium, kind, pod(frames, rank), keys)
+    frames = np.stack([medium[i].forces_at(keys).ravel() for i in indices])
+    return ReducedMedium(medium, kind, pod(frames, rank), keys)
 
 
 class HeldOut(NamedTuple):
@@ -83,7 +89,7 @@ class HeldOut(NamedTuple):
     `modes` are used, `numbers` the coefficients of a snapshot, the mean. `share` are all numbers that a
     receiver needs of the medium, to those without modes: coefficients, of each that is one of several its
     place (the entropy of the places, in numbers of 32 bits), and the modes; `share_of_coefficients` is
-    without these. Of bricks coefficients below `least_n` were not kept.
+    without these. Of bricks coefficients below `min_n` were not kept.
     """
 
     modes: int
@@ -91,7 +97,7 @@ class HeldOut(NamedTuple):
     nmse_db: float
     share: float
     share_of_coefficients: float
-    least_n: float
+    min_n: float
 
 
 def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOut:
@@ -99,33 +105,33 @@ def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOu
     not do.
 
     Of "global" the first modes are used, of "bricks" of each brick the greatest coefficients: those above one
-    bound. Raises `InvalidArgument` as `reduced` does, or for a medium of one frame.
+    bound. Raises `InvalidArgument` as `reduce_to_modes` does, or for a medium of one frame.
     """
     if len(medium) < 2:
         raise InvalidArgument("medium", "one frame", "frames to learn from and others")
     is_global, odd = kind == "global", range(1, len(medium), 2)
     count = len(medium) if is_global else sum(len(field.bricks) for field in medium)
-    most = count // 4 if is_global else min(BRICK_VALUES, count // 20)  # few beside the snapshots
-    learnt = reduced(medium, kind, max(1, most), step=2)
+    max_rank = count // 4 if is_global else min(BRICK_VALUES, count // 20)  # few relative to the snapshots
+    learnt = reduce_to_modes(medium, kind, max(1, max_rank), step=2)
     energy = sum(float((medium[i].forces_n.astype(np.float64) ** 2).sum()) for i in odd)
     if not energy:
         raise InvalidArgument("medium", "no force in its odd frames", "forces to try the modes on")
     squares = np.concatenate([learnt.coefficients(i) ** 2 for i in odd])
     caught = squares.sum(axis=0) if is_global else np.sort(squares.ravel())[::-1]
-    left = np.maximum(energy - np.cumsum(caught), 1e-30) / energy
-    used = min(int(np.count_nonzero(left > 10 ** (decibels / 10))), len(left) - 1) + 1
+    residual = np.maximum(energy - np.cumsum(caught), 1e-30) / energy
+    used = min(int(np.count_nonzero(residual > 10 ** (decibels / 10))), len(residual) - 1) + 1
     length, modes = len(learnt.modes.basis), used if is_global else learnt.modes.rank
     numbers = used if is_global else used / len(squares)
-    chosen = numbers / modes
-    places = (
+    density = numbers / modes
+    index_bits = (
         0.0
-        if is_global or chosen >= 1
-        else (-chosen * math.log2(chosen) - (1 - chosen) * math.log2(1 - chosen))
+        if is_global or density >= 1
+        else (-density * math.log2(density) - (1 - density) * math.log2(1 - density))
     )
-    of_coefficients = (numbers + places * modes / 32) / length
-    least = 0.0 if is_global else math.sqrt(float(caught[used - 1]))
-    nmse = 10 * math.log10(float(left[used - 1]))
-    return HeldOut(modes, numbers, nmse, of_coefficients + modes / count, of_coefficients, least)
+    of_coefficients = (numbers + index_bits * modes / 32) / length
+    min_n = 0.0 if is_global else math.sqrt(float(caught[used - 1]))
+    nmse = 10 * math.log10(float(residual[used - 1]))
+    return HeldOut(modes, numbers, nmse, of_coefficients + modes / count, of_coefficients, min_n)
 
 
 class Freedom(NamedTuple):
@@ -139,23 +145,23 @@ class Freedom(NamedTuple):
     modes: int
 
 
-def freedom(found: Reduced, f0_n: float) -> Freedom:
-    """How many numbers a snapshot has, effectively, and how many bits each of them.
+def freedom(found: ReducedMedium, f0_n: float) -> Freedom:
+    """Return the effective degrees of freedom of a snapshot, and the bits of each.
 
     The step is the one whose rounding makes an error of F_0 rms at each supported sample: rounding makes a
     squared error of rank step^2 / 12 in a snapshot. Bits are the plug-in entropy of each mode's rounded
     coefficients.
     """
     modes = found.modes
-    share = modes.values**2 / max(float((modes.values**2).sum()), 1e-300)
-    effective = math.exp(float(-(share[share > 0] * np.log(share[share > 0])).sum()))
+    weights = modes.values**2 / max(float((modes.values**2).sum()), 1e-300)
+    effective = math.exp(float(-(weights[weights > 0] * np.log(weights[weights > 0])).sum()))
     frames = range(len(found.medium))
-    held = sum(found.medium[i].support_count for i in frames)
+    support_count = sum(found.medium[i].support_count for i in frames)
     coefficients = np.concatenate([found.coefficients(i) for i in frames])
-    step = f0_n * math.sqrt(12 * max(1, held) / (len(coefficients) * max(1, modes.rank)))
-    whole = np.rint(coefficients / step)
+    step = f0_n * math.sqrt(12 * max(1, support_count) / (len(coefficients) * max(1, modes.rank)))
+    rounded = np.rint(coefficients / step)
     bits = []
-    for column in whole.T[np.any(whole != 0, axis=0)]:
+    for column in rounded.T[np.any(rounded != 0, axis=0)]:
         counts = np.unique(column, return_counts=True)[1] / len(column)
         bits.append(float(-(counts * np.log2(counts)).sum()))
     return Freedom(effective, step, float(np.mean(bits)) if bits else 0.0, len(bits))
