@@ -31,7 +31,7 @@ from touchfield.pipeline.spec import EncodeSpec
 from touchfield.reduction.kernel_points import _LENGTHS, _NOISES, Kernel, max_candidates, variance_points
 from touchfield.reduction.modes import ModePoints, Modes, mode_points, pod
 from touchfield.sources.recordings.contact_trace import CurlFree
-from touchfield.tasks.reduction import _Domain, _best_points
+from touchfield.tasks.reduction import _best_points, _Domain
 
 SEEDS, TIMES, FRAMES = 5, (1, 2, 4), 200
 POINTS, MOVING_POINTS = (10, 20, 40), (10, 15, 20)

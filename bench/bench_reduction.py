@@ -29,7 +29,7 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import ReductionSpec
 from touchfield.reduction import Hand, ReducedMedium, freedom, held_out, reach_of, reduce_to_modes
-from touchfield.tasks.reduction import without_unreachable, hand_of
+from touchfield.tasks.reduction import hand_of, without_unreachable
 
 HAND = hand_of(tf.device("phantom-premium-1.5"), ReductionSpec())
 PILLOW = """axes = "x right, y up, z towards the viewer"

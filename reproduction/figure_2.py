@@ -7,12 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from reproduction.experiment import Experiment, Finding, Inputs, markdown_table
-from touchfield.perception.weber import (
-    WeberLadder,
-    fixed_step_within_mask_from_n,
-    jnd_gain,
-    quantise_fixed_step,
-)
+from touchfield.perception.weber import WeberLadder, jnd_gain, quantise_fixed_step, within_mask_from_n
 from touchfield.pipeline import prepare
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
@@ -45,7 +40,7 @@ def run(inputs: Inputs) -> Finding:
         f"|x| / Delta = 1/k whatever x is: Q multiplies by k floor(1/k + 1/2) = {jnd_gain(K):g} and is no "
         "quantiser",
         "an error up to Delta / 2 keeps the mask for certain only from Delta / (2 k) = "
-        f"{fixed_step_within_mask_from_n(STEP_N, K):g} N on",
+        f"{within_mask_from_n(STEP_N, K):g} N on",
         f"borders that grow by (1 + k) / (1 - k) = {ladder.ratio:.3f} keep the relative error within k",
     )
     labels = ("literal: Delta = k x", "literal: one fixed Delta", "corrected: Weber ladder")

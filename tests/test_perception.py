@@ -13,12 +13,12 @@ from touchfield.perception.mask import mask_n, violations
 from touchfield.perception.weber import (
     READINGS,
     WeberLadder,
-    fixed_step_within_mask_from_n,
     gate,
     gate_in_time,
     guaranteeing_fraction,
     jnd_gain,
     quantise_fixed_step,
+    within_mask_from_n,
 )
 
 forces = st.floats(-3.5, 3.5, width=32)
@@ -109,7 +109,7 @@ def test_a_fixed_step_keeps_half_a_step_and_the_mask_only_above_its_limit():
     error = np.abs(quantise_fixed_step(x, step) - x)
     assert error.max() <= step / 2 * (1 + 1e-12)
     left = error > k * np.abs(x) * (1 + 1e-12)
-    limit = fixed_step_within_mask_from_n(step, k)
+    limit = within_mask_from_n(step, k)
     assert limit == pytest.approx(0.1)
     assert left.any() and not left[np.abs(x) >= limit].any()
     zero_bin = (np.abs(x) < step / 2) & (x != 0)

@@ -31,7 +31,7 @@ from touchfield.reduction import (
 )
 from touchfield.reduction.kernels import weak_cells
 from touchfield.reduction.reach import _Flood, _layers
-from touchfield.tasks.reduction import without_unreachable, reduce_medium
+from touchfield.tasks.reduction import reduce_medium, without_unreachable
 
 HAND = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
 STEP_M, COUNT = 0.003, 40

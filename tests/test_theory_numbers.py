@@ -34,7 +34,7 @@ from touchfield.measure.estimators import binary_entropy_bits, estimate_bits
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.quantity import Quantity
 from touchfield.medium import ForceField, Grid
-from touchfield.perception.weber import WeberLadder, fixed_step_within_mask_from_n, quantise_fixed_step
+from touchfield.perception.weber import WeberLadder, quantise_fixed_step, within_mask_from_n
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.tiny_scenes import tiny_scenes
 
@@ -306,7 +306,7 @@ def test_the_plug_in_is_low_by_half_a_nat_for_each_symbol_but_one(share: float) 
 def test_even_steps_that_keep_the_mask_are_many(k: float, steps: int) -> None:
     """0.03 to 3.3 N; the Weber ladder takes 47 and 24."""
     step_n = 2 * k * 0.03
-    assert fixed_step_within_mask_from_n(step_n, k) == pytest.approx(0.03)
+    assert within_mask_from_n(step_n, k) == pytest.approx(0.03)
     levels = uniform_levels(step_n, 3.3).levels_n
     assert np.count_nonzero(levels > 0.03 * (1 + 1e-6)) == steps
     assert WeberLadder.spanning(k, 0.03, 3.3).steps < steps / 20

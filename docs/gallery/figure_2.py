@@ -19,12 +19,7 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 import numpy as np
 
 import touchfield as tf
-from touchfield.perception.weber import (
-    WeberLadder,
-    fixed_step_within_mask_from_n,
-    jnd_gain,
-    quantise_fixed_step,
-)
+from touchfield.perception.weber import WeberLadder, jnd_gain, quantise_fixed_step, within_mask_from_n
 from touchfield.viewer.plots import draw_masked_signal
 
 prepared = tf.prepare(
@@ -60,7 +55,7 @@ readings = {
 for name, q in readings.items():
     beyond = np.abs(q - x) > k * x * (1 + 1e-9)
     print(f"{name:30s} {len(np.unique(q)):4d} values, beyond the mask {beyond.mean():6.1%} of the time")
-print(f"the fixed step keeps the mask from {fixed_step_within_mask_from_n(step_n, k):g} N on")
+print(f"the fixed step keeps the mask from {within_mask_from_n(step_n, k):g} N on")
 
 # %%
 # ## The figure

@@ -75,7 +75,7 @@ def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> Float64s:
     return result
 
 
-def fixed_step_within_mask_from_n(step_n: float, k: float) -> float:
+def within_mask_from_n(step_n: float, k: float) -> float:
     """Return Delta / (2 k), newtons: from this amplitude on a fixed step stays within the mask k |x|."""
     require_positive(k=k, step_n=step_n)
     return step_n / (2 * k)
