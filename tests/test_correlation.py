@@ -7,8 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -103,7 +102,7 @@ def test_rays_that_are_refused(wavy_field: ForceField, monkeypatch: pytest.Monke
             contact_along_rays(wavy_field, starts, ends)
     with pytest.raises(InvalidArgument, match="shorter rays"):
         contact_along_rays(wavy_field, origin, (0.0, 0.0, 1e9))
-    monkeypatch.setattr(sys.modules[Contact.__module__], "MOST_LOOKUPS", 30)
+    monkeypatch.setattr(sys.modules[Contact.__module__], "MAX_LOOKUPS", 30)
     one = np.array([0.0, 0.0, 20 * min(wavy_field.grid.spacing_m) / 2])
     assert contact_along_rays(wavy_field, origin, one).amplitudes_n.shape == ()
     with pytest.raises(InvalidArgument, match="2 rays of 20 steps"):

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import touchfield as tf
 from touchfield.cli.main import _exit_code
@@ -157,7 +156,9 @@ def test_of_bricks_the_greatest_coefficients_are_kept_with_their_places(
 ) -> None:
     medium, odd = patchwork(), range(1, 20, 2)
     learnt, asked = reduce_to_modes(medium, "bricks", 8, step=2), []
-    monkeypatch.setattr(snapshots, "reduced", lambda *given, step: asked.append((*given[1:], step)) or learnt)
+    monkeypatch.setattr(
+        snapshots, "reduce_to_modes", lambda *given, step: asked.append((*given[1:], step)) or learnt
+    )
     found, every = (held_out(medium, "bricks", decibels) for decibels in (-10.0, -300.0))
     assert asked == [("bricks", 8, 2)] * 2  # a mode for twenty bricks at most
     energy = error = kept = 0.0

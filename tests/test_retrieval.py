@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from sklearn.metrics import average_precision_score
 
 from medium_corpus import corpus
@@ -83,7 +82,7 @@ def test_media_are_looked_at_in_turn_and_so_many_fit(monkeypatch: pytest.MonkeyP
     whole = index_of(entries).query(entries["m3"])
     monkeypatch.setattr(retrieval, "_BLOCK", 2)
     assert index_of(entries).query(entries["m3"]) == whole
-    monkeypatch.setattr(retrieval, "MOST_MEDIA", 4)
+    monkeypatch.setattr(retrieval, "MAX_MEDIA", 4)
     with pytest.raises(InvalidArgument, match="4 media; expected fewer than 4"):
         index_of(entries)
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
@@ -105,11 +104,11 @@ def test_lattices_that_share_too_little(other: Grid) -> None:
 def test_many_symbols_leave_fewer_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
     dense = symbols(OWN, 1)
     histogram, f = Counts.of(dense), field(OWN, dense)
-    monkeypatch.setattr("touchfield.measure.field_count.MOST_BLOCK_CELLS", 12 * 10)
+    monkeypatch.setattr("touchfield.measure.field_count.MAX_BLOCK_CELLS", 12 * 10)
     found = shared_counts((f, f), (OWN, OWN), (histogram, histogram))
     assert found is not None and found[0].blocks is not None
     assert 8 <= len(found[0].blocks) <= 12
-    monkeypatch.setattr("touchfield.measure.field_count.MOST_BLOCK_CELLS", 7 * 10)
+    monkeypatch.setattr("touchfield.measure.field_count.MAX_BLOCK_CELLS", 7 * 10)
     assert shared_counts((f, f), (OWN, OWN), (histogram, histogram)) is None
 
 

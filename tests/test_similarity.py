@@ -7,8 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from scipy.spatial import distance
@@ -192,8 +191,8 @@ def test_too_many_symbols_to_pack_are_refused(monkeypatch: pytest.MonkeyPatch) -
     assert len(pack(Frames(one, "a"), size)) == size
     with pytest.raises(InvalidArgument, match="fewer frames"):
         pack(Frames(one, "a"), size - 1)
-    monkeypatch.setattr(sys.modules[similarity.__module__], "MOST_BYTES", 2 * size)  # of both together
+    monkeypatch.setattr(sys.modules[similarity.__module__], "MAX_BYTES", 2 * size)  # of both together
     assert compression_distance(one, one).samples == 2 * SMALL.voxel_count
-    monkeypatch.setattr(sys.modules[similarity.__module__], "MOST_BYTES", 2 * size - 1)
+    monkeypatch.setattr(sys.modules[similarity.__module__], "MAX_BYTES", 2 * size - 1)
     with pytest.raises(InvalidArgument, match="fewer frames"):
         compression_distance(one, one)
