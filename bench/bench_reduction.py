@@ -200,7 +200,7 @@ def culling(count: int) -> Figures:
 
 def measure(frames: int, paths: int) -> Figures:
     """All of it."""
-    return {"hand": HAND.words, "culling": culling(paths), "modes": modes_of(frames)}
+    return {"hand": HAND.text, "culling": culling(paths), "modes": modes_of(frames)}
 
 
 def bars(figures: Figures) -> list[Bar]:

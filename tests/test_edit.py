@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
@@ -72,7 +71,7 @@ REGIONS: list[Region] = [
 ]
 
 
-@pytest.mark.parametrize("operator", OPERATORS, ids=lambda o: f"{o.name}-{o.words[:12]}")
+@pytest.mark.parametrize("operator", OPERATORS, ids=lambda o: f"{o.name}-{o.text[:12]}")
 def test_the_outside_keeps_its_bits_and_the_inside_is_what_the_operator_makes(operator: EditOperator) -> None:
     before, after = FIELD.to_dense(), operator(FIELD).to_dense()
     changed = (before != after).any(axis=-1)
@@ -155,7 +154,7 @@ def test_what_lies_on_the_edge_is_within() -> None:
         assert ForceRange(low, high).on(field).holds(GRID.to_m(np.array(at))).tolist() == held
     assert (
         ~ball | Voxels(GRID, [[0, 0, 0], [0, 0, 0]])
-    ).words == "(not (ball (0, 0, 0) radius 0.5 m)) or (1 voxels)"
+    ).text == "(not (ball (0, 0, 0) radius 0.5 m)) or (1 voxels)"
 
 
 coordinate = st.floats(-0.05, 0.05)

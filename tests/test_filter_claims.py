@@ -77,7 +77,7 @@ def test_every_registered_filter_is_in_the_battery() -> None:
 @pytest.mark.parametrize(("name", "text"), CASES)
 def test_the_words_of_a_filter_make_it_again(name: str, text: str) -> None:
     chosen, _ = made(name, text)
-    assert filter_of(name, chosen.words) == chosen
+    assert filter_of(name, chosen.text) == chosen
 
 
 @pytest.mark.parametrize(("name", "text"), CASES)
@@ -242,7 +242,7 @@ def test_a_chain_is_applied_in_order_and_says_so() -> None:
     assert medium.provenance["filters"].startswith(names[0])
     assert filter_medium(medium, []) is medium
     again = filter_medium(medium, chain[:1])
-    assert again.provenance["filters"] == f"{medium.provenance['filters']}; {chain[0].name} {chain[0].words}"
+    assert again.provenance["filters"] == f"{medium.provenance['filters']}; {chain[0].name} {chain[0].text}"
 
 
 @pytest.mark.parametrize(
