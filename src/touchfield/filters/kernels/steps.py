@@ -26,8 +26,8 @@ _FACES = (
     (12, 7, 110, (64, 8, 100, 10)),
     (14, 0, 119, (64, 8, 100, 10)),
 )
-"""The six neighbours of a brick: index in `slots_around`, first sample of the face in that brick and in the
-tile, and the strides along both edges of the face, in that brick and in the tile."""
+"""The six neighbours of a brick: index in `neighbour_slots`, first sample of the face in that brick and in
+the tile, and the strides along both edges of the face, in that brick and in the tile."""
 
 _MAX_EXPONENT = np.float32(16)
 _SERIES = tuple(
