@@ -210,7 +210,7 @@ def test_datagrams_wait_for_a_lost_message_within_their_memory(
     pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
     from touchfield.network import datagrams
 
-    monkeypatch.setattr(datagrams, "_MOST_WAITING", room)
+    monkeypatch.setattr(datagrams, "_MAX_WAITING_BYTES", room)
     sender, gathering = datagrams.Datagrams(7), datagrams.Gathering()
     messages = [np.random.default_rng(i).bytes(4000) for i in range(12)]
     sent = [one for message in messages for one in sender.add(message)] + sender.flush()

@@ -514,8 +514,8 @@ def test_each_command_is_found_in_its_room() -> None:
         "for name in sys.argv[1:]:\n"
         "    for old in [one for one in sys.modules if one.partition('.')[0] == 'touchfield']: del "
         "sys.modules[old]\n"
-        "    from touchfield.cli.main import COMMANDS, open_rooms\n"
-        "    names = [one.name or one.callback.__name__ for one in open_rooms([name]).registered_commands]\n"
+        "    from touchfield.cli.main import COMMANDS, load_commands\n"
+        "    names = [one.name or one.callback.__name__ for one in load_commands([name]).registered_commands]\n"
         "    rooms = {room for room in COMMANDS.values() if f'touchfield.cli.{room}' in sys.modules}\n"
         "    assert name in names and rooms == {COMMANDS[name]}, (name, names, rooms)\n"
     )

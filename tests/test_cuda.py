@@ -150,7 +150,7 @@ def test_the_place_ends_with_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_gpu_is_used_where_it_must_be_or_where_there_is_one(
     monkeypatch: pytest.MonkeyPatch, is_there: bool, expected: str
 ) -> None:
-    monkeypatch.setattr(gpu, "_is_there", lambda: is_there)
+    monkeypatch.setattr(gpu, "_is_available", lambda: is_there)
     for where in gpu.COMPUTE:
         monkeypatch.setenv("TOUCHFIELD_COMPUTE", where)
         assert gpu.uses_gpu() == (where in expected.split())

@@ -23,7 +23,7 @@ from touchfield.compute import numba_internals
 from touchfield.compute.kernel_sources import PACKAGE, SourceState, kernel_sources, open_folder
 
 INNER = (
-    "medium/kernels/__init__.py"  # its `first_at_least` is compiled into `nearest` of codec/paper/kernels.py
+    "medium/kernels/__init__.py"  # its `lower_bound` is compiled into `nearest` of codec/paper/kernels.py
 )
 CALL = """
 import numpy as np

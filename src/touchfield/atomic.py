@@ -1,6 +1,6 @@
-"""Files that are there whole or not at all: written under a temporary name, then renamed.
+"""Atomic writing of files: written under a temporary name, then renamed.
 
-A reader never meets half a file, and a run that is broken off leaves the older file as it was.
+A reader never sees a partial file, and an interrupted run leaves the older file unchanged.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from touchfield.errors import InvalidArgument, SourceError
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary name in the folder of `path`, which becomes `path` when the block ends without an error.
+    """Yield a temporary file in the folder of `path`, renamed to `path` if the block ends without an error.
 
-    It exists and is empty when the block begins; whatever ends the block early, an interrupt included,
-    removes it. Raises `InvalidArgument` if the folder is not there, or `path` is something else than a plain
-    file; `SourceError` if the system refuses to write: no right to, disk full, name too long.
+    It exists and is empty when the block begins. Any error or interrupt removes it. Raises `InvalidArgument`
+    if the folder does not exist or `path` is not a plain file; `SourceError` if the system refuses to write
+    (permissions, disk full, name too long).
     """
     target = Path(os.path.realpath(path))  # a link stays a link: what it points to is replaced
     if not os.path.isdir(target.parent):
@@ -32,7 +32,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     temporary = target.with_name(f".{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
     try:
         with suppress(FileNotFoundError):
-            os.stat(target)  # a name that the system refuses is told now, not after the work
+            os.stat(target)  # report an invalid name now, not after the work
         # exclusive, and with the rights that any new file of this user gets
         os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         yield temporary
@@ -45,15 +45,15 @@ def atomic_path(path: Path) -> Iterator[Path]:
     except SourceError as error:
         if error.where != str(temporary):
             raise
-        raise SourceError(str(path), error.found, error.expected, error.mend) from error  # of a writer within
+        raise SourceError(str(path), error.found, error.expected, error.hint) from error  # of a writer within
     except OSError as error:
         reason = error.strerror or type(error).__name__
         elsewhere = error.filename is not None and Path(os.fsdecode(error.filename)) != temporary
         about = (
             f" ({error.filename!s})" if elsewhere and isinstance(error.filename, str | os.PathLike) else ""
         )
-        found, mend = f"that it cannot be written: {reason}{about}", "The older file is untouched."
-        raise SourceError(str(path), found, mend=mend) from error
+        found, hint = f"that it cannot be written: {reason}{about}", "The older file is untouched."
+        raise SourceError(str(path), found, hint=hint) from error
     finally:
         with suppress(OSError):
             os.unlink(temporary)

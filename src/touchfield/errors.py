@@ -1,17 +1,17 @@
-"""Everything touchfield raises, as one tree::
+"""All errors that touchfield raises, as one tree::
 
     TouchfieldError            exit code 1
-    ├── InvalidArgument        exit code 2: what was asked for is not possible (also a ValueError)
+    ├── InvalidArgument        exit code 2: the request cannot be met (also a ValueError)
     │   └── MissingExtra       an optional library is not installed
     ├── SourceError            a scene, picture, mesh or stored field cannot be used as it is
     ├── DeviceError            a device profile is unknown or unusable
     └── FormatError            a ``.touch`` file cannot be read
-        ├── ForeignFile        it is something else
+        ├── ForeignFile        it is not a .touch file
         ├── TruncatedFile      it ends too early
-        ├── CorruptFile        its bytes contradict themselves
-        └── UnsupportedVersion another version of the format, or one of its parts, is needed
+        ├── CorruptFile        its contents are inconsistent
+        └── UnsupportedVersion it needs another version of the format, or an unknown extension
 
-A message is one line: where, what was found, what was expected, how to mend it.
+A message is one line: where, what was found, what was expected, and a hint how to fix it.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from typing import Any, Final
 
 
 class TouchfieldError(Exception):
-    """The root of all errors that touchfield raises on purpose.
+    """Base class of all errors that touchfield raises on purpose.
 
-    `where`: the file, field or option at fault, or alone a sentence; `found` and `expected`: what was there
-    and what should have been; `mend`: one sentence that tells how to mend it.
+    `where` is the file, field or option at fault, or a whole sentence if nothing else is given. `found` and
+    `expected` describe the actual and the required value. `hint` is one sentence on how to fix it.
     """
 
     exit_code = 1
 
-    def __init__(self, where: str, found: str = "", expected: str = "", mend: str = "") -> None:
-        self.where, self.found, self.expected, self.mend = where, found, expected, mend
+    def __init__(self, where: str, found: str = "", expected: str = "", hint: str = "") -> None:
+        self.where, self.found, self.expected, self.hint = where, found, expected, hint
         text = f"{where}: found {found}" if found else where
         if expected:
             text += f"; expected {expected}"
-        if mend:
-            text += f". {mend}"
-        # what a server or a name says could otherwise rewrite the screen of a terminal
+        if hint:
+            text += f". {hint}"
+        # control characters in a name or a server's reply must not reach the terminal
         super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split())))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """As it travels from a process to another: its text, whatever made it."""
+        """Pickle the error by its text and attributes, whatever the signature of its class."""
         return copyreg.__newobj__, (type(self), str(self)), self.__dict__  # type: ignore[attr-defined]
 
 
@@ -65,7 +65,7 @@ class MissingExtra(InvalidArgument):
         super().__init__(
             purpose,
             f"that the library {library} is not installed",
-            mend=f'Install it with: pip install "touchfield[{extra}]"',
+            hint=f'Install it with: pip install "touchfield[{extra}]"',
         )
 
 
@@ -90,25 +90,25 @@ class TruncatedFile(FormatError):
 
 
 class CorruptFile(FormatError):
-    """The bytes of the file contradict themselves."""
+    """The contents of the file are inconsistent."""
 
 
 class UnsupportedVersion(FormatError):
-    """The file is of another version of the format, or needs a part that this one has not."""
+    """The file has another version of the format, or needs an extension that is not available."""
 
 
 class UnboundedError(UserWarning):
-    """Warning of a file or an array whose error no bound is proved of."""
+    """Warning that no error bound is guaranteed for a file or an array."""
 
 
 def warn_unbounded(note: str | None) -> None:
-    """Warn with `UnboundedError` if there is a note on a bound that is not proved."""
+    """Issue `UnboundedError` if there is a note on a bound that is not guaranteed."""
     if note:
         warnings.warn(note, UnboundedError, stacklevel=3)
 
 
 def import_extra(module: str, purpose: str, library: str, extra: str) -> Any:
-    """A module of an optional library; `MissingExtra` if that is not installed."""
+    """Import a module of an optional library; raises `MissingExtra` if it is not installed."""
     try:
         return import_module(module)
     except ImportError as error:
@@ -116,7 +116,7 @@ def import_extra(module: str, purpose: str, library: str, extra: str) -> Any:
 
 
 def reason(error: BaseException) -> str:
-    """An error's reason in a few words, on one line: why the system refused, in its own words."""
+    """Return the reason of an error on one line of at most 120 characters, as the system reports it."""
     if isinstance(error, TimeoutError):
         return "no answer in time"
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
@@ -124,7 +124,7 @@ def reason(error: BaseException) -> str:
 
 
 def is_finite(value: Any) -> bool:
-    """True for a finite number; False for one that is not, and for what is no number."""
+    """Return True for a finite number; False for infinity, NaN and anything that is not a number."""
     try:
         return math.isfinite(value)
     except (TypeError, ValueError, OverflowError):
@@ -138,36 +138,34 @@ def _require(expected: str, values: dict[str, float], fits: Callable[[float], bo
 
 
 def require_positive(**values: float) -> None:
-    """`InvalidArgument` for a value, by its name, that is not a finite number above 0."""
+    """Raise `InvalidArgument` for a keyword whose value is not a finite number above 0."""
     _require("a positive number", values, lambda value: value > 0)
 
 
 def require_not_negative(**values: float) -> None:
-    """`InvalidArgument` for a value, by its name, that is not a finite number of at least 0."""
+    """Raise `InvalidArgument` for a keyword whose value is not a finite number of at least 0."""
     _require("a finite number, 0 or more", values, lambda value: value >= 0)
 
 
 def require_between(low: float, high: float, **values: float) -> None:
-    """`InvalidArgument` for a value, by its name, that is not a number from `low` to `high`."""
+    """Raise `InvalidArgument` for a keyword whose value is not a number from `low` to `high`."""
     _require(f"{low:.9g} to {high:.9g}", values, lambda value: low <= value <= high)
 
 
 def require_up_to(high: float, **values: float) -> None:
-    """`InvalidArgument` for a value, by its name, that is not a number above 0, at most `high`."""
+    """Raise `InvalidArgument` for a keyword whose value is not above 0 and at most `high`."""
     _require(f"above 0, up to {high:.9g}", values, lambda value: 0 < value <= high)
 
 
-def require_ending(path: str | Path, *names: str, mend: str = "") -> None:
-    """`InvalidArgument` for a file whose name does not end as one of these, ``OUT.touch`` or ``.touch``,
-    does.
-    """
+def require_ending(path: str | Path, *names: str, hint: str = "") -> None:
+    """Raise `InvalidArgument` unless `path` has the suffix of one of `names`, such as ``OUT.touch``."""
     ending = Path(path).suffix
     if ending.lower() not in ("." + name.rpartition(".")[2] for name in names):
-        raise InvalidArgument(str(path), f"the ending {ending!r}", " or ".join(names), mend)
+        raise InvalidArgument(str(path), f"the ending {ending!r}", " or ".join(names), hint)
 
 
 def require_one_of(where: str, value: object, choices: Collection[str]) -> None:
-    """`InvalidArgument` naming `where` for a value that is not among the choices."""
+    """Raise `InvalidArgument` that names `where` if a value is not among the choices."""
     if value not in choices:
         expected = " or ".join(choices) if len(choices) == 2 else f"one of {', '.join(choices)}"
         raise InvalidArgument(where, repr(value), expected)
@@ -175,42 +173,41 @@ def require_one_of(where: str, value: object, choices: Collection[str]) -> None:
 
 KINDS: Final[dict[str, tuple[Any, Any, str]]] = {
     "bool": (bool, bool, "True or False"), "int": (int, Integral, "a whole number"),
-    "float": (float, Real, "a number"), "str": (str, (str, Path), "text"), "Path": (Path, (str, Path), "a path"),
+    "float": (float, Real, "a number"), "str": (str, (str, Path), "text"),
+    "Path": (Path, (str, Path), "a path"),
 }  # fmt: skip
-"""By the annotation of a field what the command line makes for it, what it may be, and the words for that."""
+"""For each annotation of a field: type on the command line, accepted types, and their description."""
 
 
 def require_kinds(spec: Any, **choices: Collection[str]) -> None:
-    """`InvalidArgument` for a field of a dataclass that is not what its annotation, of `KINDS`, or its
-    default is.
+    """Raise `InvalidArgument` for a field of a dataclass whose value has the wrong type.
 
-    Of fields that are one of some words these are the `choices`.
+    The type follows from the annotation (see `KINDS`) or the default factory. `choices` gives, by field
+    name, the accepted words of a field.
     """
-    for one in fields(spec):
-        value, own, (name, none, _) = (
-            getattr(spec, one.name),
-            one.default_factory,
-            str(one.type).partition(" | None"),
+    for field in fields(spec):
+        value, default_factory, (name, optional, _) = (
+            getattr(spec, field.name),
+            field.default_factory,
+            str(field.type).partition(" | None"),
         )
-        if isinstance(own, type):
-            kind, expected = own, f"{own.__name__}(...)"
+        if isinstance(default_factory, type):
+            kind, expected = default_factory, f"{default_factory.__name__}(...)"
         elif name in KINDS:
             _, kind, expected = KINDS[name]
         else:
             continue
         fits = isinstance(value, kind) and (name == "bool" or not isinstance(value, bool))
-        if not (fits or (none and value is None)):
-            raise InvalidArgument(one.name, repr(value), expected)
-        if one.name in choices:
-            require_one_of(one.name, value, choices[one.name])
+        if not (fits or (optional and value is None)):
+            raise InvalidArgument(field.name, repr(value), expected)
+        if field.name in choices:
+            require_one_of(field.name, value, choices[field.name])
 
 
 @contextmanager
-def blamed_on(where: str) -> Iterator[None]:
-    """Within it an `InvalidArgument` is a `SourceError` of the file, or place in a file, that gave the
-    argument.
-    """
+def as_source_error(where: str) -> Iterator[None]:
+    """Within the block, convert an `InvalidArgument` to a `SourceError` that names the file at `where`."""
     try:
         yield
     except InvalidArgument as error:
-        raise SourceError(f"{where}{error.where}", error.found, error.expected, error.mend) from error
+        raise SourceError(f"{where}{error.where}", error.found, error.expected, error.hint) from error

@@ -1,4 +1,4 @@
-"""Fields of a spec that are options, too, each with its words in the help; and addresses."""
+"""Dataclass fields that are also command-line options, with their help; parsing of addresses."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from touchfield.errors import InvalidArgument
 Address = tuple[str, int]
 
 
-def option(default: Any, words: str) -> Any:
-    """A field of a frozen dataclass, ``--its-name`` on the command line, where `words` are its help."""
-    return field(default=default, metadata={"help": words})
+def option(default: Any, help_text: str) -> Any:
+    """Return a dataclass field that is also the option ``--its-name``; `help_text` is its help."""
+    return field(default=default, metadata={"help": help_text})
 
 
-def address(words: str, where: str, default: Address | None = None) -> Address:
-    """Host and port of "HOST:PORT" or "[HOST]:PORT"; with a default also "", "HOST" and ":PORT".
+def address(text: str, where: str, default: Address | None = None) -> Address:
+    """Parse "HOST:PORT" or "[HOST]:PORT"; with a default also "", "HOST" and ":PORT".
 
-    Raises InvalidArgument for anything else, which names `where`, such as "osc:HOST:PORT".
+    Raises InvalidArgument for any other text; the error names `where`, such as "osc:HOST:PORT".
     """
-    host, colon, port = words.rpartition(":")
+    host, colon, port = text.rpartition(":")
     if default is not None:
-        if not colon or words.endswith("]"):
-            host, port = words, "" if words.isdigit() else str(default[1])
+        if not colon or text.endswith("]"):
+            host, port = text, "" if text.isdigit() else str(default[1])
         host = host or default[0]
     host = host.removeprefix("[").removesuffix("]")
     try:
@@ -33,6 +33,6 @@ def address(words: str, where: str, default: Address | None = None) -> Address:
     is_port = port.isascii() and port.isdigit() and len(port) <= 5 and 0 < int(port) < 65536
     if not host or not is_port or not host.isprintable() or any(c in host for c in " /[]@"):
         raise InvalidArgument(
-            where, repr(words[:80]), "a host and a port from 1 to 65535, such as 127.0.0.1:9000"
+            where, repr(text[:80]), "a host and a port from 1 to 65535, such as 127.0.0.1:9000"
         )
     return host, int(port)

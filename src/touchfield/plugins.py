@@ -1,12 +1,12 @@
 """Plug-ins: sources, coders, drivers and filters that other distributions provide by entry points.
 
-A distribution names them in its ``pyproject.toml``; the value is what the built-in module of that kind
-holds::
+A distribution declares them in its ``pyproject.toml``; each refers to an object like that of a built-in
+module::
 
     [project.entry-points."touchfield.sources"]
     las = "touchfield_las:KIND"
 
-A plug-in that cannot be imported is left out, with a warning that names it.
+A plug-in that cannot be imported is skipped, with a warning that names it.
 """
 
 from __future__ import annotations
@@ -20,20 +20,19 @@ GROUPS: Final = ("touchfield.sources", "touchfield.coders", "touchfield.drivers"
 
 
 class PluginWarning(UserWarning):
-    """Warning of a plug-in that is left out."""
+    """Warning that a plug-in is skipped."""
 
 
 @cache
 def plugins(group: str, kind: type) -> dict[str, Any]:
-    """The objects that entry points of a group provide, by the name of the entry point.
+    """Load the objects that the entry points of a group provide, by the name of the entry point.
 
     Parameters
     ----------
     group : str
         One of `GROUPS`.
     kind : type
-        Of the objects; or, where it derives from `type`, the base of the classes. What is of another is left
-        out.
+        Type of the objects, or base class if the objects are classes. Other objects are skipped.
     """
     found: dict[str, Any] = {}
     for entry in entry_points(group=group):

@@ -18,5 +18,5 @@ def left(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
         def __init__(self) -> None:
             told.set()
 
-    monkeypatch.setattr(access, "ConnectionLeft", Left)
+    monkeypatch.setattr(access, "ClientDropped", Left)
     return told

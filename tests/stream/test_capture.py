@@ -232,7 +232,7 @@ def test_a_camera_needs_opencv(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_messages_of_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live, "MOST_BYTES", 70000)
+    monkeypatch.setattr(live, "MAX_BYTES", 70000)
     file = io.BytesIO()
     for message in (b"one", b"", b"x" * 70000):
         write_message(file, message)

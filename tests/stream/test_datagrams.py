@@ -15,16 +15,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from touchfield.errors import InvalidArgument
 from touchfield.network.live import Ended, LiveReceiver, LiveSegment, LiveSender, Lost, Opened
 
 pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
 from live_makers import HEAD, field, segment, sender_of
-from touchfield.network import datagrams as datagrams_module
-from touchfield.network import udp
+from touchfield.network import datagrams as datagrams_module, udp
 from touchfield.network.datagrams import MAX_DATAGRAM, Datagrams, Gathering
 from touchfield.network.live_client import open_live
 from touchfield.network.udp import UdpSender, _parse_address, listen
@@ -190,13 +188,13 @@ def test_numbers_that_are_near_enough() -> None:
 
 
 def test_messages_of_a_length_that_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(datagrams_module, "MOST_BYTES", 3000)
+    monkeypatch.setattr(datagrams_module, "MAX_BYTES", 3000)
     for message in (b"", bytes(3001)):
         with pytest.raises(InvalidArgument, match="bytes; expected 1 to 3000"):
             Datagrams(7).add(message)
     twice = [one for one in sent([bytes(3000)]) for _ in range(2)]
     assert received(twice)[0] == [bytes(3000)], "what a network repeats is not too much"
-    monkeypatch.setattr(datagrams_module, "MOST_BYTES", 2999)
+    monkeypatch.setattr(datagrams_module, "MAX_BYTES", 2999)
     assert received(twice)[1].refused == len(twice)
 
 

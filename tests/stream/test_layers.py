@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from live_makers import GRID, HEAD, Hand, field, medium, segment
@@ -571,7 +570,7 @@ def test_a_coarse_layer_of_which_no_datagram_comes_delays_the_start_by_seconds(
 ) -> None:
     """Not by the minute that a first segment is waited for; and the stream's own segments are felt."""
     assert live_client._COARSE_WAIT_S <= 5
-    monkeypatch.setattr(live_client, "_BESIDE_S", 0.1)
+    monkeypatch.setattr(live_client, "_COARSE_WAIT_S", 0.1)
     notes, port, began = list[str](), free_port(), time.monotonic()
     with (
         OnAir(port),

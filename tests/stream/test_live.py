@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from live_makers import HEAD, segment, sender_of
@@ -88,13 +87,13 @@ def test_what_is_no_live_stream_or_too_long_is_refused(monkeypatch: pytest.Monke
         sender.add(replace(segment(0), first_frame=4))
     receiver, following = LiveReceiver(), replace(segment(0), first_frame=5)
     receiver.receive(messages[0])
-    monkeypatch.setattr(live, "MOST_BYTES", len(messages[1]))
+    monkeypatch.setattr(live, "MAX_BYTES", len(messages[1]))
     with pytest.raises(InvalidArgument, match="shorter segments"):
         sender.add(replace(following, vibration=b""))
     assert receiver.receive(messages[1]) == [segment(0)] and receiver.receive(sender.add(following)) == [
         following
     ]
-    monkeypatch.setattr(live, "MOST_BYTES", len(messages[1]) - 1)
+    monkeypatch.setattr(live, "MAX_BYTES", len(messages[1]) - 1)
     (refused,) = LiveReceiver().receive(messages[0])
     assert isinstance(refused, Refused) and "bytes; expected at most" in refused.reason
 

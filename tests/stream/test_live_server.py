@@ -459,7 +459,7 @@ def test_addresses_are_told_once_the_code_is_there(
 
 def test_a_first_segment_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_client, "_ANSWER_S", 1.0)
-    monkeypatch.setattr(live_client, "TOLD_S", 0.1)
+    monkeypatch.setattr(live_client, "REPORT_AFTER_S", 0.1)
     sender, notes = sender_of(0)[0], list[str]()
     with LiveServer(sender, Access(port=0)) as server:
         threading.Timer(1.25, lambda: server.add(segment(0))).start()

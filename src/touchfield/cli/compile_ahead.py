@@ -50,7 +50,7 @@ def helpers(groups: Sequence[str]) -> Iterator[Callable[[], None]]:
 
 
 def _end_with_parent() -> None:
-    """Exit when standard input is closed: nothing is written to that pipe, so the read ends with the parent."""
+    """Exit when the parent does: nothing is written to standard input, so the read ends with the pipe."""
     os.read(0, 1)
     os._exit(0)
 

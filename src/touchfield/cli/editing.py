@@ -276,7 +276,7 @@ def reduce(
     ] = None,
     cull: Annotated[Path | None, "OUT.touch without what the hand can never feel."] = None,
 ) -> Answer:
-    """Reduce MEDIUM to a few modes; report degrees of freedom, their entropy, and samples no hand can reach."""
+    """Reduce MEDIUM to a few modes; report degrees of freedom, their entropy, and unreachable samples."""
     from touchfield.tasks.reduction import reduce_medium
 
     check_results((medium,), out, cull)

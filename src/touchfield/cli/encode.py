@@ -39,7 +39,7 @@ from touchfield.files import refuse_overwriting
 from touchfield.tasks.plan import Plan, Trial
 
 LATER = {"touch": ("passes", "columns")}
-"""For each coder the groups of kernels that are compiled last, and longest, before the first field is coded."""
+"""For each coder the kernel groups that are compiled last, and longest, before the first field is coded."""
 
 
 @command(

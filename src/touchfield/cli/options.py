@@ -80,7 +80,8 @@ def dashed(name: str) -> str:
 
 
 _FIRST: Final = (
-    "device", "nw", "frames", "mapping", "stiffness-n-per-m", "thickness-m", "k", "f0-n", "mode", "target-bytes",
+    "device", "nw", "frames", "mapping", "stiffness-n-per-m", "thickness-m", "k", "f0-n", "mode",
+    "target-bytes",
 )  # fmt: skip
 """Options of scene and coder that most people need."""
 _LATTICE: Final = "Device and lattice"
@@ -166,7 +167,7 @@ def filter_rows() -> tuple[Row, ...]:
 
 
 def with_options(*groups: Sequence[Row]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorate a command with the options of `groups`; it gets `options`, in the order of the command line."""
+    """Add the options of `groups` to a command; it gets `options`, in the order of the command line."""
     all_rows = sorted((row for group in groups for row in group), key=lambda row: row.name not in _FIRST)
 
     def decorate(command: Any) -> Any:
@@ -245,8 +246,8 @@ def encode_spec(options: dict[str, Any]) -> EncodeSpec:
         if name not in field_filters() or not texts:
             continue
         if len(texts) > 1:
-            mend = "Filter twice: the .touch file of the first run may be the source of the second."
-            raise InvalidArgument(f"--{name} can be given once, not {len(texts)} times", hint=mend)
+            hint = "Filter twice: the .touch file of the first run may be the source of the second."
+            raise InvalidArgument(f"--{name} can be given once, not {len(texts)} times", hint=hint)
         chain.append((name, texts[0]))
     values |= {
         "nw": None if options["nominal"] else options["nw"],

@@ -66,8 +66,7 @@ def play(
     as_json: Json = False,
 ) -> None:
     """Feel STREAM on a device, or on a simulated hand."""
-    from touchfield.tasks.play import check_play
-    from touchfield.tasks.play import play as run
+    from touchfield.tasks.play import check_play, play as run
 
     if check:
         verdict = check_play(stream, options["speed"])

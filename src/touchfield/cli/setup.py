@@ -94,13 +94,9 @@ def doctor(
         for name, checks in report.items():
             console.print(name, style="bold")
             for check in checks:
-                state, mend = (
-                    "ok     " if check.is_there else "missing",
-                    f". {check.mend}" if check.mend else "",
-                )
-                console.print(
-                    f"  {state}  {check.what}: {check.found}{'' if check.is_there else mend}", soft_wrap=True
-                )
+                state = "ok     " if check.is_there else "missing"
+                hint = f". {check.mend}" if check.mend and not check.is_there else ""
+                console.print(f"  {state}  {check.what}: {check.found}{hint}", soft_wrap=True)
 
     values = {name: [asdict(check) for check in checks] for name, checks in report.items()}
     return Answer(values, "", print_text=print_text)

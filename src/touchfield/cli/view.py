@@ -72,9 +72,9 @@ def compare(
     target = picture or _free_name(source, stream)
     check_results((source, stream), target)
     if not no_picture and target.exists() and not is_our_picture(target):
-        mend = "Name another --picture, or take --no-picture."
+        hint = "Name another --picture, or take --no-picture."
         raise InvalidArgument(
-            f"{target} is there, and touchfield did not draw it: it is left as it is", hint=mend
+            f"{target} is there, and touchfield did not draw it: it is left as it is", hint=hint
         )
     with progress("compare") as report:
         compared = pipeline.compare(
@@ -170,7 +170,7 @@ def show_measurement(m: Measurement, notes: tuple[str, ...]) -> None:
 
 
 def _notes(m: Measurement, notes: tuple[str, ...]) -> list[str]:
-    """Return each note once, prefixed by the quantities it concerns: warnings first, those of the scene last."""
+    """Return each note once, prefixed by the quantities it concerns; warnings come first."""
     named = [(f"{q.name} {meaning}".strip(), q) for q, meaning in _information(m) if q is not m.per_frame]
     if m.limits is not None:
         named += [(c.per_voxel.name, c.per_voxel) for c in m.limits.contexts]
@@ -201,7 +201,7 @@ def _number(value: float, digits: int) -> str:
 
 
 def _information(m: Measurement) -> list[tuple[Quantity, str]]:
-    """Return the entropies to be printed, each with its meaning: H(S) by weighting, H(W), and those in time."""
+    """Return the entropies to be printed, each with its meaning: H(S) by weighting, H(W), in time."""
     visits = [(m.entropy, "over the visits of the trace")] if m.entropy.weighting == "interaction" else []
     everywhere = [(m.voxel, "over all voxels"), (m.corrected, "over all voxels, Miller-Madow")]
     others = [(quantity, "") for quantity in (m.per_frame, *m.in_time.values())]

@@ -1,4 +1,4 @@
-"""How kernels are compiled and where they run: jit, CUDA, threads, and executors of other machines."""
+"""How kernels are compiled and where they run: jit, CUDA, threads, processes and clusters."""
 
 from touchfield._lazy import lazy_attributes
 

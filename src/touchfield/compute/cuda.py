@@ -1,9 +1,9 @@
-"""Kernels on a GPU (extra ``cuda``): the processor's own functions, compiled once more for it by numba-cuda.
+"""Kernels on a GPU (extra ``cuda``): the CPU functions, compiled again by numba-cuda.
 
-A kernel is a loop ``kernel(begin, end, *arguments)`` over items that do not touch each other
-(`parallel.for_chunks`). Here each item gets a thread of its own, which runs the same loop from i to i + 1, so
-that there is one source for both. Such a kernel makes no array and takes its functions from `math`. No other
-module knows the library.
+A kernel is a loop ``kernel(start, stop, *arguments)`` over independent items (`compute.threads.for_chunks`).
+On the GPU each item gets its own thread, which runs the same loop from i to i + 1, so that both share one
+source. Such a kernel allocates no array and takes its functions from `math`. No other module imports the
+library.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ COMPUTE: Final = ("cpu", "cuda", "auto")
 
 _VARIABLE: Final = "TOUCHFIELD_COMPUTE"
 _THREADS: Final = 128
-"""Of a block."""
+"""Threads in a block."""
 
 
 @contextmanager
 def computing(where: str) -> Iterator[None]:
-    """Within it, kernels of sources run there: one of `COMPUTE`; also in processes begun meanwhile.
+    """Within the block, kernels of sources run on `where`, one of `COMPUTE`; also in processes started in it.
 
-    Raises `InvalidArgument` for another word, and if "cuda" finds no GPU; `MissingExtra` without the library.
+    Raises `InvalidArgument` for another value, or if "cuda" finds no GPU; `MissingExtra` without the library.
     """
     if where not in COMPUTE:
         raise InvalidArgument("device compute", repr(where), f"one of {', '.join(COMPUTE)}")
@@ -57,7 +57,7 @@ def needs_gpu() -> bool:
 
 def uses_gpu() -> bool:
     """True if kernels of sources run on a GPU (`computing`, or ``TOUCHFIELD_COMPUTE``)."""
-    return needs_gpu() or (os.environ.get(_VARIABLE) == "auto" and _is_there())
+    return needs_gpu() or (os.environ.get(_VARIABLE) == "auto" and _is_available())
 
 
 @cache
@@ -66,10 +66,10 @@ def _cuda() -> Any:
 
 
 @cache
-def _is_there() -> bool:
+def _is_available() -> bool:
     try:
         return bool(_cuda().is_available())
-    except Exception:  # a driver that is broken is no GPU
+    except Exception:  # a broken driver counts as no GPU
         return False
 
 
@@ -77,9 +77,8 @@ def for_each(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
     """Call ``kernel(i, i + 1, *arguments)`` for each i of 0..count, each by a thread of the GPU.
 
     kernel : function compiled by numba for the processor, that makes no array.
-    arguments : numbers; arrays, or named tuples of them, that lie on the device: `on_device`, `empty`, or
-        whatever another library has there (``__dlpack__``, ``__cuda_array_interface__``), which is taken as
-        it lies.
+    arguments : numbers; arrays, or named tuples of them, in device memory: from `on_device`, `empty`, or
+        another library (``__dlpack__``, ``__cuda_array_interface__``), used without a copy.
     """
     if count > 0:
         blocks = -(-count // _THREADS)
@@ -87,37 +86,34 @@ def for_each(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
 
 
 def on_device(array: Any) -> Any:
-    """A copy on the device of an array, or of those of a (named) tuple; what is neither stays as it is."""
+    """Copy an array, or the arrays of a (named) tuple, to the device; other values are returned unchanged."""
     if isinstance(array, tuple):
-        copies = [on_device(one) for one in array]
+        copies = [on_device(item) for item in array]
         return type(array)(*copies) if hasattr(array, "_fields") else tuple(copies)
     return _cuda().to_device(np.ascontiguousarray(array)) if isinstance(array, np.ndarray) else array
 
 
 def empty(shape: int | tuple[int, ...], dtype: Any) -> Any:
-    """An array on the device, of whatever lies there."""
+    """Return an uninitialised array on the device."""
     return _cuda().device_array(shape, dtype)
 
 
 def filled(kernel: Callable[..., Any], count: int, arguments: tuple[Any, ...], shape: Any, dtype: Any) -> Any:
-    """An array on the device, all of which a kernel writes: its last argument. Those before it are copied
-    there.
-    """
+    """Return a device array that a kernel fills as its last argument; the others are copied to the device."""
     out = empty(shape, dtype)
     for_each(kernel, count, *on_device(arguments), out)
     return out
 
 
 def on_host(array: Any) -> np.ndarray[Any, Any]:
-    """A copy for the processor of an array on the device."""
+    """Copy an array from the device."""
     host: np.ndarray[Any, Any] = array.copy_to_host()
     return host
 
 
-# -- one source
-# ----------------------------------------------------------------------------------------------------
+# -- one source --------------------------------------------------------------------------------------------
 def _each(count, arguments):  # type: ignore[no-untyped-def]
-    """The kernel of the GPU: `body` for the item whose turn this thread is."""
+    """Kernel of the GPU: runs `body` for the item of this thread."""
     i = cuda.grid(1)  # type: ignore[name-defined]  # noqa: F821
     if i < count:
         body(i, i + 1, *arguments)  # type: ignore[name-defined]  # noqa: F821
@@ -125,7 +121,7 @@ def _each(count, arguments):  # type: ignore[no-untyped-def]
 
 @cache
 def _launched(kernel: Any) -> Any:
-    """A kernel of the GPU that runs one item of `kernel` a thread."""
+    """Return the GPU kernel that runs one item of `kernel` in each thread."""
     return _cuda().jit(
         FunctionType(_each.__code__, {"cuda": _cuda(), "body": _for_device(kernel)}, kernel.__name__)
     )
@@ -133,20 +129,20 @@ def _launched(kernel: Any) -> Any:
 
 @cache
 def _for_device(kernel: Any) -> Any:
-    """The function of a kernel for the GPU: the same code, its globals those functions' own for the GPU."""
+    """Compile a kernel for the GPU: the same code, with the compiled functions among its globals replaced."""
     function = kernel.py_func
-    own = {**function.__globals__, **_named(function.__globals__, function.__code__.co_names)}
+    device_globals = {**function.__globals__, **_named(function.__globals__, function.__code__.co_names)}
     copy = FunctionType(
-        function.__code__, own, function.__name__, function.__defaults__, function.__closure__
+        function.__code__, device_globals, function.__name__, function.__defaults__, function.__closure__
     )
     return _cuda().jit(copy, device=True)
 
 
-def _named(place: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
-    """The compiled functions among these names for the GPU, and the modules of kernels with theirs."""
+def _named(namespace: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    """Return GPU versions of the compiled functions with these names, also in modules of kernels."""
     out: dict[str, Any] = {}
     for name in names:
-        value = place.get(name)
+        value = namespace.get(name)
         if hasattr(value, "py_func"):
             out[name] = _for_device(value)
         elif isinstance(value, ModuleType) and value.__name__.startswith("touchfield."):

@@ -38,7 +38,7 @@ _VERSIONS: Final = f"numba {numba.__version__}, llvmlite {llvmlite.__version__}"
 _SOURCES: Final = SourceState(kernel_sources(), _VERSIONS)
 
 
-# -- cache ---------------------------------------------------------------------------------------------------
+# -- cache -------------------------------------------------------------------------------------------------
 
 
 def attach_cache(dispatcher: Any, function: Any) -> bool:
@@ -149,7 +149,7 @@ def field_names(arguments: Iterable[Any]) -> tuple[Any, ...]:
     return tuple((getattr(argument, "fields", ()), field_names(argument.types)) for argument in tuples)
 
 
-# -- compiler ------------------------------------------------------------------------------------------------
+# -- compiler ----------------------------------------------------------------------------------------------
 
 
 class CoderCompiler(_COMPILER):  # type: ignore[misc]
@@ -174,7 +174,7 @@ class CoderCompiler(_COMPILER):  # type: ignore[misc]
             _CONFIG.OPT = level
 
 
-# -- start and events ----------------------------------------------------------------------------------------
+# -- start and events --------------------------------------------------------------------------------------
 
 
 def without_blas() -> None:

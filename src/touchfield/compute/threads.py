@@ -1,7 +1,7 @@
-"""Compiled kernels over all cores: a kernel without the interpreter's lock, a range, and threads.
+"""Run compiled kernels on all cores: a kernel without the GIL, a range, and threads.
 
-Why not numba's own parallel loops: they take about two seconds each to compile, against 0.3 s for a scalar
-kernel, and its default threading layer must not be entered twice at once (docs/decisions/0002).
+numba's own parallel loops are not used: they take about two seconds each to compile, against 0.3 s for a
+scalar kernel, and its default threading layer must not be entered twice at once (docs/decisions/0002).
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from functools import cache
 from typing import Any
 
 Report = Callable[[int, int], None]
-"""``report(done, total)``: how far a long job has come."""
+"""``report(done, total)``: progress of a long job."""
 
 
 def silent(done: int, total: int) -> None:
-    """A `Report` that says nothing."""
+    """A `Report` that does nothing."""
 
 
 def worker_count() -> int:
-    """Threads to use: ``TOUCHFIELD_THREADS``, or the cores this process may run on."""
-    asked = os.environ.get("TOUCHFIELD_THREADS", "")
-    if asked.isdigit() and int(asked) > 0:
-        return int(asked)
+    """Return the number of threads: ``TOUCHFIELD_THREADS``, or the cores this process may run on."""
+    setting = os.environ.get("TOUCHFIELD_THREADS", "")
+    if setting.isdigit() and int(setting) > 0:
+        return int(setting)
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -37,12 +37,11 @@ def _pool(workers: int) -> ThreadPoolExecutor:
 
 
 def for_chunks(kernel: Callable[..., Any], count: int, *arguments: Any, chunk: int = 1) -> list[Any]:
-    """Call ``kernel(begin, end, *arguments)`` over 0..count in pieces on all cores; results in order.
+    """Call ``kernel(start, stop, *arguments)`` over 0..count in pieces on all cores; return results in order.
 
-    `kernel` must release the lock (``nogil=True``) and write only what belongs to its range. `chunk` is the
-    smallest piece worth a thread. The caller's thread works too, so that one core costs no hand-over and a
-    call from within a call cannot wait for itself. The first error is raised after all pieces that were
-    begun.
+    `kernel` must release the GIL (``nogil=True``) and write only what belongs to its range. `chunk` is the
+    smallest piece worth a thread. The caller's thread works too, so that one core costs no hand-over and
+    nested calls cannot deadlock. The first error is raised after all started pieces have ended.
     """
     workers = worker_count()
     pieces = min(workers * 4, max(1, count // max(1, chunk)))

@@ -1,7 +1,7 @@
-"""Memory that a field may take: forces are allocated here, after a look at what the machine has.
+"""Memory budget of a field: forces are allocated here, after a check against the machine's memory.
 
-Without it a nominal lattice of 8e9 samples, or a small file that claims a large field, would drive the
-machine into swapping before any error came.
+Without it a nominal lattice of 8e9 samples, or a small file that claims a large field, would make the machine
+swap before any error was raised.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ def _physical_bytes() -> int:
 
 
 def memory_budget_bytes() -> int:
-    """Bytes that one field may take: ``TOUCHFIELD_MEMORY_GIB``, or half of the machine's memory."""
-    asked = os.environ.get("TOUCHFIELD_MEMORY_GIB", "")
+    """Return the bytes that one field may take: ``TOUCHFIELD_MEMORY_GIB``, or half of the memory."""
+    setting = os.environ.get("TOUCHFIELD_MEMORY_GIB", "")
     try:
-        return int(float(asked) * 2**30)
+        return int(float(setting) * 2**30)
     except (ValueError, OverflowError):
         return _physical_bytes() // 2
 
 
 def zero_forces(count: int) -> Float32s:
-    """Zero forces for `count` bricks, float32 [count, 8, 8, 8, 3].
+    """Allocate zero forces for `count` bricks, float32 [count, 8, 8, 8, 3].
 
     Raises `InvalidArgument` if they would take more than `memory_budget_bytes`.
     """
@@ -48,9 +48,9 @@ def zero_forces(count: int) -> Float32s:
     return np.zeros((count, BRICK, BRICK, BRICK, 3), np.float32)
 
 
-def require_memory(name: str, what: str, needed: int, mend: str = _LESS) -> None:
-    """Refuse what would take more than `memory_budget_bytes`; `InvalidArgument` if `needed` bytes are more."""
+def require_memory(name: str, contents: str, needed: int, hint: str = _LESS) -> None:
+    """Raise `InvalidArgument` if `needed` bytes exceed `memory_budget_bytes`."""
     allowed = memory_budget_bytes()
     if needed > allowed:
         found, expected = (f"{size / 2**30:.1f} GiB" for size in (needed, allowed))
-        raise InvalidArgument(name, f"{found} of {what}", f"at most {expected}", mend)
+        raise InvalidArgument(name, f"{found} of {contents}", f"at most {expected}", hint)

@@ -1,7 +1,7 @@
-"""Fields in motion as the compiled queries read them: *cells* of 9^3 samples, found by a hash table.
+"""Fields of moving objects in the layout of the compiled queries: *cells* of 9^3 samples in a hash table.
 
-Each brick of 8^3 samples is kept with the first samples of the bricks behind it, so that the eight corners of
-any point lie in one place.
+Each brick of 8^3 samples is stored with the first samples of the next bricks along each axis, so that the
+eight corners around any point are in one cell.
 """
 
 from __future__ import annotations
@@ -27,16 +27,14 @@ if TYPE_CHECKING:
     from touchfield.medium.grid import Grid
     from touchfield.medium.medium import HapticScene
 
-_FLOOR_SHARE: Final = 1e-9
-"""An object's own force below this share of F_max is the rounding of a place on the edge of its support."""
+_FLOOR_FRACTION: Final = 1e-9
+"""An object's own force below this fraction of F_max is rounding at the edge of its support."""
 
 _MEETINGS_FREE: Final = 4096
 _MEETINGS_PER_BYTE: Final = 32
-"""A frame of a file of n bytes meets at most `_MEETINGS_FREE` + 32 n bricks of the workspace, each once an
-object.
-"""
+"""In a file of n bytes, a frame may reach at most `_MEETINGS_FREE` + 32 n pairs of a brick and an object."""
 
-_JOINED: Final = ("lattices", "bricks", "cells", "held")
+_JOINED: Final = ("lattices", "bricks", "cells", "supported")
 _ANY: Final = 1 << 50
 _COLUMNS: Final = 33
 _POINTS_AT_ONCE: Final = 2048
@@ -46,7 +44,7 @@ _BYTES_PER_CELLS: Final = (BRICK + 1) ** 3 * 3 * 4
 
 @dataclass(frozen=True)
 class CellPool:
-    """The fields of some objects as the kernels read them, one behind the other (`kernels.placed`)."""
+    """The fields of some objects in the layout of the kernels (`kernels.placed`), concatenated."""
 
     # float64 [objects, 6]; spacing, and the corner of the object's box of bricks in its own frame, metres
     lattices: Float64s
@@ -54,46 +52,46 @@ class CellPool:
     starts: Int64s  # int64 [objects + 1]
     bricks: Int32s  # int32 [n, 3]; of cells, from the corner
     cells: Float32s  # float32 [n * 9 * 9 * 9 * 3]
-    held: NDArray[np.uint64]  # uint64 [n, 8]
+    supported: NDArray[np.uint64]  # uint64 [n, 8]
     tables: Int64s  # int64 [m, 2]
 
     @classmethod
-    def of(cls, field: ForceField, beside: ForceField | None = None) -> CellPool:
-        """The pool of one field; with room for `beside`, too, so that both pools have their cells in one
+    def of(cls, field: ForceField, paired: ForceField | None = None) -> CellPool:
+        """The pool of one field; with room for `paired`, too, so that both pools have their cells in one
         order.
         """
         from touchfield.medium.kernels import placed as kernels
 
         spacing = np.asarray(field.grid.spacing_m)
-        every_field = [one for one in (field, beside) if one is not None and len(one.bricks)]
-        if not every_field:
+        parts = [part for part in (field, paired) if part is not None and len(part.bricks)]
+        if not parts:
             lattice = np.concatenate([spacing, field.grid.origin_m])[None]
             none = np.zeros((0, 3), np.int32), np.zeros(0, np.float32), np.zeros((0, 8), np.uint64)
             return cls(
                 lattice, np.zeros((1, 5), np.int64), np.zeros(2, np.int64), *none, np.zeros((0, 2), np.int64)
             )
-        near = [one.bricks for one in every_field]
-        for (
-            one
-        ) in every_field:  # samples at the beginning of a brick are corners of cells of the brick before
+        candidates = [part.bricks for part in parts]
+        for part in parts:  # samples at the beginning of a brick are corners of cells of the brick before
             for corner in CORNERS[1:]:
-                begins = tuple(0 if c else slice(None) for c in corner)
-                is_near = one.mask[(slice(None), *begins)].reshape(len(one.bricks), -1).any(axis=1)
-                near.append(one.bricks[is_near] - corner)
-        every = np.concatenate(near).astype(np.int64)
-        low = every.min(axis=0)
-        box = every.max(axis=0) - low + 1
-        keys = np.unique(_keys(every - low, box))
+                first_samples = tuple(0 if c else slice(None) for c in corner)
+                has_mask = part.mask[(slice(None), *first_samples)].reshape(len(part.bricks), -1).any(axis=1)
+                candidates.append(part.bricks[has_mask] - corner)
+        all_bricks = np.concatenate(candidates).astype(np.int64)
+        low = all_bricks.min(axis=0)
+        box = all_bricks.max(axis=0) - low + 1
+        keys = np.unique(_keys(all_bricks - low, box))
         bricks = np.stack(np.unravel_index(keys, tuple(box)), axis=1)
-        own = _keys(field.bricks - low, box)
+        field_keys = _keys(field.bricks - low, box)
         sources = np.empty((len(bricks), 8), np.int64)
         for c, corner in enumerate(CORNERS):
-            behind = bricks + corner
-            sources[:, c] = np.where((behind < box).all(axis=1), slots_of(own, _keys(behind, box)), -1)
+            neighbours = bricks + corner
+            sources[:, c] = np.where(
+                (neighbours < box).all(axis=1), slots_of(field_keys, _keys(neighbours, box)), -1
+            )
         require_memory("haptic objects", f"{len(bricks)} bricks", len(bricks) * _BYTES_PER_CELLS)
         cells = np.zeros((len(bricks), *[BRICK + 1] * 3, 3), np.float32)
-        held = np.zeros((len(bricks), BRICK), np.uint64)
-        for_chunks(kernels.cells_of, len(bricks), sources, field.forces_n, cells, held, chunk=64)
+        supported = np.zeros((len(bricks), BRICK), np.uint64)
+        for_chunks(kernels.cells_of, len(bricks), sources, field.forces_n, cells, supported, chunk=64)
         shift = 64 - max(2, (4 * len(keys) - 1).bit_length())
         table = np.full((1 << (64 - shift), 2), -1, np.int64)
         kernels.hash_table(keys, shift, table)
@@ -104,29 +102,29 @@ class CellPool:
             np.array([0, len(bricks)]),
             bricks.astype(np.int32),
             cells.reshape(-1),
-            held,
+            supported,
             table,
         )
 
     @classmethod
     def joined(cls, pools: Sequence[CellPool]) -> CellPool:
-        """Several as one, in their order."""
+        """Concatenate pools in their order."""
         if len(pools) == 1:
             return pools[0]
-        first = np.cumsum([0, *(len(p.bricks) for p in pools)])
-        require_memory("haptic objects", f"{first[-1]} bricks", int(first[-1]) * _BYTES_PER_CELLS)
+        starts = np.cumsum([0, *(len(p.bricks) for p in pools)])
+        require_memory("haptic objects", f"{starts[-1]} bricks", int(starts[-1]) * _BYTES_PER_CELLS)
         tables = np.concatenate([p.tables for p in pools])
         boxes = np.concatenate([p.boxes for p in pools])
         boxes[:, 3] = np.cumsum([0, *(len(p.tables) for p in pools[:-1])])
-        for begin, before, one in zip(boxes[:, 3], first, pools):
-            slots = tables[begin : begin + len(one.tables), 1]
-            slots[slots >= 0] += before
-        every = {name: np.concatenate([getattr(p, name) for p in pools]) for name in _JOINED}
-        return cls(boxes=boxes, starts=first, tables=tables, **every)
+        for start, first_brick, pool in zip(boxes[:, 3], starts, pools):
+            slots = tables[start : start + len(pool.tables), 1]
+            slots[slots >= 0] += first_brick
+        arrays = {name: np.concatenate([getattr(p, name) for p in pools]) for name in _JOINED}
+        return cls(boxes=boxes, starts=starts, tables=tables, **arrays)
 
 
 class PlacedFields:
-    """The fields of a haptic scene where they lie."""
+    """The fields of a haptic scene at their poses."""
 
     def __init__(self, scene: HapticScene) -> None:
         self._scene, self._limit_n = scene, float(scene.force_max_n)
@@ -143,11 +141,11 @@ class PlacedFields:
             raise InvalidArgument("positions_m", f"shape {points.shape}", "points [..., 3] in metres")
         pool, placed = self._at(frame)
         out = np.empty(points.shape, np.float32)
-        flat, forces, floor = points.reshape(-1, 3), out.reshape(-1, 3), self._limit_n * _FLOOR_SHARE
+        flat, forces, floor = points.reshape(-1, 3), out.reshape(-1, 3), self._limit_n * _FLOOR_FRACTION
         if not flat.flags.writeable:
             flat = flat.copy()  # to the compiler read-only arrays are another type
-        beside = (pool.boxes, placed, pool.tables, pool.cells, pool.held, floor, self._limit_n)
-        for_chunks(kernels.at_points, len(flat), flat, *beside, forces, chunk=_POINTS_AT_ONCE)
+        tables = (pool.boxes, placed, pool.tables, pool.cells, pool.supported, floor, self._limit_n)
+        for_chunks(kernels.at_points, len(flat), flat, *tables, forces, chunk=_POINTS_AT_ONCE)
         return out
 
     def voxels(self, frame: int, grid: Grid, file_bytes: int | None = None) -> ForceField:
@@ -162,29 +160,29 @@ class PlacedFields:
                 "grid shape", f"{grid.shape}, {brick_count} bricks", f"at most {allowed} bricks"
             )
         stamps = np.zeros(brick_count, np.int32)
-        most = _MEETINGS_FREE + _MEETINGS_PER_BYTE * file_bytes if file_bytes is not None else _ANY
-        beside = pool.boxes, placed, pool.starts, pool.bricks, stamps, most
-        count, pairs = kernels.meetings(lattice, shape, *beside)
+        max_pairs = _MEETINGS_FREE + _MEETINGS_PER_BYTE * file_bytes if file_bytes is not None else _ANY
+        tables = pool.boxes, placed, pool.starts, pool.bricks, stamps, max_pairs
+        count, pairs = kernels.meetings(lattice, shape, *tables)
         if count < 0:
-            found = f"objects that reach more than {most} bricks of the {grid.shape} samples"
+            found = f"objects that reach more than {max_pairs} bricks of the {grid.shape} samples"
             raise CorruptFile(
                 f"objects, frame {frame}", found, f"at most that in a file of {file_bytes} bytes"
             )
         reached = np.unique(pairs[:count, 0])
         stamps[reached] = np.arange(len(reached))
         slots = stamps[pairs[:count, 0]]
-        which = pairs[np.argsort(slots, kind="stable"), 1]
+        object_indices = pairs[np.argsort(slots, kind="stable"), 1]
         starts = np.cumsum(np.append(0, np.bincount(slots, minlength=len(reached))))
         bricks = bricks_of(grid, reached)
         forces, filled = zero_forces(len(bricks)), np.zeros(len(bricks), np.bool_)
-        objects: tuple[Any, ...] = (pool.boxes, placed, pool.tables, pool.cells, pool.held)
-        limits = (self._limit_n * _FLOOR_SHARE, self._limit_n)
-        work = (bricks, starts, which, lattice, shape, *objects, limits, forces, filled)
+        objects: tuple[Any, ...] = (pool.boxes, placed, pool.tables, pool.cells, pool.supported)
+        limits = (self._limit_n * _FLOOR_FRACTION, self._limit_n)
+        work = (bricks, starts, object_indices, lattice, shape, *objects, limits, forces, filled)
         for_chunks(kernels.fill, len(bricks), *work, chunk=_BRICKS_AT_ONCE)
         return ForceField(grid, bricks[filled], forces[filled])
 
     def _at(self, frame: int) -> tuple[CellPool, Float64s]:
-        """Tables of one frame for the kernels; the latest is kept."""
+        """Return the tables of one frame for the kernels; the latest is cached."""
         from touchfield.medium.kernels import placed as kernels
 
         latest, scene = self._latest, self._scene
@@ -193,28 +191,34 @@ class PlacedFields:
         if not 0 <= frame < len(scene):
             raise InvalidArgument("frame", str(frame), f"0 to {len(scene) - 1}")
         pool = self._pool_of(frame)
-        tracks = [one.track for one in scene.objects]
+        tracks = [scene_object.track for scene_object in scene.objects]
         poses = np.array([[*track.quaternions[frame], *track.positions_m[frame]] for track in tracks])
         motions, placed = np.zeros((len(tracks), 6)), np.empty((len(tracks), _COLUMNS))
         if scene.surface_damping_n_s_per_m:
             with np.errstate(over="ignore"):  # the kernels cut what is beyond all bounds
                 motions[:] = scene.surface_damping_n_s_per_m * self._motions[frame]
-        kernels.place(poses, pool.lattices, motions, placed)
+        kernels.fill_placements(poses, pool.lattices, motions, placed)
         self._latest = frame, pool, placed
         return pool, placed
 
     @cached_property
     def _motions(self) -> Float64s:
         """Velocity and spin of each object, float64 [frame, object, 6]."""
-        motions = [np.hstack(one.track.velocities(self._scene.rate_hz)) for one in self._scene.objects]
+        motions = [
+            np.hstack(scene_object.track.velocities(self._scene.rate_hz))
+            for scene_object in self._scene.objects
+        ]
         return np.stack(motions, axis=1)
 
     def _pool_of(self, frame: int) -> CellPool:
-        """The fields of one frame; those of rigid objects are made once."""
+        """Return the fields of one frame; those of rigid objects are computed once."""
         if self._pool is not None:
             return self._pool
-        known, objects = self._rigid, self._scene.objects
-        pools = [known.get(n) or CellPool.of(one.field(frame)) for n, one in enumerate(objects)]
+        rigid_pools, objects = self._rigid, self._scene.objects
+        pools = [
+            rigid_pools.get(n) or CellPool.of(scene_object.field(frame))
+            for n, scene_object in enumerate(objects)
+        ]
         self._rigid = {n: pool for n, pool in enumerate(pools) if objects[n].is_rigid}
         joined = CellPool.joined(pools)
         if len(self._rigid) == len(pools):
@@ -223,5 +227,5 @@ class PlacedFields:
 
 
 def _keys(bricks: NDArray[np.integer[Any]], box: Int64s) -> Int64s:
-    """Places within a box of bricks, x slowest, int64 [n]."""
+    """Return raster indices of bricks within a box, x slowest, int64 [n]."""
     return np.asarray((bricks[:, 0] * box[1] + bricks[:, 1]) * box[2] + bricks[:, 2])

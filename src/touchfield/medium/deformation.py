@@ -1,17 +1,16 @@
-"""A deformation of a medium at the receiver: control points bend the field, nothing is sent upstream (paper
-6.3).
+"""Deformation of a medium at the receiver by control points; nothing is sent upstream (paper section 6.3).
 
-What lies at x is looked up at psi(x) = x + u(x) in the medium as it is stored; u is a cubic B-spline over a
-small lattice of control points, and flat beyond it along each axis. With F = -grad f the force is
+The field at x is looked up at psi(x) = x + u(x) in the stored medium; u is a cubic B-spline over a small
+lattice of control points, constant beyond it along each axis. With F = -grad f the force is
 
     F'(x) = (I + grad u)^T F(psi(x)) = -grad (f o psi),
 
-as free of curl as F was: a field that is bent gives no energy away, as one would whose forces kept their
-size. The map goes backwards, from where the hand is to where the medium was, so that a query inverts nothing.
+as free of curl as F: bending a field generates no energy, which it would if the forces kept their size. The
+map goes backwards, from the position of the hand to the undeformed medium, so that a query inverts nothing.
 
-The control points move by **tracks**, a lattice of displacements for each frame, blended linearly in time; or
-they **yield**: a body that gives way under the finger, as a spring of `compliance_m_per_n` in series with the
-field that follows with the time constant `relax_s`. Both add up.
+The control points move by **tracks**, a lattice of displacements for each frame, interpolated linearly in
+time; or they **yield** under the finger, as a spring of `compliance_m_per_n` in series with the field that
+follows with the time constant `relax_s`. Both add up.
 """
 
 from __future__ import annotations
@@ -27,23 +26,19 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.atomic import atomic_path
-from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_between
+from touchfield.errors import InvalidArgument, SourceError, as_source_error, require_between
 from touchfield.medium.field import frozen
 from touchfield.medium.stores.npz import NpzArchive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-MOST_CONTROLS: Final = 32  # along an axis
-MOST_CELLS: Final = 1 << 18
-"""Over all frames: a second or two, to see that none of them folds; 8 x 8 x 8 control points for 35 s at 60
-Hz.
-"""
+MAX_CONTROLS: Final = 32  # along an axis
+MAX_CELLS: Final = 1 << 18
+"""Over all frames; checking them for folds takes 1 to 2 s. With 8 x 8 x 8 control points: 35 s at 60 Hz."""
 
-STEP_M: Final = (
-    2e-5  # of displacements in a file: what no hand tells from nothing, and no slope of a map feels
-)
-_MOST_BYTES: Final = MOST_CELLS * 4**3 * 3 * 2  # of the least lattice, whose one cell has most control points
+STEP_M: Final = 2e-5  # of displacements in a file: imperceptible, and negligible in the slopes of the map
+_MAX_BYTES: Final = MAX_CELLS * 4**3 * 3 * 2  # of the least lattice, whose one cell has most control points
 _FINE: Final = 3  # places along each side of a cell at which the determinant is looked at
 _ARRAYS: Final = {"corner_m": 3, "spacing_m": 3, "rate_hz": 1, "compliance_m_per_n": 1, "relax_s": 1}
 
@@ -75,13 +70,13 @@ class Deformation:
             u.ndim != 5
             or u.shape[4] != 3
             or not len(u)
-            or not all(4 <= n <= MOST_CONTROLS for n in u.shape[1:4])
+            or not all(4 <= n <= MAX_CONTROLS for n in u.shape[1:4])
         ):
-            expected = f"[frames, nx, ny, nz, 3] with 4 to {MOST_CONTROLS} control points along each axis"
+            expected = f"[frames, nx, ny, nz, 3] with 4 to {MAX_CONTROLS} control points along each axis"
             raise InvalidArgument("displacement_m", f"shape {u.shape}", expected)
         cells = len(u) * math.prod(n - 3 for n in u.shape[1:4])
-        if cells > MOST_CELLS:
-            raise InvalidArgument("displacement_m", f"{cells} cells over all frames", f"at most {MOST_CELLS}")
+        if cells > MAX_CELLS:
+            raise InvalidArgument("displacement_m", f"{cells} cells over all frames", f"at most {MAX_CELLS}")
         for name in ("corner_m", "spacing_m"):
             three = tuple(map(float, getattr(self, name)))
             low, high = (1e-6, 10.0) if name == "spacing_m" else (-1e3, 1e3)
@@ -100,13 +95,13 @@ class Deformation:
             if not low <= getattr(self, name) <= high:
                 raise InvalidArgument(name, repr(getattr(self, name)), f"a number from {low:g} to {high:g}")
         object.__setattr__(self, "displacement_m", frozen(u))
-        least, frame = self.least_determinant()
-        if least <= 0:
+        determinant, frame = self.min_determinant()
+        if determinant <= 0:
             expected = "a positive determinant of I + grad u everywhere"
             raise InvalidArgument(
-                f"displacement_m, frame {frame}", f"a fold: {least:.3g}", expected, "Bend it less."
+                f"displacement_m, frame {frame}", f"a fold: {determinant:.3g}", expected, "Bend it less."
             )
-        if self.compliance_m_per_n and self.most_yield_m <= 0:
+        if self.compliance_m_per_n and self.max_yield_m <= 0:
             found = "tracks that bend by their utmost"
             raise InvalidArgument("compliance_m_per_n", found, "none, or tracks that bend less")
 
@@ -114,7 +109,7 @@ class Deformation:
     def at_rest(cls, low_m: ArrayLike, high_m: ArrayLike, controls: int = 8, **yields: float) -> Deformation:
         """One frame without any displacement over a box; `yields` as of the class."""
         low, high = (np.asarray(m, np.float64) for m in (low_m, high_m))
-        require_between(4, MOST_CONTROLS, controls=controls)
+        require_between(4, MAX_CONTROLS, controls=controls)
         spacing = (high - low) / (controls - 3)
         return cls(np.zeros((1, controls, controls, controls, 3)), tuple(low), tuple(spacing), **yields)
 
@@ -126,7 +121,7 @@ class Deformation:
         return f"<Deformation: {len(self)} frames of {nx} x {ny} x {nz} control points>"
 
     @property
-    def most_yield_m(self) -> float:
+    def max_yield_m(self) -> float:
         """Most that a control point may yield along an axis, metres, so that the map surely does not fold.
 
         The map does not fold where |grad u| < 1. Of a B-spline that slope is at most the difference of
@@ -143,15 +138,13 @@ class Deformation:
         return max(0.0, (0.95 - math.sqrt(square)) / math.sqrt(slope))
 
     @cached_property
-    def most_stretch(self) -> float:
-        """A bound of the greatest singular value of I + grad u, where the determinant is looked at: of
-        Gershgorin.
-        """
+    def max_stretch(self) -> float:
+        """Gershgorin bound of the largest singular value of I + grad u, at the points of the determinant."""
         squares = (np.abs(np.swapaxes(j, -2, -1) @ j).sum(axis=-1).max() for j in self._jacobians())
         return math.sqrt(max(squares))
 
-    def least_determinant(self) -> tuple[float, int]:
-        """The least determinant of I + grad u at three places along each side of every cell, and its frame."""
+    def min_determinant(self) -> tuple[float, int]:
+        """Return the minimum determinant of I + grad u, at 3^3 points of every cell, and its frame."""
         return min((float(np.linalg.det(j).min()), frame) for frame, j in enumerate(self._jacobians()))
 
     def _jacobians(self) -> Iterator[Float64s]:
@@ -201,32 +194,32 @@ class Deformation:
 
 
 def read_deformation(path: str | Path) -> Deformation:
-    """Read what `Deformation.write` wrote; `SourceError` that names file and array where it is none."""
+    """Read a file of `Deformation.write`; `SourceError` that names file and array if it is invalid."""
     archive = NpzArchive(Path(path))
     header, where = archive.header("displacement"), f"{path}, array displacement"
     if (
         header.dtype != np.uint8
         or len(header.shape) != 6
         or header.shape[0] != 2
-        or header.data_bytes > _MOST_BYTES
+        or header.data_bytes > _MAX_BYTES
     ):
         raise SourceError(
-            where, header.words, f"bytes [2, frame, nx, ny, nz, 3], at most {_MOST_BYTES >> 20} MiB"
+            where, header.description, f"bytes [2, frame, nx, ny, nz, 3], at most {_MAX_BYTES >> 20} MiB"
         )
     arrays = {name: archive.numbers(name, count) for name, count in _ARRAYS.items()}
-    beside: dict[str, Any] = {
+    parameters: dict[str, Any] = {
         name: tuple(values) if len(values) > 1 else values[0] for name, values in arrays.items()
     }
     low, high = archive.read("displacement").astype(np.int64)
     folded = low | high << 8
     second = ((folded >> 1) ^ -(folded & 1)).astype(np.int16)
     steps = np.cumsum(np.cumsum(second, axis=0, dtype=np.int16), axis=0, dtype=np.int16)
-    with blamed_on(f"{path}, "):
-        return Deformation(STEP_M * steps.astype(np.float64), **beside)
+    with as_source_error(f"{path}, "):
+        return Deformation(STEP_M * steps.astype(np.float64), **parameters)
 
 
 def _basis(t: Float64s) -> tuple[Float64s, Float64s]:
-    """Cubic B-spline at places 0 to 1 in a cell: weights of its four control points [n, 4], and their slopes."""
+    """Cubic B-spline at positions 0 to 1 in a cell: weights of four control points [n, 4], and slopes."""
     r = 1 - t
     values = [r**3, 3 * t**3 - 6 * t**2 + 4, 3 * r**3 - 6 * r**2 + 4, t**3]
     slopes = [-3 * r**2, 9 * t**2 - 12 * t, -9 * r**2 + 12 * r, 3 * t**2]
@@ -234,7 +227,7 @@ def _basis(t: Float64s) -> tuple[Float64s, Float64s]:
 
 
 def _along(u: Float64s, rows: Float64s, axis: int) -> Float64s:
-    """Control points along an axis as values at the places of each cell; `rows` are the weights of four."""
+    """Interpolate control points along an axis at the points of each cell; `rows` are the weights of four."""
     lanes = np.moveaxis(u, axis, -1)
     windows = np.lib.stride_tricks.sliding_window_view(lanes, 4, axis=-1)
     placed = np.einsum("...cw,pw->...cp", windows, rows)
@@ -242,9 +235,7 @@ def _along(u: Float64s, rows: Float64s, axis: int) -> Float64s:
 
 
 _SMOOTH: Final = (3e-3, 3e-2, 0.3)
-"""Weights of the second differences, over the mean weight of a vertex; the first that does not fold is taken.
-
-"""
+"""Weights of the second differences over the mean weight of a vertex; the first without a fold is used."""
 
 
 def fitted(
@@ -254,7 +245,7 @@ def fitted(
     rate_hz: float,
     report: Callable[[int], None] = lambda _: None,
 ) -> tuple[Deformation, float]:
-    """Tracks on the lattice of another deformation, and the rms distance that they leave, metres.
+    """Fit tracks on the lattice of another deformation; return them and the rms residual, metres.
 
     rest_m : float64 [n, 3]; the vertices in the medium as it is stored, metres.
     frames_m : of float64 [n, 3]; the vertices of each frame.
@@ -274,26 +265,26 @@ def fitted(
 
 
 def _frame(
-    wanted: Float64s, now: Float64s, lattice: Deformation, rate_hz: float, number: int
+    target: Float64s, now: Float64s, lattice: Deformation, rate_hz: float, number: int
 ) -> tuple[Float64s, float]:
     from scipy import sparse
     from scipy.sparse.linalg import spsolve
 
     shape = lattice.displacement_m.shape[1:4]
-    if not wanted.any():
+    if not target.any():
         return np.zeros((*shape, 3)), 0.0
     flat, weights = lattice.design(now)
     rows = np.repeat(np.arange(len(now)), 64)
     design = sparse.csr_matrix((weights.ravel(), (rows, flat.ravel())), shape=(len(now), int(np.prod(shape))))
-    normal, right = design.T @ design, design.T @ wanted
+    normal, right = design.T @ design, design.T @ target
     bends, eyes = 1e-9 * sparse.identity(int(np.prod(shape))), [sparse.identity(n) for n in shape]
     for axis, n in enumerate(
         shape
     ):  # squares of second differences along each axis, and a little of the first
         second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n))
         first = sparse.diags([1.0, -1.0], [0, 1], shape=(n - 1, n))
-        own = second.T @ second + 1e-3 * (first.T @ first)
-        x, y, z = (own if a == axis else eye for a, eye in enumerate(eyes))
+        penalty = second.T @ second + 1e-3 * (first.T @ first)
+        x, y, z = (penalty if a == axis else eye for a, eye in enumerate(eyes))
         bends = bends + sparse.kron(sparse.kron(x, y), z)
     for smooth in _SMOOTH:
         solved = spsolve((normal + smooth * len(now) / int(np.prod(shape)) * bends).tocsc(), right)
@@ -302,7 +293,7 @@ def _frame(
             Deformation(u[None], lattice.corner_m, lattice.spacing_m, rate_hz)
         except InvalidArgument:
             continue
-        return u, float(np.sqrt(((design @ solved - wanted) ** 2).sum(axis=1).mean()))
+        return u, float(np.sqrt(((design @ solved - target) ** 2).sum(axis=1).mean()))
     expected = "a motion in which no two places come together"
-    mend = "Take fewer frames about the one at rest, and begin anew behind them."
-    raise InvalidArgument(f"frame {number} of the tracks", "a fit that folds", expected, mend)
+    hint = "Take fewer frames about the one at rest, and begin anew behind them."
+    raise InvalidArgument(f"frame {number} of the tracks", "a fit that folds", expected, hint)

@@ -1,8 +1,8 @@
 """One instant of a haptic medium: a force field W: R^3 -> R^3 on a grid (paper section 4).
 
-Newtons, sparse in bricks of 8x8x8 samples: a brick that holds no force is not stored, and the *support* is
-where the force is not zero. The paper's amplitude vector **a** and direction matrix **D** (section 5.2) are
-the `Support` view of it.
+Forces in newtons, sparse in bricks of 8x8x8 samples: a brick without a force is not stored, and the *support*
+is the set of samples whose force is not zero. `Support` gives the paper's amplitude vector **a** and
+direction matrix **D** (section 5.2).
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def brick_keys(grid: Grid, bricks: NDArray[np.integer[Any]]) -> Int64s:
-    """The place of each brick in the fixed order (x slowest, z fastest), int64 [n], of int [n, 3]."""
+    """Return the raster index of each brick (x slowest, z fastest), int64 [n], of int [n, 3]."""
     _, by, bz = grid.brick_shape
     b = bricks.astype(np.int64)
     return (b[:, 0] * by + b[:, 1]) * bz + b[:, 2]
 
 
 def bricks_of(grid: Grid, keys: Int64s) -> Int32s:
-    """The bricks of these keys, int32 [n, 3]; the inverse of `brick_keys`."""
+    """Return the bricks of these keys, int32 [n, 3]; the inverse of `brick_keys`."""
     _, by, bz = grid.brick_shape
     bricks, rows = np.empty((len(keys), 3), np.int32), keys // bz
     bricks[:, 0], bricks[:, 2] = rows // by, keys - rows * bz
@@ -55,7 +55,7 @@ def bricks_of(grid: Grid, keys: Int64s) -> Int32s:
 
 
 def bricks_within(grid: Grid, spans: Int64s) -> Int32s:
-    """The bricks within some boxes, ascending, each once; `spans` [n, 3, 2] are their begins and ends."""
+    """Return the distinct bricks within boxes, ascending; `spans` [n, 3, 2] are their starts and stops."""
     from touchfield.medium import kernels
 
     pairs = float(np.maximum(0, spans[..., 1] - spans[..., 0]).prod(axis=1, dtype=np.float64).sum())
@@ -68,14 +68,14 @@ def bricks_within(grid: Grid, spans: Int64s) -> Int32s:
 
 
 def bricks_reached(
-    field: ForceField, grid: Grid, place: Callable[[Float64s], Float64s] | None = None
+    field: ForceField, grid: Grid, move: Callable[[Float64s], Float64s] | None = None
 ) -> Int32s:
     """The bricks of `grid` that a field may reach: its samples act within one spacing.
 
-    ``place(points_m)`` moves the field on the way.
+    ``move(points_m)``, if given, transforms the points of the field first.
     """
     points = field.grid.to_m(field.bricks[:, None] * BRICK + np.where(CORNERS, BRICK, -1))
-    index = grid.to_index(points if place is None else place(points))
+    index = grid.to_index(points if move is None else move(points))
     low, high = index.min(axis=1) - ON_A_SAMPLE, index.max(axis=1) + ON_A_SAMPLE
     last = np.array(grid.shape) - 1
     is_met = ((high >= 0) & (low <= last)).all(axis=1)
@@ -87,8 +87,10 @@ def bricks_reached(
 def check_bricks(
     owner: str, grid: Grid, bricks: Int32s, name: str, values: NDArray[Any], kind: str, *components: int
 ) -> None:
-    """`InvalidArgument` if bricks are not int32 [n, 3], ascending and within the grid, or the values of their
-    samples not [n, 8, 8, 8, *components] of a kind, "float32"; it names the owner of both, and the values.
+    """Raise `InvalidArgument` if bricks or the values of their samples are invalid.
+
+    Bricks are int32 [n, 3], ascending and within the grid; values are [n, 8, 8, 8, *components] of the type
+    `kind`, such as "float32". The error names `owner`, and `name` for the values.
     """
     if bricks.dtype != np.int32 or bricks.ndim != 2 or bricks.shape[1] != 3:
         raise InvalidArgument(f"{owner} bricks", f"{bricks.dtype} {bricks.shape}", "int32 [n, 3]")
@@ -102,16 +104,16 @@ def check_bricks(
             raise InvalidArgument(f"{owner} bricks", "bricks out of order or twice", "ascending order")
 
 
-def slots_of(known: Int64s, keys: Int64s) -> Int64s:
-    """Places of keys among ascending ones, int64 of their shape; -1 where there is none."""
-    if not len(known):
+def slots_of(sorted_keys: Int64s, keys: Int64s) -> Int64s:
+    """Return the index of each key among ascending keys, int64 of the shape of `keys`; -1 if missing."""
+    if not len(sorted_keys):
         return np.full(keys.shape, -1)
-    slot = np.minimum(np.searchsorted(known, keys), len(known) - 1)
-    return np.where(known[slot] == keys, slot, -1)
+    slot = np.minimum(np.searchsorted(sorted_keys, keys), len(sorted_keys) - 1)
+    return np.where(sorted_keys[slot] == keys, slot, -1)
 
 
 def tiled(dense: NDArray[Any]) -> NDArray[Any]:
-    """The bricks of an array [nx, ny, nz, ...], zero beyond its end, [bx, by, bz, 8, 8, 8, ...]."""
+    """Return the bricks of an array [nx, ny, nz, ...], zero-padded, [bx, by, bz, 8, 8, 8, ...]."""
     short = [*((0, -n % BRICK) for n in dense.shape[:3]), *((0, 0) for _ in dense.shape[3:])]
     padded = np.pad(dense, short) if any(after for _, after in short) else dense
     x, y, z = (n // BRICK for n in padded.shape[:3])
@@ -119,54 +121,50 @@ def tiled(dense: NDArray[Any]) -> NDArray[Any]:
 
 
 def values_at(
-    grid: Grid, bricks: Int32s, values: NDArray[Any], places: NDArray[np.integer[Any]]
+    grid: Grid, bricks: Int32s, values: NDArray[Any], indices: NDArray[np.integer[Any]]
 ) -> NDArray[Any]:
-    """Values [n, 8, 8, 8, ...] of ascending bricks at lattice points int [m, 3], [m, ...]; 0 where no brick
-    is.
-    """
-    inside = ((places >= 0) & (places < grid.shape)).all(axis=1)
-    slots = np.full(len(places), -1)
-    slots[inside] = slots_of(brick_keys(grid, bricks), brick_keys(grid, places[inside] // BRICK))
+    """Look up values [n, 8, 8, 8, ...] of ascending bricks at points int [m, 3]; 0 without a brick."""
+    inside = ((indices >= 0) & (indices < grid.shape)).all(axis=1)
+    slots = np.full(len(indices), -1)
+    slots[inside] = slots_of(brick_keys(grid, bricks), brick_keys(grid, indices[inside] // BRICK))
     stored = np.flatnonzero(slots >= 0)
-    x, y, z = (places[stored] % BRICK).T
-    out = np.zeros((len(places), *values.shape[4:]), values.dtype)
+    x, y, z = (indices[stored] % BRICK).T
+    out = np.zeros((len(indices), *values.shape[4:]), values.dtype)
     out[stored] = values[slots[stored], x, y, z]
     return out
 
 
-def slots_around(
+def neighbour_slots(
     bricks: NDArray[np.integer[Any]],
     others: NDArray[np.integer[Any]],
     count: Sequence[int] | Int64s,
     neighbours: int = 27,
 ) -> Int64s:
-    """Places among others of the bricks around each brick, int64 [n, neighbours]; -1 for none.
+    """Return the indices, among `others`, of the bricks around each brick, int64 [n, neighbours]; -1: none.
 
     bricks, others : int [n, 3], int [m, 3]; the others in raster order, x slowest.
     count : 3 int; bricks along each axis.
     neighbours : int; how many of the 27, in raster order; 13 is the brick itself.
     """
-    pitch = np.array(
-        [(count[1] + 2) * (count[2] + 2), count[2] + 2, 1], np.int64
-    )  # with room between the rows
-    keys, known = bricks @ pitch, others @ pitch
+    # rows are separated by two, so that neighbours across an edge match no brick
+    pitch = np.array([(count[1] + 2) * (count[2] + 2), count[2] + 2, 1], np.int64)
+    keys, other_keys = bricks @ pitch, others @ pitch
     out = np.empty((len(bricks), neighbours), np.int64)
     for s in range(neighbours):
         step: Any = np.array([s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1]) @ pitch
-        out[:, s] = slots_of(known, keys + step)
+        out[:, s] = slots_of(other_keys, keys + step)
     return out
 
 
 def keys_of_both(first: ForceField, second: ForceField) -> Int64s:
-    """The bricks of either field, ascending."""
-    return np.union1d(*(brick_keys(one.grid, one.bricks) for one in (first, second)))
+    """Return the keys of the bricks of either field, ascending."""
+    return np.union1d(*(brick_keys(field.grid, field.bricks) for field in (first, second)))
 
 
 def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
-    """The bricks, int32 [m, 3], that a force may reach from `bricks` [n, 3] by moving up to `reach` samples
-    an axis.
+    """Return the bricks, int32 [m, 3], within `reach` samples along each axis of `bricks` [n, 3].
 
-    Ascending, all within the grid, `bricks` among them.
+    They are ascending, within the grid, and include `bricks`.
     Raises `InvalidArgument` if the reach makes more than 2^27 pairs of bricks.
     """
     keys = np.sort(brick_keys(grid, bricks))
@@ -177,45 +175,46 @@ def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
 
 
 def spread_keys(keys: Int64s, lattice: tuple[int, int, int], axis: int, margins: tuple[int, int]) -> Int64s:
-    """Ascending keys of bricks, int64 [m], each once: `keys` [n] and, on `axis`, up to `margins` before and
-    behind.
+    """Extend ascending keys of bricks [n] along `axis` by `margins` bricks before and after, int64 [m].
 
     Raises `InvalidArgument` if that makes more than 2^27 pairs of bricks.
     """
     size, step = lattice[axis], int(np.prod(lattice[axis + 1 :]))
-    back, ahead = (min(margin, size - 1) for margin in margins)
-    if len(keys) * (back + ahead + 1) > _MAX_PAIRS:
+    backward, forward = (min(margin, size - 1) for margin in margins)
+    if len(keys) * (backward + forward + 1) > _MAX_PAIRS:
         reach = f"{max(margins) * BRICK} samples around {len(keys)} bricks"
         raise InvalidArgument("filter reach", reach, "a smaller reach", "Take a coarser grid.")
-    place = keys // step % size
-    moved = [keys[(place + d >= 0) & (place + d < size)] + d * step for d in range(-back, ahead + 1)]
-    every = np.sort(np.concatenate(moved), kind="stable")  # several ascending rows: quickly merged
-    return np.asarray(every[np.diff(every, prepend=-1) > 0])
+    coordinate = keys // step % size
+    moved = [
+        keys[(coordinate + d >= 0) & (coordinate + d < size)] + d * step
+        for d in range(-backward, forward + 1)
+    ]
+    sorted_keys = np.sort(np.concatenate(moved), kind="stable")  # several ascending rows: quickly merged
+    return np.asarray(sorted_keys[np.diff(sorted_keys, prepend=-1) > 0])
 
 
-def blocks_around(
+def padded_blocks(
     field: ForceField, values: NDArray[Any], bricks: Int32s, before: Sequence[int], after: Sequence[int]
 ) -> Iterator[tuple[slice, NDArray[Any]]]:
-    """Values of a field's bricks [n, 8, 8, 8, ...] at some bricks [m, 3], and so many samples before and
-    after them.
+    """Yield the values of a field at some bricks [m, 3], with `before` and `after` samples around them.
 
-    They are zero where there is no brick, and come some bricks at a time: which, and float [.., 8 + before +
-    after].
+    `values` are those of the field's bricks [n, 8, 8, 8, ...]; missing bricks are zero. Each item is a slice
+    of `bricks` and its blocks, float [.., 8 + before + after] along each axis.
     """
-    grid, own = field.grid, brick_keys(field.grid, field.bricks)
+    grid, field_keys = field.grid, brick_keys(field.grid, field.bricks)
     low, high = ([-(-n // BRICK) for n in side] for side in (before, after))
     shape = (*(BRICK * (a + 1 + b) for a, b in zip(low, high)), *values.shape[4:])
     cut = (slice(None), *(slice(BRICK * a - m, BRICK * (a + 1) + n) for a, m, n in zip(low, before, after)))
     count = max(1, _BLOCK_VALUES // math.prod(shape))
-    for begin in range(0, len(bricks), count):
-        span = slice(begin, min(begin + count, len(bricks)))
-        wide = np.zeros((span.stop - begin, *shape), values.dtype)
+    for start in range(0, len(bricks), count):
+        span = slice(start, min(start + count, len(bricks)))
+        wide = np.zeros((span.stop - start, *shape), values.dtype)
         for offset in product(*(range(-a, b + 1) for a, b in zip(low, high))):
-            near = bricks[span] + np.array(offset)
-            slot = slots_of(own, brick_keys(grid, near))
-            is_there = (slot >= 0) & ((near >= 0) & (near < grid.brick_shape)).all(axis=1)
-            place = (slice(BRICK * (d + a), BRICK * (d + a + 1)) for d, a in zip(offset, low))
-            wide[(is_there, *place)] = values[slot[is_there]]
+            neighbours = bricks[span] + np.array(offset)
+            slot = slots_of(field_keys, brick_keys(grid, neighbours))
+            is_stored = (slot >= 0) & ((neighbours >= 0) & (neighbours < grid.brick_shape)).all(axis=1)
+            target = (slice(BRICK * (d + a), BRICK * (d + a + 1)) for d, a in zip(offset, low))
+            wide[(is_stored, *target)] = values[slot[is_stored]]
         yield span, wide[cut]
 
 
@@ -227,16 +226,14 @@ def numbers_of(
     *,
     is_finite: bool = False,
 ) -> NDArray[Any]:
-    """An argument as an array of a kind and shape; `InvalidArgument` for what would lose something on the
-    way.
-    """
+    """Convert an argument to an array of a type and shape; `InvalidArgument` if the conversion loses data."""
     try:
-        given = np.asarray(values)
-        if given.dtype.kind in "cMm" or np.ma.is_masked(values):
-            raise TypeError(f"{'masked values' if np.ma.is_masked(values) else given.dtype}")
-        with np.errstate(over="ignore", invalid="ignore"):  # what is beyond is infinite: callers look for it
-            numbers = given.astype(kind, copy=False)
-        if np.issubdtype(kind, np.integer) and not (numbers == given).all():
+        array = np.asarray(values)
+        if array.dtype.kind in "cMm" or np.ma.is_masked(values):
+            raise TypeError(f"{'masked values' if np.ma.is_masked(values) else array.dtype}")
+        with np.errstate(over="ignore", invalid="ignore"):  # overflow gives infinity, which callers check
+            numbers = array.astype(kind, copy=False)
+        if np.issubdtype(kind, np.integer) and not (numbers == array).all():
             raise ValueError(f"not whole, or beyond {kind.__name__}")
         numbers = numbers if shape is None else numbers.reshape(shape)
     except (TypeError, ValueError, OverflowError) as error:
@@ -296,7 +293,7 @@ class ForceField(EqualByValue):
             beyond = b[:, axis, None] * BRICK + local >= grid.shape[axis]
             if beyond.any():
                 np.moveaxis(f, axis + 1, 1)[beyond] = 0
-        return field_that_holds(grid, b, f)
+        return field_without_empty_bricks(grid, b, f)
 
     @classmethod
     def from_dense(cls, grid: Grid, forces_n: ArrayLike) -> ForceField:
@@ -312,16 +309,16 @@ class ForceField(EqualByValue):
     def from_slabs(cls, grid: Grid, slabs: Iterable[Float32s], *, to_the_bit: bool = False) -> ForceField:
         """From dense pieces across x, newtons float32 [m, ny, nz, 3], m a multiple of 8 but in the last.
 
-        Only bricks that hold a force are kept; `to_the_bit` also those of -0.0 alone.
+        Only bricks with a force are kept; with `to_the_bit` also those that contain -0.0 only.
         """
         bricks, forces = [np.zeros((0, 3), np.int32)], [np.zeros((0, BRICK, BRICK, BRICK, 3), np.float32)]
         first = 0
         for dense in slabs:
             tiles = tiled(dense)
             is_force = np.ascontiguousarray(tiles).view(np.uint32) != 0 if to_the_bit else tiles != 0
-            places = np.argwhere(is_force.any(axis=(3, 4, 5, 6))).astype(np.int32)
-            forces.append(tiles[tuple(places.T)])
-            bricks.append(places + np.array([first, 0, 0], np.int32))
+            indices = np.argwhere(is_force.any(axis=(3, 4, 5, 6))).astype(np.int32)
+            forces.append(tiles[tuple(indices.T)])
+            bricks.append(indices + np.array([first, 0, 0], np.int32))
             first += len(tiles)
         if to_the_bit:
             return cls(grid, np.concatenate(bricks), np.concatenate(forces))
@@ -340,8 +337,8 @@ class ForceField(EqualByValue):
         return cls.from_bricks(grid, bricks_of(grid, keys), forces)
 
     def __repr__(self) -> str:
-        felt = f"{self.support_count:,} of {self.grid.voxel_count:,} samples hold a force"
-        return f"<ForceField: {felt}, {self.grid.words}>"
+        support = f"{self.support_count:,} of {self.grid.voxel_count:,} samples hold a force"
+        return f"<ForceField: {support}, {self.grid.description}>"
 
     def to_dense(self) -> Float32s:
         """Newtons as a dense float32 array [nx, ny, nz, 3]."""
@@ -357,16 +354,16 @@ class ForceField(EqualByValue):
         order = np.argsort(self.bricks[:, axis], kind="stable")
         edges = np.searchsorted(self.bricks[order, axis], np.arange(shape[axis] + 1))
         for slab in range(shape[axis]):
-            own = order[edges[slab] : edges[slab + 1]]
+            selected = order[edges[slab] : edges[slab + 1]]
             tiles = np.zeros((*np.delete(shape, axis), BRICK, BRICK, BRICK, 3), np.float32)
-            tiles[tuple(np.delete(self.bricks[own], axis, axis=1).T)] = self.forces_n[own]
+            tiles[tuple(np.delete(self.bricks[selected], axis, axis=1).T)] = self.forces_n[selected]
             tiles = np.expand_dims(tiles, axis).transpose(0, 3, 1, 4, 2, 5, 6)
             size = [BRICK if a == axis else n * BRICK for a, n in enumerate(shape)]
             nx, ny, nz = (n - slab * BRICK if a == axis else n for a, n in enumerate(self.grid.shape))
             yield np.ascontiguousarray(tiles.reshape(*size, 3)[:nx, :ny, :nz])
 
     def raster_slots(self) -> Int64s:
-        """Places of the supported samples in ``forces_n.reshape(-1, 3)``, in raster order, int64 [L]."""
+        """Return the indices of the support in ``forces_n.reshape(-1, 3)``, in raster order, int64 [L]."""
         from touchfield.medium import kernels
 
         return kernels.raster_slots(self.bricks, self.mask)
@@ -451,27 +448,26 @@ class ForceField(EqualByValue):
 def field_of_points(
     grid: Grid, bricks: Int32s, forces_n: Callable[[Float64s], NDArray[np.floating[Any]]]
 ) -> ForceField:
-    """The forces of a function of points in metres, float64 [n, 3], at the samples of bricks, int32 [m, 3]
-    ascending.
+    """Evaluate a force function of points in metres, float64 [n, 3], at the samples of ascending bricks.
 
-    Outside the bricks there is no force; those that hold none are left out.
+    The field is zero outside the bricks, int32 [m, 3]; bricks without a force are dropped.
     """
     forces = zero_forces(len(bricks))
 
-    def fill(begin: int, end: int) -> None:
-        for first in range(begin, end, _BRICKS_AT_ONCE):
-            some = slice(first, min(first + _BRICKS_AT_ONCE, end))
+    def fill(start: int, stop: int) -> None:
+        for first in range(start, stop, _BRICKS_AT_ONCE):
+            some = slice(first, min(first + _BRICKS_AT_ONCE, stop))
             index = bricks[some, None, None, None] * BRICK + LOCAL
             values = forces_n(grid.to_m(index).reshape(-1, 3)).reshape(index.shape)
             values[(index >= grid.shape).any(axis=-1)] = 0
             forces[some] = values
 
     for_chunks(fill, len(bricks), chunk=_BRICKS_AT_ONCE)
-    return field_that_holds(grid, bricks, forces)
+    return field_without_empty_bricks(grid, bricks, forces)
 
 
-def field_that_holds(grid: Grid, bricks: Int32s, forces_n: Float32s) -> ForceField:
-    """The field of bricks, int32 [n, 3] ascending, without those that hold no force."""
+def field_without_empty_bricks(grid: Grid, bricks: Int32s, forces_n: Float32s) -> ForceField:
+    """Return the field of bricks, int32 [n, 3] ascending, without those that have no force."""
     holds = forces_n.any(axis=(1, 2, 3, 4))
     return (
         ForceField(grid, bricks, forces_n)

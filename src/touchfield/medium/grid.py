@@ -1,9 +1,8 @@
-"""A regular lattice: index and metres; and the place of a scene in a workspace, from scene metres to hand
-metres.
+"""A regular lattice, and the placement of a scene in a workspace (from scene metres to hand metres).
 
-The paper's workspace sampled "with 2^n_w samples per dimension" (section 5.2). Sample (i, j, k) lies at
-``origin_m + (i, j, k) * spacing_m``; it stands for the cell of that size around it, so that the box of a
-grid reaches half a spacing beyond its first and last samples.
+The paper samples the workspace "with 2^n_w samples per dimension" (section 5.2). Sample (i, j, k) lies at
+``origin_m + (i, j, k) * spacing_m`` and represents the cell of that size around it, so that the box of a grid
+extends half a spacing beyond its first and last samples.
 """
 
 from __future__ import annotations
@@ -22,14 +21,14 @@ BRICK = 8
 """Samples along each edge of a brick (docs/decisions/0001)."""
 
 ON_A_SAMPLE: Final = (
-    1e-6  # of the spacing: as near to a sample a point lies on it, so that whole steps are exact
+    1e-6  # of the spacing: a point this near to a sample lies on it, so whole steps are exact
 )
 
 CORNERS: Final = np.indices((2, 2, 2), np.int32).reshape(3, 8).T.copy()
 """The corners of a cube of edge 1, z fastest, int32 [8, 3]."""
 
 LOCAL: Final = np.stack([*np.indices((BRICK,) * 3)], axis=-1)
-"""Places of the samples within a brick, int64 [8, 8, 8, 3]."""
+"""Indices of the samples within a brick, int64 [8, 8, 8, 3]."""
 
 MAX_SAMPLES_PER_AXIS = 1 << 20
 
@@ -73,8 +72,8 @@ class Grid:
         object.__setattr__(self, "origin_m", origin)
 
     @property
-    def words(self) -> str:
-        """Samples and spacing, in short."""
+    def description(self) -> str:
+        """Samples and spacing as short text."""
         shape = " x ".join(map(str, self.shape))
         return f"{shape} samples of {' x '.join(f'{1e3 * h:.4g}' for h in self.spacing_m)} mm"
 
@@ -112,8 +111,8 @@ class Grid:
 
     def axis_m(self, axis: int) -> Float64s:
         """Positions of the samples along one axis, metres, float64 [shape[axis]]."""
-        places = np.arange(self.shape[axis], dtype=np.float64)
-        return np.asarray(self.origin_m[axis] + self.spacing_m[axis] * places)
+        indices = np.arange(self.shape[axis], dtype=np.float64)
+        return np.asarray(self.origin_m[axis] + self.spacing_m[axis] * indices)
 
     def to_m(self, index: ArrayLike) -> Float64s:
         """Positions in metres, float64 [..., 3], of (fractional) indices [..., 3]."""
@@ -168,52 +167,50 @@ class Placement:
 
     @classmethod
     def fit(cls, scene_box_m: ArrayLike, workspace_m: ArrayLike, margin_m: float = 0.0) -> Placement:
-        """The scene's box as large as the workspace allows, its aspect kept.
+        """Scale the scene's box to the workspace, with its aspect ratio preserved.
 
         scene_box_m : float [2, 3]; low and high corner; an axis without extent sets no limit.
         workspace_m : float [3]; extents in the scene's axes; ``inf`` sets no limit.
-        margin_m : float; room to leave on every side for forces outside the surface, metres of the hand.
+        margin_m : float; margin on every side for forces outside the surface, metres of the hand.
         """
         centre, extent = _centre_and_extent(scene_box_m)
         workspace = np.asarray(workspace_m, np.float64)
         if workspace.shape != (3,) or not (workspace > 0).all():
             raise InvalidArgument("workspace_m", f"{workspace.tolist()}", "three positive extents in metres")
-        room = workspace - 2 * float(margin_m)
-        if not (margin_m >= 0 and (room > 0).all()):
+        available = workspace - 2 * float(margin_m)
+        if not (margin_m >= 0 and (available > 0).all()):
             raise InvalidArgument("margin_m", repr(margin_m), "from 0 to less than half the workspace")
-        bounded = (extent > 0) & np.isfinite(room)
+        bounded = (extent > 0) & np.isfinite(available)
         if not bounded.any():
             raise InvalidArgument("workspace_m", "no limit along any extent of the scene", "finite metres")
-        scale = float((room[bounded] / extent[bounded]).min())
+        scale = float((available[bounded] / extent[bounded]).min())
         return cls(scale, tuple(centre.tolist()))
 
     @classmethod
     def scaled(cls, scene_box_m: ArrayLike, factor: float) -> Placement:
-        """A given scale about the centre of the scene's box; 1: the workspace is a window of its own size."""
+        """Use a given scale about the centre of the scene's box; 1 keeps the scene's size."""
         centre, _ = _centre_and_extent(scene_box_m)
         return cls(factor, tuple(centre.tolist()))
 
     @overload
-    def to_hand(self, what: Grid) -> Grid: ...
+    def to_hand(self, value: Grid) -> Grid: ...
     @overload
-    def to_hand(self, what: ArrayLike) -> Float64s: ...
-    def to_hand(self, what: Grid | ArrayLike) -> Grid | Float64s:
-        """Points of the scene [..., 3], or a grid, metres, where the hand finds them, metres, float64 [...,
-        3].
-        """
-        if isinstance(what, Grid):
-            return what.moved(self.scale, -self.scale * np.asarray(self.offset_m))
-        return np.asarray(self.scale * (np.asarray(what, np.float64) - np.asarray(self.offset_m)))
+    def to_hand(self, value: ArrayLike) -> Float64s: ...
+    def to_hand(self, value: Grid | ArrayLike) -> Grid | Float64s:
+        """Convert points [..., 3] or a grid from scene metres to hand metres."""
+        if isinstance(value, Grid):
+            return value.moved(self.scale, -self.scale * np.asarray(self.offset_m))
+        return np.asarray(self.scale * (np.asarray(value, np.float64) - np.asarray(self.offset_m)))
 
     @overload
-    def to_scene(self, what: Grid) -> Grid: ...
+    def to_scene(self, value: Grid) -> Grid: ...
     @overload
-    def to_scene(self, what: ArrayLike) -> Float64s: ...
-    def to_scene(self, what: Grid | ArrayLike) -> Grid | Float64s:
-        """Points of the hand's space [..., 3], or a grid, metres, in the scene, metres, float64 [..., 3]."""
-        if isinstance(what, Grid):
-            return what.moved(1 / self.scale, self.offset_m)
-        return np.asarray(np.asarray(what, np.float64) / self.scale + np.asarray(self.offset_m))
+    def to_scene(self, value: ArrayLike) -> Float64s: ...
+    def to_scene(self, value: Grid | ArrayLike) -> Grid | Float64s:
+        """Convert points [..., 3] or a grid from hand metres to scene metres."""
+        if isinstance(value, Grid):
+            return value.moved(1 / self.scale, self.offset_m)
+        return np.asarray(np.asarray(value, np.float64) / self.scale + np.asarray(self.offset_m))
 
     @property
     def wording(self) -> str:
@@ -222,17 +219,15 @@ class Placement:
         unit, size_m = next((u for u in _UNITS if length_m >= u[1]), _UNITS[-1])
         return f"1 mm of the hand is {length_m / size_m:.4g} {unit} of the scene"
 
-    def told(self) -> dict[str, list[float]]:
-        """The mapping as files and summaries keep it: x_hand = mapping_scale * (x_scene - mapping_offset_m)."""
+    def to_dict(self) -> dict[str, list[float]]:
+        """Return the mapping by its keys in files: x_hand = mapping_scale (x_scene - mapping_offset_m)."""
         return {"mapping_scale": [self.scale], "mapping_offset_m": list(self.offset_m)}
 
 
-def axis_words(axes: str, axis: int) -> list[str]:
-    """The words of one axis in those of a medium, ["y", "down"] of "x right, y down"; none where it is not
-    told.
-    """
-    words = axes.lower().split(",")
-    return words[axis].split() if axis < len(words) else []
+def axis_description(axes: str, axis: int) -> list[str]:
+    """Return the description of one axis of a medium, ["y", "down"] of "x right, y down"; [] if missing."""
+    parts = axes.lower().split(",")
+    return parts[axis].split() if axis < len(parts) else []
 
 
 def _centre_and_extent(scene_box_m: ArrayLike) -> tuple[Float64s, Float64s]:

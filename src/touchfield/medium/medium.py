@@ -1,7 +1,7 @@
-"""W_t: a haptic medium, a lazy sequence of force fields with what travels beside it (paper section 4).
+"""W_t: a haptic medium, a lazy sequence of force fields with metadata (paper section 4).
 
-"The static W representation becomes a timeseries W_t." Frames are made when they are asked for, and not
-kept: a medium of a thousand frames costs no more memory than the caller holds on to.
+"The static W representation becomes a timeseries W_t." Frames are computed on access and not cached: a
+medium of a thousand frames takes no more memory than the frames that the caller keeps.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float32s, Int32s, Travels
+from touchfield.arrays import Float32s, Int32s, Picklable
 from touchfield.errors import InvalidArgument, import_extra, is_finite, require_not_negative, require_positive
 from touchfield.hooks import hook
 from touchfield.medium.budget import require_memory
@@ -29,7 +29,7 @@ from touchfield.medium.pose_track import PoseTrack
 if TYPE_CHECKING:
     from touchfield.medium.cells import PlacedFields
 
-_AT_A_FRAME = 1e-6  # as near to a frame as this share of the time between two, a time is that of the frame
+_AT_A_FRAME = 1e-6  # fraction of a frame period: a time this near to a frame is that of the frame
 MAX_FREQUENCY_HZ: Final = 10000.0  # as in ISO/IEC 23090-31
 
 
@@ -61,8 +61,8 @@ class VibrationFrame:
             if p.min() < 0 or (p.max(0) >= self.grid.shape).any():
                 raise InvalidArgument("positions", "an index outside the grid", f"below {self.grid.shape}")
             _, ny, nz = self.grid.shape
-            places = (p[:, 0].astype(np.int64) * ny + p[:, 1]) * nz + p[:, 2]
-            if (np.diff(places) <= 0).any():
+            keys = (p[:, 0].astype(np.int64) * ny + p[:, 1]) * nz + p[:, 2]
+            if (np.diff(keys) <= 0).any():
                 raise InvalidArgument("positions", "samples out of order or twice", "raster order")
             if f.max() > MAX_FREQUENCY_HZ:
                 raise InvalidArgument("frequencies_hz", f"{f.max():g} Hz", f"up to {MAX_FREQUENCY_HZ:g} Hz")
@@ -92,7 +92,7 @@ def _later(make: Callable[[int], Any], start: int, index: int) -> Any:
 
 @dataclass(frozen=True)
 class Segments:
-    """Runs of frames that were coded without what is before them.
+    """Runs of frames that were coded independently of earlier frames.
 
     Raises `InvalidArgument` if the starts are none or out of order.
     """
@@ -105,20 +105,20 @@ class Segments:
         if self.starts[:1] != (0,) or any(a >= b for a, b in zip(self.starts, self.starts[1:])):
             raise InvalidArgument("starts", f"{self.starts[:4]}", "frames in ascending order, 0 the first")
 
-    def around(self, frame: int, frame_count: int) -> tuple[int, int]:
-        """First frame and number of frames of the segment that holds a frame of a medium of so many."""
-        which = bisect_right(self.starts, frame)
-        stop = self.starts[which] if which < len(self.starts) else frame_count
-        return self.starts[which - 1], stop - self.starts[which - 1]
+    def segment_at(self, frame: int, frame_count: int) -> tuple[int, int]:
+        """Return the first frame and the number of frames of the segment of a frame."""
+        index = bisect_right(self.starts, frame)
+        stop = self.starts[index] if index < len(self.starts) else frame_count
+        return self.starts[index - 1], stop - self.starts[index - 1]
 
     def between(self, start: int, stop: int) -> Segments:
-        """Of frames start to stop - 1, counted from 0."""
+        """Return the segments of frames start to stop - 1, renumbered from 0."""
         within = tuple(at - start for at in self.starts if start < at < stop)
         return replace(self, starts=(0, *within))
 
 
 @dataclass(frozen=True)
-class HapticMedium(Travels):
+class HapticMedium(Picklable):
     """A force field over time.
 
     grid : Grid; the lattice of every frame.
@@ -155,15 +155,15 @@ class HapticMedium(Travels):
 
     @classmethod
     def from_frames(cls, frames: Sequence[ForceField], rate_hz: float, axes: str = "x, y, z") -> HapticMedium:
-        """A medium of fields that are already there."""
-        kept = tuple(frames)
-        if not kept or not all(isinstance(one, ForceField) for one in kept):
+        """Make a medium of existing fields."""
+        fields = tuple(frames)
+        if not fields or not all(isinstance(frame, ForceField) for frame in fields):
             raise InvalidArgument(
                 "frames", "none, or what is no field", "ForceFields", "`from_array` takes newtons."
             )
-        if any(f.grid != kept[0].grid for f in kept):
+        if any(f.grid != fields[0].grid for f in fields):
             raise InvalidArgument("frames", "fields on different grids", "one grid for all")
-        return cls(kept[0].grid, rate_hz, len(kept), kept.__getitem__, axes)
+        return cls(fields[0].grid, rate_hz, len(fields), fields.__getitem__, axes)
 
     @classmethod
     def from_array(
@@ -178,21 +178,19 @@ class HapticMedium(Travels):
         if frames.ndim != 5 or not len(frames):
             expected = f"{('frames', *grid.shape, 3)} or {(*grid.shape, 3)}, as the grid says"
             raise InvalidArgument("forces_n", f"shape {dense.shape}", expected)
-        return cls.from_frames([ForceField.from_dense(grid, one) for one in frames], rate_hz, axes)
+        return cls.from_frames([ForceField.from_dense(grid, frame) for frame in frames], rate_hz, axes)
 
     @property
-    def beside(self) -> dict[str, Any]:
-        """The values that travel beside the frames, by their names in files: rate, axes, tags, friction,
-        damping.
-        """
+    def metadata(self) -> dict[str, Any]:
+        """Rate, axes, tags, friction and damping, by their names in files."""
         return {
             name: getattr(self, name) for name in ("rate_hz", "axes", "tags", "friction", "damping_n_s_per_m")
         }
 
     def __repr__(self) -> str:
         frames = f"{self.frame_count} frame{'s' * (self.frame_count != 1)} at {self.rate_hz:g} Hz"
-        beside = ", vibration beside it" * (self.vibration is not None)
-        return f"<HapticMedium: {frames} on {self.grid.words}; {self.axes}{beside}>"
+        vibration = ", vibration beside it" * (self.vibration is not None)
+        return f"<HapticMedium: {frames} on {self.grid.description}; {self.axes}{vibration}>"
 
     def __len__(self) -> int:
         return self.frame_count
@@ -203,18 +201,18 @@ class HapticMedium(Travels):
     def __getitem__(self, index: slice) -> HapticMedium: ...
     def __getitem__(self, index: int | slice) -> ForceField | HapticMedium:
         try:
-            place = range(self.frame_count)[index]
+            selected = range(self.frame_count)[index]
         except TypeError:
             raise InvalidArgument("frames", repr(index), "a whole number or START:STOP") from None
         except IndexError:
             raise IndexError(f"frame {index} of a medium of {self.frame_count}") from None
-        if isinstance(place, range):
-            if place.step != 1:
+        if isinstance(selected, range):
+            if selected.step != 1:
                 raise InvalidArgument(
-                    "frames", f"a step of {place.step}", "START:STOP", "`resample` changes the rate."
+                    "frames", f"a step of {selected.step}", "START:STOP", "`resample` changes the rate."
                 )
-            return self.between(place.start, place.stop)
-        frame = self.make_frame(place)
+            return self.between(selected.start, selected.stop)
+        frame = self.make_frame(selected)
         if frame.grid != self.grid:
             raise InvalidArgument("make_frame", "a field on another grid", "the medium's grid")
         return frame
@@ -223,10 +221,10 @@ class HapticMedium(Travels):
         return (self[i] for i in range(self.frame_count))
 
     def between(self, start: int, stop: int) -> HapticMedium:
-        """Frames start to stop - 1 as a medium of their own."""
+        """Return frames start to stop - 1 as a medium."""
         if not 0 <= start < stop <= self.frame_count:
-            mend = "Name frames that are there."
-            raise InvalidArgument("frames", f"{start}:{stop}", f"a range within 0:{self.frame_count}", mend)
+            hint = "Name frames that are there."
+            raise InvalidArgument("frames", f"{start}:{stop}", f"a range within 0:{self.frame_count}", hint)
         vibration, segments = self.vibration, self.segments
         return replace(
             self,
@@ -241,67 +239,67 @@ class HapticMedium(Travels):
 
         Raises `InvalidArgument` if the time is not finite.
         """
-        first, second, share = self._around(time_s)
-        if not share:
+        first, second, weight = self._frames_at(time_s)
+        if not weight:
             return self[first]
-        return self[first].scaled(1 - share) + self[second].scaled(share)
+        return self[first].scaled(1 - weight) + self[second].scaled(weight)
 
     def sample_n(self, positions_m: ArrayLike, time_s: float = 0.0) -> Float32s:
         """Force at points in metres [..., 3] and a time in seconds, newtons, float32 [..., 3]; see `at`.
 
         For many times take `touchfield.FieldSampler`, which keeps its frames.
         """
-        first, second, share = self._around(time_s)
+        first, second, weight = self._frames_at(time_s)
         sampled = self[first].sample_n(positions_m)
-        if not share:
+        if not weight:
             return sampled
-        return sampled * np.float32(1 - share) + self[second].sample_n(positions_m) * np.float32(share)
+        return sampled * np.float32(1 - weight) + self[second].sample_n(positions_m) * np.float32(weight)
 
-    def _around(self, time_s: float) -> tuple[int, int, float]:
-        """The frames before and after a time, and the share of the second."""
+    def _frames_at(self, time_s: float) -> tuple[int, int, float]:
+        """Return the frames before and after a time, and the weight of the second."""
         if not is_finite(time_s):
             raise InvalidArgument("time_s", repr(time_s), "seconds, a finite number")
-        place = min(max(time_s * self.rate_hz, 0.0), self.frame_count - 1.0)
-        nearest = round(place)
-        if abs(place - nearest) < _AT_A_FRAME:
+        position = min(max(time_s * self.rate_hz, 0.0), self.frame_count - 1.0)
+        nearest = round(position)
+        if abs(position - nearest) < _AT_A_FRAME:
             return nearest, nearest, 0.0
-        return math.floor(place), math.floor(place) + 1, place - math.floor(place)
+        return math.floor(position), math.floor(position) + 1, position - math.floor(position)
 
-    # filters and pictures belong to higher packages, which register what is called here (`touchfield.hooks`)
+    # filters and plots belong to higher packages, which register these functions (`touchfield.hooks`)
 
     def filtered(self, *filters: str) -> HapticMedium:
-        """The medium through haptic filters in words, such as "gaussian:sigma=2mm", one after the other.
-        Raises `InvalidArgument` if a filter is unknown or its words make no sense.
+        """Apply haptic filters given as text, such as "gaussian:sigma=2mm", one after the other.
+
+        Raises `InvalidArgument` if a filter is unknown or its text is invalid.
         """
         medium: HapticMedium = hook("filter_by_text")(self, filters)
         return medium
 
     def to_xarray(self) -> Any:
-        """The medium as an `xarray.Dataset`: ``forces_n`` float32 [t, x, y, z, component] with axes in s and
-        m.
+        """Convert to an `xarray.Dataset`: ``forces_n`` float32 [t, x, y, z, component], axes in s and m.
 
-        Raises `MissingExtra` without xarray; `InvalidArgument` if the dense frames are beyond
+        Raises `MissingExtra` without xarray; `InvalidArgument` if the dense frames exceed
         `memory_budget_bytes`.
         """
         xarray = import_extra("xarray", "a medium as a Dataset", "xarray", "xarray")
         needed = 12 * self.grid.voxel_count * self.frame_count
         require_memory("to_xarray", "dense frames", needed, "Take fewer frames: medium[a:b].")
         forces = np.stack([self[i].to_dense() for i in range(self.frame_count)])
-        places = {name: (name, self.grid.axis_m(axis), {"units": "m"}) for axis, name in enumerate("xyz")}
+        axes = {name: (name, self.grid.axis_m(axis), {"units": "m"}) for axis, name in enumerate("xyz")}
         times = ("t", np.arange(self.frame_count) / self.rate_hz, {"units": "s"})
         return xarray.Dataset(
             {"forces_n": (("t", "x", "y", "z", "component"), forces, {"units": "N"})},
-            {"t": times, **places, "component": list("xyz")},
-            {**self.beside, "tags": list(self.tags)},
+            {"t": times, **axes, "component": list("xyz")},
+            {**self.metadata, "tags": list(self.tags)},
         )
 
     def _repr_html_(self) -> str:
-        """The page of its first frames, for a notebook; see `touchfield.view`."""
+        """Return the page of the first frames, for a notebook; see `touchfield.view`."""
         html: str = hook("view")(self)._repr_html_()
         return html
 
     def plot(self, path: str | Path | None = None) -> Any:
-        """The forces from the front, the side and above, as a matplotlib figure; a PNG, too, at `path`.
+        """Draw the forces from the front, the side and above as a matplotlib figure; also a PNG at `path`.
 
         Raises `MissingExtra` if matplotlib is not installed.
         """
@@ -310,7 +308,7 @@ class HapticMedium(Travels):
 
 @dataclass(frozen=True)
 class HapticObject:
-    """A field in its own frame, and where that frame lies."""
+    """A field in its body frame, and the pose of that frame over time."""
 
     name: str
     medium: HapticMedium  # one frame for a rigid object; a frame for each of the scene for one that deforms
@@ -322,12 +320,12 @@ class HapticObject:
         return len(self.medium) == 1
 
     def field(self, frame: int) -> ForceField:
-        """The object's own field at a frame of the scene, in its own frame."""
+        """Return the object's field at a frame of the scene, in the body frame."""
         return self.medium[0 if self.is_rigid else frame]
 
 
 @dataclass(frozen=True)
-class HapticScene(Travels):
+class HapticScene(Picklable):
     """Haptic objects and empty space over time.
 
     grid : Grid; the device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
@@ -358,12 +356,14 @@ class HapticScene(Travels):
         require_positive(force_max_n=self.force_max_n, rate_hz=self.rate_hz)
         require_not_negative(surface_damping_n_s_per_m=self.surface_damping_n_s_per_m)
         count = len(self.objects[0].track)
-        for one in self.objects:
-            where = f"object {one.name}"
-            if len(one.track) != count:
-                raise InvalidArgument(where, f"{len(one.track)} poses", f"{count}, as the first object has")
-            if not one.is_rigid and len(one.medium) != count:
-                raise InvalidArgument(where, f"{len(one.medium)} fields", f"1 or {count}")
+        for scene_object in self.objects:
+            where = f"object {scene_object.name}"
+            if len(scene_object.track) != count:
+                raise InvalidArgument(
+                    where, f"{len(scene_object.track)} poses", f"{count}, as the first object has"
+                )
+            if not scene_object.is_rigid and len(scene_object.medium) != count:
+                raise InvalidArgument(where, f"{len(scene_object.medium)} fields", f"1 or {count}")
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
 
     @cached_property
@@ -381,15 +381,16 @@ class HapticScene(Travels):
         return self.frame_count
 
     def between(self, start: int, stop: int) -> HapticScene:
-        """Frames start to stop - 1 as a scene of their own.
+        """Return frames start to stop - 1 as a scene.
 
-        Velocities are those of its own poses: one-sided at its first and last frame, and none of a single
-        frame.
+        Velocities follow from its own poses: one-sided at the first and last frame, zero for a single frame.
         """
 
-        def cut(one: HapticObject) -> HapticObject:
-            medium = one.medium if one.is_rigid else one.medium.between(start, stop)
-            return HapticObject(one.name, medium, one.track.between(start, stop))
+        def cut(scene_object: HapticObject) -> HapticObject:
+            medium = (
+                scene_object.medium if scene_object.is_rigid else scene_object.medium.between(start, stop)
+            )
+            return HapticObject(scene_object.name, medium, scene_object.track.between(start, stop))
 
         return replace(self, objects=tuple(map(cut, self.objects)))
 
@@ -408,8 +409,8 @@ class HapticScene(Travels):
         CorruptFile where its objects reach more bricks than the bytes of the file justify
         (docs/format/objects.md).
         """
-        on, placed = self.grid if grid is None else grid, self._placed
-        file_bytes = self.file_bytes if on == self.grid else None
-        beside = self.axes, self.friction, self.damping_n_s_per_m, self.tags, self.provenance
-        frame_count, make = self.frame_count, lambda i: placed.voxels(i, on, file_bytes)
-        return HapticMedium(on, self.rate_hz, frame_count, make, *beside)
+        lattice, placed = self.grid if grid is None else grid, self._placed
+        file_bytes = self.file_bytes if lattice == self.grid else None
+        metadata = self.axes, self.friction, self.damping_n_s_per_m, self.tags, self.provenance
+        frame_count, make = self.frame_count, lambda i: placed.voxels(i, lattice, file_bytes)
+        return HapticMedium(lattice, self.rate_hz, frame_count, make, *metadata)

@@ -1,7 +1,7 @@
 """The motion of a rigid body: one pose a frame (paper section 4.3, the "object" source model).
 
 A pose takes points of the body's own frame into the scene: x_scene = R x_body + t. Rotations are unit
-quaternions (w, x, y, z) or matrices, many at once, reckoned by SciPy's `Rotation`.
+quaternions (w, x, y, z) or matrices, vectorised, computed by SciPy's `Rotation`.
 """
 
 from __future__ import annotations
@@ -44,25 +44,25 @@ class PoseTrack(EqualByValue):
             raise InvalidArgument(
                 "pose track positions_m", f"shape {t.shape}", f"({len(q)}, 3), one for each frame"
             )
-        odd = np.flatnonzero(~(np.isfinite(q).all(axis=1) & np.isfinite(t).all(axis=1)))
-        if len(odd):
+        faulty = np.flatnonzero(~(np.isfinite(q).all(axis=1) & np.isfinite(t).all(axis=1)))
+        if len(faulty):
             raise InvalidArgument(
-                f"pose track, frame {odd[0]}", "a number that is not finite", "finite poses"
+                f"pose track, frame {faulty[0]}", "a number that is not finite", "finite poses"
             )
         length = np.sqrt((q * q).sum(axis=1))
-        odd = np.flatnonzero(np.abs(length - 1) > _UNIT)
-        if len(odd):
-            where, found = f"pose track, frame {odd[0]}", f"a quaternion of length {length[odd[0]]:g}"
+        faulty = np.flatnonzero(np.abs(length - 1) > _UNIT)
+        if len(faulty):
+            where, found = f"pose track, frame {faulty[0]}", f"a quaternion of length {length[faulty[0]]:g}"
             raise InvalidArgument(where, found, "length 1, in the order w, x, y, z")
         q /= length[:, None]
-        turned = np.append(q[0, 0] < 0, (q[1:] * q[:-1]).sum(axis=1) < 0)
-        q[np.cumsum(turned) % 2 == 1] *= -1.0
+        is_flipped = np.append(q[0, 0] < 0, (q[1:] * q[:-1]).sum(axis=1) < 0)
+        q[np.cumsum(is_flipped) % 2 == 1] *= -1.0
         object.__setattr__(self, "quaternions", frozen(q))
         object.__setattr__(self, "positions_m", frozen(t))
 
     @classmethod
-    def still(cls, frame_count: int = 1, position_m: ArrayLike = (0.0, 0.0, 0.0)) -> PoseTrack:
-        """A body that stays where it is, unturned."""
+    def constant(cls, frame_count: int = 1, position_m: ArrayLike = (0.0, 0.0, 0.0)) -> PoseTrack:
+        """Return the track of a body at rest, without rotation."""
         q = np.tile([1.0, 0.0, 0.0, 0.0], (frame_count, 1))
         return cls(q, np.tile(np.asarray(position_m, np.float64), (frame_count, 1)))
 
@@ -70,7 +70,7 @@ class PoseTrack(EqualByValue):
         return len(self.positions_m)
 
     @property
-    def is_still(self) -> bool:
+    def is_constant(self) -> bool:
         """True if all poses are the same."""
         poses = np.hstack([self.quaternions, self.positions_m])
         return bool((poses == poses[0]).all())
@@ -102,8 +102,8 @@ class PoseTrack(EqualByValue):
         after, before = np.minimum(np.arange(n) + 1, n - 1), np.maximum(np.arange(n) - 1, 0)
         dt = (after - before) / rate_hz
         velocity = (self.positions_m[after] - self.positions_m[before]) / dt[:, None]
-        turns = rotation_vectors(self.quaternions[before], self.quaternions[after])
-        return velocity, turns / dt[:, None]
+        rotations = rotation_vectors(self.quaternions[before], self.quaternions[after])
+        return velocity, rotations / dt[:, None]
 
     def scaled(self, scale: float, offset_m: ArrayLike = (0.0, 0.0, 0.0)) -> PoseTrack:
         """The track after x -> scale * (x - offset), the body's own frame scaled alike."""
@@ -125,21 +125,20 @@ def _rotation(quaternions: Float64s) -> Any:
     return Rotation.from_quat(quaternions, scalar_first=True)
 
 
-def slerp(first: Float64s, second: Float64s, share: Float64s) -> Float64s:
-    """Between unit quaternions [n, 4] along the shorter way, at constant angular velocity, float64 [n, 4].
+def slerp(first: Float64s, second: Float64s, weight: Float64s) -> Float64s:
+    """Interpolate unit quaternions [n, 4] along the shorter arc at constant angular velocity, float64 [n, 4].
 
-    `share` float64 [n] is 0 at the first and 1 at the second; the components may stand in any order, as what
-    lies between two points of a sphere does not depend on it.
+    `weight` float64 [n] is 0 at the first and 1 at the second. The order of the components does not matter.
     """
-    begin = _rotation(first)
-    turn = (begin.inv() * _rotation(second)).as_rotvec()
-    return np.asarray((begin * type(begin).from_rotvec(share[:, None] * turn)).as_quat(scalar_first=True))
+    start = _rotation(first)
+    rotation = (start.inv() * _rotation(second)).as_rotvec()
+    return np.asarray(
+        (start * type(start).from_rotvec(weight[:, None] * rotation)).as_quat(scalar_first=True)
+    )
 
 
 def rotation_vectors(before: Float64s, after: Float64s) -> Float64s:
-    """The turns that lead from quaternions to others, float64 [n, 3]: along the axis, as long as the angle,
-    rad.
-    """
+    """Return the rotation vectors from quaternions to others, float64 [n, 3]: axis times angle, rad."""
     return np.asarray((_rotation(after) * _rotation(before).inv()).as_rotvec())
 
 

@@ -1,4 +1,4 @@
-"""Some of the frames of a medium."""
+"""Selection of frames of a medium."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from touchfield.medium.medium import HapticMedium
 
 
 def evenly_spaced(count: int, maximum: int) -> list[int]:
-    """At most `maximum` of the indices below `count`, evenly spaced, with the first and the last."""
+    """Return at most `maximum` indices below `count`, evenly spaced, with the first and the last."""
     indices: list[int] = np.unique(
         np.linspace(0, count - 1, min(maximum, count)).round().astype(int)
     ).tolist()
@@ -19,7 +19,7 @@ def evenly_spaced(count: int, maximum: int) -> list[int]:
 
 
 def select_frames(medium: HapticMedium, indices: Sequence[int]) -> HapticMedium:
-    """The medium of these frames, one after the other."""
+    """Return the medium of the frames at `indices`, in that order."""
     vibration = medium.vibration
     if vibration is not None:
         vibration = [vibration(i) for i in indices].__getitem__

@@ -1,4 +1,4 @@
-"""A recorded interaction: where a probe was, over time, and the text file that holds one.
+"""A recorded interaction: positions of a probe over time, and its text file.
 
 No standard exists, so the file is comma-separated text as every tool writes it. Its first line names the
 columns, with units, in any order; other columns are ignored::
@@ -7,9 +7,9 @@ columns, with units, in any order; other columns are ignored::
     0.000,0.0112,-0.0340,0.0051,0.42
     0.001,0.0113,-0.0341,0.0051,0.44
 
-A recorded contact tells force, too, as it acts on the probe: ``fx_n``, ``force_x_n`` or ``field_x_n`` and so
-on, in N or mN; of these the field's, where there are several, as in the log of a play. Columns
-``qw,qx,qy,qz``, all four or none, tell how the probe was turned: a quaternion, made a unit one when read.
+A recorded contact also has the force on the probe: ``fx_n``, ``force_x_n`` or ``field_x_n`` and so on, in N
+or mN; if there are several, as in the log of a play, the field's is used. Columns ``qw,qx,qy,qz``, all four
+or none, are the orientation of the probe: a quaternion, normalised when read.
 ``x_mm``, ``x [mm]`` and ``x (mm)`` mean the same, as do ``t_s`` and ``time_s``; lengths in m, cm, mm or um,
 time in s, ms, us or ns. Time may be left out. Semicolons or tabs may stand for the commas; empty lines, and
 lines that begin with ``#``, are skipped.
@@ -35,9 +35,7 @@ from touchfield.medium.field import frozen, numbers_of
 
 Lines = Iterator[tuple[int, str]]
 
-HAPTIC_RATE_HZ: Final = (
-    1000.0  # the usual rate of a haptic loop (paper section 4); that of a trace without times
-)
+HAPTIC_RATE_HZ: Final = 1000.0  # usual rate of a haptic loop (paper section 4), and of a trace without times
 MAX_SAMPLES: Final = 1 << 24  # of one file: 4.6 hours at 1 kHz, 512 MiB in memory
 _MAX_LINE: Final = 1 << 16
 _LINES_AT_ONCE: Final = 1 << 16
@@ -104,17 +102,17 @@ class Trace(EqualByValue):
 
 
 class ContactTrace(NamedTuple):
-    """Places of a probe and the forces on it, float64 [n, 3] each."""
+    """Positions of a probe and the forces on it, float64 [n, 3] each."""
 
     positions_m: Float64s
     forces_n: Float64s
 
 
 class _Columns(NamedTuple):
-    """Places of t, x, y, z (and forces) in a line, and their factors; no t if the file has no time."""
+    """Column indices of t, x, y, z (and forces), and their unit factors; no t if the file has no time."""
 
     delimiter: str
-    places: tuple[int, ...]
+    columns: tuple[int, ...]
     factors: tuple[float, ...]
     names: tuple[str, ...]
 
@@ -194,7 +192,7 @@ def _table(where: Path, forces: tuple[str, ...]) -> tuple[Float64s, Int64s, _Col
 
 
 def _lines(file: TextIO, where: str) -> Lines:
-    """The lines that say something, with their numbers; never more of a line in memory than is allowed."""
+    """Yield the lines that are neither empty nor comments, with their numbers; the length is limited."""
     for number in itertools.count(1):
         line = file.readline(_MAX_LINE)
         if not line:
@@ -213,14 +211,14 @@ def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...]
         expected = "a line of column names, such as t_s,x_m,y_m,z_m, and numbers below"
         raise SourceError(where, "an empty file", expected)
     number, text = header
-    at = f"{where} line {number}"
+    location = f"{where} line {number}"
     delimiter = max(",;\t", key=text.count)
     columns: dict[str, tuple[int, float]] = {}
     fields: dict[str, tuple[int, float]] = {}
-    for place, name in enumerate(text.split(delimiter)):
+    for column, name in enumerate(text.split(delimiter)):
         plain = name.strip().strip("\"'").strip().lower()
         force, match = _FORCE.fullmatch(plain) if forces else None, _COLUMN.fullmatch(plain)
-        kept = fields if force and force[1] == "field" else columns
+        target = fields if force and force[1] == "field" else columns
         if force:
             axis, unit = "f" + force[2], force[3] or ""
         elif plain in _TURN and plain not in columns:
@@ -229,36 +227,43 @@ def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...]
             axis, unit = match[1][0], (match[2] or "").replace("µ", "u")
         elif plain.startswith("time"):
             axis, unit = "t", ""
-        else:  # a column that is no concern of ours
+        else:  # an unrelated column
             continue
         if unit not in _UNITS[axis]:
-            raise SourceError(at, f"column {name.strip()!r}", f"{axis}_ and one of {', '.join(_UNITS[axis])}")
-        if axis in kept:
-            raise SourceError(at, f"two columns for {axis}", "one")
-        kept[axis] = (place, _UNITS[axis][unit])
+            raise SourceError(
+                location, f"column {name.strip()!r}", f"{axis}_ and one of {', '.join(_UNITS[axis])}"
+            )
+        if axis in target:
+            raise SourceError(location, f"two columns for {axis}", "one")
+        target[axis] = (column, _UNITS[axis][unit])
     columns |= fields
     missing = [axis for axis in ("x", "y", "z", *forces) if axis not in columns]
     if missing:
-        shown = text if len(text) <= 80 else f"{text[:80]} ..."
+        excerpt = text if len(text) <= 80 else f"{text[:80]} ..."
         example = ",".join(["t_s,x_m,y_m,z_m", *(f"{axis}_n" for axis in forces)])
         raise SourceError(
-            at, f"no column for {', '.join(missing)} in {shown!r}", f"a header such as {example}"
+            location, f"no column for {', '.join(missing)} in {excerpt!r}", f"a header such as {example}"
         )
     turn = [name for name in _TURN if name in columns]
     if 0 < len(turn) < len(_TURN):
-        raise SourceError(at, f"{', '.join(turn)} alone", f"all of {', '.join(_TURN)}, or none")
+        raise SourceError(location, f"{', '.join(turn)} alone", f"all of {', '.join(_TURN)}, or none")
     names = tuple(axis for axis in ("t", *_TURN, "x", "y", "z", *forces) if axis in columns)
-    places, factors = zip(*(columns[axis] for axis in names), strict=True)
-    return _Columns(delimiter, places, factors, names)
+    column_indices, factors = zip(*(columns[axis] for axis in names), strict=True)
+    return _Columns(delimiter, column_indices, factors, names)
 
 
 def _numbers(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> Float64s:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            texts, places = [text for _, text in chunk], columns.places
+            texts, column_indices = [text for _, text in chunk], columns.columns
             rows = np.loadtxt(
-                texts, delimiter=columns.delimiter, usecols=places, comments=None, quotechar='"', ndmin=2
+                texts,
+                delimiter=columns.delimiter,
+                usecols=column_indices,
+                comments=None,
+                quotechar='"',
+                ndmin=2,
             )
     except ValueError:
         rows = None
@@ -270,19 +275,19 @@ def _numbers(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> Flo
 def _fault(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> SourceError:
     """The error of the first line of a chunk that is wrong."""
     for number, text in chunk:
-        at, words = f"{where} line {number}", text.split(columns.delimiter)
-        if len(words) <= max(columns.places):
+        location, cells = f"{where} line {number}", text.split(columns.delimiter)
+        if len(cells) <= max(columns.columns):
             return SourceError(
-                at, f"{len(words)} columns", f"at least {max(columns.places) + 1}, as the header has"
+                location, f"{len(cells)} columns", f"at least {max(columns.columns) + 1}, as the header has"
             )
-        for name, place in zip(columns.names, columns.places, strict=True):
-            word = words[place].strip().strip('"')
+        for name, column in zip(columns.names, columns.columns, strict=True):
+            cell = cells[column].strip().strip('"')
             try:
-                finite = np.isfinite(float(word)) and "_" not in word
+                finite = np.isfinite(float(cell)) and "_" not in cell
             except ValueError:
                 finite = False
             if not finite:
-                return SourceError(f"{at}, column {name}", repr(word[:40]), "a finite number")
+                return SourceError(f"{location}, column {name}", repr(cell[:40]), "a finite number")
     last = chunk[-1][0]
     return SourceError(
         f"{where} lines {chunk[0][0]} to {last}", "something that is no table", "rows of numbers"

@@ -12,8 +12,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
-from threading import Event as Flag
-from threading import Thread
+from threading import Event as Flag, Thread
 from typing import Final, NamedTuple, Self
 from urllib.parse import urlsplit
 from weakref import WeakSet
@@ -35,14 +34,14 @@ _PATIENCE_S: Final = 10.0
 _ENDING_S: Final = 2.0  # half of what answers that are under way may take once a server ends
 _CONNECTION_LIMIT: Final = 1 << 15
 _MAX_BUSY: Final = 4096
-"""Answers and live receivers at once; who comes beyond is told to come again."""
+"""Maximum number of concurrent answers and live receivers; further requests get status 503."""
 
 
 @dataclass(frozen=True)
 class Access:
-    """Where a server listens, and to whom it speaks.
+    """Address of a server, and who may read.
 
-    Raises InvalidArgument if others reach the address and no token is asked for, or a value is out of range.
+    Raises InvalidArgument if a non-loopback address requires no token, or a value is out of range.
 
     Parameters
     ----------
@@ -76,14 +75,14 @@ class Access:
             raise InvalidArgument("--host", f"{self.host}, which others reach", "a token", hint)
 
     def is_authorised(self, request: web.Request) -> bool:
-        """True where no token is asked for, or the request brings it."""
+        """Return True if no token is required, or the request has it."""
         if self.token is None:
             return True
         token = request.query.get("token") or request.headers.get("Authorization", "").removeprefix("Bearer ")
         return hmac.compare_digest(token.encode(), self.token.encode())
 
     def cors(self, request: web.Request) -> dict[str, str]:
-        """Headers that let a page elsewhere read, where it may."""
+        """Return the CORS headers for a page of an allowed origin."""
         origin = request.headers.get("Origin", "")
         if not origin or not ({origin, "*"} & set(self.origins)):
             return {}
@@ -95,13 +94,13 @@ class Access:
         }
 
     def is_stranger(self, request: web.Request) -> bool:
-        """True for a page elsewhere that opens a socket, to which CORS does not apply, and may not."""
+        """Return True for a WebSocket request of an origin that may not read (CORS does not cover it)."""
         origin = request.headers.get("Origin", "")
         return bool(origin) and urlsplit(origin).netloc != request.host and not self.cors(request)
 
 
 def guarded(access: Access) -> web.Application:
-    """A web application that answers nobody who may not read, and no more at once than it can."""
+    """Return a web application that refuses unauthorised requests and limits concurrent answers."""
     busy = 0
 
     @web.middleware
@@ -141,7 +140,7 @@ async def dropped_unless_read(request: web.BaseRequest, seconds: float) -> Async
 
 
 class ClientDropped(ConnectionResetError):
-    """A client was left, as it did not read."""
+    """A client was disconnected because it did not read."""
 
 
 class Pages(NamedTuple):
@@ -152,7 +151,7 @@ class Pages(NamedTuple):
 
 
 def add_pages(application: web.Application, pattern: str, pages: Pages | None) -> None:
-    """Answer /view and what follows it, by `pattern`, with pages, if there are any."""
+    """Serve the pages, if any, at /view and `pattern` below it."""
     if pages is None:
         return
 
@@ -169,12 +168,12 @@ def add_pages(application: web.Application, pattern: str, pages: Pages | None) -
 async def run(
     application: web.Application, access: Access, ready: Callable[[str], None], stop: asyncio.Event
 ) -> None:
-    """Run a web application until an event; `ready` gets its address, without an end.
+    """Run a web application until the event `stop`; `ready` gets its address.
 
-    A connection that asks for nothing for ten seconds is left, and beyond what the system gives to a process,
-    one in eight of which is kept for others, connections are closed as they come.
+    A connection without a request within ten seconds is closed. At most seven eighths of the file descriptors
+    of the process are used; further connections are closed immediately.
 
-    Raises InvalidArgument if the address cannot be listened at.
+    Raises InvalidArgument if the server cannot listen at the address.
     """
     loop, active = asyncio.get_running_loop(), WeakSet[object]()
 
@@ -268,7 +267,7 @@ class Background(ABC):
 
 
 class _Refusal(asyncio.Protocol):
-    """A connection too many."""
+    """A connection beyond the limit."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Close it."""
@@ -277,7 +276,7 @@ class _Refusal(asyncio.Protocol):
 
 
 def _max_connections() -> int:
-    """Connections at once: seven eighths of the files that the system lets a process have."""
+    """Return the maximum number of connections: seven eighths of the open files that a process may have."""
     try:
         import resource
     except ImportError:  # of a system that has no such limit
@@ -295,7 +294,7 @@ def _max_connections() -> int:
 
 
 def _is_loopback(host: str) -> bool:
-    """True where only this machine reaches the address."""
+    """Return True if only this machine reaches the address."""
     if host == "localhost":
         return True
     try:

@@ -1,4 +1,4 @@
-"""A hand on a device, shown by a page: the file that it feels, and where it is, sixty times a second."""
+"""Server of a page that shows a hand on a device: the file it plays, and its position at 60 Hz."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PATIENCE_S: Final = 5.0
 
 
 class Bridge(Background):
-    """A server for the page of one file and the hand that feels it.
+    """A server for the page of one file and the hand that plays it.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Bridge(Background):
         return web.FileResponse(self._stream, headers=headers)
 
     async def _send_positions(self, request: web.Request) -> web.StreamResponse:
-        """The hand's place in the field, metres, and the medium's time, seconds, where they change."""
+        """Send the hand's position in the field, metres, and the medium's time, seconds, when they change."""
         socket = web.WebSocketResponse(max_msg_size=1 << 10, compress=False)
         await socket.prepare(request)
         before: tuple[float, ...] = ()

@@ -1,9 +1,9 @@
-"""Messages over a network that loses, delays, repeats and damages: datagrams with parity, sent interleaved.
+"""Messages over an unreliable network: interleaved datagrams with forward error correction.
 
-A message (`touchfield.network.live`) is cut into symbols, to which RaptorQ (RFC 6330) adds repair symbols;
-any that are as many as the first, and rarely one or two more, give it back. The datagrams of a message are
-spread over the time of the next ones too, so that a burst of losses takes a few of each. No sockets here:
-datagrams in, messages out.
+A message (`touchfield.network.live`) is cut into symbols, to which RaptorQ (RFC 6330) adds repair symbols.
+Any set of as many symbols as the original, rarely one or two more, restores it. The datagrams of a message
+are spread over the time of the following messages, so that a burst of losses takes a few of each. This module
+uses no sockets.
 
 A datagram: magic, stream u32, number u32, bytes of the message u32, bytes of a symbol u16, CRC-32 of the rest
 u32, then RaptorQ's packet of 4 bytes and a symbol.
@@ -29,11 +29,11 @@ _MAGIC: Final = b"TF"
 _HEAD: Final = struct.Struct("<2sIIIHI")
 _PACKET: Final = 4
 _SYMBOLS: Final = 36
-"""Least number of pieces of a message: the fewer there are, the larger the share of repair."""
+"""Minimum number of symbols of a message; with fewer symbols the fraction of repair symbols grows."""
 
 _MIN_REPAIR: Final = 3
 _SPREAD: Final = 8
-"""Messages over whose time the datagrams of one are spread; the last ones come so many messages later."""
+"""Number of messages over whose time the datagrams of one message are spread."""
 
 _MIN_SYMBOL, _MAX_SYMBOL = 128, 1152
 _BLOCK: Final = 56403
@@ -41,10 +41,10 @@ _BLOCK: Final = 56403
 
 MAX_DATAGRAM: Final = _HEAD.size + _PACKET + _MAX_SYMBOL
 MAX_OPEN: Final = 24
-"""Messages that are waited for at once."""
+"""Maximum number of incomplete messages."""
 
 _MAX_WAITING_BYTES: Final = 1 << 27
-"""Bytes of the messages that are waited for; beyond, the oldest is given up."""
+"""Maximum size of the incomplete messages in bytes; beyond it the oldest is given up."""
 
 _SILENT_S: Final = 2.0
 
@@ -67,7 +67,7 @@ class Datagrams:
         self._waiting: deque[list[list[bytes]]] = deque()
 
     def add(self, message: bytes) -> list[bytes]:
-        """The datagrams to be sent now that there is a further message: some of it, and some of those before."""
+        """Add a message; return the datagrams to be sent now: some of it, and some of earlier messages."""
         if not 0 < len(message) <= MAX_BYTES:
             raise InvalidArgument("message", f"{len(message)} bytes", f"1 to {MAX_BYTES}")
         symbol = min(max(-(-len(message) // _SYMBOLS), _MIN_SYMBOL), _MAX_SYMBOL) // 8 * 8
@@ -80,7 +80,7 @@ class Datagrams:
         return self._due()
 
     def flush(self) -> list[bytes]:
-        """All that is waiting still, at the end of a stream."""
+        """Return all remaining datagrams, at the end of a stream."""
         datagrams: list[bytes] = []
         while self._waiting:
             datagrams += self._due()
@@ -102,7 +102,7 @@ class Datagrams:
 
 
 class _Datagram(NamedTuple):
-    """A datagram that is whole, and one of a stream."""
+    """A parsed datagram with a valid checksum."""
 
     stream: int
     number: int
@@ -112,37 +112,36 @@ class _Datagram(NamedTuple):
 
 
 class _Part:
-    """A message that is waited for."""
+    """An incomplete message."""
 
     def __init__(self, length: int, symbol: int) -> None:
         self.length, self.symbol = length, symbol
         self.decoder: Any = raptorq.Decoder.with_defaults(length, symbol + _PACKET)
         self.message: bytes | None = None
         self.remaining = 2 * (-(-length // symbol)) + 64
-        """Datagrams that are looked at, whatever comes."""
+        """Number of further datagrams that are accepted."""
 
 
 class Gathering:
-    """The receiving end of the first stream that comes: datagrams in, messages out, in their order, whatever
-    comes.
+    """The receiving end of one stream: datagrams in, messages out in order.
 
-    Where none of its datagrams has come for two seconds, another stream that comes takes its place. One
-    datagram alone, forged, costs one message: another datagram must bear out what it tells of another stream,
-    or of a number further than `_SPREAD` above the newest or `MAX_OPEN` below it, and a stream has one
-    opening. Where it is the first of all, it costs as many messages as are waited for, or the first two
-    seconds.
+    The first stream received is followed; if none of its datagrams has come for two seconds, another stream
+    may replace it. A single forged datagram costs one message: a switch to another stream, or to a number
+    more than `_SPREAD` above the newest or `MAX_OPEN` below it, must be confirmed by a second datagram, and a
+    stream has one opening. If the forged datagram is the first of all, it costs as many messages as may be
+    incomplete, or the first two seconds.
 
     Parameters
     ----------
     most_open : int
-        Messages that are waited for at once; fewer where something else is felt meanwhile, 1 to 24.
+        Maximum number of incomplete messages, 1 to 24; fewer if another layer covers losses.
     clock_s : callable
         Seconds.
 
     Attributes
     ----------
     refused : int
-        Datagrams that are damaged or foreign.
+        Number of datagrams that were damaged or of another stream.
     lost : int
         Messages that were given up.
     """
@@ -157,7 +156,7 @@ class Gathering:
         self.refused = self.lost = 0
 
     def receive(self, datagram: bytes) -> list[bytes]:
-        """Take a datagram; the messages that are whole now, and next in order."""
+        """Take a datagram; return the messages that are now complete and next in order."""
         parsed = _parse(datagram)
         if parsed is None:
             self.refused += 1
@@ -188,13 +187,13 @@ class Gathering:
 
     def _accept(self, datagram: _Datagram) -> list[bytes]:
         if datagram.number < self._next:
-            return []  # late, or what was sent beyond need
+            return []  # late, or redundant
         self._newest = max(self._newest, datagram.number)
         part = self._parts.get(datagram.number)
         if part is None:
             part = self._parts[datagram.number] = _Part(datagram.length, datagram.symbol)
         if part.message is not None:
-            return []  # what was sent beyond need
+            return []  # redundant
         if (part.length, part.symbol) != (datagram.length, datagram.symbol) or part.remaining <= 0:
             self.refused += 1
         else:
@@ -202,7 +201,7 @@ class Gathering:
             is_repeated = datagram.length == len(self._opening) and datagram.packet[_PACKET:] in self._opening
             part.message = self._opening if is_repeated else part.decoder.decode(datagram.packet)
             if part.message is not None and part.message.startswith(MAGIC):
-                self._opening = self._opening or part.message  # told again, it holds up no segment behind it
+                self._opening = self._opening or part.message  # a repeated opening delays no later segment
                 part.message = self._opening  # a stream has no other
         return self._release()
 

@@ -1,13 +1,12 @@
-"""A live stream without sockets: messages in, events out; who carries the messages is another's matter.
+"""Protocol of a live stream without transport: messages in, events out.
 
-A live stream is the beginning of a file that does not end (docs/format/live.md): its *opening*, which is
-magic, version, HEAD with the greatest frame count there is, and PROV; then *segments*, each a SEGM, and
-before it a VIBR where something vibrates. Every message holds one opening or one segment whole, so that a
-message that is lost, late, told twice or damaged costs only itself. An empty message says that the stream has
-ended.
+A live stream is the start of a file that does not end (docs/format/live.md): its *opening*, which is magic,
+version, HEAD with the maximum frame count, and PROV; then *segments*, each a SEGM, preceded by a VIBR if
+something vibrates. Every message contains one complete opening or segment, so that a message that is lost,
+late, repeated or damaged costs only itself. An empty message marks the end of the stream.
 
-The sender keeps the opening and the latest segments, and nothing for a receiver but how far it is: one that
-is slow is moved on to the newest segment.
+The sender keeps the opening and the latest segments, and for each receiver only its position: a slow receiver
+is moved on to the newest segment.
 """
 
 from __future__ import annotations
@@ -35,21 +34,19 @@ from touchfield.errors import CorruptFile, FormatError, InvalidArgument, SourceE
 from touchfield.files import read_up_to
 
 MEDIA_TYPE: Final = "haptics/vnd.touchfield"
-"""Of a ``.touch`` file (RFC 9695 makes the tree; haptics/hmpg is MPEG's)."""
+"""Media type of a ``.touch`` file (RFC 9695 registers the tree; haptics/hmpg is MPEG's)."""
 
 ENDLESS: Final = (1 << 31) - 1
 """`HEAD.frame_count` of a live stream."""
 
 MAX_BYTES: Final = 1 << 26
-"""Of a message."""
+"""Maximum size of a message."""
 
 MAX_SEGMENTS: Final = 4
-"""Segments that a sender keeps for those who come late."""
+"""Number of segments that a sender keeps for late receivers."""
 
 _MAX_LEAD: Final = 8
-"""Where anyone may send, one that ends so many segments beyond the latest counts once a later one comes next.
-
-"""
+"""On an open transport, a segment this many segments after the latest needs a successor to count."""
 
 END: Final = b""
 """The message that the stream has ended."""
@@ -60,7 +57,7 @@ END: Final = b""
 
 @dataclass(frozen=True)
 class Opened:
-    """A programme has begun: its head, and where it comes from."""
+    """A programme has started: its head and its provenance."""
 
     head: Head
     provenance: Mapping[str, str]
@@ -68,7 +65,7 @@ class Opened:
 
 @dataclass(frozen=True)
 class LiveSegment:
-    """Frames that can be decoded: the body of a segment, and what vibrates beside it."""
+    """Frames that can be decoded: the body of a segment, and its vibration."""
 
     first_frame: int
     frame_count: int
@@ -83,7 +80,7 @@ class LiveSegment:
 
 @dataclass(frozen=True)
 class Lost:
-    """Frames that did not come before those behind them."""
+    """Frames that had not come when later ones did."""
 
     first_frame: int
     frame_count: int
@@ -91,7 +88,7 @@ class Lost:
 
 @dataclass(frozen=True)
 class Refused:
-    """A message that was of no use, and why."""
+    """A message that was refused, and the reason."""
 
     reason: str
 
@@ -105,7 +102,10 @@ Event = Opened | LiveSegment | Lost | Refused | Ended
 
 
 class LiveReceiver:
-    """The receiving end of a live stream; `is_open` to anyone, as datagrams are, one message decides little."""
+    """The receiving end of a live stream.
+
+    With `is_open` anyone may send, as with datagrams: then a single message cannot move the position far.
+    """
 
     def __init__(self, is_open: bool = False) -> None:
         self.is_open = is_open
@@ -115,7 +115,7 @@ class LiveReceiver:
         self._doubted: LiveSegment | None = None
 
     def receive(self, message: bytes) -> list[Event]:
-        """Take a message; whatever it holds, nothing is raised, and what is wrong with it is an event."""
+        """Take a message and return its events; an invalid message is an event too, and nothing is raised."""
         try:
             return self._events(message)
         except FormatError as error:
@@ -128,7 +128,7 @@ class LiveReceiver:
             self._is_over = True
             return [Ended()]
         if message.startswith(MAGIC):
-            if message == self._opening:  # told again, for those who come later
+            if message == self._opening:  # repeated for late receivers
                 return []
             opened = _parse_opening(message)
             self._opening, self._next = message, None
@@ -183,7 +183,7 @@ def _parse_segment(message: bytes) -> LiveSegment:
 
 
 def _read_records(source: ByteSource, offset: int, layouts: tuple[type, ...]) -> list[Any]:
-    """The values of the records from a place on, which must be these and the last ones."""
+    """Read the records from an offset on, which must be exactly these layouts."""
     values: list[Any] = []
     for layout in layouts:
         record = find_record(source, offset, source.size)
@@ -195,7 +195,7 @@ def _read_records(source: ByteSource, offset: int, layouts: tuple[type, ...]) ->
 
 
 def file_of(opening: bytes, message: bytes) -> bytes:
-    """A segment as a ``.touch`` file of its own, whose frames begin at 0: for decoders that know files alone.
+    """Return a segment as a ``.touch`` file, whose frames start at 0, for decoders that only read files.
 
     Raises FormatError if the opening or the message is at fault.
     """
@@ -221,14 +221,14 @@ def _source(message: bytes, name: str) -> ByteSource:
 
 @dataclass
 class Subscriber:
-    """How far a receiver is.
+    """The position of a receiver.
 
     Attributes
     ----------
     skipped : int
-        Segments that it was moved on over.
+        Number of segments that were skipped.
     is_over : bool
-        Whether it was told the end.
+        Whether it was sent the end.
     """
 
     skipped: int = 0
@@ -238,9 +238,9 @@ class Subscriber:
 
 
 class LiveSender:
-    """The sending end: takes what a coder writes, and has messages for any number of receivers.
+    """The sending end: takes segments from an encoder and provides messages to any number of receivers.
 
-    Safe to use from several threads: one that codes, and one that sends.
+    Thread-safe: one thread may encode while another sends.
     """
 
     def __init__(self) -> None:
@@ -250,7 +250,7 @@ class LiveSender:
         self._count, self._is_ended = 0, False
 
     def open(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
-        """Begin a programme, whose frames begin at 0; a random word in its opening tells it from all others."""
+        """Start a programme, whose frames start at 0; its opening contains a random identifier."""
         provenance_pairs = {**(provenance or {}), "programme": secrets.token_hex(8)}
         opening = b"".join(opening_of(replace(head, frame_count=ENDLESS), provenance_pairs))
         with self._lock:
@@ -259,7 +259,7 @@ class LiveSender:
             self.opening = opening
 
     def add(self, segment: LiveSegment) -> bytes:
-        """Have a segment sent, behind those before; the message."""
+        """Append a segment; return its message."""
         frames = {"first_frame": segment.first_frame, "frame_count": segment.frame_count}
         message = encode_record("SEGM", Segment(**frames, body=segment.body))
         if segment.vibration is not None:
@@ -279,17 +279,17 @@ class LiveSender:
         return message
 
     def end(self) -> None:
-        """Say that nothing follows."""
+        """Mark the end of the stream."""
         with self._lock:
             self._is_ended = True
 
     def joined(self) -> Subscriber:
-        """A new receiver, which begins with the newest segment."""
+        """Return a new receiver, which starts with the newest segment."""
         with self._lock:
             return Subscriber(_next=max(0, self._count - 1))
 
     def next(self, receiver: Subscriber) -> bytes | None:
-        """The next message for a receiver that can take one; None where there is none yet, or none any more."""
+        """Return the next message for a receiver; None if there is none yet, or after the end."""
         with self._lock:
             if not receiver._is_open:
                 receiver._is_open = bool(self.opening)
@@ -308,7 +308,7 @@ class LiveSender:
             return None
 
     def manifest(self) -> dict[str, Any]:
-        """The latest segments, for those who come by HTTP: stable keys."""
+        """Return the latest segments for HTTP receivers, by stable keys."""
         with self._lock:
             segments = [
                 {
@@ -322,7 +322,7 @@ class LiveSender:
             return {"is_ended": self._is_ended, "segments": segments}
 
     def message(self, number: int) -> bytes | None:
-        """The message of a segment of the manifest; None where it is none any more."""
+        """Return the message of a segment of the manifest; None if it is no longer kept."""
         with self._lock:
             return next(
                 (message for segment_number, _, message in self._latest if segment_number == number), None
@@ -335,13 +335,13 @@ _LENGTH: Final = struct.Struct("<I")
 
 
 def write_message(file: IO[bytes], message: bytes) -> None:
-    """Write a message and have it go at once."""
+    """Write a message and flush."""
     file.write(_LENGTH.pack(len(message)) + message)
     file.flush()
 
 
 def messages(file: IO[bytes], name: str) -> Iterator[bytes]:
-    """The messages of a pipe up to its end, which may come before that of the stream.
+    """Yield the messages of a pipe up to its end, which may come before that of the stream.
 
     Raises SourceError if it ends within a message, or a message is too long to be one.
     """

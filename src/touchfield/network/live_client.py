@@ -1,6 +1,6 @@
-"""The receiving edge of a live stream: messages by WebSocket, manifest, datagrams or a pipe, into a medium.
+"""Client of a live stream: messages by WebSocket, manifest, datagrams or a pipe become a medium.
 
-A connection that ends is made again; what was missed meanwhile is lost, and told.
+A connection that ends is made again; what was missed meanwhile is lost and reported.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
-from threading import Event as Flag
-from threading import Thread
+from threading import Event as Flag, Thread
 from typing import Any, Final, Self
 from urllib.parse import urlsplit, urlunsplit
 
@@ -37,10 +36,10 @@ def open_live(
 ) -> Iterator[LiveStream]:
     """Open a live stream; it is received in a thread until the block ends.
 
-    `coarse` is the address of its coarse layer, felt where the stream itself has lost something, or is late;
-    where that layer has not come some seconds after the stream, it is told, and the stream is felt alone.
+    `coarse` is the address of its coarse layer, which replaces frames of the stream that are lost or late. If
+    that layer has not started some seconds after the stream, this is reported and the stream is played alone.
 
-    Raises SourceError if there is none, or no first segment has come for a minute.
+    Raises SourceError if there is no stream, or its first segment has not come within a minute.
     """
     with ExitStack() as stack:
         coarse_client: _Client | None = None
@@ -80,7 +79,7 @@ class _Client:
         self._thread.join(0.1 if self._url == "-" else 5)  # nothing ends the wait for a pipe
 
     def stream(self) -> LiveStream:
-        """The stream, once a first segment is there."""
+        """Wait for the first segment and return the stream."""
         if not self._has_segment.wait(REPORT_AFTER_S):
             self._report(
                 f"waiting for a first segment of {self._name}, a minute at most: its sender may be starting"
@@ -91,7 +90,7 @@ class _Client:
         return LiveStream(self._name, self._frames)
 
     def layer(self, report: Callable[[str], None]) -> LiveFrames | None:
-        """The frames of a coarse layer, whose stream has opened; None where it does not come, which is told."""
+        """Return the frames of the coarse layer; None, after a report, if it does not start."""
         if self._has_segment.wait(_COARSE_WAIT_S) and self._frames is not None:
             return self._frames
         if not isinstance(self._error, SourceError):  # what was asked cannot be
@@ -120,7 +119,7 @@ class _Client:
             self._loop.close()
 
     def _take(self, message: bytes) -> bool:
-        """Take a message; True once the stream is over."""
+        """Take a message; return True once the stream is over."""
         events = self._receiver.receive(message)
         for event in events:
             if isinstance(event, Opened):
@@ -175,7 +174,7 @@ class _Client:
                 await asyncio.sleep(min(max(_SHORTEST_PAUSE_S, silent_s / 2), _LONGEST_PAUSE_S))
 
     async def _by_socket(self, session: Any) -> bool:
-        """Receive until the connection ends; True where the stream is over."""
+        """Receive until the connection ends; return True if the stream is over."""
         import aiohttp
 
         async with session.ws_connect(
@@ -189,14 +188,14 @@ class _Client:
         return False
 
     def _by_pipe(self) -> None:
-        """Take what comes through standard input until the stream is over."""
+        """Receive messages from standard input until the stream is over."""
         for message in messages(standard_input(), self._name):
             if self._take(message):
                 return
         raise SourceError(self._name, "its end", "a live stream, of touchfield live SOURCE -")
 
     async def _by_manifest(self, session: Any) -> bool:
-        """Ask for what the manifest names, again and again; True where the stream is over."""
+        """Poll the manifest and fetch its segments; return True if the stream is over."""
         parts = urlsplit(self._url)
         folder = parts.path.removesuffix(".json")
 
@@ -229,7 +228,7 @@ class _Client:
 
 
 def _manifest(data: bytes, name: str) -> tuple[bool, list[int]]:
-    """True where a stream is over, and the numbers of its segments, ascending."""
+    """Return whether a stream is over, and the ascending numbers of its segments."""
     try:
         manifest = json.loads(data)
         numbers = [int(segment["number"]) for segment in manifest["segments"]]

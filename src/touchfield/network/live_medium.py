@@ -1,10 +1,9 @@
-"""A live stream as a medium that a renderer plays: its frames are there when they have come, and are waited
-for.
+"""A live stream as a medium that a renderer plays; access to a frame waits until it has come.
 
-Frame 0 is the first of the segment with which the receiver joined. Frames count on in time; where play has
-fallen behind what the sender has, it is moved on to the newest segment. A frame that was lost holds no force,
-so that the force eases out and in again within the renderer's slew limit. Where a coarse layer is received as
-well, its frame stands for one that was lost, or is late; the force goes over within the same limit.
+Frame 0 is the first of the segment with which the receiver joined. If play falls behind what the sender still
+has, it is moved on to the newest segment. A lost frame has no force, so that the force eases out and in again
+within the renderer's slew limit. If a coarse layer is received too, its frame replaces one that is lost or
+late; the force changes over within the same limit.
 """
 
 from __future__ import annotations
@@ -33,40 +32,40 @@ if TYPE_CHECKING:
 
 
 MAX_SEGMENTS: Final = 4
-"""Segments that are kept decoded."""
+"""Maximum number of decoded segments that are kept."""
 
 MAX_BYTES: Final = 1 << 30
-"""Of the fields that are kept; fewer segments are, where they are larger."""
+"""Maximum size of the fields that are kept; fewer segments are kept if they are larger."""
 
 PATIENCE_S: Final = 60.0
-"""So long a segment is waited for: its sender may be starting, or be started again."""
+"""Maximum wait for a segment: its sender may be starting or restarting."""
 
 REPORT_AFTER_S: Final = 3.0
-"""From here on, beyond the length of a segment, it is told that one is waited for."""
+"""A wait longer than this, beyond the length of a segment, is reported."""
 
 FORGETTING: Final = 0.2
-"""Share of a delay that is forgotten with each segment that came sooner: one that was late once holds nobody
-back for long, and the delays that keep coming do."""
+"""Fraction of a delay that is forgotten with each earlier segment: a single late one has no lasting effect,
+repeated delays do."""
 
 RESET_BEYOND_S: Final = 1.0
-"""Where a segment comes so much sooner, a clock has jumped, or a hold-up is over: all is forgotten."""
+"""If a segment comes this much earlier, a clock jumped or a stall is over: the estimate is reset."""
 
 MARGIN_S: Final = 0.03
-"""How much later than that the next one may come, and be in time."""
+"""Jitter margin: how much later the next segment may come and still be in time."""
 
 SEEK_BEYOND_S: Final = 0.25
-"""From what is due on, play goes there at once; nearer, it goes there a little faster or slower."""
+"""If play lags by more it seeks; otherwise its speed is adjusted."""
 
 MAX_SPEED_CHANGE: Final = 0.1
 
 MAX_LAYER_LAG_S: Final = 0.25
-"""How much later than the other a layer may come and be felt: what comes later still is not waited for."""
+"""Maximum lag of a layer behind the other for which play waits."""
 
 LAYER_LOST_S: Final = 1.0
-"""A layer so far behind the other has no say in when play is."""
+"""A layer this far behind the other is ignored in the timing of play."""
 
 _MAX_LOOKAHEAD: Final = 1 << 12
-"""A frame so far behind the newest is not waited for."""
+"""Access to a frame this far after the newest raises an error."""
 
 
 class LiveEnd(SourceError):
@@ -74,7 +73,7 @@ class LiveEnd(SourceError):
 
 
 class _Decoded(NamedTuple):
-    """A segment, as far as it has been decoded."""
+    """A segment, possibly partly decoded."""
 
     first: int
     fields: list[ForceField]
@@ -92,7 +91,7 @@ class LiveFrames:
     Parameters
     ----------
     opened : Opened
-        The programme; `vibrates` if anything in it does, so far.
+        The programme; `vibrates` is True once a segment had a vibration.
     tell : callable
         ``tell(note)``: what was lost, refused or moved on over.
     clock_s : callable
@@ -151,7 +150,7 @@ class LiveFrames:
             )  # the stream over it may be that much later
 
     def take(self, event: Event) -> None:
-        """Take an event; a segment is decoded here, in the thread that receives."""
+        """Take an event; a segment is decoded in this (the receiving) thread."""
         if isinstance(event, LiveSegment):
             self._take_segment(event)
         elif isinstance(event, Lost):
@@ -163,23 +162,21 @@ class LiveFrames:
             self.fail(LiveEnd("the sender has ended the stream"))
 
     def start_programme(self) -> None:
-        """Another programme on the same lattice follows: its frames count on behind the latest one that is
-        there.
-        """
+        """Start another programme on the same lattice; its frames follow the latest one received."""
         self._programmes += 1
 
     def fail(self, error: TouchfieldError) -> None:
-        """Nothing more will come: who waits for a frame is told."""
+        """Mark that nothing more will come; waiting for a frame then raises the error."""
         self._error = self._error or error
 
     def _lose(self, frames: int, reason: str) -> None:
-        """Count frames that are lost, and tell each time that they have become twice as many."""
+        """Count lost frames, and report each time that their number has doubled."""
         before, self.lost = self.lost, self.lost + frames
         if self.lost.bit_length() > before.bit_length():
             self._report(f"{frames} frames {reason}; {self.lost} are lost so far")
 
     def _take_segment(self, segment: LiveSegment) -> None:
-        """Decode a segment, frame by frame: the first can be felt while the last is not there yet."""
+        """Decode a segment frame by frame, so that the first can be played before the last is decoded."""
         received_s, first, fields = self._clock_s(), segment.first_frame, list[ForceField]()
         self.vibrates |= segment.vibration is not None
         start_s = received_s - first / self._rate_hz  # when the stream's frame 0 would have been in time
@@ -205,7 +202,7 @@ class LiveFrames:
             self._start_s = start_s if is_anew else max(start_s, before_s + FORGETTING * (start_s - before_s))
 
     def _keep(self, segment: _Decoded) -> None:
-        """Keep a segment whose first frame has been decoded, and of the others what there is room for."""
+        """Keep a segment whose first frame is decoded; drop the oldest ones beyond the capacity."""
         fine = self._fine or self
         if (
             self._programmes > fine._started_programmes
@@ -225,7 +222,7 @@ class LiveFrames:
             self._base = segment.first
 
     def due_s(self, rate_hz: float) -> float | None:
-        """The time of the medium that is to be felt now, seconds: segments begin as the late ones were ready."""
+        """Return the time of the medium that is due now, seconds; it follows the later segments."""
         with self._news:
             start_s = self._zero_s
             if start_s is None or self._base is None:
@@ -237,7 +234,7 @@ class LiveFrames:
 
     @property
     def _zero_s(self) -> float | None:
-        """When the stream's frame 0 would have been in time: the later layer, if not much behind the other."""
+        """Clock time of the stream's frame 0: that of the later layer, if it is not far behind the other."""
         own_start_s, coarse = self._start_s, self._coarse
         coarse_start_s = coarse._start_s if coarse else None
         if coarse is None or own_start_s is None or coarse_start_s is None:
@@ -249,16 +246,16 @@ class LiveFrames:
 
     @property
     def _stop(self) -> int:
-        """The frame of the stream behind the newest that is there; 0 before the first."""
+        """The frame of the stream after the newest decoded one; 0 before the first."""
         return self._segments[-1].first + len(self._segments[-1].fields) if self._segments else 0
 
     @property
     def _newest_stop(self) -> int:
-        """The frame behind the newest in any layer: nothing beyond it can be felt."""
+        """The frame after the newest one in any layer."""
         return max(layer._stop for layer in self._layers)
 
     def _segment_with(self, frame: int) -> _Decoded | None:
-        """The segment that holds a frame of the stream, if it is kept."""
+        """Return the segment that contains a frame of the stream, or None if it is not kept."""
         return next(
             (
                 segment
@@ -269,7 +266,7 @@ class LiveFrames:
         )
 
     def _is_settled(self, frame: int) -> bool:
-        """True where a frame of the stream has come, in a layer that is to be felt, or will come in none."""
+        """Return True if a frame of the stream has come in the layer to be played, or will come in none."""
         coarse, is_past = self._coarse, frame < self._stop
         if coarse is None or self._segment_with(frame) is not None:
             return is_past
@@ -279,25 +276,25 @@ class LiveFrames:
         return is_past and (frame < coarse._stop or self._is_due(frame))
 
     def _is_due(self, frame: int) -> bool:
-        """True where the player, or one that is in time, needs the frame: to go on from the one before."""
+        """Return True if the player, or one in time, needs the frame to continue from the previous."""
         start_s, now, needed_s = self._zero_s, self._clock_s(), (frame - 1) / self._rate_hz
         noted_s, media_s = self._played
         is_needed = media_s + (self._base or 0) / self._rate_hz + now - noted_s + MARGIN_S >= needed_s
         return is_needed or (start_s is not None and now - start_s >= needed_s)
 
     def set_played_time(self, media_s: float) -> None:
-        """Take note of the time of the medium that is felt now."""
+        """Record the time of the medium that is played now."""
         self._played = self._clock_s(), media_s
 
     def stream_frame(self, index: int) -> int | None:
-        """The sender's number of frame `index`, as things are now; None before the first segment."""
+        """Return the sender's number of frame `index` at present; None before the first segment."""
         return None if self._base is None else self._base + index
 
     def __call__(self, index: int) -> ForceField:
-        """A frame, once it has come; one that was lost holds no force.
+        """Wait for a frame and return it; a lost frame has no force.
 
-        Raises LiveEnd where the sender has ended the stream before it; SourceError where nothing came for a
-        minute, or the frame lies far ahead.
+        Raises LiveEnd if the sender ended the stream before it; SourceError if nothing came for a minute, or
+        the frame is far after the newest.
         """
         frame, segment = self._find_frame(index)
         if segment is not None:
@@ -312,7 +309,7 @@ class LiveFrames:
         return self._rebuilt[1]
 
     def is_there(self, index: int) -> bool:
-        """True where `__call__` answers at once, be it with an error."""
+        """Return True if `__call__` returns or raises without waiting."""
         with self._news:
             is_settled = (
                 self._base is not None and self._newest_stop > 0 and self._is_settled(self._base + index)
@@ -321,12 +318,12 @@ class LiveFrames:
 
     @property
     def _latest_s(self) -> float:
-        """When something came last, in any layer, seconds of the clock."""
+        """Time of the latest segment in any layer, seconds of the clock."""
         return max(layer.received_s for layer in self._layers)
 
     @property
     def _is_silent(self) -> bool:
-        """True where no segment is waited for any longer; that one is waited for is told once."""
+        """True if the wait for a segment has timed out; a long wait is reported once."""
         limit_s = REPORT_AFTER_S + (len(self._segments[-1].fields) / self._rate_hz if self._segments else 0.0)
         now = self._clock_s()
         if now - self.received_s > limit_s and self._reported_s != self.received_s:
@@ -338,7 +335,7 @@ class LiveFrames:
 
     @property
     def _is_over(self) -> bool:
-        """True where nothing will come any more, in no layer."""
+        """True if nothing more will come in any layer."""
         return all(layer._error is not None for layer in self._layers)
 
     def vibration(self, index: int) -> VibrationFrame:
@@ -351,7 +348,7 @@ class LiveFrames:
         )
 
     def _find_frame(self, index: int) -> tuple[int, _Decoded | None]:
-        """The stream's number of a frame, and the segment that holds it, if it came: once it is known."""
+        """Wait until a frame is settled; return its number in the stream and its segment, or None if lost."""
         with self._news:
             while True:
                 segments = self._segments or self._layers[-1]._segments
@@ -372,11 +369,11 @@ class LiveFrames:
                     raise SourceError(
                         "live stream", f"no segment for {PATIENCE_S:g} s", "one that comes in time"
                     )
-                self._news.wait(MARGIN_S)  # what is due tells nobody
+                self._news.wait(MARGIN_S)  # becoming due notifies nobody
 
 
 class LiveStream(OpenStream):
-    """A live stream, as far as it has come; its medium has no end.
+    """A live stream as an open stream; its medium has no end.
 
     Attributes
     ----------
@@ -391,9 +388,7 @@ class LiveStream(OpenStream):
         self.frames = frames
 
     def keep_up(self, player: Player) -> bool:
-        """Have a player stay at what is due; to be asked some times a second. True where it goes there at
-        once.
-        """
+        """Keep a player at the due time; call it a few times a second. Return True if it sought."""
         due_s = self.frames.due_s(self.reader.head.rate_hz)
         if due_s is None:
             return False
@@ -408,7 +403,7 @@ class LiveStream(OpenStream):
 
     @property
     def medium(self) -> HapticMedium:
-        """The medium, whose frames are waited for."""
+        """The medium; access to its frames waits until they have come."""
         vibration = self.frames.vibration if self.frames.vibrates else None
         return HapticMedium(
             grid=self.grid, frame_count=ENDLESS, make_frame=self.frames, vibration=vibration, **self._beside

@@ -1,7 +1,6 @@
-"""A live stream on the web: segments to any number of receivers by WebSocket, and a rolling manifest by HTTP.
+"""Web server of a live stream: segments by WebSocket, and a rolling manifest by HTTP.
 
-The sender never waits: what is coded is put before all receivers, and each takes what it can in its own time.
-Who does not read is left.
+The sender never waits: each receiver takes segments at its own pace, and one that does not read is dropped.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from touchfield.network.access import (
 from touchfield.network.live import MEDIA_TYPE, LiveSegment, LiveSender, file_of
 
 _PATIENCE_S: Final = 10.0
-"""How long a receiver may take for a message."""
+"""Maximum time that a receiver may take to read a message."""
 
 
 class LiveServer(Background):
@@ -60,13 +59,13 @@ class LiveServer(Background):
         self.receivers = self.max_receivers = self.skipped = self.dropped = 0
 
     def add(self, segment: LiveSegment, *, is_coarse: bool = False) -> bytes:
-        """Have a segment sent, or one of the coarse layer; its message."""
+        """Append a segment, or one of the coarse layer; return its message."""
         message = self._senders[is_coarse].add(segment)
         self._wake_threadsafe()
         return message
 
     def end(self) -> None:
-        """Say to all that nothing follows."""
+        """End the stream for all receivers."""
         for sender in self._senders:
             sender.end()
         self._wake_threadsafe()
@@ -140,7 +139,7 @@ class LiveServer(Background):
         return await self._answer(request, sender.opening or None)
 
     async def _segment(self, sender: LiveSender, request: web.Request) -> web.Response:
-        """A segment's message, or with the ending a file of its own, for whoever decodes files."""
+        """Answer with a segment's message, or with a complete file if the name ends in .touch."""
         message = sender.message(int(request.match_info["number"]))
         if message is not None and request.match_info["ending"]:
             message = file_of(sender.opening, message)
@@ -148,5 +147,5 @@ class LiveServer(Background):
 
 
 async def _ended(socket: web.WebSocketResponse) -> None:
-    """Return where the receiver closes, or speaks: it has nothing to say."""
+    """Return when the receiver closes, or sends anything, which it should not."""
     await socket.receive()

@@ -1,15 +1,14 @@
-"""Touch beside sound and picture: a stream as a timed data track of a movie, and out of it again (paper
-section 6).
+"""Mux a stream into a movie as a timed data track, and demux it (paper section 6).
 
-The track's samples are the file cut behind each of its segments, told at the time of their first frame; index
-and end are made again. So a file that is taken out is the one that was put in, byte for byte. Players that
-know nothing of touch play the rest as before. In MPEG-TS, which is joined in the middle, each sample begins
-with the head again, and is the value of a KLV triplet (SMPTE 336M): of data without a registered name ffmpeg
-guesses from some bytes that it is video.
+The samples of the track are the file cut after each of its segments, with the time of their first frame;
+index and end are rebuilt on extraction, so that the extracted file equals the original byte for byte. Players
+without touch play the other tracks as before. In MPEG-TS, which receivers join in the middle, each sample
+starts with the head again, and is the value of a KLV triplet (SMPTE 336M): ffmpeg takes some data without a
+registered name for video.
 
-A DASH manifest (ISO/IEC 23009-1) has sound and picture as ffmpeg cuts them, and the touch as an AdaptationSet
-of its own, whose one Representation is the whole ``.touch`` file, as captions have it: receivers read ranges
-of it. A SupplementalProperty tells the second of the movie at which it begins.
+A DASH manifest (ISO/IEC 23009-1) has sound and picture as ffmpeg segments them, and the touch as an
+AdaptationSet, whose one Representation is the whole ``.touch`` file, as for captions: receivers read ranges
+of it. A SupplementalProperty gives the second of the movie at which it starts.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ from touchfield.pipeline.decoding import stream_of
 START_SCHEME: Final = "urn:touchfield:begins-s"
 _CLOCK: Final = Fraction(1, 90000)
 _MAX_BYTES: Final = 1 << 30
-"""Of all touch in a movie that is taken out."""
+"""Maximum size of the touch that is extracted from a movie."""
 
 _KLV: Final = bytes.fromhex("060e2b34010101010f00") + b"touch\1\x84"
 """Key of a triplet, and the first byte of its length, which says that four follow, the highest first."""
@@ -65,7 +64,7 @@ _FORMS: Final = (".mp4", ".m4v", ".mov", ".ts", ".mpd")
 
 @dataclass(frozen=True)
 class Muxed:
-    """Counts of a stream that was put beside a movie, or taken out of it."""
+    """Counts of a stream that was muxed into a movie or extracted from it."""
 
     file: str
     segments: int
@@ -82,7 +81,7 @@ class Muxed:
 def mux(
     movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.0, report: Report = silent
 ) -> Muxed:
-    """Put a ``.touch`` file beside the tracks of a movie, which are copied as they are.
+    """Mux a ``.touch`` file with the tracks of a movie, which are copied unchanged.
 
     Raises InvalidArgument if the ending of `out` is another, or the form cannot hold a track of the movie;
     SourceError, FormatError if the movie or the stream cannot be read.
@@ -125,7 +124,7 @@ def mux(
 
 
 def demux(movie: str | Path, out: str | Path) -> Muxed:
-    """Take the touch out of a movie: the ``.touch`` file that was put in, of which each segment is checked.
+    """Extract the ``.touch`` file of a movie; each segment is checked.
 
     Raises SourceError if the movie cannot be read, or has no touch; FormatError if the touch is damaged, or
     its beginning is missing.
@@ -208,9 +207,7 @@ def _copy(
 
 
 def _touch_samples(source: Any, name: str) -> tuple[list[bytes], float]:
-    """The samples of the first track of touch, from its first head on, and the movie's second at which that
-    is.
-    """
+    """Return the samples of the first touch track from its first head on, and their start in the movie, s."""
     movie_start_s = min(
         (
             float(sample_track.start_time * sample_track.time_base)
@@ -245,7 +242,7 @@ def _touch_samples(source: Any, name: str) -> tuple[list[bytes], float]:
 
 
 def _join_samples(samples: list[bytes], name: str) -> bytes:
-    """The file that the samples are, the first of which begins with its head: index and end are made again."""
+    """Join samples, the first of which starts with the head, to a file; index and end are rebuilt."""
 
     def source_of(data: bytes, where: str) -> ByteSource:
         file: Any = BytesIO(data)
@@ -287,7 +284,7 @@ def _opened(movie: str | Path) -> Iterator[Any]:
 
 
 def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: float) -> tuple[str, ...]:
-    """Write NAME.mpd, beside it tracks as NAME-N.mp4 and the stream as NAME.touch; the kinds of the tracks."""
+    """Write NAME.mpd, tracks as NAME-N.mp4 and the stream as NAME.touch; return the types of the tracks."""
     tracks = [track for track in source.streams if track.type in ("video", "audio")]
     names = {"single_file": "1", "single_file_name": f"{out.stem}-$RepresentationID$.mp4"}
     with TemporaryDirectory(prefix=".touchfield-", dir=out.parent) as folder:

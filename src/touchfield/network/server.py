@@ -1,8 +1,7 @@
-"""A folder of streams on the web, for people without a server: ranges of plain files, and nothing else.
+"""Web server of a folder of streams: ranges of plain files, and nothing else.
 
-What comes from the network is a stranger's. A name in a request is compared with the files that may be served
-and never becomes a path by itself; there is no listing; a client that does not read is left after what its
-bytes justify.
+Requests are untrusted. Only plain files of known types within the folder are served; there is no listing; a
+client that reads too slowly is dropped.
 """
 
 from __future__ import annotations
@@ -20,27 +19,28 @@ from touchfield.network.access import Access, Pages, add_pages, dropped_unless_r
 from touchfield.network.live import MEDIA_TYPE
 
 _TYPES: Final = {
-    ".touch": MEDIA_TYPE, ".html": "text/html", ".mp4": "video/mp4", ".ts": "video/mp2t", ".webm": "video/webm",
+    ".touch": MEDIA_TYPE, ".html": "text/html", ".mp4": "video/mp4", ".ts": "video/mp2t",
+    ".webm": "video/webm",
     ".mpd": "application/dash+xml",
 }  # fmt: skip
 _PATIENCE_S: Final = 30.0
 _SLOWEST: Final = 1 << 14
-"""Bytes a second of a client that reads, beyond the patience."""
+"""Minimum rate of a client in bytes a second, in addition to the patience."""
 
 _MAX_NAMED: Final = 20
 
 
 class _Answer(web.FileResponse):
-    """A file, or ranges of it, for as long as its bytes justify."""
+    """A file or ranges of it, with a time limit that grows with its size."""
 
     async def prepare(self, request: web.BaseRequest) -> AbstractStreamWriter | None:
-        """Send it; who does not read is left."""
+        """Send it; drop a client that does not read."""
         async with dropped_unless_read(request, _PATIENCE_S + self._path.stat().st_size / _SLOWEST):
             return await super().prepare(request)
 
 
 def application(folder: Path, access: Access, pages: Pages | None = None) -> web.Application:
-    """The web application of a folder, with `pages` for browsers.
+    """Return the web application of a folder, with `pages` for browsers.
 
     Raises InvalidArgument if there is no such folder.
     """
@@ -91,9 +91,7 @@ def serve(
 
 
 def _plain_file(root: Path, name: str) -> Path | None:
-    """The file of a name, if it is one that may be served: plain, of a known kind, in the folder and not
-    hidden.
-    """
+    """Return the path of a file that may be served: plain, of a known type, in the folder, not hidden."""
     if (
         "\0" in name
         or "\\" in name
@@ -103,6 +101,6 @@ def _plain_file(root: Path, name: str) -> Path | None:
     try:
         path = (root / name).resolve()
         is_ours = path.is_relative_to(root) and path.suffix.lower() in _TYPES and path.is_file()
-    except (OSError, ValueError, RuntimeError):  # a name that is none, or links in a ring
+    except (OSError, ValueError, RuntimeError):  # an invalid name, or a cycle of links
         return None
     return path if is_ours else None

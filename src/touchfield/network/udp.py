@@ -1,4 +1,4 @@
-"""The edges of a live stream by datagrams: a sender to an address, and a receiver at one."""
+"""Live stream by UDP: a sender to an address, and a receiver at one."""
 
 from __future__ import annotations
 
@@ -15,24 +15,23 @@ from touchfield.network.live import END, LiveSender
 from touchfield.options import Address, address
 
 _LAST: Final = b"\0"
-"""The end, which has no byte, as a message that has one."""
+"""The end of the stream as a message of one byte, as the empty message cannot be sent."""
 
 _LAST_S: Final = 2.0
-"""So long nothing may come behind the end."""
+"""The stream is over when nothing has come for this long after the end."""
 
 _OPENED_EVERY: Final = 4
-"""Segments, before which the opening is told again for those who come."""
+"""The opening is repeated before every fourth segment, for late receivers."""
 
 _LAYERED_OPEN: Final = 11
-"""Messages that are waited for where another layer is felt meanwhile: eight, over whose time one is spread,
-and three for what is overtaken."""
+"""Maximum number of incomplete messages with another layer: eight, over whose time one is spread, and three
+for reordering."""
 
 Layer = Literal["alone", "fine", "coarse"]
 
 REPAIR: Final[Mapping[Layer, float]] = {"alone": 0.22, "fine": 0.15, "coarse": 0.4}
-"""Share of parity. Where a coarse layer is sent beside, what is lost of the fine one is felt coarse: that
-layer, a seventh of the bytes, is protected more, and both together take no larger a share than a stream
-alone."""
+"""Fraction of repair symbols by layer. A coarse layer, a seventh of the bytes, covers losses of the fine one
+and is protected more; both together have no larger a fraction than a single stream."""
 
 
 def _parse_address(text: str) -> Address:
@@ -40,9 +39,9 @@ def _parse_address(text: str) -> Address:
 
 
 class UdpSender:
-    """Sends a live stream's messages to an address, without ever waiting; a context manager.
+    """Sends a live stream's messages to an address without waiting; a context manager.
 
-    `layer` tells what is sent; a coarse layer goes to the next port.
+    `layer` sets the protection; a coarse layer is sent to the next port.
     """
 
     def __init__(self, sender: LiveSender, text: str, layer: Layer = "alone") -> None:
@@ -66,7 +65,7 @@ class UdpSender:
         self._socket.close()
 
     def add(self, message: bytes) -> None:
-        """Send a segment's message, and parts of those before."""
+        """Send a segment's message, and parts of earlier ones."""
         if self._count % _OPENED_EVERY == 0:
             self._send(self._datagrams.add(self._sender.opening))
         self._count += 1
@@ -74,7 +73,7 @@ class UdpSender:
 
     def _send(self, datagrams: list[bytes]) -> None:
         for datagram in datagrams:
-            with suppress(OSError):  # the system has no room now, or nobody is there
+            with suppress(OSError):  # the send buffer is full, or nobody listens
                 self._socket.sendto(datagram, self._to)
 
 
@@ -83,15 +82,15 @@ class _Protocol(asyncio.DatagramProtocol):
         self._queue = queue
 
     def datagram_received(self, data: bytes, addr: object) -> None:
-        """Queue a datagram; one too many is as if lost on its way, one that is too long is none of ours."""
+        """Queue a datagram; drop it if it is too long or the queue is full."""
         if len(data) <= MAX_DATAGRAM and not self._queue.full():
             self._queue.put_nowait(data)
 
 
 async def listen(text: str, take: Callable[[bytes], bool], is_layered: bool = False) -> None:
-    """Receive datagrams at an address, until ``take(message)`` says that the stream is over.
+    """Receive datagrams at an address, until ``take(message)`` returns True: the stream is over.
 
-    With `is_layered` another layer is felt for what is lost: it is given up once it could have come.
+    With `is_layered` another layer covers losses, so that lost messages are given up earlier.
     """
     host, port = _parse_address(text)
     gathering, queue = (

@@ -8,12 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.compute.jit import entry, inner, kernel
+from touchfield.compute.coder_jit import entry
+from touchfield.compute.jit import inner, kernel
 from touchfield.medium.grid import Grid
 
 
 @inner
-def first_at_least(keys, key):
+def lower_bound(keys, key):
     """As `numpy.searchsorted`, which numba takes longer to compile."""
     low, high = 0, keys.shape[0]
     while low < high:
@@ -86,7 +87,7 @@ def force_at(x, y, z, shape, brick_shape, keys, forces, total):
                 for k in range(max(z0, 0), min(z0 + 2, shape[2])):
                     w = wy * (z - z0 if k > z0 else 1.0 - (z - z0))
                     key = ((i >> 3) * brick_shape[1] + (j >> 3)) * brick_shape[2] + (k >> 3)
-                    slot = first_at_least(keys, key) if w != 0.0 else keys.shape[0]
+                    slot = lower_bound(keys, key) if w != 0.0 else keys.shape[0]
                     if slot < keys.shape[0] and keys[slot] == key:
                         for c in range(3):
                             total[c] += w * forces[slot, i & 7, j & 7, k & 7, c]

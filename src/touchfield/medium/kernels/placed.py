@@ -1,8 +1,7 @@
 """Compiled loops of objects in motion: the trilinear query of fields that lie turned and shifted in a scene.
 
-The fields are kept as *cells*: each brick of 8^3 samples with the first samples of the bricks behind it, 9^3
-in all, so that the eight corners of any point are found in one place. Bricks of cells are found by a hash
-table.
+The fields are stored as *cells*: each brick of 8^3 samples with the first samples of the next bricks, 9^3 in
+all, so that the eight corners around any point are in one cell. Bricks of cells are found by a hash table.
 """
 
 from __future__ import annotations
@@ -58,8 +57,8 @@ def find(tables, start, shift, key):
 
 
 @inner(forceinline=True)
-def is_held(held, slot, i, j, k):
-    return (held[slot, i & 7] >> np.uint64(8 * (j & 7) + (k & 7))) & _1
+def is_supported(supported, slot, i, j, k):
+    return (supported[slot, i & 7] >> np.uint64(8 * (j & 7) + (k & 7))) & _1
 
 
 @kernel
@@ -74,14 +73,14 @@ def hash_table(keys, shift, table):
 
 
 @kernel
-def cells_of(begin, end, sources, forces, cells, held):
+def cells_of(start, stop, sources, forces, cells, supported):
     """Fill `cells` [n, 9, 9, 9, 3] from the eight bricks behind each, `sources` [n, 8]; -1 for none.
 
-    `held` uint64 [n, 8], zero before: bit 8 j + k of word i tells that a corner of cell (i, j, k) is not
+    `supported` uint64 [n, 8], zero before: bit 8 j + k of word i tells that a corner of cell (i, j, k) is not
     zero.
     """
-    one = np.uint64(1)
-    for s in range(begin, end):
+    bit = np.uint64(1)
+    for s in range(start, stop):
         for e in range(8):
             brick = sources[s, e]
             if brick < 0:
@@ -102,11 +101,11 @@ def cells_of(begin, end, sources, forces, cells, held):
                         for a in range(max(x - 1, 0), min(x, 7) + 1):
                             for b in range(max(y - 1, 0), min(y, 7) + 1):
                                 for c in range(max(z - 1, 0), min(z, 7) + 1):
-                                    held[s, a] |= one << np.uint64(8 * b + c)
+                                    supported[s, a] |= bit << np.uint64(8 * b + c)
 
 
 @kernel
-def place(poses, lattices, motions, placed):
+def fill_placements(poses, lattices, motions, placed):
     """The table of one frame from poses [n, 7] (w, x, y, z, t), lattices [n, 6] (spacing, corner), motions
     [n, 6].
     """
@@ -124,12 +123,11 @@ def place(poses, lattices, motions, placed):
             row[V + i], row[W + i] = motions[n, i], motions[n, 3 + i]
 
 
-# -- the force at a point
-# ------------------------------------------------------------------------------------------
+# -- the force at a point ----------------------------------------------------------------------------------
 
 
 @inner(forceinline=True)
-def own(row, dx, dy, dz):
+def body_coordinates(row, dx, dy, dz):
     """A point of the scene, x - t, in samples of an object from the corner of its box."""
     x = row[0] * dx + row[1] * dy + row[2] * dz - row[C]
     y = row[3] * dx + row[4] * dy + row[5] * dz - row[C + 1]
@@ -137,14 +135,14 @@ def own(row, dx, dy, dz):
 
 
 @inner(forceinline=True)
-def slot_at(boxes, n, tables, held, x, y, z):
+def slot_at(boxes, n, tables, supported, x, y, z):
     """The brick of cells of object n that holds a force about a point of its own, -1 for none."""
     if not (0.0 <= x < 8.0 * boxes[n, 0] and 0.0 <= y < 8.0 * boxes[n, 1] and 0.0 <= z < 8.0 * boxes[n, 2]):
         return -1
     i, j, k = np.int64(x), np.int64(y), np.int64(z)
     key = ((i >> 3) * boxes[n, 1] + (j >> 3)) * boxes[n, 2] + (k >> 3)
     slot = find(tables, boxes[n, START], boxes[n, SHIFT], key)
-    return slot if slot >= 0 and is_held(held, slot, i, j, k) else -1
+    return slot if slot >= 0 and is_supported(supported, slot, i, j, k) else -1
 
 
 @inner(forceinline=True)
@@ -166,67 +164,66 @@ def in_scene(row, gx, gy, gz, dx, dy, dz):
 
 
 @inner(forceinline=True)
-def shortened(x, y, z, limit):
+def clipped(x, y, z, limit):
     """A sum of forces cut to `limit`, its direction kept."""
     square = x * x + y * y + z * z
     if not square < np.inf:  # a damping beyond all bounds has no direction left
         return 0.0, 0.0, 0.0
     if square > limit * limit:
-        share = limit * INSIDE / math.sqrt(square)
-        return x * share, y * share, z * share
+        factor = limit * INSIDE / math.sqrt(square)
+        return x * factor, y * factor, z * factor
     return x, y, z
 
 
 @kernel(_nrt=False)
-def at_points(begin, end, points, boxes, placed, tables, cells, held, floor, limit, out):
+def at_points(start, stop, points, boxes, placed, tables, cells, supported, floor, limit, out):
     """Forces at points [m, 3], metres: what is within `floor` of zero counts as none, the sum is cut to
     `limit`.
     """
-    least = floor * floor
-    for p in range(begin, end):
+    min_square = floor * floor
+    for p in range(start, stop):
         px, py, pz = points[p, 0], points[p, 1], points[p, 2]
         sx, sy, sz = 0.0, 0.0, 0.0
         for n in range(boxes.shape[0]):
             row = placed[n]
             dx, dy, dz = px - row[T], py - row[T + 1], pz - row[T + 2]
-            x, y, z = own(row, dx, dy, dz)
-            slot = slot_at(boxes, n, tables, held, x, y, z)
+            x, y, z = body_coordinates(row, dx, dy, dz)
+            slot = slot_at(boxes, n, tables, supported, x, y, z)
             if slot < 0:
                 continue
             gx, gy, gz = force_of(cells, slot, x, y, z)
-            if gx * gx + gy * gy + gz * gz > least:
+            if gx * gx + gy * gy + gz * gz > min_square:
                 gx, gy, gz = in_scene(row, gx, gy, gz, dx, dy, dz)
                 sx, sy, sz = sx + gx, sy + gy, sz + gz
-        out[p, 0], out[p, 1], out[p, 2] = shortened(sx, sy, sz, limit)
+        out[p, 0], out[p, 1], out[p, 2] = clipped(sx, sy, sz, limit)
 
 
-# -- on a lattice
-# --------------------------------------------------------------------------------------------------
+# -- on a lattice ------------------------------------------------------------------------------------------
 
 
 @kernel
-def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, most):
+def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, max_pairs):
     """Bricks of a lattice that each object may reach: pairs (brick, object), int64 [m, 2], objects ascending.
 
     Boxes of cells and of the lattice's brick are held against each other along the axes of both. `bricks` [n,
     3] are those of cells, from `starts[n]` on; `stamps`, zero for each brick of the lattice, comes back as
     the number of the last object there, plus one. How many pairs there are comes first; -1 where there are
-    more than `most`, or sixteen times as many would have to be looked at.
+    more than `max_pairs`, or sixteen times as many would have to be looked at.
     """
     by, bz = (shape[1] + 7) // 8, (shape[2] + 7) // 8
     pairs = np.empty((1024, 2), np.int64)
-    count, seen = 0, 0
+    count, tested = 0, 0
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
-    centre, reach, turned = np.empty(3), np.empty(3), np.empty(3)
+    centre, reach, body_reach = np.empty(3), np.empty(3), np.empty(3)
     for n in range(boxes.shape[0]):
         row = placed[n]
         for a in range(3):
-            reach[a], turned[a] = 1e-6, 4.0 + 1e-6
+            reach[a], body_reach[a] = 1e-6, 4.0 + 1e-6
             for b in range(3):
                 reach[a] += 4.0 * abs(row[R + 3 * a + b]) * row[H + b] / lattice[3 + a]
-                turned[a] += 3.5 * abs(row[3 * a + b]) * lattice[3 + b]
+                body_reach[a] += 3.5 * abs(row[3 * a + b]) * lattice[3 + b]
         for s in range(starts[n], starts[n + 1]):
-            is_near = True
+            is_inside = True
             for a in range(3):
                 centre[a] = row[T + a] - lattice[a]
                 for b in range(3):
@@ -234,13 +231,13 @@ def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, most):
                 centre[a] /= lattice[3 + a]
                 first, last = max(centre[a] - reach[a], 0.0), min(centre[a] + reach[a], shape[a] - 1.0)
                 if not first <= last:
-                    is_near = False
+                    is_inside = False
                     break
                 low[a], high[a] = np.int64(np.ceil(first)) >> 3, np.int64(last) >> 3
-            if not is_near:
+            if not is_inside:
                 continue
-            seen += (high[0] - low[0] + 1) * (high[1] - low[1] + 1) * (high[2] - low[2] + 1)
-            if seen > 16 * most or count > most:
+            tested += (high[0] - low[0] + 1) * (high[1] - low[1] + 1) * (high[2] - low[2] + 1)
+            if tested > 16 * max_pairs or count > max_pairs:
                 return -1, pairs
             for i in range(low[0], high[0] + 1):
                 for j in range(low[1], high[1] + 1):
@@ -254,21 +251,21 @@ def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, most):
                         meets = True
                         for a in range(3):
                             q = row[3 * a] * dx + row[3 * a + 1] * dy + row[3 * a + 2] * dz - row[C + a]
-                            meets = meets and abs(q - 8.0 * bricks[s, a] - 4.0) <= turned[a]
+                            meets = meets and abs(q - 8.0 * bricks[s, a] - 4.0) <= body_reach[a]
                         if not meets:
                             continue
                         stamps[key] = n + 1
                         if count == pairs.shape[0]:
-                            more = np.empty((2 * count, 2), np.int64)
-                            more[:count] = pairs
-                            pairs = more
+                            grown = np.empty((2 * count, 2), np.int64)
+                            grown[:count] = pairs
+                            pairs = grown
                         pairs[count, 0], pairs[count, 1] = key, n
                         count += 1
-    return (count if count <= most else -1), pairs
+    return (count if count <= max_pairs else -1), pairs
 
 
 @inner
-def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, least):
+def _add_brick(total, first, lattice, shape, row, box, tables, cells, supported, min_square):
     """Add one object's forces at the samples of the brick that begins at `first`; whether there is any."""
     lx, ly, lz = 8.0 * box[0], 8.0 * box[1], 8.0 * box[2]
     ax, ay, az = row[2] * lattice[5], row[5] * lattice[5], row[8] * lattice[5]
@@ -280,7 +277,7 @@ def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, leas
         dx = lattice[0] + (first[0] + i) * lattice[3] - row[T]
         for j in range(min(8, shape[1] - first[1])):
             dy = lattice[1] + (first[1] + j) * lattice[4] - row[T + 1]
-            x0, y0, z0 = own(row, dx, dy, dz)
+            x0, y0, z0 = body_coordinates(row, dx, dy, dz)
             for k in range(depth):
                 x, y, z = x0 + k * ax, y0 + k * ay, z0 + k * az
                 if not (0.0 <= x < lx and 0.0 <= y < ly and 0.0 <= z < lz):
@@ -289,10 +286,10 @@ def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, leas
                 key = ((p >> 3) * box[1] + (q >> 3)) * box[2] + (r >> 3)
                 if key != last:
                     last, slot = key, find(tables, box[START], box[SHIFT], key)
-                if slot < 0 or not is_held(held, slot, p, q, r):
+                if slot < 0 or not is_supported(supported, slot, p, q, r):
                     continue
                 gx, gy, gz = force_of(cells, slot, x, y, z)
-                if gx * gx + gy * gy + gz * gz > least:
+                if gx * gx + gy * gy + gz * gz > min_square:
                     gx, gy, gz = in_scene(row, gx, gy, gz, dx, dy, dz + k * lattice[5])
                     total[i, j, k, 0] += gx
                     total[i, j, k, 1] += gy
@@ -303,18 +300,18 @@ def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, leas
 
 @kernel
 def fill(
-    begin,
-    end,
+    start,
+    stop,
     bricks,
     starts,
-    which,
+    object_indices,
     lattice,
     shape,
     boxes,
     placed,
     tables,
     cells,
-    held,
+    supported,
     limits,
     forces,
     full,
@@ -325,14 +322,14 @@ def fill(
     total = np.zeros((8, 8, 8, 3))
     first = np.empty(3, np.int64)
     floor, limit = limits
-    for s in range(begin, end):
+    for s in range(start, stop):
         for a in range(3):
             first[a] = 8 * bricks[s, a]
         added = False
         for m in range(starts[s], starts[s + 1]):
-            n = which[m]
+            n = object_indices[m]
             if _add_brick(
-                total, first, lattice, shape, placed[n], boxes[n], tables, cells, held, floor * floor
+                total, first, lattice, shape, placed[n], boxes[n], tables, cells, supported, floor * floor
             ):
                 added = True
         if not added:
@@ -344,7 +341,7 @@ def fill(
                     x, y, z = total[i, j, k, 0], total[i, j, k, 1], total[i, j, k, 2]
                     if x != 0.0 or y != 0.0 or z != 0.0:
                         force = forces[s, i, j, k]
-                        force[0], force[1], force[2] = shortened(x, y, z, limit)
+                        force[0], force[1], force[2] = clipped(x, y, z, limit)
                         any_force = any_force or force[0] != 0 or force[1] != 0 or force[2] != 0
         full[s] = any_force
         total[:] = 0.0

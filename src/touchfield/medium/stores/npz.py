@@ -1,9 +1,9 @@
-"""A medium as a NumPy ``.npz``: the plain, dense way out and in, for other programs.
+"""A medium as a NumPy ``.npz``: dense export and import for other programs.
 
 Arrays: ``forces_n`` float32 [frame, nx, ny, nz, 3], ``origin_m`` and ``spacing_m`` float64 [3], ``rate_hz``,
 ``axes``, ``tags`` (joined by commas), ``friction``, ``damping_n_s_per_m``, and where it is known the mapping,
-x_hand = ``mapping_scale`` (x_scene - ``mapping_offset_m``). Provenance stays behind. ``numpy.load``
-reads it as it is. Both ways go slab by slab, so that not even one dense frame is held at once.
+x_hand = ``mapping_scale`` (x_scene - ``mapping_offset_m``). Provenance is not stored. ``numpy.load`` reads
+the file. Both directions work slab by slab, so that not even one dense frame is in memory at once.
 
 An archive (a zip of ``.npy`` entries, NEP 1) is opened with care: nothing is unpickled, the header of an
 entry must agree with the entry's size before anything is allocated, and every fault is a `SourceError`.
@@ -31,14 +31,14 @@ from numpy.typing import NDArray
 from touchfield.arrays import Float32s
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Report, silent
-from touchfield.errors import SourceError, TouchfieldError, blamed_on
+from touchfield.errors import SourceError, TouchfieldError, as_source_error
 from touchfield.files import readable, require_plain
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
 
 DEFLATE_LEVEL: Final = (
-    1  # of a field that is 3 % force a twentieth of the bytes; level 6 takes longer for little
+    1  # a twentieth of the bytes for a field with 3 % force; level 6 gains little for its time
 )
 SINGLE_FRAME_RATE_HZ: Final = 30.0
 _DEFAULTS: Final[dict[str, float | str]] = {
@@ -62,19 +62,18 @@ def write_npz(
     path: str | Path,
     medium: HapticMedium,
     report: Report = silent,
-    told: Mapping[str, Sequence[float]] = MappingProxyType({}),
+    attributes: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> None:
-    """Write all frames; the file appears when it is whole.
+    """Write all frames; the file appears when it is complete.
 
     report : callable; ``report(written, frames)``, after each frame.
-    told : mapping of str to numbers; what else is to be told, an array each: ``mapping_scale``,
-        ``mapping_offset_m``.
+    attributes : mapping of str to numbers; further arrays: ``mapping_scale``, ``mapping_offset_m``.
     Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
     small = {"origin_m": np.array(medium.grid.origin_m), "spacing_m": np.array(medium.grid.spacing_m)}
-    for name, value in {**medium.beside, "tags": ",".join(medium.tags)}.items():
+    for name, value in {**medium.metadata, "tags": ",".join(medium.tags)}.items():
         small[name] = np.array(value if isinstance(value, str) else float(value))
-    small |= {name: np.array(values, np.float64) for name, values in told.items()}
+    small |= {name: np.array(values, np.float64) for name, values in attributes.items()}
     with atomic_path(Path(path)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, value in small.items():
             with archive.open(_entry(name), "w") as stream:
@@ -97,7 +96,7 @@ def _entry(name: str) -> zipfile.ZipInfo:
 
 
 def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
-    """Open a medium; its frames are read when they are asked for, quickest in ascending order.
+    """Open a medium; frames are read on access, fastest in ascending order.
 
     ``forces_n`` may also be of another number type, or one frame [nx, ny, nz, 3]; `rate_hz` may be absent
     from a single frame, the rest beside the grid from any. With `to_the_bit` a brick of nothing but -0.0 is
@@ -109,20 +108,20 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     shape = (1, *header.shape) if len(header.shape) == 4 else header.shape
     where = f"{path}, array forces_n"
     if len(shape) != 5 or shape[4] != 3 or min(shape) < 1 or header.dtype.kind not in "fiu":
-        raise SourceError(where, header.words, "numbers [frame, nx, ny, nz, 3], newtons")
+        raise SourceError(where, header.description, "numbers [frame, nx, ny, nz, 3], newtons")
     if header.is_fortran:
         raise SourceError(where, "Fortran order", "C order", "Save numpy.ascontiguousarray(forces_n).")
-    with blamed_on(f"{path}, "):
-        places: Any = [archive.numbers(name, 3) for name in ("spacing_m", "origin_m")]
-        grid = Grid((shape[1], shape[2], shape[3]), *places)
-        beside = {name: _beside(archive, name, value) for name, value in _DEFAULTS.items()}
-        beside["tags"] = tuple(filter(None, beside["tags"].split(",")))
-        rate = _beside(archive, "rate_hz", SINGLE_FRAME_RATE_HZ if shape[0] == 1 else None)
+    with as_source_error(f"{path}, "):
+        lattice: Any = [archive.numbers(name, 3) for name in ("spacing_m", "origin_m")]
+        grid = Grid((shape[1], shape[2], shape[3]), *lattice)
+        metadata = {name: _metadata_value(archive, name, value) for name, value in _DEFAULTS.items()}
+        metadata["tags"] = tuple(filter(None, metadata["tags"].split(",")))
+        rate = _metadata_value(archive, "rate_hz", SINGLE_FRAME_RATE_HZ if shape[0] == 1 else None)
         make = _Frames(archive, replace(header, shape=shape), grid, to_the_bit)
-        return HapticMedium(grid, rate, shape[0], make, **beside)
+        return HapticMedium(grid, rate, shape[0], make, **metadata)
 
 
-def _beside(archive: NpzArchive, name: str, default: float | str | None) -> Any:
+def _metadata_value(archive: NpzArchive, name: str, default: float | str | None) -> Any:
     """A number or a short string of an archive, or the default where there is none."""
     if default is not None and name not in archive.names:
         return default
@@ -130,7 +129,7 @@ def _beside(archive: NpzArchive, name: str, default: float | str | None) -> Any:
         return archive.numbers(name, 1)[0]
     header = archive.header(name)
     if header.dtype.kind != "U" or header.shape != () or header.data_bytes > _SMALL_BYTES:
-        raise SourceError(f"{archive.path}, array {name}", header.words, "one short string")
+        raise SourceError(f"{archive.path}, array {name}", header.description, "one short string")
     return str(archive.read(name)[()])
 
 
@@ -190,7 +189,7 @@ class ArrayHeader:
     size_bytes: int  # of the header itself
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Type and shape."""
         return f"{self.dtype} {list(self.shape)}"
 
@@ -205,7 +204,7 @@ def read_npy_header(stream: IO[bytes], where: str) -> ArrayHeader:
 
     Raises `SourceError` if it is no such header, or one of pickled objects.
     """
-    begin = stream.tell()
+    start = stream.tell()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # an odd header is told as a fault, not as a warning
@@ -226,7 +225,7 @@ def read_npy_header(stream: IO[bytes], where: str) -> ArrayHeader:
         )
     if any(n < 0 for n in shape):
         raise SourceError(where, f"the shape {shape}", "counts from 0")
-    return ArrayHeader(tuple(int(n) for n in shape), dtype, bool(fortran), stream.tell() - begin)
+    return ArrayHeader(tuple(int(n) for n in shape), dtype, bool(fortran), stream.tell() - start)
 
 
 def map_npy(path: Path) -> NDArray[Any]:
@@ -237,11 +236,11 @@ def map_npy(path: Path) -> NDArray[Any]:
     with readable(path):
         with path.open("rb") as stream:
             header = read_npy_header(stream, str(path))
-        size, whole = path.stat().st_size, header.size_bytes + header.data_bytes
+        size, expected_size = path.stat().st_size, header.size_bytes + header.data_bytes
         if header.dtype.kind not in "fiu" or not header.data_bytes:
-            raise SourceError(str(path), header.words, "numbers, at least one")
-        if size != whole:
-            found, expected = f"{header.words} in {size} bytes", f"numbers in {whole} bytes"
+            raise SourceError(str(path), header.description, "numbers, at least one")
+        if size != expected_size:
+            found, expected = f"{header.description} in {size} bytes", f"numbers in {expected_size} bytes"
             raise SourceError(str(path), found, expected, "Copy it again.")
         order: Literal["C", "F"] = "F" if header.is_fortran else "C"
         return np.memmap(path, header.dtype, "r", header.size_bytes, header.shape, order)
@@ -282,9 +281,15 @@ class NpzArchive:
         with self.faults(name), zipfile.ZipFile(self.path) as archive, archive.open(info) as stream:
             header = read_npy_header(stream, where)
             claimed = header.size_bytes + header.data_bytes
-            most = info.compress_size * (1 if info.compress_type == zipfile.ZIP_STORED else DEFLATE_LIMIT)
-            if claimed != info.file_size or claimed > most or info.compress_size > self.path.stat().st_size:
-                found = f"{info.file_size} bytes for {header.words}"
+            max_claimed = info.compress_size * (
+                1 if info.compress_type == zipfile.ZIP_STORED else DEFLATE_LIMIT
+            )
+            if (
+                claimed != info.file_size
+                or claimed > max_claimed
+                or info.compress_size > self.path.stat().st_size
+            ):
+                found = f"{info.file_size} bytes for {header.description}"
                 raise SourceError(where, found, f"{claimed} bytes", "The file is cut short or damaged.")
             yield header, stream
 
@@ -300,14 +305,14 @@ class NpzArchive:
         """The `count` finite numbers of an array of that size."""
         header, where = self.header(name), f"{self.path}, array {name}"
         if header.dtype.kind not in "fiu" or math.prod(header.shape) != count:
-            raise SourceError(where, header.words, f"{count} number{'s' * (count != 1)}")
+            raise SourceError(where, header.description, f"{count} number{'s' * (count != 1)}")
         values = self.read(name).astype(np.float64).ravel()
         if not np.isfinite(values).all():
             raise SourceError(where, f"{values.tolist()}", "finite numbers")
         return [float(v) for v in values]
 
     @contextmanager
-    def faults(self, what: str) -> Iterator[None]:
+    def faults(self, part: str) -> Iterator[None]:
         """Whatever zipfile or numpy raise for bytes at fault, as a `SourceError`."""
         try:
             yield
@@ -317,7 +322,7 @@ class NpzArchive:
             raise SourceError(str(self.path), "no such file", "a .npz of NumPy", "Check the path.") from error
         except _FAULTS as error:
             found = f"bytes at fault ({error or type(error).__name__})"
-            raise SourceError(f"{self.path}, {what}", found, "a whole .npz of NumPy") from error
+            raise SourceError(f"{self.path}, {part}", found, "a whole .npz of NumPy") from error
 
 
 def read_exactly(stream: IO[bytes], count: int, where: str) -> bytes:

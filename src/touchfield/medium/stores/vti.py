@@ -31,14 +31,14 @@ def write_vti(
     path: str | Path,
     medium: HapticMedium,
     report: Report = silent,
-    told: Mapping[str, Sequence[float]] = MappingProxyType({}),
+    attributes: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> Path:
     """Write a medium for ParaView.
 
     path : str or Path; one frame is written to this very file. Several are written to ``NAME_00000.vti`` and
         so on, and ``NAME.pvd`` is the file to open.
     report : callable; ``report(written, frames)``, after each frame.
-    told : mapping of str to numbers; what else is to be told, as field data.
+    attributes : mapping of str to numbers; further field data.
     Returns Path; The file to open.
     Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
@@ -46,7 +46,7 @@ def write_vti(
     is_single = len(medium) == 1
     files = [path if is_single else path.with_name(f"{path.stem}_{i:05d}.vti") for i in range(len(medium))]
     for i, file in enumerate(files):
-        _write_frame(file, medium, i, told)
+        _write_frame(file, medium, i, attributes)
         report(i + 1, len(medium))
     if is_single:
         return path
@@ -64,9 +64,11 @@ def write_vti(
     return collection
 
 
-def _write_frame(path: Path, medium: HapticMedium, index: int, told: Mapping[str, Sequence[float]]) -> None:
+def _write_frame(
+    path: Path, medium: HapticMedium, index: int, attributes: Mapping[str, Sequence[float]]
+) -> None:
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        stream.write(_head(medium, index, told))
+        stream.write(_head(medium, index, attributes))
         # x fastest, as VTK has it, slab by slab along z
         _write_blocks(
             stream, 12 * medium.grid.voxel_count, (s.transpose(2, 1, 0, 3) for s in medium[index].slabs(2))
@@ -74,7 +76,7 @@ def _write_frame(path: Path, medium: HapticMedium, index: int, told: Mapping[str
         stream.write(b"\n  </AppendedData>\n</VTKFile>\n")
 
 
-def _head(medium: HapticMedium, index: int, told: Mapping[str, Sequence[float]]) -> bytes:
+def _head(medium: HapticMedium, index: int, attributes: Mapping[str, Sequence[float]]) -> bytes:
     """Everything before the forces."""
     grid = medium.grid
     extent = " ".join(f"0 {n - 1}" for n in grid.shape)
@@ -85,7 +87,7 @@ def _head(medium: HapticMedium, index: int, told: Mapping[str, Sequence[float]])
         f'      <DataArray type="Float64" NumberOfTuples="{len(values)}" format="ascii" '
         f"Name={quoteattr(name)}>"
         f"{' '.join(repr(float(v)) for v in values)}</DataArray>\n"
-        for name, values in told.items()
+        for name, values in attributes.items()
     )
     text = f"""<?xml version="1.0"?>
 <VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64" \

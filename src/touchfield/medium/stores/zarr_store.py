@@ -1,11 +1,10 @@
-"""A medium as a zarr store, version 3: chunks of whole bricks in shards, for programs that read a part at a
-time.
+"""A medium as a zarr version 3 store: chunks of whole bricks in shards, for programs that read parts.
 
-A group with attributes (the lattice, the rate, what travels beside the forces) and the array ``forces_n``
-float32 [t, x, y, z, component]; levels of detail are ``forces_n_1``, ``forces_n_2``, ..., and the attribute
-``multiscales`` says where their samples lie, as OME-NGFF does. A chunk without a force is not written. Chunks
-are packed by zstd, or by a codec that is named, such as the coder `touch` (`touchfield.codec.zarr_codec`). A
-shard is a file, what is written at once.
+The group has attributes (the lattice, the rate, other metadata) and the array ``forces_n`` float32
+[t, x, y, z, component]; levels of detail are ``forces_n_1``, ``forces_n_2``, ..., whose lattices the
+attribute ``multiscales`` describes, as in OME-NGFF. A chunk without a force is not written. Chunks are
+compressed by zstd, or by another codec such as the coder `touch` (`touchfield.codec.zarr_codec`). A shard is
+one file, the unit of writing.
 """
 
 from __future__ import annotations
@@ -41,13 +40,13 @@ _AXES: Final = (
 )
 _CHUNK: Final = 128
 _SHARD: Final = 256
-_MOST_CHUNK_BYTES: Final = 1 << 28
-_MOST_FRAMES: Final = 1 << 24
-_MOST_TEXT: Final = 1 << 16
+_MAX_CHUNK_BYTES: Final = 1 << 28
+_MAX_FRAMES: Final = 1 << 24
+_MAX_TEXT: Final = 1 << 16
 _CODECS: Final = frozenset(
     {"sharding_indexed", "bytes", "transpose", "crc32c", "zstd", "gzip", "blosc", "touchfield.touch"}
 )
-"""Those of a stranger's store that are run; others of this machine are not for its bytes to choose."""
+"""Codecs that an untrusted store may use; it must not select other codecs that are installed."""
 
 
 def _zarr() -> Any:
@@ -61,7 +60,7 @@ def _chunks(grid: Grid) -> tuple[tuple[int, ...], tuple[int, ...]]:
 
 
 def boxes(grid: Grid) -> Iterator[Box]:
-    """The parts of a lattice that can be written without each other, one shard each."""
+    """Yield the parts of a lattice that can be written independently, one shard each."""
     _, shard = _chunks(grid)
     for low in product(*(range(0, n, s) for n, s in zip(grid.shape, shard))):
         shape = tuple(min(s, n - a) for s, n, a in zip(shard, grid.shape, low))
@@ -71,28 +70,28 @@ def boxes(grid: Grid) -> Iterator[Box]:
 def create(
     store: str | Path,
     medium: HapticMedium,
-    told: Mapping[str, Any],
+    attributes: Mapping[str, Any],
     codec: Mapping[str, Any] | None,
     levels: Sequence[HapticMedium] = (),
 ) -> None:
-    """Begin a store without a force; `codec` is the name and the configuration of what codes a chunk."""
+    """Create a store without forces; `codec` is the name and the configuration of the codec of a chunk."""
     zarr, grid = _zarr(), medium.grid
     about = {
         "spacing_m": list(grid.spacing_m),
         "origin_m": list(grid.origin_m),
-        **medium.beside,
+        **medium.metadata,
         "tags": list(medium.tags),
-        **told,
+        **attributes,
     }
-    datasets = [_level(one, n) for n, one in enumerate((medium, *levels))]
+    datasets = [_level(level_medium, n) for n, level_medium in enumerate((medium, *levels))]
     scales = [{"name": ARRAY, "type": "level of detail", "axes": list(_AXES), "datasets": datasets}]
     group = zarr.create_group(store, zarr_format=3, attributes={"touchfield": about, "multiscales": scales})
     coding = {"serializer": dict(codec), "compressors": None} if codec else {}
-    for level, one in enumerate((medium, *levels)):
-        chunk, shard = _chunks(one.grid)
+    for level, level_medium in enumerate((medium, *levels)):
+        chunk, shard = _chunks(level_medium.grid)
         group.create_array(
             _level_name(level),
-            shape=(len(one), *one.grid.shape, 3),
+            shape=(len(level_medium), *level_medium.grid.shape, 3),
             chunks=(1, *chunk, 3),
             shards=(1, *shard, 3),
             dtype="float32",
@@ -128,38 +127,38 @@ def write_zarr(
     path: str | Path,
     medium: HapticMedium,
     report: Report = silent,
-    told: Mapping[str, Any] = MappingProxyType({}),
+    attributes: Mapping[str, Any] = MappingProxyType({}),
     levels: Sequence[HapticMedium] = (),
 ) -> None:
-    """Write all frames, packed by zstd; the folder appears when it is whole.
+    """Write all frames, compressed by zstd; the folder appears when it is complete.
 
     report : callable; ``report(written, frames)``, after each frame.
     levels : coarser media of the same frames, which follow as levels of detail.
-    told : mapping of str to JSON values; what else the attributes are to tell.
+    attributes : mapping of str to JSON values; further attributes.
     Raises `MissingExtra` without zarr; `InvalidArgument` if something lies at `path`; `SourceError` if
     refused.
     """
-    with whole_folder(Path(path)) as store:
-        create(store, medium, told, None, levels)
-        parts = [list(boxes(one.grid)) for one in (medium, *levels)]
+    with atomic_folder(Path(path)) as store:
+        create(store, medium, attributes, None, levels)
+        parts = [list(boxes(level_medium.grid)) for level_medium in (medium, *levels)]
         for i in range(len(medium)):
-            for n, one in enumerate((medium, *levels)):
-                field = one[i]
+            for n, level_medium in enumerate((medium, *levels)):
+                field = level_medium[i]
                 for low, shape in parts[n]:
                     write_box(store, i, low, cut(field, low, shape).to_dense(), n)
             report(i + 1, len(medium))
 
 
 @contextmanager
-def whole_folder(path: Path, is_kept: bool = False) -> Iterator[Path]:
-    """A folder ``PATH.parts`` that gets its name at the end of the block; after an error it goes, or is kept."""
+def atomic_folder(path: Path, keep: bool = False) -> Iterator[Path]:
+    """Yield a folder ``PATH.parts``, renamed to PATH at the end; on error it is removed unless `keep`."""
     _zarr()  # before anything is written
     if path.exists():
         raise InvalidArgument(
             str(path), "something there already", "a new name", "Remove it, or take another name."
         )
     partial = path.with_name(f"{path.name}.parts")
-    if not is_kept:
+    if not keep:
         shutil.rmtree(partial, ignore_errors=True)
     try:
         yield partial
@@ -167,16 +166,16 @@ def whole_folder(path: Path, is_kept: bool = False) -> Iterator[Path]:
     except OSError as error:
         raise SourceError(str(path), f"that it cannot be written: {error.strerror or error}") from error
     finally:
-        if not is_kept:
+        if not keep:
             shutil.rmtree(partial, ignore_errors=True)
 
 
 def cut(field: ForceField, low: Sequence[int], shape: tuple[int, int, int]) -> ForceField:
     """Part of a field from sample `low` on, which begins a brick."""
     first, count = np.asarray(low) // BRICK, -(-np.asarray(shape) // BRICK)
-    own = ((field.bricks >= first) & (field.bricks < first + count)).all(axis=1)
+    is_inside = ((field.bricks >= first) & (field.bricks < first + count)).all(axis=1)
     grid = Grid(shape, field.grid.spacing_m, tuple(field.grid.to_m(low).tolist()))
-    return ForceField(grid, (field.bricks[own] - first).astype(np.int32), field.forces_n[own])
+    return ForceField(grid, (field.bricks[is_inside] - first).astype(np.int32), field.forces_n[is_inside])
 
 
 def read_zarr(path: str | Path) -> HapticMedium:
@@ -198,7 +197,7 @@ def read_zarr(path: str | Path) -> HapticMedium:
             float(about["rate_hz"]),
             shape[0],
             lambda i: _frame(array, i, grid, chunk, str(path)),
-            axes=str(about["axes"])[:_MOST_TEXT],
+            axes=str(about["axes"])[:_MAX_TEXT],
             tags=tuple(str(tag) for tag in about["tags"])[:8],
             friction=float(about["friction"]),
             damping_n_s_per_m=float(about["damping_n_s_per_m"]),
@@ -210,8 +209,8 @@ def read_zarr(path: str | Path) -> HapticMedium:
 
 def _json(file: Path) -> dict[str, Any]:
     try:
-        if file.stat().st_size > _MOST_TEXT:
-            raise SourceError(str(file), f"{file.stat().st_size} bytes", f"at most {_MOST_TEXT}")
+        if file.stat().st_size > _MAX_TEXT:
+            raise SourceError(str(file), f"{file.stat().st_size} bytes", f"at most {_MAX_TEXT}")
         members = json.loads(file.read_text("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise SourceError(str(file), f"that it cannot be read ({error})", "a zarr store, version 3") from None
@@ -236,10 +235,10 @@ def _layout(path: Path) -> tuple[list[int], list[int]]:
         ) from None
     if kind not in ("float32", "float64") or len(shape) != 5 or shape[4] != 3 or min(shape) < 1:
         raise SourceError(where, f"{kind} {shape}", "float32 [t, x, y, z, 3], newtons")
-    if len(chunk) != 5 or min(chunk) < 1 or chunk[4] != 3 or shape[0] > _MOST_FRAMES:
+    if len(chunk) != 5 or min(chunk) < 1 or chunk[4] != 3 or shape[0] > _MAX_FRAMES:
         raise SourceError(where, f"chunks {chunk}", "chunks of whole forces")
-    if 8 * math.prod(chunk) > _MOST_CHUNK_BYTES:
-        raise SourceError(where, f"chunks of {chunk} samples", f"at most {_MOST_CHUNK_BYTES >> 20} MiB each")
+    if 8 * math.prod(chunk) > _MAX_CHUNK_BYTES:
+        raise SourceError(where, f"chunks of {chunk} samples", f"at most {_MAX_CHUNK_BYTES >> 20} MiB each")
     strange = [name for name in codecs if name not in _CODECS]
     if strange:
         raise SourceError(where, f"the codec {strange[0]!r}", f"one of {', '.join(sorted(_CODECS))}")
@@ -248,9 +247,9 @@ def _layout(path: Path) -> tuple[list[int], list[int]]:
 
 def _names(codecs: Any) -> Iterator[str]:
     """Names of codecs, and of those within a shard."""
-    for one in codecs:
-        yield str(one["name"])
-        inside = one.get("configuration") or {}
+    for codec in codecs:
+        yield str(codec["name"])
+        inside = codec.get("configuration") or {}
         for key in ("codecs", "index_codecs"):
             yield from _names(inside.get(key) or ())
 
@@ -262,8 +261,8 @@ def _frame(array: Any, frame: int, grid: Grid, chunk: Sequence[int], name: str) 
         high = min(x + step, grid.shape[0])
         dense = np.zeros((high - x, *grid.shape[1:], 3), np.float32)
         for y, z in product(range(0, grid.shape[1], chunk[2]), range(0, grid.shape[2], chunk[3])):
-            ends = slice(y, y + chunk[2]), slice(z, z + chunk[3])
-            dense[(slice(None), *ends)] = array[(frame, slice(x, high), *ends)]
+            yz_slices = slice(y, y + chunk[2]), slice(z, z + chunk[3])
+            dense[(slice(None), *yz_slices)] = array[(frame, slice(x, high), *yz_slices)]
         return dense
 
     step = -(-chunk[1] // BRICK) * BRICK
