@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_truth import contact_errors_mm
-from machine import SHARED, Bar, at_least, at_most, bench, column, figure
-from machine import Figures as Row
+from machine import SHARED, Bar, Figures as Row, at_least, at_most, bench, column, figure
 from touchfield.devices import device
 from touchfield.devices.drivers.simulated import SimHand
 from touchfield.filters.resample import low_pass

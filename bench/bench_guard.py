@@ -47,8 +47,12 @@ from touchfield.filters.smoothing import GaussianFilter, gaussian, gaussian_taps
 from touchfield.medium import Grid, HapticMedium
 from touchfield.render.sampler import FieldSampler
 from touchfield.sources.depth.depth_scene import DepthScene, force_bricks, query_of
-from touchfield.sources.depth.kernels.field import _fill as fill_bricks
-from touchfield.sources.depth.kernels.field import brick_forces, holds_force, may_hold_force
+from touchfield.sources.depth.kernels.field import (
+    _fill as fill_bricks,
+    brick_forces,
+    holds_force,
+    may_hold_force,
+)
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.scene import find_bricks_by_block

@@ -38,9 +38,7 @@ from touchfield.render.kernels.tick import tick
 from touchfield.render.spec import RenderSpec, stability_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "render"))
-from tick_makers import OMNI
-from tick_makers import Bench as Bench
-from tick_makers import wall as wall
+from tick_makers import OMNI, Bench as Bench, wall as wall
 
 from touchfield.medium import Grid
 

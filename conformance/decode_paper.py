@@ -25,7 +25,7 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
     return map(in_bricks, frames(Cursor(body), codebook(name), shape, frame_count))
 
 
-# -- directions -------------------------------------------------------------------------------------------
+# -- directions --------------------------------------------------------------------------------------------
 
 
 def unit(points: Array) -> Array:
@@ -66,7 +66,7 @@ def icosahedron(parts: int) -> Array:
     return unit(np.array([sum(weights[n] * corners[p] for n, p in zip(s, f)) for f in faces for s in shares]))
 
 
-# -- levels, directions and runs --------------------------------------------------------------------------
+# -- levels, directions and runs ---------------------------------------------------------------------------
 
 Code = dict[str, int]
 """The digits of codes to symbols."""
@@ -180,7 +180,7 @@ def synthesis(
     return forces
 
 
-# -- stages -----------------------------------------------------------------------------------------------
+# -- stages ------------------------------------------------------------------------------------------------
 
 
 def staged(c: Cursor, stage: str, shape: Place, frame_count: int) -> Iterator[Forces]:

@@ -19,7 +19,7 @@ def bounded(value: int, most: int, least: int | None = None) -> int:
     return max(-most if least is None else least, min(value, most))
 
 
-# -- kind 0: a spline -------------------------------------------------------------------------------------
+# -- kind 0: a spline --------------------------------------------------------------------------------------
 
 
 def spline(data: bytes, shape: Place) -> Units:
@@ -96,7 +96,7 @@ def forces(f: Array, scales: list[int]) -> Array:
     return np.stack([(steep - 2 * size * s) // (2 * steep) for s in slopes], axis=-1)
 
 
-# -- kind 1: columns --------------------------------------------------------------------------------------
+# -- kind 1: columns ---------------------------------------------------------------------------------------
 
 Z, A = 2, 3
 

@@ -100,7 +100,7 @@ def bodies(frames: int, rate_hz: float, is_deforming: bool, surface_damping: flo
     )
     objects = (
         HapticObject("first block", rigid, tumbling(frames, 1)),
-        HapticObject("floor", floor, PoseTrack.still(frames)),
+        HapticObject("floor", floor, PoseTrack.constant(frames)),
         HapticObject("second block", other, tumbling(frames, -1)),
     )
     return HapticScene(world, rate_hz, objects, 1.25, surface_damping, "x east, y north, z up", 0.25, 0.5)

@@ -81,7 +81,7 @@ class Frame:
         ahead = a - ((vector * ((1 << 28) // a) >> 14) * self.slope >> 14)
         self.cells[at] = Cell(vector, a, ahead, along, across)
 
-    # -- support ------------------------------------------------------------------------------------------
+    # -- support --------------------------------------------------------------------------------------------
 
     def blocks(self, brick: Place, known: bool) -> dict[Place, int]:
         """Which blocks of 4 x 4 x 4 voxels hold a force."""
@@ -113,7 +113,7 @@ class Frame:
         contexts = (likely, mask, v.then), (wide, mask, v.then), (*every, mask & 7, likely >> 3)
         return self.mix("held", 0, contexts, (len(ahead), v.then))
 
-    # -- prediction ---------------------------------------------------------------------------------------
+    # -- prediction -----------------------------------------------------------------------------------------
 
     def chain(self, cell: Cell | None, axis: int) -> Array | None:
         """Follow the law from a neighbour."""

@@ -18,7 +18,7 @@ from reproduction.experiment import Experiment, Inputs, experiment, experiments
 from reproduction.page import Made, command, plain, write_finding, write_page
 from reproduction.scenes import user_inputs
 from touchfield.cli.main import Json, run
-from touchfield.cli.show import Answer, progress
+from touchfield.cli.output import Answer, progress
 from touchfield.errors import InvalidArgument, TouchfieldError
 
 __all__ = ["app", "run_reproduction"]

@@ -96,8 +96,7 @@ def _object_words(scene: PaperScene) -> str:
     )
 
 
-# -- the table of one scene
-# -----------------------------------------------------------------------------------
+# -- the table of one scene --------------------------------------------------------------------------------
 
 
 def _table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> str:
@@ -204,8 +203,7 @@ def _why_objects(one: SceneCounts) -> str:
     )
 
 
-# -- what the entropies are of
-# --------------------------------------------------------------------------------
+# -- what the entropies are of -----------------------------------------------------------------------------
 
 
 def _entropy_table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> str:
@@ -258,8 +256,7 @@ def _arithmetic() -> str:
     )
 
 
-# -- as data
-# --------------------------------------------------------------------------------------------------
+# -- as data -----------------------------------------------------------------------------------------------
 
 
 def _data(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> dict[str, Any]:

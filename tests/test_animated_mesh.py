@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from gltf_makers import CUBE, CUBE_FACES, Gltf, everything, moving_cube

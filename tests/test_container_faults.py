@@ -17,12 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from container_strategies import EXAMPLE_HEAD, OPENING, assembled, encoded, example_file, framed
-from touchfield.container import TouchReader, TouchWriter
-from touchfield.container import writer as writer_module
+from touchfield.container import TouchReader, TouchWriter, writer as writer_module
 from touchfield.container.records import MAGIC, RECORD_OF, Index, Pair, Provenance, Segment, SegmentEntry
 from touchfield.errors import (
     CorruptFile,

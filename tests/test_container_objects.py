@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from container_strategies import (
     EXAMPLE_HEAD,
@@ -24,9 +23,13 @@ from container_strategies import (
     framed,
     heads,
 )
-from touchfield.container import ObjectRecord, TouchReader, TouchWriter
-from touchfield.container import reader as reader_module
-from touchfield.container import writer as writer_module
+from touchfield.container import (
+    ObjectRecord,
+    TouchReader,
+    TouchWriter,
+    reader as reader_module,
+    writer as writer_module,
+)
 from touchfield.container.records import MAX_OBJECTS, OBJECTS_CODER, Index, SegmentEntry, Struct
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument
 

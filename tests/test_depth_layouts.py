@@ -8,15 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import DepthCode, Intrinsics
 from touchfield.sources.depth.depth_scene import DepthScene
-from touchfield.sources.depth.layouts import LAYOUTS as DEPTH_LAYOUTS
-from touchfield.sources.depth.layouts import Layout
+from touchfield.sources.depth.layouts import LAYOUTS as DEPTH_LAYOUTS, Layout
 from touchfield.sources.images import pictures
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.terrain.height_scene import HeightScene

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters import RigidMotion, half_grid, interpolate, max_levels, pyramid, rebuild_level

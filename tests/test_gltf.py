@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from gltf_makers import CUBE, CUBE_FACES, Gltf, everything, glb, moving_cube

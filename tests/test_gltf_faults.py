@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from gltf_makers import CUBE, Gltf, everything, glb, moving_cube
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from scipy import io, stats
@@ -19,8 +18,7 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.interaction import interaction_entropy, visits
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
-from touchfield.medium import Grid
-from touchfield.medium import trace as trace_module
+from touchfield.medium import Grid, trace as trace_module
 from touchfield.medium.trace import Trace, read_trace
 
 GRID = Grid((5, 12, 9), (0.01, 0.02, 0.005), (-0.02, 0.1, 0.0))

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from touchfield.errors import InvalidArgument
 from touchfield.sources.laws import LAWS, ForceProfile, LawSpec, profile_of

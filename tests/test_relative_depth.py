@@ -9,16 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.depth.depth_scene import DepthScene
-from touchfield.sources.depth.inverse_depth import KINDS, InverseDepth, find_map
-from touchfield.sources.depth.inverse_depth import read_relative as read_sequence
+from touchfield.sources.depth.inverse_depth import (
+    KINDS,
+    InverseDepth,
+    find_map,
+    read_relative as read_sequence,
+)
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.terrain.height_scene import HeightScene

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from reproduction import experiment as frame
-from reproduction import page, scenes
+from reproduction import experiment as frame, page, scenes
 from reproduction.__main__ import app
 from reproduction.experiment import Experiment, Finding, Inputs, markdown_table
 

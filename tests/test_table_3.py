@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from reproduction import table_3
 from reproduction.coding import CodedScene
 from reproduction.scenes import DepthInput, user_inputs

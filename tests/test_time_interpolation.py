@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
@@ -26,8 +25,7 @@ from touchfield.sources.camera import (
     interpolate_depth,
 )
 from touchfield.sources.depth.depth_scene import DepthScene
-from touchfield.sources.depth.layouts import LAYOUTS as DEPTH_LAYOUTS
-from touchfield.sources.depth.layouts import Layout
+from touchfield.sources.depth.layouts import LAYOUTS as DEPTH_LAYOUTS, Layout
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.terrain.height_scene import HeightScene
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from signal_makers import RATE_HZ, Float64s, db, noise
 from touchfield.errors import InvalidArgument, TouchfieldError

@@ -27,56 +27,23 @@ from touchfield.hooks import register
 if TYPE_CHECKING:
     from touchfield import (
         cli as cli,
-    )
-    from touchfield import (
         codec as codec,
-    )
-    from touchfield import (
         compute as compute,
-    )
-    from touchfield import (
         container as container,
-    )
-    from touchfield import (
-        devices as devices,
-    )
-    from touchfield import (
         exchange as exchange,
-    )
-    from touchfield import (
         filters as filters,
-    )
-    from touchfield import (
         measure as measure,
-    )
-    from touchfield import (
         medium as medium,
-    )
-    from touchfield import (
         network as network,
-    )
-    from touchfield import (
         perception as perception,
-    )
-    from touchfield import (
         pipeline as pipeline,
-    )
-    from touchfield import (
         reduction as reduction,
-    )
-    from touchfield import (
         render as render,
-    )
-    from touchfield import (
         sources as sources,
-    )
-    from touchfield import (
         tasks as tasks,
-    )
-    from touchfield import (
         viewer as viewer,
     )
-    from touchfield.devices import device
+    from touchfield.devices import device, devices
     from touchfield.medium import ForceField, Grid, HapticMedium
     from touchfield.pipeline import EncodeSpec, compare, decode, encode, open_stream, prepare, write_field
     from touchfield.render.player import Player

@@ -14,8 +14,7 @@ import threading
 import time
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from touchfield.devices.drivers import haply, links
 from touchfield.devices.drivers.haply import Haply

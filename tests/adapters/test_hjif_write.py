@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from effect_makers import RATES_HZ, effects, read_force, schema_errors
 from touchfield.errors import InvalidArgument, SourceError

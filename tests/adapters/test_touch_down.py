@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from touchfield.devices.drivers.simulated import STIFFNESS_N_PER_M, SimHand
 from touchfield.devices.drivers.touch_down import touch_down

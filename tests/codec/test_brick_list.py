@@ -7,8 +7,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, code, finish, new_models, reader, writer
 from touchfield.codec.support import BRICKS_FREE, BRICKS_PER_BYTE, code_bricks, pad_payload

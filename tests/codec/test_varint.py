@@ -6,8 +6,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from touchfield.codec.support import MAX_NUMBER, decode_numbers, encode_numbers
 from touchfield.codec.varint import VARINT_LIMIT, read_varint, write_varint

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from second import CONFORMANCE, decoder, reading
 
 from container_strategies import OPENING, allowed, assembled, encoded, example_file, framed, heads

@@ -13,8 +13,7 @@ from touchfield.medium import ForceField
 from touchfield.medium.cells import CellPool
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.render.block import Memory
-from touchfield.render.block import words as W
+from touchfield.render.block import Memory, words as W
 from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
 from touchfield.render.kernels.tick import tick
 from touchfield.render.spec import RenderSpec, wall_of, write_parameters

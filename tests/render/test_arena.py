@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from player_makers import telling
 
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
-from touchfield.render.block import PREFIX, Block, Layout, Memory, Ring, check_fits, shared_folder
-from touchfield.render.block import words as W
+from touchfield.render.block import PREFIX, Block, Layout, Memory, Ring, check_fits, shared_folder, words as W
 from touchfield.render.feeder import FrameSource, arena_word_count
 from touchfield.render.player import Session, ramp_limit_s
 from touchfield.render.spec import RenderSpec

@@ -6,13 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from player_makers import RATE_HZ, frame_of, laid_out, telling
 
 from touchfield.medium import HapticMedium
-from touchfield.render.block import FLAGS, TickLog, statistics_of
-from touchfield.render.block import words as W
+from touchfield.render.block import FLAGS, TickLog, statistics_of, words as W
 from touchfield.render.kernels.tick import cycle
 from touchfield.render.spec import RenderSpec
 

@@ -7,13 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from tick_makers import OMNI, Bench, Vector, constant, linear, wall
 
 from touchfield.medium import Grid
-from touchfield.render.block import Memory
-from touchfield.render.block import words as W
+from touchfield.render.block import Memory, words as W
 from touchfield.render.block.frames import frame_words
 from touchfield.render.kernels.tick import tick
 from touchfield.render.spec import RenderSpec

@@ -6,14 +6,12 @@ import time
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from player_makers import GRID, laid_out, telling, told
 
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
-from touchfield.render.block import Memory
-from touchfield.render.block import words as W
+from touchfield.render.block import Memory, words as W
 from touchfield.render.feeder import Feeder, FrameSource
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.player import Session

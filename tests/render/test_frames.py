@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from block_makers import Block, some_field
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack

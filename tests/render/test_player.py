@@ -17,8 +17,7 @@ from player_makers import GRID, OMNI, Absent, Failing, Hung, Noted, Simulated, S
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
-from touchfield.render.block import FLAGS, PREFIX, shared_folder
-from touchfield.render.block import words as W
+from touchfield.render.block import FLAGS, PREFIX, shared_folder, words as W
 from touchfield.render.feeder import FrameSource
 from touchfield.render.player import Player
 from touchfield.render.servo import zero_by_reconnecting

@@ -19,8 +19,7 @@ from touchfield.devices import device
 from touchfield.errors import CorruptFile, DeviceError
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.render import servo
-from touchfield.render.block import Memory
-from touchfield.render.block import words as W
+from touchfield.render.block import Memory, words as W
 from touchfield.render.player import Session
 from touchfield.render.point_device import Point, Quaternion
 from touchfield.render.servo import VirtualClock, serve

@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from player_makers import OMNI, Absent, Failing, Simulated, Still, frame_of, laid_out, telling
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
-from touchfield.render.block import LOG_ROWS
-from touchfield.render.block import words as W
+from touchfield.render.block import LOG_ROWS, words as W
 from touchfield.render.offline import run_offline
 from touchfield.render.point_device import Point, PointDevice
 from touchfield.render.servo import VirtualClock, serve

@@ -14,8 +14,7 @@ from tick_makers import GRID, OMNI, Bench, constant, points, wall
 from touchfield.devices import Device
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.cells import CellPool
-from touchfield.render.block import Memory
-from touchfield.render.block import words as W
+from touchfield.render.block import Memory, words as W
 from touchfield.render.player import Session
 from touchfield.render.spec import RenderSpec, stability_of, stiffest_n_per_m
 

@@ -7,14 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from tick_makers import OMNI, Bench, constant, linear, wall
 
 from touchfield.devices import device
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.render.block import Memory
-from touchfield.render.block import words as W
+from touchfield.render.block import Memory, words as W
 from touchfield.render.kernels.tick import release, tick
 from touchfield.render.point_device import axes_matrix
 from touchfield.render.spec import RenderSpec, write_parameters

@@ -10,12 +10,10 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from tick_makers import OMNI, Bench, Vector, constant, limits, linear
 
-from touchfield.render.block import Memory
-from touchfield.render.block import words as W
+from touchfield.render.block import Memory, words as W
 from touchfield.render.kernels.effects import limited
 from touchfield.render.spec import RenderSpec, write_parameters
 

@@ -9,8 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from tick_makers import GRID, OMNI, Bench, Vector, constant, points
 
 from touchfield.devices import device
@@ -18,8 +17,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
 from touchfield.medium.pose_track import rotation_matrices
-from touchfield.render.block import Memory
-from touchfield.render.block import words as W
+from touchfield.render.block import Memory, words as W
 from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.kernels.points import tool_force

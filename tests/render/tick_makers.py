@@ -13,8 +13,7 @@ from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
 from touchfield.medium.deformation import Deformation
 from touchfield.medium.medium import VibrationFrame
-from touchfield.render.block import Memory
-from touchfield.render.block import words as W
+from touchfield.render.block import Memory, words as W
 from touchfield.render.block.frames import (
     FramePart,
     field_words,

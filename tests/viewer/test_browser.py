@@ -11,8 +11,7 @@ import pytest
 from browser import ROOT, drive, hour_played, needs_browser
 
 import touchfield as tf
-from touchfield.cli.main import app
-from touchfield.cli.main import run as run_cli
+from touchfield.cli.main import app, run as run_cli
 from touchfield.perception.vibrotactile import BANDS_HZ
 from touchfield.render.material import Material
 from touchfield.tasks.texture import store_materials

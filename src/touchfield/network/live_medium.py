@@ -406,7 +406,7 @@ class LiveStream(OpenStream):
         """The medium; access to its frames waits until they have come."""
         vibration = self.frames.vibration if self.frames.vibrates else None
         return HapticMedium(
-            grid=self.grid, frame_count=ENDLESS, make_frame=self.frames, vibration=vibration, **self._beside
+            grid=self.grid, frame_count=ENDLESS, make_frame=self.frames, vibration=vibration, **self._metadata
         )
 
     @property

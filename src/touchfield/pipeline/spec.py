@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.codec.registry import coder as coder_entry
-from touchfield.codec.registry import field_coders
+from touchfield.codec.registry import coder as coder_entry, field_coders
 from touchfield.codec.segment import longest_segment, segment_length
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import (

@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Final
 
 from touchfield.errors import TouchfieldError
 from touchfield.medium import HapticScene
-from touchfield.render.block import Layout, Memory, Ring, check_fits, too_little
-from touchfield.render.block import words as W
+from touchfield.render.block import Layout, Memory, Ring, check_fits, too_little, words as W
 from touchfield.render.block.frames import (
     VIBRATION,
     FieldName,

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, require_between
-from touchfield.render.block import DEFAULT_BYTES, Memory, TickLog, statistics_of
-from touchfield.render.block import words as W
+from touchfield.render.block import DEFAULT_BYTES, Memory, TickLog, statistics_of, words as W
 from touchfield.render.player import Session, is_over
 from touchfield.render.servo import Opener, VirtualClock, serve
 from touchfield.render.spec import RenderSpec

@@ -31,8 +31,8 @@ from touchfield.render.block import (
     TickLog,
     free_bytes,
     statistics_of,
+    words as W,
 )
-from touchfield.render.block import words as W
 from touchfield.render.feeder import FIRST_GENERATION, Feeder, FrameSource, arena_word_count
 from touchfield.render.material import material_word_count, stored_materials, write_materials
 from touchfield.render.servo import Opener, ServoProcess, zero_by_reconnecting

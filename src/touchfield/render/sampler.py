@@ -22,8 +22,7 @@ from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument, require_not_negative
 from touchfield.medium.field import numbers_of
 from touchfield.medium.medium import HapticScene
-from touchfield.render.block import Memory
-from touchfield.render.block import words as W
+from touchfield.render.block import Memory, words as W
 from touchfield.render.block.frames import FieldName, FrameParts, field_words, write_fields
 
 if TYPE_CHECKING:

@@ -24,8 +24,7 @@ from pickle import PickleError
 from typing import Any, Final
 
 from touchfield.errors import DeviceError, InvalidArgument, TouchfieldError
-from touchfield.render.block import Block, Memory
-from touchfield.render.block import words as W
+from touchfield.render.block import Block, Memory, words as W
 from touchfield.render.point_device import Point, PointDevice
 
 Opener = Callable[[], PointDevice]

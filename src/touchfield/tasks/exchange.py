@@ -24,8 +24,8 @@ from touchfield.compute.threads import Report, silent
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_ending, require_one_of
 from touchfield.exchange.ahap import read_ahap
-from touchfield.exchange.effect_files import RATE_HZ as WAV_RATE_HZ
 from touchfield.exchange.effect_files import (
+    RATE_HZ as WAV_RATE_HZ,
     fits_vest,
     write_ahap,
     write_haptic,

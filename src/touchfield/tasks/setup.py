@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.codec.touch.warm import GROUPS as TOUCH
-from touchfield.codec.touch.warm import solid
+from touchfield.codec.touch.warm import GROUPS as TOUCH, solid
 from touchfield.compute.jit import kernel_folder
 from touchfield.compute.threads import Report, silent, worker_count
 from touchfield.devices.drivers.registry import Check, array_kinds, library_check, point_kinds

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from object_makers import F0_N, ball, head_of, moving_scene, tumbling
 from touchfield.codec.objects.decoder import ObjectsDecoder

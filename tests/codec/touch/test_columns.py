@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from lattice_makers import FLAT, lattice_of, limits_of
 
 from touchfield.codec.touch import base_layer as columns

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from field_makers import GRID, field_of, round_trip
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from numba import njit
 
 from touchfield.codec.touch.body import write_body

@@ -7,8 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from field_makers import GRID, KINDS, field_of, hills
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from touchfield.codec.touch import frame_encoder
 from touchfield.codec.touch.error_bound import masked_error_n

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from field_makers import GRID, KINDS, field_of
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from touchfield.codec.touch.error_bound import compare_frames, fraction_within_bound
 from touchfield.codec.touch.lattice import FixedField

@@ -7,8 +7,7 @@ import itertools
 import numpy as np
 import pytest
 from field_makers import GRID, field_of
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from touchfield.codec.touch.frame import ScanOrder
 from touchfield.codec.touch.lattice import FixedField

@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from field_makers import GRID, KINDS, field_of, hills, round_trip
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from touchfield.codec.registry import coder, field_decoder
 from touchfield.codec.segment import FrameKind, MaxError, max_error_keys

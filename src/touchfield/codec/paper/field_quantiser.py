@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Int32s
 from touchfield.codec.paper import quantisers
-from touchfield.codec.paper.directions import DEFAULT as DEFAULT_DIRECTIONS
-from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.paper.directions import DEFAULT as DEFAULT_DIRECTIONS, Codebook
 from touchfield.codec.paper.quantisers import AmplitudeLevels, amplitudes_n
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols

@@ -23,8 +23,7 @@ from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, Models, new_models, reader
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.support import check_end, code_bricks, pad_payload
-from touchfield.codec.touch.kernels import exact
-from touchfield.codec.touch.kernels import workspace as kernels
+from touchfield.codec.touch.kernels import exact, workspace as kernels
 from touchfield.codec.touch.kernels.decode_pass import CONTEXTS, SETS, decode_bricks
 from touchfield.codec.touch.kernels.workspace import CLASSES, FEATURES, Law, Scan, fresh_work
 from touchfield.codec.touch.lattice import FixedField, Lattice, warp_of

@@ -18,8 +18,7 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.cells import CellPool
 from touchfield.medium.medium import HapticMedium, HapticScene
-from touchfield.render.block import Memory
-from touchfield.render.block import words as W
+from touchfield.render.block import Memory, words as W
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -59,7 +58,7 @@ class FramePart:
 
 def field_words(pool: CellPool) -> int:
     """Words that `write_field` takes for a pool of one field."""
-    return W.FIELD_WORDS + pool.tables.size + pool.held.size + -(-pool.cells.size // 2)
+    return W.FIELD_WORDS + pool.tables.size + pool.supported.size + -(-pool.cells.size // 2)
 
 
 def write_field(memory: Memory, at: int, pool: CellPool) -> None:
@@ -67,7 +66,7 @@ def write_field(memory: Memory, at: int, pool: CellPool) -> None:
     i8, u8, f8, f4 = memory.views
     table = W.FIELD_WORDS
     held = table + pool.tables.size
-    cells = held + pool.held.size
+    cells = held + pool.supported.size
     box, (spacing, corner) = pool.boxes[0, :3], pool.lattices[0].reshape(2, 3)
     far = np.maximum(np.abs(corner), np.abs(corner + 8 * box * spacing))
     i8[at : at + W.FIELD_WORDS] = 0
@@ -78,7 +77,7 @@ def write_field(memory: Memory, at: int, pool: CellPool) -> None:
     f8[at + W.FIELD_CORNER : at + W.FIELD_CORNER + 3] = corner
     f8[at + W.FIELD_REACH] = 1.000001 * float(far @ far) if len(pool.bricks) else -1.0
     i8[at + table : at + held] = pool.tables.reshape(-1)
-    u8[at + held : at + cells] = pool.held.reshape(-1)
+    u8[at + held : at + cells] = pool.supported.reshape(-1)
     f4[2 * (at + cells) : 2 * (at + cells) + pool.cells.size] = pool.cells
 
 
@@ -137,7 +136,7 @@ def write_warp(
     f8[at + W.WARP_CORNER : at + W.WARP_CORNER + 3] = deformation.corner_m
     f8[at + W.WARP_INVERSE : at + W.WARP_INVERSE + 3] = 1.0 / np.array(deformation.spacing_m)
     f8[at + W.WARP_COMPLIANCE], f8[at + W.WARP_RELAX] = deformation.compliance_m_per_n, deformation.relax_s
-    f8[at + W.WARP_MOST] = deformation.most_yield_m
+    f8[at + W.WARP_MOST] = deformation.max_yield_m
     f8[at + W.WARP_WORDS : at + W.WARP_WORDS + u.size] = u.ravel()
 
 

@@ -13,8 +13,9 @@ import math
 
 import numpy as np
 
-from touchfield.compute.jit import kernel, uncounted
-from touchfield.medium.kernels.placed import CELLS, GOLDEN, between, shortened
+from touchfield.compute.coder_jit import uncounted
+from touchfield.compute.jit import kernel
+from touchfield.medium.kernels.placed import CELLS, GOLDEN, between, clipped
 from touchfield.render.block import words as W
 from touchfield.render.kernels.vectors import (
     along,
@@ -320,7 +321,7 @@ def _plain_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
             if dot(g, g) > least:
                 total = plus(plus(total, g), motion(f8, a, b, blend, d))
         a, b = a + W.PART_WORDS, b + W.PART_WORDS
-    return shortened(*total, limit)
+    return clipped(*total, limit)
 
 
 @kernel(_nrt=False)

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from touchfield.compute.jit import inner, kernel, uncounted
+from touchfield.compute.coder_jit import uncounted
+from touchfield.compute.jit import inner, kernel
 from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels.placed import CELLS, INSIDE, XY, XYZ, XZ, YZ, X, Y, Z
 from touchfield.render.block import words as W

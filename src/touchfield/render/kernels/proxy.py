@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from touchfield.compute.jit import uncounted
+from touchfield.compute.coder_jit import uncounted
 from touchfield.render.block import words as W
 from touchfield.render.kernels.frames import ends, force_at, mixed, part_count, rotation, strongest
 from touchfield.render.kernels.vectors import (

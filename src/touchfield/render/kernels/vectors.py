@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from touchfield.compute.jit import uncounted
+from touchfield.compute.coder_jit import uncounted
 
 _1, _2 = np.uint64(1), np.uint64(2)
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.codec.kernels import POSITION, code, mix
-from touchfield.codec.touch.kernels import voxel
-from touchfield.codec.touch.kernels import workspace as ws
+from touchfield.codec.touch.kernels import voxel, workspace as ws
 from touchfield.codec.touch.kernels.voxel import before, held
 from touchfield.compute.coder_jit import entry, inlined, lean
 

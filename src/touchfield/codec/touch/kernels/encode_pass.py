@@ -8,9 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from touchfield.codec.kernels import mix, price
-from touchfield.codec.touch.kernels import decode_pass as shared
-from touchfield.codec.touch.kernels import voxel
-from touchfield.codec.touch.kernels import workspace as ws
+from touchfield.codec.touch.kernels import decode_pass as shared, voxel, workspace as ws
 from touchfield.compute.coder_jit import entry, inlined, lean
 
 ROOM = 1 << 14  # bytes that a brick cannot fill

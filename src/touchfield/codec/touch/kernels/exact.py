@@ -7,9 +7,15 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.codec.kernels import LIST_CONTEXTS as _TABLE
-from touchfield.codec.kernels import LIST_SETS as _SETS
-from touchfield.codec.kernels import POSITION, READING, TASK, mix, price
+from touchfield.codec.kernels import (
+    LIST_CONTEXTS as _TABLE,
+    LIST_SETS as _SETS,
+    POSITION,
+    READING,
+    TASK,
+    mix,
+    price,
+)
 from touchfield.compute.coder_jit import entry, inlined, lean
 
 _SIZE: Final = 1 << 18
