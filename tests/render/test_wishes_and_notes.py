@@ -13,7 +13,7 @@ from player_makers import laid_out
 from tick_makers import GRID, OMNI, points, wall
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.render.block import Memory
 from touchfield.render.block import words as W
 from touchfield.render.feeder import Feeder
@@ -157,12 +157,16 @@ def test_damping_and_coupling_are_told_as_the_device_has_them(scale: float, stif
 
 
 def test_the_wall_of_a_proxy_is_told_as_it_is_rendered() -> None:
+    grid = Grid((33, 31, 65), (0.004, 0.006, 0.0025), (-0.064, -0.09, -0.08))
+    for most_n, level_n in ((9.0, 0.05), (0.2, 0.02)):  # a tenth of what is weak
+        field = ForceField.from_dense(grid, wall(30.0, most_n)(points(grid)).astype(np.float32))
+        _, memory = laid_out(HapticMedium.from_frames([field], 20.0, AXES))
+        assert memory.f8[W.WALL] == pytest.approx(30, rel=0.01)
+        assert memory.f8[W.WALL_LEVEL] == pytest.approx(level_n)
+        assert memory.f8[W.WALL_SPACING : W.WALL_SPACING + 3].tolist() == list(grid.spacing_m)
     usual, memory = laid_out(medium())
     found = wall_of(medium()[0])
-    assert found is not None and found.stiffness_n_per_m == pytest.approx(300, rel=0.01)
-    assert memory.f8[W.WALL] == pytest.approx(found.stiffness_n_per_m)
-    assert memory.f8[W.WALL_LEVEL] == found.level_n
-    assert memory.f8[W.WALL_SPACING : W.WALL_SPACING + 3].tolist() == list(GRID.spacing_m)
+    assert found is not None and memory.f8[W.WALL] == pytest.approx(found.stiffness_n_per_m)
     assert f"a proxy holds the hand at walls of {found.stiffness_n_per_m:.0f} N/m" in usual.notes
     softer, memory = laid_out(medium(), RenderSpec(wall_n_per_m=123.0))
     assert memory.f8[W.WALL] == 123 and "a proxy holds the hand at walls of 123 N/m" in softer.notes
