@@ -32,17 +32,19 @@ COUNTS = (3, 2, 1)
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """`head`, with every warning an error."""
     folder = tmp_path_factory.mktemp("c")
-    return built(folder, "head", "-O1", f"-I{CONFORMANCE.parent / 'c'}", source=Path(__file__).parent / "head.c")
+    source = Path(__file__).parent / "head.c"
+    return built(folder, "head", "-O1", f"-I{CONFORMANCE.parent / 'c'}", source=source)
 
 
 def voxels(path: Path) -> None:
     """Frames unlike each other on a lattice unlike on each axis."""
     grid, rng = Grid((16, 8, 24), (0.01, 0.02, 0.005), (0.1, -0.2, 0.3)), np.random.default_rng(1)
     encoder = TouchEncoder(grid, TouchSpec(effort="fast", k=0.2, f0_n=0.07))
-    fields = [ForceField.from_dense(grid, rng.normal(0, 1, (16, 8, 24, 3)).astype(np.float32)) for _ in range(6)]
+    dense = rng.normal(0, 1, (6, 16, 8, 24, 3)).astype(np.float32)
+    fields = [ForceField.from_dense(grid, one) for one in dense]
     head = replace(
-        HEAD, grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, frame_count=6, rate_hz=37.5,
-        axes="x länger, y up, z", device_name="mine", device_type=2, force_max_n=7.5, mapping_scale=0.5,
+        HEAD, grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, frame_count=6,
+        rate_hz=37.5, axes="x länger, y up, z", device_name="mine", device_type=2, force_max_n=7.5, mapping_scale=0.5,
         mapping_offset_m=(1.25, -2.5, 3.75), weber_fraction=0.2, force_threshold_n=0.07, friction=0.3,
         damping_n_s_per_m=0.4, tags=("direct", "mine"), coder_parameters=encoder.parameters,
     )  # fmt: skip
@@ -96,9 +98,8 @@ def test_every_field_and_every_segment_is_told(make: object, program: Path, tmp_
     with open_stream(path) as stream:
         fields = [field.to_dense() for field in stream.medium]
         damping = 0.0 if stream.scene is None else stream.scene.surface_damping_n_s_per_m
-    order = [
-        entry.first_frame + i for entry in reversed(segments) for _ in range(2) for i in range(entry.frame_count)
-    ]
+    backwards = [entry for entry in reversed(segments) for _ in range(2)]
+    order = [entry.first_frame + i for entry in backwards for i in range(entry.frame_count)]
     frames = [line[1:] for line in lines if line[0] == "frame"]
     assert [int(line[0]) for line in frames] == order
     for line in frames:
