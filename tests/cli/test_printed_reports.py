@@ -1,4 +1,4 @@
-"""Commands print for people what they tell programs: every figure and every note, and none left out unsaid."""
+"""Commands print for people what they tell programs: each figure and note, and none left out unsaid."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def test_a_plan_is_printed_as_it_is_told(monkeypatch: pytest.MonkeyPatch, capsys
         ["4", "touch", "mask", "0.1", "144,000", "exact", "100.00", "%"],
     ]
     notes = notes_of(printed)
-    assert notes[0].startswith("a hand feels the difference: only 50 % of the voxels are within the mask; --nw")
+    assert notes[0].startswith("a hand feels the difference: only 50 % of the voxels are within the mask; ")
     assert notes[0].endswith("keeps it, for 16 kbit/s")
     assert "within max(0.05 N, 0.1 |F|) on the finest lattice" in notes[1]
     assert f"lambda is {told['lambda_bits_per_s']:.4g} bit/s for a unit of NMSE" in notes[2]

@@ -44,7 +44,8 @@ def voxels(path: Path) -> None:
     fields = [ForceField.from_dense(grid, one) for one in dense]
     head = replace(
         HEAD, grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, frame_count=6,
-        rate_hz=37.5, axes="x länger, y up, z", device_name="mine", device_type=2, force_max_n=7.5, mapping_scale=0.5,
+        rate_hz=37.5, axes="x länger, y up, z", device_name="mine", device_type=2,
+        force_max_n=7.5, mapping_scale=0.5,
         mapping_offset_m=(1.25, -2.5, 3.75), weber_fraction=0.2, force_threshold_n=0.07, friction=0.3,
         damping_n_s_per_m=0.4, tags=("direct", "mine"), coder_parameters=encoder.parameters,
     )  # fmt: skip
