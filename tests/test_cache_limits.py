@@ -88,7 +88,7 @@ class Pictures(DepthSequence):
 def test_frames_of_a_search_are_kept_as_far_as_memory_allows(
     room: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rate_control, "_MOST_BYTES_KEPT", room * field(0).forces_n.nbytes)
+    monkeypatch.setattr(rate_control, "_MAX_CACHE_BYTES", room * field(0).forces_n.nbytes)
     made = Made(field)
     prepared: Any = replace_medium(medium(8, made))
     kept = rate_control._with_frame_cache(prepared).medium

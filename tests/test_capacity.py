@@ -7,6 +7,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -211,3 +212,33 @@ def test_codomain() -> None:
     for samples, alphabet in ((0, 2), (4, 0), (-1, 2), (2.5, 2), (True, 2), (4, 2.5), (4, math.nan)):
         with pytest.raises(InvalidArgument, match="whole number"):
             codomain_bits(samples, alphabet)  # type: ignore[arg-type]
+
+
+def test_the_ends_of_the_intervals_are_those_of_opposite_corners() -> None:
+    found = capacity(entropy(8, 5, 10), entropy(4, 3, 7), 6)
+    spreads = {name: getattr(found, name).interval for name in ("capacity", "wmr", "hil")}
+    assert {name: (i.low, i.high) for name, i in spreads.items()} == {
+        "capacity": (3, 6), "wmr": (pytest.approx(0.3), 1), "hil": (0, pytest.approx(0.7))
+    }  # fmt: skip
+    told = "interval arithmetic, H(W) in [5, 10] and H(M(W)) in [3, 6]; block bootstrap"
+    assert {i.method for i in spreads.values()} == {told}
+    of_wmr = capacity(entropy(8, 7, 10), entropy(4, 3, 5), 6).wmr.interval
+    assert of_wmr is not None and (of_wmr.low, of_wmr.high) == pytest.approx((0.3, 5 / 7))
+    both = Interval(1, 9, 0.9, "a"), Interval(1, 2, 0.8, "b")
+    levels = capacity(
+        replace(entropy(8), interval=both[0]), replace(entropy(2), interval=both[1]), 6
+    ).wmr.interval
+    assert levels is not None and levels.level == pytest.approx(0.7)
+    empty = capacity(entropy(0, 0, 0), entropy(0, 0, 0), 6).capacity.interval
+    assert empty is not None and (empty.low, empty.high) == (0, 0)
+
+
+def test_the_notes_of_the_guards_have_their_figures() -> None:
+    (note,) = capacity(entropy(10), entropy(12), 40).notes
+    assert "H(M(W)) = 12 bit/frame is above H(W) = 10," in note
+    guessed = {"estimator": "chao-wang-jost"}
+    (note,) = capacity(entropy(10, **guessed), entropy(7, **guessed), 6).notes
+    assert "H(M(W)) was estimated as 7 bit/frame, more than the 6 that" in note
+    two = capacity(entropy(5, estimator="miller-madow"), entropy(3), 8)
+    assert two.notes == ("two estimators: miller-madow for H(W), plug-in for H(M(W))",)
+    assert two.hil.notes == two.capacity.notes == two.notes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -145,3 +146,26 @@ def test_cells_with_equal_hashes_are_told_apart() -> None:
         _, want = np.unique(rows[:, columns], axis=0, return_counts=True)
         assert sorted(counter.marginal(columns).counts()) == sorted(want)
     assert counter.samples == len(rows)
+
+
+def test_contexts_are_named_and_their_dilution_has_its_figures() -> None:
+    frames = fields_of(np.stack([sparse((6, 7, 8), 9, 0.5, seed) for seed in (0, 1)]), 9)
+    names = {
+        ("none", False): "H(S)", ("none", True): "H(S|previous frame)", ("previous", False): "H(S|1 "
+                                                                                             "neighbour)",
+        ("axes", False): "H(S|3 neighbours)", ("corner", True): "H(S|7 neighbours, previous frame)",
+    }  # fmt: skip
+    for (neighbourhood, previous_frame), name in names.items():
+        found = context_entropy(frames, neighbourhood, previous_frame=previous_frame)
+        assert found.per_voxel.name == name
+        assert found.per_voxel.notes[0] == f"{found.contexts} contexts"
+        assert (found.per_voxel.samples, found.per_voxel.symbols) == (2 * 6 * 7 * 8, found.cells)
+        told = (
+            f"diluted: {found.informed} voxels not all 0 for {found.cells} cells, fewer than ten each; too "
+            "low"
+        )
+        assert (told in found.per_voxel.notes) == found.is_diluted == (found.informed < 10 * found.cells)
+    assert context_entropy(frames, "corner").is_diluted and not context_entropy(frames, "none").is_diluted
+    edge = context_entropy(frames, "none")
+    assert not replace(edge, informed=10 * edge.cells).is_diluted
+    assert replace(edge, informed=10 * edge.cells - 1).is_diluted

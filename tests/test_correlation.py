@@ -265,3 +265,54 @@ def test_the_motorcycle() -> None:
     peak = contact_along_rays(prepared.medium[0], begin, end, "peak")
     of_luma = picture_correlation(luma, peak.amplitudes_n, classes=4)
     assert 0 < float(of_luma.mutual) < float(own.mutual)
+
+
+def miller_madow_bits(*columns: NDArray[np.int64]) -> float:
+    """Plug-in entropy of the rows, and (K - 1) / (2 n ln 2) more."""
+    counts = np.unique(np.stack(columns, axis=1), axis=0, return_counts=True)[1]
+    p, n = counts / counts.sum(), counts.sum()
+    return float(-(p * np.log2(p)).sum() + (len(counts) - 1) / (2 * n * math.log(2)))
+
+
+def test_the_figures_of_a_correlation_are_those_of_shuffles_made_by_hand() -> None:
+    rng, side, classes = np.random.default_rng(3), 6, 5
+    a = smooth_noise(11, (40, 58))
+    b = a + 0.3 * smooth_noise(12, (40, 58))
+    a[rng.random(a.shape) < 0.1] = np.nan
+    found = picture_correlation(a, b, classes=classes, shuffles=19, block_px=side, seed=4)
+    places = [
+        (slice(y, y + side), slice(x, x + side)) for y in range(0, 36, side) for x in range(0, 54, side)
+    ]
+    of_a, of_b = (np.stack([quantile_classes(m, classes)[place].ravel() for place in places]) for m in (a, b))
+
+    def bits(y: NDArray[np.int64]) -> float:
+        known = (of_a >= 0) & (y >= 0)
+        u, v = of_a[known], y[known]
+        return miller_madow_bits(u) + miller_madow_bits(v) - miller_madow_bits(u, v)
+
+    draw = np.random.default_rng(4)
+    null = np.array([bits(of_b[draw.permutation(len(of_b))]) for _ in range(19)])
+    assert float(found.mutual) == pytest.approx(bits(of_b))
+    assert (found.null_mean_bits, found.null_spread_bits) == pytest.approx((null.mean(), null.std(ddof=1)))
+    assert found.z == pytest.approx((bits(of_b) - null.mean()) / null.std(ddof=1))
+    assert found.p == pytest.approx((1 + np.count_nonzero(null >= bits(of_b))) / 20)
+    assert (found.shuffles, found.block_px, found.blocks) == (19, side, 6 * 9)
+    assert found.share == pytest.approx(np.count_nonzero(of_a >= 0) / a.size)
+    assert found.mutual.quantiser == "5 classes of equal share"
+    assert found.mutual.notes[-1] == "5 classes of equal share each"
+
+
+def test_the_note_on_blocks_has_their_side_and_the_length() -> None:
+    a = smooth_noise(9, (64, 64), 8.0)
+    found = picture_correlation(a, a)
+    length = correlation_length_px(a, a)
+    assert (
+        f"blocks of {found.block_px} pixels for a correlation length of {length:.3g}"
+        in found.mutual.notes[-2]
+    )
+    fitting = picture_correlation(
+        smooth_noise(9, (256, 128), 1.0), smooth_noise(8, (256, 128), 1.0), interval=False
+    )
+    length = correlation_length_px(smooth_noise(9, (256, 128), 1.0), smooth_noise(8, (256, 128), 1.0))
+    assert fitting.block_px / 2 < 4 * length <= fitting.block_px
+    assert not any("p is too small" in note for note in fitting.mutual.notes)

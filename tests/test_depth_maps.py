@@ -93,6 +93,13 @@ def test_middleburys_calibration_beside_the_map_is_used(tmp_path: Path) -> None:
     (tmp_path / "calib.txt").write_text(calibration)
     sequence = inverse_depth.read_disparity(path, SourceOptions())
     assert sequence.intrinsics == Intrinsics(100, 100, 5.5, 4)
+    assert sequence.notes == (
+        "Camera and baseline are those of calib.txt, where nothing else was asked for.",
+    )
+    named = inverse_depth.read_disparity(path, SourceOptions(intrinsics="200,210,5.5,4"))
+    assert named.intrinsics == Intrinsics(200, 210, 5.5, 4) and np.allclose(
+        named.depth_m(0), 2 * depth, rtol=1e-6
+    )
     assert np.allclose(sequence.depth_m(0), depth, rtol=1e-6)
     other = inverse_depth.read_disparity(path.rename(tmp_path / "disp1.pfm"), SourceOptions(baseline_m=0.4))
     assert other.intrinsics.cx == 7.5

@@ -24,10 +24,12 @@ from touchfield.filters import (
     device_medium,
     limit_forces,
 )
-from touchfield.filters.device_filter import same_lattice
+from touchfield.filters.device_filter import exact_forces, same_lattice
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.laws import ForceProfile, LawSpec, profile_of
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES, Scene
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Sphere
 
 Forces = Callable[[NDArray[np.float64], ForceProfile], NDArray[np.float64]]
 
@@ -435,3 +437,73 @@ def test_a_stored_medium_on_another_lattice_is_filtered_and_keeps_what_travels_b
     assert medium[0].grid == grid and scene.asked == 1
     assert (medium.friction, medium.tags, len(medium)) == (0.3, ("symbolic",), 2)
     assert medium.provenance["from"] == "afar" and medium.provenance["device"] == "phantom-omni"
+
+
+def test_what_was_mapped_is_told_with_its_numbers() -> None:
+    spec = DeviceFilterSpec(
+        oversample=3, force_floor_share=0.02, low_pass="box", pool="mean", cutoff="literal"
+    )
+    hand = Placement(0.5, (0.1, 0.2, 0.3))
+    told = device_medium(ball(0.02), OMNI, device_grid(OMNI, 4), hand, WALL, spec).provenance
+    assert dict(told) == {
+        "device": "phantom-omni",
+        "device_filter": "box, oversample 3, floor 0.02 of F_max",
+        "placement": "scale 0.5, offset_m (0.1, 0.2, 0.3)",
+    }
+    vest = device("tshirt-32x32")
+    told = device_medium(ball(0.02), vest, device_grid(vest), hand, WALL, spec).provenance
+    assert told["device_filter"] == "box, oversample 3, floor 0.02 of F_max, pool mean, cut-off literal"
+    told = device_medium(ball(0.02), vest, device_grid(vest), hand, WALL).provenance
+    assert told["device_filter"].endswith("pool max, cut-off nyquist")  # what "auto" comes to
+
+
+def test_a_stored_medium_that_is_filtered_keeps_every_value_beside_it() -> None:
+    scene = stored()
+    own = replace(scene.medium, axes="x east, y north, z up", damping_n_s_per_m=2.5, rate_hz=17.0)
+    scene.medium, scene.rate_hz = own, own.rate_hz
+    medium = device_medium(scene, OMNI, device_grid(OMNI, 3), Placement(), WALL)
+    assert medium.beside == own.beside
+    assert medium.beside == {
+        "rate_hz": 17.0, "axes": "x east, y north, z up", "tags": ("symbolic",), "friction": 0.3,
+        "damping_n_s_per_m": 2.5,
+    }  # fmt: skip
+    formula = ball(0.02)
+    formula.axes, formula.tags, formula.rate_hz, formula.frame_count = UP_Z_AXES, ("symbolic",), 17.0, 3
+    made = device_medium(formula, OMNI, device_grid(OMNI, 3), Placement(), WALL)
+    assert (made.axes, made.tags, made.rate_hz, len(made)) == (UP_Z_AXES, ("symbolic",), 17.0, 3)
+
+
+def test_exact_forces_are_those_of_the_scene_where_the_hand_meets_it() -> None:
+    """A ball of the scene, half as large and elsewhere for the hand; the law goes by metres of the hand."""
+    hand, centre, stiffness = Placement(0.5, (0.1, -0.2, 0.3)), np.array([0.12, -0.21, 0.28]), 400.0
+    scene = AnalyticScene([Sphere(tuple(centre.tolist()), 0.04)])
+    law = profile_of(LawSpec(stiffness_n_per_m=stiffness, force_max_n=9.0), np.inf)
+    points = 0.5 * (centre - hand.offset_m) + np.random.default_rng(2).normal(0, 0.01, (500, 3))
+    away = points - 0.5 * (centre - np.asarray(hand.offset_m))
+    r = np.linalg.norm(away, axis=1, keepdims=True)
+    for limit_n in (9.0, 3.0):
+        made = exact_forces(scene, hand, law, limit_n)(points)
+        expected = np.clip(stiffness * (0.02 - r), 0, limit_n) * away / r
+        np.testing.assert_allclose(made, expected, atol=1e-9)
+        assert np.isclose(np.linalg.norm(made, axis=1), 3.0).any() == (limit_n == 3.0)
+
+
+def test_options_of_the_filter_are_bounded_and_named() -> None:
+    for spec in (
+        {"oversample": 1},
+        {"oversample": 8},
+        {"force_floor_share": 0.0},
+        {"force_floor_share": 0.999},
+    ):
+        assert DeviceFilterSpec(**spec)
+    for wrong in (
+        {"oversample": 0}, {"oversample": 9}, {"force_floor_share": 1.0}, {"force_floor_share": -0.01},
+        {"low_pass": "lens"}, {"pool": "least"}, {"cutoff": "half"},
+    ):  # fmt: skip
+        with pytest.raises(InvalidArgument, match=next(iter(wrong))):
+            DeviceFilterSpec(**wrong)
+    pad, vest = device("dotpad"), device("tshirt-32x32")
+    for one, depth_m in ((pad, 0.5), (vest, 0.3)):
+        grid = device_grid(one, depth_m=depth_m)
+        assert grid.shape == one.lattice and grid.spacing_m[2] == pytest.approx(depth_m)
+        np.testing.assert_allclose(np.mean(grid.box_m, axis=0), 0, atol=1e-12)

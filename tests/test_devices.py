@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import tomllib
+from dataclasses import fields
 from importlib import resources
 from pathlib import Path
 
@@ -223,3 +225,50 @@ def test_figures_of_perception_have_units_and_sources() -> None:
         assert all(v > 0 for v in one.values)
     with pytest.raises(InvalidArgument, match="force_threshold_n"):
         figure("patience")
+
+
+@pytest.mark.parametrize("name", device_names())
+def test_every_value_of_a_profile_stands_under_its_own_name(name: str) -> None:
+    file = resources.files("touchfield.devices") / "profiles" / f"{name}.toml"
+    table, found = tomllib.loads(file.read_text("utf-8")), device(name)
+    assert (found.name, found.title, found.type) == (table["name"], table["title"], table["type"])
+    values = {key: entry["value"] for key, entry in table.items() if isinstance(entry, dict)}
+    sources = {key: entry["source"] for key, entry in table.items() if isinstance(entry, dict)}
+    assert {key: text.strip() for key, text in sources.items()} == dict(found.sources)
+    if found.is_array:
+        columns, rows, depth = (values.pop(key) for key in ("columns", "rows", "depth_mm"))
+        pitch = values["pitch_mm"]
+        assert found.lattice == (columns, rows, 1)
+        assert found.workspace_mm == pytest.approx((columns * pitch, rows * pitch, depth))
+    else:
+        assert found.lattice == tuple(values.pop("nominal_lattice"))
+    for key, value in values.items():
+        assert getattr(found, key) == (tuple(value) if isinstance(value, list) else value), key
+    defaults = {"sources", "shows", "panels", "lattice", "workspace_mm", "name", "title", "type"}
+    for one in fields(found):
+        if one.name not in values and one.name not in defaults:
+            assert getattr(found, one.name) is None, one.name
+    assert found.workspace_m == pytest.approx([mm / 1000 for mm in found.workspace_mm])
+
+
+def test_the_largest_numbers_of_a_profile_are_taken_and_none_beyond(tmp_path: Path) -> None:
+    def lattice(count: int) -> Path:
+        text = POINT.replace("[1000, 800, 600]", f"[{count}, 800, 600]").replace(
+            "[100, 80.0", f"[{count / 10}, 80.0"
+        )
+        return written(tmp_path, text)
+
+    assert device(lattice(1 << 20)).lattice == (1 << 20, 800, 600)
+    with pytest.raises(
+        DeviceError, match=r"nominal_lattice\.value: found 1048577; .*a positive whole number up to"
+    ):
+        device(lattice((1 << 20) + 1))
+    with pytest.raises(
+        DeviceError, match=r"rate_hz\.value: found 1000001; expected a positive number up to 1000000"
+    ):
+        device(written(tmp_path, POINT.replace("value = 1000\n", "value = 1000001\n")))
+    wide = POINT.replace("[1000, 800, 600]", "[1000, 800, 601]")
+    with pytest.raises(
+        DeviceError, match=r"found \(1000, 800, 601\); expected \(1000, 800, 600\), workspace_mm over"
+    ):
+        device(written(tmp_path, wide))

@@ -13,6 +13,7 @@ from touchfield.perception.hand_motion import (
     MARGIN_S,
     BandSums,
     HandMotion,
+    Hold,
     Slide,
     SlideMeter,
     SlideSpec,
@@ -260,3 +261,81 @@ def test_any_field_is_measured_without_a_fault(shape, seed, size_n, share):
         assert np.isfinite([slide.error_mn, slide.error_peak_mn, slide.source_mn]).all()
         assert slide.error_mn == pytest.approx(0.05 * slide.source_mn, rel=1e-3)
         assert 0 <= slide.paths <= QUICK.paths
+
+
+def test_rms_and_peak_of_each_kind_are_those_of_its_lengths():
+    rng = np.random.default_rng(6)
+    signals = [scale * rng.normal(0, 1, (700, 2, 3)) for scale in (0.01, 0.03)]
+    sums = BandSums(3)
+    for kind, own in enumerate(signals):
+        sums.add(kind, own, RATE_HZ)
+        lengths_mn = 1e3 * np.linalg.norm(in_band(own, RATE_HZ), axis=2)
+        assert sums.mn(kind) == pytest.approx((np.sqrt((lengths_mn**2).mean()), lengths_mn.max()))
+    assert sums.mn(2) == (0, 0) and not sums.thirds_mn().any()
+    assert sums.samples.tolist() == [1000, 1000, 0]
+
+
+def test_peaks_are_of_the_same_signals_as_the_rms():
+    for slide in slides(ball(), ball().scaled(0.95), QUICK):
+        assert slide.error_mn == pytest.approx(0.05 * slide.source_mn, rel=1e-3)
+        assert slide.error_peak_mn == pytest.approx(0.05 * slide.source_peak_mn, rel=1e-3)
+        assert slide.source_peak_mn > 1.5 * slide.source_mn
+
+
+def test_another_seed_takes_other_paths_and_a_longer_slide_more_time():
+    noisy = ball(lambda p: 0.02 * np.sin(1500 * p))
+    first, second = (slides(ball(), noisy, replace(QUICK, seed=seed)) for seed in (0, 1))
+    assert all(a.error_mn != b.error_mn for a, b in zip(first, second, strict=True))
+    longer = slides(ball(), noisy, replace(QUICK, duration_s=0.6, paths=3))
+    assert [(s.paths, s.seconds) for s in longer] == [(3, pytest.approx(3 * 0.65, rel=5e-3))] * 3
+    assert [s.speed_mm_s for s in longer] == [50.0, 100.0, 200.0]
+
+
+def hand_of(hold_mn, slide_mn, paths=(2, 2)):
+    """Slides at two speeds and a hold of some rms; each third has its own margin."""
+    limit = vibration_threshold().force_rms_mn()
+
+    def thirds(level_mn, at):
+        return np.where(np.arange(11) == at, limit * level_mn / 100, limit / 1e6)
+
+    moved = tuple(
+        Slide(speed, n, 1.0, mn, 2 * mn, 3 * mn, 4 * mn, 5 * mn, thirds(mn, at))
+        for speed, n, mn, at in zip((50.0, 100.0), paths, slide_mn, (2, 3))
+    )
+    band = (None, None, None) if hold_mn is None else (hold_mn, 2 * hold_mn, 3 * hold_mn)
+    hold = Hold(8, 80, *(0.0,) * 8, *band, thirds(hold_mn or 0.0, 7))
+    return HandMotion(moved, hold, vibration_threshold())
+
+
+@pytest.mark.parametrize(
+    ("hold_mn", "slide_mn", "paths", "loudest_mn", "third"),
+    [
+        (1.0, (2.0, 3.0), (2, 2), 3.0, 3),
+        (1.0, (4.0, 3.0), (2, 2), 4.0, 2),
+        (5.0, (4.0, 3.0), (2, 2), 5.0, 7),
+        (1.0, (2.0, 3.0), (2, 0), 2.0, 2),  # what was not slid is not the loudest
+        (None, (2.0, 3.0), (2, 2), 3.0, 3),
+        (5.0, (2.0, 3.0), (0, 0), 5.0, 7),
+    ],
+)
+def test_the_loudest_of_slides_and_hold_is_told_with_all_its_figures(
+    hold_mn, slide_mn, paths, loudest_mn, third
+):
+    hand = hand_of(hold_mn, slide_mn, paths)
+    told = hand.summary()
+    assert told["hand_vibration_mn"] == loudest_mn
+    assert told["hand_vibration_peak_mn"] == 2 * loudest_mn
+    assert told["hand_vibration_source_mn"] == 3 * loudest_mn
+    is_slide = isinstance(hand.loudest, Slide)
+    assert told["hand_vibration_lattice_mn"] == (5 * loudest_mn if is_slide else None)
+    assert told["threshold_margin_db"] == pytest.approx(20 * np.log10(100 / loudest_mn))
+    assert told["threshold_margin_third_hz"] == THIRDS_HZ[third]
+    assert len(told["slides"]) == 2 and told["hold"]["error_mn"] == hold_mn
+
+
+def test_where_nothing_was_measured_no_figure_is_told():
+    hand = hand_of(None, (2.0, 3.0), (0, 0))
+    told = hand.summary()
+    assert hand.measured == [] and hand.loudest is None
+    assert {told[f"hand_vibration{end}_mn"] for end in ("", "_peak", "_source", "_lattice")} == {None}
+    assert told["threshold_margin_db"] is told["threshold_margin_third_hz"] is None

@@ -97,3 +97,44 @@ def test_points_wait_for_the_first_frame_with_a_surface():
     hold = held(np.zeros((20, 3)), source=lambda frame: REST if frame > 4 else empty)
     assert hold.points == 8 and hold.steps == 8 * 14
     assert held(np.zeros((20, 3)), source=lambda frame: empty).points == 0
+
+
+@pytest.mark.parametrize(("frames", "parts"), [(500, 1), (1250, 2), (1251, 3), (2000, 4)])
+def test_each_part_has_points_of_its_own_and_a_short_rest_none(frames, parts):
+    hold = held(np.zeros((frames, 3)))
+    assert (hold.points, hold.steps) == (8 * parts, 8 * (frames - 1))
+
+
+def test_below_the_floor_a_step_is_told_over_the_floor():
+    weak = REST.scaled(0.02)
+    hold = held(along_z(0.06 * (np.arange(20) >= 10)), source=lambda frame: weak)
+    assert hold.still_step_ratio == pytest.approx(0.06 / F0_N, rel=1e-4)
+
+
+def test_a_step_at_the_start_of_a_segment_has_the_step_of_the_source_there():
+    shifts = np.array([0.0, 0.0002, 0.0006])
+    hold = held(np.zeros((30, 3)), starts=(0, 10), source=lambda frame: ball(shifts[frame // 10]))
+    assert 0 < hold.start_step_mn == hold.start_step_source_mn < 0.7 * hold.step_mn
+    assert hold.step_mn == hold.step_source_mn
+    error = along_z(0.02 * (np.arange(30) >= 20))
+    louder = held(error, starts=(0, 20), source=lambda frame: ball(shifts[frame // 10]))
+    assert louder.start_step_source_mn == pytest.approx(hold.step_source_mn)
+    assert louder.start_step_mn != louder.start_step_source_mn
+    assert louder.start_error_mn == pytest.approx(20, rel=1e-3) and louder.error_step_mn < 1e-3
+
+
+def test_a_source_that_vibrates_is_told_beside_the_error():
+    t = np.arange(600) / 1000
+    shares = 1 + 0.01 * np.sin(2 * np.pi * 100 * t)
+    hold = held(np.zeros((600, 3)), source=lambda frame: REST.scaled(shares[frame]))
+    assert hold.source_mn == pytest.approx(10 / np.sqrt(2), rel=0.05)  # a hundredth of 1 N
+    assert hold.error_mn == hold.error_peak_mn == 0 and not hold.error_thirds_mn.any()
+
+
+def test_frames_quicker_than_the_servo_are_felt_at_their_own_rate():
+    t = np.arange(1200) / 2000
+    hold = held(along_z(0.01 * np.sin(2 * np.pi * 100 * t)), rate_hz=2000.0)
+    assert hold.error_mn == pytest.approx(10 / np.sqrt(2), rel=0.05)
+    assert np.argmax(hold.error_thirds_mn) == 4
+    beyond = held(along_z(0.01 * np.sin(2 * np.pi * 900 * t)), rate_hz=2000.0)
+    assert beyond.error_mn < 0.1  # of every other frame it would be 100 Hz

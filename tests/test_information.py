@@ -338,3 +338,80 @@ def test_another_unit_takes_the_interval_along_and_a_summary_tells_both() -> Non
         "low": 96.0, "high": 176.0, "level": 0.95, "method": "by hand", "population": Interval.population,
     }  # fmt: skip
     assert str(bits) == "H(S) = 2 [1.5, 2.75] bit/sample (Q a Q, mu voxel)"
+
+
+# -- names and notes
+# ------------------------------------------------------------------------------------------------
+
+
+def test_quantities_of_several_variables_are_named_by_them() -> None:
+    x, y, z = np.random.default_rng(0).integers(0, 3, (3, 400))
+    names = [
+        info.entropy(x, y, z, interval=False),
+        info.entropy(x, y, z, column=2, interval=False),
+        info.conditional_entropy(x, y, z, interval=False),
+        info.conditional_entropy(x, y, z, given=0, interval=False),
+        info.conditional_entropy(x, y, given=0, interval=False),
+        info.entropy(x, y, column=1, interval=False),
+        info.entropy(x, interval=False),
+    ]
+    expected = ["H(X1,X2,X3)", "H(X3)", "H(X1,X3|X2)", "H(X2,X3|X1)", "H(Y|X)", "H(Y)", "H(X)"]
+    assert [q.name for q in names] == expected
+    assert [(q.samples, q.symbols) for q in names] == [(400, k) for k in (27, 3, 27, 27, 9, 3, 3)]
+    assert float(names[3]) == pytest.approx(
+        float(names[0]) - float(info.entropy(x, interval=False)), abs=1e-12
+    )
+    for wrong in (-1, 2):
+        with pytest.raises(InvalidArgument, match=f"given: found {wrong}; expected 0 to 1"):
+            info.conditional_entropy(x, y, given=wrong)
+    with pytest.raises(InvalidArgument, match="samples: found 1 variable; expected 2"):
+        info.mutual_information(x)
+
+
+@pytest.mark.parametrize(("samples", "is_told"), [(29, True), (30, False)])
+def test_fewer_than_ten_samples_to_a_symbol_are_warned_of_with_both_numbers(
+    samples: int, is_told: bool
+) -> None:
+    few, many = np.arange(samples) % 3, np.arange(300) % 3
+    note = f"few samples: {samples} for 3 symbols, fewer than 10 to each"
+    for name, make in (
+        ("H(X)", lambda: info.entropy(few, interval=False)),
+        ("sqrt(JSD(X,Y))", lambda: info.jensen_shannon_distance(few, many, interval=False)),
+        ("sqrt(JSD(X,Y))", lambda: info.jensen_shannon_distance(many, few, interval=False)),
+    ):
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always")
+            found = make()
+        assert [str(one.message) for one in heard] == ([f"{name}: {note}"] if is_told else [])
+        assert [n for n in found.notes if n.startswith("few")] == ([note] if is_told else [])
+    assert not info.entropy(Counts.of_probabilities([0.5, 0.5])).notes, (
+        "of what is known no sample is missing"
+    )
+
+
+@pytest.mark.parametrize(("filled", "is_made"), [(7, False), (8, True)])
+def test_too_few_blocks_with_samples_are_told_by_their_number(filled: int, is_made: bool) -> None:
+    blocks = np.zeros((12, 2), np.int64)
+    blocks[:filled] = [[20, 30 + n] for n in range(filled)]
+    counts = Counts(np.array([[0], [1]]), blocks.sum(axis=0), blocks)
+    found = info.entropy(counts)
+    assert (found.interval is not None) == is_made
+    note = f"no interval: {filled} blocks with samples, fewer than 8"
+    assert (note in found.notes) != is_made
+    plain = info.entropy(counts, interval=False)
+    assert plain.interval is None and plain.notes == () and float(plain) == float(found)
+
+
+def test_an_estimate_that_no_true_value_can_be_is_told() -> None:
+    rng = np.random.default_rng(1)
+    x, y = rng.permutation(np.arange(4000) % 4), np.arange(4000) // 1000
+    found = [
+        info.mutual_information(rng.permutation(x), y, estimator="miller-madow", interval=False)
+        for _ in "abcdefgh"
+    ]
+    below = [one for one in found if float(one) < 0]
+    assert below and len(below) < len(found)
+    told = "negative, which no true value is: the bias correction of miller-madow is larger"
+    assert all((told in one.notes) == (float(one) < 0) for one in found)
+    high = info.normalised_mutual_information(x, x, estimator="miller-madow", interval=False)
+    assert float(high) == pytest.approx(1, abs=1e-9) and not high.notes

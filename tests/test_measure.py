@@ -9,6 +9,7 @@ from hypothesis import given, strategies as st
 
 from touchfield.codec.segment import BitAccount, compression_ratio
 from touchfield.errors import InvalidArgument
+from touchfield.measure import fidelity
 from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
 from touchfield.measure.fidelity import FidelityMeter
@@ -68,3 +69,27 @@ def test_rate() -> None:
     account = BitAccount(support=10, amplitude=20, direction=30) + BitAccount(side=4)
     assert account.total == 64
     assert compression_ratio(account.total, 2, 4) == pytest.approx(64 / (2 * 4 * 96))
+
+
+def test_frames_are_added_up_and_the_worst_of_all_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    grid = Grid((40, 9, 8), (0.001, 0.002, 0.003), (0, 0, 0))
+    places = [[0, 0, 0], [9, 8, 0], [39, 0, 7]]
+    sources = [
+        ForceField.from_support(grid, places, [[1.0, 0, 0], [0, 2.0, 0], [0, 0, size]]) for size in (3.0, 4.0)
+    ]
+    errors = [[0.0, 0, 0.05], [0.5, 0, 0], [0, 0, 0]], [[0, 0, 0], [0, 0.1, 0], [0, 0, -1.4]]
+    pairs = [
+        (one, one + ForceField.from_support(grid, places, error))
+        for one, error in zip(sources, errors, strict=True)
+    ]
+    for order, bricks in ((pairs, 4096), (pairs[::-1], 4096), (pairs, 1)):
+        monkeypatch.setattr(fidelity, "_CHUNK", bricks)  # at a time
+        meter = FidelityMeter(k=0.1, f0_n=0.05)
+        for pair in order:
+            meter.add(*pair)
+        assert meter.worst_mask_ratio == pytest.approx(1.4 / 0.4)
+        assert (meter.mask_violations, meter.compared_voxels, meter.supported_voxels) == (2, 6, 6)
+        assert meter.mask_violation_share == pytest.approx(2 / 6)
+        error2, force2 = 0.05**2 + 0.5**2 + 0.1**2 + 1.4**2, 2 * (1 + 4) + 9 + 16
+        assert meter.nmse_db == pytest.approx(10 * math.log10(error2 / force2), abs=1e-5)
+        assert meter.nmse_literal_db == pytest.approx(20 * math.log10(2.05 / 13), abs=1e-5)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.budget import memory_budget_bytes, require_memory, zero_forces
 from touchfield.medium.medium import Segments, VibrationFrame
 
@@ -211,3 +213,96 @@ def test_a_medium_as_a_dataset(monkeypatch: pytest.MonkeyPatch) -> None:
     assert HapticMedium.from_array(forces[0], grid).to_xarray().forces_n.shape[0] == 1
     with pytest.raises(InvalidArgument, match="Take fewer frames"):
         HapticMedium.from_array(forces, grid, rate_hz=50.0).to_xarray()
+
+
+def test_a_grid_and_a_field_are_told_axis_by_axis() -> None:
+    grid = Grid((3, 40, 500), (0.001, 0.0025, 0.04), (0.0, 0.0, 0.0))
+    assert grid.words == "3 x 40 x 500 samples of 1 x 2.5 x 40 mm"
+    dense = np.zeros((*grid.shape, 3), np.float32)
+    dense[:, :, :10] = 1
+    told = repr(ForceField.from_dense(grid, dense))
+    assert told == f"<ForceField: 1,200 of 60,000 samples hold a force, {grid.words}>"
+    one = HapticMedium(grid, 25.0, 1, lambda _: ForceField.empty(grid), "x right, y up, z near")
+    assert repr(one) == f"<HapticMedium: 1 frame at 25 Hz on {grid.words}; x right, y up, z near>"
+    beside = repr(replace(one, frame_count=2, vibration=lambda _: VibrationFrame.empty(grid)))
+    assert "2 frames at" in beside and "vibration beside it" in beside
+
+
+def test_memory_that_is_refused_is_told_in_its_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "1.5")
+    assert memory_budget_bytes() == 3 << 29
+    with pytest.raises(
+        InvalidArgument, match=r"a thing: found 2\.0 GiB of bricks; expected at most 1\.5 GiB"
+    ):
+        require_memory("a thing", "bricks", 2 << 30)
+    whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    for text in ("", "much", "inf"):
+        monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", text)
+        assert memory_budget_bytes() == whole // 2
+
+
+@pytest.mark.parametrize(
+    ("frames", "first", "second", "share"),
+    [
+        (-1.0, 0, 0, 0.0),
+        (0.25, 0, 1, 0.25),
+        (1.0, 1, 1, 0.0),
+        (1.9, 1, 2, 0.9),
+        (2.0, 2, 2, 0.0),
+        (7.3, 2, 2, 0.0),
+    ],
+)
+def test_between_two_frames_forces_are_on_a_line(
+    wavy_field: ForceField, frames: float, first: int, second: int, share: float
+) -> None:
+    fields = [wavy_field, wavy_field.scaled(-2.0), wavy_field.scaled(5.0)]
+    medium = HapticMedium.from_frames(fields, 40.0)
+    expected = (1 - share) * fields[first].to_dense().astype(float) + share * fields[second].to_dense()
+    np.testing.assert_allclose(medium.at(frames / 40).to_dense(), expected, atol=1e-6)
+    points = wavy_field.grid.to_m(np.random.default_rng(1).uniform(0, 15, (40, 3)))
+    sampled = [fields[n].sample_n(points).astype(float) for n in (first, second)]
+    np.testing.assert_allclose(
+        medium.sample_n(points, frames / 40), (1 - share) * sampled[0] + share * sampled[1], atol=1e-6
+    )
+    with pytest.raises(InvalidArgument, match="time_s"):
+        medium.at(float("nan"))
+
+
+def test_the_voxels_of_a_scene_keep_what_is_beside_it(wavy_field: ForceField) -> None:
+    own = HapticMedium.from_frames([wavy_field], 50.0)
+    body = HapticObject("a", own, PoseTrack.still(3))
+    told: dict[str, Any] = {
+        "axes": "x right, y up, z near", "friction": 0.25, "damping_n_s_per_m": 3.0, "tags": ("symbolic",),
+        "provenance": {"source": "a scene"},
+    }  # fmt: skip
+    scene = HapticScene(wavy_field.grid, 50.0, (body,), 3.3, **told)
+    coarse = Grid.over_box(*wavy_field.grid.box_m, (5, 6, 7))
+    for voxels, grid in ((scene.voxelise(), scene.grid), (scene.voxelise(coarse), coarse)):
+        assert (voxels.grid, voxels.rate_hz, len(voxels)) == (grid, 50.0, 3)
+        for name, value in told.items():
+            assert getattr(voxels, name) == value, name
+        assert (voxels.beside["friction"], voxels.beside["damping_n_s_per_m"]) == (0.25, 3.0)
+
+
+def test_a_part_of_a_scene_has_the_fields_and_poses_of_its_frames(wavy_field: ForceField) -> None:
+    fields = [wavy_field.scaled(n + 1.0) for n in range(4)]
+    track = PoseTrack(PoseTrack.still(4).quaternions, np.arange(12.0).reshape(4, 3))
+    rigid = HapticObject("rigid", HapticMedium.from_frames(fields[:1], 50.0), track)
+    soft = HapticObject("soft", HapticMedium.from_frames(fields, 50.0), PoseTrack.still(4))
+    part = HapticScene(wavy_field.grid, 50.0, (rigid, soft), 3.3).between(2, 4)
+    assert len(part) == 2 and [one.is_rigid for one in part.objects] == [True, False]
+    assert [part.objects[1].field(i) for i in range(2)] == fields[2:]
+    assert part.objects[0].field(1) == fields[0]
+    np.testing.assert_array_equal(part.objects[0].track.positions_m, track.positions_m[2:])
+
+
+def test_what_vibrates_is_looked_up_as_amplitude_and_frequency() -> None:
+    grid = Grid((9, 3, 20), (0.001, 0.002, 0.003), (0.1, 0.2, 0.3))
+    places = np.array([[0, 2, 17], [8, 0, 0], [8, 2, 19]], np.int32)
+    amplitudes, frequencies = np.array([1, 2, 3], np.float32), np.array([40, 50, 60], np.float32)
+    field = VibrationFrame(grid, places, amplitudes, frequencies).as_field()
+    assert field.grid == grid
+    np.testing.assert_array_equal(field.positions(), places)
+    np.testing.assert_array_equal(
+        field.vectors_n(), np.stack([amplitudes, frequencies, 0 * amplitudes], axis=1)
+    )

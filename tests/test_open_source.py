@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.pipeline import prepare
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.sources.options import SourceOptions
+from touchfield.sources.options import SourceOptions, WatchedOptions
 from touchfield.sources.registry import open_source
 
 MM = SourceOptions(depth_scale=1000)
@@ -85,3 +87,49 @@ def test_options_that_do_nothing_are_told(tmp_path: Path) -> None:
     assert "--seconds." in " ".join(
         prepare("sample:shapes", EncodeSpec(nw=3, source=SourceOptions(seconds=1))).notes
     )
+
+
+# -- options
+# --------------------------------------------------------------------------------------------------------
+
+NUMBERS = [
+    "depth_scale", "cell_size_m", "height_scale", "exaggeration", "unit_m", "rate_hz", "seconds", "source_rate_hz",
+    "near_m", "far_m", "baseline_m",
+]  # fmt: skip
+OTHER = {
+    "intrinsics": "1,2,3,4", "poses": "a.txt", "frame": "camera", "world": "causal", "reading": "height",
+    "shell": "one", "holes": "leave", "interpolation": "nearest", "animation": "walk", "relative_depth": "a.png",
+    "segment": "step=0.1", "disparity_offset_px": -3.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_a_number_that_is_not_above_0_is_refused_by_its_name(name: str) -> None:
+    assert getattr(SourceOptions(**{name: 1e-3}), name) == 1e-3
+    for wrong in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(InvalidArgument, match=f"^{name}: found {wrong}"):
+            SourceOptions(**{name: wrong})
+
+
+def test_every_option_is_a_number_or_one_of_some_words() -> None:
+    assert {f.name for f in fields(SourceOptions)} == {*NUMBERS, *OTHER, "kind", "allow_outside"}
+    for name in ("frame", "world", "reading", "shell", "holes", "interpolation"):
+        assert getattr(SourceOptions(**{name: OTHER[name]}), name) == OTHER[name]
+        with pytest.raises(InvalidArgument, match=f"{name}: found 'some'"):
+            SourceOptions(**{name: "some"})
+    with pytest.raises(InvalidArgument, match="poses: found poses with frame camera"):
+        SourceOptions(poses="a.txt", frame="camera")
+
+
+@pytest.mark.parametrize("name", [*NUMBERS, *OTHER])
+def test_an_option_that_no_one_reads_is_known(name: str) -> None:
+    value = OTHER.get(name, 0.5)
+    watched = WatchedOptions(SourceOptions(**{name: value}))
+    assert watched.unread() == [name]
+    others = [f.name for f in fields(SourceOptions) if f.name != name]
+    assert [getattr(watched, other) for other in others] == [
+        getattr(SourceOptions(), other) for other in others
+    ]
+    assert watched.unread() == [name]
+    assert getattr(watched, name) == value and watched.unread() == []
+    assert WatchedOptions(SourceOptions(kind="mesh", allow_outside=True)).unread() == []

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from touchfield.errors import MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.medium import PoseTrack
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.physics import simulation
 from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.physics.simulation import _driven_state, model_of
 from touchfield.sources.physics.toml_file import open_physics, read_physics
@@ -410,3 +411,37 @@ def test_without_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(MissingExtra, match=r"touchfield\[physics\]"):
         sample("falling-4")
+
+
+def test_as_many_poses_as_are_kept_and_not_one_more() -> None:
+    most = simulation._MAX_POSES
+    assert simulation.frames_of("a.toml", 2.0, 1000.0, 3) == 2000
+    assert simulation.frames_of("a.toml", 1e-6, 1000.0) == 1
+    assert simulation.frames_of("a.toml", 0.0126, 1000.0) == 13
+    assert simulation.frames_of("a.toml", most / 4000, 1000.0, 4) == most // 4
+    told = r"a\.toml: found 5000 s at 1000 Hz for 3 bodies; expected at most 4194304 poses"
+    with pytest.raises(InvalidArgument, match=told):
+        simulation.frames_of("a.toml", 5000.0, 1000.0, 3)
+    with pytest.raises(InvalidArgument, match="at most"):
+        simulation.frames_of("a.toml", most / 4000, 1000.0, 5)
+
+
+def test_names_and_contacts_of_a_table_are_checked_at_their_edges(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+
+    def body(name: str) -> str:
+        return f'[[body]]\nkind = "sphere"\nname = "{name}"\nradius_m = 0.1\nposition_m = [0, 0, 1]\n'
+
+    path.write_text(body("a") + body("floor"))
+    with pytest.raises(SourceError, match=r"body 2\.name: found 'floor', as the floor is called"):
+        read_physics(path)
+    path.write_text(body("a") + body("b") + body("a"))
+    with pytest.raises(SourceError, match=r"body 3\.name: found 'a', as another body is called"):
+        read_physics(path)
+    for steps, is_taken in ((7, True), (6.99, False)):
+        path.write_text(f"[physics]\nstep_s = 0.002\ncontact_s = {steps * 0.002!r}\n" + body("a"))
+        if is_taken:
+            assert read_physics(path).world.contact_s == steps * 0.002
+        else:
+            with pytest.raises(SourceError, match=r"contact_s: .*at least 7 steps of 0\.002 s"):
+                read_physics(path)

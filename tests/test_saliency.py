@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy import ndimage
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.medium import Grid
@@ -390,3 +391,45 @@ def test_a_depth_scale_asks_for_depth_and_not_for_saliency(tmp_path: Path) -> No
     with pytest.raises(SourceError, match=r"blob\.gif.*16-bit grey depth.*--as saliency"):
         open_source(path, SourceOptions(depth_scale=1000.0))
     assert open_source(path, SourceOptions(depth_scale=1000.0, kind="saliency")).tags == ("symbolic",)
+
+
+def expected_maps(frames: list[np.ndarray], rate_hz: float) -> list[np.ndarray]:
+    """The model written out once more: three parts, each over its peak, their mean over its own."""
+    mean, peaks, maps = None, np.zeros(4), []
+    for colours in frames:
+        r, g, b = (colours[..., n] / 255.0 for n in range(3))
+        channels = [0.299 * r + 0.587 * g + 0.114 * b, r - g, b - (r + g) / 2]
+        mean = channels if mean is None else mean
+        centre, surround = (
+            [ndimage.gaussian_filter(c, sigma, mode="nearest") for c in channels] for sigma in (1.5, 8.0)
+        )
+        around = sum(np.abs(c - s) for c, s in zip(centre, surround, strict=True))
+        moves = ndimage.gaussian_filter(
+            sum(np.abs(c - m) for c, m in zip(channels, mean, strict=True)), 1.0, mode="nearest"
+        )
+        spectrum = np.fft.fft2(channels[0] - channels[0].mean())
+        size = np.abs(spectrum) + 0.02 * np.sqrt(spectrum.size)
+        near = sum(np.roll(np.log(size), (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)) / 9
+        residual = np.abs(np.fft.ifft2(spectrum / size * np.exp(np.log(size) - near))) ** 2
+        residual = ndimage.gaussian_filter(residual, 2.0, mode="nearest") * 2 * np.pi * 2.0**2
+        parts = [residual, around, moves]
+        fade = np.exp(-1 / (2.0 * rate_hz))
+        for n, (part, least) in enumerate(zip(parts, (0.02, 0.15, 0.15), strict=True)):
+            peaks[n] = max(part.max(), fade * peaks[n], least)
+        total = sum(part / peaks[n] for n, part in enumerate(parts)) / 3
+        peaks[3] = max(total.max(), fade * peaks[3], 1 / 3)
+        maps.append(np.clip(total / peaks[3], 0, 1))
+        share = 1 - np.exp(-1 / (0.3 * rate_hz))
+        mean = [m + share * (c - m) for m, c in zip(mean, channels, strict=True)]
+    return maps
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 60.0])
+def test_a_map_is_that_of_the_formulas(rate_hz: float) -> None:
+    rng = np.random.default_rng(3)
+    frames = [np.clip(rng.normal(100, 20, (36, 50, 3)), 0, 255).astype(np.uint8) for _ in range(4)]
+    frames[1][5:12, 30:40, 0] = 250  # red, then blue elsewhere, then gone
+    frames[2][20:30, 4:12, 2] = 255
+    for found, expected in zip(run(frames, rate_hz), expected_maps(frames, rate_hz), strict=True):
+        np.testing.assert_allclose(found, expected, atol=2e-4)
+        assert 0.05 < expected.mean() < 0.9

@@ -196,3 +196,10 @@ def test_too_many_symbols_to_pack_are_refused(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(sys.modules[similarity.__module__], "MAX_BYTES", 2 * size - 1)
     with pytest.raises(InvalidArgument, match="fewer frames"):
         compression_distance(one, one)
+
+
+def test_media_of_other_lengths_are_compressed_and_all_voxels_told() -> None:
+    a, b = noise(5), noise(6)
+    found = compression_distance([a, b], [a])
+    assert found.samples == 3 * LARGE.voxel_count and found.quantiser == "a Q" and found.weighting == "voxel"
+    assert float(found) == pytest.approx(0.5, abs=0.05), "half of the longer one is not told by the other"

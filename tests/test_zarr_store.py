@@ -34,10 +34,9 @@ def medium(shape: tuple[int, int, int], frames: int = 2, seed: int = 0) -> Hapti
     """Frames of a few hundred random forces."""
     draw = np.random.default_rng(seed)
     forces = draw.standard_normal((frames, *shape, 3)) * (draw.random((frames, *shape, 1)) < 0.2)
-    made = HapticMedium.from_array(
-        forces.astype(np.float32), Grid(shape, (0.001, 0.002, 0.003), (0.1, 0.0, -0.1))
-    )
-    return replace(made, axes="x right, y up, z near", friction=0.25, tags=("symbolic",))
+    grid = Grid(shape, (0.001, 0.002, 0.003), (0.1, 0.0, -0.1))
+    made = HapticMedium.from_array(forces.astype(np.float32), grid, 50.0, "x right, y up, z near")
+    return replace(made, friction=0.25, damping_n_s_per_m=3.0, tags=("symbolic", "direct"))
 
 
 @given(SHAPES, st.integers(1, 3), st.integers(0, 99))
@@ -271,7 +270,7 @@ def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_tiles_are_the_field_within_the_promise(
     tmp_path: Path, small_tiles: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tiles, "_MADE", 8)  # a tile in eight parts
+    monkeypatch.setattr(tiles, "_BLOCK_SAMPLES", 8)  # a tile in eight parts
     done = encode_tiles("sample:shapes", tmp_path / "a.zarr", SPEC)
     whole = prepare("sample:shapes", replace(SPEC, representation="voxel")).medium[0]
     again = read_zarr(tmp_path / "a.zarr")

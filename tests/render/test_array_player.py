@@ -190,6 +190,8 @@ def test_a_stall_of_the_feed_is_all_off_and_nothing_is_left_out() -> None:
         assert not recorder.shown[-1].any()
         released.set()
         assert player.wait(20)
+    (note,) = player.notes
+    assert "Frames are not made in time: the actuators are off meanwhile." in note
     assert (
         max(float(one.max()) for one in recorder.shown) == pytest.approx(0.4) and not recorder.shown[-1].any()
     )

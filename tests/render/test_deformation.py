@@ -356,3 +356,71 @@ def test_an_animated_model_bends_the_stream_of_a_pose(
         told_error = capsys.readouterr().err
         assert said in told_error and len(told_error.strip().splitlines()) == 1
     assert np.array_equal(read_deformation(tracks).displacement_m, bent.displacement_m), "it is as it was"
+
+
+# -- a lattice whose axes differ
+# ------------------------------------------------------------------------------------
+
+
+def uneven(**more: float) -> Deformation:
+    """2, 3 and 5 cells of three sides."""
+    return Deformation(np.zeros((1, 5, 6, 8, 3)), (-0.013, -0.0165, -0.02), (0.013, 0.011, 0.008), **more)
+
+
+def test_an_affine_map_is_that_map_on_a_lattice_whose_axes_differ() -> None:
+    lattice = uneven()
+    a, shift = (
+        np.array([[0.1, -0.05, 0.02], [0.03, -0.08, 0.04], [-0.02, 0.06, 0.05]]),
+        [0.001, -0.0005, 0.0008],
+    )
+    bent = replace(lattice, displacement_m=(controls_m(lattice) @ a.T + shift)[None])
+    p = places(reach_m=1.0) * [0.0129, 0.0164, 0.0175]
+    made = FieldSampler(medium(spring), deformation=bent).force_n(np.zeros(len(p)), p).astype(float)
+    j = np.eye(3) + a
+    expected = spring(p @ j.T + shift) @ j
+    assert np.abs(made - expected).max() < 1e-6 * np.abs(expected).max()
+    assert moved(bent, bent.displacement_m[0], p) == pytest.approx(p @ a.T + shift, abs=1e-12)
+    assert bent.least_determinant()[0] == pytest.approx(np.linalg.det(j))
+    assert np.linalg.norm(j, 2) <= bent.most_stretch < 1.15 * np.linalg.norm(j, 2)
+
+
+def test_a_lattice_at_rest_fills_its_box_along_each_axis() -> None:
+    low, high = np.array([-0.01, 0.02, -0.05]), np.array([0.02, 0.03, 0.01])
+    made = Deformation.at_rest(low, high, 6, compliance_m_per_n=0.003, relax_s=0.07)
+    assert made.corner_m == pytest.approx(low) and made.spacing_m == pytest.approx((high - low) / 3)
+    assert made.displacement_m.shape == (1, 6, 6, 6, 3) and not made.displacement_m.any()
+    assert (made.compliance_m_per_n, made.relax_s) == (0.003, 0.07)
+    assert Deformation.at_rest(low, high).displacement_m.shape[1:4] == (8, 8, 8)
+    two = replace(uneven(), displacement_m=np.zeros((2, 5, 6, 8, 3)))
+    assert repr(two) == "<Deformation: 2 frames of 5 x 6 x 8 control points>"
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_what_a_point_may_yield_is_less_by_the_slope_of_the_tracks(axis: int) -> None:
+    lattice = uneven()
+    most = np.sqrt(sum(3 * (2 / h) ** 2 for h in lattice.spacing_m))  # of the slope, for a metre
+    assert lattice.most_yield_m == pytest.approx(0.95 / most)
+    tracks = np.zeros((2, 5, 6, 8, 3))
+    tracks[1] = 0.3 * np.roll(controls_m(lattice), 1, axis=-1) * np.roll(np.eye(3)[axis], 1)
+    assert replace(lattice, displacement_m=tracks).most_yield_m == pytest.approx((0.95 - 0.3) / most)
+
+
+def test_a_fit_on_a_lattice_whose_axes_differ_finds_an_affine_motion() -> None:
+    rest = places(600, 1.0) * [0.009, 0.012, 0.015]
+    a = np.array([[0.95, -0.1, 0], [0.1, 1.02, 0.05], [0, 0.03, 1.05]])
+    now = rest @ a.T + [0.001, 0, -0.0005]
+    made, rms = fitted(rest, [rest, now], uneven(), 25.0)
+    left = now + moved(made, made.displacement_m[1], now) - rest
+    of_both = np.sqrt((left**2).sum(axis=1).mean() / 2)
+    assert rms == pytest.approx(of_both) and rms < 2e-6
+    assert (made.corner_m, made.spacing_m) == (uneven().corner_m, uneven().spacing_m)
+
+
+def test_a_wall_yields_alike_on_a_lattice_whose_axes_differ() -> None:
+    spec = RenderSpec(damping_n_s_per_m=0.0, coupling_n_per_m=0.0)
+    spacing = (0.07, 0.14 / 3, 0.028)
+    lattice = Deformation(np.zeros((1, 5, 6, 8, 3)), (-0.07,) * 3, spacing, 1.0, 0.0005, 0.02)
+    force = Bench(wall(300.0), spec, deformation=lattice).settled(0.003, -0.011, -0.004, 400)
+    assert (
+        force[2] == pytest.approx(300 * 0.004 / 1.15, rel=0.12) and np.abs(force[:2]).max() < 0.1 * force[2]
+    )

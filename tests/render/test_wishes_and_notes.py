@@ -1,0 +1,314 @@
+"""What a receiver wishes for stands where the ticks read it; what a session tells has the figures that it
+acts on.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from player_makers import laid_out
+from tick_makers import GRID, OMNI, points, wall
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.render.block import Memory, statistics_of, words as W
+from touchfield.render.feeder import Feeder
+from touchfield.render.material import Material, materials_json, read_materials
+from touchfield.render.point_device import BOX_AXES, axes_matrix, axes_notes
+from touchfield.render.spec import RenderSpec, stability_of, stated_n_per_m, wall_of, write_parameters
+from touchfield.render.tool import Tool
+
+AXES = "x right, y up, z back"
+
+
+def medium(stiffness_n_per_m: float = 300.0, frames: int = 1, axes: str = AXES) -> HapticMedium:
+    forces = wall(stiffness_n_per_m, 9.0)(points()).astype(np.float32)
+    return HapticMedium.from_frames([ForceField.from_dense(GRID, forces)] * frames, 20.0, axes)
+
+
+# -- wishes
+# ---------------------------------------------------------------------------------------------------------
+
+WISHES = {
+    "rate_hz": (2000.0, "RATE_HZ", 2000.0),
+    "friction": (0.21, "FRICTION", 0.21),
+    "damping_n_s_per_m": (0.31, "DAMPING", 0.31),
+    "slip_speed_m_s": (0.0041, "SLIP_SPEED", 0.0041),
+    "coupling_n_per_m": (51.0, "COUPLING", 51.0),
+    "passivity": (True, "PASSIVITY", 1.0),
+    "scale": (0.61, "SCALE", 0.61),
+    "force_scale": (0.71, "FORCE_SCALE", 0.71),
+    "peak_n": (3.1, "PEAK", 3.1),
+    "continuous_n": (0.81, "CONTINUOUS", 0.81),
+    "slew_n_per_s": (91.0, "SLEW", 91.0),
+    "thermal_s": (1.1, "THERMAL_S", 1.1),
+    "ramp_s": (0.012, "RAMP_S", 0.012),
+    "velocity_cutoff_hz": (13.0, "CUTOFF", 2 * math.pi * 13.0),
+    "peak_nm": (0.14, "TORQUE_PEAK", 0.14),
+    "continuous_nm": (0.015, "TORQUE_CONTINUOUS", 0.015),
+    "slew_nm_per_s": (1.6, "TORQUE_SLEW", 1.6),
+}
+TWISTING = replace(OMNI, torque_max_nm=0.2, torque_continuous_nm=0.05)
+
+
+def written(spec: RenderSpec) -> tuple[Memory, tuple[str, ...]]:
+    memory = Memory.empty(W.FREE)
+    return memory, write_parameters(memory, spec, TWISTING, 0.3, 0.7, AXES)
+
+
+@pytest.mark.parametrize("name", WISHES)
+def test_a_wish_changes_its_own_word_and_no_other(name: str) -> None:
+    value, word, expected = WISHES[name]
+    usual, found = written(RenderSpec())[0], written(RenderSpec(**{name: value}))[0]
+    at = getattr(W, word)
+    assert found.f8[at] == pytest.approx(expected) and usual.f8[at] != found.f8[at]
+    follow = {
+        "friction": {W.FRICTION_NOW},
+        "peak_n": {W.SLEW, W.LIMIT},  # the slew limit is to the peak in 5 ms
+        "peak_nm": {W.TORQUE_SLEW, W.TORQUE_LIMIT},
+        "rate_hz": {W.DELAY},
+    }.get(name, set())
+    assert set(np.flatnonzero(usual.f8 != found.f8).tolist()) - follow == {at}
+
+
+def test_all_wishes_together_stand_where_they_do_alone() -> None:
+    spec = RenderSpec(
+        **{name: value for name, (value, *_) in WISHES.items()},
+        clutch_m=(0.1, -0.2, 0.3),
+        gravity_n=(0.4, -0.5, 0.6),
+    )
+    memory, notes = written(spec)
+    for name, (_, word, expected) in WISHES.items():
+        assert memory.f8[getattr(W, word)] == pytest.approx(expected), name
+    assert memory.f8[W.CLUTCH : W.CLUTCH + 3].tolist() == [0.1, -0.2, 0.3]
+    assert memory.f8[W.GRAVITY : W.GRAVITY + 3].tolist() == [0.4, -0.5, 0.6]
+    assert memory.f8[[W.LIMIT, W.TORQUE_LIMIT]].tolist() == [3.1, 0.14]
+    weight = math.sqrt(0.4**2 + 0.5**2 + 0.6**2)
+    assert notes == (f"the steady force of {weight:g} N leaves nothing of 0.81 N to the field",)
+
+
+def test_a_torque_is_limited_by_the_device_and_only_where_it_states_one() -> None:
+    usual = written(RenderSpec())[0].f8
+    assert usual[[W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_LIMIT]].tolist() == [0.2, 0.05, 0.2]
+    assert usual[W.TORQUE_SLEW] == pytest.approx(0.2 / 0.005)
+    for name, most, told in (
+        ("peak_nm", 0.2, "to 0.2 N m, the limit of"),
+        ("continuous_nm", 0.05, "in the long run"),
+    ):
+        assert written(RenderSpec(**{name: most}))
+        with pytest.raises(InvalidArgument, match=f"{name}: found .*{told}"):
+            written(RenderSpec(**{name: most * 1.001}))
+    for name in ("peak_nm", "continuous_nm", "slew_nm_per_s"):
+        with pytest.raises(
+            InvalidArgument, match=f"{name}: found it with phantom-omni; expected a device that states"
+        ):
+            write_parameters(Memory.empty(W.FREE), RenderSpec(**{name: 0.01}), OMNI, 0, 0, AXES)
+    silent = write_parameters(Memory.empty(W.FREE), RenderSpec(tool=Tool.sphere(0.001, 10)), OMNI, 0, 0, AXES)
+    assert silent == ("phantom-omni states no torque: the tool's force alone is felt",)
+
+
+@pytest.mark.parametrize("name", [*WISHES, "wall_n_per_m"])
+def test_a_wish_that_is_no_number_above_0_is_refused_by_its_name(name: str) -> None:
+    if name == "passivity":
+        return
+    may_be_0 = name in ("friction", "damping_n_s_per_m", "coupling_n_per_m", "force_scale")
+    for wrong in (-1.0, math.nan, math.inf, *(() if may_be_0 else (0.0,))):
+        with pytest.raises(InvalidArgument, match=f"^{name}"):
+            RenderSpec(**{name: wrong})
+    if may_be_0:
+        assert getattr(RenderSpec(**{name: 0.0}), name) == 0
+
+
+def test_rates_and_vectors_out_of_range_are_refused() -> None:
+    assert RenderSpec(rate_hz=10.0) and RenderSpec(rate_hz=20000.0)
+    for rate_hz in (9.99, 20001.0):
+        with pytest.raises(InvalidArgument, match="rate_hz"):
+            RenderSpec(rate_hz=rate_hz)
+    for name in ("clutch_m", "gravity_n"):
+        for wrong in ((0.0, 1.0), (0.0, math.nan, 1.0), 3.0):
+            with pytest.raises(InvalidArgument, match=f"{name}.*three finite numbers"):
+                RenderSpec(**{name: wrong})
+
+
+# -- notes
+# ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+@pytest.mark.parametrize("stiffness", [0.0, 40.0, 900.0, 20_000.0])
+def test_damping_and_coupling_are_told_as_the_device_has_them(scale: float, stiffness: float) -> None:
+    device = replace(OMNI, damping_n_s_per_m=0.3, delay_ms=2.0)
+    spec = RenderSpec(scale=scale, force_scale=0.5, rate_hz=500.0)
+    found, factor = stability_of(device, spec, 0.1, stiffness), 0.5 * scale
+    hold_s = 0.001 + 0.002
+    of_device = factor * stiffness
+    brake, coupling = factor * found.brake_n_s_per_m, factor * found.coupling_n_per_m
+    felt = 1 / (1 / of_device + 1 / coupling) if coupling else of_device
+    start = (
+        f"the medium's stiffest slope is {of_device:.0f} N/m, the device holds {0.3 / hold_s:.0f} N/m by "
+        "itself"
+    )
+    damped = f": damping in contact {brake:.2g} N s/m"
+    coupled = (
+        f", coupling {coupling:.0f} N/m, so that {felt:.0f} N/m are felt" if coupling else ", no coupling"
+    )
+    assert found.note == start + damped + coupled
+    assert brake == pytest.approx(max(0.0, 2 * felt * hold_s - 0.3 - factor * 0.1))
+    of_own = stability_of(device, replace(spec, damping_n_s_per_m=0.2), 0.1, stiffness)
+    assert of_own.note == start + coupled and of_own.brake_n_s_per_m == 0
+    given = stability_of(device, replace(spec, coupling_n_per_m=70.0), 0.1, stiffness)
+    assert given.note.startswith(start + ": damping") and "coupling" not in given.note
+    assert given.coupling_n_per_m == pytest.approx(70.0)
+
+
+def test_the_wall_of_a_proxy_is_told_as_it_is_rendered() -> None:
+    grid = Grid((33, 31, 65), (0.004, 0.006, 0.0025), (-0.064, -0.09, -0.08))
+    for most_n, level_n in ((9.0, 0.05), (0.2, 0.02)):  # a tenth of what is weak
+        field = ForceField.from_dense(grid, wall(30.0, most_n)(points(grid)).astype(np.float32))
+        _, memory = laid_out(HapticMedium.from_frames([field], 20.0, AXES))
+        assert memory.f8[W.WALL] == pytest.approx(30, rel=0.01)
+        assert memory.f8[W.WALL_LEVEL] == pytest.approx(level_n)
+        assert memory.f8[W.WALL_SPACING : W.WALL_SPACING + 3].tolist() == list(grid.spacing_m)
+    usual, memory = laid_out(medium())
+    found = wall_of(medium()[0])
+    assert found is not None and memory.f8[W.WALL] == pytest.approx(found.stiffness_n_per_m)
+    assert f"a proxy holds the hand at walls of {found.stiffness_n_per_m:.0f} N/m" in usual.notes
+    softer, memory = laid_out(medium(), RenderSpec(wall_n_per_m=123.0))
+    assert memory.f8[W.WALL] == 123 and "a proxy holds the hand at walls of 123 N/m" in softer.notes
+    plain, memory = laid_out(medium(), RenderSpec(render="field"))
+    assert memory.f8[W.WALL] == 0 and not any("proxy" in note for note in plain.notes)
+
+
+def test_axes_that_are_guessed_are_quoted() -> None:
+    assert axes_notes("x left, y", AXES) == (f'axes of the device, "x left, y", are taken as {BOX_AXES}',)
+    assert axes_notes(AXES, "x left, y") == (f'axes of the field, "x left, y", are laid along {BOX_AXES}',)
+    assert axes_notes("p" * 99, "q" * 99) == (
+        f'axes of the device, "{"p" * 80}", are taken as {BOX_AXES}',
+        f'axes of the field, "{"q" * 80}", are laid along {BOX_AXES}',
+    )
+    session, memory = laid_out(medium(axes="x, y, z"))
+    assert f'axes of the field, "x, y, z", are laid along {BOX_AXES}' in session.notes
+    turned = RenderSpec(up="z")
+    session, memory = laid_out(medium(axes="x, y, z"), turned)
+    expected = axes_matrix(OMNI.axes, "x, y, z", "z")
+    assert np.array_equal(memory.f8[W.AXES : W.AXES + 9].reshape(3, 3), expected)
+    assert not np.array_equal(expected, axes_matrix(OMNI.axes, "x, y, z", "auto"))
+    assert not any("axes of the field" in note for note in session.notes)
+
+
+def test_a_feed_that_is_too_slow_is_told_with_both_rates() -> None:
+    session, memory = laid_out(medium(frames=4))
+    feeder: Feeder = session.feeder(memory)
+    memory.f8[W.SPEED_NOW] = 1.0
+    feeder._pace.frame_s = 0.08
+    assert (
+        "This machine decodes 12.5 frames a second at present, and 20 are needed at speed 1:" in feeder.note
+    )
+    feeder._pace.frame_s = 0.04  # 25 a second: enough at this speed, and not at twice the speed
+    assert "had to be fetched" in feeder.note
+    memory.f8[W.SPEED_NOW] = 2.0
+    assert "This machine decodes 25 frames" in feeder.note
+
+
+@pytest.mark.parametrize(
+    ("spec", "is_taken"),
+    [
+        ({"law": "penalty", "stiffness_n_per_m": 1.0}, True),
+        ({"law": "penalty", "stiffness_n_per_m": 5000.0}, True),
+        ({"law": "penalty", "stiffness_n_per_m": 0.999}, False),
+        ({"law": "penalty", "stiffness_n_per_m": 5001.0}, False),
+        ({"law": "magnetic", "stiffness_n_per_m": 500.0}, False),
+        ({"law": "penalty"}, False),
+    ],
+)
+def test_a_stiffness_that_a_file_states_is_taken_within_bounds(
+    spec: dict[str, object], is_taken: bool
+) -> None:
+    text = json.dumps(spec)
+    assert stated_n_per_m({"spec": text}) == (spec["stiffness_n_per_m"] if is_taken else None)
+    assert stated_n_per_m({"spec": text, "edits": "gain 2"}) is None
+    other = json.dumps({"law": "penalty", "stiffness_n_per_m": 77.0})
+    assert stated_n_per_m({"spec": text, "source.spec": other}) == 77
+
+
+# -- materials
+# ------------------------------------------------------------------------------------------------------
+
+
+def test_every_value_of_a_material_goes_through_its_file(tmp_path: Path) -> None:
+    levels = tuple(
+        tuple(tuple(0.01 * (s + 2 * f + 3 * b) for b in range(16)) for f in range(3)) for s in range(2)
+    )
+    one = Material(
+        "a",
+        0.31,
+        0.41,
+        0.0021,
+        "body",
+        ((0.1, 0.2, 0.3), (0.4, 0.5, 0.6)),
+        (0.05, 0.1),
+        (0.5, 1.0, 2.0),
+        levels,
+    )
+    plain = Material("b")
+    (tmp_path / "t.json").write_text(materials_json((one, plain)))
+    found, other = read_materials(tmp_path / "t.json")
+    np.testing.assert_allclose(found.levels_n, one.levels_n, rtol=1e-3)
+    assert replace(found, texture_rms_n=one.texture_rms_n) == one and other == plain
+
+
+def test_materials_of_impossible_numbers_are_named() -> None:
+    row = ((0.0,) * 16,)
+    good = {"speeds_m_s": (0.1,), "forces_n": (1.0,), "texture_rms_n": (row,)}
+    assert Material("a", 0.0, 0.0) and Material("a", **good) and Material("a", slip_length_m=1e-6)
+    for name, wrong in (
+        ("friction", {"friction": -0.1}),
+        ("friction", {"friction": math.inf}),
+        ("static_friction", {"friction": 0.4, "static_friction": 0.39}),
+        ("static_friction", {"static_friction": 0.5}),
+        ("slip_length_m", {"slip_length_m": 9e-7}),
+        ("box_m", {"box_m": ((0.0, 0.0, 1.0), (1.0, 1.0, 0.9))}),
+        ("box_m", {"box_m": ((0.0, 0.0), (1.0, 1.0))}),
+        ("speeds_m_s", good | {"speeds_m_s": (0.0,)}),
+        ("forces_n", good | {"forces_n": (1.0, 1.0), "texture_rms_n": (row * 2,)}),
+        ("texture_rms_n", good | {"texture_rms_n": ((row[0][:15],),)}),
+        ("texture_rms_n", good | {"texture_rms_n": (((-0.1, *row[0][1:]),),)}),
+        ("texture_rms_n", {"speeds_m_s": (0.1,), "forces_n": (1.0,)}),
+    ):
+        with pytest.raises(InvalidArgument, match=f"material 'a' {name}"):
+            Material("a", **wrong)  # type: ignore[arg-type]
+
+
+# -- statistics
+# -----------------------------------------------------------------------------------------------------
+
+
+def test_every_figure_of_the_statistics_is_of_its_own_count() -> None:
+    memory = Memory.empty(W.FREE)
+    counts = {
+        "LATE": 11, "MISSED": 12, "UNDERRUNS": 13, "STALLED_TICKS": 14, "WAITS": 15, "WAITING_TICKS": 16,
+        "FRAMES_USED": 17, "TICKS": 501, "PLAYED_TICKS": 56, "FIRST_NS": 2_000_000_000, "LAST_NS": 2_250_000_000,
+        "WORST_PERIOD_NS": 9_000_000, "WORST_LATENESS_NS": 20_500,
+    }  # fmt: skip
+    for name, value in counts.items():
+        memory.i8[getattr(W, name)] = value
+    memory.f8[W.RATE_HZ] = 2000.0
+    memory.i8[W.PERIODS + np.array([0, 5, 40, W.TIME_BINS])] = [600, 389, 10, 1]
+    memory.i8[W.LATENESSES + np.array([3, 20])] = [400, 600]
+    assert statistics_of(memory) == {
+        "ticks": 501, "seconds": pytest.approx(0.25), "rate_hz": 2000.0, "mean_rate_hz": pytest.approx(2000.0),
+        "late_ticks": 11, "missed_ticks": 12, "underruns": 13, "stalled_ticks": 14, "waits": 15,
+        "waiting_ticks": 16, "frames_used": 17, "stalled_share": 0.25,
+        "jitter_p50_us": 1.0, "jitter_p99_us": 41.0, "jitter_p99_9_us": 41.0, "jitter_worst_us": 9000.0,
+        "lateness_p50_us": 20.5, "lateness_p99_us": 20.5, "lateness_p99_9_us": 20.5, "lateness_worst_us": 20.5,
+    }  # fmt: skip
+    memory.i8[W.PERIODS + W.TIME_BINS] = 2  # of the open bin the worst is told
+    memory.i8[W.PERIODS + 40] = 9
+    assert statistics_of(memory)["jitter_p99_9_us"] == 9000.0
+    nothing = statistics_of(Memory.empty(W.FREE))
+    assert not any(nothing.values()) and nothing.keys() == statistics_of(memory).keys()
