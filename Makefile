@@ -7,14 +7,16 @@ BIN := .venv/bin
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
 
-# Two processes side by side, over one cache of compiled kernels; threads of linear algebra would only take turns, and
-# a hundred interpreters that are started would compile the modules each for itself where none may keep them.
-HERE := $(wildcard tests/test_*.py) tests/adapters/ tests/integrations/ tests/viewer/
+# Two processes side by side, over one cache of compiled kernels. Threads of linear algebra would only take turns, and
+# a hundred interpreters that are started would each compile the modules where none may keep them.
+SECOND := $(addprefix tests/,cli codec conformance network pipeline render tasks)
+FIRST := $(filter-out $(SECOND) tests/plugin tests/__pycache__,$(patsubst %/,%,$(wildcard tests/*/))) $(wildcard tests/test_*.py)
 test: .venv/ready
-	@export OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=; told=$$(mktemp); \
-	$(BIN)/python -m pytest -m "not thorough" -p no:cacheprovider $(filter-out $(HERE),$(wildcard tests/*/)) > $$told 2>&1 & \
-	beside=$$!; $(BIN)/python -m pytest -m "not thorough" $(HERE); here=$$?; wait $$beside; there=$$?; cat $$told; rm $$told; \
-	test $$here -eq 0 && test $$there -eq 0
+	@export OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=; output=$$(mktemp); \
+	$(BIN)/python -m pytest -m "not thorough" -p no:cacheprovider $(SECOND) > $$output 2>&1 & \
+	second=$$!; $(BIN)/python -m pytest -m "not thorough" $(FIRST); first_status=$$?; \
+	wait $$second; second_status=$$?; cat $$output; rm $$output; \
+	test $$first_status -eq 0 && test $$second_status -eq 0
 
 # What `make test` leaves out: the tests marked thorough, and every benchmark with its smallest settings.
 test-all: test-thorough

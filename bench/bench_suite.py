@@ -21,7 +21,7 @@ from time import perf_counter
 from machine import Bar, Figures, at_most, bench, figure
 
 ROOT = Path(__file__).resolve().parents[1]
-ONE_FILE = (sys.executable, "-m", "pytest", "tests/test_partition.py")
+ONE_FILE = (sys.executable, "-m", "pytest", "tests/measure/test_partition.py")
 
 
 def loop_s() -> float:

@@ -1,8 +1,8 @@
 """Every cache with a limit, from both sides: what it keeps is not made again, and it keeps no more than it
 may.
 
-Elsewhere: `tests/stream/test_remote.py` (bytes of a file elsewhere), `test_live_medium.py` (segments of a
-receiver), `tests/job/test_frames_ahead.py` (segments decoded ahead), `tests/render/test_arena.py` (frames of
+Elsewhere: `tests/network/test_remote.py` (bytes of a file elsewhere), `test_live_medium.py` (segments of a
+receiver), `tests/pipeline/test_frames_ahead.py` (segments decoded ahead), `tests/render/test_arena.py` (frames of
 the block).
 """
 

@@ -129,7 +129,7 @@ WRITERS = {
     "tasks/texture.py": "test_a_copy_keeps_the_law",
     "tasks/view.py": "",  # codes for the page that it opens, in mode "mask"
     "network/live.py": "",  # wraps a segment that a live stream has sent, for decoders that know files alone
-    "network/mux.py": "",  # copies a file and warns as it does: tests/stream/test_mux.py
+    "network/mux.py": "",  # copies a file and warns as it does: tests/network/test_mux.py
     "pipeline/decoded_objects.py": "test_bodies_keep_the_law",
 }
 """Modules that write or code segments, beside the test of each."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.stream.test_layers import COARSE, UNDER_HEAD
+from tests.network.test_layers import COARSE, UNDER_HEAD
 
 from live_makers import GRID, HEAD, Hand, field, segment
 from touchfield.codec.touch.body import BodyReader, write_body

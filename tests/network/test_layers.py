@@ -345,7 +345,7 @@ def test_what_cannot_be_halved_is_refused() -> None:
 
 pytest.importorskip("aiohttp", reason="live streams need the extra broadcast")
 pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
-from tests.stream.test_datagrams import free_port  # noqa: E402
+from tests.network.test_datagrams import free_port  # noqa: E402
 
 from touchfield.network import live_client  # noqa: E402
 from touchfield.network.access import Access  # noqa: E402

@@ -22,7 +22,7 @@ import touchfield
 from touchfield.compute.jit import inner, kernel
 from touchfield.compute.numba_internals import KernelFiles
 
-HOUSE = Path(__file__).parents[1]
+HOUSE = Path(__file__).parents[2]
 DECORATORS = {"njit", "kernel", "inner", "uncounted", "entry", "lean", "inlined"}
 
 

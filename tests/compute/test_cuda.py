@@ -88,7 +88,7 @@ def test_one_item_a_thread_is_what_the_loops_give(
 @pytest.fixture(scope="module")
 def simulated() -> dict[str, dict[str, float]]:
     """What `simulated_gpu.py` prints."""
-    here = Path(__file__).parent
+    here = Path(__file__).resolve().parents[1]
     run = subprocess.run(
         [sys.executable, "-W", "ignore", str(here / "simulated_gpu.py")],
         env={**os.environ, "NUMBA_ENABLE_CUDASIM": "1"},

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parent
 
 
 def built(name: str, folder: Path) -> Path:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.stream.test_datagrams import free_port, lossy
+from tests.network.test_datagrams import free_port, lossy
 
 from touchfield.network.live_medium import LiveStream
 from touchfield.render.player import Player

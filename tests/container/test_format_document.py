@@ -22,7 +22,7 @@ from touchfield.container.records import (
     rows_of,
 )
 
-FOLDER = Path(__file__).resolve().parents[1] / "docs" / "format"
+FOLDER = Path(__file__).resolve().parents[2] / "docs" / "format"
 CONTAINER = (FOLDER / "container.md").read_text(encoding="utf-8")
 CHAPTERS = ("container.md", "bits.md", "paper.md", "touch.md", "objects.md", "vibration.md")
 
