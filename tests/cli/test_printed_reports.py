@@ -10,8 +10,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.cli.view import _free_name
 from touchfield.codec.paper.spec import PaperSpec
@@ -227,3 +229,23 @@ def test_a_picture_lies_beside_its_stream_or_here(tmp_path: Path, monkeypatch: p
     assert _free_name("a.ply", "https://host/deep/b.touch?token=c") == Path("b.png")
     (tmp_path / "b.png").write_bytes(b"not ours")
     assert _free_name("a.ply", "https://host/deep/b.touch") == Path("b.compare.png")
+
+
+def test_coding_limits_are_bits_of_a_supported_voxel_over_all_frames(capsys: Capture, tmp_path: Path) -> None:
+    """Of a medium of two frames, one of which holds twice as many forces as the other."""
+    forces = np.zeros((2, 8, 8, 8, 3), np.float32)
+    forces[0, :4, :, :, 2] = np.random.default_rng(0).integers(1, 4, (4, 8, 8))
+    forces[1, :, :, :, 0] = np.random.default_rng(1).integers(1, 4, (8, 8, 8))
+    medium = tf.HapticMedium.from_array(forces, tf.Grid((8, 8, 8), (0.001,) * 3, (0.0,) * 3), 30.0)
+    tf.write_field(tmp_path / "two.npz", medium)
+    assert (
+        _exit_code(["measure", str(tmp_path / "two.npz"), "--nw", "4", "--quantiser", "uniform:1", "--json"])
+        == 0
+    )
+    told = json.loads(capsys.readouterr().out)
+    assert _exit_code(["measure", str(tmp_path / "two.npz"), "--nw", "4", "--quantiser", "uniform:1"]) == 0
+    printed = capsys.readouterr().out
+    (row,) = [line.split() for line in printed.splitlines() if "no neighbours" in line]
+    voxels = told["frames"] * told["voxels_per_frame"]
+    bits = told["entropy_voxel"]["value"] * voxels / told["supported_voxels"]
+    assert told["frames"] == 2 and float(row[1]) == pytest.approx(bits, rel=1e-3)

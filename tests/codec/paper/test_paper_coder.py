@@ -210,3 +210,18 @@ def test_specs_are_checked() -> None:
         PaperSpec(stage="dct", step_n=most)
     with pytest.raises(InvalidArgument):
         PaperEncoder(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)), PaperSpec(directions="ico99"))
+
+
+@pytest.mark.parametrize("amplitude", ["uniform", "weber"])
+def test_the_largest_force_is_decoded_where_training_takes_every_third_sample(
+    amplitude: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("touchfield.codec.paper.encoder._TRAINING_SAMPLES", 200)
+    forces_n = np.full((8, 8, 8, 3), (0.0, 0.0, 1.0), np.float32)
+    forces_n[3, 2, 4] *= 3.0  # neither the first nor the last, nor at a multiple of three
+    grid = Grid((8, 8, 8), (0.001,) * 3, (0.0,) * 3)
+    spec = PaperSpec(amplitude=amplitude, deadband="none", interframe="none", directions="octa3")
+    encoder = PaperEncoder(grid, spec)
+    segment = encoder.encode_segment([ForceField.from_dense(grid, forces_n)])
+    (decoded,) = PaperDecoder(grid, encoder.parameters).frames(segment.body, 1)
+    assert np.linalg.norm(decoded.to_dense()[3, 2, 4]) == pytest.approx(3.0, rel=0.1)

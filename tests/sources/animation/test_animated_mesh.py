@@ -225,6 +225,18 @@ def test_the_field_of_a_frame_is_that_of_the_mesh_in_its_place(tmp_path: Path) -
         np.testing.assert_allclose(dense(scene.field(frame, grid, law(0.2))), dense(expected), atol=1e-5)
 
 
+def test_a_moved_scene_has_the_field_of_its_new_place(tmp_path: Path) -> None:
+    """Also of the frame whose surface was computed last, before it was moved."""
+    scene = AnimatedMeshScene(spinning(CUBE, CUBE_FACES).save(tmp_path / "a.gltf"))
+    scene.field(17, around(scene), law(0.2))
+    moved = scene.moved(np.eye(3), np.array([0.4, -0.3, 0.2]))
+    vertices_m = Rotation.from_euler("z", 90 * 17 / 60, degrees=True).apply(CUBE)
+    vertices_m = vertices_m + np.array([0.4, -0.3, 0.2])
+    grid = around(moved)
+    expected = MeshScene(vertices_m, CUBE_FACES).field(0, grid, law(0.2))
+    np.testing.assert_allclose(dense(moved.field(17, grid, law(0.2))), dense(expected), atol=1e-5)
+
+
 def test_a_moved_scene_moves_along(tmp_path: Path) -> None:
     scene = AnimatedMeshScene(spinning(CUBE, CUBE_FACES).save(tmp_path / "a.gltf"))
     turn, shift = Rotation.from_euler("xyz", [0.3, 1.0, -0.4]).as_matrix(), np.array([3.0, -1.0, 2.0])
