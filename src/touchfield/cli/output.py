@@ -199,31 +199,30 @@ def announce_compilation(announce: Callable[[str], None], later: Sequence[str] =
     """
     import gc
 
-    from numba.core.event import Event, Listener, install_listener
-
     from touchfield.cli.compile_ahead import helpers
+    from touchfield.compute.jit import numba_internals
 
-    class First(Listener):
-        is_announced = False
-        depth = 0
+    depth, is_announced = 0, False
 
-        def on_start(self, event: Event) -> None:
-            self.depth += 1
-            if not self.is_announced:
-                self.is_announced = True
-                announce(
-                    "compiling kernels, once: some 10 to 30 s, kept for later runs (touchfield warmup "
-                    "compiles all)"
-                )
-                start_helpers()
-            gc.disable()
+    def on_start() -> None:
+        nonlocal depth, is_announced
+        depth += 1
+        if not is_announced:
+            is_announced = True
+            announce(
+                "compiling kernels, once: some 10 to 30 s, kept for later runs (touchfield warmup "
+                "compiles all)"
+            )
+            start_helpers()
+        gc.disable()
 
-        def on_end(self, event: Event) -> None:
-            self.depth -= 1
-            if not self.depth:
-                gc.enable()
-            if interrupts:
-                raise KeyboardInterrupt
+    def on_end() -> None:
+        nonlocal depth
+        depth -= 1
+        if not depth:
+            gc.enable()
+        if interrupts:
+            raise KeyboardInterrupt
 
     usual, interrupts = sys.unraisablehook, []
 
@@ -235,7 +234,8 @@ def announce_compilation(announce: Callable[[str], None], later: Sequence[str] =
 
     sys.unraisablehook = unraisable
     try:
-        with helpers(later) as start_helpers, install_listener("numba:compile", First()):
+        events = numba_internals.compilation_events(on_start, on_end) if numba_internals else nullcontext()
+        with helpers(later) as start_helpers, events:
             yield
     finally:
         sys.unraisablehook = usual

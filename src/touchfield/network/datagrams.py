@@ -133,7 +133,7 @@ class Gathering:
 
     Parameters
     ----------
-    most_open : int
+    max_open : int
         Maximum number of incomplete messages, 1 to 24; fewer if another layer covers losses.
     clock_s : callable
         Seconds.
