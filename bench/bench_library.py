@@ -128,7 +128,7 @@ def measure(files: int) -> Figures:
             done = index_folder(part, folder.parent / f"{part.name}.npz")
             pairs.append((alone_s, done.figures["seconds"]))
             for name, row in done.library.rows.items():
-                whole.file(f"{part.name}/{name}", done.library.entries[name], row)
+                whole.store(f"{part.name}/{name}", done.library.entries[name], row)
         whole.save(library_path(folder))
         again = index_folder(folder)
         alone_s, index_s = (sum(times) for times in zip(*pairs, strict=True))

@@ -155,7 +155,7 @@ def measure(most: int) -> Figures:
         frames = np.unique(np.linspace(0, len(medium) - 1, min(len(medium), FRAMES)).astype(int)).tolist()
         kept = [medium[i] for i in frames]
         domain = _Domain(tf.HapticMedium.from_frames(kept, medium.rate_hz), list(range(len(kept))), name)
-        moving[name] = domain.places_m, np.stack([domain.forces_n(one).reshape(-1) for one in kept])
+        moving[name] = domain.positions_m, np.stack([domain.forces_n(one).reshape(-1) for one in kept])
         every = moving[name][1].astype(float)
         for kind, learnt, seen in (("same", every, every), ("held out", every[::2], every[1::2])):
             modes = pod(learnt, min(max(MOVING_POINTS), len(learnt)))

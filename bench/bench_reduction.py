@@ -106,7 +106,7 @@ def modes_of(frames: int) -> Figures:
                 "share": told.share,
                 "degrees_of_freedom": free.effective,
                 "bits_per_coefficient": free.bits,
-                "kb": by_modes_bytes(found, told.least_n) / 1e3,
+                "kb": by_modes_bytes(found, told.min_n) / 1e3,
                 "touch_kb": touch_kb,
                 "touch_nmse_db": touch_db,
                 "seconds": time.perf_counter() - began,

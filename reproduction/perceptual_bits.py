@@ -53,7 +53,7 @@ class PerceptualFilter:
 
     def __init__(self, quantiser: FieldQuantiser, force_min_n: float) -> None:
         self.quantiser, self.force_min_n = quantiser, force_min_n
-        self.words = quantiser.text
+        self.text = quantiser.text
         self.symbols_of = quantiser.symbols_of
 
     @property

@@ -76,7 +76,7 @@ def _introduction(sample: LatticeSample, filters: tuple[PerceptualFilter, ...]) 
     three, twelve = filters
     per_axis = -(-NOMINAL // sample.spread[0])
     return INTRODUCTION.format(
-        starts=len(sample.held), per_axis=per_axis, three=three.words, twelve=twelve.words,
+        starts=len(sample.held), per_axis=per_axis, three=three.text, twelve=twelve.text,
         three_mn=1e3 * three.force_min_n, twelve_mn=1e3 * twelve.force_min_n,
     )  # fmt: skip
 
@@ -135,7 +135,7 @@ def _table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> str:
     )
     rows.append(["nominal over device", "object", f"{ratio:.0f}", *ratios, why])
     for name, one_filter in zip(("3 x 6", "6 + 12"), filters):
-        rows += _entropy_rows(one, name, one_filter.words)
+        rows += _entropy_rows(one, name, one_filter.text)
     rows += _bit_rows(one, filters)
     return markdown_table(
         ["row", "representation", "printed", "literal", "corrected", "why they differ"], rows
@@ -161,11 +161,11 @@ def _entropy_rows(one: SceneCounts, name: str, words: str) -> list[list[str]]:
 
 
 def _bit_rows(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> list[list[str]]:
-    words = filters[0].words
+    words = filters[0].text
     per_sample, per_frame = _mapping(one, "literal", words), _mapping(one, "corrected", words)
     plain = " and ".join(f"{f.bits}" for f in filters)
     worst = ", ".join(
-        f"{name}: {percent(one.worst[f.words])}" for name, f in zip(("3 x 6", "6 + 12"), filters)
+        f"{name}: {percent(one.worst[f.text])}" for name, f in zip(("3 x 6", "6 + 12"), filters)
     )
     return [
         ["Raw storage per sample", "both", "96 bits", *[f"{RAW_BITS} bits"] * 2, "three floats of 32 bits"],
@@ -211,12 +211,12 @@ def _entropy_table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> s
     for name, f in zip(("3 x 6", "6 + 12"), filters):
         for lattice, samples in (("nominal", one.nominal), ("device", one.on_device)):
             for r in READINGS:
-                h = samples[r].entropies(f.words)
+                h = samples[r].entropies(f.text)
                 rows.append([
                     name, lattice, r, bits(h.voxel), bits(h.object), f"{h.density.value:.3g}",
                     f"{h.object.samples:,}", f"{h.object.symbols:,}", "; ".join(h.object.notes),
                 ])  # fmt: skip
-    later = one.later["corrected", filters[0].words]
+    later = one.later["corrected", filters[0].text]
     head = ["Q", "lattice", "reading", "H_voxel", "H_object", "p", "n with a force", "symbols seen", "notes"]
     told = (
         f"Later frames: {later.frames} frames in runs of consecutive ones, evenly spaced over the "
@@ -280,9 +280,9 @@ def _data(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> dict[str, 
         ],
         "worst_relative_error": one.worst,
         "raw_bits": RAW_BITS,
-        "filter_bits": {f.words: f.bits for f in filters},
+        "filter_bits": {f.text: f.bits for f in filters},
         "mapping": {
-            name: dict(zip(("wmr", "hil"), _mapping(one, reading, filters[0].words)))
+            name: dict(zip(("wmr", "hil"), _mapping(one, reading, filters[0].text)))
             for name, reading in (("per_sample", "literal"), ("per_frame", "corrected"))
         },
     }  # fmt: skip
@@ -291,8 +291,8 @@ def _data(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> dict[str, 
 def _sample_data(sample: LatticeSample, filters: tuple[PerceptualFilter, ...]) -> dict[str, Any]:
     found: dict[str, Any] = {"voxels": sample.grid.voxel_count, "object_count": sample.count.summary()}
     for f in filters:
-        h = sample.entropies(f.words)
-        found[f.words] = {"p": h.density.summary(), "object": h.object.summary(), "voxel": h.voxel.summary()}
+        h = sample.entropies(f.text)
+        found[f.text] = {"p": h.density.summary(), "object": h.object.summary(), "voxel": h.voxel.summary()}
     return found
 
 

@@ -65,7 +65,7 @@ def counts_of(
     from touchfield.pipeline.spec import DEFAULT_F0_N
 
     per_axis, starts = (32, 8) if quick else (128, 16)
-    symbols = {one.words: one.symbols_of for one in filters}
+    symbols = {one.text: one.symbols_of for one in filters}
 
     def sampled(reading: str, is_nominal: bool) -> LatticeSample:
         with steps.step() as report:
@@ -81,12 +81,12 @@ def counts_of(
         asked = (2, 2) if quick else (4, scene.cycle_frames or 40)
         runs = consecutive_runs(scene.scene.frame_count, *asked)
         later = later_frames(
-            _medium(scene).__getitem__, runs, {one.words: one for one in filters}, MASK_K, report
+            _medium(scene).__getitem__, runs, {one.text: one for one in filters}, MASK_K, report
         )
     low, high = scene.scene.bounds_m()
     forces = scene.field(0, Grid.over_box(low, high, (_SIDE, _SIDE, _SIDE)))
     vectors = forces.forces_n[forces.mask]
-    worst = {one.words: one.worst_error(vectors, DEFAULT_F0_N) for one in filters}
+    worst = {one.text: one.worst_error(vectors, DEFAULT_F0_N) for one in filters}
     return SceneCounts(scene, nominal, on_device, _by_volume(scene), later, worst)
 
 

@@ -66,7 +66,7 @@ def run(inputs: Inputs) -> Finding:
     steps = Steps(inputs.report, len(READINGS) * len(chosen))
     found = [(scene, {r: _found(scene, r, q, steps, inputs.quick) for r in READINGS}) for scene in chosen]
     actuators = shirt.lattice[0] * shirt.lattice[1] * shirt.panels
-    parts = [INTRODUCTION.format(words=q.words, f_min=1e3 * q.force_min_n, actuators=actuators)]
+    parts = [INTRODUCTION.format(words=q.text, f_min=1e3 * q.force_min_n, actuators=actuators)]
     if inputs.quick:
         parts.append("**A quick trial: few later frames.**\n")
     for scene, both in found:
@@ -104,13 +104,13 @@ def _found(scene: PaperScene, reading: str, q: PerceptualFilter, steps: Steps, q
     with steps.step() as report:
         asked = (1, scene.cycle_frames) if scene.cycle_frames else (4, 4)
         runs = consecutive_runs(len(medium), *((1, 2) if quick else asked))
-        later = later_frames(medium.__getitem__, runs, {q.words: q}, MASK_K, report)
+        later = later_frames(medium.__getitem__, runs, {q.text: q}, MASK_K, report)
     return _Found(
         int(objects.sum()),
         entropy_bits(np.append(objects, empty)),
         entropy_bits(objects),
         len(objects),
-        later[reading, q.words],
+        later[reading, q.text],
         q.worst_error(forces, DEFAULT_F0_N),
     )
 

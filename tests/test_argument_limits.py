@@ -189,7 +189,7 @@ def test_an_error_says_where_what_and_how_to_mend_it() -> None:
         back = pickle.loads(pickle.dumps(error))
         for one in (error, back):
             assert str(one) == "the place: found this; expected that. Do so." and type(one) is kind
-            assert (one.where, one.found, one.expected, one.mend) == ("the place", "this", "that", "Do so.")
+            assert (one.where, one.found, one.expected, one.hint) == ("the place", "this", "that", "Do so.")
             assert one.exit_code == code
     assert isinstance(InvalidArgument("x"), ValueError) and not isinstance(SourceError("x"), ValueError)
     assert str(SourceError("a", "b")) == "a: found b" and str(SourceError("a", hint="c")) == "a. c"
@@ -288,10 +288,10 @@ def test_a_value_of_json_is_taken_up_to_its_limits(tmp_path: Path) -> None:
         return JsonValue(value, "x.json", "$.a[2]")
 
     for value in (3, 5.0, 7):
-        assert one(value).whole(3, 7) == value and isinstance(one(value).whole(3, 7), int)
+        assert one(value).bounded_integer(3, 7) == value and isinstance(one(value).bounded_integer(3, 7), int)
     for value in (2, 8, 3.5, True, "3", None, math.nan):
         with pytest.raises(SourceError, match=r"^x\.json: \$\.a\[2\]: found .* an integer from 3 to 7$"):
-            one(value).whole(3, 7)
+            one(value).bounded_integer(3, 7)
     assert (one(0.25).number(0.25, 2), one(2).number(0.25, 2), one(-1e299).number()) == (0.25, 2.0, -1e299)
     for value in (beyond(0.25, BELOW), beyond(2, ABOVE), math.nan):
         with pytest.raises(SourceError, match=r"expected a number from 0\.25 to 2$"):
@@ -314,7 +314,7 @@ def test_a_value_of_json_is_taken_up_to_its_limits(tmp_path: Path) -> None:
         one("a" * 70).number()
     whole = one({"b": 1, "c": [4, 5]})
     assert whole.get("d") is None and whole.at("d", 9).value == 9
-    inner = [(each.value, each.place) for each in whole.at("c").each()]
+    inner = [(each.value, each.location) for each in whole.at("c").elements()]
     assert inner == [(4, "$.a[2].c[0]"), (5, "$.a[2].c[1]")]
     whole.only(("b", "c"))
     with pytest.raises(SourceError, match=r"\$\.a\[2\]\.c: found a key that is not known; .* one of b, d"):

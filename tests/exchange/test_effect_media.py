@@ -225,7 +225,7 @@ def test_a_hand_on_a_device_takes_no_trajectory() -> None:
     for words, near in (("hapli", "haply"), ("openhaptic", "openhaptics"), ("xyz", "")):
         with pytest.raises(InvalidArgument) as told:
             point_device(words)
-        assert told.value.where == "--device" and told.value.mend == (f"Did you mean {near}?" if near else "")
+        assert told.value.where == "--device" and told.value.hint == (f"Did you mean {near}?" if near else "")
         kinds = (*registry.point_kinds(), *registry.array_kinds())
         assert all(kind.form in told.value.expected for kind in kinds)
 
@@ -257,10 +257,10 @@ def test_a_tap_lasts_no_longer_than_a_transient_and_has_an_end(rate_hz: float) -
         drives = np.zeros((longest + 10, 1, 1), np.float32)
         drives[3 : 3 + length] = 0.25
         drives[3 + length // 2] = 0.75
-        track = SingleTrack.of(ArrayEffect(rate_hz, drives))
+        track = SingleTrack.from_effect(ArrayEffect(rate_hz, drives))
         expected = ((pytest.approx((3 + length // 2) / rate_hz), 0.75),) if is_tap else ()
         assert tuple((at, amplitude) for at, amplitude, _ in track.taps) == expected
         assert any(amplitude > 0 for _, amplitude in track.amplitudes) != is_tap
         assert track.seconds == pytest.approx((len(drives) - 1) / rate_hz)
     drives[:], drives[-1] = 0, 0.5
-    assert not SingleTrack.of(ArrayEffect(rate_hz, drives)).taps, "what is on at the end has none"
+    assert not SingleTrack.from_effect(ArrayEffect(rate_hz, drives)).taps, "what is on at the end has none"

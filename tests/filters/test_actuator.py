@@ -106,7 +106,7 @@ def test_axes_and_claims() -> None:
     taps = actuator_taps(0.001, 0.004)
     expected = np.multiply.outer(taps, taps)
     assert made.to_dense()[4:37, 4:37, 4, 2] == pytest.approx(3 * expected, abs=1e-6)
-    assert ActuatorLowPass.parse(f"{sinc.words},axes=xy") == sinc  # as older streams have it
+    assert ActuatorLowPass.parse(f"{sinc.text},axes=xy") == sinc  # as older streams have it
 
 
 def test_the_pitch_of_the_shirt_in_the_workspace_of_a_desktop_device() -> None:

@@ -462,8 +462,8 @@ def test_a_stored_medium_that_is_filtered_keeps_every_value_beside_it() -> None:
     own = replace(scene.medium, axes="x east, y north, z up", damping_n_s_per_m=2.5, rate_hz=17.0)
     scene.medium, scene.rate_hz = own, own.rate_hz
     medium = device_medium(scene, OMNI, device_grid(OMNI, 3), Placement(), WALL)
-    assert medium.beside == own.beside
-    assert medium.beside == {
+    assert medium.metadata == own.metadata
+    assert medium.metadata == {
         "rate_hz": 17.0, "axes": "x east, y north, z up", "tags": ("symbolic",), "friction": 0.3,
         "damping_n_s_per_m": 2.5,
     }  # fmt: skip

@@ -350,11 +350,11 @@ def test_what_cannot_be_spliced() -> None:
 
 def test_regions_and_edits_are_told_with_their_numbers() -> None:
     ball, half = Ball((0.001, 0.02, -0.3), 0.25), HalfSpace((0.0, 3.0, -4.0), (0.1, 0.2, 0.3))
-    assert ball.words == "ball (0.001, 0.02, -0.3) radius 0.25 m"
-    assert half.words == "half-space (0, 0.6, -0.8) from (0.1, 0.2, 0.3)"
-    assert Box((0.0, 0.1, -math.inf), (1.0, 2.0, 3.0)).words == "box (0, 0.1, -inf) to (1, 2, 3)"
-    assert Voxels(GRID, [[0, 0, 0], [1, 2, 3], [0, 0, 0]]).words == "2 voxels"
-    assert ForceRange(0.5).words == "|F| of 0.5 to inf N" and ForceRange(0.0, 2.0).words == "|F| of 0 to 2 N"
-    assert (ball & half).words == f"({ball.words}) and ({half.words})"
-    assert Limit(2.5).words == "2.5 N" and Gain(-0.5).words == "-0.5"
-    assert RigidMotion.move((0.1, -0.2, 0.3)).words.endswith(", t [0.1, -0.2, 0.3] m")
+    assert ball.text == "ball (0.001, 0.02, -0.3) radius 0.25 m"
+    assert half.text == "half-space (0, 0.6, -0.8) from (0.1, 0.2, 0.3)"
+    assert Box((0.0, 0.1, -math.inf), (1.0, 2.0, 3.0)).text == "box (0, 0.1, -inf) to (1, 2, 3)"
+    assert Voxels(GRID, [[0, 0, 0], [1, 2, 3], [0, 0, 0]]).text == "2 voxels"
+    assert ForceRange(0.5).text == "|F| of 0.5 to inf N" and ForceRange(0.0, 2.0).text == "|F| of 0 to 2 N"
+    assert (ball & half).text == f"({ball.text}) and ({half.text})"
+    assert Limit(2.5).text == "2.5 N" and Gain(-0.5).text == "-0.5"
+    assert RigidMotion.move((0.1, -0.2, 0.3)).text.endswith(", t [0.1, -0.2, 0.3] m")

@@ -217,13 +217,13 @@ def test_a_medium_as_a_dataset(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_grid_and_a_field_are_told_axis_by_axis() -> None:
     grid = Grid((3, 40, 500), (0.001, 0.0025, 0.04), (0.0, 0.0, 0.0))
-    assert grid.words == "3 x 40 x 500 samples of 1 x 2.5 x 40 mm"
+    assert grid.description == "3 x 40 x 500 samples of 1 x 2.5 x 40 mm"
     dense = np.zeros((*grid.shape, 3), np.float32)
     dense[:, :, :10] = 1
     told = repr(ForceField.from_dense(grid, dense))
-    assert told == f"<ForceField: 1,200 of 60,000 samples hold a force, {grid.words}>"
+    assert told == f"<ForceField: 1,200 of 60,000 samples hold a force, {grid.description}>"
     one = HapticMedium(grid, 25.0, 1, lambda _: ForceField.empty(grid), "x right, y up, z near")
-    assert repr(one) == f"<HapticMedium: 1 frame at 25 Hz on {grid.words}; x right, y up, z near>"
+    assert repr(one) == f"<HapticMedium: 1 frame at 25 Hz on {grid.description}; x right, y up, z near>"
     beside = repr(replace(one, frame_count=2, vibration=lambda _: VibrationFrame.empty(grid)))
     assert "2 frames at" in beside and "vibration beside it" in beside
 
@@ -270,7 +270,7 @@ def test_between_two_frames_forces_are_on_a_line(
 
 def test_the_voxels_of_a_scene_keep_what_is_beside_it(wavy_field: ForceField) -> None:
     own = HapticMedium.from_frames([wavy_field], 50.0)
-    body = HapticObject("a", own, PoseTrack.still(3))
+    body = HapticObject("a", own, PoseTrack.constant(3))
     told: dict[str, Any] = {
         "axes": "x right, y up, z near", "friction": 0.25, "damping_n_s_per_m": 3.0, "tags": ("symbolic",),
         "provenance": {"source": "a scene"},
@@ -281,14 +281,14 @@ def test_the_voxels_of_a_scene_keep_what_is_beside_it(wavy_field: ForceField) ->
         assert (voxels.grid, voxels.rate_hz, len(voxels)) == (grid, 50.0, 3)
         for name, value in told.items():
             assert getattr(voxels, name) == value, name
-        assert (voxels.beside["friction"], voxels.beside["damping_n_s_per_m"]) == (0.25, 3.0)
+        assert (voxels.metadata["friction"], voxels.metadata["damping_n_s_per_m"]) == (0.25, 3.0)
 
 
 def test_a_part_of_a_scene_has_the_fields_and_poses_of_its_frames(wavy_field: ForceField) -> None:
     fields = [wavy_field.scaled(n + 1.0) for n in range(4)]
-    track = PoseTrack(PoseTrack.still(4).quaternions, np.arange(12.0).reshape(4, 3))
+    track = PoseTrack(PoseTrack.constant(4).quaternions, np.arange(12.0).reshape(4, 3))
     rigid = HapticObject("rigid", HapticMedium.from_frames(fields[:1], 50.0), track)
-    soft = HapticObject("soft", HapticMedium.from_frames(fields, 50.0), PoseTrack.still(4))
+    soft = HapticObject("soft", HapticMedium.from_frames(fields, 50.0), PoseTrack.constant(4))
     part = HapticScene(wavy_field.grid, 50.0, (rigid, soft), 3.3).between(2, 4)
     assert len(part) == 2 and [one.is_rigid for one in part.objects] == [True, False]
     assert [part.objects[1].field(i) for i in range(2)] == fields[2:]

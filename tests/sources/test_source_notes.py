@@ -69,7 +69,7 @@ def test_the_camera_of_a_nerfstudio_file_is_that_of_colour_and_its_distortion_is
     for key in ("k1", "k2", "p1", "p2"):
         bent = parse_intrinsics(json.dumps(camera | {key: 0.01}), "transforms.json", (100, 50))
         assert bent.intrinsics == plain.intrinsics
-        assert bent.notes[-1] == "The distortion that transforms.json tells of is not undone."
+        assert bent.notes[-1] == "The distortion in transforms.json is not corrected."
 
 
 def test_where_a_camera_comes_from_is_told(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_a_sequence_at_another_rate_is_told_with_both() -> None:
     assert quicker.notes == (
         "a note",
         "4 depth frames at 25 Hz are interpolated in time (nearest) to 16 at 100 Hz; "
-        "the last 4 hold the last picture.",
+        "the last 4 repeat the last picture.",
     )
     assert InterpolatedSequence(Flat(4), 20.0).notes[1].endswith("(linear) to 3 at 20 Hz.")
     assert InterpolatedSequence(Flat(1), 20.0).notes == ("a note",)
@@ -197,7 +197,7 @@ def test_degrees_are_told_in_metres_east_and_north(tmp_path: Path) -> None:
 
 def test_sides_are_told_in_their_order_and_the_unit() -> None:
     assert size_note(np.array([1.0, 2.5, 30.0]), None) == (
-        "Coordinates taken as metres: 1 x 2.5 x 30 m; say --unit-m if they are not."
+        "Coordinates taken as metres: 1 x 2.5 x 30 m; give --unit-m if they are not."
     )
     assert size_note(np.array([1.0, 2.5, 30.0]), 0.01, " in the first frame") == (
         "One unit is 0.01 m: 1 x 2.5 x 30 m in the first frame."
@@ -215,9 +215,9 @@ def test_what_a_mesh_is_taken_for_is_told() -> None:
         "(all triangles face consistently)."
     )
     (*_, note) = MeshScene(vertices, open_, holes="leave", shell="two").notes
-    assert note == "10 triangles, open with 4 boundary edges: taken as a two-sided shell (as asked for)."
+    assert note == "10 triangles, open with 4 boundary edges: taken as a two-sided shell (as requested)."
     (*_, note) = MeshScene(vertices, open_, holes="leave", shell="one").notes
-    assert note.endswith("one-sided shell, the wall behind its faces (as asked for).")
+    assert note.endswith("one-sided shell, the wall behind its faces (as requested).")
     sheet = np.array([[0, 1, 2], [0, 2, 1]])
     (*_, note) = MeshScene(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), sheet).notes
     assert note == (
@@ -258,7 +258,7 @@ def test_holes_are_told_largest_first_with_their_size() -> None:
         (
             "fused",
             False,
-            "The world is fused from all frames (--world fused; no poses, so the camera is taken to",
+            "The world is fused from all frames (--world fused; no poses, so the camera is assumed to be static)",
         ),
     ],
 )
@@ -275,7 +275,7 @@ class Drifting(_World):
     def __init__(self, residuals_m: np.ndarray) -> None:
         self._volume = type("Volume", (), {"residuals_m": residuals_m.tolist()})()  # type: ignore[assignment]
 
-    def _begin(self) -> None:
+    def _reset(self) -> None:
         raise NotImplementedError
 
     def field(self, seen: int) -> None:  # type: ignore[override]
@@ -323,7 +323,7 @@ def test_how_many_objects_a_picture_has_is_told() -> None:
         )
         return [body.name for body in bodies], note
 
-    names, note = parts(Boxes(2), SegmentRule(at_most=2))
+    names, note = parts(Boxes(2), SegmentRule(max_objects=2))
     assert names == ["object 1", "object 2", "background"]
     assert note.startswith("Segmented by depth steps into 2 objects and the background (step=0.03,least=")
     assert "at-most=2); what an object is" in note

@@ -266,7 +266,7 @@ def test_a_preview_names_its_frames_the_place_and_the_middle(drawn: Drawn) -> No
 def test_a_medium_is_drawn_with_the_box_of_its_lattice(tmp_path: Path) -> None:
     figure = draw_medium(HapticMedium.from_frames([ForceField.from_dense(GRID, block())], 30.0, AXES))
     assert figure.get_suptitle().startswith("frame 1 of 1, on the medium's lattice (dashed)")
-    assert GRID.words in figure.get_suptitle()
+    assert GRID.description in figure.get_suptitle()
     low, high = 1e3 * np.stack(GRID.box_m)
     room = 0.12 * (high - low).max()
     seen = (0, 1, False), (2, 1, True), (0, 2, False)

@@ -111,7 +111,7 @@ def test_devices_fit_a_terminal_a_line_each(capsys: Capture, monkeypatch: pytest
     monkeypatch.setenv("COLUMNS", "80")
     assert _exit_code(["devices"]) == 0
     printed = capsys.readouterr().out.splitlines()
-    lines = printed[: printed.index("drivers (play --device)")]
+    lines = printed[: [line.strip() for line in printed].index("drivers (play --device)")]
     assert len(lines) == len(devices()) + 3 and max(map(len, printed)) <= 80
     for one, line in zip(devices(), lines[2:], strict=False):
         assert line.startswith(one.name) and "x".join(f"{x:.0f}" for x in one.workspace_mm) in line.split()

@@ -17,7 +17,7 @@ from typing import Any
 from numba import njit
 
 try:
-    from touchfield.compute import numba_internals
+    from touchfield.compute import numba_internals as numba_internals
 except (ImportError, AttributeError, TypeError):  # another numba has other private parts
     numba_internals = None  # type: ignore[assignment]
 

@@ -22,7 +22,7 @@ from touchfield.filters.device_filter import limit_forces
 from touchfield.filters.registry import FieldFilter
 from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.medium import ForceField, Grid, HapticScene
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.grid import Placement
 from touchfield.medium.selection import evenly_spaced
 from touchfield.perception.hand_motion import Forces, HandMotion, HoldMeter, SlideMeter, SlideSpec
@@ -194,8 +194,9 @@ def source_medium(source: Source, opened: OpenStream, allow_outside: bool = Fals
 
 def _written_field(source: Source, opened: OpenStream, spec: EncodeSpec) -> Prepared | None:
     """The field of the source as the command `field` writes it; None for any other source."""
-    is_path = isinstance(source, (str, Path))
-    if not (is_path and Path(source).suffix == ".npz" and Path(source).is_file()):
+    if not isinstance(source, (str, Path)):
+        return None
+    if Path(source).suffix != ".npz" or not Path(source).is_file():
         return None
     field = open_scene(source, replace(spec.source, kind=None))
     stored = stored_medium(field)
@@ -269,7 +270,7 @@ class HandMeter:
             medium, played_forces = self._played, decoded_forces
             if self._blends and isinstance(medium, HapticScene):
                 played_forces = partial(medium.sample_n, frame)
-            elif self._blends:
+            elif self._blends and isinstance(medium, HapticMedium):
                 played_forces = medium[frame].sample_n
             self._hold.add(source, source_forces, played_forces, frame in self._starts)
 

@@ -42,8 +42,9 @@ def is_stream(source: Source) -> bool:
     """True if a source is the path or the address of a ``.touch`` file."""
     if is_remote(source):
         return True
-    is_path = isinstance(source, str | Path)
-    return is_path and Path(source).suffix.lower() == ".touch" and Path(source).is_file()
+    if not isinstance(source, str | Path):
+        return False
+    return Path(source).suffix.lower() == ".touch" and Path(source).is_file()
 
 
 class FixedLatticeScene(StoredScene):

@@ -333,7 +333,7 @@ def fox_by_hand(path: Path, animation: int, time_s: float) -> np.ndarray:
         )
         local[:3, 3] = node.get("translation", [0, 0, 0])
         parents = [i for i, other in enumerate(nodes) if number in other.get("children", [])]
-        return world(parents[2]) @ local if parents else local
+        return world(parents[0]) @ local if parents else local
 
     skin = document["skins"][0]
     binds = read(skin["inverseBindMatrices"]).reshape(-1, 4, 4)

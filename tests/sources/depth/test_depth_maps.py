@@ -93,9 +93,7 @@ def test_middleburys_calibration_beside_the_map_is_used(tmp_path: Path) -> None:
     (tmp_path / "calib.txt").write_text(calibration)
     sequence = inverse_depth.read_disparity(path, SourceOptions())
     assert sequence.intrinsics == Intrinsics(100, 100, 5.5, 4)
-    assert sequence.notes == (
-        "Camera and baseline are those of calib.txt, where nothing else was asked for.",
-    )
+    assert sequence.notes == ("Camera and baseline are those of calib.txt, unless given as options.",)
     named = inverse_depth.read_disparity(path, SourceOptions(intrinsics="200,210,5.5,4"))
     assert named.intrinsics == Intrinsics(200, 210, 5.5, 4) and np.allclose(
         named.depth_m(0), 2 * depth, rtol=1e-6

@@ -73,7 +73,7 @@ def test_the_papers_twenty_frames_become_eight_hundred() -> None:
         assert np.array_equal(sequence.depth_m(j), np.float32(ramp(20)[19]))
     assert not np.array_equal(sequence.depth_m(759), sequence.depth_m(760))
     assert sequence.notes[0] == "a note"
-    assert "20 depth frames at 25 Hz" in sequence.notes[1] and "last 40 hold" in sequence.notes[1]
+    assert "20 depth frames at 25 Hz" in sequence.notes[1] and "last 40 repeat" in sequence.notes[1]
     for beyond in (-1, 800):
         with pytest.raises(InvalidArgument, match="0 to 799"):
             sequence.depth_m(beyond)

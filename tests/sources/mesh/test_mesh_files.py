@@ -75,7 +75,7 @@ def test_damaged_files_are_one_clear_error(tmp_path: Path, suffix: str) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "what"),
-    [("ply", "20 rows before the end"), ("off", "60 faces .* of 80 faces"), ("stl", "endsolid")],
+    [("ply", "20 rows before the declared end"), ("off", "60 faces .* declares 80"), ("stl", "endsolid")],
 )
 def test_a_text_that_is_cut_between_lines_is_told(tmp_path: Path, kind: str, what: str) -> None:
     ball = trimesh.creation.icosphere(1)

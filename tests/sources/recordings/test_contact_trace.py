@@ -101,7 +101,7 @@ def test_a_csv_becomes_a_stream(tmp_path: Path) -> None:
     path = written(tmp_path / "probe.csv", probed(120))
     spec = EncodeSpec(nw=5, mapping="1", touch=TouchSpec(k=0.02, f0_n=0.0, effort="fast"))
     done = encode(path, tmp_path / "probe.touch", spec)
-    assert any("left out" in note for note in done.notes)
+    assert any("leave-one-out error of" in note for note in done.notes)
     with open_stream(tmp_path / "probe.touch") as opened:
         frame = opened.medium[0]
         held = frame.support()
