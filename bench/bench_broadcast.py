@@ -56,11 +56,25 @@ def ball(number: int) -> ForceField:
 
 def head(encoder: TouchEncoder, frames: int) -> Head:
     return Head(
-        grid_shape=GRID.shape, spacing_m=GRID.spacing_m, origin_m=GRID.origin_m, rate_hz=RATE_HZ, frame_count=frames,
-        axes="x right, y up, z towards the user", device_name="phantom-omni", device_type=1, force_max_n=3.3,
-        mapping_scale=1.0, mapping_offset_m=(0.0, 0.0, 0.0), weber_fraction=0.1, force_threshold_n=0.05, friction=0.0,
-        damping_n_s_per_m=0.0, tags=("direct",), coder=encoder.name, coder_parameters=encoder.parameters,
-    )  # fmt: skip
+        grid_shape=GRID.shape,
+        spacing_m=GRID.spacing_m,
+        origin_m=GRID.origin_m,
+        rate_hz=RATE_HZ,
+        frame_count=frames,
+        axes="x right, y up, z towards the user",
+        device_name="phantom-omni",
+        device_type=1,
+        force_max_n=3.3,
+        mapping_scale=1.0,
+        mapping_offset_m=(0.0, 0.0, 0.0),
+        weber_fraction=0.1,
+        force_threshold_n=0.05,
+        friction=0.0,
+        damping_n_s_per_m=0.0,
+        tags=("direct",),
+        coder=encoder.name,
+        coder_parameters=encoder.parameters,
+    )
 
 
 def coded() -> tuple[TouchEncoder, list[bytes]]:

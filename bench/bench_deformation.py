@@ -13,7 +13,8 @@ of the file of tracks, of the fields coded by `touch`, and of their forces as pl
 A query is one call of `FieldSampler.at` from Python. Loops are closed ones of Gauss-Legendre pieces, each
 within one cell of the control points, in a linear field that the sampler gives back to float64 rounding: work
 over the work of
-|F| along them. Hands: those of `bench_stability`, on walls that yield by as much again as the hand presses them.
+|F| along them. Hands: those of `bench_stability`, on walls that yield by as
+much again as the hand presses them.
 """
 
 from __future__ import annotations
@@ -128,15 +129,21 @@ def carried(moving: Moving, folder: Path) -> Figures:
     bent.write(out)
     coded = len(TouchEncoder(grid, TouchSpec()).encode_segment(frames).body)
     return {
-        "frames": len(frames), "least_determinant": bent.min_determinant()[0], "rms_mm": 1e3 * rms_m,
-        "still_db": db(np.concatenate(as_it_is), whole), "bent_db": db(np.concatenate(error), whole),
+        "frames": len(frames),
+        "least_determinant": bent.min_determinant()[0],
+        "rms_mm": 1e3 * rms_m,
+        "still_db": db(np.concatenate(as_it_is), whole),
+        "bent_db": db(np.concatenate(error), whole),
         "size_kept_db": db(np.concatenate(size_kept), whole),
         "worst_frame_db": max(db(e, f) for e, f in zip(error, force, strict=True)),
-        "half_a_sample_db": db((still.sample_n(at - half) + still.sample_n(at + half)) / 2 - still.sample_n(at),
-                               still.sample_n(at)),
-        "track_bytes": out.stat().st_size / len(frames), "coded_bytes": coded / len(frames),
+        "half_a_sample_db": db(
+            (still.sample_n(at - half) + still.sample_n(at + half)) / 2 - still.sample_n(at),
+            still.sample_n(at),
+        ),
+        "track_bytes": out.stat().st_size / len(frames),
+        "coded_bytes": coded / len(frames),
         "plain_bytes": 12 * float(np.mean([f.support_count for f in frames])),
-    }  # fmt: skip
+    }
 
 
 def random_map(size_m: float = 0.0008) -> Deformation:
@@ -298,14 +305,22 @@ def bars(figures: Figures) -> list[Bar]:
         at_most("sampler beside the formula", figures["exact"]["formula_off"], 1e-6),
         at_most("work around loops, over that of the force along them", figures["exact"]["loop_work"], 1e-9),
         at_most("query, p99.9", figures["queries"]["bent"]["p99_9_us"], 5.0, "us"),
-        at_most("bent beside made anew, worst of the models", max(row["bent_db"] for row in rows), -20.0, "dB"),
-        at_most("tracks over plain fields, bytes a frame, worst", max(
-            row["track_bytes"] / row["plain_bytes"] for row in rows), 0.01),
-        at_most("tracks over coded fields, bytes a frame, worst", max(
-            row["track_bytes"] / row["coded_bytes"] for row in rows), 0.01),
+        at_most(
+            "bent beside made anew, worst of the models", max(row["bent_db"] for row in rows), -20.0, "dB"
+        ),
+        at_most(
+            "tracks over plain fields, bytes a frame, worst",
+            max(row["track_bytes"] / row["plain_bytes"] for row in rows),
+            0.01,
+        ),
+        at_most(
+            "tracks over coded fields, bytes a frame, worst",
+            max(row["track_bytes"] / row["coded_bytes"] for row in rows),
+            0.01,
+        ),
         at_most("hands on what yields: limit cycles", kept["cycles"], 0),
         at_most("energy that came to a hand, cases", kept["drives"] + kept["gives"], 0),
-    ]  # fmt: skip
+    ]
 
 
 if __name__ == "__main__":

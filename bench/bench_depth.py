@@ -146,7 +146,9 @@ def warp_caller(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> Ca
 
 
 def differing(field: ForceField, dense: np.ndarray) -> float:
-    """Share of samples that differ by more than 0.01 N: roundings at pixel borders and at the wall's faces."""
+    """Share of samples that differ by more than 0.01 N: roundings at pixel borders and at the wall's
+    faces.
+    """
     return float((np.abs(field.to_dense() - dense).max(-1) > 0.01).mean())
 
 

@@ -199,7 +199,9 @@ def at_rest(name: str) -> Row:
 
 
 def speed(name: str, rounds: int) -> Row:
-    """Frames fused a second at n_w 7, from pictures and from memory; peers from memory; the volume's bytes."""
+    """Frames fused a second at n_w 7, from pictures and from memory; peers from memory;
+    the volume's bytes.
+    """
     scene: Any = open_source(str(FOLDERS[name]), SourceOptions())
     fine, law = asked_of(scene, spec_of("fused"))
     count, sequence = scene.frame_count, scene.sequence
@@ -243,13 +245,21 @@ def speed(name: str, rounds: int) -> Row:
     peers: dict[str, Row] = json.loads(told.splitlines()[-1])
     size = sum(array.nbytes for array in volume.samples)
     return {
-        "sequence": name, "load": os.getloadavg()[0], "frames": count, "samples": fine.shape,
-        "voxel_mm": 1e3 * float(np.mean(fine.spacing_m)), "wall_samples": -law.low_m / float(np.mean(fine.spacing_m)),
-        "frames_per_s": rate, "in_memory_per_s": in_memory, "peers": peers,
+        "sequence": name,
+        "load": os.getloadavg()[0],
+        "frames": count,
+        "samples": fine.shape,
+        "voxel_mm": 1e3 * float(np.mean(fine.spacing_m)),
+        "wall_samples": -law.low_m / float(np.mean(fine.spacing_m)),
+        "frames_per_s": rate,
+        "in_memory_per_s": in_memory,
+        "peers": peers,
         **dict(zip(("planes_ms", "cover_ms", "integrate_ms"), parts_ms, strict=True)),
-        "volume_bytes": size, "bricks": len(volume.bricks), "bytes_per_brick": size / len(volume.bricks),
+        "volume_bytes": size,
+        "bricks": len(volume.bricks),
+        "bytes_per_brick": size / len(volume.bricks),
         "share_of_box": len(volume.bricks) / float(np.prod(fine.brick_shape)),
-    }  # fmt: skip
+    }
 
 
 def measure(frames: int, rounds: int) -> Row:

@@ -193,8 +193,12 @@ def coder_pairs() -> dict[str, Pair]:
 
 
 GROUPS = {
-    "depth": depth_pairs, "mesh": mesh_pairs, "gaussian": gaussian_pairs, "query": query_pairs, "coder": coder_pairs,
-}  # fmt: skip
+    "depth": depth_pairs,
+    "mesh": mesh_pairs,
+    "gaussian": gaussian_pairs,
+    "query": query_pairs,
+    "coder": coder_pairs,
+}
 
 
 def ratio_of(pair: Pair, rounds: int, limit: float) -> dict[str, float]:

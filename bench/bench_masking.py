@@ -35,7 +35,9 @@ def mean(ratios: list[float]) -> float:
 
 
 def coded(frame: ForceField, k: float, masking: float = 0.0) -> tuple[int, FidelityMeter, float]:
-    """Bytes of a frame, how it keeps the promise, and the vibration of its error in a hand, millinewtons rms."""
+    """Bytes of a frame, how it keeps the promise, and the vibration of its error in a hand,
+    millinewtons rms.
+    """
     spec = TouchSpec(k=k, f0_n=F0_N, masking=masking)
     encoder = TouchEncoder(frame.grid, spec)
     body = encoder.encode_segment([frame]).body

@@ -119,7 +119,9 @@ def _warp_kernel(library: Any, winds: bool) -> Any:
 
 @cache
 def openvdb_python() -> tuple[str, str] | None:
-    """The interpreter that has OpenVDB, this one or the system's, and the version; None where neither has it."""
+    """The interpreter that has OpenVDB, this one or the system's, and the version;
+    None where neither has it.
+    """
     for interpreter in (sys.executable, "/usr/bin/python3"):
         try:
             found = subprocess.run(
@@ -134,7 +136,9 @@ def openvdb_python() -> tuple[str, str] | None:
 def openvdb(
     vertices: Floats, faces: NDArray[np.int32], points: Floats, runs: int
 ) -> tuple[Floats, dict[str, float]]:
-    """OpenVDB, in a process of its own: signed distances, and milliseconds of the runs without the process."""
+    """OpenVDB, in a process of its own: signed distances, and milliseconds of the runs without the
+    process.
+    """
     found = openvdb_python()
     assert found is not None
     with tempfile.TemporaryDirectory() as folder:

@@ -79,9 +79,13 @@ def inside_ball(nw: int, touch: TouchSpec) -> Figures:
         error = decoded.sample_n(points).astype(np.float64) - source.sample_n(points).astype(np.float64)
         errors.append((in_band(error, rate_hz) ** 2).sum(axis=1))
     return {
-        "field": "ball, inside", "nw": nw, "speed_mm_s": 1e3 * speed_m_s, "error_mn": 1e3 * np.sqrt(np.mean(errors)),
-        "error_peak_mn": 1e3 * np.sqrt(np.max(errors)), "before": {"error_mn": 53},
-    }  # fmt: skip
+        "field": "ball, inside",
+        "nw": nw,
+        "speed_mm_s": 1e3 * speed_m_s,
+        "error_mn": 1e3 * np.sqrt(np.mean(errors)),
+        "error_peak_mn": 1e3 * np.sqrt(np.max(errors)),
+        "before": {"error_mn": 53},
+    }
 
 
 def slide_rows(name: str, nw: int, touch: TouchSpec) -> list[Figures]:
@@ -123,7 +127,9 @@ def measure(effort: str, largest: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """No more than twice what the source does, 6 dB below what is felt, no tenth more bytes; nothing at rest."""
+    """No more than twice what the source does, 6 dB below what is felt, no tenth more bytes;
+    nothing at rest.
+    """
     found: list[Bar] = []
     for row in figures["slides"]:
         name = f"{row['field']}, nw {row['nw']}, {row['speed_mm_s']:.0f} mm/s"

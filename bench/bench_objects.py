@@ -82,7 +82,9 @@ class Scipy:
 
 
 def kernel_us(one: HapticScene, point: Floats) -> float:
-    """Microseconds of a query without the interpreter: one point asked for ten thousand times, by one thread."""
+    """Microseconds of a query without the interpreter: one point asked for ten thousand times,
+    by one thread.
+    """
     many = np.repeat(point[None], 2000, axis=0)  # as many as are not worth a second thread
     return timed(lambda: one.sample_n(0, many), runs=200)["min_ms"] / len(many) * 1e3
 

@@ -38,7 +38,8 @@ from browser import drive, hour_played, why_not  # noqa: E402
 WASM_SPEED = """
 import fs from "node:fs";
 const [, , wasm, file] = process.argv;
-const { exports: c } = new WebAssembly.Instance(new WebAssembly.Module(fs.readFileSync(wasm)), { page: Math });
+const module = new WebAssembly.Module(fs.readFileSync(wasm));
+const { exports: c } = new WebAssembly.Instance(module, { page: Math });
 const data = fs.readFileSync(file);
 const times = [];
 for (let n = 0; n < 12; n++) {

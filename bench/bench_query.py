@@ -47,7 +47,9 @@ def field() -> ForceField:
 
 
 def path(count: int, rng: np.random.Generator) -> Floats:
-    """A hand that is pushed about at random and turns back at the walls, some hundredths of a sample a step."""
+    """A hand that is pushed about at random and turns back at the walls,
+    some hundredths of a sample a step.
+    """
     velocity = np.cumsum(rng.normal(0, 0.02, (count, 3)), axis=0)
     far = np.cumsum(0.02 * velocity, axis=0) / (SIDE - 2)
     return (np.abs(far % 2 - 1) * (SIDE - 2) + 0.5) * SPACING_M
@@ -100,7 +102,9 @@ counter: Any = _counter
 
 @njit(nogil=True, parallel=True, fastmath=True)
 def trilinear(dense, at, out):  # type: ignore[no-untyped-def]
-    """A dense field [n, n, n, 3] at places in samples [m, 3], within it, by all threads: as plain as can be."""
+    """A dense field [n, n, n, 3] at places in samples [m, 3], within it, by all threads:
+    as plain as can be.
+    """
     for p in prange(at.shape[0]):
         i, j, k = int(at[p, 0]), int(at[p, 1]), int(at[p, 2])
         u, v, w = at[p, 0] - i, at[p, 1] - j, at[p, 2] - k
@@ -178,7 +182,9 @@ def rate(call: Callable[[Floats], Any], points_m: Floats, runs: int) -> float:
 
 
 def batch(sampler: FieldSampler, objects: FieldSampler, peers: Peers, points: Floats) -> dict[str, float]:
-    """Millions of points a second of all, how far their forces differ, and the share of points that feel any."""
+    """Millions of points a second of all, how far their forces differ, and the share of points that feel
+    any.
+    """
     few = points[:PEER_POINTS]
     found = sampler.force_n(0.0, few)
     row = {

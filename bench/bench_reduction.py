@@ -204,7 +204,9 @@ def measure(frames: int, paths: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Held-out frames at -30 dB with a tenth of the numbers; half of a solid left out, and no force changed."""
+    """Held-out frames at -30 dB with a tenth of the numbers; half of a solid left out,
+    and no force changed.
+    """
     rows, solid = figures["modes"], figures["culling"]
 
     def of(name: str, key: str) -> float | None:

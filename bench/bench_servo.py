@@ -165,7 +165,9 @@ def bare(seconds: float) -> dict[str, float]:
 
 
 def seeks(medium: HapticMedium) -> dict[str, float]:
-    """Decode-to-render latency where nothing is decoded ahead: milliseconds from a seek to the first force."""
+    """Decode-to-render latency where nothing is decoded ahead: milliseconds from a seek to the first
+    force.
+    """
     waited_ms = []
     with Player(medium, PROFILE, Circle, loop=True, log_rows=0) as player:
         player.play()

@@ -249,7 +249,9 @@ def stored(name: str) -> Figures:
 
 
 def stale(name: str) -> list[str]:
-    """The files that differ from those that the stored result was measured with; empty if it is up to date."""
+    """The files that differ from those that the stored result was measured with;
+    empty if it is up to date.
+    """
     return provenance.changed(code_path(name), stored(name).get("code"))
 
 

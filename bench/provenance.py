@@ -66,7 +66,9 @@ class Trace:
 
 
 def _require_own_package() -> None:
-    """SystemExit if Python would import the package of another folder: its figures would get the wrong code."""
+    """SystemExit if Python would import the package of another folder: its figures would get the wrong
+    code.
+    """
     found = find_spec("touchfield")
     origin = None if found is None else found.origin
     if origin is None or not Path(origin).is_relative_to(ROOT):
@@ -150,7 +152,9 @@ def _write_node(node: ast.AST, parts: list[str], is_bench: bool) -> None:
 
 
 def _without_strings(body: list[Any]) -> list[Any]:
-    """The statements of a body; a string that stands alone, as a docstring does, says nothing to the machine."""
+    """The statements of a body; a string that stands alone, as a docstring does,
+    says nothing to the machine.
+    """
 
     def is_string(one: Any) -> bool:
         return (

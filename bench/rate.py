@@ -254,8 +254,12 @@ def measured(asked: Any, pool: Pool, chosen: list[Case]) -> Report:
     curves = [Job(case, part) for case in drawn for part in ("curve", "curve_peers")]
     counts = (1, FRAMES) if "five" in asked.only else (1,)
     rows = [
-        (case, at, count) for at in ("NMSE", "promise") if at in asked.only for count in counts for case in chosen
-    ]  # fmt: skip
+        (case, at, count)
+        for at in ("NMSE", "promise")
+        if at in asked.only
+        for count in counts
+        for case in chosen
+    ]
     pool.run([*curves, *(job for row in rows for job in jobs_of(*row, asked.efforts))])
     report.sizes = [row_of(*row, pool, asked.efforts) for row in rows]
     for job in curves:

@@ -32,10 +32,15 @@ Symbols = NDArray[np.int32]
 Forces = NDArray[np.float32]
 Lossy = Callable[[Forces, float], tuple[int, Forces]]
 MODULES = {
-    "zstd -19": "zstandard", "brotli": "brotli", "zpaq -m5": "zpaq", "JPEG "
-                                                                     "XL": "imagecodecs", "SPERR": "imagecodecs",
-    "zfp": "zfpy", "SZ3": "pysz", "Draco": "DracoPy",
-}  # fmt: skip
+    "zstd -19": "zstandard",
+    "brotli": "brotli",
+    "zpaq -m5": "zpaq",
+    "JPEG XL": "imagecodecs",
+    "SPERR": "imagecodecs",
+    "zfp": "zfpy",
+    "SZ3": "pysz",
+    "Draco": "DracoPy",
+}
 
 
 @cache
@@ -138,7 +143,9 @@ def jpeg_xl(symbols: Symbols) -> int:
 
 
 def mask_bytes(held: NDArray[np.bool_], is_final: bool = True) -> int:
-    """A mask by the best of all lossless coders, as bits, and as pictures; or about as many bytes, quickly."""
+    """A mask by the best of all lossless coders, as bits, and as pictures; or about as many bytes,
+    quickly.
+    """
     packed = np.packbits(held).tobytes()
     if not is_final:
         return quick_xz(packed)

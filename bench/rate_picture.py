@@ -92,10 +92,21 @@ def _curves(axis: Any, of: Mapping[str, Any]) -> None:
     ):
         top = min(max(height, top + gap), high - (left - 0.5) * gap)
         axis.annotate(
-            NAMES.get(name, name), xy=(db, 10**height), xytext=(fine - 2.6, 10**top), color=STYLES[name][0],
-            va="center", fontweight="bold" if name == "touch" else "normal", annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": STYLES[name][0], "lw": 0.7, "relpos": (0, 0.5), "shrinkA": 0},
-        )  # fmt: skip
+            NAMES.get(name, name),
+            xy=(db, 10**height),
+            xytext=(fine - 2.6, 10**top),
+            color=STYLES[name][0],
+            va="center",
+            fontweight="bold" if name == "touch" else "normal",
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": STYLES[name][0],
+                "lw": 0.7,
+                "relpos": (0, 0.5),
+                "shrinkA": 0,
+            },
+        )
     axis.set_xlabel("error, NMSE in dB: finer to the right", x=0.02, ha="left")
     axis.grid(visible=True, which="major", color="0.9", lw=0.7)
     axis.tick_params(which="both", length=0)

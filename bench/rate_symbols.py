@@ -63,7 +63,9 @@ def dropped(made: Quantised, forces_n: Forces) -> Quantised:
 def coarsest(
     make: Callable[[float], Made], is_good: Callable[[Made], bool], low: float, high: float, trials: int = 10
 ) -> Made | None:
-    """The one of the greatest step that is good, by halving the ratio of `high` to `low`; None where none is."""
+    """The one of the greatest step that is good, by halving the ratio of `high` to `low`;
+    None where none is.
+    """
     best = None
     for _ in range(trials):
         middle = (low * high) ** 0.5

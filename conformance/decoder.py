@@ -36,13 +36,22 @@ MOST_DENSE = 1 << 28  # samples of all frames that `decode` lays out; `frames_of
 LATTICE = (("grid_shape", "3I", 1, 1 << 20), ("spacing_m", "3d", 1e-9, 1e6), ("origin_m", "3d", -1e9, 1e9))
 HEAD = (
     *LATTICE,
-    ("rate_hz", "d", 1e-6, 1e6), ("frame_count", "I", 1, (1 << 31) - 1),
-    ("axes", "text", 0, 256), ("device_name", "text", 0, 256), ("device_type", "B", 1, 2),
-    ("force_max_n", "d", 1e-30, 1e30), ("mapping_scale", "d", 1e-30, 1e30), ("mapping_offset_m", "3d", -1e9, 1e9),
-    ("weber_fraction", "d", 0, 1), ("force_threshold_n", "d", 0, 1e30), ("friction", "d", 0, 1e30),
-    ("damping_n_s_per_m", "d", 0, 1e30), ("tags", "texts", 16, 64),
-    ("coder", "name", 1, 32), ("coder_parameters", "bytes", 0, 1 << 16),
-)  # fmt: skip
+    ("rate_hz", "d", 1e-6, 1e6),
+    ("frame_count", "I", 1, (1 << 31) - 1),
+    ("axes", "text", 0, 256),
+    ("device_name", "text", 0, 256),
+    ("device_type", "B", 1, 2),
+    ("force_max_n", "d", 1e-30, 1e30),
+    ("mapping_scale", "d", 1e-30, 1e30),
+    ("mapping_offset_m", "3d", -1e9, 1e9),
+    ("weber_fraction", "d", 0, 1),
+    ("force_threshold_n", "d", 0, 1e30),
+    ("friction", "d", 0, 1e30),
+    ("damping_n_s_per_m", "d", 0, 1e30),
+    ("tags", "texts", 16, 64),
+    ("coder", "name", 1, 32),
+    ("coder_parameters", "bytes", 0, 1 << 16),
+)
 OBJECT = (
     ("name", "text", 0, 256), *LATTICE, ("is_deforming", "B", 0, 1), ("field_coder", "name", 1, 32),
     ("field_parameters", "bytes", 0, 1 << 16), ("pose_steps", "bytes", 0, 64),

@@ -46,7 +46,9 @@ def need(condition: object, message: str, kind: type[FaultyFile] = CorruptFile) 
 
 
 class Cursor:
-    """A run of bytes, read from the first to the last and not beyond; `short` is the error of one that ends."""
+    """A run of bytes, read from the first to the last and not beyond; `short` is the error of one that
+    ends.
+    """
 
     def __init__(self, data: bytes, short: type[FaultyFile] = TruncatedFile) -> None:
         self.data, self.at, self.short = data, 0, short

@@ -6,8 +6,18 @@ import numpy as np
 from reading import Place, brick_of, need, samples_of
 from touch_bits import FACES, Bits, bricks, marks
 
-NEAR = [*FACES[:3], (-1, 0, 1), (0, -1, -1), (0, -1, 1), (-1, -1, 0), (-2, 0, 0), (0, -2, 0), (-1, 1, 0), (-1, 1, 1),
-        (0, 0, -2)]  # fmt: skip
+NEAR = [
+    *FACES[:3],
+    (-1, 0, 1),
+    (0, -1, -1),
+    (0, -1, 1),
+    (-1, -1, 0),
+    (-2, 0, 0),
+    (0, -2, 0),
+    (-1, 1, 0),
+    (-1, 1, 1),
+    (0, 0, -2),
+]
 
 
 class Support(NamedTuple):

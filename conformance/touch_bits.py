@@ -36,7 +36,9 @@ RATES = [(1 << 20) // (2 * n + 3) for n in range(256)]  # of a chance that learn
 
 
 class Models:
-    """Chances, of 2^22, with how often they learnt, and sets of weights; there when they are first asked for."""
+    """Chances, of 2^22, with how often they learnt, and sets of weights;
+    there when they are first asked for.
+    """
 
     def __init__(self) -> None:
         self.chances = defaultdict[Hashable, list[int]](lambda: [1 << 21, 0])

@@ -152,7 +152,9 @@ class _Tally(ABC):
 
     @abstractmethod
     def coded(self, now: Float32s, before: Float32s) -> tuple[NDArray[np.int32], NDArray[np.bool_], Float32s]:
-        """Symbols [m]; which samples are the object's; and what the next frame is compared with, of [m, 3]."""
+        """Symbols [m]; which samples are the object's; and what the next frame is compared with, of [m,
+        3].
+        """
 
 
 class _Corrected(_Tally):

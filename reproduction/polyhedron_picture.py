@@ -67,7 +67,9 @@ def draw_shells(panel: Any, shells: Sequence[Shell]) -> None:
 
 
 def face_angles_deg(codebook: Codebook) -> NDArray[np.float64]:
-    """The angle from the corners of each face to the direction in it that is farthest from them, float64 [f]."""
+    """The angle from the corners of each face to the direction in it that is farthest from them,
+    float64 [f].
+    """
     a, b, c = (codebook.vertices[codebook.faces[:, i]] for i in range(3))
     centre = np.cross(b - a, c - a)
     across = np.linalg.norm(np.cross(centre, a), axis=1)

@@ -108,7 +108,9 @@ class PaperScene:
         return round(RATE_HZ / DEPTH_RATE_HZ) if isinstance(self.scene, DepthHeights) else None
 
     def segmented(self) -> tuple[int, float] | None:
-        """Of a depth sequence: objects of the first frame, and the share of its known pixels that they hold."""
+        """Of a depth sequence: objects of the first frame, and the share of its known pixels that they
+        hold.
+        """
         if not isinstance(self.scene, DepthHeights):
             return None
         from reproduction.scenes import FirstFrames

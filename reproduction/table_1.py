@@ -149,15 +149,29 @@ def _entropy_rows(one: SceneCounts, name: str, words: str) -> list[list[str]]:
     held = ", ".join(percent(later[r].held_share) for r in READINGS)
     p = found["corrected"].density.value
     return [
-        [f"Entropy (1st frame), {name}", "voxel", f"{printed[0]}", *(bits(found[r].voxel) for r in READINGS),
-         f"the share of samples with a force is {p:.2g}; the printed pair asks for another, see below"],
-        ["", "object", f"{printed[1]}", *(bits(found[r].object) for r in READINGS),
-         _WHY_ENTROPY],
-        [f"Entropy of later frames, {name}", "voxel", "0.8", *(f"{later[r].voxel_bits:.3g}" for r in READINGS),
-         "scene and device of the printed figure are not stated"],
-        ["", "object", "1.6", *(f"{later[r].object_bits:.3g}" for r in READINGS), "held of the object: "
-                                                                                  f"{held}"],
-    ]  # fmt: skip
+        [
+            f"Entropy (1st frame), {name}",
+            "voxel",
+            f"{printed[0]}",
+            *(bits(found[r].voxel) for r in READINGS),
+            f"the share of samples with a force is {p:.2g}; the printed pair asks for another, see below",
+        ],
+        ["", "object", f"{printed[1]}", *(bits(found[r].object) for r in READINGS), _WHY_ENTROPY],
+        [
+            f"Entropy of later frames, {name}",
+            "voxel",
+            "0.8",
+            *(f"{later[r].voxel_bits:.3g}" for r in READINGS),
+            "scene and device of the printed figure are not stated",
+        ],
+        [
+            "",
+            "object",
+            "1.6",
+            *(f"{later[r].object_bits:.3g}" for r in READINGS),
+            f"held of the object: {held}",
+        ],
+    ]
 
 
 def _bit_rows(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> list[list[str]]:
@@ -269,13 +283,20 @@ def _data(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> dict[str, 
         "printed": {"nominal": printed.nominal, "device": printed.on_device, "entropy": printed.entropy},
         "nominal": sides(one.nominal),
         "device": sides(one.on_device),
-        "object_count_by_volume": one.by_volume and {
+        "object_count_by_volume": one.by_volume
+        and {
             f"{reading}, {'nominal' if is_nominal else 'device'}": value
             for (reading, is_nominal), value in one.by_volume.items()
         },
         "later_frames": [
-            {"reading": reading, "quantiser": words, "voxel_bits": found.voxel_bits, "object_bits": found.object_bits,
-             "held_share": found.held_share, "frames": found.frames}
+            {
+                "reading": reading,
+                "quantiser": words,
+                "voxel_bits": found.voxel_bits,
+                "object_bits": found.object_bits,
+                "held_share": found.held_share,
+                "frames": found.frames,
+            }
             for (reading, words), found in one.later.items()
         ],
         "worst_relative_error": one.worst,
@@ -285,7 +306,7 @@ def _data(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> dict[str, 
             name: dict(zip(("wmr", "hil"), _mapping(one, reading, filters[0].text)))
             for name, reading in (("per_sample", "literal"), ("per_frame", "corrected"))
         },
-    }  # fmt: skip
+    }
 
 
 def _sample_data(sample: LatticeSample, filters: tuple[PerceptualFilter, ...]) -> dict[str, Any]:

@@ -166,14 +166,19 @@ def _data(scene: PaperScene, both: dict[str, _Found]) -> dict[str, Any]:
         "printed": {"device": printed.on_device, "entropy": printed.entropy},
         **{
             reading: {
-                "object_count": one.objects, "voxel_bits": one.voxel_bits, "object_bits": one.object_bits,
-                "symbols": one.symbols, "worst_relative_error": one.worst, "later_voxel_bits": one.later.voxel_bits,
-                "later_object_bits": one.later.object_bits, "held_share": one.later.held_share,
+                "object_count": one.objects,
+                "voxel_bits": one.voxel_bits,
+                "object_bits": one.object_bits,
+                "symbols": one.symbols,
+                "worst_relative_error": one.worst,
+                "later_voxel_bits": one.later.voxel_bits,
+                "later_object_bits": one.later.object_bits,
+                "held_share": one.later.held_share,
                 "later_frames": one.later.frames,
             }
             for reading, one in both.items()
         },
-    }  # fmt: skip
+    }
 
 
 EXPERIMENT = Experiment("table2", "Table 2: device and perceptual filters for a device of type 2", run)

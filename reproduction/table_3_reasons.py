@@ -1,4 +1,6 @@
-"""Whether the trends of table 3 hold on each sequence, and what was measured that explains where they fail."""
+"""Whether the trends of table 3 hold on each sequence, and what was measured that explains where they
+fail.
+"""
 
 from __future__ import annotations
 

@@ -233,7 +233,9 @@ def write_colmap(folder: Path, scale: int = 2) -> Path:
 
 
 def write_nerfstudio(folder: Path) -> Path:
-    """transforms.json: matrices in the axes of OpenGL, in any order, and the camera of colour twice as large."""
+    """transforms.json: matrices in the axes of OpenGL, in any order, and the camera of colour twice as
+    large.
+    """
     write_frames(folder)
     (folder / "intrinsics.txt").unlink()
     turned = poses() @ np.diag([1.0, -1.0, -1.0, 1.0])
@@ -280,7 +282,9 @@ def write_replica(folder: Path) -> Path:
 
 
 def write_rows_of_colour(folder: Path) -> Path:
-    """00000-depth.png beside 00000-color.png, a 4x4 matrix a line, a camera of Open3D with its depth scale."""
+    """00000-depth.png beside 00000-color.png, a 4x4 matrix a line, a camera of Open3D with its depth
+    scale.
+    """
     for i, values in enumerate(depths_mm()):
         write_png(folder / f"{i:05d}-depth.png", values)
         write_png(folder / f"{i:05d}-color.png", np.zeros((HEIGHT, WIDTH, 3), np.uint8))

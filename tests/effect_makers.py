@@ -128,7 +128,9 @@ def read_tact(path: Path) -> list[TactSpan]:
 
 
 def read_force(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """The force that a file holds, at its keyframes: ascending seconds [n], and newtons along x, y, z [n, 3]."""
+    """The force that a file holds, at its keyframes: ascending seconds [n], and newtons along x, y, z [n,
+    3].
+    """
     document = read_hjif(path)
     perception = next(
         (one for one in document.perceptions if one.modality == "Force"), document.perceptions[0]

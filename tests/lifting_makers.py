@@ -45,7 +45,9 @@ def mean_squares(coefficients: NDArray[Any], chain: SublatticeChain, stages: int
 
 
 def stage_responses(*omegas: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The filters of the first stage of either chain: analysis before the sites are dropped, and synthesis."""
+    """The filters of the first stage of either chain: analysis before the sites are dropped,
+    and synthesis.
+    """
     p = np.asarray(sum(np.cos(np.asarray(w, np.float64)) for w in omegas) / len(omegas))
     return np.asarray(1 + p / 2 - p * p / 2), np.asarray(1 + p)
 

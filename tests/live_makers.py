@@ -17,11 +17,25 @@ GRID = Grid((16, 16, 16), (0.01,) * 3, (-0.075,) * 3)
 ENCODER = TouchEncoder(GRID, TouchSpec(effort="fast"))
 
 HEAD = Head(
-    grid_shape=GRID.shape, spacing_m=GRID.spacing_m, origin_m=GRID.origin_m, rate_hz=50.0, frame_count=1,
-    axes="x right, y up, z towards the user", device_name="phantom-omni", device_type=1, force_max_n=3.3,
-    mapping_scale=1.0, mapping_offset_m=(0.0, 0.0, 0.0), weber_fraction=0.1, force_threshold_n=0.05, friction=0.0,
-    damping_n_s_per_m=0.0, tags=("direct",), coder="touch", coder_parameters=ENCODER.parameters,
-)  # fmt: skip
+    grid_shape=GRID.shape,
+    spacing_m=GRID.spacing_m,
+    origin_m=GRID.origin_m,
+    rate_hz=50.0,
+    frame_count=1,
+    axes="x right, y up, z towards the user",
+    device_name="phantom-omni",
+    device_type=1,
+    force_max_n=3.3,
+    mapping_scale=1.0,
+    mapping_offset_m=(0.0, 0.0, 0.0),
+    weber_fraction=0.1,
+    force_threshold_n=0.05,
+    friction=0.0,
+    damping_n_s_per_m=0.0,
+    tags=("direct",),
+    coder="touch",
+    coder_parameters=ENCODER.parameters,
+)
 
 
 def field(number: int) -> ForceField:

@@ -1,4 +1,6 @@
-"""A small collection of haptic media whose kinds are known: shapes of several sizes and poses, and terrain."""
+"""A small collection of haptic media whose kinds are known: shapes of several sizes and poses,
+and terrain.
+"""
 
 from __future__ import annotations
 

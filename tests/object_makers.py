@@ -1,4 +1,6 @@
-"""Small haptic scenes for tests of the object representation: whole-number arithmetic, the same everywhere."""
+"""Small haptic scenes for tests of the object representation: whole-number arithmetic,
+the same everywhere.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def moving_scene(frame_count: int = 7, deforming: bool = True, surface_damping: 
             tumbling(frame_count, 0.003, 0.02),
         ),
         HapticObject(
-            "stand", HapticMedium.from_frames([ball(world, 0.012, 0.5)], 1000.0), PoseTrack.constant(frame_count)
+            "stand",
+            HapticMedium.from_frames([ball(world, 0.012, 0.5)], 1000.0),
+            PoseTrack.constant(frame_count),
         ),
     ]
     if deforming:
@@ -60,11 +64,22 @@ def moving_scene(frame_count: int = 7, deforming: bool = True, surface_damping: 
 def head_of(scene: HapticScene, encoder: ObjectsEncoder, spec: PaperSpec | None = None) -> Head:
     """The head of a file of a scene."""
     return Head(
-        grid_shape=scene.grid.shape, spacing_m=scene.grid.spacing_m, origin_m=scene.grid.origin_m,
-        rate_hz=scene.rate_hz, frame_count=scene.frame_count, axes=scene.axes, device_name="made "
-                                                                                           "up", device_type=1,
-        force_max_n=scene.force_max_n, mapping_scale=1.0, mapping_offset_m=(0.0, 0.0, 0.0),
-        weber_fraction=(spec or PaperSpec()).k, force_threshold_n=F0_N, friction=scene.friction,
-        damping_n_s_per_m=scene.damping_n_s_per_m, tags=scene.tags, coder=encoder.name,
+        grid_shape=scene.grid.shape,
+        spacing_m=scene.grid.spacing_m,
+        origin_m=scene.grid.origin_m,
+        rate_hz=scene.rate_hz,
+        frame_count=scene.frame_count,
+        axes=scene.axes,
+        device_name="made up",
+        device_type=1,
+        force_max_n=scene.force_max_n,
+        mapping_scale=1.0,
+        mapping_offset_m=(0.0, 0.0, 0.0),
+        weber_fraction=(spec or PaperSpec()).k,
+        force_threshold_n=F0_N,
+        friction=scene.friction,
+        damping_n_s_per_m=scene.damping_n_s_per_m,
+        tags=scene.tags,
+        coder=encoder.name,
         coder_parameters=encoder.parameters,
-    )  # fmt: skip
+    )

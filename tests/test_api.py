@@ -1,4 +1,6 @@
-"""touchfield from a program: packages that are imported when they are used, media from arrays, errors of our own."""
+"""touchfield from a program: packages that are imported when they are used, media from arrays, errors of our
+own.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,18 @@ import touchfield as tf
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
-    *("cli", "codec", "compute", "container", "devices", "exchange", "filters", "measure", "medium", "network"),
+    *(
+        "cli",
+        "codec",
+        "compute",
+        "container",
+        "devices",
+        "exchange",
+        "filters",
+        "measure",
+        "medium",
+        "network",
+    ),
     *("perception", "pipeline", "reduction", "render", "sources", "tasks", "viewer"),
 )
 GRID = tf.Grid.over_box((-0.05,) * 3, (0.05,) * 3, (16, 16, 16))

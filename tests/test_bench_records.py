@@ -1,4 +1,6 @@
-"""What benchmarks record: the code that was measured, exact figures of quick runs, and how each script ended."""
+"""What benchmarks record: the code that was measured, exact figures of quick runs,
+and how each script ended.
+"""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 may.
 
 Elsewhere: `tests/network/test_remote.py` (bytes of a file elsewhere), `test_live_medium.py` (segments of a
-receiver), `tests/pipeline/test_frames_ahead.py` (segments decoded ahead), `tests/render/test_arena.py` (frames of
-the block).
+receiver), `tests/pipeline/test_frames_ahead.py` (segments decoded ahead), `tests/render/test_arena.py`
+(frames of the block).
 """
 
 from __future__ import annotations

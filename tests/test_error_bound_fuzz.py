@@ -48,9 +48,22 @@ ROUNDING = 1 + 1e-9  # of float64, in a ratio
 K = (0.001, 0.0011, 0.01, 0.1, 0.3, 0.7, 0.999)
 F0_N = (0.0, 0.0, 1e-30, 1e-9, 1e-3, 0.05, 1.0, 1e3, 1e5)
 KINDS = (
-    "constant", "few values", "negative zeros", "subnormal", "huge", "decades", "sparse", "smooth", "checkerboard",
-    "threshold", "line", "one voxel", "wall", "noise", "nothing",
-)  # fmt: skip
+    "constant",
+    "few values",
+    "negative zeros",
+    "subnormal",
+    "huge",
+    "decades",
+    "sparse",
+    "smooth",
+    "checkerboard",
+    "threshold",
+    "line",
+    "one voxel",
+    "wall",
+    "noise",
+    "nothing",
+)
 
 
 def _each(count: int, check: Callable[[np.random.Generator], object], what: str) -> None:

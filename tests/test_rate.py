@@ -169,9 +169,16 @@ def test_a_band_is_four_voxels_thick():
 
 def row(at, touch, *, frames=1, ratio=None, peer=300.0, beyond=0):
     return {
-        "field": "tum band, nw 7", "kind": "band", "at": at, "frames": frames, "nmse_db": -20.0, "beyond": beyond,
-        "touch": touch, "p_over_i": {} if ratio is None else {"default": ratio}, "peers": {"xz": peer},
-    }  # fmt: skip
+        "field": "tum band, nw 7",
+        "kind": "band",
+        "at": at,
+        "frames": frames,
+        "nmse_db": -20.0,
+        "beyond": beyond,
+        "touch": touch,
+        "p_over_i": {} if ratio is None else {"default": ratio},
+        "peers": {"xz": peer},
+    }
 
 
 def report_of(*rows, speeds=()):

@@ -1,4 +1,6 @@
-"""Files of strangers: one clear error for each, nothing outside their folder is read, nothing is waited for."""
+"""Files of strangers: one clear error for each, nothing outside their folder is read,
+nothing is waited for.
+"""
 
 from __future__ import annotations
 

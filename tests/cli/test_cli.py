@@ -168,8 +168,14 @@ def _bad_inputs(folder: Path) -> dict[str, tuple[list[str], int]]:
         "folder with no depth, named": (["encode", str(folder / "nothing"), out, "--as", "tum"], 1),
         "truncated picture": (["encode", str(truncated), out, "--as", "depth-folder", *camera], 1),
         "mixed sizes": (["encode", str(mixed), out, "--as", "depth-folder", *camera], 1),
-        "missing intrinsics": (["encode", str(plain), out, "--as", "depth-folder", "--depth-scale", "1000"], 1),
-        "missing scale": (["encode", str(plain), out, "--as", "depth-folder", "--intrinsics", "60,60,32,24"], 1),
+        "missing intrinsics": (
+            ["encode", str(plain), out, "--as", "depth-folder", "--depth-scale", "1000"],
+            1,
+        ),
+        "missing scale": (
+            ["encode", str(plain), out, "--as", "depth-folder", "--intrinsics", "60,60,32,24"],
+            1,
+        ),
         "no triangle": (["encode", str(folder / "empty.obj"), out], 1),
         "points only": (["encode", str(folder / "points.obj"), out], 1),
         "NaN vertex": (["encode", str(folder / "nan.obj"), out], 1),
@@ -196,7 +202,7 @@ def _bad_inputs(folder: Path) -> dict[str, tuple[list[str], int]]:
         "a scene is no medium": (["edit", "sample:shapes", out, "--operator", "erase"], 2),
         "an effect of another ending": (["import", str(sphere), str(folder / "out.npz")], 2),
         "no recording": (["texture", str(folder / "none.wav"), "-o", str(folder / "none.json")], 1),
-    }  # fmt: skip
+    }
 
 
 def test_every_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -251,7 +257,7 @@ class Interrupting:
             signal.raise_signal(signal.SIGINT)
 sys.meta_path.insert(0, Interrupting())
 import touchfield.__main__
-assert "typer" not in sys.modules and "numpy" not in sys.modules, "nothing heavy is loaded before somebody listens"
+assert "typer" not in sys.modules and "numpy" not in sys.modules, "nothing heavy is loaded yet"
 touchfield.__main__.main()
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
@@ -515,7 +521,8 @@ def test_each_command_is_found_in_its_room() -> None:
         "    for old in [one for one in sys.modules if one.partition('.')[0] == 'touchfield']: del "
         "sys.modules[old]\n"
         "    from touchfield.cli.main import COMMANDS, load_commands\n"
-        "    names = [one.name or one.callback.__name__ for one in load_commands([name]).registered_commands]\n"
+        "    names = [one.name or one.callback.__name__ for one in "
+        "load_commands([name]).registered_commands]\n"
         "    rooms = {room for room in COMMANDS.values() if f'touchfield.cli.{room}' in sys.modules}\n"
         "    assert name in names and rooms == {COMMANDS[name]}, (name, names, rooms)\n"
     )

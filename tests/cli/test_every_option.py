@@ -36,7 +36,9 @@ class Stub(MagicMock):
 
 
 def leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """The parts of a value with their paths: fields of dataclasses, items of mappings and of tuples of them."""
+    """The parts of a value with their paths: fields of dataclasses, items of mappings and of tuples of
+    them.
+    """
     if isinstance(value, Path):
         value = str(value)
     if isinstance(value, MagicMock | np.ndarray):
@@ -115,8 +117,19 @@ def is_explained(path: str, expected: dict[str, Any]) -> bool:
 
 
 TASKS = {
-    "encode": ("pipeline:encode", "pipeline:encode_to_target", "cli.encode:computing", "cli.encode:executor_of"),
-    "filter": ("pipeline:encode", "pipeline:prepare", "pipeline:write_field", "pipeline:filter_report", "cli.encode:executor_of"),
+    "encode": (
+        "pipeline:encode",
+        "pipeline:encode_to_target",
+        "cli.encode:computing",
+        "cli.encode:executor_of",
+    ),
+    "filter": (
+        "pipeline:encode",
+        "pipeline:prepare",
+        "pipeline:write_field",
+        "pipeline:filter_report",
+        "cli.encode:executor_of",
+    ),
     "field": ("pipeline:prepare", "tasks.view:draw_preview", "pipeline:write_field", "cli.encode:computing"),
     "plan": ("tasks.plan:plan", "cli.encode:executor_of"),
     "decode": ("pipeline.decoding:open_stream", "pipeline.decoding:write_field"),
@@ -128,21 +141,32 @@ TASKS = {
     "lod": ("tasks.editing:levels_of_detail",),
     "partition": ("tasks.editing:read_medium", "pipeline.mapping:partition_workspace"),
     "texture": (
-        "sources.recordings.recording:read_recording", "tasks.texture:texture_of", "tasks.texture:merge_materials",
-        "tasks.texture:store_materials", "render.material:write_table", "viewer.plots:draw_textures",
+        "sources.recordings.recording:read_recording",
+        "tasks.texture:texture_of",
+        "tasks.texture:merge_materials",
+        "tasks.texture:store_materials",
+        "render.material:write_table",
+        "viewer.plots:draw_textures",
     ),
     "deform": ("tasks.deformation:tracks_of",),
     "info": ("pipeline.decoding:open_stream",),
     "view": ("tasks.view:view",),
     "compare": ("pipeline:compare",),
     "play": (
-        "tasks.play:play", "tasks.play:check_play", "network.bridge:Bridge", "cli.play:read_materials",
+        "tasks.play:play",
+        "tasks.play:check_play",
+        "network.bridge:Bridge",
+        "cli.play:read_materials",
         "cli.play:read_deformation",
     ),
     "serve": ("network.server:serve",),
     "live": (
-        "tasks.live:open_sender", "tasks.live:broadcast", "tasks.live:coarse_layer", "network.live_server:LiveServer",
-        "network.udp:UdpSender", "network.live:write_message",
+        "tasks.live:open_sender",
+        "tasks.live:broadcast",
+        "tasks.live:coarse_layer",
+        "network.live_server:LiveServer",
+        "network.udp:UdpSender",
+        "network.live:write_message",
     ),
     "mux": ("network.mux:mux",),
     "demux": ("network.mux:demux",),
@@ -155,7 +179,7 @@ TASKS = {
     "points": ("tasks.reduction:fewest_points", "tasks.reduction:next_points"),
     "demo": ("cli.demo:run_demo",),
     "doctor": ("tasks.setup:examine",),
-}  # fmt: skip
+}
 """Of each command the functions behind it that are recorded; "module:name"."""
 
 RESULTS: dict[str, Any] = {

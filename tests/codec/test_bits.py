@@ -78,7 +78,9 @@ def test_what_is_written_is_read(script: tuple[np.ndarray, np.ndarray]) -> None:
     run(bits, calls, found)
     assert np.array_equal(found, values)
     # both sides have learnt the same, and are at the same place
-    assert np.array_equal(bits.probabilities, wrote.probabilities) and np.array_equal(bits.weights, wrote.weights)
+    assert np.array_equal(bits.probabilities, wrote.probabilities) and np.array_equal(
+        bits.weights, wrote.weights
+    )
     assert bits.state[POSITION] == wrote.state[POSITION] + 6
     assert len(data) <= wrote.state[POSITION] or data[-1]  # zeros behind the last word are not told
     assert wrote.state[POSITION] <= len(data) <= bits.state[POSITION]

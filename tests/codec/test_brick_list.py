@@ -1,4 +1,6 @@
-"""The list of bricks: the same back whatever the grid and the list before, cheap, and bounded by its bytes."""
+"""The list of bricks: the same back whatever the grid and the list before, cheap,
+and bounded by its bytes.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A coder is one entry: a third one needs its folder and a line, and nothing that asks the registry changes."""
+"""A coder is one entry: a third one needs its folder and a line, and nothing that asks the registry
+changes.
+"""
 
 from __future__ import annotations
 

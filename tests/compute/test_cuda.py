@@ -44,7 +44,10 @@ def as_if(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for room in (depth, depth_scene):
         for name, stand_in in (
-            ("uses_gpu", lambda: True), ("for_each", for_each), ("filled", filled), ("on_device", lambda x: x),
+            ("uses_gpu", lambda: True),
+            ("for_each", for_each),
+            ("filled", filled),
+            ("on_device", lambda x: x),
             ("on_host", lambda x: x),
         ):  # fmt: skip
             monkeypatch.setattr(room, name, stand_in, raising=room is depth)

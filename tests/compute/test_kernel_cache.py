@@ -22,9 +22,7 @@ from numba.core.dispatcher import Dispatcher
 from touchfield.compute import numba_internals
 from touchfield.compute.kernel_sources import PACKAGE, SourceState, kernel_sources, open_folder
 
-INNER = (
-    "medium/kernels/__init__.py"  # its `lower_bound` is compiled into `nearest` of codec/paper/kernels.py
-)
+INNER = "medium/kernels/__init__.py"  # its `lower_bound` is compiled into `nearest` of codec/paper/kernels.py
 CALL = """
 import numpy as np
 from touchfield.codec.paper.kernels import nearest

@@ -1,4 +1,6 @@
-"""`c/touch.h` decodes every golden file to the same forces, and refuses every faulty one for the same reason."""
+"""`c/touch.h` decodes every golden file to the same forces, and refuses every faulty one for the same
+reason.
+"""
 
 from __future__ import annotations
 

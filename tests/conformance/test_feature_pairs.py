@@ -85,7 +85,9 @@ def scene() -> BodyScene:
     bodies = [
         Body("ball", AnalyticScene((ball,), "union", UP_Z_AXES), way),
         Body(
-            "block", AnalyticScene((block,), "union", UP_Z_AXES), PoseTrack.constant(FRAMES, (-0.03, 0.0, -0.01))
+            "block",
+            AnalyticScene((block,), "union", UP_Z_AXES),
+            PoseTrack.constant(FRAMES, (-0.03, 0.0, -0.01)),
         ),
     ]
     return BodyScene(bodies, 50.0)
@@ -101,7 +103,9 @@ def spec_of(*names: str) -> EncodeSpec:
 
 
 class Decoded(NamedTuple):
-    """Forces [frames, x, y, z, 3], and amplitudes and hertz [frames, x, y, z, 2], where something vibrates."""
+    """Forces [frames, x, y, z, 3], and amplitudes and hertz [frames, x, y, z, 2],
+    where something vibrates.
+    """
 
     forces: np.ndarray
     vibration: np.ndarray | None

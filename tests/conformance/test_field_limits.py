@@ -431,7 +431,9 @@ def body_cases() -> Iterator[Case]:
 
 
 def decoders_say(program: Path, path: Path) -> list[str]:
-    """The kinds of error with which the package, the second decoder and C refuse a file once all is decoded."""
+    """The kinds of error with which the package, the second decoder and C refuse a file once all is
+    decoded.
+    """
     said = ["", ""]
     try:
         with open_stream(path) as opened:

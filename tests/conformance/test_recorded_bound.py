@@ -205,7 +205,9 @@ def test_other_decoders_find_the_same_ratio(rule: str, tmp_path: Path) -> None:
 
 
 def decoded_by_all(path: Path, folder: Path) -> Iterator[np.ndarray]:
-    """Forces [frames, x, y, z, 3] by the second decoder and, where there is a compiler, by `c/touch_decode`."""
+    """Forces [frames, x, y, z, 3] by the second decoder and, where there is a compiler,
+    by `c/touch_decode`.
+    """
     yield decoder.decode(path)["forces_n"]
     if COMPILER is not None:
         program = built(folder, "touch_decode", "-O1")

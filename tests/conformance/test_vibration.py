@@ -26,7 +26,9 @@ def symbols(rng: np.random.Generator) -> VibrationSymbols:
 
 
 def second(body: bytes, frames: int) -> list[bytes] | str:
-    """Amplitudes and frequencies as dense arrays by the second decoder; the error where it refuses the bytes."""
+    """Amplitudes and frequencies as dense arrays by the second decoder;
+    the error where it refuses the bytes.
+    """
     try:
         return [frame.tobytes() for frame in part.decode_segment(body, GRID.shape, frames)]
     except reading.FaultyFile as error:

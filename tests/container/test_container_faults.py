@@ -225,7 +225,9 @@ def entries(*changes: dict[str, int]) -> bytes:
 
 
 def overlapping() -> bytes:
-    """Two segments, the second a whole record in the body of the first, that ends where the first does not."""
+    """Two segments, the second a whole record in the body of the first,
+    that ends where the first does not.
+    """
     inner = framed("SEGM", struct.pack("<IH", 1, 2) + b"body")
     outer = framed("SEGM", struct.pack("<IH", 0, 1) + inner)
     first = entry_of(outer, BEGIN, 0, 1)

@@ -195,7 +195,9 @@ SEGMENT = framed("SEGM", struct.pack("<IH", 0, 3) + b"body")
 def crafted(
     before: bytes, late: bytes = b"", after: bytes = b"", head: Any = HEAD, chain: bool = True
 ) -> bytes:
-    """A file of one segment, with records before it, after it, and after the index; `before` may be chained."""
+    """A file of one segment, with records before it, after it, and after the index;
+    `before` may be chained.
+    """
     first = encoded("HEAD", head)
     entry = SegmentEntry(
         first_frame=0,

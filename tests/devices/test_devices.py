@@ -16,13 +16,28 @@ from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.perception import figure, human
 
 POINTS = {
-    "phantom-omni", "touch", "touch-x", "phantom-premium-1.5", "novint-falcon", "omega.3", "delta.3", "sigma.7",
-    "haply-inverse3", "phantom-premium-1.5-6dof",
-}  # fmt: skip
+    "phantom-omni",
+    "touch",
+    "touch-x",
+    "phantom-premium-1.5",
+    "novint-falcon",
+    "omega.3",
+    "delta.3",
+    "sigma.7",
+    "haply-inverse3",
+    "phantom-premium-1.5-6dof",
+}
 ARRAYS = {
-    "tshirt-32x32", "tactile-vest-8x8", "tactsuit-x40", "tactsuit-pro", "tactsuit-air", "tactsuit-x16", "dotpad",
-    "graphiti", "hyperbraille",
-}  # fmt: skip
+    "tshirt-32x32",
+    "tactile-vest-8x8",
+    "tactsuit-x40",
+    "tactsuit-pro",
+    "tactsuit-air",
+    "tactsuit-x16",
+    "dotpad",
+    "graphiti",
+    "hyperbraille",
+}
 
 POINT = """
 name = "mine"
@@ -94,9 +109,16 @@ def test_the_devices_that_twist_state_how_much_and_the_others_nothing() -> None:
 def test_arrays_count_their_actuators() -> None:
     counts = {d.name: d.lattice[0] * d.lattice[1] * d.panels for d in devices() if d.is_array}
     assert counts == {
-        "tshirt-32x32": 1024, "tactile-vest-8x8": 64, "tactsuit-x40": 40, "tactsuit-pro": 32, "tactsuit-air": 16,
-        "tactsuit-x16": 16, "dotpad": 2400, "graphiti": 2400, "hyperbraille": 6240,
-    }  # fmt: skip
+        "tshirt-32x32": 1024,
+        "tactile-vest-8x8": 64,
+        "tactsuit-x40": 40,
+        "tactsuit-pro": 32,
+        "tactsuit-air": 16,
+        "tactsuit-x16": 16,
+        "dotpad": 2400,
+        "graphiti": 2400,
+        "hyperbraille": 6240,
+    }
     assert device("tshirt-32x32").sources["pitch_mm"].startswith("our choice")
     assert device("dotpad").lattice == (60, 40, 1) and device("dotpad").workspace_mm == (150.0, 100.0, 150.0)
 

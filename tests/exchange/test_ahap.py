@@ -1,4 +1,6 @@
-"""AHAP: intensity and sharpness over time as the drive and frequency of one actuator, and what may be wrong."""
+"""AHAP: intensity and sharpness over time as the drive and frequency of one actuator,
+and what may be wrong.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The binary form of MPEG haptics: what was packed comes out, in the words of HJIF; what is damaged is named."""
+"""The binary form of MPEG haptics: what was packed comes out, in the words of HJIF;
+what is damaged is named.
+"""
 
 from __future__ import annotations
 
@@ -105,9 +107,21 @@ def test_an_effect_counts_from_its_unit_and_one_in_space_from_nowhere(
 
 def test_numbers_are_the_words_of_the_standard(tmp_path: Path) -> None:
     modalities = (
-        "Other", "Pressure", "Acceleration", "Velocity", "Position", "Temperature", "Vibrotactile", "Water", "Wind",
-        "Force", "Vibrotactile Texture", "Stiffness", "Friction", "Electrotactile",
-    )  # fmt: skip
+        "Other",
+        "Pressure",
+        "Acceleration",
+        "Velocity",
+        "Position",
+        "Temperature",
+        "Vibrotactile",
+        "Water",
+        "Wind",
+        "Force",
+        "Vibrotactile Texture",
+        "Stiffness",
+        "Friction",
+        "Electrotactile",
+    )
     for number, modality in enumerate(modalities):
         data = head(
             number, channel(0, 1.0), *(band(n, 0, 1, [(n, 4)]) for n in (0, 1, 2, 3)), band(9, 0, 0, [])

@@ -102,7 +102,9 @@ def work(force: NDArray[np.float64], velocity: NDArray[np.float64]) -> Fraction:
 
 
 def test_friction_does_no_work_at_all_on_a_hand_of_any_size() -> None:
-    """With v_s far above v, v_t / v_s lies below the least number of float64, and mu |F| may lift it again."""
+    """With v_s far above v, v_t / v_s lies below the least number of float64,
+    and mu |F| may lift it again.
+    """
     force = np.array([-9.81873571e-50, 3.03680916e223, 3.17329621e211])
     velocity = np.array([-3.98974474e-289, -1.84147596e-122, -2.55233951e-145])
     made = friction_n(force, velocity, 12.26205930484656, 4.06969854674083e180)

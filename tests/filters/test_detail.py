@@ -83,7 +83,9 @@ def test_a_thin_wall_stays_closed_and_never_comes_forward(
 
 
 def test_a_wall_that_has_a_sample_is_not_made_thicker() -> None:
-    """Every second sample and nothing else, of a solid ball, whose rim passes between samples in many ways."""
+    """Every second sample and nothing else, of a solid ball, whose rim passes between samples in many
+    ways.
+    """
     x, y, z = (np.stack(np.meshgrid(*(GRID.axis_m(a) for a in range(3)), indexing="ij"))) / 0.001
     away = np.sqrt(x * x + y * y + z * z)
     forces = (

@@ -281,7 +281,9 @@ def plain(height_m: float, axes: str) -> Formula:
 @pytest.mark.parametrize("wall_m", [math.inf, 0.0066])
 @pytest.mark.parametrize("is_stored", [False, True])
 def test_on_average_pins_are_as_high_as_the_land(axes: str, wall_m: float, is_stored: bool) -> None:
-    """A height is known to a sample; over heights that sweep one, the errors must cancel, not shift all pins."""
+    """A height is known to a sample; over heights that sweep one, the errors must cancel,
+    not shift all pins.
+    """
     law, errors = profile_of(LawSpec(), wall_m), []
     room_m = 0.0 if math.isinf(wall_m) else wall_m
     mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * room_m), Placement())

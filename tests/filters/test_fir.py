@@ -28,7 +28,9 @@ def random_field(shape: tuple[int, int, int], seed: int, share: float = 0.02) ->
 
 
 def filter_of_array(taps: ArrayLike, **others: Any) -> FirFilter:
-    """The filter of an array of one or three axes, by the words of its taps; `others` are its other fields."""
+    """The filter of an array of one or three axes, by the words of its taps;
+    `others` are its other fields.
+    """
     h = np.asarray(taps, np.float64)
     text = "/".join(repr(float(v)) for v in h.ravel())
     return FirFilter(f"{'x'.join(str(n) for n in h.shape)}:{text}" if h.ndim != 1 else text, **others)

@@ -190,10 +190,17 @@ def test_a_number_of_stages_that_is_none(stages: Any) -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        np.zeros(4), np.zeros((0, 4)), np.zeros((4, 4), complex), np.array([["a"]]), np.array([[np.nan]]),
-        np.array([[np.inf]]), np.array([[3e38]], np.float32), np.array([[-3e38]], np.float32), np.array([[None]]),
+        np.zeros(4),
+        np.zeros((0, 4)),
+        np.zeros((4, 4), complex),
+        np.array([["a"]]),
+        np.array([[np.nan]]),
+        np.array([[np.inf]]),
+        np.array([[3e38]], np.float32),
+        np.array([[-3e38]], np.float32),
+        np.array([[None]]),
     ],
-)  # fmt: skip
+)
 def test_an_image_that_is_none(wrong: NDArray[Any]) -> None:
     with pytest.raises(InvalidArgument, match="image"):
         quincunx_forward(wrong, 1)

@@ -32,8 +32,9 @@ def clear_of(claims_reach: tuple[int, int, int], room: int = 3) -> tuple[int, in
     return (x, y, z)
 
 
-@pytest.mark.parametrize("shape", [(40, 37, 50), (24, 20, 17), (5, 6, 7), (9, 16, 33), (90, 70, 1), (1, 64, 70),
-                                   (1, 1, 130)])  # fmt: skip
+@pytest.mark.parametrize(
+    "shape", [(40, 37, 50), (24, 20, 17), (5, 6, 7), (9, 16, 33), (90, 70, 1), (1, 64, 70), (1, 1, 130)]
+)
 @pytest.mark.parametrize("stages", [1, 2, 3, 4, 8, 12])
 def test_the_bits_are_those_of_the_array(shape: tuple[int, int, int], stages: int) -> None:
     for forces in (sparse(shape, 1.0), sparse(shape, 3 / math.prod(shape), seed=1)):

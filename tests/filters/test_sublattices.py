@@ -31,7 +31,9 @@ def test_the_fcc_and_what_follows_it() -> None:
 
 
 @pytest.mark.parametrize("chain", [QUINCUNX, FCC], ids=lambda c: c.name)
-def test_each_stage_keeps_half_of_a_lattice_and_the_neighbours_are_the_nearest(chain: SublatticeChain) -> None:
+def test_each_stage_keeps_half_of_a_lattice_and_the_neighbours_are_the_nearest(
+    chain: SublatticeChain,
+) -> None:
     d = chain.dimensions
     centre = np.full(d, 16)
     for stage, split in enumerate(chain.splits(2 * d)):

@@ -154,9 +154,9 @@ def test_no_force_turns_round_doubles_or_appears() -> None:
 
 def test_no_force_exceeds_the_device() -> None:
     field = noise(cube(20), 6)
-    made = filter_and_limit(HapticMedium.from_frames([field], 30.0), (TextureFilter(rms=0.5, density=0.5),), 0.75)[
-        0
-    ]
+    made = filter_and_limit(
+        HapticMedium.from_frames([field], 30.0), (TextureFilter(rms=0.5, density=0.5),), 0.75
+    )[0]
     length = np.linalg.norm(made.vectors_n().astype(float), axis=1)
     assert length.max() <= 0.75 and np.count_nonzero(length > 0.7499) > 100
     huge = constant(cube(9), (3e38, 0.0, 0.0))
@@ -243,12 +243,29 @@ def test_words() -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "pepper", "salt:seed=1", "salt-pepper:0.5", "salt-pepper:kind=literal", "seed=1:rms=0.1", "seed=-1",
-        "seed=1.5", "seed=18446744073709551616", "density=0", "density=1.1", "density=nan", "rms=-0.1", "rms=nan",
-        "rms=1.1", "limit=0.5", "grain=0mm", "grain=-1mm", "grain=2",
-        "force_max_n=1", "colour=red", "literal:grain=1mm",
+        "pepper",
+        "salt:seed=1",
+        "salt-pepper:0.5",
+        "salt-pepper:kind=literal",
+        "seed=1:rms=0.1",
+        "seed=-1",
+        "seed=1.5",
+        "seed=18446744073709551616",
+        "density=0",
+        "density=1.1",
+        "density=nan",
+        "rms=-0.1",
+        "rms=nan",
+        "rms=1.1",
+        "limit=0.5",
+        "grain=0mm",
+        "grain=-1mm",
+        "grain=2",
+        "force_max_n=1",
+        "colour=red",
+        "literal:grain=1mm",
     ],
-)  # fmt: skip
+)
 def test_words_that_make_no_sense(text: str) -> None:
     with pytest.raises(InvalidArgument, match="texture"):
         TextureFilter.parse(text)

@@ -34,9 +34,25 @@ def test_words(words: str, rule: VibrationRule) -> None:
 
 @pytest.mark.parametrize(
     "words",
-    ["0.1", "gain", "gain=x", "gain=0", "gain=-1", "gain=nan", "gain=inf", "gain=1,gain=2", "hz=3", "gain=1..2",
-     "frequency=1..2..3", "frequency=0", "frequency=20000", "frequency=80..20000", "frequency=..", "frequency=nan"],
-)  # fmt: skip
+    [
+        "0.1",
+        "gain",
+        "gain=x",
+        "gain=0",
+        "gain=-1",
+        "gain=nan",
+        "gain=inf",
+        "gain=1,gain=2",
+        "hz=3",
+        "gain=1..2",
+        "frequency=1..2..3",
+        "frequency=0",
+        "frequency=20000",
+        "frequency=80..20000",
+        "frequency=..",
+        "frequency=nan",
+    ],
+)
 def test_words_that_make_no_sense(words: str) -> None:
     with pytest.raises(InvalidArgument, match="--vibration"):
         VibrationRule.parse(words)

@@ -134,7 +134,9 @@ def test_dilution_is_told() -> None:
 
 
 def test_cells_with_equal_hashes_are_told_apart() -> None:
-    """More cells than the first table holds, and no two merged: counts agree with numpy's sort of whole rows."""
+    """More cells than the first table holds, and no two merged: counts agree with numpy's sort of whole
+    rows.
+    """
     rng = np.random.default_rng(7)
     rows = rng.integers(0, 60, (60_000, 3), dtype=np.uint64)
     counter = CellCounter(3, 32)  # two symbols to a word

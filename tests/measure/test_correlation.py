@@ -237,7 +237,9 @@ def to_hand(placement: Placement, points_m: Float64s) -> Float64s:
 
 
 def test_the_motorcycle() -> None:
-    """The rays of the pixels meet the surface where the depth map has it; then luma is set beside the field."""
+    """The rays of the pixels meet the surface where the depth map has it;
+    then luma is set beside the field.
+    """
     data = pytest.importorskip("skimage.data")
     from touchfield.sources.depth.inverse_depth import motorcycle_sequence
 

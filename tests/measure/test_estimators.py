@@ -284,7 +284,14 @@ def test_one_symbol_seen_often_says_nothing(name: str) -> None:
 def test_the_counts_of_the_counts() -> None:
     t = tally([[3, 0, 1], [1, 3, 3]])
     assert (t.counts.tolist(), t.times.tolist()) == ([1, 3], [2, 3])
-    assert (t.samples, t.observed, t.symbols_counted(1), t.symbols_counted(2), t.symbols_counted(3), t.symbols_counted(9)) == (11, 5, 2, 0, 3, 0)
+    assert (
+        t.samples,
+        t.observed,
+        t.symbols_counted(1),
+        t.symbols_counted(2),
+        t.symbols_counted(3),
+        t.symbols_counted(9),
+    ) == (11, 5, 2, 0, 3, 0)
     assert not t.counts.flags.writeable
 
 

@@ -66,7 +66,9 @@ def test_without_a_force_there_are_voxels_and_no_object() -> None:
 
 
 def test_a_measurement_makes_each_frame_seldom(wavy_field: ForceField) -> None:
-    """To fit Q, to count, to count the blocks, and for each of time's two passes; once more for the energy."""
+    """To fit Q, to count, to count the blocks, and for each of time's two passes;
+    once more for the energy.
+    """
     made = [0] * 6
 
     def make(i: int) -> ForceField:

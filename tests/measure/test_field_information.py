@@ -389,7 +389,9 @@ def gaussian_field(rng: np.random.Generator, n: int, length: float) -> np.ndarra
 
 
 def test_intervals_cover_the_entropy_of_fields_whose_neighbours_agree() -> None:
-    """Seeded: 40 draws of 48^3 samples that stay alike over 3.5 of them; of 95 % at least 90 % are covered."""
+    """Seeded: 40 draws of 48^3 samples that stay alike over 3.5 of them;
+    of 95 % at least 90 % are covered.
+    """
     rng, edges = np.random.default_rng(11), np.linspace(-2, 2, 7)
     p = np.diff([0.0, *(0.5 * (1 + math.erf(e / math.sqrt(2))) for e in edges), 1.0])
     truth, covered = -(p * np.log2(p)).sum(), {"voxel": 0, "object": 0}

@@ -35,7 +35,9 @@ def rotation(omega_n_per_m: Float64s, grid: Grid = GRID) -> ForceField:
 
 
 def shell(samples: int, stiffness_n_per_m: float = 500.0) -> ForceField:
-    """A penalty sphere of 40 mm, felt from 25 mm on, in a box of 100 mm with so many samples along each edge."""
+    """A penalty sphere of 40 mm, felt from 25 mm on, in a box of 100 mm with so many samples along each
+    edge.
+    """
     grid = Grid.over_box((-0.05,) * 3, (0.05,) * 3, (samples,) * 3)
 
     def forces(p: Float64s) -> Float64s:

@@ -72,13 +72,22 @@ def test_it_equals_one_resample_of_both_after_the_other() -> None:
     ("source", "mapping", "fewer", "truth"),
     [
         # a device of half the samples, each the greater of two: its chance of 0 is that of two zeros in a row
-        (markov, lambda w: w[::2] | w[1::2], 2, binary_entropy_bits(0.8 * 0.95) / binary_entropy_bits(0.2) / 2),
+        (
+            markov,
+            lambda w: w[::2] | w[1::2],
+            2,
+            binary_entropy_bits(0.8 * 0.95) / binary_entropy_bits(0.2) / 2,
+        ),
         # a device of as many samples and a quarter of the levels
-        (levels, lambda w: w // 4, 1,
-         stats.entropy(level_shares().reshape(16, 4).sum(1)) / stats.entropy(level_shares())),
+        (
+            levels,
+            lambda w: w // 4,
+            1,
+            stats.entropy(level_shares().reshape(16, 4).sum(1)) / stats.entropy(level_shares()),
+        ),
     ],
     ids=["fewer samples", "fewer levels"],
-)  # fmt: skip
+)
 def test_coverage_where_the_truth_is_enumerated(
     source: Callable[[np.random.Generator, int], Ints],
     mapping: Callable[[Ints], Ints],

@@ -78,7 +78,9 @@ def test_values_are_those_of_the_plain_arrays(a: Symbols, b: Symbols) -> None:
 
 
 def test_a_distance_of_0_between_media_that_differ() -> None:
-    """VI does not see other names of the symbols, nor sqrt(JSD) where they lie: each is the other's remedy."""
+    """VI does not see other names of the symbols, nor sqrt(JSD) where they lie:
+    each is the other's remedy.
+    """
     a, renamed, moved = on_row(0, 0, 1, 2), on_row(1, 1, 2, 0), on_row(2, 0, 1, 0)
     assert float(plain(a, renamed).variation) == pytest.approx(0, abs=1e-12)
     assert float(plain(a, renamed).jensen_shannon) > 0.1
@@ -87,7 +89,9 @@ def test_a_distance_of_0_between_media_that_differ() -> None:
 
 
 def test_the_triangle_does_not_hold_over_the_object() -> None:
-    """Two small bodies, and one that fills all: over the wide unions with it, each small one hardly varies."""
+    """Two small bodies, and one that fills all: over the wide unions with it,
+    each small one hardly varies.
+    """
     a, b, c = on_row(1, 2, *[0] * 98), on_row(*[1] * 100), on_row(*[0] * 98, 1, 2)
     sides = {}
     for over in ("voxel", "object"):

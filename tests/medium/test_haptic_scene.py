@@ -40,7 +40,9 @@ def tracks(rng: np.random.Generator, count: int, spread_m: float = 0.05) -> Pose
 
 
 def some_field(rng: np.random.Generator) -> ForceField:
-    """A box or a blob of forces on a small lattice whose sides are not multiples of a brick; perhaps empty."""
+    """A box or a blob of forces on a small lattice whose sides are not multiples of a brick;
+    perhaps empty.
+    """
     grid = Grid(
         tuple(rng.integers(1, 20, 3)), tuple(rng.uniform(0.003, 0.02, 3)), tuple(rng.normal(0, 0.05, 3))
     )

@@ -267,9 +267,12 @@ def test_one_process_feels_what_another_sends_through_a_pipe() -> None:
         stderr=subprocess.PIPE,
     )
     hand = subprocess.Popen(
-        [*program, "play", "-", "--device", "sim", "--seconds", "9"], stdin=sender.stdout, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [*program, "play", "-", "--device", "sim", "--seconds", "9"],
+        stdin=sender.stdout,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     assert sender.stdin is not None and sender.stdout is not None
     sender.stdout.close()
     sender.stdin.write(b"".join(png(i % 12) for i in range(100)))

@@ -197,7 +197,9 @@ def test_a_layer_of_another_lattice_is_refused() -> None:
 
 
 class Layers(RuleBasedStateMachine):
-    """Segments of both layers come, or do not, at any time: the finest is felt, and what is due not awaited."""
+    """Segments of both layers come, or do not, at any time: the finest is felt,
+    and what is due not awaited.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -357,7 +359,9 @@ from touchfield.tasks.play import PlaySpec, play  # noqa: E402
 
 
 def test_the_coarse_layer_survives_bursts_that_the_fine_one_does_not() -> None:
-    """5 % of losses in bursts of five (Gilbert), seeded: in time, at 30 % more bytes than both layers have."""
+    """5 % of losses in bursts of five (Gilbert), seeded: in time, at 30 % more bytes than both layers
+    have.
+    """
     rng, is_bad, sent_bytes, count = np.random.default_rng(5), False, 0, 400
     sizes, bodies = (20_000, 2_800), rng.bytes(20_000)
     ends = [
@@ -380,7 +384,9 @@ def test_the_coarse_layer_survives_bursts_that_the_fine_one_does_not() -> None:
 
 
 def rough() -> HapticMedium:
-    """A force of 2 N and more towards the user everywhere; segments of its coarse layer have some datagrams."""
+    """A force of 2 N and more towards the user everywhere; segments of its coarse layer have some
+    datagrams.
+    """
     rng = np.random.default_rng(3)
     noise = rng.uniform(0, 0.8, (25, *GRID.shape, 3)) + np.array([0, 0, 2.0])
     return HapticMedium.from_frames(
@@ -389,7 +395,9 @@ def rough() -> HapticMedium:
 
 
 def felt_share(has_layer: bool, segments: int = 150) -> float:
-    """Share of the time that a hand feels: frames from datagrams that are lost in bursts, on a clock of ours."""
+    """Share of the time that a hand feels: frames from datagrams that are lost in bursts,
+    on a clock of ours.
+    """
     source, now, rng, is_bad = rough(), [0.0], np.random.default_rng(11), False
     fine, sender = open_sender(source, EncodeSpec())
     _, under = coarse_layer(source, fine)

@@ -127,7 +127,9 @@ _MESSAGES = [*sender_of(5)[1], END]
 
 
 class Broadcast(RuleBasedStateMachine):
-    """Receivers that come and read at their own pace: what each gets is in order, and little is kept for it."""
+    """Receivers that come and read at their own pace: what each gets is in order,
+    and little is kept for it.
+    """
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,6 @@
-"""Live streams on the air: a sender in time, a server and receivers on loopback, and what a bad network does."""
+"""Live streams on the air: a sender in time, a server and receivers on loopback,
+and what a bad network does.
+"""
 
 from __future__ import annotations
 
@@ -358,7 +360,9 @@ def test_an_address_that_is_taken_is_told() -> None:
 
 
 def test_many_receivers_and_bad_ones_beside_them() -> None:
-    """Ten that read, one that never does, one that talks, and one that sends garbage: the ten miss nothing."""
+    """Ten that read, one that never does, one that talks, and one that sends garbage:
+    the ten miss nothing.
+    """
     with on_air() as server:
         host, port = server.address.split(":")
         mute = asking(server.address, "/live", *UPGRADE)

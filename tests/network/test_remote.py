@@ -306,9 +306,22 @@ def asked(address: str, line: str, *headers: str) -> str:
 
 @pytest.mark.parametrize(
     "name",
-    ["/", "/notes.txt", "/.hidden.touch", "/../x.touch", "/%2e%2e/x.touch", "/a/..%2f..%2fx.touch", "/out.touch",
-     "/noise.touch/", "//noise.touch", "/noise.touch%00", "/..\\x.touch", "/absent.touch", "/ring.touch"],
-)  # fmt: skip
+    [
+        "/",
+        "/notes.txt",
+        "/.hidden.touch",
+        "/../x.touch",
+        "/%2e%2e/x.touch",
+        "/a/..%2f..%2fx.touch",
+        "/out.touch",
+        "/noise.touch/",
+        "//noise.touch",
+        "/noise.touch%00",
+        "/..\\x.touch",
+        "/absent.touch",
+        "/ring.touch",
+    ],
+)
 def test_nothing_but_the_streams_of_the_folder_is_served(folder: Path, name: str, tmp_path: Path) -> None:
     inside = tmp_path / "inside"
     inside.mkdir()

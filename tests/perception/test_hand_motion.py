@@ -1,4 +1,6 @@
-"""A hand that slides: known sines through the band, walks along a ball, and errors whose vibration is known."""
+"""A hand that slides: known sines through the band, walks along a ball,
+and errors whose vibration is known.
+"""
 
 from dataclasses import replace
 

@@ -1,4 +1,6 @@
-"""What is fitted into the workspace: the frames that are asked for, with a margin, and a note that says so."""
+"""What is fitted into the workspace: the frames that are asked for, with a margin,
+and a note that says so.
+"""
 
 from __future__ import annotations
 
@@ -153,7 +155,8 @@ def test_a_preview_shows_where_the_scene_lies(
         low_x, high_x, low_y, high_y = panel.images[0].get_extent()
         ys, xs = np.nonzero(shadow)
         for places, low, high, count, half in (
-            (xs, low_x, high_x, shadow.shape[1], half_mm[across]), (ys, low_y, high_y, shadow.shape[0], half_mm[up]),
+            (xs, low_x, high_x, shadow.shape[1], half_mm[across]),
+            (ys, low_y, high_y, shadow.shape[0], half_mm[up]),
         ):  # fmt: skip
             step = (high - low) / count
             assert abs(low + step * places.min() + half) < 1.6 * step

@@ -181,7 +181,9 @@ def test_what_is_too_small_to_be_felt_is_named(tmp_path: Path) -> None:
     seen = BodyScene((*falling().bodies(), Body("grain", grain, way)), 1000.0)
     unfelt = [note for note in pipeline.prepare(seen, SPEC).notes if "Objects without any force" in note]
     assert len(unfelt) == 1 and "'grain'" in unfelt[0] and "box" not in unfelt[0]
-    assert not [note for note in pipeline.prepare(falling(), SPEC).notes if "Objects without any force" in note]
+    assert not [
+        note for note in pipeline.prepare(falling(), SPEC).notes if "Objects without any force" in note
+    ]
     alone = BodyScene((Body("grain", grain, way),), 1000.0)
     spec = replace(SPEC, mapping="1")
     assert "The result is empty" in pipeline.encode(alone, tmp_path / "a.touch", spec).notes[-1]

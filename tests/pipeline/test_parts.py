@@ -189,7 +189,9 @@ def test_frames_without_a_force_are_told_of_where_parts_were_there(source: Path,
     notes = encode(source, out, asked, executor=Straight()).notes
     assert any("4 of 7 parts" in note for note in notes)
     told = [
-        note for note in encode(source, tmp_path / "b.touch", asked).notes if "decoded without any force" in note
+        note
+        for note in encode(source, tmp_path / "b.touch", asked).notes
+        if "decoded without any force" in note
     ]
     assert told and set(told) <= set(notes) and f"{FRAMES} of {FRAMES}" in told[0]
 

@@ -1,4 +1,6 @@
-"""Segments from the coder to the hand: how long they are, and how a standing world is felt where one starts."""
+"""Segments from the coder to the hand: how long they are, and how a standing world is felt where one
+starts.
+"""
 
 from __future__ import annotations
 

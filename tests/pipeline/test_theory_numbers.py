@@ -57,7 +57,9 @@ def on_a_line(symbols: NDArray[np.int64]) -> FieldSymbols:
 
 
 def rounded_pair(rho: float, step: float) -> Floats:
-    """The law of two unit Gaussians of correlation rho, both rounded to multiples of `step`, to about 1e-12."""
+    """The law of two unit Gaussians of correlation rho, both rounded to multiples of `step`,
+    to about 1e-12.
+    """
     nodes, weight = np.polynomial.legendre.leggauss(12)
     centre = np.arange(-round(8 / step), round(8 / step) + 1) * step
     x = (centre[:, None] + step / 2 * nodes).ravel()
@@ -152,7 +154,9 @@ def test_no_quantiser_beats_the_rate_distortion_bound() -> None:
 
 
 def test_every_bit_of_a_file_is_in_its_full_ratio(tmp_path: Path) -> None:
-    """CR_full = file size: 8 bytes = CR_full 96 m V, for two frames; eq. 9 itself leaves most side bits out."""
+    """CR_full = file size: 8 bytes = CR_full 96 m V, for two frames; eq.
+    9 itself leaves most side bits out.
+    """
     stream = tmp_path / "ramp.touch"
     scene = tiny_scenes()[0]
     encoded = pipeline.encode(scene, stream, EncodeSpec(nw=4)).summary()

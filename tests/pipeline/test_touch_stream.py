@@ -45,11 +45,24 @@ def test_a_stream_tells_what_its_head_and_its_segments_say(tmp_path: Path) -> No
     dense = np.random.default_rng(1).normal(0, 1, (16, 8, 24, 3)).astype(np.float32)
     frames = [ForceField.empty(grid), ForceField.from_dense(grid, dense)]
     head = replace(
-        HEAD, grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, frame_count=5, axes="x y z",
-        device_name="mine", device_type=2, force_max_n=7.0, mapping_scale=0.5, mapping_offset_m=(1.0, 2.0, 3.0),
-        weber_fraction=0.2, force_threshold_n=0.07, friction=0.3, damping_n_s_per_m=0.4, tags=("direct", "mine"),
+        HEAD,
+        grid_shape=grid.shape,
+        spacing_m=grid.spacing_m,
+        origin_m=grid.origin_m,
+        frame_count=5,
+        axes="x y z",
+        device_name="mine",
+        device_type=2,
+        force_max_n=7.0,
+        mapping_scale=0.5,
+        mapping_offset_m=(1.0, 2.0, 3.0),
+        weber_fraction=0.2,
+        force_threshold_n=0.07,
+        friction=0.3,
+        damping_n_s_per_m=0.4,
+        tags=("direct", "mine"),
         coder_parameters=encoder.parameters,
-    )  # fmt: skip
+    )
     with TouchWriter(path) as writer:
         writer.write_head(head, {"reference": "my own"})
         writer.write_segment(0, 3, encoder.encode_segment(frames[:1] * 3).body)
@@ -64,13 +77,24 @@ def test_a_stream_tells_what_its_head_and_its_segments_say(tmp_path: Path) -> No
         assert held == sum(field.support_count for field in medium) == 2 * medium[4].support_count > 0
     assert notes == [(i + 1, 5) for i in range(5)]
     for key, value in {
-        "frames": 5, "seconds": 0.1, "segments": 2, "grid_shape": [16, 8, 24], "axes": "x y "
-                                                                                       "z", "device": "mine",
-        "device_type": 2, "force_max_n": 7.0, "mapping_scale": 0.5, "mapping_offset_m": [1.0, 2.0, 3.0], "k": 0.2,
-        "f0_n": 0.07, "tags": ["direct", "mine"], "promise_against": "my "
-                                                                     "own", "provenance": {"reference": "my own"},
-        "cr_full": size / (5 * 3072 * 96), "guesses": 0,
-    }.items():  # fmt: skip
+        "frames": 5,
+        "seconds": 0.1,
+        "segments": 2,
+        "grid_shape": [16, 8, 24],
+        "axes": "x y z",
+        "device": "mine",
+        "device_type": 2,
+        "force_max_n": 7.0,
+        "mapping_scale": 0.5,
+        "mapping_offset_m": [1.0, 2.0, 3.0],
+        "k": 0.2,
+        "f0_n": 0.07,
+        "tags": ["direct", "mine"],
+        "promise_against": "my own",
+        "provenance": {"reference": "my own"},
+        "cr_full": size / (5 * 3072 * 96),
+        "guesses": 0,
+    }.items():
         assert told[key] == value, key
     assert told["spacing_mm"] == pytest.approx([10, 20, 5]) and told["worst_frame"] in (3, 4)
     assert told["cr_literal"] == (told["bits_amplitude"] + told["bits_direction"]) / (5 * 3072 * 96)

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-
 from tests.sources.video.test_saliency import Drawn, gif, picture
+
 from touchfield.cli.main import _exit_code
 from touchfield.codec.paper.body import BodyReader
 from touchfield.codec.paper.directions import Codebook

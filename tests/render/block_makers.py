@@ -39,7 +39,7 @@ class Block:
 
 
 def some_field(rng: np.random.Generator, grid: Grid | None = None) -> ForceField:
-    """Forces here and there on a small lattice whose sides are not multiples of a brick; perhaps none at all."""
+    """Forces here and there on a small lattice whose sides are not multiples of a brick; perhaps none."""
     if grid is None:
         grid = Grid(
             tuple(rng.integers(1, 20, 3)), tuple(rng.uniform(0.003, 0.02, 3)), tuple(rng.normal(0, 0.05, 3))

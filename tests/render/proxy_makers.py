@@ -92,7 +92,9 @@ class Held:
         seconds: float,
         damping: float = 5.0,
     ) -> tuple[Vector, Vector, Vector]:
-        """Places of a free hand of 0.1 kg that is pushed, forces on it and places of the proxy, a row a tick."""
+        """Places of a free hand of 0.1 kg that is pushed, forces on it and places of the proxy,
+        a row a tick.
+        """
         x, v, rows = np.array(start_m, np.float64), np.zeros(3), []
         for n in range(round(seconds / DT_S)):
             force = self.tick(x)

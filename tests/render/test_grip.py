@@ -1,4 +1,6 @@
-"""A hand that turns: orientation goes in at every tick, torque comes out, and both are let go like a force."""
+"""A hand that turns: orientation goes in at every tick, torque comes out,
+and both are let go like a force.
+"""
 
 from __future__ import annotations
 

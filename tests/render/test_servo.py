@@ -1,4 +1,6 @@
-"""The loop of the servo in this process, on a clock of its own: what a device gets, whatever happens to it."""
+"""The loop of the servo in this process, on a clock of its own: what a device gets,
+whatever happens to it.
+"""
 
 from __future__ import annotations
 

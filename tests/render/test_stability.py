@@ -170,7 +170,9 @@ def test_the_damper_acts_along_the_force_alone_and_takes_no_more() -> None:
 def test_the_damper_is_no_more_than_the_force_however_fast_a_hand_comes_or_goes(
     axis: int, speed_m_s: float
 ) -> None:
-    """At 0.5 N and 5 N s/m the limit is 0.1 m/s: a faster hand feels 0 N as it leaves, and 1 N as it comes."""
+    """At 0.5 N and 5 N s/m the limit is 0.1 m/s: a faster hand feels 0 N as it leaves,
+    and 1 N as it comes.
+    """
     direction = np.eye(3)[axis]
     bench = Bench(constant(*(0.5 * direction)), device=STRONG)
     bench.memory.f8[W.BRAKE] = 5.0

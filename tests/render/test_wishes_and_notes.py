@@ -291,22 +291,47 @@ def test_materials_of_impossible_numbers_are_named() -> None:
 def test_every_figure_of_the_statistics_is_of_its_own_count() -> None:
     memory = Memory.empty(W.FREE)
     counts = {
-        "LATE": 11, "MISSED": 12, "UNDERRUNS": 13, "STALLED_TICKS": 14, "WAITS": 15, "WAITING_TICKS": 16,
-        "FRAMES_USED": 17, "TICKS": 501, "PLAYED_TICKS": 56, "FIRST_NS": 2_000_000_000, "LAST_NS": 2_250_000_000,
-        "WORST_PERIOD_NS": 9_000_000, "WORST_LATENESS_NS": 20_500,
-    }  # fmt: skip
+        "LATE": 11,
+        "MISSED": 12,
+        "UNDERRUNS": 13,
+        "STALLED_TICKS": 14,
+        "WAITS": 15,
+        "WAITING_TICKS": 16,
+        "FRAMES_USED": 17,
+        "TICKS": 501,
+        "PLAYED_TICKS": 56,
+        "FIRST_NS": 2_000_000_000,
+        "LAST_NS": 2_250_000_000,
+        "WORST_PERIOD_NS": 9_000_000,
+        "WORST_LATENESS_NS": 20_500,
+    }
     for name, value in counts.items():
         memory.i8[getattr(W, name)] = value
     memory.f8[W.RATE_HZ] = 2000.0
     memory.i8[W.PERIODS + np.array([0, 5, 40, W.TIME_BINS])] = [600, 389, 10, 1]
     memory.i8[W.LATENESSES + np.array([3, 20])] = [400, 600]
     assert statistics_of(memory) == {
-        "ticks": 501, "seconds": pytest.approx(0.25), "rate_hz": 2000.0, "mean_rate_hz": pytest.approx(2000.0),
-        "late_ticks": 11, "missed_ticks": 12, "underruns": 13, "stalled_ticks": 14, "waits": 15,
-        "waiting_ticks": 16, "frames_used": 17, "stalled_share": 0.25,
-        "jitter_p50_us": 1.0, "jitter_p99_us": 41.0, "jitter_p99_9_us": 41.0, "jitter_worst_us": 9000.0,
-        "lateness_p50_us": 20.5, "lateness_p99_us": 20.5, "lateness_p99_9_us": 20.5, "lateness_worst_us": 20.5,
-    }  # fmt: skip
+        "ticks": 501,
+        "seconds": pytest.approx(0.25),
+        "rate_hz": 2000.0,
+        "mean_rate_hz": pytest.approx(2000.0),
+        "late_ticks": 11,
+        "missed_ticks": 12,
+        "underruns": 13,
+        "stalled_ticks": 14,
+        "waits": 15,
+        "waiting_ticks": 16,
+        "frames_used": 17,
+        "stalled_share": 0.25,
+        "jitter_p50_us": 1.0,
+        "jitter_p99_us": 41.0,
+        "jitter_p99_9_us": 41.0,
+        "jitter_worst_us": 9000.0,
+        "lateness_p50_us": 20.5,
+        "lateness_p99_us": 20.5,
+        "lateness_p99_9_us": 20.5,
+        "lateness_worst_us": 20.5,
+    }
     memory.i8[W.PERIODS + W.TIME_BINS] = 2  # of the open bin the worst is told
     memory.i8[W.PERIODS + 40] = 9
     assert statistics_of(memory)["jitter_p99_9_us"] == 9000.0

@@ -93,14 +93,32 @@ def test_options_that_do_nothing_are_told(tmp_path: Path) -> None:
 # --------------------------------------------------------------------------------------------------------
 
 NUMBERS = [
-    "depth_scale", "cell_size_m", "height_scale", "exaggeration", "unit_m", "rate_hz", "seconds", "source_rate_hz",
-    "near_m", "far_m", "baseline_m",
-]  # fmt: skip
+    "depth_scale",
+    "cell_size_m",
+    "height_scale",
+    "exaggeration",
+    "unit_m",
+    "rate_hz",
+    "seconds",
+    "source_rate_hz",
+    "near_m",
+    "far_m",
+    "baseline_m",
+]
 OTHER = {
-    "intrinsics": "1,2,3,4", "poses": "a.txt", "frame": "camera", "world": "causal", "reading": "height",
-    "shell": "one", "holes": "leave", "interpolation": "nearest", "animation": "walk", "relative_depth": "a.png",
-    "segment": "step=0.1", "disparity_offset_px": -3.0,
-}  # fmt: skip
+    "intrinsics": "1,2,3,4",
+    "poses": "a.txt",
+    "frame": "camera",
+    "world": "causal",
+    "reading": "height",
+    "shell": "one",
+    "holes": "leave",
+    "interpolation": "nearest",
+    "animation": "walk",
+    "relative_depth": "a.png",
+    "segment": "step=0.1",
+    "disparity_offset_px": -3.0,
+}
 
 
 @pytest.mark.parametrize("name", NUMBERS)

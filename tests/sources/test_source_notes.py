@@ -258,7 +258,8 @@ def test_holes_are_told_largest_first_with_their_size() -> None:
         (
             "fused",
             False,
-            "The world is fused from all frames (--world fused; no poses, so the camera is assumed to be static)",
+            "The world is fused from all frames (--world fused; no poses, so the camera is assumed to be "
+            "static)",
         ),
     ],
 )

@@ -221,7 +221,9 @@ def test_an_array_of_either_order_is_read_as_it_was_saved(tmp_path: Path, order:
 
 
 def forces_in_vti(path: Path) -> np.ndarray:
-    """The vectors of a file, float32 [nx, ny, nz, 3], by VTK's description of appended data in zlib blocks."""
+    """The vectors of a file, float32 [nx, ny, nz, 3], by VTK's description of appended data in zlib
+    blocks.
+    """
     head, _, data = path.read_bytes().partition(b'<AppendedData encoding="raw">\n   _')
     root = ElementTree.fromstring(head + b"</VTKFile>")
     assert root.attrib["header_type"] == "UInt64" and root.attrib["compressor"] == "vtkZLibDataCompressor"

@@ -108,9 +108,17 @@ def test_operators_in_words_are_the_operators(stream: Path) -> None:
     step = GRID.spacing_m[0]
     made = {
         words: operator_of(words, given)(field).to_dense()
-        for words in ("gain:-0.5", "erase", "limit:0.7", f"move:{step!r}m,0,0", "turn:0,0,1,90", "mirror:1,0,0",
-                      "mirror:1,0,0,5mm,0,0", "gaussian:sigma=3mm")
-    }  # fmt: skip
+        for words in (
+            "gain:-0.5",
+            "erase",
+            "limit:0.7",
+            f"move:{step!r}m,0,0",
+            "turn:0,0,1,90",
+            "mirror:1,0,0",
+            "mirror:1,0,0,5mm,0,0",
+            "gaussian:sigma=3mm",
+        )
+    }
     assert np.array_equal(made["gain:-0.5"], -0.5 * dense)
     assert not made["erase"].any()
     assert np.linalg.norm(made["limit:0.7"], axis=-1).max() == pytest.approx(0.7, abs=1e-6)
@@ -399,7 +407,8 @@ def test_the_commands_as_their_user_meets_them(
     capsys.readouterr()
     for bad in (
         ["edit", stream, out], ["edit", stream, stream, "--operator", "erase"], ["splice", out],
-        ["edit", stream, out, "--operator", "erase", "--frames", "3"], ["resample", stream, out, "--shape", "8,8"],
+        ["edit", stream, out, "--operator", "erase", "--frames", "3"],
+        ["resample", stream, out, "--shape", "8,8"],
         ["edit", stream, out, "--operator", "erase", "--feather", "2"], ["partition", stream, "--depth", "9"],
         ["partition", stream, "--depth", "-1"], ["resample", stream, out], ["lod", stream, "--levels", "-1"],
     ):  # fmt: skip

@@ -209,8 +209,7 @@ def test_what_exceeds_the_peak_is_shortened(tmp_path: Path) -> None:
     shortened = np.mean(np.linalg.norm(forces, axis=1) > peak_n * (1 - 1e-6))
     assert np.abs(forces).max() == pytest.approx(peak_n) and 0.5 < shortened < 1
     assert (
-        done.notes[0]
-        == f"{100 * shortened:.3g} % of the samples exceed {peak_n:g} N and are clipped to it."
+        done.notes[0] == f"{100 * shortened:.3g} % of the samples exceed {peak_n:g} N and are clipped to it."
     )
     other = export(path, tmp_path / "g.hjif", "novint-falcon", deep)
     assert other.figures["force_max_n"] == device("novint-falcon").force_max_n
@@ -243,12 +242,17 @@ def test_each_note_on_a_force_stands_beside_the_others(
 @pytest.mark.parametrize(
     ("name", "array", "kind", "expected"),
     [
-        ("tactsuit-x40", None, "ahap", (FEWER,)), ("tactsuit-x40", None, "haptic", (FEWER,)),
-        ("tactsuit-x40", None, "tact", ()), ("tactsuit-x40", None, "wav", ()), ("tactsuit-x40", None, "hjif", ()),
-        ("graphiti", "tactsuit-x40", "ahap", (FEWER, PINS)), ("graphiti", "tactsuit-x40", "haptic", (FEWER, PINS)),
-        ("graphiti", "tactsuit-x40", "hjif", (PINS,)), ("graphiti", None, "tact", (PINS,)),
+        ("tactsuit-x40", None, "ahap", (FEWER,)),
+        ("tactsuit-x40", None, "haptic", (FEWER,)),
+        ("tactsuit-x40", None, "tact", ()),
+        ("tactsuit-x40", None, "wav", ()),
+        ("tactsuit-x40", None, "hjif", ()),
+        ("graphiti", "tactsuit-x40", "ahap", (FEWER, PINS)),
+        ("graphiti", "tactsuit-x40", "haptic", (FEWER, PINS)),
+        ("graphiti", "tactsuit-x40", "hjif", (PINS,)),
+        ("graphiti", None, "tact", (PINS,)),
     ],
-)  # fmt: skip
+)
 def test_each_note_on_drives_stands_beside_the_others(
     name: str, array: str | None, kind: str, expected: tuple[str, ...], drive: float, tmp_path: Path
 ) -> None:

@@ -1,4 +1,6 @@
-"""A folder of media: filed once, filed again only where it changed, searched, compared, held beside pictures."""
+"""A folder of media: filed once, filed again only where it changed, searched, compared,
+held beside pictures.
+"""
 
 from __future__ import annotations
 
@@ -243,7 +245,9 @@ def test_what_changed_since_is_told(folder: Path) -> None:
     assert len(search(folder, folder / "sphere.touch", 1).figures["matches"]) == 1
     expected = tf.measure.descriptor(tf.decode(folder / "sphere.touch"))
     best = MediumIndex.load(library_path(folder)).query(expected, 2)
-    assert found.figures["matches"][0]["distance"] == next(m.distance for m in best if m.name != "sphere.touch")
+    assert found.figures["matches"][0]["distance"] == next(
+        m.distance for m in best if m.name != "sphere.touch"
+    )
     index_folder(folder)
     (folder / "torus.touch").unlink()
     index_folder(folder)

@@ -301,7 +301,9 @@ PLACES = np.array([(i, j, 7) for i in (3, 4) for j in (3, 4)])
 
 
 def is_weak(corners: Any, place: Any, step_m: Any, turn_nm: float, friction: float) -> bool:
-    """True if forces at the corners of a cell, [2, 2, 2, 3], do not hold back a hand that comes from a place."""
+    """True if forces at the corners of a cell, [2, 2, 2, 3], do not hold back a hand that comes from a
+    place.
+    """
     edges, weak = np.zeros((2, 8, 8, 8), bool), np.zeros(1, bool)
     edges[(0, *place)] = True
     cells, frames = np.full((1, 3), 3), corners[None].astype(np.float32)
@@ -310,7 +312,9 @@ def is_weak(corners: Any, place: Any, step_m: Any, turn_nm: float, friction: flo
 
 
 def least_held_nm(corners: Any, place: Any, step_m: Any, friction: float, points: int) -> float:
-    """The least of -(x - a) . F - mu |(x - a) x F| at points of a cell, N m, of forces between its corners."""
+    """The least of -(x - a) . F - mu |(x - a) x F| at points of a cell, N m,
+    of forces between its corners.
+    """
     share = np.linspace(0.0, 1.0, points)
     weights = np.stack([1.0 - share, share])
     forces = np.einsum(

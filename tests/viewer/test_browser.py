@@ -124,9 +124,19 @@ def test_a_byte_is_told_where_a_record_does_not_hold(page: str, tmp_path: Path) 
 
 def test_it_is_played_sought_and_paused(page: str, tmp_path: Path) -> None:
     looks = [one for _ in range(6) for one in (step("wait", ms=130), step("state"))]
-    told = drive(tmp_path, step("goto", url=page), step("open", file=MOVING), step("state"), step("click", id="play"),
-                 *looks, step("press", key=" "), step("state"), step("seek", time=0), step("press", key="."),
-                 step("state"))  # fmt: skip
+    told = drive(
+        tmp_path,
+        step("goto", url=page),
+        step("open", file=MOVING),
+        step("state"),
+        step("click", id="play"),
+        *looks,
+        step("press", key=" "),
+        step("state"),
+        step("seek", time=0),
+        step("press", key="."),
+        step("state"),
+    )
     first, *playing = told.answers[2], *told.answers[5:16:2]
     paused, on = told.answers[17], told.answers[20]
     assert first["bodies"] > 1 and first["triangles"] > 0 and first["cones"] > 0 and not first["playing"]
@@ -191,10 +201,23 @@ def test_all_of_it_by_keys_and_told_in_words(page: str, tmp_path: Path) -> None:
         "j",
     ]
     pressed = [one for key in keys for one in (step("press", key=key), step("state"))]
-    told = drive(tmp_path, step("goto", url=page), step("open", file=MOVING), step("state"), *pressed,
-                 step("press", key="t"), step("text", id="spoken"), step("press", key="?"), step("text", id="help"),
-                 step("run", code="document.documentElement.className"), step("press", key="s"), step("wait", ms=700),
-                 step("state"), step("wait", ms=3000), step("state"))  # fmt: skip
+    told = drive(
+        tmp_path,
+        step("goto", url=page),
+        step("open", file=MOVING),
+        step("state"),
+        *pressed,
+        step("press", key="t"),
+        step("text", id="spoken"),
+        step("press", key="?"),
+        step("text", id="help"),
+        step("run", code="document.documentElement.className"),
+        step("press", key="s"),
+        step("wait", ms=700),
+        step("state"),
+        step("wait", ms=3000),
+        step("state"),
+    )
     states = dict(zip(keys, told.answers[4 : 4 + 2 * len(keys) : 2], strict=True))
     first = told.answers[2]
     assert states["ArrowUp"]["point"] != first["point"]
@@ -305,10 +328,20 @@ def test_a_game_pad_rumbles_as_strongly_as_the_probe_is_pushed(page: str, tmp_pa
         played.push({ kind, ...effect });
         return Promise.resolve("complete");
       } } }] }); 0"""
-    told = drive(tmp_path, step("goto", url=page), step("run", code=pad), step("open", file=SOLID),
-                 step("run", code="played.length"), step("click", id="rumble"), step("press", key="j"), step("state"),
-                 step("run", code="played"), step("press", key="v"), step("press", key="ArrowUp"),
-                 step("run", code="played.length"))  # fmt: skip
+    told = drive(
+        tmp_path,
+        step("goto", url=page),
+        step("run", code=pad),
+        step("open", file=SOLID),
+        step("run", code="played.length"),
+        step("click", id="rumble"),
+        step("press", key="j"),
+        step("state"),
+        step("run", code="played"),
+        step("press", key="v"),
+        step("press", key="ArrowUp"),
+        step("run", code="played.length"),
+    )
     silent, state, played, after = told.answers[3], told.answers[6], told.answers[7], told.answers[10]
     size = np.linalg.norm(state["force"][:3])
     assert told.errors == [] and silent == 0 and after == len(played) > 0
@@ -416,10 +449,19 @@ def test_a_movie_and_its_touch_are_on_one_clock(tmp_path: Path) -> None:
         "at.dispatchEvent(new Event('input')); })()"
     )
     looks = [one for _ in range(5) for one in (step("wait", ms=400), step("state"))]
-    told = drive(tmp_path, step("goto", url=(tmp_path / "page.html").as_uri()), step("run", code=ready),
-                 step("state"), step("click", id="play"), *looks, step("click", id="play"),
-                 step("run", code=sought),
-                 step("wait", ms=400), step("state"), step("shot", path=str(tmp_path / "movie.png")))  # fmt: skip
+    told = drive(
+        tmp_path,
+        step("goto", url=(tmp_path / "page.html").as_uri()),
+        step("run", code=ready),
+        step("state"),
+        step("click", id="play"),
+        *looks,
+        step("click", id="play"),
+        step("run", code=sought),
+        step("wait", ms=400),
+        step("state"),
+        step("shot", path=str(tmp_path / "movie.png")),
+    )
     first, playing, last = told.answers[2], told.answers[5:14:2], told.answers[17]
     assert told.errors == [] and not [
         url for url in told.requests if not url.startswith(("file:", "blob:", "data:"))

@@ -1,4 +1,6 @@
-"""The picture of a comparison: what it shows is where the force is, in millimetres, and in units of the mask."""
+"""The picture of a comparison: what it shows is where the force is, in millimetres,
+and in units of the mask.
+"""
 
 from __future__ import annotations
 

@@ -78,9 +78,12 @@ def test_a_file_of_a_folder_is_shown_by_its_name(tmp_path: Path) -> None:
     with served(folder, Access(port=0, token="a-long-word")) as address:
         page = f"http://{address}/view/a%20room/rise.touch"
         told = drive(
-            tmp_path, {"do": "goto", "url": page + "?token=a-long-word"}, {"do": "run", "code": f"{INNER}.state()"},
-            {"do": "run", "code": f"{INNER}.feel([0, -0.035, 0])"}, offline=False,
-        )  # fmt: skip
+            tmp_path,
+            {"do": "goto", "url": page + "?token=a-long-word"},
+            {"do": "run", "code": f"{INNER}.state()"},
+            {"do": "run", "code": f"{INNER}.feel([0, -0.035, 0])"},
+            offline=False,
+        )
     assert told.errors == [] and {url.split("/")[2] for url in told.requests if url.startswith("http")} == {
         address
     }
@@ -166,8 +169,15 @@ def test_of_a_large_file_only_what_is_played_is_fetched(tmp_path: Path) -> None:
     feel = {"do": "run", "code": f"{INNER}.feel({points.reshape(-1).tolist()})"}
     between = 7.95  # the last frame of a segment, and the first of the next one
     with _Ranges(data) as server:
-        told = drive(tmp_path, {"do": "goto", "url": server.view}, {"do": "run", "code": f"{INNER}.state()"}, feel,
-                     {"do": "run", "code": f"{INNER}.seek({between})"}, feel, offline=False)  # fmt: skip
+        told = drive(
+            tmp_path,
+            {"do": "goto", "url": server.view},
+            {"do": "run", "code": f"{INNER}.state()"},
+            feel,
+            {"do": "run", "code": f"{INNER}.seek({between})"},
+            feel,
+            offline=False,
+        )
         first_asked = list(server.asked)
         played = drive(
             tmp_path, {"do": "goto", "url": server.view},
@@ -218,9 +228,15 @@ def test_files_in_parts_are_the_same_files(tmp_path: Path, name: str) -> None:
         for time_s in (0.0, 0.0004, 0.05, 9.0)
         for one in ({"do": "seek", "time": time_s}, {"do": "feel", "points": points})
     ]
-    told = drive(tmp_path, {"do": "goto", "url": (tmp_path / "page.html").as_uri()},
-                 {"do": "open", "file": GOLDEN / whole}, *looks, {"do": "run", "code": _in_parts(parts)}, *looks,
-                 {"do": "state"})  # fmt: skip
+    told = drive(
+        tmp_path,
+        {"do": "goto", "url": (tmp_path / "page.html").as_uri()},
+        {"do": "open", "file": GOLDEN / whole},
+        *looks,
+        {"do": "run", "code": _in_parts(parts)},
+        *looks,
+        {"do": "state"},
+    )
     assert told.errors == [] and told.answers[-1]["name"] == "parts" and told.answers[-1]["state"] == "ready"
     count = len(looks)
     assert told.answers[3 : 2 + count : 2] == told.answers[4 + count : 3 + 2 * count : 2]
@@ -249,8 +265,13 @@ def test_what_a_server_answers_is_not_believed(
     tf.encode(noise(40), tmp_path / "a.touch", EncodeSpec(touch=tf.codec.TouchSpec(segment_frames=8)))
     with _Ranges((tmp_path / "a.touch").read_bytes(), spoil) as server:
         fault = "document.querySelector('iframe').contentDocument.getElementById('fault').textContent"
-        told = drive(tmp_path, {"do": "goto", "url": server.view}, {"do": "run", "code": f"{INNER}.state().state"},
-                     {"do": "run", "code": fault}, offline=False)  # fmt: skip
+        told = drive(
+            tmp_path,
+            {"do": "goto", "url": server.view},
+            {"do": "run", "code": f"{INNER}.state().state"},
+            {"do": "run", "code": fault},
+            offline=False,
+        )
     assert told.answers[1] == "fault" and (words in told.answers[2] or "cut short" in told.answers[2]), (
         told.answers
     )
@@ -291,8 +312,16 @@ def test_what_is_live_is_followed(tmp_path: Path) -> None:
         thread.start()
         look = {"do": "run", "code": f"{INNER}.state()"}
         wait = {"do": "wait", "ms": 1500}
-        told = drive(tmp_path, {"do": "goto", "url": f"http://{server.address}/view"}, look, wait, look, wait, look,
-                     offline=False)  # fmt: skip
+        told = drive(
+            tmp_path,
+            {"do": "goto", "url": f"http://{server.address}/view"},
+            look,
+            wait,
+            look,
+            wait,
+            look,
+            offline=False,
+        )
         stop.set()
         thread.join(10)
     names = [told.answers[n]["name"] for n in (1, 3, 5)]

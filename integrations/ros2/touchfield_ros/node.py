@@ -44,7 +44,9 @@ class Play(Node):
         medium = opened.scene or opened.medium
         allowed = self._told("force_max_n")
         self.force_max_n = (
-            min(allowed, opened.declared_device.force_max_n) if allowed > 0 else opened.declared_device.force_max_n
+            min(allowed, opened.declared_device.force_max_n)
+            if allowed > 0
+            else opened.declared_device.force_max_n
         )
         self.seconds = len(opened.medium) / opened.medium.rate_hz
         self.sampler = tf.FieldSampler(medium)

@@ -17,8 +17,8 @@ sqrt(B/(B - 1)) t/z, Student's t with B - 1 degrees of freedom over the normal q
 contain E. A bias-corrected estimate has the *normal* interval, E -+ t sqrt(B/(B - 1)) times the standard
 deviation of the resamples.
 
-The measured coverage is documented in `tests/measure/test_bootstrap.py`: 89 % to 94 % for plug-in estimates of
-dependent samples where the percentile interval has 58 % to 94 %; 94 % to 97 % for bias-corrected H;
+The measured coverage is documented in `tests/measure/test_bootstrap.py`: 89 % to 94 % for plug-in estimates
+of dependent samples where the percentile interval has 58 % to 94 %; 94 % to 97 % for bias-corrected H;
 87 % to 95 % for ratios. Of plug-in H of Gaussian fields of correlation exp(-r^2/2L^2) 27 blocks cover 92 % at
 64^3 samples with L = 5, and 77 % with L = 8: blocks should be many times as long as the dependence, and 16 or
 more.

@@ -413,7 +413,9 @@ def test_fields_are_of_objects_that_deform(decoding: tuple[ObjectsDecoder, list[
 def test_the_parts_of_a_segment_are_read_once_for_all_objects(
     stream_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Thousands of objects each ask for the same body: reading it anew would cost the square of their number."""
+    """Thousands of objects each ask for the same body: reading it anew would cost the square of their
+    number.
+    """
     calls = []
     read = SegmentParts.from_bytes
     monkeypatch.setattr(SegmentParts, "from_bytes", lambda *a: calls.append(a) or read(*a))

@@ -1,4 +1,6 @@
-"""The pose coder: quantised poses keep the force within the mask, and the bytes are what the document says."""
+"""The pose coder: quantised poses keep the force within the mask, and the bytes are what the document
+says.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def rng_units(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def falling(count: int, seed: int = 0, rate_hz: float = 1000.0, every_s: float = 0.4) -> PoseTrack:
-    """A tumbling body that bounces every so often: parabolas, and a new spin of some 10 rad/s at each bounce."""
+    """A tumbling body that bounces every so often: parabolas, and a new spin of some 10 rad/s at each
+    bounce.
+    """
     rng = np.random.default_rng(seed)
     bounce, phase_s = np.divmod(np.arange(count) / rate_hz, every_s)
     height = 9.81 / 2 * phase_s * (every_s - phase_s)
@@ -221,7 +225,9 @@ def test_random_bytes_are_a_fault_or_a_track(data: bytes, count: int, steps: Pos
 
 
 def test_quaternions_that_are_none_are_corrupt() -> None:
-    """Steps other than those of the encoder make quaternions of a wrong length, or numbers beyond the limit."""
+    """Steps other than those of the encoder make quaternions of a wrong length,
+    or numbers beyond the limit.
+    """
     data = encode_poses(PoseTrack.constant(3), FINE)
     with pytest.raises(CorruptFile, match="frame 0"):
         decode_poses(data, 3, PoseSteps(FINE.position_m, FINE.quaternion / 2))

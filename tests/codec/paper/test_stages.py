@@ -105,7 +105,9 @@ def test_the_wavelet_comes_back_to_the_bit(seed: int) -> None:
 
 
 def test_the_wavelet_is_legalls() -> None:
-    """Against ISO/IEC 15444-1: a line leaves no detail but at its end, and a lone detail has the 5/3 shape."""
+    """Against ISO/IEC 15444-1: a line leaves no detail but at its end, and a lone detail has the 5/3
+    shape.
+    """
     line = np.broadcast_to(np.arange(0, 80, 10)[:, None, None], (8, 8, 8))
     made = _to_wavelet(line[None, ..., None])[0, ..., 0]
     assert not made[4:7].any() and made[7].any()

@@ -16,8 +16,18 @@ __all__ = ["GRID", "KINDS", "SHAPES", "case_of", "field_of", "hills", "round_tri
 GRID = Grid((20, 17, 13), (0.001, 0.002, 0.0015), (0.0, 0.01, -0.02))
 
 KINDS = (
-    "empty", "sparse", "dense", "constant", "noise", "one", "checkerboard", "denormal", "threshold", "huge", "full",
-)  # fmt: skip
+    "empty",
+    "sparse",
+    "dense",
+    "constant",
+    "noise",
+    "one",
+    "checkerboard",
+    "denormal",
+    "threshold",
+    "huge",
+    "full",
+)
 
 SHAPES = ((1, 1, 1), (1, 1, 1000), (700, 1, 2), (8, 8, 8), (9, 7, 10), (32, 32, 1), (20, 17, 13), (3, 150, 2))
 

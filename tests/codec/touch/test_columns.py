@@ -34,7 +34,9 @@ def solid(step: float = 0.0, blurred: bool = False) -> np.ndarray:
 
 
 def turned(forces: np.ndarray, axis: int, inverted: bool) -> ForceField:
-    """The field with its main axis along `axis`, pushing towards larger or (not `is_inverted`) smaller indices."""
+    """The field with its main axis along `axis`, pushing towards larger or (not `is_inverted`) smaller
+    indices.
+    """
     order = [*(c for c in range(3) if c != 2), 2]
     order.insert(axis, order.pop())
     out = np.ascontiguousarray(forces.transpose(*order, 3)[..., order])

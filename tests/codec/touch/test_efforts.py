@@ -34,9 +34,11 @@ def walls(count: int) -> list[ForceField]:
 @pytest.mark.parametrize("name", ["wall", "solid", "rough", "standing"])
 def test_efforts_write_the_same_bytes(name: str) -> None:
     frames = {
-        "wall": walls(2), "solid": [hills(24, None, 0.7 * i) for i in range(2)], "rough": [rough(0.0), rough(0.4)],
+        "wall": walls(2),
+        "solid": [hills(24, None, 0.7 * i) for i in range(2)],
+        "rough": [rough(0.0), rough(0.4)],
         "standing": [hills(24, 5)] * 3,
-    }[name]  # fmt: skip
+    }[name]
     bodies = set()
     for effort in EFFORTS:
         body, _, decoded = round_trip(frames, TouchSpec(effort=effort))

@@ -1,4 +1,6 @@
-"""Damaged bodies: only the named errors come out, in bounded memory; `bench/fuzz_touch.py` looks for longer."""
+"""Damaged bodies: only the named errors come out, in bounded memory; `bench/fuzz_touch.py` looks for
+longer.
+"""
 
 from __future__ import annotations
 

@@ -20,7 +20,8 @@ from touchfield.medium import ForceField, Grid
 
 
 @pytest.mark.parametrize(
-    ("frame", "kind"), [(ball(), base_layer.SPLINE), (turned(solid(step=9, blurred=True), 2, True), base_layer.COLUMNS)]
+    ("frame", "kind"),
+    [(ball(), base_layer.SPLINE), (turned(solid(step=9, blurred=True), 2, True), base_layer.COLUMNS)],
 )
 def test_the_kind_of_a_field(frame, kind):
     found, share = fit_base_layer(frame, lattice_of(frame), limits_of(lattice_of(frame)), TouchSpec())
@@ -39,7 +40,9 @@ def test_the_agreement_of_a_field():
     assert fraction_within_bound(frame, FixedField(frame.bricks, exact), lattice.unit_n, TouchSpec()) == 1
     small = np.linalg.norm(frame.forces_n, axis=-1) <= 0.05
     some = (counts[:half].sum() + (small & (frame.forces_n != 0).any(-1))[half:].sum()) / counts.sum()
-    told = fraction_within_bound(frame, FixedField(frame.bricks[:half], exact[:half]), lattice.unit_n, TouchSpec())
+    told = fraction_within_bound(
+        frame, FixedField(frame.bricks[:half], exact[:half]), lattice.unit_n, TouchSpec()
+    )
     assert told == pytest.approx(some, abs=1e-3)
 
 

@@ -62,7 +62,9 @@ def test_roots_are_exact(n: int, s: int) -> None:
 
 @pytest.mark.parametrize(("floor", "rate"), LATTICES)
 def test_lengths_come_back_from_the_warp(floor: int, rate: int) -> None:
-    """Within a sixteenth of a sixteenth of a step, and odd; neighbours a step apart are about a step apart."""
+    """Within a sixteenth of a sixteenth of a step, and odd; neighbours a step apart are about a step
+    apart.
+    """
     border = warp_of(floor, rate)
     assert border[0] == 0 and (np.diff(border) > 0).all() and border[-1] > 1 << 26
     rng = np.random.default_rng(floor)

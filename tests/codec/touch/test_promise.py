@@ -112,4 +112,7 @@ def test_agreement_is_a_share_of_voxels() -> None:
     # of four voxels with a force, here or there, the first keeps the mask
     assert fraction_within_bound(original, guess, 0.01, MASK) == 0.25
     assert fraction_within_bound(original, guess, 0.01, replace(MASK, mode="nmse", step_n=0.11)) == 0.25
-    assert fraction_within_bound(ForceField.empty(GRID), FixedField(guess.bricks[:0], vectors[:0]), 0.01, MASK) == 1.0
+    assert (
+        fraction_within_bound(ForceField.empty(GRID), FixedField(guess.bricks[:0], vectors[:0]), 0.01, MASK)
+        == 1.0
+    )

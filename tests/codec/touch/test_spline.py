@@ -52,7 +52,9 @@ def test_a_ball_takes_few_bytes_and_keeps_the_mask_nearly_everywhere(coded):
 
 
 def test_the_guess_is_smoother_than_the_mask(coded):
-    """Along a line below the surface the error has no jumps: its second differences are far below the mask."""
+    """Along a line below the surface the error has no jumps: its second differences are far below the
+    mask.
+    """
     frame, _, _, guess = coded
     error = guess[30, :, 26] - frame.to_dense()[30, :, 26]
     inside = np.linalg.norm(frame.to_dense()[30, :, 26], axis=-1) > 0.3
@@ -68,7 +70,9 @@ def test_the_bytes_give_what_the_fit_said(coded):
 
 @pytest.mark.parametrize("shifts", [(3, 2, 4), (5, 5, 5), (2, 4, 3)])
 def test_an_affine_potential_comes_back_exactly(shifts):
-    """A wall: f grows along x, and so do the forces, against it; also across the cells of a coarse lattice."""
+    """A wall: f grows along x, and so do the forces, against it; also across the cells of a coarse
+    lattice.
+    """
     head = spline.Head(shifts, 1, (1 << 15, 1 << 15, 1 << 15))
     bricks = np.array([[1, 0, 0], [1, 1, 0], [2, 0, 0], [3, 2, 4]], np.int32)
     nodes = spline.Nodes(bricks, shifts)

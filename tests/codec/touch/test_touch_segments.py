@@ -1,4 +1,6 @@
-"""Segments: frames that stand alone and that follow, what is forgotten between them, and a common beginning."""
+"""Segments: frames that stand alone and that follow, what is forgotten between them,
+and a common beginning.
+"""
 
 from __future__ import annotations
 

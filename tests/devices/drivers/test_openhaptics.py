@@ -28,7 +28,9 @@ WORDS = 512
 
 @njit
 def cycle(i8, u8, f8, f4, x, y, z, now_ns):
-    """A stand-in with the renderer's signature: leaves in the block what it got, and goes to zero on release."""
+    """A stand-in with the renderer's signature: leaves in the block what it got,
+    and goes to zero on release.
+    """
     if i8[RAISE] and i8[TICKS] == i8[RAISE]:
         raise ValueError("a renderer at fault")
     u8[100 + i8[TICKS] % 256] = np.uint64(now_ns)

@@ -1,4 +1,6 @@
-"""Folders of depth as people have them: poses and cameras in every form, found and told, or named as unread."""
+"""Folders of depth as people have them: poses and cameras in every form, found and told,
+or named as unread.
+"""
 
 from __future__ import annotations
 

@@ -211,10 +211,16 @@ def test_tum_leaves_out_a_frame_whose_pose_is_too_far_in_time(tmp_path: Path) ->
 
 @pytest.mark.parametrize(
     ("name", "fx"),
-    [("rgbd_fr1_desk", 517.3), ("rgbd_dataset_freiburg2_xyz", 520.9), ("fr3", 535.4), ("rgbd_bonn_box", 542.822841),
-     ("living_room_traj1_frei_png", 481.2), ("fr1/fr3", 535.4),
-     ("fr1st", None)],
-)  # fmt: skip
+    [
+        ("rgbd_fr1_desk", 517.3),
+        ("rgbd_dataset_freiburg2_xyz", 520.9),
+        ("fr3", 535.4),
+        ("rgbd_bonn_box", 542.822841),
+        ("living_room_traj1_frei_png", 481.2),
+        ("fr1/fr3", 535.4),
+        ("fr1st", None),
+    ],
+)
 def test_tum_knows_its_cameras_by_name(tmp_path: Path, name: str, fx: float | None) -> None:
     folder = tmp_path / name / "run"
     make.write_png(folder / "depth" / "1.5.png", np.full((480, 640), 5000, np.uint16))

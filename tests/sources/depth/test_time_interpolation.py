@@ -160,7 +160,9 @@ def test_a_hand_before_a_wall() -> None:
 
 
 def test_poses_between_poses_turn_and_move_evenly() -> None:
-    """Of a camera that turns about a fixed axis and moves along a line, all poses between lie on that motion."""
+    """Of a camera that turns about a fixed axis and moves along a line,
+    all poses between lie on that motion.
+    """
     axis = np.array([1.0, 2.0, -2.0]) / 3
 
     def pose(i: np.ndarray) -> np.ndarray:

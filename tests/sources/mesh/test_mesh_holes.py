@@ -1,4 +1,6 @@
-"""Holes of meshes: what is closed, what is left, and that nothing is felt outside what the surface enclosed."""
+"""Holes of meshes: what is closed, what is left, and that nothing is felt outside what the surface
+enclosed.
+"""
 
 from __future__ import annotations
 

@@ -300,7 +300,9 @@ def test_a_body_that_deforms_takes_its_own_frame() -> None:
     first, _, last = (scene.field(frame, GRID, WALL).support_count for frame in range(3))
     assert first < last
     with pytest.raises(InvalidArgument, match="rigid motion"):
-        BodyScene([Body("grows", Counted(3), PoseTrack.constant(3, (0.1, 0, 0)))], RATE_HZ).field(1, GRID, WALL)
+        BodyScene([Body("grows", Counted(3), PoseTrack.constant(3, (0.1, 0, 0)))], RATE_HZ).field(
+            1, GRID, WALL
+        )
 
 
 def test_bodies_beyond_the_lattice_and_on_its_border() -> None:

@@ -89,7 +89,8 @@ def test_the_step_divides_the_frame(timestep: float, rate_hz: float, step_s: flo
 def test_every_rigid_geom_stands_where_mujoco_has_it() -> None:
     assets = f'<asset><mesh name="wedge" {WEDGE}/></asset>'
     geoms = """
-    <geom type="sphere" size=".05" pos="0 0 .1"/><geom type="capsule" size=".03 .05" pos=".3 0 0" euler="20 30 40"/>
+    <geom type="sphere" size=".05" pos="0 0 .1"/>
+    <geom type="capsule" size=".03 .05" pos=".3 0 0" euler="20 30 40"/>
     <geom type="cylinder" size=".03 .05" pos=".6 0 0" euler="20 30 40"/>
     <geom type="box" size=".03 .05 .02" pos=".9 0 0"/>
     <geom type="ellipsoid" size=".03 .05 .02" pos="1.2 0 0" euler="0 0 30"/>

@@ -204,7 +204,8 @@ def test_every_kind_falls_on_its_own_surface(tmp_path: Path) -> None:
     }
     text = "[physics]\nseconds = 0.5\nstep_s = 0.0002\nrestitution = 0\n[floor]\nheight_m = 0.3\n"
     for i, (kind, size) in enumerate(sizes.items()):
-        text += f'[[body]]\nkind = "{kind}"\n{size}\nposition_m = [{0.2 * i}, 0, 0.34]\nrotation_deg = [10, 5, 0]\n'
+        text += f'[[body]]\nkind = "{kind}"\n{size}\n'
+        text += f"position_m = [{0.2 * i}, 0, 0.34]\nrotation_deg = [10, 5, 0]\n"
     (tmp_path / "all.toml").write_text(text)
     scene = open_source(tmp_path / "all.toml")
     assert isinstance(scene, BodyScene) and scene.notes == ()

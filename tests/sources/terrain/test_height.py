@@ -137,7 +137,9 @@ def test_noise_hardly_turns_the_normal_and_a_step_does_not() -> None:
 def test_beside_a_step_the_plane_of_the_nearest_sample_goes_on(
     dx_m: float, dy_m: float, facing: int, axis: str
 ) -> None:
-    """A plane on either side of a cliff, of columns and rows that are unequally wide and may run downwards."""
+    """A plane on either side of a cliff, of columns and rows that are unequally wide and may run
+    downwards.
+    """
     a, b, cliff_m = 0.3, -0.2, 0.5
     lattice = HeightLattice(-9.5 * dx_m, dx_m, -9.5 * dy_m, dy_m, facing, step_m=0.1)
     x, y = (step_m * (np.arange(20) - 9.5) for step_m in (dx_m, dy_m))
@@ -328,10 +330,18 @@ def tiff(path: Path, values: np.ndarray, tags: dict[int, tuple[int, tuple | str]
     sample_format = {"u": 1, "i": 2, "f": 3}[values.dtype.kind]
     rows, cols = values.shape
     entries = {
-        256: (3, (cols,)), 257: (3, (rows,)), 258: (3, (8 * values.dtype.itemsize,)), 259: (3, (1,)), 262: (3, (1,)),
-        273: (4, (8,)), 277: (3, (1,)), 278: (3, (rows,)), 279: (4, (values.nbytes,)), 339: (3, (sample_format,)),
+        256: (3, (cols,)),
+        257: (3, (rows,)),
+        258: (3, (8 * values.dtype.itemsize,)),
+        259: (3, (1,)),
+        262: (3, (1,)),
+        273: (4, (8,)),
+        277: (3, (1,)),
+        278: (3, (rows,)),
+        279: (4, (values.nbytes,)),
+        339: (3, (sample_format,)),
         **tags,
-    }  # fmt: skip
+    }
     data = values.astype(values.dtype.newbyteorder("<")).tobytes()
     data += b"\0" * (len(data) % 2)
     codes, extra, table = {2: "s", 3: "H", 4: "I", 12: "d"}, b"", b""
