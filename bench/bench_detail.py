@@ -7,7 +7,8 @@ means of cells by the project's own `resample`, level by level. "signed depth": 
 would tell if |F| were continued below zero in front of the surface, by the field's own median slope, and cut
 at zero after the interpolation; every receiver would have to know of that. Beyond: voxels outside max(F_0, k
 |F|) over those of level 0 that hold a force, k 0.1, F_0 0.05 N. Holes: columns along
-the main direction of the force in which a fifth of the peak or less is left. Peak: median over the columns of the peak that is left.
+the main direction of the force in which a fifth of the peak or less is left. Peak: median over the columns
+of the peak that is left.
 """
 
 from __future__ import annotations

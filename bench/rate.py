@@ -44,11 +44,13 @@ DEFAULT = "default"
 MEAN, P_OVER_I = 1.0, 1.0
 """Over the figures before: bytes on the mean of the fields; later frames over frames coded alone."""
 SPEEDS = {
-    ("tum band", DEFAULT, "decode"): 60, ("tum band", DEFAULT, "encode"): 12, ("icl "
-                                                                               "band", DEFAULT, "decode"): 30,
-    ("icl band", DEFAULT, "encode"): 8, ("tum band", "fast", "encode"): 40, ("icl "
-                                                                             "band", "fast", "encode"): 20,
-}  # fmt: skip
+    ("tum band", DEFAULT, "decode"): 60,
+    ("tum band", DEFAULT, "encode"): 12,
+    ("icl band", DEFAULT, "decode"): 30,
+    ("icl band", DEFAULT, "encode"): 8,
+    ("tum band", "fast", "encode"): 40,
+    ("icl band", "fast", "encode"): 20,
+}
 """Frames a second at 128^3 on two cores, at least."""
 SAME_DB = 0.1
 """Errors nearer than this are compared."""

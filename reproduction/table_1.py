@@ -119,11 +119,21 @@ def _table(one: SceneCounts, filters: tuple[PerceptualFilter, ...]) -> str:
         volumes = [count(one.by_volume[r, True]) for r in READINGS]
         rows.append(["", "object, by volume", "", *volumes, volume_why])
     rows += [
-        ["Device filter (1st frame)", "voxel", "8·10^9", *[count(on_device)] * 2, f"{lattice}, 0.055 mm "
-                                                                                  "apart"],
-        ["", "object", "1.8·10^5" if printed.on_device[1] < 1e6 else count(printed.on_device[1]),
-         *(counted(one.on_device[r].count) for r in READINGS), "as above"],
-    ]  # fmt: skip
+        [
+            "Device filter (1st frame)",
+            "voxel",
+            "8·10^9",
+            *[count(on_device)] * 2,
+            f"{lattice}, 0.055 mm apart",
+        ],
+        [
+            "",
+            "object",
+            "1.8·10^5" if printed.on_device[1] < 1e6 else count(printed.on_device[1]),
+            *(counted(one.on_device[r].count) for r in READINGS),
+            "as above",
+        ],
+    ]
     if one.by_volume:
         volumes = [count(one.by_volume[r, False]) for r in READINGS]
         rows.append(["", "object, by volume", "", *volumes, volume_why])

@@ -31,13 +31,15 @@ WRITING = {
     "encode": ("sphere.toml {out}.touch --nw 3",),
     "filter": ("sphere.touch {out}.touch --gaussian 2mm", "sphere.touch {out}.npz --gaussian 2mm"),
     "field": (
-        "sphere.toml {out}.npz --nw 3", "sphere.toml {out}.vti --nw 3", "sphere.toml --preview {out}.png "
-                                                                        "--nw 3",
+        "sphere.toml {out}.npz --nw 3",
+        "sphere.toml {out}.vti --nw 3",
+        "sphere.toml --preview {out}.png --nw 3",
     ),
     "plan": ("sphere.toml --budget 60kB --nw 3 --plot {out}.png",),
     "decode": ("sphere.touch {out}.npz", "sphere.touch {out}.vti"),
     "export": (
-        "sphere.touch {out}.wav --trajectory hand.csv", "sphere.touch {out}.hjif --trajectory hand.csv",
+        "sphere.touch {out}.wav --trajectory hand.csv",
+        "sphere.touch {out}.hjif --trajectory hand.csv",
         "sphere.touch {out}.html",
     ),
     "edit": ("sphere.touch {out}.touch --operator gain:2", "sphere.touch {out}.npz --operator gain:2"),
@@ -55,7 +57,7 @@ WRITING = {
     "reduce": ("moving.touch {out}.touch", "moving.touch --cull {out}.touch"),
     "index": (". --index {out}.npz",),
     "points": ("5 sphere.touch {out}.touch", "5 sphere.touch {out}.npz"),
-}  # fmt: skip
+}
 """Of each command that writes a file its arguments."""
 
 READING = {

@@ -153,10 +153,12 @@ def test_cells_with_equal_hashes_are_told_apart() -> None:
 def test_contexts_are_named_and_their_dilution_has_its_figures() -> None:
     frames = fields_of(np.stack([sparse((6, 7, 8), 9, 0.5, seed) for seed in (0, 1)]), 9)
     names = {
-        ("none", False): "H(S)", ("none", True): "H(S|previous frame)", ("previous", False): "H(S|1 "
-                                                                                             "neighbour)",
-        ("axes", False): "H(S|3 neighbours)", ("corner", True): "H(S|7 neighbours, previous frame)",
-    }  # fmt: skip
+        ("none", False): "H(S)",
+        ("none", True): "H(S|previous frame)",
+        ("previous", False): "H(S|1 neighbour)",
+        ("axes", False): "H(S|3 neighbours)",
+        ("corner", True): "H(S|7 neighbours, previous frame)",
+    }
     for (neighbourhood, previous_frame), name in names.items():
         found = context_entropy(frames, neighbourhood, previous_frame=previous_frame)
         assert found.per_voxel.name == name

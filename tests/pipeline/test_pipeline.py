@@ -44,10 +44,11 @@ def test_frames_that_are_decoded_without_a_force_are_told(tmp_path: Path) -> Non
     empty = ForceField.empty(grid)
     alone = EncodeSpec(touch=TouchSpec(segment_frames=1))
     for frames, told in (
-        ((strong, weak, empty), "In 1 of 3 frames nothing"), ((strong, empty, strong), ""),
-        ((weak, strong, weak), "In 2 of 3 frames nothing"), ((weak, weak, strong), "In 2 of 3 frames "
-                                                                                   "nothing"),
-    ):  # fmt: skip
+        ((strong, weak, empty), "In 1 of 3 frames nothing"),
+        ((strong, empty, strong), ""),
+        ((weak, strong, weak), "In 2 of 3 frames nothing"),
+        ((weak, weak, strong), "In 2 of 3 frames nothing"),
+    ):
         notes = encode(HapticMedium.from_frames(frames, 30.0), tmp_path / "out.touch", alone).notes
         assert [told in note and "--f0-n" in note for note in notes[1:]] == [True] * bool(told)
 

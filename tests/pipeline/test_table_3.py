@@ -57,13 +57,18 @@ def test_figures_in_order_follow_every_trend() -> None:
     ("case", "point", "failing"),
     [
         (Case(1, 0.25, True), Point(0.2, -20.5), {"CR falls with k": 1}),
-        (Case(5, 0.1, False), Point(0.5, -19.0), {"CR falls with m": 1, "multi-frame CR below "
-                                                                        "single-frame": 1,
-                                                  "CR falls with k": 1}),
-        (Case(2, 0.1, True), Point(0.0892, -17.0), {"NMSE worsens with k": 1, "high directions better than "
-                                                                              "low": 1}),
+        (
+            Case(5, 0.1, False),
+            Point(0.5, -19.0),
+            {"CR falls with m": 1, "multi-frame CR below single-frame": 1, "CR falls with k": 1},
+        ),
+        (
+            Case(2, 0.1, True),
+            Point(0.0892, -17.0),
+            {"NMSE worsens with k": 1, "high directions better than low": 1},
+        ),
     ],
-)  # fmt: skip
+)
 def test_one_figure_out_of_order_is_found(case: Case, point: Point, failing: dict[str, int]) -> None:
     found = trends({**_orderly(), case: point})
     assert {t.name: len(t.failures) for t in found if not t.holds} == failing

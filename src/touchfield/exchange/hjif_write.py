@@ -117,10 +117,14 @@ def write_hjif_array(
 
     size = f"{columns} x {rows} actuators"
     _write(
-        path, description or f"array of {size}", DEFAULT_TIMESCALE, ("Vibrotactile", f"{size}, {panel} of "
-                                                                                     "the chest"),
-        device_name, channels(), columns * rows,
-    )  # fmt: skip
+        path,
+        description or f"array of {size}",
+        DEFAULT_TIMESCALE,
+        ("Vibrotactile", f"{size}, {panel} of the chest"),
+        device_name,
+        channels(),
+        columns * rows,
+    )
 
 
 def write_hjif_force(

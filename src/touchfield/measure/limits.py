@@ -72,10 +72,11 @@ class CellCounter:
         needed = size * (8 * self.word_count + 16)
         if size > _MAX_KEYS or needed > memory_budget_bytes() // 2:
             raise InvalidArgument(
-                "joint cells", f"more than {size // 2} different ones", f"up to {memory_budget_bytes() // 2} "
-                                                                        "bytes",
+                "joint cells",
+                f"more than {size // 2} different ones",
+                f"up to {memory_budget_bytes() // 2} bytes",
                 "Give fewer frames or a coarser quantiser, or set TOUCHFIELD_MEMORY_GIB.",
-            )  # fmt: skip
+            )
         self._slots = np.full(2 * size, -1, np.int32)
         self._keys = np.zeros((size, self.word_count), np.uint64)
         self._counts = np.zeros(size, np.int64)

@@ -317,9 +317,14 @@ class Plan:
             at = self.cost(choice), choice.nmse_db
             panel.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6)
             cost = f"{amount(at[0], self.unit)}, {100 * choice.mask_fraction:.1f} % in the mask"
-            panel.annotate(f"{choice.kind}, {choice.options}\n{cost}", at, (12, 12), textcoords="offset "
-                                                                                                "points",
-                           fontsize=8, parse_math=False)  # fmt: skip
+            panel.annotate(
+                f"{choice.kind}, {choice.options}\n{cost}",
+                at,
+                (12, 12),
+                textcoords="offset points",
+                fontsize=8,
+                parse_math=False,
+            )
         panel.set_xscale("log")
         panel.set_xlabel(
             f"{self.unit} (dashed: the budget; line: the frontier; ring: the choice)", fontsize=8

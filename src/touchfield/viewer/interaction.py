@@ -94,9 +94,14 @@ def _draw_force(axis: Any, view: InteractionView) -> None:
     for limit, word in ((view.peak_n, "peak"), (view.continuous_n, "continuous")):
         if limit is not None and limit <= 2 * max(top, 1e-9):
             axis.axhline(limit, color="0.5", lw=0.8, ls="--")
-            axis.annotate(f"{word} {limit:g} N", (0.005, limit), xycoords=("axes "
-                                                                           "fraction", "data"), fontsize=7,
-                          va="bottom", color="0.35")  # fmt: skip
+            axis.annotate(
+                f"{word} {limit:g} N",
+                (0.005, limit),
+                xycoords=("axes fraction", "data"),
+                fontsize=7,
+                va="bottom",
+                color="0.35",
+            )
     axis.set_ylabel("|F|, N")
     axis.set_ylim(bottom=0)
     _draw_legend(axis)

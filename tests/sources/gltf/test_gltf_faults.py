@@ -92,13 +92,15 @@ def refused(gltf: Gltf, tmp_path: Path, *words: str) -> None:
         (drop("animations", 0, "samplers", 0, "input"), ["samplers[0]", "input"]),
         (put("animations", 0, "samplers", 0, "interpolation", value="FAST"), ["'FAST'", "LINEAR"]),
         (put("animations", 0, "channels", 0, "sampler", value=4), ["channels[0]", "sampler: found 4"]),
-        (put("animations", 0, "channels", 0, "target", "path", value="weights"), ["weights", "morph "
-                                                                                             "targets"]),
+        (
+            put("animations", 0, "channels", 0, "target", "path", value="weights"),
+            ["weights", "morph targets"],
+        ),
         (put("extensionsRequired", value=["KHR_draco_mesh_compression"]), ["'KHR_draco_mesh_compression'"]),
         (put("extensionsRequired", value=["EXT_meshopt_compression"]), ["'EXT_meshopt_compression'"]),
         (put("asset", "version", value="1.0"), ["version '1.0'"]),
     ],
-)  # fmt: skip
+)
 def test_one_wrong_entry_is_named(change: Change, words: list[str], tmp_path: Path) -> None:
     gltf = moving_cube()
     gltf.save(tmp_path / "a.gltf")
