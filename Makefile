@@ -13,17 +13,17 @@ SECOND := $(addprefix tests/,cli codec conformance network pipeline render tasks
 FIRST := $(filter-out $(SECOND) tests/plugin tests/__pycache__,$(patsubst %/,%,$(wildcard tests/*/))) $(wildcard tests/test_*.py)
 test: .venv/ready
 	@export OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=; output=$$(mktemp); \
-	$(BIN)/python -m pytest -m "not thorough" -p no:cacheprovider $(SECOND) > $$output 2>&1 & \
-	second=$$!; $(BIN)/python -m pytest -m "not thorough" $(FIRST); first_status=$$?; \
+	$(BIN)/python -m pytest -m "not thorough and not external" -p no:cacheprovider $(SECOND) > $$output 2>&1 & \
+	second=$$!; $(BIN)/python -m pytest -m "not thorough and not external" $(FIRST); first_status=$$?; \
 	wait $$second; second_status=$$?; cat $$output; rm $$output; \
 	test $$first_status -eq 0 && test $$second_status -eq 0
 
-# What `make test` leaves out: the tests marked thorough, and every benchmark with its smallest settings.
+# What `make test` leaves out: the tests marked thorough or external, and every benchmark with its smallest settings.
 test-all: test-thorough
 	$(BIN)/python bench/run_all.py --quick
 
 test-thorough: .venv/ready
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m thorough tests
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "thorough or external" tests
 
 bench: .venv/ready
 	$(BIN)/python bench/run_all.py

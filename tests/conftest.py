@@ -28,6 +28,21 @@ SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 gc.disable()  # until all are collected: what is imported stays
 
 
+EXTERNAL = (
+    *("compute/test_cuda.py", "conformance/test_c.py", "conformance/test_c_head.py"),
+    *("conformance/test_c_queries.py", "conformance/test_core.py", "integrations", "viewer/test_browser.py"),
+    "test_docs.py::test_the_site_builds",
+)
+"""Tests of what other tools do with our files, by the beginning of their names below this folder."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark tests that need other tools as external."""
+    for item in items:
+        if item.nodeid.removeprefix("tests/").startswith(EXTERNAL):
+            item.add_marker("external")
+
+
 def pytest_collection_finish() -> None:
     """Modules and tests stay until the end: the collector of garbage need not go through them again and
     again.
