@@ -291,7 +291,7 @@ def test_samples_are_sent_exactly_and_the_rest_stays(mode: str) -> None:
         np.testing.assert_array_equal(new.to_dense(), expected)
         changed += int((expected != old.to_dense()).any())
     assert changed == 2
-    assert (amended.worst is None) == (mode == "nmse")
+    assert (amended.max_error is None) == (mode == "nmse")
 
 
 def test_a_lossless_segment_has_nothing_to_be_sent_exactly() -> None:
@@ -301,7 +301,7 @@ def test_a_lossless_segment_has_nothing_to_be_sent_exactly() -> None:
 
 
 @pytest.mark.parametrize("size_n", [0.01, 5.0])  # below the floor, and above it
-def test_an_anchor_is_kept_while_the_world_stands(size_n: float) -> None:
+def test_a_key_frame_is_kept_while_the_world_stands(size_n: float) -> None:
     spec = TouchSpec(k=0.1, f0_n=0.05)
     encoder, force = TouchEncoder(GRID, spec), np.array([0.0, 0.0, size_n])
     before = ForceField.from_support(GRID, [[3, 4, 5], [19, 8, 11]], [force, force])
@@ -309,12 +309,12 @@ def test_an_anchor_is_kept_while_the_world_stands(size_n: float) -> None:
     for share, is_kept in ((0.99, True), (1.01, False)):
         last = force + np.array([share * allowed_n, 0, 0])
         frame = ForceField.from_support(GRID, [[3, 4, 5], [19, 8, 11]], [force, last])
-        assert (encoder.anchor(frame, before) is before) == is_kept
-        assert (encoder.anchor(frame, before) is frame) != is_kept
-    assert encoder.anchor(before, None) is before
+        assert (encoder.key_frame(frame, before) is before) == is_kept
+        assert (encoder.key_frame(frame, before) is frame) != is_kept
+    assert encoder.key_frame(before, None) is before
     for mode in set(MODES) - {"mask", "mask-direction"}:
         frame = before.scaled(1.0)
-        assert TouchEncoder(GRID, TouchSpec(mode=mode)).anchor(frame, before) is frame
+        assert TouchEncoder(GRID, TouchSpec(mode=mode)).key_frame(frame, before) is frame
 
 
 def test_frames_that_cannot_be_coded_are_named() -> None:
@@ -341,7 +341,7 @@ def test_frames_that_cannot_be_coded_are_named() -> None:
 
 
 def test_poses_that_cannot_keep_to_a_damping_are_told_with_both_numbers() -> None:
-    track = PoseTrack(PoseTrack.still(3).quaternions, np.array([[0.0, 0, 0], [0.1, 0, 0], [0.3, 0, 0]]))
+    track = PoseTrack(PoseTrack.constant(3).quaternions, np.array([[0.0, 0, 0], [0.1, 0, 0], [0.3, 0, 0]]))
     told = r"poses that keep to 20 um, and a damping of 7 N s/m at 1000 Hz"
     with pytest.raises(InvalidArgument, match=told):
         choose_pose_steps(track, 0.03, 2e-5, Damping(7.0, 1000.0, 0.0))
@@ -349,7 +349,7 @@ def test_poses_that_cannot_keep_to_a_damping_are_told_with_both_numbers() -> Non
 
 
 def test_masking_of_bodies_is_refused() -> None:
-    body = HapticObject("a", HapticMedium.from_frames([noise()], 30.0), PoseTrack.still(2))
+    body = HapticObject("a", HapticMedium.from_frames([noise()], 30.0), PoseTrack.constant(2))
     scene = HapticScene(GRID, 30.0, (body,), 3.3, surface_damping_n_s_per_m=0.25)
     with pytest.raises(
         InvalidArgument, match="--masking: found it with bodies that have fields of their own"

@@ -191,7 +191,7 @@ def test_a_stall_of_the_feed_is_all_off_and_nothing_is_left_out() -> None:
         released.set()
         assert player.wait(20)
     (note,) = player.notes
-    assert "Frames are not made in time: the actuators are off meanwhile." in note
+    assert "Frames are not ready in time: the actuators are off until they are." in note
     assert (
         max(float(one.max()) for one in recorder.shown) == pytest.approx(0.4) and not recorder.shown[-1].any()
     )

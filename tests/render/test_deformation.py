@@ -380,8 +380,8 @@ def test_an_affine_map_is_that_map_on_a_lattice_whose_axes_differ() -> None:
     expected = spring(p @ j.T + shift) @ j
     assert np.abs(made - expected).max() < 1e-6 * np.abs(expected).max()
     assert moved(bent, bent.displacement_m[0], p) == pytest.approx(p @ a.T + shift, abs=1e-12)
-    assert bent.least_determinant()[0] == pytest.approx(np.linalg.det(j))
-    assert np.linalg.norm(j, 2) <= bent.most_stretch < 1.15 * np.linalg.norm(j, 2)
+    assert bent.min_determinant()[0] == pytest.approx(np.linalg.det(j))
+    assert np.linalg.norm(j, 2) <= bent.max_stretch < 1.15 * np.linalg.norm(j, 2)
 
 
 def test_a_lattice_at_rest_fills_its_box_along_each_axis() -> None:
@@ -399,10 +399,10 @@ def test_a_lattice_at_rest_fills_its_box_along_each_axis() -> None:
 def test_what_a_point_may_yield_is_less_by_the_slope_of_the_tracks(axis: int) -> None:
     lattice = uneven()
     most = np.sqrt(sum(3 * (2 / h) ** 2 for h in lattice.spacing_m))  # of the slope, for a metre
-    assert lattice.most_yield_m == pytest.approx(0.95 / most)
+    assert lattice.max_yield_m == pytest.approx(0.95 / most)
     tracks = np.zeros((2, 5, 6, 8, 3))
     tracks[1] = 0.3 * np.roll(controls_m(lattice), 1, axis=-1) * np.roll(np.eye(3)[axis], 1)
-    assert replace(lattice, displacement_m=tracks).most_yield_m == pytest.approx((0.95 - 0.3) / most)
+    assert replace(lattice, displacement_m=tracks).max_yield_m == pytest.approx((0.95 - 0.3) / most)
 
 
 def test_a_fit_on_a_lattice_whose_axes_differ_finds_an_affine_motion() -> None:

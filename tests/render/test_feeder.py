@@ -70,7 +70,7 @@ def test_one_frame_is_written_once() -> None:
 
 @given(st.lists(st.integers(0, 12), max_size=30), st.integers(3, 9))
 def test_what_the_servo_needs_is_never_written_over(steps: list[int], frames_of_room: int) -> None:
-    words = FrameSource(telling()).prepare(0).words
+    words = FrameSource(telling()).prepare(0).word_count
     session, memory = laid_out(telling(7), loop=True, memory_bytes=8 * words * frames_of_room)
     feeder = session.feeder(memory)
     run_dry(feeder)
@@ -97,7 +97,9 @@ def test_a_seek_waits_until_the_servo_has_taken_it_up() -> None:
 
 
 def test_a_seek_back_gives_the_room_of_later_frames_to_earlier_ones() -> None:
-    session, memory = laid_out(telling(20), memory_bytes=4 * W.WORD * FrameSource(telling()).prepare(0).words)
+    session, memory = laid_out(
+        telling(20), memory_bytes=4 * W.WORD * FrameSource(telling()).prepare(0).word_count
+    )
     feeder = session.feeder(memory, is_timed=False)
     for generation, frame in ((1, 10), (2, 0)):
         feeder.seek(generation, frame)
@@ -136,7 +138,7 @@ class Desk:
             list[int](),
         )
         medium = replace(telling(count), make_frame=self.make)
-        words = FrameSource(telling()).prepare(0).words
+        words = FrameSource(telling()).prepare(0).word_count
         self.session, self.memory = laid_out(
             medium, RenderSpec(render="field"), memory_bytes=int(8 * room * words)
         )
@@ -216,7 +218,7 @@ def test_where_nothing_can_be_in_time_nothing_is_held_for_it() -> None:
 
 
 def test_a_frame_that_does_not_fit_is_one_clear_error() -> None:
-    words = FrameSource(telling()).prepare(0).words
+    words = FrameSource(telling()).prepare(0).word_count
     for share, what in ((0.5, r"frame 0"), (1.5, r"room for two frames")):
         session, memory = laid_out(telling(3), memory_bytes=8 * int(words * share))
         feeder = session.feeder(memory)
@@ -249,7 +251,7 @@ def test_rigid_bodies_are_written_once() -> None:
             expected = scene.sample_n(n, [0.001, 0.002, z])
             found = force_at(*memory.views, place, place, 0.0, 0.001, 0.002, z)
             assert found == pytest.approx(expected, abs=1e-6)
-    assert FrameSource(HapticScene(GRID, 50.0, (still,), 4.0)).prepare(2).words < 64
+    assert FrameSource(HapticScene(GRID, 50.0, (still,), 4.0)).prepare(2).word_count < 64
 
 
 def test_the_thread_feeds_and_ends() -> None:

@@ -109,7 +109,7 @@ def slow(frame: int) -> ForceField:
 
 def test_a_stream_that_is_too_slow_is_told_while_it_plays_and_keeps_time() -> None:
     medium = replace(telling(30), make_frame=slow)
-    frame_bytes = W.WORD * FrameSource(medium).prepare(0).words
+    frame_bytes = W.WORD * FrameSource(medium).prepare(0).word_count
     # room for some frames, so that not all are there where the device takes long to be opened
     with Player(medium, OMNI, Still, memory_bytes=6 * frame_bytes) as player:
         player.play()

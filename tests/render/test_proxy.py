@@ -263,7 +263,7 @@ def test_a_session_chooses_and_tells() -> None:
     body = HapticScene(field.grid, 30.0, (HapticObject("plate", medium, track),), 3.3, axes=STRONG.axes)
     assert _peak_n(body, RenderSpec())[0] > 1.0
     drawn = ForceField(field.grid, field.bricks, -field.forces_n)
-    with pytest.raises(InvalidArgument, match="no wall"):
+    with pytest.raises(InvalidArgument, match="a field without walls"):
         _peak_n(
             HapticMedium(field.grid, 30.0, 1, lambda i: drawn, axes=STRONG.axes), RenderSpec(render="proxy")
         )

@@ -296,10 +296,10 @@ def test_the_pair_that_follows_is_made_before_it_is_asked_for() -> None:
 
     ahead = Pairs(FrameParts(HapticMedium(grid, 30.0, 4, make)), 1 << 24)
     ahead.take(0, 1)
-    ahead.begin(1, 2)
+    ahead.prepare(1, 2)
     assert made[2].wait(20) and not made[3].is_set()
     ahead.take(1, 2)
-    ahead.begin(2, 3)
+    ahead.prepare(2, 3)
     assert made[3].wait(20)
 
 
@@ -318,6 +318,6 @@ def test_pairs_that_follow_make_each_frame_once_and_have_room_for_two() -> None:
     words = []
     for a in range(59):
         words.append(ahead.take(a, a + 1).memory.words)
-        ahead.begin(a + 1, a + 2)
+        ahead.prepare(a + 1, a + 2)
     assert made == list(range(60))
     assert max(words) == words[0]  # room for two frames, at the end as at first

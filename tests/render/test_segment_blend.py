@@ -236,7 +236,7 @@ def test_a_rigid_body_has_nothing_to_blend_and_one_that_deforms_has() -> None:
 
 def test_segments_of_a_part_are_counted_from_its_start() -> None:
     segments = Segments((0, 8, 16, 24), 0.1, 0.05)
-    assert segments.around(8, 30) == (8, 8) and segments.around(29, 30) == (24, 6)
+    assert segments.segment_at(8, 30) == (8, 8) and segments.segment_at(29, 30) == (24, 6)
     assert segments.between(8, 20).starts == (0, 8) and segments.between(9, 17).starts == (0, 7)
     medium = replace(telling(30), segments=segments).between(9, 17)
     assert SegmentBlend(medium, medium.segments or segments)(3) == told(12)

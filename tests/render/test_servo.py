@@ -329,5 +329,5 @@ def test_offline_an_error_of_the_medium_comes_after_the_ramp() -> None:
 def test_offline_what_cannot_be_is_refused(options: dict[str, object], what: str) -> None:
     with pytest.raises(InvalidArgument, match=what):
         run_offline(telling(), OMNI, Simulated, **options)  # type: ignore[arg-type]
-    with pytest.raises(InvalidArgument, match="rhythm"):
+    with pytest.raises(InvalidArgument, match="one that sets its own rate"):
         run_offline(telling(), OMNI, Driver)

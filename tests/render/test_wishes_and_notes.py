@@ -89,7 +89,9 @@ def test_all_wishes_together_stand_where_they_do_alone() -> None:
     assert memory.f8[W.GRAVITY : W.GRAVITY + 3].tolist() == [0.4, -0.5, 0.6]
     assert memory.f8[[W.LIMIT, W.TORQUE_LIMIT]].tolist() == [3.1, 0.14]
     weight = math.sqrt(0.4**2 + 0.5**2 + 0.6**2)
-    assert notes == (f"the steady force of {weight:g} N leaves nothing of 0.81 N to the field",)
+    assert notes == (
+        f"the constant force of {weight:g} N leaves nothing of the limit of 0.81 N to the field",
+    )
 
 
 def test_a_torque_is_limited_by_the_device_and_only_where_it_states_one() -> None:
@@ -98,18 +100,18 @@ def test_a_torque_is_limited_by_the_device_and_only_where_it_states_one() -> Non
     assert usual[W.TORQUE_SLEW] == pytest.approx(0.2 / 0.005)
     for name, most, told in (
         ("peak_nm", 0.2, "to 0.2 N m, the limit of"),
-        ("continuous_nm", 0.05, "in the long run"),
+        ("continuous_nm", 0.05, "to 0.05 continuously, the limit of"),
     ):
         assert written(RenderSpec(**{name: most}))
         with pytest.raises(InvalidArgument, match=f"{name}: found .*{told}"):
             written(RenderSpec(**{name: most * 1.001}))
     for name in ("peak_nm", "continuous_nm", "slew_nm_per_s"):
         with pytest.raises(
-            InvalidArgument, match=f"{name}: found it with phantom-omni; expected a device that states"
+            InvalidArgument, match=f"{name}: found a limit for phantom-omni; expected a device that states"
         ):
             write_parameters(Memory.empty(W.FREE), RenderSpec(**{name: 0.01}), OMNI, 0, 0, AXES)
     silent = write_parameters(Memory.empty(W.FREE), RenderSpec(tool=Tool.sphere(0.001, 10)), OMNI, 0, 0, AXES)
-    assert silent == ("phantom-omni states no torque: the tool's force alone is felt",)
+    assert silent == ("phantom-omni states no torque: only the tool's force is rendered",)
 
 
 @pytest.mark.parametrize("name", [*WISHES, "wall_n_per_m"])
@@ -150,8 +152,8 @@ def test_damping_and_coupling_are_told_as_the_device_has_them(scale: float, stif
     brake, coupling = factor * found.brake_n_s_per_m, factor * found.coupling_n_per_m
     felt = 1 / (1 / of_device + 1 / coupling) if coupling else of_device
     start = (
-        f"the medium's stiffest slope is {of_device:.0f} N/m, the device holds {0.3 / hold_s:.0f} N/m by "
-        "itself"
+        f"the medium's stiffest slope is {of_device:.0f} N/m, and the device alone can render "
+        f"{0.3 / hold_s:.0f} N/m"
     )
     damped = f": damping in contact {brake:.2g} N s/m"
     coupled = (
@@ -185,14 +187,16 @@ def test_the_wall_of_a_proxy_is_told_as_it_is_rendered() -> None:
 
 
 def test_axes_that_are_guessed_are_quoted() -> None:
-    assert axes_notes("x left, y", AXES) == (f'axes of the device, "x left, y", are taken as {BOX_AXES}',)
-    assert axes_notes(AXES, "x left, y") == (f'axes of the field, "x left, y", are laid along {BOX_AXES}',)
+    assert axes_notes("x left, y", AXES) == (
+        f'axes of the device, "x left, y", cannot be read and are taken as {BOX_AXES}',
+    )
+    assert axes_notes(AXES, "x left, y") == (f'axes of the field, "x left, y", are placed along {BOX_AXES}',)
     assert axes_notes("p" * 99, "q" * 99) == (
-        f'axes of the device, "{"p" * 80}", are taken as {BOX_AXES}',
-        f'axes of the field, "{"q" * 80}", are laid along {BOX_AXES}',
+        f'axes of the device, "{"p" * 80}", cannot be read and are taken as {BOX_AXES}',
+        f'axes of the field, "{"q" * 80}", are placed along {BOX_AXES}',
     )
     session, memory = laid_out(medium(axes="x, y, z"))
-    assert f'axes of the field, "x, y, z", are laid along {BOX_AXES}' in session.notes
+    assert f'axes of the field, "x, y, z", are placed along {BOX_AXES}' in session.notes
     turned = RenderSpec(up="z")
     session, memory = laid_out(medium(axes="x, y, z"), turned)
     expected = axes_matrix(OMNI.axes, "x, y, z", "z")
@@ -206,9 +210,7 @@ def test_a_feed_that_is_too_slow_is_told_with_both_rates() -> None:
     feeder: Feeder = session.feeder(memory)
     memory.f8[W.SPEED_NOW] = 1.0
     feeder._pace.frame_s = 0.08
-    assert (
-        "This machine decodes 12.5 frames a second at present, and 20 are needed at speed 1:" in feeder.note
-    )
+    assert "This machine decodes 12.5 frames a second, and speed 1 needs 20:" in feeder.note
     feeder._pace.frame_s = 0.04  # 25 a second: enough at this speed, and not at twice the speed
     assert "had to be fetched" in feeder.note
     memory.f8[W.SPEED_NOW] = 2.0

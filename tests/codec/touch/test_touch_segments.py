@@ -211,7 +211,7 @@ def test_parameters_tell_what_was_asked_for(spec: TouchSpec) -> None:
             TouchDecoder(GRID, bad)
     if spec.masking:
         none = parameters[:-16] + bytes(8) + parameters[-8:]
-        with pytest.raises(CorruptFile, match="share"):
+        with pytest.raises(CorruptFile, match="masking with a fraction of 0"):
             TouchDecoder(GRID, none)
     if len(parameters) > 2:
         with pytest.raises(CorruptFile):
