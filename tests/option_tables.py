@@ -251,7 +251,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
     },
     "lod": {
         "levels": case("2", "levels_of_detail.levels", 2),
-        "most-bytes": case("9000", "levels_of_detail.most_bytes", 9000),
+        "most-bytes": case("9000", "levels_of_detail.max_bytes", 9000),
         **_coder(),
     },
     "partition": {
@@ -313,7 +313,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
             {"play().draw": CALLED, "play().draw.0": _DRAWN, "spec.is_logged": True, "spec.is_drawn": True},
         ),
         "check": Case(None, {"play": MISSING, "check_play": CALLED, "check_play.path": "{tmp}/in.touch"}),
-        "bridge": Case(None, {"Bridge": CALLED, "Bridge.stream": "{tmp}/in.touch", "play.watch": STUB}),
+        "bridge": Case(None, {"Bridge": CALLED, "Bridge.stream": "{tmp}/in.touch", "play.on_player": STUB}),
         "device": case("sim:spring", "spec.device", "sim:spring"),
         "profile": case("novint-falcon", "spec.profile", "novint-falcon"),
         "trajectory": case("hand.csv", "spec.trajectory", "hand.csv"),

@@ -185,7 +185,7 @@ TASKS = {
 RESULTS: dict[str, Any] = {
     "play": Stub(is_starved=False, error=None),
     "read_medium": SimpleNamespace(medium=SimpleNamespace(grid=SimpleNamespace(shape=(64, 32, 16)))),
-    "opened_sender": (Stub(name="fine"), Stub(name="fine sender")),
+    "open_sender": (Stub(name="fine"), Stub(name="fine sender")),
     "coarse_layer": (Stub(name="coarse"), Stub(name="coarse sender")),
     "check_play": {"can_play": True},
     "examine": {},
@@ -294,7 +294,7 @@ def test_who_receives_is_told_the_end_of_a_live_stream(folder: Path, monkeypatch
     monkeypatch.setattr(
         "touchfield.network.live_server.LiveServer", lambda *_: servers.append(Stub()) or servers[0]
     )
-    monkeypatch.setattr("touchfield.tasks.live.open_sender", lambda *_: RESULTS["opened_sender"])
+    monkeypatch.setattr("touchfield.tasks.live.open_sender", lambda *_: RESULTS["open_sender"])
     monkeypatch.setattr("touchfield.tasks.live.broadcast", breaks)
     assert _exit_code(["live", "scene.stl"]) == 1
     assert servers[0].__enter__.return_value.end.called, "also where it is interrupted"

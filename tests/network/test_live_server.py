@@ -137,7 +137,7 @@ def test_a_broadcast_has_one_frame_at_least_and_so_has_a_segment() -> None:
 def test_frames_that_are_left_out_are_told_each_time_that_they_are_twice_as_many() -> None:
     sent, notes = Sent(), list[str]()
     for _ in range(9):
-        sent.leave_out(1, "slow", notes.append)
+        sent.skip(1, "slow", notes.append)
     assert [note.split()[1] for note in notes] == ["1", "2", "4", "8"] and sent.left_out == 9
 
 

@@ -156,7 +156,7 @@ def test_a_stream_of_objects_compares_with_its_source_and_is_measured(stream: Pa
 def test_a_body_farther_from_its_place_than_is_tolerated_excuses_nothing(stream: Path) -> None:
     compared = pipeline.compare(falling(), stream)
     assert compared.composed is not None
-    found = replace(compared.composed[0], beyond=7)
+    found = replace(compared.composed[0], violations=7)
     near, far = (replace(compared, composed=(found, away_m)).summary() for away_m in (1e-5, 1.1e-5))
     assert near["mask_violations"] == 7 and far["worst_place_um"] == pytest.approx(11)
     assert far["mask_violations"] == far["mask_violations_in_place"] == near["mask_violations_in_place"] < 7

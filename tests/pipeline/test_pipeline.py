@@ -44,10 +44,10 @@ def test_frames_that_are_decoded_without_a_force_are_told(tmp_path: Path) -> Non
     empty = ForceField.empty(grid)
     alone = EncodeSpec(touch=TouchSpec(segment_frames=1))
     for frames, told in (
-        ((strong, weak, empty), "In 1 of 3 frames nothing"),
+        ((strong, weak, empty), "1 of 3 frames are decoded without any force"),
         ((strong, empty, strong), ""),
-        ((weak, strong, weak), "In 2 of 3 frames nothing"),
-        ((weak, weak, strong), "In 2 of 3 frames nothing"),
+        ((weak, strong, weak), "2 of 3 frames are decoded without any force"),
+        ((weak, weak, strong), "2 of 3 frames are decoded without any force"),
     ):
         notes = encode(HapticMedium.from_frames(frames, 30.0), tmp_path / "out.touch", alone).notes
         assert [told in note and "--f0-n" in note for note in notes[1:]] == [True] * bool(told)

@@ -91,7 +91,7 @@ def test_figures_of_an_encoding(tmp_path: Path, by: str) -> None:
 def test_an_encoding_without_a_force_has_no_bits_for_each(tmp_path: Path) -> None:
     done = encode(ForceField.empty(GRID), tmp_path / "out.touch", SPEC)
     assert done.supported_voxels == 0 and done.summary()["bits_per_supported_voxel"] is None
-    assert "Nothing can be felt" in done.notes[-1]
+    assert "The result is empty: no sample has a force." in done.notes[-1]
 
 
 @pytest.mark.parametrize("has_law", [True, False])
@@ -101,8 +101,8 @@ def test_a_frame_below_the_threshold_is_told_with_what_mends_it(tmp_path: Path, 
     scene.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.02\n')
     weak = replace(SPEC, nw=4, mapping="crop", touch=replace(SPEC.touch, f0_n=9.0))
     done = encode(scene if has_law else medium()[:2], tmp_path / "out.touch", weak)
-    (told,) = [note for note in done.notes if "nothing can be felt" in note]
-    assert told.startswith(f"In {1 if has_law else 2} of {1 if has_law else 2} frames")
+    (told,) = [note for note in done.notes if "decoded without any force" in note]
+    assert told.startswith(f"{1 if has_law else 2} of {1 if has_law else 2} frames")
     assert ("--stiffness-n-per-m" in told) == has_law and "--f0-n" in told
 
 

@@ -305,13 +305,13 @@ def test_rooms_of_other_rates_and_lattices_are_spliced(stream: Path, tmp_path: P
     assert not (tmp_path / "x.touch").exists()
 
 
-def test_forces_beyond_the_first_device_are_shortened(stream: Path, tmp_path: Path) -> None:
+def test_forces_beyond_the_first_device_are_clipped(stream: Path, tmp_path: Path) -> None:
     strong = tf.EncodeSpec(device="omega.3", touch=tf.codec.TouchSpec(mode="lossless"))
     medium = tf.HapticMedium.from_frames([frame.scaled(5.0) for frame in rolling()], 30.0, AXES)
     tf.encode(medium, tmp_path / "strong.touch", strong)
     done = splice([str(stream), str(tmp_path / "strong.touch")], tmp_path / "s.touch", spec=EXACT)
     assert float(done.medium[7].support().amplitudes_n.max()) == pytest.approx(3.3, abs=1e-5)
-    assert any("shortened" in note for note in done.notes)
+    assert any("forces above 3.3 N are clipped to it" in note for note in done.notes)
 
 
 def test_a_file_is_brought_onto_another_lattice_and_its_error_told(stream: Path, tmp_path: Path) -> None:

@@ -314,7 +314,7 @@ def test_a_table_goes_through_its_file_and_a_stream_unharmed(tmp_path: Path) -> 
         )
     room = 4097 - len(materials_json([Material("a")]))
     assert len(stored_json([Material("a" * room)])) == 4096
-    with pytest.raises(InvalidArgument, match="4097 letters"):
+    with pytest.raises(InvalidArgument, match="a table of 4097 characters"):
         stored_json([Material("a" * (room + 1))])
     with pytest.raises(InvalidArgument, match=r"'\.json'; expected OUT\.touch"):
         store_materials(tmp_path / "a.touch", again, tmp_path / "c.json")
@@ -324,15 +324,15 @@ def test_a_table_goes_through_its_file_and_a_stream_unharmed(tmp_path: Path) -> 
 
 
 BAD_TABLES = [
-    ("nothing", "found what is no table of materials"),
-    ("[1]", "found what is no table of materials"),
+    ("nothing", "found text that is no table of materials"),
+    ("[1]", "found text that is no table of materials"),
     ({"bands_hz": [1], "materials": []}, r"bands_hz: found \[1\]; expected thirds of an octave"),
     ({"materials": {}}, r"materials: found \{\}"),
     ({"materials": [{"friction": 1}]}, r"materials\[0\]: found"),
     ({"materials": [{"name": "a", "mu": 1}]}, r"materials\[0\]: found 'mu'"),
     ({"materials": [{"name": "a", "friction": -1}]}, r"materials\[0\] material 'a' friction: found -1"),
-    ({"materials": [{"name": "a", "friction": "x"}]}, r"materials\[0\]: found a value of another kind"),
-    ({"materials": [{"name": "a", "static_friction": 1}]}, "static_friction: found it alone"),
+    ({"materials": [{"name": "a", "friction": "x"}]}, r"materials\[0\]: found a value of the wrong type"),
+    ({"materials": [{"name": "a", "static_friction": 1}]}, "static_friction: found a value without friction"),
     (
         {"materials": [{"name": "a", "friction": 0.5, "static_friction": 0.4}]},
         "0.4; expected a finite number, 0.5",
@@ -419,7 +419,7 @@ def test_the_command_makes_a_table_puts_it_into_a_stream_and_plays_it(
         ("texture oak.json -o x.json --name elm", "those of recordings"),
         ("texture oak.json -o oak.json", "the file that is read"),
         ("texture none.wav -o x.json --speed-m-s 1 --force-n 1", "none.wav: found"),
-        ("play a.touch --offline --materials slow.wav", "slow.wav: found what is no"),
+        ("play a.touch --offline --materials slow.wav", "slow.wav: found a file that is not text"),
     ):
         assert _exit_code(words.split()) in (1, 2)
         said = capsys.readouterr().err

@@ -404,12 +404,12 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     tf.write_field(empty, tf.HapticMedium.from_array(np.zeros((2, *GRID.shape, 3)), GRID))
     assert _exit_code(["reduce", str(empty)]) in (1, 2)
     assert "no frame with a force" in capsys.readouterr().err
-    assert reduce_medium(field, spec=ReductionSpec(rank=1)).shown["rank"] == 1
+    assert reduce_medium(field, spec=ReductionSpec(rank=1)).figures["rank"] == 1
 
 
 def test_a_hand_is_told_with_its_own_figures() -> None:
     hand = Hand(push_n=2.5, mass_kg=0.125, speed_m_s=0.3)
-    assert hand.words == "a hand of 125 g with its device that pushes with 2.5 N and moves at 0.3 m/s at most"
+    assert hand.text == "a hand of 125 g with its device that pushes with 2.5 N and moves at 0.3 m/s at most"
     assert hand.lunge_nm == pytest.approx(0.125 * 0.3**2)
     for name in ("push_n", "mass_kg", "speed_m_s"):
         with pytest.raises(InvalidArgument, match=f"{name}: found 0"):
