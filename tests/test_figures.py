@@ -68,7 +68,8 @@ def test_a_result_has_bars_that_follow_from_its_figures(name: str) -> None:
     module = importlib.import_module("rate" if name == "rate" else f"bench_{name}")
     figures = results(name)
     bars = figures["bars"]
-    assert bars and bars == json.loads(json.dumps(module.bars(figures), default=float))
+    assert bars or name == "size"  # sizes are information
+    assert bars == json.loads(json.dumps(module.bars(figures), default=float))
     for bar in bars:
         assert set(bar) == {"bar", "measured", "way", "limit", "unit", "met"}
         more, limit = bar["way"] == "at least", bar["limit"]
