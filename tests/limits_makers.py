@@ -12,7 +12,7 @@ from touchfield.medium import Grid
 
 
 def markov(n: int, seed: int = 0, a: float = 0.05, b: float = 0.2) -> np.ndarray:
-    """Chain of theory.md section 4: 0 -> 1 with chance a, 1 -> 0 with chance b."""
+    """A binary chain with known entropies: 0 -> 1 with chance a, 1 -> 0 with chance b."""
     rng = np.random.default_rng(seed)
     runs = np.stack([rng.geometric(a, n), rng.geometric(b, n)], axis=1).ravel()
     return np.repeat(np.arange(2 * n) % 2, runs)[:n] if runs.sum() >= n else np.zeros(n, int)

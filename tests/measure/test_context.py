@@ -119,7 +119,7 @@ def test_the_frame_before_is_worth_what_it_tells() -> None:
 
 
 def test_rate_of_a_markov_chain() -> None:
-    """theory.md section 4: marginal .721928, rate .373504."""
+    """The chain of `limits_makers`: marginal .721928, rate .373504."""
     chain = markov(400_000)
     assert of_array(chain, "none").per_voxel.value == pytest.approx(0.721928, abs=0.006)
     assert of_array(chain, "previous").per_voxel.value == pytest.approx(0.373504, abs=0.003)

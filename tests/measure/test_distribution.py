@@ -1,4 +1,4 @@
-"""Exact quantities of given probabilities, against theory.md, scipy and dit."""
+"""Exact quantities of given probabilities, against values worked out by hand, scipy and dit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Information measures of symbol arrays, against theory.md, scipy, scikit-learn, and the exact quantities."""
+"""Information measures of symbol arrays, against values worked out by hand, scipy and scikit-learn."""
 
 from __future__ import annotations
 

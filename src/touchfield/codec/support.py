@@ -1,7 +1,7 @@
 """Lossless code of the support: the bricks of a frame and their samples that have a force.
 
-Paper section 5.2 codes amplitudes and directions of the supported samples but not their positions
-(docs/theory.md 42). The list of bricks is an octree, coded level by level: a box of 2^l bricks a side is
+Paper section 5.2 codes amplitudes and directions of the supported samples but not their positions.
+The list of bricks is an octree, coded level by level: a box of 2^l bricks a side is
 coded at level l, and boxes within it only if it contains bricks. Each level runs in raster order (x slowest),
 so half of the neighbours of a box are known when it is coded; of the others it is known whether their parents
 contain bricks. The samples of each brick follow, x slowest. The probability of each adapts to its neighbours

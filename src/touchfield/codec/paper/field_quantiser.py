@@ -1,6 +1,6 @@
 """Quantiser Q of the measures: one symbol for a force vector (paper section 3.1).
 
-Every entropy must state its Q (docs/theory.md). The text forms, as on the command line:
+Every entropy must state its Q (decision 0006). The text forms, as on the command line:
 
 * ``AMPLITUDE:NUMBER/DIRECTIONS``: an amplitude quantiser of the coder (``weber:0.1``, the Weber fraction;
   ``uniform:0.05``, the step in newtons; ``lloyd-max:6``, bits) times a direction codebook (``ico5`` if none

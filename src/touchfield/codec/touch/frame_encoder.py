@@ -2,8 +2,8 @@
 
 A frame is coded with or without the frame before, and with or without a base layer. The fewest bytes win, in
 mode "nmse" the least cost of bytes and errors. A cell of the lattice with three equal edges s has the half
-diagonal s sqrt(3) / 2: it lies within the ball of the mask if s <= 2 / sqrt(3) max(F_0, k |F|)
-(docs/theory.md 31). Steps along and across the force differ in mode "mask-direction", whose ball is a disc of
+diagonal s sqrt(3) / 2: it lies within the ball of the mask if s <= 2 / sqrt(3) max(F_0, k |F|).
+Steps along and across the force differ in mode "mask-direction", whose ball is a disc of
 directions times a span of lengths.
 """
 

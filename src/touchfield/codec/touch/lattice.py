@@ -2,7 +2,8 @@
 
 Forces are multiples of a unit. Prediction works on these integers; newtons appear only in the last step
 (`FixedField.field`). The steps of the lattice grow with the force, so that a cell fits the ball of the mask
-(paper section 4.2, Weber's law; docs/theory.md 31): half diagonal max(F_0, k |F|).
+(paper section 4.2, Weber's law): half diagonal max(F_0, k |F|), see `frame_encoder`. The lattice is one of
+forces, not of places.
 """
 
 from __future__ import annotations
