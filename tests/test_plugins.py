@@ -8,12 +8,14 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.metadata import EntryPoints
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from child_environment import environment_with
+from touchfield import plugins
 
 PLUGIN = Path(__file__).parent / "plugin"
 Command = Callable[..., subprocess.CompletedProcess[str]]
@@ -101,3 +103,14 @@ def test_a_plugin_that_fails_is_left_out_with_a_warning(tmp_path: Path) -> None:
     assert "tum" in done.stdout.split() and not {"gone", "other"} & {*done.stdout.split()}
     assert "'gone'" in done.stderr and "no_such_module" in done.stderr
     assert "'other'" in done.stderr and "is no SourceKind" in done.stderr
+
+
+def test_installed_distributions_are_scanned_once_for_all_groups(monkeypatch: pytest.MonkeyPatch) -> None:
+    scans: list[object] = []
+    monkeypatch.setattr(plugins, "entry_points", lambda **group: scans.append(group) or EntryPoints())
+    plugins.installed_entry_points.cache_clear()
+    try:
+        assert [plugins.plugins.__wrapped__(group, object) for group in plugins.GROUPS] == [{}] * 4
+    finally:
+        plugins.installed_entry_points.cache_clear()
+    assert len(scans) == 1
