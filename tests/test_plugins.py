@@ -5,14 +5,17 @@ them.
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.metadata import EntryPoints
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from child_environment import environment_with
+from touchfield import plugins
 
 PLUGIN = Path(__file__).parent / "plugin"
 Command = Callable[..., subprocess.CompletedProcess[str]]
@@ -30,12 +33,12 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def touchfield(installed: Path, tmp_path: Path) -> Command:
     """Runs a command in a folder of its own, with the plug-in installed."""
-    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join([str(installed), *filter(None, sys.path)])}
+    environment = environment_with(installed)
 
     def run(*words: str, status: int = 0) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "touchfield", *words]
         done = subprocess.run(
-            command, cwd=tmp_path, env=surroundings, capture_output=True, text=True, check=False
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
         )
         assert done.returncode == status, done.stderr
         return done
@@ -93,10 +96,21 @@ def test_a_plugin_that_fails_is_left_out_with_a_warning(tmp_path: Path) -> None:
     entries = "[touchfield.sources]\ngone = no_such_module:KIND\nother = json:dumps\n"
     (metadata / "entry_points.txt").write_text(entries)
     code = "from touchfield.sources.registry import kinds; print(*(kind.name for kind in kinds()))"
-    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])}
+    environment = environment_with(tmp_path)
     done = subprocess.run(
-        [sys.executable, "-c", code], env=surroundings, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
     )
     assert "tum" in done.stdout.split() and not {"gone", "other"} & {*done.stdout.split()}
     assert "'gone'" in done.stderr and "no_such_module" in done.stderr
     assert "'other'" in done.stderr and "is no SourceKind" in done.stderr
+
+
+def test_installed_distributions_are_scanned_once_for_all_groups(monkeypatch: pytest.MonkeyPatch) -> None:
+    scans: list[object] = []
+    monkeypatch.setattr(plugins, "entry_points", lambda **group: scans.append(group) or EntryPoints())
+    plugins.installed_entry_points.cache_clear()
+    try:
+        assert [plugins.plugins.__wrapped__(group, object) for group in plugins.GROUPS] == [{}] * 4
+    finally:
+        plugins.installed_entry_points.cache_clear()
+    assert len(scans) == 1

@@ -17,9 +17,9 @@ information-theoretic treatment of passive haptic media*.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from touchfield._lazy import lazy_attributes
 from touchfield._version import __version__
 from touchfield.errors import TouchfieldError
 from touchfield.hooks import register
@@ -101,9 +101,9 @@ _PACKAGES = frozenset(
     )
 )
 _MODULES = {
-    "touchfield.devices": ("device",),
-    "touchfield.medium": ("ForceField", "Grid", "HapticMedium"),
-    "touchfield.pipeline": (
+    "devices": ("device",),
+    "medium": ("ForceField", "Grid", "HapticMedium"),
+    "pipeline": (
         "EncodeSpec",
         "compare",
         "decode",
@@ -112,23 +112,14 @@ _MODULES = {
         "prepare",
         "write_field",
     ),
-    "touchfield.render.player": ("Player",),
-    "touchfield.render.sampler": ("FieldSampler",),
-    "touchfield.sources.registry": ("open_source",),
-    "touchfield.tasks.plan": ("plan",),
-    "touchfield.tasks.play": ("play",),
-    "touchfield.tasks.view": ("view",),
+    "render.player": ("Player",),
+    "render.sampler": ("FieldSampler",),
+    "sources.registry": ("open_source",),
+    "tasks.plan": ("plan",),
+    "tasks.play": ("play",),
+    "tasks.view": ("view",),
 }
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    # packages are imported when they are first used, so that `import touchfield` stays fast
-    if name in _MODULE_OF:
-        return getattr(import_module(_MODULE_OF[name]), name)
-    if name in _PACKAGES:
-        return import_module(f"touchfield.{name}")
-    raise AttributeError(f"module 'touchfield' has no attribute {name!r}")
+__getattr__ = lazy_attributes(__name__, _MODULES)  # so that `import touchfield` stays fast
 
 
 def __dir__() -> list[str]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warnings
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoints, entry_points
 from typing import Any, Final
 
 GROUPS: Final = ("touchfield.sources", "touchfield.coders", "touchfield.drivers", "touchfield.filters")
@@ -21,6 +21,12 @@ GROUPS: Final = ("touchfield.sources", "touchfield.coders", "touchfield.drivers"
 
 class PluginWarning(UserWarning):
     """Warning that a plug-in is skipped."""
+
+
+@cache
+def installed_entry_points() -> EntryPoints:
+    """The entry points of all installed distributions; reading them takes milliseconds."""
+    return entry_points()
 
 
 @cache
@@ -35,7 +41,7 @@ def plugins(group: str, kind: type) -> dict[str, Any]:
         Type of the objects, or base class if the objects are classes. Other objects are skipped.
     """
     found: dict[str, Any] = {}
-    for entry in entry_points(group=group):
+    for entry in installed_entry_points().select(group=group):
         source = f"plug-in {entry.name!r} ({entry.value}) of {group}"
         try:
             loaded = entry.load()

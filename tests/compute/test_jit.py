@@ -5,7 +5,6 @@ wrapper.
 from __future__ import annotations
 
 import ast
-import os
 import re
 import subprocess
 import sys
@@ -19,6 +18,7 @@ import pytest
 from numba import njit
 
 import touchfield
+from child_environment import environment_with
 from touchfield.compute.jit import inner, kernel
 from touchfield.compute.numba_internals import KernelFiles
 
@@ -68,8 +68,8 @@ def test_kernels_work_with_a_numba_that_has_other_private_parts(tmp_path: Path) 
         "from touchfield.compute import jit\nimport functions\n"
         "print(jit.numba_internals, jit.kernel_folder(), functions.both(3.0))"
     )
-    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])}
-    done = subprocess.run([sys.executable, "-c", code], env=surroundings, capture_output=True, text=True)
+    environment = environment_with(tmp_path)
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
     assert done.stdout.split() == ["None", "None", "7.5"], done.stderr
 
 

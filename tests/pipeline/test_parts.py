@@ -21,12 +21,12 @@ from touchfield import EncodeSpec, Grid, encode
 from touchfield.codec import TouchSpec
 from touchfield.codec.touch.body import BodyReader
 from touchfield.compute.executors import executor_of
-from touchfield.container import TouchReader
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
+from touchfield.container import TouchReader, TouchWriter
+from touchfield.errors import CorruptFile, InvalidArgument, MissingExtra, SourceError, TouchfieldError
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.stores.npz import write_npz
 from touchfield.pipeline import segments
-from touchfield.pipeline.segments import EncodeTask, encode_part
+from touchfield.pipeline.segments import EncodedSegment, EncodeTask, encode_part
 from touchfield.tasks.library import index_folder
 from touchfield.tasks.plan import PlanGrid, plan
 
@@ -216,6 +216,35 @@ def test_parts_that_are_damaged_or_of_another_job_are_made_again(
     workers = Straight()
     encode(source, out, replace(SPEC, touch=replace(SPEC.touch, k=0.2)), executor=workers)
     assert workers.done == 7  # nothing of the other job was taken
+
+
+@pytest.mark.parametrize("totals", [{}, {"supported": "1"}, {"supported": "1", "lost": "none"}])
+def test_a_part_without_its_totals_is_made_again(
+    source: Path, alone: bytes, tmp_path: Path, totals: dict[str, str]
+) -> None:
+    out = tmp_path / "a.touch"
+    with pytest.raises(SourceError):
+        encode(source, out, SPEC, executor=Straight(4))
+    part = min(Path(f"{out}.parts").iterdir())
+    with TouchReader(part) as reader:
+        head, provenance = reader.head, {**reader.provenance}
+        coded = [
+            EncodedSegment(reader.read_segment(i), reader.read_vibration(i), entry.frame_count)
+            for i, entry in enumerate(reader.segments)
+        ]
+    del provenance["supported"], provenance["lost"]
+    with TouchWriter(part) as writer:
+        writer.write_head(head, {**provenance, **totals})
+        for _ in segments.write_segments(writer, coded):
+            pass
+    folder = segments._PartFolder(part.parent, replace(head, frame_count=FRAMES), provenance["job"])
+    first = segments.FrameRange(0, head.frame_count, 0)
+    with pytest.raises(CorruptFile, match=r"0000000000\.touch: found supported .*; expected whole numbers"):
+        next(folder.read(first))
+    assert not folder.has(first)
+    workers = Straight()
+    encode(source, out, SPEC, executor=workers)
+    assert workers.done == 1 + 3 and out.read_bytes() == alone
 
 
 def test_a_job_is_another_where_its_source_was_written_again(tmp_path: Path) -> None:

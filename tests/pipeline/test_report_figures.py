@@ -103,7 +103,7 @@ def test_a_frame_below_the_threshold_is_told_with_what_mends_it(tmp_path: Path, 
     done = encode(scene if has_law else medium()[:2], tmp_path / "out.touch", weak)
     (told,) = [note for note in done.notes if "decoded without any force" in note]
     assert told.startswith(f"{1 if has_law else 2} of {1 if has_law else 2} frames")
-    assert ("--stiffness-n-per-m" in told) == has_law and "--f0-n" in told
+    assert ("--stiffness-n-per-m" in told) == has_law and ": all forces are below --f0-n" in told
 
 
 def expected_of(original: np.ndarray, decoded: np.ndarray, k: float, f0_n: float) -> dict[str, Any]:

@@ -214,7 +214,7 @@ def test_a_feed_that_is_too_slow_is_told_with_both_rates() -> None:
     feeder._pace.frame_s = 0.04  # 25 a second: enough at this speed, and not at twice the speed
     assert "had to be fetched" in feeder.note
     memory.f8[W.SPEED_NOW] = 2.0
-    assert "This machine decodes 25 frames" in feeder.note
+    assert "This machine decodes 25 frames a second, and speed 2 needs 40:" in feeder.note
 
 
 @pytest.mark.parametrize(

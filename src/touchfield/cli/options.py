@@ -17,7 +17,7 @@ from touchfield.codec.registry import Coder, field_coders
 from touchfield.errors import KINDS, InvalidArgument
 from touchfield.filters.registry import field_filters
 from touchfield.pipeline.rate_control import Target
-from touchfield.pipeline.spec import BUILT_IN_CODERS, COEFFICIENTS, EncodeSpec, Frames, require_frames
+from touchfield.pipeline.spec import COEFFICIENTS, EncodeSpec, Frames, require_frames, spec_field
 from touchfield.sources.options import SourceOptions
 
 DeviceCompute = Annotated[
@@ -233,8 +233,7 @@ def _coder(options: dict[str, Any]) -> dict[str, Any]:
                 fault = f"--{dashed(key)} works with --coder {other.name}, not with {name}"
                 raise InvalidArgument(fault, hint="Take it out, or change the coder.")
     coder_options = {key: values[key] for key in values if key in supported}
-    field = coder.name if coder.name in BUILT_IN_CODERS else "extension"
-    return {"coder": coder.name, field: coder.makers[name](coder_options)}
+    return {"coder": coder.name, spec_field(coder.name): coder.makers[name](coder_options)}
 
 
 def encode_spec(options: dict[str, Any]) -> EncodeSpec:

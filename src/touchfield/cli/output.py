@@ -200,7 +200,7 @@ def announce_compilation(announce: Callable[[str], None], later: Sequence[str] =
     import gc
 
     from touchfield.cli.compile_ahead import helpers
-    from touchfield.compute.jit import numba_internals
+    from touchfield.compute.jit import compilation_events
 
     depth, is_announced = 0, False
 
@@ -234,8 +234,7 @@ def announce_compilation(announce: Callable[[str], None], later: Sequence[str] =
 
     sys.unraisablehook = unraisable
     try:
-        events = numba_internals.compilation_events(on_start, on_end) if numba_internals else nullcontext()
-        with helpers(later) as start_helpers, events:
+        with helpers(later) as start_helpers, compilation_events(on_start, on_end):
             yield
     finally:
         sys.unraisablehook = usual

@@ -13,4 +13,4 @@ if TYPE_CHECKING:
 
 __all__ = ["PaperSpec", "TouchSpec"]
 
-__getattr__ = lazy_attributes(__name__, {"PaperSpec": "paper.spec", "TouchSpec": "touch.spec"})
+__getattr__ = lazy_attributes(__name__, {"paper.spec": ("PaperSpec",), "touch.spec": ("TouchSpec",)})

@@ -10,6 +10,8 @@ correct for an installed package, while someone who edits kernels must remove ``
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,7 +32,7 @@ def kernel(function: Any = None, **options: Any) -> Any:
     if function is None:
         return partial(kernel, **options)
     compiled = njit(function, **{"nogil": True, "no_cfunc_wrapper": True, **options})
-    is_interpreted = compiled is function or not hasattr(compiled, "enable_caching")  # NUMBA_DISABLE_JIT
+    is_interpreted = compiled is function  # NUMBA_DISABLE_JIT
     if not (is_interpreted or (numba_internals and numba_internals.attach_cache(compiled, function))):
         compiled.enable_caching()
     return compiled
@@ -49,3 +51,10 @@ def inner(function: Any = None, **options: Any) -> Any:
 def kernel_folder() -> Path | None:
     """The folder of compiled kernels; None where there is none, or numba keeps them by itself."""
     return numba_internals.kernel_folder() if numba_internals else None
+
+
+def compilation_events(
+    on_start: Callable[[], None], on_end: Callable[[], None]
+) -> AbstractContextManager[None]:
+    """Call `on_start` and `on_end` around each compilation in the block, if numba is a known version."""
+    return numba_internals.compilation_events(on_start, on_end) if numba_internals else nullcontext()

@@ -55,6 +55,4 @@ _MODULES = {
     "spec": ("EncodeSpec",),
     "tiles": ("Tiled", "encode_tiles"),
 }
-__getattr__ = lazy_attributes(
-    __name__, {name: module for module, names in _MODULES.items() for name in names}
-)
+__getattr__ = lazy_attributes(__name__, _MODULES)

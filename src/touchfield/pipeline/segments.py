@@ -197,7 +197,8 @@ def silent_frame_notes(prepared: Prepared, count: int) -> tuple[str, ...]:
     """A note on the frames that have a force and are decoded without any; empty if `count` is 0."""
     if not count:
         return ()
-    note = f"{count} of {len(prepared.medium)} frames are decoded without any force: all are below --f0-n"
+    frames = f"{count} of {len(prepared.medium)} frames"
+    note = f"{frames} are decoded without any force: all forces are below --f0-n"
     if prepared.has_law:
         note += " (lower it, or raise --stiffness-n-per-m or --nw)"
     return (note,)
@@ -362,7 +363,7 @@ class _PartFolder:
         with TouchReader(path) as reader:
             if reader.head != head or not provenance.items() <= reader.provenance.items():
                 raise CorruptFile(str(path), "another part, or one of another job", "this one", "Delete it.")
-            totals = int(reader.provenance["supported"]), int(reader.provenance["lost"])
+            totals = _totals_of(path, reader.provenance)
             for i, entry in enumerate(reader.segments):
                 counts = totals if i == 0 else ()
                 body, vibration = reader.read_segment(i), reader.read_vibration(i)
@@ -383,6 +384,16 @@ class _PartFolder:
     def remove(self) -> None:
         """Remove the folder and all parts."""
         shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _totals_of(path: Path, provenance: Mapping[str, str]) -> tuple[int, int]:
+    """The totals of a part: supported samples, and silent frames; CorruptFile if it states none."""
+    try:
+        return int(provenance["supported"]), int(provenance["lost"])
+    except (KeyError, ValueError):
+        found = ", ".join(f"{key} {str(provenance.get(key))[:40]!r}" for key in ("supported", "lost"))
+        expected = "whole numbers: the supported samples and the silent frames of the part"
+        raise CorruptFile(str(path), found, expected, "Delete it.") from None
 
 
 def job_name(source: str, *options: Any) -> str:

@@ -47,6 +47,11 @@ No haptic filter is then applied; for any other source it is `touchfield.pipelin
 """
 
 
+def spec_field(coder: str) -> str:
+    """Name of the field of `EncodeSpec` for the spec of a coder: a built-in coder's own, else "extension"."""
+    return coder if coder in BUILT_IN_CODERS else "extension"
+
+
 def require_frames(where: str, frames: Any) -> None:
     """`InvalidArgument` unless `frames` are `Frames` or None."""
     try:
@@ -151,7 +156,7 @@ class EncodeSpec:
         """InvalidArgument if the coder's spec is missing, or an unused coder has options."""
         expected = field_coders()[self.coder].spec
         if not isinstance(self.coding, expected or object):
-            where = self.coder if self.coder in BUILT_IN_CODERS else "extension"
+            where = spec_field(self.coder)
             raise InvalidArgument(where, repr(self.coding), f"a {getattr(expected, '__name__', expected)}")
         for other in BUILT_IN_CODERS:
             stray = _changed_fields(getattr(self, other)) if other != self.coder else {}
@@ -161,7 +166,7 @@ class EncodeSpec:
     @property
     def coding(self) -> Any:
         """The spec of the chosen coder."""
-        return getattr(self, self.coder) if self.coder in BUILT_IN_CODERS else self.extension
+        return getattr(self, spec_field(self.coder))
 
     @property
     def k(self) -> float:
@@ -246,7 +251,7 @@ class EncodeSpec:
             if spec is None:
                 raise ValueError(f"coder {coder!r} codes no fields")
             coding = spec(**values.pop(coder))
-            values[coder if coder in BUILT_IN_CODERS else "extension"] = coding
+            values[spec_field(coder)] = coding
             if values["thickness_m"] is not None:
                 values["thickness_m"] = float(values["thickness_m"])
             for name in ("frames", "fit_frames"):

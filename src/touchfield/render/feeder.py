@@ -240,11 +240,13 @@ class Feeder:
     @property
     def note(self) -> str:
         """Note for the user if frames were dropped."""
-        needed_hz, decode_hz = self._source.rate_hz, 1 / max(self._pace.frame_s, 1e-6)
-        if decode_hz >= needed_hz * float(self._memory.f8[W.SPEED_NOW]):
+        speed, decode_hz = float(self._memory.f8[W.SPEED_NOW]), 1 / max(self._pace.frame_s, 1e-6)
+        needed_hz = self._source.rate_hz * speed
+        if decode_hz >= needed_hz:
             reason = "Frames were late, because they had to be fetched or other work delayed their decoding"
         else:
-            reason = f"This machine decodes {decode_hz:.3g} frames a second, and speed 1 needs {needed_hz:g}"
+            needed = f"speed {speed:g} needs {needed_hz:g}"
+            reason = f"This machine decodes {decode_hz:.3g} frames a second, and {needed}"
         return f"{reason}: frames that would come too late are left out, to keep the timing"
 
     @property

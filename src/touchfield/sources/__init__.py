@@ -10,4 +10,4 @@ if TYPE_CHECKING:
 
 __all__ = ["SourceOptions", "open_source"]
 
-__getattr__ = lazy_attributes(__name__, {"SourceOptions": "options", "open_source": "registry"})
+__getattr__ = lazy_attributes(__name__, {"options": ("SourceOptions",), "registry": ("open_source",)})

@@ -16,6 +16,4 @@ _MODULES = {
     "plan": ("Budget", "PlanGrid", "parse_budget"),
     "play": ("PlaySpec",),
 }
-__getattr__ = lazy_attributes(
-    __name__, {name: module for module, names in _MODULES.items() for name in names}
-)
+__getattr__ = lazy_attributes(__name__, _MODULES)

@@ -14,7 +14,7 @@ import pytest
 from fake_driver import FakeDriver, built
 from numba import njit
 
-from touchfield.devices.drivers import openhaptics
+from touchfield.devices.drivers import openhaptics, registry
 from touchfield.devices.drivers.openhaptics import OpenHaptics
 from touchfield.devices.drivers.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
@@ -267,6 +267,20 @@ def test_without_the_library_it_says_how_to_get_it(monkeypatch, tmp_path) -> Non
 def test_a_name_that_no_driver_has_is_refused(name) -> None:
     with pytest.raises(InvalidArgument, match="name of a device"):
         point_device(f"openhaptics:{name}")
+
+
+def test_only_the_driver_of_the_named_device_is_imported() -> None:
+    code = (
+        "import sys; from touchfield.devices.drivers.registry import MODULES, is_array_device, point_device\n"
+        "assert not is_array_device('haply') and point_device('haply').name == 'haply'\n"
+        "print(*(m for m in MODULES.values() if f'touchfield.devices.drivers.{m}' in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["haply"]
+
+
+def test_each_built_in_device_has_the_name_by_which_it_is_found() -> None:
+    assert [kind.name for kind in registry.device_kinds()[: len(registry.MODULES)]] == [*registry.MODULES]
 
 
 def test_the_registry_is_cheap_to_import() -> None:

@@ -4,8 +4,8 @@
     bhaptics:HOST:PORT   osc:HOST:PORT   pins:/dev/ttyUSB0   pins:HOST:PORT    an array of actuators (type 2)
 
 A new device is a `DeviceKind`: ``KIND`` of a module in `MODULES` in this package, or an entry point of the
-group ``touchfield.drivers`` in another distribution. The modules must be cheap to import: libraries and
-drivers are loaded when a device is opened.
+group ``touchfield.drivers`` in another distribution. A module is imported when its kind is used, or all kinds
+are listed. It must be cheap to import: libraries and drivers are loaded when a device is opened.
 """
 
 from __future__ import annotations
@@ -30,7 +30,16 @@ if TYPE_CHECKING:
     from touchfield.render.array_player import ArrayDevice
 
 
-MODULES = ("simulated", "haply", "openhaptics", "forcedimension", "bhaptics", "osc", "pins")
+MODULES = {
+    "sim": "simulated",
+    "haply": "haply",
+    "openhaptics": "openhaptics",
+    "forcedimension": "forcedimension",
+    "bhaptics": "bhaptics",
+    "osc": "osc",
+    "pins": "pins",
+}
+"""The module of each built-in kind, by the kind's name."""
 
 Opener = Callable[[], PointDevice]
 """Makes a point device, not yet open, in the servo's process; can be pickled."""
@@ -102,8 +111,12 @@ class PointChoice(NamedTuple):
 @cache
 def device_kinds() -> tuple[DeviceKind, ...]:
     """All kinds of devices, those of plug-ins last."""
-    built_in = tuple(import_module(f"touchfield.devices.drivers.{name}").KIND for name in MODULES)
-    return (*built_in, *plugins("touchfield.drivers", DeviceKind).values())
+    return (*map(_built_in_kind, MODULES), *plugins("touchfield.drivers", DeviceKind).values())
+
+
+def _built_in_kind(name: str) -> DeviceKind:
+    kind: DeviceKind = import_module(f"touchfield.devices.drivers.{MODULES[name]}").KIND
+    return kind
 
 
 def point_kinds() -> tuple[DeviceKind, ...]:
@@ -116,10 +129,17 @@ def array_kinds() -> tuple[DeviceKind, ...]:
     return tuple(kind for kind in device_kinds() if kind.is_array)
 
 
-def _kind(text: str, name: str, kinds: tuple[DeviceKind, ...]) -> DeviceKind:
-    for kind in kinds:
-        if kind.name == name:
-            return kind
+def _find_kind(name: str, is_array: bool) -> DeviceKind | None:
+    """The kind of this name and type; for a built-in name neither other modules nor plug-ins are imported."""
+    kinds = (_built_in_kind(name),) if name in MODULES else device_kinds()
+    return next((kind for kind in kinds if kind.name == name and kind.is_array == is_array), None)
+
+
+def _require_kind(text: str, name: str, is_array: bool) -> DeviceKind:
+    kind = _find_kind(name, is_array)
+    if kind is not None:
+        return kind
+    kinds = array_kinds() if is_array else point_kinds()
     matches = difflib.get_close_matches(name.lower(), [kind.name for kind in kinds], n=1, cutoff=0.5)
     forms = ", ".join(kind.form for kind in (*point_kinds(), *array_kinds()))
     raise InvalidArgument(
@@ -134,7 +154,7 @@ def point_device(text: str, trajectory: Trace | None = None) -> PointChoice:
     given for a device that a hand moves.
     """
     name, _, rest = text.strip().partition(":")
-    kind = _kind(text, name.lower(), point_kinds())
+    kind = _require_kind(text, name.lower(), is_array=False)
     if trajectory is not None and not kind.is_simulated:
         raise InvalidArgument(
             "trajectory", f"one for {kind.name}", "none: there a hand moves", "Take --device sim."
@@ -144,7 +164,7 @@ def point_device(text: str, trajectory: Trace | None = None) -> PointChoice:
 
 def is_array_device(text: str) -> bool:
     """True if `text` names an array, even if the rest of it is invalid."""
-    return text.strip().partition(":")[0].lower() in {kind.name for kind in array_kinds()}
+    return _find_kind(text.strip().partition(":")[0].lower(), is_array=True) is not None
 
 
 def array_device(
@@ -159,7 +179,7 @@ def array_device(
     from touchfield.devices import device
 
     name, _, rest = text.strip().partition(":")
-    kind = _kind(text, name.lower(), array_kinds())
+    kind = _require_kind(text, name.lower(), is_array=True)
     default = device(str(kind.profile))
     if (
         kind.takes_any
