@@ -251,7 +251,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
     },
     "lod": {
         "levels": case("2", "levels_of_detail.levels", 2),
-        "most-bytes": case("9000", "levels_of_detail.max_bytes", 9000),
+        "max-bytes": case("9000", "levels_of_detail.max_bytes", 9000),
         **_coder(),
     },
     "partition": {

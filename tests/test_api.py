@@ -97,6 +97,7 @@ def test_what_is_not_there_is_told_as_python_tells_it() -> None:
         from touchfield.render import nothing  # noqa: F401
 
 
+@pytest.mark.thorough
 def test_a_program_of_a_user_is_checked_by_mypy(tmp_path: Path) -> None:
     assert (ROOT / "src" / "touchfield" / "py.typed").is_file()
     pytest.importorskip("mypy")

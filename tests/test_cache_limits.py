@@ -51,7 +51,6 @@ class Made:
 
     @property
     def alive(self) -> int:
-        gc.collect()
         return sum(one() is not None for one in self._alive)
 
     def take_numbers(self) -> list[int]:

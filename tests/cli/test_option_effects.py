@@ -135,7 +135,7 @@ CASES: dict[str, list[str]] = {
     "splice moving.touch moving.touch out.touch": ["--fade-s 0.1"],
     "resample moving.touch out.npz --nw 3": ["--kernel box", "--rate-hz 12", "--nw 5"],
     "resample moving.touch out.touch --rate-hz 15": ["--shape 8,9,10", "--spacing 6mm", "--k 0.4"],
-    "lod moving.touch": ["--levels 2", "--most-bytes 1200", "--k 0.4"],
+    "lod moving.touch": ["--levels 2", "--max-bytes 1200", "--k 0.4"],
     "partition fine.touch": ["--depth 1", "--penalty-bits 1", "--quantiser uniform:0.5"],
     "compare sphere.toml fine.touch --no-picture": ["--k 0.001 --f0-n 0.0001", "--k 0.001", "--f0-n 0.0001"],
     "play moving.touch --offline --seconds 0.3 --log out.csv": [

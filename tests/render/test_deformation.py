@@ -334,7 +334,7 @@ def test_an_animated_model_bends_the_stream_of_a_pose(
         _exit_code(["deform", str(stream), str(model), "-o", str(tracks), "--frames", "0:5", "--json"]) == 0
     )
     told = json.loads(capsys.readouterr().out)
-    assert told["frames"] == 5 and told["control_points"] == [8, 8, 8] and told["least_determinant"] > 0
+    assert told["frames"] == 5 and told["control_points"] == [8, 8, 8] and told["min_determinant"] > 0
     bent = read_deformation(tracks)
     assert not bent.displacement_m[0].any() and bent.displacement_m[-1].any()
     with pipeline.open_stream(stream) as opened:

@@ -391,9 +391,9 @@ def test_the_commands_as_their_user_meets_them(
     assert shown["parts"] == [2, 6] and tf.decode(tmp_path / "s.touch").friction == 0.2
     shown = told(capsys, "resample", stream, tmp_path / "r.npz", "--spacing", "4mm", "--rate-hz", "60")
     assert shown["grid_shape"] == [20, 20, 20] and shown["frames"] == 12
-    shown = told(capsys, "lod", stream, "--levels", "1", "--most-bytes", "1000000")
+    shown = told(capsys, "lod", stream, "--levels", "1", "--max-bytes", "1000000")
     assert shown["level"] == 0
-    assert _exit_code(["lod", str(stream), str(tmp_path / "levels"), "--most-bytes", "1000000"]) == 0
+    assert _exit_code(["lod", str(stream), str(tmp_path / "levels"), "--max-bytes", "1000000"]) == 0
     assert "level 0 is the finest that fits" in capsys.readouterr().out
     shown = told(capsys, "partition", stream, "--depth", "2", "--penalty-bits", "1")
     boxes = shown["boxes"]

@@ -121,7 +121,7 @@ def live(
     counts = {**sent.summary(), **sent.error_bound(prepared)}
     sums = {
         **counts,
-        "most_receivers": server.max_receivers,
+        "max_receivers": server.max_receivers,
         "skipped": server.skipped,
         "left": server.dropped,
     }

@@ -111,7 +111,7 @@ def resample(
     return Answer(done.summary(), str(done.path), done.notes)
 
 
-@command("Make", "lod room.touch levels --most-bytes 20000")
+@command("Make", "lod room.touch levels --max-bytes 20000")
 @with_options(CODER)
 def lod(
     options: Options,
@@ -123,11 +123,11 @@ def lod(
         ),
     ] = None,
     levels: Annotated[int | None, "How often the lattice is halved; default: to 8 samples."] = None,
-    most_bytes: Annotated[int | None, "Name the finest level that takes no more."] = None,
+    max_bytes: Annotated[int | None, "Name the finest level that takes no more."] = None,
 ) -> Answer:
     """Make levels of detail of MEDIUM, each a file with its bytes and its error."""
     with progress("lod") as report:
-        done = editing.levels_of_detail(medium, folder, levels, most_bytes, coder_spec(options), report)
+        done = editing.levels_of_detail(medium, folder, levels, max_bytes, coder_spec(options), report)
 
     def print_text() -> None:
         show_rows(done.figures["levels"], f"levels of detail of {medium}")

@@ -42,7 +42,7 @@ class LiveServer(Background):
     ----------
     receivers : int
         That are there now.
-    most_receivers : int
+    max_receivers : int
         That were there at once.
     skipped : int
         Segments that slow receivers were moved on over.

@@ -102,7 +102,7 @@ def tracks_of(
         "frames": len(deformation),
         "control_points": list(deformation.displacement_m.shape[1:4]),
         "rms_mm": 1e3 * rms,  # distance of the points of the surface from where the model has them
-        "least_determinant": deformation.min_determinant()[0],
+        "min_determinant": deformation.min_determinant()[0],
         "compliance_m_per_n": deformation.compliance_m_per_n,
         "file_bytes": size,
         "bytes_per_frame": size / len(deformation),
