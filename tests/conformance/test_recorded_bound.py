@@ -29,7 +29,9 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchWriter
 from touchfield.medium import ForceField, Grid
 
-GRID = Grid((12, 9, 10), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
+GRID = Grid(
+    (17, 9, 7), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0)
+)  # 3, 2 and 1 bricks: axes that are exchanged show
 STEP = 1 / 65535
 EMPTY = ForceField.empty(GRID)
 FRAMES = 4
@@ -142,7 +144,7 @@ def test_a_ratio_beside_outliers_is_that_of_the_samples_that_are_left(effort: st
     """Samples sent apart have no error: what they had before must not be recorded."""
     spec = TouchSpec(k=0.1, f0_n=0.0, effort=effort)
     dense_n = np.zeros((*GRID.shape, 3), np.float32)
-    dense_n[2, 3, 4], dense_n[9, 8, 9] = (
+    dense_n[2, 3, 4], dense_n[9, 8, 6] = (
         (1e20, 0, 0),
         (1e-20, 0, 0),
     )  # the second is below the step of the first

@@ -14,7 +14,7 @@ from touchfield.errors import FormatError
 from touchfield.medium import Grid
 
 part: Any = importlib.import_module("decode_vibration")
-GRID = Grid((9, 7, 10), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
+GRID = Grid((9, 7, 18), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
 
 
 def symbols(rng: np.random.Generator) -> VibrationSymbols:
