@@ -143,6 +143,22 @@ def test_open_loop_drifts_and_closed_loop_does_not() -> None:
     assert nmse_db(frames[7:], closed[7:]) < min(first, last) - 6
 
 
+@pytest.mark.parametrize("interframe", ["open", "closed", "none"])
+def test_with_fine_quantisation_every_frame_of_a_motion_is_followed(interframe: str) -> None:
+    """No frame is coded as a difference from another than the one before it."""
+    frames = moving_sheet(5, speed=0.8)
+    fine = PaperSpec(
+        interframe=interframe,
+        amplitude="uniform",
+        nq=9,
+        deadband="none",
+        directions="octa5",
+        choose_by_size=False,
+    )
+    _, decoded, _ = coded(frames, fine)
+    assert max(nmse_db(frames[i : i + 1], decoded[i : i + 1]) for i in range(5)) < -25
+
+
 @pytest.mark.parametrize("empty", [(0,), (1,), (0, 1, 2)])
 def test_empty_frames(empty: tuple[int, ...]) -> None:
     frames = moving_sheet(3)
