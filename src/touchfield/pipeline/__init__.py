@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from touchfield.pipeline.decoding import OpenStream, open_stream, write_field
     from touchfield.pipeline.encoding import Encoded, encode
     from touchfield.pipeline.mapping import partition_workspace
-    from touchfield.pipeline.preparation import Prepared, decode, prepare
+    from touchfield.pipeline.preparation import Prepared, prepare
     from touchfield.pipeline.rate_control import Target, encode_to_target
+    from touchfield.pipeline.source import decode
     from touchfield.pipeline.spec import EncodeSpec
     from touchfield.pipeline.tiles import Tiled, encode_tiles
 
@@ -50,8 +51,9 @@ _MODULES = {
     "decoding": ("OpenStream", "open_stream", "write_field"),
     "encoding": ("Encoded", "encode"),
     "mapping": ("partition_workspace",),
-    "preparation": ("Prepared", "decode", "prepare"),
+    "preparation": ("Prepared", "prepare"),
     "rate_control": ("Target", "encode_to_target"),
+    "source": ("decode",),
     "spec": ("EncodeSpec",),
     "tiles": ("Tiled", "encode_tiles"),
 }

@@ -18,7 +18,7 @@ from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.segment import BitAccount
 from touchfield.compute.threads import Report, silent
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import limit_forces
+from touchfield.filters.limit import limit_forces
 from touchfield.filters.registry import FieldFilter
 from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
@@ -28,16 +28,10 @@ from touchfield.medium.selection import evenly_spaced
 from touchfield.perception.hand_motion import Forces, HandMotion, HoldMeter, SlideMeter, SlideSpec
 from touchfield.perception.human import vibration_threshold
 from touchfield.pipeline.decoding import OpenStream, open_stream
-from touchfield.pipeline.placement import filter_objects, stored_medium
-from touchfield.pipeline.preparation import (
-    FixedLatticeScene,
-    Prepared,
-    Source,
-    as_source,
-    open_scene,
-    prepare,
-)
+from touchfield.pipeline.objects import filter_objects
+from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.result import Result
+from touchfield.pipeline.source import FixedLatticeScene, Source, as_source, open_scene
 from touchfield.pipeline.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec
 from touchfield.render.segment_blend import with_blends
 from touchfield.sources.scene import Scene
@@ -199,7 +193,7 @@ def _written_field(source: Source, opened: OpenStream, spec: EncodeSpec) -> Prep
     if Path(source).suffix != ".npz" or not Path(source).is_file():
         return None
     field = open_scene(source, replace(spec.source, kind=None))
-    stored = stored_medium(field)
+    stored = field.stored
     if stored is None or stored.grid != opened.grid:
         return None
     frame_count = opened.reader.head.frame_count

@@ -21,7 +21,7 @@ from touchfield.errors import (
 )
 from touchfield.files import json_of
 from touchfield.filters.contact import VibrationRule
-from touchfield.filters.device_filter import DeviceFilterSpec, require_nw
+from touchfield.filters.device_spec import DeviceFilterSpec, require_nw
 from touchfield.filters.registry import FieldFilter, field_filters, filter_of
 from touchfield.options import option
 from touchfield.perception.human import figure

@@ -23,7 +23,8 @@ from touchfield.network.mux import demux
 from touchfield.pipeline.comparison import compare, source_medium
 from touchfield.pipeline.decoding import OpenStream, open_stream
 from touchfield.pipeline.encoding import encode, encode_prepared
-from touchfield.pipeline.preparation import Prepared, Source
+from touchfield.pipeline.preparation import Prepared
+from touchfield.pipeline.source import Source
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.tasks.measure import MeasureSpec, measure_medium
