@@ -46,7 +46,7 @@ def device_medium(
             stored, grid=grid, make_frame=lambda i: stored[i].on_grid(grid), vibration=vibration_on_grid
         )
     mapping = DeviceFilter(device, grid, placement, spec or DeviceFilterSpec())
-    entries = _provenance(mapping, array_pool(scene, device, mapping.spec.pool))
+    entries = _provenance(mapping, scene)
     frames = mapping.frames(scene, profile_hand)
     medium = HapticMedium(
         grid, scene.rate_hz, scene.frame_count, frames, axes=scene.axes, tags=scene.tags, provenance=entries
@@ -76,11 +76,11 @@ class DeviceFilter:
         return point_frames(scene, self.device, self.grid, self.placement, profile_hand, self.spec)
 
 
-def _provenance(mapping: DeviceFilter, pool: str) -> dict[str, str]:
+def _provenance(mapping: DeviceFilter, scene: Scene) -> dict[str, str]:
     spec, placement = mapping.spec, mapping.placement
     text = f"{spec.low_pass}, oversample {spec.oversample}, floor {spec.force_floor_share:g} of F_max"
     if mapping.device.is_array:
-        text += f", pool {pool}, cut-off {spec.cutoff}"
+        text += f", pool {array_pool(scene, mapping.device, spec.pool)}, cut-off {spec.cutoff}"
     return {
         "device": mapping.device.name,
         "device_filter": text,

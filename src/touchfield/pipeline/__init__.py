@@ -17,13 +17,14 @@ from touchfield._lazy import lazy_attributes
 
 if TYPE_CHECKING:
     from touchfield.pipeline.comparison import Comparison, compare, filter_report
-    from touchfield.pipeline.decoding import OpenStream, open_stream, write_field
+    from touchfield.pipeline.decoding import open_stream, write_field
     from touchfield.pipeline.encoding import Encoded, encode
     from touchfield.pipeline.mapping import partition_workspace
     from touchfield.pipeline.preparation import Prepared, prepare
     from touchfield.pipeline.rate_control import Target, encode_to_target
     from touchfield.pipeline.source import decode
     from touchfield.pipeline.spec import EncodeSpec
+    from touchfield.pipeline.stream import OpenStream
     from touchfield.pipeline.tiles import Tiled, encode_tiles
 
 __all__ = [
@@ -48,13 +49,14 @@ __all__ = [
 
 _MODULES = {
     "comparison": ("Comparison", "compare", "filter_report"),
-    "decoding": ("OpenStream", "open_stream", "write_field"),
+    "decoding": ("open_stream", "write_field"),
     "encoding": ("Encoded", "encode"),
     "mapping": ("partition_workspace",),
     "preparation": ("Prepared", "prepare"),
     "rate_control": ("Target", "encode_to_target"),
     "source": ("decode",),
     "spec": ("EncodeSpec",),
+    "stream": ("OpenStream",),
     "tiles": ("Tiled", "encode_tiles"),
 }
 __getattr__ = lazy_attributes(__name__, _MODULES)

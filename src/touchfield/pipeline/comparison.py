@@ -27,12 +27,13 @@ from touchfield.medium.grid import Placement
 from touchfield.medium.selection import evenly_spaced
 from touchfield.perception.hand_motion import Forces, HandMotion, HoldMeter, SlideMeter, SlideSpec
 from touchfield.perception.human import vibration_threshold
-from touchfield.pipeline.decoding import OpenStream, open_stream
+from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.objects import filter_objects
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.source import FixedLatticeScene, Source, as_source, open_scene
 from touchfield.pipeline.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec
+from touchfield.pipeline.stream import OpenStream
 from touchfield.render.segment_blend import with_blends
 from touchfield.sources.scene import Scene
 from touchfield.viewer.picture import draw_comparison

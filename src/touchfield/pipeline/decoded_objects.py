@@ -18,7 +18,7 @@ from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.budget import require_memory
 from touchfield.pipeline.decoded_frames import SegmentFrames, segment_layout
-from touchfield.pipeline.decoding import OpenStream
+from touchfield.pipeline.stream import OpenStream
 
 if TYPE_CHECKING:
     pass

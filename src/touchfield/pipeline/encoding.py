@@ -21,7 +21,6 @@ from touchfield.container.remote import is_remote, sender
 from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
 from touchfield.medium import Grid
 from touchfield.pipeline.decoding import open_stream
-from touchfield.pipeline.notes import silent_frame_notes
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.segments import file_head, write_voxels
@@ -139,13 +138,13 @@ def encode_prepared(
     start_s = time.perf_counter()
     if prepared.source is not None:
         prepared.source.report = report
+    notes: tuple[str, ...] = ()
     with TouchWriter(Path(out)) as writer:
         if prepared.scene is not None:
-            supported, silent_frames = _write_scene(writer, prepared, provenance, report), 0
+            supported = _write_scene(writer, prepared, provenance, report)
         else:
-            supported, silent_frames = write_voxels(writer, prepared, provenance, report)
-    size, notes = Path(out).stat().st_size, silent_frame_notes(prepared, silent_frames)
-    bound = file_error_bound(out)
+            supported, notes = write_voxels(writer, prepared, provenance, report)
+    size, bound = Path(out).stat().st_size, file_error_bound(out)
     return Encoded(prepared, size, time.perf_counter() - start_s, supported, notes, bound=bound)
 
 

@@ -3,23 +3,39 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from touchfield.filters.array_filter import array_pool, is_met_from_low, relief_m
-from touchfield.medium import HapticScene
+from touchfield.medium import HapticMedium, HapticScene
 from touchfield.pipeline.placement import FIT_MARGIN, Mapping
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.scene import Scene
 
-if TYPE_CHECKING:
-    from touchfield.pipeline.preparation import Prepared
-
 _MAX_NAMES: Final = 8
 
 
-def mapping_notes(scene: Scene, mapping: Mapping) -> tuple[str, ...]:
+def notes_of(
+    scene: Scene,
+    mapping: Mapping | None,
+    pin_notes: tuple[str, ...],
+    objects: HapticScene | None,
+    medium: HapticMedium,
+    spec: EncodeSpec,
+) -> tuple[str, ...]:
+    """All notes on a source that was prepared as `objects`, or as `medium` if these are None."""
+    notes = (*scene.notes,)
+    if mapping is not None:
+        notes += (*_mapping_notes(scene, mapping), *pin_notes)
+    if objects is not None:
+        notes += _object_notes(objects, spec)
+    if medium.vibration is None and scene.stored is not None and scene.stored.vibration is not None:
+        notes += ("The vibration of the source is left out: it lies on another lattice, or beside objects",)
+    return notes
+
+
+def _mapping_notes(scene: Scene, mapping: Mapping) -> tuple[str, ...]:
     """Notes on the placement of a scene, on its unit, and on options without effect for the device."""
     scale_note = _scale_note(scene, mapping)
     if mapping.device.is_array and array_pool(scene, mapping.device, mapping.spec.pool) == "relief":
@@ -94,10 +110,8 @@ def _option_notes(mapping: Mapping) -> tuple[str, ...]:
     return notes
 
 
-def object_notes(objects: HapticScene | None, spec: EncodeSpec) -> tuple[str, ...]:
+def _object_notes(objects: HapticScene, spec: EncodeSpec) -> tuple[str, ...]:
     """Notes on the number of objects, and on the rigid ones without any force."""
-    if objects is None:
-        return ()
     count = len(objects.objects)
     note = f"{count} object{'s' * (count > 1)}, fields with pose tracks"
     if spec.representation == "auto":
@@ -110,14 +124,3 @@ def object_notes(objects: HapticScene | None, spec: EncodeSpec) -> tuple[str, ..
     names = ", ".join(invisible[:_MAX_NAMES]) + (", ..." if len(invisible) > _MAX_NAMES else "")
     reason = "too small for the lattice, or outside the workspace"
     return note, f"Objects without any force, {reason}: {names}. Check --nw or --mapping."
-
-
-def silent_frame_notes(prepared: Prepared, count: int) -> tuple[str, ...]:
-    """A note on the frames that have a force and are decoded without any; empty if `count` is 0."""
-    if not count:
-        return ()
-    frames = f"{count} of {len(prepared.medium)} frames"
-    note = f"{frames} are decoded without any force: all forces are below --f0-n"
-    if prepared.has_law:
-        note += " (lower it, or raise --stiffness-n-per-m or --nw)"
-    return (note,)

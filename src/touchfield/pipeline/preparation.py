@@ -20,18 +20,18 @@ from touchfield.codec.registry import coder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.devices import Device, device
 from touchfield.filters.contact import VibrationRule, add_vibration
+from touchfield.filters.device_spec import same_lattice
 from touchfield.filters.point_filter import exact_forces
 from touchfield.filters.registry import filter_and_limit
 from touchfield.medium import Grid, HapticMedium, HapticScene
 from touchfield.medium.grid import Placement
 from touchfield.perception.hand_motion import Forces
-from touchfield.pipeline.decoding import FILTERED
-from touchfield.pipeline.notes import mapping_notes, object_notes
+from touchfield.pipeline.notes import notes_of
 from touchfield.pipeline.objects import filter_objects, objects_of
 from touchfield.pipeline.placement import Mapping, mapping_of
-from touchfield.pipeline.provenance import bound_reference
-from touchfield.pipeline.source import FixedLatticeScene, Source, as_source, open_scene
-from touchfield.pipeline.spec import COEFFICIENTS, EncodeSpec
+from touchfield.pipeline.source import FixedLatticeScene, Source, scene_of
+from touchfield.pipeline.spec import COEFFICIENTS, SOURCE_FORCES, EncodeSpec
+from touchfield.pipeline.stream import FILTERED
 from touchfield.sources.scene import Scene
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.stored import StoredScene
@@ -49,10 +49,7 @@ def prepare(source: Source | ArrayLike, spec: EncodeSpec | None = None, grid: Gr
     spec = spec or EncodeSpec()
 
     # 1. open the source
-    scene = open_scene(as_source(source, spec.device, grid), spec.source)
-    start, stop = spec.frames or (0, None)
-    if spec.frames is not None:
-        scene.restrict_frames(start, scene.frame_count if stop is None else stop)
+    scene = scene_of(source, spec, grid)
 
     # 2. place it in the workspace; a medium on a fixed lattice is there already
     mapping: Mapping | None = None
@@ -61,15 +58,17 @@ def prepare(source: Source | ArrayLike, spec: EncodeSpec | None = None, grid: Gr
         target, placement = scene.device, scene.placement
     else:
         target = device(spec.device)
-        spec, pin_notes = _with_pin_bound(spec, target)
+        if target.shows == "height":
+            spec, pin_notes = _with_pin_bound(spec, target)
         mapping = mapping_of(scene, target, spec)
         placement = mapping.placement
         if mapping.keeps_lattice and isinstance(scene, StoredScene):
             scene = StoredScene(scene.to_the_bit())
 
-    # 3. represent it by objects, or by samples of the lattice; both are filtered for the device
-    # 4. filter it for the hand
+    # 3. represent it by objects, or by samples of the lattice; the device filter is applied as they are made
     objects = objects_of(scene, target, mapping, spec)
+
+    # 4. filter it for the hand
     if objects is not None:
         objects = filter_objects(objects, spec.chain)
         medium = objects.voxelise()
@@ -78,19 +77,15 @@ def prepare(source: Source | ArrayLike, spec: EncodeSpec | None = None, grid: Gr
         medium = filter_and_limit(samples, spec.chain, target.force_max_n)  # type: ignore[arg-type]
 
     # 5. add what the receiver renders besides the force, and notes
-    notes = (*scene.notes,)
-    if mapping is not None:
-        notes += (*mapping_notes(scene, mapping), *pin_notes)
-    notes += object_notes(objects, spec)
     coefficients = {name: value for name in COEFFICIENTS if (value := getattr(spec, name)) is not None}
     medium, objects = replace(medium, **coefficients), objects and replace(objects, **coefficients)
     if spec.vibration is not None:
         medium = add_vibration(medium, VibrationRule.parse(spec.vibration), target.force_max_n)
-    elif medium.vibration is None and scene.stored is not None and scene.stored.vibration is not None:
-        notes += ("The vibration of the source is left out: it lies on another lattice, or beside objects",)
+    notes = notes_of(scene, mapping, pin_notes, objects, medium, spec)
 
     # 6. take the requested frames, and state what made the forces
     if spec.frames is not None:
+        start, stop = spec.frames
         stop = len(medium) if stop is None else stop
         medium, objects = medium.between(start, stop), objects and objects.between(start, stop)
     prepared = Prepared(medium, target, placement, spec, notes, objects, has_law=scene.has_law)
@@ -99,9 +94,12 @@ def prepare(source: Source | ArrayLike, spec: EncodeSpec | None = None, grid: Gr
     exact = None
     if mapping and isinstance(scene, AnalyticScene) and not (spec.chain or target.is_array):
         exact = exact_forces(scene, mapping.placement, mapping.profile, target.force_max_n)
-    reference = bound_reference(scene, mapping, spec)
     return replace(
-        prepared, exact=exact, source=scene if mapping else None, reference=reference, mapping=mapping
+        prepared,
+        exact=exact,
+        source=scene if mapping else None,
+        reference=_bound_reference(scene, mapping, spec),
+        mapping=mapping,
     )
 
 
@@ -161,13 +159,22 @@ class Prepared:
 
 
 def _with_pin_bound(spec: EncodeSpec, target: Device) -> tuple[EncodeSpec, tuple[str, ...]]:
-    """The spec with an error bound of half a pin step if none was requested, and a note on it."""
+    """The spec for pins, bounded by half a step of a pin if no bound was requested, and a note on it."""
     defaults, touch, levels = TouchSpec(), spec.touch, target.levels or _DEFAULT_PIN_HEIGHTS
     k = 0.5 / max(levels - 1, 1)
     is_default = (touch.k, touch.f0_n, touch.mode) == (defaults.k, defaults.f0_n, defaults.mode)
     is_requested = spec.coder != "touch" or not is_default
-    if target.shows != "height" or is_requested or k >= defaults.k:
+    if is_requested or k >= defaults.k:
         return spec, ()
     f0_n = k * target.force_max_n
     note = f"k {k:.3g} and F_0 {f0_n:.3g} N: every pin within half a step of {levels} heights (--k, --f0-n)"
     return replace(spec, touch=replace(touch, k=k, f0_n=f0_n)), (note,)
+
+
+def _bound_reference(scene: Scene, mapping: Mapping | None, spec: EncodeSpec) -> str:
+    """The field that an error bound refers to: the source's own forces if nothing changed them."""
+    stored = scene.stored
+    if stored is None or spec.chain:
+        return FILTERED
+    keeps_forces = mapping is None or same_lattice(mapping.placement.to_scene(mapping.grid), stored.grid)
+    return SOURCE_FORCES if keeps_forces else FILTERED

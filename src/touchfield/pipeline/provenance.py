@@ -1,4 +1,4 @@
-"""What a file states about its origin: source and spec, and the field that its error bound refers to."""
+"""What a file states about its origin: version, source and spec."""
 
 from __future__ import annotations
 
@@ -10,24 +10,11 @@ from typing import TYPE_CHECKING
 from numpy.typing import ArrayLike
 
 from touchfield._version import __version__
-from touchfield.filters.device_spec import same_lattice
-from touchfield.pipeline.decoding import FILTERED
 from touchfield.pipeline.source import Source, is_stream
-from touchfield.pipeline.spec import SOURCE_FORCES, EncodeSpec
-from touchfield.sources.scene import Scene
+from touchfield.pipeline.stream import FILTERED
 
 if TYPE_CHECKING:
-    from touchfield.pipeline.placement import Mapping
     from touchfield.pipeline.preparation import Prepared
-
-
-def bound_reference(scene: Scene, mapping: Mapping | None, spec: EncodeSpec) -> str:
-    """The field that an error bound refers to: the source's own forces if nothing changed them."""
-    stored = scene.stored
-    if stored is None or spec.chain:
-        return FILTERED
-    keeps_forces = mapping is None or same_lattice(mapping.placement.to_scene(mapping.grid), stored.grid)
-    return SOURCE_FORCES if keeps_forces else FILTERED
 
 
 def file_provenance(source: Source | ArrayLike, prepared: Prepared) -> dict[str, str]:

@@ -62,8 +62,8 @@ class EncodedSegment(NamedTuple):
 
 def write_voxels(
     writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Report
-) -> tuple[int, int]:
-    """Write the head and the segments of a medium; the number of supported samples and of silent frames."""
+) -> tuple[int, tuple[str, ...]]:
+    """Write the head and the segments of a medium; the number of supported samples, and notes."""
     medium, spec = prepared.medium, prepared.spec
     made = coded = supported = silent_frames = 0
 
@@ -84,7 +84,7 @@ def write_voxels(
         supported += segment.supported
         silent_frames += segment.silent_frames
         on_made(made)
-    return supported, silent_frames
+    return supported, silent_frame_notes(prepared, silent_frames)
 
 
 def frame_ranges(
@@ -207,3 +207,14 @@ def file_head(prepared: Prepared, encoder: FieldEncoder | ObjectsEncoder) -> Hea
         damping_n_s_per_m=medium.damping_n_s_per_m, tags=medium.tags, coder=encoder.name,
         coder_parameters=encoder.parameters,
     )  # fmt: skip
+
+
+def silent_frame_notes(prepared: Prepared, count: int) -> tuple[str, ...]:
+    """A note on the frames that have a force and are decoded without any; empty if `count` is 0."""
+    if not count:
+        return ()
+    frames = f"{count} of {len(prepared.medium)} frames"
+    note = f"{frames} are decoded without any force: all forces are below --f0-n"
+    if prepared.has_law:
+        note += " (lower it, or raise --stiffness-n-per-m or --nw)"
+    return (note,)

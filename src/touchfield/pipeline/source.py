@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from touchfield.compute.cuda import needs_gpu
 from touchfield.container import TouchReader
@@ -16,6 +17,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.grid import Placement
 from touchfield.pipeline.decoding import stream_of
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions, WatchedOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
@@ -23,6 +25,15 @@ from touchfield.sources.stored import StoredScene
 
 Source = str | Path | Scene | HapticMedium | ForceField
 """Source of an encoding: a path, "sample:NAME", a scene, a medium, or a field (a medium of one frame)."""
+
+
+def scene_of(source: Source | ArrayLike, spec: EncodeSpec, grid: Grid | None = None) -> Scene:
+    """The scene of a source, restricted to the frames of `spec`; an array has newtons on `grid`."""
+    scene = open_scene(as_source(source, spec.device, grid), spec.source)
+    if spec.frames is not None:
+        start, stop = spec.frames
+        scene.restrict_frames(start, scene.frame_count if stop is None else stop)
+    return scene
 
 
 def as_source(source: object, device_name: str, grid: Grid | None = None) -> str | Path | Scene:

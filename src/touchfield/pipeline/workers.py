@@ -25,7 +25,6 @@ from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Report
 from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
-from touchfield.pipeline.notes import silent_frame_notes
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.segments import (
     EncodedSegment,
@@ -34,6 +33,7 @@ from touchfield.pipeline.segments import (
     file_head,
     frame_ranges,
     segment_inputs,
+    silent_frame_notes,
     write_segments,
 )
 from touchfield.pipeline.spec import EncodeSpec

@@ -53,13 +53,14 @@ from touchfield.filters.resample import (
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.selection import evenly_spaced
-from touchfield.pipeline.decoding import FILTERED, write_field
+from touchfield.pipeline.decoding import write_field
 from touchfield.pipeline.encoding import encode_prepared
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.source import is_stream, open_scene
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.pipeline.stream import FILTERED
 from touchfield.render.point_device import axes_matrix
 from touchfield.sources.options import SourceOptions
 
