@@ -1,8 +1,10 @@
 """The main pipeline (figure 4 of the paper): from a scene to a ``.touch`` file, and back to a medium.
 
-source -> device filter (M) -> haptic filters -> medium   `preparation`, `placement`
-medium -> coder -> segments -> container                  `segments`, `encoding`
-container -> segments -> decoder -> medium                `decoding`, `decoded_frames`, `decoded_objects`
+source -> device filter (M) -> haptic filters -> medium   `preparation`
+    its stages                                            `source`, `placement`, `objects`, `notes`
+medium -> coder -> segments -> container                  `encoding`, `provenance`, `segments`, `workers`
+container -> segments -> decoder -> medium                `decoding`, `stream`
+    its frames and objects                                `decoded_frames`, `decoded_objects`
 decoded medium against its source                         `comparison`
 
 source -> a file of a requested size or error             `rate_control`
