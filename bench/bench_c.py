@@ -23,7 +23,8 @@ from typing import Any
 import touchfield as tf
 from machine import Bar, Figures, at_least, at_most, bench, figure, leave_out
 from touchfield.pipeline import native_decoder
-from touchfield.pipeline.decoding import VoxelStream, open_stream
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.stream import VoxelStream
 
 ROOT = Path(__file__).resolve().parents[1]
 

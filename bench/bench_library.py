@@ -25,7 +25,8 @@ from touchfield.container.wire import encode_record
 from touchfield.measure.descriptors import Descriptor
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline.encoding import encode_prepared
-from touchfield.pipeline.preparation import decode, prepare
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.source import decode
 from touchfield.tasks.library import Library, index_folder, library_path
 
 KINDS, N = 40, 32

@@ -24,7 +24,8 @@ from rate_fields import Case, box
 from rate_symbols import F0_N, K
 from touchfield.filters.device_filter import device_medium
 from touchfield.medium import ForceField
-from touchfield.pipeline.preparation import open_scene, prepare
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.source import open_scene
 from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_m
 from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.laws import profile_of

@@ -18,8 +18,8 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchWriter
 from touchfield.medium import ForceField, Grid, HapticScene
-from touchfield.pipeline.decoded_objects import write_objects
 from touchfield.pipeline.decoding import open_stream, write_field
+from touchfield.pipeline.encoding import write_objects
 
 HERE = Path(__file__).parent
 GOLDEN, FAULTY = HERE / "v1", HERE / "faulty"

@@ -20,8 +20,9 @@ from touchfield.codec.segment import BitAccount, FrameStats, compression_ratio
 from touchfield.errors import InvalidArgument
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.pipeline import encode, prepare
-from touchfield.pipeline.decoding import VoxelStream, open_stream
+from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec
+from touchfield.pipeline.stream import VoxelStream
 from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ import numpy as np
 
 from reproduction.experiment import Inputs
 from touchfield.devices import device
-from touchfield.filters.device_filter import device_grid
+from touchfield.filters.device_spec import device_grid
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.grid import Placement
 from touchfield.pipeline.spec import EncodeSpec

@@ -37,7 +37,8 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.pipeline.decoded_objects import SceneStream, write_objects
+from touchfield.pipeline.decoded_objects import SceneStream
+from touchfield.pipeline.encoding import write_objects
 
 SEED = int(os.environ.get("TOUCHFIELD_FUZZ_SEED", "1"))
 SHARE = float(os.environ.get("TOUCHFIELD_FUZZ_SHARE", "1"))

@@ -16,7 +16,7 @@ from touchfield.devices import device
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.trace import read_trace
 from touchfield.pipeline import encode
-from touchfield.pipeline.preparation import decode
+from touchfield.pipeline.source import decode
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.spec import RenderSpec
 from touchfield.sources.shapes.analytic_scene import AnalyticScene

@@ -19,7 +19,7 @@ import pytest
 import touchfield.compute.cuda as gpu
 from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.medium import Grid
-from touchfield.pipeline.preparation import open_scene
+from touchfield.pipeline.source import open_scene
 from touchfield.sources.depth import depth_scene
 from touchfield.sources.depth.kernels import field as depth
 from touchfield.sources.laws import LawSpec, penalty

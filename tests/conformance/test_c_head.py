@@ -20,8 +20,8 @@ from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.medium import ForceField, Grid
-from touchfield.pipeline.decoded_objects import write_objects
 from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.encoding import write_objects
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
 

@@ -34,7 +34,7 @@ from touchfield.exchange.symbolic import (
     effect_medium,
     filled_hz,
 )
-from touchfield.filters.device_filter import device_grid
+from touchfield.filters.device_spec import device_grid
 from touchfield.medium.medium import MAX_FREQUENCY_HZ
 from touchfield.medium.trace import Trace
 from touchfield.pipeline.array_medium import PANELS, Drives

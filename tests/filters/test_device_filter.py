@@ -24,7 +24,8 @@ from touchfield.filters import (
     device_medium,
     limit_forces,
 )
-from touchfield.filters.device_filter import exact_forces, same_lattice
+from touchfield.filters.device_spec import same_lattice
+from touchfield.filters.point_filter import exact_forces
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.laws import ForceProfile, LawSpec, profile_of
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES, Scene
@@ -379,7 +380,7 @@ def test_an_array_clips_and_drops_too() -> None:
 def test_a_deep_array_is_pooled_in_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = stripes(0.1 / PITCH_M)
     whole = on_array(scene, DeviceFilterSpec())
-    monkeypatch.setattr("touchfield.filters.device_filter.MAX_SLAB_SAMPLES", 1 << 16)
+    monkeypatch.setattr("touchfield.filters.array_filter.MAX_SLAB_SAMPLES", 1 << 16)
     before = scene.asked
     assert on_array(scene, DeviceFilterSpec()) == whole
     assert scene.asked - before > 5
@@ -393,7 +394,7 @@ class Stored(Formula):
 
     def __init__(self, medium: HapticMedium) -> None:
         super().__init__(lambda p, f: medium[0].sample_n(p).astype(float))
-        self.medium, self.frame_count, self.rate_hz = medium, medium.frame_count, medium.rate_hz
+        self.stored, self.frame_count, self.rate_hz = medium, medium.frame_count, medium.rate_hz
 
 
 def stored() -> Stored:
@@ -416,11 +417,11 @@ def test_a_medium_is_lazy_and_says_where_it_comes_from() -> None:
 
 def test_a_stored_medium_on_the_same_lattice_passes_untouched() -> None:
     scene = stored()
-    grid = scene.medium.grid
-    assert device_medium(scene, OMNI, grid, Placement(), WALL) is scene.medium
+    grid = scene.stored.grid
+    assert device_medium(scene, OMNI, grid, Placement(), WALL) is scene.stored
     hand = Placement(0.5)
     relabelled = device_medium(scene, OMNI, hand.to_hand(grid), hand, WALL)
-    assert np.array_equal(relabelled[1].forces_n, scene.medium[1].forces_n)
+    assert np.array_equal(relabelled[1].forces_n, scene.stored[1].forces_n)
     assert relabelled.friction == 0.3 and scene.asked == 0
     wide = Grid.over_box(*grid.box_m, (8, 8, 8))
     low, high = wide.origin_m, wide.to_m((7, 7, 7))
@@ -461,8 +462,8 @@ def test_what_was_mapped_is_told_with_its_numbers() -> None:
 
 def test_a_stored_medium_that_is_filtered_keeps_every_value_beside_it() -> None:
     scene = stored()
-    own = replace(scene.medium, axes="x east, y north, z up", damping_n_s_per_m=2.5, rate_hz=17.0)
-    scene.medium, scene.rate_hz = own, own.rate_hz
+    own = replace(scene.stored, axes="x east, y north, z up", damping_n_s_per_m=2.5, rate_hz=17.0)
+    scene.stored, scene.rate_hz = own, own.rate_hz
     medium = device_medium(scene, OMNI, device_grid(OMNI, 3), Placement(), WALL)
     assert medium.metadata == own.metadata
     assert medium.metadata == {

@@ -20,7 +20,7 @@ from touchfield.filters import pyramid
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.stores.zarr_store import boxes, read_zarr, write_zarr
 from touchfield.pipeline import tiles
-from touchfield.pipeline.preparation import decode
+from touchfield.pipeline.source import decode
 from touchfield.pipeline.tiles import encode_tiles
 from touchfield.sources.registry import open_source
 

@@ -23,7 +23,7 @@ from touchfield.medium import Grid, HapticMedium
 from touchfield.medium.selection import select_frames
 from touchfield.network.live import LiveReceiver, Opened
 from touchfield.pipeline import encode, prepare
-from touchfield.pipeline.decoded_objects import write_objects
+from touchfield.pipeline.encoding import write_objects
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.material import KEY, Material, stored_materials
 from touchfield.sources.recordings.recording import Recording

@@ -130,7 +130,7 @@ WRITERS = {
     "tasks/view.py": "",  # codes for the page that it opens, in mode "mask"
     "network/live.py": "",  # wraps a segment that a live stream has sent, for decoders that know files alone
     "network/mux.py": "",  # copies a file and warns as it does: tests/network/test_mux.py
-    "pipeline/decoded_objects.py": "test_bodies_keep_the_law",
+    "pipeline/workers.py": "test_a_file_keeps_the_law",  # the same segments: tests/pipeline/test_parts.py
 }
 """Modules that write or code segments, beside the test of each."""
 

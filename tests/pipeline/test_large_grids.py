@@ -19,7 +19,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchWriter
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
-from touchfield.pipeline.decoded_objects import write_objects
+from touchfield.pipeline.encoding import write_objects
 
 LARGEST = (4096, 4096, 4096)
 THIN = (1, 1 << 20, 1 << 13)

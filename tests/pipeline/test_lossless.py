@@ -12,8 +12,9 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import Grid
 from touchfield.medium.stores.npz import read_npz
 from touchfield.pipeline import compare, encode
-from touchfield.pipeline.decoding import FILTERED, open_stream
+from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.spec import SOURCE_FORCES, EncodeSpec
+from touchfield.pipeline.stream import FILTERED
 
 SPEC = EncodeSpec(nw=4, touch=TouchSpec(mode="lossless"))
 SMALL = ((11, 9, 10), 0.002)

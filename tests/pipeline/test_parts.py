@@ -25,8 +25,9 @@ from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, MissingExtra, SourceError, TouchfieldError
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.stores.npz import write_npz
-from touchfield.pipeline import segments
-from touchfield.pipeline.segments import EncodedSegment, EncodeTask, encode_part
+from touchfield.pipeline import segments, workers as workers_module
+from touchfield.pipeline.segments import EncodedSegment
+from touchfield.pipeline.workers import EncodeTask, encode_part
 from touchfield.tasks.library import index_folder
 from touchfield.tasks.plan import PlanGrid, plan
 
@@ -237,7 +238,7 @@ def test_a_part_without_its_totals_is_made_again(
         writer.write_head(head, {**provenance, **totals})
         for _ in segments.write_segments(writer, coded):
             pass
-    folder = segments._PartFolder(part.parent, replace(head, frame_count=FRAMES), provenance["job"])
+    folder = workers_module._PartFolder(part.parent, replace(head, frame_count=FRAMES), provenance["job"])
     first = segments.FrameRange(0, head.frame_count, 0)
     with pytest.raises(CorruptFile, match=r"0000000000\.touch: found supported .*; expected whole numbers"):
         next(folder.read(first))
@@ -251,18 +252,18 @@ def test_a_job_is_another_where_its_source_was_written_again(tmp_path: Path) -> 
     path = tmp_path / "depth" / "0.png"
     path.parent.mkdir()
     path.write_bytes(b"12")
-    names = [segments.job_name(str(where), "asked") for where in (path, path.parent)]
-    assert names == [segments.job_name(str(where), "asked") for where in (path, path.parent)]
-    assert names[0] != segments.job_name(str(path), "asked otherwise")
+    names = [workers_module.job_name(str(where), "asked") for where in (path, path.parent)]
+    assert names == [workers_module.job_name(str(where), "asked") for where in (path, path.parent)]
+    assert names[0] != workers_module.job_name(str(path), "asked otherwise")
     os.utime(path, (1, 1))
-    later = [segments.job_name(str(where), "asked") for where in (path, path.parent)]
+    later = [workers_module.job_name(str(where), "asked") for where in (path, path.parent)]
     assert len({*names, *later}) == 4
 
 
 def test_a_part_that_is_damaged_before_the_join_is_named(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write = segments._PartFolder.write
+    write = workers_module._PartFolder.write
 
     def damaged(self: Any, stretch: Any, part: Any) -> None:
         write(self, stretch, part)
@@ -271,7 +272,7 @@ def test_a_part_that_is_damaged_before_the_join_is_named(
         data[len(data) // 2] ^= 1
         path.write_bytes(data)
 
-    monkeypatch.setattr(segments._PartFolder, "write", damaged)
+    monkeypatch.setattr(workers_module._PartFolder, "write", damaged)
     with pytest.raises(TouchfieldError, match="parts"):
         encode(source, tmp_path / "a.touch", SPEC, executor=Shuffled())
     assert not (tmp_path / "a.touch").exists()

@@ -97,7 +97,7 @@ def test_a_range_of_frames(tmp_path: Path) -> None:
     for asked in ({"frames": (5, 8)}, {"fit_frames": (0, 8)}, {"frames": (7, None)}):
         with pytest.raises(InvalidArgument, match=f"{next(iter(asked))}: .*within 0:7"):
             prepare(moving(), EncodeSpec(nw=4, **asked))  # type: ignore[arg-type]
-    field = write_field(tmp_path / "field.npz", moving().medium)
+    field = write_field(tmp_path / "field.npz", moving().stored)
     assert compare(field, part).summary()["nmse_db"] == told["nmse_db"]
 
 
@@ -135,7 +135,7 @@ def test_mappings_keep_millimetres_honest() -> None:
 
 
 def test_friction_is_the_sources_or_as_asked_also_where_that_is_none() -> None:
-    rubbed = StoredScene(replace(moving().medium, friction=0.4))
+    rubbed = StoredScene(replace(moving().stored, friction=0.4))
     asked = [prepare(rubbed, EncodeSpec(nw=4, friction=mu)).medium.friction for mu in (None, 0.0, 0.2)]
     assert asked == [0.4, 0.0, 0.2]
 

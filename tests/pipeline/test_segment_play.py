@@ -66,7 +66,7 @@ def test_files_have_segments_by_their_rate_or_as_asked(tmp_path: Path) -> None:
 
 
 def test_a_frame_that_repeats_the_one_before_ends_no_segment(tmp_path: Path) -> None:
-    one, other = (noisy(1, 30.0).medium[0], noisy(1, 30.0, 0.02).medium[0])
+    one, other = (noisy(1, 30.0).stored[0], noisy(1, 30.0, 0.02).stored[0])
     frames = [one] * 40 + [other] + [one, other] * 10
     scene = StoredScene(HapticMedium.from_frames(frames, 30.0, "x right, y up, z towards the viewer"))
     for asked, lengths in ((None, [30, 24, 7]), (8, [8] * 7 + [5])):

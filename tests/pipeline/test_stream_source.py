@@ -8,7 +8,7 @@ import pytest
 
 from touchfield import pipeline, tasks
 from touchfield.errors import FormatError
-from touchfield.pipeline.preparation import StreamScene
+from touchfield.pipeline.source import StreamScene
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.tiny_scenes import tiny_scenes
 
@@ -38,7 +38,7 @@ def test_a_stream_of_a_stream_compares_with_it(stream: Path, tmp_path: Path) -> 
 
 def test_the_file_is_closed_with_its_scene(stream: Path) -> None:
     scene = StreamScene(stream)
-    frame, file = scene.medium[0], scene.medium.make_frame._reader._source._file
+    frame, file = scene.stored[0], scene.stored.make_frame._reader._source._file
     assert frame.support_count and not file.closed
     del scene
     assert file.closed

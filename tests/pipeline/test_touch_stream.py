@@ -146,7 +146,7 @@ def test_the_file_tells_the_promise_it_keeps(tmp_path: Path) -> None:
     assert sum(told["frame_kinds"].values()) == 7 and told["guesses"] == 0
     # what the file says of its worst voxel is what a receiver finds there
     frame, voxel = told["worst_frame"], tuple(told["worst_voxel"])
-    original = breathing().medium[frame].to_dense()[voxel].astype(float)
+    original = breathing().stored[frame].to_dense()[voxel].astype(float)
     error = np.linalg.norm(decoded[frame].to_dense()[voxel] - original)
     ratio = error / max(0.02, 0.2 * np.linalg.norm(original))
     assert told["worst_mask_ratio"] == pytest.approx(ratio, abs=2e-5)

@@ -21,9 +21,9 @@ from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.contact import VibrationRule, add_vibration
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationFrame
-from touchfield.pipeline.decoded_objects import record_of
-from touchfield.pipeline.preparation import StreamScene
+from touchfield.pipeline.encoding import record_of
 from touchfield.pipeline.rate_control import Target
+from touchfield.pipeline.source import StreamScene
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
 
@@ -148,7 +148,7 @@ def test_the_band_alone_keeps_the_file_open(tmp_path: Path) -> None:
     path = tmp_path / "a.touch"
     pipeline.encode(StoredScene(medium()), path, spec(vibration=WORDS))
     scene = StreamScene(path)
-    band, file = scene.medium.vibration, scene.medium.make_frame._reader._source._file  # type: ignore[attr-defined]
+    band, file = scene.stored.vibration, scene.stored.make_frame._reader._source._file  # type: ignore[attr-defined]
     del scene
     assert band is not None and len(band(4)) and not file.closed
     del band

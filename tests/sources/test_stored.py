@@ -280,7 +280,7 @@ def test_damaged_files_give_a_field_or_a_source_error(
     try:
         scene = KIND.open(path, SourceOptions())
         assert isinstance(scene, StoredScene)
-        outcome = "" if all(np.isfinite(f.forces_n).all() for f in scene.medium) else "not finite"
+        outcome = "" if all(np.isfinite(f.forces_n).all() for f in scene.stored) else "not finite"
     except SourceError as error:
         outcome = "" if path.name in str(error) else str(error)
     assert outcome == ""

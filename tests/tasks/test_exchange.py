@@ -30,7 +30,7 @@ from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.exchange.ahap import read_ahap
 from touchfield.exchange.hjif_import import read_hjif_array
 from touchfield.exchange.symbolic import DEFAULT_CARRIER_HZ
-from touchfield.filters.device_filter import device_grid
+from touchfield.filters.device_spec import device_grid
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.grid import Placement
 from touchfield.pipeline import encode

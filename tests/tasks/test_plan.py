@@ -245,7 +245,7 @@ def test_a_medium_that_moves_has_a_rate_and_a_size_is_one_over_its_time(tmp_path
 
 
 def test_what_is_tried_are_pairs_of_frames_all_over_the_medium() -> None:
-    still, search = drifting(1).medium[0], PlanGrid((5,), (0.4,), (), ())
+    still, search = drifting(1).stored[0], PlanGrid((5,), (0.4,), (), ())
     for count, expected in ((2, [0, 1]), (5, [0, 1, 2, 3]), (20, [3, 4, 9, 10, 15, 16])):
         made: list[int] = []
         medium = HapticMedium(still.grid, 25.0, count, lambda i, made=made: made.append(i) or still)  # type: ignore[misc]

@@ -11,7 +11,7 @@ import pytest
 
 import touchfield as tf
 from touchfield.devices import device
-from touchfield.pipeline.array_medium import stream_device
+from touchfield.pipeline.stream import stream_device
 from touchfield.render.block import FLAGS
 from touchfield.render.feeder import FrameSource
 from touchfield.render.spec import stated_n_per_m

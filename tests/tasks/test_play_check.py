@@ -13,7 +13,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline import encode
-from touchfield.pipeline.preparation import decode
+from touchfield.pipeline.source import decode
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
 from touchfield.tasks.play import check_play

@@ -196,7 +196,7 @@ def test_a_moving_medium_is_rebuilt_from_its_points(moving: Path, tmp_path: Path
     told = done.summary()
     assert told["criterion"] == "modes" and told["modes"] == 8 and told["bound"] >= 1
     assert told["nmse_db"] < told["floor_db"] + 3  # it may lie below, as what no hand feels is left out
-    original, back = (open_source(path).medium for path in (moving, tmp_path / "back.npz"))
+    original, back = (open_source(path).stored for path in (moving, tmp_path / "back.npz"))
     error = sum(
         float(((b.to_dense() - a.to_dense()) ** 2).sum()) for a, b in zip(original, back, strict=True)
     )
@@ -207,7 +207,7 @@ def test_a_moving_medium_is_rebuilt_from_its_points(moving: Path, tmp_path: Path
 
 def test_a_medium_that_stands_still_and_a_recording(moving: Path, felt: Path, tmp_path: Path) -> None:
     still = tmp_path / "still.npz"
-    tf.pipeline.write_field(still, open_source(moving).medium[:1])
+    tf.pipeline.write_field(still, open_source(moving).stored[:1])
     few, many = (fewest_points(still, count).summary() for count in (6, 24))
     assert few["criterion"] == "error" and many["nmse_db"] < few["nmse_db"] < 0
     done = fewest_points(felt, 20, tmp_path / "kept.csv")
@@ -230,7 +230,7 @@ def test_next_is_where_least_was_measured(felt: Path, moving: Path, tmp_path: Pa
         1 + 1e-9
     )
     again = next_points(moving, 3, felt).summary()
-    low, high = open_source(moving).medium.grid.box_m
+    low, high = open_source(moving).stored.grid.box_m
     places = np.array([[row["x_m"], row["y_m"], row["z_m"]] for row in again["next"]])
     assert (places > low).all() and (places < high).all()
 

@@ -12,14 +12,8 @@ level of detail     `pyramid`, `rebuild_level`, `interpolate`
 ==================  ==========================================================================================
 """
 
-from touchfield.filters.device_filter import (
-    NW_RANGE,
-    DeviceFilter,
-    DeviceFilterSpec,
-    device_grid,
-    device_medium,
-    limit_forces,
-)
+from touchfield.filters.device_filter import DeviceFilter, device_medium
+from touchfield.filters.device_spec import NW_RANGE, DeviceFilterSpec, device_grid
 from touchfield.filters.edit import (
     COMPOSITIONS,
     Compose,
@@ -39,6 +33,7 @@ from touchfield.filters.lifting import (
     quincunx_forward,
     quincunx_inverse,
 )
+from touchfield.filters.limit import limit_forces
 from touchfield.filters.region import (
     Ball,
     Box,

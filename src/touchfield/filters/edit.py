@@ -14,7 +14,7 @@ from typing import ClassVar, Final, Protocol
 import numpy as np
 
 from touchfield.errors import InvalidArgument, is_finite, require_not_negative, require_one_of
-from touchfield.filters.device_filter import limit_forces
+from touchfield.filters.limit import limit_forces
 from touchfield.filters.region import Region, RigidMotion, weights
 from touchfield.filters.registry import add_note
 from touchfield.filters.resample import interpolate

@@ -18,7 +18,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args, get_type_hints
 
 from touchfield.errors import InvalidArgument, require_one_of
-from touchfield.filters.device_filter import limit_forces
+from touchfield.filters.limit import limit_forces
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.plugins import plugins
 

@@ -24,7 +24,7 @@ from touchfield.filters.resample import half_grid, rebuild_level
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationFrame
 from touchfield.network.live import ENDLESS, Ended, Event, LiveSegment, Lost, Opened, Refused
-from touchfield.pipeline.decoding import OpenStream
+from touchfield.pipeline.stream import OpenStream
 
 if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder

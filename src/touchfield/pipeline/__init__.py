@@ -1,8 +1,10 @@
 """The main pipeline (figure 4 of the paper): from a scene to a ``.touch`` file, and back to a medium.
 
-source -> device filter (M) -> haptic filters -> medium   `preparation`, `placement`
-medium -> coder -> segments -> container                  `segments`, `encoding`
-container -> segments -> decoder -> medium                `decoding`, `decoded_frames`, `decoded_objects`
+source -> device filter (M) -> haptic filters -> medium   `preparation`
+    its stages                                            `source`, `placement`, `objects`, `notes`
+medium -> coder -> segments -> container                  `encoding`, `provenance`, `segments`, `workers`
+container -> segments -> decoder -> medium                `decoding`, `stream`
+    its frames and objects                                `decoded_frames`, `decoded_objects`
 decoded medium against its source                         `comparison`
 
 source -> a file of a requested size or error             `rate_control`
@@ -17,12 +19,14 @@ from touchfield._lazy import lazy_attributes
 
 if TYPE_CHECKING:
     from touchfield.pipeline.comparison import Comparison, compare, filter_report
-    from touchfield.pipeline.decoding import OpenStream, open_stream, write_field
+    from touchfield.pipeline.decoding import open_stream, write_field
     from touchfield.pipeline.encoding import Encoded, encode
     from touchfield.pipeline.mapping import partition_workspace
-    from touchfield.pipeline.preparation import Prepared, decode, prepare
+    from touchfield.pipeline.preparation import Prepared, prepare
     from touchfield.pipeline.rate_control import Target, encode_to_target
+    from touchfield.pipeline.source import decode
     from touchfield.pipeline.spec import EncodeSpec
+    from touchfield.pipeline.stream import OpenStream
     from touchfield.pipeline.tiles import Tiled, encode_tiles
 
 __all__ = [
@@ -47,12 +51,14 @@ __all__ = [
 
 _MODULES = {
     "comparison": ("Comparison", "compare", "filter_report"),
-    "decoding": ("OpenStream", "open_stream", "write_field"),
+    "decoding": ("open_stream", "write_field"),
     "encoding": ("Encoded", "encode"),
     "mapping": ("partition_workspace",),
-    "preparation": ("Prepared", "decode", "prepare"),
+    "preparation": ("Prepared", "prepare"),
     "rate_control": ("Target", "encode_to_target"),
+    "source": ("decode",),
     "spec": ("EncodeSpec",),
+    "stream": ("OpenStream",),
     "tiles": ("Tiled", "encode_tiles"),
 }
 __getattr__ = lazy_attributes(__name__, _MODULES)

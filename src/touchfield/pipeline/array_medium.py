@@ -16,14 +16,14 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float32s, Int64s
-from touchfield.devices import Device, device, device_names
+from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
 from touchfield.medium import Grid, HapticMedium
 from touchfield.medium.grid import Placement, axis_description
 from touchfield.medium.medium import VibrationFrame
-from touchfield.pipeline.decoding import OpenStream
 from touchfield.pipeline.placement import mapping_of
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.pipeline.stream import OpenStream
 from touchfield.sources.stored import StoredScene
 
 PANELS: Final = ("front", "back")
@@ -86,15 +86,6 @@ class Drives:
         panels = np.zeros(self._shape, np.float32)
         panels[self._panel] = rows[::-1] if self._flip else rows
         return panels
-
-
-def stream_device(stream: OpenStream) -> Device:
-    """The profile that a stream was made for; if it is unknown, the device that the stream declares."""
-    declared = stream.declared_device
-    if declared.name not in device_names():  # a stream's device name is never opened as a file
-        return declared
-    profile = device(declared.name)
-    return profile if profile.is_array == declared.is_array else declared
 
 
 def array_drives(stream: OpenStream, device: Device, panel: str = PANELS[0]) -> Drives:

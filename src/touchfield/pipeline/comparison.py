@@ -18,7 +18,7 @@ from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.segment import BitAccount
 from touchfield.compute.threads import Report, silent
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import limit_forces
+from touchfield.filters.limit import limit_forces
 from touchfield.filters.registry import FieldFilter
 from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
@@ -27,18 +27,13 @@ from touchfield.medium.grid import Placement
 from touchfield.medium.selection import evenly_spaced
 from touchfield.perception.hand_motion import Forces, HandMotion, HoldMeter, SlideMeter, SlideSpec
 from touchfield.perception.human import vibration_threshold
-from touchfield.pipeline.decoding import OpenStream, open_stream
-from touchfield.pipeline.placement import filter_objects, stored_medium
-from touchfield.pipeline.preparation import (
-    FixedLatticeScene,
-    Prepared,
-    Source,
-    as_source,
-    open_scene,
-    prepare,
-)
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.objects import filter_objects
+from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.result import Result
+from touchfield.pipeline.source import FixedLatticeScene, Source, as_source, open_scene
 from touchfield.pipeline.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec
+from touchfield.pipeline.stream import OpenStream
 from touchfield.render.segment_blend import with_blends
 from touchfield.sources.scene import Scene
 from touchfield.viewer.picture import draw_comparison
@@ -199,7 +194,7 @@ def _written_field(source: Source, opened: OpenStream, spec: EncodeSpec) -> Prep
     if Path(source).suffix != ".npz" or not Path(source).is_file():
         return None
     field = open_scene(source, replace(spec.source, kind=None))
-    stored = stored_medium(field)
+    stored = field.stored
     if stored is None or stored.grid != opened.grid:
         return None
     frame_count = opened.reader.head.frame_count

@@ -1,4 +1,4 @@
-"""file <-> haptic scene: streams of coder `objects`. Poses are decoded at once, fields on access."""
+"""file -> haptic scene: streams of coder `objects`. Poses are decoded at once, fields on access."""
 
 from __future__ import annotations
 
@@ -13,42 +13,23 @@ from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.layout import MAX_POSES, CodedObject, Parameters, composed_rule
 from touchfield.codec.registry import coder, field_decoder
 from touchfield.codec.segment import BitAccount, BoundRule, mask_text, max_error_keys
-from touchfield.compute.threads import Report, silent
-from touchfield.container import ObjectRecord, TouchReader, TouchWriter
+from touchfield.container import ObjectRecord, TouchReader
 from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.budget import require_memory
 from touchfield.pipeline.decoded_frames import SegmentFrames, segment_layout
-from touchfield.pipeline.decoding import OpenStream
+from touchfield.pipeline.stream import OpenStream
 
 if TYPE_CHECKING:
-    from touchfield.codec.objects.encoder import ObjectsEncoder
+    pass
 
 
 _BYTES_PER_POSE: Final = 2 * 7 * 8
 """Seven float64, twice in memory while the segments are joined."""
 
 
-def write_objects(
-    writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int, report: Report = silent
-) -> None:
-    """Write the objects and all segments of a scene, after the head."""
-    for coded in encoder.objects():
-        writer.write_object(record_of(coded))
-    for start, count, body in encoder.segments():
-        writer.write_segment(start, count, body)
-        report(start + count, frame_count)
-
-
-def record_of(coded: CodedObject) -> ObjectRecord:
-    """An object as the container writes it."""
-    values, grid = {**vars(coded), "is_deforming": int(coded.is_deforming)}, coded.grid
-    del values["grid"]
-    return ObjectRecord(grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, **values)
-
-
 def coded_object(record: ObjectRecord) -> CodedObject:
-    """The inverse of `record_of`."""
+    """An object of the container; the inverse of `touchfield.pipeline.encoding.record_of`."""
     values = {**vars(record), "is_deforming": bool(record.is_deforming)}
     return CodedObject(
         grid=Grid(values.pop("grid_shape"), values.pop("spacing_m"), values.pop("origin_m")), **values

@@ -2,41 +2,31 @@
 
 from __future__ import annotations
 
-import os
-import re
 import time
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import ArrayLike
 
-from touchfield._version import __version__
 from touchfield.codec.objects.encoder import ObjectsEncoder
-from touchfield.codec.registry import coder, field_encoder
+from touchfield.codec.objects.layout import CodedObject
+from touchfield.codec.registry import coder
 from touchfield.codec.segment import compression_ratio
 from touchfield.compute.threads import Report, silent
-from touchfield.container import TouchWriter
+from touchfield.container import ObjectRecord, TouchWriter
 from touchfield.container.remote import is_remote, sender
 from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
 from touchfield.medium import Grid
-from touchfield.pipeline.decoded_objects import write_objects
-from touchfield.pipeline.decoding import FILTERED, open_stream
-from touchfield.pipeline.preparation import Prepared, Source, as_source, is_stream, prepare
-from touchfield.pipeline.segments import (
-    encode_segments,
-    encode_with_workers,
-    file_head,
-    frame_ranges,
-    segment_inputs,
-    silent_frame_notes,
-    worker_path,
-    write_segments,
-)
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.preparation import Prepared, prepare
+from touchfield.pipeline.provenance import file_provenance
+from touchfield.pipeline.segments import file_head, write_voxels
+from touchfield.pipeline.source import Source
 from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec
+from touchfield.pipeline.workers import encode_with_workers, worker_path
 
 
 @dataclass(frozen=True)
@@ -120,9 +110,8 @@ def encode(
     require_ending(out, "OUT.touch", hint="A field is written by `write_field`.")
     send = sender(str(out)) if is_remote(out) else None
     local_path = Path(out) if send is None else Path(f"{Path(out).name}.unsent")
-    scene = as_source(source, spec.device, grid)
-    prepared = prepare(scene, spec)
-    provenance = file_provenance(scene, prepared)
+    prepared = prepare(source, spec, grid)
+    provenance = file_provenance(source, prepared)
     if executor is None or prepared.scene is not None:
         encoded = encode_prepared(prepared, local_path, provenance, report)
         if executor is not None:
@@ -149,13 +138,13 @@ def encode_prepared(
     start_s = time.perf_counter()
     if prepared.source is not None:
         prepared.source.report = report
+    notes: tuple[str, ...] = ()
     with TouchWriter(Path(out)) as writer:
         if prepared.scene is not None:
-            supported, silent_frames = _write_scene(writer, prepared, provenance, report), 0
+            supported = _write_scene(writer, prepared, provenance, report)
         else:
-            supported, silent_frames = _write_voxels(writer, prepared, provenance, report)
-    size, notes = Path(out).stat().st_size, silent_frame_notes(prepared, silent_frames)
-    bound = file_error_bound(out)
+            supported, notes = write_voxels(writer, prepared, provenance, report)
+    size, bound = Path(out).stat().st_size, file_error_bound(out)
     return Encoded(prepared, size, time.perf_counter() - start_s, supported, notes, bound=bound)
 
 
@@ -171,31 +160,22 @@ def _write_scene(
     return objects.supported
 
 
-def _write_voxels(
-    writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Report
-) -> tuple[int, int]:
-    """Write the head and the segments of a medium; the number of supported samples and of silent frames."""
-    medium, spec = prepared.medium, prepared.spec
-    made = coded = supported = silent_frames = 0
+def write_objects(
+    writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int, report: Report = silent
+) -> None:
+    """Write the objects and all segments of a scene, after the head."""
+    for coded in encoder.objects():
+        writer.write_object(record_of(coded))
+    for start, count, body in encoder.segments():
+        writer.write_segment(start, count, body)
+        report(start + count, frame_count)
 
-    def on_made(count: int) -> None:
-        nonlocal made
-        made = count
-        report((made + coded) // 2, len(medium))  # making and coding a frame count half each
 
-    encoder = field_encoder(medium.grid, prepared.coding)
-    writer.write_head(file_head(prepared, encoder), provenance)
-    inputs = chain.from_iterable(
-        segment_inputs(medium, spec, encoder, frame_range, start_fields, on_made)
-        for frame_range, start_fields in frame_ranges(medium, spec, encoder)
-    )
-    segments = encode_segments(encoder, medium.vibration is not None, inputs)
-    for segment in write_segments(writer, segments):
-        coded += segment.frame_count
-        supported += segment.supported
-        silent_frames += segment.silent_frames
-        on_made(made)
-    return supported, silent_frames
+def record_of(coded: CodedObject) -> ObjectRecord:
+    """An object as the container writes it."""
+    values, grid = {**vars(coded), "is_deforming": int(coded.is_deforming)}, coded.grid
+    del values["grid"]
+    return ObjectRecord(grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, **values)
 
 
 def file_error_bound(path: str | Path) -> dict[str, Any]:
@@ -207,19 +187,3 @@ def file_error_bound(path: str | Path) -> dict[str, Any]:
         bound = opened.error_bound()
     warn_unbounded(bound.get("error_bound_note"))
     return bound
-
-
-def file_provenance(source: Source, prepared: Prepared) -> dict[str, str]:
-    """The provenance of a file: version, source and spec; of a source that is a stream also its own."""
-    name = str(source) if isinstance(source, str | Path) else "scene"
-    spec = prepared.spec.to_json(prepared.has_law)
-    shown_name = os.fsencode(Path(name).name).decode("utf-8", "replace")  # a name may be any bytes
-    shown_name = re.sub(r"[\0-\x1f\x7f-\x9f]", "\N{REPLACEMENT CHARACTER}", shown_name)
-    provenance = {"touchfield": __version__, "source": shown_name[:255], "spec": spec}
-    if prepared.reference != FILTERED:
-        provenance["reference"] = prepared.reference
-    source_provenance = (prepared.scene or prepared.medium).provenance
-    for key in ("source", "spec") if is_stream(source) else ():
-        if key in source_provenance:
-            provenance[f"source.{key}"] = source_provenance[key]
-    return provenance

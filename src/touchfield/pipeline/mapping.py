@@ -22,7 +22,7 @@ from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuant
 from touchfield.compute.threads import Report, silent
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import limit_forces
+from touchfield.filters.limit import limit_forces
 from touchfield.filters.resample import resample
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.partition import BoxLosses, DyadicLattice, Partition, optimal_partition
@@ -88,7 +88,7 @@ def _medium_on_device(
     """W on the lattice that the device renders, and notes; `mapping` has the device's own lattice."""
     if mapping.device.is_array:
         return mapping.medium(scene), ()
-    nominal, source_grid = mapping.grid, mapping.placement.to_hand(scene.medium.grid)
+    nominal, source_grid = mapping.grid, mapping.placement.to_hand(scene.stored.grid)
     first, last = (source_grid.to_index(corner) for corner in nominal.box_m)
     low = np.clip(np.ceil(first - 1e-6), 0, np.subtract(source_grid.shape, 1)).astype(np.int64)
     stop = np.clip(np.floor(last + 1e-6) + 1, low + 1, source_grid.shape)  # at least one sample
@@ -106,7 +106,7 @@ def _medium_on_device(
     note = f"its {shape_text} samples are finer than the medium's, which are used: its lattice loses nothing"
     if not density:
         note += " (--density 5 sets it as far below the medium's as the paper does)"
-    return _cropped(scene.medium, source_grid, low, high), (note,)
+    return _cropped(scene.stored, source_grid, low, high), (note,)
 
 
 def _cropped(medium: HapticMedium, source_grid: Grid, low: Int64s, high: Int64s) -> HapticMedium:

@@ -23,8 +23,9 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 from touchfield.medium.selection import select_frames
 from touchfield.pipeline.decoding import open_stream
-from touchfield.pipeline.encoding import Encoded, encode_prepared, file_provenance
+from touchfield.pipeline.encoding import Encoded, encode_prepared
 from touchfield.pipeline.preparation import Prepared, prepare
+from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.spec import NO_FLOOR_N, EncodeSpec
 from touchfield.sources.scene import Scene
 

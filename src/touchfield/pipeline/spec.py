@@ -21,7 +21,7 @@ from touchfield.errors import (
 )
 from touchfield.files import json_of
 from touchfield.filters.contact import VibrationRule
-from touchfield.filters.device_filter import DeviceFilterSpec, require_nw
+from touchfield.filters.device_spec import DeviceFilterSpec, require_nw
 from touchfield.filters.registry import FieldFilter, field_filters, filter_of
 from touchfield.options import option
 from touchfield.perception.human import figure
@@ -43,7 +43,7 @@ NO_FLOOR_N: Final = 1e-30  # for a measure that needs F_0 above 0: smaller than 
 SOURCE_FORCES: Final = "the source's own forces, sample by sample"
 """The field that an error bound refers to, if the source is a stored field on the lattice of the file.
 
-No haptic filter is then applied; for any other source it is `touchfield.pipeline.decoding.FILTERED`.
+No haptic filter is then applied; for any other source it is `touchfield.pipeline.stream.FILTERED`.
 """
 
 

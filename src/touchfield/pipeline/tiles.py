@@ -30,8 +30,8 @@ from touchfield.medium import Grid
 from touchfield.medium.stores.zarr_store import atomic_folder, boxes, create, write_box
 from touchfield.pipeline.encoding import Encoded
 from touchfield.pipeline.preparation import Prepared, prepare
-from touchfield.pipeline.segments import ENCODING_LOCK, job_name, prepare_once, worker_path
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.pipeline.workers import ENCODING_LOCK, job_name, prepare_once, worker_path
 
 _BLOCK_SAMPLES: Final = 128  # samples per axis of a block: the lattice before the low-pass is finer
 

@@ -15,8 +15,6 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
-
 from touchfield.errors import SourceError, require_one_of
 from touchfield.files import require_plain
 from touchfield.plugins import plugins
@@ -111,14 +109,3 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
         found += f", but {contents(path)}"
         mend = "Name its kind with --as, or a folder in it."
     raise SourceError(str(path), found, f"one of {', '.join(by_name)}", mend)
-
-
-def unit_notes(scene: Scene, start: int, stop: int) -> tuple[str, ...]:
-    """Return a question about the unit if the size of frames start to stop - 1 is unusual; else nothing."""
-    if scene.unit is None:
-        return ()
-    option, low, high = scene.unit
-    size_m = float(np.ptp(scene.bounds_between_m(start, stop), axis=0).max())
-    if low <= size_m <= high:
-        return ()
-    return (f"Is the unit right? The scene measures {size_m:.3g} m across ({option}).",)

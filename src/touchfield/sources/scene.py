@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int32s
 from touchfield.errors import InvalidArgument
-from touchfield.medium import BRICK, ForceField, Grid, PoseTrack
+from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, PoseTrack
 from touchfield.medium.field import brick_keys, bricks_of, frozen
 from touchfield.medium.grid import CORNERS
 from touchfield.sources.laws import ForceProfile
@@ -81,6 +81,8 @@ class Scene(ABC):
         something else.
     exaggeration : float; Factor already applied to the heights (z) of a height map.
     is_captured : bool; Frames are captured when they are requested (`touchfield.sources.depth.capture`).
+    stored : HapticMedium or None; The field that the scene is, if its forces are stored; None if they are
+        computed.
     has_gpu : bool; Forces are computed on a GPU if one is selected (`touchfield.compute.cuda.computing`).
     report : callable; ``report(done, total)`` is called while the scene prepares its first field; callers may
         set it.
@@ -98,6 +100,7 @@ class Scene(ABC):
     unit: tuple[str, float, float] | None = None
     tags: tuple[str, ...] = ("direct",)
     is_captured: bool = False
+    stored: HapticMedium | None = None
     has_gpu: bool = False
     report: Callable[[int, int], None] = staticmethod(lambda done, total: None)
 
@@ -118,6 +121,11 @@ class Scene(ABC):
 
         `grid` and the distances of `profile` are in scene metres.
         """
+
+    @property
+    def is_of_bodies(self) -> bool:
+        """True if the scene consists of rigid bodies: the representation "auto" then means objects."""
+        return False
 
     def bodies(self) -> tuple[Body, ...]:
         """Return the objects of the scene; by default the whole scene is one."""

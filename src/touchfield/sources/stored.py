@@ -26,13 +26,14 @@ class StoredScene(Scene):
     """A medium as a scene: trilinear interpolation of its stored forces.
 
     ``to_the_bit()`` returns the same medium including bricks that hold only -0.0, which count as no force; by
-    default `medium`.
+    default `stored`.
     """
 
     has_law = False
+    stored: HapticMedium
 
     def __init__(self, medium: HapticMedium, to_the_bit: Callable[[], HapticMedium] | None = None) -> None:
-        self.medium = medium
+        self.stored = medium
         self.to_the_bit = to_the_bit or (lambda: medium)
         self.frame_count, self.rate_hz = medium.frame_count, medium.rate_hz
         self.axes = medium.axes
@@ -41,14 +42,14 @@ class StoredScene(Scene):
 
     def bounds_m(self) -> Float64s:
         """Return the box of the stored grid, metres, float64 [2, 3]."""
-        return np.stack(self.medium.grid.box_m)
+        return np.stack(self.stored.grid.box_m)
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """Return the stored forces at the points of `grid`.
 
         Returns the field itself if the grids are equal.
         """
-        stored = self.medium[frame]
+        stored = self.stored[frame]
         if grid == stored.grid:
             return stored
         return field_of_points(grid, bricks_reached(stored, grid), stored.sample_n)

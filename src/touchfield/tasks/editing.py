@@ -26,7 +26,7 @@ from touchfield.errors import (
     require_positive,
 )
 from touchfield.files import refuse_overwriting
-from touchfield.filters.device_filter import NW_RANGE, limit_forces
+from touchfield.filters.device_spec import NW_RANGE
 from touchfield.filters.edit import (
     COMPOSITIONS,
     Compose,
@@ -38,6 +38,7 @@ from touchfield.filters.edit import (
     cross_fade,
     edit_medium,
 )
+from touchfield.filters.limit import limit_forces
 from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, RigidMotion
 from touchfield.filters.registry import add_note, field_filters, filter_of, length_m
 from touchfield.filters.resample import (
@@ -52,11 +53,14 @@ from touchfield.filters.resample import (
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.selection import evenly_spaced
-from touchfield.pipeline.decoding import FILTERED, write_field
-from touchfield.pipeline.encoding import encode_prepared, file_provenance
-from touchfield.pipeline.preparation import Prepared, is_stream, open_scene, prepare
+from touchfield.pipeline.decoding import write_field
+from touchfield.pipeline.encoding import encode_prepared
+from touchfield.pipeline.preparation import Prepared, prepare
+from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.result import Result
+from touchfield.pipeline.source import is_stream, open_scene
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.pipeline.stream import FILTERED
 from touchfield.render.point_device import axes_matrix
 from touchfield.sources.options import SourceOptions
 
@@ -70,8 +74,8 @@ def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
     """
     if is_stream(path):
         return prepare(path, spec)
-    stored = getattr(open_scene(path, SourceOptions(kind="field")), "medium", None)
-    if not isinstance(stored, HapticMedium):
+    stored = open_scene(path, SourceOptions(kind="field")).stored
+    if stored is None:
         raise InvalidArgument(str(path), "a scene", "a stored field", "Make it a medium: touchfield encode.")
     return prepare(stored, spec)
 

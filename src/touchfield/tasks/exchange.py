@@ -43,14 +43,17 @@ from touchfield.exchange.symbolic import (
     effect_device,
     effect_medium,
 )
-from touchfield.filters.device_filter import device_grid
+from touchfield.filters.device_spec import device_grid
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace, read_trace
-from touchfield.pipeline.array_medium import PANELS, array_drives, stream_device
-from touchfield.pipeline.decoding import FILTERED, OpenStream, open_stream
-from touchfield.pipeline.encoding import Encoded, encode_prepared, file_provenance
-from touchfield.pipeline.preparation import FixedLatticeScene, Source, prepare
+from touchfield.pipeline.array_medium import PANELS, array_drives
+from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.encoding import Encoded, encode_prepared
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.result import Result
+from touchfield.pipeline.source import FixedLatticeScene, Source
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.pipeline.stream import FILTERED, OpenStream, stream_device
 from touchfield.render.sampler import FieldSampler
 from touchfield.tasks.view import view
 

@@ -40,8 +40,9 @@ from touchfield.medium.grid import Placement
 from touchfield.medium.selection import evenly_spaced, select_frames
 from touchfield.medium.stores.npz import NpzArchive
 from touchfield.pipeline.mapping import SymbolFrames
-from touchfield.pipeline.preparation import Source, StreamScene, decode, prepare
+from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.result import Result
+from touchfield.pipeline.source import Source, StreamScene, decode
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.sources.options import SourceOptions
@@ -363,7 +364,7 @@ def correlate(
     if frames < 1:
         raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
     opened = StreamScene(stream)
-    medium = opened.medium
+    medium = opened.stored
     rate = source_rate_hz or (medium.rate_hz if len(medium) else None)
     scene: Any = open_source(video, SourceOptions(kind="saliency", source_rate_hz=rate))
     pictures, rate_hz = scene.maps.pictures, scene.rate_hz

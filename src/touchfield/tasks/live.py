@@ -28,9 +28,10 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 from touchfield.medium.medium import VibrationFrame
 from touchfield.network.live import ENDLESS, LiveSegment, LiveSender
-from touchfield.pipeline.encoding import file_provenance
-from touchfield.pipeline.preparation import Prepared, Source, as_source, prepare
+from touchfield.pipeline.preparation import Prepared, prepare
+from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.segments import file_head
+from touchfield.pipeline.source import Source, as_source
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.depth.capture import CaptureEnd, open_capture
 from touchfield.tasks.editing import detail_level

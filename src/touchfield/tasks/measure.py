@@ -40,7 +40,8 @@ from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.options import option
 from touchfield.pipeline.mapping import SymbolFrames, map_to_device
-from touchfield.pipeline.preparation import StreamScene, is_stream, prepare
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.source import StreamScene, is_stream
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.scene import Scene
 from touchfield.viewer.information import Bar, draw_information

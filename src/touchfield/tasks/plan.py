@@ -27,7 +27,8 @@ from touchfield.errors import InvalidArgument, is_finite
 from touchfield.filters.resample import interpolate
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
-from touchfield.pipeline.preparation import open_scene, prepare
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.source import open_scene
 from touchfield.pipeline.spec import NO_FLOOR_N, EncodeSpec
 from touchfield.sources.scene import Scene
 from touchfield.viewer.page import titled_figure, write_png

@@ -21,10 +21,12 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import HapticMedium
 from touchfield.network.mux import demux
 from touchfield.pipeline.comparison import compare, source_medium
-from touchfield.pipeline.decoding import OpenStream, open_stream
+from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.encoding import encode, encode_prepared
-from touchfield.pipeline.preparation import Prepared, Source
+from touchfield.pipeline.preparation import Prepared
+from touchfield.pipeline.source import Source
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.pipeline.stream import OpenStream
 from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.tasks.measure import MeasureSpec, measure_medium
 from touchfield.viewer.browser import page_of

@@ -28,7 +28,8 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.pipeline.decoded_objects import SceneStream, write_objects
+from touchfield.pipeline.decoded_objects import SceneStream
+from touchfield.pipeline.encoding import write_objects
 from touchfield.pipeline.spec import EncodeSpec
 
 SPEC = TouchSpec(k=0.1, f0_n=F0_N, effort="fast", segment_frames=3)

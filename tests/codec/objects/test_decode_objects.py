@@ -22,7 +22,8 @@ from touchfield.codec.support import pad_payload
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile
 from touchfield.medium import PoseTrack
-from touchfield.pipeline.decoded_objects import SceneStream, write_objects
+from touchfield.pipeline.decoded_objects import SceneStream
+from touchfield.pipeline.encoding import write_objects
 
 CONFORMANCE = Path(__file__).resolve().parents[3] / "conformance"
 SAMPLE_ATOL_N = 2e-6

@@ -27,7 +27,8 @@ from touchfield.codec.varint import write_varint
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, UnsupportedVersion
 from touchfield.medium import Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.pipeline.decoded_objects import SceneStream, record_of, write_objects
+from touchfield.pipeline.decoded_objects import SceneStream
+from touchfield.pipeline.encoding import record_of, write_objects
 
 SPEC = PaperSpec(segment_frames=3)
 

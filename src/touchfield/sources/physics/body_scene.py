@@ -37,6 +37,8 @@ class BodyScene(MovingScene):
     a frame for each pose, or the rate is not positive.
     """
 
+    is_of_bodies = True
+
     def __init__(
         self, bodies: Sequence[Body], rate_hz: float, axes: str = UP_Z_AXES, notes: tuple[str, ...] = ()
     ) -> None:

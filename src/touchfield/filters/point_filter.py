@@ -1,0 +1,73 @@
+"""The device filter of a point that the hand moves (type 1).
+
+The scene's field is sampled on a lattice `oversample` times finer than the device's that reaches slightly
+beyond the workspace. A low-pass takes it to the device's lattice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from touchfield.arrays import Float64s
+from touchfield.filters.device_spec import DeviceFilterSpec, padded
+from touchfield.filters.limit import limit_forces
+from touchfield.filters.resample import low_pass, resample
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.grid import Placement
+
+if TYPE_CHECKING:
+    from touchfield.devices import Device
+    from touchfield.sources.laws import ForceProfile
+    from touchfield.sources.scene import Scene
+    from touchfield.sources.shapes.analytic_scene import AnalyticScene
+
+
+def point_frames(
+    scene: Scene,
+    device: Device,
+    grid: Grid,
+    placement: Placement,
+    profile_hand: ForceProfile,
+    spec: DeviceFilterSpec,
+) -> Callable[[int], ForceField]:
+    """Return M(W) of a point device by frame; if the scene repeats a field object, so does the result."""
+    # finer than the device's lattice, and reaching beyond the workspace
+    factor, law = spec.oversample, profile_hand.rescaled(placement.scale)
+    margin = math.ceil(2 * low_pass(spec.low_pass).half_width * factor) + 1
+    fine = padded(grid.refined(factor), (margin, margin, margin))
+    requested = placement.to_scene(fine)
+    force_max_n, floor_n = device.force_max_n, device.force_max_n * spec.force_floor_share
+    latest: tuple[ForceField, ForceField] | None = None
+
+    def frame(i: int) -> ForceField:
+        nonlocal latest
+        source, last = scene.field(i, requested, law), latest
+        if last is None or last[0] is not source:
+            resampled = resample(source.on_grid(fine), grid, spec.low_pass)
+            last = latest = source, limit_forces(resampled, force_max_n, floor_n)
+        return last[1]
+
+    return frame
+
+
+def exact_forces(
+    scene: AnalyticScene, placement: Placement, profile_hand: ForceProfile, force_max_n: float
+) -> Callable[[Float64s], Float64s]:
+    """Return the exact force of analytic shapes, clipped to F_max, as a function of points.
+
+    The function is ``forces(points_m float64 [n, 3]) -> newtons [n, 3]``. Points and the force law are in
+    metres of the hand.
+    """
+    law = profile_hand.rescaled(placement.scale)
+    offset_m = np.asarray(placement.offset_m)
+
+    def forces(points_m: Float64s) -> Float64s:
+        forces_n = scene.forces_n(points_m / placement.scale + offset_m, law)
+        size = np.linalg.norm(forces_n, axis=1, keepdims=True)
+        return np.asarray(forces_n * (force_max_n / np.maximum(size, force_max_n)))
+
+    return forces

@@ -1,0 +1,126 @@
+"""Notes for the user on a prepared source: its scale, its unit, its objects, and options without effect."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from touchfield.filters.array_filter import array_pool, is_met_from_low, relief_m
+from touchfield.medium import HapticMedium, HapticScene
+from touchfield.pipeline.placement import FIT_MARGIN, Mapping
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.scene import Scene
+
+_MAX_NAMES: Final = 8
+
+
+def notes_of(
+    scene: Scene,
+    mapping: Mapping | None,
+    pin_notes: tuple[str, ...],
+    objects: HapticScene | None,
+    medium: HapticMedium,
+    spec: EncodeSpec,
+) -> tuple[str, ...]:
+    """All notes on a source that was prepared as `objects`, or as `medium` if these are None."""
+    notes = (*scene.notes,)
+    if mapping is not None:
+        notes += (*_mapping_notes(scene, mapping), *pin_notes)
+    if objects is not None:
+        notes += _object_notes(objects, spec)
+    if medium.vibration is None and scene.stored is not None and scene.stored.vibration is not None:
+        notes += ("The vibration of the source is left out: it lies on another lattice, or beside objects",)
+    return notes
+
+
+def _mapping_notes(scene: Scene, mapping: Mapping) -> tuple[str, ...]:
+    """Notes on the placement of a scene, on its unit, and on options without effect for the device."""
+    scale_note = _scale_note(scene, mapping)
+    if mapping.device.is_array and array_pool(scene, mapping.device, mapping.spec.pool) == "relief":
+        scale_note += _relief_note(scene, mapping)
+    if mapping.keeps_lattice:
+        scale_note += "; the field keeps its own lattice, as it is kept without loss: --nw is not used"
+    return (scale_note, *_unit_notes(scene, mapping), *_option_notes(mapping))
+
+
+def _scale_note(scene: Scene, mapping: Mapping) -> str:
+    """A note on the scale of a placement, and on the surface and frames that were fitted."""
+    device, note = mapping.device, mapping.placement.wording
+    if scene.exaggeration != 1.0:
+        note += f", with heights {scene.exaggeration:g} times what they are"
+    if device.is_array or mapping.spec.mapping != "fit" or scene.stored is not None:
+        return note
+    start, stop = mapping.fit_frames
+    if scene.is_captured:
+        frames = " in the first picture"
+    else:
+        frames = f" in frames {start} to {stop - 1}" if scene.frame_count > 1 else ""
+    margin_mm = 1e3 * FIT_MARGIN * min(device.workspace_m)
+    return (
+        f"{note}: {scene.box_wording}{frames} fits into the workspace, {margin_mm:.3g} mm of it left on "
+        "every side"
+    )
+
+
+def _relief_note(scene: Scene, mapping: Mapping) -> str:
+    """The heights of the scene, z in metres, at which an actuator of a relief is off and full on."""
+    device, grid = mapping.device, mapping.grid
+    if is_met_from_low(scene.axes):
+        back_m, sign = grid.box_m[1][2], -1
+    else:
+        back_m, sign = grid.box_m[0][2], 1
+    limits_m = [
+        mapping.placement.to_scene((0, 0, back_m + sign * z))[2] / scene.exaggeration
+        for z in relief_m(grid, mapping.profile)
+    ]
+    off_m, on_m = np.round(limits_m, 9)
+    if device.shows == "height":
+        actuator, off_word, on_word = "a pin", "down", "up"
+    else:
+        actuator, off_word, on_word = "an actuator", "off", "full on"
+    return f"; {actuator} is {off_word} at z = {off_m:.4g} m of the scene and {on_word} at {on_m:.4g} m"
+
+
+def _unit_notes(scene: Scene, mapping: Mapping) -> tuple[str, ...]:
+    """A question about the unit if the size of the scene is unusual; else nothing."""
+    if scene.unit is None:
+        return ()
+    option, low, high = scene.unit
+    size_m = float(np.ptp(mapping.fit_box_m, axis=0).max())
+    if low <= size_m <= high:
+        return ()
+    return (f"Is the unit right? The scene measures {size_m:.3g} m across ({option}).",)
+
+
+def _option_notes(mapping: Mapping) -> tuple[str, ...]:
+    """Notes on a wall that is too thin for the lattice, and on options without effect for the device."""
+    device, grid, spec = mapping.device, mapping.grid, mapping.spec
+    notes: tuple[str, ...] = ()
+    thickness_mm, spacing_mm = 1e3 * (spec.thickness_m or math.inf), 1e3 * max(grid.spacing_m)
+    if thickness_mm < spacing_mm and not device.is_array:
+        gap = f"A wall of {thickness_mm:.3g} mm is thinner than the {spacing_mm:.3g} mm between samples"
+        notes += (f"{gap}: it is weak, and may have gaps (--thickness-m, --nw).",)
+    ignored = ("nw", "nominal") if device.is_array else ("pool", "cutoff")
+    changed = spec.changed_options()
+    unused = ", ".join(f"--{name}" for name in ignored if name in changed)
+    if unused:
+        notes += (f"Options that do nothing for {device.name}: {unused}.",)
+    return notes
+
+
+def _object_notes(objects: HapticScene, spec: EncodeSpec) -> tuple[str, ...]:
+    """Notes on the number of objects, and on the rigid ones without any force."""
+    count = len(objects.objects)
+    note = f"{count} object{'s' * (count > 1)}, fields with pose tracks"
+    if spec.representation == "auto":
+        note += "; --representation voxel makes voxels"
+    invisible = [
+        repr(body.name) for body in objects.objects if body.is_rigid and not body.field(0).support_count
+    ]
+    if not invisible:
+        return (note,)
+    names = ", ".join(invisible[:_MAX_NAMES]) + (", ..." if len(invisible) > _MAX_NAMES else "")
+    reason = "too small for the lattice, or outside the workspace"
+    return note, f"Objects without any force, {reason}: {names}. Check --nw or --mapping."
