@@ -54,13 +54,13 @@ class Case:
 
     def path(self, folder: Path) -> Path:
         """The file of at most five frames, in `folder` if an earlier call has left it there."""
-        kept = folder / f"{self.name.replace(' ', '-')}-{self.nw}.npz"
-        if not kept.exists():
+        file = folder / f"{self.name.replace(' ', '-')}-{self.nw}.npz"
+        if not file.exists():
             folder.mkdir(parents=True, exist_ok=True)
-            made = prepare(self.source, self.spec).medium
-            frames = [made[i] for i in range(self.start, min(self.start + FRAMES, len(made)))]
-            write_npz(kept, HapticMedium.from_frames(frames, made.rate_hz))
-        return kept
+            medium = prepare(self.source, self.spec).medium
+            frames = [medium[i] for i in range(self.start, min(self.start + FRAMES, len(medium)))]
+            write_npz(file, HapticMedium.from_frames(frames, medium.rate_hz))
+        return file
 
     def frames(self, folder: Path) -> list[ForceField]:
         """Those of `path`."""
@@ -98,8 +98,12 @@ def _moving(nw: int) -> Iterator[Case]:
 
 def box(frames: list[ForceField]) -> tuple[slice, ...]:
     """The box of the union of supports, at least one sample."""
-    held = np.concatenate([f.positions() for f in frames])
-    low, high = (held.min(axis=0), held.max(axis=0) + 1) if len(held) else (np.zeros(3, int), np.ones(3, int))
+    positions = np.concatenate([f.positions() for f in frames])
+    low, high = (
+        (positions.min(axis=0), positions.max(axis=0) + 1)
+        if len(positions)
+        else (np.zeros(3, int), np.ones(3, int))
+    )
     return tuple(slice(int(a), int(b)) for a, b in zip(low, high))
 
 

@@ -45,11 +45,16 @@ def by_us(case: Case, frames: list[ForceField], at: str, effort: str, interframe
     if at == "NMSE":
         paper = ours.paper(frames, interframe="none")
         search = ours.touch_search(frames, paper.nmse_db, effort, interframe)
-        told = {"nmse_db": paper.nmse_db, "paper": paper.bytes}
-        return {"touch": search.size(), "later_bits": search.size(1), **told}
-    made = ours.touch(frames, effort=effort, interframe=interframe)
-    told = {"nmse_db": made.nmse_db, "beyond": made.beyond, "worst": made.worst}
-    return {"touch": made.bytes, "later_bits": made.later_bits, "voxels": frames[0].support_count, **told}
+        context = {"nmse_db": paper.nmse_db, "paper": paper.bytes}
+        return {"touch": search.size(), "later_bits": search.size(1), **context}
+    coded = ours.touch(frames, effort=effort, interframe=interframe)
+    context = {"nmse_db": coded.nmse_db, "beyond": coded.beyond, "worst": coded.worst}
+    return {
+        "touch": coded.bytes,
+        "later_bits": coded.later_bits,
+        "voxels": frames[0].support_count,
+        **context,
+    }
 
 
 def by_peers(case: Case, frames: list[ForceField], at: str) -> Figures:
@@ -71,8 +76,8 @@ def curve(case: Case, frames: list[ForceField]) -> Figures:
     touch = [ours.touch(frames, mode="nmse", step_n=step) for step in STEPS_N]
     paper = [ours.paper(frames, nq=nq, directions=directions) for nq, directions in PAPER]
     return {
-        name: [[one.nmse_db, one.bytes] for one in made]
-        for name, made in (("touch", touch), ("paper", paper))
+        name: [[result.nmse_db, result.bytes] for result in results]
+        for name, results in (("touch", touch), ("paper", paper))
     }
 
 
@@ -96,12 +101,12 @@ PARTS: dict[str, Callable[..., Figures]] = {
 
 
 @cache
-def fingerprint(what: str) -> str:
+def fingerprint(group: str) -> str:
     """Of the source of "fields", "peers" or "ours"."""
     codec = PACKAGE / "codec"
-    if what == "fields":  # whatever may change the field, and no coder
+    if group == "fields":  # whatever may change the field, and no coder
         paths = [p for p in PACKAGE.rglob("*.py") if codec not in p.parents] + [BENCH / "rate_fields.py"]
-    elif what == "peers":  # and the coder whose error they are measured at
+    elif group == "peers":  # and the coder whose error they are measured at
         paths = [p for p in codec.rglob("*.py") if "paper" in str(p.relative_to(codec))]
         paths += [p for p in BENCH.glob("rate_*.py") if p.stem != "rate_picture"]
     else:
@@ -114,7 +119,7 @@ def fields_in(folder: Path) -> Path:
     return folder / f"fields-{fingerprint('fields')}"
 
 
-def kept(folder: Path, key: Any, make: Callable[[], Figures]) -> Figures:
+def cached(folder: Path, key: Any, make: Callable[[], Figures]) -> Figures:
     """What an earlier run found, or what `make` finds now, kept whole or not at all."""
     path = folder / f"{hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:24]}.json"
     if not path.exists():
@@ -149,7 +154,7 @@ class Job:
             fingerprint(source),
             source == "peers" and peers.absent(),
         ]
-        return kept(
+        return cached(
             folder, key, lambda: PARTS[self.part](self.case, list(read_npz(path))[: self.count], **self.args)
         )
 
@@ -161,7 +166,7 @@ class Pool:
         self.folder, self.found, self.failed = folder, dict[str, Figures](), list[str]()
         self._began = perf_counter()
 
-    def say(self, text: str) -> None:
+    def log(self, text: str) -> None:
         """On the standard error, with the seconds so far."""
         print(f"[{perf_counter() - self._began:.0f} s] {text}", file=sys.stderr, flush=True)
 
@@ -181,4 +186,4 @@ class Pool:
                 except Exception:
                     self.failed.append(name)
                     traceback.print_exc()
-                self.say(f"{name} done, {n} of {len(waiting)}")
+                self.log(f"{name} done, {n} of {len(waiting)}")
