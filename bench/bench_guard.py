@@ -31,14 +31,14 @@ os.environ["TOUCHFIELD_THREADS"] = os.environ["NUMBA_NUM_THREADS"] = "1"
 import numpy as np
 
 import provenance
-from bench_depth import HIGH_M, LOW_M, Room, wall
+from bench_depth import HIGH_M, LOW_M, IndoorSequence, wall
 from bench_filter import shell
 from bench_mesh import BAND, bumpy
 from bench_objects import scene
 from bench_query import SIDE, SPACING_M, field, path
 from machine import Bar, Figures, arguments, at_most, keep, machine, show, stored
 from reference import kernels as frozen
-from timing import Clock, inside, paired_cpu_ms, whole
+from timing import Clock, call_clock, function_clock, paired_cpu_ms
 from touchfield.codec.touch import frame, frame_encoder
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
@@ -74,15 +74,15 @@ class Pair(NamedTuple):
     @classmethod
     def of(cls, ours: Callable[[], Any], reference: Callable[[], Any]) -> Pair:
         """Of two calls as a whole."""
-        return cls(whole(ours), whole(reference))
+        return cls(call_clock(ours), call_clock(reference))
 
 
 def depth_pairs() -> dict[str, Pair]:
     """Tangent planes of an image, the bricks that they reach, and the forces in these."""
-    sequence, grid = Room(), Grid.over_box(LOW_M, HIGH_M, (128, 128, 128))
-    known, image = DepthScene(sequence), sequence.depth_m(0)
-    step_per_m = known._noise_step_per_m()
-    query = query_of(known.planes(0), np.eye(4), grid, wall(grid))
+    sequence, grid = IndoorSequence(), Grid.over_box(LOW_M, HIGH_M, (128, 128, 128))
+    prepared_scene, image = DepthScene(sequence), sequence.depth_m(0)
+    step_per_m = prepared_scene._noise_step_per_m()
+    query = query_of(prepared_scene.planes(0), np.eye(4), grid, wall(grid))
     bricks = force_bricks(query, grid)
     out = brick_forces(bricks, query).reshape(-1)
     candidates = find_bricks_by_block(lambda blocks, size: may_hold_force(blocks, size, query), grid)
@@ -109,7 +109,7 @@ def mesh_pairs() -> dict[str, Pair]:
     grid = Grid.over_box((-1.0,) * 3, (1.0,) * 3, (128, 128, 128))
     width = BAND * grid.spacing_m[0]
     law = ForceProfile(((-width, width, 2.0, 1 / width),))
-    known, corners = MeshScene(vertices, faces), vertices[faces[::16]].astype(np.float64)
+    built_scene, corners = MeshScene(vertices, faces), vertices[faces[::16]].astype(np.float64)
     points = np.random.default_rng(0).uniform(-1, 1, (4000, 3))
     out = np.zeros(len(points))
 
@@ -118,7 +118,7 @@ def mesh_pairs() -> dict[str, Pair]:
 
     return {
         "mesh, tree and band": Pair.of(lambda: MeshScene(vertices, faces).field(0, grid, law), reference),
-        "mesh, band": Pair.of(lambda: known.field(0, grid, law), reference),
+        "mesh, band": Pair.of(lambda: built_scene.field(0, grid, law), reference),
     }
 
 
@@ -165,12 +165,14 @@ def coder_pairs() -> dict[str, Pair]:
     voxels.
     """
     grid = Grid.over_box(LOW_M, HIGH_M, (48, 48, 48))
-    frames = [DepthScene(Room()).field(0, grid, wall(grid))] * 2
+    frames = [DepthScene(IndoorSequence()).field(0, grid, wall(grid))] * 2
     symbols = (np.abs(np.random.default_rng(0).normal(0, 6, (40, 40, 40))) % 32).astype(np.uint8)
     logits = np.arange(-2048, 2048)
     squash = np.clip(np.rint(4096 / (1 + np.exp(-logits / 256))), 1, 4095).astype(np.int32)
-    chances = (np.arange(4096) + 0.5) / 4096
-    stretch = np.clip(np.rint(256 * np.log(chances / (1 - chances))), -2047, 2047).astype(np.int32)
+    probabilities = (np.arange(4096) + 0.5) / 4096
+    stretch = np.clip(np.rint(256 * np.log(probabilities / (1 - probabilities))), -2047, 2047).astype(
+        np.int32
+    )
     out = np.zeros(1 << 16, np.uint8)
     encoder = TouchEncoder(grid, TouchSpec())
     body, decoder = encoder.encode_segment(frames).body, TouchDecoder(grid, encoder.parameters)
@@ -186,9 +188,9 @@ def coder_pairs() -> dict[str, Pair]:
 
     return {
         "encode": Pair.of(encode, reference),
-        "encode, pass": Pair(inside(frame_encoder, "encode_bricks", encode), whole(reference)),
+        "encode, pass": Pair(function_clock(frame_encoder, "encode_bricks", encode), call_clock(reference)),
         "decode": Pair.of(decode, reference),
-        "decode, pass": Pair(inside(frame, "decode_bricks", decode), whole(reference)),
+        "decode, pass": Pair(function_clock(frame, "decode_bricks", decode), call_clock(reference)),
     }
 
 
@@ -256,7 +258,7 @@ def measured_again(figures: Figures, rounds: int) -> Figures:
         command, folder = [sys.executable, "-c", program], Path(__file__).parent
         done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder)
         for name, row in json.loads(done.stdout.splitlines()[-1])["rows"].items():
-            rows[name] = min(row, rows[name], key=lambda one: one["over_stored"])
+            rows[name] = min(row, rows[name], key=lambda candidate: candidate["over_stored"])
     return {**figures, "rows": rows}
 
 
@@ -275,15 +277,15 @@ def main() -> None:
     figures = measured_again(measure(options["only"], options["store"], rounds), rounds)
     show(figures)
     verdicts = bars(figures)
-    is_kept = options["store"] or not (is_quick or options["only"])
-    keep("guard", figures, verdicts, not is_kept, run.summary(), provenance.code_of(trace.files()))
+    is_stored = options["store"] or not (is_quick or options["only"])
+    keep("guard", figures, verdicts, not is_stored, run.summary(), provenance.code_of(trace.files()))
     if any(bar["met"] is False for bar in verdicts):
         sys.exit(
             "slower than the stored ratio: see above; on purpose? store it: bench/bench_guard.py --store"
         )
     if machine()["processor"] not in figures["stored_ratios"]:
-        known = ", ".join(figures["stored_ratios"]) or "no processor"
-        print(f"not judged: ratios are stored for {known}; --store adds {machine()['processor']}")
+        processors = ", ".join(figures["stored_ratios"]) or "no processor"
+        print(f"not judged: ratios are stored for {processors}; --store adds {machine()['processor']}")
 
 
 if __name__ == "__main__":

@@ -88,30 +88,32 @@ def warp(vertices: Floats, faces: NDArray[np.int32], points: Floats, winds: bool
         indices=library.array(faces.reshape(-1), dtype=library.int32, device="cpu"),
         support_winding_number=winds,
     )
-    places = library.array(points.astype(np.float32), dtype=library.vec3, device="cpu")
+    queries = library.array(points.astype(np.float32), dtype=library.vec3, device="cpu")
     out = library.zeros(len(points), dtype=library.float32, device="cpu")
-    library.launch(_warp_kernel(library, winds), dim=len(points), inputs=[mesh.id, places, out], device="cpu")
+    library.launch(
+        _warp_kernel(library, winds), dim=len(points), inputs=[mesh.id, queries, out], device="cpu"
+    )
     return np.asarray(out.numpy())
 
 
 @cache
 def _warp_kernel(library: Any, winds: bool) -> Any:
-    def by_normal(mesh, places, out):  # type: ignore[no-untyped-def]
+    def by_normal(mesh, queries, out):  # type: ignore[no-untyped-def]
         i = library.tid()
-        query = library.mesh_query_point_sign_normal(mesh, places[i], 1.0e6)
+        query = library.mesh_query_point_sign_normal(mesh, queries[i], 1.0e6)
         nearest = library.mesh_eval_position(mesh, query.face, query.u, query.v)
-        out[i] = query.sign * library.length(places[i] - nearest)
+        out[i] = query.sign * library.length(queries[i] - nearest)
 
-    def by_winding(mesh, places, out):  # type: ignore[no-untyped-def]
+    def by_winding(mesh, queries, out):  # type: ignore[no-untyped-def]
         i = library.tid()
-        query = library.mesh_query_point_sign_winding_number(mesh, places[i], 1.0e6)
+        query = library.mesh_query_point_sign_winding_number(mesh, queries[i], 1.0e6)
         nearest = library.mesh_eval_position(mesh, query.face, query.u, query.v)
-        out[i] = query.sign * library.length(places[i] - nearest)
+        out[i] = query.sign * library.length(queries[i] - nearest)
 
     signed_distance = by_winding if winds else by_normal
     signed_distance.__annotations__ = {
         "mesh": library.uint64,
-        "places": library.array(dtype=library.vec3),
+        "queries": library.array(dtype=library.vec3),
         "out": library.array(dtype=library.float32),
     }
     return library.kernel(signed_distance)

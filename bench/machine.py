@@ -25,7 +25,7 @@ SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 """The optional folder of real inputs."""
 WIDEST = 9
 """Columns of a table; wider rows are told one by one."""
-LEFT_OUT = 77
+SKIPPED = 77
 """Exit status of a benchmark that lacks what it needs."""
 ABOUT = ("machine", "run", "code", "bars")
 """Of a stored result: what is no figure."""
@@ -109,7 +109,7 @@ def column(rows: Mapping[str, Figures] | Iterable[Figures], key: str) -> list[An
     return [row[key] for row in every if row.get(key) is not None]
 
 
-def told(bar: Bar) -> str:
+def bar_line(bar: Bar) -> str:
     """A bar as a line: name, measured, limit, verdict."""
     measured, limit = (f"{text(bar[key])} {bar['unit']}".strip() for key in ("measured", "limit"))
     return f"{VERDICTS[bar['met']]:12} {bar['bar']}: {measured} ({bar['way']} {limit})"
@@ -191,16 +191,16 @@ def arguments(doc: str | None, options: Mapping[str, tuple[Any, Any]]) -> tuple[
             parser.add_argument(f"--{name}", action="store_true", default=None)
         else:
             parser.add_argument(f"--{name}", type=type(value), help=f"{value}; quickly {small}")
-    asked = vars(parser.parse_args())
-    is_quick = asked.pop("quick")
-    given = {name: (small if is_quick else value) for name, (value, small) in options.items()}
-    return given | {name: value for name, value in asked.items() if value is not None}, is_quick
+    parsed = vars(parser.parse_args())
+    is_quick = parsed.pop("quick")
+    values = {name: (small if is_quick else value) for name, (value, small) in options.items()}
+    return values | {name: value for name, value in parsed.items() if value is not None}, is_quick
 
 
 def leave_out(reason: str) -> NoReturn:
     """End a benchmark that cannot be run here, with the reason, and with the exit status that says so."""
     print(f"left out: {reason}", flush=True)
-    sys.exit(LEFT_OUT)
+    sys.exit(SKIPPED)
 
 
 def need_module(name: str) -> None:
@@ -224,7 +224,7 @@ def keep(
     """
     print()
     for bar in bars:
-        print(told(bar))
+        print(bar_line(bar))
     print(f"{sum(bar['met'] is True for bar in bars)} of {len(bars)} bars met", flush=True)
     if not is_quick:
         figures = {key: value for key, value in figures.items() if key not in ABOUT}
@@ -270,7 +270,8 @@ def exact_figures(figures: Figures, without: Iterable[str] = ()) -> dict[str, fl
     return {
         path: value
         for path, value in _numbers(figures)
-        if any(fnmatch(path, one) for one in EXACT) and not any(fnmatch(path, one) for one in patterns)
+        if any(fnmatch(path, pattern) for pattern in EXACT)
+        and not any(fnmatch(path, pattern) for pattern in patterns)
     }
 
 
@@ -288,7 +289,7 @@ def _numbers(value: Any, path: str = "") -> Iterator[tuple[str, float]]:
 
 def _name_of(row: Any) -> str:
     """The texts of a row that come before its numbers: they tell it from others wherever it stands."""
-    texts = [one for one in row.values() if isinstance(one, str)] if isinstance(row, Mapping) else []
+    texts = [cell for cell in row.values() if isinstance(cell, str)] if isinstance(row, Mapping) else []
     return ", ".join(texts)
 
 
@@ -347,10 +348,10 @@ def bench(
     `reads` are patterns of files that it measures and Python does not import; `without` are patterns of
     figures that differ from run to run though they are named like exact ones.
     """
-    asked, is_quick = arguments(doc, options)
+    values, is_quick = arguments(doc, options)
     trace, run = provenance.Trace(), provenance.Run()
     try:
-        figures = measure(**asked)
+        figures = measure(**values)
     except MissingExtra as error:
         leave_out(str(error))
     show(figures)

@@ -48,8 +48,8 @@ def distances(vertices: Any, faces: Any, points: Any, band: float) -> Any:
 
 def main(source: str, target: str, runs: str) -> None:
     """Values, and seconds of each run."""
-    given = np.load(source)
-    vertices, faces, points, band = (given[name] for name in ("vertices", "faces", "points", "band"))
+    inputs = np.load(source)
+    vertices, faces, points, band = (inputs[name] for name in ("vertices", "faces", "points", "band"))
     seconds = []
     for _ in range(int(runs)):
         began = perf_counter()

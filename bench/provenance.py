@@ -46,7 +46,7 @@ class Trace:
     """The files that this process and those it starts load, from now on."""
 
     def __init__(self) -> None:
-        _require_own_package()
+        _require_this_package()
         self._folder = TemporaryDirectory(prefix="touchfield-bench-")
         before = os.environ.get("PYTHONPATH", "")
         os.environ[VARIABLE] = self._folder.name
@@ -65,7 +65,7 @@ class Trace:
         return sorted({path.relative_to(ROOT).as_posix() for path in sources} - NOT_MEASURED)
 
 
-def _require_own_package() -> None:
+def _require_this_package() -> None:
     """SystemExit if Python would import the package of another folder: its figures would get the wrong
     code.
     """
@@ -99,14 +99,14 @@ def digest(file: str) -> str:
         return "missing"
     text = path.read_bytes().decode("utf-8", "surrogateescape")
     if path.suffix == ".py":
-        said = python_meaning(text, is_bench=file.startswith("bench/"))
+        meaning = python_meaning(text, is_bench=file.startswith("bench/"))
     elif path.suffix in (".c", ".h", ".ts", ".js", ".mjs"):
-        said = c_meaning(text)
+        meaning = c_meaning(text)
     elif path.suffix == ".toml":
-        said = json.dumps(tomllib.loads(text), sort_keys=True, default=str)
+        meaning = json.dumps(tomllib.loads(text), sort_keys=True, default=str)
     else:
-        said = text.replace("\r\n", "\n")
-    return hashlib.sha256(said.encode("utf-8", "surrogateescape")).hexdigest()[:16]
+        meaning = text.replace("\r\n", "\n")
+    return hashlib.sha256(meaning.encode("utf-8", "surrogateescape")).hexdigest()[:16]
 
 
 def python_meaning(text: str, is_bench: bool = False) -> str:
@@ -125,7 +125,7 @@ def _imported_names(tree: ast.Module) -> Iterator[str]:
     """Names that imports define, with the names they had in their modules."""
     for node in ast.walk(tree):
         if isinstance(node, (ast.Import, ast.ImportFrom)):
-            yield from (f"{one.name.rpartition('.')[2]}:{one.asname or ''}" for one in node.names)
+            yield from (f"{alias.name.rpartition('.')[2]}:{alias.asname or ''}" for alias in node.names)
 
 
 def _write_node(node: ast.AST, parts: list[str], is_bench: bool) -> None:
@@ -137,13 +137,13 @@ def _write_node(node: ast.AST, parts: list[str], is_bench: bool) -> None:
             continue  # newer versions of Python have more fields, empty mostly
         parts.append(f" {name}=")
         if isinstance(value, list):
-            for one in _without_strings(value) if name == "body" else value:
-                if is_bench and isinstance(node, ast.Module) and getattr(one, "name", "") == "bars":
+            for item in _without_strings(value) if name == "body" else value:
+                if is_bench and isinstance(node, ast.Module) and getattr(item, "name", "") == "bars":
                     continue
-                if isinstance(one, ast.AST):
-                    _write_node(one, parts, is_bench)
+                if isinstance(item, ast.AST):
+                    _write_node(item, parts, is_bench)
                 else:
-                    parts.append(repr(one))
+                    parts.append(repr(item))
         elif isinstance(value, ast.AST):
             _write_node(value, parts, is_bench)
         else:
@@ -156,14 +156,14 @@ def _without_strings(body: list[Any]) -> list[Any]:
     says nothing to the machine.
     """
 
-    def is_string(one: Any) -> bool:
+    def is_string(statement: Any) -> bool:
         return (
-            isinstance(one, ast.Expr)
-            and isinstance(one.value, ast.Constant)
-            and isinstance(one.value.value, str)
+            isinstance(statement, ast.Expr)
+            and isinstance(statement.value, ast.Constant)
+            and isinstance(statement.value.value, str)
         )
 
-    return [one for one in body if not is_string(one)]
+    return [statement for statement in body if not is_string(statement)]
 
 
 def c_meaning(text: str) -> str:
@@ -248,12 +248,12 @@ class Run:
 def _processor_s() -> float:
     """Processor seconds of this process and of those it has waited for."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
+    return sum(usage.ru_utime + usage.ru_stime for usage in used)
 
 
-def _git(*words: str) -> str:
+def _git(*arguments: str) -> str:
     try:
-        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
+        done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
         return ""
     return done.stdout.strip()

@@ -28,7 +28,7 @@ from pathlib import Path
 from shutil import which
 from tempfile import TemporaryFile
 
-from machine import LEFT_OUT, RESULTS, STORE_QUICK, stale, stored, table, told, write
+from machine import RESULTS, SKIPPED, STORE_QUICK, bar_line, stale, stored, table, write
 from touchfield.compute.threads import worker_count
 
 HERE = Path(__file__).parent
@@ -72,25 +72,25 @@ def selected(only: str | None) -> list[str]:
 # -- running -----------------------------------------------------------------------------------------------
 
 
-def run(name: str, is_quick: bool, limit_s: float, is_shown: bool = True) -> Outcome:
+def run(name: str, is_quick: bool, limit_s: float, is_live: bool = True) -> Outcome:
     """One script in a process group of its own, ended with all its processes after `limit_s`.
 
-    Its output appears at once if `is_shown`, and else when it has ended.
+    Its output appears at once if `is_live`, and else when it has ended.
     """
     script = HERE / f"{scripts()[name]}.py"
     command = [sys.executable, str(script), *["--quick"] * is_quick]
     title, start = f"\n== {script.name}", time.monotonic()
     with TemporaryFile() as output:
-        if is_shown:
+        if is_live:
             print(title, flush=True)
-        where = {} if is_shown else {"stdout": output, "stderr": subprocess.STDOUT}
+        where = {} if is_live else {"stdout": output, "stderr": subprocess.STDOUT}
         process = subprocess.Popen(command, start_new_session=True, **where)  # type: ignore[call-overload]
         status, processor_s = _waited(process.pid, start + limit_s)
         process.returncode = -signal.SIGKILL if status is None else status
-        if not is_shown:
+        if not is_live:
             output.seek(0)
             print(title, output.read().decode(errors="replace"), sep="\n", flush=True)
-    verdict = {0: "finished", LEFT_OUT: "left out", None: f"exceeded {limit_s:.0f} s"}
+    verdict = {0: "finished", SKIPPED: "left out", None: f"exceeded {limit_s:.0f} s"}
     return Outcome(
         name, verdict.get(status, f"failed, status {status}"), time.monotonic() - start, processor_s
     )
@@ -121,15 +121,18 @@ def run_each(names: list[str], is_quick: bool, limit_s: float, jobs: int) -> boo
     outcomes = [run(name, is_quick, limit_s) for name in alone]
     with ThreadPoolExecutor(jobs) as pool:
         rest = [name for name in names if name not in alone]
-        outcomes += pool.map(lambda name: run(name, is_quick, limit_s, is_shown=False), rest)
-    rows = [[one.name, one.verdict, f"{one.seconds:.1f}", f"{one.processor_s:.1f}"] for one in outcomes]
+        outcomes += pool.map(lambda name: run(name, is_quick, limit_s, is_live=False), rest)
+    rows = [
+        [outcome.name, outcome.verdict, f"{outcome.seconds:.1f}", f"{outcome.processor_s:.1f}"]
+        for outcome in outcomes
+    ]
     total = [
         "all",
         "",
         *(f"{sum(values):.1f}" for values in zip(*((o.seconds, o.processor_s) for o in outcomes))),
     ]
     print(table("benchmarks", ["", "verdict", "seconds", "processor s"], [*rows, total]))
-    failed = [one.name for one in outcomes if one.is_failure]
+    failed = [outcome.name for outcome in outcomes if outcome.is_failure]
     if failed:
         print(f"\nfailed: {', '.join(failed)}", flush=True)
     return not failed
@@ -171,7 +174,7 @@ def verdicts() -> None:
             figures = stored(name)
             figures["bars"] = import_module(stem).bars(figures)
             write(name, figures)
-            unmet += [f"{name:12} {told(bar)}" for bar in figures["bars"] if not bar["met"]]
+            unmet += [f"{name:12} {bar_line(bar)}" for bar in figures["bars"] if not bar["met"]]
             print(
                 f"{name:12} {sum(bool(bar['met']) for bar in figures['bars'])} of {len(figures['bars'])} "
                 "bars met"

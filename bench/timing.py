@@ -25,7 +25,7 @@ Clock = Callable[[], float]
 """A run of something, and the processor milliseconds that it took."""
 
 
-def whole(call: Callable[[], Any]) -> Clock:
+def call_clock(call: Callable[[], Any]) -> Clock:
     """The clock of all that a call does."""
 
     def run() -> float:
@@ -36,7 +36,7 @@ def whole(call: Callable[[], Any]) -> Clock:
     return run
 
 
-def inside(module: ModuleType, name: str, call: Callable[[], Any]) -> Clock:
+def function_clock(module: ModuleType, name: str, call: Callable[[], Any]) -> Clock:
     """The clock of one function of a module, of all its runs within a call."""
     function, spent = getattr(module, name), [0.0]
 
@@ -66,8 +66,8 @@ def paired_cpu_ms(ours: Clock, reference: Clock, rounds: int) -> list[tuple[floa
     """
     pairs, before = [], reference()
     for _ in range(rounds):
-        own = ours()
+        ours_ms = ours()
         after = reference()
-        pairs.append((own, (before + after) / 2))
+        pairs.append((ours_ms, (before + after) / 2))
         before = after
     return pairs
