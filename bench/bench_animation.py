@@ -31,7 +31,7 @@ BAND = 4  # voxels
 FRAMES = 6
 
 
-def cube_around(scene: AnimatedMeshScene, samples: int) -> Grid:
+def enclosing_cube(scene: AnimatedMeshScene, samples: int) -> Grid:
     """A cubic lattice that holds the scene and its band."""
     low, high = scene.bounds_m()
     half = float((high - low).max()) / 2 * samples / (samples - 2 * BAND - 2)
@@ -58,19 +58,19 @@ def measure(path: Path, samples: int) -> Figures:
     if not path.is_file():
         raise SystemExit("Fox.glb is not there; give its --path")
     scene = AnimatedMeshScene(path, "Run", unit_m=0.01)
-    grid = cube_around(scene, samples)
+    grid = enclosing_cube(scene, samples)
     voxel = grid.spacing_m[0]
     law = ForceProfile(((-BAND * voxel, BAND * voxel, 2.0, 1 / (BAND * voxel)),))  # |F| tells phi
     damped = ForceProfile(law.pieces, 1.0)
     frames = np.linspace(0, scene.frame_count - 1, FRAMES).astype(int).tolist()
     every = grid.to_m(np.argwhere(np.ones(grid.shape, bool)))
 
-    band, surfaces, phis, places = [], [], [], []
+    band, surfaces, phis, indices = [], [], [], []
     for frame in frames:
         field = scene.field(frame, grid, law)
         mask = np.zeros(grid.shape, bool)
-        places.append(tuple(np.asarray(field.positions()).T))
-        mask[places[-1]] = True
+        indices.append(tuple(np.asarray(field.positions()).T))
+        mask[indices[-1]] = True
         band.append(grid.to_m(np.argwhere(with_neighbours(mask))))
         phis.append((np.linalg.norm(field.vectors_n().astype(np.float64), axis=1) - 2) * BAND * voxel)
         surfaces.append((scene.surface(frame).vertices_m, scene.surface(frame).triangles))
@@ -85,18 +85,18 @@ def measure(path: Path, samples: int) -> Figures:
     for name in {"open3d", "libigl"} - set(absent):
         peer = PEERS[name][1]
         difference, signs = 0.0, 0
-        for surface, phi, place in zip(surfaces, phis, places, strict=True):
-            values = peer(*surface, grid.to_m(np.stack(place, axis=1)))
+        for surface, phi, index in zip(surfaces, phis, indices, strict=True):
+            values = peer(*surface, grid.to_m(np.stack(index, axis=1)))
             difference = max(difference, float(np.abs(np.abs(values) - np.abs(phi)).max() / voxel))
             signs += int(((values > 0) != (phi > 0)).sum())
-        told = {
+        comparison = {
             "version": metadata.version(name),
             "largest_difference_voxels": difference,
             "signs_that_differ": signs,
         }
-        whole = timed(partial(peer, *surfaces[0], every), runs=1, warm=0)
-        rows[f"{name}, all samples"] = told | {key: ms * len(frames) for key, ms in whole.items()}
-        rows[f"{name}, the band and its neighbours"] = told | timed(
+        dense_times = timed(partial(peer, *surfaces[0], every), runs=1, warm=0)
+        rows[f"{name}, all samples"] = comparison | {key: ms * len(frames) for key, ms in dense_times.items()}
+        rows[f"{name}, the band and its neighbours"] = comparison | timed(
             partial(in_bands, peer, surfaces, band), runs=3, warm=0
         )
     for row in rows.values():

@@ -46,11 +46,11 @@ GRID = Grid((64, 64, 64), (0.002,) * 3, (-0.063,) * 3)
 
 def ball(number: int) -> ForceField:
     """A ball that goes round once in two seconds."""
-    place = np.moveaxis(np.indices(GRID.shape), 0, -1) * 0.002 - 0.063
+    position_m = np.moveaxis(np.indices(GRID.shape), 0, -1) * 0.002 - 0.063
     turn = np.pi * number / RATE_HZ
-    away = place - 0.02 * np.array([np.cos(turn), np.sin(turn), 0.0])
-    far = np.linalg.norm(away, axis=-1, keepdims=True)
-    forces = away / np.maximum(far, 1e-6) * np.clip(200 * (0.03 - far), 0, 3)
+    away = position_m - 0.02 * np.array([np.cos(turn), np.sin(turn), 0.0])
+    distance_m = np.linalg.norm(away, axis=-1, keepdims=True)
+    forces = away / np.maximum(distance_m, 1e-6) * np.clip(200 * (0.03 - distance_m), 0, 3)
     return ForceField.from_dense(GRID, forces.astype(np.float32))
 
 
@@ -127,14 +127,14 @@ async def receive(address: str, count: int, ready: threading.Event) -> Figures:
     """Many receivers in one process; what they missed."""
     import aiohttp
 
-    there, gaps, took = 0, 0, list[int]()
+    connected, gaps, took = 0, 0, list[int]()
 
-    async def one(session: aiohttp.ClientSession) -> None:
-        nonlocal there, gaps
+    async def listen(session: aiohttp.ClientSession) -> None:
+        nonlocal connected, gaps
         receiver, segments = LiveReceiver(), 0
         async with session.ws_connect(f"ws://{address}/live", max_msg_size=1 << 26) as link:
-            there += 1
-            if there == count:
+            connected += 1
+            if connected == count:
                 ready.set()
             async for message in link:
                 for event in receiver.receive(message.data):
@@ -143,30 +143,30 @@ async def receive(address: str, count: int, ready: threading.Event) -> Figures:
         took.append(segments)
 
     async with aiohttp.ClientSession(connector=aiohttp.TCPConnector(limit=0)) as session:
-        await asyncio.gather(*(one(session) for _ in range(count)))
+        await asyncio.gather(*(listen(session) for _ in range(count)))
     return {"gaps": gaps, "least_segments": min(took), "most_segments": max(took)}
 
 
 def many(count: int, seconds: float, silent: int = 0) -> Figures:
     """A sender in a process of its own, its receivers here, and connections beside them that say nothing."""
-    here, there = multiprocessing.get_context("spawn").Pipe()
-    process = multiprocessing.get_context("spawn").Process(target=sender_process, args=(there, seconds))
+    parent_end, child_end = multiprocessing.get_context("spawn").Pipe()
+    process = multiprocessing.get_context("spawn").Process(target=sender_process, args=(child_end, seconds))
     process.start()
-    address, ready = here.recv(), threading.Event()
+    address, ready = parent_end.recv(), threading.Event()
     host, port = address.split(":")
     crowd = [socket.create_connection((host, int(port))) for _ in range(silent)]
 
-    def begin() -> None:
+    def start_sender() -> None:
         ready.wait()
-        here.send("go")
+        parent_end.send("go")
 
-    threading.Thread(target=begin, daemon=True).start()
+    threading.Thread(target=start_sender, daemon=True).start()
     heard = asyncio.run(receive(address, count, ready))
-    told: Figures = here.recv()
+    sent: Figures = parent_end.recv()
     process.join()
     for link in crowd:
         link.close()
-    return {**told, **heard, "seconds": seconds, "silent": silent}
+    return {**sent, **heard, "seconds": seconds, "silent": silent}
 
 
 def live_process(link: Connection, segment_s: float) -> None:
@@ -194,11 +194,11 @@ def live_process(link: Connection, segment_s: float) -> None:
 @contextmanager
 def on_air(segment_s: float) -> Iterator[tuple[str, float]]:
     """The address of a live medium that another process sends, and when its frame 0 was."""
-    here, there = multiprocessing.get_context("spawn").Pipe()
-    process = multiprocessing.get_context("spawn").Process(target=live_process, args=(there, segment_s))
+    parent_end, child_end = multiprocessing.get_context("spawn").Pipe()
+    process = multiprocessing.get_context("spawn").Process(target=live_process, args=(child_end, segment_s))
     process.start()
-    yield here.recv()
-    here.send("end")
+    yield parent_end.recv()
+    parent_end.send("end")
     process.join()
 
 
@@ -210,11 +210,11 @@ def delays(segment_s: float, seconds: float) -> list[float]:
     from touchfield.network.live_client import open_live
     from touchfield.render.player import Player
 
-    still = Trace(np.array([0.0, 1e3]), np.zeros((2, 3)))
-    seen = []
+    trace = Trace(np.array([0.0, 1e3]), np.zeros((2, 3)))
+    delays_s = []
     with on_air(segment_s) as (address, zero), open_live(f"ws://{address}/live") as live:
         frames: Any = live.frames
-        choice = point_device("sim", still)
+        choice = point_device("sim", trace)
         with Player(live.medium, device("phantom-omni"), choice.opener) as player:
             player.play()
             for i in range(int((5 + seconds) / 0.05)):
@@ -222,9 +222,9 @@ def delays(segment_s: float, seconds: float) -> list[float]:
                 live.keep_up(player)
                 if i < 100:  # it has just begun
                     continue
-                shown = frames.stream_frame(0) / RATE_HZ + player.media_s
-                seen.append(time.monotonic() - zero - shown)
-    return seen
+                rendered_s = frames.stream_frame(0) / RATE_HZ + player.media_s
+                delays_s.append(time.monotonic() - zero - rendered_s)
+    return delays_s
 
 
 def large(folder: Path, mib: int) -> Figures:
@@ -266,7 +266,7 @@ def large(folder: Path, mib: int) -> Figures:
         opening = {"requests": remote.requests, "bytes": remote.received, "segments": count}
         field = stream_of(reader).medium[count // 2]
         took = time.perf_counter() - began
-        told = {
+        figures = {
             "file_bytes": reader.size,
             "before_the_segment_bytes": remote.received - len(body) - 32,
             "requests": remote.requests,
@@ -276,7 +276,7 @@ def large(folder: Path, mib: int) -> Figures:
         }
     done.set()
     thread.join()
-    return told
+    return figures
 
 
 def losses(messages: int) -> Figures:
@@ -286,18 +286,21 @@ def losses(messages: int) -> Figures:
     rng, rows = np.random.default_rng(1), {}
     for size in (5_000, 20_000, 60_000):
         for name, burst in (("alone", 1.0), ("bursts", 5.0)):
-            sending, gathering, sent, came, is_bad = Datagrams(7), Gathering(), 0, 0, False
+            sending, gathering, sent, arrived, is_bad = Datagrams(7), Gathering(), 0, 0, False
             message = rng.bytes(size)
             for number in range(messages + 1):
-                for one in sending.add(message) if number < messages else sending.flush():
-                    sent += len(one)
+                for datagram in sending.add(message) if number < messages else sending.flush():
+                    sent += len(datagram)
                     is_bad = rng.random() > 1 / burst if is_bad else rng.random() < 0.05 / (0.95 * burst)
-                    came += 0 if is_bad else len(gathering.receive(one))
-            rows[f"{size} bytes, {name}"] = {"came": came / messages, "overhead": sent / messages / size - 1}
+                    arrived += 0 if is_bad else len(gathering.receive(datagram))
+            rows[f"{size} bytes, {name}"] = {
+                "came": arrived / messages,
+                "overhead": sent / messages / size - 1,
+            }
     return rows
 
 
-def coarse_share() -> Figures:
+def coarse_layer_size() -> Figures:
     """What the coarse layer of a photograph's depth takes beside the stream, at nw 6, and what a hand then
     lacks.
     """
@@ -307,38 +310,40 @@ def coarse_share() -> Figures:
     prepared, _ = open_sender("sample:motorcycle", EncodeSpec(nw=6))
     coarse, _ = coarse_layer("sample:motorcycle", prepared)
     sizes = [
-        len(field_encoder(one.medium.grid, one.coding).encode_segment([one.medium[0]]).body)
-        for one in (prepared, coarse)
+        len(field_encoder(stream.medium.grid, stream.coding).encode_segment([stream.medium[0]]).body)
+        for stream in (prepared, coarse)
     ]
     meter = FidelityMeter(prepared.spec.k, prepared.spec.f0_n)
     meter.add(prepared.medium[0], rebuild_level(coarse.medium[0], prepared.medium.grid))
     return {"bytes": sizes, "share": sizes[1] / sizes[0], "nmse_db": meter.nmse_db}
 
 
-def layered_losses(messages: int, share: float) -> Figures:
+def layered_losses(messages: int, coarse_fraction: float) -> Figures:
     """The same losses, with a coarse layer of that share beside: what is there in time, bytes beyond both
     layers'.
     """
     rng, rows = np.random.default_rng(2), {}
     for size in (20_000, 60_000):
         for name, burst in (("alone", 1.0), ("bursts", 5.0)):
-            ends = [
+            channels = [
                 (Datagrams(1, REPAIR["fine"]), Gathering(max_open=11)),
                 (Datagrams(2, REPAIR["coarse"]), Gathering(max_open=11)),
             ]
-            bodies, sent, is_bad = [rng.bytes(size), rng.bytes(round(share * size))], 0, False
+            bodies, sent, is_bad = [rng.bytes(size), rng.bytes(round(coarse_fraction * size))], 0, False
             in_time: list[set[int]] = [set(), set()]
             for slot in range(messages + 1):
-                for (sending, gathering), body, got in zip(ends, bodies, in_time):
+                for (sending, gathering), body, got in zip(channels, bodies, in_time):
                     message = slot.to_bytes(4, "big") + body[4:]
-                    for one in sending.add(message) if slot < messages else sending.flush():
-                        sent += len(one)
+                    for datagram in sending.add(message) if slot < messages else sending.flush():
+                        sent += len(datagram)
                         is_bad = rng.random() > 1 / burst if is_bad else rng.random() < 0.05 / (0.95 * burst)
-                        came = (
-                            [] if is_bad else [int.from_bytes(m[:4], "big") for m in gathering.receive(one)]
+                        arrived = (
+                            []
+                            if is_bad
+                            else [int.from_bytes(m[:4], "big") for m in gathering.receive(datagram)]
                         )
                         got |= {
-                            number for number in came if slot <= number + 8
+                            number for number in arrived if slot <= number + 8
                         }  # a segment later than the last part
             both = in_time[0] | in_time[1]
             rows[f"{size} bytes, {name}"] = {
@@ -352,7 +357,7 @@ def layered_losses(messages: int, share: float) -> Figures:
 
 def measure(seconds: float, receivers: int, messages: int, mib: int, silent: int) -> Figures:
     """All of them."""
-    share = coarse_share()
+    coarse_layer = coarse_layer_size()
     with tempfile.TemporaryDirectory() as folder:
         file = large(Path(folder), mib)
     late = delays(0.25, min(20.0, seconds))
@@ -363,18 +368,18 @@ def measure(seconds: float, receivers: int, messages: int, mib: int, silent: int
         "receivers": many(receivers, seconds),
         "crowd": many(20, min(20.0, seconds), silent),
         "losses": losses(messages),
-        "coarse": share,
-        "layered_losses": layered_losses(messages, share["share"]),
+        "coarse": coarse_layer,
+        "layered_losses": layered_losses(messages, coarse_layer["share"]),
     }
 
 
 def bars(figures: Figures) -> list[Bar]:
     """Those of the issue that asked for a broadcast."""
-    file, delay, air, crowd, lost = (
+    file, delay, air, crowd, loss_rows = (
         figures[key] for key in ("file", "delay", "receivers", "crowd", "losses")
     )
     layered = figures["layered_losses"].values()
-    large_ones = [row for name, row in lost.items() if name.startswith("60000")]
+    large_rows = [row for name, row in loss_rows.items() if name.startswith("60000")]
     return [
         at_most("bytes before the first segment of a large file", file["before_the_segment_bytes"], 65536),
         at_most("requests to open it", file["opening"]["requests"], 3),
@@ -391,11 +396,11 @@ def bars(figures: Figures) -> list[Bar]:
         at_most("growth of its memory", air["memory_mib"][1] - air["memory_mib"][0], 4, "MiB"),
         at_most(f"gaps of 20 beside {crowd['silent']:,} silent connections", crowd["gaps"], 0),
         at_least(
-            "segments of 60 kB that come through 5 % losses", min(row["came"] for row in large_ones), 0.999
+            "segments of 60 kB that come through 5 % losses", min(row["came"] for row in large_rows), 0.999
         ),
-        at_most("bytes beyond theirs", max(row["overhead"] for row in large_ones), 0.3),
+        at_most("bytes beyond theirs", max(row["overhead"] for row in large_rows), 0.3),
         at_least(
-            "segments of 20 kB", min(r["came"] for n, r in lost.items() if n.startswith("20000")), 0.999
+            "segments of 20 kB", min(r["came"] for n, r in loss_rows.items() if n.startswith("20000")), 0.999
         ),
         at_most("bytes of a coarse layer, share of the stream's", figures["coarse"]["share"], 0.25),
         at_least(

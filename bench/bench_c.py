@@ -60,22 +60,22 @@ def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
     """Frames a second of one thread's processor time, the best of some runs over the whole file."""
     best = 0.0
     for _ in range(runs):
-        with open_stream(stream) as own:
-            assert isinstance(own, VoxelStream)
-            segments, decoder = len(own.reader.segments), own.decoder
+        with open_stream(stream) as opened:
+            assert isinstance(opened, VoxelStream)
+            segments, decoder = len(opened.reader.segments), opened.decoder
             core = native_decoder._core()
             began = process_time()
             if is_native:
-                file = core.open(own.reader.read_all())
+                file = core.open(opened.reader.read_all())
                 for n in range(segments):
                     frames = core.frames(file, n)
                     while core.next(frames) is not None:
                         pass
             else:
-                for n, entry in enumerate(own.reader.segments):
-                    for _ in decoder.frames(own.reader.read_segment(n), entry.frame_count):
+                for n, entry in enumerate(opened.reader.segments):
+                    for _ in decoder.frames(opened.reader.read_segment(n), entry.frame_count):
                         pass
-            best = max(best, own.reader.head.frame_count / (process_time() - began))
+            best = max(best, opened.reader.head.frame_count / (process_time() - began))
     return best
 
 
@@ -87,9 +87,12 @@ def cold_s(stream: Path, folder: Path, is_native: bool, runs: int) -> float:
     for n in range(runs):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / f"cache-{is_native}-{n}")}
         began = perf_counter()
-        words = ["decode", str(stream), str(folder / "out.npz")]
+        arguments = ["decode", str(stream), str(folder / "out.npz")]
         subprocess.run(
-            [sys.executable, "-c", program, *words], check=True, env=environment, stdout=subprocess.DEVNULL
+            [sys.executable, "-c", program, *arguments],
+            check=True,
+            env=environment,
+            stdout=subprocess.DEVNULL,
         )
         times.append(perf_counter() - began)
     return median(times)
@@ -119,13 +122,13 @@ def measure(runs: int) -> Figures:
         for name, source in SOURCES.items():
             stream = folder / f"{name}.touch"
             tf.encode(source, stream)
-            ours, numbas = (frames_per_cpu_s(stream, own, runs) for own in (True, False))
+            ours, numbas = (frames_per_cpu_s(stream, is_native, runs) for is_native in (True, False))
             figures["decode"][name] = {"c": ours, "numba": numbas, "times": ours / numbas}
         stream = folder / "terrain.touch"
         figures["query_p50_us"], figures["query_p999_us"] = query_us(stream, folder, runs)
         figures["cold_decode_s"] = cold_s(stream, folder, True, runs)
         figures["cold_decode_without_s"] = cold_s(stream, folder, False, 1)
-    figures["decode_times_numba"] = min(one["times"] for one in figures["decode"].values())
+    figures["decode_times_numba"] = min(row["times"] for row in figures["decode"].values())
     return figures
 
 

@@ -88,8 +88,8 @@ def in_a_process(nw: int | None) -> Figures:
         capture_output=True,
         text=True,
     )
-    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
-    return {**json.loads(done.stdout), "most_bytes": most}
+    max_bytes = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
+    return {**json.loads(done.stdout), "most_bytes": max_bytes}
 
 
 def measure(frames: int, is_huge: int, rounds: int) -> Figures:

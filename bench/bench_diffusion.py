@@ -67,9 +67,14 @@ def measure(samples: int) -> Figures:
     }
     error = float(np.abs(perona_malik(dense, steps=STEPS, kappa_n=KAPPA_N) - in_numpy(dense)).max())
     rows = {name: timed(job, runs=3 if name.startswith("peer") else 9) for name, job in jobs.items() if job}
-    share = field.support_count / field.grid.voxel_count
-    told = {"bricks": len(field.bricks), "support_share": share, "threads": worker_count(), "differ_n": error}
-    return {"samples": samples, "steps": STEPS, **told, "rows": rows}
+    support_fraction = field.support_count / field.grid.voxel_count
+    settings = {
+        "bricks": len(field.bricks),
+        "support_share": support_fraction,
+        "threads": worker_count(),
+        "differ_n": error,
+    }
+    return {"samples": samples, "steps": STEPS, **settings, "rows": rows}
 
 
 def bars(figures: Figures) -> list[Bar]:

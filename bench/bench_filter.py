@@ -34,10 +34,10 @@ def shell(samples: int, low: float, high: float) -> ForceField:
     grid = cube(samples)
     x, y, z = np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij", sparse=True)
     r = np.sqrt(x * x + y * y + z * z)
-    held = np.argwhere((r < high) & (r > low))
-    points = grid.to_m(held)
+    indices = np.argwhere((r < high) & (r > low))
+    points = grid.to_m(indices)
     return ForceField.from_support(
-        grid, held, points / np.maximum(np.linalg.norm(points, axis=1), 1e-9)[:, None]
+        grid, indices, points / np.maximum(np.linalg.norm(points, axis=1), 1e-9)[:, None]
     )
 
 

@@ -58,7 +58,7 @@ def by_opencv(pool: ThreadPoolExecutor) -> Callable[[Dense], Dense]:
     """
     import cv2
 
-    taps, one = gaussian_taps(SIGMA).astype(np.float32), np.ones(1, np.float32)
+    taps, identity_tap = gaussian_taps(SIGMA).astype(np.float32), np.ones(1, np.float32)
 
     def smoothed(source: Dense, target: Dense, across: Dense) -> None:
         cv2.sepFilter2D(source, -1, across, taps, dst=target, borderType=cv2.BORDER_REFLECT)
@@ -69,7 +69,11 @@ def by_opencv(pool: ThreadPoolExecutor) -> Callable[[Dense], Dense]:
         flat, target = between.reshape(len(dense), -1), out.reshape(len(dense), -1)
         width = flat.shape[1] // 16
         blocks = [slice(i * width, (i + 1) * width if i < 15 else None) for i in range(16)]
-        list(pool.map(smoothed, [flat[:, b] for b in blocks], [target[:, b] for b in blocks], repeat(one)))
+        list(
+            pool.map(
+                smoothed, [flat[:, b] for b in blocks], [target[:, b] for b in blocks], repeat(identity_tap)
+            )
+        )
         return out
 
     return smooth
@@ -108,14 +112,14 @@ def measure(samples: int) -> Figures:
         peers["OpenCV sepFilter2D"] = (by_opencv(pool), "reflect")
     except ImportError:
         absent.append("OpenCV")
-    apart = [
+    differences = [
         float(np.abs(peer(dense) - gaussian(dense, SIGMA, boundary=boundary)).max())
         for peer, boundary in peers.values()
     ]
     fields = sparse_fields(samples)
     smooth = GaussianFilter(SIGMA / samples)
     for field in fields.values():
-        apart.append(float(np.abs(smooth(field).to_dense() - gaussian(field.to_dense(), SIGMA)).max()))
+        differences.append(float(np.abs(smooth(field).to_dense() - gaussian(field.to_dense(), SIGMA)).max()))
 
     jobs: dict[str, Callable[[], object]] = {name: partial(peer, dense) for name, (peer, _) in peers.items()}
     jobs["touchfield, dense, zero"] = lambda: gaussian(dense, SIGMA)
@@ -124,13 +128,13 @@ def measure(samples: int) -> Figures:
         jobs[f"touchfield, {name}"] = partial(smooth, field)
     rows = best_ms(jobs, ROUNDS)
     support = {name: field.support_count / samples**3 for name, field in fields.items()}
-    told = {
+    settings = {
         "samples": samples,
         "threads": worker_count(),
         "support": support,
-        "largest_difference": max(apart),
+        "largest_difference": max(differences),
     }
-    return {**told, "rows_ms": rows, "absent": absent}
+    return {**settings, "rows_ms": rows, "absent": absent}
 
 
 def bars(figures: Figures) -> list[Bar]:

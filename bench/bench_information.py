@@ -29,8 +29,8 @@ def sources(count: int) -> Iterator[tuple[str, NDArray[np.int16]]]:
     sparse[rng.random(count, dtype=np.float32) < 0.97] = 0
     yield "64 symbols, 97 % zeros", sparse
     runs = np.zeros(count, np.int16)
-    for begin in range(0, count, 10_000):
-        runs[begin : begin + 300] = sparse[begin : begin + 300] + 1
+    for start in range(0, count, 10_000):
+        runs[start : start + 300] = sparse[start : start + 300] + 1
     yield "64 symbols, 97 % zeros in runs", runs
     yield "63 levels", rng.integers(-31, 32, count, dtype=np.int16)
     yield "normal, sigma 10", rng.normal(0, 10, count).astype(np.int16)
@@ -40,13 +40,13 @@ def sources(count: int) -> Iterator[tuple[str, NDArray[np.int16]]]:
 
 def row(x: NDArray[np.int16]) -> dict[str, float]:
     """Milliseconds of one array."""
-    words, unsigned = x.view(np.uint64), x.view(np.uint16)
+    wide, unsigned = x.view(np.uint64), x.view(np.uint16)
     measured = timed(lambda: entropy(x, interval=False), runs=15)["min_ms"]
-    read = timed(lambda: words.sum(), runs=15)["min_ms"]
+    read = timed(lambda: wide.sum(), runs=15)["min_ms"]
     return {
         "entropy_ms": measured,
         "read_ms": read,
-        "read_by_all_threads_ms": timed(lambda: for_chunks(lambda b, e: words[b:e].sum(), len(words)), 15)[
+        "read_by_all_threads_ms": timed(lambda: for_chunks(lambda b, e: wide[b:e].sum(), len(wide)), 15)[
             "min_ms"
         ],
         "int16_sum_ms": timed(lambda: x.sum(), runs=3)["min_ms"],

@@ -79,10 +79,14 @@ def decode_ms(folder: Path, stream: Path) -> tuple[float, float]:
     wasm, script = folder / "touch.wasm", folder / "speed.mjs"
     wasm.write_bytes(gzip.decompress(decoder()))
     script.write_text(WASM_SPEED)
-    one = {**os.environ, "NUMBA_NUM_THREADS": "1"}
+    environment = {**os.environ, "NUMBA_NUM_THREADS": "1"}
     ours = subprocess.run(["node", script, wasm, stream], check=True, capture_output=True, text=True)
     peer = subprocess.run(
-        [sys.executable, "-c", NUMBA_SPEED, str(stream)], check=True, capture_output=True, text=True, env=one
+        [sys.executable, "-c", NUMBA_SPEED, str(stream)],
+        check=True,
+        capture_output=True,
+        text=True,
+        env=environment,
     )
     return min(json.loads(ours.stdout)), min(json.loads(peer.stdout))
 
@@ -91,7 +95,7 @@ def opened_ms(folder: Path, name: str, stream: Path, rounds: int) -> dict[str, f
     """A force after a file is opened in a page that is there; a picture after the page with the file is asked
     for.
     """
-    empty, whole = folder / "page.html", view(stream).save(folder / f"{name}.html")
+    empty, page = folder / "page.html", view(stream).save(folder / f"{name}.html")
     empty.write_text(empty_page(), encoding="utf-8")
     forces, pictures = [], []
     for _ in range(rounds):
@@ -100,7 +104,7 @@ def opened_ms(folder: Path, name: str, stream: Path, rounds: int) -> dict[str, f
         marks = drive(folder, *steps).answers[3]["marks"]
         forces.append(marks["felt"] - marks["open"])
         answers = drive(
-            folder, {"do": "goto", "url": whole.as_uri()}, {"do": "wait", "ms": 500}, {"do": "state"}
+            folder, {"do": "goto", "url": page.as_uri()}, {"do": "wait", "ms": 500}, {"do": "state"}
         )
         pictures.append(answers.answers[2]["marks"]["drawn"])
     return {f"{name}_force_ms": median(forces), f"{name}_first_picture_ms": median(pictures)}
@@ -117,14 +121,14 @@ def growth(folder: Path, minutes: float) -> dict[str, float]:
     page = view(moving).save(folder / "falling.html")
     steps = [{"do": "goto", "url": page.as_uri()}, {"do": "click", "id": "play"}, {"do": "wait", "ms": 4000}]
     steps += [{"do": "state"}, {"do": "run", "code": SAMPLED}, {"do": "wait", "ms": round(60_000 * minutes)}]
-    told = drive(folder, *steps, {"do": "run", "code": "window.heap"}, {"do": "state"}).answers
-    heap, third = told[6], len(told[6]) // 3
+    answers = drive(folder, *steps, {"do": "run", "code": "window.heap"}, {"do": "state"}).answers
+    heap, third = answers[6], len(answers[6]) // 3
     grown = min(heap[-third:]) - min(heap[:third])
     return {
         "played_minutes": minutes,
         "heap_bytes": min(heap),
         "heap_growth_bytes": grown,
-        "wasm_growth_bytes": told[7]["memory"] - told[3]["memory"],
+        "wasm_growth_bytes": answers[7]["memory"] - answers[3]["memory"],
     }
 
 
@@ -137,12 +141,12 @@ def hour(folder: Path) -> dict[str, float]:
     rows = hour_played(folder, page.as_uri())
     played = rows[:, 0]
     first, last = rows[(played > 600) & (played < 1800)], rows[played > 2400]
-    heap, wasm, kept = (np.median(last, axis=0) - np.median(first, axis=0))[1:]
+    heap, wasm, graphics = (np.median(last, axis=0) - np.median(first, axis=0))[1:]
     return {
         "hour_media_s": float(played[-1]),
         "hour_heap_growth_bytes": float(heap),
         "hour_wasm_growth_bytes": float(wasm),
-        "hour_graphics_growth": float(kept),
+        "hour_graphics_growth": float(graphics),
     }
 
 
@@ -175,9 +179,9 @@ def bars(figures: Figures) -> list[Bar]:
     nothing.
     """
     waits = {
-        f"{scene}, {words}": (figure(figures, f"{scene}_{key}_ms"), limit)
+        f"{scene}, {label}": (figure(figures, f"{scene}_{key}_ms"), limit)
         for scene in ("terrain", "motorcycle")
-        for key, words, limit in (
+        for key, label, limit in (
             ("force", "file to force", 300.0),
             ("first_picture", "page to picture", 1500.0),
         )

@@ -68,7 +68,7 @@ def measure(frames: int) -> Figures:
     scene = prepare("sample:falling-7", EncodeSpec(frames=(0, frames))).scene
     assert scene is not None
     tracks = {
-        **{f"falling {one.name}": one.track for one in scene.objects},
+        **{f"falling {body.name}": body.track for body in scene.objects},
         "spinning": spinning(frames),
         "still": PoseTrack.constant(frames, (0.1, 0.2, 0.05)),
     }

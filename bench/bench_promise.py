@@ -58,8 +58,8 @@ def row_of(name: str, grid: Grid, frames: list[ForceField], spec: TouchSpec) -> 
     ]
     row = {"source": name, "k": spec.k, "effort": spec.effort, "bytes": len(body)}
     row |= {
-        "worst": max(one.worst_ratio or 0.0 for one in counts),
-        "beyond": sum(one.count for one in counts),
+        "worst": max(count.worst_ratio or 0.0 for count in counts),
+        "beyond": sum(count.count for count in counts),
     }
     print(", ".join(f"{key} {text(value)}" for key, value in row.items()), flush=True)
     return row

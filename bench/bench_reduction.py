@@ -56,15 +56,15 @@ def media(frames: int) -> dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]:
     return {**found, "fall": (fall, ("bricks",))}
 
 
-def kept(medium: tf.HapticMedium) -> tf.HapticMedium:
+def in_memory(medium: tf.HapticMedium) -> tf.HapticMedium:
     """The same with its frames in memory."""
     return tf.HapticMedium.from_frames([medium[i] for i in range(len(medium))], medium.rate_hz, medium.axes)
 
 
-def by_modes_bytes(found: ReducedMedium, least_n: float) -> int:
+def by_modes_bytes(found: ReducedMedium, min_n: float) -> int:
     """Modes and coefficients of a medium, through LZMA."""
     coefficients = np.concatenate([found.coefficients(i) for i in range(len(found.medium))])
-    coefficients[np.abs(coefficients) < least_n] = 0
+    coefficients[np.abs(coefficients) < min_n] = 0
     step = max(float(np.sqrt((found.modes.energy * 1e-4 * 12) / coefficients.size)), 1e-12)
     parts = (
         found.modes.basis.T.astype(np.float16).tobytes(),
@@ -90,23 +90,23 @@ def modes_of(frames: int) -> Figures:
     """Held-out frames, degrees of freedom and bytes of each."""
     rows: Figures = {}
     for name, (source, kinds) in media(frames).items():
-        medium = kept(source)
+        medium = in_memory(source)
         touch_kb, touch_db = by_touch(medium)
         for kind in kinds:
             began = time.perf_counter()
-            told = held_out(medium, kind)
-            found = reduce_to_modes(medium, kind, told.modes)
+            fit = held_out(medium, kind)
+            found = reduce_to_modes(medium, kind, fit.modes)
             free = freedom(found, 0.05)
             rows[f"{name}, {kind}"] = {
                 "frames": len(medium),
-                "modes": told.modes,
-                "numbers": told.numbers,
-                "nmse_db": told.nmse_db,
-                "share_of_coefficients": told.share_of_coefficients,
-                "share": told.share,
+                "modes": fit.modes,
+                "numbers": fit.numbers,
+                "nmse_db": fit.nmse_db,
+                "share_of_coefficients": fit.share_of_coefficients,
+                "share": fit.share,
                 "degrees_of_freedom": free.effective,
                 "bits_per_coefficient": free.bits,
-                "kb": by_modes_bytes(found, told.min_n) / 1e3,
+                "kb": by_modes_bytes(found, fit.min_n) / 1e3,
                 "touch_kb": touch_kb,
                 "touch_nmse_db": touch_db,
                 "seconds": time.perf_counter() - began,
@@ -123,7 +123,7 @@ def pillow() -> tf.HapticMedium:
         spec = tf.EncodeSpec(
             device="phantom-premium-1.5", nw=7, thickness_m=np.inf, stiffness_n_per_m=1500.0, mapping="1"
         )
-        return kept(prepare(path, spec).medium)
+        return in_memory(prepare(path, spec).medium)
 
 
 def floor() -> tf.HapticMedium:
@@ -154,23 +154,23 @@ def paths(
     x = x[~medium[0].sample_n(x).any(axis=1)][:count]
     v = rng.normal(size=x.shape)
     v *= hand.speed_m_s / np.linalg.norm(v, axis=1, keepdims=True)
-    differ, most_n, met = 0, 0.0, np.zeros(len(x), bool)
+    differ, max_n, met = 0, 0.0, np.zeros(len(x), bool)
     way = np.arange(len(x)) % 3
     for tick in range(ticks):
         force = medium.sample_n(x, tick * dt)
         differ += int((force != shell.sample_n(x, tick * dt)).any(axis=1).sum())
         size = np.linalg.norm(force, axis=1, keepdims=True).astype(float)
-        most_n, met = max(most_n, float(size.max())), met | (size[:, 0] > 0)
+        max_n, met = max(max_n, float(size.max())), met | (size[:, 0] > 0)
         if tick % 200 == 0:
             goal = rng.uniform(low, high, x.shape)
-        ahead = goal - x
-        push = np.select([way[:, None] == 0, way[:, None] == 1], [-force, v], ahead)
-        push = np.where(size > 0, push, ahead)
+        to_goal = goal - x
+        push = np.select([way[:, None] == 0, way[:, None] == 1], [-force, v], to_goal)
+        push = np.where(size > 0, push, to_goal)
         push *= hand.push_n / np.maximum(np.linalg.norm(push, axis=1, keepdims=True), 1e-9)
         v = v + dt / hand.mass_kg * (force + push)
         v *= np.minimum(1, hand.speed_m_s / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12))
         x = np.clip(x + dt * v, low, high)
-    return {"paths": len(x), "in_contact": int(met.sum()), "greatest_n": most_n, "forces_that_differ": differ}
+    return {"paths": len(x), "in_contact": int(met.sum()), "greatest_n": max_n, "forces_that_differ": differ}
 
 
 def culling(count: int) -> Figures:
@@ -180,12 +180,14 @@ def culling(count: int) -> Figures:
         began = time.perf_counter()
         reach = reach_of(medium, HAND)
         took = time.perf_counter() - began
-        shell = kept(without_unreachable(medium, reach.samples))
-        before, after = (sum(own[i].support_count for i in range(len(own))) for own in (medium, shell))
+        shell = in_memory(without_unreachable(medium, reach.samples))
+        before, after = (
+            sum(candidate[i].support_count for i in range(len(candidate))) for candidate in (medium, shell)
+        )
         exact, sizes = tf.EncodeSpec(touch=tf.codec.TouchSpec(mode="lossless")), []
         with tempfile.TemporaryDirectory() as folder:
-            for own in (medium, shell):
-                sizes.append(tf.encode(own, Path(folder) / "a.touch", exact).file_bytes)
+            for candidate in (medium, shell):
+                sizes.append(tf.encode(candidate, Path(folder) / "a.touch", exact).file_bytes)
         rows[name] = {
             "samples": before,
             "left": after / before,

@@ -66,7 +66,7 @@ def parts_of_a_frame(path: Path) -> dict[str, float]:
         "search for overlaps": lambda i: union_of(surfaces[i]),
         "all, with distance, sign and device filter": lambda i: medium[frames[i]],
     }
-    told = {}
+    times_ms = {}
 
     def each_of(call: Callable[[int], Any]) -> None:
         for i in range(FIELDS):
@@ -74,8 +74,8 @@ def parts_of_a_frame(path: Path) -> dict[str, float]:
 
     for name, call in calls.items():
         call(0)
-        told[name] = 1e3 * clocked(partial(each_of, call), FIELDS)["processor_s"] / FIELDS
-    return told
+        times_ms[name] = 1e3 * clocked(partial(each_of, call), FIELDS)["processor_s"] / FIELDS
+    return times_ms
 
 
 def measure(frames: int) -> Figures:
@@ -111,19 +111,19 @@ def measure(frames: int) -> Figures:
         coded("smooth, without guess", "smooth", count, TouchSpec(guess="off"))
         parts = parts_of_a_frame(paths["smooth"])
         voxels = medium[0].support_count
-    made, coded_s = (rows[name]["processor_s"] for name in ("smooth, fields", "smooth, to the file"))
-    parts["coding at the default effort"] = 1e3 * (coded_s / count - made / min(frames, FIELDS))
-    told = {"frames": frames, "triangles": triangles, "voxels": voxels, "threads": worker_count()}
-    return {**told, "rows": rows, "parts_ms": parts}
+    fields_s, coded_s = (rows[name]["processor_s"] for name in ("smooth, fields", "smooth, to the file"))
+    parts["coding at the default effort"] = 1e3 * (coded_s / count - fields_s / min(frames, FIELDS))
+    settings = {"frames": frames, "triangles": triangles, "voxels": voxels, "threads": worker_count()}
+    return {**settings, "rows": rows, "parts_ms": parts}
 
 
 def bars(figures: Figures) -> list[Bar]:
     """Rigid links far faster than a smooth skin, which is still to be coded at half a camera's rate."""
     limits = {"rigid, kept": 100.0, "rigid, to the file": 15.0, "smooth, to the file": 15.0}
     return [
-        at_least(f"{name}{words}", figure(figures, "rows", name, f"frames_per_s{key}"), limit, "frames/s")
+        at_least(f"{name}{suffix}", figure(figures, "rows", name, f"frames_per_s{key}"), limit, "frames/s")
         for name, limit in limits.items()
-        for key, words in (("", ""), ("_undisturbed", ", by the processor's time"))
+        for key, suffix in (("", ""), ("_undisturbed", ", by the processor's time"))
     ]
 
 

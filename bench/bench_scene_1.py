@@ -42,8 +42,8 @@ print(json.dumps({{**done.summary(), "peak_mb": peak}}))
 def coded(representation: str, frames: int, out: Path) -> dict[str, Any]:
     """What a process of its own says of one encoding."""
     code = [sys.executable, "-c", JOB.format(scene=SCENE), representation, str(frames), str(out)]
-    said = subprocess.run(code, check=True, capture_output=True, text=True).stdout
-    return dict(json.loads(said.splitlines()[-1]))
+    output = subprocess.run(code, check=True, capture_output=True, text=True).stdout
+    return dict(json.loads(output.splitlines()[-1]))
 
 
 def difference(objects: Path, frames: int) -> dict[str, float]:
@@ -63,21 +63,22 @@ def difference(objects: Path, frames: int) -> dict[str, float]:
             [np.hstack([o.track.quaternions, o.track.positions_m]) for o in stream.scene.objects]
         )
         bits = stream.bits
-        told = stream.summary()
+        summary = stream.summary()
     raw = poses.astype(np.float32).tobytes()
     spec = EncodeSpec(frames=(0, frames))
     scene = prepare(SCENE, spec).scene
     assert scene is not None
     alone = [
-        field_encoder(one.medium.grid, spec.touch).encode_segment([one.field(0)]) for one in scene.objects
+        field_encoder(segment.medium.grid, spec.touch).encode_segment([segment.field(0)])
+        for segment in scene.objects
     ]
     return {
-        "worst_mask_ratio": told["worst_mask_ratio"],
-        "place_tolerance_um": told["place_tolerance_um"],
-        "field_bytes_each_within_its_mask": sum(len(one.body) for one in alone),
+        "worst_mask_ratio": summary["worst_mask_ratio"],
+        "place_tolerance_um": summary["place_tolerance_um"],
+        "field_bytes_each_within_its_mask": sum(len(segment.body) for segment in alone),
         "nmse_to_voxels_db": float(meter.nmse_db or -np.inf),
         "pose_bytes": bits.poses / 8,
-        "field_bytes": told["bits_fields"] / 8,
+        "field_bytes": summary["bits_fields"] / 8,
         "raw_pose_bytes": len(raw),
         "zlib_pose_bytes": len(zlib.compress(raw, 9)),
         "lzma_pose_bytes": len(lzma.compress(raw)),
@@ -95,11 +96,11 @@ def measure(frames: int) -> Figures:
         ):
             out = Path(folder) / f"{name}.touch"
             coded(representation, 2, out)  # compiles
-            told = coded(representation, count, out)
-            kept = {
-                k: told[k] for k in ("encode_s", "file_bytes", "peak_mb", "supported_voxels", "grid_shape")
+            summary = coded(representation, count, out)
+            selected = {
+                k: summary[k] for k in ("encode_s", "file_bytes", "peak_mb", "supported_voxels", "grid_shape")
             }
-            figures[name] = kept
+            figures[name] = selected
         figures["object"] |= difference(Path(folder) / "object.touch", frames)
     return figures
 
@@ -108,18 +109,18 @@ def bars(figures: Figures) -> list[Bar]:
     """Two seconds in less than a minute, 2 GB and 300 kB at k = 0.1; the promise kept; poses shorter than
     packed.
     """
-    one = figures["object"]
+    row = figures["object"]
     quarter, voxels = (figure(figures, f"{name}, a quarter", "file_bytes") for name in ("object", "voxel"))
     over = voxels / quarter if voxels and quarter else None
-    packed = min(one["zlib_pose_bytes"], one["lzma_pose_bytes"])
+    packed = min(row["zlib_pose_bytes"], row["lzma_pose_bytes"])
     return [
-        at_most("objects, time", one["encode_s"], 60.0, "s"),
-        at_most("objects, memory", one["peak_mb"], 2048.0, "MB"),
-        at_most("objects, file", one["file_bytes"], 300_000, "bytes"),
+        at_most("objects, time", row["encode_s"], 60.0, "s"),
+        at_most("objects, memory", row["peak_mb"], 2048.0, "MB"),
+        at_most("objects, file", row["file_bytes"], 300_000, "bytes"),
         at_least("bytes of voxels over those of objects, a quarter of the frames", over, 10.0),
-        at_most("error of the composed field, in units of the mask", figure(one, "worst_mask_ratio"), 1.0),
-        at_most("objects against voxels, NMSE", one["nmse_to_voxels_db"], -15.0, "dB"),
-        at_least("bytes of the shorter of zlib and lzma over our poses", packed / one["pose_bytes"], 1.0),
+        at_most("error of the composed field, in units of the mask", figure(row, "worst_mask_ratio"), 1.0),
+        at_most("objects against voxels, NMSE", row["nmse_to_voxels_db"], -15.0, "dB"),
+        at_least("bytes of the shorter of zlib and lzma over our poses", packed / row["pose_bytes"], 1.0),
     ]
 
 

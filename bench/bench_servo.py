@@ -117,8 +117,8 @@ def cpu_s(pid: int | None) -> float:
     tell.
     """
     try:
-        told = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-        return (int(told[11]) + int(told[12])) / os.sysconf("SC_CLK_TCK")
+        fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError, IndexError):
         return math.nan
 
@@ -139,8 +139,8 @@ def run(
         player.play()
         began, cpu = time.monotonic(), cpu_s(player.servo_pid)
         player.wait(seconds)
-        share = (cpu_s(player.servo_pid) - cpu) / (time.monotonic() - began)
-    return {**player.statistics(), "servo_core_share": share}
+        core_fraction = (cpu_s(player.servo_pid) - cpu) / (time.monotonic() - began)
+    return {**player.statistics(), "servo_core_share": core_fraction}
 
 
 def stolen_s() -> float:
@@ -157,11 +157,11 @@ def bare(seconds: float) -> dict[str, float]:
     """The lateness of a loop of 1 kHz that does nothing, under SCHED_FIFO where that is allowed,
     microseconds.
     """
-    told = subprocess.run(
+    output = subprocess.run(
         [sys.executable, "-c", BARE, str(seconds)], capture_output=True, text=True, check=True
     )
     names = ("lateness_p50_us", "lateness_p99_us", "lateness_p99_9_us", "lateness_worst_us", "mean_rate_hz")
-    return dict(zip(names, map(float, told.stdout.split()), strict=True))
+    return dict(zip(names, map(float, output.stdout.split()), strict=True))
 
 
 def seeks(medium: HapticMedium) -> dict[str, float]:
@@ -190,10 +190,10 @@ def measure(seconds: float, others: float, offline: float) -> Figures:
         write_medium(path)
         with open_stream(path) as stream:
             medium = stream.medium
-            still = medium.between(0, 1)
-            run_offline(still, PROFILE, SimulatedCircle, seconds=0.1)
+            first_frame = medium.between(0, 1)
+            run_offline(first_frame, PROFILE, SimulatedCircle, seconds=0.1)
             began = time.perf_counter()
-            ticks = run_offline(still, PROFILE, SimulatedCircle, seconds=offline).statistics["ticks"]
+            ticks = run_offline(first_frame, PROFILE, SimulatedCircle, seconds=offline).statistics["ticks"]
             figures["offline_us_per_tick"] = 1e6 * (time.perf_counter() - began) / ticks
             figures["bare"] = bare(others)
             for name, rate_hz, is_realtime, is_loaded in ROWS:

@@ -39,15 +39,15 @@ def measured(field: ForceField, spec: PaperSpec) -> tuple[float, int]:
 
 def rows_of(field: ForceField) -> dict[str, dict[str, float]]:
     """Every stage on one frame: as asked by default, and at the error of the coder without a stage."""
-    wanted_db, plain = measured(field, PaperSpec())
-    rows = {"none": {"bytes": plain, "nmse_db": wanted_db}}
+    target_db, plain = measured(field, PaperSpec())
+    rows = {"none": {"bytes": plain, "nmse_db": target_db}}
     for stage in STAGES[1:]:
 
         def code(step_n: float, stage: str = stage) -> tuple[float, float]:
             return measured(field, PaperSpec(stage=stage, step_n=step_n))
 
         nmse_db, size = code(PaperSpec.step_n)
-        search = Search(code, wanted_db, 8 * PaperSpec.step_n, trials=TRIALS).run()
+        search = Search(code, target_db, 8 * PaperSpec.step_n, trials=TRIALS).run()
         equal = {"equal_error_bytes": search.size(), "equal_error_step_n": search.step()}
         rows[stage] = {"bytes": size, "nmse_db": nmse_db, **equal}
     return rows

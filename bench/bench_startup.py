@@ -34,9 +34,9 @@ def measure(is_cold: int) -> Figures:
     figures = {"import_numpy_s": bare, "import_touchfield_beyond_numpy_s": ours - bare}
     with tempfile.TemporaryDirectory() as folder:
         job = ["-m", "touchfield", "encode", "sample:terrain", str(Path(folder) / "out.touch")]
-        for name, most in (("first_encode_alone", "0"), ("first_encode", "")):
+        for name, helpers in (("first_encode_alone", "0"), ("first_encode", "")):
             cache = {"NUMBA_CACHE_DIR": str(Path(folder) / name)} if is_cold else {}  # which is not there yet
-            environment = {**os.environ, **cache, "TOUCHFIELD_HELPERS": most}
+            environment = {**os.environ, **cache, "TOUCHFIELD_HELPERS": helpers}
             before = os.times()
             figures[f"{name}_s"] = seconds(job, environment)
             after = os.times()

@@ -21,7 +21,7 @@ from time import perf_counter
 from machine import Bar, Figures, at_most, bench, figure
 
 ROOT = Path(__file__).resolve().parents[1]
-ONE_FILE = (sys.executable, "-m", "pytest", "tests/measure/test_partition.py")
+PYTEST_COMMAND = (sys.executable, "-m", "pytest", "tests/measure/test_partition.py")
 
 
 def loop_s() -> float:
@@ -37,7 +37,7 @@ def measure(tests: str) -> Figures:
     before_s = loop_s()
     with TemporaryDirectory() as cache:
         began = perf_counter()
-        command = ("make", "--no-print-directory", "test") if tests == "all" else ONE_FILE
+        command = ("make", "--no-print-directory", "test") if tests == "all" else PYTEST_COMMAND
         surroundings = {**os.environ, "NUMBA_CACHE_DIR": cache}
         done = subprocess.run(
             command, cwd=ROOT, env=surroundings, capture_output=True, text=True, check=False

@@ -36,7 +36,7 @@ from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec
 
 RECORDED = SHARED / "force_panda_comanipulation" / "symbol_data.mat"
-RECORDED_HZ, MADE_HZ, LOOP_HZ = 700.0, 2000.0, 2500.0
+RECORDED_HZ, SYNTHETIC_HZ, LOOP_HZ = 700.0, 2000.0, 2500.0
 GRID = tf.Grid((65, 33, 33), (0.005,) * 3, (-0.16, -0.08, -0.08))
 
 
@@ -44,20 +44,22 @@ def laws(seconds: float) -> Figures:
     """The worst of ten signals."""
     worst = {"crossover": 0.0, "dft321": 0.0, "stft_db": np.inf}
     for seed in range(10):
-        signal = np.random.default_rng(seed).normal(size=(int(seconds * MADE_HZ) + seed, 3)).cumsum(axis=0)
-        low, high = Crossover(MADE_HZ).split(signal)
+        signal = (
+            np.random.default_rng(seed).normal(size=(int(seconds * SYNTHETIC_HZ) + seed, 3)).cumsum(axis=0)
+        )
+        low, high = Crossover(SYNTHETIC_HZ).split(signal)
         spectrum = (np.abs(np.fft.rfft(high, axis=0)) ** 2).sum(axis=1)
-        one = dft321(high)
-        energy = np.abs(np.abs(np.fft.rfft(one)) ** 2 - spectrum) / np.maximum(
+        vibration = dft321(high)
+        energy = np.abs(np.abs(np.fft.rfft(vibration)) ** 2 - spectrum) / np.maximum(
             spectrum, 1e-9 * spectrum.max()
         )
         stft = Stft()
-        lost = np.linalg.norm(stft.signal_from(stft.real_spectra(one), len(one)) - one)
+        residual = np.linalg.norm(stft.signal_from(stft.real_spectra(vibration), len(vibration)) - vibration)
         worst["crossover"] = max(
             worst["crossover"], float(np.abs(low + high - signal).max() / np.abs(signal).max())
         )
         worst["dft321"] = max(worst["dft321"], float(energy.max()))
-        worst["stft_db"] = min(worst["stft_db"], float(20 * np.log10(np.linalg.norm(one) / lost)))
+        worst["stft_db"] = min(worst["stft_db"], float(20 * np.log10(np.linalg.norm(vibration) / residual)))
     return worst
 
 
@@ -71,9 +73,9 @@ def recordings() -> dict[str, Any]:
     return {f"recording {n}": dft321(Crossover(RECORDED_HZ).split(row.F.T)[1]) for n, row in enumerate(rows)}
 
 
-def made(seconds: float) -> dict[str, Any]:
+def synthetic(seconds: float) -> dict[str, Any]:
     """Vibrations of one axis, newtons, at `MADE_HZ`."""
-    rng, t = np.random.default_rng(6), np.arange(int(seconds * MADE_HZ)) / MADE_HZ
+    rng, t = np.random.default_rng(6), np.arange(int(seconds * SYNTHETIC_HZ)) / SYNTHETIC_HZ
     rough = np.convolve(rng.normal(size=len(t) + 31), np.hanning(32) * np.cos(0.6 * np.arange(32)), "valid")
     hits = np.exp(-((t * 40) % 1) * 8) * np.sin(2 * np.pi * 180 * t) * (1 + 0.2 * rng.normal(size=len(t)))
     tap = np.exp(-(t % 1) * 60) * np.sin(2 * np.pi * 220 * t)
@@ -127,18 +129,18 @@ def slides() -> Figures:
         opener = point_device("sim", Trace(np.array([0, 0.1, seconds]), at)).opener
         run_offline(medium, profile, opener, spec, seconds=0.05)  # what is compiled or loaded
         took = []
-        for own in (spec, replace(spec, materials=())):
+        for run_spec in (spec, replace(spec, materials=())):
             began = time.perf_counter()
-            run = run_offline(medium, profile, opener, own, seconds=seconds)
+            run = run_offline(medium, profile, opener, run_spec, seconds=seconds)
             took.append(1e6 * (time.perf_counter() - began) / len(run.log))
-            if own is spec:
-                felt = run.log["force_n"][int(0.25 * LOOP_HZ) : int((seconds - 0.01) * LOOP_HZ), 2].astype(
+            if run_spec is spec:
+                force_n = run.log["force_n"][int(0.25 * LOOP_HZ) : int((seconds - 0.01) * LOOP_HZ), 2].astype(
                     float
                 )
-        share = (300.0 * 0.0025 - 0.5) / 1.5
-        pressed = (1 - share) * levels[:, 0] + share * levels[:, 1]
-        wanted = np.array([np.interp(speed, table.speeds_m_s, pressed[:, b]) for b in range(len(BANDS_HZ))])
-        off = np.abs(20 * np.log10(band_rms(felt - felt.mean(), LOOP_HZ) / wanted))
+        weight = (300.0 * 0.0025 - 0.5) / 1.5
+        pressed = (1 - weight) * levels[:, 0] + weight * levels[:, 1]
+        expected = np.array([np.interp(speed, table.speeds_m_s, pressed[:, b]) for b in range(len(BANDS_HZ))])
+        off = np.abs(20 * np.log10(band_rms(force_n - force_n.mean(), LOOP_HZ) / expected))
         rows[f"{1e3 * speed:g} mm/s"] = {
             "worst_db": float(off.max()),
             "tick_us": took[0],
@@ -149,13 +151,13 @@ def slides() -> Figures:
 
 def measure(seconds: float) -> Figures:
     """All of it."""
-    told = reduction(recordings(), RECORDED_HZ) | reduction(made(seconds), MADE_HZ)
-    felt = slides()
+    reduction_rows = reduction(recordings(), RECORDED_HZ) | reduction(synthetic(seconds), SYNTHETIC_HZ)
+    slide_rows = slides()
     return {
         "laws": laws(seconds),
-        "reduction": told,
-        "slide": felt,
-        "tick_more_us": float(np.median([row["tick_us"] - row["without_us"] for row in felt.values()])),
+        "reduction": reduction_rows,
+        "slide": slide_rows,
+        "tick_more_us": float(np.median([row["tick_us"] - row["without_us"] for row in slide_rows.values()])),
     }
 
 
@@ -168,7 +170,9 @@ def bars(figures: Figures) -> list[Bar]:
         at_most("DFT321, energy of a bin", figure(figures, "laws", "dft321"), 1e-12),
         at_least("spectra and back", figure(figures, "laws", "stft_db"), 100.0, "dB"),
         at_least("what is lost below the threshold", min(column(rows, "margin_db"), default=None), 0.0, "dB"),
-        at_least("16 bits a sample over what is sent, made", min(column(made_rows(rows), "of_pcm")), 4.0),
+        at_least(
+            "16 bits a sample over what is sent, made", min(column(synthetic_rows(rows), "of_pcm")), 4.0
+        ),
         at_least("the same, recorded", min(column(real, "of_pcm"), default=None), 4.0),
         at_least("seconds reduced in a second", min(column(rows, "times_real")), 10.0),
         at_most("thirds of a slide from the table", max(column(figures["slide"], "worst_db")), 1.0, "dB"),
@@ -176,7 +180,7 @@ def bars(figures: Figures) -> list[Bar]:
     ]
 
 
-def made_rows(rows: Figures) -> Figures:
+def synthetic_rows(rows: Figures) -> Figures:
     """Rows of what was made here."""
     return {name: row for name, row in rows.items() if not name.startswith("recording")}
 

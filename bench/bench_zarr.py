@@ -42,16 +42,16 @@ def measure(nw: int, runs: int) -> Figures:
     spec = EncodeSpec(nw=nw, representation="voxel", touch=TouchSpec())
     medium = prepare(SOURCE, spec).medium
     frames = [medium[0]]
-    held = type(medium).from_frames(frames, medium.rate_hz, medium.axes)
+    in_memory = type(medium).from_frames(frames, medium.rate_hz, medium.axes)
     rows: dict[str, Figures] = {"npz": {}, "zarr, zstd": {}, "zarr, touch": {}}
     for run in range(runs + 1):
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             ways: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]]] = {
-                "npz": ("a.npz", lambda path: write_npz(path, held), lambda path: read_npz(path)[0]),
+                "npz": ("a.npz", lambda path: write_npz(path, in_memory), lambda path: read_npz(path)[0]),
                 "zarr, zstd": (
                     "a.zarr",
-                    lambda path: write_zarr(path, held),
+                    lambda path: write_zarr(path, in_memory),
                     lambda path: read_zarr(path)[0],
                 ),
                 "zarr, touch": (

@@ -147,9 +147,9 @@ def damaged(data: bytes, rng: np.random.Generator, others: list[bytes]) -> bytes
         out[early : early + 1] = bytes([255] * int(rng.integers(1, 7))) + bytes([int(rng.integers(1, 128))])
     elif kind == 5:
         other = others[int(rng.integers(len(others)))]
-        begin = int(rng.integers(len(other) or 1))
+        start = int(rng.integers(len(other) or 1))
         size = int(rng.integers(1, 200))
-        out[at : at + size] = other[begin : begin + size]
+        out[at : at + size] = other[start : start + size]
     elif kind == 6:
         out[at:] = bytes([int(rng.choice([0, 255]))]) * (n - at)
     elif kind == 7:
@@ -177,7 +177,7 @@ def case_of(pool: list[Good], seed: int, number: int) -> Good:
     """Case `number`: the same for the same bodies."""
     rng = np.random.default_rng([seed, number])
     good = pool[int(rng.integers(len(pool)))]
-    others = [one.body for one in pool]
+    others = [segment.body for segment in pool]
     body, parameters, grid, frames = good.body, good.parameters, good.grid, good.frames
     if rng.random() < 0.3:
         for _ in range(int(rng.integers(1, 3))):
@@ -230,7 +230,7 @@ POOL: list[Good] = []
 """Of the child."""
 
 
-def begin(names: list[str], seed: int) -> None:
+def start_child(names: list[str], seed: int) -> None:
     """Make the good bodies, compile what decodes them, and limit the process."""
     for name, make in makers().items():
         if names and name not in names:
@@ -248,14 +248,14 @@ def work(seed: int, number: int) -> tuple[str, str, float, float]:
     """Name of a case, what came of it, and the shares that it took of the memory and of the time allowed."""
     case = case_of(POOL, seed, number)
     tracemalloc.reset_peak()
-    held, began = tracemalloc.get_traced_memory()[0], time.process_time()
-    told = run(case)
-    seconds, peak = time.process_time() - began, tracemalloc.get_traced_memory()[1] - held
-    shares = peak / bytes_allowed(case), seconds / (FREE_SECONDS + SECONDS_PER_BYTE * len(case.body))
-    if max(shares) > 1 and not told.startswith("FAULT"):
-        took = f"{peak / MEBI:.0f} MiB" if shares[0] > 1 else f"{seconds:.1f} s"
-        told = f"FAULT: {took} for {len(case.body)} bytes, grid {case.grid.shape}; {told}"
-    return case.name, told, *shares
+    before, began = tracemalloc.get_traced_memory()[0], time.process_time()
+    outcome = run(case)
+    seconds, peak = time.process_time() - began, tracemalloc.get_traced_memory()[1] - before
+    fractions = peak / bytes_allowed(case), seconds / (FREE_SECONDS + SECONDS_PER_BYTE * len(case.body))
+    if max(fractions) > 1 and not outcome.startswith("FAULT"):
+        took = f"{peak / MEBI:.0f} MiB" if fractions[0] > 1 else f"{seconds:.1f} s"
+        outcome = f"FAULT: {took} for {len(case.body)} bytes, grid {case.grid.shape}; {outcome}"
+    return case.name, outcome, *fractions
 
 
 @dataclass
@@ -267,22 +267,24 @@ class Tally:
     peak: float = 0.0
     slowest: float = 0.0
 
-    def add(self, number: int, name: str, told: str, peak: float, seconds: float) -> None:
+    def add(self, number: int, name: str, outcome: str, peak: float, seconds: float) -> None:
         """Count one case."""
-        self.counts["FAULT" if told.startswith("FAULT") else told] += 1
+        self.counts["FAULT" if outcome.startswith("FAULT") else outcome] += 1
         self.peak, self.slowest = max(self.peak, peak), max(self.slowest, seconds)
-        if told.startswith("FAULT"):
-            found = self.faults.setdefault(f"{name}: {told}"[:300], [])
+        if outcome.startswith("FAULT"):
+            found = self.faults.setdefault(f"{name}: {outcome}"[:300], [])
             found.append(str(number))
             if len(found) == 1:
-                print(f"case {number}, {name}: {told}", flush=True)
+                print(f"case {number}, {name}: {outcome}", flush=True)
 
 
 def watch(arguments: argparse.Namespace) -> Tally:
     """Run cases until their time is over; start again behind a case that killed the child."""
     tally, number, spent = Tally(Counter(), {}), arguments.first, 0.0
     while spent < arguments.seconds:
-        with multiprocessing.get_context("spawn").Pool(1, begin, (arguments.only, arguments.seed)) as child:
+        with multiprocessing.get_context("spawn").Pool(
+            1, start_child, (arguments.only, arguments.seed)
+        ) as child:
             child.apply_async(os.getpid).get(1200)  # all is compiled
             patient = True
             while patient and spent < arguments.seconds:
@@ -319,19 +321,19 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="good bodies to begin with")
     parser.add_argument("--bounds", action="store_true", help="check every index in compiled loops")
     parser.add_argument("--replay", type=int, nargs=2, metavar=("SEED", "CASE"))
-    asked = parser.parse_args()
-    if asked.bounds and "NUMBA_BOUNDSCHECK" not in os.environ:
+    options = parser.parse_args()
+    if options.bounds and "NUMBA_BOUNDSCHECK" not in os.environ:
         folder = Path(tempfile.gettempdir()) / "touchfield-fuzz-bounds"
         settings = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(folder)}
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **settings})
-    if asked.replay:
-        replayed(asked.only, *asked.replay)
+    if options.replay:
+        replayed(options.only, *options.replay)
         return 0
-    tally = watch(asked)
-    print(f"seed {asked.seed}: {sum(tally.counts.values())} cases: {dict(sorted(tally.counts.items()))}")
+    tally = watch(options)
+    print(f"seed {options.seed}: {sum(tally.counts.values())} cases: {dict(sorted(tally.counts.items()))}")
     print(f"largest share of the memory allowed {tally.peak:.2f}, of the time {tally.slowest:.2f}")
-    for told, numbers in tally.faults.items():
-        print(f"{len(numbers)} x {told}; cases {' '.join(numbers[:8])}")
+    for fault, numbers in tally.faults.items():
+        print(f"{len(numbers)} x {fault}; cases {' '.join(numbers[:8])}")
     return 1 if tally.faults else 0
 
 
