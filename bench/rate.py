@@ -1,4 +1,4 @@
-"""Size against error: coder `touch` beside coder `paper` and general-purpose coders, everything counted.
+"""Size against error: coder `touch`, coder `paper` and general-purpose coders.
 
     python bench/rate.py [--quick] [--nw 5 6 7] [--fields NAME ...] [--efforts NAME ...] [--only WHAT ...]
                          [--keep FOLDER]
@@ -42,7 +42,7 @@ SECTIONS = ("NMSE", "promise", "five", "speed", "objects", "picture")
 PICTURE_NW = 6
 DEFAULT = "default"
 MEAN, P_OVER_I = 1.0, 1.0
-"""Over the figures before: bytes on the mean of the fields; later frames over frames coded alone."""
+"""Limits relative to the former figures: mean bytes of the fields; later frames over single frames."""
 SPEEDS = {
     ("tum band", DEFAULT, "decode"): 60,
     ("tum band", DEFAULT, "encode"): 12,
@@ -64,14 +64,14 @@ BEFORE = json.loads((Path(__file__).parent / "reference" / "rate_before.json").r
 
 
 def best(sizes: Figures) -> tuple[str, float]:
-    """The smallest that is a number."""
+    """Name and size of the smallest finite size."""
     finite = [(size, name) for name, size in sizes.items() if math.isfinite(size)]
     size, name = min(finite, default=(math.nan, "-"))
     return name, size
 
 
 def mean(ratios: Sequence[float]) -> float | None:
-    """Geometric; None of nothing."""
+    """Geometric mean; None for an empty list."""
     return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else None
 
 
@@ -82,7 +82,7 @@ def former_of(before: Figures, row: Figures) -> Any:
 
 @dataclass
 class Report:
-    """What was found.
+    """All figures of a run.
 
     A row of `sizes` has "field", "kind", "at" ("NMSE" or "promise"), "frames", "nmse_db", "touch" by effort
     (bytes), "p_over_i" by effort, "peers" and what else its parts told; one of `speeds` has "field", "effort"
@@ -101,7 +101,7 @@ class Report:
         return [row for row in self.sizes if row["at"] == at and (row["frames"] > 1) is (frames > 1)]
 
     def tables(self) -> Iterator[str]:
-        """Those that hold anything."""
+        """The tables with at least one row."""
         peer_columns = ("best peer", "bytes", "over default", "coded source", "on paper's symbols")
         head = ("field", "NMSE dB", "paper", *self.efforts, "P over I", "beyond", "worst", *peer_columns)
         for (at, frames), title in TITLES.items():
@@ -142,7 +142,7 @@ class Report:
         }
 
     def ranges(self) -> dict[str, list[float]]:
-        """How many times as large as ours the best peer is over all fields, at least and at most."""
+        """Bytes of the best peer over those of coder touch: least and greatest over all fields."""
         found = {}
         for at, frames in TITLES:
             over = self._ratios(at, frames, lambda r: best(r["peers"])[1], lambda r: r["touch"].get(DEFAULT))
@@ -151,7 +151,7 @@ class Report:
         return found
 
     def bars(self) -> list[Bar]:
-        """Beside the figures before, the best peer, and frames a second."""
+        """Bars against the former figures, the best peer, and frames per second."""
         verdicts: list[Bar] = []
         for at in ("promise", "NMSE"):
             over = self._ratios(at, 1, lambda r: r["touch"].get(DEFAULT), self._former)
@@ -207,7 +207,7 @@ def row_of(case: Case, at: str, count: int, pool: Pool, efforts: Sequence[str]) 
 
 
 def measure_speeds(report: Report, pool: Pool, selected: Sequence[Case]) -> None:
-    """Each effort, with the machine to itself, after the first, small field was coded once to compile all."""
+    """Measure each effort alone on the machine, after a small field has compiled all kernels."""
     for effort in report.efforts:
         pool.log(f"compiling {effort}")
         ours.touch(selected[0].frames(fields_in(pool.folder))[:2], effort=effort)
@@ -220,7 +220,7 @@ def measure_speeds(report: Report, pool: Pool, selected: Sequence[Case]) -> None
 
 
 def drawn_cases(selected: Sequence[Case], folder: Path) -> list[Case]:
-    """A band and a height field at n_w 6, or at the largest n_w that there is: those of the most voxels."""
+    """The band and the height field with the most voxels at n_w 6, or at the largest n_w."""
     side = min((case.nw for case in selected), key=lambda nw: (nw != PICTURE_NW, -nw))
     drawable = [case for case in selected if case.nw == side and case.kind in ("band", "height")]
     drawable.sort(key=lambda case: case.frames(fields_in(folder))[0].support_count)
@@ -228,7 +228,7 @@ def drawn_cases(selected: Sequence[Case], folder: Path) -> list[Case]:
 
 
 def arguments() -> Any:
-    """What was asked for."""
+    """Parsed options."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -248,7 +248,7 @@ def arguments() -> Any:
 
 
 def measured(options: Any, pool: Pool, selected: list[Case]) -> Report:
-    """Everything that was asked for."""
+    """Run all requested sections."""
     report = Report(tuple(options.efforts), BEFORE)
     if "speed" in options.only:
         measure_speeds(report, pool, selected)
@@ -273,12 +273,12 @@ def measured(options: Any, pool: Pool, selected: list[Case]) -> Report:
 
 
 def bars(figures: dict[str, Any]) -> list[Bar]:
-    """Those of the report of these figures."""
+    """Bars of the report of these figures."""
     return Report(EFFORTS, BEFORE, figures["sizes"], figures["speeds"]).bars()
 
 
 def main() -> None:
-    """Print the tables and the bars, keep the figures, draw the picture."""
+    """Print the tables and the bars, store the figures, draw the picture."""
     options, trace, run = arguments(), provenance.Trace(), provenance.Run()
     os.environ["TOUCHFIELD_THREADS"] = "1"  # a core has a segment, or a process, of its own
     selected = list(cases(tuple(options.nw), options.fields and tuple(options.fields)))

@@ -1,4 +1,4 @@
-"""The package's own coders as `rate.py` measures them, and the search for the bytes at an equal error."""
+"""The package's coders in `rate.py`, and the search for the bytes at an equal error."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 
 PAPER = PaperSpec(nq=6, directions="octa3", deadband="none")
-"""Coder `paper` as the comparisons take it: 258 directions."""
+"""Coder `paper` in the comparisons: 258 directions."""
 CORES = 2
-"""That the bars of speed are for."""
+"""Cores of the bars of speed."""
 
 
 @dataclass(frozen=True)
 class Coded:
-    """What a coder made of some frames: all bytes that the decoder needs, and how far it is off."""
+    """Result of a coder: all bytes that the decoder needs, and the error."""
 
     bytes: int
     later_bits: int
@@ -73,7 +73,7 @@ def _coded(encoder: Any, decoder: Any, frames: list[ForceField]) -> Coded:
 
 
 def paper_symbols(frames: list[ForceField]) -> tuple[NDArray[np.int32], int]:
-    """What coder `paper` sends of frames coded alone, in the box that holds all force.
+    """Symbols of coder `paper` for frames coded alone, within their bounding box.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def speed(frames: list[ForceField], effort: str, runs: int = 3) -> dict[str, flo
 
     def rate(job: Callable[[int], object]) -> float:
         times = list[float]()
-        while len(times) < runs and sum(times) < 60:  # a coder as slow as that needs no second look
+        while len(times) < runs and sum(times) < 60:  # one run is enough for so slow a coder
             began = perf_counter()
             with ThreadPoolExecutor(CORES) as pool:
                 list(pool.map(job, range(CORES)))
@@ -151,12 +151,12 @@ BRACKET_DB, TOLERANCE_DB, BRACKET_RATIO = 0.5, 0.05, 1.08
 """Two trials so near to each other, one so near to the target, or steps of that ratio are enough: an encoder
 that weighs bits is off by half a dB at times."""
 OVERSHOOT_DB = 0.15
-"""How far beyond the target a trial is aimed, so that the target lies between it and the nearest."""
+"""Distance beyond the target at which a trial is aimed, to bracket the target."""
 
 
 @dataclass
 class Search:
-    """Trials of a step until two of them hold the target closely between them.
+    """Trials of a step until two of them bracket the target closely.
 
     ``code(step)`` gives an NMSE in dB, which grows with the step by some 20 dB for a factor of 10, and sizes.
     """

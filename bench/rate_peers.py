@@ -1,4 +1,4 @@
-"""The general-purpose coders of `rate.py`: what is not installed is left out and named.
+"""General-purpose coders of `rate.py`; missing ones are skipped and named.
 
 Lossless ones (zstd -19, xz, brotli, zpaq at its most, JPEG XL) are given symbols in several layouts, the best
 of which counts: the whole box, or a mask and the list of what is in it; components apart or together. Lossy
@@ -61,19 +61,19 @@ def absent() -> list[str]:
 
 
 def xz(data: bytes) -> int:
-    """LZMA2 at its most, without a container."""
+    """LZMA2 at its highest preset, without a container."""
     filters = [{"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME}]
     return len(lzma.compress(data, format=lzma.FORMAT_RAW, filters=filters))
 
 
 def quick_xz(data: bytes) -> int:
-    """About as many bytes, for choosing."""
+    """An estimate of `xz`, for choosing layouts."""
     return len(lzma.compress(data, preset=1))
 
 
 @cache
 def compressors() -> dict[str, Callable[[bytes], int]]:
-    """Those that are here; zpaq is one block with its model, without an archive."""
+    """Installed lossless coders; zpaq is one block with its model, without an archive."""
     every: dict[str, Callable[[bytes], int]] = {
         "xz": xz,
         "zstd -19": lambda data: len(module("zstd -19").ZstdCompressor(level=19).compress(data)),
@@ -271,7 +271,7 @@ def at_error(volume: Volume, target_db: float) -> dict[str, float]:
 
 
 def at_promise(volume: Volume) -> dict[str, float]:
-    """Bytes of every peer that keeps the promise at every voxel; of the lossy ones plainly or companded."""
+    """Bytes of every peer within the error bound at every voxel; lossy ones plain or companded."""
     forces, found = volume.forces_n, dict[str, float]()
     for quantised in lattices.promised(forces):
         for name, size in lossless(quantised.symbols).items():

@@ -1,4 +1,4 @@
-"""The picture of `rate.py`: size against error for all coders, and below it the sizes under the promise."""
+"""Picture of `rate.py`: size against error of all coders, and sizes at the error bound."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NAMES = {"touch": "touch (ours)", "paper": "the paper's coder"}
 PHRASES = {"tum": "TUM desk", "icl": "ICL living room", "band": "as a wall", "height": "as a solid"}
 RANGE_DB = (-12.0, -40.0)
 LABELS_DB = 18.5
-"""Room for the names, right of what is shown."""
+"""Space for the names to the right of the curves."""
 PEERS = 5
 
 
@@ -86,7 +86,7 @@ def _curves(axis: Any, of: Mapping[str, Any]) -> None:
     axis.set_xlim(coarse + 1, fine - LABELS_DB)
     axis.set_xticks([-15, -20, -25, -30, -35, -40])
     low, high = np.log10(axis.get_ylim())
-    gap, top = (high - low) / 18, low  # names from below, none nearer to the next than a line is high
+    gap, top = (high - low) / 18, low  # labels from below, at least one line apart
     for remaining, (name, (db, height)) in zip(
         range(len(last_points), 0, -1), sorted(last_points.items(), key=lambda item: item[1][1])
     ):

@@ -1,8 +1,7 @@
-"""The parts of `rate.py`, each of one field and apart from the others: a process for each core, and what was
-kept.
+"""Jobs of `rate.py`: one field each, a process per core, with cached figures.
 
-A kept figure's name holds what it depends on: the frames themselves, what was asked, and the source of what
-made it. So a changed coder is measured again, and the peers are not. Speeds are never kept.
+The key of a cached figure holds what it depends on: the frames, the options, and the source of the coder. A
+changed coder is measured again, and the peers are not. Speeds are never cached.
 """
 
 from __future__ import annotations
@@ -102,7 +101,7 @@ PARTS: dict[str, Callable[..., Figures]] = {
 
 @cache
 def fingerprint(group: str) -> str:
-    """Of the source of "fields", "peers" or "ours"."""
+    """Hash of the source of "fields", "peers" or "ours"."""
     codec = PACKAGE / "codec"
     if group == "fields":  # whatever may change the field, and no coder
         paths = [p for p in PACKAGE.rglob("*.py") if codec not in p.parents] + [BENCH / "rate_fields.py"]
@@ -115,12 +114,12 @@ def fingerprint(group: str) -> str:
 
 
 def fields_in(folder: Path) -> Path:
-    """Where the frames are, of this state of the source."""
+    """Folder of the frames of this state of the source."""
     return folder / f"fields-{fingerprint('fields')}"
 
 
 def cached(folder: Path, key: Any, make: Callable[[], Figures]) -> Figures:
-    """What an earlier run found, or what `make` finds now, kept whole or not at all."""
+    """Figures of an earlier run, or those of `make`, written atomically."""
     path = folder / f"{hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:24]}.json"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
@@ -142,11 +141,11 @@ class Job:
 
     @property
     def name(self) -> str:
-        """What it is found under."""
+        """Key of the job in `Pool.found`."""
         return " ".join([self.case.title + ":", self.part, str(self.count), *map(str, self.args.values())])
 
     def work(self, folder: Path) -> Figures:
-        """In a process of its own."""
+        """Run in a worker process; cached."""
         path, source = self.case.path(fields_in(folder)), "peers" if self.part.endswith("peers") else "ours"
         key = [
             hashlib.sha256(path.read_bytes()).hexdigest(),
@@ -160,18 +159,18 @@ class Job:
 
 
 class Pool:
-    """All that was found: ``found[job.name]``; what failed is not there."""
+    """Figures of all jobs: ``found[job.name]``; failed jobs are absent."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.found, self.failed = folder, dict[str, Figures](), list[str]()
         self._began = perf_counter()
 
     def log(self, text: str) -> None:
-        """On the standard error, with the seconds so far."""
+        """Print to standard error, with the elapsed seconds."""
         print(f"[{perf_counter() - self._began:.0f} s] {text}", file=sys.stderr, flush=True)
 
     def run(self, jobs: list[Job]) -> None:
-        """All jobs, the largest first; one that fails leaves a gap in its table, and is told at the end."""
+        """Run all jobs, the largest first; a failed one is missing in its table and listed in `failed`."""
         with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
             for _ in pool.map(
                 Case.path, dict.fromkeys(job.case for job in jobs), repeat(fields_in(self.folder))

@@ -1,4 +1,4 @@
-"""The coded source as a peer: the depth maps that a field was made of, by JPEG XL, and the field made again.
+"""The coded source as a peer: depth maps by JPEG XL, from which the field is computed again.
 
 The receiver is given the maps, rounded to multiples of a step, and touchfield's own code makes the field. The
 map is taken whole or every second, fourth or eighth pixel a side (the median of a block); it is coded as it
@@ -36,7 +36,7 @@ HEAD_BYTES, POSE_BYTES = 56, 24
 SHRINKS, STEPS = (1, 2, 4, 8), (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 """Pixels a side to one that is sent, and units to one step."""
 WORSE = 3
-"""Steps in a row that bring nothing, after which no longer one is tried."""
+"""Consecutive steps without an improvement, after which the search ends."""
 
 Maps = NDArray[np.int32]
 Forces = NDArray[np.float32]
@@ -63,7 +63,7 @@ class Decoded(DepthSequence):
 
 @dataclass(frozen=True)
 class Source:
-    """The maps of a case, and the field made of any others like them."""
+    """Maps of a case, and the field computed from maps like them."""
 
     case: Case
     count: int
@@ -83,12 +83,12 @@ class Source:
 
     @cached_property
     def unit(self) -> int:
-        """The greatest number that divides all: TUM stores whole millimetres in fifths."""
+        """Greatest common divisor: TUM stores whole millimetres in fifths."""
         return max(1, int(np.gcd.reduce(self.maps, axis=None)))
 
     @cached_property
     def constant_bytes(self) -> int:
-        """Of what the receiver must know beside the maps."""
+        """Bytes of the constants that the receiver needs besides the maps."""
         is_moving = self.case.kind == "band" and self.sequence.poses is not None
         return HEAD_BYTES + POSE_BYTES * (self.count - 1) * is_moving
 

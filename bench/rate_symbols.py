@@ -1,4 +1,4 @@
-"""Forces as small whole numbers for the general-purpose coders of `rate.py`, all in their favour.
+"""Forces as small integers for the general-purpose coders of `rate.py`, in their favour.
 
 Uniform in newtons, for an equal mean error; and two lattices that keep the promise |e| <= max(F_0, k |F|), of
 which each was best on some field:
@@ -29,7 +29,7 @@ Symbols = NDArray[np.int32]
 Candidate = TypeVar("Candidate")
 
 K, F0_N = 0.1, 0.05
-"""Of the promise."""
+"""Parameters of the error bound."""
 KNEE_N = F0_N / K
 CELL_FRACTION = 3**-0.5
 """Of the mask to the amplitude: the cell of greatest volume in the ball (0.45 and 0.7 take as many bytes)."""
@@ -49,13 +49,13 @@ def uniform(forces_n: Forces, step_n: float) -> Quantised:
 
 
 def is_within_bound(forces_n: Forces, decoded_n: Forces) -> bool:
-    """Tell if no sample is beyond the mask."""
+    """Whether no sample is beyond the mask."""
     x, y = (np.ascontiguousarray(a.reshape(-1, 3), np.float32) for a in (forces_n, decoded_n))
     return violations(x, y, K, F0_N).count == 0
 
 
 def dropped(quantised: Quantised, forces_n: Forces) -> Quantised:
-    """The same without what is at most F_0 long."""
+    """The same without forces of at most F_0."""
     supported = (np.linalg.norm(forces_n, axis=-1) > F0_N)[..., None]
     return Quantised(quantised.symbols * supported, quantised.decoded * supported)
 
@@ -84,12 +84,12 @@ def coarsest(
 def without_small(
     quantise: Callable[[Forces, float], Quantised], forces_n: Forces, scale: float
 ) -> Quantised:
-    """Quantised at a scale, and what no mask needs dropped."""
+    """Quantised at a scale, without forces that the mask does not need."""
     return dropped(quantise(forces_n, scale), forces_n)
 
 
 def promised(forces_n: Forces) -> list[Quantised]:
-    """The field on both lattices, each as coarse as the promise allows."""
+    """The field on both lattices, each as coarse as the error bound allows."""
     candidates = (
         coarsest(
             partial(without_small, quantise, forces_n),
@@ -195,7 +195,7 @@ def octahedral_side(angle: float) -> int:
 
 @cache
 def _widest(side: int) -> float:
-    """Radians that a map leaves at most."""
+    """Largest angle between a direction and the map, radians."""
     unit = np.random.default_rng(0).normal(size=(20_000, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     off = np.linalg.norm(octahedral(unit, side)[2] - unit, axis=1).max()
