@@ -1,16 +1,15 @@
-"""Run every benchmark in turn; each prints its tables and keeps its last run in bench/results.
+"""Run every benchmark; each prints its tables and stores its last run in bench/results.
 
     python bench/run_all.py [--quick] [--only NAME,NAME] [--jobs N] [--limit-s SECONDS]
     python bench/run_all.py --stale | --rerun-stale | --verdicts | --store-quick
 
-`--quick` runs each with its smallest settings, keeps nothing, and holds its exact figures (bytes, counts,
-errors) against ``reference/quick``, which `--store-quick` writes. `--stale` runs none: it lists the results
-whose code has changed since, and ends with status 1 if one of them can be measured here; `--rerun-stale`
-measures these. `--verdicts` runs none either: the bars are held against the figures that are kept, and
-written beside them.
+`--quick` runs each with its smallest settings, stores nothing, and compares its exact figures (bytes, counts,
+errors) with ``reference/quick``, which `--store-quick` writes. `--stale` only lists the results whose code
+has changed, and exits with status 1 if one of them can be measured here; `--rerun-stale` measures these.
+`--verdicts` runs nothing either: it evaluates the bars on the stored figures and stores them.
 
-A benchmark that fails or exceeds its time is named at the end, and the others run. One that lacks what it
-needs (a GPU, a compiler, a browser) is left out, with the reason.
+A benchmark that fails or exceeds its time is named at the end, and the others run. One whose requirements (a
+GPU, a compiler, a browser) are missing is skipped with the reason.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ QUICK_LIMIT_S, LIMIT_S = 600.0, 3600.0
 """Seconds after which a script is ended."""
 GUARD = "guard"
 NEEDS = {"cuda": ("an NVIDIA GPU", ("nvidia-smi",)), "page": ("node and Chromium", ("node", "chromium"))}
-"""What a benchmark needs that not every machine has, and the programs that show it."""
+"""Requirements that not every machine meets, and the programs that indicate them."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +72,9 @@ def selected(only: str | None) -> list[str]:
 
 
 def run(name: str, is_quick: bool, limit_s: float, is_live: bool = True) -> Outcome:
-    """One script in a process group of its own, ended with all its processes after `limit_s`.
+    """Run one script in its own process group, ended with all its processes after `limit_s`.
 
-    Its output appears at once if `is_live`, and else when it has ended.
+    Its output appears immediately if `is_live`, and otherwise when it has ended.
     """
     script = HERE / f"{scripts()[name]}.py"
     command = [sys.executable, str(script), *["--quick"] * is_quick]
@@ -97,9 +96,7 @@ def run(name: str, is_quick: bool, limit_s: float, is_live: bool = True) -> Outc
 
 
 def _waited(pid: int, until_s: float) -> tuple[int | None, float]:
-    """Exit status, and processor seconds with those of its own children; its group is killed at `until_s`:
-    None.
-    """
+    """Exit status, and processor seconds including children; at `until_s` the group is killed: None."""
     is_late = False
     while True:
         ended, status, used = os.wait4(pid, os.WNOHANG)
@@ -113,9 +110,9 @@ def _waited(pid: int, until_s: float) -> tuple[int | None, float]:
 
 
 def run_each(names: list[str], is_quick: bool, limit_s: float, jobs: int) -> bool:
-    """Run them, `jobs` at once; a table of how each ended; whether none failed.
+    """Run benchmarks, `jobs` at once, and print a table; True if none failed.
 
-    What guards the speed runs first and alone.
+    The guard of the speed runs first and alone.
     """
     alone = [name for name in names if jobs == 1 or name == GUARD]
     outcomes = [run(name, is_quick, limit_s) for name in alone]
@@ -142,7 +139,7 @@ def run_each(names: list[str], is_quick: bool, limit_s: float, jobs: int) -> boo
 
 
 def missing_need(name: str) -> str | None:
-    """What a benchmark needs and this machine has not."""
+    """Requirement of a benchmark that this machine lacks; None if it lacks none."""
     need, programs = NEEDS.get(name, ("", ()))
     return None if all(map(which, programs)) else need
 
@@ -154,7 +151,7 @@ def stale_results() -> dict[str, list[str]]:
 
 
 def show_stale() -> bool:
-    """List stale results with their commit and the files that changed; whether none can be measured here."""
+    """List stale results with commit and changed files; True if none can be measured here."""
     elsewhere = []
     for name, files in (every := stale_results()).items():
         need = missing_need(name)
@@ -167,7 +164,7 @@ def show_stale() -> bool:
 
 
 def verdicts() -> None:
-    """Bars of all kept figures, those not met by name."""
+    """Evaluate the bars of all stored figures, and print those not met."""
     unmet = []
     for name, stem in scripts().items():
         if (RESULTS / f"{name}.json").exists():
