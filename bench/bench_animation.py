@@ -1,14 +1,13 @@
-"""A running model to its force fields: Fox.glb, 576 triangles on 24 joints, a cube of 128^3 samples that
-holds it.
+"""Force fields of an animated model: Fox.glb, 576 triangles, 24 joints, 128^3 samples.
 
     python bench/bench_animation.py [--quick] [--path FOX.glb] [--samples N]
 
-Ours is timed from the animation to the force field of every frame: joints, skin, surface, distance, sign and
-direction of all samples within 4 voxels, and once more with the damping of the moving surface. Each peer that
-imports here (Open3D, libigl) is given the triangles of the frame, makes its search tree, and tells distance
-and sign: of all samples of the lattice (one frame), as one does who does not know where the surface is, and
-of those alone that ours found in the band and their neighbours. Distances and signs are compared; signs may
-differ where the legs run through one another, as ours is that of the winding number.
+touchfield is timed from the animation to the force field of every frame: joints, skin, surface, and distance,
+sign and direction of all samples within 4 voxels; a second row adds the damping of the moving surface. Each
+installed peer (Open3D, libigl) receives the triangles of a frame, builds its search tree and returns signed
+distances, once for all samples of the lattice (one frame), as without knowledge of the surface, and once for
+the samples of touchfield's band and their neighbours only. Distances and signs are compared. Signs may differ
+where the legs intersect, because touchfield uses the winding number.
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ FRAMES = 6
 
 
 def enclosing_cube(scene: AnimatedMeshScene, samples: int) -> Grid:
-    """A cubic lattice that holds the scene and its band."""
+    """Cubic lattice that encloses the scene and its band."""
     low, high = scene.bounds_m()
     half = float((high - low).max()) / 2 * samples / (samples - 2 * BAND - 2)
     return Grid.over_box((low + high) / 2 - half, (low + high) / 2 + half, (samples,) * 3)
 
 
 def with_neighbours(mask: np.ndarray) -> np.ndarray:
-    """The samples of a mask [x, y, z] and those beside them."""
+    """Mask [x, y, z] dilated by one sample along each axis."""
     wide = mask.copy()
     for axis in range(3):
         body, line = np.moveaxis(wide, axis, 0), np.moveaxis(mask, axis, 0)
@@ -54,7 +53,7 @@ def in_bands(peer: Any, surfaces: list[Any], band: list[Any]) -> list[Any]:
 
 
 def measure(path: Path, samples: int) -> Figures:
-    """The running fox by us and by the peers."""
+    """Times and differences of touchfield and the peers on the running fox."""
     if not path.is_file():
         raise SystemExit("Fox.glb is not there; give its --path")
     scene = AnimatedMeshScene(path, "Run", unit_m=0.01)
@@ -113,7 +112,7 @@ def measure(path: Path, samples: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Ahead of the fastest peer, as fast as a depth camera, and the same distances."""
+    """Faster than the fastest peer, at the rate of a depth camera, with equal distances."""
     rows = figures["rows"]
     peers = {name: row for name, row in rows.items() if "version" in row}
     open3d = min(

@@ -1,10 +1,10 @@
-"""Frames of a stored field as an array of actuators shows them, and `FieldSampler.at` while frames go by.
+"""Conversion of a stored field to actuator arrays, and latency of `FieldSampler.at`.
 
     python bench/bench_array.py [--quick] [--frames N]
 
-The field is a wavy shell in a lattice of 64^3 that moves a little from frame to frame; conversion is from the
-decoded field to the drives, on an array of 8 x 8 and on a pin display of 60 x 40. The sampler is asked at 1
-kHz, as frames of 64^3 go by at 30 a second; each takes several milliseconds to be made.
+The field is a wavy shell in a lattice of 64^3 that moves slightly from frame to frame. Conversion runs from
+the decoded field to the drives of an 8 x 8 array and of a 60 x 40 pin display. The sampler is queried at 1
+kHz while frames of 64^3 are produced at 30 per second; producing a frame takes several milliseconds.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def conversion(frames: list[ForceField], name: str) -> Figures:
 
 
 def calls(frames: list[ForceField]) -> Figures:
-    """Milliseconds of `at`, called at 1 kHz while each frame is made in its turn."""
+    """Milliseconds of `at`, called at 1 kHz while the frames are produced."""
 
     def make(frame: int) -> ForceField:
         return ForceField.from_dense(frames[frame].grid, frames[frame].to_dense())
@@ -73,13 +73,13 @@ def calls(frames: list[ForceField]) -> Figures:
 
 
 def measure(frames: int) -> Figures:
-    """Drives of both arrays, and the sampler while frames go by."""
+    """Drives of both arrays, and the latency of the sampler during playback."""
     shell_frames = fields(frames)
     return {**{name: conversion(shell_frames, name) for name in ARRAYS}, "sampler_at": calls(shell_frames)}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Frames in time for their array, and no tick that waits for a frame."""
+    """Frames are converted in real time, and no tick waits for a frame."""
     vest, pins = (figure(figures, name, "median_ms") for name in ARRAYS)
     rate = None if pins is None else 1e3 / pins
     return [

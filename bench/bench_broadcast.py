@@ -1,11 +1,11 @@
-"""Broadcast on this machine: many receivers of a live stream, its delay, losses, and a large file by ranges.
+"""Broadcast on one machine: receivers of a live stream, delay, losses, range requests.
 
     python bench/bench_broadcast.py [--quick] [--seconds 600] [--receivers 200] [--messages 8000] [--mib 1024]
                                     [--silent 10000]
 
-The sender is a process of its own that sends segments of a quarter of a second, coded before, at 30 frames a
-second; the receivers are tasks of another process, each of which checks every message. The delay is that of a
-live medium: what the sender's frame is now, beside the one that a playing renderer shows.
+The sender is a separate process that sends pre-encoded segments of a quarter of a second at 30 frames per
+second. The receivers are tasks of another process; each checks every message. The delay is that of a live
+medium: the time of the sender's current frame minus the time of the frame that the renderer plays.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ GRID = Grid((64, 64, 64), (0.002,) * 3, (-0.063,) * 3)
 
 
 def ball(number: int) -> ForceField:
-    """A ball that goes round once in two seconds."""
+    """A ball that circles once in two seconds."""
     position_m = np.moveaxis(np.indices(GRID.shape), 0, -1) * 0.002 - 0.063
     turn = np.pi * number / RATE_HZ
     away = position_m - 0.02 * np.array([np.cos(turn), np.sin(turn), 0.0])
@@ -78,14 +78,14 @@ def head(encoder: TouchEncoder, frames: int) -> Head:
 
 
 def coded() -> tuple[TouchEncoder, list[bytes]]:
-    """The bodies of two seconds."""
+    """Encoder and segment bodies of two seconds."""
     encoder = TouchEncoder(GRID, TouchSpec(effort="fast"))
     frames = [ball(i) for i in range(56)]
     return encoder, [encoder.encode_segment(frames[i : i + FRAMES]).body for i in range(0, 56, FRAMES)]
 
 
 def sender_process(link: Connection, seconds: float) -> None:
-    """Send for some seconds; tell the address, and at the end what it took."""
+    """Send for `seconds`; report the address first, and the resources used at the end."""
     encoder, bodies = coded()
     sender = LiveSender()
     sender.open(head(encoder, 1))
@@ -116,7 +116,7 @@ def sender_process(link: Connection, seconds: float) -> None:
 
 
 def resident() -> float:
-    """MiB of this process in memory."""
+    """Resident memory of this process, MiB."""
     line = next(
         line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS")
     )
@@ -124,7 +124,7 @@ def resident() -> float:
 
 
 async def receive(address: str, count: int, ready: threading.Event) -> Figures:
-    """Many receivers in one process; what they missed."""
+    """Run `count` receivers in one process; report lost messages and segments received."""
     import aiohttp
 
     connected, gaps, took = 0, 0, list[int]()
@@ -148,7 +148,7 @@ async def receive(address: str, count: int, ready: threading.Event) -> Figures:
 
 
 def many(count: int, seconds: float, silent: int = 0) -> Figures:
-    """A sender in a process of its own, its receivers here, and connections beside them that say nothing."""
+    """Run a sender process, its receivers here, and `silent` idle connections."""
     parent_end, child_end = multiprocessing.get_context("spawn").Pipe()
     process = multiprocessing.get_context("spawn").Process(target=sender_process, args=(child_end, seconds))
     process.start()
@@ -170,8 +170,9 @@ def many(count: int, seconds: float, silent: int = 0) -> Figures:
 
 
 def live_process(link: Connection, segment_s: float) -> None:
-    """Put a medium on the air, coded as it goes, until told to end; tell the address, and when its frame 0
-    began.
+    """Broadcast a medium, encoded live, until a message arrives.
+
+    Reports the address and the start time of frame 0.
     """
     medium = HapticMedium.from_frames(
         [ball(i) for i in range(60)], RATE_HZ, "x right, y up, z towards the user"
@@ -193,7 +194,7 @@ def live_process(link: Connection, segment_s: float) -> None:
 
 @contextmanager
 def on_air(segment_s: float) -> Iterator[tuple[str, float]]:
-    """The address of a live medium that another process sends, and when its frame 0 was."""
+    """Address of a live medium sent by another process, and the time of its frame 0."""
     parent_end, child_end = multiprocessing.get_context("spawn").Pipe()
     process = multiprocessing.get_context("spawn").Process(target=live_process, args=(child_end, segment_s))
     process.start()
@@ -203,7 +204,7 @@ def on_air(segment_s: float) -> Iterator[tuple[str, float]]:
 
 
 def delays(segment_s: float, seconds: float) -> list[float]:
-    """Seconds between a frame at the sender and in the hand, sampled while it plays."""
+    """Seconds from a frame at the sender to its force, sampled during playback."""
     from touchfield.devices import device
     from touchfield.devices.drivers.registry import point_device
     from touchfield.medium.trace import Trace
@@ -228,7 +229,7 @@ def delays(segment_s: float, seconds: float) -> list[float]:
 
 
 def large(folder: Path, mib: int) -> Figures:
-    """A file of so many MiB on a server: what is fetched before a segment in its middle."""
+    """Bytes and requests before the middle segment of a served file of `mib` MiB."""
     from touchfield.container.remote import RemoteFile
     from touchfield.network.server import application
     from touchfield.pipeline.decoding import stream_of
@@ -280,8 +281,9 @@ def large(folder: Path, mib: int) -> Figures:
 
 
 def losses(messages: int) -> Figures:
-    """Messages that come through 5 % of losses, alone and in bursts of five (Gilbert), and bytes beyond
-    theirs.
+    """Fraction of messages that survive 5 % packet loss, and the overhead in bytes.
+
+    Losses are independent, or in bursts of five packets (Gilbert model).
     """
     rng, rows = np.random.default_rng(1), {}
     for size in (5_000, 20_000, 60_000):
@@ -301,8 +303,9 @@ def losses(messages: int) -> Figures:
 
 
 def coarse_layer_size() -> Figures:
-    """What the coarse layer of a photograph's depth takes beside the stream, at nw 6, and what a hand then
-    lacks.
+    """Size of the coarse layer of a stereo photograph relative to its stream, and its NMSE.
+
+    The lattice has n_w 6.
     """
     from touchfield.codec.registry import field_encoder
     from touchfield.tasks.live import coarse_layer
@@ -319,8 +322,9 @@ def coarse_layer_size() -> Figures:
 
 
 def layered_losses(messages: int, coarse_fraction: float) -> Figures:
-    """The same losses, with a coarse layer of that share beside: what is there in time, bytes beyond both
-    layers'.
+    """Fraction of segments that arrive in time with an additional coarse layer, and the overhead.
+
+    The losses are those of `losses`; `share` is the size of the coarse layer over that of a segment.
     """
     rng, rows = np.random.default_rng(2), {}
     for size in (20_000, 60_000):
@@ -356,7 +360,7 @@ def layered_losses(messages: int, coarse_fraction: float) -> Figures:
 
 
 def measure(seconds: float, receivers: int, messages: int, mib: int, silent: int) -> Figures:
-    """All of them."""
+    """All parts of the benchmark."""
     coarse_layer = coarse_layer_size()
     with tempfile.TemporaryDirectory() as folder:
         file = large(Path(folder), mib)
@@ -374,7 +378,7 @@ def measure(seconds: float, receivers: int, messages: int, mib: int, silent: int
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Those of the issue that asked for a broadcast."""
+    """Limits on opening, delay, gaps, resources and loss recovery."""
     file, delay, air, crowd, loss_rows = (
         figures[key] for key in ("file", "delay", "receivers", "crowd", "losses")
     )

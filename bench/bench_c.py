@@ -1,10 +1,9 @@
-"""`c/touch.h`: a frame decoded by one thread beside numba's, a query, and `touchfield decode` with nothing
-compiled.
+"""`c/touch.h` against numba: decoding, one query, and a first `touchfield decode`.
 
     python bench/bench_c.py [--quick]
 
-The module of Python is built for the run, with the options of `core/setup.py`; without a C compiler and
-Python's headers nothing is measured.
+The Python module is built for the run with the options of `core/setup.py`. Without a C compiler and Python's
+headers the benchmark is skipped.
 """
 
 from __future__ import annotations
@@ -32,8 +31,9 @@ QUERIES = 1_000_000
 
 
 def build_core(folder: Path) -> None:
-    """Build the module `touchfield_core` into a folder that Python then looks into first, here and in
-    processes.
+    """Build `touchfield_core` into `folder` and put it first on the import path.
+
+    Child processes inherit the path.
     """
     headers = Path(sysconfig.get_path("include"))
     if which("cc") is None or not (headers / "Python.h").is_file():
@@ -133,7 +133,7 @@ def measure(runs: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """As fast as the compiled Python, in time for a tick, and nothing to wait for."""
+    """As fast as compiled Python, within a tick, and no compilation on the first run."""
     return [
         at_least("frames a second over numba's", figure(figures, "decode_times_numba"), 1.0),
         at_most("a query, median", figure(figures, "query_p50_us"), 0.3, "us"),

@@ -1,13 +1,13 @@
-"""Kernels on a GPU beside the same on the processor: a depth picture on 1000^3 samples, and forces at many
-points.
+"""GPU kernels against the processor: a depth frame on 1000^3 samples, and point queries.
 
     python bench/bench_cuda.py [--quick] [--points N]
 
-The planes of the picture are fitted by the processor and copied before the clock runs; what is timed is which
-bricks hold a force, and their forces, which stay on the device ("gpu"), or planes, bricks and forces there
-and back ("gpu_and_back"), as `encode` needs them. Points are random in the box of a field of 128^3 samples,
-or along the path of a wandering hand. The peer is CuPy's `map_coordinates` on the same field held densely, if
-CuPy is there. Without a GPU nothing is measured but the processor, and the bars say so.
+The planes of the picture are fitted on the processor and copied before the timer starts. "gpu" times the
+search for bricks with forces and their forces, which stay on the device; "gpu_and_back" includes the copies
+of planes, bricks and forces in both directions, as `encode` needs them. Points are random in the box of a
+field of 128^3 samples, or follow the path of a wandering hand. The peer is CuPy's `map_coordinates` on the
+dense field, if CuPy is installed. Without a GPU only the processor is measured, and the bars are "not
+measured".
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def gpu() -> str | None:
 
 
 def synchronized(call: Callable[[], Any]) -> Callable[[], Any]:
-    """A call and the wait until the GPU has done it."""
+    """The call followed by a synchronization of the GPU."""
     library: Any = import_module("numba.cuda")
 
     def both() -> Any:
@@ -121,7 +121,7 @@ def cupy_per_s(positions_m: np.ndarray[Any, Any], runs: int) -> float | None:
 
 
 def measure(points: int, runs: int) -> Figures:
-    """All of it."""
+    """The GPU, the depth frame and the queries."""
     name = gpu()
     has_gpu = name is not None
     return {"gpu": name, "depth": of_depth(has_gpu, runs), "queries": of_queries(has_gpu, points, runs)}

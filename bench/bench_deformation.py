@@ -1,20 +1,19 @@
-"""Deformation at the receiver (paper section 6.3): beside fields made anew, its bytes, its time, and hands on
-it.
+"""Deformation at the receiver (paper section 6.3): error, bytes, time and stability.
 
     python bench/bench_deformation.py [--nw N] [--every N] [--quick]
 
-A capsule that is bent, whose fields are known, and the fox of the Khronos samples, six frames to each side of
-a pose: the field of one pose, bent by tracks of 8^3 control points, beside the field made anew at each frame,
-over the samples at which either has a force. "still" is the pose as it is; "size kept" the bent force with
-the length that it had, which is a field with curl; "half a sample" what two lookups half a sample off, on
-both sides, make of the stored field: nothing that is looked up between samples comes much nearer. Bytes are
-of the file of tracks, of the fields coded by `touch`, and of their forces as plain float32.
+Two inputs: a capsule that bends, whose fields are known, and the fox of the Khronos samples, six frames on
+each side of a pose. The field of one pose, deformed by tracks of 8^3 control points, is compared with the
+field computed for each frame, over the samples at which either has a force. "still" is the undeformed pose;
+"size kept" is the deformed force with its original magnitude, which has curl; "half a sample" is the mean of
+two lookups of the stored field, half a sample off on either side, a lower limit for any lookup between
+samples. Bytes are those of the file of tracks, of the fields coded by `touch`, and of their forces as
+float32.
 
-A query is one call of `FieldSampler.at` from Python. Loops are closed ones of Gauss-Legendre pieces, each
-within one cell of the control points, in a linear field that the sampler gives back to float64 rounding: work
-over the work of
-|F| along them. Hands: those of `bench_stability`, on walls that yield by as
-much again as the hand presses them.
+A query is one call of `FieldSampler.at` from Python. Loop work is the work around closed loops, over the work
+of |F| along them, by Gauss-Legendre quadrature with each piece within one cell of the control points, in a
+linear field that the sampler reproduces to float64 rounding. The hands are those of `bench_stability`, on
+walls that yield by the depth to which the hand presses them.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ def db(error: NDArray[Any], force: NDArray[Any]) -> float:
 
 
 class Moving(NamedTuple):
-    """Fields made anew at each frame, the one that is stored, and its tracks."""
+    """Fields computed for each frame, the stored field of one pose, and its tracks."""
 
     frames: list[ForceField]
     rest: ForceField
@@ -94,18 +93,18 @@ def capsule() -> Moving:
 
 
 def model(path: Path, rest: int, nw: int, folder: Path) -> Moving:
-    """A skinned model, one pose of it and the frames about that, by the way of a user."""
+    """A skinned model, one pose and the frames around it, through the public functions."""
     first, stop = rest - SIDE, rest + SIDE + 1
     spec = EncodeSpec(nw=nw, representation="voxel", frames=(first, stop))
     medium, stream, out = prepare(str(path), spec).medium, folder / "rest.touch", folder / "tracks.npz"
-    # the pose alone, where the whole stretch has been fitted to
+    # encodes the pose only, at the placement fitted to all frames
     encode(str(path), stream, replace(spec, frames=(rest, rest + 1), fit_frames=(first, stop)))
     tracks = tracks_of(stream, out, Motion(path, None, (first, stop), rest))
     return Moving(list(medium), medium[SIDE], read_deformation(out), tracks.figures["rms_mm"] / 1e3)
 
 
 def deformation_errors(moving: Moving, folder: Path) -> Figures:
-    """The field that is stored, bent, beside those made anew."""
+    """Errors of the deformed field against the fields of each frame, and bytes."""
     frames, rest, bent, rms_m = moving
     grid = rest.grid
     sampler = FieldSampler(HapticMedium.from_frames([rest], bent.rate_hz), deformation=bent)
@@ -147,7 +146,7 @@ def deformation_errors(moving: Moving, folder: Path) -> Figures:
 
 
 def random_map(size_m: float = 0.0008) -> Deformation:
-    """Control points that lie as they fell."""
+    """Control points with random displacements."""
     lattice = Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)
     u = np.random.default_rng(3).normal(size=lattice.displacement_m.shape) * size_m
     return replace(lattice, displacement_m=u)
@@ -161,8 +160,9 @@ def spring() -> HapticMedium:
 
 
 def loop_work(bent: Deformation) -> float:
-    """Work around rectangles over the work of |F| along them, the worst of 20; the pieces end at cells'
-    walls.
+    """Work around rectangles over the work of |F| along them, the worst of 20.
+
+    The pieces of the quadrature end at the boundaries of cells.
     """
     rng, worst = np.random.default_rng(4), 0.0
     corner, cell = np.asarray(bent.corner_m), np.asarray(bent.spacing_m)
@@ -216,7 +216,7 @@ def slope(bent: Deformation, p: Float64s, axis: int) -> Float64s:
 
 
 def exact() -> Figures:
-    """Identity, an affine map, and the sampler beside the formula whose loops are closed."""
+    """Errors of the identity, of an affine map, of the sampler against NumPy, and loop work."""
     medium, bent = spring(), random_map()
     p = np.random.default_rng(5).uniform(-0.018, 0.018, (20_000, 3))
     zero = np.zeros(len(p))
@@ -242,7 +242,7 @@ def exact() -> Figures:
 
 
 def queries() -> Figures:
-    """Microseconds of a call from Python, with and without."""
+    """Microseconds of a call from Python, with and without deformation."""
     p, rows = np.random.default_rng(6).uniform(-0.018, 0.018, (QUERIES, 3)).tolist(), {}
     for name, bent in (("plain", None), ("bent", random_map())):
         at = FieldSampler(spring(), deformation=bent).at
@@ -261,7 +261,7 @@ def queries() -> Figures:
 
 
 def press_cases(every: int) -> Figures:
-    """The grid of hands of `bench_stability`, on walls that yield."""
+    """The cases of `bench_stability` on walls that yield."""
     rows = []
     for stiffness in hands.WALLS:
         soft = Deformation.at_rest(
@@ -286,7 +286,7 @@ def press_cases(every: int) -> Figures:
 
 
 def measure(nw: int, every: int) -> Figures:
-    """All of it."""
+    """Exactness, queries, stability and errors."""
     figures: dict[str, Any] = {
         "exact": exact(),
         "queries": queries(),
@@ -306,7 +306,7 @@ def measure(nw: int, every: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Those of the paper's open problem as it was taken up."""
+    """Limits on exactness, time, error, bytes and stability."""
     rows, contacts = figures["carried"].values(), figures["hands"]
     return [
         at_most("identity: values of other bits", figures["exact"]["identity_bits_off"], 0),

@@ -1,10 +1,10 @@
-"""Depth map 640 x 480 -> sparse force field: touchfield beside vectorised numpy and NVIDIA Warp on the CPU.
+"""Depth map (640 x 480) to sparse force field, against numpy and NVIDIA Warp on the CPU.
 
     python bench/bench_depth.py [--quick] [--large N]
 
-Ours is timed as a whole and uncached (noise step, normals, culling, forces); numpy and Warp are given the
-finished planes and fill the dense lattice with the same formula, and their result is checked against ours.
-Times are wall time. The large lattice is ours alone, in a process of its own.
+touchfield is timed as a whole and uncached (noise step, normals, culling, forces). numpy and Warp receive the
+finished planes and fill the dense lattice by the same formula; their results are compared with touchfield's.
+Times are wall time. The large lattice is measured for touchfield only, in a separate process.
 """
 
 from __future__ import annotations
@@ -146,14 +146,15 @@ def warp_caller(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> Ca
 
 
 def differing_fraction(field: ForceField, dense: np.ndarray) -> float:
-    """Share of samples that differ by more than 0.01 N: roundings at pixel borders and at the wall's
-    faces.
+    """Fraction of samples that differ by more than 0.01 N.
+
+    They come from rounding at pixel borders and at the faces of the wall.
     """
     return float((np.abs(field.to_dense() - dense).max(-1) > 0.01).mean())
 
 
 def by_itself(n: int) -> Figures:
-    """n^3 over the bounds of the scene; meant for a process of its own."""
+    """A field of n^3 samples over the bounds of the scene; run it in a separate process."""
     scene = DepthScene(IndoorSequence())
     low_m, high_m = scene.bounds_m()
     grid = Grid.over_box(low_m, high_m, (n, n, n))
@@ -175,7 +176,7 @@ def by_itself(n: int) -> Figures:
 
 
 def compare(sequence: IndoorSequence, n: int) -> Figures:
-    """All contestants on an n^3 lattice."""
+    """touchfield and the peers on an n^3 lattice."""
     grid = Grid.over_box(LOW_M, HIGH_M, (n, n, n))
     profile = wall(grid)
     field = DepthScene(sequence).field(0, grid, profile)
@@ -195,7 +196,7 @@ def compare(sequence: IndoorSequence, n: int) -> Figures:
 
 
 def measure(large: int) -> Figures:
-    """The tables of both lattices, and the large one."""
+    """Rows of both lattices, and of the large one."""
     sequence = IndoorSequence()
     figures: dict[str, Any] = {f"{n}^3": compare(sequence, n) for n in (128, 256)}
     program = f"import json, bench_depth; print(json.dumps(bench_depth.by_itself({large})))"
@@ -207,7 +208,7 @@ def measure(large: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Ahead of numpy and of Warp, the same field, and a large lattice within its memory."""
+    """Faster than numpy and Warp, the same field, and a memory limit for the large lattice."""
     rows = {
         f"{n}^3 {peer}": figure(figures, f"{n}^3", peer) for n in (128, 256) for peer in ("numpy", "warp")
     }

@@ -1,14 +1,13 @@
-"""Levels of detail: voxels beyond the mask, holes and peaks, beside a low-pass and beside a signed depth.
+"""Levels of detail: mask violations, holes and peaks, against a low-pass and signed depth.
 
     python bench/bench_detail.py [--nw N] [--quick]
 
-Each level as a receiver renders it, trilinear, at the samples of level 0. "low-pass": the usual pyramid,
-means of cells by the project's own `resample`, level by level. "signed depth": what the samples of a level
-would tell if |F| were continued below zero in front of the surface, by the field's own median slope, and cut
-at zero after the interpolation; every receiver would have to know of that. Beyond: voxels outside max(F_0, k
-|F|) over those of level 0 that hold a force, k 0.1, F_0 0.05 N. Holes: columns along
-the main direction of the force in which a fifth of the peak or less is left. Peak: median over the columns
-of the peak that is left.
+Each level is interpolated linearly at the samples of level 0, as a receiver renders it. "low-pass" is the
+usual pyramid: cell means by `resample`, level by level. "signed depth" continues |F| below zero in front of
+the surface with the median slope of the field, and clips at zero after the interpolation; it would need
+support in every receiver. "beyond": voxels outside max(F_0, k |F|) over the supported voxels of level 0, k
+0.1, F_0 0.05 N. "holes": columns along the main direction of the force in which a fifth of the peak or less
+remains. "peak": median over the columns of the fraction of the peak that remains.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ def low_pass(field: ForceField) -> list[ForceField]:
 
 
 def signed(field: ForceField, level: int) -> Float64s:
-    """What every 2^level-th sample tells of depth and direction, float64 [x, y, z, 3] at level 0."""
+    """Level 0 from the signed depth and direction of every 2^level-th sample, float64 [x, y, z, 3]."""
     forces, h = field.to_dense().astype(np.float64), np.asarray(field.grid.spacing_m)
     size = lengths(forces)
     supported = size > 0
@@ -71,7 +70,7 @@ def signed(field: ForceField, level: int) -> Float64s:
 
 
 def losses(original: Float64s, rendered: Float64s) -> Figures:
-    """What a receiver lacks."""
+    """Violations, NMSE, holes and peaks of a rendered level."""
     size, error = lengths(original), lengths(rendered - original)
     beyond = error > np.maximum(F0_N, K * size) * (1 + 1e-6)
     axis = int(np.abs(original).sum(axis=(0, 1, 2)).argmax())
@@ -86,7 +85,7 @@ def losses(original: Float64s, rendered: Float64s) -> Figures:
 
 
 def measure(nw: int) -> Figures:
-    """A row for each source, level and way."""
+    """A row for each source, level and method."""
     rows: dict[str, Figures] = {}
     fox = SHARED / "meshes" / "fox" / "Fox.glb"
     for source in (*SOURCES, *((str(fox),) if fox.is_file() else ())):
@@ -106,7 +105,7 @@ def measure(nw: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Ours beside the low-pass."""
+    """Better than the low-pass on every source."""
     rows = figures["levels"]
     pairs = [(row, rows[key.replace(OURS, LOW_PASS)], key) for key, row in rows.items() if key.endswith(OURS)]
     first = [(ours, other) for ours, other, key in pairs if "level 1" in key]

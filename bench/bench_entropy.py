@@ -1,4 +1,4 @@
-"""The lossless coders: symbols a second of Huffman and hold runs, bits a second and bytes of the support.
+"""Lossless coders: throughput of Huffman and hold runs, throughput and bytes of the support.
 
     python bench/bench_entropy.py [--quick] [--symbols N]
 
@@ -150,9 +150,7 @@ def measure(symbols: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Supports shorter than the best peer's and in time for a camera; symbols as fast as 128^3 of them a
-    frame.
-    """
+    """Supports shorter than the best peer's; supports and 128^3 symbols at 30 frames per second."""
     rows = figures["rows"]
     supports = {name: row for name, row in rows.items() if name.startswith("support")}
     over = [min(row["zlib_bytes"], row["lzma_bytes"]) / row["bytes"] for row in supports.values()]

@@ -1,12 +1,12 @@
-"""Depth sequences as one world that stands still: what trembles, what it costs, how true it is.
+"""Fusion of depth sequences into a static world: temporal changes, bytes and accuracy.
 
     python bench/bench_fusion.py [--quick] [--frames N] [--rounds N]
 
-"then" are the figures of the first run, each frame alone, by the coder and filter of that time. A voxel
-changes if it differs from frame to frame by more than max(0.05 N, 0.1 |F|); of those held in both frames.
-Newly seen, and apart: a sample of the oversampled lattice within the low-pass's reach is held that was not in
-the frame before. Peers are run by TOUCHFIELD_PEERS, the path of a Python interpreter that has them (default:
-this one).
+"then" are the figures of the first run, each frame on its own, with the coder and filter of that version. A
+voxel changes if it differs between frames by more than max(0.05 N, 0.1 |F|); voxels supported in both frames
+are counted. Newly seen voxels are counted separately: a sample of the oversampled lattice within the reach of
+the low-pass is supported that was not supported in the previous frame. Peers run in the Python interpreter
+TOUCHFIELD_PEERS (default: this one).
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ STEP_M, FLOOR_N, LEVEL_N = 1e-4, 0.034, 1.0
 
 
 def spec_of(world: str, **more: Any) -> EncodeSpec:
-    """The default, with that world, as voxels."""
+    """Default spec with this `world`, as voxels."""
     return EncodeSpec(source=SourceOptions(world=world), representation="voxel", **more)
 
 
 def requested_lattice(scene: DepthScene, spec: EncodeSpec) -> tuple[Grid, ForceProfile]:
-    """The lattice and the law, scene metres, that the device filter asks a scene for."""
+    """Lattice and force profile, scene metres, that the device filter requests from a scene."""
     requests: list[tuple[Grid, ForceProfile]] = []
 
     def record_request(frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
@@ -73,7 +73,7 @@ def requested_lattice(scene: DepthScene, spec: EncodeSpec) -> tuple[Grid, ForceP
 
 
 def spread(new: NDArray[np.bool_], fine: Grid, grid: Grid, reach_m: float) -> NDArray[np.bool_]:
-    """Samples of `grid` within whose reach one of `fine`, bool, is true; both in the same metres."""
+    """Samples of `grid` with a true sample of `fine` within `reach_m`; both in the same metres."""
     for axis in range(3):
         at = (grid.axis_m(axis) - fine.origin_m[axis]) / fine.spacing_m[axis]
         reach, size = reach_m / fine.spacing_m[axis], new.shape[axis]
@@ -125,8 +125,9 @@ def standing(name: str, world: str, frames_bytes: int | None, count: int) -> Row
 
 
 def first_contact() -> Row:
-    """Where rays of frame 0 of ICL first meet the filtered fused field, less |F|/K, against the depth; hand
-    mm.
+    """Error of the first contact of rays of ICL frame 0 with the filtered fused field, hand mm.
+
+    The contact is moved back by |F| / K and compared with the depth.
     """
     prepared = prepare(str(FOLDERS[ICL]), spec_of("fused"))
     field, placement = prepared.medium[0], prepared.placement
@@ -153,25 +154,21 @@ def first_contact() -> Row:
 def _first_hit_m(
     field: ForceField, start_m: NDArray[Any], rays: NDArray[Any], level_n: float, max_distance_m: float
 ) -> NDArray[np.float64]:
-    """Metres along each ray to the surface that the first |F| of that level tells of, NaN where there is
-    none.
-    """
+    """Metres along each ray to the surface, from the first |F| of `level_n`; NaN without a hit."""
     found, open_ = np.full(len(rays), np.nan), np.arange(len(rays))
     for way_m in np.arange(0.0, max_distance_m, STEP_M):
         forces = field.sample_n(start_m + way_m * rays[open_]).astype(np.float64)
         size = np.linalg.norm(forces, axis=1)
         hit = size >= level_n
         hit_rays, at = rays[open_[hit]], forces[hit] / size[hit, None]
-        facing = np.maximum(
-            -(at * hit_rays).sum(axis=1), 0.1
-        )  # grazing planes tell of a place far along the ray
+        facing = np.maximum(-(at * hit_rays).sum(axis=1), 0.1)  # a grazing plane is far along the ray
         found[open_[hit]] = way_m - size[hit] / EncodeSpec().stiffness_n_per_m / facing
         open_ = open_[~hit]
     return found
 
 
 def at_rest(name: str) -> Row:
-    """A hand held for 3 s at points of the surface, the stream played over and over: 40 to 400 Hz, mN rms."""
+    """Vibration (40 to 400 Hz, mN rms) of a hand at rest on the surface while the stream loops."""
     row: Row = {"sequence": name, "points": POINTS, "seconds": REST_S}
     points = None
     for world in ("fused", "frames"):
@@ -205,8 +202,9 @@ def at_rest(name: str) -> Row:
 
 
 def speed(name: str, rounds: int) -> Row:
-    """Frames fused a second at n_w 7, from pictures and from memory; peers from memory;
-    the volume's bytes.
+    """Frames fused per second at n_w 7, from files and from memory, and the volume's bytes.
+
+    Peers read from memory.
     """
     scene: Any = open_source(str(FOLDERS[name]), SourceOptions())
     fine, law = requested_lattice(scene, spec_of("fused"))
@@ -269,7 +267,7 @@ def speed(name: str, rounds: int) -> Row:
 
 
 def measure(frames: int, rounds: int) -> Row:
-    """Both sequences, as far as they are here."""
+    """All figures of the sequences that are installed."""
     present = [name for name, folder in FOLDERS.items() if folder.is_dir()]
     rows: list[Row] = []
     for name in present:
@@ -291,7 +289,7 @@ def measure(frames: int, rounds: int) -> Row:
 
 
 def bars(figures: Row) -> list[Bar]:
-    """A world that stands still in a quarter of the bytes, as true as can be, ahead of peers and camera."""
+    """A static world in a quarter of the bytes, accurate, faster than the peers and the camera."""
     found: list[Bar] = []
     for row in figures["standing"]:
         name, world = f"{row['sequence']}, {row['world']}", row["world"]

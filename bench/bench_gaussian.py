@@ -1,12 +1,11 @@
-"""Gaussian smoothing, sigma 2 samples, radius 8: a dense field of 256^3 vectors, and sparse ones at 2 %
-support.
+"""Gaussian smoothing (sigma 2 samples, radius 8): dense 256^3 vectors, and 2 % support.
 
     python bench/bench_gaussian.py [--quick] [--samples N]
 
 The peers smooth the dense float32 array: `scipy.ndimage.gaussian_filter`; `scipy.fft` on all cores, periodic
-and without padding, which flatters it; and OpenCV, plane by plane and then over planes, with one thread a
-core. Each is checked against ours with its own boundary. Peers and ours take turns, and each keeps its
-fastest run.
+and without padding, which favours it; and OpenCV, plane by plane and then across planes, with one thread per
+core. Each is checked against touchfield with its own boundary. Peers and touchfield run alternately, and the
+fastest run of each counts.
 """
 
 from __future__ import annotations
@@ -138,7 +137,7 @@ def measure(samples: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Dense as fast as the fastest peer, sparse ten times as fast, and the same values."""
+    """Dense as fast as the fastest peer, sparse ten times as fast, with equal values."""
     rows = figures["rows_ms"]
     fastest = min(ms for name, ms in rows.items() if not name.startswith("touchfield"))
     over = {name: fastest / ms for name, ms in rows.items()}

@@ -1,17 +1,16 @@
-"""No kernel gets slower unnoticed: its processor time over a frozen loop's of the same kind, beside the
-stored ratio.
+"""Regression guard: processor time of each kernel over that of a frozen reference loop.
 
     python bench/bench_guard.py [--quick] [--only NAME,NAME] [--store]
 
-Ours and the frozen loop (`reference.kernels`) take turns on one thread, and each run of ours is divided by
-the frozen loop's before and after it, in processor time: neither other processes nor a slower machine change
-the median of these ratios much. One that looks too large is measured on, `TRIES` times as long at most, and
-then in up to `PROCESSES` other processes: noise goes, a slow kernel stays.
+The kernel and the frozen loop (`reference.kernels`) run alternately on one thread. Each run of the kernel is
+divided by the mean of the frozen loop's runs before and after it, in processor time, so that neither other
+processes nor a slower machine change the median of these ratios much. A ratio that looks too large is
+measured for up to `TRIES` times as long, and then in up to `PROCESSES` other processes, which removes noise.
 A ratio above `MARGIN` times the stored one is a failure, with exit status 1, in quick runs too.
 
-`--store` makes the ratios of this run those to compare with (after a kernel has become faster, or slower on
-purpose). Ratios are stored for each model of processor, as other models run our kernels and the frozen loops
-at other ratios. On a model without stored ratios they are shown and none is a failure: `--store` adds it.
+`--store` stores the ratios of this run as the new reference (after a kernel has become faster, or slower on
+purpose). Ratios are stored per processor model, because they differ between models. On a model without stored
+ratios they are shown and none is a failure; `--store` adds the model.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.scene import find_bricks_by_block
 
 MARGIN = 1.15
-"""A ratio over the stored one, at most: a third slower is 1.33, noise some hundredths."""
+"""Maximal ratio over the stored one: a third slower is 1.33, noise is a few hundredths."""
 TRIES, PROCESSES = 4, 3
 ROUNDS = {True: 15, False: 60}
 """Runs of each of a pair, quickly and else."""
@@ -66,19 +65,19 @@ SIGMA = 2.0
 
 
 class Pair(NamedTuple):
-    """A kernel of ours and the frozen loop that it is measured by."""
+    """A kernel and its frozen reference loop."""
 
     ours: Clock
     reference: Clock
 
     @classmethod
     def of(cls, ours: Callable[[], Any], reference: Callable[[], Any]) -> Pair:
-        """Of two calls as a whole."""
+        """Pair of the clocks of two whole calls."""
         return cls(call_clock(ours), call_clock(reference))
 
 
 def depth_pairs() -> dict[str, Pair]:
-    """Tangent planes of an image, the bricks that they reach, and the forces in these."""
+    """Tangent planes of an image, the bricks within their reach, and the forces in these."""
     sequence, grid = IndoorSequence(), Grid.over_box(LOW_M, HIGH_M, (128, 128, 128))
     prepared_scene, image = DepthScene(sequence), sequence.depth_m(0)
     step_per_m = prepared_scene._noise_step_per_m()
@@ -88,7 +87,9 @@ def depth_pairs() -> dict[str, Pair]:
     candidates = find_bricks_by_block(lambda blocks, size: may_hold_force(blocks, size, query), grid)
     planes, dense = np.zeros((*image.shape, 4), np.float32), np.zeros((64, 64, 64, 3), np.float32)
     frozen.image_planes(image, planes)
-    small = np.ascontiguousarray(planes[::2, ::2])  # in the cache: memory that others use, too, slows it else
+    small = np.ascontiguousarray(
+        planes[::2, ::2]
+    )  # fits in the cache; shared memory bandwidth would add noise
 
     def reference() -> None:
         frozen.projected_forces(small, dense)
@@ -104,7 +105,7 @@ def depth_pairs() -> dict[str, Pair]:
 
 
 def mesh_pairs() -> dict[str, Pair]:
-    """From triangles to a band, and the band of a mesh whose tree is there."""
+    """A band from triangles, and from a mesh whose tree is already built."""
     vertices, faces = bumpy(4)
     grid = Grid.over_box((-1.0,) * 3, (1.0,) * 3, (128, 128, 128))
     width = BAND * grid.spacing_m[0]
@@ -161,9 +162,7 @@ def query_pairs() -> dict[str, Pair]:
 
 
 def coder_pairs() -> dict[str, Pair]:
-    """A segment of two frames of a depth camera, encoded and decoded: as a whole, and the passes over the
-    voxels.
-    """
+    """Encoding and decoding of two frames of a depth camera: whole calls, and the voxel passes."""
     grid = Grid.over_box(LOW_M, HIGH_M, (48, 48, 48))
     frames = [DepthScene(IndoorSequence()).field(0, grid, wall(grid))] * 2
     symbols = (np.abs(np.random.default_rng(0).normal(0, 6, (40, 40, 40))) % 32).astype(np.uint8)
@@ -204,8 +203,9 @@ GROUPS = {
 
 
 def ratio_of(pair: Pair, rounds: int, limit: float) -> dict[str, float]:
-    """Milliseconds of both and the median of their ratios: of `rounds`, or of more until it is within the
-    limit.
+    """Milliseconds of both and the median of their ratios.
+
+    Measures `rounds` pairs, and up to `TRIES` times as many while the ratio exceeds `limit`.
     """
     pair.ours()
     pair.reference()
@@ -243,8 +243,9 @@ def measure(only: str, store: bool, rounds: int) -> Figures:
 
 
 def measured_again(figures: Figures, rounds: int) -> Figures:
-    """What looks too slow, again in processes of their own: where their arrays lie in memory makes a
-    difference.
+    """Measure kernels that look too slow again in new processes.
+
+    The placement of arrays in memory makes a difference.
     """
     rows = dict(figures["rows"])
     for _ in range(PROCESSES):

@@ -1,10 +1,9 @@
-"""Entropy of 10^8 int16 symbols, beside reading them once and numpy.bincount.
+"""Entropy of 10^8 int16 symbols, against one read of them and numpy.bincount.
 
     python bench/bench_information.py [--quick] [--count N]
 
-"Read" is the sum of the memory as 64-bit words, once by one thread (numpy) and once by as many as the
-counting has; "int16 sum" is numpy's own reading of the symbols as what they are. Times are the best of
-several.
+"read" is the sum of the memory as 64-bit words, once by one thread (numpy) and once by as many threads as the
+counting uses; "int16 sum" is numpy's sum of the symbols as int16. Times are the best of several runs.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from touchfield.measure.information import entropy
 
 
 def sources(count: int) -> Iterator[tuple[str, NDArray[np.int16]]]:
-    """Arrays like a quantised field, like its symbols alone, and worse ones."""
+    """Arrays like a quantised field, like its symbols only, and harder cases."""
     rng = np.random.default_rng(0)
     sparse = rng.integers(0, 64, count, dtype=np.int16)
     sparse[rng.random(count, dtype=np.float32) < 0.97] = 0
@@ -81,13 +80,13 @@ def others(count: int) -> dict[str, dict[str, float]]:
 
 
 def measure(count: int) -> Figures:
-    """Entropies, and what else is counted."""
+    """Entropies, and histograms of other types."""
     rows = {name: row(x) for name, x in sources(count)}
     return {"symbols": count, "rows": rows | others(count)}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Far ahead of numpy's counting, and not far from reading the symbols."""
+    """Much faster than numpy's counting, and within a few times one read of the symbols."""
     rows = figures["rows"].values()
     bincount = min(row["bincount_ms"] / row["entropy_ms"] for row in rows if "bincount_ms" in row)
     unique = min(row["unique_ms"] / row["histogram_ms"] for row in rows if "unique_ms" in row)

@@ -1,12 +1,11 @@
-"""A library of small media: how fast a folder is described beside the decoder alone, and how fast it is
-searched.
+"""A library of small media: time to index a folder, against decoding alone, and to search it.
 
     python bench/bench_library.py [--quick] [--files N]
 
 The folder holds 10,000 .touch files: balls and walls of 40 sizes, three frames in a lattice of 32^3, in 250
-copies, each with a provenance of its own so that none is recognised by its checksum. The decoder's own time
-is that of opening every file and decoding all its frames, on all cores, too; the ten folders are taken in
-turn. Then the index is read again with nothing changed, and searched.
+copies with distinct provenance, so that none is recognised by its checksum. The decoder's time is that of
+opening every file and decoding all frames, on all cores. Decoding and indexing alternate over ten subfolders.
+Then the unchanged folder is indexed again, and searched.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ def media() -> list[HapticMedium]:
 
 
 def fill_folder(folder: Path, files: int) -> float:
-    """The folder of files; their mean size."""
+    """Write `files` files into `folder`; return their mean size."""
     for kind, medium in enumerate(media()):
         encode_prepared(prepare(medium), folder / "first.touch", {"copy": "0000"})
         content = (folder / "first.touch").read_bytes()
@@ -83,7 +82,7 @@ def decode_s(folder: Path) -> float:
 
 
 def query_times(folder: Path) -> dict[str, Any]:
-    """Milliseconds to read the index, to make its search ready, and of a query then."""
+    """Milliseconds to read the index, to prepare the search, and of one query."""
     began = perf_counter()
     library = Library.load(library_path(folder))
     read_ms, began = 1e3 * (perf_counter() - began), perf_counter()
@@ -107,7 +106,7 @@ def query_times(folder: Path) -> dict[str, Any]:
 
 
 def same_kind_fraction(folder: Path) -> float:
-    """The share of queries whose nearest ten are all of the query's own kind."""
+    """Fraction of queries whose ten nearest media are all of the kind of the query."""
     index = Library.load(library_path(folder)).index()
     names = index.names[:: len(index.names) // 50]
     return float(
@@ -116,7 +115,7 @@ def same_kind_fraction(folder: Path) -> float:
 
 
 def measure(files: int) -> Figures:
-    """The folder decoded and described in turn, described again, and searched."""
+    """Decode and index alternately, index the unchanged folder again, and search it."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "media"
         folder.mkdir()
@@ -142,7 +141,7 @@ def measure(files: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Described in twice the decoder's time, searched in no time, and what is alike is near."""
+    """Indexing within twice the decoding time, fast queries, and correct neighbours."""
     index, query = figures["index"], figures["query"]
     return [
         at_most("time to describe a folder over the decoder's own", index["times_the_decoder"], 2.0),

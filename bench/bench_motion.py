@@ -1,14 +1,13 @@
-"""What a hand that moves feels of coder `touch`, beside what the source itself does: the figures, and the
-bars.
+"""Vibration of coder `touch` in a moving hand, against the vibration of the source.
 
     python bench/bench_motion.py [--quick] [--effort NAME] [--largest N]
 
-Slides: a ball and the terrain from n_w 7 to the largest (8), k 0.1, F_0 0.05 N, at 50, 100 and 200 mm/s;
-millinewtons from 40 to 400 Hz, and the margin to the threshold of a hand that holds a stylus in its worst
-third of an octave; inside the ball too, where the force saturates. Holds: bodies at rest as voxels at 1 kHz,
-and a room at 30 Hz, as a receiver plays them that goes over from segment to segment; "decoded" is without
-that. "before" is the first coder `touch` (format version 0), measured by a script of its own on other paths;
-the bytes before are those of the same commands.
+Slides: a ball and the terrain from n_w 7 to the largest (8), k 0.1, F_0 0.05 N, at 50, 100 and 200 mm/s, and
+inside the ball, where the force saturates. Figures are millinewtons from 40 to 400 Hz, and the margin to the
+threshold of a hand that holds a stylus, in the worst third of an octave. Holds: bodies at rest as voxels at
+1 kHz, and a room at 30 Hz, with the receiver's transition between segments; "decoded" is without it. "before"
+is the first coder `touch` (format version 0), measured by another script on other paths; the bytes before are
+those of the same commands.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ ICL_BEFORE = {"start_error_mn": 123, "error_step_mn": 30}
 def encode_and_compare(
     source: str | Scene, spec: EncodeSpec, slides: SlideSpec | None = None
 ) -> tuple[HandMotion, Encoded]:
-    """The hand of a source and its stream."""
+    """Encode a source and compare: the hand's motion figures, and the encoding."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "it.touch"
         done = encode(source, path, spec)
@@ -62,8 +61,9 @@ def encode_and_compare(
 
 
 def inside_ball(nw: int, touch: TouchSpec) -> Figures:
-    """Sixteen great circles of 20 mm in the ball of 35 mm (hand metres) at 100 mm/s, where the force
-    saturates.
+    """Error on sixteen circles of 20 mm radius inside the ball, where the force saturates.
+
+    The hand moves at 100 mm/s; lengths are hand metres.
     """
     rate_hz, radius_m, speed_m_s, rng = 1000.0, 0.02, 0.1, np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
@@ -127,9 +127,7 @@ def measure(effort: str, largest: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """No more than twice what the source does, 6 dB below what is felt, no tenth more bytes;
-    nothing at rest.
-    """
+    """Error up to twice the source's, 6 dB below the threshold, few more bytes, none at rest."""
     found: list[Bar] = []
     for row in figures["slides"]:
         name = f"{row['field']}, nw {row['nw']}, {row['speed_mm_s']:.0f} mm/s"

@@ -1,10 +1,10 @@
-"""Seven objects in motion: one voxelised frame of 128^3 samples, one query, and a million queries.
+"""Seven moving objects: a voxelised frame of 128^3 samples, one query, and a million.
 
     python bench/bench_objects.py [--quick] [--queries N]
 
 The objects' own lattices have 30^3 to 64^3 samples. The peer is scipy's `map_coordinates` (order 1) on the
-same fields held densely, one call for each object and component; of a frame it is asked for no more than the
-samples within the box of each object's lattice. Forces are compared.
+same fields as dense arrays, one call for each object and component; for a frame it evaluates only the samples
+within the box of each object's lattice. Forces are compared.
 """
 
 from __future__ import annotations
@@ -84,15 +84,13 @@ class Scipy:
 
 
 def kernel_us(medium: HapticScene, point: Floats) -> float:
-    """Microseconds of a query without the interpreter: one point asked for ten thousand times,
-    by one thread.
-    """
-    many = np.repeat(point[None], 2000, axis=0)  # as many as are not worth a second thread
+    """Microseconds of a query without the interpreter: one point repeated, on one thread."""
+    many = np.repeat(point[None], 2000, axis=0)  # too few for a second thread
     return timed(lambda: medium.sample_n(0, many), runs=200)["min_ms"] / len(many) * 1e3
 
 
 def measure(queries: int) -> Figures:
-    """Frames and queries by us and by scipy."""
+    """Frames and queries by touchfield and by scipy."""
     composed = scene()
     peer, frames = Scipy(composed), composed.voxelise()
     points = np.random.default_rng(1).uniform(0, 0.128, (queries, 3))
@@ -139,7 +137,7 @@ def measure(queries: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """A frame faster than the prototype's, a query within a tick, ahead of scipy, with the same forces."""
+    """A faster frame than the prototype's, a query within a tick, faster than scipy, equal forces."""
     rows = figures["rows"]
     return [
         at_most("a voxelised frame; the prototype took 24 ms", rows["voxelised frame"]["min_ms"], 24.0, "ms"),

@@ -1,9 +1,8 @@
-"""The page in headless Chromium: how soon a force is felt and a picture is there, its size, and its decoder's
-speed.
+"""The page in headless Chromium: time to first force and picture, size, decoder speed, memory.
 
-The decoder is `c/touch.h` as WebAssembly, in node, against the compiled Python on one thread, on the same
-files. A file that moves plays for some time, and another for an hour of its own time, as fast as the browser
-draws; the memory before and after is told.
+The decoder is `c/touch.h` as WebAssembly, in node, against compiled Python on one thread, on the same files.
+A moving file plays for some minutes, and another for an hour of media time, as fast as the browser draws; the
+growth of memory is reported.
 
     python bench/bench_page.py [--quick] [--minutes N] [--rounds N]
 """
@@ -68,14 +67,14 @@ SAMPLED = (
 
 
 def decoder() -> bytes:
-    """The page's WebAssembly, as it lies in it: gzip."""
+    """The WebAssembly of the page, gzip-compressed as embedded."""
     packed = re.search(r'id="decoder">([^<]+)<', empty_page())
     assert packed is not None
     return base64.b64decode(packed[1])
 
 
 def decode_ms(folder: Path, stream: Path) -> tuple[float, float]:
-    """Milliseconds of a first frame in WebAssembly and in compiled Python on one thread, least of twelve."""
+    """Milliseconds of a first frame in WebAssembly and compiled Python, the least of twelve."""
     wasm, script = folder / "touch.wasm", folder / "speed.mjs"
     wasm.write_bytes(gzip.decompress(decoder()))
     script.write_text(WASM_SPEED)
@@ -92,9 +91,7 @@ def decode_ms(folder: Path, stream: Path) -> tuple[float, float]:
 
 
 def opened_ms(folder: Path, name: str, stream: Path, rounds: int) -> dict[str, float]:
-    """A force after a file is opened in a page that is there; a picture after the page with the file is asked
-    for.
-    """
+    """Milliseconds from opening a file to a force, and from requesting a page to its picture."""
     empty, page = folder / "page.html", view(stream).save(folder / f"{name}.html")
     empty.write_text(empty_page(), encoding="utf-8")
     forces, pictures = [], []
@@ -111,10 +108,9 @@ def opened_ms(folder: Path, name: str, stream: Path, rounds: int) -> dict[str, f
 
 
 def growth(folder: Path, minutes: float) -> dict[str, float]:
-    """Memory of the page that plays: the least of the last third against the least of the first.
+    """Growth of memory during playback: minimum of the last third less that of the first.
 
-    What a worker has thrown away and not yet given back is in each sample; the least of many is nearly
-    without it.
+    Each sample includes garbage that has not been returned yet; the minimum of many is nearly free of it.
     """
     moving = folder / "falling.touch"
     encode("sample:falling-4", moving, EncodeSpec(frames=(0, 30)))
@@ -133,9 +129,7 @@ def growth(folder: Path, minutes: float) -> dict[str, float]:
 
 
 def hour(folder: Path) -> dict[str, float]:
-    """Memory of the page after an hour of a medium, against its first half hour without the first ten
-    minutes.
-    """
+    """Growth of memory over an hour of media time, against minutes 10 to 30."""
     page = folder / "hour.html"
     page.write_text(empty_page(), encoding="utf-8")
     rows = hour_played(folder, page.as_uri())
@@ -175,9 +169,7 @@ def measure(minutes: float, rounds: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """A page that is small and there at once, half as fast as compiled code at the least, and that leaks
-    nothing.
-    """
+    """A small page, short waits, a decoder near the speed of compiled Python, and no leaks."""
     waits = {
         f"{scene}, {label}": (figure(figures, f"{scene}_{key}_ms"), limit)
         for scene in ("terrain", "motorcycle")

@@ -1,5 +1,4 @@
-"""The fewest points (paper section 6.2): on modes beside their floor, with a curl-free kernel beside random
-points.
+"""Fewest points (paper section 6.2): on modes, and with a curl-free kernel.
 
     python bench/bench_points.py [--quick] [--most N]
 
@@ -49,7 +48,7 @@ def sphere() -> tf.HapticMedium:
 
 
 def moving_media() -> Iterator[tuple[str, tf.HapticMedium]]:
-    """Those that can be made here."""
+    """Name and medium of every available source of many frames."""
     yield "sphere", sphere()
     yield "falling bodies", prepare("sample:falling-4", EncodeSpec(nw=5, representation="voxel")).medium
     for name, path in (("fox", "fox/Fox.glb"), ("morph", "morph_stress_test/MorphStressTest.gltf")):
@@ -58,7 +57,7 @@ def moving_media() -> Iterator[tuple[str, tf.HapticMedium]]:
 
 
 def single_fields(moving: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Places and forces."""
+    """Name, positions and forces of single fields."""
     for name in ("shapes", "terrain"):
         field = prepare(f"sample:{name}", EncodeSpec(nw=5)).medium[0]
         yield name, field.grid.to_m(field.positions()), field.vectors_n().astype(float)
@@ -76,12 +75,12 @@ def single_fields(moving: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
 
 
 def ratio_db(error: Any, reference: Any) -> float:
-    """Energy over energy."""
+    """Energy of the error over that of the reference, dB."""
     return float(10 * np.log10((np.asarray(error) ** 2).sum() / (np.asarray(reference) ** 2).sum()))
 
 
 def on_modes(every: Modes, learnt: Any, tested: Any, count: int) -> Figures:
-    """Points on the first modes, beside the floor and random ones, on the rows `seen`."""
+    """Points on the first modes, against the floor and random points, on the rows `tested`."""
     modes, rng = every.first(min(count, every.rank)), np.random.default_rng(count)
     missed_n2 = ((learnt - modes.rebuild(modes.coefficients(learnt))) ** 2).mean(axis=0)
     selected = mode_points(modes, count, missed_n2.reshape(-1, 3).sum(axis=1))
@@ -105,13 +104,13 @@ def on_modes(every: Modes, learnt: Any, tested: Any, count: int) -> Figures:
 
 
 def rebuilt_db(positions_m: Any, forces: Any, selected: Any, kernel: Kernel) -> float:
-    """What is missed when the field goes through some points."""
+    """Error of the field rebuilt from some points, dB."""
     through = CurlFree.through(positions_m[selected], forces[selected], kernel.length_m, kernel.noise)
     return ratio_db(through.forces_n(positions_m) - forces, forces)
 
 
 def on_kernel(positions_m: Any, forces: Any, count: int) -> Figures:
-    """Points by error and by variance beside random ones."""
+    """Points chosen by error and by variance, against random points."""
     began = time.perf_counter()
     _, kernel, back = _best_points(positions_m, forces, count)
     took, error = time.perf_counter() - began, ratio_db(back - forces, forces)
@@ -155,7 +154,7 @@ def on_kernel(positions_m: Any, forces: Any, count: int) -> Figures:
 
 
 def measure(most: int) -> Figures:
-    """All of it."""
+    """Moving media, single fields, and the time of the choice by variance."""
     moving, rows = {}, {}
     for name, medium in moving_media():
         frames = np.unique(np.linspace(0, len(medium) - 1, min(len(medium), FRAMES)).astype(int)).tolist()
@@ -180,7 +179,7 @@ def measure(most: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Near the floor, within the bound; half of random's points."""
+    """Near the floor, within the bound, and half as many points as at random."""
     rows, single = figures["moving"], figures["still"]
     same, held_out = ({n: r for n, r in rows.items() if n.endswith(kind)} for kind in ("same", "held out"))
     real = {n: r for n, r in single.items() if n.startswith("recording")}

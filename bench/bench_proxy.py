@@ -1,13 +1,12 @@
-"""The proxy beside the plain field: what holds, how true the force is, what a slide hums, how long a query
-takes.
+"""The proxy against the plain field: penetration, accuracy, energy, vibration and query time.
 
     python bench/bench_proxy.py [--quick] [--seconds S] [--walks N]
 
-A simulated hand of 0.1 kg is pushed with 3 N into plates of 1, 2 and 5 mm, beside their edge, into an inner
-corner, onto an outer edge and, kept on its line by 500 N/m, into the desk of TUM fr1_rpy, rendered by the
-proxy and as the field is. It is held if it comes to rest with the proxy where it came from. Slides at 50
-mm/s: what lies between 40 and 400 Hz. Energy: 60 s of random pressing, the most that the hand ever got back
-beyond what it gave.
+A simulated hand of 0.1 kg is pushed with 3 N into plates of 1, 2 and 5 mm, near their edge, into an inner
+corner, onto an outer edge and, guided by a spring of 500 N/m, into the desk of TUM fr1_rpy, rendered with the
+proxy and as the plain field. A press holds if the hand comes to rest with the proxy on the side it came from.
+Slides at 50 mm/s: vibration from 40 to 400 Hz. Energy: the largest net energy that the hand receives in 60 s
+of random pressing.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ def comes_to_rest(field: ForceField, start: Any, push: Any, is_proxy: bool) -> b
 
 
 def holds() -> Figures:
-    """How many of the presses of each kind hold."""
+    """Number of presses of each kind that hold."""
     cases: dict[str, list[tuple[ForceField, Any, Any]]] = {}
     for mm in (1, 2, 5):
         field = plate(1e-3 * mm)
@@ -94,7 +93,7 @@ def holds() -> Figures:
 
 
 def truth() -> Figures:
-    """Forces of 1 to 3 N beside the closed form, and friction of 0.2 to 0.8 beside mu N, in shares of it."""
+    """Relative errors of forces of 1 to 3 N, and of friction with mu from 0.2 to 0.8."""
     rng, errors, slips = np.random.default_rng(1), [], []
     ball, block = Held(field_of(BALL)), Held(field_of(BLOCK))
     for depth in np.linspace(0.002, 0.006, 9):
@@ -127,7 +126,7 @@ def truth() -> Figures:
 
 
 def energies(damping: float, seconds: int) -> Figures:
-    """The most energy that a hand got back in so much random pressing, joules, and what it got in the end."""
+    """Largest and final net energy that a hand receives in random pressing, joules."""
     rows = {}
     for name, shape, surface_m in (("ball", BALL, 0.025), ("block", BLOCK, 0.015)):
         rng, rig = np.random.default_rng(2), Held(field_of(shape), damping=damping)
@@ -158,7 +157,7 @@ def _nothing(i8, u8, f8, f4, frame, x, y, z):  # type: ignore[no-untyped-def]
 
 
 def speeds(fields: dict[str, ForceField], count: int) -> Figures:
-    """Microseconds of a query on a hand that slides 2 mm within, edges included."""
+    """Microseconds of a query while a hand slides 2 mm deep, edges included."""
     rows = {}
     for name, field in fields.items():
         rig, rng = Held(field), np.random.default_rng(3)
@@ -177,14 +176,14 @@ def speeds(fields: dict[str, ForceField], count: int) -> Figures:
                     run[n] = time.perf_counter() - began
             took.append(
                 1e6 * np.percentile(times.min(axis=0), [50, 99, 99.9])
-            )  # what other programs took is not ours
+            )  # the minimum excludes other programs
         quick = took[0] - np.median(took[1])
         rows[name] = dict(zip(("p50_us", "p99_us", "p99_9_us"), quick.tolist(), strict=True))
     return rows
 
 
 def hums(fields: dict[str, ForceField], count: int) -> Figures:
-    """Millinewtons from 40 to 400 Hz of slides, by the proxy and of the field itself.
+    """Vibration of slides from 40 to 400 Hz, mN rms, with the proxy and of the plain field.
 
     The hand hangs on a spring of 500 N/m, whose far end goes along the surface 2 mm below the level of 1 N.
     """
@@ -216,7 +215,7 @@ def stiffness_of(field: ForceField) -> float:
 
 
 def measure(seconds: int, walks: int) -> Figures:
-    """Everything, on the fields that are here."""
+    """All figures, on the available fields."""
     fields: dict[str, ForceField] = {
         "ball": field_of(BALL),
         "block": field_of(BLOCK),
@@ -236,7 +235,7 @@ def measure(seconds: int, walks: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """All presses held, the force that is to be, no energy, and a query far within a tick."""
+    """All presses hold, accurate forces, no energy gain, and a query well within a tick."""
     missed = {name: row["presses"] - row["proxy"] for name, row in figures["holds"].items()}
     return [
         *(

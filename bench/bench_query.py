@@ -1,10 +1,9 @@
-"""The force at a point of a field of 128^3 samples: at random, where there is a force, along a path; and of
-objects.
+"""Point queries of a field of 128^3 samples, random, supported and along a path; of objects.
 
     python bench/bench_query.py [--quick] [--points N]
 
 Peers are scipy's `map_coordinates` (order 1, one call for each component) and `RegularGridInterpolator` on
-the same field held densely, and a compiled trilinear loop over it by all threads; forces are compared. The
+the same dense field, and a compiled trilinear loop over it by all threads; forces are compared. The
 path is that of a hand that wanders through the box; the seven objects are those of `bench_objects`. One query
 is timed within compiled code by the processor's own counter, and from Python.
 """
@@ -47,9 +46,7 @@ def field() -> ForceField:
 
 
 def path(count: int, rng: np.random.Generator) -> Floats:
-    """A hand that is pushed about at random and turns back at the walls,
-    some hundredths of a sample a step.
-    """
+    """Path of a randomly pushed hand, reflected at the walls; some hundredths of a sample per step."""
     velocity = np.cumsum(rng.normal(0, 0.02, (count, 3)), axis=0)
     distance = np.cumsum(0.02 * velocity, axis=0) / (SIDE - 2)
     return (np.abs(distance % 2 - 1) * (SIDE - 2) + 0.5) * SPACING_M
@@ -102,9 +99,7 @@ counter: Any = _counter
 
 @njit(nogil=True, parallel=True, fastmath=True)
 def trilinear(dense, at, out):  # type: ignore[no-untyped-def]
-    """A dense field [n, n, n, 3] at places in samples [m, 3], within it, by all threads:
-    as plain as can be.
-    """
+    """Trilinear interpolation of a dense field [n, n, n, 3] at points [m, 3] in samples."""
     for p in prange(at.shape[0]):
         i, j, k = int(at[p, 0]), int(at[p, 1]), int(at[p, 2])
         u, v, w = at[p, 0] - i, at[p, 1] - j, at[p, 2] - k
@@ -118,7 +113,7 @@ def trilinear(dense, at, out):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def time_queries(points, i8, u8, f8, f4, a, b, blend, counts, forces):  # type: ignore[no-untyped-def]
-    """Counts of each query alone, and of nothing."""
+    """Counts of each single query, and of an empty interval."""
     for p in range(points.shape[0]):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
         start = counter()
@@ -136,12 +131,12 @@ def count_now():  # type: ignore[no-untyped-def]
 
 
 def call(compiled: Any, *values: Any) -> Any:
-    """What a compiled function returns: to the types it is an object that nothing can call."""
+    """Call a compiled function, which the type checker does not know to be callable."""
     return compiled(*values)
 
 
 def counter_ns() -> float:
-    """Nanoseconds of one count."""
+    """Nanoseconds per count."""
     count_now()
     began_ns, began = perf_counter_ns(), count_now()
     while perf_counter_ns() - began_ns < 50e6:
@@ -156,7 +151,7 @@ def percentiles(us: Floats) -> dict[str, float]:
 
 
 def compiled(sampler: FieldSampler, time_s: float, points_m: Floats) -> dict[str, float]:
-    """One query in compiled code; what it takes to read the counter is taken off."""
+    """One query in compiled code, less the time to read the counter."""
     first, second, blend = sampler._instant(time_s)
     pair = sampler._pair(first, second)
     counts, forces = np.zeros((len(points_m), 2), np.int64), np.zeros(points_m.shape)
@@ -182,9 +177,7 @@ def rate(call: Callable[[Floats], Any], points_m: Floats, runs: int) -> float:
 
 
 def batch(sampler: FieldSampler, objects: FieldSampler, peers: Peers, points: Floats) -> dict[str, float]:
-    """Millions of points a second of all, how far their forces differ, and the share of points that feel
-    any.
-    """
+    """Millions of points per second, differences, and the fraction of points with a force."""
     few = points[:PEER_POINTS]
     found = sampler.force_n(0.0, few)
     row = {
@@ -247,9 +240,7 @@ def measure(points: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Many points far ahead of scipy, no slower than a dense loop, one query far within a tick; the same
-    forces.
-    """
+    """Batches faster than scipy and a dense loop, one query well within a tick, equal forces."""
     batches, single = figures["batches"], figures["single"]
     alone = [single[f"compiled, {name}"] for name in ("random", "path")]
     return [

@@ -1,13 +1,12 @@
-"""A medium in fewer numbers (paper section 6.1): modes on frames held out, what they cost, what no hand can
-feel.
+"""Reduction of a medium (paper section 6.1): modes on held-out frames, bytes, and culling.
 
     python bench/bench_reduction.py [--quick] [--frames N] [--paths N]
 
 "modes": a skinned fox and a morph target (`shared`; left out without that folder), and bodies that fall.
-Modes are learnt from the even frames, and the odd ones told with them to -30 dB; the share is that of the
-numbers, without the modes and with them. "bytes": the same frames by coder touch at the same error, beside
-the modes as 16-bit floats and the rounded coefficients, both through LZMA, which is no coder made for them,
-but shows the order.
+Modes are learnt from the even frames, and the odd ones are represented by them at -30 dB; the share is that
+of the numbers, without the modes and with them. "bytes": the same frames by coder touch at the same error,
+beside the modes as 16-bit floats and the rounded coefficients, both through LZMA, which is no coder made for
+them, but shows the order.
 
 "culling": a pillow that a source makes solid (--thickness-m inf), standing, and a solid floor that heaves.
 Samples left out, and forces that differ along paths of hands that do their worst: they press against the
@@ -42,7 +41,7 @@ exponents = [0.5, 0.5]
 
 
 def media(frames: int) -> dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]:
-    """What is there, with the kinds of modes to try."""
+    """Available media, with the kinds of modes to try."""
     meshes, found = SHARED / "meshes", dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]()
     spec = tf.EncodeSpec(nw=6, representation="voxel")
     if (meshes / "fox" / "Fox.glb").exists():
@@ -57,7 +56,7 @@ def media(frames: int) -> dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]:
 
 
 def in_memory(medium: tf.HapticMedium) -> tf.HapticMedium:
-    """The same with its frames in memory."""
+    """The same medium with its frames in memory."""
     return tf.HapticMedium.from_frames([medium[i] for i in range(len(medium))], medium.rate_hz, medium.axes)
 
 
@@ -74,7 +73,7 @@ def by_modes_bytes(found: ReducedMedium, min_n: float) -> int:
 
 
 def by_touch(medium: tf.HapticMedium) -> tuple[float, float]:
-    """Kilobytes of coder touch, and its error, dB, with the step that should make it -30."""
+    """Kilobytes and NMSE of coder touch, with the step expected to give -30 dB."""
     squares = [(field.forces_n.astype(float) ** 2).sum() / max(1, field.support_count) for field in medium]
     coder = tf.codec.TouchSpec(mode="nmse", step_n=2 * float(np.sqrt(1e-3 * np.mean(squares))))
     meter = FidelityMeter(0.1, 0.05)
@@ -116,7 +115,7 @@ def modes_of(frames: int) -> Figures:
 
 
 def pillow() -> tf.HapticMedium:
-    """A solid that stands, in a box of 381 x 267 x 191 mm."""
+    """A static solid in a box of 381 x 267 x 191 mm."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "pillow.toml"
         path.write_text(PILLOW)
@@ -127,7 +126,7 @@ def pillow() -> tf.HapticMedium:
 
 
 def floor() -> tf.HapticMedium:
-    """A solid that moves: a floor with a wave of 6 mm that goes along it, 144 mm wide, 36 frames."""
+    """A moving solid: a floor with a travelling wave of 6 mm, 144 mm wide, 36 frames."""
     count, step_m = 48, 0.003
     grid = tf.Grid((count,) * 3, (step_m,) * 3, (0.0,) * 3)
     x = np.stack(np.meshgrid(*[grid.axis_m(a) for a in range(3)], indexing="ij"), axis=-1)
@@ -147,7 +146,7 @@ def floor() -> tf.HapticMedium:
 def paths(
     medium: tf.HapticMedium, shell: tf.HapticMedium, hand: Hand, count: int, ticks: int = 600
 ) -> Figures:
-    """Forces that differ along paths of a second and less, in ticks of 1 ms."""
+    """Forces that differ along paths of up to a second, in ticks of 1 ms."""
     rng, dt, grid = np.random.default_rng(5), 1e-3, medium.grid
     low, high = grid.to_m(np.zeros(3)), grid.to_m(np.array(grid.shape) - 1)
     x = rng.uniform(low, high, (20 * count, 3))
@@ -174,7 +173,7 @@ def paths(
 
 
 def culling(count: int) -> Figures:
-    """What is left of two solids."""
+    """Samples, bytes and forces of two solids after culling."""
     rows = {}
     for name, medium in (("pillow", pillow()), ("floor", floor())):
         began = time.perf_counter()
@@ -201,14 +200,12 @@ def culling(count: int) -> Figures:
 
 
 def measure(frames: int, paths: int) -> Figures:
-    """All of it."""
+    """Culling and modes."""
     return {"hand": HAND.text, "culling": culling(paths), "modes": modes_of(frames)}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Held-out frames at -30 dB with a tenth of the numbers; half of a solid left out,
-    and no force changed.
-    """
+    """Held-out frames at -30 dB with a tenth of the numbers; half of a solid culled, equal forces."""
     rows, solid = figures["modes"], figures["culling"]
 
     def of(name: str, key: str) -> float | None:

@@ -1,5 +1,4 @@
-"""A rig of 40 joints, 20 thousand triangles and 200 frames, to fields and to a file: rigid links, and a
-smooth skin.
+"""A rig (40 joints, 20,000 triangles, 200 frames) to fields and to a file: rigid and smooth.
 
     python bench/bench_rig.py [--quick] [--frames N]
 
@@ -39,9 +38,7 @@ FIELDS, CODED = 16, 40
 
 
 def clocked(call: Callable[[], Any], frames: int) -> dict[str, float]:
-    """Seconds by the clock and of the processor, and frames a second by each (of the processor: on all its
-    cores).
-    """
+    """Wall and processor seconds, and frames per second by each (processor: on all cores)."""
     began, spent = time.perf_counter(), time.process_time()
     call()
     spent, took = time.process_time() - spent, time.perf_counter() - began
@@ -54,7 +51,7 @@ def clocked(call: Callable[[], Any], frames: int) -> dict[str, float]:
 
 
 def parts_of_a_frame(path: Path) -> dict[str, float]:
-    """Processor milliseconds of a frame of the smooth rig, by what is done."""
+    """Processor milliseconds of a frame of the smooth rig, by step."""
     scene = AnimatedMeshScene(path)
     medium = prepare(scene, EncodeSpec()).medium
     frames = np.linspace(0, scene.frame_count - 1, FIELDS).astype(int).tolist()

@@ -1,4 +1,4 @@
-"""Scene 1 of the paper, seven bodies that fall for two seconds, 2000 frames: as objects and as voxels.
+"""Scene 1 of the paper (seven falling bodies, 2000 frames) as objects and as voxels.
 
     python bench/bench_scene_1.py [--quick] [--frames N]
 
@@ -40,14 +40,14 @@ print(json.dumps({{**done.summary(), "peak_mb": peak}}))
 
 
 def coded(representation: str, frames: int, out: Path) -> dict[str, Any]:
-    """What a process of its own says of one encoding."""
+    """Summary of one encoding in a separate process."""
     code = [sys.executable, "-c", JOB.format(scene=SCENE), representation, str(frames), str(out)]
     output = subprocess.run(code, check=True, capture_output=True, text=True).stdout
     return dict(json.loads(output.splitlines()[-1]))
 
 
 def difference(objects: Path, frames: int) -> dict[str, float]:
-    """The decoded objects against the voxel representation, over frames evenly apart."""
+    """Decoded objects against the voxel representation, on evenly spaced frames."""
     from touchfield.measure.fidelity import FidelityMeter
     from touchfield.pipeline import prepare
     from touchfield.pipeline.decoding import open_stream
@@ -106,9 +106,7 @@ def measure(frames: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Two seconds in less than a minute, 2 GB and 300 kB at k = 0.1; the promise kept; poses shorter than
-    packed.
-    """
+    """Time, memory and bytes of objects; the error bound; poses shorter than packed ones."""
     row = figures["object"]
     quarter, voxels = (figure(figures, f"{name}, a quarter", "file_bytes") for name in ("object", "voxel"))
     over = voxels / quarter if voxels and quarter else None

@@ -1,9 +1,8 @@
-"""Size of the package as information: lines and files of each package, and what a reader would trip over.
+"""Size of the code base: lines and files of each package, long functions and lines.
 
     python bench/bench_size.py [--quick]
 
-Lines are those of the files that git tracks, with docstrings, blank lines and imports. There is no bar: a
-longer text that reads well is better than a short one that does not.
+Lines are those of the files that git tracks, with docstrings, blank lines and imports. There is no bar.
 """
 
 from __future__ import annotations

@@ -1,21 +1,21 @@
-"""A hand and a device in closed loop with the compiled tick, on a wall: limit cycles, energy, felt stiffness.
+"""A hand and a device in closed loop on a wall: limit cycles, energy, rendered stiffness.
 
     python bench/bench_stability.py [--quick] [--every N]
 
 Mass of the device and of the hand in one, the device's damping b, the spring of the hand; exact between the
-ticks. The device tells its place in steps of its resolution, and what is put out acts so many samples later.
-The hand comes from 10 mm before the wall, presses for two seconds or more, until what swings dies out no
-further, and goes back (the hand itself has no damping: what rings down is no limit cycle). Told of each way
-to render:
+ticks. The device reports its position in steps of its resolution, and its force acts after a delay of some
+samples. The hand starts 10 mm before the wall, presses for at least two seconds, until the oscillation decays
+no further, and retreats (the hand itself has no damping: a decaying oscillation is no limit cycle). Reported
+for each way to render:
 
-* rms, N: of the force about its mean in the last second of pressing; "cycles" counts those above 20 mN;
-* held, mJ: what the renderer gave in that second beside its mean force's work; "drives" counts those above
-  0.01 mJ;
-* given, mJ: what came to the hand in the whole touch, the device's own damping taken off; "gives" counts
+* rms, N: force about its mean in the last second of pressing; "cycles" counts those above 20 mN;
+* held, mJ: energy from the renderer in that second, less the work of the mean force; "drives" counts those
+  above 0.01 mJ;
+* given, mJ: energy that the hand receives in the whole touch, less the device's own damping; "gives" counts
   those above 0.01 mJ;
-* soft: cases in which Colgate's b > K T (1/2 + delay) allows the wall and it is felt more than 10 % off K.
+* soft: cases in which Colgate's b > K T (1/2 + delay) allows the wall and its stiffness is more than 10 % off.
 
-`--every` takes one case in so many.
+`--every N` takes every N-th case.
 """
 
 from __future__ import annotations
@@ -59,9 +59,7 @@ GRID = Grid((17, 17, 129), (0.01, 0.01, 0.0005), (-0.08, -0.08, -0.048))
 
 @njit(cache=True)
 def touch(i8, u8, f8, f4, frame, step, k, b, depth, delay, resolution):  # type: ignore[no-untyped-def]
-    """One touch: rms, mean and energy of the last second of pressing, what came to the hand, mean depth,
-    seconds.
-    """
+    """One touch: rms, mean and energy of the last second, net energy, mean depth, seconds."""
     x, v, work_j, hold_j, first, second, deep = START_M, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     late = np.zeros(delay + 1)
     start_x, rms, mean, energy, depth_now, stop, n = x, 1e9, 0.0, 0.0, 0.0, 1 << 60, 0
@@ -101,12 +99,12 @@ def touch(i8, u8, f8, f4, frame, step, k, b, depth, delay, resolution):  # type:
 
 
 def call(compiled: Any, *values: Any) -> Any:
-    """What a compiled function returns: to the types it is an object that nothing can call."""
+    """Call a compiled function, which the type checker does not know to be callable."""
     return compiled(*values)
 
 
 def tick_matrix(kg: float, k: float, b: float) -> Any:
-    """What a tick does to place and speed of mass, spring and damper, float64 [3, 3]."""
+    """Transition matrix of a tick for mass, spring and damper, float64 [3, 3]."""
     return expm(np.array([[0, 1, 0], [-k / kg, -b / kg, 1 / kg], [0, 0, 0]]) * TICK_S)
 
 
@@ -127,7 +125,7 @@ def run(render: Any, every: int) -> dict[str, Any]:
 
 
 def summary_of(rows: Any) -> dict[str, Any]:
-    """The table's row of all cases of one way to render."""
+    """Summary of all cases of one way to render."""
     stiffness, b, delay = rows.T[:3]
     rms, mean, hold_j, work_j, deep, lasting = rows.T[6:]
     allowed = b > stiffness * TICK_S * (0.5 + delay)
@@ -153,7 +151,7 @@ def summary_of(rows: Any) -> dict[str, Any]:
 
 
 def plain(**options: Any) -> Any:
-    """A way to render that knows nothing of device and medium."""
+    """A way to render that ignores device and medium."""
 
     def render(bench: Bench, stiffness: float, b: float, delay: int, resolution: float) -> None:
         bench.restart(RenderSpec(**{"damping_n_s_per_m": 0.0, "coupling_n_per_m": 0.0, **options}))
@@ -162,7 +160,7 @@ def plain(**options: Any) -> Any:
 
 
 def passivity_only(bench: Bench, stiffness: float, b: float, delay: int, resolution: float) -> None:
-    """The passivity controller alone, which is told the delay."""
+    """Only the passivity controller, with the delay known."""
     bench.device = replace(STRONG, delay_ms=1e3 * delay * TICK_S)
     plain(passivity=True)(bench, stiffness, b, delay, resolution)
 
@@ -170,7 +168,7 @@ def passivity_only(bench: Bench, stiffness: float, b: float, delay: int, resolut
 def auto(
     bench: Bench, stiffness: float, b: float, delay: int, resolution: float, spec: RenderSpec | None = None
 ) -> None:
-    """What the player chooses where it is told nothing."""
+    """The choice of the player without options."""
     spec = RenderSpec() if spec is None else spec
     described = replace(
         STRONG, inertia_kg=DEVICE_KG, damping_n_s_per_m=b, delay_ms=1e3 * delay * TICK_S,
@@ -199,7 +197,7 @@ def measure(every: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """No limit cycle, no energy, and the stiffness that is asked for, by what the player chooses."""
+    """No limit cycle, no energy gain, and the requested stiffness, with the player's choice."""
     row = figures["rows"]["auto"]
     return [
         at_most("limit cycles above 20 mN, cases", row["cycles"], 0),

@@ -1,5 +1,4 @@
-"""What each stage of the paper's coder is worth: bytes and NMSE of ``--coder paper --stage X``, and beside
-none.
+"""Bytes and NMSE of each stage of the paper's coder (``--coder paper --stage X``).
 
     python bench/bench_stages.py [--quick] [--nw N]
 
@@ -38,7 +37,7 @@ def measured(field: ForceField, spec: PaperSpec) -> tuple[float, int]:
 
 
 def rows_of(field: ForceField) -> dict[str, dict[str, float]]:
-    """Every stage on one frame: as asked by default, and at the error of the coder without a stage."""
+    """Every stage on one frame: at its default step, and at the error without a stage."""
     target_db, plain = measured(field, PaperSpec())
     rows = {"none": {"bytes": plain, "nmse_db": target_db}}
     for stage in STAGES[1:]:
@@ -60,7 +59,7 @@ def measure(nw: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """A predictive stage is worth its while on every field; so is the best of all."""
+    """A predictive stage saves bytes on every field, and so does the best stage."""
     over = [
         {
             stage: row["equal_error_bytes"] / rows["none"]["bytes"]

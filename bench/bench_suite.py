@@ -1,10 +1,9 @@
-"""Time that the tests take where no kernel is compiled yet, as in a new clone: minutes, and seconds of
-processors.
+"""Time of the tests without compiled kernels, as in a new clone.
 
     python bench/bench_suite.py [--quick]
 
-Beside them a loop of Python, before and after: a machine that others share is not as fast at one time as at
-another. Quickly: the tests of one file.
+A Python loop is timed before and after, because the speed of a shared machine varies. Quick: the tests of one
+file.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ def loop_s() -> float:
 
 
 def measure(tests: str) -> Figures:
-    """One run of the tests; RuntimeError, with the names of those that fail, where one does."""
+    """One run of the tests; RuntimeError with the names of failed tests."""
     before_s = loop_s()
     with TemporaryDirectory() as cache:
         began = perf_counter()
@@ -53,7 +52,7 @@ def measure(tests: str) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """The time that somebody waits before a change is known to be good."""
+    """Limit on the time of `make test`."""
     return [at_most("minutes of make test", figure(figures, "minutes"), 8)]
 
 

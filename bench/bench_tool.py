@@ -1,4 +1,4 @@
-"""A tool of many points in the field: how long a tick takes that adds them up.
+"""Time of a tick with a tool of many points.
 
     python bench/bench_tool.py [--quick] [--points N] [--seconds S]
 
@@ -42,8 +42,9 @@ def ball(radius: float, stiffness: float) -> ForceField:
 
 
 def block(tool: Tool, fields: list[ForceField], parts: list[list[FramePart]]) -> tuple[Memory, list[int]]:
-    """Fields, frames (whose parts name a field by its number) and the tool, laid out; and where the frames
-    are.
+    """A memory block with fields, frames and the tool, and the offsets of the frames.
+
+    The parts of a frame refer to a field by its number.
     """
     pools = [CellPool.of(field) for field in fields]
     first = W.FREE + tool_word_count(tool)
@@ -120,7 +121,7 @@ def measure(points: int, seconds: float) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Half a tick of 1 kHz."""
+    """At most half a tick of 1 kHz."""
     return [
         at_most(f"a tick, {name}, p99.9 {label}", row[f"{key}_p99_9_ms"], 0.5, "ms")
         for name, row in figures["rows"].items()

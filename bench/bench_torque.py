@@ -1,4 +1,4 @@
-"""A torque beside the force in the medium: its bytes, and how long it is right while a hand turns the tool.
+"""A stored torque field: its bytes, and its error when the hand tilts the tool.
 
     python bench/bench_torque.py [--nw N] [--quick]
 
@@ -42,7 +42,7 @@ def pen(length_m: float = 0.06, radius_m: float = 0.004, points: int = 200) -> T
 
 
 def torque(field: ForceField, tool: Tool, at: Float64s, turns: Rotation | None = None) -> Float64s:
-    """Torque about the device's point at places [n, 3], N m, float64 [n, 3]; `turns` [n] turn the tool."""
+    """Torque about the device's point at `at` [n, 3], N m [n, 3]; `turns` [n] rotate the tool."""
     total = np.zeros_like(at)
     for point, normal in zip(tool.points_m, tool.normals, strict=True):
         arm = np.broadcast_to(point, at.shape) if turns is None else turns.apply(np.array(point))
@@ -95,7 +95,7 @@ def measure(nw: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Whether a stored torque would do."""
+    """Whether a stored torque is accurate enough."""
     worst = max(row["off_at_20"] for row in figures["tools"].values())
     return [
         at_most(

@@ -1,5 +1,4 @@
-"""Vibration beside force (paper section 6.4): laws of the split, bits of what must be sent, a texture as it
-is felt.
+"""Vibration (paper section 6.4): properties of the split, bits, and rendered textures.
 
     python bench/bench_vibrotactile.py [--quick] [--seconds S]
 
@@ -41,7 +40,7 @@ GRID = tf.Grid((65, 33, 33), (0.005,) * 3, (-0.16, -0.08, -0.08))
 
 
 def laws(seconds: float) -> Figures:
-    """The worst of ten signals."""
+    """Worst errors of crossover, DFT321 and STFT over ten signals."""
     worst = {"crossover": 0.0, "dft321": 0.0, "stft_db": np.inf}
     for seed in range(10):
         signal = (
@@ -84,7 +83,7 @@ def synthetic(seconds: float) -> dict[str, Any]:
 
 def margin_db(error: Any, rate_hz: float) -> float:
     """Decibels to the threshold, in the third and the half second where they are least."""
-    if rate_hz < 1000:  # which that measure does not take
+    if rate_hz < 1000:  # third_octave_power needs at least 1 kHz
         error, rate_hz = resample_poly(error, 2, 1), 2 * rate_hz
     length = int(rate_hz / 2)
     windows = [error[a : a + length] for a in range(0, len(error) - length + 1, length // 2)]
@@ -111,7 +110,7 @@ def reduction(signals: dict[str, Any], rate_hz: float) -> Figures:
 
 
 def slides() -> Figures:
-    """A hand on a table of three speeds, at these and between."""
+    """Slides over a texture table of three speeds, at these speeds and between."""
     force = np.zeros((1, *GRID.shape, 3))
     force[..., 2] = np.maximum(-300.0 * (GRID.origin_m[2] + GRID.spacing_m[2] * np.arange(GRID.shape[2])), 0)
     medium = tf.HapticMedium.from_array(force, GRID, 30.0)
@@ -127,7 +126,7 @@ def slides() -> Figures:
         at = np.array([[-0.14, 0, -0.0025], [-0.14, 0, -0.0025], [0.14, 0, -0.0025]])
         seconds = 0.1 + 0.28 / speed
         opener = point_device("sim", Trace(np.array([0, 0.1, seconds]), at)).opener
-        run_offline(medium, profile, opener, spec, seconds=0.05)  # what is compiled or loaded
+        run_offline(medium, profile, opener, spec, seconds=0.05)  # compiles and loads the kernels
         took = []
         for run_spec in (spec, replace(spec, materials=())):
             began = time.perf_counter()
@@ -150,7 +149,7 @@ def slides() -> Figures:
 
 
 def measure(seconds: float) -> Figures:
-    """All of it."""
+    """Properties, reduction and slides."""
     reduction_rows = reduction(recordings(), RECORDED_HZ) | reduction(synthetic(seconds), SYNTHETIC_HZ)
     slide_rows = slides()
     return {
@@ -162,7 +161,7 @@ def measure(seconds: float) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """The laws; nothing lost that is felt, for fewer bits and in time; the table as it is felt."""
+    """Exact splits, imperceptible errors at few bits in real time, and accurate textures."""
     rows = figures["reduction"]
     real = {name: row for name, row in rows.items() if name.startswith("recording")}
     return [
@@ -181,7 +180,7 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 def synthetic_rows(rows: Figures) -> Figures:
-    """Rows of what was made here."""
+    """Rows of synthetic signals."""
     return {name: row for name, row in rows.items() if not name.startswith("recording")}
 
 

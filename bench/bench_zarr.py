@@ -1,4 +1,4 @@
-"""A field as a zarr store beside ``.npz``: time to write and to read again, and bytes.
+"""A field as a zarr store, against ``.npz``: time to write and read, and bytes.
 
     python bench/bench_zarr.py [--nw N] [--runs N] [--quick]
 
@@ -37,7 +37,7 @@ def size(path: Path) -> int:
 
 
 def measure(nw: int, runs: int) -> Figures:
-    """Each way, several times."""
+    """Write and read in each format, several times."""
     need_module("zarr")
     spec = EncodeSpec(nw=nw, representation="voxel", touch=TouchSpec())
     medium = prepare(SOURCE, spec).medium
@@ -74,7 +74,7 @@ def measure(nw: int, runs: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Half the speed of ``.npz`` at least."""
+    """At least half the speed of ``.npz``."""
 
     def ratio(key: str) -> float:
         npz, zarr = (figure(figures, "ways", way, key) for way in ("npz", "zarr, zstd"))

@@ -1,4 +1,4 @@
-"""Other people's fusion of the same depth maps, run by the interpreter in which they are installed.
+"""Peers of depth fusion on the same depth maps, in the interpreter that has them installed.
 
     PYTHON fusion_peers.py DEPTHS.npz
 
@@ -77,7 +77,7 @@ def _best(run: Any, frames: int) -> float:
 
 
 def main() -> None:
-    """Print what each peer does."""
+    """Print the frames per second of each peer as JSON."""
     found: dict[str, Any] = {}
     data = dict(np.load(sys.argv[1]))
     for name, rate in (("Open3D VoxelBlockGrid", open3d_rate), ("VDBFusion", vdbfusion_rate)):

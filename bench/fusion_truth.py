@@ -1,6 +1,4 @@
-"""A scene whose surface is known everywhere: a wall, a floor, a ball and a box, seen as a Kinect would see
-them.
-"""
+"""A synthetic Kinect sequence with a known surface: a wall, a floor, a ball and a box."""
 
 from __future__ import annotations
 
@@ -18,7 +16,7 @@ Float64s = NDArray[np.float64]
 FRAMES = 12
 STIFFNESS_N_PER_M, WALL_M = 18.0, 0.18
 LOOKED_AT_M = (-0.06, -0.03)
-"""Depths behind the true surface at which it is asked: so deep that both fields hold a force."""
+"""Depths behind the true surface that are compared; both fields have forces there."""
 QUANTUM_PER_M = 2.85e-3
 
 
@@ -71,10 +69,9 @@ def _measured(depth_m: Float64s, rng: np.random.Generator) -> NDArray[np.float32
 
 
 def contact_errors_mm() -> dict[str, float]:
-    """Median |error| of where the surface is felt: of a single frame's field, of the fused one, and their
-    ratio.
+    """Median |error| of the rendered surface: of a single frame's field, of the fused one, their ratio.
 
-    The surface lies |F| / K before a sample; the same samples are asked in both fields.
+    The surface lies |F| / K in front of a sample; the same samples are compared in both fields.
     """
     sequence = SyntheticKinect()
     single, fused = DepthScene(sequence), FusedScene(sequence)
