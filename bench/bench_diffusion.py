@@ -33,11 +33,9 @@ def in_numpy(values: Floats) -> Floats:
         for axis in range(3):
             d = np.diff(u, axis=axis)
             d *= LAM * np.exp(-(d**2).sum(axis=-1, keepdims=True) / KAPPA_N**2)
-            low, high = (
-                tuple(slice(*s) if a == axis else slice(None) for a in range(3)) for s in ((-1,), (1, None))
-            )
-            change[low] += d
-            change[high] -= d
+            before = (slice(None),) * axis
+            change[(*before, slice(-1))] += d
+            change[(*before, slice(1, None))] -= d
         u += change
     return u
 

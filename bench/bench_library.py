@@ -109,9 +109,11 @@ def same_kind_fraction(folder: Path) -> float:
     """Fraction of queries whose ten nearest media are all of the kind of the query."""
     index = Library.load(library_path(folder)).index()
     names = index.names[:: len(index.names) // 50]
-    return float(
-        np.mean([all(m.name[2:8] == name[2:8] for m in index.query(index[name], 10)) for name in names])
-    )
+    is_right = []
+    for name in names:
+        nearest = index.query(index[name], 10)
+        is_right.append(all(match.name[2:8] == name[2:8] for match in nearest))
+    return float(np.mean(is_right))
 
 
 def measure(files: int) -> Figures:

@@ -127,10 +127,11 @@ def on_kernel(positions_m: Any, forces: Any, count: int) -> Figures:
             )
             for s in range(SEEDS)
         ]
-        by_random[times] = min(
-            float(np.median([rebuilt_db(positions_m, forces, d, candidate) for d in draws]))
-            for candidate in kernels
-        )
+        medians_db = []
+        for candidate in kernels:
+            errors_db = [rebuilt_db(positions_m, forces, draw, candidate) for draw in draws]
+            medians_db.append(float(np.median(errors_db)))
+        by_random[times] = min(medians_db)
     by_variance = min(
         rebuilt_db(
             positions_m, forces, some[variance_points(positions_m[some], count, candidate)[0]], candidate

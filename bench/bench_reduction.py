@@ -172,6 +172,11 @@ def paths(
     return {"paths": len(x), "in_contact": int(met.sum()), "greatest_n": max_n, "forces_that_differ": differ}
 
 
+def supported_samples(medium: tf.HapticMedium) -> int:
+    """Supported samples of all frames."""
+    return sum(medium[i].support_count for i in range(len(medium)))
+
+
 def culling(count: int) -> Figures:
     """Samples, bytes and forces of two solids after culling."""
     rows = {}
@@ -180,9 +185,7 @@ def culling(count: int) -> Figures:
         reach = reach_of(medium, HAND)
         took = time.perf_counter() - began
         shell = in_memory(without_unreachable(medium, reach.samples))
-        before, after = (
-            sum(candidate[i].support_count for i in range(len(candidate))) for candidate in (medium, shell)
-        )
+        before, after = supported_samples(medium), supported_samples(shell)
         exact, sizes = tf.EncodeSpec(touch=tf.codec.TouchSpec(mode="lossless")), []
         with tempfile.TemporaryDirectory() as folder:
             for candidate in (medium, shell):

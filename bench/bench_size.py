@@ -42,13 +42,13 @@ def large_functions(path: Path, text: str) -> list[str]:
 
 def local_imports(text: str) -> int:
     """Imports of the package's own modules within functions; one in a nested function counts once."""
-    imports = {
-        node
-        for function in ast.walk(ast.parse(text))
-        if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef))
-        for node in ast.walk(function)
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("touchfield")
-    }
+    imports = set()
+    for function in ast.walk(ast.parse(text)):
+        if not isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            continue
+        for node in ast.walk(function):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("touchfield"):
+                imports.add(node)
     return len(imports)
 
 

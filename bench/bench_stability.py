@@ -13,7 +13,7 @@ for each way to render:
   above 0.01 mJ;
 * given, mJ: energy that the hand receives in the whole touch, less the device's own damping; "gives" counts
   those above 0.01 mJ;
-* soft: cases in which Colgate's b > K T (1/2 + delay) allows the wall and its stiffness is more than 10 % off.
+* soft: cases in which Colgate's b > K T (1/2 + delay) allows the wall and its stiffness is over 10 % off.
 
 `--every N` takes every N-th case.
 """

@@ -60,15 +60,12 @@ def measure(nw: int) -> Figures:
 
 def bars(figures: Figures) -> list[Bar]:
     """A predictive stage saves bytes on every field, and so does the best stage."""
-    over = [
-        {
-            stage: row["equal_error_bytes"] / rows["none"]["bytes"]
-            for stage, row in rows.items()
-            if stage != "none"
-        }
-        for rows in figures["fields"].values()
-        if "none" in rows
-    ]
+    over = []
+    for rows in figures["fields"].values():
+        if "none" in rows:
+            plain = rows["none"]["bytes"]
+            stages = {stage: row for stage, row in rows.items() if stage != "none"}
+            over.append({stage: row["equal_error_bytes"] / plain for stage, row in stages.items()})
     dpcm, best = max(column(over, "dpcm"), default=None), max((min(o.values()) for o in over), default=None)
     return [
         at_most("bytes of dpcm over those of no stage, worst", dpcm, 1.0),

@@ -118,8 +118,8 @@ def _promised(axis: Any, row: Mapping[str, Any]) -> None:
     finite = sorted((size, name) for name, size in row["peers"].items() if math.isfinite(size))[:PEERS]
     ours = sorted((size, f"touch {effort}") for effort, size in row["touch"].items())
     sizes, names = zip(*ours, *finite)
-    colours = ["#000000" if size == ours[0][0] else "#707070" if i < len(ours) else "#A8A8A8"
-               for i, size in enumerate(sizes)]  # fmt: skip
+    colours = ["#707070"] * len(ours) + ["#A8A8A8"] * len(finite)
+    colours = ["#000000" if size == ours[0][0] else grey for size, grey in zip(sizes, colours)]
     bars = axis.barh(range(len(sizes)), sizes, 0.72, color=colours)
     axis.bar_label(
         bars, [f"{s:,.0f}" + f"   {s / ours[0][0]:.2f}x" * (s > ours[0][0]) for s in sizes], padding=4
