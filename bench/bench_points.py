@@ -2,17 +2,16 @@
 
     python bench/bench_points.py [--quick] [--most N]
 
-"moving": media of many frames. The modes are made of all frames and the error is that of all ("same"), or
-made of the even frames and the error is that of the odd ones ("held out"); the floor is what the same modes
-cannot write of those frames. As many modes as points.
+"moving": media of many frames. The modes are learnt from all frames and the error is that of all ("same"), or
+learnt from the even frames and the error is that of the odd ones ("held out"). The floor is the error of the
+modes themselves on those frames. There are as many modes as points.
 
-"still": the middle frame of media, and a recording of a hand that guides a robot (`shared`); where that
-folder is not there, what is in it is left out. The error is over all samples that hold a force, or were
-recorded. Random points are the median of five draws, and with the best of all kernels that ours are tried
-with, known afterwards. "times" is how many times as many of them it takes for our error, 4 at most. The same
-of points of greatest variance alone, which do not know the forces, likewise with the best kernel: they lie at
-the rim of what is felt, where forces are weak and a point tells of few others, so that they are no better
-than random ones here.
+"still": the middle frame of media, and a recording of a hand that guides a robot (`shared`; skipped without
+that folder). The error is over all supported or recorded samples. Random points are the median of five draws,
+with the best of all tried kernels, chosen afterwards. "times" is the factor by which more of them are needed
+for the same error, at most 4. The same is measured for points of greatest variance alone, which ignore the
+forces, with the best kernel: they lie at the rim of the field, where forces are weak, so they are no better
+than random.
 """
 
 from __future__ import annotations

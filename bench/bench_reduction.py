@@ -8,9 +8,9 @@ of the numbers, without the modes and with them. "bytes": the same frames by cod
 beside the modes as 16-bit floats and the rounded coefficients, both through LZMA, which is no coder made for
 them, but shows the order.
 
-"culling": a pillow that a source makes solid (--thickness-m inf), standing, and a solid floor that heaves.
-Samples left out, and forces that differ along paths of hands that do their worst: they press against the
-force, swing with it so that each turn gains energy, and run in from afar.
+"culling": a static pillow that a source fills (--thickness-m inf), and a heaving solid floor. Figures are the
+samples removed, and the forces that differ along adversarial paths of hands: they press against the force,
+swing with it so that each turn gains energy, and approach from far away.
 """
 
 from __future__ import annotations

@@ -2,12 +2,12 @@
 
     python bench/bench_rig.py [--quick] [--frames N]
 
-Of the rigid rig each link goes with one joint: its links become objects. "Kept" is how many frames a second
-come from the open file to all that a receiver needs of them, a field for each link and a pose for each frame.
-The smooth rig is a tube whose vertices go with two joints each, a field of its own in every frame: timed to
-the fields on the device's lattice of 128^3, part by part, and to the file. Both are coded at the default
-effort; the smooth one also without the coder's guess of the field, whose fit takes most of its time. Beside
-the seconds by the clock stand those of the processor, as other work on the machine lengthens the first.
+Each link of the rigid rig follows one joint, and links become objects. "kept" is the rate, in frames per
+second, from the open file to all that a receiver needs: a field for each link and a pose for each frame. The
+smooth rig is a tube whose vertices follow two joints each, with a new field in every frame. It is timed to
+the fields on the device's lattice of 128^3, step by step, and to the file. Both are coded at the default
+effort; the smooth one also without the base layer, whose fit takes most of its time. Processor seconds are
+given besides wall seconds, which other work on the machine lengthens.
 """
 
 from __future__ import annotations

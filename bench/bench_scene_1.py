@@ -2,12 +2,12 @@
 
     python bench/bench_scene_1.py [--quick] [--frames N]
 
-Each representation is simulated, built, coded and written by a process of its own, so that its largest memory
-is its own; the times are of a second run, with kernels compiled. Voxels are coded of the first quarter of the
-frames, and compared with the objects of the same frames. Beside the bytes: what they are for, how near the
-decoded objects come to the voxel representation of the scene (the device's own low-pass, no objects), and
-zlib and lzma on the poses alone as float32; and what the promise of the composed field costs: the bytes of
-the fields, and those that would keep the mask each for itself.
+Each representation is simulated, built, encoded and written by a separate process, so that its peak memory is
+its own; times are of a second run, with compiled kernels. Voxels are encoded for the first quarter of the
+frames and compared with the objects of the same frames. Further figures: the bytes by purpose; the difference
+of the decoded objects to the voxel representation of the scene (the device's low-pass, no objects); zlib and
+lzma on the poses as float32; and the cost of the error bound of the composed field: the bytes of the fields,
+and those of fields that each keep the mask on their own.
 """
 
 from __future__ import annotations

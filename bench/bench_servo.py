@@ -2,12 +2,12 @@
 
     python bench/bench_servo.py [--quick] [--seconds 150] [--others 45]
 
-A turning body in 64^3 voxels at 30 frames a second is decoded ahead from a file (effort fast) and looped; the
-device only tells where it is, on a circle through the body. Each row is a run of its own. `jitter` is |dT -
-1/rate|; lateness is that of the beginning of a tick after its deadline, which is absolute. "loaded": as many
-busy processes as there are cores. "bare" is a loop that only sleeps until its deadline, in a process of its
-own: what the system gives. "stolen" is the share of the processors that a virtual machine wanted and did not
-get. What was not decoded ahead is felt after a seek in the time of `seeks`.
+A turning body in 64^3 voxels at 30 frames per second is decoded ahead from a file (effort fast) and looped;
+the device only reports its position, on a circle through the body. Each row is a separate run. `jitter` is
+|dT - 1/rate|; lateness is the delay of the start of a tick after its absolute deadline. "loaded": as many
+busy processes as cores. "bare" is a loop that only sleeps until its deadline, in a separate process: the
+limit of the system. "stolen" is the fraction of processor time withheld from a virtual machine. `seeks` is
+the time from a seek to the first force where nothing is decoded ahead.
 """
 
 from __future__ import annotations

@@ -2,12 +2,12 @@
 
     python bench/bench_torque.py [--nw N] [--quick]
 
-A tool of points gets its torque from the field of forces, the sum of r x F over its points (`render.tool`),
-and turns as the hand turns. A torque stored at each sample would be that of one tool, held one way. Here it
-is made for a pen of 60 mm and a sphere of 5 mm, held straight, at all samples about a surface, and coded by
-`touch` as force is (k 0.1; F_0 times 10 mm); then the hand tilts, and the stored torque is held against that
-of the points. A record in the medium would be worth its code if at 20 degrees, as a hand that writes tilts a
-pen, no more than a tenth of the places were off by more than a tenth.
+A tool of points computes its torque from the force field, the sum of r x F over its points (`render.tool`),
+and turns with the hand. A torque stored at each sample would be valid for one tool in one orientation. Here
+it is computed for a pen of 60 mm and a sphere of 5 mm, held upright, at all samples near a surface, and coded
+by `touch` like force (k 0.1; F_0 times 10 mm). Then the hand tilts, and the stored torque is compared with
+that of the points. A record in the medium would be worth its code if, at the tilt of a pen of a writing hand
+(20 degrees), at most a tenth of the positions were off by more than a tenth.
 """
 
 from __future__ import annotations

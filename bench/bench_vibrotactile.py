@@ -2,15 +2,15 @@
 
     python bench/bench_vibrotactile.py [--quick] [--seconds S]
 
-"recordings": the forces of a hand that guides a robot (`shared`, six, about 700 samples a second), split at
-30 Hz, the high part made one axis and reduced; where that folder is not there they are left out. "made":
-noise as rough as a surface, ridges that are hit, and taps, at 2 kHz. Bits are those of an adaptive code,
-beside 16 a sample of one axis. The margin is how far what is lost stays below the threshold of a hand that
-holds a stylus, in the third of an octave and the half second where it is least, by a measure of thirds that
-the reduction does not use.
+"recordings": forces of a hand that guides a robot (`shared`, six, about 700 samples per second; skipped
+without that folder), split at 30 Hz, the high part mapped to one axis and reduced. "made": synthetic noise
+like a rough surface, ridges, and taps, at 2 kHz. Bits are those of an adaptive code, against 16 per sample of
+one axis. The margin is the distance of the error below the threshold of a hand that holds a stylus, in the
+worst third of an octave and half second, by a measure of thirds that the reduction does not use.
 
-"slide": a simulated hand slides over a wall that is made of a table of three speeds and two forces; how far
-thirds of an octave of the force of the device lie from the table, and what a tick takes with it and without.
+"slide": a simulated hand slides over a wall with a texture table of three speeds and two forces. Figures are
+the deviation of the device's force from the table in thirds of an octave, and the time of a tick with and
+without the texture.
 """
 
 from __future__ import annotations
