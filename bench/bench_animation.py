@@ -1,14 +1,13 @@
-"""A running model to its force fields: Fox.glb, 576 triangles on 24 joints, a cube of 128^3 samples that
-holds it.
+"""Force fields of an animated model: Fox.glb, 576 triangles, 24 joints, 128^3 samples.
 
     python bench/bench_animation.py [--quick] [--path FOX.glb] [--samples N]
 
-Ours is timed from the animation to the force field of every frame: joints, skin, surface, distance, sign and
-direction of all samples within 4 voxels, and once more with the damping of the moving surface. Each peer that
-imports here (Open3D, libigl) is given the triangles of the frame, makes its search tree, and tells distance
-and sign: of all samples of the lattice (one frame), as one does who does not know where the surface is, and
-of those alone that ours found in the band and their neighbours. Distances and signs are compared; signs may
-differ where the legs run through one another, as ours is that of the winding number.
+touchfield is timed from the animation to the force field of every frame: joints, skin, surface, and distance,
+sign and direction of all samples within 4 voxels; a second row adds the damping of the moving surface. Each
+installed peer (Open3D, libigl) receives the triangles of a frame, builds its search tree and returns signed
+distances, once for all samples of the lattice (one frame), as without knowledge of the surface, and once for
+the samples of touchfield's band and their neighbours only. Distances and signs are compared. Signs may differ
+where the legs intersect, because touchfield uses the winding number.
 """
 
 from __future__ import annotations
@@ -31,15 +30,15 @@ BAND = 4  # voxels
 FRAMES = 6
 
 
-def cube_around(scene: AnimatedMeshScene, samples: int) -> Grid:
-    """A cubic lattice that holds the scene and its band."""
+def enclosing_cube(scene: AnimatedMeshScene, samples: int) -> Grid:
+    """Cubic lattice that encloses the scene and its band."""
     low, high = scene.bounds_m()
     half = float((high - low).max()) / 2 * samples / (samples - 2 * BAND - 2)
     return Grid.over_box((low + high) / 2 - half, (low + high) / 2 + half, (samples,) * 3)
 
 
 def with_neighbours(mask: np.ndarray) -> np.ndarray:
-    """The samples of a mask [x, y, z] and those beside them."""
+    """Mask [x, y, z] dilated by one sample along each axis."""
     wide = mask.copy()
     for axis in range(3):
         body, line = np.moveaxis(wide, axis, 0), np.moveaxis(mask, axis, 0)
@@ -54,23 +53,23 @@ def in_bands(peer: Any, surfaces: list[Any], band: list[Any]) -> list[Any]:
 
 
 def measure(path: Path, samples: int) -> Figures:
-    """The running fox by us and by the peers."""
+    """Times and differences of touchfield and the peers on the running fox."""
     if not path.is_file():
         raise SystemExit("Fox.glb is not there; give its --path")
     scene = AnimatedMeshScene(path, "Run", unit_m=0.01)
-    grid = cube_around(scene, samples)
+    grid = enclosing_cube(scene, samples)
     voxel = grid.spacing_m[0]
     law = ForceProfile(((-BAND * voxel, BAND * voxel, 2.0, 1 / (BAND * voxel)),))  # |F| tells phi
     damped = ForceProfile(law.pieces, 1.0)
     frames = np.linspace(0, scene.frame_count - 1, FRAMES).astype(int).tolist()
     every = grid.to_m(np.argwhere(np.ones(grid.shape, bool)))
 
-    band, surfaces, phis, places = [], [], [], []
+    band, surfaces, phis, indices = [], [], [], []
     for frame in frames:
         field = scene.field(frame, grid, law)
         mask = np.zeros(grid.shape, bool)
-        places.append(tuple(np.asarray(field.positions()).T))
-        mask[places[-1]] = True
+        indices.append(tuple(np.asarray(field.positions()).T))
+        mask[indices[-1]] = True
         band.append(grid.to_m(np.argwhere(with_neighbours(mask))))
         phis.append((np.linalg.norm(field.vectors_n().astype(np.float64), axis=1) - 2) * BAND * voxel)
         surfaces.append((scene.surface(frame).vertices_m, scene.surface(frame).triangles))
@@ -85,18 +84,18 @@ def measure(path: Path, samples: int) -> Figures:
     for name in {"open3d", "libigl"} - set(absent):
         peer = PEERS[name][1]
         difference, signs = 0.0, 0
-        for surface, phi, place in zip(surfaces, phis, places, strict=True):
-            values = peer(*surface, grid.to_m(np.stack(place, axis=1)))
+        for surface, phi, index in zip(surfaces, phis, indices, strict=True):
+            values = peer(*surface, grid.to_m(np.stack(index, axis=1)))
             difference = max(difference, float(np.abs(np.abs(values) - np.abs(phi)).max() / voxel))
             signs += int(((values > 0) != (phi > 0)).sum())
-        told = {
+        comparison = {
             "version": metadata.version(name),
             "largest_difference_voxels": difference,
             "signs_that_differ": signs,
         }
-        whole = timed(partial(peer, *surfaces[0], every), runs=1, warm=0)
-        rows[f"{name}, all samples"] = told | {key: ms * len(frames) for key, ms in whole.items()}
-        rows[f"{name}, the band and its neighbours"] = told | timed(
+        dense_times = timed(partial(peer, *surfaces[0], every), runs=1, warm=0)
+        rows[f"{name}, all samples"] = comparison | {key: ms * len(frames) for key, ms in dense_times.items()}
+        rows[f"{name}, the band and its neighbours"] = comparison | timed(
             partial(in_bands, peer, surfaces, band), runs=3, warm=0
         )
     for row in rows.values():
@@ -113,7 +112,7 @@ def measure(path: Path, samples: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Ahead of the fastest peer, as fast as a depth camera, and the same distances."""
+    """Faster than the fastest peer, at the rate of a depth camera, with equal distances."""
     rows = figures["rows"]
     peers = {name: row for name, row in rows.items() if "version" in row}
     open3d = min(

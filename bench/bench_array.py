@@ -1,10 +1,10 @@
-"""Frames of a stored field as an array of actuators shows them, and `FieldSampler.at` while frames go by.
+"""Conversion of a stored field to actuator arrays, and latency of `FieldSampler.at`.
 
     python bench/bench_array.py [--quick] [--frames N]
 
-The field is a wavy shell in a lattice of 64^3 that moves a little from frame to frame; conversion is from the
-decoded field to the drives, on an array of 8 x 8 and on a pin display of 60 x 40. The sampler is asked at 1
-kHz, as frames of 64^3 go by at 30 a second; each takes several milliseconds to be made.
+The field is a wavy shell in a lattice of 64^3 that moves slightly from frame to frame. Conversion runs from
+the decoded field to the drives of an 8 x 8 array and of a 60 x 40 pin display. The sampler is queried at 1
+kHz while frames of 64^3 are produced at 30 per second; producing a frame takes several milliseconds.
 """
 
 from __future__ import annotations
@@ -30,41 +30,41 @@ def fields(count: int) -> list[ForceField]:
     """Frames of the shell."""
     grid = Grid((N, N, N), (0.002,) * 3, (-0.063,) * 3)
     x, y, z = np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij")
-    made = []
+    frames = []
     for frame in range(count):
         surface = 0.01 * np.sin(60 * x + 0.1 * frame) * np.cos(50 * y)
         depth = np.clip(1 - np.abs(z - surface) / 0.008, 0, None)
-        made.append(ForceField.from_dense(grid, depth[..., None] * np.array([0.1, 0.2, 2.0])))
-    return made
+        frames.append(ForceField.from_dense(grid, depth[..., None] * np.array([0.1, 0.2, 2.0])))
+    return frames
 
 
-def conversion(made: list[ForceField], name: str) -> Figures:
+def conversion(frames: list[ForceField], name: str) -> Figures:
     """Milliseconds of a frame of drives."""
-    medium = HapticMedium.from_frames(made, RATE_HZ, AXES)
+    medium = HapticMedium.from_frames(frames, RATE_HZ, AXES)
     stream: Any = SimpleNamespace(
         medium=medium, reader=SimpleNamespace(head=SimpleNamespace(device_type=1, force_max_n=3.0))
     )
     drives = array_drives(stream, device(name))
-    numbers = iter(range(len(made)))
+    numbers = iter(range(len(frames)))
     return {
         "lattice": device(name).lattice,
-        **timed(lambda: drives.drives(next(numbers)), runs=len(made) - 1),
+        **timed(lambda: drives.drives(next(numbers)), runs=len(frames) - 1),
     }
 
 
-def calls(made: list[ForceField]) -> Figures:
-    """Milliseconds of `at`, called at 1 kHz while each frame is made in its turn."""
+def calls(frames: list[ForceField]) -> Figures:
+    """Milliseconds of `at`, called at 1 kHz while the frames are produced."""
 
     def make(frame: int) -> ForceField:
-        return ForceField.from_dense(made[frame].grid, made[frame].to_dense())
+        return ForceField.from_dense(frames[frame].grid, frames[frame].to_dense())
 
     sampler = FieldSampler(
-        HapticMedium(made[0].grid, RATE_HZ, len(made), make, "x right, y up, z towards the viewer")
+        HapticMedium(frames[0].grid, RATE_HZ, len(frames), make, "x right, y up, z towards the viewer")
     )
     took_ms, making = [], timed(lambda: make(1), runs=3)["min_ms"]
     sampler.at(0.0, 0.0, 0.0, 0.0)
     began = perf_counter()
-    while (now := perf_counter() - began) < (len(made) - 1) / RATE_HZ:
+    while (now := perf_counter() - began) < (len(frames) - 1) / RATE_HZ:
         sampler.at(now, 0.001, 0.002, 0.003)
         took_ms.append(1e3 * (perf_counter() - began - now))
         sleep(0.001)
@@ -73,13 +73,13 @@ def calls(made: list[ForceField]) -> Figures:
 
 
 def measure(frames: int) -> Figures:
-    """Drives of both arrays, and the sampler while frames go by."""
-    made = fields(frames)
-    return {**{name: conversion(made, name) for name in ARRAYS}, "sampler_at": calls(made)}
+    """Drives of both arrays, and the latency of the sampler during playback."""
+    shell_frames = fields(frames)
+    return {**{name: conversion(shell_frames, name) for name in ARRAYS}, "sampler_at": calls(shell_frames)}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Frames in time for their array, and no tick that waits for a frame."""
+    """Frames are converted in real time, and no tick waits for a frame."""
     vest, pins = (figure(figures, name, "median_ms") for name in ARRAYS)
     rate = None if pins is None else 1e3 / pins
     return [

@@ -1,11 +1,11 @@
-"""Broadcast on this machine: many receivers of a live stream, its delay, losses, and a large file by ranges.
+"""Broadcast on one machine: receivers of a live stream, delay, losses, range requests.
 
     python bench/bench_broadcast.py [--quick] [--seconds 600] [--receivers 200] [--messages 8000] [--mib 1024]
                                     [--silent 10000]
 
-The sender is a process of its own that sends segments of a quarter of a second, coded before, at 30 frames a
-second; the receivers are tasks of another process, each of which checks every message. The delay is that of a
-live medium: what the sender's frame is now, beside the one that a playing renderer shows.
+The sender is a separate process that sends pre-encoded segments of a quarter of a second at 30 frames per
+second. The receivers are tasks of another process; each checks every message. The delay is that of a live
+medium: the time of the sender's current frame minus the time of the frame that the renderer plays.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ GRID = Grid((64, 64, 64), (0.002,) * 3, (-0.063,) * 3)
 
 
 def ball(number: int) -> ForceField:
-    """A ball that goes round once in two seconds."""
-    place = np.moveaxis(np.indices(GRID.shape), 0, -1) * 0.002 - 0.063
+    """A ball that circles once in two seconds."""
+    position_m = np.moveaxis(np.indices(GRID.shape), 0, -1) * 0.002 - 0.063
     turn = np.pi * number / RATE_HZ
-    away = place - 0.02 * np.array([np.cos(turn), np.sin(turn), 0.0])
-    far = np.linalg.norm(away, axis=-1, keepdims=True)
-    forces = away / np.maximum(far, 1e-6) * np.clip(200 * (0.03 - far), 0, 3)
+    away = position_m - 0.02 * np.array([np.cos(turn), np.sin(turn), 0.0])
+    distance_m = np.linalg.norm(away, axis=-1, keepdims=True)
+    forces = away / np.maximum(distance_m, 1e-6) * np.clip(200 * (0.03 - distance_m), 0, 3)
     return ForceField.from_dense(GRID, forces.astype(np.float32))
 
 
@@ -78,14 +78,14 @@ def head(encoder: TouchEncoder, frames: int) -> Head:
 
 
 def coded() -> tuple[TouchEncoder, list[bytes]]:
-    """The bodies of two seconds."""
+    """Encoder and segment bodies of two seconds."""
     encoder = TouchEncoder(GRID, TouchSpec(effort="fast"))
     frames = [ball(i) for i in range(56)]
     return encoder, [encoder.encode_segment(frames[i : i + FRAMES]).body for i in range(0, 56, FRAMES)]
 
 
 def sender_process(link: Connection, seconds: float) -> None:
-    """Send for some seconds; tell the address, and at the end what it took."""
+    """Send for `seconds`; report the address first, and the resources used at the end."""
     encoder, bodies = coded()
     sender = LiveSender()
     sender.open(head(encoder, 1))
@@ -116,7 +116,7 @@ def sender_process(link: Connection, seconds: float) -> None:
 
 
 def resident() -> float:
-    """MiB of this process in memory."""
+    """Resident memory of this process, MiB."""
     line = next(
         line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS")
     )
@@ -124,17 +124,17 @@ def resident() -> float:
 
 
 async def receive(address: str, count: int, ready: threading.Event) -> Figures:
-    """Many receivers in one process; what they missed."""
+    """Run `count` receivers in one process; report lost messages and segments received."""
     import aiohttp
 
-    there, gaps, took = 0, 0, list[int]()
+    connected, gaps, took = 0, 0, list[int]()
 
-    async def one(session: aiohttp.ClientSession) -> None:
-        nonlocal there, gaps
+    async def listen(session: aiohttp.ClientSession) -> None:
+        nonlocal connected, gaps
         receiver, segments = LiveReceiver(), 0
         async with session.ws_connect(f"ws://{address}/live", max_msg_size=1 << 26) as link:
-            there += 1
-            if there == count:
+            connected += 1
+            if connected == count:
                 ready.set()
             async for message in link:
                 for event in receiver.receive(message.data):
@@ -143,35 +143,36 @@ async def receive(address: str, count: int, ready: threading.Event) -> Figures:
         took.append(segments)
 
     async with aiohttp.ClientSession(connector=aiohttp.TCPConnector(limit=0)) as session:
-        await asyncio.gather(*(one(session) for _ in range(count)))
+        await asyncio.gather(*(listen(session) for _ in range(count)))
     return {"gaps": gaps, "least_segments": min(took), "most_segments": max(took)}
 
 
 def many(count: int, seconds: float, silent: int = 0) -> Figures:
-    """A sender in a process of its own, its receivers here, and connections beside them that say nothing."""
-    here, there = multiprocessing.get_context("spawn").Pipe()
-    process = multiprocessing.get_context("spawn").Process(target=sender_process, args=(there, seconds))
+    """Run a sender process, its receivers here, and `silent` idle connections."""
+    parent_end, child_end = multiprocessing.get_context("spawn").Pipe()
+    process = multiprocessing.get_context("spawn").Process(target=sender_process, args=(child_end, seconds))
     process.start()
-    address, ready = here.recv(), threading.Event()
+    address, ready = parent_end.recv(), threading.Event()
     host, port = address.split(":")
     crowd = [socket.create_connection((host, int(port))) for _ in range(silent)]
 
-    def begin() -> None:
+    def start_sender() -> None:
         ready.wait()
-        here.send("go")
+        parent_end.send("go")
 
-    threading.Thread(target=begin, daemon=True).start()
+    threading.Thread(target=start_sender, daemon=True).start()
     heard = asyncio.run(receive(address, count, ready))
-    told: Figures = here.recv()
+    sent: Figures = parent_end.recv()
     process.join()
     for link in crowd:
         link.close()
-    return {**told, **heard, "seconds": seconds, "silent": silent}
+    return {**sent, **heard, "seconds": seconds, "silent": silent}
 
 
 def live_process(link: Connection, segment_s: float) -> None:
-    """Put a medium on the air, coded as it goes, until told to end; tell the address, and when its frame 0
-    began.
+    """Broadcast a medium, encoded live, until a message arrives.
+
+    Reports the address and the start time of frame 0.
     """
     medium = HapticMedium.from_frames(
         [ball(i) for i in range(60)], RATE_HZ, "x right, y up, z towards the user"
@@ -193,28 +194,28 @@ def live_process(link: Connection, segment_s: float) -> None:
 
 @contextmanager
 def on_air(segment_s: float) -> Iterator[tuple[str, float]]:
-    """The address of a live medium that another process sends, and when its frame 0 was."""
-    here, there = multiprocessing.get_context("spawn").Pipe()
-    process = multiprocessing.get_context("spawn").Process(target=live_process, args=(there, segment_s))
+    """Address of a live medium sent by another process, and the time of its frame 0."""
+    parent_end, child_end = multiprocessing.get_context("spawn").Pipe()
+    process = multiprocessing.get_context("spawn").Process(target=live_process, args=(child_end, segment_s))
     process.start()
-    yield here.recv()
-    here.send("end")
+    yield parent_end.recv()
+    parent_end.send("end")
     process.join()
 
 
 def delays(segment_s: float, seconds: float) -> list[float]:
-    """Seconds between a frame at the sender and in the hand, sampled while it plays."""
+    """Seconds from a frame at the sender to its force, sampled during playback."""
     from touchfield.devices import device
     from touchfield.devices.drivers.registry import point_device
     from touchfield.medium.trace import Trace
     from touchfield.network.live_client import open_live
     from touchfield.render.player import Player
 
-    still = Trace(np.array([0.0, 1e3]), np.zeros((2, 3)))
-    seen = []
+    trace = Trace(np.array([0.0, 1e3]), np.zeros((2, 3)))
+    delays_s = []
     with on_air(segment_s) as (address, zero), open_live(f"ws://{address}/live") as live:
         frames: Any = live.frames
-        choice = point_device("sim", still)
+        choice = point_device("sim", trace)
         with Player(live.medium, device("phantom-omni"), choice.opener) as player:
             player.play()
             for i in range(int((5 + seconds) / 0.05)):
@@ -222,13 +223,13 @@ def delays(segment_s: float, seconds: float) -> list[float]:
                 live.keep_up(player)
                 if i < 100:  # it has just begun
                     continue
-                shown = frames.stream_frame(0) / RATE_HZ + player.media_s
-                seen.append(time.monotonic() - zero - shown)
-    return seen
+                rendered_s = frames.stream_frame(0) / RATE_HZ + player.media_s
+                delays_s.append(time.monotonic() - zero - rendered_s)
+    return delays_s
 
 
 def large(folder: Path, mib: int) -> Figures:
-    """A file of so many MiB on a server: what is fetched before a segment in its middle."""
+    """Bytes and requests before the middle segment of a served file of `mib` MiB."""
     from touchfield.container.remote import RemoteFile
     from touchfield.network.server import application
     from touchfield.pipeline.decoding import stream_of
@@ -266,7 +267,7 @@ def large(folder: Path, mib: int) -> Figures:
         opening = {"requests": remote.requests, "bytes": remote.received, "segments": count}
         field = stream_of(reader).medium[count // 2]
         took = time.perf_counter() - began
-        told = {
+        figures = {
             "file_bytes": reader.size,
             "before_the_segment_bytes": remote.received - len(body) - 32,
             "requests": remote.requests,
@@ -276,30 +277,35 @@ def large(folder: Path, mib: int) -> Figures:
         }
     done.set()
     thread.join()
-    return told
+    return figures
 
 
 def losses(messages: int) -> Figures:
-    """Messages that come through 5 % of losses, alone and in bursts of five (Gilbert), and bytes beyond
-    theirs.
+    """Fraction of messages that survive 5 % packet loss, and the overhead in bytes.
+
+    Losses are independent, or in bursts of five packets (Gilbert model).
     """
     rng, rows = np.random.default_rng(1), {}
     for size in (5_000, 20_000, 60_000):
         for name, burst in (("alone", 1.0), ("bursts", 5.0)):
-            sending, gathering, sent, came, is_bad = Datagrams(7), Gathering(), 0, 0, False
+            sending, gathering, sent, arrived, is_bad = Datagrams(7), Gathering(), 0, 0, False
             message = rng.bytes(size)
             for number in range(messages + 1):
-                for one in sending.add(message) if number < messages else sending.flush():
-                    sent += len(one)
+                for datagram in sending.add(message) if number < messages else sending.flush():
+                    sent += len(datagram)
                     is_bad = rng.random() > 1 / burst if is_bad else rng.random() < 0.05 / (0.95 * burst)
-                    came += 0 if is_bad else len(gathering.receive(one))
-            rows[f"{size} bytes, {name}"] = {"came": came / messages, "overhead": sent / messages / size - 1}
+                    arrived += 0 if is_bad else len(gathering.receive(datagram))
+            rows[f"{size} bytes, {name}"] = {
+                "came": arrived / messages,
+                "overhead": sent / messages / size - 1,
+            }
     return rows
 
 
-def coarse_share() -> Figures:
-    """What the coarse layer of a photograph's depth takes beside the stream, at nw 6, and what a hand then
-    lacks.
+def coarse_layer_size() -> Figures:
+    """Size of the coarse layer of a stereo photograph relative to its stream, and its NMSE.
+
+    The lattice has n_w 6.
     """
     from touchfield.codec.registry import field_encoder
     from touchfield.tasks.live import coarse_layer
@@ -307,38 +313,41 @@ def coarse_share() -> Figures:
     prepared, _ = open_sender("sample:motorcycle", EncodeSpec(nw=6))
     coarse, _ = coarse_layer("sample:motorcycle", prepared)
     sizes = [
-        len(field_encoder(one.medium.grid, one.coding).encode_segment([one.medium[0]]).body)
-        for one in (prepared, coarse)
+        len(field_encoder(stream.medium.grid, stream.coding).encode_segment([stream.medium[0]]).body)
+        for stream in (prepared, coarse)
     ]
     meter = FidelityMeter(prepared.spec.k, prepared.spec.f0_n)
     meter.add(prepared.medium[0], rebuild_level(coarse.medium[0], prepared.medium.grid))
     return {"bytes": sizes, "share": sizes[1] / sizes[0], "nmse_db": meter.nmse_db}
 
 
-def layered_losses(messages: int, share: float) -> Figures:
-    """The same losses, with a coarse layer of that share beside: what is there in time, bytes beyond both
-    layers'.
+def layered_losses(messages: int, coarse_fraction: float) -> Figures:
+    """Fraction of segments that arrive in time with an additional coarse layer, and the overhead.
+
+    The losses are those of `losses`; `share` is the size of the coarse layer over that of a segment.
     """
     rng, rows = np.random.default_rng(2), {}
     for size in (20_000, 60_000):
         for name, burst in (("alone", 1.0), ("bursts", 5.0)):
-            ends = [
+            channels = [
                 (Datagrams(1, REPAIR["fine"]), Gathering(max_open=11)),
                 (Datagrams(2, REPAIR["coarse"]), Gathering(max_open=11)),
             ]
-            bodies, sent, is_bad = [rng.bytes(size), rng.bytes(round(share * size))], 0, False
+            bodies, sent, is_bad = [rng.bytes(size), rng.bytes(round(coarse_fraction * size))], 0, False
             in_time: list[set[int]] = [set(), set()]
             for slot in range(messages + 1):
-                for (sending, gathering), body, got in zip(ends, bodies, in_time):
+                for (sending, gathering), body, got in zip(channels, bodies, in_time):
                     message = slot.to_bytes(4, "big") + body[4:]
-                    for one in sending.add(message) if slot < messages else sending.flush():
-                        sent += len(one)
+                    for datagram in sending.add(message) if slot < messages else sending.flush():
+                        sent += len(datagram)
                         is_bad = rng.random() > 1 / burst if is_bad else rng.random() < 0.05 / (0.95 * burst)
-                        came = (
-                            [] if is_bad else [int.from_bytes(m[:4], "big") for m in gathering.receive(one)]
+                        arrived = (
+                            []
+                            if is_bad
+                            else [int.from_bytes(m[:4], "big") for m in gathering.receive(datagram)]
                         )
                         got |= {
-                            number for number in came if slot <= number + 8
+                            number for number in arrived if slot <= number + 8
                         }  # a segment later than the last part
             both = in_time[0] | in_time[1]
             rows[f"{size} bytes, {name}"] = {
@@ -351,8 +360,8 @@ def layered_losses(messages: int, share: float) -> Figures:
 
 
 def measure(seconds: float, receivers: int, messages: int, mib: int, silent: int) -> Figures:
-    """All of them."""
-    share = coarse_share()
+    """All parts of the benchmark."""
+    coarse_layer = coarse_layer_size()
     with tempfile.TemporaryDirectory() as folder:
         file = large(Path(folder), mib)
     late = delays(0.25, min(20.0, seconds))
@@ -363,18 +372,18 @@ def measure(seconds: float, receivers: int, messages: int, mib: int, silent: int
         "receivers": many(receivers, seconds),
         "crowd": many(20, min(20.0, seconds), silent),
         "losses": losses(messages),
-        "coarse": share,
-        "layered_losses": layered_losses(messages, share["share"]),
+        "coarse": coarse_layer,
+        "layered_losses": layered_losses(messages, coarse_layer["share"]),
     }
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Those of the issue that asked for a broadcast."""
-    file, delay, air, crowd, lost = (
+    """Limits on opening, delay, gaps, resources and loss recovery."""
+    file, delay, air, crowd, loss_rows = (
         figures[key] for key in ("file", "delay", "receivers", "crowd", "losses")
     )
     layered = figures["layered_losses"].values()
-    large_ones = [row for name, row in lost.items() if name.startswith("60000")]
+    large_rows = [row for name, row in loss_rows.items() if name.startswith("60000")]
     return [
         at_most("bytes before the first segment of a large file", file["before_the_segment_bytes"], 65536),
         at_most("requests to open it", file["opening"]["requests"], 3),
@@ -391,11 +400,11 @@ def bars(figures: Figures) -> list[Bar]:
         at_most("growth of its memory", air["memory_mib"][1] - air["memory_mib"][0], 4, "MiB"),
         at_most(f"gaps of 20 beside {crowd['silent']:,} silent connections", crowd["gaps"], 0),
         at_least(
-            "segments of 60 kB that come through 5 % losses", min(row["came"] for row in large_ones), 0.999
+            "segments of 60 kB that come through 5 % losses", min(row["came"] for row in large_rows), 0.999
         ),
-        at_most("bytes beyond theirs", max(row["overhead"] for row in large_ones), 0.3),
+        at_most("bytes beyond theirs", max(row["overhead"] for row in large_rows), 0.3),
         at_least(
-            "segments of 20 kB", min(r["came"] for n, r in lost.items() if n.startswith("20000")), 0.999
+            "segments of 20 kB", min(r["came"] for n, r in loss_rows.items() if n.startswith("20000")), 0.999
         ),
         at_most("bytes of a coarse layer, share of the stream's", figures["coarse"]["share"], 0.25),
         at_least(

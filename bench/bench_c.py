@@ -1,10 +1,9 @@
-"""`c/touch.h`: a frame decoded by one thread beside numba's, a query, and `touchfield decode` with nothing
-compiled.
+"""`c/touch.h` against numba: decoding, one query, and a first `touchfield decode`.
 
     python bench/bench_c.py [--quick]
 
-The module of Python is built for the run, with the options of `core/setup.py`; without a C compiler and
-Python's headers nothing is measured.
+The Python module is built for the run with the options of `core/setup.py`. Without a C compiler and Python's
+headers the benchmark is skipped.
 """
 
 from __future__ import annotations
@@ -33,8 +32,9 @@ QUERIES = 1_000_000
 
 
 def build_core(folder: Path) -> None:
-    """Build the module `touchfield_core` into a folder that Python then looks into first, here and in
-    processes.
+    """Build `touchfield_core` into `folder` and put it first on the import path.
+
+    Child processes inherit the path.
     """
     headers = Path(sysconfig.get_path("include"))
     if which("cc") is None or not (headers / "Python.h").is_file():
@@ -61,22 +61,22 @@ def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
     """Frames a second of one thread's processor time, the best of some runs over the whole file."""
     best = 0.0
     for _ in range(runs):
-        with open_stream(stream) as own:
-            assert isinstance(own, VoxelStream)
-            segments, decoder = len(own.reader.segments), own.decoder
+        with open_stream(stream) as opened:
+            assert isinstance(opened, VoxelStream)
+            segments, decoder = len(opened.reader.segments), opened.decoder
             core = native_decoder._core()
             began = process_time()
             if is_native:
-                file = core.open(own.reader.read_all())
+                file = core.open(opened.reader.read_all())
                 for n in range(segments):
                     frames = core.frames(file, n)
                     while core.next(frames) is not None:
                         pass
             else:
-                for n, entry in enumerate(own.reader.segments):
-                    for _ in decoder.frames(own.reader.read_segment(n), entry.frame_count):
+                for n, entry in enumerate(opened.reader.segments):
+                    for _ in decoder.frames(opened.reader.read_segment(n), entry.frame_count):
                         pass
-            best = max(best, own.reader.head.frame_count / (process_time() - began))
+            best = max(best, opened.reader.head.frame_count / (process_time() - began))
     return best
 
 
@@ -88,9 +88,12 @@ def cold_s(stream: Path, folder: Path, is_native: bool, runs: int) -> float:
     for n in range(runs):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / f"cache-{is_native}-{n}")}
         began = perf_counter()
-        words = ["decode", str(stream), str(folder / "out.npz")]
+        arguments = ["decode", str(stream), str(folder / "out.npz")]
         subprocess.run(
-            [sys.executable, "-c", program, *words], check=True, env=environment, stdout=subprocess.DEVNULL
+            [sys.executable, "-c", program, *arguments],
+            check=True,
+            env=environment,
+            stdout=subprocess.DEVNULL,
         )
         times.append(perf_counter() - began)
     return median(times)
@@ -120,18 +123,18 @@ def measure(runs: int) -> Figures:
         for name, source in SOURCES.items():
             stream = folder / f"{name}.touch"
             tf.encode(source, stream)
-            ours, numbas = (frames_per_cpu_s(stream, own, runs) for own in (True, False))
+            ours, numbas = (frames_per_cpu_s(stream, is_native, runs) for is_native in (True, False))
             figures["decode"][name] = {"c": ours, "numba": numbas, "times": ours / numbas}
         stream = folder / "terrain.touch"
         figures["query_p50_us"], figures["query_p999_us"] = query_us(stream, folder, runs)
         figures["cold_decode_s"] = cold_s(stream, folder, True, runs)
         figures["cold_decode_without_s"] = cold_s(stream, folder, False, 1)
-    figures["decode_times_numba"] = min(one["times"] for one in figures["decode"].values())
+    figures["decode_times_numba"] = min(row["times"] for row in figures["decode"].values())
     return figures
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """As fast as the compiled Python, in time for a tick, and nothing to wait for."""
+    """As fast as compiled Python, within a tick, and no compilation on the first run."""
     return [
         at_least("frames a second over numba's", figure(figures, "decode_times_numba"), 1.0),
         at_most("a query, median", figure(figures, "query_p50_us"), 0.3, "us"),

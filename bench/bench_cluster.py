@@ -1,4 +1,4 @@
-"""Work spread over processes: what a second worker is worth, and what a workspace of 10^10 samples takes.
+"""Worker processes: speed-up by a second worker, and a workspace of 10^10 samples.
 
     python bench/bench_cluster.py [--quick]
 
@@ -59,7 +59,7 @@ def spread(frames: int, rounds: int) -> Figures:
 
 
 def huge(nw: int | None) -> Figures:
-    """A workspace in tiles: time, size, and the memory of the largest worker."""
+    """Encode a workspace in tiles: time and size."""
     spec = EncodeSpec(nw=nw, touch=TouchSpec(effort="fast"))
     with tempfile.TemporaryDirectory() as folder, executor_of("processes:2") as workers:
         done = encode_tiles(TILED, Path(folder) / "a.zarr", spec, executor=workers)
@@ -76,7 +76,7 @@ def huge(nw: int | None) -> Figures:
 
 
 def in_a_process(nw: int | None) -> Figures:
-    """`huge` in a process of its own, so that the memory of its workers alone is counted."""
+    """`huge` in a separate process, so that only the memory of its workers is counted."""
     import json
 
     code = "import json, sys, bench_cluster; print(json.dumps(bench_cluster.huge(json.loads(sys.argv[1]))))"
@@ -88,12 +88,12 @@ def in_a_process(nw: int | None) -> Figures:
         capture_output=True,
         text=True,
     )
-    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
-    return {**json.loads(done.stdout), "most_bytes": most}
+    max_bytes = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
+    return {**json.loads(done.stdout), "most_bytes": max_bytes}
 
 
 def measure(frames: int, is_huge: int, rounds: int) -> Figures:
-    """Both."""
+    """Speed-up by a second worker, and the tiled workspace."""
     need_module("zarr")
     os.environ["TOUCHFIELD_THREADS"] = "1"
     shape = device("phantom-omni").lattice
@@ -105,7 +105,7 @@ def measure(frames: int, is_huge: int, rounds: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Of the work spread, and of the memory."""
+    """Limits on efficiency and memory."""
     return [
         at_least("efficiency of two processes", figure(figures, "spread", "efficiency"), 0.85),
         at_least("same bytes with none, one and two workers", float(figures["spread"]["same_bytes"]), 1.0),

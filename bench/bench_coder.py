@@ -1,8 +1,8 @@
-"""The paper's coder on a real depth scene: throughput of encoding and decoding, and what is kept.
+"""The paper's coder on a real depth scene: throughput, size and error.
 
     python bench/bench_coder.py [--quick] [--source SOURCE] [--nw N]
 
-The source is the motorcycle that scikit-image carries, unless told. Frames are on a 128^3 lattice.
+The default source is the motorcycle of scikit-image. Frames are on a 128^3 lattice.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def measure(source: str, nw: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Both ways in time for a depth camera, at an error of a tenth."""
+    """Encoding and decoding at the rate of a depth camera, NMSE below -15 dB."""
     rows = figures["rows"]
     slowest = max(column(rows, "encode_ms"), default=None)
     return [

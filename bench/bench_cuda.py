@@ -1,13 +1,13 @@
-"""Kernels on a GPU beside the same on the processor: a depth picture on 1000^3 samples, and forces at many
-points.
+"""GPU kernels against the processor: a depth frame on 1000^3 samples, and point queries.
 
     python bench/bench_cuda.py [--quick] [--points N]
 
-The planes of the picture are fitted by the processor and copied before the clock runs; what is timed is which
-bricks hold a force, and their forces, which stay on the device ("gpu"), or planes, bricks and forces there
-and back ("gpu_and_back"), as `encode` needs them. Points are random in the box of a field of 128^3 samples,
-or along the path of a wandering hand. The peer is CuPy's `map_coordinates` on the same field held densely, if
-CuPy is there. Without a GPU nothing is measured but the processor, and the bars say so.
+The planes of the picture are fitted on the processor and copied before the timer starts. "gpu" times the
+search for bricks with forces and their forces, which stay on the device; "gpu_and_back" includes the copies
+of planes, bricks and forces in both directions, as `encode` needs them. Points are random in the box of a
+field of 128^3 samples, or follow the path of a wandering hand. The peer is CuPy's `map_coordinates` on the
+dense field, if CuPy is installed. Without a GPU only the processor is measured, and the bars are "not
+measured".
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def gpu() -> str | None:
     return name.decode() if isinstance(name, bytes) else str(name)
 
 
-def settled(call: Callable[[], Any]) -> Callable[[], Any]:
-    """A call and the wait until the GPU has done it."""
+def synchronized(call: Callable[[], Any]) -> Callable[[], Any]:
+    """The call followed by a synchronization of the GPU."""
     library: Any = import_module("numba.cuda")
 
     def both() -> Any:
@@ -57,53 +57,55 @@ def settled(call: Callable[[], Any]) -> Callable[[], Any]:
     return both
 
 
-def of_depth(is_there: bool, runs: int) -> Figures:
+def of_depth(has_gpu: bool, runs: int) -> Figures:
     """A frame on 1000^3 samples."""
     sequence = sample("motorcycle").sequence  # type: ignore[attr-defined]
     scene = DepthScene(sequence)
     low_m, high_m = scene.bounds_m()
     grid = Grid.over_box(low_m, high_m, (NOMINAL, NOMINAL, NOMINAL))
     query = query_of(scene.planes(0), np.eye(4), grid, penalty(LawSpec(), 4 * max(grid.spacing_m)))
-    own = depth.brick_forces(force_bricks(query, grid), query)
+    expected = depth.brick_forces(force_bricks(query, grid), query)
     took = {
-        "bricks": len(own),
+        "bricks": len(expected),
         "processor": timed(lambda: depth.brick_forces(force_bricks(query, grid), query), runs),
     }
-    if is_there:
+    if has_gpu:
         with cuda.computing("cuda"):
-            there = cuda.on_device(query)
-            frame = settled(lambda: depth.forces_on_device(force_bricks(there, grid), there))
+            device_query = cuda.on_device(query)
+            frame = synchronized(
+                lambda: depth.forces_on_device(force_bricks(device_query, grid), device_query)
+            )
             took["gpu"] = timed(frame, runs)
             took["gpu_and_back"] = timed(lambda: depth.brick_forces(force_bricks(query, grid), query), runs)
-            other = cuda.on_host(frame()).reshape(own.shape)
-            took["difference_n"] = float(np.abs(own - other).max())
+            other = cuda.on_host(frame()).reshape(expected.shape)
+            took["difference_n"] = float(np.abs(expected - other).max())
     return took
 
 
-def of_queries(is_there: bool, points: int, runs: int) -> Figures:
+def of_queries(has_gpu: bool, points: int, runs: int) -> Figures:
     """Points a second, at random and along a path."""
     rng = np.random.default_rng(1)
     medium = HapticMedium.from_frames([field()], 1000.0)
-    ways = {"random": rng.uniform(0, (SIDE - 1) * SPACING_M, (points, 3)), "path": path(points, rng)}
+    position_sets = {"random": rng.uniform(0, (SIDE - 1) * SPACING_M, (points, 3)), "path": path(points, rng)}
     out: Figures = {}
-    for name, places in ways.items():
+    for name, positions_m in position_sets.items():
         sampler = FieldSampler(medium)
-        own = sampler.force_n(0.0, places)
+        expected = sampler.force_n(0.0, positions_m)
         began = perf_counter()
-        sampler.force_n(0.0, places)
+        sampler.force_n(0.0, positions_m)
         row: Figures = {"processor_per_s": points / (perf_counter() - began)}
-        if is_there:
+        if has_gpu:
             device = DeviceSampler(medium)
-            at = cuda.on_device(places)
-            took = timed(settled(partial(device.force_n, 0.0, at)), runs)
+            at = cuda.on_device(positions_m)
+            took = timed(synchronized(partial(device.force_n, 0.0, at)), runs)
             row["gpu_per_s"] = 1e3 * points / took["median_ms"]
-            row["difference_n"] = float(np.abs(own - cuda.on_host(device.force_n(0.0, at))).max())
-            row["cupy_per_s"] = cupy_per_s(places, runs)
+            row["difference_n"] = float(np.abs(expected - cuda.on_host(device.force_n(0.0, at))).max())
+            row["cupy_per_s"] = cupy_per_s(positions_m, runs)
         out[name] = row
     return out
 
 
-def cupy_per_s(places: np.ndarray[Any, Any], runs: int) -> float | None:
+def cupy_per_s(positions_m: np.ndarray[Any, Any], runs: int) -> float | None:
     """Points a second of CuPy, three components of a dense field."""
     try:
         import cupy
@@ -111,16 +113,18 @@ def cupy_per_s(places: np.ndarray[Any, Any], runs: int) -> float | None:
     except ImportError:
         return None
     dense = [cupy.asarray(c) for c in np.moveaxis(field().to_dense(), 3, 0)]
-    at = cupy.asarray((places / SPACING_M).T.astype(np.float32))
-    took = timed(settled(lambda: [map_coordinates(c, at, order=1, prefilter=False) for c in dense]), runs)
-    return 1e3 * len(places) / took["median_ms"]
+    at = cupy.asarray((positions_m / SPACING_M).T.astype(np.float32))
+    took = timed(
+        synchronized(lambda: [map_coordinates(c, at, order=1, prefilter=False) for c in dense]), runs
+    )
+    return 1e3 * len(positions_m) / took["median_ms"]
 
 
 def measure(points: int, runs: int) -> Figures:
-    """All of it."""
+    """The GPU, the depth frame and the queries."""
     name = gpu()
-    is_there = name is not None
-    return {"gpu": name, "depth": of_depth(is_there, runs), "queries": of_queries(is_there, points, runs)}
+    has_gpu = name is not None
+    return {"gpu": name, "depth": of_depth(has_gpu, runs), "queries": of_queries(has_gpu, points, runs)}
 
 
 def bars(figures: Figures) -> list[Bar]:

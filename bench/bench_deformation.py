@@ -1,20 +1,19 @@
-"""Deformation at the receiver (paper section 6.3): beside fields made anew, its bytes, its time, and hands on
-it.
+"""Deformation at the receiver (paper section 6.3): error, bytes, time and stability.
 
     python bench/bench_deformation.py [--nw N] [--every N] [--quick]
 
-A capsule that is bent, whose fields are known, and the fox of the Khronos samples, six frames to each side of
-a pose: the field of one pose, bent by tracks of 8^3 control points, beside the field made anew at each frame,
-over the samples at which either has a force. "still" is the pose as it is; "size kept" the bent force with
-the length that it had, which is a field with curl; "half a sample" what two lookups half a sample off, on
-both sides, make of the stored field: nothing that is looked up between samples comes much nearer. Bytes are
-of the file of tracks, of the fields coded by `touch`, and of their forces as plain float32.
+Two inputs: a capsule that bends, whose fields are known, and the fox of the Khronos samples, six frames on
+each side of a pose. The field of one pose, deformed by tracks of 8^3 control points, is compared with the
+field computed for each frame, over the samples at which either has a force. "still" is the undeformed pose;
+"size kept" is the deformed force with its original magnitude, which has curl; "half a sample" is the mean of
+two lookups of the stored field, half a sample off on either side, a lower limit for any lookup between
+samples. Bytes are those of the file of tracks, of the fields coded by `touch`, and of their forces as
+float32.
 
-A query is one call of `FieldSampler.at` from Python. Loops are closed ones of Gauss-Legendre pieces, each
-within one cell of the control points, in a linear field that the sampler gives back to float64 rounding: work
-over the work of
-|F| along them. Hands: those of `bench_stability`, on walls that yield by as
-much again as the hand presses them.
+A query is one call of `FieldSampler.at` from Python. Loop work is the work around closed loops, over the work
+of |F| along them, by Gauss-Legendre quadrature with each piece within one cell of the control points, in a
+linear field that the sampler reproduces to float64 rounding. The hands are those of `bench_stability`, on
+walls that yield by the depth to which the hand presses them.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ def db(error: NDArray[Any], force: NDArray[Any]) -> float:
 
 
 class Moving(NamedTuple):
-    """Fields made anew at each frame, the one that is stored, and its tracks."""
+    """Fields computed for each frame, the stored field of one pose, and its tracks."""
 
     frames: list[ForceField]
     rest: ForceField
@@ -73,9 +72,9 @@ def capsule() -> Moving:
     def field(bend: float) -> ForceField:
         s = np.clip(np.arctan2(at[..., 0], 1 / bend - at[..., 2]) / bend, -half_m, half_m)
         away = at - axis_m(s, bend)
-        far = np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
+        distance_m = np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
         return ForceField.from_dense(
-            grid, (np.maximum(400 * (radius_m - far), 0) * away / far).astype(np.float32)
+            grid, (np.maximum(400 * (radius_m - distance_m), 0) * away / distance_m).astype(np.float32)
         )
 
     def points(bend: float) -> Float64s:
@@ -94,51 +93,51 @@ def capsule() -> Moving:
 
 
 def model(path: Path, rest: int, nw: int, folder: Path) -> Moving:
-    """A skinned model, one pose of it and the frames about that, by the way of a user."""
+    """A skinned model, one pose and the frames around it, through the public functions."""
     first, stop = rest - SIDE, rest + SIDE + 1
     spec = EncodeSpec(nw=nw, representation="voxel", frames=(first, stop))
     medium, stream, out = prepare(str(path), spec).medium, folder / "rest.touch", folder / "tracks.npz"
-    # the pose alone, where the whole stretch has been fitted to
+    # encodes the pose only, at the placement fitted to all frames
     encode(str(path), stream, replace(spec, frames=(rest, rest + 1), fit_frames=(first, stop)))
-    told = tracks_of(stream, out, Motion(path, None, (first, stop), rest))
-    return Moving(list(medium), medium[SIDE], read_deformation(out), told.figures["rms_mm"] / 1e3)
+    tracks = tracks_of(stream, out, Motion(path, None, (first, stop), rest))
+    return Moving(list(medium), medium[SIDE], read_deformation(out), tracks.figures["rms_mm"] / 1e3)
 
 
-def carried(moving: Moving, folder: Path) -> Figures:
-    """The field that is stored, bent, beside those made anew."""
-    frames, still, bent, rms_m = moving
-    grid = still.grid
-    sampler = FieldSampler(HapticMedium.from_frames([still], bent.rate_hz), deformation=bent)
-    error, size_kept, as_it_is, force = ([] for _ in range(4))
+def deformation_errors(moving: Moving, folder: Path) -> Figures:
+    """Errors of the deformed field against the fields of each frame, and bytes."""
+    frames, rest, bent, rms_m = moving
+    grid = rest.grid
+    sampler = FieldSampler(HapticMedium.from_frames([rest], bent.rate_hz), deformation=bent)
+    bent_error, rescaled_error, rest_error, force = ([] for _ in range(4))
     for n, new in enumerate(frames):
-        places = np.unique(np.concatenate([new.positions(), still.positions()]), axis=0)
-        at = np.asarray(grid.origin_m) + places * np.asarray(grid.spacing_m)
-        made = sampler.force_n(np.full(len(at), n / bent.rate_hz), at).astype(np.float64)
+        indices = np.unique(np.concatenate([new.positions(), rest.positions()]), axis=0)
+        at = np.asarray(grid.origin_m) + indices * np.asarray(grid.spacing_m)
+        rendered = sampler.force_n(np.full(len(at), n / bent.rate_hz), at).astype(np.float64)
         flat, weights = bent.design(at)
         looked = at + np.einsum("nw,nwc->nc", weights, bent.displacement_m[n].reshape(-1, 3)[flat])
-        own = np.linalg.norm(still.sample_n(looked), axis=1, keepdims=True)
-        kept = made / np.maximum(np.linalg.norm(made, axis=1, keepdims=True), 1e-12) * own
+        rest_size = np.linalg.norm(rest.sample_n(looked), axis=1, keepdims=True)
+        rescaled = rendered / np.maximum(np.linalg.norm(rendered, axis=1, keepdims=True), 1e-12) * rest_size
         truth = new.sample_n(at).astype(np.float64)
-        error.append(made - truth)
-        size_kept.append(kept - truth)
-        as_it_is.append(still.sample_n(at) - truth)
+        bent_error.append(rendered - truth)
+        rescaled_error.append(rescaled - truth)
+        rest_error.append(rest.sample_n(at) - truth)
         force.append(truth)
     half = np.asarray(grid.spacing_m) / 2
-    at = np.asarray(grid.origin_m) + still.positions() * np.asarray(grid.spacing_m)
-    whole, out = np.concatenate(force), folder / "tracks.npz"
+    at = np.asarray(grid.origin_m) + rest.positions() * np.asarray(grid.spacing_m)
+    all_forces, out = np.concatenate(force), folder / "tracks.npz"
     bent.write(out)
     coded = len(TouchEncoder(grid, TouchSpec()).encode_segment(frames).body)
     return {
         "frames": len(frames),
         "least_determinant": bent.min_determinant()[0],
         "rms_mm": 1e3 * rms_m,
-        "still_db": db(np.concatenate(as_it_is), whole),
-        "bent_db": db(np.concatenate(error), whole),
-        "size_kept_db": db(np.concatenate(size_kept), whole),
-        "worst_frame_db": max(db(e, f) for e, f in zip(error, force, strict=True)),
+        "still_db": db(np.concatenate(rest_error), all_forces),
+        "bent_db": db(np.concatenate(bent_error), all_forces),
+        "size_kept_db": db(np.concatenate(rescaled_error), all_forces),
+        "worst_frame_db": max(db(e, f) for e, f in zip(bent_error, force, strict=True)),
         "half_a_sample_db": db(
-            (still.sample_n(at - half) + still.sample_n(at + half)) / 2 - still.sample_n(at),
-            still.sample_n(at),
+            (rest.sample_n(at - half) + rest.sample_n(at + half)) / 2 - rest.sample_n(at),
+            rest.sample_n(at),
         ),
         "track_bytes": out.stat().st_size / len(frames),
         "coded_bytes": coded / len(frames),
@@ -147,7 +146,7 @@ def carried(moving: Moving, folder: Path) -> Figures:
 
 
 def random_map(size_m: float = 0.0008) -> Deformation:
-    """Control points that lie as they fell."""
+    """Control points with random displacements."""
     lattice = Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)
     u = np.random.default_rng(3).normal(size=lattice.displacement_m.shape) * size_m
     return replace(lattice, displacement_m=u)
@@ -161,8 +160,9 @@ def spring() -> HapticMedium:
 
 
 def loop_work(bent: Deformation) -> float:
-    """Work around rectangles over the work of |F| along them, the worst of 20; the pieces end at cells'
-    walls.
+    """Work around rectangles over the work of |F| along them, the worst of 20.
+
+    The pieces of the quadrature end at the boundaries of cells.
     """
     rng, worst = np.random.default_rng(4), 0.0
     corner, cell = np.asarray(bent.corner_m), np.asarray(bent.spacing_m)
@@ -170,8 +170,8 @@ def loop_work(bent: Deformation) -> float:
     u = bent.displacement_m[0].reshape(-1, 3)
 
     def force(p: Float64s) -> Float64s:
-        flat, share = bent.design(p)
-        moved = p + np.einsum("nw,nwc->nc", share, u[flat])
+        flat, point_weights = bent.design(p)
+        moved = p + np.einsum("nw,nwc->nc", point_weights, u[flat])
         j = np.stack([slope(bent, p, a) for a in range(3)], axis=-1) + np.eye(3)
         bent_force: Float64s = np.einsum("nki,nk->ni", j, moved @ MATRIX)
         return bent_force
@@ -184,11 +184,11 @@ def loop_work(bent: Deformation) -> float:
         work = size = 0.0
         for a, b in itertools.pairwise(corners):
             axis = int(np.abs(b - a).argmax())
-            ends = sorted(
+            breaks = sorted(
                 {a[axis], b[axis], *range(int(min(a[axis], b[axis])) + 1, int(max(a[axis], b[axis])) + 1)}
             )
             sign = 1.0 if b[axis] > a[axis] else -1.0
-            for s, t in itertools.pairwise(ends):
+            for s, t in itertools.pairwise(breaks):
                 p = np.repeat(a[None], len(nodes), axis=0)
                 p[:, axis] = s + (t - s) * (nodes + 1) / 2
                 along = force(corner + p * cell)[:, axis] * weights * (t - s) / 2 * cell[axis]
@@ -210,27 +210,27 @@ def slope(bent: Deformation, p: Float64s, axis: int) -> Float64s:
     flat = ((i[:, :, None, None] * shape[1] + j[:, None, :, None]) * shape[2] + k[:, None, None, :]).reshape(
         -1, 64
     )
-    share = (w[0][:, :, None, None] * w[1][:, None, :, None] * w[2][:, None, None, :]).reshape(-1, 64)
-    change: Float64s = np.einsum("nw,nwc->nc", share, bent.displacement_m[0].reshape(-1, 3)[flat])
+    weights = (w[0][:, :, None, None] * w[1][:, None, :, None] * w[2][:, None, None, :]).reshape(-1, 64)
+    change: Float64s = np.einsum("nw,nwc->nc", weights, bent.displacement_m[0].reshape(-1, 3)[flat])
     return change
 
 
 def exact() -> Figures:
-    """Identity, an affine map, and the sampler beside the formula whose loops are closed."""
-    still, bent = spring(), random_map()
+    """Errors of the identity, of an affine map, of the sampler against NumPy, and loop work."""
+    medium, bent = spring(), random_map()
     p = np.random.default_rng(5).uniform(-0.018, 0.018, (20_000, 3))
     zero = np.zeros(len(p))
-    plain = FieldSampler(still).force_n(zero, p)
-    rest = FieldSampler(still, deformation=Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)).force_n(zero, p)
+    plain = FieldSampler(medium).force_n(zero, p)
+    rest = FieldSampler(medium, deformation=Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)).force_n(zero, p)
     a = np.array([[0.1, -0.05, 0.02], [0.03, -0.08, 0.04], [-0.02, 0.06, 0.12]])
     index = np.stack(np.meshgrid(*(np.arange(8),) * 3, indexing="ij"), axis=-1) - 1
     lattice = Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)
     controls = np.asarray(lattice.corner_m) + index * np.asarray(lattice.spacing_m)
-    affine = FieldSampler(still, deformation=replace(lattice, displacement_m=(controls @ a.T)[None]))
+    affine = FieldSampler(medium, deformation=replace(lattice, displacement_m=(controls @ a.T)[None]))
     expected = (p @ (np.eye(3) + a).T) @ MATRIX @ (np.eye(3) + a)
-    sampler = FieldSampler(still, deformation=bent)
-    flat, share = bent.design(p)
-    moved = p + np.einsum("nw,nwc->nc", share, bent.displacement_m[0].reshape(-1, 3)[flat])
+    sampler = FieldSampler(medium, deformation=bent)
+    flat, weights = bent.design(p)
+    moved = p + np.einsum("nw,nwc->nc", weights, bent.displacement_m[0].reshape(-1, 3)[flat])
     j = np.stack([slope(bent, p, axis) for axis in range(3)], axis=-1) + np.eye(3)
     formula = np.einsum("nki,nk->ni", j, moved @ MATRIX)
     return {
@@ -242,7 +242,7 @@ def exact() -> Figures:
 
 
 def queries() -> Figures:
-    """Microseconds of a call from Python, with and without."""
+    """Microseconds of a call from Python, with and without deformation."""
     p, rows = np.random.default_rng(6).uniform(-0.018, 0.018, (QUERIES, 3)).tolist(), {}
     for name, bent in (("plain", None), ("bent", random_map())):
         at = FieldSampler(spring(), deformation=bent).at
@@ -260,45 +260,54 @@ def queries() -> Figures:
     return rows
 
 
-def pressed(every: int) -> Figures:
-    """The grid of hands of `bench_stability`, on walls that yield."""
+def press_cases(every: int) -> Figures:
+    """The cases of `bench_stability` on walls that yield."""
     rows = []
     for stiffness in hands.WALLS:
         soft = Deformation.at_rest(
             (-0.07,) * 3, (0.07,) * 3, compliance_m_per_n=GIVE / stiffness, relax_s=0.05
         )
         block = hands.Bench(
-            hands.wall(stiffness, hands.MOST_N), device=hands.STRONG, grid=hands.GRID, deformation=soft
+            hands.wall(stiffness, hands.MAX_FORCE_N), device=hands.STRONG, grid=hands.GRID, deformation=soft
         )
         cases = [*itertools.product(hands.DAMPINGS, hands.DELAYS, hands.RESOLUTIONS, hands.HANDS)][::every]
         for b, delay, resolution, (kg, k) in cases:
             hands.auto(block, stiffness, b, delay, resolution)
             depth = hands.PRESS_N * (1 / stiffness + 1 / k)
-            step = hands.moved_by(hands.DEVICE_KG + kg, k, b)
-            told = hands.call(
-                hands.touched, *block.memory.views, block.frame, step, k, b, depth, delay, resolution
+            step = hands.tick_matrix(hands.DEVICE_KG + kg, k, b)
+            contact = hands.call(
+                hands.touch, *block.memory.views, block.frame, step, k, b, depth, delay, resolution
             )
-            rows.append((stiffness, b, delay, resolution, kg, k, *told))
-    made = hands.told_of(np.array(rows))
-    return {key: made[key] for key in ("cases", "cycles", "worst_rms_n", "drives", "gives", "worst_given_mj")}
+            rows.append((stiffness, b, delay, resolution, kg, k, *contact))
+    summary = hands.summary_of(np.array(rows))
+    return {
+        key: summary[key] for key in ("cases", "cycles", "worst_rms_n", "drives", "gives", "worst_given_mj")
+    }
 
 
 def measure(nw: int, every: int) -> Figures:
-    """All of it."""
-    figures: dict[str, Any] = {"exact": exact(), "queries": queries(), "hands": pressed(every), "carried": {}}
+    """Exactness, queries, stability and errors."""
+    figures: dict[str, Any] = {
+        "exact": exact(),
+        "queries": queries(),
+        "hands": press_cases(every),
+        "carried": {},
+    }
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        figures["carried"]["capsule that bends"] = carried(capsule(), folder)
+        figures["carried"]["capsule that bends"] = deformation_errors(capsule(), folder)
         fox = SHARED / "meshes" / "fox" / "Fox.glb"
         if fox.is_file():
             for rest in (60, 120):
-                figures["carried"][f"fox, about frame {rest}"] = carried(model(fox, rest, nw, folder), folder)
+                figures["carried"][f"fox, about frame {rest}"] = deformation_errors(
+                    model(fox, rest, nw, folder), folder
+                )
     return figures
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Those of the paper's open problem as it was taken up."""
-    rows, kept = figures["carried"].values(), figures["hands"]
+    """Limits on exactness, time, error, bytes and stability."""
+    rows, contacts = figures["carried"].values(), figures["hands"]
     return [
         at_most("identity: values of other bits", figures["exact"]["identity_bits_off"], 0),
         at_most("affine map, error over the largest force", figures["exact"]["affine_off"], 1e-6),
@@ -318,8 +327,8 @@ def bars(figures: Figures) -> list[Bar]:
             max(row["track_bytes"] / row["coded_bytes"] for row in rows),
             0.01,
         ),
-        at_most("hands on what yields: limit cycles", kept["cycles"], 0),
-        at_most("energy that came to a hand, cases", kept["drives"] + kept["gives"], 0),
+        at_most("hands on what yields: limit cycles", contacts["cycles"], 0),
+        at_most("energy that came to a hand, cases", contacts["drives"] + contacts["gives"], 0),
     ]
 
 

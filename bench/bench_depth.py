@@ -1,10 +1,10 @@
-"""Depth map 640 x 480 -> sparse force field: touchfield beside vectorised numpy and NVIDIA Warp on the CPU.
+"""Depth map (640 x 480) to sparse force field, against numpy and NVIDIA Warp on the CPU.
 
     python bench/bench_depth.py [--quick] [--large N]
 
-Ours is timed as a whole and uncached (noise step, normals, culling, forces); numpy and Warp are given the
-finished planes and fill the dense lattice with the same formula, and their result is checked against ours.
-Times are wall time. The large lattice is ours alone, in a process of its own.
+touchfield is timed as a whole and uncached (noise step, normals, culling, forces). numpy and Warp receive the
+finished planes and fill the dense lattice by the same formula; their results are compared with touchfield's.
+Times are wall time. The large lattice is measured for touchfield only, in a separate process.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ LOW_M, HIGH_M = (-1.0, -1.0, 0.6), (1.0, 1.0, 2.6)
 BALLS = (((-0.3, 0.2, 1.6), 0.35), ((0.45, 0.3, 1.9), 0.3), ((0.1, -0.35, 1.4), 0.2))
 
 
-class Room(DepthSequence):
+class IndoorSequence(DepthSequence):
     """A wall, a floor and three balls, with a sensor's noise and 2 % of holes; always the same."""
 
     def __init__(self) -> None:
@@ -81,10 +81,10 @@ def with_numpy(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> np.
     limit = np.where(
         phi <= 0, np.float32(-RAY_LIMIT * profile.low_m), np.float32(RAY_LIMIT * max(profile.high_m, 0))
     )
-    held = (facing < 0) & (z * np.abs(phi) <= -facing * limit)
+    supported = (facing < 0) & (z * np.abs(phi) <= -facing * limit)
     amplitude = np.zeros(grid.shape, np.float32)
     for low, high, intercept, slope in profile.table().astype(np.float32):
-        amplitude = np.where(held & (phi > low) & (phi <= high), intercept + slope * phi, amplitude)
+        amplitude = np.where(supported & (phi > low) & (phi <= high), intercept + slope * phi, amplitude)
     return amplitude[..., None] * plane[..., :3]
 
 
@@ -103,8 +103,8 @@ def warp_caller(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> Ca
         spacing: wp.vec3,
         first: wp.vec4,
         second: wp.vec4,
-        front: float,
-        behind: float,
+        front_limit: float,
+        back_limit: float,
         out: wp.array(dtype=wp.vec3, ndim=3),  # type: ignore[valid-type]
     ):
         i, j, k = wp.tid()
@@ -121,9 +121,9 @@ def warp_caller(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> Ca
             n = wp.vec3(plane[0], plane[1], plane[2])
             facing = wp.dot(n, p)
             phi = facing - plane[3]
-            limit = front
+            limit = front_limit
             if phi <= 0.0:
-                limit = behind
+                limit = back_limit
             if facing < 0.0 and p[2] * wp.abs(phi) <= -facing * limit:
                 if phi > first[0] and phi <= first[1]:
                     force = n * (first[2] + first[3] * phi)
@@ -136,25 +136,26 @@ def warp_caller(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> Ca
     pieces = [wp.vec4(*map(float, piece)) for piece in profile.table()]
     limits = RAY_LIMIT * max(profile.high_m, 0.0), -RAY_LIMIT * profile.low_m
     camera, size = wp.vec4(*map(float, surface.camera_px)), wp.vec2i(*surface.size_px)
-    given = [planes, camera, size, wp.vec3(*grid.origin_m), wp.vec3(*grid.spacing_m), *pieces, *limits, out]
+    inputs = [planes, camera, size, wp.vec3(*grid.origin_m), wp.vec3(*grid.spacing_m), *pieces, *limits, out]
 
     def call() -> np.ndarray:
-        wp.launch(forces, dim=grid.shape, inputs=given, device="cpu")
+        wp.launch(forces, dim=grid.shape, inputs=inputs, device="cpu")
         return np.asarray(out.numpy())
 
     return call
 
 
-def differing(field: ForceField, dense: np.ndarray) -> float:
-    """Share of samples that differ by more than 0.01 N: roundings at pixel borders and at the wall's
-    faces.
+def differing_fraction(field: ForceField, dense: np.ndarray) -> float:
+    """Fraction of samples that differ by more than 0.01 N.
+
+    They come from rounding at pixel borders and at the faces of the wall.
     """
     return float((np.abs(field.to_dense() - dense).max(-1) > 0.01).mean())
 
 
 def by_itself(n: int) -> Figures:
-    """n^3 over the bounds of the scene; meant for a process of its own."""
-    scene = DepthScene(Room())
+    """A field of n^3 samples over the bounds of the scene; run it in a separate process."""
+    scene = DepthScene(IndoorSequence())
     low_m, high_m = scene.bounds_m()
     grid = Grid.over_box(low_m, high_m, (n, n, n))
     profile = wall(grid)
@@ -174,8 +175,8 @@ def by_itself(n: int) -> Figures:
     }
 
 
-def compare(sequence: Room, n: int) -> Figures:
-    """All contestants on an n^3 lattice."""
+def compare(sequence: IndoorSequence, n: int) -> Figures:
+    """touchfield and the peers on an n^3 lattice."""
     grid = Grid.over_box(LOW_M, HIGH_M, (n, n, n))
     profile = wall(grid)
     field = DepthScene(sequence).field(0, grid, profile)
@@ -186,25 +187,28 @@ def compare(sequence: Room, n: int) -> Figures:
     if importlib.util.find_spec("warp") is not None:
         jobs["warp"] = warp_caller(surface, grid, profile)
     for name, job in jobs.items():
-        rows[name] = {"differing": differing(field, job()), **timed(job, 7 if name == "numpy" else 25)}
+        rows[name] = {
+            "differing": differing_fraction(field, job()),
+            **timed(job, 7 if name == "numpy" else 25),
+        }
         rows[name]["ratio"] = rows[name]["min_ms"] / rows["touchfield"]["min_ms"]
     return rows
 
 
 def measure(large: int) -> Figures:
-    """The tables of both lattices, and the large one."""
-    sequence = Room()
+    """Rows of both lattices, and of the large one."""
+    sequence = IndoorSequence()
     figures: dict[str, Any] = {f"{n}^3": compare(sequence, n) for n in (128, 256)}
     program = f"import json, bench_depth; print(json.dumps(bench_depth.by_itself({large})))"
-    said = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program], check=True, capture_output=True, cwd=Path(__file__).parent
     )
-    figures[f"{large}^3"] = json.loads(said.stdout)
+    figures[f"{large}^3"] = json.loads(process.stdout)
     return figures
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Ahead of numpy and of Warp, the same field, and a large lattice within its memory."""
+    """Faster than numpy and Warp, the same field, and a memory limit for the large lattice."""
     rows = {
         f"{n}^3 {peer}": figure(figures, f"{n}^3", peer) for n in (128, 256) for peer in ("numpy", "warp")
     }

@@ -1,14 +1,13 @@
-"""Levels of detail: voxels beyond the mask, holes and peaks, beside a low-pass and beside a signed depth.
+"""Levels of detail: mask violations, holes and peaks, against a low-pass and signed depth.
 
     python bench/bench_detail.py [--nw N] [--quick]
 
-Each level as a receiver renders it, trilinear, at the samples of level 0. "low-pass": the usual pyramid,
-means of cells by the project's own `resample`, level by level. "signed depth": what the samples of a level
-would tell if |F| were continued below zero in front of the surface, by the field's own median slope, and cut
-at zero after the interpolation; every receiver would have to know of that. Beyond: voxels outside max(F_0, k
-|F|) over those of level 0 that hold a force, k 0.1, F_0 0.05 N. Holes: columns along
-the main direction of the force in which a fifth of the peak or less is left. Peak: median over the columns
-of the peak that is left.
+Each level is interpolated linearly at the samples of level 0, as a receiver renders it. "low-pass" is the
+usual pyramid: cell means by `resample`, level by level. "signed depth" continues |F| below zero in front of
+the surface with the median slope of the field, and clips at zero after the interpolation; it would need
+support in every receiver. "beyond": voxels outside max(F_0, k |F|) over the supported voxels of level 0, k
+0.1, F_0 0.05 N. "holes": columns along the main direction of the force in which a fifth of the peak or less
+remains. "peak": median over the columns of the fraction of the peak that remains.
 """
 
 from __future__ import annotations
@@ -48,61 +47,65 @@ def low_pass(field: ForceField) -> list[ForceField]:
 
 
 def signed(field: ForceField, level: int) -> Float64s:
-    """What every 2^level-th sample tells of depth and direction, float64 [x, y, z, 3] at level 0."""
+    """Level 0 from the signed depth and direction of every 2^level-th sample, float64 [x, y, z, 3]."""
     forces, h = field.to_dense().astype(np.float64), np.asarray(field.grid.spacing_m)
     size = lengths(forces)
-    held = size > 0
+    supported = size > 0
     slope = np.sqrt(sum(g**2 for g in np.gradient(size, *h)))
-    inner = ndimage.binary_erosion(held)
-    away, near = ndimage.distance_transform_edt(~held, sampling=h, return_indices=True)
-    at = tuple(near)
-    depth = np.where(held, size, size[at] - float(np.median(slope[inner])) * away)
+    inner = ndimage.binary_erosion(supported)
+    away, nearest = ndimage.distance_transform_edt(~supported, sampling=h, return_indices=True)
+    at = tuple(nearest)
+    depth = np.where(supported, size, size[at] - float(np.median(slope[inner])) * away)
     direction = (forces / np.maximum(size, 1e-12)[..., None])[at]
-    told = np.concatenate([depth[..., None], direction], axis=-1)[(slice(None, None, 1 << level),) * 3]
+    level_samples = np.concatenate([depth[..., None], direction], axis=-1)[
+        (slice(None, None, 1 << level),) * 3
+    ]
     where = np.stack(np.meshgrid(*(np.arange(n) / (1 << level) for n in field.grid.shape), indexing="ij"))
-    back = [ndimage.map_coordinates(told[..., c], where, order=1, mode="nearest") for c in range(4)]
-    turned = np.stack(back[1:], axis=-1)
-    unit = turned / np.maximum(lengths(turned), 1e-12)[..., None]
-    return np.asarray(np.maximum(back[0], 0)[..., None] * unit)
+    interpolated = [
+        ndimage.map_coordinates(level_samples[..., c], where, order=1, mode="nearest") for c in range(4)
+    ]
+    directions = np.stack(interpolated[1:], axis=-1)
+    unit = directions / np.maximum(lengths(directions), 1e-12)[..., None]
+    return np.asarray(np.maximum(interpolated[0], 0)[..., None] * unit)
 
 
-def lacks(original: Float64s, made: Float64s) -> Figures:
-    """What a receiver lacks."""
-    size, error = lengths(original), lengths(made - original)
+def losses(original: Float64s, rendered: Float64s) -> Figures:
+    """Violations, NMSE, holes and peaks of a rendered level."""
+    size, error = lengths(original), lengths(rendered - original)
     beyond = error > np.maximum(F0_N, K * size) * (1 + 1e-6)
     axis = int(np.abs(original).sum(axis=(0, 1, 2)).argmax())
-    peak, left = size.max(axis=axis), lengths(made).max(axis=axis)
-    felt = peak > 4 * F0_N
+    peak, rendered_peak = size.max(axis=axis), lengths(rendered).max(axis=axis)
+    is_perceptible = peak > 4 * F0_N
     return {
         "beyond": float(beyond.sum() / (size > 0).sum()),
         "nmse_db": float(10 * np.log10((error**2).sum() / (size**2).sum())),
-        "holes": float((left[felt] <= 0.2 * peak[felt]).mean()),
-        "peak": float(np.median(left[felt] / peak[felt])),
+        "holes": float((rendered_peak[is_perceptible] <= 0.2 * peak[is_perceptible]).mean()),
+        "peak": float(np.median(rendered_peak[is_perceptible] / peak[is_perceptible])),
     }
 
 
 def measure(nw: int) -> Figures:
-    """A row for each source, level and way."""
+    """A row for each source, level and method."""
     rows: dict[str, Figures] = {}
     fox = SHARED / "meshes" / "fox" / "Fox.glb"
     for source in (*SOURCES, *((str(fox),) if fox.is_file() else ())):
         field = prepare(source, EncodeSpec(nw=nw, representation="voxel")).medium[0]
         original = field.to_dense().astype(np.float64)
-        ours, theirs = pyramid(field, LEVELS), low_pass(field)
+        ours, low_passed = pyramid(field, LEVELS), low_pass(field)
         for level in range(1, LEVELS + 1):
             ways: dict[str, NDArray[Any]] = {
                 OURS: interpolate(ours[level], field.grid, border="cell").to_dense(),
-                LOW_PASS: interpolate(theirs[level], field.grid, border="cell").to_dense(),
+                LOW_PASS: interpolate(low_passed[level], field.grid, border="cell").to_dense(),
                 SIGNED: signed(field, level),
             }
-            for way, made in ways.items():
+            for way, rendered in ways.items():
                 name = source.rsplit("/", 1)[-1]
-                rows[f"{name}, level {level}, {way}"] = lacks(original, made.astype(np.float64))
+                rows[f"{name}, level {level}, {way}"] = losses(original, rendered.astype(np.float64))
     return {"levels": rows}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Ours beside the low-pass."""
+    """Better than the low-pass on every source."""
     rows = figures["levels"]
     pairs = [(row, rows[key.replace(OURS, LOW_PASS)], key) for key, row in rows.items() if key.endswith(OURS)]
     first = [(ours, other) for ours, other, key in pairs if "level 1" in key]

@@ -1,11 +1,11 @@
-"""Perona-Malik diffusion and force shading: dense against numpy and medpy, and sparse bricks.
+"""Perona-Malik diffusion and force shading: dense, against numpy and medpy, and sparse.
 
     python bench/bench_diffusion.py [--quick] [--samples N]
 
 Ten steps on a dense cube of 128 (or the given number of) samples with three components, and on a sphere's
 wall that fills 5 % of the same cube. The peers: the same equation in vectorised numpy, and, where it is
-installed, `medpy.filter.smoothing.anisotropic_diffusion` on each component (a conductance for each component
-apart: less work than one of the vector). Each row is the best of several runs, all in one process.
+installed, `medpy.filter.smoothing.anisotropic_diffusion` on each component (one conductance per component,
+which is less work than one for the vector). Each row is the best of several runs in one process.
 """
 
 from __future__ import annotations
@@ -33,11 +33,9 @@ def in_numpy(values: Floats) -> Floats:
         for axis in range(3):
             d = np.diff(u, axis=axis)
             d *= LAM * np.exp(-(d**2).sum(axis=-1, keepdims=True) / KAPPA_N**2)
-            low, high = (
-                tuple(slice(*s) if a == axis else slice(None) for a in range(3)) for s in ((-1,), (1, None))
-            )
-            change[low] += d
-            change[high] -= d
+            before = (slice(None),) * axis
+            change[(*before, slice(-1))] += d
+            change[(*before, slice(1, None))] -= d
         u += change
     return u
 
@@ -53,7 +51,7 @@ def medpy_row(dense: Floats) -> Callable[[], object] | None:
 
 
 def measure(samples: int) -> Figures:
-    """All filters, and the peers that are here."""
+    """All filters, and the installed peers."""
     normal = np.random.default_rng(0).normal(size=(samples, samples, samples, 3))
     dense = normal.astype(np.float32) / np.float32(5)
     field = shell(samples, 0.3735, 0.4)
@@ -67,15 +65,18 @@ def measure(samples: int) -> Figures:
     }
     error = float(np.abs(perona_malik(dense, steps=STEPS, kappa_n=KAPPA_N) - in_numpy(dense)).max())
     rows = {name: timed(job, runs=3 if name.startswith("peer") else 9) for name, job in jobs.items() if job}
-    share = field.support_count / field.grid.voxel_count
-    told = {"bricks": len(field.bricks), "support_share": share, "threads": worker_count(), "differ_n": error}
-    return {"samples": samples, "steps": STEPS, **told, "rows": rows}
+    support_fraction = field.support_count / field.grid.voxel_count
+    settings = {
+        "bricks": len(field.bricks),
+        "support_share": support_fraction,
+        "threads": worker_count(),
+        "differ_n": error,
+    }
+    return {"samples": samples, "steps": STEPS, **settings, "rows": rows}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Ahead of the fastest peer with the same numbers, and the sparse wall as fast as frames of a camera
-    come.
-    """
+    """Faster than the fastest peer with the same result, and the sparse wall at a camera's rate."""
     rows = figures["rows"]
     ours = figure(rows, f"perona_malik, dense {figures['samples']}^3 x 3", "min_ms")
     peers = [row["min_ms"] for name, row in rows.items() if name.startswith("peer")]

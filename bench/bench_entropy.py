@@ -1,4 +1,4 @@
-"""The lossless coders: symbols a second of Huffman and hold runs, bits a second and bytes of the support.
+"""Lossless coders: throughput of Huffman and hold runs, throughput and bytes of the support.
 
     python bench/bench_entropy.py [--quick] [--symbols N]
 
@@ -68,8 +68,8 @@ def run_rates(count: int) -> dict[str, dict[str, float]]:
     """Msample/s of levels and hold runs, a fifth and half of the samples sent."""
     rng = np.random.default_rng(2)
     rows = {}
-    for share in (0.2, 0.5):
-        sent = rng.random(count) < share
+    for sent_fraction in (0.2, 0.5):
+        sent = rng.random(count) < sent_fraction
         levels = np.minimum(np.abs(rng.normal(0, 8, int(sent.sum()))), 63).astype(np.uint16)
         streams = pack_runs(sent, levels, 64, single=False)
         code = fitted_code(np.bincount(streams[0], minlength=64 + RUN_SYMBOLS))
@@ -77,7 +77,7 @@ def run_rates(count: int) -> dict[str, dict[str, float]]:
         pack_ms = best_ms(partial(pack_runs, sent, levels, 64, single=False))
         write_ms = best_ms(partial(encode_symbols, code, *streams))
         read_ms = best_ms(partial(decode_symbols, code, stream, len(sent), 64))
-        rows[f"runs, {share:.0%} sent"] = {
+        rows[f"runs, {sent_fraction:.0%} sent"] = {
             "bits_a_sample": stream.bit_length / len(sent),
             "pack_msample_s": len(sent) / 1e3 / pack_ms,
             "encode_msym_s": len(streams[0]) / 1e3 / write_ms,
@@ -94,12 +94,12 @@ def spheres(roughness: float) -> NDArray[np.bool_]:
     """The walls of six spheres; `roughness` is the standard deviation of the edge, samples."""
     rng = np.random.default_rng(0)
     ijk = np.stack(np.meshgrid(*[np.arange(SAMPLES)] * 3, indexing="ij"), axis=-1)
-    held = np.zeros((SAMPLES,) * 3, np.bool_)
+    supported = np.zeros((SAMPLES,) * 3, np.bool_)
     for _ in range(6):
-        far = np.linalg.norm(ijk - rng.uniform(20, 108, 3), axis=-1) - rng.uniform(8, 20)
-        far += rng.normal(0, roughness, far.shape)
-        held |= (far < 0) & (far > -WALL)
-    return held
+        distance = np.linalg.norm(ijk - rng.uniform(20, 108, 3), axis=-1) - rng.uniform(8, 20)
+        distance += rng.normal(0, roughness, distance.shape)
+        supported |= (distance < 0) & (distance > -WALL)
+    return supported
 
 
 def fields() -> Iterator[tuple[str, ForceField, ForceField | None]]:
@@ -121,13 +121,13 @@ def fields() -> Iterator[tuple[str, ForceField, ForceField | None]]:
 
 def support_row(field: ForceField, before: ForceField | None) -> dict[str, float]:
     """Bytes and Mbit/s of one support; a bit is a sample of a brick."""
-    grid, held = field.grid, (field.bricks, field.mask)
+    grid, support = field.grid, (field.bricks, field.mask)
     previous = None if before is None else (before.bricks, before.mask)
-    data = encode_support(grid, *held, previous)
+    data = encode_support(grid, *support, previous)
     read = decode_support(data, grid, previous)
-    assert all(np.array_equal(a, b) for a, b in zip(read, held, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(read, support, strict=True))
     raw = np.packbits(field.to_dense().any(axis=-1)).tobytes()
-    encode_ms = best_ms(lambda: encode_support(grid, *held, previous))
+    encode_ms = best_ms(lambda: encode_support(grid, *support, previous))
     decode_ms = best_ms(lambda: decode_support(data, grid, previous))
     return {
         "supported_voxels": field.support_count,
@@ -150,9 +150,7 @@ def measure(symbols: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Supports shorter than the best peer's and in time for a camera; symbols as fast as 128^3 of them a
-    frame.
-    """
+    """Supports shorter than the best peer's; supports and 128^3 symbols at 30 frames per second."""
     rows = figures["rows"]
     supports = {name: row for name, row in rows.items() if name.startswith("support")}
     over = [min(row["zlib_bytes"], row["lzma_bytes"]) / row["bytes"] for row in supports.values()]

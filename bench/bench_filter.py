@@ -25,7 +25,7 @@ PEER = "scipy gaussian_filter, sliced, dense"
 
 
 def cube(samples: int) -> Grid:
-    """A unit cube of so many samples along each edge."""
+    """A unit cube with `samples` samples along each edge."""
     return Grid.over_box((-0.5,) * 3, (0.5,) * 3, (samples,) * 3)
 
 
@@ -34,10 +34,10 @@ def shell(samples: int, low: float, high: float) -> ForceField:
     grid = cube(samples)
     x, y, z = np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij", sparse=True)
     r = np.sqrt(x * x + y * y + z * z)
-    held = np.argwhere((r < high) & (r > low))
-    points = grid.to_m(held)
+    indices = np.argwhere((r < high) & (r > low))
+    points = grid.to_m(indices)
     return ForceField.from_support(
-        grid, held, points / np.maximum(np.linalg.norm(points, axis=1), 1e-9)[:, None]
+        grid, indices, points / np.maximum(np.linalg.norm(points, axis=1), 1e-9)[:, None]
     )
 
 
@@ -49,7 +49,7 @@ def scipy_half(dense: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def measure(samples: int) -> Figures:
-    """Each kernel to three lattices, what limits the forces, and scipy."""
+    """Each kernel to three lattices, the force limits, and scipy."""
     field = shell(samples, 0.37 - 5 / samples, 0.37)
     half = resample(field, cube(samples // 2))
     dense = field.to_dense()
@@ -65,7 +65,7 @@ def measure(samples: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """The default kernel at 30 frames a second, and ahead of scipy."""
+    """The default kernel at 30 frames per second, and faster than scipy."""
     samples, rows = figures["samples"], figures["rows"]
     half = figure(rows, f"resample to {samples // 2}^3, spline, ms")
     limits, peer = (figure(rows, f"{name}, ms") for name in ("clip and floor", PEER))

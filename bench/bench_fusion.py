@@ -1,12 +1,12 @@
-"""Depth sequences as one world that stands still: what trembles, what it costs, how true it is.
+"""Fusion of depth sequences into a static world: temporal changes, bytes and accuracy.
 
     python bench/bench_fusion.py [--quick] [--frames N] [--rounds N]
 
-"then" are the figures of the first run, each frame alone, by the coder and filter of that time. A voxel
-changes if it differs from frame to frame by more than max(0.05 N, 0.1 |F|); of those held in both frames.
-Newly seen, and apart: a sample of the oversampled lattice within the low-pass's reach is held that was not in
-the frame before. Peers are run by TOUCHFIELD_PEERS, the path of a Python interpreter that has them (default:
-this one).
+"then" are the figures of the first run, each frame on its own, with the coder and filter of that version. A
+voxel changes if it differs between frames by more than max(0.05 N, 0.1 |F|); voxels supported in both frames
+are counted. Newly seen voxels are counted separately: a sample of the oversampled lattice within the reach of
+the low-pass is supported that was not supported in the previous frame. Peers run in the Python interpreter
+TOUCHFIELD_PEERS (default: this one).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from touchfield.sources.registry import open_source
 
 TUM, ICL = "TUM fr1_rpy", "ICL living room"
 FOLDERS = {TUM: SHARED / "rgbd_tum_fr1_rpy", ICL: SHARED / "rgbd_iclnuim_livingroom1"}
-THEN = {
+FIRST_RUN = {
     TUM: {"share": 0.72, "change_n": 0.295, "bytes": 43_617},
     ICL: {"share": 0.22, "change_n": 0.080, "bytes": 59_890},
 }
@@ -54,26 +54,26 @@ STEP_M, FLOOR_N, LEVEL_N = 1e-4, 0.034, 1.0
 
 
 def spec_of(world: str, **more: Any) -> EncodeSpec:
-    """The default, with that world, as voxels."""
+    """Default spec with this `world`, as voxels."""
     return EncodeSpec(source=SourceOptions(world=world), representation="voxel", **more)
 
 
-def asked_of(scene: DepthScene, spec: EncodeSpec) -> tuple[Grid, ForceProfile]:
-    """The lattice and the law, scene metres, that the device filter asks a scene for."""
-    asked: list[tuple[Grid, ForceProfile]] = []
+def requested_lattice(scene: DepthScene, spec: EncodeSpec) -> tuple[Grid, ForceProfile]:
+    """Lattice and force profile, scene metres, that the device filter requests from a scene."""
+    requests: list[tuple[Grid, ForceProfile]] = []
 
-    def noted(frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        asked.append((grid, profile))
+    def record_request(frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+        requests.append((grid, profile))
         return ForceField.empty(grid)
 
-    own, scene.field = scene.field, noted  # type: ignore[method-assign]
+    field_method, scene.field = scene.field, record_request  # type: ignore[method-assign]
     prepare(scene, spec).medium[0]
-    scene.field = own  # type: ignore[method-assign]
-    return asked[0]
+    scene.field = field_method  # type: ignore[method-assign]
+    return requests[0]
 
 
 def spread(new: NDArray[np.bool_], fine: Grid, grid: Grid, reach_m: float) -> NDArray[np.bool_]:
-    """Samples of `grid` within whose reach one of `fine`, bool, is true; both in the same metres."""
+    """Samples of `grid` with a true sample of `fine` within `reach_m`; both in the same metres."""
     for axis in range(3):
         at = (grid.axis_m(axis) - fine.origin_m[axis]) / fine.spacing_m[axis]
         reach, size = reach_m / fine.spacing_m[axis], new.shape[axis]
@@ -91,7 +91,7 @@ def standing(name: str, world: str, frames_bytes: int | None, count: int) -> Row
     medium, placement = done.prepared.medium, done.prepared.placement
     scene = open_source(str(FOLDERS[name]), spec.source)
     scene.restrict_frames(0, count)
-    fine, law = asked_of(scene, spec)  # type: ignore[arg-type]
+    fine, law = requested_lattice(scene, spec)  # type: ignore[arg-type]
     grid = placement.to_scene(medium.grid)
     reach_m = low_pass("spline").half_width * 2 * grid.spacing_m[0]
     counts, changes = np.zeros((2, 2)), []
@@ -99,30 +99,35 @@ def standing(name: str, world: str, frames_bytes: int | None, count: int) -> Row
     for i in range(1, count):
         now = medium[i].to_dense()
         raw = scene.field(i, fine, law).to_dense().any(-1) if world == "causal" else raw_before
-        seen = ~spread(np.asarray(raw & ~raw_before), fine, grid, reach_m)
+        is_known = ~spread(np.asarray(raw & ~raw_before), fine, grid, reach_m)
         both = before.any(-1) & now.any(-1)
         change = np.linalg.norm(now - before, axis=-1)
         beyond = both & (change > np.maximum(0.05, 0.1 * np.linalg.norm(before, axis=-1)))
-        counts += [[beyond.sum(), both.sum()], [(beyond & seen).sum(), (both & seen).sum()]]
+        counts += [[beyond.sum(), both.sum()], [(beyond & is_known).sum(), (both & is_known).sum()]]
         changes.append(change[both])
         before, raw_before = now, raw
-    share, share_seen = (counts[:, 0] / counts[:, 1]).tolist()
+    changed_fraction, changed_fraction_known = (counts[:, 0] / counts[:, 1]).tolist()
     row: Row = {
         "sequence": name,
         "world": world,
-        "share": share,
+        "share": changed_fraction,
         "change_n": float(np.concatenate(changes).mean()),
     }
-    row |= {"bytes": done.file_bytes, "of_then": done.file_bytes / THEN[name]["bytes"], "then": THEN[name]}
+    row |= {
+        "bytes": done.file_bytes,
+        "of_then": done.file_bytes / FIRST_RUN[name]["bytes"],
+        "then": FIRST_RUN[name],
+    }
     row["of_frames"] = done.file_bytes / (frames_bytes or done.file_bytes)
     if world == "causal":
-        row |= {"share_newly_seen_apart": share_seen, "apart": 1 - counts[1, 1] / counts[0, 1]}
+        row |= {"share_newly_seen_apart": changed_fraction_known, "apart": 1 - counts[1, 1] / counts[0, 1]}
     return row
 
 
 def first_contact() -> Row:
-    """Where rays of frame 0 of ICL first meet the filtered fused field, less |F|/K, against the depth; hand
-    mm.
+    """Error of the first contact of rays of ICL frame 0 with the filtered fused field, hand mm.
+
+    The contact is moved back by |F| / K and compared with the depth.
     """
     prepared = prepare(str(FOLDERS[ICL]), spec_of("fused"))
     field, placement = prepared.medium[0], prepared.placement
@@ -134,42 +139,40 @@ def first_contact() -> Row:
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     start_m = -placement.scale * np.asarray(placement.offset_m)
     low, high = field.grid.box_m
-    ends = start_m + rays * true_m[:, None]
-    seen = (true_m > 0) & ((ends > low) & (ends < high)).all(axis=1)
-    rays, true_m = rays[seen], true_m[seen]
+    end_points = start_m + rays * true_m[:, None]
+    is_visible = (true_m > 0) & ((end_points > low) & (end_points < high)).all(axis=1)
+    rays, true_m = rays[is_visible], true_m[is_visible]
     row: Row = {"rays": len(rays), "spacing_mm": 1e3 * field.grid.spacing_m[0]}
     for key, level_n in (("first", FLOOR_N), ("at_1_n", LEVEL_N)):
-        error = _met_m(field, start_m, rays, level_n, float(true_m.max()) + 0.02) - true_m
+        error = _first_hit_m(field, start_m, rays, level_n, float(true_m.max()) + 0.02) - true_m
         missed, found = float(np.isnan(error).mean()), 1e3 * np.abs(error[~np.isnan(error)])
         row[key] = {"median_mm": np.median(found), "p95_mm": np.percentile(found, 95), "missed": missed}
         row[key]["signed_median_mm"] = 1e3 * np.nanmedian(error)
     return row
 
 
-def _met_m(
-    field: ForceField, start_m: NDArray[Any], rays: NDArray[Any], level_n: float, far_m: float
+def _first_hit_m(
+    field: ForceField, start_m: NDArray[Any], rays: NDArray[Any], level_n: float, max_distance_m: float
 ) -> NDArray[np.float64]:
-    """Metres along each ray to the surface that the first |F| of that level tells of, NaN where there is
-    none.
-    """
+    """Metres along each ray to the surface, from the first |F| of `level_n`; NaN without a hit."""
     found, open_ = np.full(len(rays), np.nan), np.arange(len(rays))
-    for way_m in np.arange(0.0, far_m, STEP_M):
+    for way_m in np.arange(0.0, max_distance_m, STEP_M):
         forces = field.sample_n(start_m + way_m * rays[open_]).astype(np.float64)
         size = np.linalg.norm(forces, axis=1)
         hit = size >= level_n
-        met, at = rays[open_[hit]], forces[hit] / size[hit, None]
-        facing = np.maximum(-(at * met).sum(axis=1), 0.1)  # grazing planes tell of a place far along the ray
+        hit_rays, at = rays[open_[hit]], forces[hit] / size[hit, None]
+        facing = np.maximum(-(at * hit_rays).sum(axis=1), 0.1)  # a grazing plane is far along the ray
         found[open_[hit]] = way_m - size[hit] / EncodeSpec().stiffness_n_per_m / facing
         open_ = open_[~hit]
     return found
 
 
 def at_rest(name: str) -> Row:
-    """A hand held for 3 s at points of the surface, the stream played over and over: 40 to 400 Hz, mN rms."""
+    """Vibration (40 to 400 Hz, mN rms) of a hand at rest on the surface while the stream loops."""
     row: Row = {"sequence": name, "points": POINTS, "seconds": REST_S}
     points = None
     for world in ("fused", "frames"):
-        powers, once, held = [], [], []
+        powers, once, forces_n = [], [], []
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "it.touch"
             done = encode(str(FOLDERS[name]), path, spec_of(world, nw=6))
@@ -183,27 +186,28 @@ def at_rest(name: str) -> Row:
                     opener = partial(SimHand, Trace(np.array([0.0, REST_S]), np.stack([point, point])))
                     log = run_offline(stream.medium, profile, opener, seconds=REST_S, loop=True).log
                     log = log[log["time_s"] >= RAMP_S]
-                    felt = (in_band(log["field_force_n"], 1000.0) ** 2).sum(axis=1)
-                    powers.append(felt.mean())
-                    held.append(np.linalg.norm(log["field_force_n"], axis=1).mean())
+                    vibration_n2 = (in_band(log["field_force_n"], 1000.0) ** 2).sum(axis=1)
+                    powers.append(vibration_n2.mean())
+                    forces_n.append(np.linalg.norm(log["field_force_n"], axis=1).mean())
                     margin = round(1000 * MARGIN_S)
-                    once.append(felt[: max(1, round(1000 * (length_s - RAMP_S)) - 2 * margin)].mean())
+                    once.append(vibration_n2[: max(1, round(1000 * (length_s - RAMP_S)) - 2 * margin)].mean())
         row[world] = {"mn": 1e3 * np.sqrt(np.mean(powers)), "worst_mn": 1e3 * np.sqrt(np.max(powers))}
         row[world] |= {
             "first_pass_mn": 1e3 * np.sqrt(np.mean(once)),
-            "force_n": np.mean(held),
+            "force_n": np.mean(forces_n),
             "bytes": done.file_bytes,
         }
-        assert np.mean(held) > 0.1, "a hand that touches nothing tells nothing"
+        assert np.mean(forces_n) > 0.1, "a hand that touches nothing tells nothing"
     return row
 
 
 def speed(name: str, rounds: int) -> Row:
-    """Frames fused a second at n_w 7, from pictures and from memory; peers from memory;
-    the volume's bytes.
+    """Frames fused per second at n_w 7, from files and from memory, and the volume's bytes.
+
+    Peers read from memory.
     """
     scene: Any = open_source(str(FOLDERS[name]), SourceOptions())
-    fine, law = asked_of(scene, spec_of("fused"))
+    fine, law = requested_lattice(scene, spec_of("fused"))
     count, sequence = scene.frame_count, scene.sequence
     depths = [np.asarray(sequence.depth_m(i)) for i in range(count)]
     read = sequence.depth_m
@@ -228,21 +232,21 @@ def speed(name: str, rounds: int) -> Row:
     in_memory = max(fused()[0] for _ in range(rounds))
     sequence.depth_m = read
     k = sequence.intrinsics
-    given: dict[str, Any] = {
+    inputs: dict[str, Any] = {
         "depths_m": np.stack(depths),
         "poses": np.stack([scene.pose(i) for i in range(count)]),
     }
-    given |= {"intrinsics": np.array([k.fx, k.fy, k.cx, k.cy]), "voxel_m": np.array(np.mean(fine.spacing_m))}
+    inputs |= {"intrinsics": np.array([k.fx, k.fy, k.cx, k.cy]), "voxel_m": np.array(np.mean(fine.spacing_m))}
     with tempfile.TemporaryDirectory() as out:
-        np.savez(Path(out) / "depths.npz", **given)
+        np.savez(Path(out) / "depths.npz", **inputs)
         command = [
             os.environ.get("TOUCHFIELD_PEERS", sys.executable),
             str(Path(__file__).parent / "fusion_peers.py"),
         ]
-        told = subprocess.run(
+        output = subprocess.run(
             [*command, f"{out}/depths.npz"], check=True, capture_output=True, text=True
         ).stdout
-    peers: dict[str, Row] = json.loads(told.splitlines()[-1])
+    peers: dict[str, Row] = json.loads(output.splitlines()[-1])
     size = sum(array.nbytes for array in volume.samples)
     return {
         "sequence": name,
@@ -263,35 +267,37 @@ def speed(name: str, rounds: int) -> Row:
 
 
 def measure(frames: int, rounds: int) -> Row:
-    """Both sequences, as far as they are here."""
-    here = [name for name, folder in FOLDERS.items() if folder.is_dir()]
+    """All figures of the sequences that are installed."""
+    present = [name for name, folder in FOLDERS.items() if folder.is_dir()]
     rows: list[Row] = []
-    for name in here:
+    for name in present:
         frames_bytes = None
         for world in ("frames", "causal", "fused"):
             rows.append(standing(name, world, frames_bytes, frames))
             frames_bytes = frames_bytes or rows[-1]["bytes"]
     figures: Row = {
         "standing": rows,
-        "speed": [speed(name, rounds) for name in here],
+        "speed": [speed(name, rounds) for name in present],
         "truth": contact_errors_mm(),
     }
-    figures["absent"] = [name for name in FOLDERS if name not in here]
-    if ICL in here:
+    figures["absent"] = [name for name in FOLDERS if name not in present]
+    if ICL in present:
         figures["first_contact"] = first_contact()
-    if TUM in here:
+    if TUM in present:
         figures["at_rest"] = at_rest(TUM)
     return figures
 
 
 def bars(figures: Row) -> list[Bar]:
-    """A world that stands still in a quarter of the bytes, as true as can be, ahead of peers and camera."""
+    """A static world in a quarter of the bytes, accurate, faster than the peers and the camera."""
     found: list[Bar] = []
     for row in figures["standing"]:
         name, world = f"{row['sequence']}, {row['world']}", row["world"]
         if world != "frames":
-            share = row.get("share_newly_seen_apart", row["share"])
-            found.append(at_most(f"{name}: samples that change", share, 0.01 if world == "fused" else 0.05))
+            changed_fraction = row.get("share_newly_seen_apart", row["share"])
+            found.append(
+                at_most(f"{name}: samples that change", changed_fraction, 0.01 if world == "fused" else 0.05)
+            )
             found.append(
                 at_most(f"{name}: bytes of then", row["of_then"], 0.25 if world == "fused" else 0.45)
             )

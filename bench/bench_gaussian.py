@@ -1,12 +1,11 @@
-"""Gaussian smoothing, sigma 2 samples, radius 8: a dense field of 256^3 vectors, and sparse ones at 2 %
-support.
+"""Gaussian smoothing (sigma 2 samples, radius 8): dense 256^3 vectors, and 2 % support.
 
     python bench/bench_gaussian.py [--quick] [--samples N]
 
 The peers smooth the dense float32 array: `scipy.ndimage.gaussian_filter`; `scipy.fft` on all cores, periodic
-and without padding, which flatters it; and OpenCV, plane by plane and then over planes, with one thread a
-core. Each is checked against ours with its own boundary. Peers and ours take turns, and each keeps its
-fastest run.
+and without padding, which favours it; and OpenCV, plane by plane and then across planes, with one thread per
+core. Each is checked against touchfield with its own boundary. Peers and touchfield run alternately, and the
+fastest run of each counts.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ def by_opencv(pool: ThreadPoolExecutor) -> Callable[[Dense], Dense]:
     """
     import cv2
 
-    taps, one = gaussian_taps(SIGMA).astype(np.float32), np.ones(1, np.float32)
+    taps, identity_tap = gaussian_taps(SIGMA).astype(np.float32), np.ones(1, np.float32)
 
     def smoothed(source: Dense, target: Dense, across: Dense) -> None:
         cv2.sepFilter2D(source, -1, across, taps, dst=target, borderType=cv2.BORDER_REFLECT)
@@ -69,7 +68,11 @@ def by_opencv(pool: ThreadPoolExecutor) -> Callable[[Dense], Dense]:
         flat, target = between.reshape(len(dense), -1), out.reshape(len(dense), -1)
         width = flat.shape[1] // 16
         blocks = [slice(i * width, (i + 1) * width if i < 15 else None) for i in range(16)]
-        list(pool.map(smoothed, [flat[:, b] for b in blocks], [target[:, b] for b in blocks], repeat(one)))
+        list(
+            pool.map(
+                smoothed, [flat[:, b] for b in blocks], [target[:, b] for b in blocks], repeat(identity_tap)
+            )
+        )
         return out
 
     return smooth
@@ -108,14 +111,14 @@ def measure(samples: int) -> Figures:
         peers["OpenCV sepFilter2D"] = (by_opencv(pool), "reflect")
     except ImportError:
         absent.append("OpenCV")
-    apart = [
+    differences = [
         float(np.abs(peer(dense) - gaussian(dense, SIGMA, boundary=boundary)).max())
         for peer, boundary in peers.values()
     ]
     fields = sparse_fields(samples)
     smooth = GaussianFilter(SIGMA / samples)
     for field in fields.values():
-        apart.append(float(np.abs(smooth(field).to_dense() - gaussian(field.to_dense(), SIGMA)).max()))
+        differences.append(float(np.abs(smooth(field).to_dense() - gaussian(field.to_dense(), SIGMA)).max()))
 
     jobs: dict[str, Callable[[], object]] = {name: partial(peer, dense) for name, (peer, _) in peers.items()}
     jobs["touchfield, dense, zero"] = lambda: gaussian(dense, SIGMA)
@@ -124,17 +127,17 @@ def measure(samples: int) -> Figures:
         jobs[f"touchfield, {name}"] = partial(smooth, field)
     rows = best_ms(jobs, ROUNDS)
     support = {name: field.support_count / samples**3 for name, field in fields.items()}
-    told = {
+    settings = {
         "samples": samples,
         "threads": worker_count(),
         "support": support,
-        "largest_difference": max(apart),
+        "largest_difference": max(differences),
     }
-    return {**told, "rows_ms": rows, "absent": absent}
+    return {**settings, "rows_ms": rows, "absent": absent}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Dense as fast as the fastest peer, sparse ten times as fast, and the same values."""
+    """Dense as fast as the fastest peer, sparse ten times as fast, with equal values."""
     rows = figures["rows_ms"]
     fastest = min(ms for name, ms in rows.items() if not name.startswith("touchfield"))
     over = {name: fastest / ms for name, ms in rows.items()}

@@ -1,17 +1,16 @@
-"""No kernel gets slower unnoticed: its processor time over a frozen loop's of the same kind, beside the
-stored ratio.
+"""Regression guard: processor time of each kernel over that of a frozen reference loop.
 
     python bench/bench_guard.py [--quick] [--only NAME,NAME] [--store]
 
-Ours and the frozen loop (`reference.kernels`) take turns on one thread, and each run of ours is divided by
-the frozen loop's before and after it, in processor time: neither other processes nor a slower machine change
-the median of these ratios much. One that looks too large is measured on, `TRIES` times as long at most, and
-then in up to `PROCESSES` other processes: noise goes, a slow kernel stays.
+The kernel and the frozen loop (`reference.kernels`) run alternately on one thread. Each run of the kernel is
+divided by the mean of the frozen loop's runs before and after it, in processor time, so that neither other
+processes nor a slower machine change the median of these ratios much. A ratio that looks too large is
+measured for up to `TRIES` times as long, and then in up to `PROCESSES` other processes, which removes noise.
 A ratio above `MARGIN` times the stored one is a failure, with exit status 1, in quick runs too.
 
-`--store` makes the ratios of this run those to compare with (after a kernel has become faster, or slower on
-purpose). Ratios are stored for each model of processor, as other models run our kernels and the frozen loops
-at other ratios. On a model without stored ratios they are shown and none is a failure: `--store` adds it.
+`--store` stores the ratios of this run as the new reference (after a kernel has become faster, or slower on
+purpose). Ratios are stored per processor model, because they differ between models. On a model without stored
+ratios they are shown and none is a failure; `--store` adds the model.
 """
 
 from __future__ import annotations
@@ -31,14 +30,14 @@ os.environ["TOUCHFIELD_THREADS"] = os.environ["NUMBA_NUM_THREADS"] = "1"
 import numpy as np
 
 import provenance
-from bench_depth import HIGH_M, LOW_M, Room, wall
+from bench_depth import HIGH_M, LOW_M, IndoorSequence, wall
 from bench_filter import shell
 from bench_mesh import BAND, bumpy
 from bench_objects import scene
 from bench_query import SIDE, SPACING_M, field, path
 from machine import Bar, Figures, arguments, at_most, keep, machine, show, stored
 from reference import kernels as frozen
-from timing import Clock, inside, paired_cpu_ms, whole
+from timing import Clock, call_clock, function_clock, paired_cpu_ms
 from touchfield.codec.touch import frame, frame_encoder
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
@@ -58,7 +57,7 @@ from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.scene import find_bricks_by_block
 
 MARGIN = 1.15
-"""A ratio over the stored one, at most: a third slower is 1.33, noise some hundredths."""
+"""Maximal ratio over the stored one: a third slower is 1.33, noise is a few hundredths."""
 TRIES, PROCESSES = 4, 3
 ROUNDS = {True: 15, False: 60}
 """Runs of each of a pair, quickly and else."""
@@ -66,29 +65,31 @@ SIGMA = 2.0
 
 
 class Pair(NamedTuple):
-    """A kernel of ours and the frozen loop that it is measured by."""
+    """A kernel and its frozen reference loop."""
 
     ours: Clock
     reference: Clock
 
     @classmethod
     def of(cls, ours: Callable[[], Any], reference: Callable[[], Any]) -> Pair:
-        """Of two calls as a whole."""
-        return cls(whole(ours), whole(reference))
+        """Pair of the clocks of two whole calls."""
+        return cls(call_clock(ours), call_clock(reference))
 
 
 def depth_pairs() -> dict[str, Pair]:
-    """Tangent planes of an image, the bricks that they reach, and the forces in these."""
-    sequence, grid = Room(), Grid.over_box(LOW_M, HIGH_M, (128, 128, 128))
-    known, image = DepthScene(sequence), sequence.depth_m(0)
-    step_per_m = known._noise_step_per_m()
-    query = query_of(known.planes(0), np.eye(4), grid, wall(grid))
+    """Tangent planes of an image, the bricks within their reach, and the forces in these."""
+    sequence, grid = IndoorSequence(), Grid.over_box(LOW_M, HIGH_M, (128, 128, 128))
+    prepared_scene, image = DepthScene(sequence), sequence.depth_m(0)
+    step_per_m = prepared_scene._noise_step_per_m()
+    query = query_of(prepared_scene.planes(0), np.eye(4), grid, wall(grid))
     bricks = force_bricks(query, grid)
     out = brick_forces(bricks, query).reshape(-1)
     candidates = find_bricks_by_block(lambda blocks, size: may_hold_force(blocks, size, query), grid)
     planes, dense = np.zeros((*image.shape, 4), np.float32), np.zeros((64, 64, 64, 3), np.float32)
     frozen.image_planes(image, planes)
-    small = np.ascontiguousarray(planes[::2, ::2])  # in the cache: memory that others use, too, slows it else
+    small = np.ascontiguousarray(
+        planes[::2, ::2]
+    )  # fits in the cache; shared memory bandwidth would add noise
 
     def reference() -> None:
         frozen.projected_forces(small, dense)
@@ -104,12 +105,12 @@ def depth_pairs() -> dict[str, Pair]:
 
 
 def mesh_pairs() -> dict[str, Pair]:
-    """From triangles to a band, and the band of a mesh whose tree is there."""
+    """A band from triangles, and from a mesh whose tree is already built."""
     vertices, faces = bumpy(4)
     grid = Grid.over_box((-1.0,) * 3, (1.0,) * 3, (128, 128, 128))
     width = BAND * grid.spacing_m[0]
     law = ForceProfile(((-width, width, 2.0, 1 / width),))
-    known, corners = MeshScene(vertices, faces), vertices[faces[::16]].astype(np.float64)
+    built_scene, corners = MeshScene(vertices, faces), vertices[faces[::16]].astype(np.float64)
     points = np.random.default_rng(0).uniform(-1, 1, (4000, 3))
     out = np.zeros(len(points))
 
@@ -118,7 +119,7 @@ def mesh_pairs() -> dict[str, Pair]:
 
     return {
         "mesh, tree and band": Pair.of(lambda: MeshScene(vertices, faces).field(0, grid, law), reference),
-        "mesh, band": Pair.of(lambda: known.field(0, grid, law), reference),
+        "mesh, band": Pair.of(lambda: built_scene.field(0, grid, law), reference),
     }
 
 
@@ -161,16 +162,16 @@ def query_pairs() -> dict[str, Pair]:
 
 
 def coder_pairs() -> dict[str, Pair]:
-    """A segment of two frames of a depth camera, encoded and decoded: as a whole, and the passes over the
-    voxels.
-    """
+    """Encoding and decoding of two frames of a depth camera: whole calls, and the voxel passes."""
     grid = Grid.over_box(LOW_M, HIGH_M, (48, 48, 48))
-    frames = [DepthScene(Room()).field(0, grid, wall(grid))] * 2
+    frames = [DepthScene(IndoorSequence()).field(0, grid, wall(grid))] * 2
     symbols = (np.abs(np.random.default_rng(0).normal(0, 6, (40, 40, 40))) % 32).astype(np.uint8)
     logits = np.arange(-2048, 2048)
     squash = np.clip(np.rint(4096 / (1 + np.exp(-logits / 256))), 1, 4095).astype(np.int32)
-    chances = (np.arange(4096) + 0.5) / 4096
-    stretch = np.clip(np.rint(256 * np.log(chances / (1 - chances))), -2047, 2047).astype(np.int32)
+    probabilities = (np.arange(4096) + 0.5) / 4096
+    stretch = np.clip(np.rint(256 * np.log(probabilities / (1 - probabilities))), -2047, 2047).astype(
+        np.int32
+    )
     out = np.zeros(1 << 16, np.uint8)
     encoder = TouchEncoder(grid, TouchSpec())
     body, decoder = encoder.encode_segment(frames).body, TouchDecoder(grid, encoder.parameters)
@@ -186,9 +187,9 @@ def coder_pairs() -> dict[str, Pair]:
 
     return {
         "encode": Pair.of(encode, reference),
-        "encode, pass": Pair(inside(frame_encoder, "encode_bricks", encode), whole(reference)),
+        "encode, pass": Pair(function_clock(frame_encoder, "encode_bricks", encode), call_clock(reference)),
         "decode": Pair.of(decode, reference),
-        "decode, pass": Pair(inside(frame, "decode_bricks", decode), whole(reference)),
+        "decode, pass": Pair(function_clock(frame, "decode_bricks", decode), call_clock(reference)),
     }
 
 
@@ -202,8 +203,9 @@ GROUPS = {
 
 
 def ratio_of(pair: Pair, rounds: int, limit: float) -> dict[str, float]:
-    """Milliseconds of both and the median of their ratios: of `rounds`, or of more until it is within the
-    limit.
+    """Milliseconds of both and the median of their ratios.
+
+    Measures `rounds` pairs, and up to `TRIES` times as many while the ratio exceeds `limit`.
     """
     pair.ours()
     pair.reference()
@@ -241,8 +243,9 @@ def measure(only: str, store: bool, rounds: int) -> Figures:
 
 
 def measured_again(figures: Figures, rounds: int) -> Figures:
-    """What looks too slow, again in processes of their own: where their arrays lie in memory makes a
-    difference.
+    """Measure kernels that look too slow again in new processes.
+
+    The placement of arrays in memory makes a difference.
     """
     rows = dict(figures["rows"])
     for _ in range(PROCESSES):
@@ -256,7 +259,7 @@ def measured_again(figures: Figures, rounds: int) -> Figures:
         command, folder = [sys.executable, "-c", program], Path(__file__).parent
         done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder)
         for name, row in json.loads(done.stdout.splitlines()[-1])["rows"].items():
-            rows[name] = min(row, rows[name], key=lambda one: one["over_stored"])
+            rows[name] = min(row, rows[name], key=lambda candidate: candidate["over_stored"])
     return {**figures, "rows": rows}
 
 
@@ -275,15 +278,15 @@ def main() -> None:
     figures = measured_again(measure(options["only"], options["store"], rounds), rounds)
     show(figures)
     verdicts = bars(figures)
-    is_kept = options["store"] or not (is_quick or options["only"])
-    keep("guard", figures, verdicts, not is_kept, run.summary(), provenance.code_of(trace.files()))
+    is_stored = options["store"] or not (is_quick or options["only"])
+    keep("guard", figures, verdicts, not is_stored, run.summary(), provenance.code_of(trace.files()))
     if any(bar["met"] is False for bar in verdicts):
         sys.exit(
             "slower than the stored ratio: see above; on purpose? store it: bench/bench_guard.py --store"
         )
     if machine()["processor"] not in figures["stored_ratios"]:
-        known = ", ".join(figures["stored_ratios"]) or "no processor"
-        print(f"not judged: ratios are stored for {known}; --store adds {machine()['processor']}")
+        processors = ", ".join(figures["stored_ratios"]) or "no processor"
+        print(f"not judged: ratios are stored for {processors}; --store adds {machine()['processor']}")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,9 @@
-"""Entropy of 10^8 int16 symbols, beside reading them once and numpy.bincount.
+"""Entropy of 10^8 int16 symbols, against one read of them and numpy.bincount.
 
     python bench/bench_information.py [--quick] [--count N]
 
-"Read" is the sum of the memory as 64-bit words, once by one thread (numpy) and once by as many as the
-counting has; "int16 sum" is numpy's own reading of the symbols as what they are. Times are the best of
-several.
+"read" is the sum of the memory as 64-bit words, once by one thread (numpy) and once by as many threads as the
+counting uses; "int16 sum" is numpy's sum of the symbols as int16. Times are the best of several runs.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ from touchfield.measure.information import entropy
 
 
 def sources(count: int) -> Iterator[tuple[str, NDArray[np.int16]]]:
-    """Arrays like a quantised field, like its symbols alone, and worse ones."""
+    """Arrays like a quantised field, like its symbols only, and harder cases."""
     rng = np.random.default_rng(0)
     sparse = rng.integers(0, 64, count, dtype=np.int16)
     sparse[rng.random(count, dtype=np.float32) < 0.97] = 0
     yield "64 symbols, 97 % zeros", sparse
     runs = np.zeros(count, np.int16)
-    for begin in range(0, count, 10_000):
-        runs[begin : begin + 300] = sparse[begin : begin + 300] + 1
+    for start in range(0, count, 10_000):
+        runs[start : start + 300] = sparse[start : start + 300] + 1
     yield "64 symbols, 97 % zeros in runs", runs
     yield "63 levels", rng.integers(-31, 32, count, dtype=np.int16)
     yield "normal, sigma 10", rng.normal(0, 10, count).astype(np.int16)
@@ -40,13 +39,13 @@ def sources(count: int) -> Iterator[tuple[str, NDArray[np.int16]]]:
 
 def row(x: NDArray[np.int16]) -> dict[str, float]:
     """Milliseconds of one array."""
-    words, unsigned = x.view(np.uint64), x.view(np.uint16)
+    wide, unsigned = x.view(np.uint64), x.view(np.uint16)
     measured = timed(lambda: entropy(x, interval=False), runs=15)["min_ms"]
-    read = timed(lambda: words.sum(), runs=15)["min_ms"]
+    read = timed(lambda: wide.sum(), runs=15)["min_ms"]
     return {
         "entropy_ms": measured,
         "read_ms": read,
-        "read_by_all_threads_ms": timed(lambda: for_chunks(lambda b, e: words[b:e].sum(), len(words)), 15)[
+        "read_by_all_threads_ms": timed(lambda: for_chunks(lambda b, e: wide[b:e].sum(), len(wide)), 15)[
             "min_ms"
         ],
         "int16_sum_ms": timed(lambda: x.sum(), runs=3)["min_ms"],
@@ -81,13 +80,13 @@ def others(count: int) -> dict[str, dict[str, float]]:
 
 
 def measure(count: int) -> Figures:
-    """Entropies, and what else is counted."""
+    """Entropies, and histograms of other types."""
     rows = {name: row(x) for name, x in sources(count)}
     return {"symbols": count, "rows": rows | others(count)}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Far ahead of numpy's counting, and not far from reading the symbols."""
+    """Much faster than numpy's counting, and within a few times one read of the symbols."""
     rows = figures["rows"].values()
     bincount = min(row["bincount_ms"] / row["entropy_ms"] for row in rows if "bincount_ms" in row)
     unique = min(row["unique_ms"] / row["histogram_ms"] for row in rows if "unique_ms" in row)

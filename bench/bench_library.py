@@ -1,12 +1,11 @@
-"""A library of small media: how fast a folder is described beside the decoder alone, and how fast it is
-searched.
+"""A library of small media: time to index a folder, against decoding alone, and to search it.
 
     python bench/bench_library.py [--quick] [--files N]
 
 The folder holds 10,000 .touch files: balls and walls of 40 sizes, three frames in a lattice of 32^3, in 250
-copies, each with a provenance of its own so that none is recognised by its checksum. The decoder's own time
-is that of opening every file and decoding all its frames, on all cores, too; the ten folders are taken in
-turn. Then the index is read again with nothing changed, and searched.
+copies with distinct provenance, so that none is recognised by its checksum. The decoder's time is that of
+opening every file and decoding all frames, on all cores. Decoding and indexing alternate over ten subfolders.
+Then the unchanged folder is indexed again, and searched.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ def media() -> list[HapticMedium]:
     """Balls and walls that move a little, of `KINDS` sizes."""
     grid = Grid((N, N, N), (0.003,) * 3, (-0.0465,) * 3)
     x, y, z = np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij")
-    made = []
+    media_list = []
     for kind in range(KINDS):
         frames = []
         for frame in range(3):
@@ -50,41 +49,41 @@ def media() -> list[HapticMedium]:
                 depth = size - 0.02 - 0.6 * y - 0.8 * z - 0.001 * frame + 0.004 * np.sin(60 * x)
             force = np.clip(400 * depth, 0, 3.0) * (depth < 0.009)
             frames.append(ForceField.from_dense(grid, force[..., None] * normal))
-        made.append(HapticMedium.from_frames(frames, 30.0))
-    return made
+        media_list.append(HapticMedium.from_frames(frames, 30.0))
+    return media_list
 
 
-def filled(folder: Path, files: int) -> float:
-    """The folder of files; their mean size."""
+def fill_folder(folder: Path, files: int) -> float:
+    """Write `files` files into `folder`; return their mean size."""
     for kind, medium in enumerate(media()):
         encode_prepared(prepare(medium), folder / "first.touch", {"copy": "0000"})
-        whole = (folder / "first.touch").read_bytes()
+        content = (folder / "first.touch").read_bytes()
         for copy in range(files // KINDS):
             target = folder / f"{copy % 10}" / f"kind{kind:02}-{copy:04}.touch"
             target.parent.mkdir(exist_ok=True)
-            target.write_bytes(whole.replace(_story("0000"), _story(f"{copy:04}")))
+            target.write_bytes(content.replace(_provenance_record("0000"), _provenance_record(f"{copy:04}")))
     (folder / "first.touch").unlink()
     return float(np.mean([f.stat().st_size for f in folder.rglob("*.touch")]))
 
 
-def _story(copy: str) -> bytes:
+def _provenance_record(copy: str) -> bytes:
     return encode_record("PROV", Provenance(pairs=(Pair(key="copy", value=copy),)))
 
 
-def decoded(folder: Path) -> float:
+def decode_s(folder: Path) -> float:
     """Seconds to open and decode every file, on all cores as `index_folder` does."""
 
-    def whole(path: Path) -> int:
+    def count_supported(path: Path) -> int:
         return sum(frame.support_count for frame in decode(path))
 
     files = sorted(folder.rglob("*.touch"))
     began = perf_counter()
-    assert sum(in_order(whole, files)) > 0
+    assert sum(in_order(count_supported, files)) > 0
     return perf_counter() - began
 
 
-def queried(folder: Path) -> dict[str, Any]:
-    """Milliseconds to read the index, to make its search ready, and of a query then."""
+def query_times(folder: Path) -> dict[str, Any]:
+    """Milliseconds to read the index, to prepare the search, and of one query."""
     began = perf_counter()
     library = Library.load(library_path(folder))
     read_ms, began = 1e3 * (perf_counter() - began), perf_counter()
@@ -107,43 +106,45 @@ def queried(folder: Path) -> dict[str, Any]:
     }
 
 
-def right(folder: Path) -> float:
-    """The share of queries whose nearest ten are all of the query's own kind."""
+def same_kind_fraction(folder: Path) -> float:
+    """Fraction of queries whose ten nearest media are all of the kind of the query."""
     index = Library.load(library_path(folder)).index()
     names = index.names[:: len(index.names) // 50]
-    return float(
-        np.mean([all(m.name[2:8] == name[2:8] for m in index.query(index[name], 10)) for name in names])
-    )
+    is_right = []
+    for name in names:
+        nearest = index.query(index[name], 10)
+        is_right.append(all(match.name[2:8] == name[2:8] for match in nearest))
+    return float(np.mean(is_right))
 
 
 def measure(files: int) -> Figures:
-    """The folder decoded and described in turn, described again, and searched."""
+    """Decode and index alternately, index the unchanged folder again, and search it."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "media"
         folder.mkdir()
-        mean_bytes = filled(folder, files)
+        mean_bytes = fill_folder(folder, files)
         index_folder(folder / "0", folder.parent / "warm.npz")  # kernels, and the disk's cache
-        whole, pairs = Library(), []
+        merged, pairs = Library(), []
         for part in sorted(p for p in folder.iterdir() if p.is_dir()):
-            alone_s = decoded(part)  # in turn, for a machine that others use, too
+            alone_s = decode_s(part)  # in turn, for a machine that others use, too
             done = index_folder(part, folder.parent / f"{part.name}.npz")
             pairs.append((alone_s, done.figures["seconds"]))
             for name, row in done.library.rows.items():
-                whole.store(f"{part.name}/{name}", done.library.entries[name], row)
-        whole.save(library_path(folder))
+                merged.store(f"{part.name}/{name}", done.library.entries[name], row)
+        merged.save(library_path(folder))
         again = index_folder(folder)
         alone_s, index_s = (sum(times) for times in zip(*pairs, strict=True))
-        index = {"decoder_s": alone_s, "index_s": index_s, "files_per_s": len(whole.rows) / index_s}
+        index = {"decoder_s": alone_s, "index_s": index_s, "files_per_s": len(merged.rows) / index_s}
         index |= {"unchanged_s": again.figures["seconds"], "described_again": again.figures["described"]}
         return {
-            "files": {"count": len(whole.rows), "mean_bytes": mean_bytes, "frames": 3, "lattice": [N, N, N]},
+            "files": {"count": len(merged.rows), "mean_bytes": mean_bytes, "frames": 3, "lattice": [N, N, N]},
             "index": index | {"times_the_decoder": index_s / alone_s},
-            "query": {**queried(folder), "own_kind_share": right(folder)},
+            "query": {**query_times(folder), "own_kind_share": same_kind_fraction(folder)},
         }
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Described in twice the decoder's time, searched in no time, and what is alike is near."""
+    """Indexing within twice the decoding time, fast queries, and correct neighbours."""
     index, query = figures["index"], figures["query"]
     return [
         at_most("time to describe a folder over the decoder's own", index["times_the_decoder"], 2.0),

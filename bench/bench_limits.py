@@ -1,4 +1,4 @@
-"""The coding limits: voxels a second of each measure at 128^3, and general-purpose peers beside them.
+"""Coding limits: throughput at 128^3, and bits of general-purpose coders.
 
     python bench/bench_limits.py [--quick] [--nw N]
 
@@ -62,7 +62,7 @@ def measure(nw: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Limits below the best peer's bits, and a frame of 128^3 measured in about a second."""
+    """Limits below the bits of the best peer, and 30 million voxels per second."""
     rows = figures["rows"].values()
     peers = [min(row["zlib_bits_a_supported"], row["lzma_bits_a_supported"]) for row in rows]
     over = [peer / row["axes_bits_a_supported"] for peer, row in zip(peers, rows, strict=True)]

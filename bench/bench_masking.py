@@ -1,13 +1,12 @@
-"""Spatial masking in the coder `touch` (paper section 4.2): bytes, and what a sliding hand feels, with and
-without.
+"""Spatial masking in the coder `touch` (paper section 4.2): bytes and vibration.
 
     python bench/bench_masking.py [--nw N ...] [--quick]
 
-Each field of `rate_fields`, one frame at the promise max(F_0, k |F| + beta mean of |F| within 2.5 mm), k 0.1,
-F_0 0.05 N. No figure of beta is agreed; three are tried. Beside it the plain promise with k + beta in place
-of k, which allows at least as much wherever the force around is no stronger than here. A hand that slides at
-100 mm/s feels the error in the band of 40 to 400 Hz. The bar is that of every mechanism: 3 % of the bytes, on
-the mean of the fields.
+One frame of each field of `rate_fields` with the error bound max(F_0, k |F| + beta mean of |F| within 2.5
+mm), k 0.1, F_0 0.05 N. No value of beta is established; three are tried. For comparison, the plain bound with
+k + beta in place of k, which allows at least as much where the surrounding force is no stronger. Vibration is
+the error that a hand meets that slides at 100 mm/s, from 40 to 400 Hz. The bar is that of every mechanism: 3
+% of the bytes, on the mean of the fields.
 """
 
 from __future__ import annotations
@@ -30,14 +29,12 @@ BETAS = (0.02, 0.05, 0.1)
 
 
 def mean(ratios: list[float]) -> float:
-    """Geometric."""
+    """Geometric mean."""
     return math.exp(sum(map(math.log, ratios)) / len(ratios))
 
 
 def coded(frame: ForceField, k: float, masking: float = 0.0) -> tuple[int, FidelityMeter, float]:
-    """Bytes of a frame, how it keeps the promise, and the vibration of its error in a hand,
-    millinewtons rms.
-    """
+    """Bytes of a frame, its fidelity, and the vibration of its error, mN rms."""
     spec = TouchSpec(k=k, f0_n=F0_N, masking=masking)
     encoder = TouchEncoder(frame.grid, spec)
     body = encoder.encode_segment([frame]).body
@@ -69,7 +66,7 @@ def measure(nw: tuple[int, ...]) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """The price of a mechanism, and the promise."""
+    """Bytes saved by masking, and the error bound."""
     return [
         at_most(
             "masking: bytes with beta 0.05 over those without, mean of the fields",

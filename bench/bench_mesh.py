@@ -1,11 +1,11 @@
-"""A mesh to its signed band: 20,480 triangles, 256^3 samples, every sample within 4 voxels of the surface.
+"""Signed distance band of a mesh: 20,480 triangles, 256^3 samples, 4 voxels.
 
     python bench/bench_mesh.py [--quick] [--samples N]
 
-Ours is timed from the triangles to the force field. Each peer that imports here (Warp, Open3D, libigl,
-point-cloud-utils) is timed with the making of its search tree, and is asked for exactly the samples of the
-band, with sign; none of them has to find out which those are. OpenVDB makes the band itself, in a process of
-its own (`openvdb_peer.py`; also that of Debian's package python3-openvdb). Distances and signs are compared.
+touchfield is timed from the triangles to the force field. Each installed peer (Warp, Open3D, libigl,
+point-cloud-utils) is timed with the construction of its search tree and evaluates exactly the samples of the
+band, with sign; it does not have to find them. OpenVDB builds the band itself, in a separate process
+(`openvdb_peer.py`; Debian's package python3-openvdb works, too). Distances and signs are compared.
 """
 
 from __future__ import annotations
@@ -81,37 +81,39 @@ def open3d(vertices: Floats, faces: NDArray[np.int32], points: Floats) -> Floats
 
 
 def warp(vertices: Floats, faces: NDArray[np.int32], points: Floats, winds: bool = False) -> Floats:
-    """Warp on the processor: box tree, sign by the normal of the nearest place, or by the winding number."""
+    """Warp on the processor: box tree, sign by the normal of the nearest point, or by the winding number."""
     library = import_module("warp")
     mesh = library.Mesh(
         points=library.array(vertices.astype(np.float32), dtype=library.vec3, device="cpu"),
         indices=library.array(faces.reshape(-1), dtype=library.int32, device="cpu"),
         support_winding_number=winds,
     )
-    places = library.array(points.astype(np.float32), dtype=library.vec3, device="cpu")
+    queries = library.array(points.astype(np.float32), dtype=library.vec3, device="cpu")
     out = library.zeros(len(points), dtype=library.float32, device="cpu")
-    library.launch(_warp_kernel(library, winds), dim=len(points), inputs=[mesh.id, places, out], device="cpu")
+    library.launch(
+        _warp_kernel(library, winds), dim=len(points), inputs=[mesh.id, queries, out], device="cpu"
+    )
     return np.asarray(out.numpy())
 
 
 @cache
 def _warp_kernel(library: Any, winds: bool) -> Any:
-    def by_normal(mesh, places, out):  # type: ignore[no-untyped-def]
+    def by_normal(mesh, queries, out):  # type: ignore[no-untyped-def]
         i = library.tid()
-        query = library.mesh_query_point_sign_normal(mesh, places[i], 1.0e6)
+        query = library.mesh_query_point_sign_normal(mesh, queries[i], 1.0e6)
         nearest = library.mesh_eval_position(mesh, query.face, query.u, query.v)
-        out[i] = query.sign * library.length(places[i] - nearest)
+        out[i] = query.sign * library.length(queries[i] - nearest)
 
-    def by_winding(mesh, places, out):  # type: ignore[no-untyped-def]
+    def by_winding(mesh, queries, out):  # type: ignore[no-untyped-def]
         i = library.tid()
-        query = library.mesh_query_point_sign_winding_number(mesh, places[i], 1.0e6)
+        query = library.mesh_query_point_sign_winding_number(mesh, queries[i], 1.0e6)
         nearest = library.mesh_eval_position(mesh, query.face, query.u, query.v)
-        out[i] = query.sign * library.length(places[i] - nearest)
+        out[i] = query.sign * library.length(queries[i] - nearest)
 
     signed_distance = by_winding if winds else by_normal
     signed_distance.__annotations__ = {
         "mesh": library.uint64,
-        "places": library.array(dtype=library.vec3),
+        "queries": library.array(dtype=library.vec3),
         "out": library.array(dtype=library.float32),
     }
     return library.kernel(signed_distance)
@@ -160,7 +162,7 @@ PEERS: dict[str, tuple[str, Peer]] = {
 
 
 def missing(names: Iterable[str]) -> list[str]:
-    """Those of the peers that do not import here."""
+    """The peers that cannot be imported."""
     absent = []
     for name in names:
         try:
@@ -181,7 +183,7 @@ def differences(values: Floats, phi: Floats, voxel: float) -> dict[str, float]:
 
 
 def measure(samples: int) -> Figures:
-    """The band of one mesh by us and by the peers."""
+    """Times and differences of touchfield and the peers on one mesh."""
     vertices, faces = bumpy()
     grid = Grid.over_box((-1,) * 3, (1,) * 3, (samples,) * 3)
     voxel = grid.spacing_m[0]
@@ -224,7 +226,7 @@ def measure(samples: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Twice as fast as the fastest peer, and the same signed distances."""
+    """Twice as fast as the fastest peer, with equal signed distances."""
     peers = {name: row for name, row in figures["rows"].items() if "version" in row}
     fastest = min(column(peers, "times_touchfield"), default=None)
     exact = {name: row for name, row in peers.items() if name not in APPROXIMATE}

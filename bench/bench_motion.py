@@ -1,14 +1,13 @@
-"""What a hand that moves feels of coder `touch`, beside what the source itself does: the figures, and the
-bars.
+"""Vibration of coder `touch` in a moving hand, against the vibration of the source.
 
     python bench/bench_motion.py [--quick] [--effort NAME] [--largest N]
 
-Slides: a ball and the terrain from n_w 7 to the largest (8), k 0.1, F_0 0.05 N, at 50, 100 and 200 mm/s;
-millinewtons from 40 to 400 Hz, and the margin to the threshold of a hand that holds a stylus in its worst
-third of an octave; inside the ball too, where the force saturates. Holds: bodies at rest as voxels at 1 kHz,
-and a room at 30 Hz, as a receiver plays them that goes over from segment to segment; "decoded" is without
-that. "before" is the first coder `touch` (format version 0), measured by a script of its own on other paths;
-the bytes before are those of the same commands.
+Slides: a ball and the terrain from n_w 7 to the largest (8), k 0.1, F_0 0.05 N, at 50, 100 and 200 mm/s, and
+inside the ball, where the force saturates. Figures are millinewtons from 40 to 400 Hz, and the margin to the
+threshold of a hand that holds a stylus, in the worst third of an octave. Holds: bodies at rest as voxels at
+1 kHz, and a room at 30 Hz, with the receiver's transition between segments; "decoded" is without it. "before"
+is the first coder `touch` (format version 0), measured by another script on other paths; the bytes before are
+those of the same commands.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from touchfield.sources.scene import Scene
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Sphere
 
-ROOM = SHARED / "rgbd_iclnuim_livingroom1"
+ICL_FOLDER = SHARED / "rgbd_iclnuim_livingroom1"
 SOURCES: dict[str, str | Scene] = {
     "ball": AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.03),)),
     "terrain": "sample:terrain",
@@ -48,13 +47,13 @@ BEFORE: dict[tuple[str, int, float], dict[str, float]] = {
 BYTES_BEFORE = {("ball", 7): 49_708, ("ball", 8): 291_918, ("terrain", 7): 8_613, ("terrain", 8): 22_775}
 REST = "bodies at rest, voxels at 1 kHz"
 REST_BEFORE = {"source_mn": 0.002, "error_mn": 20.5, "step_mn": 249}
-ROOM_BEFORE = {"start_error_mn": 123, "error_step_mn": 30}
+ICL_BEFORE = {"start_error_mn": 123, "error_step_mn": 30}
 
 
-def measured(
+def encode_and_compare(
     source: str | Scene, spec: EncodeSpec, slides: SlideSpec | None = None
 ) -> tuple[HandMotion, Encoded]:
-    """The hand of a source and its stream."""
+    """Encode a source and compare: the hand's motion figures, and the encoding."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "it.touch"
         done = encode(source, path, spec)
@@ -62,8 +61,9 @@ def measured(
 
 
 def inside_ball(nw: int, touch: TouchSpec) -> Figures:
-    """Sixteen great circles of 20 mm in the ball of 35 mm (hand metres) at 100 mm/s, where the force
-    saturates.
+    """Error on sixteen circles of 20 mm radius inside the ball, where the force saturates.
+
+    The hand moves at 100 mm/s; lengths are hand metres.
     """
     rate_hz, radius_m, speed_m_s, rng = 1000.0, 0.02, 0.1, np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
@@ -74,8 +74,8 @@ def inside_ball(nw: int, touch: TouchSpec) -> Figures:
     angle = np.arange(700)[:, None] / rate_hz * speed_m_s / radius_m
     errors = []
     for plane in rng.normal(size=(16, 3, 2)):
-        one, other = np.linalg.qr(plane)[0].T
-        points = radius_m * (np.cos(angle) * one + np.sin(angle) * other)
+        first, second = np.linalg.qr(plane)[0].T
+        points = radius_m * (np.cos(angle) * first + np.sin(angle) * second)
         error = decoded.sample_n(points).astype(np.float64) - source.sample_n(points).astype(np.float64)
         errors.append((in_band(error, rate_hz) ** 2).sum(axis=1))
     return {
@@ -90,7 +90,7 @@ def inside_ball(nw: int, touch: TouchSpec) -> Figures:
 
 def slide_rows(name: str, nw: int, touch: TouchSpec) -> list[Figures]:
     """One row for each speed."""
-    found, done = measured(SOURCES[name], EncodeSpec(nw=nw, touch=touch))
+    found, done = encode_and_compare(SOURCES[name], EncodeSpec(nw=nw, touch=touch))
     rows = []
     for slide in found.slides:
         margin = margin_of(slide.error_thirds_mn)
@@ -108,7 +108,7 @@ def slide_rows(name: str, nw: int, touch: TouchSpec) -> list[Figures]:
 
 def hold_row(name: str, source: str, spec: EncodeSpec, before: Mapping[str, float]) -> Figures:
     """The hold of a medium of many frames."""
-    found, done = measured(source, spec, SlideSpec(paths=1, duration_s=0.25))
+    found, done = encode_and_compare(source, spec, SlideSpec(paths=1, duration_s=0.25))
     assert found.hold is not None
     return {"medium": name, "bytes": done.file_bytes, "before": before, **found.hold.summary()}
 
@@ -119,17 +119,15 @@ def measure(effort: str, largest: int) -> Figures:
     slides = [row for name in SOURCES for nw in range(7, largest + 1) for row in slide_rows(name, nw, touch)]
     rest = EncodeSpec(nw=6, representation="voxel", frames=(1700, 2000), touch=touch)
     holds = [hold_row(REST, "sample:falling-7", rest, REST_BEFORE)]
-    if ROOM.is_dir():
-        room = EncodeSpec(nw=6, representation="voxel", source=SourceOptions(world="frames"), touch=touch)
-        holds.append(hold_row("room at 30 Hz", str(ROOM), room, ROOM_BEFORE))
-    told = {"effort": effort, "hand": vibration_threshold().title, "k": touch.k, "f0_n": touch.f0_n}
-    return {**told, "slides": slides, "inside": inside_ball(largest, touch), "holds": holds}
+    if ICL_FOLDER.is_dir():
+        icl_spec = EncodeSpec(nw=6, representation="voxel", source=SourceOptions(world="frames"), touch=touch)
+        holds.append(hold_row("room at 30 Hz", str(ICL_FOLDER), icl_spec, ICL_BEFORE))
+    settings = {"effort": effort, "hand": vibration_threshold().title, "k": touch.k, "f0_n": touch.f0_n}
+    return {**settings, "slides": slides, "inside": inside_ball(largest, touch), "holds": holds}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """No more than twice what the source does, 6 dB below what is felt, no tenth more bytes;
-    nothing at rest.
-    """
+    """Error up to twice the source's, 6 dB below the threshold, few more bytes, none at rest."""
     found: list[Bar] = []
     for row in figures["slides"]:
         name = f"{row['field']}, nw {row['nw']}, {row['speed_mm_s']:.0f} mm/s"

@@ -1,10 +1,10 @@
-"""Seven objects in motion: one voxelised frame of 128^3 samples, one query, and a million queries.
+"""Seven moving objects: a voxelised frame of 128^3 samples, one query, and a million.
 
     python bench/bench_objects.py [--quick] [--queries N]
 
 The objects' own lattices have 30^3 to 64^3 samples. The peer is scipy's `map_coordinates` (order 1) on the
-same fields held densely, one call for each object and component; of a frame it is asked for no more than the
-samples within the box of each object's lattice. Forces are compared.
+same fields as dense arrays, one call for each object and component; for a frame it evaluates only the samples
+within the box of each object's lattice. Forces are compared.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ FRAMES = 5
 def scene() -> HapticScene:
     """Balls, boxes and superquadrics with the default wall, tumbling through a cube of 128 mm."""
     rng = np.random.default_rng(0)
-    law, here = penalty(LawSpec(), LawSpec().saturation_m), (0.0, 0.0, 0.0)
+    law, origin = penalty(LawSpec(), LawSpec().saturation_m), (0.0, 0.0, 0.0)
     objects = []
     for n, side in enumerate(SIDES):
         half = (side - 6) * SPACING_M / 2
         shapes = (
-            Sphere(here, half),
-            Box(here, (half, 0.8 * half, 0.6 * half)),
-            Superquadric(here, (half,) * 3, (0.5, 1.0)),
+            Sphere(origin, half),
+            Box(origin, (half, 0.8 * half, 0.6 * half)),
+            Superquadric(origin, (half,) * 3, (0.5, 1.0)),
         )
         grid = Grid((side,) * 3, (SPACING_M,) * 3, (-(side - 1) * SPACING_M / 2,) * 3)
         field = AnalyticScene([shapes[n % 3]]).field(0, grid, law)
@@ -58,18 +58,20 @@ class Scipy:
 
     def __init__(self, of: HapticScene) -> None:
         self.scene = of
-        self.components = [np.moveaxis(one.field(0).to_dense(), 3, 0).copy() for one in of.objects]
+        self.components = [np.moveaxis(body.field(0).to_dense(), 3, 0).copy() for body in of.objects]
 
     def forces_n(self, frame: int, points_m: Floats) -> Floats:
         """Newtons at points [n, 3]; of each object only where a point may lie within its lattice."""
         total = np.zeros(points_m.shape)
-        for one, components in zip(self.scene.objects, self.components):
-            grid: Grid = one.medium.grid
-            index = grid.to_index(one.track.to_body(points_m, frame))
-            near = ((index > -1) & (index < grid.shape)).all(axis=1)
-            where = index[near].T
-            own = [map_coordinates(c, where, np.float64, order=1, mode="grid-constant") for c in components]
-            total[near] += np.stack(own, axis=1) @ one.track.rotation(frame).T
+        for body, components in zip(self.scene.objects, self.components):
+            grid: Grid = body.medium.grid
+            index = grid.to_index(body.track.to_body(points_m, frame))
+            is_inside = ((index > -1) & (index < grid.shape)).all(axis=1)
+            where = index[is_inside].T
+            forces = [
+                map_coordinates(c, where, np.float64, order=1, mode="grid-constant") for c in components
+            ]
+            total[is_inside] += np.stack(forces, axis=1) @ body.track.rotation(frame).T
         length = np.linalg.norm(total, axis=1, keepdims=True)
         limited: Floats = total * np.minimum(1.0, self.scene.force_max_n / np.maximum(length, 1e-300))
         return limited
@@ -81,56 +83,61 @@ class Scipy:
         return ForceField.from_dense(grid, self.forces_n(frame, points).reshape(*grid.shape, 3))
 
 
-def kernel_us(one: HapticScene, point: Floats) -> float:
-    """Microseconds of a query without the interpreter: one point asked for ten thousand times,
-    by one thread.
-    """
-    many = np.repeat(point[None], 2000, axis=0)  # as many as are not worth a second thread
-    return timed(lambda: one.sample_n(0, many), runs=200)["min_ms"] / len(many) * 1e3
+def kernel_us(medium: HapticScene, point: Floats) -> float:
+    """Microseconds of a query without the interpreter: one point repeated, on one thread."""
+    many = np.repeat(point[None], 2000, axis=0)  # too few for a second thread
+    return timed(lambda: medium.sample_n(0, many), runs=200)["min_ms"] / len(many) * 1e3
 
 
 def measure(queries: int) -> Figures:
-    """Frames and queries by us and by scipy."""
-    one = scene()
-    peer, frames = Scipy(one), one.voxelise()
+    """Frames and queries by touchfield and by scipy."""
+    composed = scene()
+    peer, frames = Scipy(composed), composed.voxelise()
     points = np.random.default_rng(1).uniform(0, 0.128, (queries, 3))
-    middle = one.objects[0].track.to_scene((0.011, 0.0, 0.0), 0)
+    middle = composed.objects[0].track.to_scene((0.011, 0.0, 0.0), 0)
     turn = iter(range(10**9))
 
     differ = {
         "frame": float(np.abs(frames[1].to_dense() - peer.frame(1).to_dense()).max()),
-        "queries": float(np.abs(one.sample_n(1, points) - peer.forces_n(1, points)).max()),
+        "queries": float(np.abs(composed.sample_n(1, points) - peer.forces_n(1, points)).max()),
     }
     jobs: dict[str, tuple[Any, int, Any, int]] = {
         "voxelised frame": (lambda n: frames[n], 41, peer.frame, 3),
-        "one query": (lambda n: one.sample_n(0, middle), 2001, lambda n: peer.forces_n(0, middle[None]), 201),
-        "one query, next frame": (
-            lambda n: one.sample_n(n, middle), 2001, lambda n: peer.forces_n(n, middle[None]), 201,
+        "one query": (
+            lambda n: composed.sample_n(0, middle), 2001, lambda n: peer.forces_n(0, middle[None]), 201,
         ),
-        "10^6 queries": (lambda n: one.sample_n(1, points), 9, lambda n: peer.forces_n(1, points), 3),
+        "one query, next frame": (
+            lambda n: composed.sample_n(n, middle), 2001, lambda n: peer.forces_n(n, middle[None]), 201,
+        ),
+        "10^6 queries": (lambda n: composed.sample_n(1, points), 9, lambda n: peer.forces_n(1, points), 3),
     }  # fmt: skip
     rows: dict[str, dict[str, float]] = {}
 
-    def turned(job: Callable[[int], Any]) -> Any:
+    def next_frame(job: Callable[[int], Any]) -> Any:
         return job(next(turn) % FRAMES)
 
-    for name, (ours, runs, theirs, fewer) in jobs.items():
-        rows[name] = timed(partial(turned, ours), runs, warm=5)
-        rows[name]["scipy_ms"] = timed(partial(turned, theirs), fewer)["min_ms"]
+    for name, (our_job, runs, peer_job, fewer) in jobs.items():
+        rows[name] = timed(partial(next_frame, our_job), runs, warm=5)
+        rows[name]["scipy_ms"] = timed(partial(next_frame, peer_job), fewer)["min_ms"]
         rows[name]["times"] = rows[name]["scipy_ms"] / rows[name]["min_ms"]
-    pairs = [Pair(o.field(0), o.field(0).scaled(1.05)) for o in one.objects]
-    rule, moves = ComposedRule(one, 0.1, 0.05), Moves.of(one, [o.track for o in one.objects])
+    pairs = [Pair(o.field(0), o.field(0).scaled(1.05)) for o in composed.objects]
+    rule, moves = ComposedRule(composed, 0.1, 0.05), Moves.of(composed, [o.track for o in composed.objects])
     check = timed(lambda: rule.check(pairs, moves, range(FRAMES)))["min_ms"] / FRAMES
-    told = {"queries": queries, "support": frames[1].support_count, "threads": worker_count(), "rows": rows}
-    return told | {
-        "kernel_us": kernel_us(one, middle),
+    settings = {
+        "queries": queries,
+        "support": frames[1].support_count,
+        "threads": worker_count(),
+        "rows": rows,
+    }
+    return settings | {
+        "kernel_us": kernel_us(composed, middle),
         "check_ms_a_frame": check,
         "largest_difference_n": differ,
     }
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """A frame faster than the prototype's, a query within a tick, ahead of scipy, with the same forces."""
+    """A faster frame than the prototype's, a query within a tick, faster than scipy, equal forces."""
     rows = figures["rows"]
     return [
         at_most("a voxelised frame; the prototype took 24 ms", rows["voxelised frame"]["min_ms"], 24.0, "ms"),

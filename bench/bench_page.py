@@ -1,9 +1,8 @@
-"""The page in headless Chromium: how soon a force is felt and a picture is there, its size, and its decoder's
-speed.
+"""The page in headless Chromium: time to first force and picture, size, decoder speed, memory.
 
-The decoder is `c/touch.h` as WebAssembly, in node, against the compiled Python on one thread, on the same
-files. A file that moves plays for some time, and another for an hour of its own time, as fast as the browser
-draws; the memory before and after is told.
+The decoder is `c/touch.h` as WebAssembly, in node, against compiled Python on one thread, on the same files.
+A moving file plays for some minutes, and another for an hour of media time, as fast as the browser draws; the
+growth of memory is reported.
 
     python bench/bench_page.py [--quick] [--minutes N] [--rounds N]
 """
@@ -68,30 +67,32 @@ SAMPLED = (
 
 
 def decoder() -> bytes:
-    """The page's WebAssembly, as it lies in it: gzip."""
+    """The WebAssembly of the page, gzip-compressed as embedded."""
     packed = re.search(r'id="decoder">([^<]+)<', empty_page())
     assert packed is not None
     return base64.b64decode(packed[1])
 
 
 def decode_ms(folder: Path, stream: Path) -> tuple[float, float]:
-    """Milliseconds of a first frame in WebAssembly and in compiled Python on one thread, least of twelve."""
+    """Milliseconds of a first frame in WebAssembly and compiled Python, the least of twelve."""
     wasm, script = folder / "touch.wasm", folder / "speed.mjs"
     wasm.write_bytes(gzip.decompress(decoder()))
     script.write_text(WASM_SPEED)
-    one = {**os.environ, "NUMBA_NUM_THREADS": "1"}
+    environment = {**os.environ, "NUMBA_NUM_THREADS": "1"}
     ours = subprocess.run(["node", script, wasm, stream], check=True, capture_output=True, text=True)
     peer = subprocess.run(
-        [sys.executable, "-c", NUMBA_SPEED, str(stream)], check=True, capture_output=True, text=True, env=one
+        [sys.executable, "-c", NUMBA_SPEED, str(stream)],
+        check=True,
+        capture_output=True,
+        text=True,
+        env=environment,
     )
     return min(json.loads(ours.stdout)), min(json.loads(peer.stdout))
 
 
 def opened_ms(folder: Path, name: str, stream: Path, rounds: int) -> dict[str, float]:
-    """A force after a file is opened in a page that is there; a picture after the page with the file is asked
-    for.
-    """
-    empty, whole = folder / "page.html", view(stream).save(folder / f"{name}.html")
+    """Milliseconds from opening a file to a force, and from requesting a page to its picture."""
+    empty, page = folder / "page.html", view(stream).save(folder / f"{name}.html")
     empty.write_text(empty_page(), encoding="utf-8")
     forces, pictures = [], []
     for _ in range(rounds):
@@ -100,49 +101,46 @@ def opened_ms(folder: Path, name: str, stream: Path, rounds: int) -> dict[str, f
         marks = drive(folder, *steps).answers[3]["marks"]
         forces.append(marks["felt"] - marks["open"])
         answers = drive(
-            folder, {"do": "goto", "url": whole.as_uri()}, {"do": "wait", "ms": 500}, {"do": "state"}
+            folder, {"do": "goto", "url": page.as_uri()}, {"do": "wait", "ms": 500}, {"do": "state"}
         )
         pictures.append(answers.answers[2]["marks"]["drawn"])
     return {f"{name}_force_ms": median(forces), f"{name}_first_picture_ms": median(pictures)}
 
 
 def growth(folder: Path, minutes: float) -> dict[str, float]:
-    """Memory of the page that plays: the least of the last third against the least of the first.
+    """Growth of memory during playback: minimum of the last third less that of the first.
 
-    What a worker has thrown away and not yet given back is in each sample; the least of many is nearly
-    without it.
+    Each sample includes garbage that has not been returned yet; the minimum of many is nearly free of it.
     """
     moving = folder / "falling.touch"
     encode("sample:falling-4", moving, EncodeSpec(frames=(0, 30)))
     page = view(moving).save(folder / "falling.html")
     steps = [{"do": "goto", "url": page.as_uri()}, {"do": "click", "id": "play"}, {"do": "wait", "ms": 4000}]
     steps += [{"do": "state"}, {"do": "run", "code": SAMPLED}, {"do": "wait", "ms": round(60_000 * minutes)}]
-    told = drive(folder, *steps, {"do": "run", "code": "window.heap"}, {"do": "state"}).answers
-    heap, third = told[6], len(told[6]) // 3
+    answers = drive(folder, *steps, {"do": "run", "code": "window.heap"}, {"do": "state"}).answers
+    heap, third = answers[6], len(answers[6]) // 3
     grown = min(heap[-third:]) - min(heap[:third])
     return {
         "played_minutes": minutes,
         "heap_bytes": min(heap),
         "heap_growth_bytes": grown,
-        "wasm_growth_bytes": told[7]["memory"] - told[3]["memory"],
+        "wasm_growth_bytes": answers[7]["memory"] - answers[3]["memory"],
     }
 
 
 def hour(folder: Path) -> dict[str, float]:
-    """Memory of the page after an hour of a medium, against its first half hour without the first ten
-    minutes.
-    """
+    """Growth of memory over an hour of media time, against minutes 10 to 30."""
     page = folder / "hour.html"
     page.write_text(empty_page(), encoding="utf-8")
     rows = hour_played(folder, page.as_uri())
     played = rows[:, 0]
     first, last = rows[(played > 600) & (played < 1800)], rows[played > 2400]
-    heap, wasm, kept = (np.median(last, axis=0) - np.median(first, axis=0))[1:]
+    heap, wasm, graphics = (np.median(last, axis=0) - np.median(first, axis=0))[1:]
     return {
         "hour_media_s": float(played[-1]),
         "hour_heap_growth_bytes": float(heap),
         "hour_wasm_growth_bytes": float(wasm),
-        "hour_graphics_growth": float(kept),
+        "hour_graphics_growth": float(graphics),
     }
 
 
@@ -171,13 +169,11 @@ def measure(minutes: float, rounds: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """A page that is small and there at once, half as fast as compiled code at the least, and that leaks
-    nothing.
-    """
+    """A small page, short waits, a decoder near the speed of compiled Python, and no leaks."""
     waits = {
-        f"{scene}, {words}": (figure(figures, f"{scene}_{key}_ms"), limit)
+        f"{scene}, {label}": (figure(figures, f"{scene}_{key}_ms"), limit)
         for scene in ("terrain", "motorcycle")
-        for key, words, limit in (
+        for key, label, limit in (
             ("force", "file to force", 300.0),
             ("first_picture", "page to picture", 1500.0),
         )

@@ -1,19 +1,17 @@
-"""The fewest points (paper section 6.2): on modes beside their floor, with a curl-free kernel beside random
-points.
+"""Fewest points (paper section 6.2): on modes, and with a curl-free kernel.
 
     python bench/bench_points.py [--quick] [--most N]
 
-"moving": media of many frames. The modes are made of all frames and the error is that of all ("same"), or
-made of the even frames and the error is that of the odd ones ("held out"); the floor is what the same modes
-cannot write of those frames. As many modes as points.
+"moving": media of many frames. The modes are learnt from all frames and the error is that of all ("same"), or
+learnt from the even frames and the error is that of the odd ones ("held out"). The floor is the error of the
+modes themselves on those frames. There are as many modes as points.
 
-"still": the middle frame of media, and a recording of a hand that guides a robot (`shared`); where that
-folder is not there, what is in it is left out. The error is over all samples that hold a force, or were
-recorded. Random points are the median of five draws, and with the best of all kernels that ours are tried
-with, known afterwards. "times" is how many times as many of them it takes for our error, 4 at most. The same
-of points of greatest variance alone, which do not know the forces, likewise with the best kernel: they lie at
-the rim of what is felt, where forces are weak and a point tells of few others, so that they are no better
-than random ones here.
+"still": the middle frame of media, and a recording of a hand that guides a robot (`shared`; skipped without
+that folder). The error is over all supported or recorded samples. Random points are the median of five draws,
+with the best of all tried kernels, chosen afterwards. "times" is the factor by which more of them are needed
+for the same error, at most 4. The same is measured for points of greatest variance alone, which ignore the
+forces, with the best kernel: they lie at the rim of the field, where forces are weak, so they are no better
+than random.
 """
 
 from __future__ import annotations
@@ -42,14 +40,14 @@ def sphere() -> tf.HapticMedium:
     grid = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (32, 32, 32))
     at, frames = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1)), []
     for angle in np.linspace(0, 2 * np.pi, 64, endpoint=False):
-        apart = at - 0.012 * np.array([np.cos(angle), np.sin(angle), 0.5 * np.sin(2 * angle)])
-        far = np.linalg.norm(apart, axis=-1, keepdims=True)
-        frames.append(np.maximum(0.015 - far, 0) * 200 * apart / np.maximum(far, 1e-9))
+        offset_m = at - 0.012 * np.array([np.cos(angle), np.sin(angle), 0.5 * np.sin(2 * angle)])
+        distance_m = np.linalg.norm(offset_m, axis=-1, keepdims=True)
+        frames.append(np.maximum(0.015 - distance_m, 0) * 200 * offset_m / np.maximum(distance_m, 1e-9))
     return tf.HapticMedium.from_array(np.array(frames, np.float32), grid, 60.0)
 
 
 def moving_media() -> Iterator[tuple[str, tf.HapticMedium]]:
-    """Those that can be made here."""
+    """Name and medium of every available source of many frames."""
     yield "sphere", sphere()
     yield "falling bodies", prepare("sample:falling-4", EncodeSpec(nw=5, representation="voxel")).medium
     for name, path in (("fox", "fox/Fox.glb"), ("morph", "morph_stress_test/MorphStressTest.gltf")):
@@ -57,16 +55,16 @@ def moving_media() -> Iterator[tuple[str, tf.HapticMedium]]:
             yield name, prepare(SHARED / "meshes" / path, EncodeSpec(nw=6, representation="voxel")).medium
 
 
-def still_fields(moving: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Places and forces."""
+def single_fields(moving: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Name, positions and forces of single fields."""
     for name in ("shapes", "terrain"):
-        one = prepare(f"sample:{name}", EncodeSpec(nw=5)).medium[0]
-        yield name, one.grid.to_m(one.positions()), one.vectors_n().astype(float)
+        field = prepare(f"sample:{name}", EncodeSpec(nw=5)).medium[0]
+        yield name, field.grid.to_m(field.positions()), field.vectors_n().astype(float)
     for name in ("fox", "sphere"):
         if name in moving:
-            places, rows = moving[name]
+            positions_m, rows = moving[name]
             forces = rows[len(rows) // 2].reshape(-1, 3).astype(float)
-            yield f"{name}, one frame", places[forces.any(axis=1)], forces[forces.any(axis=1)]
+            yield f"{name}, one frame", positions_m[forces.any(axis=1)], forces[forces.any(axis=1)]
     recorded = SHARED / "force_panda_comanipulation" / "symbol_data.mat"
     if recorded.exists():
         from scipy.io import loadmat
@@ -75,62 +73,69 @@ def still_fields(moving: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
         yield "recording", row.pos.T.astype(float), row.F.T.astype(float)
 
 
-def share_db(error: Any, whole: Any) -> float:
-    """Energy over energy."""
-    return float(10 * np.log10((np.asarray(error) ** 2).sum() / (np.asarray(whole) ** 2).sum()))
+def ratio_db(error: Any, reference: Any) -> float:
+    """Energy of the error over that of the reference, dB."""
+    return float(10 * np.log10((np.asarray(error) ** 2).sum() / (np.asarray(reference) ** 2).sum()))
 
 
-def on_modes(every: Modes, learnt: Any, seen: Any, count: int) -> Figures:
-    """Points on the first modes, beside the floor and random ones, on the rows `seen`."""
+def on_modes(every: Modes, learnt: Any, tested: Any, count: int) -> Figures:
+    """Points on the first modes, against the floor and random points, on the rows `tested`."""
     modes, rng = every.first(min(count, every.rank)), np.random.default_rng(count)
     missed_n2 = ((learnt - modes.rebuild(modes.coefficients(learnt))) ** 2).mean(axis=0)
-    chosen = mode_points(modes, count, missed_n2.reshape(-1, 3).sum(axis=1))
-    lost = seen - modes.rebuild(modes.coefficients(seen))
+    selected = mode_points(modes, count, missed_n2.reshape(-1, 3).sum(axis=1))
+    residual = tested - modes.rebuild(modes.coefficients(tested))
 
     def missed(points: ModePoints) -> Any:
-        return seen - modes.rebuild(points.coefficients(seen[:, points.rows]))
+        return tested - modes.rebuild(points.coefficients(tested[:, points.rows]))
 
-    draws = [ModePoints(modes, rng.choice(seen.shape[1] // 3, count, replace=False)) for _ in range(SEEDS)]
-    within = np.linalg.norm(missed(chosen), axis=1) / np.maximum(np.linalg.norm(lost, axis=1), 1e-9)
-    floor, error = share_db(lost, seen), share_db(missed(chosen), seen)
+    draws = [ModePoints(modes, rng.choice(tested.shape[1] // 3, count, replace=False)) for _ in range(SEEDS)]
+    within = np.linalg.norm(missed(selected), axis=1) / np.maximum(np.linalg.norm(residual, axis=1), 1e-9)
+    floor, error = ratio_db(residual, tested), ratio_db(missed(selected), tested)
     return {
         "modes": modes.rank,
         "floor_db": floor,
         "error_db": error,
         "over_floor_db": error - floor,
-        "random_db": float(np.median([share_db(missed(one), seen) for one in draws])),
-        "bound": chosen.bound,
-        "of_bound": float(within.max() / chosen.bound),
+        "random_db": float(np.median([ratio_db(missed(draw), tested) for draw in draws])),
+        "bound": selected.bound,
+        "of_bound": float(within.max() / selected.bound),
     }
 
 
-def rebuilt_db(places: Any, forces: Any, chosen: Any, kernel: Kernel) -> float:
-    """What is missed when the field goes through some points."""
-    through = CurlFree.through(places[chosen], forces[chosen], kernel.length_m, kernel.noise)
-    return share_db(through.forces_n(places) - forces, forces)
+def rebuilt_db(positions_m: Any, forces: Any, selected: Any, kernel: Kernel) -> float:
+    """Error of the field rebuilt from some points, dB."""
+    through = CurlFree.through(positions_m[selected], forces[selected], kernel.length_m, kernel.noise)
+    return ratio_db(through.forces_n(positions_m) - forces, forces)
 
 
-def on_kernel(places: Any, forces: Any, count: int) -> Figures:
-    """Points by error and by variance beside random ones."""
+def on_kernel(positions_m: Any, forces: Any, count: int) -> Figures:
+    """Points chosen by error and by variance, against random points."""
     began = time.perf_counter()
-    _, kernel, back = _best_points(places, forces, count)
-    took, error = time.perf_counter() - began, share_db(back - forces, forces)
+    _, kernel, back = _best_points(positions_m, forces, count)
+    took, error = time.perf_counter() - began, ratio_db(back - forces, forces)
     extent, some = (
-        np.ptp(places, axis=0).max(),
-        np.arange(len(places))[:: -(-len(places) // max_candidates(count))],
+        np.ptp(positions_m, axis=0).max(),
+        np.arange(len(positions_m))[:: -(-len(positions_m) // max_candidates(count))],
     )
     kernels = [Kernel(part * extent, noise) for part in _LENGTHS for noise in _NOISES]
     by_random = {}
     for times in TIMES:
         draws = [
-            np.random.default_rng(s).choice(len(places), min(times * count, len(places)), replace=False)
+            np.random.default_rng(s).choice(
+                len(positions_m), min(times * count, len(positions_m)), replace=False
+            )
             for s in range(SEEDS)
         ]
-        by_random[times] = min(
-            float(np.median([rebuilt_db(places, forces, d, one) for d in draws])) for one in kernels
-        )
+        medians_db = []
+        for candidate in kernels:
+            errors_db = [rebuilt_db(positions_m, forces, draw, candidate) for draw in draws]
+            medians_db.append(float(np.median(errors_db)))
+        by_random[times] = min(medians_db)
     by_variance = min(
-        rebuilt_db(places, forces, some[variance_points(places[some], count, one)[0]], one) for one in kernels
+        rebuilt_db(
+            positions_m, forces, some[variance_points(positions_m[some], count, candidate)[0]], candidate
+        )
+        for candidate in kernels
     )
     levels = np.minimum.accumulate([by_random[t] for t in TIMES])
 
@@ -149,41 +154,41 @@ def on_kernel(places: Any, forces: Any, count: int) -> Figures:
 
 
 def measure(most: int) -> Figures:
-    """All of it."""
+    """Moving media, single fields, and the time of the choice by variance."""
     moving, rows = {}, {}
     for name, medium in moving_media():
         frames = np.unique(np.linspace(0, len(medium) - 1, min(len(medium), FRAMES)).astype(int)).tolist()
-        kept = [medium[i] for i in frames]
-        domain = _Domain(tf.HapticMedium.from_frames(kept, medium.rate_hz), list(range(len(kept))), name)
-        moving[name] = domain.positions_m, np.stack([domain.forces_n(one).reshape(-1) for one in kept])
+        fields = [medium[i] for i in frames]
+        domain = _Domain(tf.HapticMedium.from_frames(fields, medium.rate_hz), list(range(len(fields))), name)
+        moving[name] = domain.positions_m, np.stack([domain.forces_n(field).reshape(-1) for field in fields])
         every = moving[name][1].astype(float)
-        for kind, learnt, seen in (("same", every, every), ("held out", every[::2], every[1::2])):
+        for kind, learnt, tested in (("same", every, every), ("held out", every[::2], every[1::2])):
             modes = pod(learnt, min(max(MOVING_POINTS), len(learnt)))
             for count in MOVING_POINTS:
-                rows[f"{name}, {count}, {kind}"] = on_modes(modes, learnt, seen, count)
-    still = {
-        f"{name}, {count}": on_kernel(places, forces, count)
-        for name, places, forces in still_fields(moving)
+                rows[f"{name}, {count}, {kind}"] = on_modes(modes, learnt, tested, count)
+    single = {
+        f"{name}, {count}": on_kernel(positions_m, forces, count)
+        for name, positions_m, forces in single_fields(moving)
         for count in POINTS
         if count <= most
     }
     many = np.random.default_rng(0).uniform(size=(20_000, 3))
     began = time.perf_counter()
     variance_points(many, 5 * most, Kernel(0.1, 0.01))
-    return {"moving": rows, "still": still, "variance_s": time.perf_counter() - began, "of_20000": 5 * most}
+    return {"moving": rows, "still": single, "variance_s": time.perf_counter() - began, "of_20000": 5 * most}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Near the floor, within the bound; half of random's points."""
-    rows, still = figures["moving"], figures["still"]
-    same, held = ({n: r for n, r in rows.items() if n.endswith(kind)} for kind in ("same", "held out"))
-    real = {n: r for n, r in still.items() if n.startswith("recording")}
-    media = {n: r for n, r in still.items() if n not in real}
+    """Near the floor, within the bound, and half as many points as at random."""
+    rows, single = figures["moving"], figures["still"]
+    same, held_out = ({n: r for n, r in rows.items() if n.endswith(kind)} for kind in ("same", "held out"))
+    real = {n: r for n, r in single.items() if n.startswith("recording")}
+    media = {n: r for n, r in single.items() if n not in real}
     return [
         at_most(
             "points over the floor of their modes, same frames", max(column(same, "over_floor_db")), 3.0, "dB"
         ),
-        at_most("the same, frames held out", max(column(held, "over_floor_db")), 3.0, "dB"),
+        at_most("the same, frames held out", max(column(held_out, "over_floor_db")), 3.0, "dB"),
         at_most("error of a frame over its bound", max(column(rows, "of_bound")), 1.0 + 1e-6),
         at_least("random points for the same error, media", min(column(media, "times")), 2.0, "times"),
         at_least("the same, a recording", min(column(real, "times"), default=None), 2.0, "times"),

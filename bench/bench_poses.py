@@ -40,7 +40,7 @@ def spinning(frames: int) -> PoseTrack:
 
 
 def packed(numbers: NDArray[np.int64], pack: Callable[[bytes], bytes]) -> int:
-    """Bytes of the differences by a general packer, the better of two orders."""
+    """Bytes of the differences by a general-purpose coder, the better of two orders."""
     return min(len(pack(np.diff(numbers, order, axis=0).T.astype("<i4").tobytes())) for order in (1, 2))
 
 
@@ -68,7 +68,7 @@ def measure(frames: int) -> Figures:
     scene = prepare("sample:falling-7", EncodeSpec(frames=(0, frames))).scene
     assert scene is not None
     tracks = {
-        **{f"falling {one.name}": one.track for one in scene.objects},
+        **{f"falling {body.name}": body.track for body in scene.objects},
         "spinning": spinning(frames),
         "still": PoseTrack.constant(frames, (0.1, 0.2, 0.05)),
     }
@@ -83,9 +83,7 @@ def measure(frames: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Shorter than the best packer, two seconds of a falling body in 3 kB, and poses far faster than they
-    come.
-    """
+    """Shorter than the best packer, 3 kB for two seconds of a falling body, and real-time speed."""
     rows = figures["rows"]
     over = [
         min(row["zlib_bytes_a_pose"], row["lzma_bytes_a_pose"]) / row["bytes_a_pose"] for row in rows.values()

@@ -1,11 +1,11 @@
-"""The promise on every input there is: voxels beyond max(F_0, k |F|), which must be none.
+"""The error bound max(F_0, k |F|) on every available input: no voxel may exceed it.
 
     python bench/bench_promise.py [--quick] [--frames N] [--nw N]
 
 Every scene of the optional folder ../shared/data, and the samples of the package, at n_w 6 for a Phantom
 Omni, at k = 0.05, 0.1 and 0.25 and F_0 = 0.05 N, efforts fast and default, 3 frames of each. The decoded
-frames are compared with the fields before coding by `touchfield.perception.mask`, apart from the coder's own
-check. Exits with 1 where a voxel is beyond.
+frames are compared with the original fields by `touchfield.perception.mask`, independently of the coder's own
+check. The exit status is 1 if a voxel exceeds the bound.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def row_of(name: str, grid: Grid, frames: list[ForceField], spec: TouchSpec) -> 
     ]
     row = {"source": name, "k": spec.k, "effort": spec.effort, "bytes": len(body)}
     row |= {
-        "worst": max(one.worst_ratio or 0.0 for one in counts),
-        "beyond": sum(one.count for one in counts),
+        "worst": max(count.worst_ratio or 0.0 for count in counts),
+        "beyond": sum(count.count for count in counts),
     }
     print(", ".join(f"{key} {text(value)}" for key, value in row.items()), flush=True)
     return row
@@ -79,7 +79,7 @@ def measure(frames: int, nw: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """No voxel beyond its mask, whatever the input."""
+    """No voxel beyond its mask on any input."""
     return [
         at_most("voxels beyond max(F_0, k |F|)", figures["beyond"], 0),
         at_most("largest error, in units of the mask", max(column(figures["rows"], "worst")), 1.0),

@@ -1,13 +1,12 @@
-"""The proxy beside the plain field: what holds, how true the force is, what a slide hums, how long a query
-takes.
+"""The proxy against the plain field: penetration, accuracy, energy, vibration and query time.
 
     python bench/bench_proxy.py [--quick] [--seconds S] [--walks N]
 
-A simulated hand of 0.1 kg is pushed with 3 N into plates of 1, 2 and 5 mm, beside their edge, into an inner
-corner, onto an outer edge and, kept on its line by 500 N/m, into the desk of TUM fr1_rpy, rendered by the
-proxy and as the field is. It is held if it comes to rest with the proxy where it came from. Slides at 50
-mm/s: what lies between 40 and 400 Hz. Energy: 60 s of random pressing, the most that the hand ever got back
-beyond what it gave.
+A simulated hand of 0.1 kg is pushed with 3 N into plates of 1, 2 and 5 mm, near their edge, into an inner
+corner, onto an outer edge and, guided by a spring of 500 N/m, into the desk of TUM fr1_rpy, rendered with the
+proxy and as the plain field. A press holds if the hand comes to rest with the proxy on the side it came from.
+Slides at 50 mm/s: vibration from 40 to 400 Hz. Energy: the largest net energy that the hand receives in 60 s
+of random pressing.
 """
 
 from __future__ import annotations
@@ -44,19 +43,19 @@ def plate(thickness_m: float) -> ForceField:
     return field
 
 
-def is_held(field: ForceField, start: Any, push: Any, is_proxy: bool) -> bool:
+def comes_to_rest(field: ForceField, start: Any, push: Any, is_proxy: bool) -> bool:
     """True if a pushed hand comes to rest, and the proxy was never within the field."""
-    one = Held(field, is_proxy=is_proxy)
-    hand, forces, proxy = one.pushed(start, push, 1.5)
+    rig = Held(field, is_proxy=is_proxy)
+    hand, forces, proxy = rig.pushed(start, push, 1.5)
     rests = float(np.linalg.norm(hand[-1] - hand[-100])) < 2e-4 and float(np.linalg.norm(forces[-1])) > 1.0
     outside = (
-        not is_proxy or float(np.linalg.norm(field.sample_n(proxy), axis=1).max()) < 6 * one.wall.level_n
+        not is_proxy or float(np.linalg.norm(field.sample_n(proxy), axis=1).max()) < 6 * rig.wall.level_n
     )
     return rests and outside
 
 
 def holds() -> Figures:
-    """How many of the presses of each kind hold."""
+    """Number of presses of each kind that hold."""
     cases: dict[str, list[tuple[ForceField, Any, Any]]] = {}
     for mm in (1, 2, 5):
         field = plate(1e-3 * mm)
@@ -80,19 +79,21 @@ def holds() -> Figures:
         for point in points_on_surface(desk, DESK_POINTS, np.random.default_rng(0)):
             normal = desk.sample_n(point[None])[0]
             normal /= np.linalg.norm(normal)
-            far = [x for x in (0.004, 0.006, 0.01) if not desk.sample_n((point + x * normal)[None]).any()]
-            if far:
-                presses.append((desk, point + far[0] * normal, ramp_n(-normal, PUSH_N, 0.3, 500.0)))
+            free = [x for x in (0.004, 0.006, 0.01) if not desk.sample_n((point + x * normal)[None]).any()]
+            if free:
+                presses.append((desk, point + free[0] * normal, ramp_n(-normal, PUSH_N, 0.3, 500.0)))
         cases["TUM desk"] = presses
-    told = {}
+    rows = {}
     for name, some in cases.items():
-        counts = [sum(is_held(f, start, push, mode) for f, start, push in some) for mode in (True, False)]
-        told[name] = {"presses": len(some), "proxy": counts[0], "field": counts[1]}
-    return told
+        counts = [
+            sum(comes_to_rest(f, start, push, mode) for f, start, push in some) for mode in (True, False)
+        ]
+        rows[name] = {"presses": len(some), "proxy": counts[0], "field": counts[1]}
+    return rows
 
 
 def truth() -> Figures:
-    """Forces of 1 to 3 N beside the closed form, and friction of 0.2 to 0.8 beside mu N, in shares of it."""
+    """Relative errors of forces of 1 to 3 N, and of friction with mu from 0.2 to 0.8."""
     rng, errors, slips = np.random.default_rng(1), [], []
     ball, block = Held(field_of(BALL)), Held(field_of(BLOCK))
     for depth in np.linspace(0.002, 0.006, 9):
@@ -100,23 +101,23 @@ def truth() -> Figures:
             unit = rng.normal(size=3)
             unit /= np.linalg.norm(unit)
             x, y = rng.uniform(-0.6, 0.6, 2) * (0.02, 0.01)
-            for one, start, end in (
+            for rig, start, end in (
                 (ball, 0.03 * unit, (0.025 - depth) * unit),
                 (block, np.array([x, y, 0.02]), np.array([x, y, 0.015 - depth])),
             ):
-                one.memory.f8[W.IS_COUPLED] = 0.0
-                for share in np.linspace(0, 1, 40):
-                    force = one.tick(start + share * (end - start))
+                rig.memory.f8[W.IS_COUPLED] = 0.0
+                for fraction in np.linspace(0, 1, 40):
+                    force = rig.tick(start + fraction * (end - start))
                 errors.append(abs(np.linalg.norm(force) / (500 * depth) - 1))
     for mu in (0.2, 0.5, 0.8):
-        one = Held(field_of(BLOCK), mu=mu)
+        rig = Held(field_of(BLOCK), mu=mu)
         for z in np.linspace(0.02, 0.013, 40):
-            one.tick(np.array([0.0, 0.0, z]))
+            rig.tick(np.array([0.0, 0.0, z]))
         for way in np.linspace(0, 0.005, 300):
-            one.tick(np.array([way, 0.3 * way, 0.013]))
-            most = mu * np.linalg.norm(one.word(W.FIELD_FORCE))
-            wanted = min(one.wall.stiffness_n_per_m * np.hypot(way, 0.3 * way), most)
-            slips.append(abs(np.linalg.norm(one.word(W.FRICTION_FORCE)) - wanted) / most)
+            rig.tick(np.array([way, 0.3 * way, 0.013]))
+            max_friction_n = mu * np.linalg.norm(rig.word(W.FIELD_FORCE))
+            expected_n = min(rig.wall.stiffness_n_per_m * np.hypot(way, 0.3 * way), max_friction_n)
+            slips.append(abs(np.linalg.norm(rig.word(W.FRICTION_FORCE)) - expected_n) / max_friction_n)
     return {
         "error": float(np.mean(errors)),
         "worst_error": float(np.max(errors)),
@@ -125,24 +126,24 @@ def truth() -> Figures:
 
 
 def energies(damping: float, seconds: int) -> Figures:
-    """The most energy that a hand got back in so much random pressing, joules, and what it got in the end."""
-    told = {}
-    for name, shape, far in (("ball", BALL, 0.025), ("block", BLOCK, 0.015)):
-        rng, one = np.random.default_rng(2), Held(field_of(shape), damping=damping)
-        x, v, given, most = np.array([0.0, 0.0, 0.035]), np.zeros(3), 0.0, 0.0
+    """Largest and final net energy that a hand receives in random pressing, joules."""
+    rows = {}
+    for name, shape, surface_m in (("ball", BALL, 0.025), ("block", BLOCK, 0.015)):
+        rng, rig = np.random.default_rng(2), Held(field_of(shape), damping=damping)
+        x, v, work_j, max_work_j = np.array([0.0, 0.0, 0.035]), np.zeros(3), 0.0, 0.0
         way, goal = rng.normal(size=3), np.zeros(3)
         for n in range(1000 * seconds):
             if n % 250 == 0:
                 way = 0.7 * way + rng.normal(size=3) + [0, 0, 1.0]
-                goal = (far - rng.uniform(-0.004, 0.006)) * way / np.linalg.norm(way)
-            force, before = one.tick(x), x
+                goal = (surface_m - rng.uniform(-0.004, 0.006)) * way / np.linalg.norm(way)
+            force, before = rig.tick(x), x
             for _ in range(4):
                 v = v + (500 * (goal - x) - 14 * v + force) / 0.1 * 2.5e-4
                 x = x + v * 2.5e-4
-            given += float(force @ (x - before))
-            most = max(most, given)
-        told[name] = {"most_j": most, "in_the_end_j": given}
-    return told
+            work_j += float(force @ (x - before))
+            max_work_j = max(max_work_j, work_j)
+        rows[name] = {"most_j": max_work_j, "in_the_end_j": work_j}
+    return rows
 
 
 @njit
@@ -156,37 +157,37 @@ def _nothing(i8, u8, f8, f4, frame, x, y, z):  # type: ignore[no-untyped-def]
 
 
 def speeds(fields: dict[str, ForceField], count: int) -> Figures:
-    """Microseconds of a query on a hand that slides 2 mm within, edges included."""
-    told = {}
+    """Microseconds of a query while a hand slides 2 mm deep, edges included."""
+    rows = {}
     for name, field in fields.items():
-        one, rng = Held(field), np.random.default_rng(3)
+        rig, rng = Held(field), np.random.default_rng(3)
         walks = surface_walks(field, 0.03, count, rng)
         points = np.concatenate(
             [ways.swapaxes(0, 1).reshape(-1, 3) for ways in slide_m(walks, 0.1, 0.3, 1000.0)]
         )
         took = []
         for call in (_query, _nothing):
-            call(*one.memory.views, one.frames[0], *points[0])
+            call(*rig.memory.views, rig.frames[0], *points[0])
             times = np.empty((5, len(points)))
             for run in times:
                 for n, point in enumerate(points.tolist()):
                     began = time.perf_counter()
-                    call(*one.memory.views, one.frames[0], *point)
+                    call(*rig.memory.views, rig.frames[0], *point)
                     run[n] = time.perf_counter() - began
             took.append(
                 1e6 * np.percentile(times.min(axis=0), [50, 99, 99.9])
-            )  # what other programs took is not ours
+            )  # the minimum excludes other programs
         quick = took[0] - np.median(took[1])
-        told[name] = dict(zip(("p50_us", "p99_us", "p99_9_us"), quick.tolist(), strict=True))
-    return told
+        rows[name] = dict(zip(("p50_us", "p99_us", "p99_9_us"), quick.tolist(), strict=True))
+    return rows
 
 
 def hums(fields: dict[str, ForceField], count: int) -> Figures:
-    """Millinewtons from 40 to 400 Hz of slides, by the proxy and of the field itself.
+    """Vibration of slides from 40 to 400 Hz, mN rms, with the proxy and of the plain field.
 
     The hand hangs on a spring of 500 N/m, whose far end goes along the surface 2 mm below the level of 1 N.
     """
-    told = {}
+    rows = {}
     for name, field in fields.items():
         walks = surface_walks(field, 0.05, count, np.random.default_rng(4))
         row: Figures = {}
@@ -196,14 +197,14 @@ def hums(fields: dict[str, ForceField], count: int) -> Figures:
             for way in (way for way in ways if len(way) >= 900):
                 normals = field.sample_n(way).astype(np.float64)
                 goal = way - 0.002 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
-                one = Held(field, is_proxy=is_proxy, damping=0.3)
+                rig = Held(field, is_proxy=is_proxy, damping=0.3)
                 spring = lambda t, x, goal=goal: 500.0 * (goal[round(1000 * t)] - x)  # noqa: E731
                 start = way[0] + 0.004 * normals[0] / np.linalg.norm(normals[0])
-                _, forces, _ = one.pushed(start, spring, 1e-3 * len(way), damping=14.0)
+                _, forces, _ = rig.pushed(start, spring, 1e-3 * len(way), damping=14.0)
                 powers.append((in_band(forces[100:], 1000.0) ** 2).sum(axis=1).mean())
             row[key] = 1e3 * float(np.sqrt(np.median(powers))) if powers else float("nan")
-        told[name] = row
-    return told
+        rows[name] = row
+    return rows
 
 
 def stiffness_of(field: ForceField) -> float:
@@ -214,7 +215,7 @@ def stiffness_of(field: ForceField) -> float:
 
 
 def measure(seconds: int, walks: int) -> Figures:
-    """Everything, on the fields that are here."""
+    """All figures, on the available fields."""
     fields: dict[str, ForceField] = {
         "ball": field_of(BALL),
         "block": field_of(BLOCK),
@@ -234,7 +235,7 @@ def measure(seconds: int, walks: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """All presses held, the force that is to be, no energy, and a query far within a tick."""
+    """All presses hold, accurate forces, no energy gain, and a query well within a tick."""
     missed = {name: row["presses"] - row["proxy"] for name, row in figures["holds"].items()}
     return [
         *(

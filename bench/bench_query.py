@@ -1,10 +1,9 @@
-"""The force at a point of a field of 128^3 samples: at random, where there is a force, along a path; and of
-objects.
+"""Point queries of a field of 128^3 samples, random, supported and along a path; of objects.
 
     python bench/bench_query.py [--quick] [--points N]
 
 Peers are scipy's `map_coordinates` (order 1, one call for each component) and `RegularGridInterpolator` on
-the same field held densely, and a compiled trilinear loop over it by all threads; forces are compared. The
+the same dense field, and a compiled trilinear loop over it by all threads; forces are compared. The
 path is that of a hand that wanders through the box; the seven objects are those of `bench_objects`. One query
 is timed within compiled code by the processor's own counter, and from Python.
 """
@@ -47,12 +46,10 @@ def field() -> ForceField:
 
 
 def path(count: int, rng: np.random.Generator) -> Floats:
-    """A hand that is pushed about at random and turns back at the walls,
-    some hundredths of a sample a step.
-    """
+    """Path of a randomly pushed hand, reflected at the walls; some hundredths of a sample per step."""
     velocity = np.cumsum(rng.normal(0, 0.02, (count, 3)), axis=0)
-    far = np.cumsum(0.02 * velocity, axis=0) / (SIDE - 2)
-    return (np.abs(far % 2 - 1) * (SIDE - 2) + 0.5) * SPACING_M
+    distance = np.cumsum(0.02 * velocity, axis=0) / (SIDE - 2)
+    return (np.abs(distance % 2 - 1) * (SIDE - 2) + 0.5) * SPACING_M
 
 
 class Peers:
@@ -102,31 +99,29 @@ counter: Any = _counter
 
 @njit(nogil=True, parallel=True, fastmath=True)
 def trilinear(dense, at, out):  # type: ignore[no-untyped-def]
-    """A dense field [n, n, n, 3] at places in samples [m, 3], within it, by all threads:
-    as plain as can be.
-    """
+    """Trilinear interpolation of a dense field [n, n, n, 3] at points [m, 3] in samples."""
     for p in prange(at.shape[0]):
         i, j, k = int(at[p, 0]), int(at[p, 1]), int(at[p, 2])
         u, v, w = at[p, 0] - i, at[p, 1] - j, at[p, 2] - k
         for n in range(3):
-            near = (dense[i, j, k, n] * (1 - w) + dense[i, j, k + 1, n] * w) * (1 - v)
-            near += (dense[i, j + 1, k, n] * (1 - w) + dense[i, j + 1, k + 1, n] * w) * v
-            far = (dense[i + 1, j, k, n] * (1 - w) + dense[i + 1, j, k + 1, n] * w) * (1 - v)
-            far += (dense[i + 1, j + 1, k, n] * (1 - w) + dense[i + 1, j + 1, k + 1, n] * w) * v
-            out[p, n] = near * (1 - u) + far * u
+            lower = (dense[i, j, k, n] * (1 - w) + dense[i, j, k + 1, n] * w) * (1 - v)
+            lower += (dense[i, j + 1, k, n] * (1 - w) + dense[i, j + 1, k + 1, n] * w) * v
+            upper = (dense[i + 1, j, k, n] * (1 - w) + dense[i + 1, j, k + 1, n] * w) * (1 - v)
+            upper += (dense[i + 1, j + 1, k, n] * (1 - w) + dense[i + 1, j + 1, k + 1, n] * w) * v
+            out[p, n] = lower * (1 - u) + upper * u
 
 
 @njit(nogil=True)
-def one_by_one(points, i8, u8, f8, f4, a, b, blend, counts, forces):  # type: ignore[no-untyped-def]
-    """Counts of each query alone, and of nothing."""
+def time_queries(points, i8, u8, f8, f4, a, b, blend, counts, forces):  # type: ignore[no-untyped-def]
+    """Counts of each single query, and of an empty interval."""
     for p in range(points.shape[0]):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
-        begin = counter()
+        start = counter()
         fx, fy, fz = force_at(i8, u8, f8, f4, a, b, blend, x, y, z)
         middle = counter()
         end = counter()
         forces[p, 0], forces[p, 1], forces[p, 2] = fx, fy, fz
-        counts[p, 0], counts[p, 1] = middle - begin, end - middle
+        counts[p, 0], counts[p, 1] = middle - start, end - middle
 
 
 @njit(nogil=True)
@@ -136,12 +131,12 @@ def count_now():  # type: ignore[no-untyped-def]
 
 
 def call(compiled: Any, *values: Any) -> Any:
-    """What a compiled function returns: to the types it is an object that nothing can call."""
+    """Call a compiled function, which the type checker does not know to be callable."""
     return compiled(*values)
 
 
 def counter_ns() -> float:
-    """Nanoseconds of one count."""
+    """Nanoseconds per count."""
     count_now()
     began_ns, began = perf_counter_ns(), count_now()
     while perf_counter_ns() - began_ns < 50e6:
@@ -156,24 +151,24 @@ def percentiles(us: Floats) -> dict[str, float]:
 
 
 def compiled(sampler: FieldSampler, time_s: float, points_m: Floats) -> dict[str, float]:
-    """One query in compiled code; what it takes to read the counter is taken off."""
+    """One query in compiled code, less the time to read the counter."""
     first, second, blend = sampler._instant(time_s)
     pair = sampler._pair(first, second)
     counts, forces = np.zeros((len(points_m), 2), np.int64), np.zeros(points_m.shape)
     for _ in range(2):
-        call(one_by_one, points_m, *pair.memory.views, pair.first, pair.second, blend, counts, forces)
+        call(time_queries, points_m, *pair.memory.views, pair.first, pair.second, blend, counts, forces)
     return percentiles((counts[:, 0] - np.median(counts[:, 1])) * counter_ns() / 1e3)
 
 
 def from_python(call: Callable[[float, float, float], Any], points_m: Floats) -> dict[str, float]:
     """One call from Python each."""
     call(*points_m[0].tolist())
-    own_us = np.empty(len(points_m))
+    times_us = np.empty(len(points_m))
     for n, (x, y, z) in enumerate(points_m.tolist()):
         began = perf_counter_ns()
         call(x, y, z)
-        own_us[n] = (perf_counter_ns() - began) / 1e3
-    return percentiles(own_us)
+        times_us[n] = (perf_counter_ns() - began) / 1e3
+    return percentiles(times_us)
 
 
 def rate(call: Callable[[Floats], Any], points_m: Floats, runs: int) -> float:
@@ -182,9 +177,7 @@ def rate(call: Callable[[Floats], Any], points_m: Floats, runs: int) -> float:
 
 
 def batch(sampler: FieldSampler, objects: FieldSampler, peers: Peers, points: Floats) -> dict[str, float]:
-    """Millions of points a second of all, how far their forces differ, and the share of points that feel
-    any.
-    """
+    """Millions of points per second, differences, and the fraction of points with a force."""
     few = points[:PEER_POINTS]
     found = sampler.force_n(0.0, few)
     row = {
@@ -207,10 +200,10 @@ def batch(sampler: FieldSampler, objects: FieldSampler, peers: Peers, points: Fl
 
 
 def queries(
-    sampler: FieldSampler, objects: FieldSampler, peers: Peers, places: dict[str, Floats]
+    sampler: FieldSampler, objects: FieldSampler, peers: Peers, point_sets: dict[str, Floats]
 ) -> dict[str, dict[str, float]]:
     """One query at a time."""
-    some = {name: points[:QUERIES] for name, points in places.items()}
+    some = {name: points[:QUERIES] for name, points in point_sets.items()}
     along = some["path"]
     return {
         **{f"compiled, {name}": compiled(sampler, 0.0, points) for name, points in some.items()},
@@ -230,26 +223,24 @@ def measure(points: int) -> Figures:
     rng, first = np.random.default_rng(1), field()
     sampler = FieldSampler(HapticMedium.from_frames([first, first.scaled(0.5)], RATE_HZ))
     objects, peers = FieldSampler(scene()), Peers(first)
-    held = first.positions()[rng.integers(0, first.support_count, points)] + rng.uniform(
+    in_force = first.positions()[rng.integers(0, first.support_count, points)] + rng.uniform(
         -0.5, 0.5, (points, 3)
     )
-    places = {
+    point_sets = {
         "random": rng.uniform(0, (SIDE - 1) * SPACING_M, (points, 3)),
-        "in force": np.clip(held, 0, SIDE - 1.001) * SPACING_M,
+        "in force": np.clip(in_force, 0, SIDE - 1.001) * SPACING_M,
         "path": path(points, rng),
     }
     return {
         "support_share": first.support_count / SIDE**3,
         "threads": worker_count(),
-        "batches": {name: batch(sampler, objects, peers, some) for name, some in places.items()},
-        "single": queries(sampler, objects, peers, places),
+        "batches": {name: batch(sampler, objects, peers, some) for name, some in point_sets.items()},
+        "single": queries(sampler, objects, peers, point_sets),
     }
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Many points far ahead of scipy, no slower than a dense loop, one query far within a tick; the same
-    forces.
-    """
+    """Batches faster than scipy and a dense loop, one query well within a tick, equal forces."""
     batches, single = figures["batches"], figures["single"]
     alone = [single[f"compiled, {name}"] for name in ("random", "path")]
     return [

@@ -1,17 +1,16 @@
-"""A medium in fewer numbers (paper section 6.1): modes on frames held out, what they cost, what no hand can
-feel.
+"""Reduction of a medium (paper section 6.1): modes on held-out frames, bytes, and culling.
 
     python bench/bench_reduction.py [--quick] [--frames N] [--paths N]
 
 "modes": a skinned fox and a morph target (`shared`; left out without that folder), and bodies that fall.
-Modes are learnt from the even frames, and the odd ones told with them to -30 dB; the share is that of the
-numbers, without the modes and with them. "bytes": the same frames by coder touch at the same error, beside
-the modes as 16-bit floats and the rounded coefficients, both through LZMA, which is no coder made for them,
-but shows the order.
+Modes are learnt from the even frames, and the odd ones are represented by them at -30 dB; the share is that
+of the numbers, without the modes and with them. "bytes": the same frames by coder touch at the same error,
+beside the modes as 16-bit floats and the rounded coefficients, both through LZMA, which is no coder made for
+them, but shows the order.
 
-"culling": a pillow that a source makes solid (--thickness-m inf), standing, and a solid floor that heaves.
-Samples left out, and forces that differ along paths of hands that do their worst: they press against the
-force, swing with it so that each turn gains energy, and run in from afar.
+"culling": a static pillow that a source fills (--thickness-m inf), and a heaving solid floor. Figures are the
+samples removed, and the forces that differ along adversarial paths of hands: they press against the force,
+swing with it so that each turn gains energy, and approach from far away.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ exponents = [0.5, 0.5]
 
 
 def media(frames: int) -> dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]:
-    """What is there, with the kinds of modes to try."""
+    """Available media, with the kinds of modes to try."""
     meshes, found = SHARED / "meshes", dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]()
     spec = tf.EncodeSpec(nw=6, representation="voxel")
     if (meshes / "fox" / "Fox.glb").exists():
@@ -56,15 +55,15 @@ def media(frames: int) -> dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]:
     return {**found, "fall": (fall, ("bricks",))}
 
 
-def kept(medium: tf.HapticMedium) -> tf.HapticMedium:
-    """The same with its frames in memory."""
+def in_memory(medium: tf.HapticMedium) -> tf.HapticMedium:
+    """The same medium with its frames in memory."""
     return tf.HapticMedium.from_frames([medium[i] for i in range(len(medium))], medium.rate_hz, medium.axes)
 
 
-def by_modes_bytes(found: ReducedMedium, least_n: float) -> int:
+def by_modes_bytes(found: ReducedMedium, min_n: float) -> int:
     """Modes and coefficients of a medium, through LZMA."""
     coefficients = np.concatenate([found.coefficients(i) for i in range(len(found.medium))])
-    coefficients[np.abs(coefficients) < least_n] = 0
+    coefficients[np.abs(coefficients) < min_n] = 0
     step = max(float(np.sqrt((found.modes.energy * 1e-4 * 12) / coefficients.size)), 1e-12)
     parts = (
         found.modes.basis.T.astype(np.float16).tobytes(),
@@ -74,7 +73,7 @@ def by_modes_bytes(found: ReducedMedium, least_n: float) -> int:
 
 
 def by_touch(medium: tf.HapticMedium) -> tuple[float, float]:
-    """Kilobytes of coder touch, and its error, dB, with the step that should make it -30."""
+    """Kilobytes and NMSE of coder touch, with the step expected to give -30 dB."""
     squares = [(field.forces_n.astype(float) ** 2).sum() / max(1, field.support_count) for field in medium]
     coder = tf.codec.TouchSpec(mode="nmse", step_n=2 * float(np.sqrt(1e-3 * np.mean(squares))))
     meter = FidelityMeter(0.1, 0.05)
@@ -90,23 +89,23 @@ def modes_of(frames: int) -> Figures:
     """Held-out frames, degrees of freedom and bytes of each."""
     rows: Figures = {}
     for name, (source, kinds) in media(frames).items():
-        medium = kept(source)
+        medium = in_memory(source)
         touch_kb, touch_db = by_touch(medium)
         for kind in kinds:
             began = time.perf_counter()
-            told = held_out(medium, kind)
-            found = reduce_to_modes(medium, kind, told.modes)
+            fit = held_out(medium, kind)
+            found = reduce_to_modes(medium, kind, fit.modes)
             free = freedom(found, 0.05)
             rows[f"{name}, {kind}"] = {
                 "frames": len(medium),
-                "modes": told.modes,
-                "numbers": told.numbers,
-                "nmse_db": told.nmse_db,
-                "share_of_coefficients": told.share_of_coefficients,
-                "share": told.share,
+                "modes": fit.modes,
+                "numbers": fit.numbers,
+                "nmse_db": fit.nmse_db,
+                "share_of_coefficients": fit.share_of_coefficients,
+                "share": fit.share,
                 "degrees_of_freedom": free.effective,
                 "bits_per_coefficient": free.bits,
-                "kb": by_modes_bytes(found, told.min_n) / 1e3,
+                "kb": by_modes_bytes(found, fit.min_n) / 1e3,
                 "touch_kb": touch_kb,
                 "touch_nmse_db": touch_db,
                 "seconds": time.perf_counter() - began,
@@ -116,18 +115,18 @@ def modes_of(frames: int) -> Figures:
 
 
 def pillow() -> tf.HapticMedium:
-    """A solid that stands, in a box of 381 x 267 x 191 mm."""
+    """A static solid in a box of 381 x 267 x 191 mm."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "pillow.toml"
         path.write_text(PILLOW)
         spec = tf.EncodeSpec(
             device="phantom-premium-1.5", nw=7, thickness_m=np.inf, stiffness_n_per_m=1500.0, mapping="1"
         )
-        return kept(prepare(path, spec).medium)
+        return in_memory(prepare(path, spec).medium)
 
 
 def floor() -> tf.HapticMedium:
-    """A solid that moves: a floor with a wave of 6 mm that goes along it, 144 mm wide, 36 frames."""
+    """A moving solid: a floor with a travelling wave of 6 mm, 144 mm wide, 36 frames."""
     count, step_m = 48, 0.003
     grid = tf.Grid((count,) * 3, (step_m,) * 3, (0.0,) * 3)
     x = np.stack(np.meshgrid(*[grid.axis_m(a) for a in range(3)], indexing="ij"), axis=-1)
@@ -147,45 +146,50 @@ def floor() -> tf.HapticMedium:
 def paths(
     medium: tf.HapticMedium, shell: tf.HapticMedium, hand: Hand, count: int, ticks: int = 600
 ) -> Figures:
-    """Forces that differ along paths of a second and less, in ticks of 1 ms."""
+    """Forces that differ along paths of up to a second, in ticks of 1 ms."""
     rng, dt, grid = np.random.default_rng(5), 1e-3, medium.grid
     low, high = grid.to_m(np.zeros(3)), grid.to_m(np.array(grid.shape) - 1)
     x = rng.uniform(low, high, (20 * count, 3))
     x = x[~medium[0].sample_n(x).any(axis=1)][:count]
     v = rng.normal(size=x.shape)
     v *= hand.speed_m_s / np.linalg.norm(v, axis=1, keepdims=True)
-    differ, most_n, met = 0, 0.0, np.zeros(len(x), bool)
+    differ, max_n, met = 0, 0.0, np.zeros(len(x), bool)
     way = np.arange(len(x)) % 3
     for tick in range(ticks):
         force = medium.sample_n(x, tick * dt)
         differ += int((force != shell.sample_n(x, tick * dt)).any(axis=1).sum())
         size = np.linalg.norm(force, axis=1, keepdims=True).astype(float)
-        most_n, met = max(most_n, float(size.max())), met | (size[:, 0] > 0)
+        max_n, met = max(max_n, float(size.max())), met | (size[:, 0] > 0)
         if tick % 200 == 0:
             goal = rng.uniform(low, high, x.shape)
-        ahead = goal - x
-        push = np.select([way[:, None] == 0, way[:, None] == 1], [-force, v], ahead)
-        push = np.where(size > 0, push, ahead)
+        to_goal = goal - x
+        push = np.select([way[:, None] == 0, way[:, None] == 1], [-force, v], to_goal)
+        push = np.where(size > 0, push, to_goal)
         push *= hand.push_n / np.maximum(np.linalg.norm(push, axis=1, keepdims=True), 1e-9)
         v = v + dt / hand.mass_kg * (force + push)
         v *= np.minimum(1, hand.speed_m_s / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12))
         x = np.clip(x + dt * v, low, high)
-    return {"paths": len(x), "in_contact": int(met.sum()), "greatest_n": most_n, "forces_that_differ": differ}
+    return {"paths": len(x), "in_contact": int(met.sum()), "greatest_n": max_n, "forces_that_differ": differ}
+
+
+def supported_samples(medium: tf.HapticMedium) -> int:
+    """Supported samples of all frames."""
+    return sum(medium[i].support_count for i in range(len(medium)))
 
 
 def culling(count: int) -> Figures:
-    """What is left of two solids."""
+    """Samples, bytes and forces of two solids after culling."""
     rows = {}
     for name, medium in (("pillow", pillow()), ("floor", floor())):
         began = time.perf_counter()
         reach = reach_of(medium, HAND)
         took = time.perf_counter() - began
-        shell = kept(without_unreachable(medium, reach.samples))
-        before, after = (sum(own[i].support_count for i in range(len(own))) for own in (medium, shell))
+        shell = in_memory(without_unreachable(medium, reach.samples))
+        before, after = supported_samples(medium), supported_samples(shell)
         exact, sizes = tf.EncodeSpec(touch=tf.codec.TouchSpec(mode="lossless")), []
         with tempfile.TemporaryDirectory() as folder:
-            for own in (medium, shell):
-                sizes.append(tf.encode(own, Path(folder) / "a.touch", exact).file_bytes)
+            for candidate in (medium, shell):
+                sizes.append(tf.encode(candidate, Path(folder) / "a.touch", exact).file_bytes)
         rows[name] = {
             "samples": before,
             "left": after / before,
@@ -199,14 +203,12 @@ def culling(count: int) -> Figures:
 
 
 def measure(frames: int, paths: int) -> Figures:
-    """All of it."""
+    """Culling and modes."""
     return {"hand": HAND.text, "culling": culling(paths), "modes": modes_of(frames)}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Held-out frames at -30 dB with a tenth of the numbers; half of a solid left out,
-    and no force changed.
-    """
+    """Held-out frames at -30 dB with a tenth of the numbers; half of a solid culled, equal forces."""
     rows, solid = figures["modes"], figures["culling"]
 
     def of(name: str, key: str) -> float | None:

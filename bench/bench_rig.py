@@ -1,14 +1,13 @@
-"""A rig of 40 joints, 20 thousand triangles and 200 frames, to fields and to a file: rigid links, and a
-smooth skin.
+"""A rig (40 joints, 20,000 triangles, 200 frames) to fields and to a file: rigid and smooth.
 
     python bench/bench_rig.py [--quick] [--frames N]
 
-Of the rigid rig each link goes with one joint: its links become objects. "Kept" is how many frames a second
-come from the open file to all that a receiver needs of them, a field for each link and a pose for each frame.
-The smooth rig is a tube whose vertices go with two joints each, a field of its own in every frame: timed to
-the fields on the device's lattice of 128^3, part by part, and to the file. Both are coded at the default
-effort; the smooth one also without the coder's guess of the field, whose fit takes most of its time. Beside
-the seconds by the clock stand those of the processor, as other work on the machine lengthens the first.
+Each link of the rigid rig follows one joint, and links become objects. "kept" is the rate, in frames per
+second, from the open file to all that a receiver needs: a field for each link and a pose for each frame. The
+smooth rig is a tube whose vertices follow two joints each, with a new field in every frame. It is timed to
+the fields on the device's lattice of 128^3, step by step, and to the file. Both are coded at the default
+effort; the smooth one also without the base layer, whose fit takes most of its time. Processor seconds are
+given besides wall seconds, which other work on the machine lengthens.
 """
 
 from __future__ import annotations
@@ -39,9 +38,7 @@ FIELDS, CODED = 16, 40
 
 
 def clocked(call: Callable[[], Any], frames: int) -> dict[str, float]:
-    """Seconds by the clock and of the processor, and frames a second by each (of the processor: on all its
-    cores).
-    """
+    """Wall and processor seconds, and frames per second by each (processor: on all cores)."""
     began, spent = time.perf_counter(), time.process_time()
     call()
     spent, took = time.process_time() - spent, time.perf_counter() - began
@@ -54,7 +51,7 @@ def clocked(call: Callable[[], Any], frames: int) -> dict[str, float]:
 
 
 def parts_of_a_frame(path: Path) -> dict[str, float]:
-    """Processor milliseconds of a frame of the smooth rig, by what is done."""
+    """Processor milliseconds of a frame of the smooth rig, by step."""
     scene = AnimatedMeshScene(path)
     medium = prepare(scene, EncodeSpec()).medium
     frames = np.linspace(0, scene.frame_count - 1, FIELDS).astype(int).tolist()
@@ -66,7 +63,7 @@ def parts_of_a_frame(path: Path) -> dict[str, float]:
         "search for overlaps": lambda i: union_of(surfaces[i]),
         "all, with distance, sign and device filter": lambda i: medium[frames[i]],
     }
-    told = {}
+    times_ms = {}
 
     def each_of(call: Callable[[int], Any]) -> None:
         for i in range(FIELDS):
@@ -74,8 +71,8 @@ def parts_of_a_frame(path: Path) -> dict[str, float]:
 
     for name, call in calls.items():
         call(0)
-        told[name] = 1e3 * clocked(partial(each_of, call), FIELDS)["processor_s"] / FIELDS
-    return told
+        times_ms[name] = 1e3 * clocked(partial(each_of, call), FIELDS)["processor_s"] / FIELDS
+    return times_ms
 
 
 def measure(frames: int) -> Figures:
@@ -111,19 +108,19 @@ def measure(frames: int) -> Figures:
         coded("smooth, without guess", "smooth", count, TouchSpec(guess="off"))
         parts = parts_of_a_frame(paths["smooth"])
         voxels = medium[0].support_count
-    made, coded_s = (rows[name]["processor_s"] for name in ("smooth, fields", "smooth, to the file"))
-    parts["coding at the default effort"] = 1e3 * (coded_s / count - made / min(frames, FIELDS))
-    told = {"frames": frames, "triangles": triangles, "voxels": voxels, "threads": worker_count()}
-    return {**told, "rows": rows, "parts_ms": parts}
+    fields_s, coded_s = (rows[name]["processor_s"] for name in ("smooth, fields", "smooth, to the file"))
+    parts["coding at the default effort"] = 1e3 * (coded_s / count - fields_s / min(frames, FIELDS))
+    settings = {"frames": frames, "triangles": triangles, "voxels": voxels, "threads": worker_count()}
+    return {**settings, "rows": rows, "parts_ms": parts}
 
 
 def bars(figures: Figures) -> list[Bar]:
     """Rigid links far faster than a smooth skin, which is still to be coded at half a camera's rate."""
     limits = {"rigid, kept": 100.0, "rigid, to the file": 15.0, "smooth, to the file": 15.0}
     return [
-        at_least(f"{name}{words}", figure(figures, "rows", name, f"frames_per_s{key}"), limit, "frames/s")
+        at_least(f"{name}{suffix}", figure(figures, "rows", name, f"frames_per_s{key}"), limit, "frames/s")
         for name, limit in limits.items()
-        for key, words in (("", ""), ("_undisturbed", ", by the processor's time"))
+        for key, suffix in (("", ""), ("_undisturbed", ", by the processor's time"))
     ]
 
 

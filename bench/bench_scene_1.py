@@ -1,13 +1,13 @@
-"""Scene 1 of the paper, seven bodies that fall for two seconds, 2000 frames: as objects and as voxels.
+"""Scene 1 of the paper (seven falling bodies, 2000 frames) as objects and as voxels.
 
     python bench/bench_scene_1.py [--quick] [--frames N]
 
-Each representation is simulated, built, coded and written by a process of its own, so that its largest memory
-is its own; the times are of a second run, with kernels compiled. Voxels are coded of the first quarter of the
-frames, and compared with the objects of the same frames. Beside the bytes: what they are for, how near the
-decoded objects come to the voxel representation of the scene (the device's own low-pass, no objects), and
-zlib and lzma on the poses alone as float32; and what the promise of the composed field costs: the bytes of
-the fields, and those that would keep the mask each for itself.
+Each representation is simulated, built, encoded and written by a separate process, so that its peak memory is
+its own; times are of a second run, with compiled kernels. Voxels are encoded for the first quarter of the
+frames and compared with the objects of the same frames. Further figures: the bytes by purpose; the difference
+of the decoded objects to the voxel representation of the scene (the device's low-pass, no objects); zlib and
+lzma on the poses as float32; and the cost of the error bound of the composed field: the bytes of the fields,
+and those of fields that each keep the mask on their own.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ print(json.dumps({{**done.summary(), "peak_mb": peak}}))
 
 
 def coded(representation: str, frames: int, out: Path) -> dict[str, Any]:
-    """What a process of its own says of one encoding."""
+    """Summary of one encoding in a separate process."""
     code = [sys.executable, "-c", JOB.format(scene=SCENE), representation, str(frames), str(out)]
-    said = subprocess.run(code, check=True, capture_output=True, text=True).stdout
-    return dict(json.loads(said.splitlines()[-1]))
+    output = subprocess.run(code, check=True, capture_output=True, text=True).stdout
+    return dict(json.loads(output.splitlines()[-1]))
 
 
 def difference(objects: Path, frames: int) -> dict[str, float]:
-    """The decoded objects against the voxel representation, over frames evenly apart."""
+    """Decoded objects against the voxel representation, on evenly spaced frames."""
     from touchfield.measure.fidelity import FidelityMeter
     from touchfield.pipeline import prepare
     from touchfield.pipeline.decoding import open_stream
@@ -63,21 +63,22 @@ def difference(objects: Path, frames: int) -> dict[str, float]:
             [np.hstack([o.track.quaternions, o.track.positions_m]) for o in stream.scene.objects]
         )
         bits = stream.bits
-        told = stream.summary()
+        summary = stream.summary()
     raw = poses.astype(np.float32).tobytes()
     spec = EncodeSpec(frames=(0, frames))
     scene = prepare(SCENE, spec).scene
     assert scene is not None
     alone = [
-        field_encoder(one.medium.grid, spec.touch).encode_segment([one.field(0)]) for one in scene.objects
+        field_encoder(segment.medium.grid, spec.touch).encode_segment([segment.field(0)])
+        for segment in scene.objects
     ]
     return {
-        "worst_mask_ratio": told["worst_mask_ratio"],
-        "place_tolerance_um": told["place_tolerance_um"],
-        "field_bytes_each_within_its_mask": sum(len(one.body) for one in alone),
+        "worst_mask_ratio": summary["worst_mask_ratio"],
+        "place_tolerance_um": summary["place_tolerance_um"],
+        "field_bytes_each_within_its_mask": sum(len(segment.body) for segment in alone),
         "nmse_to_voxels_db": float(meter.nmse_db or -np.inf),
         "pose_bytes": bits.poses / 8,
-        "field_bytes": told["bits_fields"] / 8,
+        "field_bytes": summary["bits_fields"] / 8,
         "raw_pose_bytes": len(raw),
         "zlib_pose_bytes": len(zlib.compress(raw, 9)),
         "lzma_pose_bytes": len(lzma.compress(raw)),
@@ -95,31 +96,29 @@ def measure(frames: int) -> Figures:
         ):
             out = Path(folder) / f"{name}.touch"
             coded(representation, 2, out)  # compiles
-            told = coded(representation, count, out)
-            kept = {
-                k: told[k] for k in ("encode_s", "file_bytes", "peak_mb", "supported_voxels", "grid_shape")
+            summary = coded(representation, count, out)
+            selected = {
+                k: summary[k] for k in ("encode_s", "file_bytes", "peak_mb", "supported_voxels", "grid_shape")
             }
-            figures[name] = kept
+            figures[name] = selected
         figures["object"] |= difference(Path(folder) / "object.touch", frames)
     return figures
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Two seconds in less than a minute, 2 GB and 300 kB at k = 0.1; the promise kept; poses shorter than
-    packed.
-    """
-    one = figures["object"]
+    """Time, memory and bytes of objects; the error bound; poses shorter than packed ones."""
+    row = figures["object"]
     quarter, voxels = (figure(figures, f"{name}, a quarter", "file_bytes") for name in ("object", "voxel"))
     over = voxels / quarter if voxels and quarter else None
-    packed = min(one["zlib_pose_bytes"], one["lzma_pose_bytes"])
+    packed = min(row["zlib_pose_bytes"], row["lzma_pose_bytes"])
     return [
-        at_most("objects, time", one["encode_s"], 60.0, "s"),
-        at_most("objects, memory", one["peak_mb"], 2048.0, "MB"),
-        at_most("objects, file", one["file_bytes"], 300_000, "bytes"),
+        at_most("objects, time", row["encode_s"], 60.0, "s"),
+        at_most("objects, memory", row["peak_mb"], 2048.0, "MB"),
+        at_most("objects, file", row["file_bytes"], 300_000, "bytes"),
         at_least("bytes of voxels over those of objects, a quarter of the frames", over, 10.0),
-        at_most("error of the composed field, in units of the mask", figure(one, "worst_mask_ratio"), 1.0),
-        at_most("objects against voxels, NMSE", one["nmse_to_voxels_db"], -15.0, "dB"),
-        at_least("bytes of the shorter of zlib and lzma over our poses", packed / one["pose_bytes"], 1.0),
+        at_most("error of the composed field, in units of the mask", figure(row, "worst_mask_ratio"), 1.0),
+        at_most("objects against voxels, NMSE", row["nmse_to_voxels_db"], -15.0, "dB"),
+        at_least("bytes of the shorter of zlib and lzma over our poses", packed / row["pose_bytes"], 1.0),
     ]
 
 

@@ -1,13 +1,13 @@
-"""The servo's loop on the wall clock: rate, jitter and lateness, underruns, by scheduling class and load.
+"""The servo loop: rate, jitter, lateness and underruns, by scheduling class and load.
 
     python bench/bench_servo.py [--quick] [--seconds 150] [--others 45]
 
-A turning body in 64^3 voxels at 30 frames a second is decoded ahead from a file (effort fast) and looped; the
-device only tells where it is, on a circle through the body. Each row is a run of its own. `jitter` is |dT -
-1/rate|; lateness is that of the beginning of a tick after its deadline, which is absolute. "loaded": as many
-busy processes as there are cores. "bare" is a loop that only sleeps until its deadline, in a process of its
-own: what the system gives. "stolen" is the share of the processors that a virtual machine wanted and did not
-get. What was not decoded ahead is felt after a seek in the time of `seeks`.
+A turning body in 64^3 voxels at 30 frames per second is decoded ahead from a file (effort fast) and looped;
+the device only reports its position, on a circle through the body. Each row is a separate run. `jitter` is
+|dT - 1/rate|; lateness is the delay of the start of a tick after its absolute deadline. "loaded": as many
+busy processes as cores. "bare" is a loop that only sleeps until its deadline, in a separate process: the
+limit of the system. "stolen" is the fraction of processor time withheld from a virtual machine. `seeks` is
+the time from a seek to the first force where nothing is decoded ahead.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ print(*(late[int(share * count)] for share in (0.5, 0.99, 0.999)), late[-1], 1e9
 
 
 class Circle(PointDevice):
-    """Goes round, whatever the force."""
+    """A device on a circle, whatever the force."""
 
     def __init__(self) -> None:
         self._angle = 0.0
@@ -96,7 +96,7 @@ class Circle(PointDevice):
 
 
 class SimulatedCircle(Circle):
-    """The same on the clock of its ticks, for the run without a process."""
+    """The same circle for an offline run, driven by its ticks."""
 
     def advance(self, dt_s: float) -> None:
         pass
@@ -113,12 +113,10 @@ def write_medium(path: Path) -> None:
 
 
 def cpu_s(pid: int | None) -> float:
-    """What a process has taken of the processors so far, seconds; not a number where the system does not
-    tell.
-    """
+    """Processor seconds of a process so far; NaN where the system does not report them."""
     try:
-        told = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-        return (int(told[11]) + int(told[12])) / os.sysconf("SC_CLK_TCK")
+        fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError, IndexError):
         return math.nan
 
@@ -126,7 +124,7 @@ def cpu_s(pid: int | None) -> float:
 def run(
     medium: HapticMedium, seconds: float, rate_hz: float, is_realtime: bool, is_loaded: bool
 ) -> dict[str, Any]:
-    """One run; its statistics, and the share of a core that the servo took."""
+    """Statistics of one run, and the fraction of a core used by the servo."""
     with ExitStack() as stack:
         if is_loaded:
             for _ in range(worker_count()):
@@ -139,14 +137,12 @@ def run(
         player.play()
         began, cpu = time.monotonic(), cpu_s(player.servo_pid)
         player.wait(seconds)
-        share = (cpu_s(player.servo_pid) - cpu) / (time.monotonic() - began)
-    return {**player.statistics(), "servo_core_share": share}
+        core_fraction = (cpu_s(player.servo_pid) - cpu) / (time.monotonic() - began)
+    return {**player.statistics(), "servo_core_share": core_fraction}
 
 
 def stolen_s() -> float:
-    """Processor time that the host of a virtual machine gave to others so far, seconds; 0 where nothing
-    tells.
-    """
+    """Steal time of a virtual machine so far, seconds; 0 where it is not reported."""
     try:
         return int(Path("/proc/stat").read_text().split("\n", 1)[0].split()[8]) / os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError, IndexError):
@@ -154,20 +150,16 @@ def stolen_s() -> float:
 
 
 def bare(seconds: float) -> dict[str, float]:
-    """The lateness of a loop of 1 kHz that does nothing, under SCHED_FIFO where that is allowed,
-    microseconds.
-    """
-    told = subprocess.run(
+    """Lateness of an empty 1 kHz loop, microseconds; under SCHED_FIFO where allowed."""
+    output = subprocess.run(
         [sys.executable, "-c", BARE, str(seconds)], capture_output=True, text=True, check=True
     )
     names = ("lateness_p50_us", "lateness_p99_us", "lateness_p99_9_us", "lateness_worst_us", "mean_rate_hz")
-    return dict(zip(names, map(float, told.stdout.split()), strict=True))
+    return dict(zip(names, map(float, output.stdout.split()), strict=True))
 
 
 def seeks(medium: HapticMedium) -> dict[str, float]:
-    """Decode-to-render latency where nothing is decoded ahead: milliseconds from a seek to the first
-    force.
-    """
+    """Milliseconds from a seek to the first force, with nothing decoded ahead."""
     waited_ms = []
     with Player(medium, PROFILE, Circle, loop=True, log_rows=0) as player:
         player.play()
@@ -183,17 +175,17 @@ def seeks(medium: HapticMedium) -> dict[str, float]:
 
 
 def measure(seconds: float, others: float, offline: float) -> Figures:
-    """The loop without a clock, a loop that does nothing, every row (the first for `seconds`), and seeks."""
+    """The offline loop, an empty loop, every row (the first for `seconds`), and seeks."""
     figures: Figures = {"seconds": seconds, "others_seconds": others}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "turning.touch"
         write_medium(path)
         with open_stream(path) as stream:
             medium = stream.medium
-            still = medium.between(0, 1)
-            run_offline(still, PROFILE, SimulatedCircle, seconds=0.1)
+            first_frame = medium.between(0, 1)
+            run_offline(first_frame, PROFILE, SimulatedCircle, seconds=0.1)
             began = time.perf_counter()
-            ticks = run_offline(still, PROFILE, SimulatedCircle, seconds=offline).statistics["ticks"]
+            ticks = run_offline(first_frame, PROFILE, SimulatedCircle, seconds=offline).statistics["ticks"]
             figures["offline_us_per_tick"] = 1e6 * (time.perf_counter() - began) / ticks
             figures["bare"] = bare(others)
             for name, rate_hz, is_realtime, is_loaded in ROWS:
@@ -206,9 +198,7 @@ def measure(seconds: float, others: float, offline: float) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """The rate that was asked for, ticks in time on an idle machine, no underrun, and seeks without a long
-    wait.
-    """
+    """The requested rate, punctual ticks on an idle machine, no underruns, and fast seeks."""
     first = figures[ROWS[0][0]]
     idle = f"{ROWS[0][0]}: "
     off = abs(first["mean_rate_hz"] / first["rate_hz"] - 1)

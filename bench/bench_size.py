@@ -1,9 +1,8 @@
-"""Size of the package as information: lines and files of each package, and what a reader would trip over.
+"""Size of the code base: lines and files of each package, long functions and lines.
 
     python bench/bench_size.py [--quick]
 
-Lines are those of the files that git tracks, with docstrings, blank lines and imports. There is no bar: a
-longer text that reads well is better than a short one that does not.
+Lines are those of the files that git tracks, with docstrings, blank lines and imports. There is no bar.
 """
 
 from __future__ import annotations
@@ -43,13 +42,13 @@ def large_functions(path: Path, text: str) -> list[str]:
 
 def local_imports(text: str) -> int:
     """Imports of the package's own modules within functions; one in a nested function counts once."""
-    imports = {
-        node
-        for function in ast.walk(ast.parse(text))
-        if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef))
-        for node in ast.walk(function)
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("touchfield")
-    }
+    imports = set()
+    for function in ast.walk(ast.parse(text)):
+        if not isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            continue
+        for node in ast.walk(function):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("touchfield"):
+                imports.add(node)
     return len(imports)
 
 

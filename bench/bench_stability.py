@@ -1,21 +1,21 @@
-"""A hand and a device in closed loop with the compiled tick, on a wall: limit cycles, energy, felt stiffness.
+"""A hand and a device in closed loop on a wall: limit cycles, energy, rendered stiffness.
 
     python bench/bench_stability.py [--quick] [--every N]
 
 Mass of the device and of the hand in one, the device's damping b, the spring of the hand; exact between the
-ticks. The device tells its place in steps of its resolution, and what is put out acts so many samples later.
-The hand comes from 10 mm before the wall, presses for two seconds or more, until what swings dies out no
-further, and goes back (the hand itself has no damping: what rings down is no limit cycle). Told of each way
-to render:
+ticks. The device reports its position in steps of its resolution, and its force acts after a delay of some
+samples. The hand starts 10 mm before the wall, presses for at least two seconds, until the oscillation decays
+no further, and retreats (the hand itself has no damping: a decaying oscillation is no limit cycle). Reported
+for each way to render:
 
-* rms, N: of the force about its mean in the last second of pressing; "cycles" counts those above 20 mN;
-* held, mJ: what the renderer gave in that second beside its mean force's work; "drives" counts those above
-  0.01 mJ;
-* given, mJ: what came to the hand in the whole touch, the device's own damping taken off; "gives" counts
+* rms, N: force about its mean in the last second of pressing; "cycles" counts those above 20 mN;
+* held, mJ: energy from the renderer in that second, less the work of the mean force; "drives" counts those
+  above 0.01 mJ;
+* given, mJ: energy that the hand receives in the whole touch, less the device's own damping; "gives" counts
   those above 0.01 mJ;
-* soft: cases in which Colgate's b > K T (1/2 + delay) allows the wall and it is felt more than 10 % off K.
+* soft: cases in which Colgate's b > K T (1/2 + delay) allows the wall and its stiffness is over 10 % off.
 
-`--every` takes one case in so many.
+`--every N` takes every N-th case.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from tick_makers import OMNI, Bench as Bench, wall as wall
 
 from touchfield.medium import Grid
 
-CYCLE_N, ENERGY_J, FELT = 0.020, 1e-5, 0.10
+CYCLE_N, ENERGY_J, STIFFNESS_TOLERANCE = 0.020, 1e-5, 0.10
 """The bars."""
 DEVICE_KG, PRESS_N, TICK_S = 0.045, 2.0, 1e-3
-COME, SECOND, LONGEST, GO = 300, 1000, 60_000, 400
-STILL_N = 0.005
-FAR_M, MOST_N = 0.010, 12.0
+APPROACH_TICKS, SECOND_TICKS, MAX_PRESS_TICKS, RETREAT_TICKS = 300, 1000, 60_000, 400
+SETTLED_N = 0.005
+START_M, MAX_FORCE_N = 0.010, 12.0
 WALLS = (200.0, 500.0, 1000.0, 2000.0)
 DAMPINGS = (0.3, 0.5, 1.0, 2.0, 5.0)
 DELAYS = (0, 1, 2)
@@ -58,49 +58,53 @@ GRID = Grid((17, 17, 129), (0.01, 0.01, 0.0005), (-0.08, -0.08, -0.048))
 
 
 @njit(cache=True)
-def touched(i8, u8, f8, f4, frame, step, k, b, depth, delay, resolution):  # type: ignore[no-untyped-def]
-    """One touch: rms, mean and energy of the last second of pressing, what came to the hand, mean depth,
-    seconds.
-    """
-    x, v, given, held, first, second, deep = FAR_M, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+def touch(i8, u8, f8, f4, frame, step, k, b, depth, delay, resolution):  # type: ignore[no-untyped-def]
+    """One touch: rms, mean and energy of the last second, net energy, mean depth, seconds."""
+    x, v, work_j, hold_j, first, second, deep = START_M, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     late = np.zeros(delay + 1)
-    begin, rms, mean, energy, depth_now, ends, n = x, 1e9, 0.0, 0.0, 0.0, 1 << 60, 0
-    while n < ends:
+    start_x, rms, mean, energy, depth_now, stop, n = x, 1e9, 0.0, 0.0, 0.0, 1 << 60, 0
+    while n < stop:
         target = -depth
-        if n < COME:
-            target = FAR_M - (FAR_M + depth) * n / COME
-        elif ends < 1 << 60:
-            target = -depth + (FAR_M + depth) * (1.0 - (ends - n) / GO)
-        seen = round(x / resolution) * resolution if resolution > 0.0 else x
-        force = tick(i8, u8, f8, f4, frame, frame, 0.0, 0.0, 0.0, seen, 0.001)[2]
+        if n < APPROACH_TICKS:
+            target = START_M - (START_M + depth) * n / APPROACH_TICKS
+        elif stop < 1 << 60:
+            target = -depth + (START_M + depth) * (1.0 - (stop - n) / RETREAT_TICKS)
+        reported_x = round(x / resolution) * resolution if resolution > 0.0 else x
+        force = tick(i8, u8, f8, f4, frame, frame, 0.0, 0.0, 0.0, reported_x, 0.001)[2]
         late[n % (delay + 1)] = force
         acts = late[(n + 1) % (delay + 1)]
         push = acts + k * target
         nx = step[0, 0] * x + step[0, 1] * v + step[0, 2] * push
         nv = step[1, 0] * x + step[1, 1] * v + step[1, 2] * push
-        given += acts * (nx - x) - b * (nx - x) * (nx - x) / 0.001
-        if ends == 1 << 60:
-            held += acts * (nx - x)
+        work_j += acts * (nx - x) - b * (nx - x) * (nx - x) / 0.001
+        if stop == 1 << 60:
+            hold_j += acts * (nx - x)
             first, second, deep = first + force, second + force * force, deep - x
         x, v = nx, nv
         n += 1
-        if ends == 1 << 60 and (n - COME) % SECOND == 0:
+        if stop == 1 << 60 and (n - APPROACH_TICKS) % SECOND_TICKS == 0:
             before = rms
-            mean = first / SECOND
-            rms = np.sqrt(max(second / SECOND - mean * mean, 0.0))
-            if n >= COME + LONGEST or (n >= COME + 2 * SECOND and (rms < STILL_N or rms > 0.995 * before)):
-                ends, energy, depth_now = n + GO, held - mean * (x - begin), deep / SECOND
-            first, second, deep, held, begin = 0.0, 0.0, 0.0, 0.0, x
-    return rms, mean, energy, given, depth_now, (ends - GO - COME) / SECOND
+            mean = first / SECOND_TICKS
+            rms = np.sqrt(max(second / SECOND_TICKS - mean * mean, 0.0))
+            if n >= APPROACH_TICKS + MAX_PRESS_TICKS or (
+                n >= APPROACH_TICKS + 2 * SECOND_TICKS and (rms < SETTLED_N or rms > 0.995 * before)
+            ):
+                stop, energy, depth_now = (
+                    n + RETREAT_TICKS,
+                    hold_j - mean * (x - start_x),
+                    deep / SECOND_TICKS,
+                )
+            first, second, deep, hold_j, start_x = 0.0, 0.0, 0.0, 0.0, x
+    return rms, mean, energy, work_j, depth_now, (stop - RETREAT_TICKS - APPROACH_TICKS) / SECOND_TICKS
 
 
 def call(compiled: Any, *values: Any) -> Any:
-    """What a compiled function returns: to the types it is an object that nothing can call."""
+    """Call a compiled function, which the type checker does not know to be callable."""
     return compiled(*values)
 
 
-def moved_by(kg: float, k: float, b: float) -> Any:
-    """What a tick does to place and speed of mass, spring and damper, float64 [3, 3]."""
+def tick_matrix(kg: float, k: float, b: float) -> Any:
+    """Transition matrix of a tick for mass, spring and damper, float64 [3, 3]."""
     return expm(np.array([[0, 1, 0], [-k / kg, -b / kg, 1 / kg], [0, 0, 0]]) * TICK_S)
 
 
@@ -108,55 +112,55 @@ def run(render: Any, every: int) -> dict[str, Any]:
     """All cases with one way to render: `render(bench, K, b, delay, resolution)` sets the block up."""
     began, rows = time.perf_counter(), []
     for stiffness in WALLS:
-        block = Bench(wall(stiffness, MOST_N), device=STRONG, grid=GRID)
+        block = Bench(wall(stiffness, MAX_FORCE_N), device=STRONG, grid=GRID)
         for b, delay, resolution, (kg, k) in [*itertools.product(DAMPINGS, DELAYS, RESOLUTIONS, HANDS)][
             ::every
         ]:
             render(block, stiffness, b, delay, resolution)
             depth = PRESS_N * (1 / stiffness + 1 / k)
-            step = moved_by(DEVICE_KG + kg, k, b)
-            told = call(touched, *block.memory.views, block.frame, step, k, b, depth, delay, resolution)
-            rows.append((stiffness, b, delay, resolution, kg, k, *told))
-    return told_of(np.array(rows)) | {"s": time.perf_counter() - began}
+            step = tick_matrix(DEVICE_KG + kg, k, b)
+            result = call(touch, *block.memory.views, block.frame, step, k, b, depth, delay, resolution)
+            rows.append((stiffness, b, delay, resolution, kg, k, *result))
+    return summary_of(np.array(rows)) | {"s": time.perf_counter() - began}
 
 
-def told_of(rows: Any) -> dict[str, Any]:
-    """The table's row of all cases of one way to render."""
+def summary_of(rows: Any) -> dict[str, Any]:
+    """Summary of all cases of one way to render."""
     stiffness, b, delay = rows.T[:3]
-    rms, mean, held, given, deep, lasting = rows.T[6:]
+    rms, mean, hold_j, work_j, deep, lasting = rows.T[6:]
     allowed = b > stiffness * TICK_S * (0.5 + delay)
-    felt = mean / np.maximum(deep, 1e-9) / stiffness
-    off = np.abs(felt - 1) > FELT
+    stiffness_ratio = mean / np.maximum(deep, 1e-9) / stiffness
+    off = np.abs(stiffness_ratio - 1) > STIFFNESS_TOLERANCE
     worst = int(rms.argmax())
     return {
         "cases": len(rows),
         "cycles": int((rms > CYCLE_N).sum()),
         "worst_rms_n": float(rms.max()),
-        "drives": int((held > ENERGY_J).sum()),
-        "worst_held_mj": float(1e3 * held.max()),
-        "gives": int((given > ENERGY_J).sum()),
-        "worst_given_mj": float(1e3 * given.max()),
+        "drives": int((hold_j > ENERGY_J).sum()),
+        "worst_held_mj": float(1e3 * hold_j.max()),
+        "gives": int((work_j > ENERGY_J).sum()),
+        "worst_given_mj": float(1e3 * work_j.max()),
         "allowed": int(allowed.sum()),
         "soft": int((off & allowed).sum()),
         "longest_s": float(lasting.max()),
-        "least_felt": float(felt[allowed].min()),
+        "least_felt": float(stiffness_ratio[allowed].min()),
         "worst_case": dict(
             zip(("K", "b", "delay", "resolution", "kg", "k"), rows[worst, :6].tolist(), strict=True)
         ),
     }
 
 
-def plain(**given: Any) -> Any:
-    """A way to render that knows nothing of device and medium."""
+def plain(**options: Any) -> Any:
+    """A way to render that ignores device and medium."""
 
     def render(bench: Bench, stiffness: float, b: float, delay: int, resolution: float) -> None:
-        bench.restart(RenderSpec(**{"damping_n_s_per_m": 0.0, "coupling_n_per_m": 0.0, **given}))
+        bench.restart(RenderSpec(**{"damping_n_s_per_m": 0.0, "coupling_n_per_m": 0.0, **options}))
 
     return render
 
 
-def watched(bench: Bench, stiffness: float, b: float, delay: int, resolution: float) -> None:
-    """The passivity controller alone, which is told the delay."""
+def passivity_only(bench: Bench, stiffness: float, b: float, delay: int, resolution: float) -> None:
+    """Only the passivity controller, with the delay known."""
     bench.device = replace(STRONG, delay_ms=1e3 * delay * TICK_S)
     plain(passivity=True)(bench, stiffness, b, delay, resolution)
 
@@ -164,17 +168,17 @@ def watched(bench: Bench, stiffness: float, b: float, delay: int, resolution: fl
 def auto(
     bench: Bench, stiffness: float, b: float, delay: int, resolution: float, spec: RenderSpec | None = None
 ) -> None:
-    """What the player chooses where it is told nothing."""
+    """The choice of the player without options."""
     spec = RenderSpec() if spec is None else spec
-    told = replace(
+    described = replace(
         STRONG, inertia_kg=DEVICE_KG, damping_n_s_per_m=b, delay_ms=1e3 * delay * TICK_S,
         resolution_mm=1e3 * resolution, friction_n=None,
     )  # fmt: skip
-    bench.device = told
+    bench.device = described
     bench.restart(spec)
-    chosen = stability_of(told, spec, 0.0, stiffness)
-    bench.memory.f8[W.BRAKE] = chosen.brake_n_s_per_m
-    bench.memory.f8[W.COUPLING] = chosen.coupling_n_per_m
+    stability = stability_of(described, spec, 0.0, stiffness)
+    bench.memory.f8[W.BRAKE] = stability.brake_n_s_per_m
+    bench.memory.f8[W.COUPLING] = stability.coupling_n_per_m
 
 
 WAYS = {
@@ -182,7 +186,7 @@ WAYS = {
     "nothing": plain(),
     "damping 2": plain(damping_n_s_per_m=2.0),
     "coupling 1000": plain(coupling_n_per_m=1000.0),
-    "passivity, delay told": watched,
+    "passivity, delay told": passivity_only,
     "auto, passivity": partial(auto, spec=RenderSpec(passivity=True)),
 }
 
@@ -193,14 +197,14 @@ def measure(every: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """No limit cycle, no energy, and the stiffness that is asked for, by what the player chooses."""
-    own = figures["rows"]["auto"]
+    """No limit cycle, no energy gain, and the requested stiffness, with the player's choice."""
+    row = figures["rows"]["auto"]
     return [
-        at_most("limit cycles above 20 mN, cases", own["cycles"], 0),
-        at_most("force about its mean at rest, worst", own["worst_rms_n"], CYCLE_N, "N"),
-        at_most("energy while held, or in the whole touch, cases", own["drives"] + own["gives"], 0),
-        at_most("more than 10 % off where Colgate allows the wall, cases", own["soft"], 0),
-        at_least("stiffness felt over the wall's, least", own["least_felt"], 1 - FELT),
+        at_most("limit cycles above 20 mN, cases", row["cycles"], 0),
+        at_most("force about its mean at rest, worst", row["worst_rms_n"], CYCLE_N, "N"),
+        at_most("energy while held, or in the whole touch, cases", row["drives"] + row["gives"], 0),
+        at_most("more than 10 % off where Colgate allows the wall, cases", row["soft"], 0),
+        at_least("stiffness felt over the wall's, least", row["least_felt"], 1 - STIFFNESS_TOLERANCE),
     ]
 
 

@@ -1,5 +1,4 @@
-"""What each stage of the paper's coder is worth: bytes and NMSE of ``--coder paper --stage X``, and beside
-none.
+"""Bytes and NMSE of each stage of the paper's coder (``--coder paper --stage X``).
 
     python bench/bench_stages.py [--quick] [--nw N]
 
@@ -38,16 +37,16 @@ def measured(field: ForceField, spec: PaperSpec) -> tuple[float, int]:
 
 
 def rows_of(field: ForceField) -> dict[str, dict[str, float]]:
-    """Every stage on one frame: as asked by default, and at the error of the coder without a stage."""
-    wanted_db, plain = measured(field, PaperSpec())
-    rows = {"none": {"bytes": plain, "nmse_db": wanted_db}}
+    """Every stage on one frame: at its default step, and at the error without a stage."""
+    target_db, plain = measured(field, PaperSpec())
+    rows = {"none": {"bytes": plain, "nmse_db": target_db}}
     for stage in STAGES[1:]:
 
         def code(step_n: float, stage: str = stage) -> tuple[float, float]:
             return measured(field, PaperSpec(stage=stage, step_n=step_n))
 
         nmse_db, size = code(PaperSpec.step_n)
-        search = Search(code, wanted_db, 8 * PaperSpec.step_n, trials=TRIALS).run()
+        search = Search(code, target_db, 8 * PaperSpec.step_n, trials=TRIALS).run()
         equal = {"equal_error_bytes": search.size(), "equal_error_step_n": search.step()}
         rows[stage] = {"bytes": size, "nmse_db": nmse_db, **equal}
     return rows
@@ -60,16 +59,13 @@ def measure(nw: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """A predictive stage is worth its while on every field; so is the best of all."""
-    over = [
-        {
-            stage: row["equal_error_bytes"] / rows["none"]["bytes"]
-            for stage, row in rows.items()
-            if stage != "none"
-        }
-        for rows in figures["fields"].values()
-        if "none" in rows
-    ]
+    """A predictive stage saves bytes on every field, and so does the best stage."""
+    over = []
+    for rows in figures["fields"].values():
+        if "none" in rows:
+            plain = rows["none"]["bytes"]
+            stages = {stage: row for stage, row in rows.items() if stage != "none"}
+            over.append({stage: row["equal_error_bytes"] / plain for stage, row in stages.items()})
     dpcm, best = max(column(over, "dpcm"), default=None), max((min(o.values()) for o in over), default=None)
     return [
         at_most("bytes of dpcm over those of no stage, worst", dpcm, 1.0),

@@ -1,4 +1,4 @@
-"""A newcomer's wait: the import, the first `touchfield encode` with nothing compiled yet, and the second.
+"""Start-up time: the import, a first `touchfield encode` without compiled kernels, a second.
 
     python bench/bench_startup.py [--quick]
 
@@ -34,9 +34,9 @@ def measure(is_cold: int) -> Figures:
     figures = {"import_numpy_s": bare, "import_touchfield_beyond_numpy_s": ours - bare}
     with tempfile.TemporaryDirectory() as folder:
         job = ["-m", "touchfield", "encode", "sample:terrain", str(Path(folder) / "out.touch")]
-        for name, most in (("first_encode_alone", "0"), ("first_encode", "")):
+        for name, helpers in (("first_encode_alone", "0"), ("first_encode", "")):
             cache = {"NUMBA_CACHE_DIR": str(Path(folder) / name)} if is_cold else {}  # which is not there yet
-            environment = {**os.environ, **cache, "TOUCHFIELD_HELPERS": most}
+            environment = {**os.environ, **cache, "TOUCHFIELD_HELPERS": helpers}
             before = os.times()
             figures[f"{name}_s"] = seconds(job, environment)
             after = os.times()
@@ -49,7 +49,7 @@ def measure(is_cold: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Seconds that one waits without a thought, or with one."""
+    """Limits on the import, and on the first and second encoding."""
     return [
         at_most("import, beyond numpy's", figures["import_touchfield_beyond_numpy_s"], 0.5, "s"),
         at_most("first encode, nothing compiled", figures["first_encode_s"], 10.0, "s"),

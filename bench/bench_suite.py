@@ -1,10 +1,9 @@
-"""Time that the tests take where no kernel is compiled yet, as in a new clone: minutes, and seconds of
-processors.
+"""Time of the tests without compiled kernels, as in a new clone.
 
     python bench/bench_suite.py [--quick]
 
-Beside them a loop of Python, before and after: a machine that others share is not as fast at one time as at
-another. Quickly: the tests of one file.
+A Python loop is timed before and after, because the speed of a shared machine varies. Quick: the tests of one
+file.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from time import perf_counter
 from machine import Bar, Figures, at_most, bench, figure
 
 ROOT = Path(__file__).resolve().parents[1]
-ONE_FILE = (sys.executable, "-m", "pytest", "tests/measure/test_partition.py")
+PYTEST_COMMAND = (sys.executable, "-m", "pytest", "tests/measure/test_partition.py")
 
 
 def loop_s() -> float:
@@ -33,11 +32,11 @@ def loop_s() -> float:
 
 
 def measure(tests: str) -> Figures:
-    """One run of the tests; RuntimeError, with the names of those that fail, where one does."""
+    """One run of the tests; RuntimeError with the names of failed tests."""
     before_s = loop_s()
     with TemporaryDirectory() as cache:
         began = perf_counter()
-        command = ("make", "--no-print-directory", "test") if tests == "all" else ONE_FILE
+        command = ("make", "--no-print-directory", "test") if tests == "all" else PYTEST_COMMAND
         surroundings = {**os.environ, "NUMBA_CACHE_DIR": cache}
         done = subprocess.run(
             command, cwd=ROOT, env=surroundings, capture_output=True, text=True, check=False
@@ -53,7 +52,7 @@ def measure(tests: str) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """The time that somebody waits before a change is known to be good."""
+    """Limit on the time of `make test`."""
     return [at_most("minutes of make test", figure(figures, "minutes"), 8)]
 
 

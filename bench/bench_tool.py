@@ -1,4 +1,4 @@
-"""A tool of many points in the field: how long a tick takes that adds them up.
+"""Time of a tick with a tool of many points.
 
     python bench/bench_tool.py [--quick] [--points N] [--seconds S]
 
@@ -42,20 +42,21 @@ def ball(radius: float, stiffness: float) -> ForceField:
 
 
 def block(tool: Tool, fields: list[ForceField], parts: list[list[FramePart]]) -> tuple[Memory, list[int]]:
-    """Fields, frames (whose parts name a field by its number) and the tool, laid out; and where the frames
-    are.
+    """A memory block with fields, frames and the tool, and the offsets of the frames.
+
+    The parts of a frame refer to a field by its number.
     """
     pools = [CellPool.of(field) for field in fields]
     first = W.FREE + tool_word_count(tool)
-    begins = first + np.cumsum([0, *map(field_words, pools)])
-    room = frame_words(max(map(len, parts)))
-    frames = [int(begins[-1]) + n * room for n in range(len(parts))]
-    memory = Memory.empty(frames[-1] + room)
-    for at, pool in zip(begins, pools, strict=False):
+    starts = first + np.cumsum([0, *map(field_words, pools)])
+    frame_size = frame_words(max(map(len, parts)))
+    frames = [int(starts[-1]) + n * frame_size for n in range(len(parts))]
+    memory = Memory.empty(frames[-1] + frame_size)
+    for at, pool in zip(starts, pools, strict=False):
         write_field(memory, int(at), pool)
-    for frame, own in zip(frames, parts, strict=True):
-        placed = [replace(part, field_at=int(begins[part.field_at])) for part in own]
-        write_frame(memory, frame, placed, math.inf if len(own) == 1 else 50.0)
+    for frame, frame_parts in zip(frames, parts, strict=True):
+        placed = [replace(part, field_at=int(starts[part.field_at])) for part in frame_parts]
+        write_frame(memory, frame, placed, math.inf if len(frame_parts) == 1 else 50.0)
     spec = RenderSpec(tool=tool)
     write_parameters(memory, spec, replace(device("sigma.7"), axes=AXES), 0.3, 0.5, AXES)
     write_tool(memory, W.FREE, tool)
@@ -66,7 +67,7 @@ def run(memory: Memory, frames: list[int], blend: float, seconds: float) -> dict
     """Milliseconds of a tick at 1 kHz, by the clock and of the processor."""
     f8, views, count = memory.f8, memory.views, round(1000 * seconds)
     took, spent = np.empty(count), np.empty(count)
-    felt = 0
+    contact_ticks = 0
     deadline = time.perf_counter()
     for n in range(count):
         angle = 2 * math.pi * n / 1000
@@ -79,19 +80,19 @@ def run(memory: Memory, frames: list[int], blend: float, seconds: float) -> dict
         )
         x, y, z = 0.045 * math.cos(angle), 0.045 * math.sin(angle), 0.01 * math.sin(3 * angle)
         deadline += 0.001
-        while (left := deadline - time.perf_counter()) > 0:
-            time.sleep(left)
-        began, own = time.perf_counter_ns(), time.thread_time_ns()
+        while (remaining_s := deadline - time.perf_counter()) > 0:
+            time.sleep(remaining_s)
+        began, began_thread = time.perf_counter_ns(), time.thread_time_ns()
         force = tick(*views, frames[0], frames[-1], blend, x, y, z, 0.001)
-        spent[n], took[n] = time.thread_time_ns() - own, time.perf_counter_ns() - began
-        felt += force != (0.0, 0.0, 0.0) and bool(f8[W.TORQUE : W.TORQUE + 3].any())
+        spent[n], took[n] = time.thread_time_ns() - began_thread, time.perf_counter_ns() - began
+        contact_ticks += force != (0.0, 0.0, 0.0) and bool(f8[W.TORQUE : W.TORQUE + 3].any())
         deadline = max(deadline, time.perf_counter() - 0.001)
-    assert felt > 0.8 * count, "the tool is to be in contact nearly all the while"
-    told = {}
-    for name, each in (("clock", took), ("processor", spent)):
-        for percent, share in (("p50", 0.5), ("p99", 0.99), ("p99_9", 0.999)):
-            told[f"{name}_{percent}_ms"] = 1e-6 * float(np.quantile(each, share))
-    return told
+    assert contact_ticks > 0.8 * count, "the tool is to be in contact nearly all the while"
+    figures = {}
+    for name, times in (("clock", took), ("processor", spent)):
+        for percent, quantile in (("p50", 0.5), ("p99", 0.99), ("p99_9", 0.999)):
+            figures[f"{name}_{percent}_ms"] = 1e-6 * float(np.quantile(times, quantile))
+    return figures
 
 
 def measure(points: int, seconds: float) -> Figures:
@@ -103,8 +104,8 @@ def measure(points: int, seconds: float) -> Figures:
     def body(shift: float) -> list[FramePart]:
         q = rng.normal(size=(4, 4))
         q /= np.linalg.norm(q, axis=1, keepdims=True)
-        places = [(0.01 * n - 0.015 + shift, 0.0, 0.0) for n in range(4)]
-        return [FramePart(n % 2, tuple(q[n % 2]), places[n % 2], (0.1, 0, 0, 0, 0, 1.0)) for n in range(4)]
+        positions = [(0.01 * n - 0.015 + shift, 0.0, 0.0) for n in range(4)]
+        return [FramePart(n % 2, tuple(q[n % 2]), positions[n % 2], (0.1, 0, 0, 0, 0, 1.0)) for n in range(4)]
 
     cases: dict[str, tuple[list[ForceField], list[list[FramePart]], float]] = {
         "one frame": ([big], [[FramePart.voxels(0)]], 0.0),
@@ -120,11 +121,11 @@ def measure(points: int, seconds: float) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Half a tick of 1 kHz."""
+    """At most half a tick of 1 kHz."""
     return [
-        at_most(f"a tick, {name}, p99.9 {words}", row[f"{key}_p99_9_ms"], 0.5, "ms")
+        at_most(f"a tick, {name}, p99.9 {label}", row[f"{key}_p99_9_ms"], 0.5, "ms")
         for name, row in figures["rows"].items()
-        for key, words in (("clock", "by the clock"), ("processor", "of the processor"))
+        for key, label in (("clock", "by the clock"), ("processor", "of the processor"))
     ]
 
 

@@ -1,13 +1,13 @@
-"""A torque beside the force in the medium: its bytes, and how long it is right while a hand turns the tool.
+"""A stored torque field: its bytes, and its error when the hand tilts the tool.
 
     python bench/bench_torque.py [--nw N] [--quick]
 
-A tool of points gets its torque from the field of forces, the sum of r x F over its points (`render.tool`),
-and turns as the hand turns. A torque stored at each sample would be that of one tool, held one way. Here it
-is made for a pen of 60 mm and a sphere of 5 mm, held straight, at all samples about a surface, and coded by
-`touch` as force is (k 0.1; F_0 times 10 mm); then the hand tilts, and the stored torque is held against that
-of the points. A record in the medium would be worth its code if at 20 degrees, as a hand that writes tilts a
-pen, no more than a tenth of the places were off by more than a tenth.
+A tool of points computes its torque from the force field, the sum of r x F over its points (`render.tool`),
+and turns with the hand. A torque stored at each sample would be valid for one tool in one orientation. Here
+it is computed for a pen of 60 mm and a sphere of 5 mm, held upright, at all samples near a surface, and coded
+by `touch` like force (k 0.1; F_0 times 10 mm). Then the hand tilts, and the stored torque is compared with
+that of the points. A record in the medium would be worth its code if, at the tilt of a pen of a writing hand
+(20 degrees), at most a tenth of the positions were off by more than a tenth.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from touchfield.render.tool import Tool
 SOURCES = ("sample:terrain", "sample:motorcycle", "sample:shapes")
 TILTS_DEG = (5, 10, 20, 45)
 K, F0_N, LEVER_M = 0.1, 0.05, 0.01
-PLACES, REACH_M = 500, 0.005
+POSITIONS, REACH_M = 500, 0.005
 Float64s = NDArray[np.float64]
 
 
@@ -34,27 +34,27 @@ def pen(length_m: float = 0.06, radius_m: float = 0.004, points: int = 200) -> T
     """A cylinder towards the user (z is forward), its far end, a round tip, at the device's point."""
     n = np.arange(points)
     height, turn = (n + 0.5) / points * length_m, n * 2.399963
-    around = np.stack([np.cos(turn), np.sin(turn), np.zeros(points)], axis=-1)
+    radial = np.stack([np.cos(turn), np.sin(turn), np.zeros(points)], axis=-1)
     tip = Tool.sphere(radius_m, 50)
     low = tip.normals[:, 2] > 0
-    shaft = radius_m * around + height[:, None] * [0, 0, -1]
-    return Tool(np.concatenate([tip.points_m[low], shaft]), np.concatenate([tip.normals[low], around]), "pen")
+    shaft = radius_m * radial + height[:, None] * [0, 0, -1]
+    return Tool(np.concatenate([tip.points_m[low], shaft]), np.concatenate([tip.normals[low], radial]), "pen")
 
 
 def torque(field: ForceField, tool: Tool, at: Float64s, turns: Rotation | None = None) -> Float64s:
-    """Torque about the device's point at places [n, 3], N m, float64 [n, 3]; `turns` [n] turn the tool."""
+    """Torque about the device's point at `at` [n, 3], N m [n, 3]; `turns` [n] rotate the tool."""
     total = np.zeros_like(at)
-    for place, normal in zip(tool.points_m, tool.normals, strict=True):
-        arm = np.broadcast_to(place, at.shape) if turns is None else turns.apply(np.array(place))
+    for point, normal in zip(tool.points_m, tool.normals, strict=True):
+        arm = np.broadcast_to(point, at.shape) if turns is None else turns.apply(np.array(point))
         out = np.broadcast_to(normal, at.shape) if turns is None else turns.apply(np.array(normal))
         force = field.sample_n(at + arm).astype(np.float64)
         length = np.linalg.norm(force, axis=-1, keepdims=True)
-        shown = np.maximum(0, -(out * force).sum(axis=-1, keepdims=True) / np.maximum(length, 1e-12))
-        total += np.cross(arm, shown * force)
+        facing = np.maximum(0, -(out * force).sum(axis=-1, keepdims=True) / np.maximum(length, 1e-12))
+        total += np.cross(arm, facing * force)
     return total * 4 / len(tool)
 
 
-def stored(field: ForceField, tool: Tool) -> ForceField:
+def stored_torque(field: ForceField, tool: Tool) -> ForceField:
     """The torque at all samples of the bricks of a field, N m in place of N."""
     grid, bricks = field.grid, field.bricks
     local = np.stack(np.meshgrid(*(np.arange(8),) * 3, indexing="ij"), axis=-1)
@@ -74,26 +74,28 @@ def measure(nw: int) -> Figures:
         force_bytes = len(TouchEncoder(field.grid, TouchSpec(k=K, f0_n=F0_N)).encode_segment([field]).body)
         rng = np.random.default_rng(1)
         for tool in (pen(), Tool.sphere(0.005, 200)):
-            made = stored(field, tool)
+            torque_field = stored_torque(field, tool)
             spec = TouchSpec(k=K, f0_n=F0_N * LEVER_M)
-            own = len(TouchEncoder(made.grid, spec).encode_segment([made]).body)
+            torque_bytes = len(TouchEncoder(torque_field.grid, spec).encode_segment([torque_field]).body)
             at = np.asarray(field.grid.origin_m) + field.positions() * np.asarray(field.grid.spacing_m)
-            at = at[rng.integers(0, len(at), PLACES)] + rng.uniform(-REACH_M, REACH_M, (PLACES, 3))
+            at = at[rng.integers(0, len(at), POSITIONS)] + rng.uniform(-REACH_M, REACH_M, (POSITIONS, 3))
             upright = torque(field, tool, at)
-            row: Figures = {"bytes_over_force": own / force_bytes}
+            row: Figures = {"bytes_over_force": torque_bytes / force_bytes}
             for tilt in TILTS_DEG:
-                axis = rng.normal(size=(PLACES, 2))
+                axis = rng.normal(size=(POSITIONS, 2))
                 axis = np.radians(tilt) * axis / np.linalg.norm(axis, axis=-1, keepdims=True)
                 now = torque(field, tool, at, Rotation.from_rotvec(np.pad(axis, ((0, 0), (0, 1)))))
                 error, size = np.linalg.norm(upright - now, axis=-1), np.linalg.norm(now, axis=-1)
-                felt = np.maximum(size, np.linalg.norm(upright, axis=-1)) > F0_N * LEVER_M
-                row[f"off_at_{tilt}"] = float((error > np.maximum(F0_N * LEVER_M, K * size))[felt].mean())
+                is_perceptible = np.maximum(size, np.linalg.norm(upright, axis=-1)) > F0_N * LEVER_M
+                row[f"off_at_{tilt}"] = float(
+                    (error > np.maximum(F0_N * LEVER_M, K * size))[is_perceptible].mean()
+                )
             rows[f"{source}, {tool.name}"] = row
     return {"tools": rows}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Whether a stored torque would do."""
+    """Whether a stored torque is accurate enough."""
     worst = max(row["off_at_20"] for row in figures["tools"].values())
     return [
         at_most(

@@ -1,17 +1,16 @@
-"""Vibration beside force (paper section 6.4): laws of the split, bits of what must be sent, a texture as it
-is felt.
+"""Vibration (paper section 6.4): properties of the split, bits, and rendered textures.
 
     python bench/bench_vibrotactile.py [--quick] [--seconds S]
 
-"recordings": the forces of a hand that guides a robot (`shared`, six, about 700 samples a second), split at
-30 Hz, the high part made one axis and reduced; where that folder is not there they are left out. "made":
-noise as rough as a surface, ridges that are hit, and taps, at 2 kHz. Bits are those of an adaptive code,
-beside 16 a sample of one axis. The margin is how far what is lost stays below the threshold of a hand that
-holds a stylus, in the third of an octave and the half second where it is least, by a measure of thirds that
-the reduction does not use.
+"recordings": forces of a hand that guides a robot (`shared`, six, about 700 samples per second; skipped
+without that folder), split at 30 Hz, the high part mapped to one axis and reduced. "made": synthetic noise
+like a rough surface, ridges, and taps, at 2 kHz. Bits are those of an adaptive code, against 16 per sample of
+one axis. The margin is the distance of the error below the threshold of a hand that holds a stylus, in the
+worst third of an octave and half second, by a measure of thirds that the reduction does not use.
 
-"slide": a simulated hand slides over a wall that is made of a table of three speeds and two forces; how far
-thirds of an octave of the force of the device lie from the table, and what a tick takes with it and without.
+"slide": a simulated hand slides over a wall with a texture table of three speeds and two forces. Figures are
+the deviation of the device's force from the table in thirds of an octave, and the time of a tick with and
+without the texture.
 """
 
 from __future__ import annotations
@@ -36,28 +35,30 @@ from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec
 
 RECORDED = SHARED / "force_panda_comanipulation" / "symbol_data.mat"
-RECORDED_HZ, MADE_HZ, LOOP_HZ = 700.0, 2000.0, 2500.0
+RECORDED_HZ, SYNTHETIC_HZ, LOOP_HZ = 700.0, 2000.0, 2500.0
 GRID = tf.Grid((65, 33, 33), (0.005,) * 3, (-0.16, -0.08, -0.08))
 
 
 def laws(seconds: float) -> Figures:
-    """The worst of ten signals."""
+    """Worst errors of crossover, DFT321 and STFT over ten signals."""
     worst = {"crossover": 0.0, "dft321": 0.0, "stft_db": np.inf}
     for seed in range(10):
-        signal = np.random.default_rng(seed).normal(size=(int(seconds * MADE_HZ) + seed, 3)).cumsum(axis=0)
-        low, high = Crossover(MADE_HZ).split(signal)
+        signal = (
+            np.random.default_rng(seed).normal(size=(int(seconds * SYNTHETIC_HZ) + seed, 3)).cumsum(axis=0)
+        )
+        low, high = Crossover(SYNTHETIC_HZ).split(signal)
         spectrum = (np.abs(np.fft.rfft(high, axis=0)) ** 2).sum(axis=1)
-        one = dft321(high)
-        energy = np.abs(np.abs(np.fft.rfft(one)) ** 2 - spectrum) / np.maximum(
+        vibration = dft321(high)
+        energy = np.abs(np.abs(np.fft.rfft(vibration)) ** 2 - spectrum) / np.maximum(
             spectrum, 1e-9 * spectrum.max()
         )
         stft = Stft()
-        lost = np.linalg.norm(stft.signal_from(stft.real_spectra(one), len(one)) - one)
+        residual = np.linalg.norm(stft.signal_from(stft.real_spectra(vibration), len(vibration)) - vibration)
         worst["crossover"] = max(
             worst["crossover"], float(np.abs(low + high - signal).max() / np.abs(signal).max())
         )
         worst["dft321"] = max(worst["dft321"], float(energy.max()))
-        worst["stft_db"] = min(worst["stft_db"], float(20 * np.log10(np.linalg.norm(one) / lost)))
+        worst["stft_db"] = min(worst["stft_db"], float(20 * np.log10(np.linalg.norm(vibration) / residual)))
     return worst
 
 
@@ -71,9 +72,9 @@ def recordings() -> dict[str, Any]:
     return {f"recording {n}": dft321(Crossover(RECORDED_HZ).split(row.F.T)[1]) for n, row in enumerate(rows)}
 
 
-def made(seconds: float) -> dict[str, Any]:
+def synthetic(seconds: float) -> dict[str, Any]:
     """Vibrations of one axis, newtons, at `MADE_HZ`."""
-    rng, t = np.random.default_rng(6), np.arange(int(seconds * MADE_HZ)) / MADE_HZ
+    rng, t = np.random.default_rng(6), np.arange(int(seconds * SYNTHETIC_HZ)) / SYNTHETIC_HZ
     rough = np.convolve(rng.normal(size=len(t) + 31), np.hanning(32) * np.cos(0.6 * np.arange(32)), "valid")
     hits = np.exp(-((t * 40) % 1) * 8) * np.sin(2 * np.pi * 180 * t) * (1 + 0.2 * rng.normal(size=len(t)))
     tap = np.exp(-(t % 1) * 60) * np.sin(2 * np.pi * 220 * t)
@@ -82,7 +83,7 @@ def made(seconds: float) -> dict[str, Any]:
 
 def margin_db(error: Any, rate_hz: float) -> float:
     """Decibels to the threshold, in the third and the half second where they are least."""
-    if rate_hz < 1000:  # which that measure does not take
+    if rate_hz < 1000:  # third_octave_power needs at least 1 kHz
         error, rate_hz = resample_poly(error, 2, 1), 2 * rate_hz
     length = int(rate_hz / 2)
     windows = [error[a : a + length] for a in range(0, len(error) - length + 1, length // 2)]
@@ -109,7 +110,7 @@ def reduction(signals: dict[str, Any], rate_hz: float) -> Figures:
 
 
 def slides() -> Figures:
-    """A hand on a table of three speeds, at these and between."""
+    """Slides over a texture table of three speeds, at these speeds and between."""
     force = np.zeros((1, *GRID.shape, 3))
     force[..., 2] = np.maximum(-300.0 * (GRID.origin_m[2] + GRID.spacing_m[2] * np.arange(GRID.shape[2])), 0)
     medium = tf.HapticMedium.from_array(force, GRID, 30.0)
@@ -125,20 +126,20 @@ def slides() -> Figures:
         at = np.array([[-0.14, 0, -0.0025], [-0.14, 0, -0.0025], [0.14, 0, -0.0025]])
         seconds = 0.1 + 0.28 / speed
         opener = point_device("sim", Trace(np.array([0, 0.1, seconds]), at)).opener
-        run_offline(medium, profile, opener, spec, seconds=0.05)  # what is compiled or loaded
+        run_offline(medium, profile, opener, spec, seconds=0.05)  # compiles and loads the kernels
         took = []
-        for own in (spec, replace(spec, materials=())):
+        for run_spec in (spec, replace(spec, materials=())):
             began = time.perf_counter()
-            run = run_offline(medium, profile, opener, own, seconds=seconds)
+            run = run_offline(medium, profile, opener, run_spec, seconds=seconds)
             took.append(1e6 * (time.perf_counter() - began) / len(run.log))
-            if own is spec:
-                felt = run.log["force_n"][int(0.25 * LOOP_HZ) : int((seconds - 0.01) * LOOP_HZ), 2].astype(
+            if run_spec is spec:
+                force_n = run.log["force_n"][int(0.25 * LOOP_HZ) : int((seconds - 0.01) * LOOP_HZ), 2].astype(
                     float
                 )
-        share = (300.0 * 0.0025 - 0.5) / 1.5
-        pressed = (1 - share) * levels[:, 0] + share * levels[:, 1]
-        wanted = np.array([np.interp(speed, table.speeds_m_s, pressed[:, b]) for b in range(len(BANDS_HZ))])
-        off = np.abs(20 * np.log10(band_rms(felt - felt.mean(), LOOP_HZ) / wanted))
+        weight = (300.0 * 0.0025 - 0.5) / 1.5
+        pressed = (1 - weight) * levels[:, 0] + weight * levels[:, 1]
+        expected = np.array([np.interp(speed, table.speeds_m_s, pressed[:, b]) for b in range(len(BANDS_HZ))])
+        off = np.abs(20 * np.log10(band_rms(force_n - force_n.mean(), LOOP_HZ) / expected))
         rows[f"{1e3 * speed:g} mm/s"] = {
             "worst_db": float(off.max()),
             "tick_us": took[0],
@@ -148,19 +149,19 @@ def slides() -> Figures:
 
 
 def measure(seconds: float) -> Figures:
-    """All of it."""
-    told = reduction(recordings(), RECORDED_HZ) | reduction(made(seconds), MADE_HZ)
-    felt = slides()
+    """Properties, reduction and slides."""
+    reduction_rows = reduction(recordings(), RECORDED_HZ) | reduction(synthetic(seconds), SYNTHETIC_HZ)
+    slide_rows = slides()
     return {
         "laws": laws(seconds),
-        "reduction": told,
-        "slide": felt,
-        "tick_more_us": float(np.median([row["tick_us"] - row["without_us"] for row in felt.values()])),
+        "reduction": reduction_rows,
+        "slide": slide_rows,
+        "tick_more_us": float(np.median([row["tick_us"] - row["without_us"] for row in slide_rows.values()])),
     }
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """The laws; nothing lost that is felt, for fewer bits and in time; the table as it is felt."""
+    """Exact splits, imperceptible errors at few bits in real time, and accurate textures."""
     rows = figures["reduction"]
     real = {name: row for name, row in rows.items() if name.startswith("recording")}
     return [
@@ -168,7 +169,9 @@ def bars(figures: Figures) -> list[Bar]:
         at_most("DFT321, energy of a bin", figure(figures, "laws", "dft321"), 1e-12),
         at_least("spectra and back", figure(figures, "laws", "stft_db"), 100.0, "dB"),
         at_least("what is lost below the threshold", min(column(rows, "margin_db"), default=None), 0.0, "dB"),
-        at_least("16 bits a sample over what is sent, made", min(column(made_rows(rows), "of_pcm")), 4.0),
+        at_least(
+            "16 bits a sample over what is sent, made", min(column(synthetic_rows(rows), "of_pcm")), 4.0
+        ),
         at_least("the same, recorded", min(column(real, "of_pcm"), default=None), 4.0),
         at_least("seconds reduced in a second", min(column(rows, "times_real")), 10.0),
         at_most("thirds of a slide from the table", max(column(figures["slide"], "worst_db")), 1.0, "dB"),
@@ -176,8 +179,8 @@ def bars(figures: Figures) -> list[Bar]:
     ]
 
 
-def made_rows(rows: Figures) -> Figures:
-    """Rows of what was made here."""
+def synthetic_rows(rows: Figures) -> Figures:
+    """Rows of synthetic signals."""
     return {name: row for name, row in rows.items() if not name.startswith("recording")}
 
 

@@ -1,4 +1,4 @@
-"""A field as a zarr store beside ``.npz``: time to write and to read again, and bytes.
+"""A field as a zarr store, against ``.npz``: time to write and read, and bytes.
 
     python bench/bench_zarr.py [--nw N] [--runs N] [--quick]
 
@@ -37,21 +37,21 @@ def size(path: Path) -> int:
 
 
 def measure(nw: int, runs: int) -> Figures:
-    """Each way, several times."""
+    """Write and read in each format, several times."""
     need_module("zarr")
     spec = EncodeSpec(nw=nw, representation="voxel", touch=TouchSpec())
     medium = prepare(SOURCE, spec).medium
     frames = [medium[0]]
-    held = type(medium).from_frames(frames, medium.rate_hz, medium.axes)
+    in_memory = type(medium).from_frames(frames, medium.rate_hz, medium.axes)
     rows: dict[str, Figures] = {"npz": {}, "zarr, zstd": {}, "zarr, touch": {}}
     for run in range(runs + 1):
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             ways: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]]] = {
-                "npz": ("a.npz", lambda path: write_npz(path, held), lambda path: read_npz(path)[0]),
+                "npz": ("a.npz", lambda path: write_npz(path, in_memory), lambda path: read_npz(path)[0]),
                 "zarr, zstd": (
                     "a.zarr",
-                    lambda path: write_zarr(path, held),
+                    lambda path: write_zarr(path, in_memory),
                     lambda path: read_zarr(path)[0],
                 ),
                 "zarr, touch": (
@@ -74,7 +74,7 @@ def measure(nw: int, runs: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Half the speed of ``.npz`` at least."""
+    """At least half the speed of ``.npz``."""
 
     def ratio(key: str) -> float:
         npz, zarr = (figure(figures, "ways", way, key) for way in ("npz", "zarr, zstd"))

@@ -1,4 +1,4 @@
-"""Other people's fusion of the same depth maps, run by the interpreter in which they are installed.
+"""Peers of depth fusion on the same depth maps, in the interpreter that has them installed.
 
     PYTHON fusion_peers.py DEPTHS.npz
 
@@ -28,7 +28,7 @@ def open3d_rate(data: Any) -> float:
     intrinsic = core.Tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], core.float64)
     depths = [o3d.t.geometry.Image(core.Tensor(d, core.float32, device)) for d in data["depths_m"]]
     extrinsics = [core.Tensor(np.linalg.inv(pose), core.float64) for pose in data["poses"]]
-    far_m = float(data["depths_m"].max())
+    max_depth_m = float(data["depths_m"].max())
 
     def run() -> None:
         grid = o3d.t.geometry.VoxelBlockGrid(
@@ -42,9 +42,9 @@ def open3d_rate(data: Any) -> float:
         )
         for depth, extrinsic in zip(depths, extrinsics):
             blocks = grid.compute_unique_block_coordinates(
-                depth, intrinsic, extrinsic, 1.0, far_m, TRUNCATION_VOXELS
+                depth, intrinsic, extrinsic, 1.0, max_depth_m, TRUNCATION_VOXELS
             )
-            grid.integrate(blocks, depth, intrinsic, extrinsic, 1.0, far_m, TRUNCATION_VOXELS)
+            grid.integrate(blocks, depth, intrinsic, extrinsic, 1.0, max_depth_m, TRUNCATION_VOXELS)
 
     return _best(run, len(depths))
 
@@ -77,7 +77,7 @@ def _best(run: Any, frames: int) -> float:
 
 
 def main() -> None:
-    """Print what each peer does."""
+    """Print the frames per second of each peer as JSON."""
     found: dict[str, Any] = {}
     data = dict(np.load(sys.argv[1]))
     for name, rate in (("Open3D VoxelBlockGrid", open3d_rate), ("VDBFusion", vdbfusion_rate)):

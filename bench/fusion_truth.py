@@ -1,6 +1,4 @@
-"""A scene whose surface is known everywhere: a wall, a floor, a ball and a box, seen as a Kinect would see
-them.
-"""
+"""A synthetic Kinect sequence with a known surface: a wall, a floor, a ball and a box."""
 
 from __future__ import annotations
 
@@ -18,7 +16,7 @@ Float64s = NDArray[np.float64]
 FRAMES = 12
 STIFFNESS_N_PER_M, WALL_M = 18.0, 0.18
 LOOKED_AT_M = (-0.06, -0.03)
-"""Depths behind the true surface at which it is asked: so deep that both fields hold a force."""
+"""Depths behind the true surface that are compared; both fields have forces there."""
 QUANTUM_PER_M = 2.85e-3
 
 
@@ -32,7 +30,7 @@ def distance_m(points_m: Float64s) -> Float64s:
     return nearest
 
 
-class Room(DepthSequence):
+class SyntheticKinect(DepthSequence):
     """The scene before a camera that turns, with the axial noise of Nguyen, Izadi and Lovell (2012) and the
     steps of a Kinect's disparity."""
 
@@ -71,26 +69,32 @@ def _measured(depth_m: Float64s, rng: np.random.Generator) -> NDArray[np.float32
 
 
 def contact_errors_mm() -> dict[str, float]:
-    """Median |error| of where the surface is felt: of a single frame's field, of the fused one, and their
-    ratio.
+    """Median |error| of the rendered surface: of a single frame's field, of the fused one, their ratio.
 
-    The surface lies |F| / K before a sample; the same samples are asked in both fields.
+    The surface lies |F| / K in front of a sample; the same samples are compared in both fields.
     """
-    sequence = Room()
+    sequence = SyntheticKinect()
     single, fused = DepthScene(sequence), FusedScene(sequence)
     low_m, high_m = single.bounds_m()
     grid = Grid.over_box(low_m - 0.05, high_m + 0.05, (200, 160, 200))
     profile = ForceProfile(((-WALL_M, 0.0, 0.0, -STIFFNESS_N_PER_M),))
     middle = FRAMES // 2
-    felt = [_amplitudes(scene.field(middle, grid, profile)) for scene in (single, fused)]
+    amplitudes = [_amplitudes(scene.field(middle, grid, profile)) for scene in (single, fused)]
     assert sequence.poses is not None
     first = sequence.poses[0]
-    places = np.argwhere((felt[0] > 0) & (felt[1] > 0))
-    true_m = distance_m(grid.to_m(places) @ first[:3, :3].T + first[:3, 3])
-    asked = (true_m > LOOKED_AT_M[0]) & (true_m < LOOKED_AT_M[1])
-    at = tuple(places[asked].T)
-    one, all_ = (1e3 * float(np.median(np.abs(f[at] / STIFFNESS_N_PER_M + true_m[asked]))) for f in felt)
-    return {"single_mm": one, "fused_mm": all_, "ratio": all_ / one, "samples": int(asked.sum())}
+    indices = np.argwhere((amplitudes[0] > 0) & (amplitudes[1] > 0))
+    true_m = distance_m(grid.to_m(indices) @ first[:3, :3].T + first[:3, 3])
+    is_compared = (true_m > LOOKED_AT_M[0]) & (true_m < LOOKED_AT_M[1])
+    at = tuple(indices[is_compared].T)
+    single_mm, fused_mm = (
+        1e3 * float(np.median(np.abs(f[at] / STIFFNESS_N_PER_M + true_m[is_compared]))) for f in amplitudes
+    )
+    return {
+        "single_mm": single_mm,
+        "fused_mm": fused_mm,
+        "ratio": fused_mm / single_mm,
+        "samples": int(is_compared.sum()),
+    }
 
 
 def _amplitudes(field: ForceField) -> NDArray[np.float32]:

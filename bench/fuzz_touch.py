@@ -1,15 +1,14 @@
-"""Damaged bodies of coder `touch` for as long as asked: only named errors, bounded memory, bounded time.
+"""Fuzzing of the decoder of coder `touch`: named errors only, bounded memory and time.
 
     python bench/fuzz_touch.py [--seconds N] [--seed S] [--only NAME ...] [--bounds] [--replay SEED CASE]
 
-Good segments of every mode, effort and guess are damaged in the bytes, or in one of their parts with the
-lengths around it made right again, and decoded by a child process. A case fails where anything but a
-`FormatError` comes out, where more memory is taken at once than the bytes and the grid allow (`tracemalloc`,
-and the limit of the whole process), where it takes more time than that, or where the process dies. A case is
-told by the seed and its number: `--replay` runs one again. `--bounds` checks every index in the compiled
-loops, which is slow.
+Valid segments of every mode, effort and base layer are damaged bytewise, or in one part with consistent
+lengths, and decoded by a child process. A case fails if an error other than `FormatError` occurs, if more
+memory or time is used than the bytes and the grid allow (`tracemalloc`, and the limit of the process), or if
+the process dies. A case is identified by the seed and its number: `--replay` runs one again. `--bounds`
+checks every index in the compiled loops, which is slow.
 
-Not among the figures of `run_all.py`: it measures nothing but faults.
+`run_all.py` does not run it: it has no figures.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ BYTES_PER_BYTE = 512 << 10
 FREE_SECONDS = 1.0
 SECONDS_PER_BYTE = 4e-3
 PATIENCE = 90.0
-"""Wall seconds without a word after which a child is given up."""
+"""Wall seconds without an answer after which a child is ended."""
 
 GRID = Grid((22, 19, 26), (0.0025, 0.002, 0.001), (-0.01, -0.008, -0.004))
 
@@ -86,7 +85,7 @@ def wall(grid: Grid, t: float, saturated: bool = False) -> ForceField:
 
 
 def makers() -> dict[str, Callable[[], Good]]:
-    """What is damaged, by name; made when asked for."""
+    """Functions that encode the segments to damage, by name."""
     walls = [wall(GRID, t) for t in range(3)]
     solid = [wall(GRID, t, saturated=True) for t in range(2)]
     step = wall(GRID, 0, saturated=True).to_dense()
@@ -110,7 +109,7 @@ def makers() -> dict[str, Callable[[], Good]]:
 
 
 def encoded(name: str, frames: list[ForceField], spec: TouchSpec) -> Good:
-    """A segment of frames; exceptions are rare: some of the worst kind are put there."""
+    """A segment of frames; outliers are rare, so the worst kind is added."""
     encoder = TouchEncoder(GRID, spec)
     good = Good(name, GRID, encoder.parameters, encoder.encode_segment(frames).body, len(frames))
     if spec.mode not in ("mask", "mask-direction"):
@@ -125,12 +124,12 @@ def encoded(name: str, frames: list[ForceField], spec: TouchSpec) -> Good:
 
 
 def damaged(data: bytes, rng: np.random.Generator, others: list[bytes]) -> bytes:
-    """Some bytes, changed in one of many ways."""
+    """Damage bytes in one of many ways."""
     out = bytearray(data)
     n = len(out)
     kind = int(rng.integers(9))
     at = int(rng.integers(n)) if n else 0
-    early = min(at, int(rng.integers(1, 24)))  # the heads of codes are where sizes are told
+    early = min(at, int(rng.integers(1, 24)))  # sizes are in the heads of codes
     if kind == 0 or n == 0:
         for _ in range(int(rng.integers(1, 6))):
             if n:
@@ -147,9 +146,9 @@ def damaged(data: bytes, rng: np.random.Generator, others: list[bytes]) -> bytes
         out[early : early + 1] = bytes([255] * int(rng.integers(1, 7))) + bytes([int(rng.integers(1, 128))])
     elif kind == 5:
         other = others[int(rng.integers(len(others)))]
-        begin = int(rng.integers(len(other) or 1))
+        start = int(rng.integers(len(other) or 1))
         size = int(rng.integers(1, 200))
-        out[at : at + size] = other[begin : begin + size]
+        out[at : at + size] = other[start : start + size]
     elif kind == 6:
         out[at:] = bytes([int(rng.choice([0, 255]))]) * (n - at)
     elif kind == 7:
@@ -177,7 +176,7 @@ def case_of(pool: list[Good], seed: int, number: int) -> Good:
     """Case `number`: the same for the same bodies."""
     rng = np.random.default_rng([seed, number])
     good = pool[int(rng.integers(len(pool)))]
-    others = [one.body for one in pool]
+    others = [segment.body for segment in pool]
     body, parameters, grid, frames = good.body, good.parameters, good.grid, good.frames
     if rng.random() < 0.3:
         for _ in range(int(rng.integers(1, 3))):
@@ -210,7 +209,7 @@ def bytes_allowed(case: Good) -> float:
 
 
 def run(case: Good) -> str:
-    """Decode a case; what came of it."""
+    """Decode a case; return the outcome."""
     try:
         for frame in case.decoder.frames(case.body, case.frames):
             if not np.isfinite(frame.forces_n).all():
@@ -227,62 +226,64 @@ def run(case: Good) -> str:
 
 
 POOL: list[Good] = []
-"""Of the child."""
+"""The valid segments of the child process."""
 
 
-def begin(names: list[str], seed: int) -> None:
-    """Make the good bodies, compile what decodes them, and limit the process."""
+def start_child(names: list[str], seed: int) -> None:
+    """Encode the valid segments, compile the decoder, and limit the process."""
     for name, make in makers().items():
         if names and name not in names:
             continue
         try:
             POOL.append(make())
             run(case_of([POOL[-1]], seed, 0))
-        except Exception as error:  # an encoder's fault is not looked for here
+        except Exception as error:  # faults of the encoder are out of scope
             print(f"left out: {name}: {type(error).__name__}: {error}", flush=True)
     resource.setrlimit(resource.RLIMIT_AS, (PROCESS_BYTES, PROCESS_BYTES))
     tracemalloc.start()
 
 
 def work(seed: int, number: int) -> tuple[str, str, float, float]:
-    """Name of a case, what came of it, and the shares that it took of the memory and of the time allowed."""
+    """Name and outcome of a case, and the fractions used of the allowed memory and time."""
     case = case_of(POOL, seed, number)
     tracemalloc.reset_peak()
-    held, began = tracemalloc.get_traced_memory()[0], time.process_time()
-    told = run(case)
-    seconds, peak = time.process_time() - began, tracemalloc.get_traced_memory()[1] - held
-    shares = peak / bytes_allowed(case), seconds / (FREE_SECONDS + SECONDS_PER_BYTE * len(case.body))
-    if max(shares) > 1 and not told.startswith("FAULT"):
-        took = f"{peak / MEBI:.0f} MiB" if shares[0] > 1 else f"{seconds:.1f} s"
-        told = f"FAULT: {took} for {len(case.body)} bytes, grid {case.grid.shape}; {told}"
-    return case.name, told, *shares
+    before, began = tracemalloc.get_traced_memory()[0], time.process_time()
+    outcome = run(case)
+    seconds, peak = time.process_time() - began, tracemalloc.get_traced_memory()[1] - before
+    fractions = peak / bytes_allowed(case), seconds / (FREE_SECONDS + SECONDS_PER_BYTE * len(case.body))
+    if max(fractions) > 1 and not outcome.startswith("FAULT"):
+        took = f"{peak / MEBI:.0f} MiB" if fractions[0] > 1 else f"{seconds:.1f} s"
+        outcome = f"FAULT: {took} for {len(case.body)} bytes, grid {case.grid.shape}; {outcome}"
+    return case.name, outcome, *fractions
 
 
 @dataclass
 class Tally:
-    """What came of all cases."""
+    """Outcomes of all cases."""
 
     counts: Counter[str]
     faults: dict[str, list[str]]
     peak: float = 0.0
     slowest: float = 0.0
 
-    def add(self, number: int, name: str, told: str, peak: float, seconds: float) -> None:
+    def add(self, number: int, name: str, outcome: str, peak: float, seconds: float) -> None:
         """Count one case."""
-        self.counts["FAULT" if told.startswith("FAULT") else told] += 1
+        self.counts["FAULT" if outcome.startswith("FAULT") else outcome] += 1
         self.peak, self.slowest = max(self.peak, peak), max(self.slowest, seconds)
-        if told.startswith("FAULT"):
-            found = self.faults.setdefault(f"{name}: {told}"[:300], [])
+        if outcome.startswith("FAULT"):
+            found = self.faults.setdefault(f"{name}: {outcome}"[:300], [])
             found.append(str(number))
             if len(found) == 1:
-                print(f"case {number}, {name}: {told}", flush=True)
+                print(f"case {number}, {name}: {outcome}", flush=True)
 
 
 def watch(arguments: argparse.Namespace) -> Tally:
-    """Run cases until their time is over; start again behind a case that killed the child."""
+    """Run cases until the time is over; restart after a case that killed the child."""
     tally, number, spent = Tally(Counter(), {}), arguments.first, 0.0
     while spent < arguments.seconds:
-        with multiprocessing.get_context("spawn").Pool(1, begin, (arguments.only, arguments.seed)) as child:
+        with multiprocessing.get_context("spawn").Pool(
+            1, start_child, (arguments.only, arguments.seed)
+        ) as child:
             child.apply_async(os.getpid).get(1200)  # all is compiled
             patient = True
             while patient and spent < arguments.seconds:
@@ -300,7 +301,7 @@ def watch(arguments: argparse.Namespace) -> Tally:
 
 
 def replayed(names: list[str], seed: int, number: int) -> None:
-    """One case, in this process, with the whole traceback."""
+    """Run one case in this process, with the whole traceback."""
     pool = [make() for name, make in makers().items() if not names or name in names]
     case = case_of(pool, seed, number)
     print(f"{case.name}: {len(case.body)} bytes, {case.frames} frames, grid {case.grid.shape}")
@@ -309,7 +310,7 @@ def replayed(names: list[str], seed: int, number: int) -> None:
 
 
 def main() -> int:
-    """Run cases and print what came of them; 1 where one failed."""
+    """Run cases and print their outcomes; return 1 if one failed."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -319,19 +320,19 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="good bodies to begin with")
     parser.add_argument("--bounds", action="store_true", help="check every index in compiled loops")
     parser.add_argument("--replay", type=int, nargs=2, metavar=("SEED", "CASE"))
-    asked = parser.parse_args()
-    if asked.bounds and "NUMBA_BOUNDSCHECK" not in os.environ:
+    options = parser.parse_args()
+    if options.bounds and "NUMBA_BOUNDSCHECK" not in os.environ:
         folder = Path(tempfile.gettempdir()) / "touchfield-fuzz-bounds"
         settings = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(folder)}
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **settings})
-    if asked.replay:
-        replayed(asked.only, *asked.replay)
+    if options.replay:
+        replayed(options.only, *options.replay)
         return 0
-    tally = watch(asked)
-    print(f"seed {asked.seed}: {sum(tally.counts.values())} cases: {dict(sorted(tally.counts.items()))}")
+    tally = watch(options)
+    print(f"seed {options.seed}: {sum(tally.counts.values())} cases: {dict(sorted(tally.counts.items()))}")
     print(f"largest share of the memory allowed {tally.peak:.2f}, of the time {tally.slowest:.2f}")
-    for told, numbers in tally.faults.items():
-        print(f"{len(numbers)} x {told}; cases {' '.join(numbers[:8])}")
+    for fault, numbers in tally.faults.items():
+        print(f"{len(numbers)} x {fault}; cases {' '.join(numbers[:8])}")
     return 1 if tally.faults else 0
 
 

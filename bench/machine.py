@@ -1,6 +1,4 @@
-"""What all benchmarks share: a command line, timing, tables, bars with verdicts, and where the figures are
-kept.
-"""
+"""Shared by all benchmarks: command line, timing, tables, bars with verdicts, stored results."""
 
 from __future__ import annotations
 
@@ -24,11 +22,11 @@ RESULTS = Path(__file__).parent / "results"
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 """The optional folder of real inputs."""
 WIDEST = 9
-"""Columns of a table; wider rows are told one by one."""
-LEFT_OUT = 77
-"""Exit status of a benchmark that lacks what it needs."""
+"""Columns of a table; wider rows are printed one by one."""
+SKIPPED = 77
+"""Exit status of a benchmark whose requirements are missing."""
 ABOUT = ("machine", "run", "code", "bars")
-"""Of a stored result: what is no figure."""
+"""Keys of a stored result that are no figures."""
 QUICK = Path(__file__).parent / "reference" / "quick"
 """The exact figures of quick runs by their path, a file for each benchmark."""
 STORE_QUICK = "TOUCHFIELD_BENCH_STORE_QUICK"
@@ -36,19 +34,19 @@ EXACT = (
     *("*bytes*", "*voxels*", "*support*", "*bricks*", "*triangles*", "*tiles*", "*cases*"),
     *("*db", "*ratio*", "*worst*"),
 )
-"""Patterns of figures that no run changes."""
+"""Patterns of figures that are equal in every run."""
 NOT_EXACT = (
     *("*peer*", "*/numpy/*", "*/warp/*", "*_ms*", "*_us*", "*_s", "*seconds", "*_mb", "*per_s*", "*_hz*"),
     "absent*",
 )
 SAME = 0.02
-"""Relative difference of exact figures that counts as none: processors round sums in other orders, and an
-encoder's choices follow them. On one machine the figures do not differ at all."""
+"""Tolerated relative difference of exact figures: summation order depends on the processor, and choices
+of an encoder depend on it. On one machine the figures are equal."""
 VERDICTS = {True: "met", False: "NOT MET", None: "not measured"}
 
 Figures = dict[str, Any]
 Bar = dict[str, Any]
-"""What a figure must be: "bar" (its name), "measured", "way" ("at most" or "at least"), "limit", "unit",
+"""A limit on a figure: "bar" (its name), "measured", "way" ("at most" or "at least"), "limit", "unit",
 "met".
 """
 
@@ -104,18 +102,18 @@ def figure(figures: Any, *keys: Any) -> Any:
 
 
 def column(rows: Mapping[str, Figures] | Iterable[Figures], key: str) -> list[Any]:
-    """What the rows that have it say under `key`."""
+    """Values of `key` in the rows that have it."""
     every = rows.values() if isinstance(rows, Mapping) else rows
     return [row[key] for row in every if row.get(key) is not None]
 
 
-def told(bar: Bar) -> str:
+def bar_line(bar: Bar) -> str:
     """A bar as a line: name, measured, limit, verdict."""
     measured, limit = (f"{text(bar[key])} {bar['unit']}".strip() for key in ("measured", "limit"))
     return f"{VERDICTS[bar['met']]:12} {bar['bar']}: {measured} ({bar['way']} {limit})"
 
 
-# -- telling -----------------------------------------------------------------------------------------------
+# -- printing ----------------------------------------------------------------------------------------------
 
 
 def text(value: Any) -> str:
@@ -139,7 +137,7 @@ def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str
 
 
 def show(figures: Figures, title: str = "") -> None:
-    """Print figures: what is one number in lines, what is rows as a table."""
+    """Print figures: single numbers as lines, rows as a table."""
     single = {
         key: value for key, value in figures.items() if not isinstance(value, dict) and not _is_rows(value)
     }
@@ -170,7 +168,7 @@ def _is_rows(value: Any) -> bool:
 
 
 def _flat(row: Figures) -> Figures:
-    """A row without rows in it."""
+    """A row with nested rows flattened."""
     flat: Figures = {}
     for key, value in row.items():
         flat |= (
@@ -183,7 +181,7 @@ def _flat(row: Figures) -> Figures:
 
 
 def arguments(doc: str | None, options: Mapping[str, tuple[Any, Any]]) -> tuple[Figures, bool]:
-    """What was asked for, and whether quickly; an option is its value and that of a quick run."""
+    """Parsed options, and whether the run is quick; an option has a value and one of quick runs."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="small settings; no result is kept")
     for name, (value, small) in options.items():
@@ -191,20 +189,20 @@ def arguments(doc: str | None, options: Mapping[str, tuple[Any, Any]]) -> tuple[
             parser.add_argument(f"--{name}", action="store_true", default=None)
         else:
             parser.add_argument(f"--{name}", type=type(value), help=f"{value}; quickly {small}")
-    asked = vars(parser.parse_args())
-    is_quick = asked.pop("quick")
-    given = {name: (small if is_quick else value) for name, (value, small) in options.items()}
-    return given | {name: value for name, value in asked.items() if value is not None}, is_quick
+    parsed = vars(parser.parse_args())
+    is_quick = parsed.pop("quick")
+    values = {name: (small if is_quick else value) for name, (value, small) in options.items()}
+    return values | {name: value for name, value in parsed.items() if value is not None}, is_quick
 
 
 def leave_out(reason: str) -> NoReturn:
-    """End a benchmark that cannot be run here, with the reason, and with the exit status that says so."""
+    """End a benchmark that cannot run here: print the reason, exit with `SKIPPED`."""
     print(f"left out: {reason}", flush=True)
-    sys.exit(LEFT_OUT)
+    sys.exit(SKIPPED)
 
 
 def need_module(name: str) -> None:
-    """Leave a benchmark out if a library that it measures does not import, with the reason."""
+    """Skip a benchmark if a library that it measures cannot be imported."""
     try:
         import_module(name)
     except Exception as error:  # zarr, for one, ends with a ValueError beside zfpy 1.0.1.post0
@@ -219,12 +217,10 @@ def keep(
     run: Figures | None = None,
     code: dict[str, str] | None = None,
 ) -> None:
-    """Print a verdict for each bar; write ``results/NAME.json``, machine, run and code beside figures and
-    bars.
-    """
+    """Print a verdict for each bar; write ``results/NAME.json`` with machine, run, code, figures, bars."""
     print()
     for bar in bars:
-        print(told(bar))
+        print(bar_line(bar))
     print(f"{sum(bar['met'] is True for bar in bars)} of {len(bars)} bars met", flush=True)
     if not is_quick:
         figures = {key: value for key, value in figures.items() if key not in ABOUT}
@@ -235,7 +231,7 @@ def keep(
 
 
 def code_path(name: str) -> Path:
-    """Where the hashes of the files are that a result was measured with."""
+    """Path of the hashes of the files that a result was measured with."""
     return RESULTS / "code" / f"{name}.txt"
 
 
@@ -252,9 +248,7 @@ def stored(name: str) -> Figures:
 
 
 def stale(name: str) -> list[str]:
-    """The files that differ from those that the stored result was measured with;
-    empty if it is up to date.
-    """
+    """Files that have changed since the stored result was measured; empty if it is up to date."""
     return provenance.changed(code_path(name), stored(name).get("code"))
 
 
@@ -262,7 +256,7 @@ def stale(name: str) -> list[str]:
 
 
 def exact_figures(figures: Figures, without: Iterable[str] = ()) -> dict[str, float]:
-    """Numbers that a run does not change: bytes, counts and errors, by their path; no peer's and no time's.
+    """Reproducible numbers by their path: bytes, counts and errors, without peers and times.
 
     `without` are patterns of paths that are left out.
     """
@@ -270,12 +264,13 @@ def exact_figures(figures: Figures, without: Iterable[str] = ()) -> dict[str, fl
     return {
         path: value
         for path, value in _numbers(figures)
-        if any(fnmatch(path, one) for one in EXACT) and not any(fnmatch(path, one) for one in patterns)
+        if any(fnmatch(path, pattern) for pattern in EXACT)
+        and not any(fnmatch(path, pattern) for pattern in patterns)
     }
 
 
 def _numbers(value: Any, path: str = "") -> Iterator[tuple[str, float]]:
-    """Every finite number within, with the keys that lead to it."""
+    """Every finite number in `value`, with its path of keys."""
     if isinstance(value, Mapping):
         for key, part in value.items():
             yield from _numbers(part, f"{path}/{key}" if path else str(key))
@@ -287,8 +282,8 @@ def _numbers(value: Any, path: str = "") -> Iterator[tuple[str, float]]:
 
 
 def _name_of(row: Any) -> str:
-    """The texts of a row that come before its numbers: they tell it from others wherever it stands."""
-    texts = [one for one in row.values() if isinstance(one, str)] if isinstance(row, Mapping) else []
+    """The texts of a row, which identify it independently of its position."""
+    texts = [cell for cell in row.values() if isinstance(cell, str)] if isinstance(row, Mapping) else []
     return ", ".join(texts)
 
 
@@ -299,9 +294,9 @@ def stored_quick(name: str) -> dict[str, float]:
 
 
 def quick_differences(name: str, figures: Figures, without: Iterable[str] = ()) -> list[str]:
-    """The exact figures of a quick run that are not those stored, a line each.
+    """Exact figures of a quick run that differ from the stored ones, a line each.
 
-    Those that are not there are no difference where the optional folder of inputs is absent.
+    Missing figures do not count where the optional folder of inputs is absent.
     """
     found, lines = exact_figures(figures, without), []
     for path, before in stored_quick(name).items():
@@ -314,7 +309,7 @@ def quick_differences(name: str, figures: Figures, without: Iterable[str] = ()) 
 
 
 def check_quick(name: str, figures: Figures, without: Iterable[str] = ()) -> None:
-    """Hold a quick run against the stored exact figures, or store them where `STORE_QUICK` is set.
+    """Compare a quick run with the stored exact figures, or store them if `STORE_QUICK` is set.
 
     SystemExit, with the figures, where any differs.
     """
@@ -341,16 +336,15 @@ def bench(
     without: Iterable[str] = (),
     **options: tuple[Any, Any],
 ) -> list[Bar]:
-    """Run a benchmark's command: figures of `measure(**options)`, told and kept with what `bars(figures)`
-    says.
+    """Run a benchmark's command: print and store the figures of `measure(**options)` and their bars.
 
     `reads` are patterns of files that it measures and Python does not import; `without` are patterns of
-    figures that differ from run to run though they are named like exact ones.
+    figures that differ between runs although they are named like exact ones.
     """
-    asked, is_quick = arguments(doc, options)
+    values, is_quick = arguments(doc, options)
     trace, run = provenance.Trace(), provenance.Run()
     try:
-        figures = measure(**asked)
+        figures = measure(**values)
     except MissingExtra as error:
         leave_out(str(error))
     show(figures)

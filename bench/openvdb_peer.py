@@ -1,4 +1,4 @@
-"""OpenVDB's signed distances, for `bench_mesh`: a program of its own, with nothing but numpy beside it.
+"""Signed distances by OpenVDB for `bench_mesh`: a separate program that needs only numpy.
 
     PYTHON bench/openvdb_peer.py INPUT.npz OUTPUT.npz RUNS
 
@@ -17,7 +17,7 @@ import numpy as np
 
 
 def library() -> Any:
-    """The module under either of its names; ImportError if there is none."""
+    """Import the module under either of its names; ImportError if there is none."""
     try:
         return import_module("openvdb")
     except ImportError:
@@ -30,9 +30,7 @@ def version() -> str:
 
 
 def distances(vertices: Any, faces: Any, points: Any, band: float) -> Any:
-    """Signed distances of `points` on a lattice: OpenVDB's own narrow band of `band` voxels, and its values
-    there.
-    """
+    """Signed distances of `points` on a lattice, from OpenVDB's narrow band of `band` voxels."""
     vdb = library()
     voxel = float(np.diff(np.unique(points[:, 2])[:2])[0])
     transform = vdb.createLinearTransform(voxelSize=voxel)
@@ -47,9 +45,9 @@ def distances(vertices: Any, faces: Any, points: Any, band: float) -> Any:
 
 
 def main(source: str, target: str, runs: str) -> None:
-    """Values, and seconds of each run."""
-    given = np.load(source)
-    vertices, faces, points, band = (given[name] for name in ("vertices", "faces", "points", "band"))
+    """Write the values, and the seconds of each run."""
+    inputs = np.load(source)
+    vertices, faces, points, band = (inputs[name] for name in ("vertices", "faces", "points", "band"))
     seconds = []
     for _ in range(int(runs)):
         began = perf_counter()

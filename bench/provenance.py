@@ -1,10 +1,9 @@
-"""Which code a result was measured with, on which commit, and under which load of the machine.
+"""Code, commit and machine load of a measured result.
 
-A result's code is every source file that the processes of its benchmark loaded, the files that come with a
-loaded package (profiles, the page) and those that the benchmark names itself (C that it compiles). A file
-counts by what it says to the machine: comments, docstrings and layout of Python, C and TypeScript change no
-hash, nor does moving a file to another folder, for which other files import the same names from another
-module.
+The code of a result is every source file that the processes of its benchmark loaded, the data files of loaded
+packages (profiles, the page) and the files that the benchmark names (C that it compiles). Hashes ignore
+comments, docstrings and layout of Python, C and TypeScript, and the folder of a file, since other files then
+import the same names from another module.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ NOT_MEASURED: Final = frozenset(
     f"bench/{name}"
     for name in ("machine.py", "provenance.py", "run_all.py", "quotes.py", "trace/sitecustomize.py")
 )
-"""What runs, reports and stores; it takes no part in a measurement."""
+"""Files that run, report and store, without a part in a measurement."""
 VARIABLE: Final = "TOUCHFIELD_BENCH_TRACE"
 _STRINGS: Final = r"\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'|`(?:\\.|[^`\\])*`"
 _C_TOKENS: Final = re.compile(rf"{_STRINGS}|//[^\n]*|/\*.*?\*/|\s+", re.DOTALL)
@@ -43,10 +42,10 @@ _C_TOKENS: Final = re.compile(rf"{_STRINGS}|//[^\n]*|/\*.*?\*/|\s+", re.DOTALL)
 
 
 class Trace:
-    """The files that this process and those it starts load, from now on."""
+    """Record the files that this process and its children load."""
 
     def __init__(self) -> None:
-        _require_own_package()
+        _require_this_package()
         self._folder = TemporaryDirectory(prefix="touchfield-bench-")
         before = os.environ.get("PYTHONPATH", "")
         os.environ[VARIABLE] = self._folder.name
@@ -65,10 +64,8 @@ class Trace:
         return sorted({path.relative_to(ROOT).as_posix() for path in sources} - NOT_MEASURED)
 
 
-def _require_own_package() -> None:
-    """SystemExit if Python would import the package of another folder: its figures would get the wrong
-    code.
-    """
+def _require_this_package() -> None:
+    """SystemExit if Python would import the package of another folder, which has other code."""
     found = find_spec("touchfield")
     origin = None if found is None else found.origin
     if origin is None or not Path(origin).is_relative_to(ROOT):
@@ -83,7 +80,7 @@ def _source(name: str) -> Iterator[Path]:
 
 
 def _data_of(package: Path) -> Iterator[Path]:
-    """Files of a package that are no Python and belong to no package within it."""
+    """Files of a package other than Python, without those of nested packages."""
     for path in package.iterdir():
         if path.is_dir() and path.name != "__pycache__" and not (path / "__init__.py").exists():
             yield from _data_of(path)
@@ -93,27 +90,27 @@ def _data_of(package: Path) -> Iterator[Path]:
 
 @cache
 def digest(file: str) -> str:
-    """Hash of a file below the root by what it says to the machine; "missing" if it is not there."""
+    """Hash of the meaning of a file below the root; "missing" if there is none."""
     path = ROOT / file
     if not path.is_file():
         return "missing"
     text = path.read_bytes().decode("utf-8", "surrogateescape")
     if path.suffix == ".py":
-        said = python_meaning(text, is_bench=file.startswith("bench/"))
+        meaning = python_meaning(text, is_bench=file.startswith("bench/"))
     elif path.suffix in (".c", ".h", ".ts", ".js", ".mjs"):
-        said = c_meaning(text)
+        meaning = c_meaning(text)
     elif path.suffix == ".toml":
-        said = json.dumps(tomllib.loads(text), sort_keys=True, default=str)
+        meaning = json.dumps(tomllib.loads(text), sort_keys=True, default=str)
     else:
-        said = text.replace("\r\n", "\n")
-    return hashlib.sha256(said.encode("utf-8", "surrogateescape")).hexdigest()[:16]
+        meaning = text.replace("\r\n", "\n")
+    return hashlib.sha256(meaning.encode("utf-8", "surrogateescape")).hexdigest()[:16]
 
 
 def python_meaning(text: str, is_bench: bool = False) -> str:
-    """Python without comments, docstrings and layout, alike in all versions of Python.
+    """Python without comments, docstrings and layout, equal in all versions of Python.
 
     Of imports only the names count, in alphabetical order: the modules that they come from are files of their
-    own. Of a benchmark the function `bars` does not count either: it judges figures that are there.
+    own. In a benchmark the function `bars` does not count, because it only judges figures.
     """
     tree = ast.parse(text)
     parts = [f"imports {' '.join(sorted(_imported_names(tree)))}\n"]
@@ -125,7 +122,7 @@ def _imported_names(tree: ast.Module) -> Iterator[str]:
     """Names that imports define, with the names they had in their modules."""
     for node in ast.walk(tree):
         if isinstance(node, (ast.Import, ast.ImportFrom)):
-            yield from (f"{one.name.rpartition('.')[2]}:{one.asname or ''}" for one in node.names)
+            yield from (f"{alias.name.rpartition('.')[2]}:{alias.asname or ''}" for alias in node.names)
 
 
 def _write_node(node: ast.AST, parts: list[str], is_bench: bool) -> None:
@@ -137,13 +134,13 @@ def _write_node(node: ast.AST, parts: list[str], is_bench: bool) -> None:
             continue  # newer versions of Python have more fields, empty mostly
         parts.append(f" {name}=")
         if isinstance(value, list):
-            for one in _without_strings(value) if name == "body" else value:
-                if is_bench and isinstance(node, ast.Module) and getattr(one, "name", "") == "bars":
+            for item in _without_strings(value) if name == "body" else value:
+                if is_bench and isinstance(node, ast.Module) and getattr(item, "name", "") == "bars":
                     continue
-                if isinstance(one, ast.AST):
-                    _write_node(one, parts, is_bench)
+                if isinstance(item, ast.AST):
+                    _write_node(item, parts, is_bench)
                 else:
-                    parts.append(repr(one))
+                    parts.append(repr(item))
         elif isinstance(value, ast.AST):
             _write_node(value, parts, is_bench)
         else:
@@ -152,22 +149,20 @@ def _write_node(node: ast.AST, parts: list[str], is_bench: bool) -> None:
 
 
 def _without_strings(body: list[Any]) -> list[Any]:
-    """The statements of a body; a string that stands alone, as a docstring does,
-    says nothing to the machine.
-    """
+    """The statements of a body without docstrings and other standalone strings."""
 
-    def is_string(one: Any) -> bool:
+    def is_string(statement: Any) -> bool:
         return (
-            isinstance(one, ast.Expr)
-            and isinstance(one.value, ast.Constant)
-            and isinstance(one.value.value, str)
+            isinstance(statement, ast.Expr)
+            and isinstance(statement.value, ast.Constant)
+            and isinstance(statement.value.value, str)
         )
 
-    return [one for one in body if not is_string(one)]
+    return [statement for statement in body if not is_string(statement)]
 
 
 def c_meaning(text: str) -> str:
-    """C or TypeScript without comments; any white space is one blank."""
+    """C or TypeScript without comments, with white space collapsed."""
     return (
         _C_TOKENS.sub(lambda found: found[0] if found[0][0] in "\"'`" else " ", text)
         .replace("  ", " ")
@@ -195,7 +190,7 @@ def write_code(path: Path, code: dict[str, str]) -> None:
 
 
 def read_code(path: Path) -> dict[str, str] | None:
-    """What `write_code` wrote; None if there is no such file."""
+    """Read the file of `write_code`; None if there is none."""
     if not path.is_file():
         return None
     pairs = (line.split("  ", 1) for line in path.read_text(encoding="utf-8").splitlines())
@@ -203,9 +198,9 @@ def read_code(path: Path) -> dict[str, str] | None:
 
 
 def changed(path: Path, code: str | None) -> list[str]:
-    """Files that are not what they were when the result with this overall hash was measured; why, if unknown.
+    """Files that changed since the result with this overall hash was measured; a reason if unknown.
 
-    A file that was moved is still what it was.
+    A moved file counts as unchanged.
     """
     before = read_code(path)
     if before is None or code is None:
@@ -219,7 +214,7 @@ def changed(path: Path, code: str | None) -> list[str]:
 
 @cache
 def _all_digests() -> frozenset[str]:
-    """The hash of every file that can be measured, wherever it lies."""
+    """Hashes of all files that can be measured, in any folder."""
     suffixes = (".py", ".toml", ".json", ".html", ".c", ".h")
     found = (path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.suffix in suffixes)
     return frozenset(digest(path.relative_to(ROOT).as_posix()) for path in found)
@@ -229,7 +224,7 @@ def _all_digests() -> frozenset[str]:
 
 
 class Run:
-    """Commit, load, and time of a run that begins now."""
+    """Commit, load and duration of a run that starts now."""
 
     def __init__(self) -> None:
         self._load, self._wall, self._cpu = os.getloadavg()[0], time.monotonic(), _processor_s()
@@ -246,14 +241,14 @@ class Run:
 
 
 def _processor_s() -> float:
-    """Processor seconds of this process and of those it has waited for."""
+    """Processor seconds of this process and its finished children."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
+    return sum(usage.ru_utime + usage.ru_stime for usage in used)
 
 
-def _git(*words: str) -> str:
+def _git(*arguments: str) -> str:
     try:
-        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
+        done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
         return ""
     return done.stdout.strip()

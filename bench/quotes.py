@@ -1,5 +1,4 @@
-"""The figures that README and the docs quote: each a phrase of a page, and the result that its numbers are
-of.
+"""Figures quoted by README and the docs: phrases of a page with the results they come from.
 
     python bench/quotes.py [--write]
 
@@ -90,7 +89,7 @@ def rate_quotes() -> list[Quote]:
 
 
 def motion_quotes() -> list[Quote]:
-    """A ball: its bytes, and the error that a hand meets that slides over it."""
+    """A ball: its bytes, and the error met by a hand that slides over it."""
     page, ball = "docs/coding.md", row(stored("motion")["slides"], field="ball", nw=7, speed_mm_s=100.0)
     errors = f"{ball['error_mn']:.1f}", f"{ball['lattice_mn']:.1f}"
     return [
@@ -100,7 +99,7 @@ def motion_quotes() -> list[Quote]:
 
 
 def fusion_quotes() -> list[Quote]:
-    """Samples that jump between frames rendered alone; fused none do, and a fifth of the bytes are left."""
+    """Fraction of samples that jump between single frames; none do when fused, in a fifth of the bytes."""
     rows = stored("fusion")["standing"]
     alone, fused = (row(rows, sequence="TUM fr1_rpy", world=world) for world in ("frames", "fused"))
     if fused["share"] != 0 or round(1 / fused["of_frames"]) != 5:

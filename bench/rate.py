@@ -1,4 +1,4 @@
-"""Size against error: coder `touch` beside coder `paper` and general-purpose coders, everything counted.
+"""Size against error: coder `touch`, coder `paper` and general-purpose coders.
 
     python bench/rate.py [--quick] [--nw 5 6 7] [--fields NAME ...] [--efforts NAME ...] [--only WHAT ...]
                          [--keep FOLDER]
@@ -33,16 +33,16 @@ import rate_ours as ours
 import rate_peers as peers
 from machine import RESULTS, SHARED, Bar, Figures, at_least, at_most, check_quick, keep, show, table, text
 from rate_fields import FRAMES, WALL_VOXELS, Case, cases
-from rate_pool import Job, Pool, fields_in, fingerprint, kept
+from rate_pool import Job, Pool, cached, fields_in, fingerprint
 from rate_symbols import F0_N, K
 from touchfield.codec.touch.spec import EFFORTS
 
 SIDES = (5, 6, 7)
-WHAT = ("NMSE", "promise", "five", "speed", "objects", "picture")
+SECTIONS = ("NMSE", "promise", "five", "speed", "objects", "picture")
 PICTURE_NW = 6
 DEFAULT = "default"
 MEAN, P_OVER_I = 1.0, 1.0
-"""Over the figures before: bytes on the mean of the fields; later frames over frames coded alone."""
+"""Limits relative to the former figures: mean bytes of the fields; later frames over single frames."""
 SPEEDS = {
     ("tum band", DEFAULT, "decode"): 60,
     ("tum band", DEFAULT, "encode"): 12,
@@ -64,14 +64,14 @@ BEFORE = json.loads((Path(__file__).parent / "reference" / "rate_before.json").r
 
 
 def best(sizes: Figures) -> tuple[str, float]:
-    """The smallest that is a number."""
-    known = [(size, name) for name, size in sizes.items() if math.isfinite(size)]
-    size, name = min(known, default=(math.nan, "-"))
+    """Name and size of the smallest finite size."""
+    finite = [(size, name) for name, size in sizes.items() if math.isfinite(size)]
+    size, name = min(finite, default=(math.nan, "-"))
     return name, size
 
 
 def mean(ratios: Sequence[float]) -> float | None:
-    """Geometric; None of nothing."""
+    """Geometric mean; None for an empty list."""
     return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else None
 
 
@@ -82,7 +82,7 @@ def former_of(before: Figures, row: Figures) -> Any:
 
 @dataclass
 class Report:
-    """What was found.
+    """All figures of a run.
 
     A row of `sizes` has "field", "kind", "at" ("NMSE" or "promise"), "frames", "nmse_db", "touch" by effort
     (bytes), "p_over_i" by effort, "peers" and what else its parts told; one of `speeds` has "field", "effort"
@@ -101,9 +101,9 @@ class Report:
         return [row for row in self.sizes if row["at"] == at and (row["frames"] > 1) is (frames > 1)]
 
     def tables(self) -> Iterator[str]:
-        """Those that hold anything."""
-        ends = ("best peer", "bytes", "over default", "coded source", "on paper's symbols")
-        head = ("field", "NMSE dB", "paper", *self.efforts, "P over I", "beyond", "worst", *ends)
+        """The tables with at least one row."""
+        peer_columns = ("best peer", "bytes", "over default", "coded source", "on paper's symbols")
+        head = ("field", "NMSE dB", "paper", *self.efforts, "P over I", "beyond", "worst", *peer_columns)
         for (at, frames), title in TITLES.items():
             if rows := [self._cells(row) for row in self.at(at, frames)]:
                 yield table(title, head, rows)
@@ -142,7 +142,7 @@ class Report:
         }
 
     def ranges(self) -> dict[str, list[float]]:
-        """How many times as large as ours the best peer is over all fields, at least and at most."""
+        """Bytes of the best peer over those of coder touch: least and greatest over all fields."""
         found = {}
         for at, frames in TITLES:
             over = self._ratios(at, frames, lambda r: best(r["peers"])[1], lambda r: r["touch"].get(DEFAULT))
@@ -151,36 +151,39 @@ class Report:
         return found
 
     def bars(self) -> list[Bar]:
-        """Beside the figures before, the best peer, and frames a second."""
-        made: list[Bar] = []
+        """Bars against the former figures, the best peer, and frames per second."""
+        verdicts: list[Bar] = []
         for at in ("promise", "NMSE"):
             over = self._ratios(at, 1, lambda r: r["touch"].get(DEFAULT), self._former)
-            told = f"{at}, one frame: bytes of {DEFAULT} over the former {DEFAULT}, {len(over)} fields"
-            made.append(at_most(f"{told}, mean", mean(over), MEAN))
+            label = f"{at}, one frame: bytes of {DEFAULT} over the former {DEFAULT}, {len(over)} fields"
+            verdicts.append(at_most(f"{label}, mean", mean(over), MEAN))
             former = partial(former_of, self.before[f"p_over_i, {at}"])
             over = self._ratios(at, 5, lambda r: r["p_over_i"].get(DEFAULT), former)
-            told = f"{at}, five frames: P over I of {DEFAULT} over the former, {len(over)} fields, mean"
-            made.append(at_most(told, mean(over), P_OVER_I))
+            label = f"{at}, five frames: P over I of {DEFAULT} over the former, {len(over)} fields, mean"
+            verdicts.append(at_most(label, mean(over), P_OVER_I))
         beyond = [row["beyond"] for row in self.sizes if row["at"] == "promise"]
-        made.append(at_most("voxels beyond the mask, all efforts", sum(beyond) if beyond else None, 0))
-        for name, (least, _) in self.ranges().items():
-            made.append(at_least(f"bytes of the best peer over ours: {name}", least, 1.0))
+        verdicts.append(at_most("voxels beyond the mask, all efforts", sum(beyond) if beyond else None, 0))
+        for name, (minimum, _) in self.ranges().items():
+            verdicts.append(at_least(f"bytes of the best peer over ours: {name}", minimum, 1.0))
         speeds = {(row["field"], row["effort"]): row for row in self.speeds}
-        for (name, effort, what), least in SPEEDS.items():
+        for (name, effort, direction), minimum in SPEEDS.items():
             row = speeds.get((f"{name}, nw 7", effort), {})
-            told, measured = f"{name}, 128^3, two cores: {effort} {what}s", row.get(f"{what}_frames_s")
-            made.append(at_least(told, measured, least, "frames/s"))
-        return made
+            label, measured = (
+                f"{name}, 128^3, two cores: {effort} {direction}s",
+                row.get(f"{direction}_frames_s"),
+            )
+            verdicts.append(at_least(label, measured, minimum, "frames/s"))
+        return verdicts
 
 
 def jobs_of(case: Case, at: str, count: int, efforts: Sequence[str]) -> list[Job]:
     """Coder `touch` and the peers; of five frames the default effort, and each frame alone, too."""
-    made = [Job(case, "by_peers", count, {"at": at})]
+    jobs = [Job(case, "by_peers", count, {"at": at})]
     for effort in efforts:
         if count == 1 or effort == DEFAULT:
             for interframe in ("auto", "off")[:count]:
-                made.append(Job(case, "by_us", count, {"at": at, "effort": effort, "interframe": interframe}))
-    return made
+                jobs.append(Job(case, "by_us", count, {"at": at, "effort": effort, "interframe": interframe}))
+    return jobs
 
 
 def row_of(case: Case, at: str, count: int, pool: Pool, efforts: Sequence[str]) -> dict[str, Any]:
@@ -203,29 +206,29 @@ def row_of(case: Case, at: str, count: int, pool: Pool, efforts: Sequence[str]) 
     return row
 
 
-def measure_speeds(report: Report, pool: Pool, chosen: Sequence[Case]) -> None:
-    """Each effort, with the machine to itself, after the first, small field was coded once to compile all."""
+def measure_speeds(report: Report, pool: Pool, selected: Sequence[Case]) -> None:
+    """Measure each effort alone on the machine, after a small field has compiled all kernels."""
     for effort in report.efforts:
-        pool.say(f"compiling {effort}")
-        ours.touch(chosen[0].frames(fields_in(pool.folder))[:2], effort=effort)
-    for case in chosen:
+        pool.log(f"compiling {effort}")
+        ours.touch(selected[0].frames(fields_in(pool.folder))[:2], effort=effort)
+    for case in selected:
         if case.nw == 7 and case.kind in ("band", "height"):
             frames = case.frames(fields_in(pool.folder))
             for effort in report.efforts:
                 report.speeds.append({"field": case.title, "effort": effort, **ours.speed(frames, effort)})
-                pool.say(f"{report.speeds[-1]}")
+                pool.log(f"{report.speeds[-1]}")
 
 
-def drawn_cases(chosen: Sequence[Case], folder: Path) -> list[Case]:
-    """A band and a height field at n_w 6, or at the largest n_w that there is: those of the most voxels."""
-    side = min((case.nw for case in chosen), key=lambda nw: (nw != PICTURE_NW, -nw))
-    asked = [case for case in chosen if case.nw == side and case.kind in ("band", "height")]
-    asked.sort(key=lambda case: case.frames(fields_in(folder))[0].support_count)
-    return list({case.kind: case for case in asked}.values())
+def drawn_cases(selected: Sequence[Case], folder: Path) -> list[Case]:
+    """The band and the height field with the most voxels at n_w 6, or at the largest n_w."""
+    side = min((case.nw for case in selected), key=lambda nw: (nw != PICTURE_NW, -nw))
+    drawable = [case for case in selected if case.nw == side and case.kind in ("band", "height")]
+    drawable.sort(key=lambda case: case.frames(fields_in(folder))[0].support_count)
+    return list({case.kind: case for case in drawable}.values())
 
 
 def arguments() -> Any:
-    """What was asked for."""
+    """Parsed options."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -233,62 +236,62 @@ def arguments() -> Any:
     parser.add_argument("--nw", type=int, nargs="+", default=list(SIDES))
     parser.add_argument("--fields", nargs="+", help="names such as 'tum band'")
     parser.add_argument("--efforts", nargs="+", default=list(EFFORTS), choices=EFFORTS)
-    parser.add_argument("--only", nargs="+", default=list(WHAT), choices=WHAT, help="some of it")
+    parser.add_argument("--only", nargs="+", default=list(SECTIONS), choices=SECTIONS, help="some of it")
     parser.add_argument("--keep", type=Path, help="a folder of figures, to go on from")
-    asked = parser.parse_args()
-    is_all = (tuple(asked.nw), asked.efforts, tuple(asked.only)) == (SIDES, list(EFFORTS), WHAT)
-    asked.is_full = is_all and not asked.quick and not asked.fields
-    if asked.quick:
-        asked.nw, asked.fields = [5], ["tum band", "motorcycle band"]
-        asked.only = [what for what in asked.only if what in ("NMSE", "promise")]
-    return asked
+    options = parser.parse_args()
+    is_all = (tuple(options.nw), options.efforts, tuple(options.only)) == (SIDES, list(EFFORTS), SECTIONS)
+    options.is_full = is_all and not options.quick and not options.fields
+    if options.quick:
+        options.nw, options.fields = [5], ["tum band", "motorcycle band"]
+        options.only = [section for section in options.only if section in ("NMSE", "promise")]
+    return options
 
 
-def measured(asked: Any, pool: Pool, chosen: list[Case]) -> Report:
-    """Everything that was asked for."""
-    report = Report(tuple(asked.efforts), BEFORE)
-    if "speed" in asked.only:
-        measure_speeds(report, pool, chosen)
-    if "objects" in asked.only:
-        key = ["objects", max(asked.nw), fingerprint("ours"), fingerprint("fields")]
-        report.objects = kept(pool.folder, key, lambda: ours.object_bytes(max(asked.nw)))
-    drawn = drawn_cases(chosen, pool.folder) if "picture" in asked.only else []
+def measured(options: Any, pool: Pool, selected: list[Case]) -> Report:
+    """Run all requested sections."""
+    report = Report(tuple(options.efforts), BEFORE)
+    if "speed" in options.only:
+        measure_speeds(report, pool, selected)
+    if "objects" in options.only:
+        key = ["objects", max(options.nw), fingerprint("ours"), fingerprint("fields")]
+        report.objects = cached(pool.folder, key, lambda: ours.object_bytes(max(options.nw)))
+    drawn = drawn_cases(selected, pool.folder) if "picture" in options.only else []
     curves = [Job(case, part) for case in drawn for part in ("curve", "curve_peers")]
-    counts = (1, FRAMES) if "five" in asked.only else (1,)
+    counts = (1, FRAMES) if "five" in options.only else (1,)
     rows = [
         (case, at, count)
         for at in ("NMSE", "promise")
-        if at in asked.only
+        if at in options.only
         for count in counts
-        for case in chosen
+        for case in selected
     ]
-    pool.run([*curves, *(job for row in rows for job in jobs_of(*row, asked.efforts))])
-    report.sizes = [row_of(*row, pool, asked.efforts) for row in rows]
+    pool.run([*curves, *(job for row in rows for job in jobs_of(*row, options.efforts))])
+    report.sizes = [row_of(*row, pool, options.efforts) for row in rows]
     for job in curves:
         report.curves.setdefault(job.case.title, {}).update(pool.found.get(job.name, {}))
     return report
 
 
 def bars(figures: dict[str, Any]) -> list[Bar]:
-    """Those of the report of these figures."""
+    """Bars of the report of these figures."""
     return Report(EFFORTS, BEFORE, figures["sizes"], figures["speeds"]).bars()
 
 
 def main() -> None:
-    """Print the tables and the bars, keep the figures, draw the picture."""
-    asked, trace, run = arguments(), provenance.Trace(), provenance.Run()
+    """Print the tables and the bars, store the figures, draw the picture."""
+    options, trace, run = arguments(), provenance.Trace(), provenance.Run()
     os.environ["TOUCHFIELD_THREADS"] = "1"  # a core has a segment, or a process, of its own
-    chosen = list(cases(tuple(asked.nw), asked.fields and tuple(asked.fields)))
+    selected = list(cases(tuple(options.nw), options.fields and tuple(options.fields)))
     where = "TUM desk and ICL living room" if SHARED.is_dir() else "the samples (../shared/data is not there)"
     with tempfile.TemporaryDirectory(prefix="touchfield-rate-") as scratch:
-        pool = Pool(asked.keep or Path(scratch))
-        pool.say(
+        pool = Pool(options.keep or Path(scratch))
+        pool.log(
             f"fields: {where}; a band's wall is {WALL_VOXELS} voxels of the mean spacing; Phantom Omni, 500 "
             "N/m"
         )
-        report = measured(asked, pool, chosen)
-    for one in report.tables():
-        print(one)
+        report = measured(options, pool, selected)
+    for lines in report.tables():
+        print(lines)
     if report.curves:
         from rate_picture import draw
 
@@ -298,8 +301,8 @@ def main() -> None:
     show(figures | {"failed": pool.failed})
     figures |= {"sizes": report.sizes, "curves": report.curves, "failed": pool.failed}
     code = provenance.code_of(trace.files())
-    keep("rate", figures, report.bars(), not asked.is_full, run.summary(), code)
-    if asked.quick:
+    keep("rate", figures, report.bars(), not options.is_full, run.summary(), code)
+    if options.quick:
         check_quick("rate", report.bytes())
     sys.exit(bool(pool.failed))
 

@@ -1,5 +1,4 @@
-"""The force fields of `rate.py`, made by the package itself: real scenes as bands and as heights, and moving
-ones.
+"""Force fields of `rate.py`: real scenes as bands and as heights, and moving scenes.
 
 Everything is made for the Phantom Omni. A *band* is a wall of 4 voxels of the mean spacing behind the surface
 of a depth sequence; a *height* field is the same sequence read as a height map, everything behind it solid.
@@ -31,9 +30,7 @@ SEQUENCES = {"tum": "rgbd_tum_fr1_rpy", "icl": "rgbd_iclnuim_livingroom1"}
 
 @dataclass(frozen=True)
 class Case:
-    """A field to code: its name, its kind ("band", "height", "mesh" or "falling"), n_w, and where it comes
-    from.
-    """
+    """A field to code: name, kind ("band", "height", "mesh" or "falling"), n_w, and source."""
 
     name: str
     kind: str
@@ -44,26 +41,26 @@ class Case:
 
     @property
     def title(self) -> str:
-        """As the tables name it."""
+        """Name in the tables."""
         return f"{self.name}, nw {self.nw}"
 
     @property
     def has_maps(self) -> bool:
-        """Made of one of the depth sequences, whose maps a peer can send."""
+        """Whether it comes from a depth sequence, whose maps a peer can send."""
         return self.name.split()[0] in SEQUENCES
 
     def path(self, folder: Path) -> Path:
-        """The file of at most five frames, in `folder` if an earlier call has left it there."""
-        kept = folder / f"{self.name.replace(' ', '-')}-{self.nw}.npz"
-        if not kept.exists():
+        """File of at most five frames in `folder`; written if there is none."""
+        file = folder / f"{self.name.replace(' ', '-')}-{self.nw}.npz"
+        if not file.exists():
             folder.mkdir(parents=True, exist_ok=True)
-            made = prepare(self.source, self.spec).medium
-            frames = [made[i] for i in range(self.start, min(self.start + FRAMES, len(made)))]
-            write_npz(kept, HapticMedium.from_frames(frames, made.rate_hz))
-        return kept
+            medium = prepare(self.source, self.spec).medium
+            frames = [medium[i] for i in range(self.start, min(self.start + FRAMES, len(medium)))]
+            write_npz(file, HapticMedium.from_frames(frames, medium.rate_hz))
+        return file
 
     def frames(self, folder: Path) -> list[ForceField]:
-        """Those of `path`."""
+        """The frames of `path`."""
         return list(read_npz(self.path(folder)))
 
 
@@ -97,17 +94,21 @@ def _moving(nw: int) -> Iterator[Case]:
 
 
 def box(frames: list[ForceField]) -> tuple[slice, ...]:
-    """The box of the union of supports, at least one sample."""
-    held = np.concatenate([f.positions() for f in frames])
-    low, high = (held.min(axis=0), held.max(axis=0) + 1) if len(held) else (np.zeros(3, int), np.ones(3, int))
+    """Bounding box of the union of supports, at least one sample."""
+    positions = np.concatenate([f.positions() for f in frames])
+    low, high = (
+        (positions.min(axis=0), positions.max(axis=0) + 1)
+        if len(positions)
+        else (np.zeros(3, int), np.ones(3, int))
+    )
     return tuple(slice(int(a), int(b)) for a, b in zip(low, high))
 
 
 @dataclass(frozen=True)
 class Volume:
-    """Frames as one dense array, cut to the box that holds all force: what a general peer is given.
+    """Frames as one dense array, cropped to their support: the input of a general-purpose peer.
 
-    The cut is in its favour; the six numbers that say where the box is are counted as `HEAD_BYTES`.
+    Cropping favours the peer; the six numbers of the box count as `HEAD_BYTES`.
     """
 
     HEAD_BYTES = 6

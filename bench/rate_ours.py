@@ -1,4 +1,4 @@
-"""The package's own coders as `rate.py` measures them, and the search for the bytes at an equal error."""
+"""The package's coders in `rate.py`, and the search for the bytes at an equal error."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 
 PAPER = PaperSpec(nq=6, directions="octa3", deadband="none")
-"""Coder `paper` as the comparisons take it: 258 directions."""
+"""Coder `paper` in the comparisons: 258 directions."""
 CORES = 2
-"""That the bars of speed are for."""
+"""Cores of the bars of speed."""
 
 
 @dataclass(frozen=True)
 class Coded:
-    """What a coder made of some frames: all bytes that the decoder needs, and how far it is off."""
+    """Result of a coder: all bytes that the decoder needs, and the error."""
 
     bytes: int
     later_bits: int
@@ -46,22 +46,22 @@ class Coded:
     """The largest error in units of the mask."""
 
 
-def paper(frames: list[ForceField], **asked: Any) -> Coded:
+def paper(frames: list[ForceField], **options: Any) -> Coded:
     """Coder `paper`, one segment."""
-    return _coded(PaperEncoder(frames[0].grid, replace(PAPER, **asked)), PaperDecoder, frames)
+    return _coded(PaperEncoder(frames[0].grid, replace(PAPER, **options)), PaperDecoder, frames)
 
 
-def touch(frames: list[ForceField], **asked: Any) -> Coded:
+def touch(frames: list[ForceField], **options: Any) -> Coded:
     """Coder `touch`, one segment."""
     return _coded(
-        TouchEncoder(frames[0].grid, TouchSpec(**{"k": K, "f0_n": F0_N, **asked})), TouchDecoder, frames
+        TouchEncoder(frames[0].grid, TouchSpec(**{"k": K, "f0_n": F0_N, **options})), TouchDecoder, frames
     )
 
 
 def _coded(encoder: Any, decoder: Any, frames: list[ForceField]) -> Coded:
     segment, meter = encoder.encode_segment(frames), FidelityMeter(K, F0_N)
-    made = decoder(frames[0].grid, encoder.parameters).frames(segment.body, len(frames))
-    for frame, back in zip(frames, made, strict=True):
+    decoded = decoder(frames[0].grid, encoder.parameters).frames(segment.body, len(frames))
+    for frame, back in zip(frames, decoded, strict=True):
         meter.add(frame, back)
     return Coded(
         len(encoder.parameters) + len(segment.body),
@@ -73,7 +73,7 @@ def _coded(encoder: Any, decoder: Any, frames: list[ForceField]) -> Coded:
 
 
 def paper_symbols(frames: list[ForceField]) -> tuple[NDArray[np.int32], int]:
-    """What coder `paper` sends of frames coded alone, in the box that holds all force.
+    """Symbols of coder `paper` for frames coded alone, within their bounding box.
 
     Returns
     -------
@@ -87,12 +87,12 @@ def paper_symbols(frames: list[ForceField]) -> tuple[NDArray[np.int32], int]:
     decoded = list(PaperDecoder(frames[0].grid, encoder.parameters).frames(body, len(frames)))
     forces = np.stack([f.to_dense()[box(decoded)] for f in decoded]).astype(np.float64)
     size = np.linalg.norm(forces, axis=-1)
-    held = size > 0
+    supported = size > 0
     # levels and directions are as exact as float32 is, and farther apart than these steps
-    level = np.unique(np.rint(2000 * np.log(size[held])), return_inverse=True)[1].reshape(-1)
-    unit = np.rint(20 * forces[held] / size[held][:, None] + 0.337)
-    symbols = np.zeros((*held.shape, 2), np.int32)
-    symbols[held] = np.stack(
+    level = np.unique(np.rint(2000 * np.log(size[supported])), return_inverse=True)[1].reshape(-1)
+    unit = np.rint(20 * forces[supported] / size[supported][:, None] + 0.337)
+    symbols = np.zeros((*supported.shape, 2), np.int32)
+    symbols[supported] = np.stack(
         [level + 1, np.unique(unit, axis=0, return_inverse=True)[1].reshape(-1)], axis=-1
     )
     return symbols, 4 * int(symbols[..., 0].max())
@@ -129,7 +129,7 @@ def speed(frames: list[ForceField], effort: str, runs: int = 3) -> dict[str, flo
 
     def rate(job: Callable[[int], object]) -> float:
         times = list[float]()
-        while len(times) < runs and sum(times) < 60:  # a coder as slow as that needs no second look
+        while len(times) < runs and sum(times) < 60:  # one run is enough for so slow a coder
             began = perf_counter()
             with ThreadPoolExecutor(CORES) as pool:
                 list(pool.map(job, range(CORES)))
@@ -147,16 +147,16 @@ def speed(frames: list[ForceField], effort: str, runs: int = 3) -> dict[str, flo
 
 Trial = tuple[float, ...]
 """NMSE in dB, then one or more sizes."""
-WITHIN_DB, NEAR_DB, NOISE = 0.5, 0.05, 1.08
+BRACKET_DB, TOLERANCE_DB, BRACKET_RATIO = 0.5, 0.05, 1.08
 """Two trials so near to each other, one so near to the target, or steps of that ratio are enough: an encoder
 that weighs bits is off by half a dB at times."""
-PAST_DB = 0.15
-"""How far beyond the target a trial is aimed, so that the target lies between it and the nearest."""
+OVERSHOOT_DB = 0.15
+"""Distance beyond the target at which a trial is aimed, to bracket the target."""
 
 
 @dataclass
 class Search:
-    """Trials of a step until two of them hold the target closely between them.
+    """Trials of a step until two of them bracket the target closely.
 
     ``code(step)`` gives an NMSE in dB, which grows with the step by some 20 dB for a factor of 10, and sizes.
     """
@@ -173,26 +173,26 @@ class Search:
         for n in range(self.trials):
             self.tried[step] = self.code(step)
             off = {step: db - self.target_db for step, (db, *_) in self.tried.items()}
-            near = sorted(off, key=lambda s: abs(off[s]))
+            nearest = sorted(off, key=lambda s: abs(off[s]))
             low = max((s for s in off if off[s] <= 0), key=off.__getitem__, default=0.0)
             high = min((s for s in off if off[s] > 0), key=off.__getitem__, default=math.inf)
             is_between = low > 0 and high < math.inf
-            is_close = is_between and (off[high] - off[low] <= WITHIN_DB or high < NOISE * low)
-            if is_close or abs(off[near[0]]) <= NEAR_DB:
+            is_close = is_between and (off[high] - off[low] <= BRACKET_DB or high < BRACKET_RATIO * low)
+            if is_close or abs(off[nearest[0]]) <= TOLERANCE_DB:
                 break
             db_a_decade = 20.0
-            if len(near) > 1:
-                found = (off[near[1]] - off[near[0]]) / math.log10(near[1] / near[0])
+            if len(nearest) > 1:
+                found = (off[nearest[1]] - off[nearest[0]]) / math.log10(nearest[1] / nearest[0])
                 db_a_decade = found if 5 <= found <= 60 else db_a_decade
-            edge = near[0] if is_between else max(off) if low else min(off)
-            step = edge * 10 ** ((math.copysign(PAST_DB, -off[edge]) - off[edge]) / db_a_decade)
+            edge = nearest[0] if is_between else max(off) if low else min(off)
+            step = edge * 10 ** ((math.copysign(OVERSHOOT_DB, -off[edge]) - off[edge]) / db_a_decade)
             if is_between:
                 step = math.sqrt(low * high) if n % 3 == 2 else min(high / 1.01, max(low * 1.01, step))
         return self
 
-    def size(self, which: int = 0) -> float:
+    def size(self, index: int = 0) -> float:
         """A size at the target; NaN if no trial came near it."""
-        return interpolated([(sizes[which], db) for db, *sizes in self.tried.values()], self.target_db)
+        return interpolated([(sizes[index], db) for db, *sizes in self.tried.values()], self.target_db)
 
     def step(self) -> float:
         """The step whose trial is nearest."""
@@ -205,13 +205,13 @@ def interpolated(points: list[tuple[float, float]], target_db: float) -> float:
     Log size against dB by the nearest on both sides; where all are on one side, the nearest if it is at most
     `NEAR_DB` away, and else NaN.
     """
-    near = sorted(points, key=lambda p: abs(p[1] - target_db))
-    below = next((p for p in near if p[1] <= target_db), None)
-    above = next((p for p in near if p[1] > target_db), None)
+    nearest = sorted(points, key=lambda p: abs(p[1] - target_db))
+    below = next((p for p in nearest if p[1] <= target_db), None)
+    above = next((p for p in nearest if p[1] > target_db), None)
     if below and above and min(below[0], above[0]) > 0:
-        share = (target_db - below[1]) / (above[1] - below[1])
-        return float(math.exp(math.log(below[0]) * (1 - share) + math.log(above[0]) * share))
-    return near[0][0] if near and abs(near[0][1] - target_db) <= NEAR_DB else math.nan
+        weight = (target_db - below[1]) / (above[1] - below[1])
+        return float(math.exp(math.log(below[0]) * (1 - weight) + math.log(above[0]) * weight))
+    return nearest[0][0] if nearest and abs(nearest[0][1] - target_db) <= TOLERANCE_DB else math.nan
 
 
 def touch_search(frames: list[ForceField], target_db: float, effort: str, interframe: str) -> Search:
@@ -223,7 +223,7 @@ def touch_search(frames: list[ForceField], target_db: float, effort: str, interf
     count = max(1, sum(f.support_count for f in frames))
 
     def code(step_n: float) -> Trial:
-        made = touch(frames, mode="nmse", step_n=step_n, effort=effort, interframe=interframe)
-        return made.nmse_db, float(made.bytes), float(made.later_bits)
+        coded = touch(frames, mode="nmse", step_n=step_n, effort=effort, interframe=interframe)
+        return coded.nmse_db, float(coded.bytes), float(coded.later_bits)
 
     return Search(code, target_db, math.sqrt(4 * energy / count * 10 ** (target_db / 10))).run()

@@ -1,4 +1,4 @@
-"""The general-purpose coders of `rate.py`: what is not installed is left out and named.
+"""General-purpose coders of `rate.py`; missing ones are skipped and named.
 
 Lossless ones (zstd -19, xz, brotli, zpaq at its most, JPEG XL) are given symbols in several layouts, the best
 of which counts: the whole box, or a mask and the list of what is in it; components apart or together. Lossy
@@ -22,7 +22,7 @@ from rate_fields import Volume
 from rate_ours import paper_symbols
 from touchfield.medium import ForceField
 
-MOST_BYTES = 8_000_000
+MAX_BYTES = 8_000_000
 """Of the layouts that are given to the coders, the best by a quick xz first; the best is always given. zpaq
 takes 3 s for each megabyte."""
 JPEG_XL_PIXELS = 500_000
@@ -61,19 +61,19 @@ def absent() -> list[str]:
 
 
 def xz(data: bytes) -> int:
-    """LZMA2 at its most, without a container."""
+    """LZMA2 at its highest preset, without a container."""
     filters = [{"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME}]
     return len(lzma.compress(data, format=lzma.FORMAT_RAW, filters=filters))
 
 
 def quick_xz(data: bytes) -> int:
-    """About as many bytes, for choosing."""
+    """An estimate of `xz`, for choosing layouts."""
     return len(lzma.compress(data, preset=1))
 
 
 @cache
-def back_ends() -> dict[str, Callable[[bytes], int]]:
-    """Those that are here; zpaq is one block with its model, without an archive."""
+def compressors() -> dict[str, Callable[[bytes], int]]:
+    """Installed lossless coders; zpaq is one block with its model, without an archive."""
     every: dict[str, Callable[[bytes], int]] = {
         "xz": xz,
         "zstd -19": lambda data: len(module("zstd -19").ZstdCompressor(level=19).compress(data)),
@@ -109,15 +109,15 @@ def layouts(symbols: Symbols) -> Iterator[tuple[bytes, NDArray[np.bool_] | None]
     side by side: in turn, apart, and as changes.
     """
     narrow = plain(symbols)
-    still = np.moveaxis(narrow, 0, 3)  # [x, y, z, frame, 3]: the frames of a voxel side by side
-    yield byte_planes(still), None
+    by_voxel = np.moveaxis(narrow, 0, 3)  # [x, y, z, frame, 3]: the frames of a voxel side by side
+    yield byte_planes(by_voxel), None
     yield byte_planes(np.moveaxis(narrow, -1, 0)), None
-    held = (narrow != 0).any(axis=-1)
-    yield byte_planes(narrow[held]), held
-    yield byte_planes(narrow[held].T), held
+    support = (narrow != 0).any(axis=-1)
+    yield byte_planes(narrow[support]), support
+    yield byte_planes(narrow[support].T), support
     if len(narrow) > 1:
-        union = held.any(axis=0, keepdims=True)
-        lists = still[union[0]]  # [voxel, frame, 3]
+        union = support.any(axis=0, keepdims=True)
+        lists = by_voxel[union[0]]  # [voxel, frame, 3]
         change = np.diff(lists.astype(np.int32), axis=1, prepend=0)
         for values in (lists, np.moveaxis(lists, -1, 0), plain(np.moveaxis(change, -1, 0))):
             yield byte_planes(values), union
@@ -142,23 +142,23 @@ def jpeg_xl(symbols: Symbols) -> int:
     return min(picture_bytes(s.reshape(-1, *s.shape[2:])) for s in (raised, raised.swapaxes(1, 2)))
 
 
-def mask_bytes(held: NDArray[np.bool_], is_final: bool = True) -> int:
+def mask_bytes(mask: NDArray[np.bool_], is_final: bool = True) -> int:
     """A mask by the best of all lossless coders, as bits, and as pictures; or about as many bytes,
     quickly.
     """
-    packed = np.packbits(held).tobytes()
+    packed = np.packbits(mask).tobytes()
     if not is_final:
         return quick_xz(packed)
-    sizes = [back(packed) for back in back_ends().values()]
+    sizes = [back(packed) for back in compressors().values()]
     if module("JPEG XL"):
-        sizes.append(picture_bytes(held.reshape(-1, *held.shape[2:]).astype(np.uint8) * 255))
+        sizes.append(picture_bytes(mask.reshape(-1, *mask.shape[2:]).astype(np.uint8) * 255))
     return min(*sizes, len(packed))
 
 
 def list_bytes(values: Symbols, is_final: bool = True) -> int:
     """A list [m, 3] by the best of all; or about as many bytes, quickly."""
     data = byte_planes(plain(values).T)
-    return min(back(data) for back in back_ends().values()) if is_final else quick_xz(data)
+    return min(back(data) for back in compressors().values()) if is_final else quick_xz(data)
 
 
 def lossless(symbols: Symbols, of_forces: bool = True) -> dict[str, float]:
@@ -167,17 +167,17 @@ def lossless(symbols: Symbols, of_forces: bool = True) -> dict[str, float]:
 
     Of symbols that are not `of_forces` no picture and no cloud is made; they go to xz and zpaq alone.
     """
-    made, masks = list(layouts(symbols)), dict[int, int]()
-    for _, held in made:
-        if held is not None and id(held) not in masks:
-            masks[id(held)] = mask_bytes(held)
-    extra = [0 if held is None else masks[id(held)] for _, held in made]
-    order = sorted(range(len(made)), key=lambda i: quick_xz(made[i][0]) + extra[i])
-    total = np.cumsum([len(made[i][0]) for i in order])
-    taken = [i for n, i in enumerate(order) if not n or total[n] <= MOST_BYTES]
+    candidates, masks = list(layouts(symbols)), dict[int, int]()
+    for _, mask in candidates:
+        if mask is not None and id(mask) not in masks:
+            masks[id(mask)] = mask_bytes(mask)
+    extra = [0 if mask is None else masks[id(mask)] for _, mask in candidates]
+    order = sorted(range(len(candidates)), key=lambda i: quick_xz(candidates[i][0]) + extra[i])
+    total = np.cumsum([len(candidates[i][0]) for i in order])
+    selected = [i for n, i in enumerate(order) if not n or total[n] <= MAX_BYTES]
     found = {
-        name: float(min(back(made[i][0]) + extra[i] for i in taken) + Volume.HEAD_BYTES)
-        for name, back in back_ends().items()
+        name: float(min(back(candidates[i][0]) + extra[i] for i in selected) + Volume.HEAD_BYTES)
+        for name, back in compressors().items()
         if of_forces or name in ("xz", "zpaq -m5")
     }
     if of_forces and module("JPEG XL"):
@@ -190,19 +190,19 @@ def lossless(symbols: Symbols, of_forces: bool = True) -> dict[str, float]:
 def draco(symbols: Symbols) -> int:
     """A cloud of the voxels that are not zero, their symbols as an attribute, one cloud for each frame."""
     total, bits = 0, max(1, (max(symbols.shape[1:4]) - 1).bit_length())
-    asked = {
+    options = {
         "quantization_range": float(2**bits - 1),
         "quantization_origin": [0.0] * 3,
         "compression_level": 10,
     }
     for frame in symbols:
-        held = (frame != 0).any(axis=-1)
+        support = (frame != 0).any(axis=-1)
         points, raised = (
-            np.argwhere(held).astype(np.float32),
-            (frame[held] - frame.min(initial=0)).astype(np.uint16),
+            np.argwhere(support).astype(np.float32),
+            (frame[support] - frame.min(initial=0)).astype(np.uint16),
         )
         cloud = module("Draco").encode(
-            points, quantization_bits=bits, **asked, preserve_order=False, generic_attributes={0: raised}
+            points, quantization_bits=bits, **options, preserve_order=False, generic_attributes={0: raised}
         )
         total += len(cloud)
     return total
@@ -217,8 +217,8 @@ def lossy() -> dict[str, Lossy]:
     """
 
     def coded(code: Lossy, forces_n: Forces, tolerance: float) -> tuple[int, Forces]:
-        one = forces_n[0] if len(forces_n) == 1 else forces_n
-        sizes, decoded = zip(*(code(np.ascontiguousarray(one[..., c]), tolerance) for c in range(3)))
+        volume = forces_n[0] if len(forces_n) == 1 else forces_n
+        sizes, decoded = zip(*(code(np.ascontiguousarray(volume[..., c]), tolerance) for c in range(3)))
         return sum(sizes), np.stack(decoded, axis=-1).reshape(forces_n.shape)
 
     return {name: partial(coded, code) for name, code in LOSSY.items() if module(name)}
@@ -230,13 +230,13 @@ def _zfp(volume: Forces, tolerance: float) -> tuple[int, Forces]:
 
 
 def _sz3(volume: Forces, tolerance: float) -> tuple[int, Forces]:
-    pysz, made = module("SZ3"), []
+    pysz, packed = module("SZ3"), []
     for algorithm in ("INTERP_LORENZO", "LORENZO_REG"):
         config = pysz.szConfig()
         config.errorBoundMode, config.absErrorBound = pysz.szErrorBoundMode.ABS, float(tolerance)
         config.cmprAlgo = getattr(pysz.szAlgorithm, algorithm)
-        made.append(pysz.sz.compress(volume, config)[0].copy())
-    best = min(made, key=len)
+        packed.append(pysz.sz.compress(volume, config)[0].copy())
+    best = min(packed, key=len)
     return len(best), pysz.sz.decompress(best, np.float32, volume.shape)[0]
 
 
@@ -258,12 +258,12 @@ def at_error(volume: Volume, target_db: float) -> dict[str, float]:
     forces, found = volume.forces_n, dict[str, float]()
     start = float(np.sqrt(12 * volume.energy / forces.size * 10 ** (target_db / 10)))
 
-    def is_good(made: tuple[Any, Forces]) -> bool:
-        return volume.nmse_db(made[1]) <= target_db
+    def is_good(result: tuple[Any, Forces]) -> bool:
+        return volume.nmse_db(result[1]) <= target_db
 
     for name, code in lossy().items():
-        made = lattices.coarsest(partial(code, forces), is_good, start / 64, start * 64)
-        found[name] = made[0] + Volume.HEAD_BYTES if made else np.nan
+        result = lattices.coarsest(partial(code, forces), is_good, start / 64, start * 64)
+        found[name] = result[0] + Volume.HEAD_BYTES if result else np.nan
     quantised = lattices.coarsest(
         lambda step: lattices.uniform(forces, step), is_good, start / 64, start * 64
     )
@@ -271,26 +271,26 @@ def at_error(volume: Volume, target_db: float) -> dict[str, float]:
 
 
 def at_promise(volume: Volume) -> dict[str, float]:
-    """Bytes of every peer that keeps the promise at every voxel; of the lossy ones plainly or companded."""
+    """Bytes of every peer within the error bound at every voxel; lossy ones plain or companded."""
     forces, found = volume.forces_n, dict[str, float]()
-    for one in lattices.promised(forces):
-        for name, size in lossless(one.symbols).items():
+    for quantised in lattices.promised(forces):
+        for name, size in lossless(quantised.symbols).items():
             found[name] = min(size, found.get(name, np.inf))
     bent = lattices.compand(forces).astype(np.float32)
 
-    def is_kept(decode: Callable[[Any], Any], made: tuple[Any, Any]) -> bool:
-        return lattices.is_kept(forces, decode(made[1]))
+    def is_kept(decode: Callable[[Any], Any], result: tuple[Any, Any]) -> bool:
+        return lattices.is_within_bound(forces, decode(result[1]))
 
     for name, code in lossy().items():
-        for volume_given, start, decode in (
+        for values, start, decode in (
             (forces, lattices.F0_N, np.asarray),
             (bent, 1.0, lattices.expand),
         ):
-            made = lattices.coarsest(
-                partial(code, volume_given), partial(is_kept, decode), start / 16, start * 4,
+            result = lattices.coarsest(
+                partial(code, values), partial(is_kept, decode), start / 16, start * 4,
             )  # fmt: skip
-            if made:
-                found[name] = min(made[0] + Volume.HEAD_BYTES, found.get(name, np.inf))
+            if result:
+                found[name] = min(result[0] + Volume.HEAD_BYTES, found.get(name, np.inf))
     return found
 
 

@@ -1,4 +1,4 @@
-"""The picture of `rate.py`: size against error for all coders, and below it the sizes under the promise."""
+"""Picture of `rate.py`: size against error of all coders, and sizes at the error bound."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ STYLES = {
     "zfp": ("#C88A00", 1.4, "-"), "Draco": ("#7A5C14", 1.4, "--"),
 }  # fmt: skip
 NAMES = {"touch": "touch (ours)", "paper": "the paper's coder"}
-WORDS = {"tum": "TUM desk", "icl": "ICL living room", "band": "as a wall", "height": "as a solid"}
-SHOWN_DB = (-12.0, -40.0)
+PHRASES = {"tum": "TUM desk", "icl": "ICL living room", "band": "as a wall", "height": "as a solid"}
+RANGE_DB = (-12.0, -40.0)
 LABELS_DB = 18.5
-"""Room for the names, right of what is shown."""
+"""Space for the names to the right of the curves."""
 PEERS = 5
 
 
@@ -49,9 +49,9 @@ def draw(curves: Mapping[str, Any], promised: Mapping[str, Mapping[str, Any]], o
             field, _, nw = title.partition(", nw ")
             side = 2 ** int(nw)
             _curves(upper, of)
-            words = " ".join(WORDS.get(word, word) for word in field.split())
+            phrase = " ".join(PHRASES.get(word, word) for word in field.split())
             upper.set_title(
-                f"{words}, {side}³: bytes of one frame", loc="left", fontweight="bold", fontsize=11
+                f"{phrase}, {side}³: bytes of one frame", loc="left", fontweight="bold", fontsize=11
             )
             if promised.get(title, {}).get("touch"):
                 _promised(lower, promised[title])
@@ -65,18 +65,18 @@ def draw(curves: Mapping[str, Any], promised: Mapping[str, Mapping[str, Any]], o
 def _curves(axis: Any, of: Mapping[str, Any]) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    coarse, fine = SHOWN_DB
-    ends = {}
+    coarse, fine = RANGE_DB
+    last_points = {}
     for name, points in sorted(of.items(), key=lambda item: STYLES[item[0]][1]):
         db, size = np.array(sorted((-d, s) for d, s in points if math.isfinite(s) and s > 0)).T
         inside = db[(db > -coarse) & (db < -fine)]
-        shown = np.unique(np.concatenate([inside, np.clip([-coarse, -fine], db[0], db[-1])]))
-        if len(shown) < 2:
+        sampled_db = np.unique(np.concatenate([inside, np.clip([-coarse, -fine], db[0], db[-1])]))
+        if len(sampled_db) < 2:
             continue
-        sizes = np.exp(np.interp(shown, db, np.log(size)))
+        sizes = np.exp(np.interp(sampled_db, db, np.log(size)))
         colour, width, style = STYLES[name]
-        axis.plot(-shown, sizes, style, color=colour, lw=width, zorder=2 + width, solid_capstyle="round")
-        ends[name] = (-shown[-1], math.log10(sizes[-1]))
+        axis.plot(-sampled_db, sizes, style, color=colour, lw=width, zorder=2 + width, solid_capstyle="round")
+        last_points[name] = (-sampled_db[-1], math.log10(sizes[-1]))
     axis.set_yscale("log")
     axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.yaxis.set_major_formatter(
@@ -86,11 +86,11 @@ def _curves(axis: Any, of: Mapping[str, Any]) -> None:
     axis.set_xlim(coarse + 1, fine - LABELS_DB)
     axis.set_xticks([-15, -20, -25, -30, -35, -40])
     low, high = np.log10(axis.get_ylim())
-    gap, top = (high - low) / 18, low  # names from below, none nearer to the next than a line is high
-    for left, (name, (db, height)) in zip(
-        range(len(ends), 0, -1), sorted(ends.items(), key=lambda item: item[1][1])
+    gap, top = (high - low) / 18, low  # labels from below, at least one line apart
+    for remaining, (name, (db, height)) in zip(
+        range(len(last_points), 0, -1), sorted(last_points.items(), key=lambda item: item[1][1])
     ):
-        top = min(max(height, top + gap), high - (left - 0.5) * gap)
+        top = min(max(height, top + gap), high - (remaining - 0.5) * gap)
         axis.annotate(
             NAMES.get(name, name),
             xy=(db, 10**height),
@@ -115,11 +115,11 @@ def _curves(axis: Any, of: Mapping[str, Any]) -> None:
 
 def _promised(axis: Any, row: Mapping[str, Any]) -> None:
     """Bars of bytes: our efforts, and the best peers, with how many times the smallest of ours they are."""
-    known = sorted((size, name) for name, size in row["peers"].items() if math.isfinite(size))[:PEERS]
+    finite = sorted((size, name) for name, size in row["peers"].items() if math.isfinite(size))[:PEERS]
     ours = sorted((size, f"touch {effort}") for effort, size in row["touch"].items())
-    sizes, names = zip(*ours, *known)
-    colours = ["#000000" if size == ours[0][0] else "#707070" if i < len(ours) else "#A8A8A8"
-               for i, size in enumerate(sizes)]  # fmt: skip
+    sizes, names = zip(*ours, *finite)
+    colours = ["#707070"] * len(ours) + ["#A8A8A8"] * len(finite)
+    colours = ["#000000" if size == ours[0][0] else grey for size, grey in zip(sizes, colours)]
     bars = axis.barh(range(len(sizes)), sizes, 0.72, color=colours)
     axis.bar_label(
         bars, [f"{s:,.0f}" + f"   {s / ours[0][0]:.2f}x" * (s > ours[0][0]) for s in sizes], padding=4

@@ -1,8 +1,7 @@
-"""The parts of `rate.py`, each of one field and apart from the others: a process for each core, and what was
-kept.
+"""Jobs of `rate.py`: one field each, a process per core, with cached figures.
 
-A kept figure's name holds what it depends on: the frames themselves, what was asked, and the source of what
-made it. So a changed coder is measured again, and the peers are not. Speeds are never kept.
+The key of a cached figure holds what it depends on: the frames, the options, and the source of the coder. A
+changed coder is measured again, and the peers are not. Speeds are never cached.
 """
 
 from __future__ import annotations
@@ -45,11 +44,16 @@ def by_us(case: Case, frames: list[ForceField], at: str, effort: str, interframe
     if at == "NMSE":
         paper = ours.paper(frames, interframe="none")
         search = ours.touch_search(frames, paper.nmse_db, effort, interframe)
-        told = {"nmse_db": paper.nmse_db, "paper": paper.bytes}
-        return {"touch": search.size(), "later_bits": search.size(1), **told}
-    made = ours.touch(frames, effort=effort, interframe=interframe)
-    told = {"nmse_db": made.nmse_db, "beyond": made.beyond, "worst": made.worst}
-    return {"touch": made.bytes, "later_bits": made.later_bits, "voxels": frames[0].support_count, **told}
+        context = {"nmse_db": paper.nmse_db, "paper": paper.bytes}
+        return {"touch": search.size(), "later_bits": search.size(1), **context}
+    coded = ours.touch(frames, effort=effort, interframe=interframe)
+    context = {"nmse_db": coded.nmse_db, "beyond": coded.beyond, "worst": coded.worst}
+    return {
+        "touch": coded.bytes,
+        "later_bits": coded.later_bits,
+        "voxels": frames[0].support_count,
+        **context,
+    }
 
 
 def by_peers(case: Case, frames: list[ForceField], at: str) -> Figures:
@@ -71,8 +75,8 @@ def curve(case: Case, frames: list[ForceField]) -> Figures:
     touch = [ours.touch(frames, mode="nmse", step_n=step) for step in STEPS_N]
     paper = [ours.paper(frames, nq=nq, directions=directions) for nq, directions in PAPER]
     return {
-        name: [[one.nmse_db, one.bytes] for one in made]
-        for name, made in (("touch", touch), ("paper", paper))
+        name: [[result.nmse_db, result.bytes] for result in results]
+        for name, results in (("touch", touch), ("paper", paper))
     }
 
 
@@ -96,12 +100,12 @@ PARTS: dict[str, Callable[..., Figures]] = {
 
 
 @cache
-def fingerprint(what: str) -> str:
-    """Of the source of "fields", "peers" or "ours"."""
+def fingerprint(group: str) -> str:
+    """Hash of the source of "fields", "peers" or "ours"."""
     codec = PACKAGE / "codec"
-    if what == "fields":  # whatever may change the field, and no coder
+    if group == "fields":  # whatever may change the field, and no coder
         paths = [p for p in PACKAGE.rglob("*.py") if codec not in p.parents] + [BENCH / "rate_fields.py"]
-    elif what == "peers":  # and the coder whose error they are measured at
+    elif group == "peers":  # and the coder whose error they are measured at
         paths = [p for p in codec.rglob("*.py") if "paper" in str(p.relative_to(codec))]
         paths += [p for p in BENCH.glob("rate_*.py") if p.stem != "rate_picture"]
     else:
@@ -110,12 +114,12 @@ def fingerprint(what: str) -> str:
 
 
 def fields_in(folder: Path) -> Path:
-    """Where the frames are, of this state of the source."""
+    """Folder of the frames of this state of the source."""
     return folder / f"fields-{fingerprint('fields')}"
 
 
-def kept(folder: Path, key: Any, make: Callable[[], Figures]) -> Figures:
-    """What an earlier run found, or what `make` finds now, kept whole or not at all."""
+def cached(folder: Path, key: Any, make: Callable[[], Figures]) -> Figures:
+    """Figures of an earlier run, or those of `make`, written atomically."""
     path = folder / f"{hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:24]}.json"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
@@ -137,11 +141,11 @@ class Job:
 
     @property
     def name(self) -> str:
-        """What it is found under."""
+        """Key of the job in `Pool.found`."""
         return " ".join([self.case.title + ":", self.part, str(self.count), *map(str, self.args.values())])
 
     def work(self, folder: Path) -> Figures:
-        """In a process of its own."""
+        """Run in a worker process; cached."""
         path, source = self.case.path(fields_in(folder)), "peers" if self.part.endswith("peers") else "ours"
         key = [
             hashlib.sha256(path.read_bytes()).hexdigest(),
@@ -149,24 +153,24 @@ class Job:
             fingerprint(source),
             source == "peers" and peers.absent(),
         ]
-        return kept(
+        return cached(
             folder, key, lambda: PARTS[self.part](self.case, list(read_npz(path))[: self.count], **self.args)
         )
 
 
 class Pool:
-    """All that was found: ``found[job.name]``; what failed is not there."""
+    """Figures of all jobs: ``found[job.name]``; failed jobs are absent."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.found, self.failed = folder, dict[str, Figures](), list[str]()
         self._began = perf_counter()
 
-    def say(self, text: str) -> None:
-        """On the standard error, with the seconds so far."""
+    def log(self, text: str) -> None:
+        """Print to standard error, with the elapsed seconds."""
         print(f"[{perf_counter() - self._began:.0f} s] {text}", file=sys.stderr, flush=True)
 
     def run(self, jobs: list[Job]) -> None:
-        """All jobs, the largest first; one that fails leaves a gap in its table, and is told at the end."""
+        """Run all jobs, the largest first; a failed one is missing in its table and listed in `failed`."""
         with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
             for _ in pool.map(
                 Case.path, dict.fromkeys(job.case for job in jobs), repeat(fields_in(self.folder))
@@ -181,4 +185,4 @@ class Pool:
                 except Exception:
                     self.failed.append(name)
                     traceback.print_exc()
-                self.say(f"{name} done, {n} of {len(waiting)}")
+                self.log(f"{name} done, {n} of {len(waiting)}")

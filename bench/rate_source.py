@@ -1,4 +1,4 @@
-"""The coded source as a peer: the depth maps that a field was made of, by JPEG XL, and the field made again.
+"""The coded source as a peer: depth maps by JPEG XL, from which the field is computed again.
 
 The receiver is given the maps, rounded to multiples of a step, and touchfield's own code makes the field. The
 map is taken whole or every second, fourth or eighth pixel a side (the median of a block); it is coded as it
@@ -37,7 +37,7 @@ HEAD_BYTES, POSE_BYTES = 56, 24
 SHRINKS, STEPS = (1, 2, 4, 8), (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 """Pixels a side to one that is sent, and units to one step."""
 WORSE = 3
-"""Steps in a row that bring nothing, after which no longer one is tried."""
+"""Consecutive steps without an improvement, after which the search ends."""
 
 Maps = NDArray[np.int32]
 Forces = NDArray[np.float32]
@@ -64,7 +64,7 @@ class Decoded(DepthSequence):
 
 @dataclass(frozen=True)
 class Source:
-    """The maps of a case, and the field made of any others like them."""
+    """Maps of a case, and the field computed from maps like them."""
 
     case: Case
     count: int
@@ -84,12 +84,12 @@ class Source:
 
     @cached_property
     def unit(self) -> int:
-        """The greatest number that divides all: TUM stores whole millimetres in fifths."""
+        """Greatest common divisor: TUM stores whole millimetres in fifths."""
         return max(1, int(np.gcd.reduce(self.maps, axis=None)))
 
     @cached_property
     def constant_bytes(self) -> int:
-        """Of what the receiver must know beside the maps."""
+        """Bytes of the constants that the receiver needs besides the maps."""
         is_moving = self.case.kind == "band" and self.sequence.poses is not None
         return HEAD_BYTES + POSE_BYTES * (self.count - 1) * is_moving
 
@@ -132,50 +132,50 @@ def shrunk(maps: Maps, by: int) -> Maps:
         .swapaxes(2, 3)
         .reshape(n, height // by, -1, by * by)
     )
-    blocks, known = np.sort(blocks, axis=-1), (blocks > 0).sum(axis=-1)
-    middle = np.minimum(by * by - (known + 1) // 2, by * by - 1)[..., None]
-    return np.where(2 * known >= by * by, np.take_along_axis(blocks, middle, -1)[..., 0], 0)
+    blocks, count = np.sort(blocks, axis=-1), (blocks > 0).sum(axis=-1)
+    middle = np.minimum(by * by - (count + 1) // 2, by * by - 1)[..., None]
+    return np.where(2 * count >= by * by, np.take_along_axis(blocks, middle, -1)[..., 0], 0)
 
 
 def map_bytes(numbers: Maps, is_final: bool) -> int:
     """By JPEG XL, as they are or as places in the list of values; in one picture, at last also in one a
     frame.
     """
-    values, places = np.unique(numbers, return_inverse=True)
+    values, indices = np.unique(numbers, return_inverse=True)
     listed = (peers.xz if is_final else peers.quick_xz)(
         np.diff(values, prepend=0).astype(np.uint16).tobytes()
     )
     sizes = []
-    for symbols, extra in ((numbers, 0), (places.reshape(numbers.shape), listed)):
+    for symbols, extra in ((numbers, 0), (indices.reshape(numbers.shape), listed)):
         pictures = symbols.astype(np.uint8 if symbols.max(initial=0) < 256 else np.uint16)
         sizes.append(extra + peers.picture_bytes(pictures, 9 if is_final else 5))
         if is_final and len(pictures) > 1:
-            sizes.append(extra + sum(peers.picture_bytes(one[None], 9) for one in pictures))
+            sizes.append(extra + sum(peers.picture_bytes(picture[None], 9) for picture in pictures))
     return min(sizes)
 
 
-def patch_bytes(wanted: Forces, made: Forces, target_db: float | None, is_final: bool = True) -> float:
+def patch_bytes(original: Forces, decoded: Forces, target_db: float | None, is_final: bool = True) -> float:
     """Bytes of the voxels that are sent apart: all beyond the mask, or as few as leave an NMSE of
     `target_db`.
     """
-    error, square = (((a.astype(np.float64)) ** 2).sum(axis=-1) for a in (made - wanted, wanted))
-    held = error > (0.9999 * np.maximum(F0_N, K * np.sqrt(square))) ** 2
+    error, square = (((a.astype(np.float64)) ** 2).sum(axis=-1) for a in (decoded - original, original))
+    is_sent = error > (0.9999 * np.maximum(F0_N, K * np.sqrt(square))) ** 2
     step = 1.0
-    patch = lattices.dropped(lattices.companded(wanted, step), wanted)
-    while not lattices.is_kept(wanted[held], patch.decoded[held]):
+    patch = lattices.dropped(lattices.companded(original, step), original)
+    while not lattices.is_within_bound(original[is_sent], patch.decoded[is_sent]):
         step *= 0.9
-        patch = lattices.dropped(lattices.companded(wanted, step), wanted)
+        patch = lattices.dropped(lattices.companded(original, step), original)
     if target_db is not None:
-        gain = (error - ((patch.decoded - wanted).astype(np.float64) ** 2).sum(axis=-1)).reshape(-1)
+        gain = (error - ((patch.decoded - original).astype(np.float64) ** 2).sum(axis=-1)).reshape(-1)
         order = np.argsort(gain)[::-1]
         enough = error.sum() - np.cumsum(np.append(0.0, gain[order])) <= square.sum() * 10 ** (target_db / 10)
         if not enough.any():
             return math.inf
-        held = np.zeros(error.shape, bool)
-        held.flat[order[: int(np.argmax(enough))]] = True
-    if not held.any():
+        is_sent = np.zeros(error.shape, bool)
+        is_sent.flat[order[: int(np.argmax(enough))]] = True
+    if not is_sent.any():
         return 0
-    return peers.list_bytes(patch.symbols[held], is_final) + peers.mask_bytes(held, is_final)
+    return peers.list_bytes(patch.symbols[is_sent], is_final) + peers.mask_bytes(is_sent, is_final)
 
 
 def coded_source(case: Case, frames: list[ForceField], target_db: float | None = None) -> dict[str, float]:
@@ -187,21 +187,21 @@ def coded_source(case: Case, frames: list[ForceField], target_db: float | None =
 
     def size(shrink: int, step: int, frames: list[ForceField], is_final: bool) -> float:
         numbers = np.rint(shrunk(source.maps[: len(frames)], shrink) / (source.unit * step)).astype(np.int32)
-        made = source.frames(numbers * (source.unit * step), shrink)
-        part = box([*frames, *made])
-        wanted, got = (np.stack([f.to_dense()[part] for f in fields]) for fields in (frames, made))
-        apart = patch_bytes(wanted, got, target_db, is_final)
-        if shrink == step == 1 and apart:
+        decoded = source.frames(numbers * (source.unit * step), shrink)
+        part = box([*frames, *decoded])
+        original, rebuilt = (np.stack([f.to_dense()[part] for f in fields]) for fields in (frames, decoded))
+        patch = patch_bytes(original, rebuilt, target_db, is_final)
+        if shrink == step == 1 and patch:
             raise AssertionError("the exact map makes another field")
-        return map_bytes(numbers, is_final) + apart + source.constant_bytes
+        return map_bytes(numbers, is_final) + patch + source.constant_bytes
 
-    source, chosen = Source(case, len(frames)), {(1, 1)}
+    source, selected = Source(case, len(frames)), {(1, 1)}
     for shrink in SHRINKS:
         found = dict[tuple[int, int], float]()
         for step in STEPS:
             found[shrink, step] = size(shrink, step, frames[:1], False)
             if len(found) > WORSE and min(list(found.values())[-WORSE:]) > min(found.values()):
                 break
-        chosen.add(min(found, key=found.__getitem__))
-    final, (shrink, step) = min((size(*at, frames, True), at) for at in chosen)
+        selected.add(min(found, key=found.__getitem__))
+    final, (shrink, step) = min((size(*at, frames, True), at) for at in selected)
     return {"bytes": float(final), "shrink": shrink, "step": step}

@@ -1,4 +1,4 @@
-"""Forces as small whole numbers for the general-purpose coders of `rate.py`, all in their favour.
+"""Forces as small integers for the general-purpose coders of `rate.py`, in their favour.
 
 Uniform in newtons, for an equal mean error; and two lattices that keep the promise |e| <= max(F_0, k |F|), of
 which each was best on some field:
@@ -26,12 +26,12 @@ from touchfield.perception import violations
 
 Forces = NDArray[np.float32]
 Symbols = NDArray[np.int32]
-Made = TypeVar("Made")
+Candidate = TypeVar("Candidate")
 
 K, F0_N = 0.1, 0.05
-"""Of the promise."""
+"""Parameters of the error bound."""
 KNEE_N = F0_N / K
-SHARE = 3**-0.5
+CELL_FRACTION = 3**-0.5
 """Of the mask to the amplitude: the cell of greatest volume in the ball (0.45 and 0.7 take as many bytes)."""
 
 
@@ -48,30 +48,34 @@ def uniform(forces_n: Forces, step_n: float) -> Quantised:
     return Quantised(symbols, (symbols * np.float32(step_n)).astype(np.float32))
 
 
-def is_kept(forces_n: Forces, decoded_n: Forces) -> bool:
-    """Tell if no sample is beyond the mask."""
+def is_within_bound(forces_n: Forces, decoded_n: Forces) -> bool:
+    """Whether no sample is beyond the mask."""
     x, y = (np.ascontiguousarray(a.reshape(-1, 3), np.float32) for a in (forces_n, decoded_n))
     return violations(x, y, K, F0_N).count == 0
 
 
-def dropped(made: Quantised, forces_n: Forces) -> Quantised:
-    """The same without what is at most F_0 long."""
-    held = (np.linalg.norm(forces_n, axis=-1) > F0_N)[..., None]
-    return Quantised(made.symbols * held, made.decoded * held)
+def dropped(quantised: Quantised, forces_n: Forces) -> Quantised:
+    """The same without forces of at most F_0."""
+    supported = (np.linalg.norm(forces_n, axis=-1) > F0_N)[..., None]
+    return Quantised(quantised.symbols * supported, quantised.decoded * supported)
 
 
 def coarsest(
-    make: Callable[[float], Made], is_good: Callable[[Made], bool], low: float, high: float, trials: int = 10
-) -> Made | None:
+    make: Callable[[float], Candidate],
+    is_good: Callable[[Candidate], bool],
+    low: float,
+    high: float,
+    trials: int = 10,
+) -> Candidate | None:
     """The one of the greatest step that is good, by halving the ratio of `high` to `low`;
     None where none is.
     """
     best = None
     for _ in range(trials):
         middle = (low * high) ** 0.5
-        made = make(middle)
-        if is_good(made):
-            low, best = middle, made
+        candidate = make(middle)
+        if is_good(candidate):
+            low, best = middle, candidate
         else:
             high = middle
     return best
@@ -80,20 +84,20 @@ def coarsest(
 def without_small(
     quantise: Callable[[Forces, float], Quantised], forces_n: Forces, scale: float
 ) -> Quantised:
-    """Quantised at a scale, and what no mask needs dropped."""
+    """Quantised at a scale, without forces that the mask does not need."""
     return dropped(quantise(forces_n, scale), forces_n)
 
 
 def promised(forces_n: Forces) -> list[Quantised]:
-    """The field on both lattices, each as coarse as the promise allows."""
-    made = (
+    """The field on both lattices, each as coarse as the error bound allows."""
+    candidates = (
         coarsest(
             partial(without_small, quantise, forces_n),
-            lambda one: is_kept(forces_n, one.decoded), 0.5, 1.5, 6,
+            lambda quantised: is_within_bound(forces_n, quantised.decoded), 0.5, 1.5, 6,
         )
         for quantise in (log_polar, companded)
     )  # fmt: skip
-    return [one for one in made if one is not None]
+    return [found for found in candidates if found is not None]
 
 
 # -- companded ---------------------------------------------------------------------------------------------
@@ -128,30 +132,32 @@ def ladder(top_n: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Borders [n + 1] and levels [n] of amplitude from F_0 up to `top_n`: errors of `SHARE` of the mask."""
     borders, levels = [F0_N], list[float]()
     while borders[-1] < top_n or not levels:
-        level = borders[-1] + SHARE * max(F0_N, K * borders[-1])
+        level = borders[-1] + CELL_FRACTION * max(F0_N, K * borders[-1])
         levels.append(level)
-        borders.append(max(level + SHARE * F0_N, level / (1 - SHARE * K)))
+        borders.append(max(level + CELL_FRACTION * F0_N, level / (1 - CELL_FRACTION * K)))
     return np.array(borders), np.array(levels)
 
 
 def allowed_angle(low: float, level: float, high: float) -> float:
     """Radians a direction may be off where amplitudes from `low` to `high` become `level`."""
     a = np.append(np.linspace(low, high, 9), np.clip(KNEE_N, low, high))
-    left = np.maximum(F0_N, K * a) ** 2 - (a - level) ** 2
-    return float(2 * np.arcsin(np.sqrt(np.clip(left / (4 * a * level), 0, 1)).min()))
+    margin = np.maximum(F0_N, K * a) ** 2 - (a - level) ** 2
+    return float(2 * np.arcsin(np.sqrt(np.clip(margin / (4 * a * level), 0, 1)).min()))
 
 
 def log_polar(forces_n: Forces, scale: float) -> Quantised:
     """Amplitude level from 1 on, and the two coordinates of the octahedral map of the direction."""
     a = np.linalg.norm(forces_n.astype(np.float64), axis=-1)
-    held = a > F0_N
+    supported = a > F0_N
     borders, levels = ladder(float(a.max(initial=F0_N)))
-    level = np.clip(np.searchsorted(borders, a[held], side="right") - 1, 0, len(levels) - 1)
+    level = np.clip(np.searchsorted(borders, a[supported], side="right") - 1, 0, len(levels) - 1)
     angle = min(allowed_angle(*edges) for edges in zip(borders[:-1], levels, borders[1:]))
-    u, v, direction = octahedral(forces_n[held] / a[held][:, None], octahedral_side(round(scale * angle, 4)))
+    u, v, direction = octahedral(
+        forces_n[supported] / a[supported][:, None], octahedral_side(round(scale * angle, 4))
+    )
     symbols, decoded = np.zeros(forces_n.shape, np.int32), np.zeros(forces_n.shape, np.float32)
-    symbols[held] = np.stack([level + 1, u, v], axis=-1)
-    decoded[held] = levels[level][:, None] * direction
+    symbols[supported] = np.stack([level + 1, u, v], axis=-1)
+    decoded[supported] = levels[level][:, None] * direction
     return Quantised(symbols, decoded)
 
 
@@ -161,14 +167,14 @@ def octahedral(unit: NDArray[np.float64], side: int) -> tuple[Symbols, Symbols, 
     xy = np.where(p[:, 2:] < 0, (1 - np.abs(p[:, 1::-1])) * np.where(p[:, :2] < 0, -1, 1), p[:, :2])
     scale = (side - 1) / 2
     corner, best = np.floor((xy + 1) * scale), np.full(len(unit), -2.0)
-    chosen, direction = np.zeros((len(unit), 2), np.int32), np.zeros(unit.shape)
+    coordinates, direction = np.zeros((len(unit), 2), np.int32), np.zeros(unit.shape)
     for shift in ((0, 0), (0, 1), (1, 0), (1, 1)):
         at = np.minimum(corner + shift, side - 1)
         d = _direction(at / scale - 1)
-        near = (d * unit).sum(axis=1)
-        better = near > best
-        best[better], direction[better], chosen[better] = near[better], d[better], at[better]
-    return chosen[:, 0], chosen[:, 1], direction
+        cosine = (d * unit).sum(axis=1)
+        better = cosine > best
+        best[better], direction[better], coordinates[better] = cosine[better], d[better], at[better]
+    return coordinates[:, 0], coordinates[:, 1], direction
 
 
 def _direction(xy: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -189,7 +195,7 @@ def octahedral_side(angle: float) -> int:
 
 @cache
 def _widest(side: int) -> float:
-    """Radians that a map leaves at most."""
+    """Largest angle between a direction and the map, radians."""
     unit = np.random.default_rng(0).normal(size=(20_000, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     off = np.linalg.norm(octahedral(unit, side)[2] - unit, axis=1).max()

@@ -1,16 +1,15 @@
-"""Run every benchmark in turn; each prints its tables and keeps its last run in bench/results.
+"""Run every benchmark; each prints its tables and stores its last run in bench/results.
 
     python bench/run_all.py [--quick] [--only NAME,NAME] [--jobs N] [--limit-s SECONDS]
     python bench/run_all.py --stale | --rerun-stale | --verdicts | --store-quick
 
-`--quick` runs each with its smallest settings, keeps nothing, and holds its exact figures (bytes, counts,
-errors) against ``reference/quick``, which `--store-quick` writes. `--stale` runs none: it lists the results
-whose code has changed since, and ends with status 1 if one of them can be measured here; `--rerun-stale`
-measures these. `--verdicts` runs none either: the bars are held against the figures that are kept, and
-written beside them.
+`--quick` runs each with its smallest settings, stores nothing, and compares its exact figures (bytes, counts,
+errors) with ``reference/quick``, which `--store-quick` writes. `--stale` only lists the results whose code
+has changed, and exits with status 1 if one of them can be measured here; `--rerun-stale` measures these.
+`--verdicts` runs nothing either: it evaluates the bars on the stored figures and stores them.
 
-A benchmark that fails or exceeds its time is named at the end, and the others run. One that lacks what it
-needs (a GPU, a compiler, a browser) is left out, with the reason.
+A benchmark that fails or exceeds its time is named at the end, and the others run. One whose requirements (a
+GPU, a compiler, a browser) are missing is skipped with the reason.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from pathlib import Path
 from shutil import which
 from tempfile import TemporaryFile
 
-from machine import LEFT_OUT, RESULTS, STORE_QUICK, stale, stored, table, told, write
+from machine import RESULTS, SKIPPED, STORE_QUICK, bar_line, stale, stored, table, write
 from touchfield.compute.threads import worker_count
 
 HERE = Path(__file__).parent
@@ -36,7 +35,7 @@ QUICK_LIMIT_S, LIMIT_S = 600.0, 3600.0
 """Seconds after which a script is ended."""
 GUARD = "guard"
 NEEDS = {"cuda": ("an NVIDIA GPU", ("nvidia-smi",)), "page": ("node and Chromium", ("node", "chromium"))}
-"""What a benchmark needs that not every machine has, and the programs that show it."""
+"""Requirements that not every machine meets, and the programs that indicate them."""
 
 
 @dataclass(frozen=True)
@@ -72,34 +71,32 @@ def selected(only: str | None) -> list[str]:
 # -- running -----------------------------------------------------------------------------------------------
 
 
-def run(name: str, is_quick: bool, limit_s: float, is_shown: bool = True) -> Outcome:
-    """One script in a process group of its own, ended with all its processes after `limit_s`.
+def run(name: str, is_quick: bool, limit_s: float, is_live: bool = True) -> Outcome:
+    """Run one script in its own process group, ended with all its processes after `limit_s`.
 
-    Its output appears at once if `is_shown`, and else when it has ended.
+    Its output appears immediately if `is_live`, and otherwise when it has ended.
     """
     script = HERE / f"{scripts()[name]}.py"
     command = [sys.executable, str(script), *["--quick"] * is_quick]
     title, start = f"\n== {script.name}", time.monotonic()
     with TemporaryFile() as output:
-        if is_shown:
+        if is_live:
             print(title, flush=True)
-        where = {} if is_shown else {"stdout": output, "stderr": subprocess.STDOUT}
+        where = {} if is_live else {"stdout": output, "stderr": subprocess.STDOUT}
         process = subprocess.Popen(command, start_new_session=True, **where)  # type: ignore[call-overload]
         status, processor_s = _waited(process.pid, start + limit_s)
         process.returncode = -signal.SIGKILL if status is None else status
-        if not is_shown:
+        if not is_live:
             output.seek(0)
             print(title, output.read().decode(errors="replace"), sep="\n", flush=True)
-    verdict = {0: "finished", LEFT_OUT: "left out", None: f"exceeded {limit_s:.0f} s"}
+    verdict = {0: "finished", SKIPPED: "left out", None: f"exceeded {limit_s:.0f} s"}
     return Outcome(
         name, verdict.get(status, f"failed, status {status}"), time.monotonic() - start, processor_s
     )
 
 
 def _waited(pid: int, until_s: float) -> tuple[int | None, float]:
-    """Exit status, and processor seconds with those of its own children; its group is killed at `until_s`:
-    None.
-    """
+    """Exit status, and processor seconds including children; at `until_s` the group is killed: None."""
     is_late = False
     while True:
         ended, status, used = os.wait4(pid, os.WNOHANG)
@@ -113,23 +110,26 @@ def _waited(pid: int, until_s: float) -> tuple[int | None, float]:
 
 
 def run_each(names: list[str], is_quick: bool, limit_s: float, jobs: int) -> bool:
-    """Run them, `jobs` at once; a table of how each ended; whether none failed.
+    """Run benchmarks, `jobs` at once, and print a table; True if none failed.
 
-    What guards the speed runs first and alone.
+    The guard of the speed runs first and alone.
     """
     alone = [name for name in names if jobs == 1 or name == GUARD]
     outcomes = [run(name, is_quick, limit_s) for name in alone]
     with ThreadPoolExecutor(jobs) as pool:
         rest = [name for name in names if name not in alone]
-        outcomes += pool.map(lambda name: run(name, is_quick, limit_s, is_shown=False), rest)
-    rows = [[one.name, one.verdict, f"{one.seconds:.1f}", f"{one.processor_s:.1f}"] for one in outcomes]
+        outcomes += pool.map(lambda name: run(name, is_quick, limit_s, is_live=False), rest)
+    rows = [
+        [outcome.name, outcome.verdict, f"{outcome.seconds:.1f}", f"{outcome.processor_s:.1f}"]
+        for outcome in outcomes
+    ]
     total = [
         "all",
         "",
         *(f"{sum(values):.1f}" for values in zip(*((o.seconds, o.processor_s) for o in outcomes))),
     ]
     print(table("benchmarks", ["", "verdict", "seconds", "processor s"], [*rows, total]))
-    failed = [one.name for one in outcomes if one.is_failure]
+    failed = [outcome.name for outcome in outcomes if outcome.is_failure]
     if failed:
         print(f"\nfailed: {', '.join(failed)}", flush=True)
     return not failed
@@ -139,7 +139,7 @@ def run_each(names: list[str], is_quick: bool, limit_s: float, jobs: int) -> boo
 
 
 def missing_need(name: str) -> str | None:
-    """What a benchmark needs and this machine has not."""
+    """Requirement of a benchmark that this machine lacks; None if it lacks none."""
     need, programs = NEEDS.get(name, ("", ()))
     return None if all(map(which, programs)) else need
 
@@ -151,7 +151,7 @@ def stale_results() -> dict[str, list[str]]:
 
 
 def show_stale() -> bool:
-    """List stale results with their commit and the files that changed; whether none can be measured here."""
+    """List stale results with commit and changed files; True if none can be measured here."""
     elsewhere = []
     for name, files in (every := stale_results()).items():
         need = missing_need(name)
@@ -164,14 +164,14 @@ def show_stale() -> bool:
 
 
 def verdicts() -> None:
-    """Bars of all kept figures, those not met by name."""
+    """Evaluate the bars of all stored figures, and print those not met."""
     unmet = []
     for name, stem in scripts().items():
         if (RESULTS / f"{name}.json").exists():
             figures = stored(name)
             figures["bars"] = import_module(stem).bars(figures)
             write(name, figures)
-            unmet += [f"{name:12} {told(bar)}" for bar in figures["bars"] if not bar["met"]]
+            unmet += [f"{name:12} {bar_line(bar)}" for bar in figures["bars"] if not bar["met"]]
             print(
                 f"{name:12} {sum(bool(bar['met']) for bar in figures['bars'])} of {len(figures['bars'])} "
                 "bars met"

@@ -22,11 +22,11 @@ def timed(call: Callable[[], Any], runs: int = 9, warm: int = 1) -> dict[str, fl
 
 
 Clock = Callable[[], float]
-"""A run of something, and the processor milliseconds that it took."""
+"""A function that runs something and returns its processor milliseconds."""
 
 
-def whole(call: Callable[[], Any]) -> Clock:
-    """The clock of all that a call does."""
+def call_clock(call: Callable[[], Any]) -> Clock:
+    """Clock of a whole call."""
 
     def run() -> float:
         start = process_time()
@@ -36,8 +36,8 @@ def whole(call: Callable[[], Any]) -> Clock:
     return run
 
 
-def inside(module: ModuleType, name: str, call: Callable[[], Any]) -> Clock:
-    """The clock of one function of a module, of all its runs within a call."""
+def function_clock(module: ModuleType, name: str, call: Callable[[], Any]) -> Clock:
+    """Clock of one function of a module, summed over its runs within a call."""
     function, spent = getattr(module, name), [0.0]
 
     def timed_function(*values: Any) -> Any:
@@ -59,15 +59,15 @@ def inside(module: ModuleType, name: str, call: Callable[[], Any]) -> Clock:
 
 
 def paired_cpu_ms(ours: Clock, reference: Clock, rounds: int) -> list[tuple[float, float]]:
-    """Processor milliseconds of ours and of the reference, which run in turn: one pair a round.
+    """Processor milliseconds of `ours` and of the reference, run alternately: one pair per round.
 
-    The reference's is the mean of the runs before and after ours, so that a processor that changes its speed,
-    and other processes that come and go, change both.
+    The time of the reference is the mean of the runs before and after, so that a change of processor speed or
+    of load affects both.
     """
     pairs, before = [], reference()
     for _ in range(rounds):
-        own = ours()
+        ours_ms = ours()
         after = reference()
-        pairs.append((own, (before + after) / 2))
+        pairs.append((ours_ms, (before + after) / 2))
         before = after
     return pairs

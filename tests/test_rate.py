@@ -42,7 +42,7 @@ def test_every_lattice_of_the_peers_keeps_the_promise(seed, longest_n):
     made = lattices.promised(x)
     assert len(made) == 2
     for one in made:
-        assert lattices.is_kept(x, one.decoded)
+        assert lattices.is_within_bound(x, one.decoded)
         held = (one.symbols != 0).any(axis=-1)
         assert not one.decoded[~held].any()  # a decoder knows no force where all symbols are 0
         assert not held[np.linalg.norm(x, axis=-1) <= F0_N].any()
@@ -50,7 +50,7 @@ def test_every_lattice_of_the_peers_keeps_the_promise(seed, longest_n):
 
 def test_a_lattice_coarser_than_the_mask_is_found_out():
     x = forces(1, 3.3)
-    assert not lattices.is_kept(x, lattices.uniform(x, 4 * F0_N).decoded)
+    assert not lattices.is_within_bound(x, lattices.uniform(x, 4 * F0_N).decoded)
 
 
 @given(st.integers(0, 10**6))
@@ -123,10 +123,10 @@ def test_symbols_of_coder_paper_are_those_it_codes(wavy_field):
 
 def test_kept_figures_are_found_by_what_they_depend_on(tmp_path):
     made = {"bytes": 7, "peers": {"zfp": math.nan}}
-    pool.kept(tmp_path / "new", ["tum band, nw 6", 1], lambda: made)
-    again = pool.kept(tmp_path / "new", ["tum band, nw 6", 1], lambda: pytest.fail("it is kept"))
+    pool.cached(tmp_path / "new", ["tum band, nw 6", 1], lambda: made)
+    again = pool.cached(tmp_path / "new", ["tum band, nw 6", 1], lambda: pytest.fail("it is kept"))
     assert again["bytes"] == 7 and math.isnan(again["peers"]["zfp"])
-    assert pool.kept(tmp_path / "new", ["tum band, nw 6", 2], lambda: {"bytes": 8}) == {"bytes": 8}
+    assert pool.cached(tmp_path / "new", ["tum band, nw 6", 2], lambda: {"bytes": 8}) == {"bytes": 8}
     assert len({pool.fingerprint(what) for what in ("fields", "peers", "ours")}) == 3
 
 
