@@ -14,7 +14,7 @@ from __future__ import annotations
 import warnings
 from functools import cache
 from importlib.metadata import EntryPoints, entry_points
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 GROUPS: Final = ("touchfield.sources", "touchfield.coders", "touchfield.drivers", "touchfield.filters")
 
@@ -23,8 +23,14 @@ class PluginWarning(UserWarning):
     """Warning that a plug-in is skipped."""
 
 
+class Selectable(Protocol):
+    """What Python 3.11 and later versions have in common of their types of all entry points."""
+
+    def select(self, *, group: str) -> EntryPoints: ...
+
+
 @cache
-def installed_entry_points() -> EntryPoints:
+def installed_entry_points() -> Selectable:
     """The entry points of all installed distributions; reading them takes milliseconds."""
     return entry_points()
 
