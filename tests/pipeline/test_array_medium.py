@@ -131,10 +131,10 @@ def test_pooling_along_the_depth_equals_pooling_of_single_points(pool: str) -> N
     forces = random.normal(size=(19, 12, 21, 3)) * (random.random((19, 12, 21, 1)) < 0.1)
     forces[8:16, :, 8:16] = 0.0
     stored = ForceField.from_dense(Grid((19, 12, 21), (0.01, 0.02, 0.015), (0.1, -0.2, 0.05)), forces)
-    grid_ = Grid((37, 41, 60), (0.006, 0.007, 0.0061), (0.08, -0.23, 0.0))
-    points = np.stack(np.meshgrid(*(grid_.axis_m(n) for n in range(3)), indexing="ij"), axis=-1)
+    lattice = Grid((37, 41, 60), (0.006, 0.007, 0.0061), (0.08, -0.23, 0.0))
+    points = np.stack(np.meshgrid(*(lattice.axis_m(n) for n in range(3)), indexing="ij"), axis=-1)
     size = np.linalg.norm(stored.sample_n(points).astype(np.float64), axis=-1)
-    greatest, mean, first, last = pool_depth(stored, grid_)
+    greatest, mean, first, last = pool_depth(stored, lattice)
     if pool == "max":
         np.testing.assert_allclose(greatest, size.max(axis=2), rtol=1e-6, atol=1e-9)
     else:
@@ -144,7 +144,7 @@ def test_pooling_along_the_depth_equals_pooling_of_single_points(pool: str) -> N
     numbers = np.where(size > 0, np.arange(1, 61), 0)
     assert np.array_equal(last, numbers.max(axis=2))
     assert np.array_equal(first, np.where(last > 0, np.where(size > 0, numbers, 61).min(axis=2), 0))
-    assert not pool_depth(ForceField.empty(stored.grid), grid_).any()
+    assert not pool_depth(ForceField.empty(stored.grid), lattice).any()
 
 
 def test_no_drive_exceeds_1_even_for_a_tiny_f_max() -> None:

@@ -154,7 +154,7 @@ def test_every_module_that_writes_is_in_the_table() -> None:
 def test_every_coder_and_mode_is_in_the_table() -> None:
     assert {spec.coder for spec in SPECS.values()} == set(field_coders()) == set(ENTRIES) - {"objects"}
     touch = [spec.touch for spec in SPECS.values() if spec.coder == "touch"]
-    assert {(spec_.mode, spec_.effort) for spec_ in touch} == {
+    assert {(touch_spec.mode, touch_spec.effort) for touch_spec in touch} == {
         (mode, effort) for mode in MODES for effort in EFFORTS
     }
 

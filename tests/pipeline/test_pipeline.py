@@ -30,11 +30,11 @@ def ball(radius_m: float = 0.04) -> AnalyticScene:
 def moving(frames: int = 7) -> StoredScene:
     """A stored medium on the lattice of the device: a ball that grows and shrinks."""
     grid = prepare(ball(), EncodeSpec(nw=4)).medium.grid
-    frames_ = [
+    fields = [
         prepare(ball(0.02 + 0.004 * (t % 4)), EncodeSpec(nw=4, mapping="crop")).medium[0].on_grid(grid)
         for t in range(frames)
     ]
-    return StoredScene(HapticMedium.from_frames(frames_, 25.0, "x right, y up, z towards the viewer"))
+    return StoredScene(HapticMedium.from_frames(fields, 25.0, "x right, y up, z towards the viewer"))
 
 
 def test_frames_decoded_without_a_force_are_noted(tmp_path: Path) -> None:

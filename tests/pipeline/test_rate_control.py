@@ -30,13 +30,13 @@ def rough(frames: int) -> StoredScene:
     x, y, z = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
     random = np.random.default_rng(7)
     grain = random.normal(0, 0.25, (*grid.shape, 3))
-    frames_ = []
+    fields = []
     for t in range(frames):
         depth = z - (14 + 4 * np.sin((x + 0.4 * t) / 5) * np.cos(y / 6))
         size = np.where((depth > 0) & (depth < 5), 0.5 * depth, 0)
         normal = np.stack([np.sin(x / 7), np.cos(y / 9), -np.ones_like(x)], axis=-1) + grain
-        frames_.append(ForceField.from_dense(grid, (size[..., None] * normal).astype(np.float32)))
-    return StoredScene(HapticMedium.from_frames(frames_, 25.0))
+        fields.append(ForceField.from_dense(grid, (size[..., None] * normal).astype(np.float32)))
+    return StoredScene(HapticMedium.from_frames(fields, 25.0))
 
 
 @pytest.mark.parametrize("frames", [2, 12])

@@ -102,9 +102,9 @@ def test_note_of_a_frame_below_the_threshold_suggests_a_remedy(tmp_path: Path, h
     scene.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.02\n')
     weak = replace(SPEC, nw=4, mapping="crop", touch=replace(SPEC.touch, f0_n=9.0))
     done = encode(scene if has_law else medium()[:2], tmp_path / "out.touch", weak)
-    (note_,) = [note for note in done.notes if "decoded without any force" in note]
-    assert note_.startswith(f"{1 if has_law else 2} of {1 if has_law else 2} frames")
-    assert ("--stiffness-n-per-m" in note_) == has_law and ": all forces are below --f0-n" in note_
+    (note_text,) = [note for note in done.notes if "decoded without any force" in note]
+    assert note_text.startswith(f"{1 if has_law else 2} of {1 if has_law else 2} frames")
+    assert ("--stiffness-n-per-m" in note_text) == has_law and ": all forces are below --f0-n" in note_text
 
 
 def expected_of(original: np.ndarray, decoded: np.ndarray, k: float, f0_n: float) -> dict[str, Any]:

@@ -29,11 +29,11 @@ BALL = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.03),))
 def noisy(frames: int, rate_hz: float, noise_n: float = 0.01) -> StoredScene:
     """A ball at rest with sensor noise within the mask: each force of each frame differs."""
     rng, noiseless = np.random.default_rng(3), prepare(BALL, SPEC).medium[0]
-    frames_ = []
+    fields = []
     for _ in range(frames):
         noise = rng.normal(0, noise_n, noiseless.forces_n.shape) * noiseless.mask[..., None]
-        frames_.append(ForceField.from_bricks(noiseless.grid, noiseless.bricks, noiseless.forces_n + noise))
-    return StoredScene(HapticMedium.from_frames(frames_, rate_hz, "x right, y up, z towards the viewer"))
+        fields.append(ForceField.from_bricks(noiseless.grid, noiseless.bricks, noiseless.forces_n + noise))
+    return StoredScene(HapticMedium.from_frames(fields, rate_hz, "x right, y up, z towards the viewer"))
 
 
 @pytest.mark.parametrize(

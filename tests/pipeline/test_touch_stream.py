@@ -30,11 +30,11 @@ SPEC = EncodeSpec(nw=4, touch=FAST)
 def breathing(frames: int = 7) -> StoredScene:
     """A stored medium on the lattice of the device: a ball that grows."""
     grid = prepare(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02),)), SPEC).medium.grid
-    frames_ = []
+    fields = []
     for t in range(frames):
         scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02 + 0.002 * t),))
-        frames_.append(prepare(scene, replace(SPEC, mapping="crop")).medium[0].on_grid(grid))
-    return StoredScene(HapticMedium.from_frames(frames_, 25.0, "x right, y up, z towards the viewer"))
+        fields.append(prepare(scene, replace(SPEC, mapping="crop")).medium[0].on_grid(grid))
+    return StoredScene(HapticMedium.from_frames(fields, 25.0, "x right, y up, z towards the viewer"))
 
 
 def test_the_summary_of_a_stream_states_head_and_segments(tmp_path: Path) -> None:

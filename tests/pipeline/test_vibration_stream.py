@@ -159,14 +159,14 @@ def test_the_band_alone_keeps_the_file_open(tmp_path: Path) -> None:
 
 def test_vibration_of_a_file_of_objects_is_read(tmp_path: Path) -> None:
     """`encode` never writes it, but the format allows it on the grid of the head."""
-    path, scene, spec_ = tmp_path / "a.touch", moving_scene(3), PaperSpec(segment_frames=3)
-    encoder = ObjectsEncoder(scene, spec_, F0_N)
+    path, scene, paper_spec = tmp_path / "a.touch", moving_scene(3), PaperSpec(segment_frames=3)
+    encoder = ObjectsEncoder(scene, paper_spec, F0_N)
     hums = [
         VibrationRule(low_hz=hz, high_hz=hz).of(field, 1.0)
         for hz, field in zip((40, 400, 150), scene.voxelise())
     ]
     with TouchWriter(path) as writer:
-        writer.write_head(head_of(scene, encoder, spec_), {})
+        writer.write_head(head_of(scene, encoder, paper_spec), {})
         for record in encoder.objects():
             writer.write_object(record_of(record))
         [segment] = encoder.segments()

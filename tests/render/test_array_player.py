@@ -61,10 +61,10 @@ class Frames:
 
     def drives(self, frame: int) -> np.ndarray:
         self.requested_frames.append(frame)
-        drives_ = self.make(frame)
-        if isinstance(drives_, Exception):
-            raise drives_
-        return np.broadcast_to(np.asarray(drives_, np.float32), SHAPE)
+        levels = self.make(frame)
+        if isinstance(levels, Exception):
+            raise levels
+        return np.broadcast_to(np.asarray(levels, np.float32), SHAPE)
 
     def frequencies(self, frame: int) -> np.ndarray | None:
         return None
@@ -360,8 +360,8 @@ def test_drives_are_always_bounded_and_end_off(
     player.close()
     assert recorder.closed == 1
     assert all(
-        np.isfinite(drives_).all() and drives_.min() >= 0 and drives_.max() <= 1
-        for drives_ in recorder.sent_drives
+        np.isfinite(levels).all() and levels.min() >= 0 and levels.max() <= 1
+        for levels in recorder.sent_drives
     )
     if gone_after is None or len(recorder.sent_drives) < gone_after:
         assert recorder.sent_drives and not recorder.sent_drives[-1].any()

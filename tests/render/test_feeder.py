@@ -64,7 +64,7 @@ def test_one_frame_is_written_once() -> None:
     feeder = session.feeder(memory)
     assert run_dry(feeder) == 1 and stored_force_z(session, memory, 1, 0) == 0.5
     sessions = session, laid_out(numbered_medium(10))[0]  # without an end, and with one
-    assert [session_.media_time_s(7.0) for session_ in sessions] == [0, 0.2]
+    assert [either.media_time_s(7.0) for either in sessions] == [0, 0.2]
     feeder.seek(2, 0)
     memory.i8[W.NEEDS] = tag(2, 0)
     assert run_dry(feeder) == 1 and stored_force_z(session, memory, 2, 0) == 0.5
