@@ -26,9 +26,9 @@ class Case:
     leaves: dict[str, Any] = field(default_factory=dict)
     beside: str = ""
     refused: str = ""
-    """Words of the error, where the option does not go with the command's other arguments."""
+    """Message of the error, if the option is incompatible with the other arguments of the command."""
     printed: str = ""
-    """Text that only the run with the option prints, where no function gets it."""
+    """Text printed only by the run with the option, if no function receives it."""
 
 
 def case(text: str | None, leaf: str, value: Any, beside: str = "", **more: Any) -> Case:

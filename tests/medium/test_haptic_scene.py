@@ -181,7 +181,7 @@ def test_a_coinciding_lattice_returns_the_field_itself() -> None:
     found = scene.voxelise(grid)[0]
     np.testing.assert_array_equal(
         found.positions(), field.positions()
-    )  # no force by rounding beside the support
+    )  # rounding adds no force next to the support
     close(found.to_dense(), field.to_dense())
 
 

@@ -55,7 +55,7 @@ def test_slerp_agrees_with_scipy(seed: int, weight: float) -> None:
     expected = Slerp([0.0, 1.0], rotations)(weight).as_matrix()
     np.testing.assert_allclose(
         rotation_matrices(found)[0], expected, atol=1e-7
-    )  # scipy's own digits near half turns
+    )  # the accuracy of scipy near half turns
     to_negated = slerp(first, -second, np.array([weight]))  # the same rotation, as the negated quaternion
     np.testing.assert_allclose(rotation_matrices(to_negated), rotation_matrices(found), atol=1e-12)
     in_other_order = slerp(np.roll(first, -1, axis=1), np.roll(second, -1, axis=1), np.array([weight]))

@@ -77,7 +77,7 @@ def piped(data: bytes, options: SourceOptions = OPTIONS) -> CapturedSequence:
 
 
 def test_a_growing_folder_returns_the_newest_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(capture, "TIMEOUT_S", 60.0)  # however slow the machine is
+    monkeypatch.setattr(capture, "TIMEOUT_S", 60.0)  # enough for a slow machine
     put(tmp_path, 0)
     scene = open_capture(f"watch:{tmp_path}", OPTIONS)
     assert isinstance(scene, FusedScene) and scene.is_captured
@@ -118,10 +118,10 @@ def test_every_picture_of_a_pipe_is_returned(tmp_path: Path, monkeypatch: pytest
     sequence = piped(b"".join(png(i) for i in range(5)))
     for i in range(5):
         np.testing.assert_array_equal(sequence.depth_m(i), depth_mm(i) / np.float32(1000))
-    np.testing.assert_array_equal(sequence.depth_m(3), depth_mm(3) / np.float32(1000))  # asked for again
+    np.testing.assert_array_equal(sequence.depth_m(3), depth_mm(3) / np.float32(1000))  # a second request
     with pytest.raises(CaptureEnd, match="its end"):
         sequence.depth_m(5)
-    until(lambda: not list(tmp_path.iterdir()))  # nothing is left behind
+    until(lambda: not list(tmp_path.iterdir()))  # no temporary file remains
 
 
 @pytest.mark.parametrize(

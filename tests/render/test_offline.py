@@ -1,4 +1,4 @@
-"""An offline run: the log has a row for every tick, however long it is."""
+"""An offline run: the log has a row for every tick, for any duration."""
 
 from __future__ import annotations
 

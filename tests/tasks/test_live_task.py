@@ -1,4 +1,4 @@
-"""Frames sent by `live`: each frame of the source once, however long the broadcast."""
+"""Frames sent by `live`: each frame of the source once, for any duration of the broadcast."""
 
 from __future__ import annotations
 

@@ -386,7 +386,7 @@ def test_an_hour_of_a_medium_takes_no_more_memory_than_its_first_minutes(page: s
         "",  # Jupyter and marimo
         "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
         "img-src https: data:; child-src https: data: blob:",  # as in the view of an editor
-        "worker-src 'none'",  # no threads: the decoder runs beside the page
+        "worker-src 'none'",  # no threads: the decoder runs in the thread of the page
     ],
 )
 def test_a_notebook_shows_the_page_in_a_frame(tmp_path: Path, policy: str) -> None:
