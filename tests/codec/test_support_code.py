@@ -169,9 +169,8 @@ def test_random_bytes_are_an_error_or_a_support(data: bytes, shape: tuple[int, i
 
 @pytest.mark.parametrize("shape", [(512, 512, 512), (1 << 20, 1 << 20, 1 << 20)])
 def test_few_bytes_allocate_little_memory(shape: tuple[int, int, int]) -> None:
-    decode_support(
-        encode_support(grid_of((9, 9, 9)), *support_of(shell(9))), grid_of((9, 9, 9))
-    )  # compile first
+    # compile first
+    decode_support(encode_support(grid_of((9, 9, 9)), *support_of(shell(9))), grid_of((9, 9, 9)))
     solid = np.ones((96, 96, 96), np.bool_)  # whose code is one byte followed by zeros
     bombs = [bytes(60), bytes(5000), b"\1" * 4096, encode_support(grid_of(shape), *support_of(solid))]
     assert len(bombs[-1]) == (12**3 - 64) // 16

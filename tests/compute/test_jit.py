@@ -36,9 +36,8 @@ def test_concurrently_saved_variants_have_separate_files(tmp_path: Path) -> None
     first._save_data = write_late
     first.save("types of the first", "code of the first")
     assert later.load("types of the second") == "code of the second"
-    assert (
-        later.load("types of the first") is None
-    )  # the index is that of the second process: the first variant is compiled again
+    # the index is that of the second process: the first variant is compiled again
+    assert later.load("types of the first") is None
     later.save("types of the first", "code of the first")
     assert later.load("types of the second") == "code of the second"
     assert later.load("types of the first") == "code of the first"

@@ -63,9 +63,8 @@ def replace(path: Path, old: str, new: str) -> None:
 
 def test_edit_of_an_inner_function_recompiles_its_callers_in_other_files(package: Path) -> None:
     assert run(package) == "2 0"
-    replace(
-        package / INNER, "    return low\n", "    return keys.shape[0]\n"
-    )  # after the last line: no line is compared
+    # after the last line: no line is compared
+    replace(package / INNER, "    return low\n", "    return keys.shape[0]\n")
     assert run(package) == "0 0"
     assert run(package) == "0 1"
     assert len(list((package / "compute" / "__pycache__").glob("kernels-*"))) == 2

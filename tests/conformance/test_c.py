@@ -168,6 +168,5 @@ def test_too_small_arena_is_reported_at_every_allocation(is_watched: bool, tmp_p
     assert done.returncode == 0, done.stderr
     for line in done.stdout.splitlines():
         tries, failed = map(int, line.split())
-        assert (
-            0.8 * tries <= failed <= tries and tries > 10
-        )  # an allocation may reuse the memory of an earlier one
+        # an allocation may reuse the memory of an earlier one
+        assert 0.8 * tries <= failed <= tries and tries > 10

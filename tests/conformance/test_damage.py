@@ -23,9 +23,8 @@ NAMES = st.sampled_from(sorted(STREAMS) or [""])
 def decode(data: bytes) -> int:
     with TouchReader(io.BytesIO(data)) as reader:
         medium = stream_of(reader).medium
-        band = (
-            map(medium.vibration, range(len(medium))) if medium.vibration else ()
-        )  # read separately from the frames
+        # read separately from the frames
+        band = map(medium.vibration, range(len(medium))) if medium.vibration else ()
         return sum(frame.support_count for frame in medium) + sum(map(len, band))
 
 

@@ -239,9 +239,8 @@ def test_operations_on_a_stream_with_a_feature(
     assert found.forces.any()
     if name == "lossless" and operation == "trim":
         np.testing.assert_array_equal(found.forces, by_the_package(path).forces[1:3])
-    if (
-        name == "vibration"
-    ):  # operations that keep the lattice keep the vibration; all others note its removal
+    # operations that keep the lattice keep the vibration; all others note its removal
+    if name == "vibration":
         is_left_out = operation not in ("trim", "edit")
         assert (found.vibration is None) == is_left_out
         assert not is_left_out or any("the vibration is left out" in note for note in result.notes)

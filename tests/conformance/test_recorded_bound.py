@@ -129,9 +129,8 @@ def test_recorded_ratio_is_the_true_one(kind: str, rule: str, effort: str) -> No
         assert_recorded(body, encoder.parameters, ratios, len(frames))
         if spec.mode != "lossless" and kind == "dense" and name in ("first", "middle", "last"):
             is_supported = np.array([frame.support_count > 0 for frame in frames])
-            assert (
-                ratios[is_supported].max() > 0.5 and not ratios[~is_supported].any()
-            )  # only frames with forces have errors
+            # only frames with forces have errors
+            assert ratios[is_supported].max() > 0.5 and not ratios[~is_supported].any()
         records = BodyReader(body, GRID, exact=spec.mode == "lossless").records(len(frames))
         outlier_count += sum(bool(record.outliers) for record in records)
     assert outlier_count > 0 if (kind, rule) == ("huge", "no F_0") else True
@@ -142,10 +141,11 @@ def test_recorded_ratio_excludes_outliers(effort: str) -> None:
     """Outliers have no error: the one they had before must not be recorded."""
     spec = TouchSpec(k=0.1, f0_n=0.0, effort=effort)
     dense_n = np.zeros((*GRID.shape, 3), np.float32)
+    # the second is below the step size of the first
     dense_n[2, 3, 4], dense_n[9, 8, 9] = (
         (1e20, 0, 0),
         (1e-20, 0, 0),
-    )  # the second is below the step size of the first
+    )
     frames = [EMPTY, ForceField.from_dense(GRID, dense_n)]
     encoder = TouchEncoder(GRID, spec)
     body = encoder.encode_segment(frames).body

@@ -113,9 +113,8 @@ def test_decoders_agree_on_forces(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["ball", "noise", "solid"])
 def test_both_refuse_the_same_bytes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(
-        globals(), "GRID", Grid((9, 8, 10), GRID.spacing_m, GRID.origin_m)
-    )  # the reference decoder is slow
+    # the reference decoder is slow
+    monkeypatch.setitem(globals(), "GRID", Grid((9, 8, 10), GRID.spacing_m, GRID.origin_m))
     parameters, body = encoded(name)
     rng, refused = np.random.default_rng(len(body)), 0
     for _ in range(25):

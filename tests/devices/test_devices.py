@@ -88,9 +88,8 @@ def test_every_value_has_a_source(profile: Device) -> None:
     assert expected <= set(profile.sources)
     assert all(text.strip() for text in profile.sources.values())
     assert 0 < (profile.force_continuous_n or profile.force_max_n) <= profile.force_max_n
-    if (
-        profile.physical_mm and profile.name != "haply-inverse3"
-    ):  # its users measure less than the data sheet says
+    # its users measure less than the data sheet says
+    if profile.physical_mm and profile.name != "haply-inverse3":
         assert all(p >= n for p, n in zip(profile.physical_mm, profile.workspace_mm, strict=True))
 
 
@@ -145,9 +144,8 @@ def test_user_profile(tmp_path: Path) -> None:
     assert profile == device(str(path)) and hash(profile) == hash(device(path))
     assert profile.lattice == (1000, 800, 600) and profile.force_continuous_n is None
     assert profile.sources["rate_hz"] == "me"
-    assert (
-        device(write_profile(tmp_path, POINT.replace("value = 1000\n", "value = 1e6\n"))).rate_hz == 1e6
-    )  # the maximum
+    # the maximum
+    assert device(write_profile(tmp_path, POINT.replace("value = 1000\n", "value = 1e6\n"))).rate_hz == 1e6
 
 
 @pytest.mark.parametrize(

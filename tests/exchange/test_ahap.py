@@ -50,12 +50,13 @@ def test_a_continuous_event_has_its_intensity_and_frequency(tmp_path: Path) -> N
 
 def test_defaults_and_clamping(tmp_path: Path) -> None:
     assert drives(tmp_path, event("HapticContinuous", -1.0, 0.02)).tolist() == [1, 1, 1, 0]
+    # between two frames
     assert drives(tmp_path, event("HapticContinuous", 0.017, 0.001)).tolist() == [
         0,
         0,
         1,
         0,
-    ]  # between two frames
+    ]
     result = read(tmp_path, event("HapticContinuous", 0.0, 0.02, HapticIntensity=7, HapticSharpness=-3))
     assert (
         result.drives.max() == 1

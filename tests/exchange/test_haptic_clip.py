@@ -99,9 +99,8 @@ def test_pattern_round_trip_with_frequencies_and_long_events(tmp_path: Path) -> 
     for part in (slice(0, 3000), slice(3001, 3500)):  # at 30 s one event ends and the next starts
         assert read.drives[part, 0, 0] == pytest.approx(drives[part], abs=2e-4)
     between = read_ahap(tmp_path / "a.ahap", 200.0).effect.drives[1:5999:2, 0, 0]
-    assert between == pytest.approx(
-        (drives[:2999] + drives[1:3000]) / 2, abs=2e-4
-    )  # also across the curves' limits
+    # also across the curves' limits
+    assert between == pytest.approx((drives[:2999] + drives[1:3000]) / 2, abs=2e-4)
     assert read.frequencies_hz is not None and read.frequencies_hz[5:3000] == pytest.approx(120, abs=0.1)
 
 

@@ -36,9 +36,8 @@ def test_wave_is_interpolated_between_keyframes(tmp_path: Path) -> None:
     result = read(tmp_path, channel(band("VectorialWave", effect(LINE)))).effect
     assert result.drives[:, 0, 0] == pytest.approx(np.arange(11) / 10)
     assert result.frequencies_hz is not None
-    assert result.frequencies_hz[:, 0, 0] == pytest.approx(
-        [0, *range(110, 201, 10)], rel=1e-6
-    )  # no frequency without a drive
+    # no frequency without a drive
+    assert result.frequencies_hz[:, 0, 0] == pytest.approx([0, *range(110, 201, 10)], rel=1e-6)
 
 
 def test_later_effect_replaces_the_earlier_and_silence_follows(tmp_path: Path) -> None:
@@ -176,16 +175,14 @@ def test_a_force_along_any_direction(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="direction"):
         read_force(written(tmp_path / "g.hjif", document(bare, modality="Force")))
     directed = channel(steady(0.5), direction={"X": 127, "Y": 0, "Z": 0})
-    assert (
-        read(tmp_path, bare, modality="Force").effect.drives[0, 0, 0] == 0.5
-    )  # actuators, as there is no direction
+    # actuators, as there is no direction
+    assert read(tmp_path, bare, modality="Force").effect.drives[0, 0, 0] == 0.5
     assert read(tmp_path, directed).effect.drives[0, 0, 0] == 0.5  # a vibration ignores the direction
     mighty = force_channel((127, 0, 0), keyframe(0, 1.0), keyframe(10, 1.0), gain=1.1e6)
     with pytest.raises(SourceError, match="a greatest force of"):
         read(tmp_path, mighty, modality="Force")
-    later = effect(
-        [keyframe(0, 1.0), keyframe(10, 0.5), keyframe(20, 1.0)], 40
-    )  # its curve starts with the effect
+    # its curve starts with the effect
+    later = effect([keyframe(0, 1.0), keyframe(10, 0.5), keyframe(20, 1.0)], 40)
     force_document["perceptions"][0]["channels"] = [
         channel(band("Curve", later), direction={"X": 0, "Y": 0, "Z": 127})
     ]
@@ -239,9 +236,8 @@ def test_wavelet_blocks_decode_to_the_coded_samples() -> None:
     found = np.concatenate([block_samples(bytes.fromhex(block), 64) for block in BLOCKS])
     expected = 0.6 * np.sin(2 * np.pi * 200 * np.arange(128) / 1000)
     assert np.abs(found - expected).max() < 0.01
-    assert found[1] == pytest.approx(
-        0.572778, abs=1e-6
-    )  # value of the reference decoder, which rounds to 6 digits
+    # value of the reference decoder, which rounds to 6 digits
+    assert found[1] == pytest.approx(0.572778, abs=1e-6)
     assert not block_samples(b"", 64).any()
 
 

@@ -50,9 +50,8 @@ def test_friction_slides_and_sticks() -> None:
     force = np.array([0.0, 0.0, 2.0])
     assert friction_n(force, [0.3, -0.4, 5.0], 0.5) == pytest.approx([-0.6, 0.8, 0.0], rel=1e-12)
     assert friction_n(-force, [0.3, -0.4, 5.0], 0.5) == pytest.approx([-0.6, 0.8, 0.0], rel=1e-12)
-    assert friction_n(force, [3e-4, -4e-4, 1.0], 0.5) == pytest.approx(
-        [-0.3, 0.4, 0.0], rel=1e-12
-    )  # half of v_s
+    # half of v_s
+    assert friction_n(force, [3e-4, -4e-4, 1.0], 0.5) == pytest.approx([-0.3, 0.4, 0.0], rel=1e-12)
     assert friction_n(force, [3e-4, -4e-4, 1.0], 0.5, 5e-4) == pytest.approx([-0.6, 0.8, 0.0], rel=1e-12)
     for zero_friction in (
         friction_n(force, [0, 0, 7.0], 0.5),

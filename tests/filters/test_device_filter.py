@@ -253,9 +253,8 @@ PINS = replace(device("graphiti"), lattice=(42, 3, 1), workspace_mm=(105.0, 7.5,
 @pytest.mark.parametrize("wall_m", [math.inf, 0.0066])
 def test_pins_show_the_height_of_the_first_surface(axes: str, wall_m: float) -> None:
     law = profile_of(LawSpec(), wall_m)
-    margin_m = (
-        0.0 if math.isinf(wall_m) else wall_m
-    )  # margin of the lattice outside the terrain on both sides
+    # margin of the lattice outside the terrain on both sides
+    margin_m = 0.0 if math.isinf(wall_m) else wall_m
     mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * margin_m), Placement())
     pin_forces = mapping.frames(terraces(axes), law)(0).to_dense()[:, 1, 0, 2]
     centres = [8 + 6 * n for n in range(5)]
@@ -296,9 +295,8 @@ def test_pin_heights_are_unbiased(axes: str, wall_m: float, is_stored: bool) -> 
         if is_stored:
             scene = Stored(HapticMedium.from_frames([scene.field(0, fine, law)], 30.0, axes))
             scene.axes = axes
-            height_m = (
-                z[np.searchsorted(z, height_m - 0.015)] + 0.015
-            )  # interpolated linearly, it ends at the first zero sample
+            # interpolated linearly, it ends at the first zero sample
+            height_m = z[np.searchsorted(z, height_m - 0.015)] + 0.015
         pin_force = mapping.frames(scene, law)(0).to_dense()[21, 1, 0, 2]
         errors.append(pin_force / 3.3 - height_m / 0.03)
     assert np.abs(errors).max() <= 0.6 * step and abs(np.mean(errors)) < 0.2 * step

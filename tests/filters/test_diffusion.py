@@ -68,9 +68,8 @@ def test_without_edges_diffusion_is_repeated_averaging(shape: tuple[int, ...]) -
 def test_blur_has_the_same_width_in_metres_along_each_axis() -> None:
     grid = Grid((61, 41, 31), (0.001, 0.002, 0.0015), (-0.03, -0.04, -0.0225))
     field = ForceField.from_support(grid, [[30, 20, 15]], [[0, 2.0, 0]])
-    everywhere = ForceField.from_dense(
-        grid, field.to_dense() + np.float32([1e-30, 0, 0])
-    )  # diffusion in all of space
+    # diffusion in all of space
+    everywhere = ForceField.from_dense(grid, field.to_dense() + np.float32([1e-30, 0, 0]))
     out = DiffusionFilter(math.inf, steps=25)(everywhere).to_dense()[..., 1].astype(np.float64)
     assert out.sum() == pytest.approx(2.0, rel=1e-6)
     for axis in range(3):

@@ -95,9 +95,8 @@ def test_bricks_equal_the_dense_array(shape: tuple[int, int, int]) -> None:
     filtered = GaussianFilter(1.9)(field)
     expected = by_scipy(field.to_dense(), (1.9,) * 3, "zero")
     assert np.abs(filtered.to_dense() - expected).max() < 1e-6
-    assert filtered == ForceField.from_dense(
-        field.grid, filtered.to_dense()
-    )  # no empty brick, and no sample outside the grid
+    # no empty brick, and no sample outside the grid
+    assert filtered == ForceField.from_dense(field.grid, filtered.to_dense())
 
 
 @given(shapes, st.integers(0, 999), st.sampled_from([0.001, 0.05, 1.0]), st.data())

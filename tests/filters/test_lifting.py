@@ -123,10 +123,11 @@ def test_integer_lifting_rounds_the_float_result() -> None:
     for stages in (1, 2, 3):
         rounded, exact = fcc_forward(values, stages), fcc_forward(values.astype(float), stages)
         assert np.abs(rounded - exact).max() <= 1.0 * stages  # half a unit per step, and its propagation
+    # 2.5 rounds up
     assert quincunx_forward(np.array([[0, 5], [5, 0]], np.uint8), 1).tolist() == [
         [3, 5],
         [5, 3],
-    ]  # 2.5 rounds up
+    ]
     assert quincunx_forward(np.array([[0, -5], [-5, 0]], np.int8), 1).tolist() == [[-2, -5], [-5, -2]]
 
 

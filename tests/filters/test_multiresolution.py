@@ -41,9 +41,8 @@ def test_bits_agree_with_the_array(shape: tuple[int, int, int], stages: int) -> 
         filtered = MultiresolutionFilter(stages)(field_of(forces))
         assert np.array_equal(filtered.to_dense(), coarse_only(forces, FCC, stages))
         assert filtered.mask.any(axis=(1, 2, 3)).all()
-        assert (
-            ForceField.from_bricks(filtered.grid, filtered.bricks, filtered.forces_n) == filtered
-        )  # no sample outside the grid
+        # no sample outside the grid
+        assert ForceField.from_bricks(filtered.grid, filtered.bricks, filtered.forces_n) == filtered
 
 
 @pytest.mark.parametrize("stages", [1, 2, 3, 7])
@@ -112,9 +111,8 @@ def test_an_empty_field_and_one_sample() -> None:
 def test_text_round_trip_and_invalid_texts() -> None:
     assert issubclass(MultiresolutionFilter, FieldFilter) and MultiresolutionFilter.name == "multiresolution"
     assert MultiresolutionFilter.parse("") == MultiresolutionFilter.parse("3") == MultiresolutionFilter(3)
-    assert MultiresolutionFilter.parse("stages=5,keep=coarse") == MultiresolutionFilter(
-        5
-    )  # the notation of older streams
+    # the notation of older streams
+    assert MultiresolutionFilter.parse("stages=5,keep=coarse") == MultiresolutionFilter(5)
     assert MultiresolutionFilter.parse(MultiresolutionFilter(7).text) == MultiresolutionFilter(7)
     for text in ("0", "13", "-1", "2.5", "stages=nan"):
         with pytest.raises(InvalidArgument, match="stages"):

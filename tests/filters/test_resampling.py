@@ -99,9 +99,8 @@ def test_resample_equals_the_dense_product(
     resampled, expected = resample(field, grid, kernel), dense_resample(field, grid, kernel)
     assert np.abs(resampled.to_dense() - expected).max() < 1e-6
     assert np.abs(expected).max() > 0.1
-    assert resampled == ForceField.from_dense(
-        grid, resampled.to_dense()
-    )  # no empty brick, and no sample outside the grid
+    # no empty brick, and no sample outside the grid
+    assert resampled == ForceField.from_dense(grid, resampled.to_dense())
 
 
 @given(

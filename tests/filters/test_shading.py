@@ -190,9 +190,8 @@ def test_text_round_trip() -> None:
     assert ShadingFilter.parse("sigma=2mm,smooth=direction") == ShadingFilter(0.002, "direction")
     for step in (ShadingFilter(0.0015), ShadingFilter(1e-4, "amplitude")):
         assert ShadingFilter.parse(step.text) == step
-        assert (
-            ShadingFilter.parse(f"{step.text},truncate=4.0,spread=false") == step
-        )  # the notation of older streams
+        # the notation of older streams
+        assert ShadingFilter.parse(f"{step.text},truncate=4.0,spread=false") == step
     with pytest.raises(InvalidArgument, match="each of sigma, smooth at most once"):
         ShadingFilter.parse("2mm,truncate=3")
     with pytest.raises(InvalidArgument, match="spread"):

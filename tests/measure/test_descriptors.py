@@ -268,10 +268,11 @@ def test_few_frames_are_read() -> None:
 
     descriptor(HapticMedium(GRID, 1000.0, 500, make), frames=3)
     assert requested == [0, 33, 233, 266, 466, 499]
+    # two frames 20 ms apart; all frames of a shorter medium
     for rate_hz, count, expected in (
         (50.0, 9, [0, 2]),
         (1000.0, 4, [0, 3]),
-    ):  # two frames 20 ms apart; all frames of a shorter medium
+    ):
         requested.clear()
         descriptor(HapticMedium(GRID, rate_hz, count, make), frames=1)
         assert requested == expected

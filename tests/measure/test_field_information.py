@@ -301,10 +301,11 @@ def test_frames_that_change_between_passes() -> None:
 
     frames = [replace(field(grid_of(32, 32, 32), n, 1.0), alphabet=K) for n in range(2)]
     frames = [replace(f, symbols=np.minimum(f.symbols, K - 2)) for f in frames]
+    # other numbers of known symbols; a symbol that the first pass did not have
     for Changing.to in (
         1,
         K - 1,
-    ):  # other numbers of known symbols; a symbol that the first pass did not have
+    ):
         with pytest.raises(InvalidArgument, match="second pass"):
             field_entropy(Changing(frames), "object")
 

@@ -53,9 +53,8 @@ def quiet(trace: Trace, symbols: FieldSymbols | Sequence[FieldSymbols], **more: 
 def test_visits_are_of_the_nearest_lattice_point(positions: NDArray[np.float64]) -> None:
     found = visits(Trace.regular(positions), GRID)
     axes = [np.abs(positions[:, a, None] - GRID.axis_m(a)) for a in range(3)]
-    for axis, distance in enumerate(
-        axes
-    ):  # for every sample, no lattice point is nearer than the assigned one
+    # for every sample, no lattice point is nearer than the assigned one
+    for axis, distance in enumerate(axes):
         assert (distance.min(axis=1) <= GRID.spacing_m[axis] * (0.5 + 1e-9)).all()
     nearest = Counter(zip(*(d.argmin(axis=1).tolist() for d in axes)))
     shifted = Counter({tuple(p): n for p, n in zip(found.indices.tolist(), found.counts.tolist())})
@@ -114,9 +113,8 @@ def test_interval_uses_blocks_of_time() -> None:
     shuffled_entropy = interaction_entropy(Trace.regular(shuffled), symbols, blocks=16)
     assert shuffled_entropy.value == pytest.approx(together.value, abs=1e-12)
     assert shuffled_entropy.interval is not None
-    assert spread.high - spread.low > 3 * (
-        shuffled_entropy.interval.high - shuffled_entropy.interval.low
-    )  # the interval accounts for dependence
+    # the interval accounts for dependence
+    assert spread.high - spread.low > 3 * (shuffled_entropy.interval.high - shuffled_entropy.interval.low)
 
 
 @pytest.mark.parametrize("estimator", ["plug-in", "miller-madow", "chao-wang-jost"])

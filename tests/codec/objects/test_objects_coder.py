@@ -142,9 +142,8 @@ def test_rigid_motion_costs_poses_and_one_field(tmp_path: Path) -> None:
             sizes[frames] = SceneStream(reader).bits
             assert len(reader.segments) == 1
     assert sizes[200].support == sizes[2].support > 0
-    assert (
-        sizes[2].poses < sizes[200].poses < 200 * 64 * 8
-    )  # a raw pose of float64 has 56 bytes, and there are two
+    # a raw pose of float64 has 56 bytes, and there are two
+    assert sizes[2].poses < sizes[200].poses < 200 * 64 * 8
 
 
 def test_bits_of_all_parts_sum_to_the_file(tmp_path: Path) -> None:

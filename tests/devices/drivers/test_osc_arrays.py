@@ -39,11 +39,12 @@ def test_frame_is_one_datagram_and_the_end_is_sent_three_times() -> None:
         listener = receive(line, X40, 5)
         array.open()
         array.close()
+        # frames are counted from the opening
         assert [int(f["number"]) for f in receive(line, X40, 3).frames] == [
             0,
             0,
             0,
-        ]  # frames are counted from the opening
+        ]
     assert len(listener.sizes) == 5 and listener.seconds == sorted(listener.seconds)
     assert [int(f["number"]) for f in listener.frames] == [0, 1, 2, 2, 2]
     assert np.abs(listener.frames[0]["drives"] - drives).max() <= 0.005 + 1e-6  # 101 levels
@@ -95,9 +96,8 @@ def test_any_array_fits_into_its_datagrams(
     expected = min(max(value, 0.0), 1.0) if value == value else 0.0
     assert np.abs(received - expected).max() <= (0.5 / max(levels - 1, 0.5) if levels else 0) + 1e-6
     payload_bytes = 5 * drives.size * (1 + (vibrates and np.isfinite(value)))
-    assert (
-        len(listener.sizes) <= payload_bytes // (MAX_BYTES // 2) + 1
-    )  # no datagram is unnecessarily half empty
+    # no datagram is unnecessarily half empty
+    assert len(listener.sizes) <= payload_bytes // (MAX_BYTES // 2) + 1
 
 
 def test_missing_listeners_and_invalid_addresses() -> None:

@@ -140,9 +140,8 @@ def test_heights_by_rows_and_lowered_at_the_end(over: Callable[[Display], object
         pad = array_device(device_text, SMALL)
         pad.open()
         pad.put_drives(drives(SMALL, [[0, 0.3, 0.5], [0.8, 0.84, 1]]), None, 0.1)
-        pad.put_drives(
-            drives(SMALL, [[0, 0.3, 0.5], [0.8, 0.84, 1]]), None, 0.1
-        )  # no pin changes: nothing is sent
+        # no pin changes: nothing is sent
+        pad.put_drives(drives(SMALL, [[0, 0.3, 0.5], [0.8, 0.84, 1]]), None, 0.1)
         pad.put_drives(drives(SMALL, 0.1), np.full((1, 2, 3), 80, np.float32), 0.1)
         pad.put_drives(drives(SMALL, 1.0), None, 0.1)
         pad.close()

@@ -37,13 +37,13 @@ def test_file_is_played_frame_by_frame(tmp_path: Path) -> None:
         expected = [frames.drives(i) for i in range(len(frames))]
     assert max(drives.max() for drives in expected) > 0.1
     sent = [frame["drives"] for frame in listener.frames]
-    assert (
-        not sent[-1].any() and len(sent) == player.statistics()["sent"] + 4
-    )  # the last frame, and three end messages
+    # the last frame, and three end messages
+    assert not sent[-1].any() and len(sent) == player.statistics()["sent"] + 4
+    # at half the speed, frames are interpolated
     between = [
         *expected,
         *((a + b) / 2 for a, b in zip(expected, expected[1:])),
-    ]  # at half the speed, frames are interpolated
+    ]
     for received in sent[:-4]:
         difference = min(float(np.abs(received - drives).max()) for drives in between)
         assert difference <= 0.5 / 255 + 1e-6 or not received.any()

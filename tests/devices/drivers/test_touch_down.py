@@ -106,9 +106,8 @@ def test_probe_uses_the_frame_of_its_arrival() -> None:
     trace = touch_down(medium)
     assert trace.times_s[-1] == 1.5
     assert forces_of(wall, trace.positions_m).max() > 1
-    late = HapticMedium.from_frames(
-        [empty] * 14 + [wall], 10.0
-    )  # the first frame is empty on arrival: the probe uses the other one
+    # the first frame is empty on arrival: the probe uses the other one
+    late = HapticMedium.from_frames([empty] * 14 + [wall], 10.0)
     assert forces_of(wall, touch_down(late).positions_m).max() > 1
     assert touch_down(HapticMedium.from_frames([wall], 1000.0)).times_s[-1] == 3.0
     assert touch_down(medium, start_s=0.5, speed=2.0).times_s[-1] == 0.5
@@ -123,9 +122,8 @@ def test_probe_touches_the_object_of_a_scene() -> None:
     scene = HapticScene(GRID, 1000.0, (HapticObject("ball", body, track),), 3.3)
     trace = touch_down(scene)
     arrived = int(0.2 * 3.0 * 1000)
-    assert (
-        np.linalg.norm(scene.sample_n(arrived, trace.positions_m[600]), axis=-1) == 0
-    )  # just before contact
+    # just before contact
+    assert np.linalg.norm(scene.sample_n(arrived, trace.positions_m[600]), axis=-1) == 0
     assert forces_along(scene, trace)[950:2350].min() > 1
 
 
@@ -135,9 +133,8 @@ def test_probe_stays_on_a_moving_object(start_s: float, speed: float) -> None:
     angles = np.linspace(0, 2, 4000)
     quaternions = np.stack([np.cos(angles), 0 * angles, np.sin(angles), 0 * angles], axis=1)
     positions_m = np.stack([0.3 * np.sin(3 * angles), 0.1 * angles, -0.2 * angles], axis=1)
-    weak = HapticMedium.from_frames(
-        [ForceField.from_dense(GRID, SOLID).scaled(0.3)], 1000.0
-    )  # a second body next to it
+    # a second body next to it
+    weak = HapticMedium.from_frames([ForceField.from_dense(GRID, SOLID).scaled(0.3)], 1000.0)
     static_track = PoseTrack(np.tile([1.0, 0, 0, 0], (4000, 1)), np.tile([-0.3, 0.0, 0.0], (4000, 1)))
     objects = (
         HapticObject("weak", weak, static_track),
