@@ -443,7 +443,7 @@ def test_no_arguments_show_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.startswith("touchfield 0")
 
 
-def test_the_help_names_every_sample(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_names_every_sample(capsys: pytest.CaptureFixture[str]) -> None:
     assert _exit_code(["encode", "--help"]) == 0
     printed = capsys.readouterr().out
     assert all(f"sample:{name}" in printed for name in SAMPLES)

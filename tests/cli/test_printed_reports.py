@@ -56,7 +56,7 @@ def test_search_results_are_printed_in_order(
     rows = [{"rank": n, "name": name, "distance": d} for n, name, d in found]
     done = Result({"media": 9, "query_ms": 1.25, "matches": rows}, ("1 files changed since",))
     calls: list[Any] = []
-    monkeypatch.setattr("touchfield.tasks.library.search", lambda *words: calls.append(words) or done)
+    monkeypatch.setattr("touchfield.tasks.library.search", lambda *arguments: calls.append(arguments) or done)
     weighted = ["--any-pose", "--weight", "amplitude=2", "--weight", "direction=0.5"]
     assert _exit_code(["search", str(tmp_path), "x.touch", *weighted]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -119,7 +119,7 @@ def test_picture_has_millimetres_and_newtons(
 def test_limits_of_the_renderer_apply_to_hand_and_picture(tmp_path: Path) -> None:
     ball = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.03),))
     encode(ball, tmp_path / "ball.touch", EncodeSpec(nw=5, friction=0.4))
-    omni, greatest_n = device("phantom-omni"), []
+    omni, max_forces_n = device("phantom-omni"), []
     for limits, peak_n, continuous_n, friction in (
         (RenderSpec(), omni.force_max_n, omni.force_continuous_n, 0.4),
         (RenderSpec(peak_n=1.0, continuous_n=0.5, friction=0.0), 1.0, 0.5, 0.0),
@@ -128,8 +128,10 @@ def test_limits_of_the_renderer_apply_to_hand_and_picture(tmp_path: Path) -> Non
         assert played.view is not None
         assert (played.view.peak_n, played.view.continuous_n) == (peak_n, continuous_n)
         assert (played.statistics["friction"], played.statistics["profile"]) == (friction, omni.name)
-        greatest_n.append(played.statistics["greatest_force_n"])
-    assert 0 < greatest_n[1] <= 0.8 * 0.5 < greatest_n[0], "a hand that was told nothing presses no harder"
+        max_forces_n.append(played.statistics["greatest_force_n"])
+    assert 0 < max_forces_n[1] <= 0.8 * 0.5 < max_forces_n[0], (
+        "a hand that was told nothing presses no harder"
+    )
 
 
 def test_picture_shows_the_middle_frame(long_stream: Path) -> None:

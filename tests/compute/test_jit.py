@@ -20,7 +20,7 @@ from child_environment import environment_with
 from touchfield.compute.jit import inner, kernel
 from touchfield.compute.numba_internals import KernelFiles
 
-HOUSE = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[2]
 DECORATORS = {"njit", "kernel", "inner", "uncounted", "entry", "lean", "inlined"}
 
 
@@ -72,9 +72,9 @@ def test_kernels_work_without_private_parts_of_numba(tmp_path: Path) -> None:
     assert done.stdout.split() == ["None", "None", "7.5"], done.stderr
 
 
-def test_every_kernel_is_saved_so() -> None:
+def test_only_jit_imports_njit() -> None:
     package = Path(str(touchfield.__file__)).parent
-    files = [*package.rglob("*.py"), *(HOUSE / "reproduction").rglob("*.py")]
+    files = [*package.rglob("*.py"), *(ROOT / "reproduction").rglob("*.py")]
     users = [path for path in files if re.search(r"^from numba import .*\bnjit\b", path.read_text(), re.M)]
     assert users == [package / "compute" / "jit.py"]
 
@@ -132,11 +132,11 @@ def test_constants_of_a_caller_propagate_into_inner_functions() -> None:
 @pytest.mark.parametrize("folder", ["src", "tests", "bench", "reproduction"])
 def test_python_calls_no_function_without_a_wrapper(folder: str) -> None:
     count = 0
-    for path in (HOUSE / folder).rglob("*.py"):
+    for path in (ROOT / folder).rglob("*.py"):
         text = path.read_text()
         if "kernels" in text or "kernels" in path.parts:
             count += 1
-            parts = path.relative_to(HOUSE / folder).with_suffix("").parts
+            parts = path.relative_to(ROOT / folder).with_suffix("").parts
             module = (
                 ".".join(parts).removesuffix(".__init__")
                 if folder == "src" and "kernels" in str(path)

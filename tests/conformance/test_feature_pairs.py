@@ -28,7 +28,7 @@ from touchfield.sources.shapes.shapes import Box, Sphere
 from touchfield.tasks import editing
 
 FRAMES = 5
-USUAL = EncodeSpec(nw=3, mapping="crop", representation="voxel")
+DEFAULT_SPEC = EncodeSpec(nw=3, mapping="crop", representation="voxel")
 
 FEATURES: dict[str, dict[str, Any]] = {
     "vibration": {"vibration": "gain=0.25,frequency=80..240"},
@@ -51,9 +51,9 @@ FEATURES: dict[str, dict[str, Any]] = {
     "frames": {"frames": (1, 4)},
 }
 
-REFUSED = {
-    frozenset(pair): words
-    for words, pairs in {
+REFUSED_PAIRS = {
+    frozenset(pair): message
+    for message, pairs in {
         "voxel": [("vibration", "objects"), ("objects", "array"), ("objects", "masking")],
         "works with coder touch, not with paper": [
             ("paper", name)
@@ -69,7 +69,7 @@ REFUSED = {
 PAIRS = [
     pair
     for pair in itertools.combinations(FEATURES, 2)
-    if not FEATURES[pair[0]].keys() & FEATURES[pair[1]].keys() or frozenset(pair) in REFUSED
+    if not FEATURES[pair[0]].keys() & FEATURES[pair[1]].keys() or frozenset(pair) in REFUSED_PAIRS
 ]
 
 
@@ -94,7 +94,7 @@ def scene() -> BodyScene:
 
 def spec_of(*names: str) -> EncodeSpec:
     """The options for these features."""
-    spec = USUAL
+    spec = DEFAULT_SPEC
     for key, value in (item for name in names for item in FEATURES[name].items()):
         outer, _, inner = key.partition(".")
         spec = replace(spec, **{outer: replace(getattr(spec, outer), **{inner: value}) if inner else value})
@@ -207,12 +207,12 @@ def test_single_feature(name: str, program: Path | None, tmp_path: Path) -> None
 def test_pair_is_decoded_by_all_or_refused(
     pair: tuple[str, str], program: Path | None, tmp_path: Path
 ) -> None:
-    if frozenset(pair) not in REFUSED:
+    if frozenset(pair) not in REFUSED_PAIRS:
         check(pair, program, tmp_path)
         return
     with pytest.raises(InvalidArgument) as caught:
         pipeline.encode(scene(), tmp_path / "pair.touch", spec_of(*pair))
-    assert REFUSED[frozenset(pair)].strip() in str(caught.value) and "\n" not in str(caught.value)
+    assert REFUSED_PAIRS[frozenset(pair)].strip() in str(caught.value) and "\n" not in str(caught.value)
     assert not list(tmp_path.iterdir())  # no file is left
 
 

@@ -465,7 +465,7 @@ def write_until(path: Path, error: BaseException | None, body: bytes = b"") -> N
 @pytest.mark.parametrize(
     "error", [KeyboardInterrupt(), SystemExit(3), RuntimeError("mine"), FileNotFoundError("x")]
 )
-def test_an_error_within_passes_unchanged_and_leaves_the_older_file(
+def test_error_while_writing_propagates_and_keeps_the_older_file(
     error: BaseException, tmp_path: Path
 ) -> None:
     path = tmp_path / "a.touch"

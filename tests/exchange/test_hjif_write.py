@@ -24,8 +24,8 @@ def traces(draw: st.DrawFn) -> tuple[np.ndarray, int]:
     """Forces, one per tick, and ticks per second."""
     count = draw(st.integers(1, 40))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    greatest = draw(st.sampled_from((0.5, 1.0, 3.3, 10.0, 37.5)))
-    forces = rng.uniform(-1, 1, (count, 3)) * greatest * draw(st.sampled_from((0, 0.1, 1)))
+    max_n = draw(st.sampled_from((0.5, 1.0, 3.3, 10.0, 37.5)))
+    forces = rng.uniform(-1, 1, (count, 3)) * max_n * draw(st.sampled_from((0, 0.1, 1)))
     return forces, draw(st.sampled_from((1, 2, 100, 1000, 5000, 48000)))
 
 

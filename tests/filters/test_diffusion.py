@@ -129,13 +129,13 @@ def test_linear_step_diverges_beyond_its_limit() -> None:
     start = noisy((1, 24, 24, 1))
     grid = Grid((1, 24, 24), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
     field = ForceField.from_dense(grid, np.repeat(start, 3, axis=-1))
-    greatest = {}
+    max_n = {}
     for lam in (0.25, 0.6):
         law = DiffusionFilter(math.inf, steps=60)
         values = _diffuse(grid, field.bricks, field.mask, field.forces_n.copy(), [lam] * 3, law)
-        greatest[lam] = float(np.abs(values).max())
-    assert greatest[0.25] <= np.abs(start).max()
-    assert greatest[0.6] > 1e20
+        max_n[lam] = float(np.abs(values).max())
+    assert max_n[0.25] <= np.abs(start).max()
+    assert max_n[0.6] > 1e20
 
 
 def test_a_checkerboard_fades() -> None:
@@ -182,7 +182,7 @@ def test_the_same_bits_for_any_number_of_threads(
         assert field == results[0][0] and np.array_equal(array, results[0][1])
 
 
-def test_nothing_crosses_empty_space() -> None:
+def test_forces_do_not_diffuse_across_empty_space() -> None:
     grid = Grid((40, 20, 20), (0.001,) * 3, (0, 0, 0))
     dense = np.zeros((40, 20, 20, 3), np.float32)
     dense[3:9] = np.abs(noisy((6, 20, 20, 3))) + 0.1

@@ -57,7 +57,7 @@ OPERATORS: list[EditOperator] = [
     Limit(0.5),
     Move(RigidMotion.turn((1.0, 2.0, 0.5), 33.0, MIDDLE)),
     Move(RigidMotion.mirror((1.0, 1.0, 0.0), MIDDLE)),
-    *(Compose(OTHER, how) for how in ("replace", "over", "add", "max")),
+    *(Compose(OTHER, composition) for composition in ("replace", "over", "add", "max")),
     *(filter_of(name, SMALLER.get(name, kind.example)) for name, kind in field_filters().items()),
 ]
 REGIONS: list[Region] = [

@@ -58,9 +58,9 @@ def test_narrow_ranges_with_outliers(low: int, width: int) -> None:
     """Outliers at the start, within, and at the end."""
     rng = np.random.default_rng(width)
     samples = ((low + rng.integers(0, width, 400_001)) % 65_536).astype(np.uint16)
-    for strange in ((), (1,), (399_999,), (5, 123_457, 300_001)):
+    for outlier_indices in ((), (1,), (399_999,), (5, 123_457, 300_001)):
         x = samples.copy()
-        x[list(strange)] ^= 0x4321
+        x[list(outlier_indices)] ^= 0x4321
         assert np.array_equal(count.counts_of_16_bits(x), np.bincount(x, minlength=65_536))
         assert np.array_equal(count.counts_of_16_bits(x[3:]), np.bincount(x[3:], minlength=65_536))
 

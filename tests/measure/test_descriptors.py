@@ -285,7 +285,7 @@ def test_parts_fill_the_vector() -> None:
     assert sum(PARTS.values()) == DESCRIPTOR_LENGTH == len(descriptor(sheet()).values)
 
 
-def test_refusals() -> None:
+def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(InvalidArgument, match=r"no force of 0\.05 N"):
         descriptor(ForceField.empty(GRID))
     with pytest.raises(InvalidArgument, match="frames"):

@@ -144,8 +144,8 @@ def expected_bits(p: Probabilities, n: int, term: Callable[[Probabilities], Prob
     """The exact expectation of sum over symbols of term(count)."""
     k = np.arange(n + 1)
     values = term(k.astype(float))
-    chances, times = np.unique(p, return_counts=True)
-    return float(sum(t * (stats.binom.pmf(k, n, c) * values).sum() for c, t in zip(chances, times)))
+    probabilities, times = np.unique(p, return_counts=True)
+    return float(sum(t * (stats.binom.pmf(k, n, c) * values).sum() for c, t in zip(probabilities, times)))
 
 
 def linear_terms(n: int) -> dict[str, Callable[[Probabilities], Probabilities]]:

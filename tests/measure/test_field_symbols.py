@@ -49,13 +49,13 @@ def test_symbols_outside_the_grid_are_refused(axis: int) -> None:
     shape = [16, 16, 16]
     shape[axis] = 13
     grid = grid_of(*shape)
-    last, within, beyond = [0, 0, 0], [7, 7, 7], [3, 3, 3]
-    last[axis], within[axis], beyond[axis] = 1, 4, 5
+    last, last_inside, first_outside = [0, 0, 0], [7, 7, 7], [3, 3, 3]
+    last[axis], last_inside[axis], first_outside[axis] = 1, 4, 5
     symbols = np.zeros((2, 8, 8, 8), np.int32)
     symbols[0] = 1  # a brick inside the grid has all its samples
-    symbols[1][tuple(within)] = 5
+    symbols[1][tuple(last_inside)] = 5
     assert of_bricks(grid, [[0, 0, 0], last], symbols).object_count == 513
-    symbols[1][tuple(beyond)] = 1
+    symbols[1][tuple(first_outside)] = 1
     with pytest.raises(
         InvalidArgument, match=f"beyond the grid along {'xyz'[axis]}; expected 0 from sample 13"
     ):

@@ -184,8 +184,8 @@ def test_interval_is_limited_by_the_alphabet(estimator: str) -> None:
     x = np.random.default_rng(4).choice(5, 500, p=[0.21, 0.21, 0.2, 0.19, 0.19])
     q = info.entropy(replace(Counts.of(x, blocks=64), alphabet=5), estimator=estimator)
     assert q.interval is not None and q.interval.low < q.interval.high == math.log2(5)
-    beyond = info.entropy(x, estimator=estimator).interval
-    assert beyond is not None and beyond.high > math.log2(5)  # if the alphabet is unknown
+    unlimited = info.entropy(x, estimator=estimator).interval
+    assert unlimited is not None and unlimited.high > math.log2(5)  # if the alphabet is unknown
 
 
 def test_no_value_is_minus_zero() -> None:

@@ -25,7 +25,7 @@ GRID = Grid((5, 12, 9), (0.01, 0.02, 0.005), (-0.02, 0.1, 0.0))
 LOW_M, HIGH_M = GRID.box_m
 inside_m = arrays(
     np.float64, st.tuples(st.integers(1, 80), st.just(3)), elements=st.floats(0.001, 0.999)
-).map(lambda share: LOW_M + share * (HIGH_M - LOW_M))
+).map(lambda fraction: LOW_M + fraction * (HIGH_M - LOW_M))
 
 
 def symbols_of(seed: int, alphabet: int = 4, quantiser: str = "given") -> FieldSymbols:

@@ -44,7 +44,7 @@ def table_of(x: Symbols, y: Symbols) -> Floats:
 
 
 def distribution_of(table: Floats) -> dit.Distribution:
-    cells = [tuple(place) for place in np.argwhere(table).tolist()]
+    cells = [tuple(index) for index in np.argwhere(table).tolist()]
     return dit.Distribution(["".join(map(str, h)) for h in cells], [table[h] for h in cells])
 
 

@@ -94,7 +94,7 @@ def test_media_added_later_are_found() -> None:
     assert (len(index), "m1" in index, index.names, index["m1"]) == (2, True, ("m0", "m1"), entries["m1"])
 
 
-def test_refusals() -> None:
+def test_invalid_arguments_are_refused() -> None:
     entry = random_descriptors(5, 1)["m0"]
     index = MediumIndex()
     with pytest.raises(InvalidArgument, match="no medium"):

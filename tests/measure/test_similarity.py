@@ -138,7 +138,7 @@ def test_other_lattices_need_resampling(wavy_field: ForceField) -> None:
     assert math.isnan(empty.normalised.value) and empty.normalised.notes
 
 
-def test_refusals() -> None:
+def test_invalid_arguments_are_refused() -> None:
     a = field(np.ones(SMALL.shape, np.int64))
     nothing = field(np.zeros(SMALL.shape, np.int64))
     with pytest.raises(InvalidArgument, match="Fit one quantiser to both"):

@@ -136,7 +136,7 @@ def test_quarter_turns_and_sign_changes_round_trip(power: int) -> None:
         )
 
 
-def test_cheap_tracks_are_cheap() -> None:
+def test_simple_tracks_take_few_bytes() -> None:
     assert len(encode_poses(PoseTrack.constant(2000), FINE)) <= 8
     assert len(encode_poses(PoseTrack.constant(MAX_SEGMENT_POSES, (0.1, -0.2, 0.3)), FINE)) <= 16
     tumbling = falling(2000)
@@ -229,7 +229,7 @@ def test_numbers_that_are_no_quaternion_are_corrupt() -> None:
         decode_poses(b"", 3, FINE)  # seven zeros would be the shortest code of all
 
 
-def test_few_bytes_take_no_more_memory_than_poses_do() -> None:
+def test_decoding_few_bytes_takes_memory_in_proportion_to_the_poses() -> None:
     data = encode_poses(PoseTrack.constant(MAX_SEGMENT_POSES), FINE)
     tracemalloc.start()
     decode_poses(data, MAX_SEGMENT_POSES, FINE)

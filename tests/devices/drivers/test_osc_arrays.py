@@ -136,10 +136,10 @@ def test_missing_listeners_and_invalid_addresses() -> None:
     assert isinstance(array_device("osc:[::1]:9000"), Osc)
 
 
-def test_drives_of_another_shape() -> None:
+def test_drives_of_another_shape_are_refused() -> None:
     with pytest.raises(InvalidArgument, match=r"drives of tactile-vest-8x8: found shape \(8, 8\)"):
         Osc(VEST, ("127.0.0.1", 9)).put_drives(np.zeros((8, 8), np.float32), None, 0.05)
 
 
-def test_it_needs_nothing() -> None:
+def test_checks_need_no_library() -> None:
     assert [c.is_there for c in osc.KIND.checks()] == [True]

@@ -188,5 +188,5 @@ def test_error_of_an_unknown_device_lists_the_devices() -> None:
         point_device("simm")
 
 
-def test_nothing_is_missing() -> None:
+def test_checks_find_nothing_missing() -> None:
     assert [check.is_there for check in KIND.checks()] == [True]
