@@ -178,18 +178,20 @@ def live_process(link: Connection, segment_s: float) -> None:
         [ball(i) for i in range(60)], RATE_HZ, "x right, y up, z towards the user"
     )
     prepared, sender = open_sender(medium, EncodeSpec())
-    began = list[float]()
 
     def clock() -> float:
         if link.poll():
             raise KeyboardInterrupt
-        began.append(time.monotonic())  # the first is when frame 0 begins; the clock is that of all processes
-        if len(began) == 1:
-            link.send((server.address, began[0]))
-        return began[-1]
+        return time.monotonic()  # the clock is that of all processes
 
     with LiveServer(sender, Access(port=0)) as server, suppress(KeyboardInterrupt):
-        broadcast(prepared, server.add, LiveSpec(segment_s, loop=True), clock_s=clock)
+        broadcast(
+            prepared,
+            server.add,
+            LiveSpec(segment_s, loop=True),
+            clock_s=clock,
+            on_start=lambda: link.send((server.address, time.monotonic())),
+        )
 
 
 @contextmanager
