@@ -163,7 +163,7 @@ def test_with_fine_quantisation_every_frame_of_a_motion_is_followed(interframe: 
         directions="octa5",
         choose_by_size=False,
     )
-    _, decoded, _ = coded(frames, fine)
+    _, decoded, _ = encode_and_decode(frames, fine)
     assert max(nmse_db(frames[i : i + 1], decoded[i : i + 1]) for i in range(5)) < -25
 
 
