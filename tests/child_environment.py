@@ -8,5 +8,5 @@ from pathlib import Path
 
 
 def environment_with(folder: Path) -> dict[str, str]:
-    """This process's environment, in which a child imports from `folder` first, then as this process does."""
+    """Environment for a child process that imports from `folder` first, then like this process."""
     return os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, sys.path)])}

@@ -1,4 +1,4 @@
-"""Shared fixtures: where the optional folder of real inputs is, and random sparse fields."""
+"""Shared fixtures: the optional folder of real inputs, and random sparse fields."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from hypothesis import HealthCheck, settings
 from touchfield.medium import ForceField, Grid
 
 common = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow], "print_blob": True}
-settings.register_profile("touchfield", max_examples=60, derandomize=True, **common)  # the same verdict twice
-settings.register_profile("thorough", max_examples=600, **common)  # another search every time
+settings.register_profile("touchfield", max_examples=60, derandomize=True, **common)  # reproducible
+settings.register_profile("thorough", max_examples=600, **common)  # a new search every time
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "touchfield"))
 
-os.environ["TOUCHFIELD_HELPERS"] = "0"  # commands that are tested compile by themselves
+os.environ["TOUCHFIELD_HELPERS"] = "0"  # tested commands compile by themselves
 _PROGRAM = sys.modules["__main__"]
-_PROGRAM.__spec__ = _PROGRAM.__file__ = None  # processes that tests spawn need not import pytest again
+_PROGRAM.__spec__ = _PROGRAM.__file__ = None  # spawned processes need not import pytest again
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
-gc.disable()  # until all are collected: what is imported stays
+gc.disable()  # until all tests are collected: imported modules stay
 
 
 EXTERNAL = (
@@ -33,7 +33,7 @@ EXTERNAL = (
     *("conformance/test_c_queries.py", "conformance/test_core.py", "integrations", "viewer/test_browser.py"),
     "test_docs.py::test_the_site_builds",
 )
-"""Tests of what other tools do with our files, by the beginning of their names below this folder."""
+"""Tests that need other tools, by the start of their paths below this folder."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -44,9 +44,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Modules and tests stay until the end: the collector of garbage need not go through them again and
-    again.
-    """
+    """Exempt modules and tests, which stay until the end, from garbage collection."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000)
@@ -55,7 +53,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """The optional folder of real inputs beside the checkout."""
+    """The optional folder of real inputs next to the checkout."""
     if not SHARED.is_dir():
         pytest.skip("the optional folder of real inputs, ../shared/data, is not there")
     return SHARED

@@ -1,6 +1,4 @@
-"""What may stand in a ``.touch`` file, and what may not: both derived from the table of the format; a small
-file.
-"""
+"""Valid and invalid values of a ``.touch`` file, both derived from the table of the format; a small file."""
 
 from __future__ import annotations
 
@@ -41,7 +39,7 @@ CHARACTERS = {
 }
 
 
-# -- what is allowed ---------------------------------------------------------------------------------------
+# -- valid values ------------------------------------------------------------------------------------------
 
 
 @singledispatch
@@ -102,12 +100,12 @@ def heads(**fixed: Any) -> st.SearchStrategy[Head]:
     return st.builds(Head, **{**free, **{name: st.just(value) for name, value in fixed.items()}})
 
 
-# -- what is not -------------------------------------------------------------------------------------------
+# -- invalid values ----------------------------------------------------------------------------------------
 
 
 @singledispatch
 def refused(kind: FieldType) -> Iterator[tuple[Any, bytes | None]]:
-    """Values out of bounds, each with the bytes it would have (None where it can have none)."""
+    """Values out of bounds, each with its bytes (None if it has none)."""
     raise NotImplementedError(type(kind).__name__)
 
 
@@ -197,7 +195,7 @@ def _(kind: Struct) -> Iterator[tuple[Any, bytes | None]]:
 
 
 def cursor_on(data: bytes) -> Any:
-    """A cursor on `data`, which stands alone."""
+    """A cursor on `data` alone."""
     from touchfield.container.fields import Cursor
 
     return Cursor(data, "test")
@@ -205,7 +203,7 @@ def cursor_on(data: bytes) -> Any:
 
 @singledispatch
 def good_bytes(kind: FieldType) -> bytes:
-    """The bytes of some allowed value."""
+    """The bytes of a valid value."""
     return bytes(kind.smallest)
 
 
@@ -235,7 +233,7 @@ def _(kind: Struct) -> bytes:
 
 
 class CountingFile(io.BytesIO):
-    """A file that counts the bytes that are read of it."""
+    """A file that counts the bytes read."""
 
     total = 0
 
@@ -284,7 +282,7 @@ def example_file() -> bytes:
 
 
 def framed(tag: str, payload: bytes, flags: int = 1, length: int | None = None) -> bytes:
-    """A record with a CRC-32 that holds, whatever stands in it."""
+    """A record with a correct CRC-32 for any payload."""
     announced = len(payload) if length is None else length
     head = tag.encode() + struct.pack("<IQ", flags, announced)
     return head + payload + struct.pack("<I", zlib.crc32(head + payload))
@@ -299,7 +297,7 @@ def encoded(tag: str, value: Any) -> bytes:
 def assembled(
     head: bytes, middle: bytes, index: bytes, after: bytes = b"", start: bytes = OPENING, chained: bytes = b""
 ) -> bytes:
-    """A file of the given records, closed by an end record that is right; `chained` closes the objects."""
+    """A file of the given records, closed by a correct end record; `chained` closes the objects."""
     index_offset = len(start) + len(head) + len(middle)
     length = index_offset + len(index) + len(after) + 40
     chain = zlib.crc32(start + head[-4:] + chained + index[-4:])

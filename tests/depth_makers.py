@@ -1,4 +1,4 @@
-"""Small depth sequences in every layout, written as the data sets write them."""
+"""Small depth sequences in every layout, written as in the data sets."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def write_threedmatch(folder: Path) -> Path:
 
 
 def write_plain(folder: Path) -> Path:
-    """Pictures 0.png to 10.png, whose numbers are not padded: an order by letters would be wrong."""
+    """Pictures 0.png to 10.png with unpadded numbers, for which an alphabetical order would be wrong."""
     for i, depth in enumerate(depths_mm(11)):
         write_png(folder / "depth" / f"{i}.png", depth)
     write_intrinsics(folder / "intrinsics.txt")
@@ -114,7 +114,7 @@ def write_pfm(path: Path, values: np.ndarray, order: str = "<") -> Path:
     return path
 
 
-# -- folders as people have them: depth in millimetres, poses and cameras in their ways --------------------
+# -- folders of users: depth in millimetres, poses and cameras in various forms ----------------------------
 
 
 def write_frames(folder: Path, depth: str = "depth/{:04d}.png", frames: int = FRAMES) -> Path:
@@ -139,7 +139,7 @@ def quaternions(matrices: np.ndarray) -> np.ndarray:
 
 
 def write_matrix_rows(folder: Path) -> Path:
-    """One 4x4 matrix a line, as NICE-SLAM's Replica has it."""
+    """One 4x4 matrix a line, as in NICE-SLAM's Replica."""
     write_rows(write_frames(folder) / "poses.txt", poses().reshape(-1, 16))
     return folder
 
@@ -150,7 +150,7 @@ def write_kitti(folder: Path) -> Path:
 
 
 def write_stacked(folder: Path) -> Path:
-    """4x4 matrices over four lines each, as numpy's savetxt of stacked matrices writes them."""
+    """4x4 matrices over four lines each, as written by numpy's savetxt of stacked matrices."""
     write_rows(write_frames(folder) / "poses.txt", poses().reshape(-1, 4))
     return folder
 
@@ -160,7 +160,7 @@ def tum_rows(stamps: np.ndarray) -> np.ndarray:
 
 
 def write_timed(folder: Path, name: str = "trajectory.txt") -> Path:
-    """TUM's poses beside pictures named by nanoseconds."""
+    """TUM's poses next to pictures named by nanoseconds."""
     stamps = 1_600_000_000_000_000_000 + 40_000_000 * np.arange(FRAMES)
     for stamp, values in zip(stamps.tolist(), depths_mm()):
         write_png(folder / "depth" / f"{stamp}.png", values)
@@ -173,13 +173,13 @@ def write_timed(folder: Path, name: str = "trajectory.txt") -> Path:
 
 
 def write_timed_poses_txt(folder: Path) -> Path:
-    """Eight columns called poses.txt, in seconds since the start, with pictures that are only counted."""
+    """Eight columns in poses.txt, in seconds since the start, with numbered pictures."""
     write_rows(write_frames(folder) / "poses.txt", tum_rows(0.033 * np.arange(FRAMES)))
     return folder
 
 
 def write_freiburg(folder: Path) -> Path:
-    """ICL-NUIM's: times are the numbers of the pictures, which begin one earlier."""
+    """ICL-NUIM's: the times are picture numbers, which start one earlier."""
     (write_frames(folder, "depth/{}.png") / "depth" / "0.png").unlink()
     for i, values in enumerate(depths_mm()):
         write_png(folder / "depth" / f"{i + 1}.png", values)
@@ -233,19 +233,17 @@ def write_colmap(folder: Path, scale: int = 2) -> Path:
 
 
 def write_nerfstudio(folder: Path) -> Path:
-    """transforms.json: matrices in the axes of OpenGL, in any order, and the camera of colour twice as
-    large.
-    """
+    """transforms.json: matrices in OpenGL axes, in any order, and a colour camera of twice the size."""
     write_frames(folder)
     (folder / "intrinsics.txt").unlink()
-    turned = poses() @ np.diag([1.0, -1.0, -1.0, 1.0])
+    opengl_poses = poses() @ np.diag([1.0, -1.0, -1.0, 1.0])
     frames = [
         {
             "file_path": f"images/{i:04d}.png",
             "depth_file_path": f"depth/{i:04d}.png",
             "transform_matrix": m.tolist(),
         }
-        for i, m in reversed(list(enumerate(turned)))
+        for i, m in reversed(list(enumerate(opengl_poses)))
     ]
     camera = {"w": 2 * WIDTH, "h": 2 * HEIGHT, "fl_x": 40.0, "fl_y": 42.0, "cx": 12.0, "cy": 9.0, "k1": 0.01}
     (folder / "transforms.json").write_text(json.dumps({**camera, "frames": frames}))
@@ -253,7 +251,7 @@ def write_nerfstudio(folder: Path) -> Path:
 
 
 def write_scannet(folder: Path) -> Path:
-    """ScanNet's export: numbers that are not padded, a pose a frame."""
+    """ScanNet's export: unpadded numbers, one pose file a frame."""
     write_frames(folder, "depth/{}.png")
     for i, pose in enumerate(poses()):
         write_matrix(folder / "pose" / f"{i}.txt", pose)
@@ -269,7 +267,7 @@ def write_beside(folder: Path) -> Path:
 
 
 def write_replica(folder: Path) -> Path:
-    """NICE-SLAM's Replica: depth beside colour in results/, a camera with its scale one folder up."""
+    """NICE-SLAM's Replica: depth next to colour in results/, a camera with its scale in the parent folder."""
     for i, values in enumerate(depths_mm()):
         write_png(folder / "room0" / "results" / f"depth{i:06d}.png", values)
         Image.fromarray(np.zeros((HEIGHT, WIDTH, 3), np.uint8)).save(
@@ -282,9 +280,7 @@ def write_replica(folder: Path) -> Path:
 
 
 def write_rows_of_colour(folder: Path) -> Path:
-    """00000-depth.png beside 00000-color.png, a 4x4 matrix a line, a camera of Open3D with its depth
-    scale.
-    """
+    """00000-depth.png next to 00000-color.png, a 4x4 matrix a line, an Open3D camera with its depth scale."""
     for i, values in enumerate(depths_mm()):
         write_png(folder / f"{i:05d}-depth.png", values)
         write_png(folder / f"{i:05d}-color.png", np.zeros((HEIGHT, WIDTH, 3), np.uint8))

@@ -18,9 +18,9 @@ RATES_HZ = (1.0, 20.0, 25.0, 30.0, 50.0, 100.0, 1000 / 3)
 
 
 @st.composite
-def effects(draw: st.DrawFn, most_frames: int = 12, with_hertz: bool = True) -> ArrayEffect:
-    """Some smooth, some silent, some jumping."""
-    shape = (draw(st.integers(1, most_frames)), draw(st.integers(1, 5)), draw(st.integers(1, 4)))
+def effects(draw: st.DrawFn, max_frames: int = 12, with_hertz: bool = True) -> ArrayEffect:
+    """Random effects: some smooth, some silent, some with jumps."""
+    shape = (draw(st.integers(1, max_frames)), draw(st.integers(1, 5)), draw(st.integers(1, 4)))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     drives = rng.random(shape) * (rng.random(shape[1:]) < 0.7)
     if draw(st.booleans()):
@@ -34,8 +34,8 @@ def effects(draw: st.DrawFn, most_frames: int = 12, with_hertz: bool = True) -> 
 
 
 def keyframe(tick: int, amplitude: float | None = None, hertz: float | None = None) -> dict[str, Any]:
-    told = {"relative_position": tick, "amplitude_modulation": amplitude, "frequency_modulation": hertz}
-    return {key: value for key, value in told.items() if value is not None}
+    values = {"relative_position": tick, "amplitude_modulation": amplitude, "frequency_modulation": hertz}
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def effect(keyframes: list[dict[str, Any]], position: int = 0) -> dict[str, Any]:
@@ -44,13 +44,13 @@ def effect(keyframes: list[dict[str, Any]], position: int = 0) -> dict[str, Any]
         "position": position,
         "phase": 0,
         "base_signal": "Sine",
-        "keyframes": [dict(one) for one in keyframes],
+        "keyframes": [dict(entry) for entry in keyframes],
     }
 
 
-def band(kind: str, *made: dict[str, Any], **more: Any) -> dict[str, Any]:
+def band(kind: str, *effect_dicts: dict[str, Any], **more: Any) -> dict[str, Any]:
     limits = {"lower_frequency_limit": 0, "upper_frequency_limit": 1000}
-    return {"band_type": kind, **limits, "effects": list(made), **more}
+    return {"band_type": kind, **limits, "effects": list(effect_dicts), **more}
 
 
 def channel(*bands: dict[str, Any], **more: Any) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def channel(*bands: dict[str, Any], **more: Any) -> dict[str, Any]:
 
 
 def document(*channels: dict[str, Any], modality: str = "Vibrotactile", **more: Any) -> dict[str, Any]:
-    """A file of one perception; `more` goes into the perception."""
+    """A file with one perception; `more` goes into the perception."""
     perception = {
         "id": 0,
         "perception_modality": modality,
@@ -81,26 +81,26 @@ def document(*channels: dict[str, Any], modality: str = "Vibrotactile", **more: 
     }
 
 
-def written(path: Path, made: Any) -> Path:
-    path.write_text(json.dumps(made), encoding="utf-8")
+def written(path: Path, content: Any) -> Path:
+    path.write_text(json.dumps(content), encoding="utf-8")
     return path
 
 
 def schema_errors(document: dict[str, Any], folder: Path) -> list[str]:
-    """What the published schemas have against a document."""
+    """Violations of the published schemas by a document."""
     jsonschema, referencing = pytest.importorskip("jsonschema"), pytest.importorskip("referencing")
     from referencing.jsonschema import DRAFT4
 
     loaded = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("*.json")}
     registry = referencing.Registry().with_resources(
-        (name, referencing.Resource(contents=one, specification=DRAFT4)) for name, one in loaded.items()
+        (name, referencing.Resource(contents=schema, specification=DRAFT4)) for name, schema in loaded.items()
     )
     validator = jsonschema.Draft4Validator(loaded["MPEG_haptics.schema.json"], registry=registry)
     return [f"{list(error.absolute_path)}: {error.message}" for error in validator.iter_errors(document)]
 
 
 class TactSpan(NamedTuple):
-    """Dots that are on from and to a time, milliseconds, float32 [5, 4]."""
+    """Dots that are on during a time interval, milliseconds, float32 [5, 4]."""
 
     position: str
     start_ms: int
@@ -109,38 +109,36 @@ class TactSpan(NamedTuple):
 
 
 def read_tact(path: Path) -> list[TactSpan]:
-    """The dots of a ``.tact`` file, by their beginning."""
+    """The dots of a ``.tact`` file, sorted by their start."""
     spans = []
     for track in json.loads(path.read_text())["project"]["tracks"]:
-        for one in track["effects"]:
-            for position, mode in one["modes"].items():
+        for effect in track["effects"]:
+            for position, mode in effect["modes"].items():
                 for span in mode["dotMode"]["feedback"]:
                     dots = np.zeros(20, np.float32)
                     for point in span["pointList"]:
                         assert 0 <= point["index"] < 20 and 0 <= point["intensity"] <= 1
                         dots[point["index"]] = point["intensity"]
-                    begin = one["startTime"]
-                    span_ms = (begin + span["startTime"], begin + span["endTime"])
+                    start_ms = effect["startTime"]
+                    span_ms = (start_ms + span["startTime"], start_ms + span["endTime"])
                     spans.append(TactSpan(position, *span_ms, dots.reshape(5, 4)))
     return sorted(
-        (one for one in spans if one.intensities.any()), key=lambda one: (one.start_ms, one.position)
+        (span for span in spans if span.intensities.any()), key=lambda span: (span.start_ms, span.position)
     )
 
 
 def read_force(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """The force that a file holds, at its keyframes: ascending seconds [n], and newtons along x, y, z [n,
-    3].
-    """
+    """The force at the keyframes of a file: ascending seconds [n], and newtons along x, y, z [n, 3]."""
     document = read_hjif(path)
     perception = next(
-        (one for one in document.perceptions if one.modality == "Force"), document.perceptions[0]
+        (item for item in document.perceptions if item.modality == "Force"), document.perceptions[0]
     )
-    ends = [
+    tick_arrays = [
         np.zeros(1, np.int64)
-    ]  # every tick at which a line begins or ends, and one at which an effect is over
+    ]  # every tick at which a line starts or stops, and one tick after an effect
     for band in (band for channel in perception.channels for band in channel.bands):
         effects = [effect for effect in band.effects if len(effect.ticks)]
-        ends += [effect.position + effect.ticks for effect in effects]
-        ends += [one.position + one.ticks[-1:] + 1 for one in effects[:-1]]
-    ticks = np.unique(np.concatenate(ends)).astype(np.float64)
+        tick_arrays += [effect.position + effect.ticks for effect in effects]
+        tick_arrays += [item.position + item.ticks[-1:] + 1 for item in effects[:-1]]
+    ticks = np.unique(np.concatenate(tick_arrays)).astype(np.float64)
     return ticks / document.timescale, force_n(perception, ticks)

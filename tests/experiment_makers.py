@@ -1,4 +1,4 @@
-"""A small depth sequence for the experiments: a plane, seen by a camera that moves a little."""
+"""A small depth sequence for the experiments: a plane before a slightly moving camera."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ OFFSET_M = -1.1
 
 
 class Plane(DepthSequence):
-    """A plane with some unknown pixels, exact to float32."""
+    """A plane with some unknown pixels, exact up to float32."""
 
     name = "/somewhere/plane"
     width, height = 48, 36
@@ -34,9 +34,9 @@ class Plane(DepthSequence):
 
 
 def plane_depth_m(sequence: DepthSequence, pose: np.ndarray) -> np.ndarray:
-    """The depth of the plane as a camera at `pose` sees it, float64 [height, width]."""
+    """The depth of the plane for a camera at `pose`, float64 [height, width]."""
     camera = sequence.intrinsics
     v, u = np.mgrid[: sequence.height, : sequence.width]
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
-    turned = rays @ pose[:3, :3].T
-    return (OFFSET_M - NORMAL @ pose[:3, 3]) / (turned @ NORMAL)
+    world_rays = rays @ pose[:3, :3].T
+    return (OFFSET_M - NORMAL @ pose[:3, 3]) / (world_rays @ NORMAL)

@@ -1,4 +1,4 @@
-"""Depth sequences of a made-up room with ground truth: a wall, a floor, a ball and a box that may move."""
+"""Depth sequences of a synthetic room with ground truth: a wall, a floor, a ball and a box that may move."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CAMERA = Intrinsics(131.25, 131.25, 79.5, 59.5)
 BOX_M = (0.55, 0.3, 2.2)
 HALF_M = np.array([0.25, 0.4, 0.2])
 QUANTUM_PER_M = 2.85e-3
-"""Of inverse depth: a step of a Kinect's disparity."""
+"""Step of inverse depth: one step of a Kinect's disparity."""
 
 
 def distance_m(points: np.ndarray, box: tuple[float, float, float] = BOX_M) -> np.ndarray:
@@ -28,10 +28,10 @@ def distance_m(points: np.ndarray, box: tuple[float, float, float] = BOX_M) -> n
 
 
 def arc(count: int, angle: float = 0.7) -> np.ndarray:
-    """Camera-to-world poses of a camera that goes around the room, float64 [count, 4, 4]."""
+    """Camera-to-world poses of a camera that moves around the room, float64 [count, 4, 4]."""
     out = np.tile(np.eye(4), (count, 1, 1))
-    for pose, share in zip(out, np.linspace(-0.5, 0.5, count), strict=True):
-        c, s = np.cos(share * angle), np.sin(share * angle)
+    for pose, fraction in zip(out, np.linspace(-0.5, 0.5, count), strict=True):
+        c, s = np.cos(fraction * angle), np.sin(fraction * angle)
         pose[:3, :3] = [[c, 0, -s], [0, 1, 0], [s, 0, c]]
         pose[:3, 3] = [1.2 * s, -0.1, 0.25 * (1 - c)]
     return out
@@ -39,7 +39,7 @@ def arc(count: int, angle: float = 0.7) -> np.ndarray:
 
 @cache
 def rendered_m(pose_bytes: bytes, box: tuple[float, float, float]) -> np.ndarray:
-    """Depth of each pixel, by sphere tracing; the pose as the bytes of float64 [4, 4]."""
+    """Depth of each pixel by sphere tracing; the pose as the bytes of float64 [4, 4]."""
     pose = np.frombuffer(pose_bytes).reshape(4, 4)
     v, u = np.mgrid[: SIZE[0], : SIZE[1]]
     rays = (
@@ -53,14 +53,14 @@ def rendered_m(pose_bytes: bytes, box: tuple[float, float, float]) -> np.ndarray
 
 
 def kinect(depth_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """With the noise of Nguyen, Izadi and Lovell (2012), and a Kinect's quantum."""
+    """Add the noise of Nguyen, Izadi and Lovell (2012) and a Kinect's quantisation."""
     noisy = depth_m + rng.standard_normal(depth_m.shape) * (0.0012 + 0.0019 * (depth_m - 0.4) ** 2)
     steps = np.round(1 / np.maximum(noisy, 0.2) / QUANTUM_PER_M)
     return np.where(depth_m > 0, 1 / (steps * QUANTUM_PER_M), 0).astype(np.float32)
 
 
 class Room(DepthSequence):
-    """The room as a depth camera sees it; `boxes` are the middles of the box, one a frame."""
+    """The room before a depth camera; `boxes` are the centres of the box, one a frame."""
 
     width, height, intrinsics, rate_hz, notes, name = SIZE[1], SIZE[0], CAMERA, 30.0, (), "room"
 
@@ -76,11 +76,11 @@ class Room(DepthSequence):
         return self._depths[frame]
 
     def world(self, points_m: np.ndarray) -> np.ndarray:
-        """From the coordinates of the scene, those of the first camera, to those of the room."""
+        """From the coordinates of the scene (the first camera) to those of the room."""
         return points_m @ self.first[:3, :3].T + self.first[:3, 3]
 
     def contact_errors_m(self, field: ForceField, stiffness: float, frame: int = 0) -> np.ndarray:
-        """How far the surface that the forces within 5 cm of it tell lies from the room's, metres."""
-        places = self.world(np.asarray(field.grid.to_m(field.positions())))
+        """Distance of the surface given by forces within 5 cm of it from that of the room, metres."""
+        world_m = self.world(np.asarray(field.grid.to_m(field.positions())))
         depth = np.linalg.norm(field.vectors_n().astype(float), axis=1) / stiffness
-        return (depth + distance_m(places, self.boxes[frame]))[depth < 0.05]
+        return (depth + distance_m(world_m, self.boxes[frame]))[depth < 0.05]

@@ -22,7 +22,7 @@ CUBE_FACES = np.array(
 
 
 class Gltf:
-    """A document in the making; `json` may be changed at will before it is saved."""
+    """A document under construction; `json` may be modified before it is saved."""
 
     def __init__(self) -> None:
         self.json: dict[str, Any] = {"asset": {"version": "2.0"}}
@@ -40,7 +40,7 @@ class Gltf:
         return number
 
     def array(self, values: Any, dtype: str = "<f4", **members: Any) -> int:
-        """An accessor of its own view."""
+        """An accessor with a separate view."""
         values = np.asarray(values, dtype)
         values = values[:, None] if values.ndim == 1 else values.reshape(len(values), -1)
         kind = {"count": len(values), "componentType": CODES[dtype], "type": KINDS[values.shape[1]]}
@@ -62,7 +62,7 @@ class Gltf:
     def animate(
         self, node: int, path: str, times: Any, values: Any, how: str = "LINEAR", to: int = 0
     ) -> None:
-        """Add a channel to animation `to`, which is made where there is none."""
+        """Add a channel to animation `to`, which is created if it does not exist."""
         if to >= len(self.json.get("animations", [])):
             self.put("animations", name=f"move {to}", samplers=[], channels=[])
         animation = self.json["animations"][to]
@@ -74,7 +74,7 @@ class Gltf:
         animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
 
     def save(self, path: Path, how: str = "base64") -> Path:
-        """Write it with its bytes in base64, in a file beside it ("bin") or as GLB ("glb")."""
+        """Write it with its bytes in base64, in a separate file ("bin") or as GLB ("glb")."""
         data = bytes(self.data)
         buffer: dict[str, Any] = {"byteLength": len(data)}
         if how == "base64":
@@ -141,11 +141,10 @@ def everything() -> Gltf:
 def chain_rig(
     joints: int = 40, triangles: int = 20_000, frames: int = 200, rate_hz: float = 60.0, rigid: bool = False
 ) -> Gltf:
-    """A snake on a chain of joints that swings: a closed tube of about so many triangles, its last frame at
-    the end.
+    """A snake on a swinging chain of joints: a closed tube of about `triangles` triangles.
 
-    Smooth: each vertex goes with the two joints beside it. Rigid: a link for each joint, closed and apart
-    from the others, whose vertices go with that joint alone.
+    Smooth: each vertex follows the two nearest joints. Rigid: a closed and separate link for each joint,
+    whose vertices follow that joint only. The last frame is at the end of the animation.
     """
     gltf = Gltf()
     length = joints - 1.0

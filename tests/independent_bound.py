@@ -1,8 +1,7 @@
-"""The error bound checked in float64, with nothing of the package: fields by numpy, bodies by
-docs/format/objects.md.
+"""The error bound computed in float64 without the package: fields by numpy, bodies by docs/format/objects.md.
 
-Each function takes dense arrays and returns the largest error in units of what is allowed, so that 1 or less
-keeps the bound. A voxel that may not be off at all, and is, counts as infinite.
+Each function takes dense arrays and returns the largest error relative to the allowed one, so that a value of
+at most 1 is within the bound. An error where none is allowed counts as infinite.
 """
 
 from __future__ import annotations
@@ -23,11 +22,9 @@ __all__ = [
     "same_support",
 ]
 
-_EDGE = (
-    1e-6  # relative: how near an own force may be to the cut before float64 cannot tell on which side it is
-)
-_SUMS = 1e-11  # of the forces that are added: what the order of additions, and places in a cell, may change
-_FLOAT32 = 2.0**-21  # of a force: rounding to float32 in both fields, and the limit of the device
+_EDGE = 1e-6  # relative: within this distance of the cut, float64 cannot decide the side of a body's force
+_SUMS = 1e-11  # of the summed forces: effect of the order of additions, and of positions in a cell
+_FLOAT32 = 2.0**-21  # of a force: rounding to float32 in both fields, and at the limit of the device
 
 
 def _lengths(vectors: np.ndarray) -> np.ndarray:
@@ -55,22 +52,24 @@ def direction_ratio(source: np.ndarray, decoded: np.ndarray, k: float, f0_n: flo
     a, b = source.astype(np.float64).reshape(-1, 3), decoded.astype(np.float64).reshape(-1, 3)
     size, error = _lengths(a), _lengths(b - a)
     sine = np.sin(np.radians(jnd_deg))
-    far = size * sine > f0_n
-    near = _largest(error[~far], np.full(np.count_nonzero(~far), f0_n))
-    length = _largest(np.abs(_lengths(b) - size)[far], np.maximum(f0_n, k * size)[far])
-    # scaled first: products of the smallest forces would vanish
-    one, other = (v[far] / np.maximum(np.abs(v[far]).max(axis=1, keepdims=True), 1e-300) for v in (a, b))
-    angle = np.arctan2(_lengths(np.cross(one, other)), (one * other).sum(axis=1))
-    angle[error[far] == 0] = 0.0
-    return max(near, length, float((angle / np.radians(jnd_deg)).max(initial=0.0)))
+    is_perceptible = size * sine > f0_n
+    imperceptible_ratio = _largest(error[~is_perceptible], np.full(np.count_nonzero(~is_perceptible), f0_n))
+    length = _largest(np.abs(_lengths(b) - size)[is_perceptible], np.maximum(f0_n, k * size)[is_perceptible])
+    # scaled first: products of the smallest forces would underflow
+    scaled_a, scaled_b = (
+        v[is_perceptible] / np.maximum(np.abs(v[is_perceptible]).max(axis=1, keepdims=True), 1e-300)
+        for v in (a, b)
+    )
+    angle = np.arctan2(_lengths(np.cross(scaled_a, scaled_b)), (scaled_a * scaled_b).sum(axis=1))
+    angle[error[is_perceptible] == 0] = 0.0
+    return max(imperceptible_ratio, length, float((angle / np.radians(jnd_deg)).max(initial=0.0)))
 
 
-def hidden_n(source: np.ndarray, spacing_m: Sequence[float], share: float, radius_m: float) -> np.ndarray:
-    """Share of the mean |F| around, weighted by exp(-2 d^2 / R^2) without the voxel itself; float64 [x, y,
-    z].
+def hidden_n(source: np.ndarray, spacing_m: Sequence[float], beta: float, radius_m: float) -> np.ndarray:
+    """`beta` times the weighted mean of the neighbouring |F|; float64 [x, y, z].
 
-    Around are boxes of as many samples as fit into R along each axis that has more than one. Bricks of 8^3
-    samples without a force hide nothing.
+    Weights are exp(-2 d^2 / R^2) without the voxel itself, in a box of as many samples as fit into R along
+    each axis that has more than one. Bricks of 8^3 samples without a force mask nothing.
     """
     size, shape = _lengths(source), source.shape[:3]
     reach = [int(radius_m / h * (1 + 1e-9)) if n > 1 else 0 for h, n in zip(spacing_m, shape)]
@@ -82,7 +81,7 @@ def hidden_n(source: np.ndarray, spacing_m: Sequence[float], share: float, radiu
             weight = float(np.exp(-2 * sum(d * d for d in away) / radius_m**2))
             weights += weight
             total += weight * padded[tuple(slice(o, o + n) for o, n in zip(offset, shape))]
-    mean = share * total / weights if weights else total
+    mean = beta * total / weights if weights else total
     for low in np.ndindex(*(-(-n // 8) for n in shape)):
         brick = tuple(slice(8 * a, 8 * a + 8) for a in low)
         if not size[brick].any():
@@ -91,12 +90,12 @@ def hidden_n(source: np.ndarray, spacing_m: Sequence[float], share: float, radiu
 
 
 def same_support(source: np.ndarray, decoded: np.ndarray) -> bool:
-    """True if the same samples hold a force."""
+    """True if the same samples have a force."""
     return bool(((source != 0).any(axis=-1) == (decoded != 0).any(axis=-1)).all())
 
 
 def same_bits(source: np.ndarray, decoded: np.ndarray) -> bool:
-    """True if every float32 is the same, -0.0 told from 0.0 where a sample has any bit."""
+    """True if every float32 is the same, with -0.0 distinct from 0.0 where a sample has any bit."""
     a, b = (np.ascontiguousarray(v, np.float32).view(np.uint32) for v in (source, decoded))
     return bool((a == b).all())
 
@@ -127,13 +126,13 @@ def _rotation(q: np.ndarray) -> np.ndarray:
 
 
 def _interpolated(forces: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Linear along each axis between samples [x, y, z, 3] at places [m, 3]; samples outside are zero."""
+    """Linear interpolation between samples [x, y, z, 3] at indices [m, 3]; samples outside are zero."""
     padded = np.pad(forces, [(1, 1)] * 3 + [(0, 0)])
     last = np.array(forces.shape[:3])
     inside = ((index > -1) & (index < last)).all(axis=1)
-    place = index[inside] + 1
-    low = np.floor(place).astype(int)
-    f, total = place - low, np.zeros((len(place), 3))
+    padded_index = index[inside] + 1
+    low = np.floor(padded_index).astype(int)
+    f, total = padded_index - low, np.zeros((len(padded_index), 3))
     for corner in np.ndindex(2, 2, 2):
         weight = np.prod(np.where(corner, f, 1 - f), axis=1)
         total += weight[:, None] * padded[tuple((low + corner).T)]
@@ -159,16 +158,16 @@ def _velocity(body: Body, frame: int, rate_hz: float) -> tuple[np.ndarray, np.nd
 
 
 def displacement_m(source: Body, decoded: Body, frame: int) -> float:
-    """How far a point of the body's field, one cell about it included, is from its place in the source."""
-    held = np.argwhere((source.forces_n != 0).any(axis=(0, -1)))
-    if not len(held):
+    """The largest displacement of a point of the body's field, including one cell around it."""
+    supported = np.argwhere((source.forces_n != 0).any(axis=(0, -1)))
+    if not len(supported):
         return 0.0
-    samples = (held[:, None] + 2 * np.array(list(np.ndindex(2, 2, 2))) - 1).reshape(-1, 3)
+    samples = (supported[:, None] + 2 * np.array(list(np.ndindex(2, 2, 2))) - 1).reshape(-1, 3)
     corners = samples * source.spacing_m + source.origin_m
-    one, other = (
+    source_m, decoded_m = (
         corners @ _rotation(body.quaternions[frame]).T + body.positions_m[frame] for body in (source, decoded)
     )
-    return float(_lengths(other - one).max())
+    return float(_lengths(decoded_m - source_m).max())
 
 
 def composed_ratio(
@@ -178,38 +177,38 @@ def composed_ratio(
     limits: tuple[float, float, float, float],
     rate_hz: float,
 ) -> float:
-    """Largest |error| / max(F_0, k |F|) of the composed force of a frame, less what float64 cannot tell.
+    """Largest |error| / max(F_0, k |F|) of the composed force of a frame, up to the accuracy of float64.
 
-    `pairs` are each body's source and what was decoded of it; `lattice` the shape, spacing and origin of the
-    samples; `limits` k, F_0, the force that sums are cut to, and the surface damping b. The source's fields
-    lie where the decoded poses are, and move as the source's poses do.
+    `pairs` are the source and the decoded version of each body; `lattice` the shape, spacing and origin of
+    the samples; `limits` k, F_0, the limit of sums, and the surface damping b. The fields of the source are
+    placed at the decoded poses, and move like the poses of the source.
     """
     shape, spacing, origin = lattice
     k, f0_n, force_max_n, damping = limits
     points = np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 3) * np.asarray(spacing) + np.asarray(origin)
     sums, added = np.zeros((2, len(points), 3)), np.zeros(len(points))
-    known = np.ones(len(points), bool)
+    is_decidable = np.ones(len(points), bool)
     floor_n = 1e-9 * force_max_n
     for source, decoded in pairs:
         rotation, position = _rotation(decoded.quaternions[frame]), decoded.positions_m[frame]
         r = points - position
         index = (r @ rotation - decoded.origin_m) / decoded.spacing_m
         for total, body in zip(sums, (source, decoded), strict=True):
-            own = _interpolated(body.at(frame), index)
-            size = _lengths(own)
-            known &= np.abs(size - floor_n) > _EDGE * floor_n
-            force = own @ rotation.T
+            body_force = _interpolated(body.at(frame), index)
+            size = _lengths(body_force)
+            is_decidable &= np.abs(size - floor_n) > _EDGE * floor_n
+            force = body_force @ rotation.T
             if damping:
                 velocity, spin = _velocity(body, frame, rate_hz)
                 force = force + damping * (velocity + np.cross(spin, r))
             force[size <= floor_n] = 0.0
             total += force
             added += _lengths(force)
-            # a place in a cell is known to some 1e-13 of the lattice's extent
+            # a position in a cell is exact to some 1e-13 of the lattice's extent
             added += 1e-2 * np.abs(body.at(frame)).max(initial=0.0) * (size > 0)
     size = _lengths(sums)
     cut = np.where(size > force_max_n, force_max_n / np.maximum(size, 1e-300), 1.0)
     a, b = (sums * cut[..., None]).astype(np.float32).astype(np.float64)
     allowed = np.maximum(f0_n, k * _lengths(a))
     error = np.maximum(_lengths(b - a) - _SUMS * added - _FLOAT32 * _lengths(a) - 2e-45, 0.0)
-    return _largest(error[known], allowed[known])
+    return _largest(error[is_decidable], allowed[is_decidable])

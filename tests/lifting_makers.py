@@ -1,4 +1,4 @@
-"""The lifting of both chains by their dimensions, and what it should be, for the tests."""
+"""The lifting of both chains by their dimensions, and its expected results, for the tests."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ INVERSE = {2: quincunx_inverse, 3: fcc_inverse}
 
 
 def coarse_mask(shape: tuple[int, ...], stages: int) -> NDArray[np.bool_]:
-    """The sites that hold the coarse signal after some stages."""
+    """The sites of the coarse signal after some stages."""
     splits = {2: QUINCUNX, 3: FCC}[len(shape)].splits(stages)
     mask = np.full(shape, not splits)
     for residue in splits[-1].coarse if splits else ():
@@ -31,30 +31,28 @@ def coarse_mask(shape: tuple[int, ...], stages: int) -> NDArray[np.bool_]:
 
 
 def coarse_only(array: NDArray[Any], chain: SublatticeChain, stages: int) -> NDArray[Any]:
-    """The array rebuilt from its coarse signal, every detail being zero."""
+    """The array rebuilt from its coarse signal, with zero details."""
     coefficients = chain.forward(array, stages)
     coefficients[~coarse_mask(coefficients.shape[: chain.dimensions], stages)] = 0
     return chain.inverse(coefficients, stages)
 
 
 def mean_squares(coefficients: NDArray[Any], chain: SublatticeChain, stages: int) -> NDArray[np.float64]:
-    """The mean square of the details of each stage, and last that of the coarse signal."""
+    """The mean square of the details of each stage, and finally that of the coarse signal."""
     masks = [coarse_mask(coefficients.shape[: chain.dimensions], stage) for stage in range(stages + 1)]
     parts = [before & ~after for before, after in zip(masks, masks[1:], strict=False)] + masks[-1:]
     return np.array([np.square(coefficients[part], dtype=np.float64).mean() for part in parts])
 
 
 def stage_responses(*omegas: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The filters of the first stage of either chain: analysis before the sites are dropped,
-    and synthesis.
-    """
+    """The filters of the first stage of both chains: analysis before the decimation, and synthesis."""
     p = np.asarray(sum(np.cos(np.asarray(w, np.float64)) for w in omegas) / len(omegas))
     return np.asarray(1 + p / 2 - p * p / 2), np.asarray(1 + p)
 
 
 def stage_passband(*omegas: Any) -> NDArray[np.bool_]:
-    """Test frequencies (radians a sample, any real): do they lie in the cell that one stage of either chain
-    keeps?
+    """Whether test frequencies (radians a sample, any real) are in the passband of one stage of
+    both chains.
     """
     folded = [np.abs((np.asarray(w, np.float64) + np.pi) % (2 * np.pi) - np.pi) for w in omegas]
     return np.asarray(sum(folded) <= len(omegas) * np.pi / 2)

@@ -12,7 +12,7 @@ from touchfield.medium import Grid
 
 
 def markov(n: int, seed: int = 0, a: float = 0.05, b: float = 0.2) -> np.ndarray:
-    """A binary chain with known entropies: 0 -> 1 with chance a, 1 -> 0 with chance b."""
+    """A binary chain with known entropies: 0 -> 1 with probability a, 1 -> 0 with probability b."""
     rng = np.random.default_rng(seed)
     runs = np.stack([rng.geometric(a, n), rng.geometric(b, n)], axis=1).ravel()
     return np.repeat(np.arange(2 * n) % 2, runs)[:n] if runs.sum() >= n else np.zeros(n, int)
@@ -31,7 +31,7 @@ def fields_of(frames: np.ndarray, alphabet: int) -> list[FieldSymbols]:
 def context_entropy(
     frames: Sequence[FieldSymbols], neighbourhood: str, *, previous_frame: bool = False
 ) -> ContextEntropy:
-    """H(S | c) of one neighbourhood alone, counted with no context that is not asked for."""
+    """H(S | c) of one neighbourhood alone, without any other context."""
     counter = ContextCounter(frames[0], previous_frame=previous_frame)
     before = None
     for frame in frames:

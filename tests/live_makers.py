@@ -1,4 +1,4 @@
-"""Segments of a small live stream, each field of which tells its number."""
+"""Segments of a small live stream in which each field encodes its number."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ HEAD = Head(
 
 
 def field(number: int) -> ForceField:
-    """A field that tells its number by its height."""
+    """A field whose height encodes its number."""
     dense = np.zeros((16, 16, 16, 3), np.float32)
     dense[:, :, : 2 + number % 12] = (0, 0, 2)
     return ForceField.from_dense(GRID, dense)
@@ -57,7 +57,7 @@ def sender_of(count: int) -> tuple[LiveSender, list[bytes]]:
 
 
 class Hand:
-    """A player with a clock of its own."""
+    """A player with a simulated clock."""
 
     def __init__(self, media_s: float) -> None:
         self.media_s, self.speed = media_s, 1.0

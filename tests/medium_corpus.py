@@ -1,6 +1,4 @@
-"""A small collection of haptic media whose kinds are known: shapes of several sizes and poses,
-and terrain.
-"""
+"""A small collection of haptic media of known kinds: shapes of several sizes and poses, and terrain."""
 
 from __future__ import annotations
 
@@ -37,9 +35,9 @@ class Torus(Shape):
             points[:, :2], out[:, None], out=np.zeros((len(points), 2)), where=out[:, None] > 0
         )
         local = np.column_stack([out - self.ring_m, points[:, 2]])
-        far = np.linalg.norm(local, axis=1)
-        unit = local / np.maximum(far, 1e-12)[:, None]
-        return far - self.tube_m, np.column_stack([across * unit[:, :1], unit[:, 1]])
+        radius_m = np.linalg.norm(local, axis=1)
+        unit = local / np.maximum(radius_m, 1e-12)[:, None]
+        return radius_m - self.tube_m, np.column_stack([across * unit[:, :1], unit[:, 1]])
 
     def box_m(self) -> Float64s:
         reach = np.array([self.ring_m + self.tube_m] * 2 + [self.tube_m])
@@ -47,7 +45,7 @@ class Torus(Shape):
 
 
 def shape(kind: str, r: float) -> Shape:
-    """A body of about `r` metres to each side."""
+    """A body of about `r` metres in each direction."""
     return {
         "sphere": Sphere(ORIGIN, r),
         "box": Box(ORIGIN, (0.6 * r,) * 3),
@@ -68,7 +66,7 @@ def body(kind: str, r: float, turn: Float64s, shift_m: Float64s, grid: Grid = GR
 
 
 def terrain(seed: int) -> ForceField:
-    """A wall over hills, felt from above."""
+    """A wall over hills, touched from above."""
     rng = np.random.default_rng(seed)
     x, y, z = GRID.to_m(
         np.stack(np.meshgrid(*(np.arange(n) for n in GRID.shape), indexing="ij"), -1)
@@ -86,7 +84,7 @@ def terrain(seed: int) -> ForceField:
 
 
 def corpus(each: int = 4, seed: int = 0) -> Iterator[tuple[str, str, ForceField]]:
-    """Name, kind and field of `each` of every kind, at random sizes, poses and places."""
+    """Name, kind and field of `each` of every kind, at random sizes, poses and positions."""
     rng = np.random.default_rng(seed)
     for kind in KINDS:
         turns = Rotation.random(each, random_state=seed + 1).as_matrix()

@@ -29,8 +29,8 @@ def cube(low: float = 0.0, high: float = 1.0) -> Mesh:
 def measured(
     scene: MeshScene, grid: Grid, band_m: float, low_m: float | None = None
 ) -> tuple[np.ndarray, ...]:
-    """Points [n, 3], signed distances and directions where a law that is nowhere zero in the band puts a
-    force.
+    """Points [n, 3], signed distances and directions of the samples with a force, by a law nonzero
+    in the band.
     """
     law = ForceProfile(((-band_m if low_m is None else low_m, band_m, 4.0, 1 / band_m),))
     field = scene.field(0, grid, law)
@@ -40,7 +40,7 @@ def measured(
 
 
 def distance_to(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    """The least distance to any triangle: to its sides, or to its plane where the foot lies within."""
+    """The minimal distance to any triangle: to its sides, or to its plane where the foot lies within."""
     best = np.full(len(points), np.inf)
     for corners in mesh[0][mesh[1]]:
         for i in range(3):

@@ -1,5 +1,5 @@
-"""Small haptic scenes for tests of the object representation: whole-number arithmetic,
-the same everywhere.
+"""Small haptic scenes for tests of the object representation, in integer arithmetic, equal on every
+machine.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ F0_N = 0.05
 
 
 def ball(grid: Grid, radius_m: float, strength_n: float = 1.0) -> ForceField:
-    """A shell that pushes outward, strongest at half its radius."""
+    """A shell that pushes outwards, strongest at half its radius."""
     points = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1))
     r = np.sqrt((points**2).sum(axis=-1, keepdims=True))
     amplitude = np.clip(1 - np.abs(2 * r / radius_m - 1), 0, None) * strength_n
@@ -25,7 +25,7 @@ def ball(grid: Grid, radius_m: float, strength_n: float = 1.0) -> ForceField:
 
 
 def tumbling(frame_count: int, start_m: float, turn_rad: float) -> PoseTrack:
-    """A body that falls and turns about a slanted axis."""
+    """A body that falls and rotates about an oblique axis."""
     t = np.arange(frame_count) / 1000.0
     position = np.stack([0.01 * t + start_m, 0.0 * t, 0.02 - 4.9 * t * t], axis=1)
     half = turn_rad * np.arange(frame_count) / 2
@@ -34,13 +34,13 @@ def tumbling(frame_count: int, start_m: float, turn_rad: float) -> PoseTrack:
 
 
 def moving_scene(frame_count: int = 7, deforming: bool = True, surface_damping: float = 0.0) -> HapticScene:
-    """A body that tumbles, one that stands still, and one that deforms where that is asked for."""
-    own = Grid((11, 10, 9), (0.001, 0.001, 0.001), (-0.005, -0.0045, -0.004))
+    """A tumbling body, a resting one, and a deforming one on request."""
+    grid = Grid((11, 10, 9), (0.001, 0.001, 0.001), (-0.005, -0.0045, -0.004))
     world = Grid((20, 18, 16), (0.002, 0.002, 0.0025), (-0.019, -0.017, 0.0))
     objects = [
         HapticObject(
             "tumbler",
-            HapticMedium.from_frames([ball(own, 0.0045)], 1000.0),
+            HapticMedium.from_frames([ball(grid, 0.0045)], 1000.0),
             tumbling(frame_count, 0.003, 0.02),
         ),
         HapticObject(
@@ -50,7 +50,7 @@ def moving_scene(frame_count: int = 7, deforming: bool = True, surface_damping: 
         ),
     ]
     if deforming:
-        breathing = [ball(own, 0.003 + 0.0002 * i, 1.0 + 0.1 * i) for i in range(frame_count)]
+        breathing = [ball(grid, 0.003 + 0.0002 * i, 1.0 + 0.1 * i) for i in range(frame_count)]
         objects.append(
             HapticObject(
                 "balloon", HapticMedium.from_frames(breathing, 1000.0), tumbling(frame_count, -0.008, -0.01)

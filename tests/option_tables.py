@@ -1,7 +1,7 @@
-"""For every option of every command a value that is not its default, and where the task receives it.
+"""A non-default value for every option of every command, and where the task receives it.
 
-`EXPECTED[command]` has one `Case` for each option; a new option needs a new one. Paths are of `flatten` in
-`tests/cli/test_every_option.py`: the name of the function that is called, its parameters, fields within them.
+`EXPECTED[command]` has one `Case` for each option; a new option needs a new one. Paths are those of `flatten`
+in `tests/cli/test_every_option.py`: the name of the called function, its parameters, and fields within them.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ STUB: Final = "<stub>"
 class Case:
     """An option with a value, and the only leaves of the calls that change: end of the path -> new value.
 
-    `beside` are further arguments, without which the option means nothing; they are given in the default run,
-    too. {tmp} in a text stands for the folder of the test.
+    `beside` are further arguments that the option needs; the default run has them, too. {tmp} in a text
+    stands for the folder of the test.
     """
 
     text: str | None
     leaves: dict[str, Any] = field(default_factory=dict)
     beside: str = ""
     refused: str = ""
-    """Words of the error, where the option does not go with the command's other arguments."""
+    """Message of the error, if the option is incompatible with the other arguments of the command."""
     printed: str = ""
-    """Text that only the run with the option prints, where no function gets it."""
+    """Text printed only by the run with the option, if no function receives it."""
 
 
 def case(text: str | None, leaf: str, value: Any, beside: str = "", **more: Any) -> Case:
@@ -36,7 +36,7 @@ def case(text: str | None, leaf: str, value: Any, beside: str = "", **more: Any)
 
 
 def _scene(*, without: tuple[str, ...] = ()) -> dict[str, Case]:
-    own = {
+    cases = {
         "device": ("novint-falcon", "device", "novint-falcon"),
         "nw": ("5", "nw", 5),
         "frames": ("3:7", ".frames", (3, 7)),
@@ -78,7 +78,7 @@ def _scene(*, without: tuple[str, ...] = ()) -> dict[str, Case]:
         "disparity-offset-px": ("3.5", "source.disparity_offset_px", 3.5),
         "allow-outside": (None, "source.allow_outside", True),
     }
-    return {name: case(*values) for name, values in own.items() if name not in without}
+    return {name: case(*values) for name, values in cases.items() if name not in without}
 
 
 def _coder(*, own_k: bool = False) -> dict[str, Case]:
@@ -174,7 +174,7 @@ ARGUMENTS: Final = {
     "doctor": "",
     "warmup": "",
 }
-"""Arguments of each command, and options that it cannot do without."""
+"""Arguments of each command, and its mandatory options."""
 
 EXPECTED: Final[dict[str, dict[str, Case]]] = {
     "encode": {

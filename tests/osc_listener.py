@@ -1,4 +1,4 @@
-"""What listens to Open Sound Control in the tests: read by another library, and each message checked."""
+"""A listener for Open Sound Control in the tests: decodes with another library and checks each message."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from touchfield.devices.drivers.osc import MAX_BYTES
 
 
 class Listener:
-    """Puts frames together again from datagrams, and holds each message against the scheme."""
+    """Reassembles frames from datagrams, and checks each message against the scheme."""
 
     def __init__(self, profile: Device) -> None:
         columns, rows, _ = profile.lattice
@@ -43,8 +43,8 @@ class Listener:
             assert root == "touchfield" and kind in ("drives", "frequencies")
             first, *values = message.params
             assert type(first) is int and values and all(type(v) is float for v in values)
-            whole = frame.setdefault(kind, np.full(self.shape, np.nan))
-            flat = whole[("front", "back", "2").index(panel)].reshape(-1)
+            levels = frame.setdefault(kind, np.full(self.shape, np.nan))
+            flat = levels[("front", "back", "2").index(panel)].reshape(-1)
             assert np.isnan(flat[first : first + len(values)]).all()
             flat[first : first + len(values)] = values
         if not self._parts:

@@ -10,8 +10,8 @@ from touchfield.medium import ForceField, Grid
 OMNI = device("phantom-omni")
 
 
-def random_field(grid: Grid, seed: int, share: float = 0.05) -> ForceField:
+def random_field(grid: Grid, seed: int, density: float = 0.05) -> ForceField:
     rng = np.random.default_rng(seed)
     return ForceField.from_dense(
-        grid, rng.normal(size=(*grid.shape, 3)) * (rng.random(grid.shape) < share)[..., None]
+        grid, rng.normal(size=(*grid.shape, 3)) * (rng.random(grid.shape) < density)[..., None]
     )

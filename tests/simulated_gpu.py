@@ -1,7 +1,6 @@
-"""Fields of every source that has a GPU kernel, on the processor and on numba's simulator of a GPU, and what
-differs.
+"""Fields of every source with a GPU kernel, on the CPU and on numba's GPU simulator, and their differences.
 
-Run by `test_cuda` in a process of its own: ``NUMBA_ENABLE_CUDASIM`` is read once. Prints one JSON object:
+Run by `test_cuda` in a separate process: ``NUMBA_ENABLE_CUDASIM`` is read once. Prints one JSON object:
 newtons.
 """
 
@@ -20,25 +19,25 @@ from touchfield.sources.tiny_scenes import tiny_scenes
 
 
 def grid_of(scene: Any, shape: tuple[int, int, int]) -> Grid:
-    """A lattice over a scene, some samples of room beside it."""
+    """A lattice over a scene with a margin of some samples."""
     low, high = scene.bounds_m()
-    room = 0.1 * max(high - low)
-    return Grid.over_box(low - room, high + room, shape)
+    margin = 0.1 * max(high - low)
+    return Grid.over_box(low - margin, high + margin, shape)
 
 
 def difference(a: ForceField, b: ForceField) -> dict[str, float]:
-    """Largest difference, and what is compared."""
-    one, other = a.to_dense(), b.to_dense()
+    """Largest difference, and the compared values."""
+    first, second = a.to_dense(), b.to_dense()
     return {
         "bricks": len(a.bricks),
         "same_bricks": bool(np.array_equal(a.bricks, b.bricks)),
-        "force_n": float(np.abs(one).max()),
-        "difference_n": float(np.abs(one - other).max()),
+        "force_n": float(np.abs(first).max()),
+        "difference_n": float(np.abs(first - second).max()),
     }
 
 
 def fields() -> dict[str, Any]:
-    """Each tiny scene's last frame."""
+    """The last frame of each tiny scene."""
     out = {}
     for n, scene in enumerate(tiny_scenes()):
         name = f"{type(scene).__name__} {n}"
@@ -47,10 +46,10 @@ def fields() -> dict[str, Any]:
         grid = grid_of(scene, (13, 9, 7))
         law = penalty(LawSpec(), 3 * max(grid.spacing_m))
         frame = scene.frame_count - 1
-        own = scene.field(frame, grid, law)
+        on_cpu = scene.field(frame, grid, law)
         with computing("cuda"):
             other = tiny_scenes()[n].field(frame, grid, law)
-        out[name] = difference(own, other)
+        out[name] = difference(on_cpu, other)
     return out
 
 
@@ -62,14 +61,17 @@ def queries() -> dict[str, Any]:
         ForceField.from_dense(grid, rng.normal(0, 1, (*grid.shape, 3)).astype(np.float32)) for _ in range(4)
     ]
     medium = HapticMedium.from_frames(fields, 30.0)
-    places = PoseTrack(np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)), rng.normal(0, 0.002, (4, 3)))
+    track = PoseTrack(np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)), rng.normal(0, 0.002, (4, 3)))
     points, out = rng.uniform(-0.002, 0.05, (100, 3)), {}
-    scene = HapticScene(grid, 30.0, (HapticObject("body", medium, places),), 4.0)
+    scene = HapticScene(grid, 30.0, (HapticObject("body", medium, track),), 4.0)
     for name, kind in {"voxels": medium, "objects": scene}.items():
-        sampler, there = FieldSampler(kind), DeviceSampler(kind)
-        own = np.stack([sampler.force_n(time_s, points) for time_s in (0.0, 0.02, 0.09)])
-        other = np.stack([on_host(there.force_n(time_s, points)) for time_s in (0.0, 0.02, 0.09)])
-        out[name] = {"force_n": float(np.abs(own).max()), "difference_n": float(np.abs(own - other).max())}
+        sampler, device_sampler = FieldSampler(kind), DeviceSampler(kind)
+        on_cpu = np.stack([sampler.force_n(time_s, points) for time_s in (0.0, 0.02, 0.09)])
+        other = np.stack([on_host(device_sampler.force_n(time_s, points)) for time_s in (0.0, 0.02, 0.09)])
+        out[name] = {
+            "force_n": float(np.abs(on_cpu).max()),
+            "difference_n": float(np.abs(on_cpu - other).max()),
+        }
     return out
 
 

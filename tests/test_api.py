@@ -1,5 +1,5 @@
-"""touchfield from a program: packages that are imported when they are used, media from arrays, errors of our
-own.
+"""touchfield from a program: lazily imported packages, media from arrays, errors of touchfield's
+own classes.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ tf.play("x.touch", tf.tasks.PlaySpec(offline=True))
 
 @pytest.fixture
 def forces() -> NDArray[np.float64]:
-    """Three frames of a block that is pushed out, at half the force in the second."""
-    made = np.zeros((3, *GRID.shape, 3))
-    made[:, 4:8, 4:8, 4:8, 2] = 5.0
-    made[1] /= 2
-    return made
+    """Three frames of a block that pushes outwards, with half the force in the second."""
+    frames = np.zeros((3, *GRID.shape, 3))
+    frames[:, 4:8, 4:8, 4:8, 2] = 5.0
+    frames[1] /= 2
+    return frames
 
 
 def medium_of(forces: NDArray[np.float64]) -> tf.HapticMedium:
@@ -73,7 +73,7 @@ def medium_of(forces: NDArray[np.float64]) -> tf.HapticMedium:
 # -- names -------------------------------------------------------------------------------------------------
 
 
-def test_every_name_is_there_and_packages_are_imported_when_used() -> None:
+def test_every_name_exists_and_packages_are_imported_lazily() -> None:
     program = f"""
 import sys, touchfield as tf
 heavy = [m for m in ("numba", "scipy", "trimesh", "matplotlib", "touchfield.pipeline") if m in sys.modules]
@@ -89,7 +89,7 @@ assert set(dir(tf)) == {{*tf.__all__, *{PACKAGES}}}
     subprocess.run([sys.executable, "-c", program], check=True, timeout=300)
 
 
-def test_what_is_not_there_is_told_as_python_tells_it() -> None:
+def test_missing_names_raise_the_errors_of_python() -> None:
     for owner in (tf, tf.render, tf.sources):
         with pytest.raises(AttributeError, match="nothing"):
             _ = owner.nothing
@@ -104,7 +104,7 @@ def test_a_program_of_a_user_is_checked_by_mypy(tmp_path: Path) -> None:
     programs = {"good.py": USER, "bad.py": USER + "\nmedium[0].no_such_name()\nwrong: int = medium.at(0.0)\n"}
     for name, text in programs.items():
         (tmp_path / name).write_text(text)
-    # a checkout on the path stands for what is installed; py.typed makes its types known
+    # a checkout on the path stands for the installation; py.typed exports its types
     command = [
         sys.executable,
         "-m",
@@ -119,17 +119,17 @@ def test_a_program_of_a_user_is_checked_by_mypy(tmp_path: Path) -> None:
         command, capture_output=True, text=True, timeout=600, env=environment, check=False, cwd=tmp_path
     )
     assert done.returncode == 1 and done.stderr == "", done.stdout + done.stderr
-    *told, total = done.stdout.splitlines()
+    *errors, total = done.stdout.splitlines()
     assert "in 1 file (checked 2 source files)" in total and all(
-        line.startswith("bad.py:") for line in told
-    ), told
+        line.startswith("bad.py:") for line in errors
+    ), errors
     assert "no_such_name" in done.stdout and "Incompatible types" in done.stdout
 
 
 # -- media -------------------------------------------------------------------------------------------------
 
 
-def test_an_array_becomes_a_medium_that_can_be_cut_and_asked(forces: NDArray[np.float64]) -> None:
+def test_an_array_becomes_a_medium_that_can_be_sliced_and_sampled(forces: NDArray[np.float64]) -> None:
     medium = medium_of(forces)
     assert len(medium) == 3 and medium.rate_hz == 20.0
     assert np.array_equal(medium[0].to_dense(), forces[0].astype(np.float32))
@@ -138,7 +138,7 @@ def test_an_array_becomes_a_medium_that_can_be_cut_and_asked(forces: NDArray[np.
     assert medium[1:][0] == medium[1] and medium[-1] == medium[2]
 
 
-def test_between_two_frames_a_medium_is_linear_and_beyond_them_it_stays(forces: NDArray[np.float64]) -> None:
+def test_a_medium_is_linear_between_frames_and_constant_outside(forces: NDArray[np.float64]) -> None:
     medium = medium_of(forces)
     assert medium.at(0.05) == medium[1] and medium.at(-1.0) == medium[0] and medium.at(9.0) == medium[2]
     quarter = medium.at(0.0125)
@@ -148,12 +148,12 @@ def test_between_two_frames_a_medium_is_linear_and_beyond_them_it_stays(forces: 
     assert medium.sample_n(points).shape == (2, 1, 3)
 
 
-def test_a_filter_in_words_is_the_filter(forces: NDArray[np.float64]) -> None:
+def test_a_filter_as_text_equals_the_filter(forces: NDArray[np.float64]) -> None:
     medium = medium_of(forces)
     gaussian = tf.filters.filter_of("gaussian", "sigma=4mm")
-    made = medium.filtered("gaussian:sigma=4mm", "gaussian:sigma=4mm")
-    assert made[1] == gaussian(gaussian(medium[1]))
-    assert made.provenance["filters"].count("gaussian") == 2
+    filtered = medium.filtered("gaussian:sigma=4mm", "gaussian:sigma=4mm")
+    assert filtered[1] == gaussian(gaussian(medium[1]))
+    assert filtered.provenance["filters"].count("gaussian") == 2
 
 
 def test_a_plot_is_a_figure_and_a_file(forces: NDArray[np.float64], tmp_path: Path) -> None:
@@ -163,10 +163,10 @@ def test_a_plot_is_a_figure_and_a_file(forces: NDArray[np.float64], tmp_path: Pa
     assert (tmp_path / "seen.png").read_bytes().startswith(b"\x89PNG")
 
 
-# -- coding ------------------------------------------------------------------------------------------------
+# -- encoding ----------------------------------------------------------------------------------------------
 
 
-def test_media_fields_and_arrays_are_coded_as_they_are(forces: NDArray[np.float64], tmp_path: Path) -> None:
+def test_media_fields_and_arrays_are_encoded_directly(forces: NDArray[np.float64], tmp_path: Path) -> None:
     exact = tf.EncodeSpec(touch=tf.codec.TouchSpec(mode="lossless"))
     out = tmp_path / "x.touch"
     for source, grid, frames in (
@@ -181,12 +181,12 @@ def test_media_fields_and_arrays_are_coded_as_they_are(forces: NDArray[np.float6
             "5 N, beyond F_max, and not scaled"
         )
         assert done.file_bytes == out.stat().st_size
-        told = tf.compare(medium_of(forces)[:frames], out).summary()
-        assert told["nmse_db"] is None and told["mask_violations"] == 0
+        summary = tf.compare(medium_of(forces)[:frames], out).summary()
+        assert summary["nmse_db"] is None and summary["mask_violations"] == 0
     assert tf.tasks.measure_medium(tf.decode(out)).summary()
 
 
-def test_what_a_decoded_medium_is_made_of_stays_open_as_long_as_it_is_used(
+def test_the_file_of_a_decoded_medium_stays_open_while_it_is_used(
     forces: NDArray[np.float64], tmp_path: Path
 ) -> None:
     out = tmp_path / "x.touch"
@@ -199,47 +199,47 @@ def test_what_a_decoded_medium_is_made_of_stays_open_as_long_as_it_is_used(
 
 def test_values_can_be_copied_and_sent_to_other_processes(forces: NDArray[np.float64]) -> None:
     medium = medium_of(forces)
-    for one in (medium, medium[1:], medium[2]):
-        for made in (copy.deepcopy(one), pickle.loads(pickle.dumps(one))):
-            assert repr(made) == repr(one)
-    made = pickle.loads(pickle.dumps(replace(medium[1:], provenance={"a": "b"})))
-    assert made[0] == medium[1] and dict(made.provenance) == {"a": "b"}
+    for value in (medium, medium[1:], medium[2]):
+        for copied in (copy.deepcopy(value), pickle.loads(pickle.dumps(value))):
+            assert repr(copied) == repr(value)
+    copied = pickle.loads(pickle.dumps(replace(medium[1:], provenance={"a": "b"})))
+    assert copied[0] == medium[1] and dict(copied.provenance) == {"a": "b"}
     with pytest.raises(TypeError):
-        made.provenance["a"] = "c"
+        copied.provenance["a"] = "c"
     device = tf.device("phantom-omni")
     assert pickle.loads(pickle.dumps(device)) == device == copy.deepcopy(device)
 
 
-def test_what_is_no_field_is_not_added(forces: NDArray[np.float64]) -> None:
+def test_only_fields_are_added(forces: NDArray[np.float64]) -> None:
     with pytest.raises(TypeError, match="unsupported operand"):
         medium_of(forces)[0] + 1.0  # type: ignore[operator]
 
 
-# -- words -------------------------------------------------------------------------------------------------
+# -- texts -------------------------------------------------------------------------------------------------
 
 
-def test_values_and_results_tell_of_themselves_in_one_line(
+def test_values_and_results_have_a_one_line_representation(
     forces: NDArray[np.float64], tmp_path: Path
 ) -> None:
     medium = medium_of(forces)
     done = tf.encode(medium, tmp_path / "x.touch")
     compared = tf.compare(medium, tmp_path / "x.touch")
-    assert not compared.notes  # no option was given that could do nothing
+    assert not compared.notes  # no option was given that could be idle
     with tf.open_stream(tmp_path / "x.touch") as stream:
-        told = [
+        texts = [
             repr(v)
             for v in (medium, medium[0], done, done.prepared, compared, stream.medium, tf.EncodeSpec())
         ]
-    assert all("\n" not in words and len(words) < 1600 for words in told)
-    assert all(len(words) < 300 for words in told[:-1])
-    assert told[0] == (
+    assert all("\n" not in text and len(text) < 1600 for text in texts)
+    assert all(len(text) < 300 for text in texts[:-1])
+    assert texts[0] == (
         "<HapticMedium: 3 frames at 20 Hz on 16 x 16 x 16 samples of 6.25 x 6.25 x 6.25 mm; x, y, z>"
     )
-    assert "64 of 4,096 samples" in told[1]
+    assert "64 of 4,096 samples" in texts[1]
 
 
 @pytest.mark.parametrize(
-    ("bad", "words"),
+    ("bad", "message"),
     [
         (lambda f: tf.encode(f, "x.touch"), "without its grid"),
         (lambda f: tf.encode(3, "x.touch"), "HapticMedium"),
@@ -301,8 +301,8 @@ def test_values_and_results_tell_of_themselves_in_one_line(
         (lambda f: tf.filters.gaussian("signal", 1.0), "no array of numbers"),
     ],
 )
-def test_errors_are_our_own(
-    bad: Callable[[NDArray[np.float64]], object], words: str, forces: NDArray[np.float64]
+def test_bad_arguments_raise_touchfield_errors(
+    bad: Callable[[NDArray[np.float64]], object], message: str, forces: NDArray[np.float64]
 ) -> None:
-    with pytest.raises(tf.TouchfieldError, match=words):
+    with pytest.raises(tf.TouchfieldError, match=message):
         bad(forces)

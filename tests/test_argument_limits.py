@@ -1,4 +1,4 @@
-"""Every limit of an argument at its edge: the last value that is taken, and the first one that is refused."""
+"""Every limit of an argument at its edge: the last accepted value, and the first refused one."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ from touchfield.tasks.play import PlaySpec
 BELOW, ABOVE = -math.inf, math.inf
 
 
-def beyond(value: float, way: float) -> float:
-    """The next number beyond one."""
-    return math.nextafter(value, way)
+def beyond(value: float, direction: float) -> float:
+    """The next number beyond a value."""
+    return math.nextafter(value, direction)
 
 
 CHECKS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...], tuple[Any, ...], str]] = {
@@ -73,14 +73,18 @@ CHECKS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...], tuple[Any, ...], 
 
 
 @pytest.mark.parametrize("name", CHECKS)
-def test_a_number_is_taken_up_to_its_limits(name: str) -> None:
-    check, taken, refused, expected = CHECKS[name]
-    for value in taken:
+def test_a_number_is_accepted_up_to_its_limits(name: str) -> None:
+    check, accepted, refused, expected = CHECKS[name]
+    for value in accepted:
         check(value)
     for value in (*refused, math.nan, math.inf, -math.inf, "3", None, 1j):
-        with pytest.raises(InvalidArgument) as told:
+        with pytest.raises(InvalidArgument) as caught:
             check(value)
-        assert (told.value.where, told.value.found, told.value.expected) == ("mine", repr(value), expected)
+        assert (caught.value.where, caught.value.found, caught.value.expected) == (
+            "mine",
+            repr(value),
+            expected,
+        )
 
 
 SPECS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...], tuple[Any, ...]]] = {
@@ -107,17 +111,17 @@ SPECS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...], tuple[Any, ...]]] 
 
 
 @pytest.mark.parametrize("name", SPECS)
-def test_a_request_is_taken_up_to_its_limits(name: str) -> None:
-    make, taken, refused = SPECS[name]
-    for value in taken:
+def test_a_spec_is_accepted_up_to_its_limits(name: str) -> None:
+    make, accepted, refused = SPECS[name]
+    for value in accepted:
         make(value)
     for value in refused:
-        with pytest.raises(InvalidArgument) as told:
+        with pytest.raises(InvalidArgument) as caught:
             make(value)
-        assert told.value.where.startswith(name.partition(" ")[0]), value
+        assert caught.value.where.startswith(name.partition(" ")[0]), value
 
 
-def test_who_reaches_a_server_from_elsewhere_brings_a_word() -> None:
+def test_a_public_server_needs_a_token() -> None:
     for host in ("localhost", "127.0.0.1", "127.3.2.1", "::1"):
         Access(host=host)
     for host in ("0.0.0.0", "::", "192.168.1.2", "example.org"):
@@ -128,11 +132,11 @@ def test_who_reaches_a_server_from_elsewhere_brings_a_word() -> None:
 
 
 def test_the_factor_of_a_mapping() -> None:
-    asked = {"fit": None, "fill": None, "crop": 1.0, "0.05": 0.05, 2.5: 2.5}
-    assert {words: EncodeSpec(mapping=words).factor for words in asked} == asked
+    factors = {"fit": None, "fill": None, "crop": 1.0, "0.05": 0.05, 2.5: 2.5}
+    assert {mapping: EncodeSpec(mapping=mapping).factor for mapping in factors} == factors
 
 
-def test_frames_in_words() -> None:
+def test_texts_of_frame_ranges() -> None:
     for text, expected in ((None, None), ("3", (3, 4)), ("3:", (3, None)), (":4", (0, 4)), ("2:5", (2, 5))):
         assert frames_of("--frames", text) == expected
     for text in ("5:2", "2:2", "-1:3", "a:b", "1:2:3", "-1"):
@@ -143,7 +147,7 @@ def test_frames_in_words() -> None:
         Motion("fox.glb", frames=(2, 1))
 
 
-def test_numbers_between_commas() -> None:
+def test_numbers_separated_by_commas() -> None:
     assert numbers_of("--x", "1,2.5,-3", (3,), "three") == (1.0, 2.5, -3.0)
     assert numbers_of("--x", "7", (1, 3), "one or three", int) == (7,)
     for text, found in (
@@ -179,18 +183,23 @@ def test_an_address_has_a_host_and_a_port() -> None:
 # -- errors ------------------------------------------------------------------------------------------------
 
 
-def test_an_error_says_where_what_and_how_to_mend_it() -> None:
-    """And travels as it is, to another process too."""
+def test_an_error_states_place_cause_and_remedy() -> None:
+    """It also survives pickling to another process."""
     for kind, code in (
         (TouchfieldError, 1), (InvalidArgument, 2), (SourceError, 1), (DeviceError, 1), (ForeignFile, 1),
         (TruncatedFile, 1), (CorruptFile, 1), (UnsupportedVersion, 1),
     ):  # fmt: skip
         error = kind("the place", "this", "that", "Do so.")
         back = pickle.loads(pickle.dumps(error))
-        for one in (error, back):
-            assert str(one) == "the place: found this; expected that. Do so." and type(one) is kind
-            assert (one.where, one.found, one.expected, one.hint) == ("the place", "this", "that", "Do so.")
-            assert one.exit_code == code
+        for either in (error, back):
+            assert str(either) == "the place: found this; expected that. Do so." and type(either) is kind
+            assert (either.where, either.found, either.expected, either.hint) == (
+                "the place",
+                "this",
+                "that",
+                "Do so.",
+            )
+            assert either.exit_code == code
     assert isinstance(InvalidArgument("x"), ValueError) and not isinstance(SourceError("x"), ValueError)
     assert str(SourceError("a", "b")) == "a: found b" and str(SourceError("a", hint="c")) == "a. c"
     assert str(SourceError("a", expected="b")) == "a; expected b"
@@ -203,15 +212,15 @@ def test_an_error_says_where_what_and_how_to_mend_it() -> None:
     assert import_extra("math", "a thing", "math", "extra") is math
 
 
-def test_an_argument_of_a_file_is_the_fault_of_the_file() -> None:
-    with pytest.raises(SourceError) as told, as_source_error("room.toml, shape 3: "):
+def test_an_invalid_argument_in_a_file_is_a_source_error() -> None:
+    with pytest.raises(SourceError) as caught, as_source_error("room.toml, shape 3: "):
         raise InvalidArgument("radius_m", "-1", "a positive number", "Mend it.")
-    assert str(told.value) == "room.toml, shape 3: radius_m: found -1; expected a positive number. Mend it."
+    assert str(caught.value) == "room.toml, shape 3: radius_m: found -1; expected a positive number. Mend it."
     with pytest.raises(DeviceError, match="as it is"), as_source_error("room.toml"):
         raise DeviceError("as it is")
 
 
-def test_a_reason_in_a_few_words() -> None:
+def test_short_reasons_of_exceptions() -> None:
     assert reason(TimeoutError(110, "Connection timed out")) == "no answer in time"
     assert reason(FileNotFoundError(2, "No such file", "x")) == "No such file"
     assert reason(ValueError("two\n lines")) == "two lines" and reason(ValueError()) == "ValueError"
@@ -222,10 +231,10 @@ def test_endings_and_choices() -> None:
     for path in ("a.touch", "b.TOUCH", Path("c.npz"), ".d.npz"):
         require_ending(path, "OUT.touch", "FIELD.npz")
     for path in ("a.vti", "touch", "a.touch.gz", ".npz", "a.", "anpz"):
-        with pytest.raises(InvalidArgument) as told:
+        with pytest.raises(InvalidArgument) as caught:
             require_ending(path, "OUT.touch", "FIELD.npz", hint="Name it so.")
         assert f"found the ending '{Path(path).suffix}'; expected OUT.touch or FIELD.npz. Name it so." in str(
-            told.value
+            caught.value
         )
     require_one_of("it", "a", ("a", "b"))
     for choices, expected in ((("a", "b"), "a or b"), (("a", "b", "c"), "one of a, b, c")):
@@ -248,7 +257,7 @@ def test_a_field_of_a_request_is_of_its_kind() -> None:
 # -- files and JSON ----------------------------------------------------------------------------------------
 
 
-def test_a_file_is_read_up_to_its_most_bytes(tmp_path: Path) -> None:
+def test_a_file_is_read_up_to_its_maximum_size(tmp_path: Path) -> None:
     path = tmp_path / "seven"
     path.write_bytes(b"1234567")
     assert read_bytes(path, 7, "a file") == b"1234567" and plain_size(path, "a file") == 7
@@ -265,7 +274,7 @@ def test_a_file_is_read_up_to_its_most_bytes(tmp_path: Path) -> None:
     assert read_up_to(io.BytesIO(b"12"), 3) == b"12"
 
 
-def test_a_file_that_another_names_lies_beside_it(tmp_path: Path) -> None:
+def test_a_referenced_file_is_in_the_same_folder(tmp_path: Path) -> None:
     folder = tmp_path / "scene"
     (folder / "deep").mkdir(parents=True)
     for name in ("a.stl", "deep/b.stl", "./deep/../a.stl", folder / "c.stl"):
@@ -283,44 +292,50 @@ def test_whole_numbers_of_json_beyond_18_digits_are_floats() -> None:
     assert json_of("1" + "0" * 400) == math.inf
 
 
-def test_a_value_of_json_is_taken_up_to_its_limits(tmp_path: Path) -> None:
-    def one(value: Any) -> JsonValue:
+def test_a_json_value_is_accepted_up_to_its_limits(tmp_path: Path) -> None:
+    def json_value(value: Any) -> JsonValue:
         return JsonValue(value, "x.json", "$.a[2]")
 
     for value in (3, 5.0, 7):
-        assert one(value).bounded_integer(3, 7) == value and isinstance(one(value).bounded_integer(3, 7), int)
+        assert json_value(value).bounded_integer(3, 7) == value and isinstance(
+            json_value(value).bounded_integer(3, 7), int
+        )
     for value in (2, 8, 3.5, True, "3", None, math.nan):
         with pytest.raises(SourceError, match=r"^x\.json: \$\.a\[2\]: found .* an integer from 3 to 7$"):
-            one(value).bounded_integer(3, 7)
-    assert (one(0.25).number(0.25, 2), one(2).number(0.25, 2), one(-1e299).number()) == (0.25, 2.0, -1e299)
+            json_value(value).bounded_integer(3, 7)
+    assert (json_value(0.25).number(0.25, 2), json_value(2).number(0.25, 2), json_value(-1e299).number()) == (
+        0.25,
+        2.0,
+        -1e299,
+    )
     for value in (beyond(0.25, BELOW), beyond(2, ABOVE), math.nan):
         with pytest.raises(SourceError, match=r"expected a number from 0\.25 to 2$"):
-            one(value).number(0.25, 2)
-    for value, low, words in ((-1, 0, "a number of at least 0"), (1e300, -math.inf, "a finite number")):
-        with pytest.raises(SourceError, match=f"expected {words}$"):
-            one(value).number(low)
+            json_value(value).number(0.25, 2)
+    for value, low, message in ((-1, 0, "a number of at least 0"), (1e300, -math.inf, "a finite number")):
+        with pytest.raises(SourceError, match=f"expected {message}$"):
+            json_value(value).number(low)
     for value in (True, "1", None, []):
         with pytest.raises(SourceError, match=r"expected a number$"):
-            one(value).number()
-    assert one([1]).items(1) == [1] and one("a").text(("a", "b")) == "a"
+            json_value(value).number()
+    assert json_value([1]).items(1) == [1] and json_value("a").text(("a", "b")) == "a"
     with pytest.raises(SourceError, match="found an array of 1; expected at least 2"):
-        one([1]).items(2)
+        json_value([1]).items(2)
     with pytest.raises(SourceError, match='found "c"; expected one of a, b'):
-        one("c").text(("a", "b"))
+        json_value("c").text(("a", "b"))
     for value, found in (({}, "an object"), ([], "an array"), (None, "null"), (10**300, "over 300 digits")):
         with pytest.raises(SourceError, match=f"found .*{found}; expected a string"):
-            one(value).text()
+            json_value(value).text()
     with pytest.raises(SourceError, match=r"found .{60}\.\.\.; expected a number$"):
-        one("a" * 70).number()
-    whole = one({"b": 1, "c": [4, 5]})
-    assert whole.get("d") is None and whole.at("d", 9).value == 9
-    inner = [(each.value, each.location) for each in whole.at("c").elements()]
+        json_value("a" * 70).number()
+    document = json_value({"b": 1, "c": [4, 5]})
+    assert document.get("d") is None and document.at("d", 9).value == 9
+    inner = [(each.value, each.location) for each in document.at("c").elements()]
     assert inner == [(4, "$.a[2].c[0]"), (5, "$.a[2].c[1]")]
-    whole.only(("b", "c"))
+    document.only(("b", "c"))
     with pytest.raises(SourceError, match=r"\$\.a\[2\]\.c: found a key that is not known; .* one of b, d"):
-        whole.only(("b", "d"))
+        document.only(("b", "d"))
     with pytest.raises(SourceError, match=r"\$\.a\[2\]: found no 'd'"):
-        whole.at("d")
+        document.at("d")
     for data in (b"{", b"\xff", b"[NaN]", b"[" * 100000):
         with pytest.raises(SourceError, match=r"where: found (no JSON|JSON nested too deeply)"):
             parsed(data, "where", "a file")
@@ -331,18 +346,25 @@ def test_a_value_of_json_is_taken_up_to_its_limits(tmp_path: Path) -> None:
 # -- workers -----------------------------------------------------------------------------------------------
 
 
-def test_the_threads_that_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_threads_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("TOUCHFIELD_THREADS", raising=False)
-    own = worker_count()
-    for text, count in (("1", 1), ("37", 37), ("0", own), ("", own), ("-2", own), ("many", own)):
+    default = worker_count()
+    for text, count in (
+        ("1", 1),
+        ("37", 37),
+        ("0", default),
+        ("", default),
+        ("-2", default),
+        ("many", default),
+    ):
         monkeypatch.setenv("TOUCHFIELD_THREADS", text)
         assert worker_count() == count, text
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
-def test_each_number_is_worked_on_once_in_order(monkeypatch: pytest.MonkeyPatch, threads: str) -> None:
-    def work(begin: int, end: int, more: int) -> list[int]:
-        return [n + more for n in range(begin, end)]
+def test_each_number_is_processed_once_in_order(monkeypatch: pytest.MonkeyPatch, threads: str) -> None:
+    def work(start: int, end: int, more: int) -> list[int]:
+        return [n + more for n in range(start, end)]
 
     monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
     for count in (0, 1, 2, 11, 12, 13, 100):
@@ -351,8 +373,8 @@ def test_each_number_is_worked_on_once_in_order(monkeypatch: pytest.MonkeyPatch,
             assert [n for part in parts for n in part] == list(range(7, count + 7)), (count, chunk)
             assert len(parts) <= max(1, count // chunk)
 
-    def fails(begin: int, end: int) -> None:
-        if begin <= 5 < end:
+    def fails(start: int, end: int) -> None:
+        if start <= 5 < end:
             raise KeyError(5)
 
     with pytest.raises(KeyError):
@@ -360,11 +382,11 @@ def test_each_number_is_worked_on_once_in_order(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_processes_are_at_most_1024(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[tuple[Any, ...]] = []
+    pools: list[tuple[Any, ...]] = []
 
     class Pool:
-        def __init__(self, *given: Any) -> None:
-            made.append(given)
+        def __init__(self, *args: Any) -> None:
+            pools.append(args)
 
         def __enter__(self) -> Pool:
             return self
@@ -377,10 +399,10 @@ def test_processes_are_at_most_1024(monkeypatch: pytest.MonkeyPatch) -> None:
     for count, threads in ((1, 7), (3, 2), (1024, 1)):
         with executor_of(f"processes:{count}") as pool:
             assert isinstance(pool, Pool)
-        workers, _, _, own = made.pop()
-        assert (workers, own) == (count, (threads,)), "the threads of the machine are shared"
-    for words in ("processes:0", "processes:1025", "processes:", "processes", "dask:", "threads:3", "3"):
-        with pytest.raises(InvalidArgument, match="--workers: found"), executor_of(words):
+        workers, _, _, threads_of_worker = pools.pop()
+        assert (workers, threads_of_worker) == (count, (threads,)), "the threads of the machine are shared"
+    for executor in ("processes:0", "processes:1025", "processes:", "processes", "dask:", "threads:3", "3"):
+        with pytest.raises(InvalidArgument, match="--workers: found"), executor_of(executor):
             pass
     with executor_of(None) as nothing:
-        assert nothing is None and not made
+        assert nothing is None and not pools

@@ -1,6 +1,4 @@
-"""What benchmarks record: the code that was measured, exact figures of quick runs,
-and how each script ended.
-"""
+"""Records of benchmarks: the measured code, exact figures of quick runs, and the result of each script."""
 
 from __future__ import annotations
 
@@ -16,8 +14,8 @@ BENCH = Path(__file__).resolve().parents[1] / "bench"
 
 
 @pytest.fixture(autouse=True)
-def within_reach(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Modules of bench/ import each other by their names."""
+def bench_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Modules of bench/ import each other by name."""
     monkeypatch.setattr(sys, "path", [str(BENCH), *sys.path])
 
 
@@ -98,14 +96,14 @@ def test_changed_files_are_named(provenance: Any, tmp_path: Path, monkeypatch: p
     provenance._all_digests.cache_clear()
 
 
-def test_of_imports_the_names_count_and_not_the_modules(provenance: Any) -> None:
+def test_imports_are_hashed_by_names_and_not_modules(provenance: Any) -> None:
     code = "from touchfield.tasks.view import scene, page as shown\n"
     moved = "from touchfield.viewer import page as shown\nfrom touchfield.tasks import scene\n"
     assert provenance.python_meaning(moved) == provenance.python_meaning(code)
     assert provenance.python_meaning(code.replace("scene", "scenes")) != provenance.python_meaning(code)
 
 
-def test_a_trace_has_what_a_process_loads_and_the_files_of_its_packages(tmp_path: Path) -> None:
+def test_a_trace_lists_loaded_modules_and_the_files_of_their_packages(tmp_path: Path) -> None:
     script = tmp_path / "traced.py"
     script.write_text(
         f"import subprocess, sys\nsys.path.insert(0, {str(BENCH)!r})\nimport provenance\ntrace = "
@@ -145,7 +143,9 @@ def test_a_byte_count_that_changed_fails_a_quick_run(
     machine: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(machine, "QUICK", tmp_path / "quick")
-    monkeypatch.setattr(machine, "SHARED", tmp_path)  # a folder of inputs is there: no figure may be absent
+    monkeypatch.setattr(
+        machine, "SHARED", tmp_path
+    )  # the folder of inputs exists, so no figure may be absent
     monkeypatch.setenv(machine.STORE_QUICK, "1")
     machine.check_quick("it", {"file_bytes": 82669, "least_db": -20.0})
     monkeypatch.delenv(machine.STORE_QUICK)
@@ -164,17 +164,17 @@ def test_a_byte_count_that_changed_fails_a_quick_run(
         ("import time; time.sleep(60)", "exceeded 1 s", True),
     ],
 )
-def test_how_a_script_ends(
+def test_the_verdict_on_a_script(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, verdict: str, is_failure: bool
 ) -> None:
     run_all = importlib.import_module("run_all")
     monkeypatch.setattr(run_all, "HERE", tmp_path)
     (tmp_path / "bench_it.py").write_text(code)
-    for is_shown in (True, False):
+    for is_verbose in (True, False):
         outcome = (
-            run_all.run("it", True, 1.0, is_shown)
+            run_all.run("it", True, 1.0, is_verbose)
             if "sleep" in code
-            else run_all.run("it", True, 30.0, is_shown)
+            else run_all.run("it", True, 30.0, is_verbose)
         )
         assert (outcome.verdict, outcome.is_failure) == (verdict, is_failure)
         if "sleep" in code:

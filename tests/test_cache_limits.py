@@ -1,8 +1,7 @@
-"""Every cache with a limit, from both sides: what it keeps is not made again, and it keeps no more than it
-may.
+"""Every bounded cache from both sides: cached results are not recomputed, and the bound holds.
 
-Elsewhere: `tests/network/test_remote.py` (bytes of a file elsewhere), `test_live_medium.py` (segments of a
-receiver), `tests/pipeline/test_frames_ahead.py` (segments decoded ahead), `tests/render/test_arena.py`
+Elsewhere: `tests/network/test_remote.py` (bytes of a remote file), `test_live_medium.py` (segments of a
+receiver), `tests/pipeline/test_frames_ahead.py` (segments decoded in advance), `tests/render/test_arena.py`
 (frames of the block).
 """
 
@@ -37,21 +36,21 @@ WALL = ForceProfile(((-0.18, 0.0, 0.0, -18.0),))
 AXES = "x right, y up, z towards the user"
 
 
-class Made:
-    """Counts what is made by its number, and what of it is still somewhere."""
+class Counted:
+    """Records the numbers of computed results, and counts the results still referenced."""
 
     def __init__(self, make: Callable[[int], Any]) -> None:
         self._make, self.numbers, self._alive = make, [], []  # type: ignore[var-annotated]
 
     def __call__(self, number: int) -> Any:
         self.numbers.append(number)
-        made = self._make(number)
-        self._alive.append(weakref.ref(made))
-        return made
+        result = self._make(number)
+        self._alive.append(weakref.ref(result))
+        return result
 
     @property
     def alive(self) -> int:
-        return sum(one() is not None for one in self._alive)
+        return sum(reference() is not None for reference in self._alive)
 
     def take_numbers(self) -> list[int]:
         numbers, self.numbers = self.numbers, []
@@ -74,86 +73,86 @@ class Pictures(DepthSequence):
     def __init__(self, count: int) -> None:
         self.name, self.intrinsics, self.rate_hz = "pictures", Intrinsics(20.0, 20.0, 9.5, 7.5), 10.0
         self.frame_count, self.width, self.height, self.notes = count, 20, 16, ()
-        self.made = Made(
+        self.computed = Counted(
             lambda i: (2.0 - 0.01 * i + 0.002 * np.arange(20) + np.zeros((16, 1))).astype(np.float32)
         )
 
     def depth_m(self, frame: int) -> np.ndarray:
-        depth: np.ndarray = self.made(frame)
+        depth: np.ndarray = self.computed(frame)
         return depth
 
 
-@pytest.mark.parametrize("room", [0, 3, 100])
-def test_frames_of_a_search_are_kept_as_far_as_memory_allows(
-    room: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("capacity", [0, 3, 100])
+def test_frames_of_a_search_are_cached_within_their_memory(
+    capacity: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rate_control, "_MAX_CACHE_BYTES", room * field(0).forces_n.nbytes)
-    made = Made(field)
-    prepared: Any = replace_medium(medium(8, made))
-    kept = rate_control._with_frame_cache(prepared).medium
+    monkeypatch.setattr(rate_control, "_MAX_CACHE_BYTES", capacity * field(0).forces_n.nbytes)
+    computed = Counted(field)
+    prepared: Any = replace_medium(medium(8, computed))
+    cached = rate_control._with_frame_cache(prepared).medium
     for _ in range(3):
-        assert [kept[i] == field(i) for i in range(8)] == [True] * 8
-    assert made.take_numbers() == [*range(8), *(2 * list(range(min(room, 8), 8)))]
-    assert made.alive == min(room, 8)
+        assert [cached[i] == field(i) for i in range(8)] == [True] * 8
+    assert computed.take_numbers() == [*range(8), *(2 * list(range(min(capacity, 8), 8)))]
+    assert computed.alive == min(capacity, 8)
 
 
 def replace_medium(of: HapticMedium) -> Any:
-    """What `_with_frame_cache` takes of a prepared scene."""
+    """The part of a prepared scene that `_with_frame_cache` uses."""
     from touchfield.pipeline import prepare
 
     return replace(prepare(StoredScene(medium(1)), EncodeSpec(nw=4)), medium=of)
 
 
-def test_of_symbols_the_last_two_frames_are_kept() -> None:
-    made = Made(field)
+def test_symbols_of_the_last_two_frames_are_cached() -> None:
+    computed = Counted(field)
     quantise = FieldQuantiserSpec().fit([field(0), field(9)], 4.0)
-    frames = SymbolFrames(medium(10, made), quantise)
+    frames = SymbolFrames(medium(10, computed), quantise)
     pairs = [(frames[i], frames[i + 1]) for i in range(9)]
-    assert made.take_numbers() == list(range(10)), "frames in pairs, each made once"
-    assert frames[9] is pairs[-1][1] and frames[8] is pairs[-1][0] and made.take_numbers() == []
-    symbols = [weakref.ref(one) for pair in pairs for one in pair]
+    assert computed.take_numbers() == list(range(10)), "frames in pairs, each made once"
+    assert frames[9] is pairs[-1][1] and frames[8] is pairs[-1][0] and computed.take_numbers() == []
+    symbols = [weakref.ref(reference) for pair in pairs for reference in pair]
     del pairs
     gc.collect()
-    assert len({id(one()) for one in symbols if one() is not None}) == 2
-    assert frames[0] is not None and made.take_numbers() == [0]
+    assert len({id(reference()) for reference in symbols if reference() is not None}) == 2
+    assert frames[0] is not None and computed.take_numbers() == [0]
 
 
-def test_of_depth_that_is_interpolated_three_pictures_are_kept() -> None:
+def test_interpolated_depth_caches_three_pictures() -> None:
     source = Pictures(12)
     faster = InterpolatedSequence(source, 25.0)
     for frame in range(faster.frame_count):
         faster.depth_m(frame)
-        assert source.made.alive <= 3
-    assert source.made.take_numbers() == list(range(12)), "in a pass each picture is read once"
+        assert source.computed.alive <= 3
+    assert source.computed.take_numbers() == list(range(12)), "in a pass each picture is read once"
     faster.depth_m(faster.frame_count - 3), faster.depth_m(faster.frame_count - 1)
-    assert source.made.take_numbers() == []
+    assert source.computed.take_numbers() == []
     faster.depth_m(0)
-    assert source.made.take_numbers() == [0]
+    assert source.computed.take_numbers() == [0]
 
 
-def test_of_objects_in_pictures_eight_frames_are_kept() -> None:
+def test_segmentation_caches_eight_frames() -> None:
     source = Pictures(20)
     objects = Segmentation(source, SegmentRule.parse("least=0.004"), 5e-4)
-    source.made.take_numbers()
+    source.computed.take_numbers()
     for frame in range(20):
         for number in (0, 0, 1):
             objects.depth_m(frame, number)
-        assert source.made.alive <= 8
-    assert source.made.take_numbers() == list(range(20)), "each object of a frame is cut from one reading"
+        assert source.computed.alive <= 8
+    assert source.computed.take_numbers() == list(range(20)), "each object of a frame is cut from one reading"
     for frame in range(12, 20):
         objects.depth_m(frame, 0)
-    assert source.made.take_numbers() == []
+    assert source.computed.take_numbers() == []
 
 
-def test_worlds_are_kept_for_sixteen_lattices(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun: list[Grid] = []
+def test_fused_worlds_are_cached_for_sixteen_lattices(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[Grid] = []
 
     class World:
         def __init__(self, grid: Grid, *_: Any) -> None:
-            begun.append(grid)
+            started.append(grid)
 
-        def field(self, seen: int) -> int:
-            return seen
+        def field(self, frame: int) -> int:
+            return frame
 
         def notes(self) -> tuple[str, ...]:
             return ()
@@ -164,57 +163,57 @@ def test_worlds_are_kept_for_sixteen_lattices(monkeypatch: pytest.MonkeyPatch) -
     for _ in range(2):
         for grid in grids[:16]:
             scene.field(0, grid, WALL)
-    assert begun == grids[:16], "an array asks for as many slabs again and again"
+    assert started == grids[:16], "an array asks for as many slabs again and again"
     for grid in grids[16:]:
         scene.field(0, grid, WALL)
     assert len(scene._worlds) == 16
     scene.field(0, grids[19], WALL)
-    assert begun == grids
+    assert started == grids
     scene.field(0, grids[0], WALL)
-    assert begun == [*grids, grids[0]]
+    assert started == [*grids, grids[0]]
 
 
-@pytest.mark.parametrize("room", [0, 4, 1000])
-def test_planes_of_pictures_are_kept_as_far_as_memory_allows(
-    room: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("capacity", [0, 4, 1000])
+def test_planes_of_pictures_are_cached_within_their_memory(
+    capacity: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fused_scene, "_MAX_PLANES_BYTES", 16 * 20 * 16 * room)
+    monkeypatch.setattr(fused_scene, "_MAX_PLANES_BYTES", 16 * 20 * 16 * capacity)
     scene = FusedScene(Pictures(10))
-    made: list[int] = []
-    own = scene.planes
-    monkeypatch.setattr(scene, "planes", lambda frame: made.append(frame) or own(frame))
+    computed: list[int] = []
+    planes = scene.planes
+    monkeypatch.setattr(scene, "planes", lambda frame: computed.append(frame) or planes(frame))
     for _ in range(2):
         for i in range(len(scene._planes.keys)):
             scene._planes[i]
     keys = [int(key) for key in scene._planes.keys]
-    assert made == [*keys, *keys[room:]]
+    assert computed == [*keys, *keys[capacity:]]
 
 
-@pytest.mark.parametrize("room", [0, 3, 1000])
-def test_a_segment_ends_once_its_fields_take_more_than_they_may(
-    room: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("capacity", [0, 3, 1000])
+def test_a_segment_ends_at_the_limit_of_its_memory(
+    capacity: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(segments, "MAX_SEGMENT_BYTES", room * field(0).forces_n.nbytes)
+    monkeypatch.setattr(segments, "MAX_SEGMENT_BYTES", capacity * field(0).forces_n.nbytes)
     scene = StoredScene(HapticMedium.from_frames([field(i) for i in range(16)], 50.0, AXES))
     encode(scene, tmp_path / "a.touch", EncodeSpec(nw=4, touch=TouchSpec(effort="fast", segment_frames=8)))
     with open_stream(tmp_path / "a.touch") as stream:
         counts = [segment.frame_count for segment in stream.reader.segments]
-    assert sum(counts) == 16 and set(counts[:-1]) == {min(room + 1, 8)}
+    assert sum(counts) == 16 and set(counts[:-1]) == {min(capacity + 1, 8)}
 
 
-@pytest.mark.parametrize(("room", "waits"), [(24_000, False), (10_000_000, True)])
+@pytest.mark.parametrize(("max_bytes", "waits"), [(24_000, False), (10_000_000, True)])
 def test_datagrams_wait_for_a_lost_message_within_their_memory(
-    room: int, waits: bool, monkeypatch: pytest.MonkeyPatch
+    max_bytes: int, waits: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
     from touchfield.network import datagrams
 
-    monkeypatch.setattr(datagrams, "_MAX_WAITING_BYTES", room)
+    monkeypatch.setattr(datagrams, "_MAX_WAITING_BYTES", max_bytes)
     sender, gathering = datagrams.Datagrams(7), datagrams.Gathering()
     messages = [np.random.default_rng(i).bytes(4000) for i in range(12)]
-    sent = [one for message in messages for one in sender.add(message)] + sender.flush()
-    coming = [one for one in sent if datagrams._parse(one).number != 1]  # type: ignore[union-attr]
-    out = [message for one in coming for message in gathering.receive(one)]
+    sent = [datagram for message in messages for datagram in sender.add(message)] + sender.flush()
+    delivered = [datagram for datagram in sent if datagrams._parse(datagram).number != 1]  # type: ignore[union-attr]
+    out = [message for datagram in delivered for message in gathering.receive(datagram)]
     if waits:
         assert out == messages[:1] and gathering.lost == 0
     else:
@@ -226,12 +225,12 @@ def test_an_index_of_files_is_described_within_its_memory(
 ) -> None:
     from touchfield.tasks import library
 
-    taken = []
-    own = library.in_order
+    calls = []
+    original = library.in_order
 
-    def in_order(work: Any, items: Any, weight: Any, most: int, executor: Any) -> Any:
-        taken.append((most, [weight(item) for item in items]))
-        return own(work, items, weight, most, executor)
+    def in_order(work: Any, items: Any, weight: Any, max_weight: int, executor: Any) -> Any:
+        calls.append((max_weight, [weight(item) for item in items]))
+        return original(work, items, weight, max_weight, executor)
 
     monkeypatch.setattr(library, "in_order", in_order)
     scene = StoredScene(HapticMedium.from_frames([field(0)], 50.0, AXES))
@@ -239,4 +238,4 @@ def test_an_index_of_files_is_described_within_its_memory(
         encode(scene, tmp_path / f"{name}.touch", EncodeSpec(nw=4, touch=TouchSpec(effort="fast")))
     library.index_folder(tmp_path, tmp_path.parent / "i.npz")
     sizes = [(tmp_path / f"{name}.touch").stat().st_size for name in ("a", "b")]
-    assert taken == [(library.MAX_PENDING_BYTES, sizes)]
+    assert calls == [(library.MAX_PENDING_BYTES, sizes)]

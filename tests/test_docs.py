@@ -1,4 +1,4 @@
-"""Pages that people follow: their code runs, block after block, in an empty folder; and the site builds."""
+"""Pages of instructions: their code runs, block after block, in an empty folder; and the site builds."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ PAGES = [
     *sorted((DOCS / "how-to").glob("*.md")),
 ]
 NEEDS = {"simulation": "mujoco", "broadcast": "av"}
-"""Libraries beyond those of pictures that a page is about."""
+"""Libraries needed by a page, besides those for pictures."""
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_a_page_does_what_it_says(
+def test_the_code_of_a_page_runs(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for library in ("matplotlib", *filter(None, [NEEDS.get(page.stem)])):

@@ -1,8 +1,7 @@
-"""Searches for a voxel beyond the error bound: hostile fields and scenes of bodies, checked by
-`independent_bound`.
+"""Search for voxels beyond the error bound in hostile fields and scenes of bodies, by `independent_bound`.
 
-``TOUCHFIELD_FUZZ_SEED`` chooses another search, ``TOUCHFIELD_FUZZ_SHARE`` a part of it (0.1 is a tenth). A
-failure names the seed and the case; ``TOUCHFIELD_FUZZ_CASE`` runs that one alone.
+``TOUCHFIELD_FUZZ_SEED`` selects another search, ``TOUCHFIELD_FUZZ_SHARE`` a fraction of it (0.1 is a tenth).
+A failure names the seed and the case; ``TOUCHFIELD_FUZZ_CASE`` runs that case alone.
 """
 
 from __future__ import annotations
@@ -41,9 +40,9 @@ from touchfield.pipeline.decoded_objects import SceneStream
 from touchfield.pipeline.encoding import write_objects
 
 SEED = int(os.environ.get("TOUCHFIELD_FUZZ_SEED", "1"))
-SHARE = float(os.environ.get("TOUCHFIELD_FUZZ_SHARE", "1"))
+FRACTION = float(os.environ.get("TOUCHFIELD_FUZZ_SHARE", "1"))
 ALONE = os.environ.get("TOUCHFIELD_FUZZ_CASE")
-FIELDS, SCENES = max(1, int(3000 * SHARE)), max(1, int(200 * SHARE))
+FIELDS, SCENES = max(1, int(3000 * FRACTION)), max(1, int(200 * FRACTION))
 ROUNDING = 1 + 1e-9  # of float64, in a ratio
 
 K = (0.001, 0.0011, 0.01, 0.1, 0.3, 0.7, 0.999)
@@ -67,14 +66,14 @@ KINDS = (
 )
 
 
-def _each(count: int, check: Callable[[np.random.Generator], object], what: str) -> None:
-    """Run the cases of a kind; each is made from the seed and its number alone."""
+def _each(count: int, check: Callable[[np.random.Generator], object], kind: str) -> None:
+    """Run the cases of a kind; each depends on the seed and its number only."""
     for case in range(count) if ALONE is None else [int(ALONE)]:
-        rng = np.random.default_rng([SEED, len(what), case])
+        rng = np.random.default_rng([SEED, len(kind), case])
         try:
             check(rng)
         except BaseException as error:
-            error.add_note(f"{what} {case}: TOUCHFIELD_FUZZ_SEED={SEED} TOUCHFIELD_FUZZ_CASE={case}")
+            error.add_note(f"{kind} {case}: TOUCHFIELD_FUZZ_SEED={SEED} TOUCHFIELD_FUZZ_CASE={case}")
             raise
 
 
@@ -84,13 +83,13 @@ def _each(count: int, check: Callable[[np.random.Generator], object], what: str)
 def _shape(rng: np.random.Generator) -> tuple[int, int, int]:
     if rng.random() < 0.1:
         return 1, 1, 1
-    most = int(rng.choice([2, 5, 9, 20]))
-    x, y, z = rng.integers(1, most + 1, 3).tolist()
+    max_side = int(rng.choice([2, 5, 9, 20]))
+    x, y, z = rng.integers(1, max_side + 1, 3).tolist()
     return x, y, z
 
 
 def _forces(rng: np.random.Generator, shape: tuple[int, int, int], f0_n: float) -> np.ndarray:
-    """Float32 newtons [x, y, z, 3] of a kind."""
+    """Float32 newtons [x, y, z, 3] of a random kind."""
     kind, f = str(rng.choice(KINDS)), np.zeros((*shape, 3))
     full = rng.normal(size=f.shape)
     some = rng.random(shape) < rng.choice([0.02, 0.3, 0.9])
@@ -162,15 +161,15 @@ def _spec(rng: np.random.Generator) -> TouchSpec:
 
 
 def _check_paper(frames: list[np.ndarray], grid: Grid, rng: np.random.Generator) -> None:
-    """Coder paper bounds nothing: it decodes to finite forces, and says that there is no bound."""
+    """Coder paper has no bound: it decodes to finite forces, and states that there is no bound."""
     spec = PaperSpec(k=float(rng.choice([0.05, 0.3])), directions="ico1")
     encoder, fields = PaperEncoder(grid, spec), [ForceField.from_dense(grid, f) for f in frames]
     largest_n = max(float(np.linalg.norm(f.astype(np.float64), axis=-1).max()) for f in frames)
-    if largest_n > 1e6:  # no decoder takes such a level
+    if largest_n > 1e6:  # no decoder accepts such a level
         with pytest.raises(InvalidArgument):
             encoder.encode_segment(fields)
         return
-    if largest_n > 5e5:  # a change from frame to frame may be such a one
+    if largest_n > 5e5:  # a change between frames may reach such a level
         return
     coded = encoder.encode_segment(fields)
     assert coded.max_error is None
@@ -179,7 +178,7 @@ def _check_paper(frames: list[np.ndarray], grid: Grid, rng: np.random.Generator)
 
 
 def _check_worst(worst: MaxError | None, ratio: float) -> None:
-    """The ratio that a segment states is the largest there is, rounded up to a whole step."""
+    """The ratio stated by a segment is the largest one, rounded up to a whole step."""
     assert worst is not None
     assert ratio / ROUNDING <= worst.ratio <= ratio * ROUNDING + 1 / 65535
 
@@ -202,7 +201,7 @@ def _check_field(rng: np.random.Generator) -> None:
         more["key_frame"] = encoder.key_frame(
             ForceField.from_dense(grid, frames[0] * np.float32(1 + 1e-4)), fields[0]
         )
-    if rng.random() < 0.15:  # as a live stream does
+    if rng.random() < 0.15:  # as in a live stream
         more["longest_n"] = 1.5 * float(
             max(np.linalg.norm(f.astype(np.float64), axis=-1).max() for f in frames)
         )
@@ -217,22 +216,23 @@ def _check_field(rng: np.random.Generator) -> None:
         return
     if spec.mode == "lossless":
         assert all((f == d).all() for f, d in pairs) and worst == MaxError(0.0, 0, (0, 0, 0))
-        # a field keeps no brick of -0.0 alone
+        # a field stores no brick of -0.0 alone
         assert all(same_bits(field.to_dense(), d) for field, d in zip(fields, decoded, strict=True))
         return
     if spec.mode == "mask-direction":
         ratio = max(direction_ratio(f, d, spec.k, spec.f0_n, spec.direction_jnd_deg) for f, d in pairs)
-        assert ratio <= 1 + 1e-7  # an angle of half a degree is known to so much
+        assert ratio <= 1 + 1e-7  # the accuracy of an angle of half a degree
         assert worst is not None and worst.ratio >= ratio - 1e-6
     else:
-        around = [
+        neighbours = [
             hidden_n(f, grid.spacing_m, spec.masking, spec.masking_radius_m) if spec.masking else 0.0
             for f in frames
         ]
         ratios = [
-            mask_ratio(f, d, spec.k, spec.f0_n, hidden) for (f, d), hidden in zip(pairs, around, strict=True)
+            mask_ratio(f, d, spec.k, spec.f0_n, hidden)
+            for (f, d), hidden in zip(pairs, neighbours, strict=True)
         ]
-        assert max(ratios) <= (1 + 1e-6 if spec.masking else 1)  # what is hidden is float32
+        assert max(ratios) <= (1 + 1e-6 if spec.masking else 1)  # the masked part is float32
         if spec.masking:
             assert worst is not None and worst.ratio >= max(ratios) - 1e-6
         else:
@@ -257,9 +257,7 @@ def test_no_voxel_of_a_hostile_field_is_beyond_its_bound() -> None:
 
 
 def _body_forces(rng: np.random.Generator, grid: Grid, force_max_n: float) -> np.ndarray:
-    """Float32 newtons of a body: solids and shells, which have opposite forces within a cell, and hostile
-    fields.
-    """
+    """Float32 newtons of a body: solids and shells with opposite forces within a cell, and hostile fields."""
     kind = str(rng.choice(["solid", "solid", "shell", "noise", "hostile", "thin"]))
     points = np.moveaxis(np.indices(grid.shape), 0, -1) * grid.spacing_m + np.array(grid.origin_m)
     r = np.linalg.norm(points, axis=-1, keepdims=True)
@@ -269,7 +267,7 @@ def _body_forces(rng: np.random.Generator, grid: Grid, force_max_n: float) -> np
         return (scale * np.clip(1 - r / radius, 0, None) * outward).astype(np.float32)
     if kind == "shell":
         return (scale * np.clip(1 - np.abs(2 * r / radius - 1), 0, None) * outward).astype(np.float32)
-    if kind == "thin":  # a sheet that pushes to both sides: forces cancel within its cells
+    if kind == "thin":  # a sheet that pushes to both sides, so that forces cancel within its cells
         side = np.sign(np.arange(grid.shape[2]) - (grid.shape[2] - 1) / 2)
         f = np.zeros((*grid.shape, 3))
         f[..., 2] = scale * side
@@ -298,13 +296,13 @@ def _scene(rng: np.random.Generator) -> HapticScene:
     world = Grid(tuple(rng.integers(1, 15, 3).tolist()), (0.001, 0.0013, 0.0009), (-0.006, -0.007, -0.006))
     objects: list[HapticObject] = []
     for n in range(int(rng.integers(1, 5))):
-        if objects and rng.random() < 0.25:  # one that cancels another, at the same place or nearly so
+        if objects and rng.random() < 0.25:  # a body that cancels another, at nearly the same position
             other = objects[int(rng.integers(len(objects)))]
             medium = HapticMedium.from_frames([field.scaled(-1.0) for field in other.medium], 200.0)
-            near = PoseTrack(
+            track = PoseTrack(
                 other.track.quaternions, other.track.positions_m + rng.choice([0.0, 0.0, 1e-7, 3e-4])
             )
-            objects.append(HapticObject(f"body {n}", medium, near))
+            objects.append(HapticObject(f"body {n}", medium, track))
             continue
         shape = tuple(rng.integers(1, 15, 3).tolist())
         grid = Grid(shape, (0.0009,) * 3, tuple(-0.00045 * (s - 1) for s in shape))
@@ -320,13 +318,13 @@ def _scene(rng: np.random.Generator) -> HapticScene:
 def _bodies(scene: HapticScene) -> list[Body]:
     return [
         Body(
-            np.stack([field.to_dense() for field in one.medium]),
-            np.array(one.medium.grid.spacing_m),
-            np.array(one.medium.grid.origin_m),
-            one.track.quaternions,
-            one.track.positions_m,
+            np.stack([field.to_dense() for field in obj.medium]),
+            np.array(obj.medium.grid.spacing_m),
+            np.array(obj.medium.grid.origin_m),
+            obj.track.quaternions,
+            obj.track.positions_m,
         )
-        for one in scene.objects
+        for obj in scene.objects
     ]
 
 
@@ -341,19 +339,21 @@ def _check_scene(rng: np.random.Generator) -> None:
             head = replace(head_of(scene, encoder), weber_fraction=spec.k, force_threshold_n=spec.f0_n)
             writer.write_head(head)
             write_objects(writer, encoder, len(scene))
-    except InvalidArgument as error:  # a damping that no coded velocity is exact enough for; never in silence
-        if not any(words in str(error) for words in refused):
+    except (
+        InvalidArgument
+    ) as error:  # a damping too large for the accuracy of coded velocities; always an error
+        if not any(text in str(error) for text in refused):
             raise
         return
     file.name = "scene.touch"
     stream = SceneStream(TouchReader(file))
-    told, pairs = stream.summary(), list(zip(_bodies(scene), _bodies(stream.scene), strict=True))
-    assert told["error_bound"] and told["promise_kept"] is True
+    summary, pairs = stream.summary(), list(zip(_bodies(scene), _bodies(stream.scene), strict=True))
+    assert summary["error_bound"] and summary["promise_kept"] is True
     lattice = scene.grid.shape, scene.grid.spacing_m, scene.grid.origin_m
     limits = spec.k, spec.f0_n, scene.force_max_n, scene.surface_damping_n_s_per_m
     ratio = max(composed_ratio(pairs, i, lattice, limits, scene.rate_hz) for i in range(len(scene)))
     assert ratio <= 1
-    assert ratio <= told["worst_mask_ratio"] + 1e-6
+    assert ratio <= summary["worst_mask_ratio"] + 1e-6
     away_m = max(displacement_m(source, decoded, i) for source, decoded in pairs for i in range(len(scene)))
     assert away_m <= PLACE_TOLERANCE_M * ROUNDING
 

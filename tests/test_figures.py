@@ -1,4 +1,4 @@
-"""Figures of the pages are those of the last benchmarks, and every benchmark has bars."""
+"""Figures of the pages equal those of the last benchmarks, and every benchmark has bars."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ BENCH = str(ROOT / "bench")
 
 
 @pytest.fixture(autouse=True)
-def within_reach(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Modules of bench/ import each other by their names."""
+def bench_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Modules of bench/ import each other by name."""
     monkeypatch.setattr(sys, "path", [BENCH, *sys.path])
 
 
@@ -31,23 +31,23 @@ def results(name: str) -> Any:
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_quotes_the_figures_of_the_results(page: str) -> None:
     quotes = importlib.import_module("quotes")
-    own = [quote for quote in quotes.quotes() if quote.page == page]
+    quotes_of_page = [quote for quote in quotes.quotes() if quote.page == page]
     text = quotes.text_of(page)
-    assert own and quotes.missing(page, text) == []
+    assert quotes_of_page and quotes.missing(page, text) == []
     assert quotes.written(page, text) == text
-    found = own[0].pattern.search(text)
+    found = quotes_of_page[0].pattern.search(text)
     assert found is not None
     wrong = text[: found.start(1)] + "98765" + text[found.end(1) :]
-    assert quotes.missing(page, wrong) == [own[0]]
+    assert quotes.missing(page, wrong) == [quotes_of_page[0]]
     assert quotes.written(page, wrong) == text
 
 
-def test_every_quote_is_of_a_page_that_is_tested() -> None:
+def test_every_quote_is_on_a_tested_page() -> None:
     assert {quote.page for quote in importlib.import_module("quotes").quotes()} == set(PAGES)
 
 
 def test_readme_quotes_no_stale_result() -> None:
-    """Measure them anew: bench/run_all.py --rerun-stale, then bench/quotes.py --write."""
+    """Remeasure with bench/run_all.py --rerun-stale, then bench/quotes.py --write."""
     quotes, machine = importlib.import_module("quotes"), importlib.import_module("machine")
     names = sorted({quote.result for quote in quotes.quotes() if quote.page == quotes.README})
     outdated = {name: machine.stale(name)[:5] for name in names if machine.stale(name)}
@@ -58,17 +58,17 @@ def test_readme_quotes_no_absolute_speed() -> None:
     assert re.findall(r"\d (?:frames a second|frames/s|us\b|ms\b(?! of)|M/s)", README) == []
 
 
-def kept() -> list[str]:
-    """Names of the results that a script keeps."""
+def stored_results() -> list[str]:
+    """Names of the stored results."""
     return sorted(path.stem for path in (ROOT / "bench" / "results").glob("*.json"))
 
 
-@pytest.mark.parametrize("name", kept())
+@pytest.mark.parametrize("name", stored_results())
 def test_a_result_has_bars_that_follow_from_its_figures(name: str) -> None:
     module = importlib.import_module("rate" if name == "rate" else f"bench_{name}")
     figures = results(name)
     bars = figures["bars"]
-    assert bars or name == "size"  # sizes are information
+    assert bars or name == "size"  # sizes are informative only
     assert bars == json.loads(json.dumps(module.bars(figures), default=float))
     for bar in bars:
         assert set(bar) == {"bar", "measured", "way", "limit", "unit", "met"}
@@ -80,13 +80,13 @@ def test_a_result_has_bars_that_follow_from_its_figures(name: str) -> None:
         )
 
 
-def test_every_benchmark_keeps_a_result() -> None:
+def test_every_benchmark_has_a_stored_result() -> None:
     scripts = {path.stem.removeprefix("bench_") for path in (ROOT / "bench").glob("bench_*.py")}
-    assert scripts | {"rate"} == set(kept())
+    assert scripts | {"rate"} == set(stored_results())
 
 
 @pytest.mark.parametrize("script", sorted((ROOT / "bench").glob("*.py")), ids=lambda path: path.stem)
-def test_a_benchmark_asks_for_names_that_there_are(script: Path) -> None:
+def test_a_benchmark_imports_existing_names(script: Path) -> None:
     for node in ast.walk(ast.parse(script.read_text())):
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("touchfield."):
             module = importlib.import_module(str(node.module))

@@ -1,4 +1,4 @@
-"""The gallery's scripts run, and its pages are what they make."""
+"""The scripts of the gallery run, and its pages are their output."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NUMBER = re.compile(r"[-+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?")
 
 
 def split(page: str) -> tuple[str, list[float]]:
-    """The words and code of a page with its outputs' numbers blanked, and those numbers."""
+    """The text and code of a page with blanked numbers of outputs, and those numbers."""
     numbers: list[float] = []
     for output in re.findall(r"```text\n.*?```", page, re.DOTALL):
         numbers += [float(n.replace(",", "")) for n in NUMBER.findall(output)]
@@ -35,15 +35,19 @@ def split(page: str) -> tuple[str, list[float]]:
 
 
 @pytest.mark.parametrize("name", BUILD.SCRIPTS)
-def test_a_page_is_what_its_script_makes(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_is_the_output_of_its_script(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("matplotlib", reason="the gallery draws with matplotlib")
     if name == "six_devices":
         pytest.importorskip("skimage", reason="the motorcycle comes with scikit-image")
     monkeypatch.setenv("MPLBACKEND", "agg")
-    made, kept = split(BUILD.page(name, tmp_path)), split((GALLERY / f"{name}.md").read_text())
-    assert made[0] == kept[0], "run `make gallery`"
-    np.testing.assert_allclose(made[1], kept[1], rtol=0.02, atol=0.02)  # the last digits are the machine's
-    pictures = re.findall(r"!\[.*?\]\((.*?)\)", made[0])
+    generated, stored = split(BUILD.page(name, tmp_path)), split((GALLERY / f"{name}.md").read_text())
+    assert generated[0] == stored[0], "run `make gallery`"
+    np.testing.assert_allclose(
+        generated[1], stored[1], rtol=0.02, atol=0.02
+    )  # the last digits depend on the machine
+    pictures = re.findall(r"!\[.*?\]\((.*?)\)", generated[0])
     assert pictures == [f"{name}.png"], "each page ends in its figure"
     with Image.open(tmp_path / pictures[0]) as new, Image.open(GALLERY / pictures[0]) as old:
         assert new.size == old.size

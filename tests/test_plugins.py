@@ -1,5 +1,5 @@
-"""A distribution adds a source, a coder, a driver and a filter by entry points, and the commands list and use
-them.
+"""A distribution adds a source, a coder, a driver and a filter by entry points; commands list and
+use them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Command = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the package of `tests/plugin`, installed as pip installs it."""
+    """A folder with the package of `tests/plugin`, as installed by pip."""
     folder = tmp_path_factory.mktemp("site")
     options = ("--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation", "--target")
     subprocess.run([sys.executable, "-m", "pip", "install", *options, folder, PLUGIN], check=True)
@@ -32,11 +32,11 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def touchfield(installed: Path, tmp_path: Path) -> Command:
-    """Runs a command in a folder of its own, with the plug-in installed."""
+    """Runs a command in an empty folder with the plug-in installed."""
     environment = environment_with(installed)
 
-    def run(*words: str, status: int = 0) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "touchfield", *words]
+    def run(*arguments: str, status: int = 0) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "touchfield", *arguments]
         done = subprocess.run(
             command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
         )
@@ -46,7 +46,7 @@ def touchfield(installed: Path, tmp_path: Path) -> Command:
     return run
 
 
-def test_commands_list_what_a_plugin_provides(touchfield: Command) -> None:
+def test_commands_list_the_parts_of_a_plugin(touchfield: Command) -> None:
     assert json.loads(touchfield("sources", "--json").stdout)["ball"].startswith("A ball")
     devices = json.loads(touchfield("devices", "--json").stdout)
     assert (
@@ -79,7 +79,7 @@ def test_a_stream_by_its_source_filter_and_coder_plays_on_its_device(
     assert played["ticks"] > 0
 
 
-def test_without_the_plugin_its_stream_names_what_is_missing(touchfield: Command, tmp_path: Path) -> None:
+def test_error_of_a_stream_without_its_plugin_names_the_coder(touchfield: Command, tmp_path: Path) -> None:
     (tmp_path / "b.ball").write_text("0.02")
     touchfield("encode", "b.ball", "b.touch", "--coder", "raw", "--nw", "3", "--representation", "voxel")
     done = subprocess.run(
@@ -88,8 +88,8 @@ def test_without_the_plugin_its_stream_names_what_is_missing(touchfield: Command
     assert done.returncode != 0 and "'raw'" in done.stderr and "plug-in" in done.stderr
 
 
-def test_a_plugin_that_fails_is_left_out_with_a_warning(tmp_path: Path) -> None:
-    """Both one that cannot be imported and one that is something else."""
+def test_a_failing_plugin_is_skipped_with_a_warning(tmp_path: Path) -> None:
+    """Both a plug-in that cannot be imported and one of a wrong type."""
     metadata = tmp_path / "broken-1.0.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")

@@ -1,4 +1,4 @@
-"""The small parts of bench/rate.py: the search for an equal error, symbols that keep the promise, layouts."""
+"""The small parts of bench/rate.py: the search for an equal error, symbols within the bound, layouts."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ def forces(seed: int, longest_n: float) -> np.ndarray:
 
 
 @given(st.integers(0, 10**6), st.sampled_from([0.04, 0.3, 3.3]))
-def test_every_lattice_of_the_peers_keeps_the_promise(seed, longest_n):
+def test_every_lattice_of_the_peers_keeps_the_error_bound(seed, longest_n):
     x = forces(seed, longest_n)
-    made = lattices.promised(x)
-    assert len(made) == 2
-    for one in made:
-        assert lattices.is_within_bound(x, one.decoded)
-        held = (one.symbols != 0).any(axis=-1)
-        assert not one.decoded[~held].any()  # a decoder knows no force where all symbols are 0
-        assert not held[np.linalg.norm(x, axis=-1) <= F0_N].any()
+    results = lattices.promised(x)
+    assert len(results) == 2
+    for result in results:
+        assert lattices.is_within_bound(x, result.decoded)
+        is_supported = (result.symbols != 0).any(axis=-1)
+        assert not result.decoded[~is_supported].any()  # a decoder has no force where all symbols are 0
+        assert not is_supported[np.linalg.norm(x, axis=-1) <= F0_N].any()
 
 
-def test_a_lattice_coarser_than_the_mask_is_found_out():
+def test_a_lattice_coarser_than_the_mask_is_detected():
     x = forces(1, 3.3)
     assert not lattices.is_within_bound(x, lattices.uniform(x, 4 * F0_N).decoded)
 
@@ -60,7 +60,7 @@ def test_companding_has_an_inverse(seed):
 
 
 @given(st.integers(0, 10**6), st.integers(3, 60))
-def test_octahedral_map_is_as_fine_as_is_said(seed, side):
+def test_octahedral_map_has_the_stated_resolution(seed, side):
     unit = np.random.default_rng(seed).normal(size=(500, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     u, v, direction = lattices.octahedral(unit, side)
@@ -70,7 +70,7 @@ def test_octahedral_map_is_as_fine_as_is_said(seed, side):
     assert angle < 4.2 / (side - 1)
 
 
-def test_an_error_that_no_step_reaches_has_no_bytes():
+def test_an_unreachable_error_has_no_bytes():
     assert math.isnan(ours.Search(lambda step: (-5.0, 100.0), -20.0, 0.1).run().size())
 
 
@@ -100,7 +100,7 @@ def test_a_search_that_jumps_stays_between_its_trials():
     assert found.size() == pytest.approx(math.sqrt(1e5))
 
 
-def test_a_search_goes_on_where_errors_do_not_follow_the_steps_in_order():
+def test_a_search_continues_for_non_monotonic_errors():
     def code(step: float) -> tuple[float, float]:
         noise = 0.8 if 0.365 < step < 0.375 else 0.0
         return 20 * math.log10(step) - 12.62 - noise, 130 / step
@@ -121,24 +121,24 @@ def test_symbols_of_coder_paper_are_those_it_codes(wavy_field):
     assert "JPEG XL" not in found and found["xz"] > table_bytes
 
 
-def test_kept_figures_are_found_by_what_they_depend_on(tmp_path):
-    made = {"bytes": 7, "peers": {"zfp": math.nan}}
-    pool.cached(tmp_path / "new", ["tum band, nw 6", 1], lambda: made)
+def test_stored_figures_are_found_by_their_inputs(tmp_path):
+    figures = {"bytes": 7, "peers": {"zfp": math.nan}}
+    pool.cached(tmp_path / "new", ["tum band, nw 6", 1], lambda: figures)
     again = pool.cached(tmp_path / "new", ["tum band, nw 6", 1], lambda: pytest.fail("it is kept"))
     assert again["bytes"] == 7 and math.isnan(again["peers"]["zfp"])
     assert pool.cached(tmp_path / "new", ["tum band, nw 6", 2], lambda: {"bytes": 8}) == {"bytes": 8}
-    assert len({pool.fingerprint(what) for what in ("fields", "peers", "ours")}) == 3
+    assert len({pool.fingerprint(part) for part in ("fields", "peers", "ours")}) == 3
 
 
-def test_layouts_hold_every_symbol():
+def test_layouts_contain_every_symbol():
     symbols = np.random.default_rng(0).integers(-3, 4, (2, 4, 3, 5, 3)).astype(np.int32)
     symbols[:, :, 0] = 0
-    held = int((symbols != 0).any(axis=-1).sum())
+    supported = int((symbols != 0).any(axis=-1).sum())
     union = int((symbols != 0).any(axis=(0, -1)).sum())
-    made = list(peers.layouts(symbols))
-    expected = [symbols.size] * 2 + [3 * held] * 2 + [6 * union] * 3
-    assert [len(data) for data, _ in made] == expected
-    assert [mask is None for _, mask in made] == [True] * 2 + [False] * 5
+    layouts = list(peers.layouts(symbols))
+    expected = [symbols.size] * 2 + [3 * supported] * 2 + [6 * union] * 3
+    assert [len(data) for data, _ in layouts] == expected
+    assert [mask is None for _, mask in layouts] == [True] * 2 + [False] * 5
 
 
 def test_wide_symbols_lose_nothing():
@@ -148,7 +148,7 @@ def test_wide_symbols_lose_nothing():
     assert np.array_equal((low | high.astype(np.uint16) << 8).astype(np.int16), symbols[0])
 
 
-def test_lossless_sizes_fall_with_what_there_is_to_say():
+def test_lossless_sizes_fall_with_the_entropy():
     rng = np.random.default_rng(2)
     noise = rng.integers(-7, 8, (1, 16, 16, 16, 3)).astype(np.int32)
     even = np.ones_like(noise)
@@ -193,10 +193,10 @@ def report_of(*rows, speeds=()):
 
 
 @pytest.mark.parametrize(("size", "met"), [(99.0, True), (101.0, False)])
-def test_bars_are_held_against_the_figures_before(size, met):
+def test_bars_compare_with_the_previous_figures(size, met):
     found = report_of(row("promise", {"default": size}))
-    told = {(bar["limit"], bar["met"]) for bar in found.bars() if bar["measured"] is not None}
-    assert told == {(1.0, met), (1.0, True), (0, True)}
+    bars = {(bar["limit"], bar["met"]) for bar in found.bars() if bar["measured"] is not None}
+    assert bars == {(1.0, met), (1.0, True), (0, True)}
     assert found.ranges()["default, promise, 1 frame"] == [300 / size] * 2
 
 
@@ -208,7 +208,7 @@ def test_bytes_at_another_error_than_before_are_not_compared():
     assert {bar["measured"] for bar in found.bars() if "former" in bar["bar"]} == {None}
 
 
-def test_what_was_not_measured_is_neither_met_nor_missed():
+def test_unmeasured_bars_are_neither_met_nor_missed():
     assert {(bar["measured"], bar["met"]) for bar in report_of().bars()} == {(None, None)}
 
 
@@ -217,11 +217,11 @@ def test_later_frames_violations_and_speeds_have_bars():
         {"field": "tum band, nw 7", "effort": "default", "encode_frames_s": 11.0, "decode_frames_s": 61.0}
     ]
     found = report_of(row("promise", {}, frames=5, ratio=0.6, beyond=2), speeds=speeds).bars()
-    told = {(round(b["measured"], 9), b["limit"], b["met"]) for b in found if b["measured"] is not None}
-    assert told == {(1.2, 1.0, False), (2, 0, False), (61.0, 60, True), (11.0, 12, False)}
+    bars = {(round(b["measured"], 9), b["limit"], b["met"]) for b in found if b["measured"] is not None}
+    assert bars == {(1.2, 1.0, False), (2, 0, False), (61.0, 60, True), (11.0, 12, False)}
 
 
-def test_tables_hold_a_peer_beside_ours():
+def test_tables_list_a_peer_next_to_our_figures():
     text = "\n".join(report_of(row("promise", {"default": 200.0})).tables())
     line = next(line for line in text.splitlines() if line.startswith("tum band"))
     assert line.split()[-4:-2] == ["1.5", "-"]
@@ -236,18 +236,18 @@ def test_patches_leave_no_error_beyond_the_mask_or_the_target():
     assert 0 < sources.patch_bytes(x, other, -20.0) < sources.patch_bytes(x, other, None)
 
 
-def test_a_shrunk_map_is_the_median_of_what_is_known():
+def test_a_shrunk_map_is_the_median_of_known_values():
     maps = np.array([[[0, 0, 7, 9], [0, 5, 8, 100]]], np.int32)
     assert sources.shrunk(maps, 2).tolist() == [[[0, 9]]]
 
 
 @pytest.mark.parametrize("kind", ["band", "height"])
-def test_the_exact_map_makes_the_very_field(kind, tmp_path):
+def test_the_exact_map_reproduces_the_field(kind, tmp_path):
     case = next((c for c in fields.cases((4,)) if c.kind == kind and c.has_maps), None)
     if case is None:
         pytest.skip("no ../shared/data")
     frames = case.frames(tmp_path)[:2]
     source = sources.Source(case, 2)
-    for found, wanted in zip(source.frames(source.maps, 1), frames, strict=True):
-        assert np.array_equal(found.to_dense(), wanted.to_dense())
+    for found, expected in zip(source.frames(source.maps, 1), frames, strict=True):
+        assert np.array_equal(found.to_dense(), expected.to_dense())
     assert not np.array_equal(source.frames(3 * (source.maps // 3), 1)[0].to_dense(), frames[0].to_dense())

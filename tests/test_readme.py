@@ -1,4 +1,4 @@
-"""The README's Python runs, and its commands exist."""
+"""The Python code of the README runs, and its commands exist."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def test_the_five_lines_run(
     monkeypatch.chdir(tmp_path)
     (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     exec(compile(code, "README.md", "exec"), {})
-    said = capsys.readouterr().out
-    assert "newtons" in said and "dB" in said
+    output = capsys.readouterr().out
+    assert "newtons" in output and "dB" in output
     assert (tmp_path / "shapes.touch").exists()
 
 
@@ -43,10 +43,10 @@ def test_the_page_on_scenes_that_move_runs(
     assert f"{line})\n" in code
     shorter = code.replace(
         line, f"{line}, tf.EncodeSpec(frames=(0, 501))"
-    )  # of 2000; the page looks at frame 500
+    )  # of 2000; the page uses frame 500
     exec(compile(shorter, "moving-scenes.md", "exec"), {})
-    said = capsys.readouterr().out
-    assert "newtons" in said and "[0. 0. 0.]" not in said
+    output = capsys.readouterr().out
+    assert "newtons" in output and "[0. 0. 0.]" not in output
 
 
 def test_the_device_in_one_file_plays(
@@ -87,7 +87,7 @@ def test_everything_public_is_documented() -> None:
     assert sorted(touchfield.__all__) == touchfield.__all__
 
 
-def test_the_map_of_the_paper_names_files_that_are_there() -> None:
+def test_the_map_of_the_paper_names_existing_files() -> None:
     root = Path(__file__).resolve().parents[1]
     named = set(re.findall(r"`([\w/]+(?:\.py|/))`", (root / "docs" / "paper-map.md").read_text()))
     assert len(named) > 20

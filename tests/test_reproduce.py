@@ -1,6 +1,4 @@
-"""`python -m reproduction`: the frame of the experiments, its pages, its errors, and the sequences they run
-on.
-"""
+"""`python -m reproduction`: its experiments, pages, errors and input sequences."""
 
 from __future__ import annotations
 
@@ -25,7 +23,7 @@ from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 
 
 def _exit_code(arguments: list[str]) -> int:
-    """Of `python -m reproduction`."""
+    """Exit code of `python -m reproduction`."""
     return command_line._exit_code(arguments, app)
 
 
@@ -47,39 +45,43 @@ BAD = Experiment("bad1", "Bad 1: what lacks a library", _missing)
 
 @pytest.fixture
 def toys(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Two experiments in place of the paper's: one that works, one that lacks a library."""
+    """Two experiments instead of the paper's: one that works, one that lacks a library."""
     monkeypatch.setattr(frame, "MODULES", ("good_1", "bad_1"))
     monkeypatch.setattr(frame, "_loaded", {"good_1": GOOD, "bad_1": BAD}.__getitem__)
     frame.experiments.cache_clear()
     yield
-    frame.experiments.cache_clear()  # what was made of the toys
+    frame.experiments.cache_clear()  # discard the toy experiments
 
 
 @pytest.mark.usefixtures("toys")
-def test_one_experiment_has_a_page_and_the_same_for_programs(
+def test_one_experiment_has_a_page_and_a_json_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "new" / "folder"
     assert _exit_code(["good_1", "--out", str(out), "--json", "--quick"]) == 0
-    shown = json.loads(capsys.readouterr().out)
-    assert shown["good1"] == {"a": 1.5, "b": [2, None], "quick": True}
+    stdout = json.loads(capsys.readouterr().out)
+    assert stdout["good1"] == {"a": 1.5, "b": [2, None], "quick": True}
     text = (out / "good1.md").read_text()
     assert text.startswith("# Good 1: what is made\n") and "Body." in text
     assert "`python -m reproduction good1 --quick`" in text and str(tmp_path) not in text
-    told = json.loads((out / "good1.json").read_text())
-    assert told["data"] == shown["good1"] and told["pictures"] == ["good1.png"]
-    assert told["versions"]["touchfield"] and told["versions"]["numpy"] == np.__version__
+    stored = json.loads((out / "good1.json").read_text())
+    assert stored["data"] == stdout["good1"] and stored["pictures"] == ["good1.png"]
+    assert stored["versions"]["touchfield"] and stored["versions"]["numpy"] == np.__version__
     assert sorted(p.name for p in out.iterdir()) == ["good1.json", "good1.md", "good1.png"]
 
 
 @pytest.mark.usefixtures("toys")
-def test_all_tells_what_could_not_be_made_and_makes_the_rest(
+def test_all_reports_failed_experiments_and_runs_the_rest(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _exit_code(["all", "--out", str(tmp_path)]) == 2
-    told = capsys.readouterr()
-    assert "bad1 is not made" in told.err and "touchfield[physics]" in told.err and told.err.count("\n") == 1
-    assert "good1.md" in told.out and "reproduction.md" in told.out
+    output = capsys.readouterr()
+    assert (
+        "bad1 is not made" in output.err
+        and "touchfield[physics]" in output.err
+        and output.err.count("\n") == 1
+    )
+    assert "good1.md" in output.out and "reproduction.md" in output.out
     text = (tmp_path / page.PAGE).read_text()
     assert "Body." in text and "Not made: the bodies: found that the library mujoco is not installed." in text
     anchors = re.findall(r"\]\(#([^)]+)\)", text)
@@ -91,7 +93,7 @@ def test_all_tells_what_could_not_be_made_and_makes_the_rest(
 
 
 @pytest.mark.usefixtures("toys")
-def test_nothing_made_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_result_at_all_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _exit_code(["bad1", "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("mujoco") == 1
     assert not list(tmp_path.iterdir())
@@ -99,7 +101,7 @@ def test_nothing_made_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture
 
 @pytest.mark.usefixtures("toys")
 @pytest.mark.parametrize("name", ["table9", "", "ALL", "good1.png"])
-def test_an_unknown_name_lists_those_that_are(
+def test_an_unknown_name_lists_the_known_ones(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
@@ -109,34 +111,34 @@ def test_an_unknown_name_lists_those_that_are(
 
 
 @pytest.mark.usefixtures("toys")
-def test_folders_at_fault_are_told_before_the_work(
+def test_invalid_folders_are_reported_before_the_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     a_file, depth = tmp_path / "file", tmp_path / "depth"
     a_file.write_text("kept")
     depth.mkdir()
-    for arguments, code, words in (
+    for arguments, code, message in (
         (["--out", str(a_file)], 2, "file"),
         (["--out", str(depth / "within"), "--depth", str(depth)], 2, "which is read"),
         (["--depth", str(tmp_path / "nowhere"), "--out", str(tmp_path / "o")], 1, "nothing there"),
         (["--depth", str(depth), "--out", str(tmp_path / "o")], 1, "no kind of source"),
     ):
         assert _exit_code(["good1", *arguments]) == code
-        assert words in capsys.readouterr().err
+        assert message in capsys.readouterr().err
     assert a_file.read_text() == "kept" and not list(depth.iterdir())
     assert not list(tmp_path.glob("o/*"))
 
 
 @pytest.mark.parametrize("name", ["figure_2", "figure_3", "figure_8", "figure_9", "table_3"])
-def test_no_library_to_draw_with_is_told_before_the_work(
+def test_a_missing_plot_library_is_reported_before_the_work(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one = import_module(f"reproduction.{name}").EXPERIMENT
-    for library in ("matplotlib", "matplotlib.figure"):  # what was imported before is found by its own name
+    experiment = import_module(f"reproduction.{name}").EXPERIMENT
+    for library in ("matplotlib", "matplotlib.figure"):  # an imported module is found by its full name
         monkeypatch.setitem(sys.modules, library, None)
     steps: list[int] = []
     with pytest.raises(MissingExtra, match=r"touchfield\[report\]"):
-        one.run(Inputs(tmp_path, report=lambda done, total: steps.append(done)))
+        experiment.run(Inputs(tmp_path, report=lambda done, total: steps.append(done)))
     assert not steps and not list(tmp_path.iterdir())
 
 
@@ -148,9 +150,9 @@ def test_a_source_that_is_no_depth_is_refused(tmp_path: Path) -> None:
         scenes.user_inputs((tmp_path / "ball.toml",))
 
 
-def test_the_command_names_folders_without_their_place(tmp_path: Path) -> None:
-    told = page.command(["table3"], [tmp_path / "a" / "tum", Path("b/icl/")], quick=True)
-    assert told == "python -m reproduction table3 --depth tum --depth icl --quick"
+def test_the_printed_command_names_folders_without_their_parents(tmp_path: Path) -> None:
+    text = page.command(["table3"], [tmp_path / "a" / "tum", Path("b/icl/")], quick=True)
+    assert text == "python -m reproduction table3 --depth tum --depth icl --quick"
 
 
 def test_a_bar_in_a_cell_stays_in_its_cell() -> None:
@@ -163,23 +165,23 @@ def test_a_bar_in_a_cell_stays_in_its_cell() -> None:
 def test_a_moving_view_of_a_plane_is_exact() -> None:
     view = scenes.MovingView(Plane(1), 4)
     for i in range(4):
-        exact, seen = plane_depth_m(view, view.poses[i]), view.depth_m(i)
-        known = seen > 0
-        assert known.mean() > 0.85
-        np.testing.assert_allclose(seen[known], exact[known], rtol=2e-6)
-        assert not known.all(), "the unknown pixels stay unknown"
+        exact, depth = plane_depth_m(view, view.poses[i]), view.depth_m(i)
+        is_known = depth > 0
+        assert is_known.mean() > 0.85
+        np.testing.assert_allclose(depth[is_known], exact[is_known], rtol=2e-6)
+        assert not is_known.all(), "the unknown pixels stay unknown"
 
 
-def test_a_moving_view_makes_nothing_up_between_near_and_far() -> None:
+def test_a_moving_view_invents_no_depth_at_edges() -> None:
     class Steps(Plane):
         def depth_m(self, frame: int) -> np.ndarray:
             depth = np.full((self.height, self.width), 2.0, np.float32)
             depth[:, 20:30] = 1.0
             return depth
 
-    seen = scenes.MovingView(Steps(1), 3).depth_m(2)
-    nearest = np.abs(seen[seen > 0][:, None] - [1.0, 2.0]).min(axis=1)
-    assert nearest.max() < 0.05 and {1, 2} == set(np.rint(seen[seen > 0]).astype(int))
+    view_m = scenes.MovingView(Steps(1), 3).depth_m(2)
+    nearest = np.abs(view_m[view_m > 0][:, None] - [1.0, 2.0]).min(axis=1)
+    assert nearest.max() < 0.05 and {1, 2} == set(np.rint(view_m[view_m > 0]).astype(int))
 
 
 def test_the_hand_moves_and_turns_evenly() -> None:
@@ -195,11 +197,11 @@ def test_noise_is_found_and_added(sigma_per_m: float) -> None:
     found = scenes.inverse_depth_noise_per_m(Plane(1, noise_per_m=sigma_per_m).depth_m(0))
     assert found == pytest.approx(sigma_per_m, rel=0.1)
     pair = scenes.NoisyPair(Plane(1), sigma_per_m)
-    known = pair.depth_m(0) > 0
-    change = 1 / pair.depth_m(1)[known] - 1 / pair.depth_m(0)[known]
+    is_known = pair.depth_m(0) > 0
+    change = 1 / pair.depth_m(1)[is_known] - 1 / pair.depth_m(0)[is_known]
     assert change.std() == pytest.approx(np.sqrt(2) * sigma_per_m, rel=0.1)
-    still = scenes.NoisyPair(Plane(1), 0.0)
-    np.testing.assert_array_equal(still.depth_m(0), still.depth_m(1))
+    noiseless = scenes.NoisyPair(Plane(1), 0.0)
+    np.testing.assert_array_equal(noiseless.depth_m(0), noiseless.depth_m(1))
 
 
 def test_first_frames_are_the_first(tmp_path: Path) -> None:
@@ -218,10 +220,12 @@ def test_each_makes_its_page_and_pictures(name: str, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="the pictures are drawn with it")
     if name in ("figure_9", "table_3"):
         pytest.importorskip("skimage", reason="the depth map comes with scikit-image")
-    one = import_module(f"reproduction.{name}").EXPERIMENT
-    assert one.name == name.replace("figure_", "fig").replace("_", "") and name in frame.MODULES
+    experiment = import_module(f"reproduction.{name}").EXPERIMENT
+    assert experiment.name == name.replace("figure_", "fig").replace("_", "") and name in frame.MODULES
     steps: list[tuple[int, int]] = []
-    found = one.run(Inputs(tmp_path, report=lambda done, total: steps.append((done, total)), quick=True))
+    found = experiment.run(
+        Inputs(tmp_path, report=lambda done, total: steps.append((done, total)), quick=True)
+    )
     assert [done for done, _ in steps] == list(range(1, len(steps) + 1)), "progress goes up one by one"
     assert not steps or steps[-1][0] == steps[-1][1], "and ends where it said it would"
     assert json.dumps(page.plain(found.data), allow_nan=False) and str(tmp_path) not in found.markdown
@@ -238,5 +242,5 @@ def test_figure_8_counts_and_covers() -> None:
     codebook = figure_8.Codebook.get("ico3")
     polyhedron = import_module("reproduction.polyhedron_picture")
     assert polyhedron.face_angles_deg(codebook).max() == pytest.approx(codebook.covering_radius_deg)
-    # the theory's table: isotropic directions, 2e6 draws there
+    # the table of the theory: isotropic directions, with 2e6 draws
     assert figure_8.mean_square_chord_db(codebook, 50_000) == pytest.approx(-16.53, abs=0.06)

@@ -1,6 +1,4 @@
-"""Files of strangers: one clear error for each, nothing outside their folder is read,
-nothing is waited for.
-"""
+"""Untrusted files: one clear error for each; nothing outside their folder is read, and no read blocks."""
 
 from __future__ import annotations
 
@@ -51,7 +49,7 @@ NAMES = (
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    """A folder of a stranger's, beside which lies what is not his."""
+    """A folder with an untrusted file, next to files that it must not read."""
     folder = tmp_path / "scene"
     folder.mkdir()
     (tmp_path / "mine.obj").write_text(TETRAHEDRON)
@@ -62,8 +60,8 @@ def scene(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def not_for_ever() -> Iterator[None]:
-    """What waits is a failure, not a test that does not end."""
+def time_limit() -> Iterator[None]:
+    """A read that blocks is a failure, not a test that never ends."""
     before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it waits"))
     signal.alarm(120)
     yield
@@ -75,7 +73,7 @@ def not_for_ever() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
+def test_a_pipe_is_refused_without_waiting(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     os.mkfifo(path)
     for kind in (None, "physics", "mesh", "mjcf", "depth-map", "tum", "height-map"):
@@ -83,7 +81,7 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
             open_source(path, SourceOptions(kind=kind, depth_scale=1000, intrinsics="9,9,4,4"))
 
 
-def test_nothing_but_a_file_is_opened_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_regular_files_are_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pipe, folder = tmp_path / "pipe.npy", tmp_path / "frames"
     os.mkfifo(pipe)
     monkeypatch.chdir(tmp_path)
@@ -108,15 +106,15 @@ def test_nothing_but_a_file_is_opened_anywhere(tmp_path: Path, monkeypatch: pyte
             read()
 
 
-def test_a_folder_is_taken_where_it_may_be_and_nothing_is_written_over_what_is_read(tmp_path: Path) -> None:
+def test_folders_are_accepted_where_allowed_and_inputs_not_overwritten(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "own").write_text("mine")
     (tmp_path / "link").symlink_to(tmp_path / "own")
     require_plain(tmp_path, "a folder", or_folder=True)
     require_plain("a\0b", "a name that another tells")
-    for path, is_folder_taken in ((tmp_path / "pipe", True), (tmp_path, False)):
+    for path, is_folder_allowed in ((tmp_path / "pipe", True), (tmp_path, False)):
         with pytest.raises(SourceError, match=r"found a (pipe|folder)"):
-            require_plain(path, "a file", or_folder=is_folder_taken)
+            require_plain(path, "a file", or_folder=is_folder_allowed)
     refuse_overwriting(tmp_path / "new", tmp_path / "own", tmp_path / "absent")
     with pytest.raises(InvalidArgument, match="the file that is read"):
         refuse_overwriting(tmp_path / "link", tmp_path / "absent", tmp_path / "own")
@@ -125,47 +123,47 @@ def test_a_folder_is_taken_where_it_may_be_and_nothing_is_written_over_what_is_r
         (tmp_path / "absent").read_bytes()
 
 
-def test_json_is_taken_up_to_its_bounds(tmp_path: Path) -> None:
+def test_json_is_accepted_up_to_its_limits(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
 
-    def told(text: str) -> JsonValue:
+    def parsed(text: str) -> JsonValue:
         path.write_text(text, "utf-8")
         return read_json(path, 400, "a document of 400 bytes")
 
-    document = told(f'\ufeff{{"a": [1.0, 9.9e299, 1e300, true, "{"x" * 60}"]}}'.ljust(398))
+    document = parsed(f'\ufeff{{"a": [1.0, 9.9e299, 1e300, true, "{"x" * 60}"]}}'.ljust(398))
     assert path.stat().st_size == 400
-    whole, most, more, truth, text = document.at("a").elements(5)
-    assert whole.bounded_integer(1, 1) == 1 and most.number() == 9.9e299
+    integer, largest, more, truth, text = document.at("a").elements(5)
+    assert integer.bounded_integer(1, 1) == 1 and largest.number() == 9.9e299
     for take, found in (
         (more.number, r"\$\.a\[2\]: found 1e\+300; expected a finite number"),
         (truth.number, r"\$\.a\[3\]: found true; expected a number"),
         (lambda: truth.bounded_integer(0, 1), "found true; expected an integer from 0 to 1"),
         (text.number, f'found "{"x" * 59}\\.\\.\\.; expected a number'),
         (lambda: document.at("a").elements(6), "found an array of 5; expected at least 6"),
-        (lambda: told("[NaN]"), "no JSON .the constant NaN"),
-        (lambda: told(f"1{'0' * 301}").number(), "found a number of over 300 digits"),
-        (lambda: told("1" * 401), "more than 400 bytes"),
+        (lambda: parsed("[NaN]"), "no JSON .the constant NaN"),
+        (lambda: parsed(f"1{'0' * 301}").number(), "found a number of over 300 digits"),
+        (lambda: parsed("1" * 401), "more than 400 bytes"),
         (lambda: read_json("a\0b", 9, "a document"), "null byte"),
     ):
         with pytest.raises(SourceError, match=found):
             take()
 
 
-@pytest.mark.parametrize(("radius", "place"), [("0x{}", "0"), ("0.1", "0x{}")])
+@pytest.mark.parametrize(("radius", "centre"), [("0x{}", "0"), ("0.1", "0x{}")])
 @pytest.mark.parametrize(("table", "key"), [("shape", "center_m"), ("body", "position_m")])
-def test_a_number_that_cannot_be_written_out_is_told(
-    tmp_path: Path, table: str, key: str, radius: str, place: str
+def test_a_number_of_too_many_digits_is_refused(
+    tmp_path: Path, table: str, key: str, radius: str, centre: str
 ) -> None:
     path, long = tmp_path / "scene.toml", "f" * 6000
-    values = f"radius_m = {radius.format(long)}\n{key} = [{place.format(long)}, 0, 0]"
+    values = f"radius_m = {radius.format(long)}\n{key} = [{centre.format(long)}, 0, 0]"
     path.write_text(f'[[{table}]]\nkind = "sphere"\n{values}\n')
     with pytest.raises(SourceError, match=f"scene.toml: {table} 1.*over 300 digits"):
         open_source(path)
 
 
 @pytest.mark.parametrize("write", [write_tum, write_redwood, write_sun3d, write_threedmatch, write_plain])
-def test_a_pipe_in_place_of_any_file_of_a_sequence(tmp_path: Path, write: Callable[[Path], Path]) -> None:
-    """It is passed over as if it were not there, or refused."""
+def test_a_pipe_instead_of_any_file_of_a_sequence(tmp_path: Path, write: Callable[[Path], Path]) -> None:
+    """It is ignored as if it were absent, or refused."""
     folder = write(tmp_path / "scene")
     for file in sorted(p for p in folder.rglob("*") if p.is_file()):
         data = file.read_bytes()
@@ -195,18 +193,18 @@ OUTSIDE = {
 }
 
 
-@pytest.mark.parametrize("how", OUTSIDE)
-def test_a_model_names_files_of_its_own_folder(scene: Path, how: str) -> None:
+@pytest.mark.parametrize("kind", OUTSIDE)
+def test_a_model_may_not_name_files_outside_its_folder(scene: Path, kind: str) -> None:
     pytest.importorskip("mujoco")
     (scene / "inner.xml").write_text('<mujoco><include file="../mine.xml"/></mujoco>')
     model = scene / "model.xml"
-    model.write_text(f"<mujoco>{OUTSIDE[how].format(up=scene.parent)}</mujoco>")
+    model.write_text(f"<mujoco>{OUTSIDE[kind].format(up=scene.parent)}</mujoco>")
     with pytest.raises(SourceError, match=r"file .*in the folder .*--allow-outside"):
         open_source(model, SourceOptions(seconds=0.01))
     assert open_source(model, SourceOptions(seconds=0.01, allow_outside=True)).bodies()
 
 
-def test_a_model_may_name_what_lies_in_its_folder(scene: Path) -> None:
+def test_a_model_may_name_files_in_its_folder(scene: Path) -> None:
     pytest.importorskip("mujoco")
     (scene / "parts").mkdir()
     (scene / "parts" / "ball.xml").write_text('<mujoco><include file="../more.xml"/></mujoco>')
@@ -232,7 +230,7 @@ def test_a_model_may_name_what_lies_in_its_folder(scene: Path) -> None:
         ("<broken", "no XML"),
     ],
 )
-def test_a_model_asks_for_no_more_than_its_bytes_tell(tmp_path: Path, text: str, match: str) -> None:
+def test_a_model_cannot_request_more_memory_than_its_size(tmp_path: Path, text: str, match: str) -> None:
     pytest.importorskip("mujoco")
     path = tmp_path / "model.xml"
     path.write_text(f"<mujoco>{text}</mujoco>")
@@ -265,7 +263,7 @@ def test_a_number_of_a_model_beyond_bounds_is_named(
         open_source(tmp_path / "a.xml", SourceOptions(seconds=0.01))
 
 
-def test_a_physics_file_names_files_of_its_own_folder(scene: Path) -> None:
+def test_a_physics_file_may_not_name_files_outside_its_folder(scene: Path) -> None:
     path = scene / "scene.toml"
     for name in ("../mine.obj", str(scene.parent / "mine.obj"), "link.obj"):
         path.write_text(f'[[body]]\nkind = "mesh"\nfile = "{name}"\nposition_m = [0, 0, 0]\nfixed = true\n')
@@ -279,7 +277,7 @@ def test_a_physics_file_names_files_of_its_own_folder(scene: Path) -> None:
 
 
 @pytest.mark.parametrize("uri", ["../mine.bin", "{up}/mine.bin"])
-def test_a_gltf_names_files_of_its_own_folder(scene: Path, uri: str) -> None:
+def test_a_gltf_may_not_name_files_outside_its_folder(scene: Path, uri: str) -> None:
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes()
     document = {
         "asset": {"version": "2.0"},
@@ -302,17 +300,17 @@ def test_a_gltf_names_files_of_its_own_folder(scene: Path, uri: str) -> None:
         open_source(path)
 
 
-def test_a_stream_does_not_allow_what_the_user_did_not() -> None:
+def test_a_stream_cannot_set_allow_outside() -> None:
     spec = EncodeSpec(source=SourceOptions(allow_outside=True))
-    told = json.loads(spec.to_json())
-    assert "allow_outside" not in told["source"]
-    told["source"]["allow_outside"] = True
-    assert EncodeSpec.from_json(json.dumps(told)).source.allow_outside is False
+    stored = json.loads(spec.to_json())
+    assert "allow_outside" not in stored["source"]
+    stored["source"]["allow_outside"] = True
+    assert EncodeSpec.from_json(json.dumps(stored)).source.allow_outside is False
 
 
-def test_a_number_in_a_stream_that_no_float_holds() -> None:
-    told = json.dumps(json.loads(EncodeSpec().to_json()) | {"friction": 10**400})
-    for text in (told, "[" * 4096):
+def test_a_number_beyond_float_in_a_stream_is_refused() -> None:
+    stored = json.dumps(json.loads(EncodeSpec().to_json()) | {"friction": 10**400})
+    for text in (stored, "[" * 4096):
         with pytest.raises(CorruptFile, match="PROV spec"):
             EncodeSpec.from_json(text)
     assert stated_n_per_m({"spec": json.dumps({"law": "penalty", "stiffness_n_per_m": 10**400})}) is None
@@ -322,7 +320,7 @@ def test_a_number_in_a_stream_that_no_float_holds() -> None:
             stored_materials({"materials.json": json.dumps(table)})
 
 
-def test_names_that_are_none(tmp_path: Path) -> None:
+def test_invalid_names_are_refused(tmp_path: Path) -> None:
     for name in ("\0", "a" * 5000 + "/../../b"):
         with pytest.raises(SourceError, match="--allow-outside"):
             require_in_folder(tmp_path, name, "here")
@@ -331,7 +329,7 @@ def test_names_that_are_none(tmp_path: Path) -> None:
 # -- videos and physics ------------------------------------------------------------------------------------
 
 
-def test_a_video_whose_codec_is_damaged(tmp_path: Path) -> None:
+def test_a_video_with_a_damaged_codec_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("av")
     path = write_video(tmp_path / "depth.mkv", depths_mm(4), "gray16le", level="3", slicecrc="1")
     data = path.read_bytes()
@@ -359,7 +357,7 @@ half_extents_m = [0.1, 0.1, 0.1]
 
 @pytest.mark.parametrize("value", ["1e308", "1e-300", "-1.0", "nan", "inf", "0.0"])
 @pytest.mark.parametrize(
-    ("kind", "key", "told"),
+    ("kind", "key", "named"),
     [
         ("sphere", "radius_m", "radius_m = {v}"),
         ("capsule", "half_length_m", "radius_m = 1\nhalf_length_m = {v}"),
@@ -369,9 +367,9 @@ half_extents_m = [0.1, 0.1, 0.1]
         ("sphere", "density_kg_m3", "radius_m = 1\ndensity_kg_m3 = {v}"),
     ],
 )
-def test_a_size_beyond_bounds_is_named(tmp_path: Path, kind: str, key: str, told: str, value: str) -> None:
+def test_a_size_beyond_bounds_is_named(tmp_path: Path, kind: str, key: str, named: str, value: str) -> None:
     path = tmp_path / "scene.toml"
-    path.write_text(PHYSICS.format(physics="", kind=kind, body=told.format(v=value)))
+    path.write_text(PHYSICS.format(physics="", kind=kind, body=named.format(v=value)))
     with pytest.raises(SourceError, match=rf"body 1.{key}.*: found .*; expected (.*1e|a finite number)"):
         open_physics(path, SourceOptions())
 
@@ -379,8 +377,8 @@ def test_a_size_beyond_bounds_is_named(tmp_path: Path, kind: str, key: str, told
 @pytest.mark.parametrize("value", ["1e308", "-1e308", "nan", "inf"])
 @pytest.mark.parametrize("key", ["velocity_m_s", "spin_deg_s", "rotation_deg", "position_m", "gravity_m_s2"])
 def test_a_motion_beyond_bounds_is_named(tmp_path: Path, key: str, value: str) -> None:
-    told = f"{key} = [0, 0, {value}]"
-    physics, body = (told, "") if key == "gravity_m_s2" else ("", told)
+    line = f"{key} = [0, 0, {value}]"
+    physics, body = (line, "") if key == "gravity_m_s2" else ("", line)
     text = PHYSICS.format(physics=physics, kind="sphere", body=f"radius_m = 0.1\n{body}")
     if key == "position_m":
         text = text.replace("position_m = [0, 0, 0.1]\n", "", 1)
@@ -391,7 +389,7 @@ def test_a_motion_beyond_bounds_is_named(tmp_path: Path, key: str, value: str) -
 
 
 @pytest.mark.filterwarnings("error")
-def test_what_mujoco_cannot_go_on_with_is_an_error_and_nothing_is_printed(
+def test_a_failing_simulation_is_an_error_without_output(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("mujoco")

@@ -1,4 +1,4 @@
-"""Tables 1 and 2 and figures 5 and 6: their arithmetic, and small scenes through all of it."""
+"""Tables 1 and 2 and figures 5 and 6: their arithmetic, and small scenes through the complete experiment."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class Wall(DepthSequence):
 
 
 def falling() -> BodyScene:
-    places = np.linspace((0, 0, 0.3), (0.02, 0.01, 0.2), 8)
+    positions_m = np.linspace((0, 0, 0.3), (0.02, 0.01, 0.2), 8)
     turns = np.tile([math.cos(0.2), math.sin(0.2), 0, 0], (8, 1))
     bodies = [
         Body("ball", AnalyticScene((Sphere(ORIGIN, 0.04),)), PoseTrack.constant(8, (0.2, 0.0, 0.1))),
-        Body("box", AnalyticScene((Box(ORIGIN, (0.05, 0.03, 0.04)),)), PoseTrack(turns, places)),
+        Body("box", AnalyticScene((Box(ORIGIN, (0.05, 0.03, 0.04)),)), PoseTrack(turns, positions_m)),
     ]
     return BodyScene(bodies, 1000.0)
 
@@ -82,7 +82,7 @@ def test_the_printed_entropies_are_not_on_the_curve_of_the_identity() -> None:
     assert PRINTED_2["scene2"].entropy[0] < 21 / 32 * 3.1  # type: ignore[operator]
 
 
-def test_the_density_that_is_needed_is_where_the_identity_meets() -> None:
+def test_the_required_density_satisfies_the_identity() -> None:
     for voxel_bits, object_bits in ((0.1, 1.0), (1.2, 2.3), (5.0, 5.0), (1.0, 0.0)):
         p = density_needed(voxel_bits, object_bits)
         assert p is not None and identity(p, object_bits) == pytest.approx(voxel_bits, abs=1e-9)
@@ -119,7 +119,7 @@ def test_the_worst_errors_are_those_of_the_ladders() -> None:
 # -- lattices and counts -----------------------------------------------------------------------------------
 
 
-def test_both_lattices_fill_one_box(bodies: PaperScene) -> None:
+def test_both_lattices_fill_the_same_box(bodies: PaperScene) -> None:
     for reading in READINGS:
         nominal, omni = (bodies.lattice(reading, is_nominal) for is_nominal in (True, False))
         assert nominal.voxel_count == NOMINAL**3 == 10**12
@@ -144,12 +144,16 @@ def test_both_lattices_fill_one_box(bodies: PaperScene) -> None:
     ids=["box", "sphere", "capsule", "cylinder", "ellipsoid", "mesh"],
 )  # fmt: skip
 def test_a_volume_is_that_of_the_samples_within(scene: AnalyticScene | MeshScene) -> None:
-    one = PaperScene("scene1", "one", "one", BodyScene([Body("one", scene, PoseTrack.constant(2))], 1000.0))
+    paper_scene = PaperScene(
+        "scene1", "one", "one", BodyScene([Body("one", scene, PoseTrack.constant(2))], 1000.0)
+    )
     low, high = scene.bounds_m()
     grid = Grid.over_box(low - 0.0013, high + 0.0017, (90, 90, 90))
-    volume = one.volume_m3()
+    volume = paper_scene.volume_m3()
     assert volume is not None
-    assert one.field(0, grid).support_count == pytest.approx(volume / np.prod(grid.spacing_m), rel=0.03)
+    assert paper_scene.field(0, grid).support_count == pytest.approx(
+        volume / np.prod(grid.spacing_m), rel=0.03
+    )
     faces = polygons(scene)
     assert faces is not None
     middle = faces.mean(axis=(0, 1))
@@ -176,7 +180,7 @@ def test_counts_agree_with_volumes_and_with_each_other(bodies: PaperScene) -> No
                 h = samples[reading].entropies(q.text)
                 p = h.density.value
                 assert h.voxel.value == pytest.approx(binary_entropy_bits(p) + p * h.object.value, abs=1e-9)
-    assert all(one.frames == 4 and 0 <= one.held_share <= 1 for one in found.later.values())
+    assert all(later.frames == 4 and 0 <= later.held_share <= 1 for later in found.later.values())
 
 
 # -- later frames ------------------------------------------------------------------------------------------
@@ -184,21 +188,21 @@ def test_counts_agree_with_volumes_and_with_each_other(bodies: PaperScene) -> No
 
 def test_runs_are_of_consecutive_frames() -> None:
     for frames, runs, length in ((2000, 6, 25), (8, 2, 2), (1, 4, 3), (800, 5, 4)):
-        made = consecutive_runs(frames, runs, length)
-        assert 1 <= len(made) <= runs and made[0][0] == 0 and made[-1][-1] == frames - 1
-        assert all(len(run) == min(length + 1, frames) for run in made)
-        assert all(a[-1] < b[0] for a, b in zip(made, made[1:]))
+        found_runs = consecutive_runs(frames, runs, length)
+        assert 1 <= len(found_runs) <= runs and found_runs[0][0] == 0 and found_runs[-1][-1] == frames - 1
+        assert all(len(run) == min(length + 1, frames) for run in found_runs)
+        assert all(a[-1] < b[0] for a, b in zip(found_runs, found_runs[1:]))
 
 
-def test_what_stands_still_needs_no_bits(wavy_field: ForceField) -> None:
+def test_static_frames_need_no_bits(wavy_field: ForceField) -> None:
     q = {"Q": six_and_twelve(F_MAX)}
     found = later_frames(lambda i: wavy_field, [range(4)], q, 0.1)
     assert {name for _, name in found} == set(q)
-    for one in found.values():
-        assert (one.voxel_bits, one.object_bits, one.held_share, one.frames) == (0.0, 0.0, 1.0, 3)
+    for result in found.values():
+        assert (result.voxel_bits, result.object_bits, result.held_share, result.frames) == (0.0, 0.0, 1.0, 3)
 
 
-def test_a_slow_drift_is_never_sent_as_printed_and_sent_when_it_is_felt(wavy_field: ForceField) -> None:
+def test_a_slow_drift_is_sent_by_the_corrected_equation_only(wavy_field: ForceField) -> None:
     def drifting(frame: int) -> ForceField:
         return wavy_field.scaled(1.05**frame)
 
@@ -232,13 +236,13 @@ def test_the_table_of_a_small_scene(
 ) -> None:
     scene: PaperScene = request.getfixturevalue(key)
     monkeypatch.setattr(table, "scenes", lambda inputs: [scene])
-    told: list[tuple[int, int]] = []
+    progress: list[tuple[int, int]] = []
     found = table.EXPERIMENT.run(
-        Inputs(tmp_path, report=lambda done, total: told.append((done, total)), quick=True)
+        Inputs(tmp_path, report=lambda done, total: progress.append((done, total)), quick=True)
     )
     json.dumps(plain(found.data), allow_nan=False)
-    assert told[-1][0] == told[-1][1] and told == sorted(told)
-    for words in (
+    assert progress[-1][0] == progress[-1][1] and progress == sorted(progress)
+    for text in (
         "printed",
         "literal",
         "corrected",
@@ -247,7 +251,7 @@ def test_the_table_of_a_small_scene(
         "quick",
         scene.title,
     ):
-        assert words in found.markdown
+        assert text in found.markdown
     assert len(found.data["scenes"]) == 1 and str(tmp_path) not in found.markdown
     lines = [line for line in found.markdown.splitlines() if line.startswith("|")]
     assert all(line.count("|") - line.count("\\|") in (7, 10) for line in lines)
@@ -267,8 +271,8 @@ def test_the_figures_are_drawn(
         found = figure.EXPERIMENT.run(Inputs(tmp_path))
         assert all(f"]({p.name})" in found.markdown for p in found.pictures)
         for picture in found.pictures:
-            with Image.open(picture) as shown:
-                colours = np.asarray(shown.convert("RGB")) @ [1 << 16, 1 << 8, 1]
+            with Image.open(picture) as image:
+                colours = np.asarray(image.convert("RGB")) @ [1 << 16, 1 << 8, 1]
             assert (colours == 0xFFFFFF).mean() < 0.95 and len(np.unique(colours)) > 200
 
 

@@ -18,17 +18,15 @@ def write_video(
         stream: Any = container.add_stream(codec, rate=rate, options=options)
         stream.height, stream.width = frames.shape[1:3]
         stream.pix_fmt = pixels
-        given = {"gray16be": "gray16le", "yuv420p": "rgb24", "bgr0": "rgb24"}.get(pixels, pixels)
+        source_format = {"gray16be": "gray16le", "yuv420p": "rgb24", "bgr0": "rgb24"}.get(pixels, pixels)
         for frame in frames:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format=given)))
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format=source_format)))
         container.mux(stream.encode())
     return path
 
 
 def depths_mm(frames: int = 20, height: int = 30, width: int = 40) -> np.ndarray:
-    """Millimetres, uint16 [frames, height, width]: a wall that recedes, noise in its last digits, two odd
-    pixels.
-    """
+    """Millimetres, uint16 [frames, height, width]: a receding wall with noise and two outliers."""
     noise = np.random.default_rng(4).integers(0, 9, (frames, height, width))
     slope = 800 + 7 * np.arange(height)[:, None] + 5 * np.arange(width)
     depth = (slope + noise + 11 * np.arange(frames)[:, None, None]).astype(np.uint16)

@@ -1,6 +1,4 @@
-"""Helpers that compile ahead: started only where something must be compiled, gone with the job, and never
-needed.
-"""
+"""Helper processes that compile in advance: started on demand, ended with the command, and optional."""
 
 from __future__ import annotations
 
@@ -21,16 +19,16 @@ Started = list["subprocess.Popen[bytes]"]
 
 
 @pytest.fixture
-def started(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Started:
-    """The helpers that are started, on a machine of three cores where nothing is compiled yet."""
+def started_helpers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Started:
+    """The helper processes that are started, on a machine of three cores with an empty cache."""
     found: Started = []
 
-    class Told(subprocess.Popen[bytes]):
+    class RecordingPopen(subprocess.Popen[bytes]):
         def __init__(self, *arguments: object, **options: object) -> None:
             super().__init__(*arguments, **options)  # type: ignore[call-overload]
             found.append(self)
 
-    monkeypatch.setattr(compile_ahead.subprocess, "Popen", Told)
+    monkeypatch.setattr(compile_ahead.subprocess, "Popen", RecordingPopen)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setenv("TOUCHFIELD_THREADS", "3")
     monkeypatch.delenv("TOUCHFIELD_HELPERS")
@@ -38,55 +36,55 @@ def started(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Started:
 
 
 def compiled_passes(cache: Path) -> list[Path]:
-    """The files of what the group `passes` compiles last but one."""
+    """Cache files of the kernel that the group `passes` compiles last but one."""
     return list(cache.rglob("encode_pass.encode_bricks*.nbc"))
 
 
-def test_helpers_start_with_the_first_kernel_to_be_compiled_and_end_with_the_job(
-    started: Started, tmp_path: Path
+def test_helpers_start_with_the_first_compilation_and_end_with_the_command(
+    started_helpers: Started, tmp_path: Path
 ) -> None:
     kernel = njit(lambda x: x + 1)
     with announce_compilation(lambda line: None, ("passes", "columns", "filters")):
-        assert not started
+        assert not started_helpers
         assert kernel(2) == 3
-        assert [one.args[-2:] for one in started] == [
+        assert [helper.args[-2:] for helper in started_helpers] == [
             ["passes", "filters"],
             ["touchfield.cli.compile_ahead", "columns"],
         ]
-        assert all(one.poll() is None for one in started)
-    assert all(one.returncode is not None for one in started)
+        assert all(helper.poll() is None for helper in started_helpers)
+    assert all(helper.returncode is not None for helper in started_helpers)
     assert not compiled_passes(tmp_path)
     with announce_compilation(lambda line: None, ("passes",)):
         assert kernel(2) == 3
-    assert len(started) == 2
+    assert len(started_helpers) == 2
 
 
 @pytest.mark.parametrize(("name", "value"), [("TOUCHFIELD_HELPERS", "0"), ("TOUCHFIELD_THREADS", "1")])
-def test_no_helper_where_none_is_wanted_or_only_one_core_is_there(
-    started: Started, monkeypatch: pytest.MonkeyPatch, name: str, value: str
+def test_no_helper_if_disabled_or_on_a_single_core(
+    started_helpers: Started, monkeypatch: pytest.MonkeyPatch, name: str, value: str
 ) -> None:
     monkeypatch.setenv(name, value)
     with compile_ahead.helpers(["passes"]) as start:
         start()
-    assert not started
+    assert not started_helpers
 
 
-def test_a_broken_helper_does_not_matter(
-    started: Started, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_broken_helper_is_ignored(
+    started_helpers: Started, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     with compile_ahead.helpers(["no such group"]) as start:
         start()
-        assert started[0].wait(60) == 1
+        assert started_helpers[0].wait(60) == 1
     monkeypatch.setattr(sys, "executable", str(tmp_path / "nobody"))
     with compile_ahead.helpers(["passes"]) as start:
         start()
-    assert len(started) == 1
+    assert len(started_helpers) == 1
 
 
 @pytest.mark.skipif(
     not Path("/proc/self/stat").exists(), reason="what has become of a process is read from /proc"
 )
-def test_a_helper_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
+def test_helper_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     code = """if True:
         import subprocess, time
         from touchfield.cli import compile_ahead
@@ -101,13 +99,13 @@ def test_a_helper_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
             start()
             time.sleep(600)
     """
-    there = {
+    environment = {
         **os.environ,
         "NUMBA_CACHE_DIR": str(tmp_path),
         "TOUCHFIELD_THREADS": "2",
         "TOUCHFIELD_HELPERS": "1",
     }
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, env=there) as parent:
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, env=environment) as parent:
         assert parent.stdout is not None
         helper = Path("/proc") / parent.stdout.readline().decode().strip() / "stat"
         while not list(tmp_path.rglob("*.nbc")):  # it is at work
@@ -140,4 +138,4 @@ def test_a_first_encode_finds_all_kernels_of_the_coder_that_the_groups_compile()
         print(compiled() - before, "scipy.linalg" in sys.modules)
     """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "set() False\n"  # nor has numba loaded the matrices of SciPy, which no kernel needs
+    assert done.stdout == "set() False\n"  # and numba has not imported scipy.linalg, which no kernel needs

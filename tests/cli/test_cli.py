@@ -1,4 +1,4 @@
-"""The command line as its user meets it: results, one-line errors, exit codes, nothing half-written."""
+"""The command line end to end: results, one-line errors, exit codes, and no partial files."""
 
 from __future__ import annotations
 
@@ -62,28 +62,28 @@ def test_encode_info_decode_compare(sphere: Path, tmp_path: Path, capsys: pytest
     compared = json.loads(capsys.readouterr().out)
     assert set(compared) >= COMPARE_KEYS
     assert compared["nmse_db"] == pytest.approx(10 * np.log10(((x - y) ** 2).sum() / (x**2).sum()), abs=1e-3)
-    held = (x != 0).any(-1)
-    assert compared["supported_voxels"] == held.sum()
+    supported = (x != 0).any(-1)
+    assert compared["supported_voxels"] == supported.sum()
     assert compared["cr_full"] == pytest.approx(8 * stream.stat().st_size / (96 * 32**3))
     parts = sum(compared[f"bits_{p}"] for p in ("support", "amplitude", "direction", "side"))
     assert parts == 8 * stream.stat().st_size
     picture = Image.open(stream.with_suffix(".png"))
     assert min(picture.size) > 800
     assert len(np.unique(np.asarray(picture.convert("L")))) > 50, "the picture shows something"
-    # the field that encode started from is a source of its own, and compares the same
+    # comparing with the field that was encoded gives the same result
     assert _exit_code(["compare", str(field), str(stream), "--json", "--no-picture"]) == 0
-    again = json.loads(capsys.readouterr().out)
-    assert again["nmse_db"] == pytest.approx(compared["nmse_db"], abs=1e-9)
+    compared_field = json.loads(capsys.readouterr().out)
+    assert compared_field["nmse_db"] == pytest.approx(compared["nmse_db"], abs=1e-9)
     assert _exit_code(["info", str(stream), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["frames"] == 1
 
 
-def test_options_reach_the_job(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    took: list[EncodeSpec] = []
+def test_options_reach_the_task(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    specs: list[EncodeSpec] = []
     answer = SimpleNamespace(summary=dict, notes=())
-    monkeypatch.setattr(pipeline, "encode", lambda source, out, spec, *_, **__: took.append(spec) or answer)
-    usual = EncodeSpec()
-    for words, expected in (
+    monkeypatch.setattr(pipeline, "encode", lambda source, out, spec, *_, **__: specs.append(spec) or answer)
+    defaults = EncodeSpec()
+    for options, expected in (
         ("--nw 5 --frames 3", {"nw": 5, "frames": (3, 4)}),
         ("--frames :4 --fit-frames 2:", {"frames": (0, 4), "fit_frames": (2, None)}),
         ("--nominal --law proximity --band-m 0.003", {"nw": None, "law": "proximity", "band_m": 0.003}),
@@ -91,9 +91,9 @@ def test_options_reach_the_job(monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
         ("--friction 0 --damping-n-s-per-m 2", {"friction": 0.0, "damping_n_s_per_m": 2.0}),
         ("--unit-m 0.01 --as stl", {"source": SourceOptions(kind="stl", unit_m=0.01)}),
     ):
-        assert _exit_code(["encode", "no.stl", "out.touch", *words.split()]) == 0, capsys.readouterr().err
-        assert took.pop() == replace(usual, **expected), words
-    for command, told in (
+        assert _exit_code(["encode", "no.stl", "out.touch", *options.split()]) == 0, capsys.readouterr().err
+        assert specs.pop() == replace(defaults, **expected), options
+    for command, message in (
         ("encode no.stl s3://b/out.touch --target-bytes 9000", "not with an address"),
         (
             "encode no.stl out.touch --target-bytes 9 --workers processes:2",
@@ -103,26 +103,26 @@ def test_options_reach_the_job(monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
         ("live no.stl - --coarse", "--coarse: found a pipe"),
         ("live no.stl out.touch", "OUT: found 'out.touch'"),
     ):
-        assert _exit_code(command.split()) == 2 and not took
-        assert told in capsys.readouterr().err
+        assert _exit_code(command.split()) == 2 and not specs
+        assert message in capsys.readouterr().err
 
 
-def test_a_plan_tells_the_options_that_encode_takes(
+def test_plan_reports_options_of_encode(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def planned(source: str, budget: object, spec: EncodeSpec, search: PlanGrid, *_: object) -> Plan:
+    def fake_plan(source: str, budget: object, spec: EncodeSpec, search: PlanGrid, *_: object) -> Plan:
         assert search.nw == (3, 4) and spec.touch.effort == "fast"
         return Plan((Trial(replace(spec, nw=4), 100, 1, 0.1),), 0.1, 0.05, 200.0, source, 1, "bytes")
 
-    monkeypatch.setattr("touchfield.tasks.plan.plan", planned)
+    monkeypatch.setattr("touchfield.tasks.plan.plan", fake_plan)
     scene = "--mapping 0.25 --stiffness-n-per-m 300.0 --exaggeration 2.0"
     assert _exit_code(["plan", "no.stl", "--budget", "200B", "--nw", "4", *scene.split(), "--json"]) == 0
-    words = json.loads(capsys.readouterr().out)["encode_options"]
-    assert words.startswith("--nw 4 ") and "--representation voxel --effort fast" in words
-    assert sorted(words.partition("fast")[2].split()) == sorted(scene.split())
+    encode_options = json.loads(capsys.readouterr().out)["encode_options"]
+    assert encode_options.startswith("--nw 4 ") and "--representation voxel --effort fast" in encode_options
+    assert sorted(encode_options.partition("fast")[2].split()) == sorted(scene.split())
 
 
-def test_people_get_tables(sphere: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_default_output_is_a_table(sphere: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stream = tmp_path / "s.touch"
     assert _exit_code(["encode", str(sphere), str(stream), "--nw", "4"]) == 0
     out = capsys.readouterr().out
@@ -146,10 +146,10 @@ def _bad_inputs(folder: Path) -> dict[str, tuple[list[str], int]]:
     ramp = (np.arange(64 * 48).reshape(48, 64) % 900 + 1000).astype(np.uint16)
 
     def depth_folder(name: str) -> Path:
-        made = folder / name
-        made.mkdir()
-        Image.fromarray(ramp).save(made / "000.png")
-        return made
+        path = folder / name
+        path.mkdir()
+        Image.fromarray(ramp).save(path / "000.png")
+        return path
 
     truncated = depth_folder("truncated")
     (truncated / "001.png").write_bytes((truncated / "000.png").read_bytes()[:90])
@@ -205,14 +205,16 @@ def _bad_inputs(folder: Path) -> dict[str, tuple[list[str], int]]:
     }
 
 
-def test_every_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_invalid_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, (arguments, code) in _bad_inputs(tmp_path).items():
         before = sorted(tmp_path.rglob("*"))
         capsys.readouterr()
         assert _exit_code(arguments) == code, name
-        said = capsys.readouterr()
-        assert len(said.err.strip().splitlines()) == 1, f"{name}: {said.err}"
-        assert said.err.startswith("touchfield: ") and "Traceback" not in said.err, f"{name}: {said.err}"
+        captured = capsys.readouterr()
+        assert len(captured.err.strip().splitlines()) == 1, f"{name}: {captured.err}"
+        assert captured.err.startswith("touchfield: ") and "Traceback" not in captured.err, (
+            f"{name}: {captured.err}"
+        )
         assert sorted(tmp_path.rglob("*")) == before, f"{name} left something behind"
 
 
@@ -225,8 +227,8 @@ run(sys.argv[1:])
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_interruption_leaves_nothing(tmp_path: Path, number: signal.Signals) -> None:
-    # a superquadric on a fine lattice takes long enough to be caught in the middle of it
+def test_interruption_leaves_no_file(tmp_path: Path, number: signal.Signals) -> None:
+    # a superquadric on a fine lattice takes long enough to be interrupted
     source = tmp_path / "long.toml"
     source.write_text(
         '[[shape]]\nkind = "superquadric"\ncenter_m = [0.0, 0.0, 0.0]\nhalf_extents_m = [0.1, 0.1, 0.1]\n'
@@ -238,16 +240,16 @@ def test_interruption_leaves_nothing(tmp_path: Path, number: signal.Signals) -> 
     )
     deadline = time.monotonic() + 60
     while len(list(tmp_path.iterdir())) < 2 and time.monotonic() < deadline:
-        time.sleep(0.02)  # until the temporary file is there
+        time.sleep(0.02)  # until the temporary file exists
     assert running.poll() is None
     running.send_signal(number)
-    _, said = running.communicate(timeout=60)
+    _, stderr = running.communicate(timeout=60)
     assert running.returncode == 1
-    assert said.strip() == "touchfield: interrupted; nothing was written under the final name"
+    assert stderr.strip() == "touchfield: interrupted; nothing was written under the final name"
     assert list(tmp_path.iterdir()) == [source]
 
 
-def test_an_interrupt_while_libraries_are_loaded_is_one_line() -> None:
+def test_interrupt_during_imports_is_one_line() -> None:
     program = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have it ignored behind its back
@@ -264,30 +266,30 @@ touchfield.__main__.main()
     assert (done.returncode, done.stdout, done.stderr) == (1, "", "touchfield: interrupted\n")
 
 
-def test_who_writes_no_file_is_told_of_none_when_interrupted(
+def test_interrupted_command_without_output_mentions_no_file(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(*_: object, **__: object) -> None:
+    def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("touchfield.tasks.play.play", interrupted)
+    monkeypatch.setattr("touchfield.tasks.play.play", interrupt)
     assert _exit_code(["play", "room.touch"]) == 1
     assert capsys.readouterr().err == "touchfield: interrupted\n"
-    monkeypatch.setattr("touchfield.tasks.library.index_folder", interrupted)
+    monkeypatch.setattr("touchfield.tasks.library.index_folder", interrupt)
     assert _exit_code(["index", "media"]) == 1
     assert capsys.readouterr().err == "touchfield: interrupted\n", "what was described is saved"
 
 
-def test_a_file_that_ends_too_early_is_no_interruption(
+def test_truncated_file_is_not_reported_as_interruption(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def cut(*_: object, **__: object) -> None:
+    def raise_eof(*_: object, **__: object) -> None:
         raise EOFError("marshal data too short")
 
-    monkeypatch.setattr("touchfield.tasks.library.index_folder", cut)
+    monkeypatch.setattr("touchfield.tasks.library.index_folder", raise_eof)
     assert _exit_code(["index", "media"]) == 1
-    said = capsys.readouterr().err.strip()
-    assert said == "touchfield: a file ended too early: marshal data too short. Make it anew"
+    error = capsys.readouterr().err.strip()
+    assert error == "touchfield: a file ended too early: marshal data too short. Make it anew"
 
 
 LIMITED = """
@@ -303,7 +305,7 @@ for line in sys.stdin:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="this system has no limit on the size of files")
-def test_a_disk_that_takes_no_more_is_one_line(sphere: Path, tmp_path: Path) -> None:
+def test_full_disk_is_one_line(sphere: Path, tmp_path: Path) -> None:
     stream = tmp_path / "s.touch"
     assert _exit_code(["encode", str(sphere), str(stream), "--nw", "4"]) == 0
     assert stream.stat().st_size > 600
@@ -320,15 +322,15 @@ def test_a_disk_that_takes_no_more_is_one_line(sphere: Path, tmp_path: Path) -> 
         ):
             limited.stdin.write(json.dumps(arguments) + "\n")
             limited.stdin.flush()
-            code, said = json.loads(limited.stdout.readline())
+            code, error = json.loads(limited.stdout.readline())
             assert code == 1, arguments
-            assert len(said.strip().splitlines()) == 1, said
-            assert "too large" in said and "Traceback" not in said, said
+            assert len(error.strip().splitlines()) == 1, error
+            assert "too large" in error and "Traceback" not in error, error
             assert sorted(tmp_path.iterdir()) == before, arguments
     assert _exit_code(["info", str(stream)]) == 0, "the older file is as it was"
 
 
-def test_no_command_writes_over_what_it_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_command_overwrites_its_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, stream, field = (tmp_path / name for name in ("relief.png", "relief.touch", "relief.npz"))
     Image.fromarray((np.arange(32 * 32).reshape(32, 32) % 200).astype(np.uint8)).save(source)
     before = source.read_bytes()
@@ -337,7 +339,7 @@ def test_no_command_writes_over_what_it_reads(tmp_path: Path, capsys: pytest.Cap
     assert source.read_bytes() == before
     assert (tmp_path / "relief.compare.png").stat().st_size > 1000
     assert _exit_code(["field", str(source), str(field), "--nw", "3"]) == 0
-    kept = {path: path.read_bytes() for path in (source, stream, field)}
+    contents = {path: path.read_bytes() for path in (source, stream, field)}
     for arguments in (
         ["compare", str(source), str(stream), "--picture", str(source)],
         ["compare", str(source), str(stream), "--picture", str(stream)],
@@ -349,45 +351,45 @@ def test_no_command_writes_over_what_it_reads(tmp_path: Path, capsys: pytest.Cap
         capsys.readouterr()
         assert _exit_code(arguments) == 2, arguments
         assert "the file that is read" in capsys.readouterr().err
-    assert {path: path.read_bytes() for path in kept} == kept
+    assert {path: path.read_bytes() for path in contents} == contents
 
 
-def test_compare_leaves_a_picture_that_it_did_not_draw(
+def test_compare_does_not_overwrite_foreign_pictures(
     sphere: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stream, usual, beside = (tmp_path / name for name in ("s.touch", "s.png", "s.compare.png"))
+    stream, default_path, fallback_path = (tmp_path / name for name in ("s.touch", "s.png", "s.compare.png"))
     assert _exit_code(["encode", str(sphere), str(stream), "--nw", "3"]) == 0
-    Image.new("RGB", (9, 9)).save(usual)
-    holiday = usual.read_bytes()
+    Image.new("RGB", (9, 9)).save(default_path)
+    foreign_bytes = default_path.read_bytes()
     assert _exit_code(["compare", str(sphere), str(stream)]) == 0
-    assert usual.read_bytes() == holiday and beside.stat().st_size > 1000
-    drawn = beside.read_bytes()
+    assert default_path.read_bytes() == foreign_bytes and fallback_path.stat().st_size > 1000
+    drawn = fallback_path.read_bytes()
     monkeypatch.setattr(Comparison, "draw", lambda self, path: Path(path).write_bytes(drawn + b"again"))
     assert _exit_code(["compare", str(sphere), str(stream)]) == 0
-    assert usual.read_bytes() == holiday and beside.read_bytes() == drawn + b"again", (
+    assert default_path.read_bytes() == foreign_bytes and fallback_path.read_bytes() == drawn + b"again", (
         "its own it may draw again"
     )
     capsys.readouterr()
-    assert _exit_code(["compare", str(sphere), str(stream), "--picture", str(usual)]) == 2
+    assert _exit_code(["compare", str(sphere), str(stream), "--picture", str(default_path)]) == 2
     assert "left as it is" in capsys.readouterr().err
-    beside.write_bytes(holiday)
+    fallback_path.write_bytes(foreign_bytes)
     assert _exit_code(["compare", str(sphere), str(stream)]) == 2
     assert _exit_code(["compare", str(sphere), str(stream), "--no-picture"]) == 0
-    assert usual.read_bytes() == beside.read_bytes() == holiday
-    usual.unlink()
+    assert default_path.read_bytes() == fallback_path.read_bytes() == foreign_bytes
+    default_path.unlink()
     assert _exit_code(["compare", str(sphere), str(stream)]) == 0
-    assert usual.read_bytes() == drawn + b"again"
+    assert default_path.read_bytes() == drawn + b"again"
 
 
-def test_the_errors_of_json_commands_are_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors_of_json_commands_are_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, (arguments, code) in _bad_inputs(tmp_path).items():
         if arguments == ["embroider"]:
             continue
         capsys.readouterr()
         assert _exit_code([*arguments, "--json"]) == code, name
-        said = capsys.readouterr()
-        told = json.loads(said.err)
-        assert said.out == "" and told["exit_code"] == code and told["error"] and told["kind"], name
+        captured = capsys.readouterr()
+        error = json.loads(captured.err)
+        assert captured.out == "" and error["exit_code"] == code and error["error"] and error["kind"], name
 
 
 def test_bits_of_a_supported_voxel_are_the_same_in_info_and_compare(
@@ -395,7 +397,7 @@ def test_bits_of_a_supported_voxel_are_the_same_in_info_and_compare(
 ) -> None:
     stream, field = tmp_path / "s.touch", tmp_path / "field.npz"
     forces = np.zeros((3, 8, 8, 8, 3))
-    for frame, height in enumerate((2, 5, 3)):  # other voxels are felt in each frame
+    for frame, height in enumerate((2, 5, 3)):  # each frame has forces at other voxels
         forces[frame, :, :, :height] = 0, 0, 1.0
     grid = tf.Grid.over_box((0, 0, 0), (0.08, 0.08, 0.08), (8, 8, 8))
     write_npz(field, tf.HapticMedium.from_array(forces, grid))
@@ -415,55 +417,55 @@ def test_bits_of_a_supported_voxel_are_the_same_in_info_and_compare(
         assert each * of["n"] == pytest.approx(8 * stream.stat().st_size)
 
 
-def test_a_fault_of_our_own_is_one_line_too(
+def test_internal_error_is_one_line(
     sphere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from touchfield.codec.touch.encoder import TouchEncoder
 
-    def broken(self: TouchEncoder, frames: object, anchor: object = None) -> None:
+    def raise_internal_error(self: TouchEncoder, frames: object, anchor: object = None) -> None:
         raise ZeroDivisionError("by nothing")
 
-    monkeypatch.setattr(TouchEncoder, "encode_segment", broken)
+    monkeypatch.setattr(TouchEncoder, "encode_segment", raise_internal_error)
     arguments = ["encode", str(sphere), str(tmp_path / "o.touch"), "--nw", "3"]
     assert _exit_code(arguments) == 1
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1 and "ZeroDivisionError: by nothing" in said
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1 and "ZeroDivisionError: by nothing" in error
     assert list(tmp_path.iterdir()) == [sphere]
     monkeypatch.setenv("TOUCHFIELD_TRACEBACK", "1")
     with pytest.raises(ZeroDivisionError):
         _exit_code(arguments)
 
 
-def test_nothing_asked_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_arguments_show_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert _exit_code([]) == 0
     assert "compare" in capsys.readouterr().out
     assert _exit_code(["--version"]) == 0
     assert capsys.readouterr().out.startswith("touchfield 0")
 
 
-def test_the_help_names_every_sample(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_names_every_sample(capsys: pytest.CaptureFixture[str]) -> None:
     assert _exit_code(["encode", "--help"]) == 0
     printed = capsys.readouterr().out
     assert all(f"sample:{name}" in printed for name in SAMPLES)
 
 
-def test_the_help_is_in_groups_and_ends_in_examples(
+def test_help_has_groups_and_examples(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _exit_code(["--help"]) == 0
     printed = capsys.readouterr().out
-    places = [printed.index(f"─ {group} ─") for group in ("Make", "Look", "Feel", "Study", "Set up")]
-    assert places == sorted(places)
+    indices = [printed.index(f"─ {group} ─") for group in ("Make", "Look", "Feel", "Study", "Set up")]
+    assert indices == sorted(indices)
     assert _exit_code(["encode", "--help"]) == 0
     printed = capsys.readouterr().out
     groups = ("What most people need", "Device and lattice", "Force", "Scene", "Coder", "The paper's coder")
-    places = [printed.index(f"─ {group} ─") for group in groups]
-    assert places == sorted(places)
-    first = printed[places[0] : places[1]]
+    indices = [printed.index(f"─ {group} ─") for group in groups]
+    assert indices == sorted(indices)
+    first = printed[indices[0] : indices[1]]
     assert sum(line.lstrip("│ ").startswith("--") for line in first.splitlines()) == 10
     assert "[default: half" in printed, "what stands in brackets is no markup"
     assert "touchfield encode scan.ply" in printed.split("Examples:")[1]
-    made = (
+    commands = (
         "filter",
         "field",
         "plan",
@@ -476,23 +478,26 @@ def test_the_help_is_in_groups_and_ends_in_examples(
         "lod",
         "partition",
     )
-    for command in (*made, "info", "compare", "measure", "play"):
+    for command in (*commands, "info", "compare", "measure", "play"):
         assert _exit_code([command, "--help"]) == 0
         assert f"touchfield {command} " in capsys.readouterr().out.split("Examples:")[1], command
 
 
-def test_a_usage_error_names_the_help_that_helps(capsys: pytest.CaptureFixture[str]) -> None:
-    for words, hint in ((["plan", "x.ply"], "touchfield plan --help"), (["embroider"], "touchfield --help")):
-        assert _exit_code(words) == 2
+def test_usage_error_names_the_help_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, hint in (
+        (["plan", "x.ply"], "touchfield plan --help"),
+        (["embroider"], "touchfield --help"),
+    ):
+        assert _exit_code(arguments) == 2
         assert f"({hint} tells more)" in capsys.readouterr().err
 
 
-def test_a_terminal_without_the_letters_of_a_name(sphere: Path, tmp_path: Path) -> None:
+def test_terminal_that_cannot_encode_a_name(sphere: Path, tmp_path: Path) -> None:
     stream = tmp_path / "kühe.touch"
     assert _exit_code(["encode", str(sphere), str(stream), "--nw", "3"]) == 0
-    words = [sys.executable, "-m", "touchfield", "info", str(stream)]
-    ascii_alone = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    done = subprocess.run(words, capture_output=True, text=True, check=True, env=ascii_alone)
+    command = [sys.executable, "-m", "touchfield", "info", str(stream)]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     assert "k\\xfche.touch" in done.stdout and not done.stderr
 
 
@@ -511,8 +516,8 @@ def test_import_is_light() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_each_command_is_found_in_its_room() -> None:
-    """Of a package imported afresh for each, so that only its own room is open."""
+def test_each_command_loads_only_its_module() -> None:
+    """The package is imported anew for each command, so that only the module of that command is loaded."""
     from touchfield.cli.main import COMMANDS
 
     program = (
@@ -526,9 +531,10 @@ def test_each_command_is_found_in_its_room() -> None:
         "    rooms = {room for room in COMMANDS.values() if f'touchfield.cli.{room}' in sys.modules}\n"
         "    assert name in names and rooms == {COMMANDS[name]}, (name, names, rooms)\n"
     )
-    names = {room: name for name, room in COMMANDS.items()}.values()
+    names = {module: name for name, module in COMMANDS.items()}.values()
     subprocess.run([sys.executable, "-c", program, *names], check=True)
-    everything = [
-        one.name or getattr(one.callback, "__name__", "") for one in load_commands().registered_commands
+    all_names = [
+        command.name or getattr(command.callback, "__name__", "")
+        for command in load_commands().registered_commands
     ]
-    assert everything == list(COMMANDS)
+    assert all_names == list(COMMANDS)

@@ -1,4 +1,4 @@
-"""`touchfield measure` and `touchfield filter` as their user meets them."""
+"""`touchfield measure` and `touchfield filter` end to end."""
 
 from __future__ import annotations
 
@@ -52,39 +52,39 @@ def test_measure_of_a_stream(stream: Path, tmp_path: Path, capsys: Capture) -> N
     limits = found["coding_limits"]
     assert limits["voxel_entropy"]["bits_per_voxel"] == pytest.approx(voxel)
     assert all(c["bits_per_voxel"] <= voxel + 1e-12 for c in limits["contexts"].values())
-    least = min(c["bits_per_frame"] for c in limits["contexts"].values())
-    assert 2 * least < found["file_bits"], "the paper's coder is far from the limit"
+    min_bits = min(c["bits_per_frame"] for c in limits["contexts"].values())
+    assert 2 * min_bits < found["file_bits"], "the paper's coder is far from the limit"
     with Image.open(picture) as drawn:
         assert drawn.width > 600 and len(drawn.convert("RGB").getcolors(1 << 20)) > 20
 
 
-def test_what_measure_prints_is_what_it_tells_as_json(stream: Path, capsys: Capture) -> None:
-    """Of two frames: bits of a supported voxel over both, and millijoules of a loop."""
+def test_measure_prints_the_values_of_its_json(stream: Path, capsys: Capture) -> None:
+    """For two frames: bits per supported voxel over both, and millijoules of a loop."""
     assert _exit_code(["measure", str(stream), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    values = json.loads(capsys.readouterr().out)
     assert _exit_code(["measure", str(stream)]) == 0
     printed = capsys.readouterr().out
-    supported = told["voxels_per_frame"] * told["frames"] * told["occupancy"]
+    supported = values["voxels_per_frame"] * values["frames"] * values["occupancy"]
 
     def number(row: str) -> float:
         return float(
             next(line for line in printed.splitlines() if line.startswith(row))[len(row) :].split()[0]
         )
 
-    assert told["frames"] == 2 and supported == pytest.approx(told["supported_voxels"])
+    assert values["frames"] == 2 and supported == pytest.approx(values["supported_voxels"])
     assert number("this file") == pytest.approx(8 * stream.stat().st_size / supported, rel=1e-4)
-    assert number("H(S)") == pytest.approx(told["entropy_voxel"]["value"], rel=1e-5)
-    assert number("H(W)") == pytest.approx(told["entropy_frame"]["value"], rel=1e-5)
-    assert number("relative curl") == pytest.approx(told["passivity"]["relative_curl"], rel=1e-3)
-    assert number("worst square") == pytest.approx(1e3 * told["passivity"]["worst_square_j"], rel=1e-3)
+    assert number("H(S)") == pytest.approx(values["entropy_voxel"]["value"], rel=1e-5)
+    assert number("H(W)") == pytest.approx(values["entropy_frame"]["value"], rel=1e-5)
+    assert number("relative curl") == pytest.approx(values["passivity"]["relative_curl"], rel=1e-3)
+    assert number("worst square") == pytest.approx(1e3 * values["passivity"]["worst_square_j"], rel=1e-3)
     assert "mJ gained" in printed
 
 
 def test_measure_of_devices(sphere: Path, capsys: Capture) -> None:
-    words = ["measure", str(sphere), "--nw", "5", "--no-limits", "--json"]
+    arguments = ["measure", str(sphere), "--nw", "5", "--no-limits", "--json"]
     assert (
         _exit_code(
-            [*words, "--device", "tshirt-32x32", "--device", "phantom-omni", "--quantiser", "weber:0.25"]
+            [*arguments, "--device", "tshirt-32x32", "--device", "phantom-omni", "--quantiser", "weber:0.25"]
         )
         == 0
     )
@@ -100,19 +100,19 @@ def test_measure_of_devices(sphere: Path, capsys: Capture) -> None:
     assert any("finer than the medium's" in note for note in found["notes"])
 
 
-def test_what_the_paper_s_device_loses_of_a_finer_medium(sphere: Path, capsys: Capture) -> None:
-    """Five samples of W along each axis for one of the device's: some 1/125 of the bits are left
+def test_information_lost_by_the_device_of_the_paper(sphere: Path, capsys: Capture) -> None:
+    """With five samples of W per device sample along each axis, about 1/125 of the bits remain
     (docs/theory).
     """
-    words = ["measure", str(sphere), "--nw", "6", "--no-limits", "--json", "--device", "phantom-omni"]
+    arguments = ["measure", str(sphere), "--nw", "6", "--no-limits", "--json", "--device", "phantom-omni"]
     wmr = {}
     for density in ("1", "2", "5"):
-        assert _exit_code([*words, "--density", density]) == 0
-        told = json.loads(capsys.readouterr().out)["capacity"]["phantom-omni"]
-        wmr[density] = told["wmr"]["value"]
-        assert told["hil"]["value"] == pytest.approx(1 - wmr[density])
+        assert _exit_code([*arguments, "--density", density]) == 0
+        capacity = json.loads(capsys.readouterr().out)["capacity"]["phantom-omni"]
+        wmr[density] = capacity["wmr"]["value"]
+        assert capacity["hil"]["value"] == pytest.approx(1 - wmr[density])
     assert wmr["1"] == 1 and 0.08 < wmr["2"] < 0.3 and 0.004 < wmr["5"] < 0.03
-    assert _exit_code([*words, "--density", "0.5"]) == 2
+    assert _exit_code([*arguments, "--density", "0.5"]) == 2
     assert "--density" in capsys.readouterr().err
 
 
@@ -120,11 +120,11 @@ def test_measure_along_a_trace(stream: Path, tmp_path: Path, capsys: Capture) ->
     trace = tmp_path / "probe.csv"
     t = np.arange(60) / 1000
     with pipeline.open_stream(stream) as opened:
-        held = opened.medium[0].grid.to_m(opened.medium[0].positions())
-    places = held[:: len(held) // 60][:60]
-    rows = "\n".join(f"{a:.4f},{x:.6f},{y:.6f},{z:.6f}" for a, (x, y, z) in zip(t, places))
+        positions_m = opened.medium[0].grid.to_m(opened.medium[0].positions())
+    trace_m = positions_m[:: len(positions_m) // 60][:60]
+    rows = "\n".join(f"{a:.4f},{x:.6f},{y:.6f},{z:.6f}" for a, (x, y, z) in zip(t, trace_m))
     trace.write_text(f"t_s,x_m,y_m,z_m\n{rows}\n")
-    words = [
+    arguments = [
         "measure",
         str(stream),
         "--no-limits",
@@ -133,14 +133,14 @@ def test_measure_along_a_trace(stream: Path, tmp_path: Path, capsys: Capture) ->
         "--estimator",
         "miller-madow",
     ]
-    assert _exit_code([*words, "--json"]) == 0
+    assert _exit_code([*arguments, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["entropy"]
     assert found["weighting"] == "interaction" and found["samples"] == 60
     assert found["value"] > 3, "the probe met many forces"
     assert any("fewer than" in note for note in found["notes"])
-    assert _exit_code(words) == 0
-    said = capsys.readouterr().out
-    assert "over the visits" in said and "relative curl" in said
+    assert _exit_code(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "over the visits" in printed and "relative curl" in printed
 
 
 def test_measure_takes_a_medium_and_a_scene() -> None:
@@ -153,7 +153,7 @@ def test_measure_takes_a_medium_and_a_scene() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("options", "message"),
     [
         (["--over", "room"], "voxel, object"),
         (["--over", "interaction"], "interaction:TRACE.csv"),
@@ -165,54 +165,58 @@ def test_measure_takes_a_medium_and_a_scene() -> None:
         (["--nw", "99"], "3 to 10"),
     ],
 )
-def test_measure_says_what_is_wrong(sphere: Path, words: list[str], says: str, capsys: Capture) -> None:
-    assert _exit_code(["measure", str(sphere), *(["--nw", "4"] if "--nw" not in words else []), *words]) in (
+def test_measure_error_names_the_cause(
+    sphere: Path, options: list[str], message: str, capsys: Capture
+) -> None:
+    assert _exit_code(
+        ["measure", str(sphere), *(["--nw", "4"] if "--nw" not in options else []), *options]
+    ) in (
         1,
         2,
     )
-    said = capsys.readouterr().err
-    assert says in said and said.count("\n") == 1 and "Traceback" not in said
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1 and "Traceback" not in error
 
 
-def test_measure_does_not_draw_over_its_medium(stream: Path, capsys: Capture) -> None:
+def test_measure_does_not_overwrite_its_medium(stream: Path, capsys: Capture) -> None:
     before = stream.read_bytes()
     assert _exit_code(["measure", str(stream), "--plot", str(stream)]) == 2
     assert stream.read_bytes() == before
 
 
-def test_filter_works_in_the_order_of_its_options(sphere: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_filters_apply_in_the_order_of_options(sphere: Path, tmp_path: Path, capsys: Capture) -> None:
     common = ["filter", str(sphere), "--nw", "5", "--thickness-m", "0.01"]
-    one, two = ["--multiresolution", "2"], ["--texture", "salt-pepper:seed=4,rms=0.3"]
+    coarse_option, texture_option = ["--multiresolution", "2"], ["--texture", "salt-pepper:seed=4,rms=0.3"]
     fields = {}
-    for name, order in (("ab", [*one, *two]), ("ba", [*two, *one])):
+    for name, order in (("ab", [*coarse_option, *texture_option]), ("ba", [*texture_option, *coarse_option])):
         out = tmp_path / f"{name}.npz"
         assert _exit_code([*common, str(out), *order]) == 0
         fields[name] = read_npz(out)[0]
     capsys.readouterr()
     device_field = pipeline.prepare(sphere, EncodeSpec(nw=5, thickness_m=0.01)).medium[0]
-    coarse, rough = filter_of("multiresolution", "2"), filter_of("texture", two[1])
+    coarse, rough = filter_of("multiresolution", "2"), filter_of("texture", texture_option[1])
     expected = rough(coarse(device_field))
     assert fields["ab"].support_count == expected.support_count
-    below = np.linalg.norm(expected.to_dense(), axis=-1) < 3.2  # what is above was clipped to F_max
-    np.testing.assert_allclose(fields["ab"].to_dense()[below], expected.to_dense()[below], atol=1e-6)
+    unclipped = np.linalg.norm(expected.to_dense(), axis=-1) < 3.2  # larger forces are clipped to F_max
+    np.testing.assert_allclose(fields["ab"].to_dense()[unclipped], expected.to_dense()[unclipped], atol=1e-6)
     assert fields["ab"] != fields["ba"]
     assert float(np.linalg.norm(fields["ab"].to_dense(), axis=-1).max()) <= 3.3 + 1e-6
 
 
 def test_filter_to_a_stream_with_its_report(sphere: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "rough.touch"
-    words = ["filter", str(sphere), str(out), "--nw", "5", "--texture", "salt-pepper:seed=4", "--report"]
-    assert _exit_code([*words, "--json"]) == 0
+    arguments = ["filter", str(sphere), str(out), "--nw", "5", "--texture", "salt-pepper:seed=4", "--report"]
+    assert _exit_code([*arguments, "--json"]) == 0
     done = json.loads(capsys.readouterr().out)
     before, after = done["report"]["stages"]
     assert before["nmse_db"] is None and after["nmse_db"] < 0
     assert after["entropy_object_bits"] > before["entropy_object_bits"], "a texture is information"
     assert after["entropy_bits_per_frame"] == pytest.approx(after["entropy_voxel_bits"] * 32**3)
     assert not math.isnan(after["rms_n"]) and after["greatest_n"] <= 3.3 + 1e-6
-    # the stream says how it was filtered, so that a comparison filters its source again
+    # the stream's provenance has the filter, so a comparison filters its source as well
     assert _exit_code(["compare", str(sphere), str(out), "--json", "--no-picture"]) == 0
     assert json.loads(capsys.readouterr().out)["nmse_db"] < -15
-    assert _exit_code(words) == 0
+    assert _exit_code(arguments) == 0
     assert "mask_violation_share" in capsys.readouterr().out
 
 
@@ -227,23 +231,32 @@ def test_filter_of_a_stream(stream: Path, tmp_path: Path, capsys: Capture) -> No
     assert not (tmp_path / "x.touch").exists()
 
 
-def test_a_still_scene_is_there_for_the_whole_trace(sphere: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_static_scene_lasts_for_the_whole_trace(sphere: Path, tmp_path: Path, capsys: Capture) -> None:
     trace = tmp_path / "slow.csv"
     t = np.arange(200) / 100  # two seconds, and a scene of one frame
     rows = "\n".join(
         f"{a:.3f},{20 * np.sin(3 * a):.4f},{15 * np.cos(2 * a):.4f},{5 * np.sin(a):.4f}" for a in t
     )
     trace.write_text(f"t_s,x_mm,y_mm,z_mm\n{rows}\n")
-    words = ["measure", str(sphere), "--nw", "5", "--no-limits", "--over", f"interaction:{trace}", "--json"]
-    assert _exit_code(words) == 0
+    arguments = [
+        "measure",
+        str(sphere),
+        "--nw",
+        "5",
+        "--no-limits",
+        "--over",
+        f"interaction:{trace}",
+        "--json",
+    ]
+    assert _exit_code(arguments) == 0
     assert json.loads(capsys.readouterr().out)["entropy"]["samples"] == 200
 
 
-def test_a_report_on_forces_beyond_the_device(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_report_on_forces_above_the_device_limit(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     strong = tmp_path / "strong.npz"
     medium = pipeline.prepare(stream).medium
     pipeline.write_field(strong, HapticMedium.from_frames([medium[0].scaled(4.0)], 30.0))
-    words = [
+    arguments = [
         "filter",
         str(strong),
         str(tmp_path / "o.npz"),
@@ -254,12 +267,14 @@ def test_a_report_on_forces_beyond_the_device(stream: Path, tmp_path: Path, caps
         "--report",
         "--json",
     ]
-    assert _exit_code(words) == 0
+    assert _exit_code(arguments) == 0
     stages = json.loads(capsys.readouterr().out)["report"]["stages"]
     assert all(stage["greatest_n"] <= 3.3 + 1e-6 for stage in stages) and stages[0]["nmse_db"] is None
 
 
-def test_filter_says_what_is_wrong_before_it_works(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_filter_rejects_invalid_options_before_it_starts(
+    stream: Path, tmp_path: Path, capsys: Capture
+) -> None:
     out = tmp_path / "out.touch"
     assert _exit_code(["filter", str(stream), str(out), "--gaussian", "2mm", "--gaussian", "3mm"]) == 2
     assert "Filter twice" in capsys.readouterr().err and not out.exists()
@@ -267,16 +282,16 @@ def test_filter_says_what_is_wrong_before_it_works(stream: Path, tmp_path: Path,
     assert "OUT.touch" in capsys.readouterr().err
 
 
-def test_a_range_of_frames_keeps_the_clock_of_the_trace(
-    stream: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_range_of_frames_uses_the_clock_of_the_trace(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     with pipeline.open_stream(stream) as opened:
         rate_hz, field = opened.medium.rate_hz, opened.medium[1]
-    place = field.grid.to_m(field.positions()[len(field.positions()) // 2])
-    t = (1 + np.linspace(0.05, 0.9, 30)) / rate_hz  # while the second frame is there
+    position_m = field.grid.to_m(field.positions()[len(field.positions()) // 2])
+    t = (1 + np.linspace(0.05, 0.9, 30)) / rate_hz  # during the second frame
     trace = tmp_path / "second.csv"
-    trace.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{a},{place[0]},{place[1]},{place[2]}\n" for a in t))
-    words = [
+    trace.write_text(
+        "t_s,x_m,y_m,z_m\n" + "".join(f"{a},{position_m[0]},{position_m[1]},{position_m[2]}\n" for a in t)
+    )
+    arguments = [
         "measure",
         str(stream),
         "--no-limits",
@@ -286,12 +301,14 @@ def test_a_range_of_frames_keeps_the_clock_of_the_trace(
         "1:2",
         "--json",
     ]
-    assert _exit_code(words) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["entropy"]["samples"] == 30 and told["file_bits"] is None, "the file has other frames, too"
+    assert _exit_code(arguments) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["entropy"]["samples"] == 30 and values["file_bits"] is None, (
+        "the file has other frames, too"
+    )
 
 
-def test_a_filtered_stream_tells_where_it_came_from(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_filtered_stream_has_its_provenance(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "again.touch"
     assert _exit_code(["filter", str(stream), str(out), "--gaussian", "5mm"]) == 0
     capsys.readouterr()

@@ -1,4 +1,4 @@
-"""A line on the terminal while kernels compile, and none where they need not."""
+"""The note on the terminal while kernels compile."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numba import njit
 from touchfield.cli.output import announce_compilation
 
 
-def test_compilation_is_told_once_and_only_where_it_takes_place() -> None:
+def test_compilation_is_noted_once_and_only_if_it_happens() -> None:
     kernels = [njit(lambda x: x + 1), njit(lambda x: x - 1)]
     lines: list[str] = []
     with announce_compilation(lines.append):
@@ -22,11 +22,13 @@ def test_compilation_is_told_once_and_only_where_it_takes_place() -> None:
     assert len(lines) == 1
 
 
-def test_an_interrupt_that_a_compiler_cannot_raise_ends_the_job(capfd: pytest.CaptureFixture[str]) -> None:
+def test_interrupt_within_a_callback_of_the_compiler_ends_the_command(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     @ctypes.CFUNCTYPE(None)
-    def interrupted() -> None:
+    def raise_interrupt() -> None:
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt), announce_compilation(lambda line: interrupted()):
+    with pytest.raises(KeyboardInterrupt), announce_compilation(lambda line: raise_interrupt()):
         njit(lambda x: x + 1)(2)
     assert not capfd.readouterr().err and gc.isenabled()

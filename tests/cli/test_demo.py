@@ -1,4 +1,4 @@
-"""The demo of someone who has installed the core and nothing else."""
+"""The demo with a minimal installation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from touchfield.cli.main import _exit_code
 HIDDEN = ("matplotlib", "skimage", "mujoco")
 
 
-def test_the_core_alone_shows_something(
+def test_demo_runs_with_the_core_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def find_spec(name: str) -> Any:
@@ -27,14 +27,14 @@ def test_the_core_alone_shows_something(
         if name.partition(".")[0] in HIDDEN:
             monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setattr(demo, "find_spec", find_spec)
-    words, spec = demo.SCENES["shapes"]
-    monkeypatch.setitem(demo.SCENES, "shapes", (words, replace(spec, nw=6)))
+    source, spec = demo.SCENES["shapes"]
+    monkeypatch.setitem(demo.SCENES, "shapes", (source, replace(spec, nw=6)))
     assert _exit_code(["demo", str(tmp_path / "out")]) == 0
     out = capsys.readouterr().out
     assert "left out: the motorcycle scene" in out and "left out: the bundled elevation model" in out
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "shapes.forces.csv", "shapes.html", "shapes.json", "shapes.touch",
     }  # fmt: skip
-    told = json.loads((tmp_path / "out" / "shapes.json").read_text())
-    assert told["mask_violations"] == 0 and told["worst_mask_ratio"] <= 1
+    values = json.loads((tmp_path / "out" / "shapes.json").read_text())
+    assert values["mask_violations"] == 0 and values["worst_mask_ratio"] <= 1
     assert ".png" not in out

@@ -1,8 +1,8 @@
-"""Every option of every command reaches its task, with the value that was given, and touches nothing else.
+"""Every option of every command reaches its task with the given value, and changes nothing else.
 
-The commands run with the functions behind them replaced by recorders. One run has the defaults, the other one
-option more; what differs between the two records must be the leaf that `option_tables.EXPECTED` names, and it
-alone: an option that is ignored, swapped with another or converted to another unit differs elsewhere.
+The commands run with their tasks replaced by recorders. One run has the defaults, the other one option more;
+the two records must differ exactly in the leaf that `option_tables.EXPECTED` names: an option that is
+ignored, swapped with another or converted to another unit fails.
 """
 
 from __future__ import annotations
@@ -30,36 +30,34 @@ GROUP: Any = typer.main.get_command(load_commands())
 
 
 class Stub(MagicMock):
-    """What a task returns: takes every call, is printed as words."""
+    """A task's result: accepts every call and has a printable text."""
 
     tolist = property(lambda self: self.no_such_attribute_here)
 
 
 def leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """The parts of a value with their paths: fields of dataclasses, items of mappings and of tuples of
-    them.
-    """
+    """The parts of a value with their paths: dataclass fields, mapping items, tuples of dataclasses."""
     if isinstance(value, Path):
         value = str(value)
     if isinstance(value, MagicMock | np.ndarray):
         yield path, str(value.tolist()) if isinstance(value, np.ndarray) else STUB
     elif is_dataclass(value):
-        for one in fields(value):
-            yield from leaves(getattr(value, one.name), f"{path}.{one.name}")
+        for item in fields(value):
+            yield from leaves(getattr(value, item.name), f"{path}.{item.name}")
     elif isinstance(value, dict):
-        for key, own in value.items():
-            yield from leaves(own, f"{path}.{key}")
+        for key, part in value.items():
+            yield from leaves(part, f"{path}.{key}")
     elif isinstance(value, tuple | list) and "<Stub" in repr(value):
         yield path, STUB
-    elif isinstance(value, tuple | list) and any(is_dataclass(one) for one in value):
-        for place, own in enumerate(value):
-            yield from leaves(own, f"{path}.{place}")
+    elif isinstance(value, tuple | list) and any(is_dataclass(item) for item in value):
+        for index, part in enumerate(value):
+            yield from leaves(part, f"{path}.{index}")
     else:
         yield path, tuple(value) if isinstance(value, list) else value
 
 
 class Recorder:
-    """The calls of a run: of each function by its name its arguments, and what was asked of its result."""
+    """The calls of a run: the arguments of each function, and the methods called on its result."""
 
     METHODS = ("end", "draw", "save", "open", "write_log", "write_text", "follow", "supported_voxels", "show")
 
@@ -70,8 +68,8 @@ class Recorder:
     def replacement(self, original: Any, name: str, result: Any = None) -> Any:
         signature = inspect.signature(original)
 
-        def recorded(*given: Any, **named: Any) -> Any:
-            bound = signature.bind(*given, **named)
+        def recorded(*args: Any, **kwargs: Any) -> Any:
+            bound = signature.bind(*args, **kwargs)
             bound.apply_defaults()
             self.arguments[name] = dict(bound.arguments)
             self.results[name] = Stub() if result is None else result
@@ -83,19 +81,19 @@ class Recorder:
         return recorded
 
     def record(self) -> dict[str, Any]:
-        """All leaves by their paths; functions that are passed on are left out."""
+        """All leaves by their paths; callables in arguments are left out."""
         found: dict[str, Any] = {}
         for name, arguments in self.arguments.items():
             found[name] = CALLED
             for key, value in arguments.items():
-                is_told_on = callable(value) and not isinstance(value, MagicMock)
-                if not (is_told_on or isinstance(value, Answer)):
+                is_callback = callable(value) and not isinstance(value, MagicMock)
+                if not (is_callback or isinstance(value, Answer)):
                     found.update(leaves(value, f"{name}.{key}"))
             for call in getattr(self.results[name], "mock_calls", ()):
                 method = call[0].rpartition(".")[2]
                 if method in self.METHODS:
-                    for place, value in enumerate(call[1]):
-                        found.update(leaves(value, f"{name}().{method}.{place}"))
+                    for index, value in enumerate(call[1]):
+                        found.update(leaves(value, f"{name}().{method}.{index}"))
                     found.setdefault(f"{name}().{method}", CALLED)
         return found
 
@@ -111,7 +109,7 @@ def is_at(path: str, leaf: str) -> bool:
 
 
 def is_explained(path: str, expected: dict[str, Any]) -> bool:
-    """True for a leaf that `expected` names, or that belongs to a call which came or went as it says."""
+    """True for a leaf that `expected` names, or one of a call whose presence it names."""
     parents = [name for name, value in expected.items() if value in (CALLED, MISSING)]
     return any(is_at(path, leaf) for leaf in expected) or any(path.startswith(f"{name}.") for name in parents)
 
@@ -180,7 +178,7 @@ TASKS = {
     "demo": ("cli.demo:run_demo",),
     "doctor": ("tasks.setup:examine",),
 }
-"""Of each command the functions behind it that are recorded; "module:name"."""
+"""The recorded functions of each command, as "module:name"."""
 
 RESULTS: dict[str, Any] = {
     "play": Stub(is_starved=False, error=None),
@@ -193,9 +191,9 @@ RESULTS: dict[str, Any] = {
 
 
 def run(
-    command: str, words: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch, code: int = 0
+    command: str, arguments: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch, code: int = 0
 ) -> dict[str, Any]:
-    """The record of a command, which must end with this code."""
+    """The record of a command that must end with exit code `code`."""
     recorder = Recorder()
     for result in RESULTS.values():
         if isinstance(result, MagicMock):
@@ -207,21 +205,21 @@ def run(
             patch.setattr(holder, name, recorder.replacement(getattr(holder, name), name, RESULTS.get(name)))
         patch.setattr(Answer, "show", recorder.replacement(Answer.show, "show"))
         patch.chdir(folder)
-        assert _exit_code([command, *words]) == code, (command, words)
+        assert _exit_code([command, *arguments]) == code, (command, arguments)
     return recorder.record()
 
 
-def output(command: str, words: list[str], code: int = 0) -> str:
-    """All that a command prints, which must end with this code."""
+def output(command: str, arguments: list[str], code: int = 0) -> str:
+    """Everything that a command prints; it must end with exit code `code`."""
     text = io.StringIO()
     with redirect_stdout(text), redirect_stderr(text):
-        assert _exit_code([command, *words]) == code
+        assert _exit_code([command, *arguments]) == code
     return text.getvalue()
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """The folder that the arguments name, with what some commands look for before their task."""
+    """The folder that the arguments name, with the files that some commands look for before their task."""
     (tmp_path / "in.touch").write_bytes(b"")
     for name in ("out.json", "new.json"):
         (tmp_path / name).write_text("{}")
@@ -230,22 +228,25 @@ def folder(tmp_path: Path) -> Path:
 
 def options_of(command: Any) -> dict[str, Any]:
     """The options of a command by their names, without --help."""
-    options = [one for one in command.params if one.param_type_name == "option" and one.name != "help"]
-    return {one.opts[-1].removeprefix("--"): one for one in options}
+    options = [
+        option for option in command.params if option.param_type_name == "option" and option.name != "help"
+    ]
+    return {option.opts[-1].removeprefix("--"): option for option in options}
 
 
-def test_the_table_names_every_option_of_every_command() -> None:
-    there = {name: set(options_of(command)) for name, command in GROUP.commands.items()}
-    assert there == {name: set(cases) for name, cases in EXPECTED.items()}
-    assert sum(map(len, there.values())) > 600
-    assert {*TASKS, "devices", "sources", "warmup"} == set(there)
+def test_table_names_every_option_of_every_command() -> None:
+    options = {name: set(options_of(command)) for name, command in GROUP.commands.items()}
+    assert options == {name: set(cases) for name, cases in EXPECTED.items()}
+    assert sum(map(len, options.values())) > 600
+    assert {*TASKS, "devices", "sources", "warmup"} == set(options)
 
 
 @pytest.mark.parametrize("command", [name for name, cases in EXPECTED.items() if cases])
 def test_every_option_reaches_its_task(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    usual: dict[str, dict[str, Any]] = {}
+    default_records: dict[str, dict[str, Any]] = {}
     faults = [
-        check(command, name, one, usual, folder, monkeypatch) for name, one in EXPECTED[command].items()
+        check(command, name, case, default_records, folder, monkeypatch)
+        for name, case in EXPECTED[command].items()
     ]
     assert not [fault for fault in faults if fault], "\n".join(filter(None, faults))
 
@@ -253,40 +254,40 @@ def test_every_option_reaches_its_task(command: str, folder: Path, monkeypatch: 
 def check(
     command: str,
     name: str,
-    one: Case,
-    usual: dict[str, dict[str, Any]],
+    case: Case,
+    default_records: dict[str, dict[str, Any]],
     folder: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> str:
-    """What is wrong with an option, or nothing: its run against that without it, which `usual` keeps."""
+    """The fault of an option, or an empty text; `default_records` caches the runs without it."""
 
     def filled(value: Any) -> Any:
         return value.format(tmp=folder) if isinstance(value, str) else value
 
-    base = filled(f"{ARGUMENTS[command]} {one.beside}").split()
-    words = [*base, f"--{name}", *([] if one.text is None else [filled(one.text)])]
-    if (one.text is None) != options_of(GROUP.commands[command])[name].is_flag:
+    base = filled(f"{ARGUMENTS[command]} {case.beside}").split()
+    arguments = [*base, f"--{name}", *([] if case.text is None else [filled(case.text)])]
+    if (case.text is None) != options_of(GROUP.commands[command])[name].is_flag:
         return f"{command} --{name}: a flag has no value, all others have one"
-    if one.refused:
-        return "" if one.refused in output(command, words, 2) else f"{command} --{name} is taken"
-    if one.printed:
+    if case.refused:
+        return "" if case.refused in output(command, arguments, 2) else f"{command} --{name} is taken"
+    if case.printed:
         return (
             ""
-            if one.printed in output(command, words) and one.printed not in output(command, base)
+            if case.printed in output(command, arguments) and case.printed not in output(command, base)
             else f"{command} --{name}"
         )
-    if one.beside not in usual:
-        usual[one.beside] = run(command, base, folder, monkeypatch)
-    changed = changes(usual[one.beside], run(command, words, folder, monkeypatch))
-    for leaf, value in one.leaves.items():
+    if case.beside not in default_records:
+        default_records[case.beside] = run(command, base, folder, monkeypatch)
+    changed = changes(default_records[case.beside], run(command, arguments, folder, monkeypatch))
+    for leaf, value in case.leaves.items():
         if [new for path, new in changed.items() if is_at(path, leaf)] != [filled(value)]:
             return f"{command} --{name}: {leaf} is not {value!r}, but {changed}"
-    stray = {path: new for path, new in changed.items() if not is_explained(path, one.leaves)}
-    return f"{command} --{name} changes more than {one.leaves}: {stray}" if stray else ""
+    stray = {path: new for path, new in changed.items() if not is_explained(path, case.leaves)}
+    return f"{command} --{name} changes more than {case.leaves}: {stray}" if stray else ""
 
 
-def test_who_receives_is_told_the_end_of_a_live_stream(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def breaks(*_: object, **__: object) -> None:
+def test_live_stream_sends_its_end_to_receivers(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     assert run("live", ["scene.stl"], folder, monkeypatch)["LiveServer().end"] == CALLED
@@ -295,6 +296,6 @@ def test_who_receives_is_told_the_end_of_a_live_stream(folder: Path, monkeypatch
         "touchfield.network.live_server.LiveServer", lambda *_: servers.append(Stub()) or servers[0]
     )
     monkeypatch.setattr("touchfield.tasks.live.open_sender", lambda *_: RESULTS["open_sender"])
-    monkeypatch.setattr("touchfield.tasks.live.broadcast", breaks)
+    monkeypatch.setattr("touchfield.tasks.live.broadcast", interrupt)
     assert _exit_code(["live", "scene.stl"]) == 1
     assert servers[0].__enter__.return_value.end.called, "also where it is interrupted"

@@ -1,6 +1,4 @@
-"""Whatever the system refuses, of every command: an exit code above 0, one clear line, and no file left
-behind.
-"""
+"""Errors of the system in every command: a nonzero exit code, one clear line, and no partial file."""
 
 from __future__ import annotations
 
@@ -58,7 +56,7 @@ WRITING = {
     "index": (". --index {out}.npz",),
     "points": ("5 sphere.touch {out}.touch", "5 sphere.touch {out}.npz"),
 }
-"""Of each command that writes a file its arguments."""
+"""Arguments of each command that writes a file."""
 
 READING = {
     "info": "{in}.touch",
@@ -91,107 +89,107 @@ READING = {
     "index": "{in}",
     "points": "5 {in}.touch",
 }
-"""Of each command that reads a file its arguments; {in} is a name that is not there, or a folder."""
+"""Arguments of each command that reads a file; {in} is a missing file, or a folder."""
 
 NOTHING_READ = {"demo", "devices", "sources", "doctor", "warmup"}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    here = tmp_path_factory.mktemp("refused")
-    (here / "sphere.toml").write_text(SPHERE)
-    encode(here / "sphere.toml", here / "sphere.touch", EncodeSpec(nw=4, thickness_m=0.01))
+    path = tmp_path_factory.mktemp("refused")
+    (path / "sphere.toml").write_text(SPHERE)
+    encode(path / "sphere.toml", path / "sphere.touch", EncodeSpec(nw=4, thickness_m=0.01))
     grid = Grid((8, 8, 8), (0.008,) * 3, (-0.028,) * 3)
     forces = np.random.default_rng(1).normal(size=(4, *grid.shape, 3)).astype(np.float32)
     medium = HapticMedium.from_frames(
-        [ForceField.from_dense(grid, one) for one in forces], 30.0, "x right, y up, z towards"
+        [ForceField.from_dense(grid, array) for array in forces], 30.0, "x right, y up, z towards"
     )
-    encode(StoredScene(medium), here / "moving.touch", EncodeSpec(nw=3, touch=TouchSpec(effort="fast")))
-    (here / "hand.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0.02\n0.1,0.004,0.002,0.006\n0.2,0,0,0.002\n")
+    encode(StoredScene(medium), path / "moving.touch", EncodeSpec(nw=3, touch=TouchSpec(effort="fast")))
+    (path / "hand.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0.02\n0.1,0.004,0.002,0.006\n0.2,0,0,0.002\n")
     times = np.arange(4000) / 4000
     rows = "\n".join(f"{t:.6f},{np.sin(900 * t):.6f}" for t in times)
-    (here / "drag.csv").write_text(f"t_s,a_m_s2\n{rows}\n")
-    Image.fromarray(np.zeros((9, 9), np.uint8)).save(here / "look.png")
-    return here
+    (path / "drag.csv").write_text(f"t_s,a_m_s2\n{rows}\n")
+    Image.fromarray(np.zeros((9, 9), np.uint8)).save(path / "look.png")
+    return path
 
 
-def refused(
-    words: list[str], capsys: pytest.CaptureFixture[str], where: Path, code: int | None = None
+def error_line(
+    arguments: list[str], capsys: pytest.CaptureFixture[str], watched: Path, code: int | None = None
 ) -> str:
-    """The one line with which a command ends that must fail, and leave nothing new in a folder."""
-    before = sorted(where.rglob("*"))
+    """The single error line of a command that must fail without leaving a file in `watched`."""
+    before = sorted(watched.rglob("*"))
     capsys.readouterr()
-    found = _exit_code(words)
-    told = capsys.readouterr().err
-    assert found in ((1, 2) if code is None else (code,)), f"{words}: {found}, {told}"
-    lines = [line for line in told.splitlines() if not line.startswith("note: ")]
-    assert len(lines) == 1 and lines[0].startswith("touchfield: "), f"{words}: {told}"
-    assert "fault of touchfield itself" not in told and "Traceback" not in told, f"{words}: {told}"
-    assert sorted(where.rglob("*")) == before, f"{words} left something behind"
+    found = _exit_code(arguments)
+    stderr = capsys.readouterr().err
+    assert found in ((1, 2) if code is None else (code,)), f"{arguments}: {found}, {stderr}"
+    lines = [line for line in stderr.splitlines() if not line.startswith("note: ")]
+    assert len(lines) == 1 and lines[0].startswith("touchfield: "), f"{arguments}: {stderr}"
+    assert "fault of touchfield itself" not in stderr and "Traceback" not in stderr, f"{arguments}: {stderr}"
+    assert sorted(watched.rglob("*")) == before, f"{arguments} left something behind"
     return lines[0]
 
 
-def test_the_tables_name_every_command() -> None:
+def test_tables_name_every_command() -> None:
     assert READING.keys() | NOTHING_READ == ARGUMENTS.keys()
 
 
 @pytest.mark.parametrize("command", sorted(TASKS))
-def test_an_error_of_the_system_is_told_and_never_exit_code_0(
+def test_system_error_is_reported_with_a_nonzero_exit_code(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fails(*_: Any, **__: Any) -> None:
+    def raise_permission_error(*_: Any, **__: Any) -> None:
         raise PermissionError(errno.EACCES, "Permission denied", "there")
 
     for task in TASKS[command]:
         module, _, name = task.partition(":")
         holder = import_module(f"touchfield.{module}")
         if not name.startswith(("executor_of", "computing", "read_", "tool_of")):
-            monkeypatch.setattr(holder, name, fails)
+            monkeypatch.setattr(holder, name, raise_permission_error)
     monkeypatch.chdir(tmp_path)
     for name in ("one.wav", "two.wav", "in.touch"):
         (tmp_path / name).write_bytes(b"")
-    words = [command, *ARGUMENTS[command].format(tmp=tmp_path).split()]
-    told = refused(words, capsys, tmp_path, 1)
+    arguments = [command, *ARGUMENTS[command].format(tmp=tmp_path).split()]
+    line = error_line(arguments, capsys, tmp_path, 1)
     if command not in ("partition", "texture"):  # these read their files first
         assert (
-            told == "touchfield: there: Permission denied. Check the path, the permissions and the free space"
+            line == "touchfield: there: Permission denied. Check the path, the permissions and the free space"
         )
 
 
 @pytest.mark.parametrize("command", sorted(READING))
 @pytest.mark.parametrize("kind", ["missing", "folder"])
-def test_a_missing_file_or_a_folder_in_its_place_is_one_line(
+def test_missing_file_or_folder_as_input_is_one_line(
     command: str, kind: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     takes_folders = command in ("search", "serve", "index")
     if kind == "folder" and takes_folders:
         return
     monkeypatch.chdir(folder)
-    words = READING[command].replace("{in}", "not-there").split()
-    at = next(word for word in words if "not-there" in word)
+    arguments = READING[command].replace("{in}", "not-there").split()
+    at = next(word for word in arguments if "not-there" in word)
     if kind == "folder":
         (folder / at).mkdir(exist_ok=True)
     try:
-        told = refused([command, *words], capsys, folder)
+        line = error_line([command, *arguments], capsys, folder)
     finally:
         if kind == "folder":
             (folder / at).rmdir()
-    assert "not-there" in told, told
+    assert "not-there" in line, line
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("command", sorted(WRITING))
-def test_a_result_that_cannot_be_written_is_one_line_and_leaves_nothing(
+def test_unwritable_result_is_one_line_and_leaves_no_file(
     command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """No such folder; a folder of the result's name; a disk that is full."""
+    """A missing folder; a folder of the result's name; a full disk."""
     monkeypatch.chdir(folder)
     for form in WRITING[command]:
-        assert "no" in refused([command, *form.replace("{out}", "nowhere/new").split()], capsys, folder)
-        words = form.replace("{out}", "new").split()
-        out = next(word for word in words if word.startswith("new"))
+        assert "no" in error_line([command, *form.replace("{out}", "nowhere/new").split()], capsys, folder)
+        arguments = form.replace("{out}", "new").split()
+        out = next(word for word in arguments if word.startswith("new"))
         (folder / out).mkdir()
-        assert out in refused([command, *words], capsys, folder)
+        assert out in error_line([command, *arguments], capsys, folder)
         (folder / out).rmdir()
 
         def full(handle: int) -> None:
@@ -199,16 +197,16 @@ def test_a_result_that_cannot_be_written_is_one_line_and_leaves_nothing(
 
         with monkeypatch.context() as patch:
             patch.setattr(os, "fsync", full)
-            told = refused([command, *words], capsys, folder, 1)
-        assert "No space left on device" in told and out in told
+            line = error_line([command, *arguments], capsys, folder, 1)
+        assert "No space left on device" in line and out in line
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize(
-    "words", ["--version", "sources --json", "devices", "doctor --json --device sim", "info sphere.touch"]
+    "command", ["--version", "sources --json", "devices", "doctor --json --device sim", "info sphere.touch"]
 )
-def test_what_cannot_be_printed_is_no_success(words: str, folder: Path) -> None:
-    program = [sys.executable, "-m", "touchfield", *words.split()]
+def test_output_that_cannot_be_printed_is_an_error(command: str, folder: Path) -> None:
+    program = [sys.executable, "-m", "touchfield", *command.split()]
     with open("/dev/full", "w") as full:
         done = subprocess.run(program, stdout=full, stderr=subprocess.PIPE, cwd=folder, text=True)
     assert done.returncode == 1 and done.stderr.count("\n") == 1 and "No space left on device" in done.stderr
@@ -219,7 +217,7 @@ def test_what_cannot_be_printed_is_no_success(words: str, folder: Path) -> None:
     assert done.returncode == 1 and not done.stderr, "who closes a pipe wants to hear no more"
 
 
-def test_a_pipe_that_breaks_within_a_task_is_no_success(
+def test_broken_pipe_within_a_task_is_an_error(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def breaks(*_: object, **__: object) -> None:

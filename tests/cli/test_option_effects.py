@@ -1,7 +1,7 @@
-"""Options that reach their task (`test_every_option`) also change what comes out of it.
+"""Options that reach their task (`test_every_option`) also change its result.
 
-Each case is a command that really runs, without and with an option: its JSON, or what its files hold, must
-differ. Options of one mechanism, such as those of a coder, are tried on one of the commands that take them.
+Each case is a command that runs without and with an option: its JSON or its files must differ.
+Options of one mechanism, such as those of a coder, are tested on one of the commands that take them.
 """
 
 from __future__ import annotations
@@ -27,47 +27,49 @@ from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
 
 VOLATILE = ("_ms", "_s", "_us")
-"""Ends of the keys of figures that two runs need not share."""
+"""Suffixes of the keys whose values may differ between two runs."""
 
 SPHERE = '[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n'
-TURNED = "x right, y up, z towards the user"
+OTHER_AXES = "x right, y up, z towards the user"
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Sources of every kind, and streams."""
-    here = tmp_path_factory.mktemp("effects")
-    (here / "sphere.toml").write_text(SPHERE)
-    (here / "inside").mkdir()
-    (here / "inside" / "far.toml").write_text(SPHERE)
-    (here / "mine.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    path = tmp_path_factory.mktemp("effects")
+    (path / "sphere.toml").write_text(SPHERE)
+    (path / "inside").mkdir()
+    (path / "inside" / "far.toml").write_text(SPHERE)
+    (path / "mine.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
     body = '[[body]]\nkind = "mesh"\nfile = "{}mine.obj"\nposition_m = [0, 0, 0]\nfixed = true\n'
-    (here / "inside" / "outside.toml").write_text(body.format("../"))
+    (path / "inside" / "outside.toml").write_text(body.format("../"))
     heights = (np.add.outer(np.arange(24), np.arange(20)) % 17 * 3000).astype(np.uint16)
-    Image.fromarray(heights).save(here / "heights.png")
-    write_frames(here / "depth")
-    chain_rig(joints=4, triangles=300, frames=12).save(here / "snake.glb", "glb")
-    still = EncodeSpec(nw=4, frames=(0, 1), representation="voxel", touch=TouchSpec(effort="fast"))
-    encode(here / "snake.glb", here / "snake.touch", still)
+    Image.fromarray(heights).save(path / "heights.png")
+    write_frames(path / "depth")
+    chain_rig(joints=4, triangles=300, frames=12).save(path / "snake.glb", "glb")
+    static_spec = EncodeSpec(nw=4, frames=(0, 1), representation="voxel", touch=TouchSpec(effort="fast"))
+    encode(path / "snake.glb", path / "snake.touch", static_spec)
     wave = band("VectorialWave", effect([keyframe(0, 0.5, 100), keyframe(100, 0.5, 200)]))
-    written(here / "wave.hjif", document(channel(wave), channel(wave)))
+    written(path / "wave.hjif", document(channel(wave), channel(wave)))
     times = np.arange(4000) / 4000
     for number, name in enumerate(("one", "two")):
         rows = "\n".join(f"{t:.6f},{np.sin(900 * (1 + number) * t):.6f}" for t in times)
-        (here / f"{name}.csv").write_text(f"t_s,a_m_s2\n{rows}\n")
+        (path / f"{name}.csv").write_text(f"t_s,a_m_s2\n{rows}\n")
     grey = np.random.default_rng(2).integers(0, 255, (48, 48), np.uint8)
-    Image.fromarray(np.stack([grey] * 3, axis=-1)).save(here / "look.png")
-    (here / "hand.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0.02\n0.1,0.004,0.002,0.006\n0.2,0,0,0.002\n")
-    encode(here / "sphere.toml", here / "sphere.touch", EncodeSpec(nw=4, thickness_m=0.01))
-    encode(here / "sphere.toml", here / "fine.touch", EncodeSpec(nw=5, thickness_m=0.01))
-    scene = StoredScene(HapticMedium.from_frames([growing(n) for n in range(8)], 30.0, TURNED))
-    encode(scene, here / "moving.touch", EncodeSpec(nw=4, touch=TouchSpec(k=0.02, segment_frames=4)))
-    write_npz(here / "moving.npz", HapticMedium.from_frames([growing(n) for n in range(8)], 30.0, TURNED))
-    return here
+    Image.fromarray(np.stack([grey] * 3, axis=-1)).save(path / "look.png")
+    (path / "hand.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0.02\n0.1,0.004,0.002,0.006\n0.2,0,0,0.002\n")
+    encode(path / "sphere.toml", path / "sphere.touch", EncodeSpec(nw=4, thickness_m=0.01))
+    encode(path / "sphere.toml", path / "fine.touch", EncodeSpec(nw=5, thickness_m=0.01))
+    scene = StoredScene(HapticMedium.from_frames([growing_bump(n) for n in range(8)], 30.0, OTHER_AXES))
+    encode(scene, path / "moving.touch", EncodeSpec(nw=4, touch=TouchSpec(k=0.02, segment_frames=4)))
+    write_npz(
+        path / "moving.npz", HapticMedium.from_frames([growing_bump(n) for n in range(8)], 30.0, OTHER_AXES)
+    )
+    return path
 
 
-def growing(number: int) -> ForceField:
-    """A wall that yields, and a bump on it that grows with the number of the frame."""
+def growing_bump(number: int) -> ForceField:
+    """A compliant wall with a bump that grows with the number of the frame."""
     grid = Grid((16, 16, 16), (0.004,) * 3, (-0.03,) * 3)
     x, y, z = positions(grid)
     depth = 0.01 + 0.0005 * number * np.exp(-(x**2 + y**2) / 1e-4) - z
@@ -188,22 +190,24 @@ CASES: dict[str, list[str]] = {
 }  # fmt: skip
 
 
-def observed(words: list[str], folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    """What a command tells, and what the file that it writes holds."""
+def run_and_read(arguments: list[str], folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """The values that a command prints, and the contents of the file that it writes."""
     for old in folder.glob("out.*"):
         old.unlink()
     capsys.readouterr()
-    assert _exit_code([*words, "--json"]) == 0, f"{words}: {capsys.readouterr().err}"
-    told = json.loads(capsys.readouterr().out)
+    assert _exit_code([*arguments, "--json"]) == 0, f"{arguments}: {capsys.readouterr().err}"
+    values = json.loads(capsys.readouterr().out)
     names = ("file", "page", "notes")
-    seen = {key: value for key, value in told.items() if not key.endswith(VOLATILE) and key not in names}
+    contents = {
+        key: value for key, value in values.items() if not key.endswith(VOLATILE) and key not in names
+    }
     for path in folder.glob("out.*"):
-        seen[path.suffix] = content(path)
-        seen.pop("file_bytes", None)  # the options are in it, as words
-    return seen
+        contents[path.suffix] = file_content(path)
+        contents.pop("file_bytes", None)  # the file contains the options as text
+    return contents
 
 
-def content(path: Path) -> Any:
+def file_content(path: Path) -> Any:
     if path.suffix == ".npz":
         with np.load(path) as file:
             if "forces_n" not in file:  # a deformation
@@ -219,65 +223,69 @@ def content(path: Path) -> Any:
                 head.weber_fraction,
                 head.force_threshold_n,
             )
-            spans = [(one.first_frame, one.frame_count) for one in stream.reader.segments]
+            spans = [(segment.first_frame, segment.frame_count) for segment in stream.reader.segments]
             return fields, coefficients, spans, stream.bits
     return path.read_bytes()
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("base", CASES)
-def test_an_option_changes_what_comes_out(
+def test_options_change_the_result(
     base: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    usual = observed(base.split(), folder, capsys)
-    assert observed(base.split(), folder, capsys) == usual, "two runs differ by themselves"
-    idle = [more for more in CASES[base] if observed([*base.split(), *more.split()], folder, capsys) == usual]
-    assert not idle, f"{base}: {idle} change nothing"
+    expected = run_and_read(base.split(), folder, capsys)
+    assert run_and_read(base.split(), folder, capsys) == expected, "two runs differ by themselves"
+    ineffective = [
+        option
+        for option in CASES[base]
+        if run_and_read([*base.split(), *option.split()], folder, capsys) == expected
+    ]
+    assert not ineffective, f"{base}: {ineffective} change nothing"
 
 
-def test_the_mask_of_a_comparison_is_that_of_its_options(
+def test_comparison_uses_the_mask_of_its_options(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
 
-    def compared(*more: str) -> dict[str, Any]:
+    def compare(*options: str) -> dict[str, Any]:
         capsys.readouterr()
-        assert _exit_code(["compare", "sphere.toml", "fine.touch", "--no-picture", "--json", *more]) == 0
-        told: dict[str, Any] = json.loads(capsys.readouterr().out)
-        return told
+        assert _exit_code(["compare", "sphere.toml", "fine.touch", "--no-picture", "--json", *options]) == 0
+        values: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return values
 
-    usual, fraction, floor = compared(), compared("--k", "0.001"), compared("--f0-n", "0.001")
-    assert usual["mask_violations"] == 0 and (usual["k"], usual["f0_n"]) == (0.1, 0.05)
+    default, fraction, floor = compare(), compare("--k", "0.001"), compare("--f0-n", "0.001")
+    assert default["mask_violations"] == 0 and (default["k"], default["f0_n"]) == (0.1, 0.05)
     assert (fraction["k"], fraction["f0_n"]) == (0.001, 0.05) and (floor["k"], floor["f0_n"]) == (0.1, 0.001)
-    both = compared("--k", "0.001", "--f0-n", "0.001")
-    assert usual["worst_mask_ratio"] < fraction["worst_mask_ratio"] < both["worst_mask_ratio"]
-    assert usual["worst_mask_ratio"] < floor["worst_mask_ratio"] < both["worst_mask_ratio"]
+    both = compare("--k", "0.001", "--f0-n", "0.001")
+    assert default["worst_mask_ratio"] < fraction["worst_mask_ratio"] < both["worst_mask_ratio"]
+    assert default["worst_mask_ratio"] < floor["worst_mask_ratio"] < both["worst_mask_ratio"]
 
 
-def test_a_comparison_reads_outside_the_folder_of_its_source_only_where_it_may(
+def test_comparison_reads_outside_the_folder_only_if_allowed(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("mujoco")
     monkeypatch.chdir(folder)
-    words = ["inside/outside.toml", "outside.touch"]
-    assert _exit_code(["encode", *words, "--nw", "3", "--seconds", "0.02"]) == 1
+    paths = ["inside/outside.toml", "outside.touch"]
+    assert _exit_code(["encode", *paths, "--nw", "3", "--seconds", "0.02"]) == 1
     assert "--allow-outside" in capsys.readouterr().err and not (folder / "outside.touch").exists()
-    assert _exit_code(["encode", *words, "--nw", "3", "--seconds", "0.02", "--allow-outside"]) == 0
-    assert _exit_code(["compare", *words, "--no-picture"]) == 1
+    assert _exit_code(["encode", *paths, "--nw", "3", "--seconds", "0.02", "--allow-outside"]) == 0
+    assert _exit_code(["compare", *paths, "--no-picture"]) == 1
     assert "--allow-outside" in capsys.readouterr().err
-    assert _exit_code(["compare", *words, "--no-picture", "--allow-outside"]) == 0
+    assert _exit_code(["compare", *paths, "--no-picture", "--allow-outside"]) == 0
 
 
-def test_a_scene_is_measured_in_the_workspace_of_the_reference(
+def test_scene_is_measured_in_the_reference_workspace(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
     found = []
-    for more in ([], ["--reference", "novint-falcon"]):
+    for options in ([], ["--reference", "novint-falcon"]):
         capsys.readouterr()
-        words = ["measure", "sphere.toml", "--nw", "4", "--no-limits", "--json", *more]
-        assert _exit_code(words) == 0
+        arguments = ["measure", "sphere.toml", "--nw", "4", "--no-limits", "--json", *options]
+        assert _exit_code(arguments) == 0
         found.append(json.loads(capsys.readouterr().out))
     assert found[0]["occupancy"] != found[1]["occupancy"], (
         "the sphere fills another share of another workspace"

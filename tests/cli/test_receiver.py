@@ -1,4 +1,4 @@
-"""`touchfield play` and `doctor` as their user meets them: logs, pictures, clear words, and exit codes."""
+"""`touchfield play` and `doctor` end to end: logs, pictures, clear errors, and exit codes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def long_stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three segments."""
+    """A stream of three segments."""
     forces = np.zeros((6, 6, 6, 3), np.float32)
     forces[..., 2] = 1.0
     grid = Grid((6, 6, 6), (0.01,) * 3, (-0.025,) * 3)
@@ -59,7 +59,7 @@ def _columns(log: Path) -> dict[str, np.ndarray]:
 def test_contact_friction_and_release(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     pytest.importorskip("matplotlib", reason="the picture needs the extra report")
     log, plot = tmp_path / "forces.csv", tmp_path / "forces.png"
-    asked = [
+    arguments = [
         "play",
         str(stream),
         "--offline",
@@ -71,9 +71,9 @@ def test_contact_friction_and_release(stream: Path, tmp_path: Path, capsys: Capt
         str(plot),
         "--json",
     ]
-    assert _exit_code(asked) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["underruns"] == 0 and 0.1 < told["contact_share"] < 0.95 and told["last_force_n"] == 0
+    assert _exit_code(arguments) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["underruns"] == 0 and 0.1 < values["contact_share"] < 0.95 and values["last_force_n"] == 0
     at = _columns(log)
     field = np.stack([at[f"field_{c}_n"] for c in "xyz"], axis=1)
     friction = np.stack([at[f"friction_{c}_n"] for c in "xyz"], axis=1)
@@ -81,16 +81,18 @@ def test_contact_friction_and_release(stream: Path, tmp_path: Path, capsys: Capt
     force = np.stack([at[f"force_{c}_n"] for c in "xyz"], axis=1)
     assert not field[0].any() and not force[-1].any() and field.any()
     size = np.linalg.norm(friction, axis=1)
-    assert size.max() > 0.1  # it slides
+    assert size.max() > 0.1  # the probe slides
     assert (size <= 0.5 * np.linalg.norm(field, axis=1) + 1e-6).all()
-    assert (friction * velocity).sum() < 0  # it sticks like a spring, and slides like a brake
+    assert (
+        friction * velocity
+    ).sum() < 0  # friction acts as a spring while sticking and as a brake while sliding
     assert (np.linalg.norm(force, axis=1) <= 3.3).all()
     assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= 3.3 / 0.005 * 0.001 + 1e-6
     with Image.open(plot) as image:
         assert len(np.unique(np.asarray(image.convert("L")))) > 50
 
 
-def test_the_picture_has_millimetres_and_newtons(
+def test_picture_has_millimetres_and_newtons(
     stream: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("matplotlib", reason="the picture needs the extra report")
@@ -114,10 +116,10 @@ def test_the_picture_has_millimetres_and_newtons(
     np.testing.assert_allclose(force.lines[0].get_ydata(), size, atol=1e-6)
 
 
-def test_what_is_asked_of_the_renderer_holds_for_the_hand_and_the_picture(tmp_path: Path) -> None:
+def test_limits_of_the_renderer_apply_to_hand_and_picture(tmp_path: Path) -> None:
     ball = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.03),))
     encode(ball, tmp_path / "ball.touch", EncodeSpec(nw=5, friction=0.4))
-    omni, greatest_n = device("phantom-omni"), []
+    omni, max_forces_n = device("phantom-omni"), []
     for limits, peak_n, continuous_n, friction in (
         (RenderSpec(), omni.force_max_n, omni.force_continuous_n, 0.4),
         (RenderSpec(peak_n=1.0, continuous_n=0.5, friction=0.0), 1.0, 0.5, 0.0),
@@ -126,16 +128,18 @@ def test_what_is_asked_of_the_renderer_holds_for_the_hand_and_the_picture(tmp_pa
         assert played.view is not None
         assert (played.view.peak_n, played.view.continuous_n) == (peak_n, continuous_n)
         assert (played.statistics["friction"], played.statistics["profile"]) == (friction, omni.name)
-        greatest_n.append(played.statistics["greatest_force_n"])
-    assert 0 < greatest_n[1] <= 0.8 * 0.5 < greatest_n[0], "a hand that was told nothing presses no harder"
+        max_forces_n.append(played.statistics["greatest_force_n"])
+    assert 0 < max_forces_n[1] <= 0.8 * 0.5 < max_forces_n[0], (
+        "a hand that was told nothing presses no harder"
+    )
 
 
-def test_the_frame_behind_the_picture_is_the_middle_one(long_stream: Path) -> None:
+def test_picture_shows_the_middle_frame(long_stream: Path) -> None:
     played = play(long_stream, PlaySpec(offline=True, is_drawn=True))
     assert played.view is not None and played.view.background == decode(long_stream)[4]
 
 
-def test_a_log_is_a_trajectory(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_log_is_a_trajectory(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     first, second = tmp_path / "one.csv", tmp_path / "two.csv"
     assert _exit_code(["play", str(stream), "--offline", "--log", str(first)]) == 0
     trace = read_trace(first)
@@ -143,29 +147,29 @@ def test_a_log_is_a_trajectory(stream: Path, tmp_path: Path, capsys: Capture) ->
         _exit_code(["play", str(stream), "--offline", "--trajectory", str(first), "--log", str(second)]) == 0
     )
     capsys.readouterr()
-    one, two = _columns(first), _columns(second)
-    count = min(len(trace), len(two["t_s"]))
+    first_log, second_log = _columns(first), _columns(second)
+    count = min(len(trace), len(second_log["t_s"]))
     for name in ("x_m", "field_z_n", "force_z_n"):
-        np.testing.assert_allclose(two[name][: count - 1], one[name][: count - 1], atol=1e-6)
+        np.testing.assert_allclose(second_log[name][: count - 1], first_log[name][: count - 1], atol=1e-6)
 
 
 @pytest.mark.parametrize("option", ["--log", "--plot"])
-def test_a_result_is_never_written_over_the_stream(stream: Path, capsys: Capture, option: str) -> None:
+def test_result_never_overwrites_the_stream(stream: Path, capsys: Capture, option: str) -> None:
     before = stream.read_bytes()
     assert _exit_code(["play", str(stream), "--offline", "--seconds", "0.1", option, str(stream)]) == 2
     assert capsys.readouterr().err.count("\n") == 1 and stream.read_bytes() == before
 
 
-def test_the_clutch_is_millimetres_of_the_field(stream: Path, tmp_path: Path, capsys: Capture) -> None:
-    places, log, path = [], tmp_path / "log.csv", tmp_path / "still.csv"
+def test_clutch_is_in_millimetres_of_the_field(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    positions_m, log, path = [], tmp_path / "log.csv", tmp_path / "still.csv"
     path.write_text("t_s,x_m,y_m,z_m\n0,0.001,0.002,0.003\n0.05,0.001,0.002,0.003\n")
     for clutch in ("0,0,0", "1,-2,3"):
-        asked = ["play", str(stream), "--offline", "--trajectory", str(path), "--clutch-mm", clutch]
-        assert _exit_code([*asked, "--log", str(log)]) == 0
+        arguments = ["play", str(stream), "--offline", "--trajectory", str(path), "--clutch-mm", clutch]
+        assert _exit_code([*arguments, "--log", str(log)]) == 0
         capsys.readouterr()
         at = _columns(log)
-        places.append([at[f"{c}_m"][10] for c in "xyz"])
-    np.testing.assert_allclose(places, [[0.001, 0.002, 0.003], [0.002, 0.0, 0.006]], atol=1e-9)
+        positions_m.append([at[f"{c}_m"][10] for c in "xyz"])
+    np.testing.assert_allclose(positions_m, [[0.001, 0.002, 0.003], [0.002, 0.0, 0.006]], atol=1e-9)
 
 
 BOX = """v -0.01 -0.01 0\nv 0.01 -0.01 0\nv 0.01 0.01 0\nv -0.01 0.01 0\nv 0 0 0.02
@@ -174,18 +178,16 @@ f 1 3 2\nf 1 4 3\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5
 
 
 @pytest.mark.parametrize("tool", ["sphere:0.005", "sphere:0.005,points=200", "MESH", "MESH,points=300"])
-def test_a_tool_in_the_hand_and_the_torque_that_it_gets(
-    stream: Path, tmp_path: Path, capsys: Capture, tool: str
-) -> None:
+def test_tool_receives_a_limited_torque(stream: Path, tmp_path: Path, capsys: Capture, tool: str) -> None:
     mesh, log = tmp_path / "tool.obj", tmp_path / "log.csv"
     mesh.write_text(BOX)
     path = tmp_path / "turned.csv"
     assert _exit_code(["play", str(stream), "--offline", "--log", str(log)]) == 0
     at = _columns(log)
     rows = zip(at["t_s"], at["x_m"], at["y_m"], at["z_m"], strict=True)
-    turned = "".join(f"{t},{x},{y},{z},0.7071,0,0.7071,0\n" for t, x, y, z in rows)
-    path.write_text("t_s,x_m,y_m,z_m,qw,qx,qy,qz\n" + turned)
-    asked = [
+    rotated_rows = "".join(f"{t},{x},{y},{z},0.7071,0,0.7071,0\n" for t, x, y, z in rows)
+    path.write_text("t_s,x_m,y_m,z_m,qw,qx,qy,qz\n" + rotated_rows)
+    arguments = [
         "play",
         str(stream),
         "--offline",
@@ -196,13 +198,13 @@ def test_a_tool_in_the_hand_and_the_torque_that_it_gets(
         "--trajectory",
         str(path),
     ]
-    assert _exit_code([*asked, "--tool", tool.replace("MESH", str(mesh)), "--peak-nm", "0.05"]) == 0
+    assert _exit_code([*arguments, "--tool", tool.replace("MESH", str(mesh)), "--peak-nm", "0.05"]) == 0
     capsys.readouterr()
     at = _columns(log)
     torque = np.stack([at[f"torque_{c}_nm"] for c in "xyz"], axis=1)
-    wanted = np.stack([at[f"field_torque_{c}_nm"] for c in "xyz"], axis=1)
+    field_torque = np.stack([at[f"field_torque_{c}_nm"] for c in "xyz"], axis=1)
     assert at["qw"][5] == pytest.approx(0.5**0.5) and at["qy"][5] == pytest.approx(0.5**0.5)
-    assert np.linalg.norm(wanted, axis=1).max() > 0 and np.linalg.norm(torque, axis=1).max() <= 0.05
+    assert np.linalg.norm(field_torque, axis=1).max() > 0 and np.linalg.norm(torque, axis=1).max() <= 0.05
     assert np.linalg.norm(np.diff(torque, axis=0), axis=1).max() <= 0.05 / 0.005 * 0.001 + 1e-9
     assert not torque[-1].any()
 
@@ -219,26 +221,36 @@ def test_a_tool_in_the_hand_and_the_torque_that_it_gets(
         "no.obj",
     ],
 )
-def test_what_is_no_tool_is_one_clear_line(stream: Path, tool: str, capsys: Capture) -> None:
+def test_invalid_tools_are_one_clear_line(stream: Path, tool: str, capsys: Capture) -> None:
     assert _exit_code(["play", str(stream), "--offline", "--tool", tool]) == 2
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_in_time_and_in_a_process_of_its_own(
+def test_real_time_play_in_a_separate_process(
     stream: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("touchfield.tasks.play._DEFAULT_ROWS", 0)  # what is kept of a play that is not logged
+    monkeypatch.setattr("touchfield.tasks.play._DEFAULT_ROWS", 0)  # rows kept without a log
     log = tmp_path / "forces.csv"
-    asked = ["play", str(stream), "--seconds", "0.3", "--device", "sim:spring", "--log", str(log), "--json"]
-    assert _exit_code(asked) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["ticks"] > 100 and told["last_force_n"] == 0
+    arguments = [
+        "play",
+        str(stream),
+        "--seconds",
+        "0.3",
+        "--device",
+        "sim:spring",
+        "--log",
+        str(log),
+        "--json",
+    ]
+    assert _exit_code(arguments) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["ticks"] > 100 and values["last_force_n"] == 0
     times = _columns(log)["t_s"]
-    assert times[0] == 0 and 100 < len(times) <= told["ticks"]
+    assert times[0] == 0 and 100 < len(times) <= values["ticks"]
 
 
 @pytest.mark.parametrize(
-    ("asked", "words"),
+    ("options", "message"),
     [
         (["--device", "hapley"], "--device: found 'hapley'"),
         (["--device", "sim:soft"], "sim:spring"),
@@ -253,29 +265,31 @@ def test_in_time_and_in_a_process_of_its_own(
         (["--trajectory", "nowhere.csv", "--offline"], "nowhere.csv"),
     ],
 )
-def test_one_clear_line(stream: Path, asked: list[str], words: str, capsys: Capture) -> None:
-    assert _exit_code(["play", str(stream), *asked]) != 0
-    said = capsys.readouterr().err
-    assert words in said and said.count("\n") == 1 and "Traceback" not in said
+def test_invalid_options_are_one_clear_line(
+    stream: Path, options: list[str], message: str, capsys: Capture
+) -> None:
+    assert _exit_code(["play", str(stream), *options]) != 0
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1 and "Traceback" not in error
 
 
 @pytest.mark.parametrize(
-    ("rows", "words"),
+    ("rows", "message"),
     [("0,0,0,0\n0.1,nan,0,0\n", "nan"), ("0,0,0,0\n0.2,0,0,0\n0.1,0,0,0\n", "0.1")],
 )
-def test_a_trajectory_that_cannot_be(
-    stream: Path, tmp_path: Path, rows: str, words: str, capsys: Capture
+def test_invalid_trajectories_are_one_clear_line(
+    stream: Path, tmp_path: Path, rows: str, message: str, capsys: Capture
 ) -> None:
     path, log = tmp_path / "probe.csv", tmp_path / "log.csv"
     path.write_text("t_s,x_m,y_m,z_m\n" + rows)
     assert _exit_code(["play", str(stream), "--offline", "--trajectory", str(path), "--log", str(log)]) != 0
-    said = capsys.readouterr().err
-    assert "probe.csv" in said and words in said and said.count("\n") == 1
+    error = capsys.readouterr().err
+    assert "probe.csv" in error and message in error and error.count("\n") == 1
     assert not log.exists()
 
 
-def _spoilt(stream: Path, path: Path) -> Path:
-    """A long stream whose last segment is damaged."""
+def _damaged_copy(stream: Path, path: Path) -> Path:
+    """A copy of a stream with a damaged last segment."""
     from touchfield.container import TouchReader
 
     with TouchReader(stream) as reader:
@@ -287,42 +301,38 @@ def _spoilt(stream: Path, path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("how", [["--offline"], []])
-def test_the_log_is_written_also_when_the_stream_fails_half_way(
-    how: list[str], long_stream: Path, tmp_path: Path, capsys: Capture
+@pytest.mark.parametrize("options", [["--offline"], []])
+def test_log_is_written_if_the_stream_fails_midway(
+    options: list[str], long_stream: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    path, log = _spoilt(long_stream, tmp_path / "spoilt.touch"), tmp_path / "log.csv"
+    path, log = _damaged_copy(long_stream, tmp_path / "spoilt.touch"), tmp_path / "log.csv"
     plot = tmp_path / "forces.png"
-    asked = ["play", str(path), "--seconds", "30", "--log", str(log), "--plot", str(plot)]
-    assert _exit_code([*asked, *how]) == 1 and not plot.exists()
-    said = capsys.readouterr()
-    assert "CRC-32" in said.err and "the log is" in said.out
+    arguments = ["play", str(path), "--seconds", "30", "--log", str(log), "--plot", str(plot)]
+    assert _exit_code([*arguments, *options]) == 1 and not plot.exists()
+    captured = capsys.readouterr()
+    assert "CRC-32" in captured.err and "the log is" in captured.out
     at = _columns(log)
     assert len(at["t_s"]) > 50 and not any(at[f"force_{c}_n"][-1] for c in "xyz")
 
 
-def test_a_stream_that_came_too_late_is_told(
-    stream: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_late_frames_are_reported(stream: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     import touchfield.tasks.play as job
 
-    for share, code in ((0.02, 1), (0.005, 0)):
-        played = job.Played({"stalled_share": share}, None, None, ())
+    for fraction, code in ((0.02, 1), (0.005, 0)):
+        played = job.Played({"stalled_share": fraction}, None, None, ())
         monkeypatch.setattr(job, "play", lambda *_, played=played: played)
         assert _exit_code(["play", str(stream)]) == code
         assert ("frames came too late" in capsys.readouterr().out) == bool(code)
 
 
-def test_what_is_asked_for_in_words_reaches_the_renderer(
-    stream: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_options_reach_the_renderer(stream: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import touchfield.tasks.play as job
 
-    took: list[PlaySpec] = []
+    specs: list[PlaySpec] = []
     monkeypatch.setattr(
-        job, "play", lambda path, spec, *_: took.append(spec) or job.Played({}, None, None, ())
+        job, "play", lambda path, spec, *_: specs.append(spec) or job.Played({}, None, None, ())
     )
-    asked = [
+    arguments = [
         "play",
         str(stream),
         "--gravity-n",
@@ -333,15 +343,15 @@ def test_what_is_asked_for_in_words_reaches_the_renderer(
         "--speed",
         "2",
     ]
-    assert _exit_code(asked) == _exit_code(asked[:2]) == 0
-    spec, usual = took
+    assert _exit_code(arguments) == _exit_code(arguments[:2]) == 0
+    spec, default_spec = specs
     expected = RenderSpec(gravity_n=(0.0, -1.0, 0.5), clutch_m=(0.001, 0.002, -0.003), blend=False)
-    assert spec == PlaySpec(speed=2.0, render=expected) and usual == PlaySpec()
+    assert spec == PlaySpec(speed=2.0, render=expected) and default_spec == PlaySpec()
 
 
-def test_doctor_names_what_is_missing_and_how_to_mend_it(capsys: Capture) -> None:
+def test_doctor_names_missing_parts_and_their_fixes(capsys: Capture) -> None:
     assert _exit_code(["doctor", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    report = json.loads(capsys.readouterr().out)
     assert {
         "libraries",
         "machine",
@@ -352,9 +362,9 @@ def test_doctor_names_what_is_missing_and_how_to_mend_it(capsys: Capture) -> Non
         "bhaptics",
         "osc",
         "pins",
-    } <= set(told)
-    for checks in told.values():
-        assert all(one["is_there"] or one["mend"] for one in checks if isinstance(one, dict))
+    } <= set(report)
+    for checks in report.values():
+        assert all(check["is_there"] or check["mend"] for check in checks if isinstance(check, dict))
     assert _exit_code(["doctor", "--device", "sim"]) == 0
     assert "simulated hand" in capsys.readouterr().out
     assert _exit_code(["doctor", "--device", "nothing"]) != 0

@@ -20,59 +20,65 @@ def sphere(tmp_path: Path) -> str:
     return str(path)
 
 
-def said(capsys: pytest.CaptureFixture[str], words: list[str]) -> str:
-    """Output of a command that ends well."""
+def printed_by(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
+    """Standard output of a command that must succeed."""
     capsys.readouterr()
-    assert _exit_code(words) == 0
+    assert _exit_code(arguments) == 0
     return capsys.readouterr().out
 
 
 @pytest.fixture
-def out(tmp_path: Path) -> str:
+def output_path(tmp_path: Path) -> str:
     return str(tmp_path / "o.touch")
 
 
-def test_what_is_asked_is_in_the_file(sphere: str, out: str, capsys: pytest.CaptureFixture[str]) -> None:
-    words = (
+def test_options_are_stored_in_the_file(
+    sphere: str, output_path: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = (
         "--nw 4 --k 0.2 --f0-n 0.1 --mode mask-direction --direction-jnd-deg 25 --support exact --effort fast"
     )
-    assert _exit_code(["encode", sphere, out, *words.split()]) == 0
+    assert _exit_code(["encode", sphere, output_path, *options.split()]) == 0
     capsys.readouterr()
-    assert _exit_code(["info", out, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["coder"] == "touch" and told["promise_kept"] is True and 0 <= told["worst_mask_ratio"] <= 1
+    assert _exit_code(["info", output_path, "--json"]) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert (
+        values["coder"] == "touch" and values["promise_kept"] is True and 0 <= values["worst_mask_ratio"] <= 1
+    )
     expected = {"k": 0.2, "f0_n": 0.1, "mode": "mask-direction", "direction_jnd_deg": 25, "support": "exact"}
-    assert {key: told[key] for key in expected} == expected
-    assert told["effort"] == "fast" and len(told["worst_voxel"]) == 3
-    assert _exit_code(["info", out]) == 0
+    assert {key: values[key] for key in expected} == expected
+    assert values["effort"] == "fast" and len(values["worst_voxel"]) == 3
+    assert _exit_code(["info", output_path]) == 0
     assert "promise_kept" in capsys.readouterr().out
-    assert _exit_code(["encode", sphere, out, "--nw", "4", "--coder", "paper-literal", "--nq", "5"]) == 0
+    assert (
+        _exit_code(["encode", sphere, output_path, "--nw", "4", "--coder", "paper-literal", "--nq", "5"]) == 0
+    )
     capsys.readouterr()
-    assert _exit_code(["info", out, "--json"]) == 0
+    assert _exit_code(["info", output_path, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["directions"] == "octa3"
 
 
-def test_spatial_masking_is_in_the_file_and_compare_holds_it(
-    sphere: str, out: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_spatial_masking_is_stored_and_used_by_compare(
+    sphere: str, output_path: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["encode", sphere, out, "--nw", "5", "--thickness-m", "0.02"]
+    arguments = ["encode", sphere, output_path, "--nw", "5", "--thickness-m", "0.02"]
     plain = str(tmp_path / "plain.touch")
-    assert _exit_code(["encode", sphere, plain, *words[3:]]) == 0
-    assert _exit_code([*words, "--masking", "0.3", "--body-site", "palm"]) == 0
-    assert "masking_radius_m" not in json.loads(said(capsys, ["info", plain, "--json"]))
-    told = json.loads(said(capsys, ["info", out, "--json"]))
-    assert (told["masking"], told["masking_radius_m"], told["promise_kept"]) == (0.3, 0.01, True)
-    assert Path(out).stat().st_size < Path(plain).stat().st_size
-    held = json.loads(said(capsys, ["compare", sphere, out, "--json"]))
-    assert held["mask_violations"] == 0 and 0.5 < held["worst_mask_ratio"] <= 1
-    assert held["worst_mask_ratio"] == pytest.approx(told["worst_mask_ratio"], abs=1e-4)
-    # the plain mask, asked for by name, is left: more is hidden only because of what is around
-    plainly = ["compare", sphere, out, "--k", "0.1", "--no-picture", "--json"]
-    assert json.loads(said(capsys, plainly))["mask_violations"] > 0
+    assert _exit_code(["encode", sphere, plain, *arguments[3:]]) == 0
+    assert _exit_code([*arguments, "--masking", "0.3", "--body-site", "palm"]) == 0
+    assert "masking_radius_m" not in json.loads(printed_by(capsys, ["info", plain, "--json"]))
+    values = json.loads(printed_by(capsys, ["info", output_path, "--json"]))
+    assert (values["masking"], values["masking_radius_m"], values["promise_kept"]) == (0.3, 0.01, True)
+    assert Path(output_path).stat().st_size < Path(plain).stat().st_size
+    compared = json.loads(printed_by(capsys, ["compare", sphere, output_path, "--json"]))
+    assert compared["mask_violations"] == 0 and 0.5 < compared["worst_mask_ratio"] <= 1
+    assert compared["worst_mask_ratio"] == pytest.approx(values["worst_mask_ratio"], abs=1e-4)
+    # with the explicit plain mask there are violations: spatial masking allows more error
+    unmasked_compare = ["compare", sphere, output_path, "--k", "0.1", "--no-picture", "--json"]
+    assert json.loads(printed_by(capsys, unmasked_compare))["mask_violations"] > 0
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("options", "message"),
     [
         ("--nq 5", "--nq works with --coder paper, not with touch"),
         ("--directions ico3", "--directions"),
@@ -101,31 +107,33 @@ def test_spatial_masking_is_in_the_file_and_compare_holds_it(
         ("--masking 0.1", "radius_m: found 0.0025"),
     ],
 )
-def test_what_does_not_go_together_is_one_line(
-    words: str, said: str, sphere: str, out: str, capsys: pytest.CaptureFixture[str]
+def test_contradictory_options_are_one_line(
+    options: str, message: str, sphere: str, output_path: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert _exit_code(["encode", sphere, out, "--nw", "3", *words.split()]) == 2
-    told = capsys.readouterr().err
-    assert said in told and len(told.strip().splitlines()) == 1
-    assert not Path(out).exists()
+    assert _exit_code(["encode", sphere, output_path, "--nw", "3", *options.split()]) == 2
+    error = capsys.readouterr().err
+    assert message in error and len(error.strip().splitlines()) == 1
+    assert not Path(output_path).exists()
 
 
-def test_a_size_is_reached_and_told(sphere: str, out: str, capsys: pytest.CaptureFixture[str]) -> None:
-    words = "--nw 5 --thickness-m 0.01 --effort fast --target-nmse-db -20 --json"
-    assert _exit_code(["encode", sphere, out, *words.split()]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["mode"] == "nmse" and told["nmse_db"] == pytest.approx(-20, abs=0.13)
-    assert any("found in" in note for note in told["notes"])
+def test_target_is_reached_and_reported(
+    sphere: str, output_path: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = "--nw 5 --thickness-m 0.01 --effort fast --target-nmse-db -20 --json"
+    assert _exit_code(["encode", sphere, output_path, *options.split()]) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["mode"] == "nmse" and values["nmse_db"] == pytest.approx(-20, abs=0.13)
+    assert any("found in" in note for note in values["notes"])
 
 
-def test_a_plan_for_a_budget(sphere: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan_for_a_budget(sphere: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "plan.png"
-    words = f"--nw 4 --thickness-m 0.01 --budget 1Mbit/s --plot {picture} --device phantom-omni --k 0.1"
-    assert _exit_code(["plan", sphere, *words.split()]) == 0
-    told = capsys.readouterr().out
-    assert "->" in told and "touchfield encode" in told and "mask kept" in told
+    options = f"--nw 4 --thickness-m 0.01 --budget 1Mbit/s --plot {picture} --device phantom-omni --k 0.1"
+    assert _exit_code(["plan", sphere, *options.split()]) == 0
+    report = capsys.readouterr().out
+    assert "->" in report and "touchfield encode" in report and "mask kept" in report
     assert picture.stat().st_size > 5000
-    printed = shlex.split(next(line for line in told.splitlines() if "touchfield encode" in line))
+    printed = shlex.split(next(line for line in report.splitlines() if "touchfield encode" in line))
     assert printed[3:5] == [sphere, "OUT.touch"] and printed[printed.index("--thickness-m") + 1] == "0.01"
     assert printed[printed.index("--effort") + 1] == "fast", "as it was tried"
     assert _exit_code(["encode", sphere, str(tmp_path / "planned.touch"), *printed[5:]]) == 0
@@ -135,6 +143,6 @@ def test_a_plan_for_a_budget(sphere: str, tmp_path: Path, capsys: pytest.Capture
     assert {"chosen", "front", "trials", "encode_options", "lambda_bytes"} <= set(found), (
         "a still medium has bytes"
     )
-    for words in ("--budget 1bit/s", "--budget fast", "--budget 64kbit/s --nominal"):
-        assert _exit_code(["plan", sphere, "--nw", "3", *words.split()]) == 2
+    for options in ("--budget 1bit/s", "--budget fast", "--budget 64kbit/s --nominal"):
+        assert _exit_code(["plan", sphere, "--nw", "3", *options.split()]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1

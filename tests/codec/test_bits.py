@@ -1,6 +1,4 @@
-"""The bits of coder `touch`: what is written is read, in the fewest bytes, and garbage stays within its
-buffer.
-"""
+"""The range coder of `touch`: round trip, code length, and reading of random bytes."""
 
 from __future__ import annotations
 
@@ -30,12 +28,12 @@ CODE, MIX, EVEN = range(3)
 
 @njit
 def run(bits: Any, calls: Any, values: Any) -> None:
-    """Code values by calls (function, argument, more) in place: a reader finds them."""
+    """Code values by calls (function, argument, parameter); a reader fills `values`."""
     for n in range(len(calls)):
-        what, a, b = calls[n]
-        if what == CODE:
+        function, a, b = calls[n]
+        if function == CODE:
             values[n] = kernels.code(bits, a, values[n])
-        elif what == MIX:
+        elif function == MIX:
             for i in range(b):
                 bits.inputs[i] = (a * (i + 3) + n * i) % CONTEXTS
             values[n] = kernels.mix(bits, b, a % SETS, values[n])
@@ -47,7 +45,7 @@ def models() -> kernels.Models:
     return new_models(CONTEXTS, SETS)
 
 
-def written(calls: np.ndarray, values: np.ndarray) -> tuple[Bits, bytes]:
+def write_bits(calls: np.ndarray, values: np.ndarray) -> tuple[Bits, bytes]:
     bits = writer(16 * len(calls) + 64, models())
     run(bits, calls, values.copy())
     return bits, finish(bits)
@@ -55,79 +53,79 @@ def written(calls: np.ndarray, values: np.ndarray) -> tuple[Bits, bytes]:
 
 @st.composite
 def scripts(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
-    """Calls, int64 [n, 3], and what they code."""
+    """Random calls, int64 [n, 3], and the values they code."""
     bit = st.integers(0, 1)
-    one = st.one_of(
+    call = st.one_of(
         st.tuples(st.just(CODE), st.integers(0, CONTEXTS - 1), st.just(0), bit),
         st.tuples(st.just(MIX), st.integers(0, CONTEXTS - 1), st.integers(1, INPUTS), bit),
         st.integers(1, 40).flatmap(
             lambda n: st.tuples(st.just(EVEN), st.just(0), st.just(n), st.integers(0, 2**n - 1))
         ),
     )
-    rows = draw(st.lists(one, min_size=1, max_size=30)) * draw(st.sampled_from([1, 1, 40]))
-    made = np.array(rows, np.int64)
-    return made[:, :3].copy(), made[:, 3].copy()
+    rows = draw(st.lists(call, min_size=1, max_size=30)) * draw(st.sampled_from([1, 1, 40]))
+    table = np.array(rows, np.int64)
+    return table[:, :3].copy(), table[:, 3].copy()
 
 
 @given(scripts())
-def test_what_is_written_is_read(script: tuple[np.ndarray, np.ndarray]) -> None:
+def test_written_values_are_read_back(script: tuple[np.ndarray, np.ndarray]) -> None:
     calls, values = script
-    wrote, data = written(calls, values)
+    writer_state, data = write_bits(calls, values)
     bits = reader(data, models())
     found = np.zeros_like(values)
     run(bits, calls, found)
     assert np.array_equal(found, values)
-    # both sides have learnt the same, and are at the same place
-    assert np.array_equal(bits.probabilities, wrote.probabilities) and np.array_equal(
-        bits.weights, wrote.weights
+    # both sides have the same adapted state and position
+    assert np.array_equal(bits.probabilities, writer_state.probabilities) and np.array_equal(
+        bits.weights, writer_state.weights
     )
-    assert bits.state[POSITION] == wrote.state[POSITION] + 6
-    assert len(data) <= wrote.state[POSITION] or data[-1]  # zeros behind the last word are not told
-    assert wrote.state[POSITION] <= len(data) <= bits.state[POSITION]
+    assert bits.state[POSITION] == writer_state.state[POSITION] + 6
+    assert len(data) <= writer_state.state[POSITION] or data[-1]  # trailing zeros are not stored
+    assert writer_state.state[POSITION] <= len(data) <= bits.state[POSITION]
 
 
 @given(st.binary(max_size=80), scripts())
-def test_a_reader_of_garbage_stays_within_its_buffer(
+def test_reader_of_random_bytes_stays_within_its_buffer(
     data: bytes, script: tuple[np.ndarray, np.ndarray]
 ) -> None:
-    """Behind the end there are zeros, for ever; values stay in their ranges."""
+    """Zeros follow the end of the buffer; values stay in their ranges."""
     calls, _ = script
     bits = reader(data, models())
     found = np.zeros(len(calls), np.int64)
     run(bits, calls, found)
     longer = reader(data + bytes(4000), models())
-    again = np.zeros(len(calls), np.int64)
-    run(longer, calls, again)
-    assert np.array_equal(found, again)
-    what, width = calls[:, 0], calls[:, 2]
-    assert (found[(what == CODE) | (what == MIX)] <= 1).all() and (found >= 0).all()
-    assert (found[what == EVEN] < np.int64(1) << width[what == EVEN]).all()
+    found_in_longer = np.zeros(len(calls), np.int64)
+    run(longer, calls, found_in_longer)
+    assert np.array_equal(found, found_in_longer)
+    functions, width = calls[:, 0], calls[:, 2]
+    assert (found[(functions == CODE) | (functions == MIX)] <= 1).all() and (found >= 0).all()
+    assert (found[functions == EVEN] < np.int64(1) << width[functions == EVEN]).all()
     assert (found < 1 << 40).all()
 
 
-def test_a_carry_goes_through_every_byte_that_is_full() -> None:
-    """Ones by a low chance keep the interval under a border; what follows lifts it over."""
-    seen = 0
+def test_carry_propagates_through_full_bytes() -> None:
+    """Ones of a low probability keep the interval below a byte boundary until a carry crosses it."""
+    carries = 0
     for seed in range(200):
         rng = np.random.default_rng(seed)
         calls = np.array([(EVEN, 0, int(n)) for n in rng.integers(1, 17, 60)], np.int64)
         values = np.array([(1 << n) - 1 if rng.random() < 0.9 else 0 for _, _, n in calls], np.int64)
-        _, data = written(calls, values)
+        _, data = write_bits(calls, values)
         found = np.zeros_like(values)
         run(reader(data, models()), calls, found)
         assert np.array_equal(found, values)
-        seen += b"\0\0" in data
-    assert seen  # where a carry went through two full bytes
+        carries += b"\0\0" in data
+    assert carries  # at least one carry crossed two full bytes
 
 
 @pytest.mark.parametrize("length", [0, 1, 2, 50])
-def test_bits_that_were_expected_cost_next_to_nothing(length: int) -> None:
+def test_expected_bits_cost_almost_nothing(length: int) -> None:
     calls = np.array([(CODE, 3, 0)] * 1000 + [(EVEN, 0, 8)] * length, np.int64)
     values = np.append(np.ones(1000, np.int64), np.zeros(length, np.int64))
-    assert length <= len(written(calls, values)[1]) <= length + 6
+    assert length <= len(write_bits(calls, values)[1]) <= length + 6
 
 
-def test_tables_are_of_the_logistic_function() -> None:
+def test_tables_are_the_logistic_function() -> None:
     reach = len(SQUASH) // 2
     x = np.arange(-reach, reach + 1) / 256
     exact = 65536 / (1 + np.exp(-x))

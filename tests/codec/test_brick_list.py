@@ -1,6 +1,4 @@
-"""The list of bricks: the same back whatever the grid and the list before, cheap,
-and bounded by its bytes.
-"""
+"""The coded list of bricks: round trip with any grid and previous list, its size, and faulty bytes."""
 
 from __future__ import annotations
 
@@ -15,21 +13,21 @@ from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, code, finish, new
 from touchfield.codec.support import BRICKS_FREE, BRICKS_PER_BYTE, code_bricks, pad_payload
 from touchfield.errors import CorruptFile
 
-AT, SETS_AT = 5, 3  # the list's chances are not the first of a frame
+AT, SETS_AT = 5, 3  # the list's probabilities do not start at offset 0
 
 
-def written(shape: tuple[int, int, int], bricks: np.ndarray, before: np.ndarray | None = None) -> bytes:
-    """The payload of a list with a bit behind it, of a 0."""
+def write_list(shape: tuple[int, int, int], bricks: np.ndarray, before: np.ndarray | None = None) -> bytes:
+    """The payload of a list, followed by one bit."""
     bits = writer(320 * len(bricks) + 64, new_models(AT + LIST_CONTEXTS, SETS_AT + LIST_SETS))
     assert np.array_equal(code_bricks(bits, AT, SETS_AT, shape, bricks, before), bricks)
     code(bits, 0, 1)
     return pad_payload(finish(bits), len(bricks))
 
 
-def read(
+def read_list(
     data: bytes, shape: tuple[int, int, int], before: np.ndarray | None = None
 ) -> tuple[np.ndarray, int]:
-    """The list, and the bit."""
+    """The list and the bit after it."""
     bits = reader(data, new_models(AT + LIST_CONTEXTS, SETS_AT + LIST_SETS))
     return code_bricks(bits, AT, SETS_AT, shape, None, before), int(code(bits, 0, 0))
 
@@ -38,61 +36,63 @@ def ascending(bricks: np.ndarray) -> np.ndarray:
     return np.unique(np.asarray(bricks).reshape(-1, 3), axis=0).astype(np.int32)
 
 
-def lists(shape: tuple[int, int, int]) -> st.SearchStrategy[np.ndarray]:
-    """Single bricks, and boxes of them."""
+def brick_lists(shape: tuple[int, int, int]) -> st.SearchStrategy[np.ndarray]:
+    """Lists of single bricks and of boxes."""
     corner = st.tuples(*(st.integers(0, n - 1) for n in shape))
-    near = st.tuples(corner, st.integers(1, 4)).map(
+    box = st.tuples(corner, st.integers(1, 4)).map(
         lambda c: np.minimum(
             np.array(c[0]) + np.stack(np.indices((c[1],) * 3), -1).reshape(-1, 3), np.array(shape) - 1
         )
     )
-    return st.lists(near, max_size=5).map(
+    return st.lists(box, max_size=5).map(
         lambda boxes: ascending(np.concatenate([np.zeros((0, 3), int), *boxes]))
     )
 
 
 @given(st.data())
 @settings(max_examples=60)
-def test_list_comes_back_and_stays_within_its_room(data):
+def test_list_round_trip_is_within_its_byte_limit(data):
     side = st.one_of(st.integers(1, 9), st.sampled_from([100, 1 << 17, 1 << 20]))
     shape = data.draw(st.tuples(side, side, side))
-    bricks, before = data.draw(lists(shape)), data.draw(st.none() | lists(shape))
-    payload = written(shape, bricks, before)
-    found, bit = read(payload, shape, before)
+    bricks, before = data.draw(brick_lists(shape)), data.draw(st.none() | brick_lists(shape))
+    payload = write_list(shape, bricks, before)
+    found, bit = read_list(payload, shape, before)
     assert np.array_equal(found, bricks) and found.dtype == np.int32 and bit == 1
     assert len(payload) <= 64 + 64 * len(bricks)
 
 
 def test_few_bricks_of_a_huge_grid_cost_little():
     block = ascending((1 << 19) + np.stack(np.indices((4, 4, 4)), -1))
-    assert len(written((1 << 20,) * 3, block)) < 60
+    assert len(write_list((1 << 20,) * 3, block)) < 60
 
 
-def test_list_known_before_costs_next_to_nothing():
+def test_unchanged_list_costs_almost_nothing():
     rng = np.random.default_rng(5)
     x, y = np.indices((24, 24))
     sheet = ascending(np.stack([x, y, (8 + 3 * np.sin(x / 5) + 3 * np.cos(y / 7)).astype(int)], -1))
     fewer = sheet[rng.random(len(sheet)) < 0.97]
     pairs = ((sheet, sheet), (fewer, sheet), (sheet, None))
-    again, moved, alone = (len(written((24,) * 3, bricks, before).rstrip(b"\0")) for bricks, before in pairs)
-    assert 4 * again < moved < alone < len(sheet) // 4
+    unchanged, moved, alone = (
+        len(write_list((24,) * 3, bricks, before).rstrip(b"\0")) for bricks, before in pairs
+    )
+    assert 4 * unchanged < moved < alone < len(sheet) // 4
 
 
-def test_wall_of_bricks_costs_what_the_rule_asks():
+def test_wall_of_bricks_has_the_minimum_size_of_the_rule():
     wall = ascending(np.stack(np.indices((16, 16, 16)), -1))
-    payload = written((16,) * 3, wall)
+    payload = write_list((16,) * 3, wall)
     assert len(payload) == (16**3 - BRICKS_FREE) // BRICKS_PER_BYTE
     with pytest.raises(CorruptFile, match="list of bricks"):
-        read(payload[:-1], (16,) * 3)
+        read_list(payload[:-1], (16,) * 3)
 
 
 @given(st.binary(max_size=40), st.none() | st.just(np.zeros((1, 3), np.int32)))
 @settings(max_examples=60)
-def test_strange_bytes_are_a_list_or_named(data, before):
+def test_random_bytes_are_a_list_or_a_named_error(data, before):
     shape = (1 << 20, 1 << 20, 3)
     tracemalloc.start()
     with contextlib.suppress(CorruptFile):
-        found, _ = read(data, shape, before)
+        found, _ = read_list(data, shape, before)
         assert len(found) <= BRICKS_FREE + BRICKS_PER_BYTE * len(data)
         assert np.array_equal(ascending(found), found) and (found >= 0).all() and (found < shape).all()
     assert tracemalloc.get_traced_memory()[1] < 4 << 20

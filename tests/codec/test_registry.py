@@ -1,6 +1,4 @@
-"""A coder is one entry: a third one needs its folder and a line, and nothing that asks the registry
-changes.
-"""
+"""The coder registry: adding a third coder needs one folder and one line."""
 
 from __future__ import annotations
 
@@ -26,7 +24,7 @@ GRID = Grid((9, 8, 7), (1e-3,) * 3, (0, 0, 0))
 
 @dataclass(frozen=True)
 class CountSpec:
-    """What is asked of a coder that keeps nothing but the number of frames."""
+    """Options of a coder that stores only the number of frames."""
 
     k: float = 0.1
     segment_frames: int = 8
@@ -53,20 +51,20 @@ class CountDecoder:
 
 
 @pytest.fixture
-def third(monkeypatch: pytest.MonkeyPatch) -> None:
+def third_coder(monkeypatch: pytest.MonkeyPatch) -> None:
     module: Any = ModuleType("count_entry")
     module.CountEncoder, module.CountDecoder = CountEncoder, CountDecoder
     module.CODER = registry.Coder(
         "count", "count_entry:CountEncoder", "count_entry:CountDecoder", CountSpec,
-        {"count": lambda asked: CountSpec(**asked)},
+        {"count": lambda options: CountSpec(**options)},
     )  # fmt: skip
     monkeypatch.setitem(sys.modules, "count_entry", module)
     monkeypatch.setitem(registry.ENTRIES, "count", "count_entry")
     return
 
 
-@pytest.mark.usefixtures("third")
-def test_a_third_coder_is_one_line() -> None:
+@pytest.mark.usefixtures("third_coder")
+def test_third_coder_needs_one_line() -> None:
     assert list(registry.field_coders()) == ["touch", "paper", "count"]
     encoder = registry.field_encoder(GRID, CountSpec(letter="z"))
     body = encoder.encode_segment([ForceField.empty(GRID)] * 3).body
@@ -74,8 +72,8 @@ def test_a_third_coder_is_one_line() -> None:
     assert len(list(registry.field_decoder("count", GRID, encoder.parameters).frames(body, 3))) == 3
 
 
-@pytest.mark.usefixtures("third")
-def test_the_command_line_asks_the_registry() -> None:
+@pytest.mark.usefixtures("third_coder")
+def test_command_line_uses_the_registry() -> None:
     from touchfield.cli import options
 
     rows = {row[0]: row for row in options._coder_rows()}
@@ -83,13 +81,13 @@ def test_the_command_line_asks_the_registry() -> None:
         "touch, paper, paper-literal, count"
     )
     assert rows["k"][3].count("Weber fraction") == 2 and rows["lossless-quantised"][1:3] == (bool, False)
-    asked = options._coder({"coder": "count", "letter": "q", "nq": None, "lossless_quantised": False})
-    assert asked == {"coder": "count", "extension": CountSpec(letter="q")}
+    requested = options._coder({"coder": "count", "letter": "q", "nq": None, "lossless_quantised": False})
+    assert requested == {"coder": "count", "extension": CountSpec(letter="q")}
     with pytest.raises(InvalidArgument, match="--coder count"):
         options._coder({"coder": "paper", "letter": "q"})
 
 
-def test_what_is_no_coder_of_fields_is_refused() -> None:
+def test_unknown_field_coders_are_refused() -> None:
     assert (
         registry.coder_of_spec(PaperSpec()).name == "paper"
         and registry.coder_of_spec(TouchSpec()).name == "touch"
@@ -102,12 +100,12 @@ def test_what_is_no_coder_of_fields_is_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["touch", "paper"])
-def test_every_option_is_a_field_of_the_spec_or_a_word_of_its_maker(name: str) -> None:
-    one = registry.coder(name)
-    options = _options_of(one)
-    assert one.spec is not None and {"k", "segment_frames"} <= options.keys()
+def test_every_option_is_a_spec_field_or_an_extra_option(name: str) -> None:
+    entry = registry.coder(name)
+    options = _options_of(entry)
+    assert entry.spec is not None and {"k", "segment_frames"} <= options.keys()
     for key in options:
-        assert hasattr(one.spec(), key) or key in ("lossless_quantised", "body_site")
-    asked = {field.name for field in fields(one.spec) if field.metadata}
-    assert asked | one.extra_options.keys() == options.keys(), "an order that is given names all"
-    assert all(isinstance(make({}), one.spec) for make in one.makers.values())
+        assert hasattr(entry.spec(), key) or key in ("lossless_quantised", "body_site")
+    spec_fields = {field.name for field in fields(entry.spec) if field.metadata}
+    assert spec_fields | entry.extra_options.keys() == options.keys(), "an order that is given names all"
+    assert all(isinstance(make({}), entry.spec) for make in entry.makers.values())

@@ -1,4 +1,4 @@
-"""Options of the coders of fields: their ranges, what they come to, and the guarantee of each in words."""
+"""Options of the field coders: their ranges, defaults per device, and the text of each guarantee."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ GRID = Grid((20, 9, 12), (0.001, 0.002, 0.003), (0.1, 0.2, 0.3))
 TOUCH, PAPER = coder("touch"), coder("paper")
 
 
-def noise(seed: int = 0, size_n: float = 1.0, share: float = 0.5) -> ForceField:
+def noise(seed: int = 0, size_n: float = 1.0, density: float = 0.5) -> ForceField:
     rng = np.random.default_rng(seed)
-    forces = size_n * rng.normal(size=(*GRID.shape, 3)) * (rng.random((*GRID.shape, 1)) < share)
+    forces = size_n * rng.normal(size=(*GRID.shape, 3)) * (rng.random((*GRID.shape, 1)) < density)
     return ForceField.from_dense(GRID, forces.astype(np.float32))
 
 
@@ -47,7 +47,7 @@ def noise(seed: int = 0, size_n: float = 1.0, share: float = 0.5) -> ForceField:
         ("masking_radius_m", (1e-6, 1.0), (9e-7, 1.01, math.nan)),
     ],
 )
-def test_numbers_of_the_touch_coder_are_taken_up_to_their_ends(
+def test_ranges_of_the_touch_coder_include_their_limits(
     name: str, fits: tuple[Any, ...], wrong: tuple[Any, ...]
 ) -> None:
     for value in fits:
@@ -66,7 +66,7 @@ def test_numbers_of_the_touch_coder_are_taken_up_to_their_ends(
         ("step_n", (), (9e-10, 1.1e6, math.nan)),
     ],
 )
-def test_numbers_of_the_paper_s_coder_are_taken_up_to_their_ends(
+def test_ranges_of_the_paper_coder_include_their_limits(
     name: str, fits: tuple[Any, ...], wrong: tuple[Any, ...]
 ) -> None:
     for value in fits:
@@ -78,7 +78,7 @@ def test_numbers_of_the_paper_s_coder_are_taken_up_to_their_ends(
             PaperSpec(**{name: value})
 
 
-def test_what_does_nothing_beside_a_stage_is_refused_and_what_needs_one_too() -> None:
+def test_options_that_a_stage_ignores_or_needs_are_refused() -> None:
     assert PaperSpec(stage="runs", k=0.2, segment_frames=3, step_n=0.1)
     idle = {"nq": 5, "directions": "ico3", "amplitude": "weber", "deadband": "none", "interframe": "none",
             "choose_by_size": False, "hold_runs": False, "weber_levels": "full"}  # fmt: skip
@@ -98,19 +98,19 @@ def test_what_does_nothing_beside_a_stage_is_refused_and_what_needs_one_too() ->
     ("is_array", "directions", "levels", "steps"),
     [(False, "ico5", "needed", None), (True, "octa1", "full", 31)],
 )
-def test_what_is_auto_comes_to_what_suits_the_device(
+def test_auto_options_depend_on_the_device(
     is_array: bool, directions: str, levels: str, steps: int | None
 ) -> None:
     found = PAPER.resolve(PaperSpec(nq=5), is_array)
     assert (found.directions, found.weber_levels, found.weber_steps) == (directions, levels, steps)
-    asked = PaperSpec(directions="ico3", weber_levels="needed")
-    assert asked.for_device(is_array) == asked
+    explicit = PaperSpec(directions="ico3", weber_levels="needed")
+    assert explicit.for_device(is_array) == explicit
     staged = PaperSpec(stage="dct")
     assert staged.for_device(is_array) == staged
     assert TOUCH.resolve(TouchSpec(), is_array) == TouchSpec()
 
 
-def test_the_coder_as_it_is_printed() -> None:
+def test_printed_name_of_the_coder() -> None:
     printed = PAPER.makers["paper-literal"]({"k": 0.2, "nq": 4})
     assert printed == PaperSpec(
         k=0.2,
@@ -148,7 +148,7 @@ def test_the_coder_as_it_is_printed() -> None:
         ),
     ],
 )
-def test_options_come_to_a_spec(options: dict[str, Any], spec: TouchSpec) -> None:
+def test_options_make_a_spec(options: dict[str, Any], spec: TouchSpec) -> None:
     if "body_site" in options:
         from touchfield.perception.mask import site_radius_m
 
@@ -158,7 +158,7 @@ def test_options_come_to_a_spec(options: dict[str, Any], spec: TouchSpec) -> Non
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         ({"lossless_quantised": True, "mode": "mask"}, "--mode: found it together with --lossless-quantised"),
         ({"lossless_quantised": True, "f0_n": 0.1}, "--f0-n: found it together"),
@@ -169,8 +169,8 @@ def test_options_come_to_a_spec(options: dict[str, Any], spec: TouchSpec) -> Non
         ({"direction_jnd_deg": 9.0, "mode": "nmse"}, "--direction-jnd-deg: found it in mode nmse; expected"),
     ],
 )  # fmt: skip
-def test_options_that_do_not_go_together_are_refused(options: dict[str, Any], told: str) -> None:
-    with pytest.raises(InvalidArgument, match=told):
+def test_contradictory_options_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
         TOUCH.makers["touch"](options)
 
 
@@ -198,7 +198,7 @@ def test_options_that_do_not_go_together_are_refused(options: dict[str, Any], to
         (PaperSpec(), None),
     ],
 )
-def test_the_guarantee_of_each_mode_is_told_with_its_numbers(spec: Any, text: str | None) -> None:
+def test_guarantee_of_each_mode_states_its_numbers(spec: Any, text: str | None) -> None:
     rule = (TOUCH if isinstance(spec, TouchSpec) else PAPER).bound_rule(spec)
     assert rule.text == text
     reasons = {
@@ -208,25 +208,30 @@ def test_the_guarantee_of_each_mode_is_told_with_its_numbers(spec: Any, text: st
     assert rule.reason == ("" if text else reasons[type(spec)])
 
 
-def test_the_guarantee_of_composed_bodies_is_told_with_its_numbers() -> None:
+def test_guarantee_of_composed_bodies_states_its_numbers() -> None:
     masked = TOUCH.bound_rule(TouchSpec(k=0.2, f0_n=0.03))
-    near = "with every body within 12.5 um of its place"
-    still, dragging = Parameters(2, 0.0, 12.5e-6), Parameters(2, 0.5, 12.5e-6)
+    suffix = "with every body within 12.5 um of its place"
+    undamped, damped = Parameters(2, 0.0, 12.5e-6), Parameters(2, 0.5, 12.5e-6)
     assert (
-        composed_rule(("lossless",), masked, still).text == f"every force of every body bit for bit, {near}"
+        composed_rule(("lossless",), masked, undamped).text
+        == f"every force of every body bit for bit, {suffix}"
     )
-    for modes, parameters in ((("lossless",), dragging), (("mask",), still), (("mask", "lossless"), still)):
-        assert composed_rule(modes, masked, parameters).text == f"{masked.text}, {near}"
-    for mode, mend in (
+    for modes, parameters in (
+        (("lossless",), damped),
+        (("mask",), undamped),
+        (("mask", "lossless"), undamped),
+    ):
+        assert composed_rule(modes, masked, parameters).text == f"{masked.text}, {suffix}"
+    for mode, remedy in (
         ("nmse", "take --mode mask"),
         ("mask-direction", "take --mode mask or --representation voxel"),
     ):
-        rule = composed_rule(("mask", mode), masked, still)
-        told = f"mode {mode} bounds no force that several bodies have together; {mend}"
-        assert (rule.text, rule.reason) == (None, told)
+        rule = composed_rule(("mask", mode), masked, undamped)
+        reason = f"mode {mode} bounds no force that several bodies have together; {remedy}"
+        assert (rule.text, rule.reason) == (None, reason)
 
 
-def test_a_summary_has_what_matters_of_a_spec() -> None:
+def test_summary_has_the_relevant_options() -> None:
     assert TOUCH.summary(TouchSpec(effort="fast")) == {"mode": "mask", "effort": "fast"}
     assert TOUCH.summary(TouchSpec(masking=0.2))["masking"] == 0.2
     assert TOUCH.summary(TouchSpec(mode="nmse", step_n=0.3)) == {
@@ -241,10 +246,10 @@ def test_a_summary_has_what_matters_of_a_spec() -> None:
 # -------------------------------------------------------------------------------------------------------
 
 
-def test_bits_are_added_part_by_part() -> None:
-    one, other = BitAccount(1, 20, 300, 4000, 50_000, 600_000), BitAccount(7, 6, 5, 4, 3, 2)
-    assert one + other == BitAccount(8, 26, 305, 4004, 50_003, 600_002)
-    assert one.total == 654_321 and BitAccount().total == 0
+def test_bit_accounts_add_by_part() -> None:
+    first, second = BitAccount(1, 20, 300, 4000, 50_000, 600_000), BitAccount(7, 6, 5, 4, 3, 2)
+    assert first + second == BitAccount(8, 26, 305, 4004, 50_003, 600_002)
+    assert first.total == 654_321 and BitAccount().total == 0
     assert compression_ratio(96.0, 3, 5) == pytest.approx(1 / 15)
 
 
@@ -253,40 +258,42 @@ def test_the_bits_of_the_paper_s_coder_are_those_of_its_bytes(stage: str) -> Non
     spec = PaperSpec(stage=stage, **({"segment_frames": 3} if stage == "none" else {"step_n": 0.1}))
     frames = [noise(), noise(0, 1.01), noise(3)]
     segment = PaperEncoder(GRID, spec).encode_segment(frames)
-    assert [one.supported for one in segment.frames] == [frame.support_count for frame in frames]
-    assert all(0 < one.sent <= one.supported for one in segment.frames)
-    assert sum(one.bits.total for one in segment.frames) <= 8 * len(segment.body)
+    assert [record.supported for record in segment.frames] == [frame.support_count for frame in frames]
+    assert all(0 < record.sent <= record.supported for record in segment.frames)
+    assert sum(record.bits.total for record in segment.frames) <= 8 * len(segment.body)
     decoder = PAPER.decoder_class(GRID, PaperEncoder(GRID, spec).parameters)
-    assert [one.bits for one in decoder.costs(segment.body, 3)] == [one.bits for one in segment.frames]
+    assert [record.bits for record in decoder.costs(segment.body, 3)] == [
+        record.bits for record in segment.frames
+    ]
 
 
 # -- segments of the touch coder
 # ------------------------------------------------------------------------------------
 
 
-def decoded(spec: TouchSpec, body: bytes, count: int) -> list[ForceField]:
+def decode_fields(spec: TouchSpec, body: bytes, count: int) -> list[ForceField]:
     return list(TouchDecoder(GRID, TouchEncoder(GRID, spec).parameters).frames(body, count))
 
 
 @pytest.mark.parametrize("mode", ["mask", "mask-direction", "nmse"])
-def test_samples_are_sent_exactly_and_the_rest_stays(mode: str) -> None:
+def test_exact_samples_leave_the_others_unchanged(mode: str) -> None:
     spec = TouchSpec(mode=mode)
     encoder, frames = TouchEncoder(GRID, spec), [noise(), noise(0, 1.01), noise(3)]
     segment = encoder.encode_segment(frames)
     rng = np.random.default_rng(1)
     bricks = int(np.prod(GRID.brick_shape))
-    first = np.sort(rng.choice(512 * bricks, 40, replace=False))
-    local = np.stack(np.unravel_index(first % 512, (8, 8, 8)), axis=-1)
-    places = 8 * np.stack(np.unravel_index(first // 512, GRID.brick_shape), axis=-1) + local
-    inside = (places < GRID.shape).all(axis=1)
-    first, places = first[inside], places[inside]
-    samples = [first, np.zeros(0, np.int64), first[-1:]]
+    samples_sorted = np.sort(rng.choice(512 * bricks, 40, replace=False))
+    local = np.stack(np.unravel_index(samples_sorted % 512, (8, 8, 8)), axis=-1)
+    positions = 8 * np.stack(np.unravel_index(samples_sorted // 512, GRID.brick_shape), axis=-1) + local
+    inside = (positions < GRID.shape).all(axis=1)
+    samples_sorted, positions = samples_sorted[inside], positions[inside]
+    samples = [samples_sorted, np.zeros(0, np.int64), samples_sorted[-1:]]
     amended = encoder.with_exact_samples(segment, frames, samples)
-    before, after = decoded(spec, segment.body, 3), decoded(spec, amended.body, 3)
+    before, after = decode_fields(spec, segment.body, 3), decode_fields(spec, amended.body, 3)
     changed = 0
-    for source, old, new, own in zip(frames, before, after, samples, strict=True):
+    for source, old, new, exact in zip(frames, before, after, samples, strict=True):
         expected = old.to_dense().copy()
-        at = tuple(places[np.isin(first, own)].T)
+        at = tuple(positions[np.isin(samples_sorted, exact)].T)
         expected[at] = source.to_dense()[at]
         np.testing.assert_array_equal(new.to_dense(), expected)
         changed += int((expected != old.to_dense()).any())
@@ -294,30 +301,30 @@ def test_samples_are_sent_exactly_and_the_rest_stays(mode: str) -> None:
     assert (amended.max_error is None) == (mode == "nmse")
 
 
-def test_a_lossless_segment_has_nothing_to_be_sent_exactly() -> None:
+def test_lossless_segment_needs_no_exact_samples() -> None:
     encoder, frames = TouchEncoder(GRID, TouchSpec(mode="lossless")), [noise()]
     with pytest.raises(InvalidArgument, match="exact samples: found them in mode lossless"):
         encoder.with_exact_samples(encoder.encode_segment(frames), frames, [np.zeros(1, np.int64)])
 
 
 @pytest.mark.parametrize("size_n", [0.01, 5.0])  # below the floor, and above it
-def test_a_key_frame_is_kept_while_the_world_stands(size_n: float) -> None:
+def test_key_frame_is_reused_while_the_scene_is_static(size_n: float) -> None:
     spec = TouchSpec(k=0.1, f0_n=0.05)
     encoder, force = TouchEncoder(GRID, spec), np.array([0.0, 0.0, size_n])
     before = ForceField.from_support(GRID, [[3, 4, 5], [19, 8, 11]], [force, force])
     allowed_n = max(0.02 * spec.f0_n, 0.002 * size_n)  # 2 % of the mask
-    for share, is_kept in ((0.99, True), (1.01, False)):
-        last = force + np.array([share * allowed_n, 0, 0])
+    for fraction, is_reused in ((0.99, True), (1.01, False)):
+        last = force + np.array([fraction * allowed_n, 0, 0])
         frame = ForceField.from_support(GRID, [[3, 4, 5], [19, 8, 11]], [force, last])
-        assert (encoder.key_frame(frame, before) is before) == is_kept
-        assert (encoder.key_frame(frame, before) is frame) != is_kept
+        assert (encoder.key_frame(frame, before) is before) == is_reused
+        assert (encoder.key_frame(frame, before) is frame) != is_reused
     assert encoder.key_frame(before, None) is before
     for mode in set(MODES) - {"mask", "mask-direction"}:
         frame = before.scaled(1.0)
         assert TouchEncoder(GRID, TouchSpec(mode=mode)).key_frame(frame, before) is frame
 
 
-def test_frames_that_cannot_be_coded_are_named() -> None:
+def test_errors_name_the_frame_that_cannot_be_coded() -> None:
     encoder = TouchEncoder(GRID, TouchSpec())
     other = ForceField.empty(Grid((20, 9, 13), GRID.spacing_m, GRID.origin_m))
     with pytest.raises(InvalidArgument, match=r"frame 1: found a grid of \(20, 9, 13\)"):
@@ -340,10 +347,10 @@ def test_frames_that_cannot_be_coded_are_named() -> None:
 # ---------------------------------------------------------------------------------------------------------
 
 
-def test_poses_that_cannot_keep_to_a_damping_are_told_with_both_numbers() -> None:
+def test_error_of_too_fine_poses_states_tolerance_and_damping() -> None:
     track = PoseTrack(PoseTrack.constant(3).quaternions, np.array([[0.0, 0, 0], [0.1, 0, 0], [0.3, 0, 0]]))
-    told = r"poses that keep to 20 um, and a damping of 7 N s/m at 1000 Hz"
-    with pytest.raises(InvalidArgument, match=told):
+    message = r"poses that keep to 20 um, and a damping of 7 N s/m at 1000 Hz"
+    with pytest.raises(InvalidArgument, match=message):
         choose_pose_steps(track, 0.03, 2e-5, Damping(7.0, 1000.0, 0.0))
     assert choose_pose_steps(track, 0.03, 2e-5, Damping(0.0, 1000.0, 0.0))
 

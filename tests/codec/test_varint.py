@@ -1,4 +1,4 @@
-"""Bounded whole numbers as bytes, and whole numbers by the adaptive code."""
+"""Variable-length integers, and integers in the adaptive code."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from touchfield.errors import CorruptFile, FormatError, InvalidArgument, Truncat
 
 
 @given(st.integers(0, VARINT_LIMIT - 1) | st.integers(0, 300), st.binary(max_size=3))
-def test_varints_read_back_and_have_one_form(value: int, before: bytes) -> None:
+def test_varint_round_trip_and_canonical_form(value: int, before: bytes) -> None:
     data = before + write_varint(value)
     assert read_varint(data + b"\xff", len(before)) == (value, len(data))
     assert len(write_varint(value)) == max(1, -(-value.bit_length() // 7))
@@ -36,7 +36,7 @@ def test_varint_bytes() -> None:
 
 
 @given(st.lists(st.integers(-MAX_NUMBER, MAX_NUMBER) | st.integers(-3, 3), max_size=200))
-def test_numbers_come_back(numbers: list[int]) -> None:
+def test_numbers_round_trip(numbers: list[int]) -> None:
     array = np.array(numbers, np.int32)
     data = encode_numbers(array)
     np.testing.assert_array_equal(decode_numbers(data, len(array)), array)
@@ -51,11 +51,11 @@ def test_any_bytes_are_numbers_or_a_fault(data: bytes, count: int) -> None:
         assert numbers.shape == (count,) and (np.abs(numbers) <= MAX_NUMBER).all()
 
 
-def test_a_number_too_large_is_refused() -> None:
+def test_too_large_numbers_are_refused() -> None:
     with pytest.raises(InvalidArgument, match="numbers"):
         encode_numbers(np.array([MAX_NUMBER + 1]))
     np.testing.assert_array_equal(
         decode_numbers(encode_numbers(np.array([MAX_NUMBER, -MAX_NUMBER])), 2), [MAX_NUMBER, -MAX_NUMBER]
     )
     with pytest.raises(CorruptFile, match="1073741823 at most"):
-        decode_numbers(bytes(30), 3)  # a code of ones: negative numbers of as many digits as there may be
+        decode_numbers(bytes(30), 3)  # decodes to ones: negative numbers with the most digits

@@ -1,4 +1,4 @@
-"""The body of VIBR: whole numbers come back exactly, amplitudes within a ninth, and no bytes do any harm."""
+"""The body of VIBR: exact integers, amplitudes within a ninth, and refusal of faulty bytes."""
 
 from __future__ import annotations
 
@@ -28,33 +28,35 @@ GRID = Grid((11, 9, 10), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
 WIDE = Grid((1 << 20, 1 << 20, 1 << 20), (0.001, 0.001, 0.001), (0.0, 0.0, 0.0))
 
 
-def symbols(rng: np.random.Generator, grid: Grid, share: float, wild: bool = True) -> VibrationSymbols:
-    """Samples of a small box of the grid, with any values or with smooth ones."""
+def random_symbols(
+    rng: np.random.Generator, grid: Grid, density: float, is_random: bool = True
+) -> VibrationSymbols:
+    """Samples of a small box of the grid, with random or with constant values."""
     box = np.minimum(grid.shape, 12)
-    positions = np.argwhere(rng.random(box) < share).astype(np.int32)
+    positions = np.argwhere(rng.random(box) < density).astype(np.int32)
     positions += (np.array(grid.shape) - box).astype(np.int32)
     count = len(positions)
-    if not wild:
+    if not is_random:
         return VibrationSymbols(positions, np.full(count, 70, np.int32), np.full(count, 150, np.int32))
     amplitudes = rng.integers(0, AMPLITUDE_STEPS, count).astype(np.int32)
     return VibrationSymbols(positions, amplitudes, rng.integers(1, 10001, count).astype(np.int32))
 
 
-def assert_same(mine: list[VibrationSymbols], theirs: list[VibrationSymbols]) -> None:
-    for own, other in zip(mine, theirs, strict=True):
-        np.testing.assert_array_equal(own.positions, other.positions)
-        np.testing.assert_array_equal(own.amplitudes, other.amplitudes)
-        np.testing.assert_array_equal(own.frequencies, other.frequencies)
+def assert_same(found: list[VibrationSymbols], expected: list[VibrationSymbols]) -> None:
+    for found_frame, expected_frame in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(found_frame.positions, expected_frame.positions)
+        np.testing.assert_array_equal(found_frame.amplitudes, expected_frame.amplitudes)
+        np.testing.assert_array_equal(found_frame.frequencies, expected_frame.frequencies)
 
 
-SHARES = st.lists(st.sampled_from([0.0, 0.02, 0.5, 1.0]), min_size=1, max_size=4)
+DENSITIES = st.lists(st.sampled_from([0.0, 0.02, 0.5, 1.0]), min_size=1, max_size=4)
 
 
 @pytest.mark.parametrize("grid", [GRID, WIDE], ids=["small", "wide"])
-@given(seed=st.integers(0, 1000), shares=SHARES, wild=st.booleans())
-def test_symbols_come_back(grid: Grid, seed: int, shares: list[float], wild: bool) -> None:
+@given(seed=st.integers(0, 1000), densities=DENSITIES, is_random=st.booleans())
+def test_symbols_round_trip(grid: Grid, seed: int, densities: list[float], is_random: bool) -> None:
     rng = np.random.default_rng(seed)
-    frames = [symbols(rng, grid, share, wild) for share in shares]
+    frames = [random_symbols(rng, grid, density, is_random) for density in densities]
     body = encode_symbols(grid, frames)
     assert_same(decode_symbols(body, grid, len(frames)), frames)
     assert encode_symbols(grid, decode_symbols(body, grid, len(frames))) == body
@@ -74,13 +76,16 @@ def test_amplitudes_within_a_ninth_and_frequencies_within_half_a_hertz(
         grid, positions, np.array(amplitudes, np.float32), np.full(count, frequency, np.float32)
     )
     [found] = decode_vibration(encode_vibration([frame]), grid, 1)
-    kept = np.isin(positions[:, 2], found.positions[:, 2])
-    assert (frame.amplitudes_n[~kept] < 2.0**-20).all()
-    given_n, made_n = frame.amplitudes_n[kept].astype(np.float64), found.amplitudes_n.astype(np.float64)
-    assert (np.abs(made_n - given_n) <= MAX_RELATIVE_ERROR * given_n * (1 + 1e-12)).all()
+    is_coded = np.isin(positions[:, 2], found.positions[:, 2])
+    assert (frame.amplitudes_n[~is_coded] < 2.0**-20).all()
+    original_n, decoded_n = (
+        frame.amplitudes_n[is_coded].astype(np.float64),
+        found.amplitudes_n.astype(np.float64),
+    )
+    assert (np.abs(decoded_n - original_n) <= MAX_RELATIVE_ERROR * original_n * (1 + 1e-12)).all()
     assert (np.abs(found.frequencies_hz - frequency) <= (0.5 if frequency >= 0.5 else 1)).all()
-    again = quantise_vibration(found)
-    assert_same([again], [quantise_vibration(frame)])  # coding what was decoded loses nothing more
+    requantised = quantise_vibration(found)
+    assert_same([requantised], [quantise_vibration(frame)])  # coding what was decoded loses nothing more
 
 
 def test_the_lowest_and_the_highest_step() -> None:
@@ -96,28 +101,28 @@ def test_the_lowest_and_the_highest_step() -> None:
         quantise_vibration(strong)
 
 
-def test_what_stays_costs_next_to_nothing() -> None:
+def test_unchanged_frames_cost_almost_nothing() -> None:
     rng = np.random.default_rng(1)
-    first = symbols(rng, GRID, 0.5)
-    one, eight = len(encode_symbols(GRID, [first])), len(encode_symbols(GRID, [first] * 8))
-    assert eight - one < one / 4
+    first = random_symbols(rng, GRID, 0.5)
+    single_bytes, eight_bytes = len(encode_symbols(GRID, [first])), len(encode_symbols(GRID, [first] * 8))
+    assert eight_bytes - single_bytes < single_bytes / 4
 
 
 # -- bytes of strangers ------------------------------------------------------------------------------------
 
-BODY = encode_symbols(GRID, [symbols(np.random.default_rng(s), GRID, 0.3) for s in range(3)])
+BODY = encode_symbols(GRID, [random_symbols(np.random.default_rng(s), GRID, 0.3) for s in range(3)])
 
 
-def test_a_cut_body_is_refused() -> None:
-    """A code has no end of its own: a few bytes less may by chance be that of other values."""
-    body = encode_symbols(GRID, [symbols(np.random.default_rng(s), GRID, 0.1) for s in range(2)])
+def test_truncated_body_is_refused() -> None:
+    """The code has no end marker: truncating a few bytes may decode to other values."""
+    body = encode_symbols(GRID, [random_symbols(np.random.default_rng(s), GRID, 0.1) for s in range(2)])
     assert len(body) > 400
     for size in range(len(body) - 6):
         with pytest.raises(FormatError):
             decode_symbols(body[:size], GRID, 2)
 
 
-def test_other_frames_than_were_coded_are_refused() -> None:
+def test_wrong_frame_counts_are_refused() -> None:
     for count in (1, 2, 4, 65535):
         with pytest.raises(FormatError):
             decode_symbols(BODY, GRID, count)
@@ -132,8 +137,8 @@ def test_other_frames_than_were_coded_are_refused() -> None:
 )
 def test_changed_bytes_are_refused_or_are_a_frame(changes: list[tuple[int, int]], cut: int) -> None:
     damaged = bytearray(BODY)
-    for place, value in changes:
-        damaged[place] = value
+    for index, value in changes:
+        damaged[index] = value
     with suppress(FormatError):
         frames = decode_vibration(bytes(damaged[: len(damaged) - cut]), GRID, 3)
         assert len(frames) == 3
@@ -143,7 +148,7 @@ def test_changed_bytes_are_refused_or_are_a_frame(changes: list[tuple[int, int]]
 
 @settings(deadline=None)
 @given(data=st.binary(max_size=60), frames=st.sampled_from([1, 2, 65535]))
-def test_random_bytes_cost_no_memory(data: bytes, frames: int) -> None:
+def test_random_bytes_allocate_little_memory(data: bytes, frames: int) -> None:
     tracemalloc.start()
     try:
         with suppress(FormatError):
@@ -166,11 +171,11 @@ def test_more_frames_or_bricks_than_bytes_are_refused() -> None:
     ("amplitude", "frequency"), [(AMPLITUDE_STEPS, 1), (-1, 1), (0, 0), (0, 10001)], ids=str
 )
 def test_values_out_of_range_are_corrupt(amplitude: int, frequency: int) -> None:
-    one = VibrationSymbols(
+    frame = VibrationSymbols(
         np.array([[1, 2, 3]], np.int32), np.array([amplitude], np.int32), np.array([frequency], np.int32)
     )
     with pytest.raises(CorruptFile, match="expected"):
-        decode_symbols(encode_symbols(GRID, [one]), GRID, 1)
+        decode_symbols(encode_symbols(GRID, [frame]), GRID, 1)
 
 
 def test_more_samples_than_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

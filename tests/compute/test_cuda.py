@@ -1,7 +1,6 @@
-"""Kernels of a GPU: at real size compiled for the processor, and at small sizes on numba's simulator.
+"""GPU kernels: at real size compiled for the CPU, and at small size on numba's simulator.
 
-One item a thread must give what the loops of the processor give; the simulator shows that arrays go there and
-back.
+One item per thread must give the result of the CPU's loops; the simulator tests the transfers of arrays.
 """
 
 from __future__ import annotations
@@ -27,22 +26,22 @@ from touchfield.sources.options import SourceOptions
 from touchfield.sources.samples import sample
 from touchfield.sources.tiny_scenes import tiny_scenes
 
-MOST_N = 2e-6
+MAX_DIFFERENCE_N = 2e-6
 
 
 @pytest.fixture
-def as_if(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kernels of the GPU run in compiled code of the processor, all items in one loop."""
+def gpu_kernels_on_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """GPU kernels run as compiled CPU code, with all items in one loop."""
 
     def for_each(kernel: Any, count: int, *arguments: Any) -> None:
         kernel(0, count, *arguments)
 
     def filled(kernel: Any, count: int, arguments: Any, shape: Any, dtype: Any) -> Any:
-        out = np.full(shape, 7, dtype)  # what a kernel leaves out is seen
+        out = np.full(shape, 7, dtype)  # marks items that a kernel does not write
         for_each(kernel, count, *arguments, out)
         return out
 
-    for room in (depth, depth_scene):
+    for module in (depth, depth_scene):
         for name, stand_in in (
             ("uses_gpu", lambda: True),
             ("for_each", for_each),
@@ -50,7 +49,7 @@ def as_if(monkeypatch: pytest.MonkeyPatch) -> None:
             ("on_device", lambda x: x),
             ("on_host", lambda x: x),
         ):  # fmt: skip
-            monkeypatch.setattr(room, name, stand_in, raising=room is depth)
+            monkeypatch.setattr(module, name, stand_in, raising=module is depth)
 
 
 def scene_of(name: str) -> Any:
@@ -61,39 +60,39 @@ def scene_of(name: str) -> Any:
 
 
 @pytest.fixture
-def processors(request: pytest.FixtureRequest) -> tuple[Any, Grid, Any, Any]:
-    """A scene, its lattice, its law, and its last frame by the processor's own loops; asked for before
-    `as_if`.
+def cpu_result(request: pytest.FixtureRequest) -> tuple[Any, Grid, Any, Any]:
+    """A scene, its lattice, its law, and its last frame from the CPU's loops; request it before
+    `gpu_kernels_on_cpu`.
     """
     name, samples = request.param
     scene = scene_of(name)
     low, high = scene.bounds_m()
-    room = 0.1 * max(high - low)
-    grid = Grid.over_box(low - room, high + room, (samples, samples - 3, samples + 2))
+    margin_m = 0.1 * max(high - low)
+    grid = Grid.over_box(low - margin_m, high + margin_m, (samples, samples - 3, samples + 2))
     law = penalty(LawSpec(), 3 * max(grid.spacing_m))
     return scene_of(name), grid, law, scene.field(scene.frame_count - 1, grid, law)
 
 
-@pytest.mark.parametrize("processors", [("motorcycle", 96), ("0", 40), ("2", 40)], indirect=True)
-@pytest.mark.parametrize("at_once", [1 << 26, 100])
-def test_one_item_a_thread_is_what_the_loops_give(
-    processors: Any, at_once: int, as_if: None, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("cpu_result", [("motorcycle", 96), ("0", 40), ("2", 40)], indirect=True)
+@pytest.mark.parametrize("bricks_per_launch", [1 << 26, 100])
+def test_one_item_per_thread_agrees_with_the_loops(
+    cpu_result: Any, bricks_per_launch: int, gpu_kernels_on_cpu: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Depth, and views of a fused world; also where a grid has more bricks than are looked at at once."""
-    monkeypatch.setattr(depth, "_GPU_BRICKS", at_once)
-    scene, grid, law, own = processors
-    other = scene.field(scene.frame_count - 1, grid, law)
-    assert len(own.bricks) > 8
-    assert np.array_equal(own.bricks, other.bricks)
-    assert np.abs(own.forces_n - other.forces_n).max() <= MOST_N
+    """Depth images, and views of a fused scene; also grids with more bricks than one launch takes."""
+    monkeypatch.setattr(depth, "_GPU_BRICKS", bricks_per_launch)
+    scene, grid, law, expected = cpu_result
+    found = scene.field(scene.frame_count - 1, grid, law)
+    assert len(expected.bricks) > 8
+    assert np.array_equal(expected.bricks, found.bricks)
+    assert np.abs(expected.forces_n - found.forces_n).max() <= MAX_DIFFERENCE_N
 
 
 @pytest.fixture(scope="module")
 def simulated() -> dict[str, dict[str, float]]:
-    """What `simulated_gpu.py` prints."""
-    here = Path(__file__).resolve().parents[1]
+    """The printed result of `simulated_gpu.py`."""
+    tests_folder = Path(__file__).resolve().parents[1]
     run = subprocess.run(
-        [sys.executable, "-W", "ignore", str(here / "simulated_gpu.py")],
+        [sys.executable, "-W", "ignore", str(tests_folder / "simulated_gpu.py")],
         env={**os.environ, "NUMBA_ENABLE_CUDASIM": "1"},
         capture_output=True,
         text=True,
@@ -106,15 +105,15 @@ def simulated() -> dict[str, dict[str, float]]:
 
 @pytest.mark.parametrize("name", ["DepthScene 0", "FusedScene 2", "voxels", "objects"])
 def test_simulator(simulated: dict[str, dict[str, float]], name: str) -> None:
-    """The same bricks, and forces within 2e-6 N."""
-    told = simulated[name]
-    assert told["force_n"] > 0.1
-    assert told["difference_n"] <= MOST_N
-    assert told.get("same_bricks", True)
+    """Equal bricks, and forces within 2e-6 N."""
+    result = simulated[name]
+    assert result["force_n"] > 0.1
+    assert result["difference_n"] <= MAX_DIFFERENCE_N
+    assert result.get("same_bricks", True)
 
 
-def test_words() -> None:
-    """What is no place is refused, and so is a GPU that is not there."""
+def test_invalid_or_missing_devices_are_refused() -> None:
+    """An unknown device is refused, and so is a missing GPU."""
     with pytest.raises(InvalidArgument, match="one of cpu, cuda, auto"), gpu.computing("tpu"):
         pass
     with gpu.computing("auto"):
@@ -126,8 +125,8 @@ def test_words() -> None:
     assert not gpu.uses_gpu()
 
 
-def test_a_source_that_has_none_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where a GPU is asked for, as where another option of the command does nothing."""
+def test_source_without_gpu_kernels_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A requested GPU that a source does not use is an error, as any option without effect."""
     monkeypatch.setenv("TOUCHFIELD_COMPUTE", "cuda")
     assert any("--device-compute" in note for note in open_scene("sample:terrain", SourceOptions()).notes)
     assert not any(
@@ -135,8 +134,8 @@ def test_a_source_that_has_none_says_so(monkeypatch: pytest.MonkeyPatch) -> None
     )
 
 
-def test_the_place_ends_with_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of blocks within blocks, each ends with what was before it."""
+def test_device_is_restored_after_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nested blocks each restore the previous device."""
     monkeypatch.setenv("TOUCHFIELD_COMPUTE", "cpu")
     with gpu.computing("auto"):
         with gpu.computing("cpu"):
@@ -149,11 +148,11 @@ def test_the_place_ends_with_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "TOUCHFIELD_COMPUTE" not in os.environ
 
 
-@pytest.mark.parametrize(("is_there", "expected"), [(True, "cuda auto"), (False, "cuda")])
-def test_a_gpu_is_used_where_it_must_be_or_where_there_is_one(
-    monkeypatch: pytest.MonkeyPatch, is_there: bool, expected: str
+@pytest.mark.parametrize(("is_available", "expected"), [(True, "cuda auto"), (False, "cuda")])
+def test_gpu_is_used_if_required_or_available(
+    monkeypatch: pytest.MonkeyPatch, is_available: bool, expected: str
 ) -> None:
-    monkeypatch.setattr(gpu, "_is_available", lambda: is_there)
-    for where in gpu.COMPUTE:
-        monkeypatch.setenv("TOUCHFIELD_COMPUTE", where)
-        assert gpu.uses_gpu() == (where in expected.split())
+    monkeypatch.setattr(gpu, "_is_available", lambda: is_available)
+    for device in gpu.COMPUTE:
+        monkeypatch.setenv("TOUCHFIELD_COMPUTE", device)
+        assert gpu.uses_gpu() == (device in expected.split())

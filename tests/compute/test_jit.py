@@ -1,6 +1,4 @@
-"""Compiled kernels: two processes that compile at once keep their own code; Python calls those with a
-wrapper.
-"""
+"""Compiled kernels: concurrent compilation, and calls from Python only of functions with a wrapper."""
 
 from __future__ import annotations
 
@@ -22,13 +20,13 @@ from child_environment import environment_with
 from touchfield.compute.jit import inner, kernel
 from touchfield.compute.numba_internals import KernelFiles
 
-HOUSE = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[2]
 DECORATORS = {"njit", "kernel", "inner", "uncounted", "entry", "lean", "inlined"}
 
 
-def test_two_variants_of_a_function_that_are_saved_at_once_do_not_share_a_file(tmp_path: Path) -> None:
+def test_concurrently_saved_variants_have_separate_files(tmp_path: Path) -> None:
     first, second, later = (KernelFiles(str(tmp_path), "kernel-1.py311", "of one source") for _ in range(3))
-    second._load_index = dict  # as it was before the first wrote it
+    second._load_index = dict  # the index before the first process wrote it
     write = first._save_data
 
     def write_late(name: str, code: str) -> None:
@@ -38,7 +36,8 @@ def test_two_variants_of_a_function_that_are_saved_at_once_do_not_share_a_file(t
     first._save_data = write_late
     first.save("types of the first", "code of the first")
     assert later.load("types of the second") == "code of the second"
-    assert later.load("types of the first") is None  # the index is the second's: it is compiled again
+    # the index is that of the second process: the first variant is compiled again
+    assert later.load("types of the first") is None
     later.save("types of the first", "code of the first")
     assert later.load("types of the second") == "code of the second"
     assert later.load("types of the first") == "code of the first"
@@ -46,7 +45,7 @@ def test_two_variants_of_a_function_that_are_saved_at_once_do_not_share_a_file(t
 
 
 def test_a_kernel_multiplies_matrices() -> None:
-    """SciPy's BLAS is not loaded with numba, and found all the same when a kernel needs it."""
+    """SciPy's BLAS is not imported with numba, but is found when a kernel needs it."""
 
     @kernel
     def product(a, b):
@@ -56,7 +55,7 @@ def test_a_kernel_multiplies_matrices() -> None:
     np.testing.assert_allclose(product(a, b), a @ b)
 
 
-def test_kernels_work_with_a_numba_that_has_other_private_parts(tmp_path: Path) -> None:
+def test_kernels_work_without_private_parts_of_numba(tmp_path: Path) -> None:
     (tmp_path / "functions.py").write_text(
         "from touchfield.compute.jit import inner, kernel\nfrom touchfield.compute.coder_jit import lean\n"
         "@inner\ndef double(x):\n    return 2 * x\n"
@@ -73,45 +72,49 @@ def test_kernels_work_with_a_numba_that_has_other_private_parts(tmp_path: Path) 
     assert done.stdout.split() == ["None", "None", "7.5"], done.stderr
 
 
-def test_every_kernel_is_saved_so() -> None:
+def test_only_jit_imports_njit() -> None:
     package = Path(str(touchfield.__file__)).parent
-    files = [*package.rglob("*.py"), *(HOUSE / "reproduction").rglob("*.py")]
+    files = [*package.rglob("*.py"), *(ROOT / "reproduction").rglob("*.py")]
     users = [path for path in files if re.search(r"^from numba import .*\bnjit\b", path.read_text(), re.M)]
     assert users == [package / "compute" / "jit.py"]
 
 
 def names_for_python(tree: ast.AST) -> Iterator[ast.AST]:
-    """All nodes that are not in a compiled function."""
+    """All nodes outside of compiled functions."""
     for node in ast.iter_child_nodes(tree):
-        decorators = [getattr(one, "func", one) for one in getattr(node, "decorator_list", [])]
-        if not any(isinstance(one, ast.Name) and one.id in DECORATORS for one in decorators):
+        decorators = [
+            getattr(decorator, "func", decorator) for decorator in getattr(node, "decorator_list", [])
+        ]
+        if not any(
+            isinstance(decorator, ast.Name) and decorator.id in DECORATORS for decorator in decorators
+        ):
             yield node
             yield from names_for_python(node)
 
 
 def inner_functions_that_python_names(tree: ast.Module, module: str = "") -> list[str]:
-    """Those without a wrapper among what a file imports of kernels, or of its own, that Python code refers
-    to.
-    """
-    known = vars(import_module(module)).copy() if module else {}
+    """Functions without a wrapper, imported or defined in a file, that its Python code refers to."""
+    names = vars(import_module(module)).copy() if module else {}
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("touchfield."):
-            place = import_module(str(node.module))
-            known |= {one.asname or one.name: getattr(place, one.name, None) for one in node.names}
+            module_object = import_module(str(node.module))
+            names |= {
+                alias.asname or alias.name: getattr(module_object, alias.name, None) for alias in node.names
+            }
     out = []
     for node in names_for_python(tree):
         value = None
         if isinstance(node, ast.Name):
-            value = known.get(node.id)
+            value = names.get(node.id)
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            place = known.get(node.value.id)
-            value = getattr(place, node.attr, None) if isinstance(place, ModuleType) else None
+            module_object = names.get(node.value.id)
+            value = getattr(module_object, node.attr, None) if isinstance(module_object, ModuleType) else None
         if getattr(value, "targetoptions", {}).get("no_cpython_wrapper"):
             out.append(f"{value.__module__}.{value.__name__}")
     return out
 
 
-def test_a_constant_of_a_caller_is_one_in_an_inner_function() -> None:
+def test_constants_of_a_caller_propagate_into_inner_functions() -> None:
     """The compiler needs the strides of loops to turn them into vector code."""
 
     @inner
@@ -127,13 +130,13 @@ def test_a_constant_of_a_caller_is_one_in_an_inner_function() -> None:
 
 
 @pytest.mark.parametrize("folder", ["src", "tests", "bench", "reproduction"])
-def test_python_calls_no_function_that_has_no_wrapper(folder: str) -> None:
+def test_python_calls_no_function_without_a_wrapper(folder: str) -> None:
     count = 0
-    for path in (HOUSE / folder).rglob("*.py"):
+    for path in (ROOT / folder).rglob("*.py"):
         text = path.read_text()
         if "kernels" in text or "kernels" in path.parts:
             count += 1
-            parts = path.relative_to(HOUSE / folder).with_suffix("").parts
+            parts = path.relative_to(ROOT / folder).with_suffix("").parts
             module = (
                 ".".join(parts).removesuffix(".__init__")
                 if folder == "src" and "kernels" in str(path)
@@ -143,11 +146,20 @@ def test_python_calls_no_function_that_has_no_wrapper(folder: str) -> None:
     assert count, f"{folder} has files that name kernels"
 
 
-def test_a_call_of_a_function_that_has_no_wrapper_is_found() -> None:
-    used = "from touchfield.render.kernels.vectors import dot\n"
-    there = "from touchfield.render.kernels import vectors\n"
-    calls = [f"{used}dot(a, b)", f"{used}def f():\n    return dot", f"{there}vectors.dot(a, b)"]
+def test_calls_of_functions_without_a_wrapper_are_detected() -> None:
+    function_import = "from touchfield.render.kernels.vectors import dot\n"
+    module_import = "from touchfield.render.kernels import vectors\n"
+    calls = [
+        f"{function_import}dot(a, b)",
+        f"{function_import}def f():\n    return dot",
+        f"{module_import}vectors.dot(a, b)",
+    ]
     assert [inner_functions_that_python_names(ast.parse(text)) for text in calls] == [
         ["touchfield.render.kernels.vectors.dot"]
     ] * 3
-    assert inner_functions_that_python_names(ast.parse(f"{used}@njit\ndef f(a):\n    return dot(a, a)")) == []
+    assert (
+        inner_functions_that_python_names(
+            ast.parse(f"{function_import}@njit\ndef f(a):\n    return dot(a, a)")
+        )
+        == []
+    )

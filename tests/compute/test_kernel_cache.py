@@ -1,4 +1,4 @@
-"""Stored kernels: never of other sources, found again where nothing has changed, and removed with time."""
+"""Cached kernels: invalidated by changed sources, reused otherwise, and removed with time."""
 
 from __future__ import annotations
 
@@ -35,17 +35,24 @@ print(out[0], sum(nearest.stats.cache_hits.values()), {after})
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """A copy of the package without what is compiled."""
+    """A copy of the package without compiled files."""
     target = tmp_path / "src" / "touchfield"
     return Path(shutil.copytree(PACKAGE, target, ignore=shutil.ignore_patterns("__pycache__", "web")))
 
 
 def run(package: Path, before: str = "", after: str = "''", **environment: str) -> str:
-    """What a new process that calls a kernel of this package prints: winner, cache hits, and `after`."""
-    kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    surroundings = {**kept, "PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", **environment}
+    """Output of a new process that calls a kernel of this package: winner, cache hits, and `after`."""
+    inherited = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    process_environment = {
+        **inherited,
+        "PYTHONPATH": str(package.parent),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        **environment,
+    }
     code = [sys.executable, "-c", CALL.format(before=before, after=after)]
-    return subprocess.run(code, env=surroundings, check=True, capture_output=True, text=True).stdout.strip()
+    return subprocess.run(
+        code, env=process_environment, check=True, capture_output=True, text=True
+    ).stdout.strip()
 
 
 def replace(path: Path, old: str, new: str) -> None:
@@ -54,11 +61,10 @@ def replace(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new))
 
 
-def test_an_edit_of_an_inner_function_reaches_its_callers_in_other_files(package: Path) -> None:
+def test_edit_of_an_inner_function_recompiles_its_callers_in_other_files(package: Path) -> None:
     assert run(package) == "2 0"
-    replace(
-        package / INNER, "    return low\n", "    return keys.shape[0]\n"
-    )  # behind the last: nothing is compared
+    # after the last line: no line is compared
+    replace(package / INNER, "    return low\n", "    return keys.shape[0]\n")
     assert run(package) == "0 0"
     assert run(package) == "0 1"
     assert len(list((package / "compute" / "__pycache__").glob("kernels-*"))) == 2
@@ -75,7 +81,7 @@ def test_the_digest_covers_every_kernel_source(package: Path, path: str) -> None
 
 
 def constants_of(module: ModuleType) -> Iterator[str]:
-    """Modules from which a kernel file imports what its compiled functions may read as constants."""
+    """Modules from which a kernel file imports possible constants of its compiled functions."""
     functions = [value.py_func for value in vars(module).values() if isinstance(value, Dispatcher)]
     names = {
         name for function in functions if function.__module__ == module.__name__ for name in reads(function)
@@ -89,7 +95,7 @@ def constants_of(module: ModuleType) -> Iterator[str]:
 
 
 def reads(function: object) -> set[str]:
-    """Global names in the code of a function, of functions within it too."""
+    """Global names in the code of a function and of its nested functions."""
     codes, names = [function.__code__], set()  # type: ignore[attr-defined]
     while codes:
         code = codes.pop()
@@ -99,7 +105,7 @@ def reads(function: object) -> set[str]:
 
 
 def test_every_file_whose_constants_are_compiled_in_is_a_kernel_source() -> None:
-    """What a kernel calls is a kernel itself, and its file must be one of these too."""
+    """A function that a kernel calls is itself a kernel, so its file must be a kernel source."""
     sources = {path.resolve() for path in kernel_sources()}
     checked = set()
     for path in sources:
@@ -129,15 +135,13 @@ def module_name(path: Path) -> str:
     return ".".join(parts).removesuffix(".__init__")
 
 
-def test_a_process_older_than_its_sources_stores_nothing(package: Path) -> None:
+def test_process_older_than_its_sources_stores_no_kernels(package: Path) -> None:
     edit = f"open({str(package / INNER)!r}, 'a').write('#')"
     assert run(package, before=edit) == "2 0"
     assert not list(package.rglob("*.nbc"))
 
 
-def test_a_package_that_nobody_may_write_to_has_its_kernels_in_the_cache_of_the_user(
-    package: Path, tmp_path: Path
-) -> None:
+def test_read_only_package_uses_the_user_cache(package: Path, tmp_path: Path) -> None:
     (package / "compute" / "__pycache__").write_text("a file, not a folder")
     user = {"HOME": str(tmp_path / "home"), "XDG_CACHE_HOME": str(tmp_path / "home" / "cache")}
     assert run(package, **user) == "2 0"
@@ -148,22 +152,22 @@ def test_a_package_that_nobody_may_write_to_has_its_kernels_in_the_cache_of_the_
     assert run(package, **nowhere) == "2 0"
 
 
-def test_a_folder_that_is_named_has_them(package: Path, tmp_path: Path) -> None:
+def test_environment_variable_selects_the_folder(package: Path, tmp_path: Path) -> None:
     folder = str(tmp_path / "named")
     assert [run(package, NUMBA_CACHE_DIR=folder) for _ in range(2)] == ["2 0", "2 1"]
     assert list(Path(folder).rglob("*nearest*.nbc")) and not list(package.rglob("*.nbc"))
 
 
-@pytest.mark.parametrize("left", ["", "; folder.touch()"])
-def test_a_folder_that_another_process_removes_does_no_harm(package: Path, left: str) -> None:
-    """It is written again; where a file has its name, nothing can be read or written."""
+@pytest.mark.parametrize("obstacle", ["", "; folder.touch()"])
+def test_removed_cache_folder_is_created_again(package: Path, obstacle: str) -> None:
+    """It is created again; if a file has its name, kernels are neither read nor written."""
     run(package)
     remove = (
         "import shutil; from touchfield.compute.jit import kernel_folder; folder = kernel_folder(); "
         "shutil.rmtree(folder)"
     )
-    assert run(package, before=remove + left) == "2 0"
-    if not left:
+    assert run(package, before=remove + obstacle) == "2 0"
+    if not obstacle:
         assert run(package) == "2 1"
 
 
@@ -186,7 +190,7 @@ def test_folders_of_former_sources_are_removed(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "kernels-fourth", "kernels-second", "kernels-third", "other",
     ]  # fmt: skip
-    open_folder(tmp_path, "second")  # which is now the one last used
+    open_folder(tmp_path, "second")  # which is now the most recently used
     open_folder(tmp_path, "fifth")
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "kernels-fifth", "kernels-fourth", "kernels-second", "other",

@@ -1,4 +1,4 @@
-"""The second decoder as a module, and the files that both decoders are held against."""
+"""The reference decoder as a module, and the files that both decoders are compared on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 CONFORMANCE = Path(__file__).resolve().parents[2] / "conformance"
-sys.path.append(str(CONFORMANCE))  # where the second decoder looks for its parts
+sys.path.append(str(CONFORMANCE))  # the reference decoder imports its parts from here
 
 decoder: Any = importlib.import_module("decoder")
 decode_objects: Any = importlib.import_module("decode_objects")

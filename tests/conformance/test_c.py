@@ -1,6 +1,4 @@
-"""`c/touch.h` decodes every golden file to the same forces, and refuses every faulty one for the same
-reason.
-"""
+"""`c/touch.h` decodes each golden file to the same forces, and refuses faulty ones for the same reason."""
 
 from __future__ import annotations
 
@@ -24,38 +22,38 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler
 
 
 def is_paper(stream: Path) -> bool:
-    """Whether a file needs the paper's coder, which touch.h has not."""
+    """Whether a file needs the paper's coder, which touch.h does not support."""
     return b"\x05\x00paper" in stream.read_bytes()
 
 
 def built(folder: Path, name: str, *options: str, source: Path | None = None) -> Path:
-    """A program of the folder c, or of another source."""
+    """Compile a program of the folder c, or of another source."""
     out = folder / name
     command = [str(COMPILER), *STRICT, *options, "-o", str(out), str(source or C / f"{name}.c"), "-lm"]
-    made = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert made.returncode == 0, made.stderr
+    compiled = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert compiled.returncode == 0, compiled.stderr
     return out
 
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`touch_decode`, compiled with every warning an error."""
+    """`touch_decode`, compiled with warnings as errors."""
     return built(tmp_path_factory.mktemp("c"), "touch_decode", "-O2")
 
 
 def run(program: Path, stream: Path, out: Path) -> tuple[int, str]:
-    """Its code and its words."""
+    """Exit code and output."""
     return run_with(program, stream, out)
 
 
 def run_with(program: Path, *paths: Path) -> tuple[int, str]:
-    """The code and the words of a program with any files."""
+    """Exit code and output of a program with any files."""
     done = subprocess.run([program, *paths], capture_output=True, text=True, check=False)
     return done.returncode, done.stdout.strip()
 
 
 class Raw:
-    """What `touch_decode` writes, read from the first number to the last."""
+    """The output of `touch_decode`, read sequentially."""
 
     def __init__(self, data: bytes, shape: tuple[int, int, int]) -> None:
         self.data, self.shape, self.at = data, shape, 0
@@ -66,13 +64,13 @@ class Raw:
         return out
 
     def bricks(self) -> dict[tuple[int, ...], np.ndarray]:
-        """Bricks that are not all zero, by their places."""
+        """Bricks that are not all zero, by their indices."""
         out, grid = {}, [-(-n // 8) for n in self.shape]
         for _ in range(int(self.numbers("<u4", 1)[0])):
-            place = tuple(int(n) for n in np.unravel_index(int(self.numbers("<u4", 1)[0]), grid))
+            brick = tuple(int(n) for n in np.unravel_index(int(self.numbers("<u4", 1)[0]), grid))
             forces = self.numbers("<f4", 1536).reshape(8, 8, 8, 3)
             if forces.any():
-                out[place] = forces
+                out[brick] = forces
         return out
 
     def field(self) -> np.ndarray:
@@ -88,17 +86,17 @@ def test_golden_files_decode_alike(stream: Path, program: Path, tmp_path: Path) 
     assert run(program, stream, tmp_path / "raw") == (0, "0")
     head = decoder.read_file(stream.read_bytes()).head
     raw = Raw((tmp_path / "raw").read_bytes(), head["grid_shape"])
-    with np.load(stream.with_suffix(".npz")) as written:
-        expected = dict(written)
+    with np.load(stream.with_suffix(".npz")) as golden:
+        expected = dict(golden)
     vibration = stream.with_suffix(".vibration.npz")
     for i in range(head["frame_count"]):
         if "bricks" in expected:
-            own = expected["frames"] == i
-            places = [tuple(p) for p in expected["bricks"][own].tolist()]
+            in_frame = expected["frames"] == i
+            bricks_expected = [tuple(p) for p in expected["bricks"][in_frame].tolist()]
             bricks = raw.bricks()
-            assert bricks.keys() == set(places)
-            for place, forces in zip(places, expected["forces_n"][own]):
-                assert (bricks[place] == forces).all()
+            assert bricks.keys() == set(bricks_expected)
+            for brick, forces in zip(bricks_expected, expected["forces_n"][in_frame]):
+                assert (bricks[brick] == forces).all()
         elif head["coder"] == "objects":
             forces = raw.numbers("<f4", 3 * math.prod(raw.shape)).reshape(*raw.shape, 3)
             np.testing.assert_allclose(forces, expected["forces_n"][i], rtol=0, atol=OBJECTS_ATOL_N)
@@ -117,21 +115,21 @@ def test_golden_files_decode_alike(stream: Path, program: Path, tmp_path: Path) 
 @pytest.mark.parametrize("name", sorted(FAULTY))
 def test_faulty_files_are_refused_for_the_same_reason(name: str, program: Path, tmp_path: Path) -> None:
     stream = CONFORMANCE / "faulty" / f"{name}.touch"
-    code, words = run(program, stream, tmp_path / "raw")
+    code, message = run(program, stream, tmp_path / "raw")
     assert CODES[code] == (
         "UnsupportedVersion" if is_paper(stream) and not is_container(name) else FAULTY[name]
     )
-    assert words.partition(" ")[2]
+    assert message.partition(" ")[2]
 
 
 def is_container(name: str) -> bool:
-    """Whether a faulty file is at fault before a coder is asked for."""
+    """Whether a faulty file fails before a coder is selected."""
     return not name.startswith(
         ("paper", "objects-rigid-", "vibration-cut", "vibration-flipped", "vibration-long")
     )
 
 
-def test_mutated_files_touch_no_memory_that_is_not_theirs(tmp_path: Path) -> None:
+def test_mutated_files_cause_no_invalid_memory_access(tmp_path: Path) -> None:
     options = ("-Og", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
     fuzzing = "-DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION"
     probe = tmp_path / "probe.c"
@@ -148,10 +146,8 @@ def test_mutated_files_touch_no_memory_that_is_not_theirs(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("is_watched", [False, pytest.param(True, marks=pytest.mark.thorough)])
-def test_an_arena_that_is_too_small_is_told_as_such_wherever_it_ends(
-    is_watched: bool, tmp_path: Path
-) -> None:
-    """Each piece of memory in turn is the last that is given: the decoder says so, and touches no other."""
+def test_too_small_arena_is_reported_at_every_allocation(is_watched: bool, tmp_path: Path) -> None:
+    """Each allocation in turn is the first to fail: the decoder reports it, and touches no other memory."""
     options = ["-Og", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"] if is_watched else ["-O2"]
     probe = tmp_path / "probe.c"
     probe.write_text("int main(void) { return 0; }\n")
@@ -172,4 +168,5 @@ def test_an_arena_that_is_too_small_is_told_as_such_wherever_it_ends(
     assert done.returncode == 0, done.stderr
     for line in done.stdout.splitlines():
         tries, failed = map(int, line.split())
-        assert 0.8 * tries <= failed <= tries and tries > 10  # a piece may be given where another was before
+        # an allocation may reuse the memory of an earlier one
+        assert 0.8 * tries <= failed <= tries and tries > 10

@@ -1,6 +1,6 @@
-"""`c/touch.h` tells every field of HEAD, and the frames of each segment in whatever order it is sought.
+"""`c/touch.h` reports every field of HEAD, and the frames of each segment in any order of access.
 
-The values are unlike any default and unlike each other; segments are of other lengths, the last of one frame.
+The values differ from every default and from each other; segment lengths differ, the last has one frame.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ COUNTS = (3, 2, 1)
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`head`, with every warning an error."""
+    """`head`, compiled with warnings as errors."""
     folder = tmp_path_factory.mktemp("c")
     source = Path(__file__).parent / "head.c"
     return built(folder, "head", "-O1", f"-I{CONFORMANCE.parent / 'c'}", source=source)
 
 
 def voxels(path: Path) -> None:
-    """Frames unlike each other on a lattice unlike on each axis."""
+    """Distinct frames on a lattice with distinct axes."""
     grid, rng = Grid((16, 8, 24), (0.01, 0.02, 0.005), (0.1, -0.2, 0.3)), np.random.default_rng(1)
     encoder = TouchEncoder(grid, TouchSpec(effort="fast", k=0.2, f0_n=0.07))
     dense = rng.normal(0, 1, (6, 16, 8, 24, 3)).astype(np.float32)
-    fields = [ForceField.from_dense(grid, one) for one in dense]
+    fields = [ForceField.from_dense(grid, array) for array in dense]
     head = replace(
         HEAD, grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, frame_count=6,
         rate_hz=37.5, axes="x länger, y up, z", device_name="mine", device_type=2,
@@ -58,7 +58,7 @@ def voxels(path: Path) -> None:
 
 
 def bodies(path: Path) -> None:
-    """A body that tumbles, one that stands and one that deforms, with damping."""
+    """One body that tumbles, one at rest and one that deforms, with damping."""
     scene = moving_scene(6, surface_damping=0.5)
     encoder = ObjectsEncoder(scene, TouchSpec(effort="fast", segment_frames=3), 0.05)
     with TouchWriter(path) as writer:
@@ -67,7 +67,7 @@ def bodies(path: Path) -> None:
 
 
 def expected_of(head: Head) -> dict[str, list[float] | str]:
-    """The lines of `head` that follow from HEAD."""
+    """The output lines of `head` that follow from HEAD."""
     numbers = ("rate_hz", "force_max_n", "mapping_scale", "weber_fraction", "force_threshold_n", "friction",
                "damping_n_s_per_m")  # fmt: skip
     return {
@@ -80,22 +80,22 @@ def expected_of(head: Head) -> dict[str, list[float] | str]:
 
 
 @pytest.mark.parametrize("make", [voxels, bodies])
-def test_every_field_and_every_segment_is_told(make: object, program: Path, tmp_path: Path) -> None:
+def test_every_field_and_every_segment_is_reported(make: object, program: Path, tmp_path: Path) -> None:
     path = tmp_path / "own.touch"
     make(path)  # type: ignore[operator]
-    code, words = run_with(program, path)
+    code, printed = run_with(program, path)
     assert code == 0
-    lines = [line.split(" ") for line in words.splitlines()]
-    told = {line[0]: line[1:] for line in lines if line[0] != "frame"}
+    lines = [line.split(" ") for line in printed.splitlines()]
+    values = {line[0]: line[1:] for line in lines if line[0] != "frame"}
     with TouchReader(path) as reader:
         head, segments, objects = reader.head, reader.segments, reader.object_count
     for name, value in expected_of(head).items():
-        found = told[name]
+        found = values[name]
         assert (found == [value]) if isinstance(value, str) else ([float(n) for n in found] == value), name
-    assert [int(n) for n in told["counts"]] == [6, len(segments), objects, head.device_type]
-    own = [n for n, entry in enumerate(segments) for _ in range(entry.frame_count)]
-    assert [int(n) for n in told["segment_of"]] == own and len(segments) > 1
-    assert told["size"] == ["1"] and told["room"] == ["1", "1"] and told["codes"] == ["6", "0", "none"]
+    assert [int(n) for n in values["counts"]] == [6, len(segments), objects, head.device_type]
+    segment_indices = [n for n, entry in enumerate(segments) for _ in range(entry.frame_count)]
+    assert [int(n) for n in values["segment_of"]] == segment_indices and len(segments) > 1
+    assert values["size"] == ["1"] and values["room"] == ["1", "1"] and values["codes"] == ["6", "0", "none"]
     with open_stream(path) as stream:
         fields = [field.to_dense() for field in stream.medium]
         damping = 0.0 if stream.scene is None else stream.scene.surface_damping_n_s_per_m

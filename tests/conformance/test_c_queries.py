@@ -1,8 +1,8 @@
-"""Force, gradient and vibration at a point: `c/touch.h`, the package and the format's own words say the same.
+"""Force, gradient and vibration at a point agree between `c/touch.h`, the package and the format.
 
-The third answer is written here from docs/format, in float64: trilinear samples of what the second decoder
-finds. Points lie where mistakes hide: on samples, faces and edges of cells, at the borders of bricks and of
-the lattice, beside samples without a force, where a sum of forces is cut, and where no number is.
+The third result is computed here from docs/format, in float64: trilinear samples of the reference decoder's
+fields. Points are at edge cases: on samples, faces and edges of cells, at the borders of bricks and of the
+lattice, next to samples without a force, where a sum of forces is clipped, and at NaN.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from touchfield.render.sampler import FieldSampler
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
 
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 V1 = CONFORMANCE / "v1"
 CORNERS = list(itertools.product((0, 1), repeat=3))
-ON_PLANE = 1e-9  # samples: a point so near to a plane of a lattice lies on it
+ON_PLANE = 1e-9  # samples: a point within this distance of a lattice plane is on it
 POINTS = 1500
 
 
 class Answers(NamedTuple):
-    """Newtons [..., 3], newtons a metre [..., 3, 3], amplitude and hertz [..., 2], for frames and points."""
+    """Force in N [..., 3], gradient in N/m [..., 3, 3], amplitude and Hz [..., 2], by frame and point."""
 
     force: np.ndarray
     gradient: np.ndarray
@@ -44,17 +44,15 @@ class Answers(NamedTuple):
 
 
 class Lattice:
-    """Samples of a field [nx, ny, nz, c], and zeros around them."""
+    """Samples of a field [nx, ny, nz, c], padded with zeros."""
 
-    def __init__(self, samples: np.ndarray, told: dict[str, Any]) -> None:
+    def __init__(self, samples: np.ndarray, record: dict[str, Any]) -> None:
         self.samples = np.pad(samples.astype(np.float64), [(1, 2)] * 3 + [(0, 0)])
-        self.origin_m, self.spacing_m = np.array(told["origin_m"]), np.array(told["spacing_m"])
-        self.shape = np.array(told["grid_shape"])
+        self.origin_m, self.spacing_m = np.array(record["origin_m"]), np.array(record["spacing_m"])
+        self.shape = np.array(record["grid_shape"])
 
     def cells(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Corners [8, n, c] of the cell about each point, zeros where there is none, and its place in it [n,
-        3].
-        """
+        """Corners [8, n, c] of the cell around each point, zero outside, and the position in it [n, 3]."""
         index = (points_m - self.origin_m) / self.spacing_m
         low = np.floor(index + ON_PLANE).astype(int)
         inside = ((low >= -1) & (low < self.shape)).all(axis=1)
@@ -65,7 +63,7 @@ class Lattice:
         return corners * inside[:, None], np.where(part > ON_PLANE, part, 0.0)
 
     def at(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values [n, c] and their slopes [n, c, 3]."""
+        """Values [n, c] and their gradients [n, c, 3]."""
         corners, part = self.cells(points_m)
         value, slopes = 0.0, np.zeros((*corners.shape[1:], 3))
         for corner, samples in zip(CORNERS, corners, strict=True):
@@ -92,7 +90,7 @@ class Lattice:
 
 
 def by_the_format(path: Path, points: np.ndarray) -> Answers:
-    """The answers of the second decoder's fields."""
+    """The result from the reference decoder's fields."""
     file = decoder.read_file(path.read_bytes())
     head, found = file.head, decoder.decode(path)
     if head["coder"] == "objects":
@@ -109,28 +107,32 @@ def by_the_format(path: Path, points: np.ndarray) -> Answers:
 
 
 def objects_at(scene: Any, frame: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Forces and slopes of a composed scene: the sum over its bodies, cut in length."""
-    total, slopes, most = np.zeros((len(points), 3)), np.zeros((len(points), 3, 3)), scene.head["force_max_n"]
+    """Forces and gradients of a composed scene: the sum over its bodies, clipped in length."""
+    total, slopes, max_n = (
+        np.zeros((len(points), 3)),
+        np.zeros((len(points), 3, 3)),
+        scene.head["force_max_n"],
+    )
     for body in scene.bodies:
         rotation = decode_objects.rotation_of(body.quaternions[frame])
         arm = points - body.positions_m[frame]
         samples = body.forces_n[frame if body.told["is_deforming"] else 0]
-        own, own_slopes = Lattice(samples, body.told).at(arm @ rotation)
-        total += own @ rotation.T
-        slopes += rotation @ own_slopes @ rotation.T
+        local_forces, local_slopes = Lattice(samples, body.told).at(arm @ rotation)
+        total += local_forces @ rotation.T
+        slopes += rotation @ local_slopes @ rotation.T
         if scene.surface_damping > 0:
             velocity, (x, y, z) = decode_objects.motion(body, frame, scene.head["rate_hz"])
-            touched = (np.linalg.norm(own, axis=1) > 1e-9 * most)[:, None]
+            touched = (np.linalg.norm(local_forces, axis=1) > 1e-9 * max_n)[:, None]
             cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
             total += touched * scene.surface_damping * (velocity + arm @ cross.T)
             slopes += touched[..., None] * scene.surface_damping * cross
     size = np.linalg.norm(total, axis=1)[:, None]
-    is_cut = size > most
+    is_cut = size > max_n
     size = np.where(is_cut, size, 1.0)
-    way = total / size
-    across = slopes - way[:, :, None] * np.einsum("ni,nij->nj", way, slopes)[:, None, :]
-    return np.where(is_cut, most * way, total), np.where(
-        is_cut[..., None], (most / size)[..., None] * across, slopes
+    direction = total / size
+    across = slopes - direction[:, :, None] * np.einsum("ni,nij->nj", direction, slopes)[:, None, :]
+    return np.where(is_cut, max_n * direction, total), np.where(
+        is_cut[..., None], (max_n / size)[..., None] * across, slopes
     )
 
 
@@ -139,13 +141,13 @@ def objects_at(scene: Any, frame: int, points: np.ndarray) -> tuple[np.ndarray, 
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`query`, with every warning an error."""
+    """`query`, compiled with warnings as errors."""
     folder = CONFORMANCE.parent / "c"
-    return built(tmp_path_factory.mktemp("c"), "query", "-O1", f"-I{folder}", source=HERE / "query.c")
+    return built(tmp_path_factory.mktemp("c"), "query", "-O1", f"-I{folder}", source=FOLDER / "query.c")
 
 
 def by_c(program: Path, path: Path, points: np.ndarray, folder: Path) -> Answers:
-    """The answers of `touch.h`."""
+    """The result of `touch.h`."""
     points.tofile(folder / "points")
     assert run_with(program, path, folder / "points", folder / "answers") == (0, "")
     rows = np.fromfile(folder / "answers").reshape(-1, len(points), 14)
@@ -153,7 +155,7 @@ def by_c(program: Path, path: Path, points: np.ndarray, folder: Path) -> Answers
 
 
 def by_the_package(path: Path, points: np.ndarray) -> Answers:
-    """The answers of `FieldSampler`; what is no number is not for it."""
+    """The result of `FieldSampler`, which does not accept NaN."""
     with tf.open_stream(path) as stream:
         medium = stream.medium if stream.scene is None else stream.scene
         sampler = FieldSampler(medium)
@@ -168,9 +170,7 @@ def by_the_package(path: Path, points: np.ndarray) -> Answers:
 
 
 def lattices_of(path: Path) -> list[tuple[dict[str, Any], np.ndarray, np.ndarray]]:
-    """Lattices of a file, each with a rotation and a place in the scene: HEAD's, and those of bodies at the
-    start.
-    """
+    """Lattices of a file, each with its rotation and position: HEAD's, and those of bodies at frame 0."""
     file = decoder.read_file(path.read_bytes())
     out = [(file.head, np.eye(3), np.zeros(3))]
     if file.objects:
@@ -180,33 +180,32 @@ def lattices_of(path: Path) -> list[tuple[dict[str, Any], np.ndarray, np.ndarray
     return out
 
 
-def hidden_places(shape: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
-    """Places [count, 3] in samples of a lattice, from one sample before the first to one behind the last."""
-    whole = rng.integers(-1, shape + 1, (count, 3)).astype(float)
+def edge_case_indices(shape: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
+    """Indices [count, 3] in samples of a lattice, from one before the first to one past the last."""
+    sample_indices = rng.integers(-1, shape + 1, (count, 3)).astype(float)
     bricks = 8.0 * rng.integers(0, shape // 8 + 1, (count, 3)) - rng.integers(0, 2, (count, 3))
     parts = rng.choice([0.0, 0.0, 0.5, 0.25, 1e-4, 1 - 1e-4], (count, 3))
     parts = np.where(rng.random((count, 3)) < 0.4, rng.random((count, 3)), parts)
-    return np.where(rng.random((count, 3)) < 0.3, bricks, whole) + parts
+    return np.where(rng.random((count, 3)) < 0.3, bricks, sample_indices) + parts
 
 
 def points_of(path: Path) -> np.ndarray:
     """Points, float64 [n, 3], metres."""
     rng = np.random.default_rng(5)
-    every = []
-    for told, rotation, position in lattices_of(path):
-        shape, spacing = np.array(told["grid_shape"]), np.array(told["spacing_m"])
-        places = hidden_places(shape, rng, POINTS)
-        places[: POINTS // 3] = rng.uniform(-1.5, shape + 0.5, (POINTS // 3, 3))
-        every.append((np.array(told["origin_m"]) + places * spacing) @ rotation.T + position)
-    return np.concatenate(every)
+    point_sets = []
+    for record, rotation, position in lattices_of(path):
+        shape, spacing = np.array(record["grid_shape"]), np.array(record["spacing_m"])
+        indices = edge_case_indices(shape, rng, POINTS)
+        indices[: POINTS // 3] = rng.uniform(-1.5, shape + 0.5, (POINTS // 3, 3))
+        point_sets.append((np.array(record["origin_m"]) + indices * spacing) @ rotation.T + position)
+    return np.concatenate(point_sets)
 
 
 def is_plain(path: Path, points: np.ndarray) -> np.ndarray:
-    """Where a slope is one number: away from the planes of lattices that lie turned, and from where forces
-    begin.
+    """Where the gradient is unique: away from planes of rotated lattices, and from the edge of the support.
 
-    On such a plane the rounding of a rotation decides which cell a point is in. Lattices that lie straight
-    have no such rounding, and a rule: the cell towards greater indices.
+    On such a plane the rounding of a rotation decides which cell a point is in. Lattices without rotation
+    have no such rounding, and a rule: the cell towards larger indices.
     """
     file = decoder.read_file(path.read_bytes())
     if not file.objects:
@@ -215,15 +214,15 @@ def is_plain(path: Path, points: np.ndarray) -> np.ndarray:
     out = np.ones((file.head["frame_count"], len(points)), bool)
     for frame, body in itertools.product(range(len(out)), scene.bodies):
         rotation = decode_objects.rotation_of(body.quaternions[frame])
-        places = (points - body.positions_m[frame]) @ rotation - body.told["origin_m"]
-        places = places / np.array(body.told["spacing_m"])
-        out[frame] &= (np.abs(places - np.round(places)) > 1e-4).all(axis=1)
+        indices = (points - body.positions_m[frame]) @ rotation - body.told["origin_m"]
+        indices = indices / np.array(body.told["spacing_m"])
+        out[frame] &= (np.abs(indices - np.round(indices)) > 1e-4).all(axis=1)
     return out
 
 
 @cache
 def clipped_scene(folder: Path) -> Path:
-    """Bodies that meet, tumble, deform and are damped, at a device that is much weaker than they are."""
+    """Bodies that meet, tumble, deform and are damped, on a device much weaker than their forces."""
     path = folder / "clipped.touch"
     make_golden.write_scene(
         path, replace(moving_scene(5, surface_damping=0.5), force_max_n=0.3), TouchSpec(segment_frames=3)
@@ -247,7 +246,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_three_say_the_same_at_points(name: str, program: Path, folder: Path, tmp_path: Path) -> None:
+def test_three_implementations_agree_at_points(
+    name: str, program: Path, folder: Path, tmp_path: Path
+) -> None:
     path = clipped_scene(folder) if name == "clipped" else V1 / f"{name}.touch"
     points = points_of(path)
     expected = by_the_format(path, points)
@@ -259,7 +260,7 @@ def test_three_say_the_same_at_points(name: str, program: Path, folder: Path, tm
         np.testing.assert_allclose(slopes, expected_slopes, rtol=0, atol=2e-5 * steepest)
         np.testing.assert_allclose(found.vibration[..., 0], expected.vibration[..., 0], rtol=1e-5, atol=1e-9)
         np.testing.assert_array_equal(found.vibration[..., 1], expected.vibration[..., 1])
-    # the points are worth their while
+    # the points cover samples with and without a force
     size = np.linalg.norm(expected.force, axis=-1)
     assert (size > 0).mean() > 0.02 and (size == 0).mean() > 0.05
     if name == "clipped":
@@ -273,7 +274,9 @@ def test_three_say_the_same_at_points(name: str, program: Path, folder: Path, tm
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300, -1e300])
 @pytest.mark.parametrize("name", ["vibration-touch", "objects-touch"])
-def test_no_place_has_no_answer_in_c(name: str, bad: float, program: Path, tmp_path: Path) -> None:
+def test_points_that_are_not_finite_give_zeros_in_c(
+    name: str, bad: float, program: Path, tmp_path: Path
+) -> None:
     path = V1 / f"{name}.touch"
     inside = np.array(lattices_of(path)[0][0]["origin_m"])
     points = np.tile(inside, (3, 1))

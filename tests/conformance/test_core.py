@@ -1,4 +1,4 @@
-"""`touchfield_core`, built here: the frames of every golden file to the bit, and no kernel for them."""
+"""`touchfield_core`, built here: bit-exact frames of every golden file, without compiling kernels."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def core(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The module, imported, and used in the test alone."""
+    """The imported module, used in one test only."""
     monkeypatch.syspath_prepend(str(folder))
     module = import_module("touchfield_core")
     monkeypatch.setattr(native_decoder, "_core", lambda: module)
@@ -62,60 +62,62 @@ def voxels() -> Path:
 
 
 @pytest.mark.parametrize("stream", GOLDEN, ids=lambda p: p.stem)
-def test_frames_of_golden_files_to_the_bit(stream: Path, core: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    with open_stream(stream) as own:
-        is_voxels = own.reader.head.coder == "touch"
-        assert own.is_native == is_voxels
-        medium = own.medium
+def test_frames_of_golden_files_are_bit_exact(
+    stream: Path, core: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_stream(stream) as native:
+        is_voxels = native.reader.head.coder == "touch"
+        assert native.is_native == is_voxels
+        medium = native.medium
         frames = [medium[i] for i in range(len(medium))] if is_voxels else []
     monkeypatch.setattr(native_decoder, "_core", lambda: None)
     with open_stream(stream) as plain:
         assert not plain.is_native
         for n, frame in enumerate(frames):
-            told = plain.medium[n]
-            np.testing.assert_array_equal(frame.bricks, told.bricks)
-            assert frame.forces_n.tobytes() == told.forces_n.tobytes()
+            expected = plain.medium[n]
+            np.testing.assert_array_equal(frame.bricks, expected.bricks)
+            assert frame.forces_n.tobytes() == expected.forces_n.tobytes()
 
 
-def test_a_damaged_segment_is_told_as_without_it(core: Any, tmp_path: Path) -> None:
+def test_damaged_segment_gives_the_error_of_the_python_decoder(core: Any, tmp_path: Path) -> None:
     data = bytearray(voxels().read_bytes())
-    place = data.index(b"SEGM") + 30
-    data[place] ^= 1
+    index = data.index(b"SEGM") + 30
+    data[index] ^= 1
     bad = tmp_path / "bad.touch"
     bad.write_bytes(data)
     with open_stream(bad) as stream, pytest.raises(FormatError, match="CRC-32"):
         stream.medium[0]
 
 
-def test_what_it_refuses_within_a_segment_python_decodes_from_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_decodes_from_the_frame_that_the_core_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     with open_stream(voxels()) as plain:
         count = plain.reader.segments[0].frame_count
         expected = [plain.medium[i] for i in range(count)]
     frame = expected[0]
     numbers = np.ravel_multi_index(frame.bricks.T, frame.grid.brick_shape).astype(np.uint32)
-    # in any order, one brick of them without a force; told from those of Python by their size
+    # in any order, with an empty brick; twice as large, to distinguish it from Python's frames
     empty, expected[0] = (
         np.setdiff1d(np.arange(math.prod(frame.grid.brick_shape)), numbers)[:1],
         frame.scaled(2),
     )
     forces = np.concatenate([np.zeros_like(frame.forces_n[:1]), 2 * frame.forces_n[::-1]])
-    told = np.append(empty, numbers[::-1]).astype(np.uint32), forces
+    native_frame = np.append(empty, numbers[::-1]).astype(np.uint32), forces
 
     class Core:
-        open = frames = staticmethod(lambda *given: iter([tuple(part.tobytes() for part in told)]))
+        open = frames = staticmethod(lambda *given: iter([tuple(part.tobytes() for part in native_frame)]))
 
         @staticmethod
         def next(frames: Iterator[Any]) -> Any:
-            for one in frames:
-                return one
+            for frame_bytes in frames:
+                return frame_bytes
             raise ValueError("bytes that contradict themselves")
 
     monkeypatch.setattr(native_decoder, "_core", lambda: Core)
-    with open_stream(voxels()) as own:
-        assert own.is_native and [own.medium[i] for i in range(count)] == expected
+    with open_stream(voxels()) as native:
+        assert native.is_native and [native.medium[i] for i in range(count)] == expected
 
 
-def test_what_is_no_file_is_refused_in_words(core: Any) -> None:
+def test_invalid_files_are_refused_with_a_message(core: Any) -> None:
     assert core.open(b"something else") is None
     with pytest.raises(ValueError, match="PyCapsule"):
         core.frames(None, 0)

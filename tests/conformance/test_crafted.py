@@ -1,6 +1,4 @@
-"""Crafted bodies and parameters of the coder `touch`, at the ends of their bounds: three decoders say the
-same.
-"""
+"""Crafted bodies and parameters of coder `touch` at the limits of the format: three decoders agree."""
 
 from __future__ import annotations
 
@@ -31,15 +29,15 @@ GRID = Grid((12, 9, 8), (0.01,) * 3, (0.0,) * 3)
 ENCODER = TouchEncoder(GRID, TouchSpec(effort="fast"))
 SMALL = ForceField.from_support(GRID, [[1, 2, 3], [1, 2, 4]], [[0, 0, 1], [0, 0.5, 2]])
 BODY = ENCODER.encode_segment([SMALL]).body
-BEGIN = BodyReader(BODY, GRID, exact=False)
-(FRAME,) = BEGIN.records(1)
+VALID_BODY = BodyReader(BODY, GRID, exact=False)
+(FRAME,) = VALID_BODY.records(1)
 EXACT = TouchEncoder(GRID, TouchSpec(mode="lossless"))
 (EXACT_FRAME,) = BodyReader(EXACT.encode_segment([SMALL]).body, GRID, exact=True).records(1)
 
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`touch_decode`, compiled in no time."""
+    """`touch_decode`, compiled without optimisation."""
     return built(tmp_path_factory.mktemp("c"), "touch_decode", "-O0")
 
 
@@ -54,26 +52,26 @@ def file_of(body: bytes, parameters: bytes = ENCODER.parameters) -> bytes:
 
 
 def body(
-    flags: int = 1, lattice: bytes | None = None, worst: tuple[int, ...] = (0, 0, 0, 0), how: int = 0,
-    shares: tuple[int, int] = (0, 0), guess: bytes | None = None, payload: bytes = FRAME.payload,
-    apart: bytes | None = None, behind: bytes = b"",
+    flags: int = 1, lattice: bytes | None = None, max_error: tuple[int, ...] = (0, 0, 0, 0), kind: int = 0,
+    fractions: tuple[int, int] = (0, 0), base_layer: bytes | None = None, payload: bytes = FRAME.payload,
+    outliers: bytes | None = None, trailing: bytes = b"",
 ) -> bytes:  # fmt: skip
     """A body of one frame."""
-    assert BEGIN.lattice is not None
-    how |= 2 * (guess is not None) | 4 * (apart is not None)
-    parts = [bytes([flags]), BEGIN.lattice.to_bytes() if lattice is None else lattice]
-    parts += [b"\1\0", *map(write_varint, worst)] if flags & 1 else []
-    chunks = [chunk(data) for data in (guess, payload, apart) if data is not None]
-    return b"".join([*parts, bytes([how, *shares]), *chunks, behind])
+    assert VALID_BODY.lattice is not None
+    kind |= 2 * (base_layer is not None) | 4 * (outliers is not None)
+    parts = [bytes([flags]), VALID_BODY.lattice.to_bytes() if lattice is None else lattice]
+    parts += [b"\1\0", *map(write_varint, max_error)] if flags & 1 else []
+    chunks = [chunk(data) for data in (base_layer, payload, outliers) if data is not None]
+    return b"".join([*parts, bytes([kind, *fractions]), *chunks, trailing])
 
 
 def lattice(*numbers: int) -> bytes:
     """A lattice of floor and rate, along and across."""
-    return struct.pack("<f", BEGIN.lattice.unit_n) + b"".join(map(write_varint, numbers))  # type: ignore[union-attr]
+    return struct.pack("<f", VALID_BODY.lattice.unit_n) + b"".join(map(write_varint, numbers))  # type: ignore[union-attr]
 
 
 def force(gap: int, sample: int, *newtons: float) -> bytes:
-    """A force that is sent apart, or none."""
+    """A force sent as an outlier, or none."""
     return (
         write_varint(gap)
         + write_varint(2 * sample + (not newtons))
@@ -82,7 +80,7 @@ def force(gap: int, sample: int, *newtons: float) -> bytes:
 
 
 def voxel(x: int, y: int, z: int) -> dict[str, Any]:
-    return {"worst": (0, x, y, z)}
+    return {"max_error": (0, x, y, z)}
 
 
 SHAPE, BRICKS = GRID.shape, 4
@@ -94,15 +92,15 @@ BODIES: dict[str, tuple[dict[str, Any], str]] = {
     "x beyond": (voxel(SHAPE[0], 0, 0), "CorruptFile"),
     "y beyond": (voxel(0, SHAPE[1], 0), "CorruptFile"),
     "z beyond": (voxel(0, 0, SHAPE[2]), "CorruptFile"),
-    "a worst frame behind the last": ({"worst": (1, 0, 0, 0)}, "CorruptFile"),
-    "the frame before is missing": ({"how": 1}, "CorruptFile"),
-    "an unknown bit of a frame": ({"how": 8}, "CorruptFile"),
-    "shares of all": ({"shares": (200, 55)}, ""),
-    "shares of more": ({"shares": (200, 56)}, "CorruptFile"),
-    "an empty guess": ({"guess": b""}, "CorruptFile"),
-    "a guess of another kind": ({"guess": b"\2" + bytes(20)}, "CorruptFile"),
-    "no exceptions": ({"apart": b""}, "CorruptFile"),
-    "a byte more": ({"behind": b"\0"}, "CorruptFile"),
+    "a worst frame behind the last": ({"max_error": (1, 0, 0, 0)}, "CorruptFile"),
+    "the frame before is missing": ({"kind": 1}, "CorruptFile"),
+    "an unknown bit of a frame": ({"kind": 8}, "CorruptFile"),
+    "shares of all": ({"fractions": (200, 55)}, ""),
+    "shares of more": ({"fractions": (200, 56)}, "CorruptFile"),
+    "an empty guess": ({"base_layer": b""}, "CorruptFile"),
+    "a guess of another kind": ({"base_layer": b"\2" + bytes(20)}, "CorruptFile"),
+    "no exceptions": ({"outliers": b""}, "CorruptFile"),
+    "a byte more": ({"trailing": b"\0"}, "CorruptFile"),
     "no axis": ({"payload": b"\3" + FRAME.payload[1:]}, "CorruptFile"),
     "another bit of the course": (
         {"payload": bytes([32 | FRAME.payload[0]]) + FRAME.payload[1:]},
@@ -115,17 +113,17 @@ BODIES: dict[str, tuple[dict[str, Any], str]] = {
     "a floor too high": ({"lattice": lattice(FLOOR_LIMIT, 0, 1, 0)}, "CorruptFile"),
     "a rate too high": ({"lattice": lattice(21, RATE_LIMIT, 1, 0)}, "CorruptFile"),
     "steps too fine": ({"lattice": lattice(20, 63, 20, 63)}, "CorruptFile"),
-    "exceptions": ({"apart": force(0, 0, 1, 2, 3) + force(0, 1) + force(1, 0, 1, 2, 3)}, ""),
-    "the same sample twice": ({"apart": force(0, 1, 1, 2, 3) + force(0, 1)}, "CorruptFile"),
-    "samples that descend": ({"apart": force(1, 1, 1, 2, 3) + force(0, 0)}, "CorruptFile"),
-    "the last brick": ({"apart": force(BRICKS - 1, 0, 1, 2, 3)}, ""),
-    "a brick behind the last": ({"apart": force(BRICKS, 0, 1, 2, 3)}, "CorruptFile"),
-    "a sample beyond the grid": ({"apart": force(2, 256)}, "CorruptFile"),
-    "the last sample of the grid": ({"apart": force(2, 192, 1, 2, 3)}, ""),
-    "a sample that there is not": ({"apart": force(0, 512)}, "CorruptFile"),
-    "no number": ({"apart": force(0, 0, 1, float("nan"), 3)}, "CorruptFile"),
-    "no end": ({"apart": force(0, 0, 1, 2, float("inf"))}, "CorruptFile"),
-    "half a force": ({"apart": force(0, 0, 1, 2)}, "TruncatedFile"),
+    "exceptions": ({"outliers": force(0, 0, 1, 2, 3) + force(0, 1) + force(1, 0, 1, 2, 3)}, ""),
+    "the same sample twice": ({"outliers": force(0, 1, 1, 2, 3) + force(0, 1)}, "CorruptFile"),
+    "samples that descend": ({"outliers": force(1, 1, 1, 2, 3) + force(0, 0)}, "CorruptFile"),
+    "the last brick": ({"outliers": force(BRICKS - 1, 0, 1, 2, 3)}, ""),
+    "a brick behind the last": ({"outliers": force(BRICKS, 0, 1, 2, 3)}, "CorruptFile"),
+    "a sample beyond the grid": ({"outliers": force(2, 256)}, "CorruptFile"),
+    "the last sample of the grid": ({"outliers": force(2, 192, 1, 2, 3)}, ""),
+    "a sample that there is not": ({"outliers": force(0, 512)}, "CorruptFile"),
+    "no number": ({"outliers": force(0, 0, 1, float("nan"), 3)}, "CorruptFile"),
+    "no end": ({"outliers": force(0, 0, 1, 2, float("inf"))}, "CorruptFile"),
+    "half a force": ({"outliers": force(0, 0, 1, 2)}, "TruncatedFile"),
 }
 
 
@@ -135,8 +133,8 @@ def exact(payload: bytes = EXACT_FRAME.payload, **change: Any) -> dict[str, Any]
 
 LOSSLESS: dict[str, tuple[dict[str, Any], str]] = {
     "lossless": (exact(), ""),
-    "lossless with a guess": (exact(guess=b"\0\0"), "CorruptFile"),
-    "lossless with exceptions": (exact(apart=force(0, 0, 1, 2, 3)), "CorruptFile"),
+    "lossless with a guess": (exact(base_layer=b"\0\0"), "CorruptFile"),
+    "lossless with exceptions": (exact(outliers=force(0, 0, 1, 2, 3)), "CorruptFile"),
     "a codebook that there is not": (exact(b"\xc8\1\0" + bytes(40)), "CorruptFile"),
     "a codebook without levels": (exact(b"\5\0\0" + bytes(40)), "CorruptFile"),
     "a level without end": (exact(b"\5\1\0" + struct.pack("<f", float("inf")) + bytes(40)), "CorruptFile"),
@@ -145,53 +143,53 @@ LOSSLESS: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-def asked(how: int, *numbers: float, version: int = 1) -> bytes:
-    return struct.pack(f"<BB{len(numbers)}d", version, how, *numbers)
+def parameters_of(mode: int, *numbers: float, version: int = 1) -> bytes:
+    return struct.pack(f"<BB{len(numbers)}d", version, mode, *numbers)
 
 
 HEADS: dict[str, tuple[bytes, str]] = {
-    "the least": (asked(0, 0.001, 0.0), ""),
-    "too small a share": (asked(0, 0.000999, 0.05), "CorruptFile"),
-    "a share of all": (asked(0, 1.0, 0.05), "CorruptFile"),
-    "less than no force": (asked(0, 0.1, -0.05), "CorruptFile"),
-    "no number asked for": (asked(0, 0.1, float("nan")), "CorruptFile"),
-    "without end": (asked(0, 0.1, float("inf")), "CorruptFile"),
-    "a number less": (asked(0, 0.1), "CorruptFile"),
-    "a number more": (asked(0, 0.1, 0.05, 0.1), "CorruptFile"),
-    "an older effort": (asked(16, 0.1, 0.05), ""),
-    "no effort": (asked(24, 0.1, 0.05), "CorruptFile"),
-    "masking": (asked(32, 0.1, 0.05, 1.0, 1.0), ""),
-    "masking by nothing": (asked(32, 0.1, 0.05, 0.0, 0.001), "CorruptFile"),
-    "masking by more than all": (asked(32, 0.1, 0.05, 1.1, 0.001), "CorruptFile"),
-    "masking from afar": (asked(32, 0.1, 0.05, 0.1, 1.1), "CorruptFile"),
-    "masking of directions": (asked(33, 0.1, 0.05, 18.0, 0.1, 0.001), "CorruptFile"),
-    "another bit": (asked(64, 0.1, 0.05, 0.1, 0.001), "CorruptFile"),
-    "a right angle": (asked(1, 0.1, 0.05, 90.0), "CorruptFile"),
-    "no step": (asked(2, 0.0), "CorruptFile"),
-    "a later version": (asked(0, 0.1, 0.05, version=2), "UnsupportedVersion"),
+    "the least": (parameters_of(0, 0.001, 0.0), ""),
+    "too small a share": (parameters_of(0, 0.000999, 0.05), "CorruptFile"),
+    "a share of all": (parameters_of(0, 1.0, 0.05), "CorruptFile"),
+    "less than no force": (parameters_of(0, 0.1, -0.05), "CorruptFile"),
+    "no number asked for": (parameters_of(0, 0.1, float("nan")), "CorruptFile"),
+    "without end": (parameters_of(0, 0.1, float("inf")), "CorruptFile"),
+    "a number less": (parameters_of(0, 0.1), "CorruptFile"),
+    "a number more": (parameters_of(0, 0.1, 0.05, 0.1), "CorruptFile"),
+    "an older effort": (parameters_of(16, 0.1, 0.05), ""),
+    "no effort": (parameters_of(24, 0.1, 0.05), "CorruptFile"),
+    "masking": (parameters_of(32, 0.1, 0.05, 1.0, 1.0), ""),
+    "masking by nothing": (parameters_of(32, 0.1, 0.05, 0.0, 0.001), "CorruptFile"),
+    "masking by more than all": (parameters_of(32, 0.1, 0.05, 1.1, 0.001), "CorruptFile"),
+    "masking from afar": (parameters_of(32, 0.1, 0.05, 0.1, 1.1), "CorruptFile"),
+    "masking of directions": (parameters_of(33, 0.1, 0.05, 18.0, 0.1, 0.001), "CorruptFile"),
+    "another bit": (parameters_of(64, 0.1, 0.05, 0.1, 0.001), "CorruptFile"),
+    "a right angle": (parameters_of(1, 0.1, 0.05, 90.0), "CorruptFile"),
+    "no step": (parameters_of(2, 0.0), "CorruptFile"),
+    "a later version": (parameters_of(0, 0.1, 0.05, version=2), "UnsupportedVersion"),
     "nothing": (b"\1", "CorruptFile"),
 }
 
 
 @pytest.mark.parametrize("name", [*BODIES, *LOSSLESS, *HEADS])
-def test_three_decoders_say_the_same(name: str, program: Path, tmp_path: Path) -> None:
+def test_three_decoders_agree(name: str, program: Path, tmp_path: Path) -> None:
     if name not in HEADS:
         change, expected = (BODIES | LOSSLESS)[name]
         data = file_of(body(**change), (EXACT if name in LOSSLESS else ENCODER).parameters)
     else:
         parameters, expected = HEADS[name]
         data = file_of(body(), parameters)
-    path, said = tmp_path / "crafted.touch", ["", ""]
+    path, errors = tmp_path / "crafted.touch", ["", ""]
     path.write_bytes(data)
     try:
         with open_stream(path) as opened:
             opened.medium[len(opened.medium) - 1].to_dense()
             opened.summary()
     except FormatError as error:
-        said[0] = type(error).__name__
+        errors[0] = type(error).__name__
     try:
         decoder.decode(path)
     except reading.FaultyFile as error:
-        said[1] = type(error).__name__
-    code, words = run(program, path, tmp_path / "raw")
-    assert [*said, CODES[code]] == [expected] * 3, words
+        errors[1] = type(error).__name__
+    code, message = run(program, path, tmp_path / "raw")
+    assert [*errors, CODES[code]] == [expected] * 3, message

@@ -1,4 +1,4 @@
-"""Damaged golden files, whole: cut at every byte and flipped anywhere, only the named errors come out."""
+"""Damaged golden files, truncated at every byte or with changed bytes, raise only the named errors."""
 
 from __future__ import annotations
 
@@ -23,19 +23,18 @@ NAMES = st.sampled_from(sorted(STREAMS) or [""])
 def decode(data: bytes) -> int:
     with TouchReader(io.BytesIO(data)) as reader:
         medium = stream_of(reader).medium
-        band = (
-            map(medium.vibration, range(len(medium))) if medium.vibration else ()
-        )  # read apart from the frames
+        # read separately from the frames
+        band = map(medium.vibration, range(len(medium))) if medium.vibration else ()
         return sum(frame.support_count for frame in medium) + sum(map(len, band))
 
 
-def test_the_streams_are_whole() -> None:
+def test_streams_are_valid() -> None:
     assert len(STREAMS) >= 4
     assert all(decode(data) >= 0 for data in STREAMS.values())
 
 
 @pytest.mark.parametrize("name", STREAMS)
-def test_cut_at_every_byte(name: str) -> None:
+def test_truncated_at_every_byte(name: str) -> None:
     data = STREAMS[name]
     for length in range(len(data)):
         with pytest.raises(FormatError):
@@ -52,7 +51,7 @@ def test_bits_flipped_at_random(name: str, draw: st.DataObject) -> None:
 
 
 @given(NAMES, st.data())
-def test_stretches_of_one_stream_in_another(name: str, draw: st.DataObject) -> None:
+def test_byte_ranges_of_one_stream_in_another(name: str, draw: st.DataObject) -> None:
     data, other = bytearray(STREAMS[name]), STREAMS[draw.draw(NAMES)]
     length = draw.draw(st.integers(1, 60))
     a, b = (draw.draw(st.integers(0, len(d) - length)) for d in (data, other))
@@ -66,18 +65,18 @@ FAULTS: Any = importlib.import_module("make_faulty")
 
 
 @given(NAMES, st.data())
-def test_payloads_changed_behind_a_crc_that_holds(name: str, draw: st.DataObject) -> None:
-    """What is read then is another field; what is not is refused by name, or for its size."""
+def test_changed_payloads_with_a_valid_crc(name: str, draw: st.DataObject) -> None:
+    """Either another field is decoded, or a named error is raised, possibly for its size."""
     records = FAULTS.records_of(STREAMS[name])
-    one = draw.draw(st.sampled_from([i for i, record in enumerate(records) if record.payload]))
-    payload = bytearray(records[one].payload)
+    index = draw.draw(st.sampled_from([i for i, record in enumerate(records) if record.payload]))
+    payload = bytearray(records[index].payload)
     for _ in range(draw.draw(st.integers(1, 3))):
         at = draw.draw(st.integers(0, len(payload) - 1))
-        put = draw.draw(
+        replacement = draw.draw(
             st.sampled_from([b"\0\0\x10\0", b"\xff" * 4, bytes(7) + b"\x7f"])
             | st.binary(min_size=1, max_size=3)
         )
-        payload[at : at + len(put)] = put[: len(payload) - at]
-    records[one] = records[one]._replace(payload=bytes(payload))
+        payload[at : at + len(replacement)] = replacement[: len(payload) - at]
+    records[index] = records[index]._replace(payload=bytes(payload))
     with suppress(FormatError, InvalidArgument):
         decode(FAULTS.assembled(records))

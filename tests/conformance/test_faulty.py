@@ -20,24 +20,24 @@ from touchfield.pipeline.decoding import open_stream, stream_of
 FOLDER = CONFORMANCE / "faulty"
 
 
-def test_the_list_is_that_of_the_folder() -> None:
+def test_errors_json_lists_the_folder() -> None:
     assert {path.stem for path in FOLDER.glob("*.touch")} == FAULTY.keys()
 
 
-def test_the_files_are_those_that_are_made(tmp_path: Path) -> None:
+def test_stored_files_are_those_of_the_generator(tmp_path: Path) -> None:
     faults: Any = importlib.import_module("make_faulty")
     for path in FOLDER.glob("older-*"):
         shutil.copy(path, tmp_path)
     (tmp_path / "stale.touch").write_bytes(b"")
     faults.write_faulty(GOLDEN[0].parent, tmp_path)
-    made, stored = (
+    generated, stored = (
         {path.name: path.read_bytes() for path in folder.iterdir()} for folder in (tmp_path, FOLDER)
     )
-    assert made == stored
+    assert generated == stored
 
 
 @pytest.mark.parametrize("name", FAULTY)
-def test_ours(name: str) -> None:
+def test_package_refuses_the_file(name: str) -> None:
     kind = getattr(errors, FAULTY[name])
     with pytest.raises(kind) as caught, open_stream(FOLDER / f"{name}.touch") as stream:  # noqa: PT012
         for i, frame in enumerate(stream.medium):
@@ -48,14 +48,14 @@ def test_ours(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FAULTY)
-def test_second(name: str) -> None:
+def test_reference_decoder_refuses_the_file(name: str) -> None:
     with pytest.raises(reading.FaultyFile) as caught:
         decoder.decode(FOLDER / f"{name}.touch")
     assert type(caught.value).__name__ == FAULTY[name], str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("tag", "back", "code", "value"),
+    ("tag", "offset_from_end", "code", "value"),
     [
         ("HEAD", 20, "I", 2), ("HEAD", 20, "I", 4), ("HEAD", 16, "d", -1.0), ("HEAD", 16, "d", float("nan")),
         ("HEAD", 8, "d", -1e-9), ("HEAD", 8, "d", float("inf")),
@@ -63,15 +63,13 @@ def test_second(name: str) -> None:
         ("OBJT", -2, "b", 0),
     ],
 )  # fmt: skip
-def test_both_refuse_bounds_of_objects(tag: str, back: int, code: str, value: float) -> None:
-    """A number of HEAD's parameters, or of the steps of a body that deforms, is out of bounds; or it has a
-    field.
-    """
+def test_both_refuse_bounds_of_objects(tag: str, offset_from_end: int, code: str, value: float) -> None:
+    """Out-of-range parameters of HEAD or pose steps of a deforming body, or an unexpected field."""
     faults: Any = importlib.import_module("make_faulty")
     records = faults.records_of((CONFORMANCE / "v1" / "objects-deforming.touch").read_bytes())
     at = max(i for i, record in enumerate(records) if record.tag == tag.encode())
-    place = len(records[at].payload) - (back if tag == "HEAD" else 2 + back)
-    records[at] = records[at].changed(place, code, value)
+    offset = len(records[at].payload) - (offset_from_end if tag == "HEAD" else 2 + offset_from_end)
+    records[at] = records[at].changed(offset, code, value)
     data = faults.assembled(records)
     with pytest.raises(errors.CorruptFile), TouchReader(io.BytesIO(data)) as reader:
         next(iter(stream_of(reader).medium))
@@ -80,19 +78,19 @@ def test_both_refuse_bounds_of_objects(tag: str, back: int, code: str, value: fl
 
 
 @pytest.mark.parametrize("name", [name for name in FAULTY if name.startswith("older")])
-def test_older_files_are_told_to_be_encoded_again(name: str) -> None:
+def test_error_of_older_files_suggests_encoding_again(name: str) -> None:
     for program in (
         [sys.executable, "-m", "touchfield", "info"],
         [sys.executable, CONFORMANCE / "decoder.py"],
     ):
-        more = [] if program[-1] == "info" else ["out.npz"]
-        command = [*program, FOLDER / f"{name}.touch", *more]
+        output_arguments = [] if program[-1] == "info" else ["out.npz"]
+        command = [*program, FOLDER / f"{name}.touch", *output_arguments]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120)
         assert done.returncode == 1 and "Traceback" not in done.stderr
         assert "made by a version before 1.0" in done.stderr and "ncode it again" in done.stderr
 
 
-def test_a_grid_beyond_the_bounds_costs_nothing() -> None:
+def test_grid_beyond_the_limits_allocates_nothing() -> None:
     code = """if True:
         import resource, sys
         import touchfield.pipeline.decoding
@@ -107,5 +105,5 @@ def test_a_grid_beyond_the_bounds_costs_nothing() -> None:
     """
     files = [str(FOLDER / f"{name}.touch") for name in FAULTY if "too-" in name]
     done = subprocess.run([sys.executable, "-c", code, *files], capture_output=True, text=True, timeout=120)
-    told = [line.partition(" ")[0] for line in done.stdout.splitlines() if "grid_shape" in line]
-    assert done.returncode == 0 and len(files) > 2 and told == files, done.stdout + done.stderr
+    refused_paths = [line.partition(" ")[0] for line in done.stdout.splitlines() if "grid_shape" in line]
+    assert done.returncode == 0 and len(files) > 2 and refused_paths == files, done.stdout + done.stderr

@@ -1,8 +1,7 @@
-"""Every pair of optional features of a stream: three decoders find the same, or the pair is refused in one
-line.
+"""Every pair of optional features of a stream: three decoders agree, or the pair is refused in one line.
 
-A feature is what `encode` may be asked for, or what may be done with a stream afterwards. Two that set the
-same option to different values are no pair.
+A feature is an option of `encode`, or an operation on a stream. Two features that set the same option to
+different values are no pair.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from touchfield.sources.shapes.shapes import Box, Sphere
 from touchfield.tasks import editing
 
 FRAMES = 5
-USUAL = EncodeSpec(nw=3, mapping="crop", representation="voxel")
+DEFAULT_SPEC = EncodeSpec(nw=3, mapping="crop", representation="voxel")
 
 FEATURES: dict[str, dict[str, Any]] = {
     "vibration": {"vibration": "gain=0.25,frequency=80..240"},
@@ -52,9 +51,9 @@ FEATURES: dict[str, dict[str, Any]] = {
     "frames": {"frames": (1, 4)},
 }
 
-REFUSED = {
-    frozenset(pair): words
-    for words, pairs in {
+REFUSED_PAIRS = {
+    frozenset(pair): message
+    for message, pairs in {
         "voxel": [("vibration", "objects"), ("objects", "array"), ("objects", "masking")],
         "works with coder touch, not with paper": [
             ("paper", name)
@@ -65,17 +64,17 @@ REFUSED = {
     }.items()
     for pair in pairs
 }
-"""Pairs that must not be combined, each with words of the line that says so."""
+"""Pairs that must not be combined, each with a part of the error message."""
 
 PAIRS = [
     pair
     for pair in itertools.combinations(FEATURES, 2)
-    if not FEATURES[pair[0]].keys() & FEATURES[pair[1]].keys() or frozenset(pair) in REFUSED
+    if not FEATURES[pair[0]].keys() & FEATURES[pair[1]].keys() or frozenset(pair) in REFUSED_PAIRS
 ]
 
 
 def scene() -> BodyScene:
-    """A ball that tumbles and falls beside a block that stays."""
+    """A ball that tumbles and falls next to a block at rest."""
     t = np.arange(FRAMES)
     half = 0.05 * t
     turns = np.stack([np.cos(half), 0 * half, np.sin(half), 0 * half], axis=1)
@@ -94,8 +93,8 @@ def scene() -> BodyScene:
 
 
 def spec_of(*names: str) -> EncodeSpec:
-    """What is asked where these features are."""
-    spec = USUAL
+    """The options for these features."""
+    spec = DEFAULT_SPEC
     for key, value in (item for name in names for item in FEATURES[name].items()):
         outer, _, inner = key.partition(".")
         spec = replace(spec, **{outer: replace(getattr(spec, outer), **{inner: value}) if inner else value})
@@ -103,9 +102,7 @@ def spec_of(*names: str) -> EncodeSpec:
 
 
 class Decoded(NamedTuple):
-    """Forces [frames, x, y, z, 3], and amplitudes and hertz [frames, x, y, z, 2],
-    where something vibrates.
-    """
+    """Forces [frames, x, y, z, 3], and amplitudes and Hz [frames, x, y, z, 2] if there is a vibration."""
 
     forces: np.ndarray
     vibration: np.ndarray | None
@@ -119,7 +116,7 @@ def by_the_package(path: Path) -> Decoded:
     return Decoded(forces, both)
 
 
-def by_the_second(path: Path) -> Decoded:
+def by_the_reference_decoder(path: Path) -> Decoded:
     found = decoder.decode(path)
     names = "amplitudes_n", "frequencies_hz"
     both = np.stack([found[name] for name in names], axis=-1) if names[0] in found else None
@@ -146,31 +143,31 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path | None:
 
 
 def assert_alike(path: Path, program: Path | None) -> Decoded:
-    """What the package decodes, which the others do too."""
-    mine = by_the_package(path)
+    """Check that all decoders agree; return the package's result."""
+    expected = by_the_package(path)
     with pipeline.open_stream(path) as stream:
         has_objects, coder = stream.scene is not None, stream.reader.head.coder
-    others = [by_the_second(path)]
+    results = [by_the_reference_decoder(path)]
     if program is not None and coder != "paper" and b"\x05\x00paper" not in path.read_bytes():
-        others.append(by_c(program, path, mine))
-    for other in others:
+        results.append(by_c(program, path, expected))
+    for found in results:
         if has_objects:
-            np.testing.assert_allclose(other.forces, mine.forces, rtol=0, atol=OBJECTS_ATOL_N)
+            np.testing.assert_allclose(found.forces, expected.forces, rtol=0, atol=OBJECTS_ATOL_N)
         else:
-            np.testing.assert_array_equal(other.forces, mine.forces)
-        assert (other.vibration is None) == (mine.vibration is None)
-        if mine.vibration is not None:
-            np.testing.assert_array_equal(other.vibration, mine.vibration)
-    return mine
+            np.testing.assert_array_equal(found.forces, expected.forces)
+        assert (found.vibration is None) == (expected.vibration is None)
+        if expected.vibration is not None:
+            np.testing.assert_array_equal(found.vibration, expected.vibration)
+    return expected
 
 
 def check(names: tuple[str, ...], program: Path | None, folder: Path) -> Path:
-    """Encode with some features; what they promise is in the file, and all decoders find it."""
+    """Encode with some features; check that the file has them and that all decoders agree."""
     path, spec = folder / "pair.touch", spec_of(*names)
     pipeline.encode(scene(), path, spec)
     found = assert_alike(path, program)
     with pipeline.open_stream(path) as stream:
-        told, head, reader = stream.summary(), stream.reader.head, stream.reader
+        summary, head, reader = stream.summary(), stream.reader.head, stream.reader
         assert len(found.forces) == head.frame_count == (3 if "frames" in names else FRAMES)
         assert found.forces.any() and (found.vibration is not None) == ("vibration" in names)
         assert (stream.scene is not None) == ("objects" in names)
@@ -179,15 +176,15 @@ def check(names: tuple[str, ...], program: Path | None, folder: Path) -> Path:
         if "segments" in names and "objects" not in names:
             assert len(reader.segments) == -(-head.frame_count // 2)
         for name, mode in (("lossless", "lossless"), ("directions", "mask-direction"), ("nmse", "nmse")):
-            assert name not in names or told["mode"] == mode
+            assert name not in names or summary["mode"] == mode
         assert head.device_type == (2 if "array" in names else 1)
     if "objects" not in names:
-        assert_kept(names, spec, found)
+        assert_within_bound(names, spec, found)
     return path
 
 
-def assert_kept(names: tuple[str, ...], spec: EncodeSpec, found: Decoded) -> None:
-    """Voxels that are coded within their mask, or to the bit, beside what was to be coded."""
+def assert_within_bound(names: tuple[str, ...], spec: EncodeSpec, found: Decoded) -> None:
+    """Check the mask, or exact equality, of the decoded voxels against the source."""
     prepared = pipeline.prepare(scene(), spec)
     source = np.stack([frame.to_dense() for frame in prepared.medium]).astype(np.float64)
     error, size = (np.linalg.norm(v, axis=-1) for v in (found.forces - source, source))
@@ -201,22 +198,22 @@ def assert_kept(names: tuple[str, ...], spec: EncodeSpec, found: Decoded) -> Non
 
 
 @pytest.mark.parametrize("name", FEATURES)
-def test_a_feature_alone(name: str, program: Path | None, tmp_path: Path) -> None:
+def test_single_feature(name: str, program: Path | None, tmp_path: Path) -> None:
     check((name,), program, tmp_path)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("pair", PAIRS, ids=" x ".join)
-def test_a_pair_is_decoded_alike_or_refused(
+def test_pair_is_decoded_by_all_or_refused(
     pair: tuple[str, str], program: Path | None, tmp_path: Path
 ) -> None:
-    if frozenset(pair) not in REFUSED:
+    if frozenset(pair) not in REFUSED_PAIRS:
         check(pair, program, tmp_path)
         return
     with pytest.raises(InvalidArgument) as caught:
         pipeline.encode(scene(), tmp_path / "pair.touch", spec_of(*pair))
-    assert REFUSED[frozenset(pair)].strip() in str(caught.value) and "\n" not in str(caught.value)
-    assert not list(tmp_path.iterdir())  # nothing is left
+    assert REFUSED_PAIRS[frozenset(pair)].strip() in str(caught.value) and "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())  # no file is left
 
 
 OPERATIONS: dict[str, Callable[[Path, Path, EncodeSpec], Any]] = {
@@ -232,17 +229,18 @@ OPERATIONS: dict[str, Callable[[Path, Path, EncodeSpec], Any]] = {
 @pytest.mark.thorough
 @pytest.mark.parametrize("operation", OPERATIONS)
 @pytest.mark.parametrize("name", FEATURES)
-def test_a_stream_with_a_feature_is_worked_on(
+def test_operations_on_a_stream_with_a_feature(
     name: str, operation: str, program: Path | None, tmp_path: Path
 ) -> None:
     path, out = check((name,), program, tmp_path), tmp_path / "out.touch"
     coding = replace(spec_of(*({name} & {"paper", "lossless"})), nw=7, mapping="fit", representation="auto")
-    done = OPERATIONS[operation](path, out, coding)
+    result = OPERATIONS[operation](path, out, coding)
     found = assert_alike(tmp_path / "out" / "level-1.touch" if operation == "coarse" else out, program)
     assert found.forces.any()
     if name == "lossless" and operation == "trim":
         np.testing.assert_array_equal(found.forces, by_the_package(path).forces[1:3])
-    if name == "vibration":  # what keeps the lattice and the frames keeps what vibrates, and all else says so
+    # operations that keep the lattice keep the vibration; all others note its removal
+    if name == "vibration":
         is_left_out = operation not in ("trim", "edit")
         assert (found.vibration is None) == is_left_out
-        assert not is_left_out or any("the vibration is left out" in note for note in done.notes)
+        assert not is_left_out or any("the vibration is left out" in note for note in result.notes)

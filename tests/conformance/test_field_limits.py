@@ -1,8 +1,7 @@
-"""Every number of the format just inside and just outside its limits: three decoders accept and refuse the
-same.
+"""Every number of the format just inside and just outside its limits: three decoders agree.
 
-The table of records is that of docs/format/container.md (`test_format_document` holds both together); the
-limits of vibrations and of poses are those of their chapters, written here once more.
+The table of records is that of docs/format/container.md (`test_format_document` compares both); the limits of
+vibrations and of poses are those of their chapters, repeated here.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ from touchfield.pipeline.decoding import open_stream
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
 
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 GRID = Grid((9, 8, 10), (0.01,) * 3, (0.0,) * 3)
 ENCODER = TouchEncoder(GRID, TouchSpec(effort="fast"))
 FIELD = ForceField.from_support(GRID, [[1, 2, 3], [1, 2, 4]], [[0, 0, 1], [0, 0.5, 2]])
@@ -60,7 +59,7 @@ class Case(NamedTuple):
 
 @singledispatch
 def limits(kind: FieldType) -> list[bytes]:
-    """The bytes of values at the ends of what a field may hold."""
+    """Encoded values at the limits of a field's range."""
     raise NotImplementedError(type(kind).__name__)
 
 
@@ -76,7 +75,7 @@ def _(kind: Real) -> list[bytes]:
 
 @limits.register
 def _(kind: Array) -> list[bytes]:
-    if kind.max_bricks is not None:  # a whole number of bricks, as many as there may be
+    if kind.max_bricks is not None:  # the maximum number of bricks
         return [
             struct.pack("<3I", *shape) for shape in ((1, 1, 1), (4096, 4096, 4096), (1 << 20, 1 << 13, 8))
         ]
@@ -103,7 +102,7 @@ def _(kind: Listed) -> list[bytes]:
     return [size.to_bytes(kind.smallest, "little") + good_bytes(kind.of) * size for size in (0, kind.limit)]
 
 
-def written(head: Head, records: Callable[[TouchWriter], None]) -> bytes:
+def write_file(head: Head, records: Callable[[TouchWriter], None]) -> bytes:
     file = io.BytesIO()
     with TouchWriter(file) as writer:
         writer.write_head(head)
@@ -121,7 +120,7 @@ def voxels(vibration: bytes | None = None, frames: int = 1) -> bytes:
             writer.write_vibration(0, frames, vibration)
         writer.write_segment(0, frames, ENCODER.encode_segment([FIELD] * frames).body)
 
-    return written(head, records)
+    return write_file(head, records)
 
 
 def scene_file() -> bytes:
@@ -141,7 +140,7 @@ def split(data: bytes) -> list[tuple[str, bytes]]:
 
 
 def joined(records: list[tuple[str, bytes]]) -> bytes:
-    """A file of records whose CRCs, index and end are right, whatever stands in them."""
+    """A file of records with valid CRCs, index and end, whatever the payloads are."""
     required = {tag: int(record.required) for tag, record in RECORD_OF.items()}
     coded = [
         (tag, framed(tag, payload, required[tag])) for tag, payload in records if tag not in ("INDX", "TEND")
@@ -160,18 +159,18 @@ def joined(records: list[tuple[str, bytes]]) -> bytes:
 
 def with_payload(records: list[tuple[str, bytes]], tag: str, payload: bytes) -> bytes:
     """A file with another payload in its first record of a kind."""
-    place = [name for name, _ in records].index(tag)
-    return joined([*records[:place], (tag, payload), *records[place + 1 :]])
+    index = [name for name, _ in records].index(tag)
+    return joined([*records[:index], (tag, payload), *records[index + 1 :]])
 
 
-# names of the files whose own numbers decide about others, so that a limit of one field is refused for
-# another's sake
+# fields whose values constrain other fields, so that a limit of one is refused because of
+# another
 UNFIT = {"HEAD.frame_count", "SEGM.first_frame", "SEGM.frame_count", "VIBR.first_frame", "VIBR.frame_count"}
-UNFIT |= {"HEAD.coder"}  # `touch_open` refuses coders that it has not
+UNFIT |= {"HEAD.coder"}  # `touch_open` refuses unsupported coders
 
 
 def record_cases() -> Iterator[Case]:
-    """Each row of each record at, and beyond, its limits."""
+    """Each row of each record at and beyond its limits."""
     vibration = encode_symbols(GRID, [VibrationSymbols(np.array([[0, 0, 0]]), np.array([9]), np.array([9]))])
     for data, tags in ((voxels(vibration), ("HEAD", "VIBR", "SEGM")), (scene_file(), ("HEAD", "OBJT"))):
         records = split(data)
@@ -198,7 +197,7 @@ def values_of(tag: str, payload: bytes) -> list[Any]:
     return [row.kind.decode(cursor, "") for row in rows_of(RECORD_OF[tag].kind.layout)]
 
 
-def story_cases() -> Iterator[Case]:
+def provenance_cases() -> Iterator[Case]:
     """PROV: pairs, keys and values at and beyond their limits."""
     records = split(voxels())
 
@@ -220,13 +219,13 @@ def story_cases() -> Iterator[Case]:
 
 
 def object_count_cases() -> Iterator[Case]:
-    """1 to 4096 OBJT beside the coder `objects`, and none beside another."""
+    """1 to 4096 OBJT with coder `objects`, and none with another coder."""
     records = split(scene_file())
-    own = [record for record in records if record[0] == "OBJT"]
+    object_records = [record for record in records if record[0] == "OBJT"]
     others = [record for record in records[1:] if record[0] != "OBJT"]
     small = (
         "OBJT",
-        own[0][1][: 2 + len("first block") + 60] + b"\0" + struct.pack("<H", 1) + b"a" + bytes(8),
+        object_records[0][1][: 2 + len("first block") + 60] + b"\0" + struct.pack("<H", 1) + b"a" + bytes(8),
     )
     for count, is_right in ((1, True), (4096, True), (4097, False), (0, False)):
         yield Case(f"{count} OBJT", joined([records[0], *[small] * count, *others]), is_right)
@@ -235,7 +234,7 @@ def object_count_cases() -> Iterator[Case]:
 
 
 def end_cases() -> Iterator[Case]:
-    """Each number of INDX and TEND, off by one either way, behind CRCs that hold."""
+    """Each number of INDX and TEND, off by one either way, with valid CRCs."""
     data = voxels(frames=3)
     index = data.index(b"INDX")
     chain = zlib.crc32(data[: len(OPENING)] + data[data.index(b"SEGM") - 4 :][:4])
@@ -251,33 +250,33 @@ def end_cases() -> Iterator[Case]:
                 f"INDX at {offset} {step:+}", data[:index] + record + framed("TEND", end), is_right=False
             )
     numbers = struct.unpack("<QQI", data[-24:-4])
-    for place in range(3):
+    for number_index in range(3):
         for step in (-1, 0, 1):
-            told = [number + step * (n == place) for n, number in enumerate(numbers)]
-            name = f"TEND at {place} {step:+}"
-            yield Case(name, data[:-40] + framed("TEND", struct.pack("<QQI", *told)), is_right=not step)
+            changed = [number + step * (n == number_index) for n, number in enumerate(numbers)]
+            name = f"TEND at {number_index} {step:+}"
+            yield Case(name, data[:-40] + framed("TEND", struct.pack("<QQI", *changed)), is_right=not step)
 
 
-def test_readers_of_the_container_have_the_same_limits(tmp_path: Path) -> None:
+def test_container_readers_have_the_same_limits(tmp_path: Path) -> None:
     folder = CONFORMANCE.parent / "c"
-    program = built(tmp_path, "open", "-O1", f"-I{folder}", source=HERE / "open.c")
-    cases = [*record_cases(), *story_cases(), *object_count_cases(), *end_cases()]
+    program = built(tmp_path, "open", "-O1", f"-I{folder}", source=FOLDER / "open.c")
+    cases = [*record_cases(), *provenance_cases(), *object_count_cases(), *end_cases()]
     paths = [tmp_path / f"{n}.touch" for n in range(len(cases))]
     for path, case in zip(paths, cases, strict=True):
         path.write_bytes(case.data)
-    code, words = run_with(program, *paths)
-    assert code == 0 and len(words.split()) == len(cases) > 300
+    code, printed = run_with(program, *paths)
+    assert code == 0 and len(printed.split()) == len(cases) > 300
     wrong = []
-    for case, line in zip(cases, words.split(), strict=True):
-        said = [package_says(case.data), second_says(case.data), CODES[int(line)]]
+    for case, line in zip(cases, printed.split(), strict=True):
+        found = [error_of_package(case.data), error_of_reference_decoder(case.data), CODES[int(line)]]
         expected = "" if case.is_right else "CorruptFile"
-        if said != [expected] * 3:
-            wrong.append(f"{case.name}: {said}, expected {expected!r}")
+        if found != [expected] * 3:
+            wrong.append(f"{case.name}: {found}, expected {expected!r}")
     assert not wrong, "\n".join(wrong)
 
 
-def package_says(data: bytes) -> str:
-    """The kind of error with which the package refuses a container, or nothing."""
+def error_of_package(data: bytes) -> str:
+    """The name of the error with which the package refuses a container, or an empty text."""
     try:
         with TouchReader(io.BytesIO(data)) as reader:
             for i in range(reader.object_count):
@@ -290,8 +289,8 @@ def package_says(data: bytes) -> str:
     return ""
 
 
-def second_says(data: bytes) -> str:
-    """The same of the second decoder."""
+def error_of_reference_decoder(data: bytes) -> str:
+    """The same for the reference decoder."""
     try:
         decoder.read_file(data)
     except reading.FaultyFile as error:
@@ -303,37 +302,35 @@ def second_says(data: bytes) -> str:
 
 
 def vibration_cases() -> Iterator[Case]:
-    """Amplitudes 0 to 159 and whole hertz 1 to 10000, in the first and last sample of the first and last
-    frame.
-    """
-    places = np.array([[0, 0, 0], [4, 4, 4], [8, 7, 9]], np.int32)
+    """Amplitudes 0 to 159 and whole hertz 1 to 10000, in the first and last sample and frame."""
+    positions = np.array([[0, 0, 0], [4, 4, 4], [8, 7, 9]], np.int32)
     for row, low, high in ((1, 0, 159), (2, 1, 10000)):
         for value, is_right in ((low, True), (high, True), (low - 1, False), (high + 1, False)):
             for frame, sample in ((0, 0), (0, 2), (1, 0), (1, 2)):
                 frames = []
                 for i in range(2):
-                    numbers = [places, np.full(3, 9, np.int32), np.full(3, 99, np.int32)]
+                    numbers = [positions, np.full(3, 9, np.int32), np.full(3, 99, np.int32)]
                     if i == frame:
                         numbers[row][sample] = value
                     frames.append(VibrationSymbols(*numbers))
-                what = "amplitude" if row == 1 else "hertz"
+                quantity = "amplitude" if row == 1 else "hertz"
                 data = voxels(encode_symbols(GRID, frames), frames=2)
-                yield Case(f"{what} {value}, frame {frame}, sample {sample}", data, is_right)
+                yield Case(f"{quantity} {value}, frame {frame}, sample {sample}", data, is_right)
 
 
 # -- bodies ------------------------------------------------------------------------------------------------
 
-OWN = Grid((4, 3, 3), (0.01,) * 3, (0.0,) * 3)
+BODY_GRID = Grid((4, 3, 3), (0.01,) * 3, (0.0,) * 3)
 SCENE = HapticScene(
     Grid((5, 4, 3), (0.01,) * 3, (0.0,) * 3),
     1000.0,
-    (HapticObject("one", HapticMedium.from_frames([ball(OWN, 0.03)], 1000.0), PoseTrack.constant(3)),),
+    (HapticObject("one", HapticMedium.from_frames([ball(BODY_GRID, 0.03)], 1000.0), PoseTrack.constant(3)),),
     1.25,
     0.0,
     "x east, y north, z up",
 )
 STEPS = (-20, -20)
-ONE = 1 << 20
+UNIT = 1 << 20
 
 
 def coded_poses(numbers: list[list[int]], orders: list[int]) -> bytes:
@@ -360,19 +357,19 @@ def body_records() -> tuple[tuple[str, bytes], ...]:
 
 
 def body_file(
-    poses: bytes | None = None, worst: tuple[int, ...] = (0,), parameters: bytes | None = None,
+    poses: bytes | None = None, max_error: tuple[int, ...] = (0,), parameters: bytes | None = None,
     steps: tuple[int, int] = STEPS,
 ) -> bytes:  # fmt: skip
-    """A file of one rigid body, with some of its numbers given."""
+    """A file of one rigid body, with some of its numbers replaced."""
     records = dict(body_records())
-    numbers = [[0, 0, 0, ONE, 0, 0, 0]] * 3
-    own = coded_poses(numbers, [0] * 7) if poses is None else poses
+    numbers = [[0, 0, 0, UNIT, 0, 0, 0]] * 3
+    encoded_poses = coded_poses(numbers, [0] * 7) if poses is None else poses
     values = values_of("OBJT", records["OBJT"])
     row_names = [row.name for row in rows_of(RECORD_OF["OBJT"].kind.layout)]
     values[row_names.index("pose_steps")] = struct.pack("bb", *steps)
     rows = rows_of(RECORD_OF["OBJT"].kind.layout)
     records["OBJT"] = b"".join(row.kind.encode(value, "") for row, value in zip(rows, values, strict=True))
-    records["SEGM"] = records["SEGM"][:6] + b"".join(map(write_varint, worst)) + chunk(own)
+    records["SEGM"] = records["SEGM"][:6] + b"".join(map(write_varint, max_error)) + chunk(encoded_poses)
     if parameters is not None:
         head = values_of("HEAD", records["HEAD"])
         head_rows = rows_of(Head)
@@ -385,15 +382,17 @@ def body_file(
 
 def body_cases() -> Iterator[Case]:
     """Numbers of the coder `objects` at and beyond their limits."""
-    still = [0, 0, 0, ONE, 0, 0, 0]
-    far = 1 << 50
+    identity_pose = [0, 0, 0, UNIT, 0, 0, 0]
+    limit = 1 << 50
     for c, value, is_right in (
-        (0, far, True), (0, far + 1, False), (2, -far, True), (2, -far - 1, False), (1, 1 << 60, False),
-        (3, ONE, True), (3, -ONE, True), (3, ONE - 1, True), (3, ONE - 2, False), (3, ONE + 1, False),
+        (0, limit, True), (0, limit + 1, False), (2, -limit, True), (2, -limit - 1, False),
+        (1, 1 << 60, False),
+        (3, UNIT, True), (3, -UNIT, True), (3, UNIT - 1, True), (3, UNIT - 2, False),
+        (3, UNIT + 1, False),
         (4, 1448, True), (4, 1449, False),  # (2^20)^2 + 1448^2 < (2^20 + 1)^2 < (2^20)^2 + 1449^2
     ):  # fmt: skip
         for frame in (0, 2):
-            numbers = [[*still] for _ in range(3)]
+            numbers = [[*identity_pose] for _ in range(3)]
             numbers[frame][c] = value
             orders = [int(n == c) if frame else 0 for n in range(7)]
             if not frame:
@@ -401,7 +400,7 @@ def body_cases() -> Iterator[Case]:
             name = f"pose number {c} of {value}, frame {frame}"
             yield Case(name, body_file(coded_poses(numbers, orders)), is_right)
     for order, is_right in ((3, True), (4, False), (-1, False)):
-        coded = coded_poses([still] * 3, [0, 0, 0, 0, 0, 0, order])
+        coded = coded_poses([identity_pose] * 3, [0, 0, 0, 0, 0, 0, order])
         yield Case(f"order {order}", body_file(coded), is_right)
     for steps, is_right in (
         ((-40, -20), True), ((-41, -20), False), ((0, -20), True), ((1, -20), False), ((-20, -31), False),
@@ -412,29 +411,27 @@ def body_cases() -> Iterator[Case]:
         coded = coded_poses([[0, 0, 0, 1 << -power, 0, 0, 0]] * 3, [0] * 7)
         yield Case(f"turn {power}", body_file(coded, steps=(-20, power)), is_right=True)
     last = (1 << 20) - 1
-    for worst, is_right in (
+    for max_error, is_right in (
         ((1, 0, 0, 0, 0), True), ((65536, 2, last, last, last), True), ((65537, 0, 0, 0, 0), False),
         ((9, 3, 0, 0, 0), False), ((9, 0, last + 1, 0, 0), False), ((9, 0, 0, 0, last + 1), False),
     ):  # fmt: skip
-        yield Case(f"worst {worst}", body_file(worst=worst), is_right)
+        yield Case(f"worst {max_error}", body_file(max_error=max_error), is_right)
     largest = float(np.finfo(np.float64).max)
-    for count, damping, place, is_right in (
+    for count, damping, place_tolerance_m, is_right in (
         (1, 0.0, 0.0, True), (1, 1e30, largest, True), (0, 0.0, 0.0, False), (2, 0.0, 0.0, False),
         (1, -5e-324, 0.0, False), (1, float("inf"), 0.0, False), (1, float("nan"), 0.0, False),
         (1, 0.0, -5e-324, False), (1, 0.0, float("inf"), False), (1, 0.0, float("nan"), False),
     ):  # fmt: skip
-        data = body_file(parameters=struct.pack("<Idd", count, damping, place))
-        yield Case(f"parameters {count}, {damping}, {place}", data, is_right)
-    whole = layout.Parameters(1, 0.0, 0.0).to_bytes()
-    yield Case("parameters short", body_file(parameters=whole[:-1]), is_right=False)
-    yield Case("parameters long", body_file(parameters=whole + b"\0"), is_right=False)
+        data = body_file(parameters=struct.pack("<Idd", count, damping, place_tolerance_m))
+        yield Case(f"parameters {count}, {damping}, {place_tolerance_m}", data, is_right)
+    valid = layout.Parameters(1, 0.0, 0.0).to_bytes()
+    yield Case("parameters short", body_file(parameters=valid[:-1]), is_right=False)
+    yield Case("parameters long", body_file(parameters=valid + b"\0"), is_right=False)
 
 
-def decoders_say(program: Path, path: Path) -> list[str]:
-    """The kinds of error with which the package, the second decoder and C refuse a file once all is
-    decoded.
-    """
-    said = ["", ""]
+def errors_of_decoders(program: Path, path: Path) -> list[str]:
+    """The errors of the package, the reference decoder and C when a file is fully decoded."""
+    errors = ["", ""]
     try:
         with open_stream(path) as opened:
             for i in range(len(opened.medium)):
@@ -443,12 +440,12 @@ def decoders_say(program: Path, path: Path) -> list[str]:
                     opened.medium.vibration(i)
             opened.summary()
     except FormatError as error:
-        said[0] = type(error).__name__
+        errors[0] = type(error).__name__
     try:
         decoder.decode(path)
     except reading.FaultyFile as error:
-        said[1] = type(error).__name__
-    return [*said, CODES[run(program, path, path.with_suffix(".raw"))[0]]]
+        errors[1] = type(error).__name__
+    return [*errors, CODES[run(program, path, path.with_suffix(".raw"))[0]]]
 
 
 @pytest.fixture(scope="module")
@@ -463,7 +460,7 @@ def test_decoders_have_the_same_limits(kind: str, program: Path, tmp_path: Path)
     for case in cases:
         path = tmp_path / "case.touch"
         path.write_bytes(case.data)
-        said, expected = decoders_say(program, path), "" if case.is_right else "CorruptFile"
-        if said != [expected] * 3:
-            wrong.append(f"{case.name}: {said}, expected {expected!r}")
+        found, expected = errors_of_decoders(program, path), "" if case.is_right else "CorruptFile"
+        if found != [expected] * 3:
+            wrong.append(f"{case.name}: {found}, expected {expected!r}")
     assert len(cases) > 20 and not wrong, "\n".join(wrong)

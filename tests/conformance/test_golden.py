@@ -1,4 +1,4 @@
-"""Every golden file decodes to what it decoded to when it was written, by both decoders."""
+"""Both decoders reproduce the stored fields of every golden file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from touchfield.medium import BRICK, ForceField
 from touchfield.pipeline.decoding import open_stream
 
 SAMPLE_ATOL_N = 2e-6
-"""Of a file of objects, whose voxels are sums of interpolated forces: their order is free."""
+"""Tolerance for files of objects: voxels are sums of interpolated forces in any order."""
 
 Bricks = dict[tuple[int, ...], np.ndarray]
 
@@ -26,35 +26,35 @@ def slack(stream: Path) -> float:
 def sparse(dense: np.ndarray) -> Bricks:
     """The bricks of a dense field that are not all zero."""
     padded = np.pad(dense, [(0, -n % BRICK) for n in dense.shape[:3]] + [(0, 0)])
-    places = {tuple(p) for p in (np.argwhere(padded.any(axis=-1)) // BRICK).tolist()}
-    return {p: padded[tuple(slice(BRICK * i, BRICK * i + BRICK) for i in p)] for p in places}
+    bricks = {tuple(p) for p in (np.argwhere(padded.any(axis=-1)) // BRICK).tolist()}
+    return {p: padded[tuple(slice(BRICK * i, BRICK * i + BRICK) for i in p)] for p in bricks}
 
 
 def bricks_of(frame: Any) -> Bricks:
-    """A frame as either decoder gives it."""
+    """The bricks of a frame of either decoder."""
     if isinstance(frame, np.ndarray):
         return sparse(frame)
     if isinstance(frame, ForceField):
         frame = zip(map(tuple, frame.bricks.tolist()), frame.forces_n)
-    return {place: forces for place, forces in dict(frame).items() if forces.any()}
+    return {brick: forces for brick, forces in dict(frame).items() if forces.any()}
 
 
-def golden_frames(written: Any, count: int) -> list[Bricks]:
-    """The frames as they were written: dense, or as bricks with the frame of each."""
-    forces = written["forces_n"]
-    if "bricks" not in written:
+def golden_frames(golden: Any, count: int) -> list[Bricks]:
+    """The stored frames: dense, or as bricks with the frame of each."""
+    forces = golden["forces_n"]
+    if "bricks" not in golden:
         return [sparse(dense) for dense in forces]
-    places = list(map(tuple, written["bricks"].tolist()))
-    return [{places[n]: forces[n] for n in np.flatnonzero(written["frames"] == i)} for i in range(count)]
+    bricks = list(map(tuple, golden["bricks"].tolist()))
+    return [{bricks[n]: forces[n] for n in np.flatnonzero(golden["frames"] == i)} for i in range(count)]
 
 
-def assert_alike(ours: Bricks, theirs: Bricks, atol: float) -> None:
-    """The same forces; -0 is 0."""
+def assert_alike(found: Bricks, expected: Bricks, atol: float) -> None:
+    """Check equal forces; -0 equals 0."""
     zeros = np.zeros((BRICK, BRICK, BRICK, 3), np.float32)
-    for place in ours.keys() | theirs.keys():
-        one, other = ours.get(place, zeros), theirs.get(place, zeros)
-        assert one.dtype == other.dtype == np.float32
-        np.testing.assert_allclose(one, other, rtol=0, atol=atol, err_msg=f"brick {place}")
+    for brick in found.keys() | expected.keys():
+        found_forces, expected_forces = found.get(brick, zeros), expected.get(brick, zeros)
+        assert found_forces.dtype == expected_forces.dtype == np.float32
+        np.testing.assert_allclose(found_forces, expected_forces, rtol=0, atol=atol, err_msg=f"brick {brick}")
 
 
 @pytest.mark.parametrize("stream", GOLDEN, ids=lambda p: p.stem)
@@ -86,9 +86,9 @@ def test_vibration(stream: Path) -> None:
 
 
 @pytest.mark.skipif(not GOLDEN, reason="there are no golden files: make golden")
-def test_every_golden_file_is_one_that_is_made() -> None:
-    made = importlib.import_module("make_golden")
-    assert {path.stem for path in GOLDEN} == made.FIELDS.keys() | made.SCENES.keys()
+def test_golden_files_are_those_of_the_generator() -> None:
+    generator = importlib.import_module("make_golden")
+    assert {path.stem for path in GOLDEN} == generator.FIELDS.keys() | generator.SCENES.keys()
     assert {path.name for path in CONFORMANCE.iterdir() if path.is_dir()} - {"__pycache__"} == {
         "v1",
         "faulty",

@@ -1,9 +1,7 @@
-"""The recorded error ratio of a segment is the true one, from both sides: never less, and attained to
-rounding.
+"""The recorded error ratio of a segment is never less than the true one, and equals it to rounding.
 
-The truth is computed here in float64 over every sample of every frame, by code that shares nothing with the
-package, from what three decoders find. Frames are such that all errors are in the first, a middle or the last
-of them.
+The true ratio is computed here in float64 over every sample of every frame, independently of the package,
+from the output of three decoders. All errors are in the first, a middle or the last frame.
 """
 
 from __future__ import annotations
@@ -44,11 +42,11 @@ RULES = {
     "lossless": TouchSpec(mode="lossless"),
 }
 SLOW = ("mask", "directions", "lossless")
-KINDS = ("dense", "full", "huge", "threshold")  # "huge", 60 decades, leaves samples that are sent apart
+KINDS = ("dense", "full", "huge", "threshold")  # "huge", 60 decades, leaves outliers
 
 
 def field_of(kind: str, seed: int) -> ForceField:
-    """Forces of a kind, the same every time."""
+    """Reproducible random forces of a kind."""
     rng = np.random.default_rng(seed)
     normal, sizes = rng.normal(size=(*GRID.shape, 3)), rng.random(GRID.shape)
     if kind == "dense":
@@ -58,18 +56,20 @@ def field_of(kind: str, seed: int) -> ForceField:
         )
     if kind == "full":
         return ForceField.from_dense(GRID, normal * 10 ** (4 * sizes[..., None] - 3))
-    is_there = rng.random(GRID.shape) < 0.05
+    is_supported = rng.random(GRID.shape) < 0.05
     if kind == "huge":
-        return ForceField.from_dense(GRID, is_there[..., None] * normal * 10 ** (60 * sizes[..., None] - 30))
+        return ForceField.from_dense(
+            GRID, is_supported[..., None] * normal * 10 ** (60 * sizes[..., None] - 30)
+        )
     near_f0 = np.float32(0.05) + np.float32(2.0**-28) * rng.integers(-3, 4, GRID.shape)
     forces = np.zeros((*GRID.shape, 3), np.float32)
-    forces[..., 2] = is_there * near_f0
+    forces[..., 2] = is_supported * near_f0
     forces[0, 0, 0] = 2.0
     return ForceField.from_dense(GRID, forces)
 
 
 def contents(kind: str) -> Iterator[tuple[str, list[ForceField]]]:
-    """Frames by which of them have errors."""
+    """Frames, with a name that says which of them have errors."""
     field = field_of(kind, 7)
     for name, index in (("first", 0), ("middle", 1), ("last", FRAMES - 1)):
         yield name, [field if i == index else EMPTY for i in range(FRAMES)]
@@ -77,8 +77,8 @@ def contents(kind: str) -> Iterator[tuple[str, list[ForceField]]]:
     yield "alone", [field]
 
 
-def ratios_of(source: np.ndarray, decoded: np.ndarray, spec: TouchSpec) -> np.ndarray:
-    """Error by what is allowed, float64 [frames, x, y, z], of forces [frames, x, y, z, 3]
+def error_ratios(source: np.ndarray, decoded: np.ndarray, spec: TouchSpec) -> np.ndarray:
+    """Error / allowed error, float64 [frames, x, y, z], of forces [frames, x, y, z, 3]
     (docs/format/touch.md).
     """
     force, other = source.astype(np.float64), decoded.astype(np.float64)
@@ -108,7 +108,7 @@ def dense(frames: list[ForceField]) -> np.ndarray:
 
 
 def assert_recorded(body: bytes, parameters: bytes, ratios: np.ndarray, count: int) -> None:
-    """The recorded ratio, frame and voxel against the true ones."""
+    """Check the recorded ratio, frame and voxel against the true ones."""
     worst = TouchDecoder(GRID, parameters).max_error(body)
     assert worst is not None
     true = ratios.max()
@@ -121,39 +121,39 @@ def assert_recorded(body: bytes, parameters: bytes, ratios: np.ndarray, count: i
 @pytest.mark.parametrize("effort", ["fast", "default"])
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_recorded_ratio_is_the_true_one(kind: str, rule: str, effort: str) -> None:
+def test_recorded_ratio_is_the_true_one(kind: str, rule: str, effort: str) -> None:
     spec = replace(RULES[rule], effort=effort)
-    encoder, apart = TouchEncoder(GRID, spec), 0
+    encoder, outlier_count = TouchEncoder(GRID, spec), 0
     for name, frames in contents(kind):
         body = encoder.encode_segment(frames).body
         decoded = list(TouchDecoder(GRID, encoder.parameters).frames(body, len(frames)))
-        ratios = ratios_of(dense(frames), dense(decoded), spec)
+        ratios = error_ratios(dense(frames), dense(decoded), spec)
         assert_recorded(body, encoder.parameters, ratios, len(frames))
         if spec.mode != "lossless" and kind == "dense" and name in ("first", "middle", "last"):
-            is_there = np.array([frame.support_count > 0 for frame in frames])
-            assert (
-                ratios[is_there].max() > 0.5 and not ratios[~is_there].any()
-            )  # the errors are where they are due
+            is_supported = np.array([frame.support_count > 0 for frame in frames])
+            # only frames with forces have errors
+            assert ratios[is_supported].max() > 0.5 and not ratios[~is_supported].any()
         records = BodyReader(body, GRID, exact=spec.mode == "lossless").records(len(frames))
-        apart += sum(bool(record.outliers) for record in records)
-    assert apart > 0 if (kind, rule) == ("huge", "no F_0") else True
+        outlier_count += sum(bool(record.outliers) for record in records)
+    assert outlier_count > 0 if (kind, rule) == ("huge", "no F_0") else True
 
 
 @pytest.mark.parametrize("effort", ["fast", "default"])
-def test_a_ratio_beside_outliers_is_that_of_the_samples_that_are_left(effort: str) -> None:
-    """Samples sent apart have no error: what they had before must not be recorded."""
+def test_recorded_ratio_excludes_outliers(effort: str) -> None:
+    """Outliers have no error: the one they had before must not be recorded."""
     spec = TouchSpec(k=0.1, f0_n=0.0, effort=effort)
     dense_n = np.zeros((*GRID.shape, 3), np.float32)
+    # the second is below the step size of the first
     dense_n[2, 3, 4], dense_n[9, 8, 6] = (
         (1e20, 0, 0),
         (1e-20, 0, 0),
-    )  # the second is below the step of the first
+    )
     frames = [EMPTY, ForceField.from_dense(GRID, dense_n)]
     encoder = TouchEncoder(GRID, spec)
     body = encoder.encode_segment(frames).body
     assert BodyReader(body, GRID, exact=False).records(2)[1].outliers
     decoded = list(TouchDecoder(GRID, encoder.parameters).frames(body, 2))
-    ratios = ratios_of(dense(frames), dense(decoded), spec)
+    ratios = error_ratios(dense(frames), dense(decoded), spec)
     assert ratios.max() < 0.99
     assert_recorded(body, encoder.parameters, ratios, 2)
 
@@ -161,12 +161,10 @@ def test_a_ratio_beside_outliers_is_that_of_the_samples_that_are_left(effort: st
 @pytest.mark.parametrize("index", range(FRAMES))
 @pytest.mark.parametrize("effort", ["fast", "default"])
 @pytest.mark.parametrize("mode", ["mask", "lossless"])
-def test_a_body_that_decodes_to_something_else_is_not_written(
+def test_body_that_decodes_differently_is_not_written(
     mode: str, effort: str, index: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The check of the finished body fires, whichever frame is wrong (effort fast: where samples are sent
-    apart).
-    """
+    """The check of the finished body fails for any wrong frame (effort fast: with outliers)."""
 
     class Wrong(TouchDecoder):
         def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
@@ -184,8 +182,8 @@ def test_a_body_that_decodes_to_something_else_is_not_written(
 @pytest.mark.parametrize(
     "rule", ["no F_0", *(pytest.param(rule, marks=pytest.mark.thorough) for rule in SLOW)]
 )
-def test_other_decoders_find_the_same_ratio(rule: str, tmp_path: Path) -> None:
-    """A file of several segments; the second decoder and C are measured by the same ruler."""
+def test_other_decoders_agree_on_the_ratio(rule: str, tmp_path: Path) -> None:
+    """A file of several segments, decoded by the reference decoder and by C."""
     spec = replace(RULES[rule], effort="fast")
     encoder, path = TouchEncoder(GRID, spec), tmp_path / "a.touch"
     segments = [[EMPTY, field_of("full", 1)], [field_of("huge", 2), EMPTY], [field_of("full", 3)]]
@@ -199,7 +197,7 @@ def test_other_decoders_find_the_same_ratio(rule: str, tmp_path: Path) -> None:
     path.write_bytes(file.getvalue())
     source = dense([frame for frames in segments for frame in frames])
     for decoded in decoded_by_all(path, tmp_path):
-        ratios = ratios_of(source, decoded, spec)
+        ratios = error_ratios(source, decoded, spec)
         for first, frames, body in zip((0, 2, 4), segments, bodies, strict=True):
             assert_recorded(body, encoder.parameters, ratios[first : first + len(frames)], len(frames))
     with tf.open_stream(path) as stream:
@@ -207,8 +205,8 @@ def test_other_decoders_find_the_same_ratio(rule: str, tmp_path: Path) -> None:
 
 
 def decoded_by_all(path: Path, folder: Path) -> Iterator[np.ndarray]:
-    """Forces [frames, x, y, z, 3] by the second decoder and, where there is a compiler,
-    by `c/touch_decode`.
+    """Forces [frames, x, y, z, 3] of the reference decoder and, if there is a compiler,
+    of `c/touch_decode`.
     """
     yield decoder.decode(path)["forces_n"]
     if COMPILER is not None:
@@ -217,5 +215,5 @@ def decoded_by_all(path: Path, folder: Path) -> Iterator[np.ndarray]:
         raw, fields = Raw((folder / "raw").read_bytes(), GRID.shape), []
         for _ in range(5):
             fields.append(raw.field())
-            assert not raw.bricks()  # of a vibration
+            assert not raw.bricks()  # bricks of a vibration
         yield np.stack(fields)

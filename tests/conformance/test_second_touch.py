@@ -1,6 +1,4 @@
-"""docs/format/touch.md is enough: a decoder that follows it finds the same forces, and refuses the same
-bytes.
-"""
+"""The decoder written from docs/format/touch.md alone agrees on forces and on refused bytes."""
 
 from __future__ import annotations
 
@@ -28,12 +26,12 @@ GRID = Grid((11, 9, 17), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
 Frames = list[dict[tuple[int, ...], bytes]]
 
 
-def field(vectors: np.ndarray, held: np.ndarray) -> ForceField:
-    return ForceField.from_dense(GRID, np.where(held[..., None], vectors, 0).astype(np.float32))
+def field(vectors: np.ndarray, mask: np.ndarray) -> ForceField:
+    return ForceField.from_dense(GRID, np.where(mask[..., None], vectors, 0).astype(np.float32))
 
 
 def ball(t: int) -> ForceField:
-    """A penalty field around a point, saturated at its middle."""
+    """A penalty field around a point, saturated at its centre."""
     out = np.stack(np.indices(GRID.shape), axis=-1) - np.array([6.0 + t / 4, 4, 8])
     distance = np.sqrt((out * out).sum(axis=-1)) + 0.01
     return field(out * (np.minimum(7 - distance, 4) / distance)[..., None], distance < 7)
@@ -45,14 +43,14 @@ def noise(t: int) -> ForceField:
 
 
 def solid(t: int) -> ForceField:
-    """All that is behind a surface with a step."""
+    """A solid behind a surface with a step."""
     i, j, k = np.indices(GRID.shape)
     depth = np.clip(k - 4.5 - 0.2 * i - 3 * (j > 4) - t / 8, 0, 4)
     return field(np.stack([0.3 * depth, 0.1 * depth, -depth], axis=-1), depth > 0)
 
 
 def wide(t: int) -> ForceField:
-    """Forces over forty decades, some far below a float32's normal ones."""
+    """Forces over forty decades, some of them subnormal in float32."""
     rng = np.random.default_rng(t)
     sizes = 10.0 ** rng.uniform(-41, 6, GRID.shape)
     return field(rng.normal(size=(*GRID.shape, 3)) * sizes[..., None], rng.random(GRID.shape) < 0.1)
@@ -78,21 +76,21 @@ CASES: dict[str, tuple[Callable[[int], ForceField], TouchSpec]] = {
 
 
 def bytes_of(bricks: Any) -> dict[tuple[int, ...], bytes]:
-    """Bricks that hold a force; -0 is 0."""
-    return {tuple(place): (forces + 0.0).tobytes() for place, forces in bricks if forces.any()}
+    """Bricks with a nonzero force, as bytes; -0 equals 0."""
+    return {tuple(brick): (forces + 0.0).tobytes() for brick, forces in bricks if forces.any()}
 
 
-def ours(parameters: bytes, body: bytes) -> Frames:
+def decode_with_package(parameters: bytes, body: bytes) -> Frames:
     fields = TouchDecoder(GRID, parameters).frames(body, 2)
     return [bytes_of(zip(map(tuple, f.bricks.tolist()), f.forces_n, strict=True)) for f in fields]
 
 
-def second(parameters: bytes, body: bytes) -> Frames:
+def decode_with_reference(parameters: bytes, body: bytes) -> Frames:
     return [bytes_of(frame.items()) for frame in part.decode_segment(body, parameters, GRID.shape, 2)]
 
 
 def outcome(decode: Callable[[bytes, bytes], Frames], parameters: bytes, body: bytes) -> Frames | str:
-    """Two frames, or the error where the bytes are refused."""
+    """Two frames, or the name of the error if the bytes are refused."""
     try:
         return decode(parameters, body)
     except (FormatError, reading.FaultyFile) as error:
@@ -107,25 +105,24 @@ def encoded(name: str) -> tuple[bytes, bytes]:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_same_forces(name: str) -> None:
+def test_decoders_agree_on_forces(name: str) -> None:
     stream = encoded(name)
-    assert second(*stream) == ours(*stream)
-    assert any(map(len, ours(*stream))) == (name != "nothing")
+    assert decode_with_reference(*stream) == decode_with_package(*stream)
+    assert any(map(len, decode_with_package(*stream))) == (name != "nothing")
 
 
 @pytest.mark.parametrize("name", ["ball", "noise", "solid"])
 def test_both_refuse_the_same_bytes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(
-        globals(), "GRID", Grid((9, 8, 10), GRID.spacing_m, GRID.origin_m)
-    )  # the second is slow
+    # the reference decoder is slow
+    monkeypatch.setitem(globals(), "GRID", Grid((9, 8, 10), GRID.spacing_m, GRID.origin_m))
     parameters, body = encoded(name)
     rng, refused = np.random.default_rng(len(body)), 0
     for _ in range(25):
         changed = bytearray(body)
         changed[int(rng.integers(len(body)) * rng.choice([0.1, 1]))] ^= 1 << rng.integers(8)
         cut = bytes(changed[: len(changed) - (rng.random() < 0.1)])
-        expected = outcome(ours, parameters, cut)
-        assert outcome(second, parameters, cut) == expected
+        expected = outcome(decode_with_package, parameters, cut)
+        assert outcome(decode_with_reference, parameters, cut) == expected
         refused += isinstance(expected, str)
     assert refused > 6
 
@@ -139,8 +136,8 @@ def test_both_refuse_the_same_parameters() -> None:
             changed = bytearray(encoder.parameters)
             changed[rng.choice([0, 1, rng.integers(len(changed))])] = rng.integers(256)
             cut = bytes(changed[: len(changed) - (rng.random() < 0.1)])
-            expected = outcome(ours, cut, body)
-            assert outcome(second, cut, body) == expected, cut.hex()
+            expected = outcome(decode_with_package, cut, body)
+            assert outcome(decode_with_reference, cut, body) == expected, cut.hex()
             refused += isinstance(expected, str)
     assert refused > 100
 
@@ -151,9 +148,7 @@ LATTICES = ((65535, 131071, 65535, 131071), (1, 64, 1, 131071), (21, 0, 1, 0), (
 
 @pytest.mark.parametrize("steps", LATTICES)
 def test_no_number_overflows(steps: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    """What Python's numbers make of random codes, by extreme lattices and slopes, numbers of 64 bits make,
-    too.
-    """
+    """Integers of 64 bits decode random codes as Python's do, with extreme lattices and slopes."""
     rng, parameters, used = np.random.default_rng(steps), TouchEncoder(SMALL, TouchSpec()).parameters, [0]
     lattice = Lattice(2.0**-16, *steps)
 
@@ -165,7 +160,7 @@ def test_no_number_overflows(steps: tuple[int, ...], monkeypatch: pytest.MonkeyP
         return list(part.decode_segment(body_of(payloads), parameters, SMALL.shape, len(payloads)))
 
     def extended(payloads: list[bytes]) -> list[bytes]:
-        """One that ends where its code is to end; bytes of 0 are bits of 1, and make large numbers."""
+        """A payload cut where its code ends; bytes of 0 decode to ones, which make large numbers."""
         code = rng.integers(256, size=32000).astype(np.uint8)
         code[rng.random(len(code) // 50).repeat(50) < 0.3] = code[0] = 0
         head = bytes([rng.integers(3) | rng.integers(8) << 2])
@@ -178,5 +173,5 @@ def test_no_number_overflows(steps: tuple[int, ...], monkeypatch: pytest.MonkeyP
 
     payloads = extended(extended([]))
     fields = TouchDecoder(SMALL, parameters).frames(body_of(payloads), 2)
-    ours = [bytes_of(zip(map(tuple, f.bricks.tolist()), f.forces_n, strict=True)) for f in fields]
-    assert [bytes_of(frame.items()) for frame in decoded(payloads)] == ours
+    expected = [bytes_of(zip(map(tuple, f.bricks.tolist()), f.forces_n, strict=True)) for f in fields]
+    assert [bytes_of(frame.items()) for frame in decoded(payloads)] == expected

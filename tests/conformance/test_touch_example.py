@@ -1,6 +1,5 @@
-"""The example of docs/format/touch.md: both decoders find in its bytes what it says, bit by bit.
-
-``python tests/conformance/test_touch_example.py`` prints it anew.
+"""The example of docs/format/touch.md: both decoders find its values in its bytes, bit by bit.
+``python tests/conformance/test_touch_example.py`` prints it again.
 """
 
 from __future__ import annotations
@@ -31,8 +30,8 @@ def encoded() -> tuple[bytes, bytes]:
     return encoder.parameters, encoder.encode_segment([ForceField.from_dense(GRID, forces)]).body
 
 
-class Told:
-    """What the second decoder does, step by step: chances, bits, and forces in units."""
+class DecodingTrace:
+    """The steps of the reference decoder: probabilities, bits, and forces in units."""
 
     def __init__(self, monkeypatch: Any) -> None:
         self.lines = ["list"]
@@ -45,24 +44,24 @@ class Told:
             self.lines[-1] += f" {p}:{out}"
             return out
 
-        def begun(frame: Any, *known: Any) -> None:
+        def start_brick(frame: Any, *context: Any) -> None:
             self.lines.append("blocks")
-            brick(frame, *known)
+            brick(frame, *context)
 
-        def asked(frame: Any, v: Any) -> int:
+        def start_voxel(frame: Any, v: Any) -> int:
             self.lines.append("{},{},{}".format(*v.at))
             out: int = support(frame, v)
             return out
 
-        def stored(frame: Any, at: Any, vector: Any, *sizes: int) -> None:
+        def end_voxel(frame: Any, at: Any, vector: Any, *sizes: int) -> None:
             self.lines[-1] += " = {},{},{}".format(*vector)
             voxel(frame, at, vector, *sizes)
 
-        for owner, name, put in (
-            (frames.Bits, "narrow", bit), (frames.Frame, "brick", begun), (frames.Frame, "support", asked),
-            (frames.Frame, "store", stored),
+        for owner, name, replacement in (
+            (frames.Bits, "narrow", bit), (frames.Frame, "brick", start_brick),
+            (frames.Frame, "support", start_voxel), (frames.Frame, "store", end_voxel),
         ):  # fmt: skip
-            monkeypatch.setattr(owner, name, put)
+            monkeypatch.setattr(owner, name, replacement)
 
 
 def example(parameters: bytes, body: bytes, monkeypatch: Any) -> list[str]:
@@ -79,20 +78,20 @@ def example(parameters: bytes, body: bytes, monkeypatch: Any) -> list[str]:
     line(at, f"unit {unit_n:.5g} N")
     at, steps = c.at, [c.varint() for _ in range(4)]
     line(at, "floor {}, rate {}, cross floor {}, cross rate {}".format(*steps))
-    at, worst = c.at, (c.number("H"), c.varint(), c.varint(), c.varint(), c.varint())
-    line(at, f"worst {worst[0]}/65535, frame {worst[1]}, voxel {worst[2:]}")
-    at, (how, _, _) = c.at, c.numbers("3B")
-    line(at, f"how {how}, shares")
+    at, max_error = c.at, (c.number("H"), c.varint(), c.varint(), c.varint(), c.varint())
+    line(at, f"worst {max_error[0]}/65535, frame {max_error[1]}, voxel {max_error[2:]}")
+    at, (kind, _, _) = c.at, c.numbers("3B")
+    line(at, f"how {kind}, shares")
     at, size = c.at, c.varint()
     line(at, f"payload of {size} bytes")
-    at, course, slope = c.at, c.number("B"), [c.varint() for _ in range(3)]
-    line(at, "course {}, slope {}, {}, {}".format(course, *slope))
+    at, scan_order, slope = c.at, c.number("B"), [c.varint() for _ in range(3)]
+    line(at, "course {}, slope {}, {}, {}".format(scan_order, *slope))
     at, _ = c.at, c.take(len(body) - c.at)
     line(at, "code")
     with monkeypatch.context() as inner:
-        told = Told(inner)
+        trace = DecodingTrace(inner)
         list(part.decode_segment(body, parameters, GRID.shape, 1))
-    return out + told.lines
+    return out + trace.lines
 
 
 def test_the_example(monkeypatch: Any) -> None:
@@ -103,11 +102,11 @@ def test_the_example(monkeypatch: Any) -> None:
         bytes.fromhex("".join(n.split()[0] for n in lines[1:9])),
     )
     assert example(parameters, body, monkeypatch) == lines
-    (ours,) = TouchDecoder(GRID, parameters).frames(body, 1)
-    (theirs,) = part.decode_segment(body, parameters, GRID.shape, 1)
-    np.testing.assert_array_equal(decoder.laid_out(theirs, GRID.shape), ours.to_dense())
+    (decoded,) = TouchDecoder(GRID, parameters).frames(body, 1)
+    (reference,) = part.decode_segment(body, parameters, GRID.shape, 1)
+    np.testing.assert_array_equal(decoder.laid_out(reference, GRID.shape), decoded.to_dense())
     deepest = CHAPTER.read_text().split("The deepest force is (")[1].split(")")[0]
-    np.testing.assert_array_equal(ours.to_dense()[0, 0, 2], np.array(deepest.split(","), np.float32))
+    np.testing.assert_array_equal(decoded.to_dense()[0, 0, 2], np.array(deepest.split(","), np.float32))
 
 
 if __name__ == "__main__":

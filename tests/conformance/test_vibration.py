@@ -1,4 +1,4 @@
-"""docs/format/vibration.md is enough: a decoder that follows it alone finds the same numbers in VIBR."""
+"""The decoder written from docs/format/vibration.md alone finds the same numbers in VIBR."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ GRID = Grid((9, 7, 18), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
 
 
 def symbols(rng: np.random.Generator) -> VibrationSymbols:
-    """Some samples, now many, now none."""
+    """Random samples: many, few or none."""
     positions = np.argwhere(rng.random(GRID.shape) < rng.choice([0.0, 0.02, 0.3])).astype(np.int32)
     amplitudes = rng.integers(0, AMPLITUDE_STEPS, len(positions)).astype(np.int32)
     hertz = rng.integers(1, rng.choice([2, 300, 10001]), len(positions)).astype(np.int32)
     return VibrationSymbols(positions, amplitudes, hertz)
 
 
-def second(body: bytes, frames: int) -> list[bytes] | str:
-    """Amplitudes and frequencies as dense arrays by the second decoder;
-    the error where it refuses the bytes.
+def decode_with_reference(body: bytes, frames: int) -> list[bytes] | str:
+    """Amplitudes and frequencies as dense arrays from the reference decoder,
+    or the name of the error if it refuses the bytes.
     """
     try:
         return [frame.tobytes() for frame in part.decode_segment(body, GRID.shape, frames)]
@@ -35,8 +35,8 @@ def second(body: bytes, frames: int) -> list[bytes] | str:
         return type(error).__name__
 
 
-def ours(body: bytes, frames: int) -> list[bytes] | str:
-    """The same by the package."""
+def decode_with_package(body: bytes, frames: int) -> list[bytes] | str:
+    """The same from the package."""
     try:
         found = [frame.as_field().to_dense() for frame in decode_vibration(body, GRID, frames)]
     except FormatError as error:
@@ -48,8 +48,8 @@ def ours(body: bytes, frames: int) -> list[bytes] | str:
 def test_the_same_numbers(seed: int) -> None:
     rng = np.random.default_rng(seed)
     body = encode_symbols(GRID, [symbols(rng) for _ in range(4)])
-    found = second(body, 4)
-    assert found == ours(body, 4) and not isinstance(found, str)
+    found = decode_with_reference(body, 4)
+    assert found == decode_with_package(body, 4) and not isinstance(found, str)
 
 
 def test_both_refuse_the_same_bytes() -> None:
@@ -60,7 +60,7 @@ def test_both_refuse_the_same_bytes() -> None:
         body = bytearray(bodies[rng.integers(len(bodies))])
         body[rng.integers(len(body))] ^= 1 << rng.integers(8)
         changed = bytes(body[: len(body) - (rng.random() < 0.1)])
-        expected = ours(changed, 2)
-        assert second(changed, 2) == expected, changed.hex()
+        expected = decode_with_package(changed, 2)
+        assert decode_with_reference(changed, 2) == expected, changed.hex()
         refused += isinstance(expected, str)
     assert 50 < refused < 150

@@ -1,4 +1,4 @@
-"""The container: what is written is read back, within bounds that both sides keep."""
+"""The container: round trips, and limits that both the writer and the reader enforce."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TYPES = [Whole("u8"), Array(Real(-2, 2), 2), Listed(Text(4), 3)]
 def write(
     path: Path, head: Head, bodies: list[tuple[int, bytes]], provenance: dict[str, str] | None = None
 ) -> None:
-    """A file of segments of (frame_count, body)."""
+    """Write a file of segments of (frame_count, body)."""
     first = 0
     with TouchWriter(path) as writer:
         writer.write_head(head, provenance)
@@ -53,20 +53,20 @@ def write(
 
 @pytest.mark.parametrize("kind", [*(p.values[0].kind for p in ROWS), *TYPES], ids=repr)  # type: ignore[attr-defined]
 @given(data=st.data())
-def test_allowed_values_come_back_and_have_one_form(kind: FieldType, data: st.DataObject) -> None:
+def test_allowed_values_round_trip_and_have_one_form(kind: FieldType, data: st.DataObject) -> None:
     value = data.draw(allowed(kind))
-    written = kind.encode(value, "field")
-    cursor = cursor_on(written)
+    encoded_value = kind.encode(value, "field")
+    cursor = cursor_on(encoded_value)
     assert kind.decode(cursor, "field") == value
     assert cursor.remaining == 0
-    assert kind.smallest <= len(written) <= kind.largest
-    for size in range(min(len(written), 300) if not kind_is_rest(kind) else 0):
+    assert kind.smallest <= len(encoded_value) <= kind.largest
+    for size in range(min(len(encoded_value), 300) if not kind_is_rest(kind) else 0):
         with pytest.raises(CorruptFile, match=r"field.* at byte \d+"):
-            kind.decode(cursor_on(written[:size]), "field")
+            kind.decode(cursor_on(encoded_value[:size]), "field")
 
 
 def kind_is_rest(kind: FieldType) -> bool:
-    """Whether any cut of the bytes is a value too."""
+    """Whether any prefix of the bytes is a value too."""
     return kind.largest > 1 << 62
 
 
@@ -93,7 +93,7 @@ def test_a_message_names_file_field_offset_found_and_expected() -> None:
     assert str(caught.value) == "test: HEAD.rate_hz at byte 2: found nan; expected 0 to 1000000"
 
 
-def test_numpy_values_are_taken() -> None:
+def test_numpy_values_are_accepted() -> None:
     head = dataclasses.replace(
         EXAMPLE_HEAD,
         grid_shape=np.array([16, 16, 8]),
@@ -130,7 +130,7 @@ def files(draw: st.DrawFn) -> tuple[Head, list[tuple[int, bytes]], dict[str, str
 
 
 @given(file=files(), data=st.data())
-def test_a_file_comes_back(tmp_path_factory: pytest.TempPathFactory, file: Any, data: st.DataObject) -> None:
+def test_file_round_trip(tmp_path_factory: pytest.TempPathFactory, file: Any, data: st.DataObject) -> None:
     head, bodies, provenance = file
     path = tmp_path_factory.mktemp("files") / "a.touch"
     write(path, head, bodies, provenance)
@@ -155,13 +155,13 @@ def test_the_same_content_has_the_same_bytes(tmp_path: Path) -> None:
 
 
 class Slow(io.BytesIO):
-    """A file that takes some bytes at a time, as the system does of many."""
+    """A file that writes a few bytes at a time, as the system does with large data."""
 
     def write(self, data: Any) -> int:
         return super().write(bytes(data)[:7])
 
 
-def test_a_file_that_takes_a_few_bytes_at_a_time(tmp_path: Path) -> None:
+def test_file_that_writes_a_few_bytes_at_a_time(tmp_path: Path) -> None:
     write(tmp_path / "a.touch", EXAMPLE_HEAD, [(EXAMPLE_HEAD.frame_count, b"body of a segment")])
     slow = Slow()
     with TouchWriter(slow) as writer:
@@ -186,7 +186,7 @@ def test_segments_may_be_read_from_many_threads(tmp_path: Path) -> None:
         assert list(pool.map(reader.read_segment, list(range(64)) * 4)) == [body for _, body in bodies] * 4
 
 
-def test_frames_and_segments_that_are_not_there() -> None:
+def test_missing_frames_and_segments_are_refused() -> None:
     with TouchReader(io.BytesIO(example_file())) as reader:
         for index in (-1, 2):
             with pytest.raises(InvalidArgument, match=r"segment: found .*; expected 0 to 1"):
@@ -197,7 +197,7 @@ def test_frames_and_segments_that_are_not_there() -> None:
         assert [reader.segment_of(frame) for frame in range(3)] == [0, 0, 1]
 
 
-def test_an_open_file_stays_open_and_a_path_is_closed(tmp_path: Path) -> None:
+def test_open_file_stays_open_and_path_is_closed(tmp_path: Path) -> None:
     path = tmp_path / "a.touch"
     path.write_bytes(example_file())
     with path.open("rb") as file:
@@ -237,14 +237,17 @@ MISUSES = {
 
 
 @pytest.mark.parametrize("misuse", MISUSES)
-def test_misuse_is_refused_and_leaves_nothing(misuse: str, tmp_path: Path) -> None:
-    with pytest.raises(InvalidArgument, match="found ") as told, TouchWriter(tmp_path / "a.touch") as writer:
+def test_misuse_is_refused_and_leaves_no_file(misuse: str, tmp_path: Path) -> None:
+    with (
+        pytest.raises(InvalidArgument, match="found ") as caught,
+        TouchWriter(tmp_path / "a.touch") as writer,
+    ):
         MISUSES[misuse](writer)
-    assert ("at its end" in str(told.value)) == (misuse in ("no head", "no segment", "too few frames"))
+    assert ("at its end" in str(caught.value)) == (misuse in ("no head", "no segment", "too few frames"))
     assert not list(tmp_path.iterdir())
 
 
-def test_a_refused_segment_may_be_followed_by_a_right_one(tmp_path: Path) -> None:
+def test_refused_segment_may_be_followed_by_a_valid_one(tmp_path: Path) -> None:
     with TouchWriter(tmp_path / "a.touch") as writer:
         writer.write_head(EXAMPLE_HEAD)
         with pytest.raises(InvalidArgument):

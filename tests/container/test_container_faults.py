@@ -1,4 +1,4 @@
-"""Damaged, foreign, crafted and newer files: one error of the tree each time, and never other content."""
+"""Damaged, foreign, crafted and newer files: a named error each time, and never different content."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ EXAMPLE = example_file()
 HEAD, OTHER_HEAD = (encoded("HEAD", dataclasses.replace(EXAMPLE_HEAD, frame_count=n)) for n in (3, 9))
 SEGMENT = framed("SEGM", struct.pack("<IH", 0, 3) + b"body")
 UNKNOWN = framed("XTRA", b"news", 0)
-BEGIN = 14 + len(HEAD)
+FIRST_SEGMENT_AT = 14 + len(HEAD)
 
 
-def content(data: bytes) -> Any:
-    """All that a reader says about a file."""
+def read_all(data: bytes) -> Any:
+    """Everything that a reader returns for a file."""
     with TouchReader(io.BytesIO(data)) as reader:
         bodies = [reader.read_segment(i) for i in range(len(reader.segments))]
         return reader.head, dict(reader.provenance), reader.segments, bodies
 
 
-CONTENT = content(EXAMPLE)
+CONTENT = read_all(EXAMPLE)
 
 
 def entry_of(record: bytes, offset: int, first_frame: int = 0, frame_count: int = 3) -> SegmentEntry:
-    """What the index should say about a segment."""
+    """The correct index entry of a segment."""
     crc32 = int.from_bytes(record[-4:], "little")
     return SegmentEntry(
         first_frame=first_frame, frame_count=frame_count, offset=offset, length=len(record), crc32=crc32
@@ -62,15 +62,15 @@ def index_of(*entries: SegmentEntry) -> bytes:
 
 
 def with_segment(before: bytes = b"", late: bytes = b"", after: bytes = b"") -> bytes:
-    """A good file of one segment, with other records before it, after it, and after the index."""
-    index = index_of(entry_of(SEGMENT, BEGIN + len(before)))
+    """A valid file of one segment, with other records before it, after it, and after the index."""
+    index = index_of(entry_of(SEGMENT, FIRST_SEGMENT_AT + len(before)))
     return assembled(HEAD, before + SEGMENT + late, index, after)
 
 
-def refused(data: bytes, kind: type[FormatError], match: str) -> str:
-    """The message with which a file is refused."""
+def assert_refused(data: bytes, kind: type[FormatError], match: str) -> str:
+    """Check that a file is refused; return the message."""
     with pytest.raises(kind, match=match) as caught:
-        content(data)
+        read_all(data)
     assert type(caught.value) is kind
     assert "\n" not in str(caught.value)
     return str(caught.value)
@@ -80,69 +80,69 @@ def refused(data: bytes, kind: type[FormatError], match: str) -> str:
 
 
 def test_a_file_cut_at_any_byte_is_truncated() -> None:
-    refused(b"", ForeignFile, "an empty file")
+    assert_refused(b"", ForeignFile, "an empty file")
     for size in range(1, len(EXAMPLE)):
-        assert "more before" not in refused(EXAMPLE[:size], TruncatedFile, "found "), (
+        assert "more before" not in assert_refused(EXAMPLE[:size], TruncatedFile, "found "), (
             "nothing changed while it was read"
         )
 
 
-def test_every_flipped_bit_is_noticed() -> None:
-    for place in range(len(EXAMPLE)):
+def test_every_flipped_bit_is_detected() -> None:
+    for index in range(len(EXAMPLE)):
         for bit in range(8):
             damaged = bytearray(EXAMPLE)
-            damaged[place] ^= 1 << bit
+            damaged[index] ^= 1 << bit
             with pytest.raises(FormatError):
-                content(bytes(damaged))
+                read_all(bytes(damaged))
 
 
 @given(changes=st.lists(st.tuples(st.integers(0, len(EXAMPLE) - 1), st.integers(0, 255)), max_size=8))
-def test_changed_bytes_are_noticed(changes: list[tuple[int, int]]) -> None:
+def test_changed_bytes_are_detected(changes: list[tuple[int, int]]) -> None:
     damaged = bytearray(EXAMPLE)
-    for place, value in changes:
-        damaged[place] = value
+    for index, value in changes:
+        damaged[index] = value
     if damaged == EXAMPLE:
-        assert content(bytes(damaged)) == CONTENT
+        assert read_all(bytes(damaged)) == CONTENT
     else:
         with pytest.raises(FormatError):
-            content(bytes(damaged))
+            read_all(bytes(damaged))
 
 
-places = st.integers(0, len(EXAMPLE))
+offsets = st.integers(0, len(EXAMPLE))
 
 
-@given(a=places, b=places, put=st.binary(max_size=40))
+@given(a=offsets, b=offsets, put=st.binary(max_size=40))
 @example(a=len(EXAMPLE), b=len(EXAMPLE), put=b"\0")
 @example(a=0, b=len(EXAMPLE), put=b"")
-def test_bytes_taken_out_or_put_in_are_noticed(a: int, b: int, put: bytes) -> None:
+def test_removed_or_inserted_bytes_are_detected(a: int, b: int, put: bytes) -> None:
     changed = EXAMPLE[: min(a, b)] + put + EXAMPLE[max(a, b) :]
     if changed != EXAMPLE:
         with pytest.raises(FormatError):
-            content(changed)
+            read_all(changed)
 
 
-@given(data=st.binary(max_size=300), start=st.sampled_from([0, 10, 14, BEGIN, 284, 340, 416]))
+@given(data=st.binary(max_size=300), start=st.sampled_from([0, 10, 14, FIRST_SEGMENT_AT, 284, 340, 416]))
 def test_random_bytes_are_refused(data: bytes, start: int) -> None:
     with pytest.raises(FormatError):
-        content(EXAMPLE[:start] + data)
+        read_all(EXAMPLE[:start] + data)
 
 
 PLAIN = {
     "HEAD": EXAMPLE_HEAD,
     "PROV": Provenance(pairs=(Pair(key="k", value="v"),)),
     "SEGM": Segment(first_frame=0, frame_count=3, body=b"body"),
-    "INDX": Index(segments=(entry_of(SEGMENT, BEGIN),)),
+    "INDX": Index(segments=(entry_of(SEGMENT, FIRST_SEGMENT_AT),)),
 }
 
 
 @given(data=st.data())
-def test_random_payloads_with_a_right_crc_are_refused_or_read(data: st.DataObject) -> None:
-    # past the CRC-32 every byte pattern reaches the field types
+def test_random_payloads_with_a_valid_crc_are_refused_or_read(data: st.DataObject) -> None:
+    # past the CRC-32 any bytes may reach the field types
     tag = data.draw(st.sampled_from(["HEAD", "PROV", "SEGM", "INDX"]))
     payload = bytearray(RECORD_OF[tag].kind.encode(PLAIN[tag], tag))
     for _ in range(data.draw(st.integers(0, 4))):
-        begin = data.draw(st.integers(0, len(payload)))
-        payload[begin : begin + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
+        start = data.draw(st.integers(0, len(payload)))
+        payload[start : start + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
     records = {
         "HEAD": HEAD,
         "PROV": b"",
@@ -152,39 +152,47 @@ def test_random_payloads_with_a_right_crc_are_refused_or_read(data: st.DataObjec
     offset = 14 + len(records["HEAD"]) + len(records["PROV"])
     records.setdefault("INDX", index_of(entry_of(records["SEGM"], offset)))
     with suppress(CorruptFile):
-        content(assembled(records["HEAD"], records["PROV"] + records["SEGM"], records["INDX"]))
+        read_all(assembled(records["HEAD"], records["PROV"] + records["SEGM"], records["INDX"]))
 
 
-def test_an_end_that_is_damaged_is_told_from_one_that_is_missing() -> None:
+def test_damaged_end_is_distinguished_from_a_missing_one() -> None:
     damaged = EXAMPLE[:-1] + bytes([EXAMPLE[-1] ^ 1])
-    refused(damaged, CorruptFile, r"TEND record at byte 416: found CRC-32")
-    refused(EXAMPLE[:-40], TruncatedFile, "no end record in 416 bytes")
-    refused(EXAMPLE[:300], TruncatedFile, "SEGM record at byte 284: found 300 bytes; expected 313 bytes")
+    assert_refused(damaged, CorruptFile, r"TEND record at byte 416: found CRC-32")
+    assert_refused(EXAMPLE[:-40], TruncatedFile, "no end record in 416 bytes")
+    assert_refused(
+        EXAMPLE[:300], TruncatedFile, "SEGM record at byte 284: found 300 bytes; expected 313 bytes"
+    )
 
 
-def test_what_takes_more_than_the_memory_is_not_read_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file may have holes: its size says nothing about what was paid for it."""
+def test_records_larger_than_the_memory_limit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file may be sparse: its size does not bound the memory it should take."""
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", f"{100 / 2**30:.12f}")
     with pytest.raises(
         InvalidArgument, match=r"to be read at once; expected at most .* TOUCHFIELD_MEMORY_GIB"
     ):
-        content(EXAMPLE)
+        read_all(EXAMPLE)
 
 
 def test_joined_files_are_refused() -> None:
-    refused(
+    assert_refused(
         EXAMPLE + b"\0" * 100, CorruptFile, "TEND record at byte 416: found 100 bytes after it; expected none"
     )
-    refused(EXAMPLE + EXAMPLE, CorruptFile, r"TEND.file_length: found 456 in a file of 912 bytes.*joined")
-    refused(EXAMPLE[:284] + EXAMPLE[313:], CorruptFile, "TEND.file_length")
+    assert_refused(
+        EXAMPLE + EXAMPLE, CorruptFile, r"TEND.file_length: found 456 in a file of 912 bytes.*joined"
+    )
+    assert_refused(EXAMPLE[:284] + EXAMPLE[313:], CorruptFile, "TEND.file_length")
 
 
 def test_parts_of_other_files_are_refused() -> None:
-    mine, other = with_segment(), with_segment().replace(b"body", b"BODY")
+    original, other = with_segment(), with_segment().replace(b"body", b"BODY")
     other_segment = framed("SEGM", struct.pack("<IH", 0, 3) + b"BODY")
-    refused(other.replace(other[BEGIN : BEGIN + 30], other_segment), CorruptFile, "as the index says")
+    assert_refused(
+        other.replace(other[FIRST_SEGMENT_AT : FIRST_SEGMENT_AT + 30], other_segment),
+        CorruptFile,
+        "as the index says",
+    )
     assert len(OTHER_HEAD) == len(HEAD)
-    refused(mine.replace(HEAD, OTHER_HEAD), CorruptFile, "TEND.chain_crc32")
+    assert_refused(original.replace(HEAD, OTHER_HEAD), CorruptFile, "TEND.chain_crc32")
 
 
 @pytest.mark.parametrize(
@@ -193,7 +201,7 @@ def test_parts_of_other_files_are_refused() -> None:
     ids=["png", "zip", "nul", "name", "letters", "nearly"],
 )
 def test_foreign_files(data: bytes) -> None:
-    refused(data, ForeignFile, "a .touch file")
+    assert_refused(data, ForeignFile, "a .touch file")
 
 
 @pytest.mark.parametrize(
@@ -208,35 +216,33 @@ def test_foreign_files(data: bytes) -> None:
     ],
     ids=["unix", "windows", "no-cr", "seven-bit", "utf-8", "replaced"],
 )
-def test_a_transfer_as_text_is_recognised(damage: Any) -> None:
-    message = refused(damage(EXAMPLE), CorruptFile, "transferred as text")
+def test_text_mode_transfer_is_recognised(damage: Any) -> None:
+    message = assert_refused(damage(EXAMPLE), CorruptFile, "transferred as text")
     assert message.endswith("Transfer it again in binary mode.")
 
 
 # -- crafted files, whose CRC-32 hold ----------------------------------------------------------------------
 
 HUGE = (1 << 64) - 1
-GOOD = entry_of(SEGMENT, BEGIN)
+GOOD = entry_of(SEGMENT, FIRST_SEGMENT_AT)
 
 
 def entries(*changes: dict[str, int]) -> bytes:
-    """A file whose index has one entry for each of `changes` to the right one."""
+    """A file whose index has one entry for each of `changes` to the correct one."""
     return assembled(HEAD, SEGMENT, index_of(*(dataclasses.replace(GOOD, **change) for change in changes)))
 
 
 def overlapping() -> bytes:
-    """Two segments, the second a whole record in the body of the first,
-    that ends where the first does not.
-    """
+    """Two segments: the second is a record inside the body of the first and ends elsewhere."""
     inner = framed("SEGM", struct.pack("<IH", 1, 2) + b"body")
     outer = framed("SEGM", struct.pack("<IH", 0, 1) + inner)
-    first = entry_of(outer, BEGIN, 0, 1)
-    second = entry_of(inner, BEGIN + outer.index(inner), 1, 2)
+    first = entry_of(outer, FIRST_SEGMENT_AT, 0, 1)
+    second = entry_of(inner, FIRST_SEGMENT_AT + outer.index(inner), 1, 2)
     return assembled(HEAD, outer, index_of(first, second))
 
 
 CRAFTED = {
-    "segment too late": (entries({"offset": BEGIN + 1}), r"INDX.segments\[0\]"),
+    "segment too late": (entries({"offset": FIRST_SEGMENT_AT + 1}), r"INDX.segments\[0\]"),
     "segment before": (entries({"offset": 0}), r"INDX.segments\[0\]"),
     "segment far away": (entries({"offset": HUGE - 10}), r"INDX.segments\[0\]"),
     "segment huge": (entries({"length": HUGE}), r"INDX.segments\[0\]"),
@@ -257,10 +263,12 @@ CRAFTED = {
             2 * SEGMENT,
             index_of(
                 dataclasses.replace(GOOD, frame_count=1),
-                dataclasses.replace(GOOD, first_frame=1, frame_count=2, offset=BEGIN + len(SEGMENT) - 1),
+                dataclasses.replace(
+                    GOOD, first_frame=1, frame_count=2, offset=FIRST_SEGMENT_AT + len(SEGMENT) - 1
+                ),
             ),
         ),
-        rf"INDX.segments\[1\]: found bytes {BEGIN + len(SEGMENT) - 1} to",
+        rf"INDX.segments\[1\]: found bytes {FIRST_SEGMENT_AT + len(SEGMENT) - 1} to",
     ),
     "frames missing": (entries({"frame_count": 2}), "found 2 frames; expected 3"),
     "frames too many": (entries({"frame_count": 4}), "found 4 frames; expected 3"),
@@ -310,7 +318,7 @@ CRAFTED = {
 def test_crafted_files_are_corrupt_and_cost_no_memory(data: bytes, match: str) -> None:
     tracemalloc.start()
     try:
-        refused(data, CorruptFile, match)
+        assert_refused(data, CorruptFile, match)
         assert tracemalloc.get_traced_memory()[1] < 2_000_000
     finally:
         tracemalloc.stop()
@@ -320,18 +328,26 @@ def test_crafted_files_are_corrupt_and_cost_no_memory(data: bytes, match: str) -
 def test_a_length_beyond_the_file_is_truncation_without_allocation(length: int) -> None:
     tracemalloc.start()
     try:
-        refused(OPENING + framed("HEAD", HEAD[16:-4], length=length), TruncatedFile, "HEAD record at byte 14")
-        refused(EXAMPLE[:284] + framed("SEGM", b"", length=length), TruncatedFile, "SEGM record at byte 284")
+        assert_refused(
+            OPENING + framed("HEAD", HEAD[16:-4], length=length), TruncatedFile, "HEAD record at byte 14"
+        )
+        assert_refused(
+            EXAMPLE[:284] + framed("SEGM", b"", length=length), TruncatedFile, "SEGM record at byte 284"
+        )
         assert tracemalloc.get_traced_memory()[1] < 1_000_000
     finally:
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("place", [0, 13, BEGIN - 1, HUGE, HUGE - 20])
-def test_an_index_at_a_place_where_it_cannot_be(place: int) -> None:
+@pytest.mark.parametrize("offset", [0, 13, FIRST_SEGMENT_AT - 1, HUGE, HUGE - 20])
+def test_index_at_an_invalid_offset_is_refused(offset: int) -> None:
     data = with_segment()[:-40]
-    end = struct.pack("<QQI", place, len(data) + 40, 0)
-    refused(data + framed("TEND", end), CorruptFile, f"TEND.index_offset: found {place}; expected {BEGIN} to")
+    end = struct.pack("<QQI", offset, len(data) + 40, 0)
+    assert_refused(
+        data + framed("TEND", end),
+        CorruptFile,
+        f"TEND.index_offset: found {offset}; expected {FIRST_SEGMENT_AT} to",
+    )
 
 
 # -- versions and unknown records --------------------------------------------------------------------------
@@ -339,7 +355,7 @@ def test_an_index_at_a_place_where_it_cannot_be(place: int) -> None:
 
 def test_a_newer_major_version_is_refused_by_its_number() -> None:
     newer = MAGIC + struct.pack("<HH", 2, 4) + b"all else may be different"
-    message = refused(newer, UnsupportedVersion, r"found format 2\.4; expected format 1")
+    message = assert_refused(newer, UnsupportedVersion, r"found format 2\.4; expected format 1")
     assert message.endswith("Read it with a touchfield that reads format 2.4.")
 
 
@@ -347,34 +363,34 @@ def test_a_newer_major_version_is_refused_by_its_number() -> None:
 def test_a_file_from_before_version_1_is_refused_by_name(minor: int) -> None:
     older = MAGIC + struct.pack("<HH", 0, minor) + EXAMPLE[14:]
     expected = rf"found format 0\.{minor}, made by a version before 1\.0; expected format 1\. Encode it again"
-    refused(older, UnsupportedVersion, expected)
+    assert_refused(older, UnsupportedVersion, expected)
 
 
 def test_a_newer_minor_version_is_read() -> None:
     data = assembled(HEAD, SEGMENT, index_of(GOOD), start=MAGIC + struct.pack("<HH", 1, 7))
-    assert content(data)[3] == [b"body"]
+    assert read_all(data)[3] == [b"body"]
 
 
 @pytest.mark.parametrize("where", ["before", "late", "after"])
-def test_unknown_records_are_skipped_or_refused_wherever_they_stand(where: str) -> None:
-    assert content(with_segment(**{where: UNKNOWN * 2}))[3] == [b"body"]
+def test_unknown_records_are_skipped_or_refused_at_any_position(where: str) -> None:
+    assert read_all(with_segment(**{where: UNKNOWN * 2}))[3] == [b"body"]
     required = framed("XTRA", b"news", 1)
     expected = r"XTRA record at byte \d+: found a required record; expected those of format 1\.0"
-    refused(with_segment(**{where: UNKNOWN + required}), UnsupportedVersion, expected)
-    # a bit that makes a required record look optional must not go unnoticed
+    assert_refused(with_segment(**{where: UNKNOWN + required}), UnsupportedVersion, expected)
+    # a bit that makes a required record look optional must be detected
     disguised = bytearray(required)
     disguised[4] ^= 1
-    refused(with_segment(**{where: bytes(disguised)}), CorruptFile, "XTRA record at byte .* CRC-32")
+    assert_refused(with_segment(**{where: bytes(disguised)}), CorruptFile, "XTRA record at byte .* CRC-32")
 
 
 @pytest.mark.parametrize("tag", [b"HEAD", b"SEGM", b"INDX"])
-def test_a_required_record_in_the_place_of_another(tag: bytes) -> None:
+def test_unknown_required_record_instead_of_another(tag: bytes) -> None:
     records = {b"HEAD": HEAD, b"SEGM": SEGMENT, b"INDX": index_of(GOOD)}
     news = framed("XTRA", records[tag][16:-4])
     if tag == b"SEGM":
-        records[b"INDX"] = index_of(entry_of(news, BEGIN))
+        records[b"INDX"] = index_of(entry_of(news, FIRST_SEGMENT_AT))
     records[tag] = news
-    refused(
+    assert_refused(
         assembled(*records.values()), UnsupportedVersion, r"XTRA record at byte \d+: found a required record"
     )
 
@@ -397,7 +413,7 @@ def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
             TouchReader(tmp_path / "pipe")
 
 
-def test_things_that_are_no_binary_file(tmp_path: Path) -> None:
+def test_objects_that_are_no_binary_file_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.touch").write_bytes(EXAMPLE)
     with (tmp_path / "a.touch").open("r") as file, pytest.raises(InvalidArgument, match="open for text"):
         TouchReader(file)  # type: ignore[arg-type]
@@ -425,7 +441,7 @@ def test_a_file_that_shrinks_or_fails_while_it_is_read() -> None:
         TouchReader(Failing(EXAMPLE))
 
 
-def test_a_file_that_reads_in_pieces_is_read_whole() -> None:
+def test_file_that_reads_in_pieces_is_read_completely() -> None:
     class Slow(io.BytesIO):
         def read(self, size: int | None = -1, /) -> bytes:
             return super().read(min(size or 0, 3))
@@ -449,7 +465,7 @@ def write_until(path: Path, error: BaseException | None, body: bytes = b"") -> N
 @pytest.mark.parametrize(
     "error", [KeyboardInterrupt(), SystemExit(3), RuntimeError("mine"), FileNotFoundError("x")]
 )
-def test_an_error_within_passes_unchanged_and_leaves_the_older_file(
+def test_error_while_writing_propagates_and_keeps_the_older_file(
     error: BaseException, tmp_path: Path
 ) -> None:
     path = tmp_path / "a.touch"
@@ -483,7 +499,7 @@ def write_on_after_a_failure(path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit of file sizes here")
-def test_a_disk_that_fills_up_leaves_nothing(tmp_path: Path) -> None:
+def test_full_disk_leaves_no_file(tmp_path: Path) -> None:
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -496,7 +512,7 @@ def test_a_disk_that_fills_up_leaves_nothing(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+def test_invalid_output_paths_are_refused(tmp_path: Path) -> None:
     for path, match in (
         (tmp_path / "none" / "a.touch", "no folder"),
         (tmp_path, "not a plain file"),

@@ -1,6 +1,4 @@
-"""OBJT, the record of an object: written and read in its place only, noticed where it is lost, damaged or
-swapped.
-"""
+"""OBJT, the record of an object: its order in the file, and detection of lost, damaged or swapped records."""
 
 from __future__ import annotations
 
@@ -34,7 +32,7 @@ from touchfield.container.records import MAX_OBJECTS, OBJECTS_CODER, Index, Segm
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument
 
 HEAD = dataclasses.replace(EXAMPLE_HEAD, coder=OBJECTS_CODER)
-ONE = ObjectRecord(
+BALL = ObjectRecord(
     name="sphere",
     grid_shape=(4, 5, 6),
     spacing_m=(0.001, 0.001, 0.002),
@@ -45,21 +43,21 @@ ONE = ObjectRecord(
     pose_steps=b"\xf0\xf2",
     field=b"a field",
 )
-OTHER = dataclasses.replace(ONE, name="cuboid", is_deforming=1, field=b"")
+OTHER = dataclasses.replace(BALL, name="cuboid", is_deforming=1, field=b"")
 
 
 def write(path: Path, head: Any, objects: list[ObjectRecord]) -> bytes:
-    """A file of all frames in one segment."""
+    """Write a file with all frames in one segment."""
     with TouchWriter(path) as writer:
         writer.write_head(head, {"source": "made up"})
-        for one in objects:
-            writer.write_object(one)
+        for record in objects:
+            writer.write_object(record)
         writer.write_segment(0, head.frame_count, b"body")
     return path.read_bytes()
 
 
-def content(data: bytes) -> Any:
-    """All that a reader says about a file."""
+def read_all(data: bytes) -> Any:
+    """Everything that a reader returns for a file."""
     with TouchReader(io.BytesIO(data)) as reader:
         objects = [reader.read_object(i) for i in range(reader.object_count)]
         bodies = [reader.read_segment(i) for i in range(len(reader.segments))]
@@ -67,8 +65,8 @@ def content(data: bytes) -> Any:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    return write(tmp_path_factory.mktemp("container") / "a.touch", HEAD, [ONE, OTHER])
+def valid_file(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    return write(tmp_path_factory.mktemp("container") / "a.touch", HEAD, [BALL, OTHER])
 
 
 # -- what comes back ---------------------------------------------------------------------------------------
@@ -78,11 +76,11 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     head=heads(coder=OBJECTS_CODER, frame_count=7),
     objects=st.lists(allowed(Struct(ObjectRecord)), min_size=1),
 )
-def test_objects_come_back(
+def test_objects_round_trip(
     tmp_path_factory: pytest.TempPathFactory, head: Any, objects: list[ObjectRecord]
 ) -> None:
     data = write(tmp_path_factory.mktemp("files") / "a.touch", head, objects)
-    assert content(data) == (head, {"source": "made up"}, objects, [b"body"])
+    assert read_all(data) == (head, {"source": "made up"}, objects, [b"body"])
 
 
 def test_a_file_of_another_coder_has_none() -> None:
@@ -93,7 +91,7 @@ def test_a_file_of_another_coder_has_none() -> None:
 
 
 def test_opening_reads_no_object(tmp_path: Path) -> None:
-    heavy = dataclasses.replace(ONE, field=bytes(1 << 20))
+    heavy = dataclasses.replace(BALL, field=bytes(1 << 20))
     file = CountingFile(write(tmp_path / "a.touch", HEAD, [heavy] * 3))
     with TouchReader(file) as reader:
         assert reader.object_count == 3
@@ -105,19 +103,21 @@ def test_opening_reads_no_object(tmp_path: Path) -> None:
 
 
 MISUSES = {
-    "before the head": lambda w: w.write_object(ONE),
-    "another coder": lambda w: (w.write_head(EXAMPLE_HEAD), w.write_object(ONE)),
+    "before the head": lambda w: w.write_object(BALL),
+    "another coder": lambda w: (w.write_head(EXAMPLE_HEAD), w.write_object(BALL)),
     "after a segment": lambda w: (
-        w.write_head(HEAD), w.write_object(ONE), w.write_segment(0, 2, b""), w.write_object(ONE),
+        w.write_head(HEAD), w.write_object(BALL), w.write_segment(0, 2, b""), w.write_object(BALL),
     ),
     "no object": lambda w: (w.write_head(HEAD), w.write_segment(0, 3, b"")),
     "not an object": lambda w: (w.write_head(HEAD), w.write_object(HEAD)),
-    "out of bounds": lambda w: (w.write_head(HEAD), w.write_object(dataclasses.replace(ONE, is_deforming=2))),
+    "out of bounds": lambda w: (
+        w.write_head(HEAD), w.write_object(dataclasses.replace(BALL, is_deforming=2)),
+    ),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("misuse", MISUSES.values(), ids=MISUSES)
-def test_misuse_is_refused_and_leaves_nothing(misuse: Any, tmp_path: Path) -> None:
+def test_misuse_is_refused_and_leaves_no_file(misuse: Any, tmp_path: Path) -> None:
     at_once = r"found (?!.*at its end)"
     with pytest.raises(InvalidArgument, match=at_once), TouchWriter(tmp_path / "a.touch") as writer:
         misuse(writer)
@@ -125,68 +125,68 @@ def test_misuse_is_refused_and_leaves_nothing(misuse: Any, tmp_path: Path) -> No
 
 
 def test_too_many_objects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    data = write(tmp_path / "a.touch", HEAD, [ONE] * 3)
+    data = write(tmp_path / "a.touch", HEAD, [BALL] * 3)
     monkeypatch.setattr(writer_module, "MAX_OBJECTS", 2)
     with pytest.raises(InvalidArgument, match="more than 2 objects"):
-        write(tmp_path / "b.touch", HEAD, [ONE] * 3)
+        write(tmp_path / "b.touch", HEAD, [BALL] * 3)
     monkeypatch.setattr(reader_module, "MAX_OBJECTS", 2)
     with pytest.raises(CorruptFile, match="more than 2 objects; expected at most 2"):
-        content(data)
-    content(write(tmp_path / "c.touch", HEAD, [ONE] * 2))
+        read_all(data)
+    read_all(write(tmp_path / "c.touch", HEAD, [BALL] * 2))
     assert MAX_OBJECTS == 4096
 
 
 # -- damage ------------------------------------------------------------------------------------------------
 
 
-def test_a_file_cut_at_any_byte_is_refused(whole: bytes) -> None:
-    for size in range(len(whole)):
+def test_a_file_cut_at_any_byte_is_refused(valid_file: bytes) -> None:
+    for size in range(len(valid_file)):
         with pytest.raises(FormatError):
-            content(whole[:size])
+            read_all(valid_file[:size])
 
 
-def test_every_flipped_bit_is_noticed(whole: bytes) -> None:
-    for place in range(len(whole)):
+def test_every_flipped_bit_is_detected(valid_file: bytes) -> None:
+    for index in range(len(valid_file)):
         for bit in range(8):
-            damaged = bytearray(whole)
-            damaged[place] ^= 1 << bit
+            damaged = bytearray(valid_file)
+            damaged[index] ^= 1 << bit
             with pytest.raises(FormatError):
-                content(bytes(damaged))
+                read_all(bytes(damaged))
 
 
-def records(whole: bytes) -> dict[str, bytes]:
-    """The records of the file by name; those of the two objects apart."""
-    found, place = {}, 14
-    while place < len(whole):
-        length = 20 + int.from_bytes(whole[place + 8 : place + 16], "little")
-        tag = whole[place : place + 4].decode()
-        found["OTHER" if tag in found else tag] = whole[place : place + length]
-        place += length
+def records(valid_file: bytes) -> dict[str, bytes]:
+    """The records of the file by tag; the second object as OTHER."""
+    found, offset = {}, 14
+    while offset < len(valid_file):
+        length = 20 + int.from_bytes(valid_file[offset + 8 : offset + 16], "little")
+        tag = valid_file[offset : offset + 4].decode()
+        found["OTHER" if tag in found else tag] = valid_file[offset : offset + length]
+        offset += length
     return found
 
 
-def test_objects_of_other_files_lost_twice_or_swapped_are_noticed(whole: bytes) -> None:
-    """Each record has a CRC-32 that holds, and the file its length."""
-    r = records(whole)
-    foreign = encoded_object(dataclasses.replace(ONE, name="SPHERE"))
+def test_foreign_lost_or_swapped_objects_are_detected(valid_file: bytes) -> None:
+    """Each record has a valid CRC-32, and the file its length."""
+    r = records(valid_file)
+    foreign = encoded_object(dataclasses.replace(BALL, name="SPHERE"))
     assert len(foreign) == len(r["OBJT"])
     for changed in (
-        whole.replace(r["OBJT"], foreign),
-        whole.replace(r["OBJT"] + r["OTHER"], r["OTHER"] + r["OBJT"]),
-        whole.replace(r["OTHER"], framed("XTRA", bytes(len(r["OTHER"]) - 20), 0)),
+        valid_file.replace(r["OBJT"], foreign),
+        valid_file.replace(r["OBJT"] + r["OTHER"], r["OTHER"] + r["OBJT"]),
+        valid_file.replace(r["OTHER"], framed("XTRA", bytes(len(r["OTHER"]) - 20), 0)),
     ):
-        assert len(changed) == len(whole) and changed != whole
+        assert len(changed) == len(valid_file) and changed != valid_file
         with pytest.raises(
             CorruptFile, match=r"TEND.chain_crc32: found CRC-32 .* of opening, HEAD, \d OBJT and INDX"
         ):
-            content(changed)
+            read_all(changed)
 
 
 # -- crafted files, whose CRC-32 hold ----------------------------------------------------------------------
 
 
-def encoded_object(one: ObjectRecord, flags: int = 1) -> bytes:
-    return framed("OBJT", Struct(ObjectRecord).encode(one, "OBJT"), flags)
+def encoded_object(record: ObjectRecord, flags: int = 1) -> bytes:
+    return framed("OBJT", Struct(ObjectRecord).encode(record, "OBJT"), flags)
 
 
 SEGMENT = framed("SEGM", struct.pack("<IH", 0, 3) + b"body")
@@ -212,23 +212,23 @@ def crafted(
 
 def closings(data: bytes) -> bytes:
     """The last four bytes of each OBJT among records."""
-    crcs, place = b"", 0
-    while place < len(data):
-        tag, _, size = struct.unpack("<4sIQ", data[place : place + 16])
-        place += 20 + size
-        crcs += data[place - 4 : place] if tag == b"OBJT" else b""
+    crcs, offset = b"", 0
+    while offset < len(data):
+        tag, _, size = struct.unpack("<4sIQ", data[offset : offset + 16])
+        offset += 20 + size
+        crcs += data[offset - 4 : offset] if tag == b"OBJT" else b""
     return crcs
 
 
-GOOD = encoded_object(ONE)
+GOOD = encoded_object(BALL)
 STORY = framed("PROV", b"\0\0", 0)
 LARGE = GOOD[16:-4].replace(struct.pack("<3I", 4, 5, 6), struct.pack("<3I", 4, 1 << 20, 8193))
 NEWS = framed("XTRA", b"news", 0)
 
 
-def test_objects_stand_anywhere_before_the_first_segment() -> None:
+def test_objects_may_be_anywhere_before_the_first_segment() -> None:
     for before in (GOOD, STORY + GOOD, GOOD + STORY, GOOD + NEWS + GOOD, NEWS + GOOD + STORY + GOOD):
-        assert content(crafted(before))[2] == [ONE] * before.count(GOOD)
+        assert read_all(crafted(before))[2] == [BALL] * before.count(GOOD)
 
 
 CRAFTED = {
@@ -236,7 +236,7 @@ CRAFTED = {
     "late": (crafted(GOOD, late=GOOD), r"OBJT once for each object of coder `objects`, before"),
     "after the index": (crafted(GOOD, after=GOOD), r"OBJT once for each object"),
     "another coder": (crafted(GOOD, head=EXAMPLE_HEAD, chain=False), r"OBJT once for each object"),
-    "optional": (crafted(encoded_object(ONE, 0)), r"flags 0; expected flags 1"),
+    "optional": (crafted(encoded_object(BALL, 0)), r"flags 0; expected flags 1"),
     "short": (crafted(framed("OBJT", b"abc")), r"a payload of 3 bytes"),
     "over a segment": (crafted(framed("OBJT", GOOD[16:-4], length=len(GOOD)), chain=False), "found "),
     "too many bricks": (
@@ -249,18 +249,18 @@ CRAFTED = {
 @pytest.mark.parametrize(("data", "match"), CRAFTED.values(), ids=CRAFTED)
 def test_crafted_files_are_refused(data: bytes, match: str) -> None:
     with pytest.raises(CorruptFile, match=match) as caught:
-        content(data)
+        read_all(data)
     assert type(caught.value) is CorruptFile and "\n" not in str(caught.value)
 
 
 @given(st.data())
-def test_random_payloads_with_a_right_crc_are_refused_or_read(data: st.DataObject) -> None:
+def test_random_payloads_with_a_valid_crc_are_refused_or_read(data: st.DataObject) -> None:
     payload = bytearray(GOOD[16:-4])
     for _ in range(data.draw(st.integers(0, 4))):
-        begin = data.draw(st.integers(0, len(payload)))
-        payload[begin : begin + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
+        start = data.draw(st.integers(0, len(payload)))
+        payload[start : start + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
     try:
-        objects = content(crafted(framed("OBJT", bytes(payload))))[2]
+        objects = read_all(crafted(framed("OBJT", bytes(payload))))[2]
     except CorruptFile:
         return
     assert Struct(ObjectRecord).encode(objects[0], "OBJT") == bytes(payload)

@@ -1,6 +1,4 @@
-"""VIBR records: at most one before each segment, skipped by who does not know them, refused in any other
-place.
-"""
+"""VIBR records: at most one before each segment, optional for readers, refused at any other position."""
 
 from __future__ import annotations
 
@@ -18,7 +16,7 @@ from touchfield.container.records import Index, SegmentEntry, Vibration
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 
 HEAD = encoded("HEAD", EXAMPLE_HEAD)
-BEGIN = 14 + len(HEAD)
+FIRST_SEGMENT_AT = 14 + len(HEAD)
 FIRST, SECOND = (
     framed("SEGM", struct.pack("<IH", 0, 2) + b"body"),
     framed("SEGM", struct.pack("<IH", 2, 1) + b"more"),
@@ -29,17 +27,17 @@ def vibr(first: int, count: int, body: bytes = b"hum", flags: int = 0) -> bytes:
     return framed("VIBR", struct.pack("<IH", first, count) + body, flags)
 
 
-def crafted(before: bytes = b"", between: bytes = b"", behind: bytes = b"", after: bytes = b"") -> bytes:
+def crafted(before: bytes = b"", between: bytes = b"", trailing: bytes = b"", after: bytes = b"") -> bytes:
     """A file of two segments with other records around them."""
-    entries, place = [], BEGIN + len(before)
+    entries, offset = [], FIRST_SEGMENT_AT + len(before)
     for first, count, record in ((0, 2, FIRST), (2, 1, SECOND)):
         crc32 = int.from_bytes(record[-4:], "little")
         entries.append(
-            SegmentEntry(first_frame=first, frame_count=count, offset=place, length=len(record), crc32=crc32)
+            SegmentEntry(first_frame=first, frame_count=count, offset=offset, length=len(record), crc32=crc32)
         )
-        place += len(record) + len(between)
+        offset += len(record) + len(between)
     index = encoded("INDX", Index(segments=tuple(entries)))
-    return assembled(HEAD, before + FIRST + between + SECOND + behind, index, after)
+    return assembled(HEAD, before + FIRST + between + SECOND + trailing, index, after)
 
 
 def vibrations(data: bytes) -> list[bytes | None]:
@@ -62,15 +60,15 @@ def write(path: Path, bodies: list[bytes | None]) -> bytes:
 
 
 @pytest.mark.parametrize("bodies", [[b"hum", b""], [b"hum", None], [None, b"hum"], [None, None]], ids=str)
-def test_bodies_come_back(bodies: list[bytes | None], tmp_path: Path) -> None:
+def test_bodies_round_trip(bodies: list[bytes | None], tmp_path: Path) -> None:
     data = write(tmp_path / "a.touch", bodies)
     assert vibrations(data) == bodies
     with TouchReader(io.BytesIO(data)) as reader, pytest.raises(InvalidArgument, match="expected 0 to 1"):
         reader.read_vibration(2)
 
 
-def test_the_rest_of_the_file_is_what_it_was(tmp_path: Path) -> None:
-    """But for its places: who does not know the record goes over it by its length."""
+def test_rest_of_the_file_is_unchanged(tmp_path: Path) -> None:
+    """Only offsets change: readers that do not know the record skip it by its length."""
     with_band, without = (write(tmp_path / "a.touch", [body, None]) for body in (b"hum", None))
     record = vibr(0, 2)
     assert record in with_band
@@ -86,7 +84,7 @@ def test_crafted_files_are_read() -> None:
 
 REFUSED: dict[str, tuple[bytes, str]] = {
     "two for one": (crafted(vibr(0, 2) * 2), "a record that the index does not name"),
-    "late": (crafted(behind=vibr(2, 1)), "VIBR at most once for each SEGM"),
+    "late": (crafted(trailing=vibr(2, 1)), "VIBR at most once for each SEGM"),
     "after the index": (crafted(after=vibr(2, 1)), "VIBR at most once for each SEGM"),
     "other frames": (crafted(vibr(2, 1)), "found 1 frames from frame 2; expected 2 from 0"),
     "fewer frames": (crafted(vibr(0, 1)), "found 1 frames from frame 0; expected 2 from 0"),
@@ -109,9 +107,9 @@ def test_a_file_cut_anywhere_or_with_a_flipped_bit_is_refused(tmp_path: Path) ->
     for size in range(1, len(data)):
         with pytest.raises(TruncatedFile):
             vibrations(data[:size])
-    for place in range(len(data)):
+    for index in range(len(data)):
         damaged = bytearray(data)
-        damaged[place] ^= 1 << place % 8
+        damaged[index] ^= 1 << index % 8
         with pytest.raises(FormatError):
             vibrations(bytes(damaged))
 
@@ -152,15 +150,15 @@ def begun(writer: TouchWriter) -> None:
 
 
 @pytest.mark.parametrize("misuse", MISUSES.values(), ids=MISUSES)
-def test_misuse_is_refused_and_leaves_nothing(misuse: Any, tmp_path: Path) -> None:
+def test_misuse_is_refused_and_leaves_no_file(misuse: Any, tmp_path: Path) -> None:
     at_once = r"found (?!.*at its end)"
     with pytest.raises(InvalidArgument, match=at_once), TouchWriter(tmp_path / "a.touch") as writer:
         misuse(writer)
     assert not list(tmp_path.iterdir())
 
 
-def test_the_record_is_the_one_of_the_table() -> None:
-    told = Vibration(first_frame=0, frame_count=2, body=b"hum")
-    assert encoded("VIBR", told)[:4] == vibr(0, 2)[:4]
+def test_record_agrees_with_the_table() -> None:
+    vibration = Vibration(first_frame=0, frame_count=2, body=b"hum")
+    assert encoded("VIBR", vibration)[:4] == vibr(0, 2)[:4]
     with pytest.raises(InvalidArgument, match="frame_count"):
-        encoded("VIBR", dataclasses.replace(told, frame_count=0))
+        encoded("VIBR", dataclasses.replace(vibration, frame_count=0))

@@ -1,6 +1,4 @@
-"""docs/format: its tables of the container are the code's, its example is a file, and its links lead
-somewhere.
-"""
+"""docs/format: its tables agree with the code, its example is a valid file, and its links exist."""
 
 from __future__ import annotations
 
@@ -27,8 +25,8 @@ CONTAINER = (FOLDER / "container.md").read_text(encoding="utf-8")
 CHAPTERS = ("container.md", "bits.md", "paper.md", "touch.md", "objects.md", "vibration.md")
 
 
-def words_of(kind: FieldType) -> tuple[str, str]:
-    """Type and bounds of a field as the document says them."""
+def type_and_bounds(kind: FieldType) -> tuple[str, str]:
+    """Type and bounds of a field as the document prints them."""
     if isinstance(kind, Listed) and isinstance(kind.of, Struct):
         return f"list ({kind.code}), below", f"at most {kind.limit}"
     return kind.wire, kind.bounds
@@ -38,7 +36,7 @@ def table(layout: type) -> str:
     """The rows of a layout as the document prints them."""
     lines = ["| field | type | bounds | unit | meaning |", "|---|---|---|---|---|"]
     for row in rows_of(layout):
-        wire, bounds = words_of(row.kind)
+        wire, bounds = type_and_bounds(row.kind)
         lines.append(f"| `{row.name}` | {wire} | {bounds} | {row.unit} | {row.meaning} |")
     return "\n".join(lines) + "\n"
 
@@ -58,17 +56,17 @@ def test_numbers() -> None:
     assert f"{MAX_OBJECTS} OBJT" in CONTAINER and f"2^{MAX_BRICKS.bit_length() - 1} bricks" in CONTAINER
 
 
-def test_the_worked_example_is_a_file() -> None:
+def test_worked_example_is_a_valid_file() -> None:
     lines = CONTAINER.split("```text\n")[1].split("```")[0].splitlines()
     printed = [(int(line[:5]), bytes.fromhex(line[7:54])) for line in lines if re.match(r" *\d+  ", line)]
     assert b"".join(data for _, data in printed) == example_file()
-    place = 0
-    for told, data in printed:
-        assert told == place
-        place += len(data)
+    offset = 0
+    for printed_offset, data in printed:
+        assert printed_offset == offset
+        offset += len(data)
 
 
-def test_the_chapters_are_there_and_named() -> None:
+def test_chapters_exist_and_are_linked() -> None:
     readme = (FOLDER / "README.md").read_text(encoding="utf-8")
     for name in CHAPTERS:
         assert f"]({name})" in readme

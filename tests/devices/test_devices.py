@@ -1,4 +1,4 @@
-"""Device profiles and the figures of human perception: complete, sourced, and strict about a user's own."""
+"""Device profiles and figures of human perception: complete, with sources, and strictly validated."""
 
 from __future__ import annotations
 
@@ -64,35 +64,36 @@ source = "me"
 """
 
 
-def written(folder: Path, text: str) -> Path:
+def write_profile(folder: Path, text: str) -> Path:
     path = folder / "mine.toml"
     path.write_text(text, "utf-8")
     return path
 
 
-def test_every_device_of_the_list_is_there() -> None:
+def test_all_listed_devices_exist() -> None:
     assert {d.name for d in devices() if d.type == 1} == POINTS
     assert {d.name for d in devices() if d.type == 2} == ARRAYS
     assert device_names() == tuple(sorted(POINTS | ARRAYS))
 
 
-@pytest.mark.parametrize("one", devices(), ids=lambda d: d.name)
-def test_every_value_has_a_source(one: Device) -> None:
-    assert device(one.name) is one
-    assert one.title and one.axes
+@pytest.mark.parametrize("profile", devices(), ids=lambda d: d.name)
+def test_every_value_has_a_source(profile: Device) -> None:
+    assert device(profile.name) is profile
+    assert profile.title and profile.axes
     expected = {"axes", "force_max_n"} | (
         {"workspace_mm", "resolution_mm", "nominal_lattice", "rate_hz"}
-        if one.type == 1
+        if profile.type == 1
         else {"columns", "rows", "pitch_mm", "depth_mm"}
     )
-    assert expected <= set(one.sources)
-    assert all(text.strip() for text in one.sources.values())
-    assert 0 < (one.force_continuous_n or one.force_max_n) <= one.force_max_n
-    if one.physical_mm and one.name != "haply-inverse3":  # whose users find less than the data sheet says
-        assert all(p >= n for p, n in zip(one.physical_mm, one.workspace_mm, strict=True))
+    assert expected <= set(profile.sources)
+    assert all(text.strip() for text in profile.sources.values())
+    assert 0 < (profile.force_continuous_n or profile.force_max_n) <= profile.force_max_n
+    # its users measure less than the data sheet says
+    if profile.physical_mm and profile.name != "haply-inverse3":
+        assert all(p >= n for p, n in zip(profile.physical_mm, profile.workspace_mm, strict=True))
 
 
-def test_the_omni_has_the_papers_eight_billion_samples() -> None:
+def test_omni_has_the_eight_billion_samples_of_the_paper() -> None:
     omni = device("phantom-omni")
     assert omni.lattice == (2909, 2182, 1273)
     assert math.prod(omni.lattice) == pytest.approx(8.08e9, rel=1e-3)
@@ -100,7 +101,7 @@ def test_the_omni_has_the_papers_eight_billion_samples() -> None:
     assert omni.force_max_n == 3.3 and not omni.is_array
 
 
-def test_the_devices_that_twist_state_how_much_and_the_others_nothing() -> None:
+def test_only_devices_with_torque_state_a_limit() -> None:
     stated = {d.name: d.torque_max_nm for d in devices() if d.torque_max_nm is not None}
     assert stated == {"sigma.7": 0.2, "phantom-premium-1.5-6dof": 0.188}
     assert all("maximum angular torque" in device(name).sources["torque_max_nm"] for name in stated)
@@ -123,13 +124,13 @@ def test_arrays_count_their_actuators() -> None:
     assert device("dotpad").lattice == (60, 40, 1) and device("dotpad").workspace_mm == (150.0, 100.0, 150.0)
 
 
-def test_the_file_of_a_profile_is_named_as_the_device() -> None:
+def test_profile_files_are_named_as_their_devices() -> None:
     folder = resources.files("touchfield.devices") / "profiles"
     for name in device_names():
         assert f'name = "{name}"' in (folder / f"{name}.toml").read_text("utf-8")
 
 
-def test_an_unknown_name_lists_the_names_and_the_nearest() -> None:
+def test_error_of_an_unknown_name_suggests_the_nearest() -> None:
     with pytest.raises(InvalidArgument, match=r"phantom-omni, .*Did you mean phantom-omni\?") as caught:
         device("phantom-omny")
     assert caught.value.exit_code == 2
@@ -137,15 +138,14 @@ def test_an_unknown_name_lists_the_names_and_the_nearest() -> None:
         device("qqqq")
 
 
-def test_a_users_own_profile(tmp_path: Path) -> None:
-    path = written(tmp_path, POINT)
-    mine = device(path)
-    assert mine == device(str(path)) and hash(mine) == hash(device(path))
-    assert mine.lattice == (1000, 800, 600) and mine.force_continuous_n is None
-    assert mine.sources["rate_hz"] == "me"
-    assert (
-        device(written(tmp_path, POINT.replace("value = 1000\n", "value = 1e6\n"))).rate_hz == 1e6
-    )  # the most
+def test_user_profile(tmp_path: Path) -> None:
+    path = write_profile(tmp_path, POINT)
+    profile = device(path)
+    assert profile == device(str(path)) and hash(profile) == hash(device(path))
+    assert profile.lattice == (1000, 800, 600) and profile.force_continuous_n is None
+    assert profile.sources["rate_hz"] == "me"
+    # the maximum
+    assert device(write_profile(tmp_path, POINT.replace("value = 1000\n", "value = 1e6\n"))).rate_hz == 1e6
 
 
 @pytest.mark.parametrize(
@@ -174,54 +174,54 @@ def test_a_users_own_profile(tmp_path: Path) -> None:
         ("[axes]", "axes = 3\n[other]", "axes|other"),
     ],
 )  # fmt: skip
-def test_a_faulty_profile_names_file_and_field(tmp_path: Path, old: str, new: str, field: str) -> None:
+def test_error_of_a_faulty_profile_names_file_and_field(
+    tmp_path: Path, old: str, new: str, field: str
+) -> None:
     assert old in POINT
     with pytest.raises(DeviceError, match=rf"mine\.toml: .*({field})"):
-        device(written(tmp_path, POINT.replace(old, new)))
+        device(write_profile(tmp_path, POINT.replace(old, new)))
 
 
-def test_an_array_shows_forces_or_heights(tmp_path: Path) -> None:
+def test_array_shows_forces_or_heights(tmp_path: Path) -> None:
     pins = [name for name in device_names() if device(name).shows == "height"]
     assert pins == ["dotpad", "graphiti", "hyperbraille"]
     text = (resources.files("touchfield.devices") / "profiles" / "graphiti.toml").read_text()
-    mine = written(tmp_path, text.replace('"height"', '"braille"'))
+    path = write_profile(tmp_path, text.replace('"height"', '"braille"'))
     with pytest.raises(
         DeviceError, match=r"mine\.toml: shows\.value: found 'braille'; expected force, or height"
     ):
-        device(mine)
+        device(path)
 
 
 @pytest.mark.parametrize("key", ["axes", "columns", "rows", "pitch_mm", "depth_mm", "force_max_n"])
-def test_an_array_without_what_it_needs_is_refused(tmp_path: Path, key: str) -> None:
+def test_array_without_a_required_key_is_refused(tmp_path: Path, key: str) -> None:
     text = (resources.files("touchfield.devices") / "profiles" / "graphiti.toml").read_text()
     before, _, rest = text.partition(f"[{key}]")
-    mine = written(tmp_path, before + "[".join(["", *rest.split("[")[1:]]))
+    path = write_profile(tmp_path, before + "[".join(["", *rest.split("[")[1:]]))
     with pytest.raises(DeviceError, match=rf"mine\.toml: {key}: found nothing"):
-        device(mine)
+        device(path)
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(100_000, 1), (1, 1025), (1024, 17)])
-def test_an_array_of_more_actuators_than_are_filtered_in_time_is_refused(
-    tmp_path: Path, columns: int, rows: int
-) -> None:
+def test_array_with_too_many_actuators_is_refused(tmp_path: Path, columns: int, rows: int) -> None:
     text = (resources.files("touchfield.devices") / "profiles" / "tshirt-32x32.toml").read_text()
 
     def array(columns: int, rows: int) -> Path:
-        return written(
+        return write_profile(
             tmp_path,
             f"value = {rows}".join(text.replace("value = 32", f"value = {columns}", 1).split("value = 32")),
         )
 
     assert device(array(1024, 16)).lattice == (1024, 16, 1)
-    told = (
+    message = (
         f"mine.toml: columns and rows: found {columns} x {rows} actuators; expected 1024 on a side and 16384 "
         "in all"
     )
-    with pytest.raises(DeviceError, match=told):
+    with pytest.raises(DeviceError, match=message):
         device(array(columns, rows))
 
 
-def test_files_that_are_no_profile(tmp_path: Path) -> None:
+def test_invalid_profile_files_are_refused(tmp_path: Path) -> None:
     for data in (b"\xff\xfe", b"[", b"a = " + b"[" * 50_000, b"x" * 70_000):
         (tmp_path / "mine.toml").write_bytes(data)
         with pytest.raises(DeviceError, match=r"mine\.toml"):
@@ -232,7 +232,7 @@ def test_files_that_are_no_profile(tmp_path: Path) -> None:
 
 
 @given(st.text(max_size=300).filter(lambda t: t not in device_names()))
-def test_any_text_is_one_of_our_errors(text: str) -> None:
+def test_any_text_raises_a_named_error(text: str) -> None:
     with pytest.raises((DeviceError, InvalidArgument)) as caught:
         device(text)
     assert "\n" not in str(caught.value)
@@ -242,15 +242,15 @@ def test_figures_of_perception_have_units_and_sources() -> None:
     assert figure("force_threshold_n") == 0.05
     assert figure("force_weber_fraction") == 0.07
     assert human()["deadband_paper"].values == (0.01, 0.1, 0.25)
-    for one in human().values():
-        assert one.unit and one.source and len(one.of) in (0, len(one.values))
-        assert all(v > 0 for v in one.values)
+    for entry in human().values():
+        assert entry.unit and entry.source and len(entry.of) in (0, len(entry.values))
+        assert all(v > 0 for v in entry.values)
     with pytest.raises(InvalidArgument, match="force_threshold_n"):
         figure("patience")
 
 
 @pytest.mark.parametrize("name", device_names())
-def test_every_value_of_a_profile_stands_under_its_own_name(name: str) -> None:
+def test_profile_attributes_have_the_values_of_their_keys(name: str) -> None:
     file = resources.files("touchfield.devices") / "profiles" / f"{name}.toml"
     table, found = tomllib.loads(file.read_text("utf-8")), device(name)
     assert (found.name, found.title, found.type) == (table["name"], table["title"], table["type"])
@@ -267,18 +267,18 @@ def test_every_value_of_a_profile_stands_under_its_own_name(name: str) -> None:
     for key, value in values.items():
         assert getattr(found, key) == (tuple(value) if isinstance(value, list) else value), key
     defaults = {"sources", "shows", "panels", "lattice", "workspace_mm", "name", "title", "type"}
-    for one in fields(found):
-        if one.name not in values and one.name not in defaults:
-            assert getattr(found, one.name) is None, one.name
+    for item in fields(found):
+        if item.name not in values and item.name not in defaults:
+            assert getattr(found, item.name) is None, item.name
     assert found.workspace_m == pytest.approx([mm / 1000 for mm in found.workspace_mm])
 
 
-def test_the_largest_numbers_of_a_profile_are_taken_and_none_beyond(tmp_path: Path) -> None:
+def test_limits_of_profile_numbers_are_inclusive(tmp_path: Path) -> None:
     def lattice(count: int) -> Path:
         text = POINT.replace("[1000, 800, 600]", f"[{count}, 800, 600]").replace(
             "[100, 80.0", f"[{count / 10}, 80.0"
         )
-        return written(tmp_path, text)
+        return write_profile(tmp_path, text)
 
     assert device(lattice(1 << 20)).lattice == (1 << 20, 800, 600)
     with pytest.raises(
@@ -288,9 +288,9 @@ def test_the_largest_numbers_of_a_profile_are_taken_and_none_beyond(tmp_path: Pa
     with pytest.raises(
         DeviceError, match=r"rate_hz\.value: found 1000001; expected a positive number up to 1000000"
     ):
-        device(written(tmp_path, POINT.replace("value = 1000\n", "value = 1000001\n")))
+        device(write_profile(tmp_path, POINT.replace("value = 1000\n", "value = 1000001\n")))
     wide = POINT.replace("[1000, 800, 600]", "[1000, 800, 601]")
     with pytest.raises(
         DeviceError, match=r"found \(1000, 800, 601\); expected \(1000, 800, 600\), workspace_mm over"
     ):
-        device(written(tmp_path, wide))
+        device(write_profile(tmp_path, wide))

@@ -1,6 +1,4 @@
-"""AHAP: intensity and sharpness over time as the drive and frequency of one actuator,
-and what may be wrong.
-"""
+"""AHAP: intensity and sharpness over time as the drive and frequency of one actuator, and faulty files."""
 
 from __future__ import annotations
 
@@ -21,14 +19,16 @@ from touchfield.exchange.symbolic import TRANSIENT_S, ArrayEffect
 def event(
     kind: str, time_s: float = 0.0, duration_s: float | None = None, **parameters: Any
 ) -> dict[str, Any]:
-    told = [{"ParameterID": name, "ParameterValue": value} for name, value in parameters.items()]
+    event_parameters = [{"ParameterID": name, "ParameterValue": value} for name, value in parameters.items()]
     length = {} if duration_s is None else {"EventDuration": duration_s}
-    return {"Event": {"Time": time_s, "EventType": kind, "EventParameters": told, **length}}
+    return {"Event": {"Time": time_s, "EventType": kind, "EventParameters": event_parameters, **length}}
 
 
 def curve(name: str, time_s: float, *points: tuple[float, float]) -> dict[str, Any]:
-    told = [{"Time": t, "ParameterValue": v} for t, v in points]
-    return {"ParameterCurve": {"ParameterID": name, "Time": time_s, "ParameterCurveControlPoints": told}}
+    control_points = [{"Time": t, "ParameterValue": v} for t, v in points]
+    return {
+        "ParameterCurve": {"ParameterID": name, "Time": time_s, "ParameterCurveControlPoints": control_points}
+    }
 
 
 def read(path: Path, *entries: dict[str, Any], rate_hz: float = 100.0) -> ArrayEffect:
@@ -40,51 +40,52 @@ def drives(path: Path, *entries: dict[str, Any], rate_hz: float = 100.0) -> np.n
 
 
 def test_a_continuous_event_has_its_intensity_and_frequency(tmp_path: Path) -> None:
-    made = read(tmp_path, event("HapticContinuous", 0.02, 0.1, HapticIntensity=0.5, HapticSharpness=0.4))
-    assert made.lattice == (1, 1, 1) and made.frequencies_hz is not None
-    assert made.drives[:, 0, 0].tolist() == [0, 0] + [0.5] * 11 + [0]
+    result = read(tmp_path, event("HapticContinuous", 0.02, 0.1, HapticIntensity=0.5, HapticSharpness=0.4))
+    assert result.lattice == (1, 1, 1) and result.frequencies_hz is not None
+    assert result.drives[:, 0, 0].tolist() == [0, 0] + [0.5] * 11 + [0]
     low, high = SHARPNESS_HZ
-    expected = np.where(made.drives > 0, low + 0.4 * (high - low), 0)
-    assert made.frequencies_hz == pytest.approx(expected)
+    expected = np.where(result.drives > 0, low + 0.4 * (high - low), 0)
+    assert result.frequencies_hz == pytest.approx(expected)
 
 
 def test_defaults_and_clamping(tmp_path: Path) -> None:
     assert drives(tmp_path, event("HapticContinuous", -1.0, 0.02)).tolist() == [1, 1, 1, 0]
+    # between two frames
     assert drives(tmp_path, event("HapticContinuous", 0.017, 0.001)).tolist() == [
         0,
         0,
         1,
         0,
-    ]  # between two frames
-    made = read(tmp_path, event("HapticContinuous", 0.0, 0.02, HapticIntensity=7, HapticSharpness=-3))
+    ]
+    result = read(tmp_path, event("HapticContinuous", 0.0, 0.02, HapticIntensity=7, HapticSharpness=-3))
     assert (
-        made.drives.max() == 1
-        and made.frequencies_hz is not None
-        and made.frequencies_hz[0] == SHARPNESS_HZ[0]
+        result.drives.max() == 1
+        and result.frequencies_hz is not None
+        and result.frequencies_hz[0] == SHARPNESS_HZ[0]
     )
     loud = event("HapticContinuous", 0, 0.1, HapticIntensity=7, HapticSharpness=9, Sustained=False)
     low = curve("HapticSharpnessControl", 0, (0, -0.5))
-    made = read(tmp_path, loud, low)  # it is clamped before anything acts on it
-    assert made.drives[5] == pytest.approx(0.5) and made.frequencies_hz is not None
-    assert made.frequencies_hz[5] == pytest.approx(np.mean(SHARPNESS_HZ))
+    result = read(tmp_path, loud, low)  # values are clamped before curves apply
+    assert result.drives[5] == pytest.approx(0.5) and result.frequencies_hz is not None
+    assert result.frequencies_hz[5] == pytest.approx(np.mean(SHARPNESS_HZ))
     half = event("HapticContinuous", 0, 0.1, HapticIntensity=0.5)
-    for asked, drive in ((7, 0.5), (-7, 0)):  # nor does a control make more of it, or less than nothing
-        assert read(tmp_path, half, curve("HapticIntensityControl", 0, (0, asked))).drives.max() == drive
+    for value, drive in ((7, 0.5), (-7, 0)):  # a control can neither amplify the drive nor make it negative
+        assert read(tmp_path, half, curve("HapticIntensityControl", 0, (0, value))).drives.max() == drive
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 100.0, 1000.0])
-def test_a_transient_is_never_lost(tmp_path: Path, rate_hz: float) -> None:
-    made = drives(tmp_path, event("HapticTransient", 0.1678, HapticIntensity=0.8), rate_hz=rate_hz)
+def test_transient_is_never_skipped(tmp_path: Path, rate_hz: float) -> None:
+    found = drives(tmp_path, event("HapticTransient", 0.1678, HapticIntensity=0.8), rate_hz=rate_hz)
     first = round(0.1678 * rate_hz)
-    assert made[first] == pytest.approx(0.8) and not made[:first].any() and made[-1] == 0
-    assert (np.diff(made[first:]) <= 0).all()
-    assert np.flatnonzero(made)[-1] <= first + TRANSIENT_S * rate_hz
-    after = np.arange(len(made) - first) / rate_hz
-    assert made[first:] == pytest.approx(0.8 * np.clip(1 - after / TRANSIENT_S, 0, 1))
-    assert len(made) == first + int(TRANSIENT_S * rate_hz) + 2
+    assert found[first] == pytest.approx(0.8) and not found[:first].any() and found[-1] == 0
+    assert (np.diff(found[first:]) <= 0).all()
+    assert np.flatnonzero(found)[-1] <= first + TRANSIENT_S * rate_hz
+    after = np.arange(len(found) - first) / rate_hz
+    assert found[first:] == pytest.approx(0.8 * np.clip(1 - after / TRANSIENT_S, 0, 1))
+    assert len(found) == first + int(TRANSIENT_S * rate_hz) + 2
 
 
-def test_attack_release_and_what_is_not_sustained(tmp_path: Path) -> None:
+def test_attack_release_and_sustained(tmp_path: Path) -> None:
     attack = drives(tmp_path, event("HapticContinuous", 0, 0.1, AttackTime=0.05))
     assert attack[:7] == pytest.approx([0, 0.2, 0.4, 0.6, 0.8, 1, 1])
     release = drives(tmp_path, event("HapticContinuous", 0, 0.1, ReleaseTime=0.05))
@@ -94,37 +95,44 @@ def test_attack_release_and_what_is_not_sustained(tmp_path: Path) -> None:
 
 
 def test_controls_multiply_intensity_and_add_to_sharpness(tmp_path: Path) -> None:
-    made = read(
+    result = read(
         tmp_path,
         event("HapticContinuous", 0, 0.4, HapticIntensity=0.8, HapticSharpness=0.5),
         {"Parameter": {"ParameterID": "HapticIntensityControl", "Time": 0.3, "ParameterValue": 0.25}},
-        curve("HapticIntensityControl", 0.1, (0, 1), (0.1, 0.5)),  # in no order of time, nor are its points
+        curve(
+            "HapticIntensityControl", 0.1, (0, 1), (0.1, 0.5)
+        ),  # neither the curves nor their points are ordered by time
         curve("HapticSharpnessControl", 0.0, (0.4, -0.4), (0, 0)),
         curve("AudioVolumeControl", 0.0, (0, 0)),
     )
-    at = made.drives[[0, 10, 15, 25, 30, 40], 0, 0]
+    at = result.drives[[0, 10, 15, 25, 30, 40], 0, 0]
     assert at == pytest.approx([0.8, 0.8, 0.6, 0.4, 0.2, 0.2])
     low, high = SHARPNESS_HZ
-    assert made.frequencies_hz is not None
-    assert made.frequencies_hz[[0, 20, 40], 0, 0] == pytest.approx(
+    assert result.frequencies_hz is not None
+    assert result.frequencies_hz[[0, 20, 40], 0, 0] == pytest.approx(
         [low + s * (high - low) for s in (0.5, 0.3, 0.1)]
     )
 
 
-def test_events_that_meet_add_up_and_the_strongest_sings(tmp_path: Path) -> None:
-    made = read(
+def test_overlapping_events_add_and_the_strongest_sets_the_frequency(tmp_path: Path) -> None:
+    result = read(
         tmp_path,
         event("HapticContinuous", 0, 0.1, HapticIntensity=0.7, HapticSharpness=0),
         event("HapticContinuous", 0.05, 0.1, HapticIntensity=0.6, HapticSharpness=1),
     )
-    assert made.drives[[2, 7, 12], 0, 0] == pytest.approx([0.7, 1.0, 0.6]) and made.frequencies_hz is not None
-    assert made.frequencies_hz[[2, 7, 12], 0, 0].tolist() == [65, 65, 300]
+    assert (
+        result.drives[[2, 7, 12], 0, 0] == pytest.approx([0.7, 1.0, 0.6])
+        and result.frequencies_hz is not None
+    )
+    assert result.frequencies_hz[[2, 7, 12], 0, 0].tolist() == [65, 65, 300]
 
 
-def test_sounds_are_left_out(tmp_path: Path) -> None:
+def test_sounds_are_ignored(tmp_path: Path) -> None:
     sound, touch = event("AudioContinuous", 0, 1.0), event("HapticTransient", 0.0)
-    made = read_ahap(written(tmp_path / "a.ahap", {"Pattern": [sound, touch, {"Other": 1}], "Metadata": {}}))
-    assert "1 events of sound" in made.notes[0]
+    result = read_ahap(
+        written(tmp_path / "a.ahap", {"Pattern": [sound, touch, {"Other": 1}], "Metadata": {}})
+    )
+    assert "1 events of sound" in result.notes[0]
     with pytest.raises(SourceError, match="and no other"):
         read(tmp_path, sound)
 
@@ -144,14 +152,14 @@ FAULTS: list[tuple[Any, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("made", "told"), FAULTS)
-def test_faults_are_named(tmp_path: Path, made: Any, told: str) -> None:
+@pytest.mark.parametrize(("document", "message"), FAULTS)
+def test_faults_are_named(tmp_path: Path, document: Any, message: str) -> None:
     with pytest.raises(SourceError) as caught:
-        read_ahap(written(tmp_path / "a.ahap", made))
-    assert told in str(caught.value) and "a.ahap" in str(caught.value)
+        read_ahap(written(tmp_path / "a.ahap", document))
+    assert message in str(caught.value) and "a.ahap" in str(caught.value)
 
 
-def test_little_files_that_ask_for_much(tmp_path: Path) -> None:
+def test_small_files_with_huge_effects_are_refused(tmp_path: Path) -> None:
     many = [event("HapticContinuous", 0, 3600) for _ in range(1000)]
     with pytest.raises(SourceError, match="1000 events"):
         read(tmp_path, *many)
@@ -172,21 +180,21 @@ FULL = {
 VALUES = st.sampled_from([None, True, -1, 0, 0.5, 1e308, 10**30, "", "HapticTransient", [], {}, [{}]])
 
 
-def places(made: Any, here: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    keys = list(made) if isinstance(made, dict) else list(range(len(made))) if isinstance(made, list) else []
-    return [place for key in keys for place in ((*here, key), *places(made[key], (*here, key)))]
+def key_paths(node: Any, prefix: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    keys = list(node) if isinstance(node, dict) else list(range(len(node))) if isinstance(node, list) else []
+    return [path for key in keys for path in ((*prefix, key), *key_paths(node[key], (*prefix, key)))]
 
 
-@given(place=st.sampled_from(places(FULL)), value=VALUES)
-def test_only_named_errors_come_out(
-    tmp_path_factory: pytest.TempPathFactory, place: tuple[Any, ...], value: Any
+@given(keys=st.sampled_from(key_paths(FULL)), value=VALUES)
+def test_only_named_errors_are_raised(
+    tmp_path_factory: pytest.TempPathFactory, keys: tuple[Any, ...], value: Any
 ) -> None:
-    made: Any = copy.deepcopy(FULL)
-    inner = made
-    for key in place[:-1]:
+    document: Any = copy.deepcopy(FULL)
+    inner = document
+    for key in keys[:-1]:
         inner = inner[key]
-    inner[place[-1]] = value
-    path, found = written(tmp_path_factory.mktemp("ahap") / "a.ahap", made), None
+    inner[keys[-1]] = value
+    path, found = written(tmp_path_factory.mktemp("ahap") / "a.ahap", document), None
     try:
         read_ahap(path)
     except TouchfieldError as error:

@@ -1,4 +1,4 @@
-"""HJIF as it is written: valid against the published schemas, and within what the reference decoder takes."""
+"""Written HJIF is valid under the published schemas, and within the limits of the reference decoder."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from touchfield.exchange.symbolic import DEFAULT_CARRIER_HZ, ArrayEffect
 
 @st.composite
 def traces(draw: st.DrawFn) -> tuple[np.ndarray, int]:
-    """Forces, one a tick, and ticks a second."""
+    """Forces, one per tick, and ticks per second."""
     count = draw(st.integers(1, 40))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    greatest = draw(st.sampled_from((0.5, 1.0, 3.3, 10.0, 37.5)))
-    forces = rng.uniform(-1, 1, (count, 3)) * greatest * draw(st.sampled_from((0, 0.1, 1)))
+    max_n = draw(st.sampled_from((0.5, 1.0, 3.3, 10.0, 37.5)))
+    forces = rng.uniform(-1, 1, (count, 3)) * max_n * draw(st.sampled_from((0, 0.1, 1)))
     return forces, draw(st.sampled_from((1, 2, 100, 1000, 5000, 48000)))
 
 
@@ -36,12 +36,15 @@ def load(path: Path) -> dict[str, Any]:
 
 def bands_of(document: dict[str, Any]) -> list[dict[str, Any]]:
     return [
-        band for one in document["perceptions"] for channel in one["channels"] for band in channel["bands"]
+        band
+        for perception in document["perceptions"]
+        for channel in perception["channels"]
+        for band in channel["bands"]
     ]
 
 
 def check_reference_rules(document: dict[str, Any]) -> None:
-    """What the public reference decoder needs beside the schemas."""
+    """Requirements of the public reference decoder in addition to the schemas."""
     assert document["version"] == "2023" and document["profile"] == "Main" and document["syncs"] == []
     assert type(document["timescale"]) is int and 1 <= document["timescale"] <= 48000
     for perception in document["perceptions"]:
@@ -62,76 +65,81 @@ def check_band(band: dict[str, Any], gain: float) -> None:
     end = None
     for effect in band["effects"]:
         keyframes = effect["keyframes"]
-        ticks = [one["relative_position"] for one in keyframes]
+        ticks = [keyframe["relative_position"] for keyframe in keyframes]
         assert effect["effect_type"] == "Basis" and type(effect["position"]) is int
         assert all(type(tick) is int for tick in ticks) and ticks[0] == 0 and ticks == sorted(set(ticks))
         assert ticks[-1] <= MAX_SPAN_TICKS
-        assert all(abs(one["amplitude_modulation"]) <= 1 for one in keyframes) and gain >= 0
+        assert all(abs(keyframe["amplitude_modulation"]) <= 1 for keyframe in keyframes) and gain >= 0
         assert end in (None, effect["position"])
         end = effect["position"] + ticks[-1]
         if band["band_type"] == "Curve":
             assert len(keyframes) >= 3 and effect["position"] == 0 and len(band["effects"]) == 1
         else:
-            assert all(low <= one["frequency_modulation"] <= high for one in keyframes)
-            assert all(type(one["frequency_modulation"]) is int for one in keyframes)
+            assert all(low <= keyframe["frequency_modulation"] <= high for keyframe in keyframes)
+            assert all(type(keyframe["frequency_modulation"]) is int for keyframe in keyframes)
 
 
 # -- arrays ------------------------------------------------------------------------------------------------
 
 
-@given(made=effects())
-def test_an_array_comes_back_to_within_a_step(
-    tmp_path_factory: pytest.TempPathFactory, made: ArrayEffect
+@given(effect=effects())
+def test_array_round_trip_is_within_a_step(
+    tmp_path_factory: pytest.TempPathFactory, effect: ArrayEffect
 ) -> None:
     path = tmp_path_factory.mktemp("hjif") / "a.hjif"
-    write_hjif_array(path, made)
+    write_hjif_array(path, effect)
     check_reference_rules(load(path))
-    back = read_hjif_array(path, made.rate_hz).effect
-    assert back.rate_hz == made.rate_hz and back.lattice == made.lattice
-    frames = max(len(made), 2)  # an only frame is held for the time of a frame
-    assert len(back) == frames
-    wanted = made.drives if len(made) > 1 else np.repeat(made.drives, 2, axis=0)
-    # a frame between two ticks is told at the nearer one: half a tick of the steepest line, in frames
-    slip = 0.5 * made.rate_hz / 1000 if 1000 % made.rate_hz else 0.0
-    steepest = np.abs(np.diff(wanted.astype(np.float64), axis=0)).max() * slip * 2
-    assert np.abs(back.drives - wanted).max() <= AMPLITUDE_STEP * 1.01 + steepest
-    if made.frequencies_hz is not None and made.drives.any():
-        told = made.frequencies_hz if len(made) > 1 else np.repeat(made.frequencies_hz, 2, axis=0)
-        assert back.frequencies_hz is not None
-        held = (told > 0) & (back.drives > 0)
+    restored = read_hjif_array(path, effect.rate_hz).effect
+    assert restored.rate_hz == effect.rate_hz and restored.lattice == effect.lattice
+    frames = max(len(effect), 2)  # a single frame lasts for one frame time
+    assert len(restored) == frames
+    expected = effect.drives if len(effect) > 1 else np.repeat(effect.drives, 2, axis=0)
+    # a frame between two ticks is stored at the nearer one: half a tick of the steepest line, in frames
+    slip = 0.5 * effect.rate_hz / 1000 if 1000 % effect.rate_hz else 0.0
+    steepest = np.abs(np.diff(expected.astype(np.float64), axis=0)).max() * slip * 2
+    assert np.abs(restored.drives - expected).max() <= AMPLITUDE_STEP * 1.01 + steepest
+    if effect.frequencies_hz is not None and effect.drives.any():
+        expected_hz = (
+            effect.frequencies_hz if len(effect) > 1 else np.repeat(effect.frequencies_hz, 2, axis=0)
+        )
+        assert restored.frequencies_hz is not None
+        has_frequency = (expected_hz > 0) & (restored.drives > 0)
         if not slip:
-            assert np.abs(back.frequencies_hz - told)[held].max(initial=0) <= 1.01
-    elif made.drives.any():
-        assert back.frequencies_hz is not None
-        assert set(back.frequencies_hz[back.drives > 0].tolist()) <= {DEFAULT_CARRIER_HZ}
+            assert np.abs(restored.frequencies_hz - expected_hz)[has_frequency].max(initial=0) <= 1.01
+    elif effect.drives.any():
+        assert restored.frequencies_hz is not None
+        assert set(restored.frequencies_hz[restored.drives > 0].tolist()) <= {DEFAULT_CARRIER_HZ}
 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
-def test_what_is_longer_than_65535_ticks_goes_on_in_the_next_effect(tmp_path: Path, rate_hz: float) -> None:
+def test_effects_over_65535_ticks_are_split(tmp_path: Path, rate_hz: float) -> None:
     count = int(200 * rate_hz)
     wave = (0.5 + 0.5 * np.sin(np.arange(count) / 7)).astype(np.float32)
     hertz = np.full((count, 1, 1), 120.25, np.float32)
     write_hjif_array(tmp_path / "a.hjif", ArrayEffect(rate_hz, wave.reshape(-1, 1, 1), hertz))
     document = load(tmp_path / "a.hjif")
     check_reference_rules(document)
-    made = bands_of(document)[0]["effects"]
-    assert len(made) > 2
-    for before, after in zip(made, made[1:]):
+    effects_written = bands_of(document)[0]["effects"]
+    assert len(effects_written) > 2
+    for before, after in zip(effects_written, effects_written[1:]):
         last, first = before["keyframes"][-1], after["keyframes"][0]
         assert last["amplitude_modulation"] == first["amplitude_modulation"]
         cycles = last["relative_position"] / 1000 * 120
-        turned = (after["phase"] - before["phase"] - 2 * math.pi * cycles) % (2 * math.pi)
-        assert min(turned, 2 * math.pi - turned) < 1e-4
-    back = read_hjif_array(tmp_path / "a.hjif", rate_hz).effect
+        phase = (after["phase"] - before["phase"] - 2 * math.pi * cycles) % (2 * math.pi)
+        assert min(phase, 2 * math.pi - phase) < 1e-4
+    restored = read_hjif_array(tmp_path / "a.hjif", rate_hz).effect
     slip = 0 if 1000 % rate_hz == 0 else rate_hz / 1000 / 7
-    assert len(back) == count and np.abs(back.drives[:, 0, 0] - wave).max() <= AMPLITUDE_STEP * 1.01 + slip
+    assert (
+        len(restored) == count
+        and np.abs(restored.drives[:, 0, 0] - wave).max() <= AMPLITUDE_STEP * 1.01 + slip
+    )
 
 
-def test_straight_lines_cost_their_ends_only(tmp_path: Path) -> None:
+def test_straight_lines_have_keyframes_at_their_ends_only(tmp_path: Path) -> None:
     ramp = np.concatenate([np.linspace(0, 1, 101), np.ones(50), np.zeros(50)]).astype(np.float32)
     write_hjif_array(tmp_path / "a.hjif", ArrayEffect(100.0, ramp.reshape(-1, 1, 1)))
     keyframes = bands_of(load(tmp_path / "a.hjif"))[0]["effects"][0]["keyframes"]
-    assert [one["relative_position"] for one in keyframes] == [0, 1000, 1500, 1510, 2000]
+    assert [keyframe["relative_position"] for keyframe in keyframes] == [0, 1000, 1500, 1510, 2000]
 
 
 def test_rows_and_columns_of_an_array(tmp_path: Path) -> None:
@@ -140,22 +148,24 @@ def test_rows_and_columns_of_an_array(tmp_path: Path) -> None:
     write_hjif_array(tmp_path / "a.hjif", ArrayEffect(50.0, drives), "tactsuit-x40", panel="back")
     document = load(tmp_path / "a.hjif")
     channels = document["perceptions"][0]["channels"]
-    loud = [one for one in channels if one["bands"][0]["effects"][0]["keyframes"][0]["amplitude_modulation"]]
-    assert [one["id"] for one in loud] == [3] and loud[0]["actuator_target"] == [{"X": 3, "Y": 4, "Z": 0}]
+    loud = [
+        entry for entry in channels if entry["bands"][0]["effects"][0]["keyframes"][0]["amplitude_modulation"]
+    ]
+    assert [entry["id"] for entry in loud] == [3] and loud[0]["actuator_target"] == [{"X": 3, "Y": 4, "Z": 0}]
     assert loud[0]["body_part_target"] == ["Chest", "Back"] and loud[0]["body_part_mask"] == 0x300
     assert document["level"] == 1
     assert abs(datetime.now(UTC) - datetime.fromisoformat(document["date"])) < timedelta(minutes=10)
-    back = read_hjif_array(tmp_path / "a.hjif", 50.0)
-    assert back.device_name == "tactsuit-x40" and np.array_equal(back.effect.drives, drives)
+    restored = read_hjif_array(tmp_path / "a.hjif", 50.0)
+    assert restored.device_name == "tactsuit-x40" and np.array_equal(restored.effect.drives, drives)
 
 
-def test_options_of_an_array_that_cannot_be(tmp_path: Path) -> None:
-    one = ArrayEffect(100.0, np.zeros((2, 1, 1), np.float32))
+def test_invalid_options_of_an_array_are_refused(tmp_path: Path) -> None:
+    effect = ArrayEffect(100.0, np.zeros((2, 1, 1), np.float32))
     with pytest.raises(InvalidArgument, match="panel"):
-        write_hjif_array(tmp_path / "a.hjif", one, panel="left")
+        write_hjif_array(tmp_path / "a.hjif", effect, panel="left")
     for rate_hz in (0.01, 1001.0):
         with pytest.raises(InvalidArgument, match="ticks to a frame"):
-            write_hjif_array(tmp_path / "a.hjif", ArrayEffect(rate_hz, one.drives))
+            write_hjif_array(tmp_path / "a.hjif", ArrayEffect(rate_hz, effect.drives))
     with pytest.raises(InvalidArgument, match="127 columns"):
         write_hjif_array(tmp_path / "a.hjif", ArrayEffect(100.0, np.zeros((2, 1, 128), np.float32)))
     assert list(tmp_path.iterdir()) == []
@@ -165,7 +175,7 @@ def test_options_of_an_array_that_cannot_be(tmp_path: Path) -> None:
 
 
 @given(trace=traces())
-def test_a_trace_comes_back_to_within_a_step(
+def test_trace_round_trip_is_within_a_step(
     tmp_path_factory: pytest.TempPathFactory, trace: tuple[np.ndarray, int]
 ) -> None:
     forces, timescale = trace
@@ -176,34 +186,35 @@ def test_a_trace_comes_back_to_within_a_step(
     perception = document["perceptions"][0]
     assert perception["perception_unit_exponent"] == 0 and document["timescale"] == timescale
     greatest = np.abs(forces).max(axis=0)
-    assert [one["gain"] for one in perception["channels"]] == pytest.approx(greatest)
+    assert [channel["gain"] for channel in perception["channels"]] == pytest.approx(greatest)
     back_s, back_n = read_force(path)
     times_s = np.arange(len(forces)) / timescale
     found = np.stack([np.interp(times_s, back_s, back_n[:, axis]) for axis in range(3)], axis=1)
     assert np.abs(found - forces).max() <= greatest.max() * AMPLITUDE_STEP * 1.01
 
 
-def test_small_forces_survive_the_eight_bits_of_the_binary_form(tmp_path: Path) -> None:
+def test_small_forces_survive_eight_bit_quantisation(tmp_path: Path) -> None:
     forces = np.stack(
         [0.02 * np.sin(np.arange(200) / 9), np.zeros(200), 2 * np.cos(np.arange(200) / 30)], axis=1
     )
     write_hjif_force(tmp_path / "f.hjif", forces, 100)
     channels = load(tmp_path / "f.hjif")["perceptions"][0]["channels"]
-    for axis, one in enumerate(channels):
-        keyframes = one["bands"][0]["effects"][0]["keyframes"]
+    for axis, channel in enumerate(channels):
+        keyframes = channel["bands"][0]["effects"][0]["keyframes"]
         amplitudes = np.array([frame["amplitude_modulation"] for frame in keyframes])
         steps = np.floor((amplitudes + 1) / 2 * 255)  # as the reference encoder does
-        error_n = np.abs(steps / 255 * 2 - 1 - amplitudes).max() * one["gain"]
+        error_n = np.abs(steps / 255 * 2 - 1 - amplitudes).max() * channel["gain"]
         assert error_n <= 2 / 255 * np.abs(forces[:, axis]).max()  # 0 N where there is no force
 
 
-def test_a_full_scale_keeps_sound_from_clipping(tmp_path: Path) -> None:
+def test_full_scale_prevents_clipping(tmp_path: Path) -> None:
     forces = np.outer(np.linspace(-3, 3, 50), [1, 0.5, 0])
     write_hjif_force(tmp_path / "f.hjif", forces, 100, full_scale_n=3.0)
     perception = load(tmp_path / "f.hjif")["perceptions"][0]
     unit = 10 ** perception["perception_unit_exponent"]
     assert (
-        max(one["gain"] for one in perception["channels"]) * unit <= 1 and "3 N" in perception["description"]
+        max(channel["gain"] for channel in perception["channels"]) * unit <= 1
+        and "3 N" in perception["description"]
     )
     with pytest.raises(InvalidArgument, match="full_scale_n"):
         write_hjif_force(tmp_path / "f.hjif", forces, 100, full_scale_n=0.0)
@@ -220,7 +231,7 @@ def test_a_curve_never_has_two_keyframes(tmp_path: Path, count: int) -> None:
     check_reference_rules(load(tmp_path / "f.hjif"))
 
 
-def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+def test_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises((SourceError, InvalidArgument)):
         write_hjif_force(tmp_path / "none" / "f.hjif", np.zeros((2, 3)), 1000)
     assert list(tmp_path.iterdir()) == []
@@ -230,22 +241,22 @@ def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.shared
-@given(made=effects(), trace=traces())
+@given(effect=effects(), trace=traces())
 def test_files_are_valid_against_the_schemas(
     tmp_path_factory: pytest.TempPathFactory,
     shared_data: Path,
-    made: ArrayEffect,
+    effect: ArrayEffect,
     trace: tuple[np.ndarray, int],
 ) -> None:
     folder, out = shared_data / "hjif_schemas", tmp_path_factory.mktemp("hjif")
-    write_hjif_array(out / "a.hjif", made, "tactsuit-x40")
+    write_hjif_array(out / "a.hjif", effect, "tactsuit-x40")
     write_hjif_force(out / "f.hjif", *trace, device_name="phantom-omni")
     assert schema_errors(load(out / "a.hjif"), folder) == []
     assert schema_errors(load(out / "f.hjif"), folder) == []
 
 
 @pytest.mark.shared
-def test_a_shirt_of_1024_is_level_2_and_valid(tmp_path: Path, shared_data: Path) -> None:
+def test_array_of_1024_actuators_is_level_2_and_valid(tmp_path: Path, shared_data: Path) -> None:
     drives = np.random.default_rng(0).random((3, 32, 32)).astype(np.float32)
     write_hjif_array(tmp_path / "a.hjif", ArrayEffect(25.0, drives), "tshirt-32x32")
     document = load(tmp_path / "a.hjif")
@@ -254,7 +265,7 @@ def test_a_shirt_of_1024_is_level_2_and_valid(tmp_path: Path, shared_data: Path)
 
 
 @pytest.mark.shared
-def test_the_schemas_do_refuse(tmp_path: Path, shared_data: Path) -> None:
+def test_schemas_refuse_invalid_documents(tmp_path: Path, shared_data: Path) -> None:
     write_hjif_force(tmp_path / "f.hjif", np.zeros((1, 3)), 1000)
     document = load(tmp_path / "f.hjif")
     document["perceptions"][0]["channels"][0]["bands"][0]["effects"][0]["keyframes"][0][

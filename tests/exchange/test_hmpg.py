@@ -1,6 +1,4 @@
-"""The binary form of MPEG haptics: what was packed comes out, in the words of HJIF;
-what is damaged is named.
-"""
+"""The binary form of MPEG haptics: the parsed document agrees with HJIF, and damage raises named errors."""
 
 from __future__ import annotations
 
@@ -22,11 +20,11 @@ def text(word: str) -> Fields:
     return [(len(word), 8), *((ord(letter), 8) for letter in word)]
 
 
-def share(value: float, low: float, high: float, bits: int) -> tuple[int, int]:
+def quantised(value: float, low: float, high: float, bits: int) -> tuple[int, int]:
     return (round((value - low) / (high - low) * ((1 << bits) - 1)), bits)
 
 
-def packed(fields: Fields) -> bytes:
+def pack(fields: Fields) -> bytes:
     value = count = 0
     for field, bits in fields:
         value, count = value << bits | field & ((1 << bits) - 1), count + bits
@@ -34,13 +32,13 @@ def packed(fields: Fields) -> bytes:
 
 
 def packet(kind: int, fields: Fields) -> bytes:
-    data = packed(fields)
-    return packed([(kind, 6), (len(data), 17), (0, 1)]) + data
+    data = pack(fields)
+    return pack([(kind, 6), (len(data), 17), (0, 1)]) + data
 
 
 def unit(kind: int, ticks: int, *packets: bytes) -> bytes:
     data = b"".join(packets)
-    return packed([(kind, 6), (0, 2), (0, 4), (ticks, 24), (len(data), 32), (0, 4)]) + data
+    return pack([(kind, 6), (0, 2), (0, 4), (ticks, 24), (len(data), 32), (0, 4)]) + data
 
 
 def head(modality: int, *channels: bytes) -> bytes:
@@ -56,7 +54,8 @@ def head(modality: int, *channels: bytes) -> bytes:
 def channel(number: int, gain: float, direction: tuple[int, int, int] | None = None) -> bytes:
     aim = [] if direction is None else [(axis, 8) for axis in direction]
     return packet(3, [
-        (number, 16), (0, 8), (0, 8), *text("c"), (1, 8), share(gain, -1e4, 1e4, 32), share(1, 0, 1e4, 32),
+        (number, 16), (0, 8), (0, 8), *text("c"), (1, 8),
+        quantised(gain, -1e4, 1e4, 32), quantised(1, 0, 1e4, 32),
         (1 if direction is None else 5, 8), (0x10, 32), (0, 32), *aim, (0, 16), (1, 8),
     ])  # fmt: skip
 
@@ -68,9 +67,9 @@ def band(number: int, of: int, kind: int, more: Fields) -> bytes:
 def curve(
     position: int, *keyframes: tuple[int, float], effect: int = 7, of: int = 0, number: int = 0
 ) -> bytes:
-    told = [item for tick, value in keyframes for item in (share(value, -1, 1, 8), (tick, 16))]
-    begin = [(0, 1), (0, 8), (of, 16), (number, 8), (1, 16), (effect, 16), (0, 2), (position, 25), (0, 1)]
-    return packet(5, [*begin, (len(keyframes), 16), *told])
+    points = [item for tick, value in keyframes for item in (quantised(value, -1, 1, 8), (tick, 16))]
+    header = [(0, 1), (0, 8), (of, 16), (number, 8), (1, 16), (effect, 16), (0, 2), (position, 25), (0, 1)]
+    return packet(5, [*header, (len(keyframes), 16), *points])
 
 
 LINEAR: Fields = [(2, 4)]
@@ -78,34 +77,32 @@ FILE = (
     head(6, channel(0, 0.5), band(0, 0, 1, LINEAR))
     + unit(1, 128, curve(20, (0, 1.0), (100, 0.5)))
     + unit(3, 128)
-    + unit(1, 128, curve(-236, (300, 1.0), (400, -1.0)))  # the same effect, two units later
+    + unit(1, 128, curve(-236, (300, 1.0), (400, -1.0)))  # the same effect, continued two units later
 )
 
 
-def written(path: Path, data: bytes) -> Path:
+def write(path: Path, data: bytes) -> Path:
     path.write_bytes(data)
     return path
 
 
-def test_an_effect_in_several_units(tmp_path: Path) -> None:
-    made = read_hjif_array(written(tmp_path / "a.hmpg", FILE))
-    assert made.device_name == "vest"
-    assert made.effect.drives[:, 0, 0] == pytest.approx(
+def test_effect_in_several_units(tmp_path: Path) -> None:
+    result = read_hjif_array(write(tmp_path / "a.hmpg", FILE))
+    assert result.device_name == "vest"
+    assert result.effect.drives[:, 0, 0] == pytest.approx(
         np.abs(np.interp(np.arange(43), [1.99, 2, 12, 32, 42], [0, 0.5, 0.25, 0.5, -0.5])), abs=0.005
     )
 
 
-@pytest.mark.parametrize(("kind", "begin"), [(1, 15), (2, 2)])
-def test_an_effect_counts_from_its_unit_and_one_in_space_from_nowhere(
-    tmp_path: Path, kind: int, begin: int
-) -> None:
-    told = head(6, channel(0, 1.0), band(0, 0, 1, LINEAR), packet(6, [(0, 24)]))  # with a library of nothing
-    data = told + unit(kind, 128) + unit(kind, 128, curve(22, (0, 1.0)))
-    made = read_hjif_array(written(tmp_path / "a.hmpg", data))
-    assert np.flatnonzero(made.effect.drives).tolist() == [begin]
+@pytest.mark.parametrize(("kind", "start_frame"), [(1, 15), (2, 2)])
+def test_effect_positions_are_relative_to_their_unit(tmp_path: Path, kind: int, start_frame: int) -> None:
+    preamble = head(6, channel(0, 1.0), band(0, 0, 1, LINEAR), packet(6, [(0, 24)]))  # with an empty library
+    data = preamble + unit(kind, 128) + unit(kind, 128, curve(22, (0, 1.0)))
+    result = read_hjif_array(write(tmp_path / "a.hmpg", data))
+    assert np.flatnonzero(result.effect.drives).tolist() == [start_frame]
 
 
-def test_numbers_are_the_words_of_the_standard(tmp_path: Path) -> None:
+def test_numbers_map_to_the_names_of_the_standard(tmp_path: Path) -> None:
     modalities = (
         "Other",
         "Pressure",
@@ -126,28 +123,28 @@ def test_numbers_are_the_words_of_the_standard(tmp_path: Path) -> None:
         data = head(
             number, channel(0, 1.0), *(band(n, 0, 1, [(n, 4)]) for n in (0, 1, 2, 3)), band(9, 0, 0, [])
         )
-        (perception,) = read_hjif(written(tmp_path / "a.hmpg", data)).perceptions
+        (perception,) = read_hjif(write(tmp_path / "a.hmpg", data)).perceptions
         assert perception.modality == modality
-        told = [(one.kind, one.curve) for one in perception.channels[0].bands]
-        assert told == [
+        shapes = [(band_read.kind, band_read.curve) for band_read in perception.channels[0].bands]
+        assert shapes == [
             *(("Curve", shape) for shape in ("Unknown", "Cubic", "Linear", "Akima")),
             ("Transient", "Linear"),
         ]
-    for number, shape in ((4, "Bezier"), (5, "BSpline")):  # which nobody draws alike
+    for number, shape in ((4, "Bezier"), (5, "BSpline")):  # which decoders draw differently
         data = head(6, channel(0, 1.0), band(0, 0, 1, [(number, 4)]))
         with pytest.raises(SourceError, match=f"a curve of type {shape}"):
-            read_hjif(written(tmp_path / "a.hmpg", data))
-    (perception,) = read_hjif(written(tmp_path / "a.hmpg", head(6, channel(0, -0.5)))).perceptions
+            read_hjif(write(tmp_path / "a.hmpg", data))
+    (perception,) = read_hjif(write(tmp_path / "a.hmpg", head(6, channel(0, -0.5)))).perceptions
     assert perception.channels[0].gain == 0
     with pytest.raises(SourceError, match="a modality of number 14"):
-        read_hjif(written(tmp_path / "a.hmpg", head(14, channel(0, 1.0))))
+        read_hjif(write(tmp_path / "a.hmpg", head(14, channel(0, 1.0))))
 
 
-def test_a_force_comes_in_with_its_gain(tmp_path: Path) -> None:
+def test_force_is_read_with_its_gain(tmp_path: Path) -> None:
     data = head(9, channel(0, 0.02, (0, -127, 0)), band(0, 0, 1, LINEAR)) + unit(
         1, 128, curve(0, (0, -1.0), (90, 1.0))
     )
-    times, forces = read_force(written(tmp_path / "f.hmpg", data))
+    times, forces = read_force(write(tmp_path / "f.hmpg", data))
     assert times.tolist() == [0, 0.09] and forces[:, 1] == pytest.approx([0.02, -0.02], abs=1e-5)
 
 
@@ -156,12 +153,12 @@ def test_wavelets_and_waves(tmp_path: Path) -> None:
         "c74800643dd4ae76bcf880035af04ad119389999cca7d3d2950038a13da51f52533f2ddff5e431cacbafbd19"
     )
     block = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 1), (len(stream), 16)]
-    data = packet(5, [*block, *((one, 8) for one in stream)])
+    data = packet(5, [*block, *((byte, 8) for byte in stream)])
     waves = head(6, channel(0, 1.0), band(0, 0, 3, [(64, 8)])) + unit(1, 128, data, data)
-    made = read_hjif_array(written(tmp_path / "w.hmpg", waves)).effect
-    assert made.frequencies_hz is not None and made.frequencies_hz[3, 0, 0] == pytest.approx(200, abs=5)
-    assert len(made.drives) == 13 and made.drives[2:12].min() > 0.4  # one block behind the other
-    keyframes: Fields = [(3, 2), share(0.6, -1, 1, 8), (0, 16), (80, 16), (2, 2), (50, 16), (120, 16)]
+    result = read_hjif_array(write(tmp_path / "w.hmpg", waves)).effect
+    assert result.frequencies_hz is not None and result.frequencies_hz[3, 0, 0] == pytest.approx(200, abs=5)
+    assert len(result.drives) == 13 and result.drives[2:12].min() > 0.4  # one block after the other
+    keyframes: Fields = [(3, 2), quantised(0.6, -1, 1, 8), (0, 16), (80, 16), (2, 2), (50, 16), (120, 16)]
     fields = [
         (0, 1),
         (0, 8),
@@ -177,21 +174,23 @@ def test_wavelets_and_waves(tmp_path: Path) -> None:
         (1, 4),
     ]
     wave = head(6, channel(0, 1.0), band(0, 0, 2, [])) + unit(1, 128, packet(5, [*fields, *keyframes]))
-    told = read_hjif_array(written(tmp_path / "v.hmpg", wave)).effect
-    assert told.frequencies_hz is not None and told.frequencies_hz[:, 0, 0] == pytest.approx(
-        np.arange(80, 121, 8)
-    )
-    assert told.drives == pytest.approx(0.6, abs=0.005)
-    taps = [share(0.6, -1, 1, 8), (0, 16), (80, 16), share(0.3, -1, 1, 8), (50, 16), (10001, 16)]
+    second_result = read_hjif_array(write(tmp_path / "v.hmpg", wave)).effect
+    assert second_result.frequencies_hz is not None and second_result.frequencies_hz[
+        :, 0, 0
+    ] == pytest.approx(np.arange(80, 121, 8))
+    assert second_result.drives == pytest.approx(0.6, abs=0.005)
+    taps = [quantised(0.6, -1, 1, 8), (0, 16), (80, 16), quantised(0.3, -1, 1, 8), (50, 16), (10001, 16)]
     fields = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 25), (0, 1), (2, 16)]
     tap = head(6, channel(0, 1.0), band(0, 0, 0, [])) + unit(1, 128, packet(5, [*fields, *taps]))
-    told = read_hjif_array(written(tmp_path / "t.hmpg", tap)).effect
-    assert told.frequencies_hz is not None and told.frequencies_hz[[0, 5], 0, 0].tolist() == [80, 10000]
-    assert told.drives[[0, 5], 0, 0] == pytest.approx([0.6, 0.3], abs=0.005)
+    second_result = read_hjif_array(write(tmp_path / "t.hmpg", tap)).effect
+    assert second_result.frequencies_hz is not None and second_result.frequencies_hz[
+        [0, 5], 0, 0
+    ].tolist() == [80, 10000]
+    assert second_result.drives[[0, 5], 0, 0] == pytest.approx([0.6, 0.3], abs=0.005)
 
 
 @pytest.mark.parametrize(
-    ("data", "told"),
+    ("data", "message"),
     [
         (FILE[:-1], "its length"),
         (b"{}", "bits left"),
@@ -201,14 +200,14 @@ def test_wavelets_and_waves(tmp_path: Path) -> None:
         (head(6, band(0, 3, 1, LINEAR)), "a band of channel 3"),
         (head(6, channel(0, 1.0), band(0, 0, 6, [])), "a band of type 6"),
         (head(6, channel(0, 1.0)) + unit(1, 1, curve(0, (0, 1.0))), "effects of band 0"),
-        (unit(0, 0, packed([(1, 6), (9, 17), (0, 1)])), "packet's length"),
+        (unit(0, 0, pack([(1, 6), (9, 17), (0, 1)])), "packet's length"),
         (unit(0, 0, packet(2, [(9, 8)])), "8 more"),
     ],
 )
-def test_damage_is_named(tmp_path: Path, data: bytes, told: str) -> None:
+def test_damage_is_named(tmp_path: Path, data: bytes, message: str) -> None:
     with pytest.raises(SourceError, match=r"a\.hmpg") as caught:
-        read_hjif_array(written(tmp_path / "a.hmpg", data))
-    assert told in str(caught.value) and "\n" not in str(caught.value)
+        read_hjif_array(write(tmp_path / "a.hmpg", data))
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 @given(at=st.integers(0, len(FILE) - 1), value=st.integers(0, 255))
@@ -218,7 +217,7 @@ def test_a_changed_byte_gives_an_effect_or_an_error(
     data = bytearray(FILE)
     data[at] = value
     try:
-        found = read_hjif_array(written(tmp_path_factory.mktemp("hmpg") / "a.hmpg", bytes(data)))
+        found = read_hjif_array(write(tmp_path_factory.mktemp("hmpg") / "a.hmpg", bytes(data)))
     except SourceError:
         return
     assert np.isfinite(found.effect.drives).all()

@@ -1,4 +1,4 @@
-"""Patterns of bHaptics vests: what is written is read again to within a hundredth, and no tap is lost."""
+"""Patterns of bHaptics vests: round trip within a hundredth, and no lost taps."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from touchfield.exchange.effect_files import MIN_SPAN_MS, write_tact
 from touchfield.exchange.symbolic import ArrayEffect
 
 
-def shown(spans: list[TactSpan], time_ms: float) -> np.ndarray:
-    """What is on at a time, float32 [5, 4]."""
-    on = [one.intensities for one in spans if one.start_ms <= time_ms < one.end_ms]
+def intensities_at(spans: list[TactSpan], time_ms: float) -> np.ndarray:
+    """Intensities at a time, float32 [5, 4]."""
+    on = [span.intensities for span in spans if span.start_ms <= time_ms < span.end_ms]
     assert len(on) <= 1  # spans of one panel never meet
     return on[0] if on else np.zeros((5, 4), np.float32)
 
@@ -29,7 +29,7 @@ def shown(spans: list[TactSpan], time_ms: float) -> np.ndarray:
     seed=st.integers(0, 2**32 - 1),
     hold=st.integers(1, 3),
 )
-def test_a_pattern_comes_back_to_within_half_a_hundredth(
+def test_pattern_round_trip_is_within_half_a_hundredth(
     tmp_path_factory: pytest.TempPathFactory, rate_hz: float, count: int, seed: int, hold: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -38,36 +38,36 @@ def test_a_pattern_comes_back_to_within_half_a_hundredth(
     path = tmp_path_factory.mktemp("tact") / "a.tact"
     write_tact(path, ArrayEffect(rate_hz, drives))
     spans = read_tact(path)
-    assert all(one.position == "VestFront" and one.end_ms > one.start_ms for one in spans)
-    for i, wanted in enumerate(drives):
-        assert shown(spans, 1000 * (i + 0.5) / rate_hz) == pytest.approx(wanted, abs=0.00501)
-    assert not shown(spans, 1000 * len(drives) / rate_hz + 1).any()
+    assert all(span.position == "VestFront" and span.end_ms > span.start_ms for span in spans)
+    for i, expected in enumerate(drives):
+        assert intensities_at(spans, 1000 * (i + 0.5) / rate_hz) == pytest.approx(expected, abs=0.00501)
+    assert not intensities_at(spans, 1000 * len(drives) / rate_hz + 1).any()
 
 
-def test_short_frames_are_gathered_and_their_greatest_is_kept(tmp_path: Path) -> None:
+def test_short_frames_are_merged_and_the_maximum_is_kept(tmp_path: Path) -> None:
     drives = np.zeros((100, 5, 4), np.float32)
-    drives[37, 2, 1] = 0.75  # a tap of one millisecond
+    drives[37, 2, 1] = 0.75  # a tap of 1 ms
     write_tact(tmp_path / "a.tact", ArrayEffect(1000.0, drives))
     (span,) = read_tact(tmp_path / "a.tact")
     assert (span.start_ms, span.end_ms) == (20, 20 + MIN_SPAN_MS)
     assert span.intensities[2, 1] == 0.75 and np.count_nonzero(span.intensities) == 1
-    write_tact(tmp_path / "b.tact", ArrayEffect(4000.0, drives[37:38]))  # of a quarter of a millisecond
+    write_tact(tmp_path / "b.tact", ArrayEffect(4000.0, drives[37:38]))  # a tap of 0.25 ms
     (span,) = read_tact(tmp_path / "b.tact")
     assert (span.start_ms, span.end_ms) == (0, 1)
     assert json.loads((tmp_path / "b.tact").read_text())["durationMillis"] == 1
 
 
-def test_the_shape_of_a_project(tmp_path: Path) -> None:
+def test_structure_of_a_project(tmp_path: Path) -> None:
     drives = np.zeros((2, 5, 4), np.float32)
     drives[:, 4, 3] = 1
     write_tact(tmp_path / "wave.tact", ArrayEffect(20.0, drives), panel="back")
-    made: dict[str, Any] = json.loads((tmp_path / "wave.tact").read_text())
-    assert (made["size"], made["intervalMillis"], made["durationMillis"]) == (20, 20, 100)
-    project = made["project"]
+    document: dict[str, Any] = json.loads((tmp_path / "wave.tact").read_text())
+    assert (document["size"], document["intervalMillis"], document["durationMillis"]) == (20, 20, 100)
+    project = document["project"]
     assert project["name"] == "wave" and project["layout"]["type"] == "Tactot"
-    assert project["mediaFileDuration"] == 1  # whole seconds, begun
+    assert project["mediaFileDuration"] == 1  # rounded up to whole seconds
     layout = project["layout"]["layouts"]["VestFront"]
-    assert [one["index"] for one in layout] == list(range(20)) and layout[-1] == {
+    assert [entry["index"] for entry in layout] == list(range(20)) and layout[-1] == {
         "index": 19,
         "x": 1.0,
         "y": 1.0,
@@ -75,7 +75,9 @@ def test_the_shape_of_a_project(tmp_path: Path) -> None:
     ((effect,),) = [track["effects"] for track in project["tracks"]]
     assert (effect["startTime"], effect["offsetTime"]) == (0, 100)
     back, front = effect["modes"]["VestBack"], effect["modes"]["VestFront"]
-    assert back["mode"] == "DOT_MODE" and [one["pointList"] for one in front["dotMode"]["feedback"]] == [[]]
+    assert back["mode"] == "DOT_MODE" and [entry["pointList"] for entry in front["dotMode"]["feedback"]] == [
+        []
+    ]
     assert back["dotMode"]["feedback"] == [
         {
             "startTime": 0,
@@ -86,7 +88,7 @@ def test_the_shape_of_a_project(tmp_path: Path) -> None:
     ]
 
 
-def test_vests_of_fewer_rows_reach_all_dots(tmp_path: Path) -> None:
+def test_vests_with_fewer_rows_use_all_dots(tmp_path: Path) -> None:
     for rows, shows in ((4, [0, 1, 2, 3, 3]), (2, [0, 0, 1, 1, 1])):
         drives = np.broadcast_to((1 + np.arange(rows)[:, None]) / 10, (2, rows, 4)).astype(np.float32)
         write_tact(tmp_path / "a.tact", ArrayEffect(20.0, drives))
@@ -94,7 +96,7 @@ def test_vests_of_fewer_rows_reach_all_dots(tmp_path: Path) -> None:
         assert span.intensities == pytest.approx(np.repeat((1 + np.array(shows)) / 10, 4).reshape(5, 4))
 
 
-def test_arrays_that_are_no_vest(tmp_path: Path) -> None:
+def test_arrays_that_are_no_vest_are_refused(tmp_path: Path) -> None:
     for rows, columns in ((8, 8), (5, 5), (3, 4), (1, 1)):
         with pytest.raises(InvalidArgument, match="tactsuit-x40"):
             write_tact(tmp_path / "a.tact", ArrayEffect(20.0, np.zeros((2, rows, columns), np.float32)))

@@ -1,4 +1,4 @@
-"""The low-pass of an actuator array, and the frequency response: the numbers of theory items 8 to 11."""
+"""The low-pass of an actuator array, and its frequency response: the numbers of theory items 8 to 11."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def gain_db(taps: ArrayLike, omega: ArrayLike) -> Any:
     return 20 * np.log10(np.abs(frequency_response(taps, omega)))
 
 
-def test_the_response_of_firwin_at_the_cut_off_and_beyond() -> None:
+def test_response_of_firwin_at_and_above_the_cut_off() -> None:
     found = gain_db(signal.firwin(31, 1 / 4), np.pi * np.array([0.25, 0.375]))
     assert found == pytest.approx([-6.010, -54.5], abs=0.05)
     assert found[0] == pytest.approx(-6.010, abs=5e-4)
@@ -56,7 +56,7 @@ def test_a_high_pass_has_no_gain_at_zero() -> None:
 def test_the_cut_off_is_the_nyquist_rate_of_the_pitch() -> None:
     assert cutoff_per_m(0.035) == pytest.approx(1 / 0.07)
     assert cutoff_per_m(0.035, "literal") == pytest.approx(4 * cutoff_per_m(0.035))
-    taps = actuator_taps(0.001, 0.004)  # pi delta/d = pi/4: as steep as firwin(31, 1/4)
+    taps = actuator_taps(0.001, 0.004)  # pi delta/d = pi/4: the transition of firwin(31, 1/4)
     gains = gain_db(taps, np.pi * np.array([0.25, 0.375]))
     assert len(taps) == 33 and gains[0] == pytest.approx(-HALF_AMPLITUDE, abs=0.02) and gains[1] < -53
 
@@ -73,7 +73,7 @@ def test_every_kernel_is_centred_of_unit_sum_and_odd(kernel: str, pitch: float, 
 
 
 def wave_field(cycles_per_m: float) -> ForceField:
-    """A wave along x of 400 samples a millimetre apart, force along z."""
+    """A wave along x of 400 samples with a spacing of 1 mm, and force along z."""
     grid = Grid((400, 1, 1), (0.001,) * 3, (0.0,) * 3)
     forces = np.zeros((400, 1, 1, 3))
     forces[:, 0, 0, 2] = np.cos(2 * np.pi * cycles_per_m * np.arange(400) * 0.001)
@@ -81,7 +81,7 @@ def wave_field(cycles_per_m: float) -> ForceField:
 
 
 def test_the_literal_cut_off_aliases_and_the_correct_one_does_not() -> None:
-    """A wave of 0.8/d passes 2/d and, sampled at d, is one of 0.2/d; 1/(2d) takes it away."""
+    """A wave of 0.8/d is below 2/d and aliases to 0.2/d when sampled at d; a cut-off of 1/(2d) removes it."""
     pitch, step = 0.010, 10
     field, alias = wave_field(0.8 / pitch), wave_field(0.2 / pitch)
     literal = ActuatorLowPass(pitch, "literal", "sinc")(field).to_dense()[::step, 0, 0, 2]
@@ -100,17 +100,17 @@ def test_axes_and_claims() -> None:
     assert spline.claims(grid).max_principle and not sinc.claims(grid).max_principle
     assert sinc.claims(grid).reach == (16, 16, 0)
     assert sinc.claims(Grid((1, 40, 9), (0.001,) * 3, (0.0,) * 3)).reach == (0, 16, 0)
-    one = ForceField.from_support(grid, [[20, 20, 4]], [[1.0, 2.0, 3.0]])
-    made = sinc(one)
-    assert set(made.positions()[:, 2].tolist()) == {4}
+    impulse = ForceField.from_support(grid, [[20, 20, 4]], [[1.0, 2.0, 3.0]])
+    filtered = sinc(impulse)
+    assert set(filtered.positions()[:, 2].tolist()) == {4}
     taps = actuator_taps(0.001, 0.004)
     expected = np.multiply.outer(taps, taps)
-    assert made.to_dense()[4:37, 4:37, 4, 2] == pytest.approx(3 * expected, abs=1e-6)
-    assert ActuatorLowPass.parse(f"{sinc.text},axes=xy") == sinc  # as older streams have it
+    assert filtered.to_dense()[4:37, 4:37, 4, 2] == pytest.approx(3 * expected, abs=1e-6)
+    assert ActuatorLowPass.parse(f"{sinc.text},axes=xy") == sinc  # the notation of older streams
 
 
 def test_the_pitch_of_the_shirt_in_the_workspace_of_a_desktop_device() -> None:
-    """The spline needs 9 cm for 35 mm, and the steeper sinc 28 cm."""
+    """A pitch of 35 mm needs 9 cm with the spline, and 28 cm with the steeper sinc."""
     small = Grid.over_box((0, 0, 0), (0.16, 0.16, 0.16), (128, 128, 128))
     assert ActuatorLowPass.parse("pitch=35mm").claims(small).reach == (35, 35, 0)
     with pytest.raises(
@@ -121,20 +121,20 @@ def test_the_pitch_of_the_shirt_in_the_workspace_of_a_desktop_device() -> None:
         ActuatorLowPass(0.1).claims(small)
 
 
-def test_samples_as_far_apart_as_the_actuators_pass_unchanged() -> None:
+def test_samples_at_the_actuator_pitch_are_unchanged() -> None:
     field = wave_field(100.0)
     assert ActuatorLowPass(0.001)(field) == field
 
 
 @pytest.mark.parametrize(
-    ("pitch", "cutoff", "said"),
+    ("pitch", "cutoff", "message"),
     [
         (0.0009, "nyquist", r"cut-off is 555.556 cycles/m; expected a cut-off up to 500 cycles/m"),
         (0.0039, "literal", r"literal cut-off .* at least 0.004 m"),
     ],
 )
-def test_a_cut_off_above_the_nyquist_rate_is_refused(pitch: float, cutoff: str, said: str) -> None:
-    with pytest.raises(InvalidArgument, match=said):
+def test_a_cut_off_above_the_nyquist_rate_is_refused(pitch: float, cutoff: str, message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
         ActuatorLowPass(pitch, cutoff)(wave_field(10.0))
 
 
@@ -142,7 +142,7 @@ def test_a_cut_off_above_the_nyquist_rate_is_refused(pitch: float, cutoff: str, 
     "text",
     ["", "0mm", "pitch=nan", "4mm,cutoff=half", "4mm,kernel=brick", "4mm,kernel=firwin", "4mm,axes=xyz"],
 )
-def test_words_that_make_no_low_pass(text: str) -> None:
+def test_invalid_low_pass_texts_are_refused(text: str) -> None:
     with pytest.raises(InvalidArgument, match=r"pitch|cutoff|kernel|axes"):
         ActuatorLowPass.parse(text)
 

@@ -1,4 +1,4 @@
-"""Level of detail: the pyramid, and its way back."""
+"""Level of detail: the pyramid, and reconstruction from its levels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def constant(grid: Grid, force_n: tuple[float, float, float] = (0.1, -0.2, 0.3))
 
 
 def smooth(wave_m: float, grid: Grid = GRID) -> ForceField:
-    """A wave of force under a bump that is clear of the border."""
+    """A wave of force under an envelope that vanishes at the border."""
     x, y, z = np.meshgrid(*(grid.axis_m(a) for a in range(3)), indexing="ij")
     bump = np.exp(-(x**2 + y**2 + z**2) / (2 * 0.005**2))
     amplitude = bump * (1 + 0.5 * np.sin(2 * np.pi * x / wave_m))
@@ -43,97 +43,97 @@ def test_a_level_has_half_the_samples_and_twice_the_cell(shape: tuple[int, int, 
 
 
 @given(shapes, st.integers(0, 99))
-def test_a_level_keeps_every_second_sample(shape: tuple[int, int, int], seed: int) -> None:
+def test_level_has_every_second_sample(shape: tuple[int, int, int], seed: int) -> None:
     rng = np.random.default_rng(seed)
     grid = Grid(shape, (0.001, 0.002, 0.003), (0.1, 0.2, 0.3))
     field = ForceField.from_dense(grid, rng.normal(size=(*shape, 3)).astype(np.float32))
-    for level, made in enumerate(pyramid(field, max_levels(grid))):
+    for level, level_field in enumerate(pyramid(field, max_levels(grid))):
         step = 1 << level
-        assert np.array_equal(made.to_dense(), field.to_dense()[::step, ::step, ::step])
+        assert np.array_equal(level_field.to_dense(), field.to_dense()[::step, ::step, ::step])
 
 
-def test_a_constant_stays_itself() -> None:
+def test_constant_field_is_unchanged() -> None:
     wide = Grid((64, 63, 64), (0.001,) * 3, (0.0,) * 3)
     field = constant(wide)
     for n, level in enumerate(pyramid(field, 3)):
         assert level == constant(level.grid)
         inner = (
             slice(None) if n < 2 else slice(0, 57),
-        ) * 3  # the last sample of level 1 stands beyond its cell
+        ) * 3  # the last sample of level 1 is outside its cell
         assert np.abs((rebuild_level(level, wide).to_dense() - field.to_dense())[inner]).max() < 1e-6
 
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize(("first", "thick"), [(7, 1), (15, 1), (16, 1), (6, 3), (13, 2)])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_thin_wall_stays_closed_and_never_comes_forward(
+def test_thin_wall_has_no_holes_and_does_not_move_forward(
     axis: int, first: int, thick: int, sign: int
 ) -> None:
     dense = np.zeros((*GRID.shape, 3), np.float32)
     lane = np.moveaxis(dense, axis, 0)
     lane[first : first + thick, ..., axis] = sign
     (_, coarse) = pyramid(ForceField.from_dense(GRID, dense), 1)
-    made = np.moveaxis(coarse.to_dense(), axis, 0)[..., axis]
-    assert (np.abs(made).max(axis=0) == 1).all(), "no hole"
-    back = np.moveaxis(rebuild_level(coarse, GRID).to_dense(), axis, 0)[..., axis]
-    # the surface is where the force points to; trilinear rendering fades over one spacing of the level
-    front = back[first + thick + 1 :] if sign > 0 else back[: max(0, first - 1)]
-    assert not front.any(), "nothing in front of the wall"
-    assert np.abs(back[first : first + thick]).min() >= 0.5
+    level_forces = np.moveaxis(coarse.to_dense(), axis, 0)[..., axis]
+    assert (np.abs(level_forces).max(axis=0) == 1).all(), "no hole"
+    rebuilt = np.moveaxis(rebuild_level(coarse, GRID).to_dense(), axis, 0)[..., axis]
+    # the force points to the surface; trilinear rendering fades over one spacing of the level
+    in_front = rebuilt[first + thick + 1 :] if sign > 0 else rebuilt[: max(0, first - 1)]
+    assert not in_front.any(), "nothing in front of the wall"
+    assert np.abs(rebuilt[first : first + thick]).min() >= 0.5
 
 
-def test_a_wall_that_has_a_sample_is_not_made_thicker() -> None:
-    """Every second sample and nothing else, of a solid ball, whose rim passes between samples in many
-    ways.
-    """
+def test_sampled_wall_is_not_thickened() -> None:
+    """Exactly every second sample of a solid ball, whose surface lies between samples in many ways."""
     x, y, z = (np.stack(np.meshgrid(*(GRID.axis_m(a) for a in range(3)), indexing="ij"))) / 0.001
-    away = np.sqrt(x * x + y * y + z * z)
+    distance_mm = np.sqrt(x * x + y * y + z * z)
     forces = (
-        np.where(away < 9.3, 1, 0)[..., None] * np.stack([x, y, z], -1) / np.maximum(away, 0.1)[..., None]
+        np.where(distance_mm < 9.3, 1, 0)[..., None]
+        * np.stack([x, y, z], -1)
+        / np.maximum(distance_mm, 0.1)[..., None]
     )
     (fine, coarse) = pyramid(ForceField.from_dense(GRID, forces), 1)
     assert np.array_equal(coarse.to_dense(), fine.to_dense()[::2, ::2, ::2])
 
 
-def test_what_is_smooth_comes_back_and_what_is_fine_does_not() -> None:
-    def lost(wave_m: float) -> float:
+def test_smooth_waves_are_rebuilt_and_fine_ones_are_not() -> None:
+    def relative_error(wave_m: float) -> float:
         field = smooth(wave_m)
         error = rebuild_level(pyramid(field, 1)[1], GRID).to_dense() - field.to_dense()
         return float((error**2).sum() / (field.to_dense() ** 2).sum())
 
-    assert lost(0.03) < 0.005 < 0.02 < lost(0.002)
+    assert relative_error(0.03) < 0.005 < 0.02 < relative_error(0.002)
 
 
-def test_no_level_is_stronger() -> None:
+def test_no_level_exceeds_the_maximum_force() -> None:
     rng = np.random.default_rng(3)
     noise = rng.normal(size=(*GRID.shape, 3)) * (rng.random((*GRID.shape, 1)) < 0.2)
     for field in (smooth(0.01), ForceField.from_dense(GRID, noise)):
         top = np.linalg.norm(field.vectors_n(), axis=1).max()
         for level in pyramid(field, 5):
-            for made in (level, rebuild_level(level, GRID)):
-                assert np.linalg.norm(made.vectors_n().astype(float), axis=1).max(initial=0) <= top * (
+            for level_field in (level, rebuild_level(level, GRID)):
+                assert np.linalg.norm(level_field.vectors_n().astype(float), axis=1).max(initial=0) <= top * (
                     1 + 1e-6
                 )
 
 
-def test_interpolation_is_the_query_and_stays_within_its_cells(wavy_field: ForceField) -> None:
+def test_interpolation_agrees_with_queries_and_stays_within_its_cells(wavy_field: ForceField) -> None:
     fine = Grid((30, 41, 33), (0.0007, 0.0011, 0.0009), (-0.012, -0.001, 0.018))
     points = np.stack(np.meshgrid(*(fine.axis_m(a) for a in range(3)), indexing="ij"), axis=-1)
     np.testing.assert_allclose(
         interpolate(wavy_field, fine).to_dense(), wavy_field.sample_n(points), atol=1e-6
     )
     assert interpolate(wavy_field, wavy_field.grid) == wavy_field
-    held = interpolate(wavy_field, fine, border="cell").to_dense().any(axis=-1)
+    supported = interpolate(wavy_field, fine, border="cell").to_dense().any(axis=-1)
     low, high = wavy_field.grid.box_m
     within = ((points > low - 1e-9) & (points < high + 1e-9)).all(axis=-1)
-    assert held.any() and not (held & ~within).any()
-    far = RigidMotion.move((1.0, 0.0, 0.0))
-    assert interpolate(wavy_field, wavy_field.grid, far) == ForceField.empty(wavy_field.grid)
+    assert supported.any() and not (supported & ~within).any()
+    translation = RigidMotion.move((1.0, 0.0, 0.0))
+    assert interpolate(wavy_field, wavy_field.grid, translation) == ForceField.empty(wavy_field.grid)
 
 
-def test_a_force_at_the_edge_of_a_brick_reaches_the_next() -> None:
+def test_force_at_the_edge_of_a_brick_reaches_the_next() -> None:
     grid = Grid((24, 24, 24), (0.001,) * 3, (0.0,) * 3)
-    fine = Grid((40, 40, 40), (0.00025,) * 3, (0.00575,) * 3)  # a brick begins just below 8 mm
+    fine = Grid((40, 40, 40), (0.00025,) * 3, (0.00575,) * 3)  # a brick starts just below 8 mm
     points = np.stack(np.meshgrid(*(fine.axis_m(a) for a in range(3)), indexing="ij"), axis=-1)
     motion = RigidMotion.turn((0, 0, 1), 90.0, (0.011,) * 3).followed_by(RigidMotion.move((0.0, 0.0, 0.002)))
     for at in ([8, 8, 8], [15, 15, 13], [8, 15, 8]):
@@ -152,7 +152,7 @@ def test_flat_fields_and_empty_ones() -> None:
     assert all(f == ForceField.empty(f.grid) for f in pyramid(ForceField.empty(GRID), 5))
 
 
-def test_what_is_asked_in_vain() -> None:
+def test_invalid_arguments_are_refused() -> None:
     for levels in (-1, 6, 1.0, True):
         with pytest.raises(InvalidArgument, match="levels"):
             pyramid(smooth(0.01), levels)  # type: ignore[arg-type]

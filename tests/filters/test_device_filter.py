@@ -38,16 +38,16 @@ WALL = profile_of(LawSpec(), 0.0066)
 
 
 class Formula(Scene):
-    """A scene whose forces [..., 3] are a formula of points [..., 3], scene metres."""
+    """A scene whose forces [..., 3] are a function of points [..., 3] in scene metres."""
 
     def __init__(self, forces: Forces, axes: str = UP_Y_AXES) -> None:
-        self.forces, self.axes, self.asked = forces, axes, 0
+        self.forces, self.axes, self.call_count = forces, axes, 0
 
     def bounds_m(self) -> NDArray[np.float64]:
         return np.array([[-1.0] * 3, [1.0] * 3])
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        self.asked += 1
+        self.call_count += 1
         points = np.empty((*grid.shape, 3))
         for axis, along in enumerate(np.ix_(*(grid.axis_m(a) for a in range(3)))):
             points[..., axis] = along
@@ -74,18 +74,18 @@ def floor_at(height_m: float) -> Formula:
     st.floats(1e-2, 50),
     st.floats(0, 0.9),
 )
-def test_limits_hold_keep_the_direction_and_do_nothing_twice(
-    forces: NDArray[np.float32], force_max: float, share: float
+def test_limits_preserve_the_direction_and_are_idempotent(
+    forces: NDArray[np.float32], force_max: float, floor_fraction: float
 ) -> None:
     field = ForceField.from_dense(Grid((3, 2, 9), (1, 1, 1), (0, 0, 0)), forces)
-    once = limit_forces(field, force_max, share * force_max)
-    before, after = field.to_dense().astype(float), once.to_dense().astype(float)
+    limited = limit_forces(field, force_max, floor_fraction * force_max)
+    before, after = field.to_dense().astype(float), limited.to_dense().astype(float)
     long, short = np.linalg.norm(before, axis=-1), np.linalg.norm(after, axis=-1)
     assert (short <= force_max).all()
-    assert not short[long < share * force_max * (1 - 1e-6)].any()
+    assert not short[long < floor_fraction * force_max * (1 - 1e-6)].any()
     assert short == pytest.approx(np.where(short > 0, np.minimum(long, force_max), 0), rel=1e-5, abs=1e-30)
     assert np.abs(np.cross(before, after)).max() <= 1e-5 * (long * short).max()
-    assert limit_forces(once, force_max, share * force_max) == once
+    assert limit_forces(limited, force_max, floor_fraction * force_max) == limited
 
 
 # -- the device filter, type 1 -----------------------------------------------------------------------------
@@ -98,7 +98,7 @@ def mapped(
     return DeviceFilter(OMNI, grid, placement, spec).frames(scene, profile)(0)
 
 
-def test_the_wall_of_a_ball_is_felt_where_it_is_and_nowhere_else() -> None:
+def test_wall_of_a_ball_has_forces_inside_only() -> None:
     thick = profile_of(LawSpec(stiffness_n_per_m=200.0), math.inf)
     field = mapped(ball(0.025), DeviceFilterSpec(), Placement(), thick, nw=5)
     r = np.linalg.norm(field.grid.to_m(field.positions()), axis=1)
@@ -112,38 +112,38 @@ def test_the_wall_of_a_ball_is_felt_where_it_is_and_nowhere_else() -> None:
 
 @pytest.mark.parametrize("kernel", LOW_PASSES)
 @pytest.mark.parametrize("oversample", [1, 2, 3])
-def test_no_force_is_above_f_max_or_below_the_floor(kernel: str, oversample: int) -> None:
+def test_forces_are_within_floor_and_f_max(kernel: str, oversample: int) -> None:
     stiff = profile_of(LawSpec(stiffness_n_per_m=5000.0, force_max_n=12.0), math.inf)
     field = mapped(ball(0.02), DeviceFilterSpec(oversample, 0.02, kernel), Placement(), stiff)
     lengths = np.linalg.norm(field.vectors_n().astype(float), axis=1)
     assert lengths.max() <= OMNI.force_max_n
-    assert lengths.max() > 0.999 * OMNI.force_max_n  # it did clip
+    assert lengths.max() > 0.999 * OMNI.force_max_n  # some forces were clipped
     assert lengths.min() >= 0.02 * OMNI.force_max_n
 
 
-def test_the_floor_keeps_tails_out_of_the_support() -> None:
-    all_of_it = mapped(ball(0.025), DeviceFilterSpec(force_floor_share=0), Placement(), nw=5)
-    kept = mapped(ball(0.025), DeviceFilterSpec(), Placement(), nw=5)
-    assert 0 < kept.support_count < all_of_it.support_count
-    assert limit_forces(all_of_it, OMNI.force_max_n, 0.01 * OMNI.force_max_n) == kept
+def test_floor_removes_tails_from_the_support() -> None:
+    unfiltered = mapped(ball(0.025), DeviceFilterSpec(force_floor_share=0), Placement(), nw=5)
+    floored = mapped(ball(0.025), DeviceFilterSpec(), Placement(), nw=5)
+    assert 0 < floored.support_count < unfiltered.support_count
+    assert limit_forces(unfiltered, OMNI.force_max_n, 0.01 * OMNI.force_max_n) == floored
 
 
-def test_scene_and_hand_metres_meet() -> None:
+def test_scene_and_hand_metres_are_related_by_the_placement() -> None:
     small = mapped(ball(0.025), DeviceFilterSpec(), Placement())
     large = mapped(ball(2.5), DeviceFilterSpec(), Placement(0.01))
     assert np.abs(small.to_dense() - large.to_dense()).max() < 1e-5
     assert small.support_count > 100
 
 
-def test_the_filter_is_linear_before_the_clip() -> None:
+def test_filter_is_linear_before_the_clip() -> None:
     soft = ForceProfile(tuple((a, b, c / 9, s / 9) for a, b, c, s in WALL.pieces))
     spec = DeviceFilterSpec(force_floor_share=0)
-    one, nine = (mapped(ball(0.02), spec, Placement(), law) for law in (soft, WALL))
-    assert np.abs(9 * one.to_dense() - nine.to_dense()).max() < 1e-5 * OMNI.force_max_n
-    assert nine.support_count > 100
+    soft_field, stiff_field = (mapped(ball(0.02), spec, Placement(), law) for law in (soft, WALL))
+    assert np.abs(9 * soft_field.to_dense() - stiff_field.to_dense()).max() < 1e-5 * OMNI.force_max_n
+    assert stiff_field.support_count > 100
 
 
-def test_nothing_fades_at_the_border_of_the_workspace() -> None:
+def test_forces_do_not_fade_at_the_border_of_the_workspace() -> None:
     dense = mapped(floor_at(0.0), DeviceFilterSpec(), Placement(), profile_of(LawSpec(), math.inf)).to_dense()
     assert np.abs(dense - dense[8:9, :, 8:9]).max() < 1e-6
     assert dense[0, 0, 0, 1] == pytest.approx(OMNI.force_max_n, rel=1e-5)
@@ -162,7 +162,7 @@ def test_an_empty_scene_gives_an_empty_field() -> None:
         {"cutoff": "high"},
     ],
 )  # fmt: skip
-def test_a_spec_that_is_impossible(wrong: dict[str, object]) -> None:
+def test_invalid_specs_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(InvalidArgument, match=next(iter(wrong))):
         DeviceFilterSpec(**wrong)  # type: ignore[arg-type]
 
@@ -171,13 +171,13 @@ def test_a_spec_that_is_impossible(wrong: dict[str, object]) -> None:
 
 PITCH_M = 0.0125
 
-SHIRT = replace(  # a strip of the T-shirt, so that the formulas are cheap
+SHIRT = replace(  # a strip of the T-shirt, to evaluate few points
     device("tshirt-32x32"), lattice=(32, 3, 1), workspace_mm=(400.0, 37.5, 60.0), force_max_n=10.0
 )
 
 
 def stripes(frequency_per_m: float) -> Formula:
-    """A sheet at z = 0, 20 mm thick, whose force is 2 + cos along x: |F| is never zero."""
+    """A sheet at z = 0, 20 mm thick, with force 2 + cos along x: |F| is never zero."""
 
     def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
         amplitude = (2 + np.cos(2 * np.pi * frequency_per_m * points[:, :1, :1, 0])) * (
@@ -192,17 +192,19 @@ def on_array(scene: Scene, spec: DeviceFilterSpec, shirt: Device = SHIRT) -> For
     return DeviceFilter(shirt, device_grid(shirt), Placement(), spec).frames(scene, WALL)(0)
 
 
-@pytest.mark.parametrize(("low_pass_name", "left"), [("spline", 0.16), ("sinc", 0.005)])
-def test_the_literal_cutoff_aliases_and_the_corrected_one_does_not(low_pass_name: str, left: float) -> None:
-    heard = {}
+@pytest.mark.parametrize(("low_pass_name", "residual"), [("spline", 0.16), ("sinc", 0.005)])
+def test_the_literal_cutoff_aliases_and_the_corrected_one_does_not(
+    low_pass_name: str, residual: float
+) -> None:
+    alias_n = {}
     for cutoff in ("literal", "nyquist"):
         field = on_array(stripes(0.8 / PITCH_M), DeviceFilterSpec(low_pass=low_pass_name, cutoff=cutoff))
         x = device_grid(SHIRT).axis_m(0)
         line = field.to_dense()[:, 1, 0, 2]
-        heard[cutoff] = 2 * abs(np.mean(line[1:31] * np.exp(-2j * np.pi * 0.2 / PITCH_M * x[1:31])))
+        alias_n[cutoff] = 2 * abs(np.mean(line[1:31] * np.exp(-2j * np.pi * 0.2 / PITCH_M * x[1:31])))
         assert line.mean() == pytest.approx(2, rel=0.1)
-    assert heard["literal"] > 0.85  # felt as 0.2/d
-    assert heard["nyquist"] < left
+    assert alias_n["literal"] > 0.85  # aliased to 0.2/d
+    assert alias_n["nyquist"] < residual
 
 
 def test_an_actuator_renders_the_magnitude_along_its_normal() -> None:
@@ -213,7 +215,7 @@ def test_an_actuator_renders_the_magnitude_along_its_normal() -> None:
     assert dense[..., 2] == pytest.approx(3.0, rel=1e-5)
 
 
-def test_pooling_by_greatest_and_by_mean() -> None:
+def test_pooling_by_maximum_and_by_mean() -> None:
     def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
         z = points[..., 2]
         amplitude = np.where(np.abs(z) < 0.01, 1.0, 0.0) + np.where(np.abs(z - 0.02) < 0.005, 4.0, 0.0)
@@ -229,16 +231,16 @@ def test_pooling_by_greatest_and_by_mean() -> None:
 
 # -- pins: what a finger meets from above
 STEPS_M = (0.002, 0.03, 0.008, 0.024, 0.012)
-"""Heights of five terraces along x; the lowest of them all is 0.001, the highest 0.031."""
+"""Heights of five terraces along x; overall the lowest is 0.001 and the highest 0.031."""
 
 
 def terraces(axes: str = UP_Z_AXES) -> Formula:
-    """Solid land whose force has long reached its limit below most of its surface."""
+    """Solid terrain whose force is at its limit below most of its surface."""
     sign = -1.0 if axes == CAMERA_AXES else 1.0
 
     def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
-        place = np.floor((points[:, :1, :1, 0] / PINS.pitch_mm * 1e3 + 15.0) / 6).astype(int)
-        height = np.array([0.001, *STEPS_M, 0.031])[np.clip(place + 1, 0, 6)]
+        step_index = np.floor((points[:, :1, :1, 0] / PINS.pitch_mm * 1e3 + 15.0) / 6).astype(int)
+        height = np.array([0.001, *STEPS_M, 0.031])[np.clip(step_index + 1, 0, 6)]
         depth = height - 0.016 - sign * points[..., 2]
         return np.clip(500.0 * depth, 0, 3.3)[..., None] * np.array([0.0, 0.0, sign])
 
@@ -250,25 +252,24 @@ PINS = replace(device("graphiti"), lattice=(42, 3, 1), workspace_mm=(105.0, 7.5,
 
 @pytest.mark.parametrize("axes", [UP_Z_AXES, UP_Y_AXES, CAMERA_AXES])
 @pytest.mark.parametrize("wall_m", [math.inf, 0.0066])
-def test_pins_show_the_height_that_is_met_first(axes: str, wall_m: float) -> None:
+def test_pins_show_the_height_of_the_first_surface(axes: str, wall_m: float) -> None:
     law = profile_of(LawSpec(), wall_m)
-    room_m = (
-        0.0 if math.isinf(wall_m) else wall_m
-    )  # so much of the lattice lies beyond the land on both sides
-    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * room_m), Placement())
-    shown = mapping.frames(terraces(axes), law)(0).to_dense()[:, 1, 0, 2]
-    middles = [8 + 6 * n for n in range(5)]
-    assert shown[middles] / 3.3 == pytest.approx([(h - 0.001) / 0.03 for h in STEPS_M], abs=1 / 128)
+    # margin of the lattice outside the terrain on both sides
+    margin_m = 0.0 if math.isinf(wall_m) else wall_m
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * margin_m), Placement())
+    pin_forces = mapping.frames(terraces(axes), law)(0).to_dense()[:, 1, 0, 2]
+    centres = [8 + 6 * n for n in range(5)]
+    assert pin_forces[centres] / 3.3 == pytest.approx([(h - 0.001) / 0.03 for h in STEPS_M], abs=1 / 128)
     by_force = DeviceFilter(PINS, mapping.grid, Placement(), DeviceFilterSpec(pool="max")).frames(
         terraces(axes), law
     )(0)
-    assert np.ptp(by_force.to_dense()[middles[1:], 1, 0, 2]) < 0.01, (
+    assert np.ptp(by_force.to_dense()[centres[1:], 1, 0, 2]) < 0.01, (
         "all that is deeper than 6.6 mm is alike by force"
     )
 
 
 def plain(height_m: float, axes: str) -> Formula:
-    """Solid land of one height over the lattice's far end, 0 to 0.03 m."""
+    """Solid terrain of constant height above the lattice's far end, 0 to 0.03 m."""
     sign = -1.0 if axes == CAMERA_AXES else 1.0
 
     def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
@@ -281,14 +282,12 @@ def plain(height_m: float, axes: str) -> Formula:
 @pytest.mark.parametrize("axes", [UP_Z_AXES, CAMERA_AXES])
 @pytest.mark.parametrize("wall_m", [math.inf, 0.0066])
 @pytest.mark.parametrize("is_stored", [False, True])
-def test_on_average_pins_are_as_high_as_the_land(axes: str, wall_m: float, is_stored: bool) -> None:
-    """A height is known to a sample; over heights that sweep one, the errors must cancel,
-    not shift all pins.
-    """
+def test_pin_heights_are_unbiased(axes: str, wall_m: float, is_stored: bool) -> None:
+    """Heights are quantised to a sample; over heights that sweep one sample, the errors must average out."""
     law, errors = profile_of(LawSpec(), wall_m), []
-    room_m = 0.0 if math.isinf(wall_m) else wall_m
-    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * room_m), Placement())
-    step = 1 / 128  # of the heights
+    margin_m = 0.0 if math.isinf(wall_m) else wall_m
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * margin_m), Placement())
+    step = 1 / 128  # as a fraction of the height range
     fine = Grid((210, 15, 90), (0.0005, 0.0005, 0.0005), (-0.05225, -0.0035, -0.02225))
     z = np.sort((-1.0 if axes == CAMERA_AXES else 1.0) * fine.axis_m(2))
     for n in range(16):
@@ -297,45 +296,44 @@ def test_on_average_pins_are_as_high_as_the_land(axes: str, wall_m: float, is_st
         if is_stored:
             scene = Stored(HapticMedium.from_frames([scene.field(0, fine, law)], 30.0, axes))
             scene.axes = axes
-            height_m = (
-                z[np.searchsorted(z, height_m - 0.015)] + 0.015
-            )  # linear, it ends at the first sample of zeros
-        shown = mapping.frames(scene, law)(0).to_dense()[21, 1, 0, 2]
-        errors.append(shown / 3.3 - height_m / 0.03)
+            # interpolated linearly, it ends at the first zero sample
+            height_m = z[np.searchsorted(z, height_m - 0.015)] + 0.015
+        pin_force = mapping.frames(scene, law)(0).to_dense()[21, 1, 0, 2]
+        errors.append(pin_force / 3.3 - height_m / 0.03)
     assert np.abs(errors).max() <= 0.6 * step and abs(np.mean(errors)) < 0.2 * step
 
 
-def test_a_plain_that_ends_is_as_high_at_its_edge() -> None:
+def test_plateau_has_the_same_height_at_its_edge() -> None:
     def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
-        place = points[..., 0] / PINS.pitch_mm * 1e3
-        is_land = (place < 6.2) & (points[..., 2] < np.where(place < -12, 0.014, -0.005))
+        pin_position = points[..., 0] / PINS.pitch_mm * 1e3
+        is_land = (pin_position < 6.2) & (points[..., 2] < np.where(pin_position < -12, 0.014, -0.005))
         return np.where(is_land, 3.3, 0.0)[..., None] * np.array([0.0, 0.0, 1.0])
 
     mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())
-    shown = mapping.frames(Formula(forces, UP_Z_AXES), profile_of(LawSpec(), math.inf))(0).to_dense()[
+    pin_forces = mapping.frames(Formula(forces, UP_Z_AXES), profile_of(LawSpec(), math.inf))(0).to_dense()[
         :, 1, 0, 2
     ]
-    assert shown[11:27] / 3.3 == pytest.approx(1 / 3, abs=1 / 64), "27 pins of the 42 are on land"
-    assert shown[27] < 0.5 * shown[26] and not shown[29:].any(), "beyond it nothing is lifted"
+    assert pin_forces[11:27] / 3.3 == pytest.approx(1 / 3, abs=1 / 64), "27 pins of the 42 are on land"
+    assert pin_forces[27] < 0.5 * pin_forces[26] and not pin_forces[29:].any(), "beyond it nothing is lifted"
 
 
-def test_pins_of_a_stiff_wall_are_those_of_a_soft_one_and_ask_for_as_many_samples() -> None:
-    solid, shown, asked = ball(0.015), [], [0, 0]
+def test_pins_do_not_depend_on_the_stiffness() -> None:
+    solid, pin_forces, sample_counts = ball(0.015), [], [0, 0]
     for n, wall_m in enumerate((0.0066, 0.00033)):
         law = profile_of(LawSpec(stiffness_n_per_m=3.3 / wall_m), wall_m)
 
         def forces(points: NDArray[np.float64], profile: ForceProfile, n: int = n) -> NDArray[np.float64]:
-            asked[n] += points.size
+            sample_counts[n] += points.size
             return solid.forces(points, profile)
 
         mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * wall_m), Placement())
-        shown.append(mapping.frames(Formula(forces, UP_Z_AXES), law)(0).to_dense()[..., 2])
-    assert shown[0].max() > 1
-    assert np.abs(shown[1] - shown[0]).max() < 3.3 / 128
-    assert asked[1] <= asked[0]
+        pin_forces.append(mapping.frames(Formula(forces, UP_Z_AXES), law)(0).to_dense()[..., 2])
+    assert pin_forces[0].max() > 1
+    assert np.abs(pin_forces[1] - pin_forces[0]).max() < 3.3 / 128
+    assert sample_counts[1] <= sample_counts[0]
 
 
-def test_of_a_symbolic_scene_pins_show_the_force() -> None:
+def test_pins_of_a_symbolic_scene_show_the_force() -> None:
     law, scene = profile_of(LawSpec(), math.inf), terraces()
     mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())
     relief = mapping.frames(scene, law)(0)
@@ -349,29 +347,31 @@ def test_pins_of_a_stored_field_and_of_an_image() -> None:
     fine = Grid((210, 15, 120), (0.0005, 0.0005, 0.00025), (-0.05225, -0.0035, -0.014875))
     law = profile_of(LawSpec(), math.inf)
     for axes in (UP_Z_AXES, CAMERA_AXES):
-        kept = Stored(HapticMedium.from_frames([terraces(axes).field(0, fine, law)], 30.0, axes))
-        kept.axes = axes
-        shown = mapping.frames(kept, law)(0).to_dense()[..., 2]
-        made = mapping.frames(terraces(axes), law)(0).to_dense()[..., 2]
-        middles = [8 + 6 * n for n in range(5)]
-        assert shown[middles, 1] == pytest.approx(made[middles, 1], abs=3.3 / 120)
+        stored_terraces = Stored(HapticMedium.from_frames([terraces(axes).field(0, fine, law)], 30.0, axes))
+        stored_terraces.axes = axes
+        pin_forces = mapping.frames(stored_terraces, law)(0).to_dense()[..., 2]
+        exact_forces_n = mapping.frames(terraces(axes), law)(0).to_dense()[..., 2]
+        centres = [8 + 6 * n for n in range(5)]
+        assert pin_forces[centres, 1] == pytest.approx(exact_forces_n[centres, 1], abs=3.3 / 120)
     image = ForceField.from_dense(
         mapping.grid, np.where(np.indices(mapping.grid.shape)[0] > 20, 2.0, 1.0)[..., None] * [0, 0, 1.0]
     )
-    again = mapping.frames(Stored(HapticMedium.from_frames([image], 30.0)), law)(0).to_dense()[..., 2]
-    assert again[[10, 30], 1, 0] == pytest.approx([1.0, 2.0], rel=0.05), "an image for an array has no depth"
+    image_forces = mapping.frames(Stored(HapticMedium.from_frames([image], 30.0)), law)(0).to_dense()[..., 2]
+    assert image_forces[[10, 30], 1, 0] == pytest.approx([1.0, 2.0], rel=0.05), (
+        "an image for an array has no depth"
+    )
 
 
-def test_the_third_axis_is_pooled_whatever_the_axes() -> None:
-    made = []
+def test_third_axis_is_pooled_for_any_axes() -> None:
+    fields = []
     for axes in (UP_Y_AXES, UP_Z_AXES, CAMERA_AXES):
         scene = stripes(0.1 / PITCH_M)
         scene.axes = axes
-        made.append(on_array(scene, DeviceFilterSpec()))
-    assert made[0] == made[1] == made[2]
+        fields.append(on_array(scene, DeviceFilterSpec()))
+    assert fields[0] == fields[1] == fields[2]
 
 
-def test_an_array_clips_and_drops_too() -> None:
+def test_arrays_clip_and_apply_the_floor() -> None:
     shirt = replace(SHIRT, force_max_n=1.5)
     amplitudes = on_array(stripes(0.1 / PITCH_M), DeviceFilterSpec(), shirt).vectors_n()[:, 2]
     assert amplitudes.max() <= 1.5 and amplitudes.min() >= 0.015
@@ -379,18 +379,18 @@ def test_an_array_clips_and_drops_too() -> None:
 
 def test_a_deep_array_is_pooled_in_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = stripes(0.1 / PITCH_M)
-    whole = on_array(scene, DeviceFilterSpec())
+    expected = on_array(scene, DeviceFilterSpec())
     monkeypatch.setattr("touchfield.filters.array_filter.MAX_SLAB_SAMPLES", 1 << 16)
-    before = scene.asked
-    assert on_array(scene, DeviceFilterSpec()) == whole
-    assert scene.asked - before > 5
+    before = scene.call_count
+    assert on_array(scene, DeviceFilterSpec()) == expected
+    assert scene.call_count - before > 5
 
 
 # -- the medium --------------------------------------------------------------------------------------------
 
 
 class Stored(Formula):
-    """A scene that holds a medium, as a stored field does."""
+    """A scene that contains a medium, as a stored field does."""
 
     def __init__(self, medium: HapticMedium) -> None:
         super().__init__(lambda p, f: medium[0].sample_n(p).astype(float))
@@ -405,90 +405,93 @@ def stored() -> Stored:
     )
 
 
-def test_a_medium_is_lazy_and_says_where_it_comes_from() -> None:
+def test_medium_is_lazy_and_has_its_provenance() -> None:
     scene = ball(0.02)
     medium = device_medium(scene, OMNI, device_grid(OMNI, 4), Placement(), WALL)
-    assert scene.asked == 0
+    assert scene.call_count == 0
     assert medium[0] == mapped(scene, DeviceFilterSpec(), Placement())
     assert (medium.rate_hz, len(medium), medium.axes) == (scene.rate_hz, 1, UP_Y_AXES)
     assert medium.provenance["device"] == "phantom-omni"
     assert "spline" in medium.provenance["device_filter"] and "scale 1.0" in medium.provenance["placement"]
 
 
-def test_a_stored_medium_on_the_same_lattice_passes_untouched() -> None:
+def test_stored_medium_on_the_same_lattice_is_unchanged() -> None:
     scene = stored()
     grid = scene.stored.grid
     assert device_medium(scene, OMNI, grid, Placement(), WALL) is scene.stored
     hand = Placement(0.5)
     relabelled = device_medium(scene, OMNI, hand.to_hand(grid), hand, WALL)
     assert np.array_equal(relabelled[1].forces_n, scene.stored[1].forces_n)
-    assert relabelled.friction == 0.3 and scene.asked == 0
+    assert relabelled.friction == 0.3 and scene.call_count == 0
     wide = Grid.over_box(*grid.box_m, (8, 8, 8))
     low, high = wide.origin_m, wide.to_m((7, 7, 7))
-    assert not same_lattice(
-        wide, Grid((15, 15, 15), tuple((high - low) / 14), low)
-    )  # from corner to corner alike
-    for share, is_same in ((0.9e-6, True), (1.1e-6, False)):
-        moved = tuple(o + share * h for o, h in zip(grid.origin_m, grid.spacing_m))
+    assert not same_lattice(wide, Grid((15, 15, 15), tuple((high - low) / 14), low))  # the same corners
+    for offset_fraction, is_same in ((0.9e-6, True), (1.1e-6, False)):
+        moved = tuple(o + offset_fraction * h for o, h in zip(grid.origin_m, grid.spacing_m))
         assert same_lattice(grid, Grid(grid.shape, grid.spacing_m, moved)) == is_same
 
 
-def test_a_stored_medium_on_another_lattice_is_filtered_and_keeps_what_travels_beside_it() -> None:
+def test_stored_medium_on_another_lattice_is_filtered_with_its_metadata() -> None:
     scene = stored()
     grid = device_grid(OMNI, 3)
     medium = device_medium(scene, OMNI, grid, Placement(), WALL)
-    assert medium[0].grid == grid and scene.asked == 1
+    assert medium[0].grid == grid and scene.call_count == 1
     assert (medium.friction, medium.tags, len(medium)) == (0.3, ("symbolic",), 2)
     assert medium.provenance["from"] == "afar" and medium.provenance["device"] == "phantom-omni"
 
 
-def test_what_was_mapped_is_told_with_its_numbers() -> None:
+def test_provenance_has_the_numbers_of_the_mapping() -> None:
     spec = DeviceFilterSpec(
         oversample=3, force_floor_share=0.02, low_pass="box", pool="mean", cutoff="literal"
     )
     hand = Placement(0.5, (0.1, 0.2, 0.3))
-    told = device_medium(ball(0.02), OMNI, device_grid(OMNI, 4), hand, WALL, spec).provenance
-    assert dict(told) == {
+    provenance = device_medium(ball(0.02), OMNI, device_grid(OMNI, 4), hand, WALL, spec).provenance
+    assert dict(provenance) == {
         "device": "phantom-omni",
         "device_filter": "box, oversample 3, floor 0.02 of F_max",
         "placement": "scale 0.5, offset_m (0.1, 0.2, 0.3)",
     }
     vest = device("tshirt-32x32")
-    told = device_medium(ball(0.02), vest, device_grid(vest), hand, WALL, spec).provenance
-    assert told["device_filter"] == "box, oversample 3, floor 0.02 of F_max, pool mean, cut-off literal"
-    told = device_medium(ball(0.02), vest, device_grid(vest), hand, WALL).provenance
-    assert told["device_filter"].endswith("pool max, cut-off nyquist")  # what "auto" comes to
+    provenance = device_medium(ball(0.02), vest, device_grid(vest), hand, WALL, spec).provenance
+    assert provenance["device_filter"] == "box, oversample 3, floor 0.02 of F_max, pool mean, cut-off literal"
+    provenance = device_medium(ball(0.02), vest, device_grid(vest), hand, WALL).provenance
+    assert provenance["device_filter"].endswith("pool max, cut-off nyquist")  # the result of "auto"
 
 
-def test_a_stored_medium_that_is_filtered_keeps_every_value_beside_it() -> None:
+def test_filtered_medium_has_all_metadata_of_its_source() -> None:
     scene = stored()
-    own = replace(scene.stored, axes="x east, y north, z up", damping_n_s_per_m=2.5, rate_hz=17.0)
-    scene.stored, scene.rate_hz = own, own.rate_hz
+    source = replace(scene.medium, axes="x east, y north, z up", damping_n_s_per_m=2.5, rate_hz=17.0)
+    scene.medium, scene.rate_hz = source, source.rate_hz
     medium = device_medium(scene, OMNI, device_grid(OMNI, 3), Placement(), WALL)
-    assert medium.metadata == own.metadata
+    assert medium.metadata == source.metadata
     assert medium.metadata == {
         "rate_hz": 17.0, "axes": "x east, y north, z up", "tags": ("symbolic",), "friction": 0.3,
         "damping_n_s_per_m": 2.5,
     }  # fmt: skip
     formula = ball(0.02)
     formula.axes, formula.tags, formula.rate_hz, formula.frame_count = UP_Z_AXES, ("symbolic",), 17.0, 3
-    made = device_medium(formula, OMNI, device_grid(OMNI, 3), Placement(), WALL)
-    assert (made.axes, made.tags, made.rate_hz, len(made)) == (UP_Z_AXES, ("symbolic",), 17.0, 3)
+    from_formula = device_medium(formula, OMNI, device_grid(OMNI, 3), Placement(), WALL)
+    assert (from_formula.axes, from_formula.tags, from_formula.rate_hz, len(from_formula)) == (
+        UP_Z_AXES,
+        ("symbolic",),
+        17.0,
+        3,
+    )
 
 
-def test_exact_forces_are_those_of_the_scene_where_the_hand_meets_it() -> None:
-    """A ball of the scene, half as large and elsewhere for the hand; the law goes by metres of the hand."""
+def test_exact_forces_are_those_of_the_placed_scene() -> None:
+    """A ball, scaled by half and moved for the hand; the law uses metres of the hand."""
     hand, centre, stiffness = Placement(0.5, (0.1, -0.2, 0.3)), np.array([0.12, -0.21, 0.28]), 400.0
     scene = AnalyticScene([Sphere(tuple(centre.tolist()), 0.04)])
     law = profile_of(LawSpec(stiffness_n_per_m=stiffness, force_max_n=9.0), np.inf)
     points = 0.5 * (centre - hand.offset_m) + np.random.default_rng(2).normal(0, 0.01, (500, 3))
-    away = points - 0.5 * (centre - np.asarray(hand.offset_m))
-    r = np.linalg.norm(away, axis=1, keepdims=True)
+    offset_m = points - 0.5 * (centre - np.asarray(hand.offset_m))
+    r = np.linalg.norm(offset_m, axis=1, keepdims=True)
     for limit_n in (9.0, 3.0):
-        made = exact_forces(scene, hand, law, limit_n)(points)
-        expected = np.clip(stiffness * (0.02 - r), 0, limit_n) * away / r
-        np.testing.assert_allclose(made, expected, atol=1e-9)
-        assert np.isclose(np.linalg.norm(made, axis=1), 3.0).any() == (limit_n == 3.0)
+        forces = exact_forces(scene, hand, law, limit_n)(points)
+        expected = np.clip(stiffness * (0.02 - r), 0, limit_n) * offset_m / r
+        np.testing.assert_allclose(forces, expected, atol=1e-9)
+        assert np.isclose(np.linalg.norm(forces, axis=1), 3.0).any() == (limit_n == 3.0)
 
 
 def test_options_of_the_filter_are_bounded_and_named() -> None:
@@ -506,7 +509,7 @@ def test_options_of_the_filter_are_bounded_and_named() -> None:
         with pytest.raises(InvalidArgument, match=next(iter(wrong))):
             DeviceFilterSpec(**wrong)
     pad, vest = device("dotpad"), device("tshirt-32x32")
-    for one, depth_m in ((pad, 0.5), (vest, 0.3)):
-        grid = device_grid(one, depth_m=depth_m)
-        assert grid.shape == one.lattice and grid.spacing_m[2] == pytest.approx(depth_m)
+    for profile, depth_m in ((pad, 0.5), (vest, 0.3)):
+        grid = device_grid(profile, depth_m=depth_m)
+        assert grid.shape == profile.lattice and grid.spacing_m[2] == pytest.approx(depth_m)
         np.testing.assert_allclose(np.mean(grid.box_m, axis=0), 0, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Editing: what an operator does in a region, what it leaves alone, and pieces of media in time."""
+"""Editing: the effect of operators inside and outside a region, and splicing of media in time."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ POINTS = np.stack(np.meshgrid(*(GRID.axis_m(a) for a in range(3)), indexing="ij"
 MIDDLE = GRID.to_m((9.5, 8.0, 5.5))
 
 
-def random_field(seed: int, share: float = 0.4, grid: Grid = GRID) -> ForceField:
+def random_field(seed: int, density: float = 0.4, grid: Grid = GRID) -> ForceField:
     rng = np.random.default_rng(seed)
-    held = rng.random(grid.shape) < share
-    return ForceField.from_dense(grid, rng.normal(size=(*grid.shape, 3)) * held[..., None])
+    supported = rng.random(grid.shape) < density
+    return ForceField.from_dense(grid, rng.normal(size=(*grid.shape, 3)) * supported[..., None])
 
 
 FIELD, OTHER = random_field(1), random_field(2)
 
 SMALLER = {"lowpass": "pitch=4.5mm"}
-"""Words for filters whose own example is wider than the grid."""
+"""Arguments for filters whose example is wider than the grid."""
 
 OPERATORS: list[EditOperator] = [
     Gain(-2.5),
@@ -57,7 +57,7 @@ OPERATORS: list[EditOperator] = [
     Limit(0.5),
     Move(RigidMotion.turn((1.0, 2.0, 0.5), 33.0, MIDDLE)),
     Move(RigidMotion.mirror((1.0, 1.0, 0.0), MIDDLE)),
-    *(Compose(OTHER, how) for how in ("replace", "over", "add", "max")),
+    *(Compose(OTHER, composition) for composition in ("replace", "over", "add", "max")),
     *(filter_of(name, SMALLER.get(name, kind.example)) for name, kind in field_filters().items()),
 ]
 REGIONS: list[Region] = [
@@ -72,28 +72,28 @@ REGIONS: list[Region] = [
 
 
 @pytest.mark.parametrize("operator", OPERATORS, ids=lambda o: f"{o.name}-{o.text[:12]}")
-def test_the_outside_keeps_its_bits_and_the_inside_is_what_the_operator_makes(operator: EditOperator) -> None:
+def test_edit_changes_the_inside_only(operator: EditOperator) -> None:
     before, after = FIELD.to_dense(), operator(FIELD).to_dense()
     changed = (before != after).any(axis=-1)
-    elsewhere = 0
+    outside_changes = 0
     for region, feather_m in itertools.product(REGIONS, (0.0, 0.0021)):
-        made = edit_field(FIELD, region, operator, feather_m).to_dense()
-        place = region.on(FIELD)
-        inside = place.holds(POINTS)
-        beyond = ~inside & (place.distance_m(POINTS) >= feather_m)
-        assert np.array_equal(made[beyond], before[beyond])
-        assert np.array_equal(made[inside], after[inside])
-        elsewhere += int((changed & beyond).sum())
-        between = ~inside & ~beyond
-        low, high = np.minimum(before, after)[between], np.maximum(before, after)[between]
-        assert ((made[between] >= low) & (made[between] <= high)).all()
-    assert elsewhere > 100  # samples that the operator alone would have changed
+        edited = edit_field(FIELD, region, operator, feather_m).to_dense()
+        region_on_field = region.on(FIELD)
+        inside = region_on_field.holds(POINTS)
+        outside = ~inside & (region_on_field.distance_m(POINTS) >= feather_m)
+        assert np.array_equal(edited[outside], before[outside])
+        assert np.array_equal(edited[inside], after[inside])
+        outside_changes += int((changed & outside).sum())
+        in_feather = ~inside & ~outside
+        low, high = np.minimum(before, after)[in_feather], np.maximum(before, after)[in_feather]
+        assert ((edited[in_feather] >= low) & (edited[in_feather] <= high)).all()
+    assert outside_changes > 100  # samples that the operator without a region would have changed
 
 
-def test_an_edit_makes_a_sound_field() -> None:
+def test_edits_give_valid_fields() -> None:
     for operator in OPERATORS:
-        made = edit_field(FIELD, REGIONS[1], operator, 0.002)
-        assert ForceField.from_bricks(made.grid, made.bricks, made.forces_n) == made
+        edited = edit_field(FIELD, REGIONS[1], operator, 0.002)
+        assert ForceField.from_bricks(edited.grid, edited.bricks, edited.forces_n) == edited
     assert edit_field(FIELD, Everywhere(), Erase()) == ForceField.empty(GRID)
     assert edit_field(FIELD, ~Everywhere(), Erase(), 0.01) == FIELD
     empty = ForceField.empty(GRID)
@@ -101,13 +101,13 @@ def test_an_edit_makes_a_sound_field() -> None:
         assert edit_field(empty, region, Gain(2.0), 0.001) == empty
 
 
-def test_a_feather_falls_in_a_straight_line() -> None:
+def test_feather_is_linear() -> None:
     flat = ForceField.from_dense(GRID, np.broadcast_to(np.float32([0, 0, 1]), (*GRID.shape, 3)))
     for feather_m in (0.004, 0.011):
-        made = edit_field(flat, Box((-1.0, -1.0, -1.0), (-0.0055, 1.0, 1.0)), Erase(), feather_m).to_dense()
+        edited = edit_field(flat, Box((-1.0, -1.0, -1.0), (-0.0055, 1.0, 1.0)), Erase(), feather_m).to_dense()
         expected = np.clip((GRID.axis_m(0) + 0.0055) / feather_m, 0, 1)
-        np.testing.assert_allclose(made[:, 5, 5, 2], expected, atol=1e-6)
-        assert not made[..., :2].any()
+        np.testing.assert_allclose(edited[:, 5, 5, 2], expected, atol=1e-6)
+        assert not edited[..., :2].any()
     assert ((expected > 0) & (expected < 0.1)).any() and ((expected > 0.9) & (expected < 1)).any()
 
 
@@ -116,15 +116,15 @@ def test_a_feather_falls_in_a_straight_line() -> None:
 
 def brute_distance(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     points = POINTS.reshape(-1, 3)
-    held = mask.ravel()
+    inside = mask.ravel()
     out = np.empty(len(points))
-    for mine, theirs in ((held, ~held), (~held, held)):
-        gap = points[mine][:, None] - points[theirs][None]
-        out[mine] = np.sqrt((gap**2).sum(axis=-1)).min(axis=1)
-    return np.where(held, -out, out).reshape(mask.shape)
+    for from_mask, to_mask in ((inside, ~inside), (~inside, inside)):
+        gap = points[from_mask][:, None] - points[to_mask][None]
+        out[from_mask] = np.sqrt((gap**2).sum(axis=-1)).min(axis=1)
+    return np.where(inside, -out, out).reshape(mask.shape)
 
 
-def test_the_distance_of_a_set_of_voxels_is_that_of_every_pair() -> None:
+def test_distance_of_voxels_agrees_with_brute_force() -> None:
     grid_mask = (np.random.default_rng(5).random(GRID.shape) < 0.02) | (POINTS[..., 0] > 0.004)
     region = Voxels(GRID, np.argwhere(grid_mask))
     assert np.array_equal(region.holds(POINTS), grid_mask)
@@ -134,24 +134,24 @@ def test_the_distance_of_a_set_of_voxels_is_that_of_every_pair() -> None:
     assert (Voxels(GRID, np.zeros((0, 3), int)).distance_m(POINTS) == np.inf).all()
 
 
-def test_a_range_of_force_is_where_the_field_has_it() -> None:
+def test_force_range_selects_samples_of_the_field() -> None:
     amplitude = np.linalg.norm(FIELD.to_dense().astype(float), axis=-1)
     for low, high in ((0.5, 1.5), (0.0, 1.0), (1.2, math.inf), (0.0, math.inf)):
-        held = ForceRange(low, high).on(FIELD).holds(POINTS)
-        assert np.array_equal(held, (amplitude >= low) & (amplitude <= high))
+        inside = ForceRange(low, high).on(FIELD).holds(POINTS)
+        assert np.array_equal(inside, (amplitude >= low) & (amplitude <= high))
     with pytest.raises(InvalidArgument, match="no field to look at"):
         ForceRange(0.5).holds(POINTS)
 
 
-def test_what_lies_on_the_edge_is_within() -> None:
+def test_edges_belong_to_the_region() -> None:
     box, ball, half = Box((0, 0, 0), (1, 1, 1)), Ball((0, 0, 0), 0.5), HalfSpace((0, 0, 2), (0, 0, 1))
     assert box.holds(np.array([[0.0, 0, 0], [1, 1, 1], [1, 1, 1.01]])).tolist() == [True, True, False]
     assert ball.holds(np.array([[0.5, 0, 0], [0.51, 0, 0]])).tolist() == [True, False]
     assert half.holds(np.array([[7.0, 7, 1], [7, 7, 0.99]])).tolist() == [True, False]
     at = [[1, 1, 1], [2, 2, 2], [3, 3, 3]]
     field = ForceField.from_support(GRID, at, [[0.5, 0, 0], [0, 1.0, 0], [0, 0, 1.5]])
-    for low, high, held in ((0.5, 1.5, [1, 1, 1]), (0.5, 1.4, [1, 1, 0]), (1.0, 1.0, [0, 1, 0])):
-        assert ForceRange(low, high).on(field).holds(GRID.to_m(np.array(at))).tolist() == held
+    for low, high, expected in ((0.5, 1.5, [1, 1, 1]), (0.5, 1.4, [1, 1, 0]), (1.0, 1.0, [0, 1, 0])):
+        assert ForceRange(low, high).on(field).holds(GRID.to_m(np.array(at))).tolist() == expected
     assert (
         ~ball | Voxels(GRID, [[0, 0, 0], [0, 0, 0]])
     ).text == "(not (ball (0, 0, 0) radius 0.5 m)) or (1 voxels)"
@@ -179,10 +179,10 @@ def test_regions_are_sets_and_their_distances_lipschitz(a: Region, b: Region, se
         clear = np.abs(distance) > 1e-12
         assert np.array_equal(distance[clear] <= 0, region.holds(points)[clear])
         step = np.linalg.norm(points[1:] - points[:-1], axis=1)
-        assert (np.abs(np.diff(distance)) <= step + 1e-12).all()  # never more than the true distance
+        assert (np.abs(np.diff(distance)) <= step + 1e-12).all()  # the distance has a slope of at most 1
 
 
-def test_what_is_no_region() -> None:
+def test_invalid_regions_are_refused() -> None:
     with pytest.raises(InvalidArgument, match="low <= high"):
         Box((1, 0, 0), (0, 1, 1))
     for bad in ((math.nan, 0, 0), (0, 0), "abc", None):
@@ -208,24 +208,24 @@ def test_what_is_no_region() -> None:
 # -- operators ---------------------------------------------------------------------------------------------
 
 
-def test_compositions_are_what_they_say() -> None:
+def test_compositions_agree_with_their_definitions() -> None:
     x, y = FIELD.to_dense(), OTHER.to_dense()
-    there = y.any(axis=-1, keepdims=True)
+    supported = y.any(axis=-1, keepdims=True)
     longer = (y.astype(float) ** 2).sum(-1, keepdims=True) > (x.astype(float) ** 2).sum(-1, keepdims=True)
-    expected = {"replace": y, "over": np.where(there, y, x), "add": x + y, "max": np.where(longer, y, x)}
-    for how, forces in expected.items():
-        assert np.array_equal(Compose(OTHER, how)(FIELD).to_dense(), forces)
-    assert Compose(FIELD.scaled(-1), "max")(FIELD) == FIELD  # the field's where both are as long
+    expected = {"replace": y, "over": np.where(supported, y, x), "add": x + y, "max": np.where(longer, y, x)}
+    for mode, forces in expected.items():
+        assert np.array_equal(Compose(OTHER, mode)(FIELD).to_dense(), forces)
+    assert Compose(FIELD.scaled(-1), "max")(FIELD) == FIELD  # the field wins ties
 
 
-def test_whole_steps_and_quarter_turns_are_exact() -> None:
+def test_whole_sample_moves_and_quarter_rotations_are_exact() -> None:
     cube = Grid((18, 18, 18), (0.001,) * 3, (0.1, 0.2, -0.3))
     field = random_field(3, 0.3, cube)
     dense, centre = field.to_dense(), cube.to_m((8.5, 8.5, 8.5))
     moved = Move(RigidMotion.move((0.003, -0.002, 0.0)))(field).to_dense()
     assert np.array_equal(moved[3:, :-2], dense[:-3, 2:]) and not moved[:3].any() and not moved[:, -2:].any()
-    turned = Move(RigidMotion.turn((0, 0, 1), 90.0, centre))(field).to_dense()
-    assert np.array_equal(turned, np.rot90(dense, axes=(0, 1))[..., [1, 0, 2]] * np.float32([-1, 1, 1]))
+    rotated = Move(RigidMotion.turn((0, 0, 1), 90.0, centre))(field).to_dense()
+    assert np.array_equal(rotated, np.rot90(dense, axes=(0, 1))[..., [1, 0, 2]] * np.float32([-1, 1, 1]))
     mirrored = Move(RigidMotion.mirror((0, 1, 0), centre))(field).to_dense()
     assert np.array_equal(mirrored, dense[:, ::-1] * np.float32([1, -1, 1]))
     assert Move(RigidMotion())(field) == field
@@ -233,24 +233,24 @@ def test_whole_steps_and_quarter_turns_are_exact() -> None:
 
 
 @given(triple.filter(lambda t: math.hypot(*t) > 1e-6), st.floats(-360, 360), triple, triple)
-def test_motions_are_rigid_and_go_back(axis: Any, angle_deg: float, about_m: Any, offset_m: Any) -> None:
+def test_motions_are_rigid_and_invertible(axis: Any, angle_deg: float, about_m: Any, offset_m: Any) -> None:
     motion = RigidMotion.turn(axis, angle_deg, about_m).followed_by(RigidMotion.move(offset_m))
     motion = motion.followed_by(RigidMotion.mirror(axis, offset_m))
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
-    there = motion.points_m(points)
-    gaps = [np.linalg.norm(p[:, None] - p[None], axis=-1) for p in (points, there)]
+    moved = motion.points_m(points)
+    gaps = [np.linalg.norm(p[:, None] - p[None], axis=-1) for p in (points, moved)]
     np.testing.assert_allclose(*gaps, atol=1e-12)
-    np.testing.assert_allclose(motion.inverse.points_m(there), points, atol=1e-12)
+    np.testing.assert_allclose(motion.inverse.points_m(moved), points, atol=1e-12)
     np.testing.assert_allclose(motion.followed_by(motion.inverse).points_m(points), points, atol=1e-12)
 
 
-def test_a_moved_field_is_the_trilinear_query_of_where_it_came_from() -> None:
+def test_moved_field_is_the_trilinear_query_at_the_inverse_motion() -> None:
     motion = RigidMotion.turn((1, 2, 3), 50.0, MIDDLE).followed_by(RigidMotion.move((0.002, 0.0, -0.001)))
     expected = motion.vectors(FIELD.sample_n(motion.inverse.points_m(POINTS)))
     np.testing.assert_allclose(Move(motion)(FIELD).to_dense(), expected, atol=1e-6)
 
 
-def test_what_is_no_operator() -> None:
+def test_invalid_operators_are_refused() -> None:
     other = random_field(1, grid=Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))
     for bad in (math.nan, math.inf):
         with pytest.raises(InvalidArgument, match="gain"):
@@ -259,9 +259,9 @@ def test_what_is_no_operator() -> None:
         Limit(0.0)
     with pytest.raises(InvalidArgument, match="one of replace, over, add, max"):
         Compose(OTHER, "under")
-    for how in ("replace", "over", "add", "max"):
+    for mode in ("replace", "over", "add", "max"):
         with pytest.raises(InvalidArgument, match="compose"):
-            edit_field(FIELD, Everywhere(), Compose(other, how))
+            edit_field(FIELD, Everywhere(), Compose(other, mode))
     for matrix in (np.ones((3, 3)), np.full((3, 3), np.nan), np.eye(2)):
         with pytest.raises(InvalidArgument, match="orthogonal"):
             RigidMotion(matrix)  # type: ignore[arg-type]
@@ -282,14 +282,14 @@ def medium(frames: int, seed: int = 10, rate_hz: float = 25.0) -> HapticMedium:
     return HapticMedium.from_frames([random_field(seed + i, 0.05) for i in range(frames)], rate_hz)
 
 
-def test_a_range_of_frames_is_edited_and_the_provenance_tells() -> None:
+def test_range_of_frames_is_edited_and_recorded_in_the_provenance() -> None:
     before = medium(6)
-    once = edit_medium(before, REGIONS[0], Gain(2.0), 0.001, frames=(2, 4))
-    after = edit_medium(once, REGIONS[1], Erase())
-    for i, (x, y) in enumerate(zip(before, once, strict=True)):
+    edited = edit_medium(before, REGIONS[0], Gain(2.0), 0.001, frames=(2, 4))
+    edited_twice = edit_medium(edited, REGIONS[1], Erase())
+    for i, (x, y) in enumerate(zip(before, edited, strict=True)):
         assert y == (edit_field(x, REGIONS[0], Gain(2.0), 0.001) if 2 <= i < 4 else x)
-    assert after[3] == edit_field(once[3], REGIONS[1], Erase())
-    first, second = after.provenance["edits"].split("; ")
+    assert edited_twice[3] == edit_field(edited[3], REGIONS[1], Erase())
+    first, second = edited_twice.provenance["edits"].split("; ")
     assert (
         first == "gain 2.0, box (-0.006, 0.004, 0.025) to (0.001, 0.016, 0.036), feather 0.001 m, frames 2:4"
     )
@@ -299,56 +299,58 @@ def test_a_range_of_frames_is_edited_and_the_provenance_tells() -> None:
             edit_medium(before, REGIONS[0], Erase(), frames=frames)
 
 
-def test_a_medium_over_a_medium_begins_with_the_range() -> None:
+def test_composed_medium_starts_with_the_range() -> None:
     below, above = medium(5), medium(2, seed=50)
-    made = edit_medium(below, Everywhere(), Compose(above, "over"), frames=(3, None))
-    assert made[2] == below[2]
-    assert made[4] == Compose(above[1], "over")(below[4])
-    assert made.provenance["edits"] == "compose over another medium, everywhere, frames 3:5"
+    composed = edit_medium(below, Everywhere(), Compose(above, "over"), frames=(3, None))
+    assert composed[2] == below[2]
+    assert composed[4] == Compose(above[1], "over")(below[4])
+    assert composed.provenance["edits"] == "compose over another medium, everywhere, frames 3:5"
     with pytest.raises(InvalidArgument, match="at least the 3"):
         edit_medium(below, Everywhere(), Compose(above, "over"), frames=(2, None))
     with pytest.raises(InvalidArgument, match="2 frames"):
         Compose(above)(below[0])
 
 
-def test_pieces_put_together_are_the_whole() -> None:
-    whole, other = medium(6), medium(3, seed=40)
-    joined = cross_fade(cross_fade(whole.between(0, 2), whole.between(2, 3), 0), whole.between(3, 6), 0)
-    assert list(joined) == list(whole)
-    both = cross_fade(whole, other, 0)
-    assert len(both) == 9 and both[5] == whole[5] and both[6] == other[0] and both[-1] == other[2]
+def test_spliced_parts_equal_the_original() -> None:
+    original, other = medium(6), medium(3, seed=40)
+    joined = cross_fade(
+        cross_fade(original.between(0, 2), original.between(2, 3), 0), original.between(3, 6), 0
+    )
+    assert list(joined) == list(original)
+    both = cross_fade(original, other, 0)
+    assert len(both) == 9 and both[5] == original[5] and both[6] == other[0] and both[-1] == other[2]
     cut = cross_fade(both.between(0, 1), both.between(4, 9), 0)
     assert list(cut) == [both[i] for i in (0, 4, 5, 6, 7, 8)]
     assert both.provenance["splices"] == "6 frames into 3 over 0"
     assert cut.provenance["splices"].endswith("1 frames into 5 over 0")
 
 
-def test_a_cross_fade_goes_in_equal_steps() -> None:
+def test_cross_fade_has_equal_steps() -> None:
     first, second = medium(4), medium(5, seed=40)
-    made = cross_fade(first, second, 3)
-    assert len(made) == 6
-    assert made[0] == first[0] and made[4] == second[3] and made[5] == second[4]
+    faded = cross_fade(first, second, 3)
+    assert len(faded) == 6
+    assert faded[0] == first[0] and faded[4] == second[3] and faded[5] == second[4]
     for i in range(3):
-        share = (i + 1) / 4
-        expected = (1 - share) * first[1 + i].to_dense() + share * second[i].to_dense()
-        np.testing.assert_allclose(made[1 + i].to_dense(), expected, atol=1e-6)
-    same = cross_fade(first, first, 4)  # one medium into itself, frame on frame
+        weight = (i + 1) / 4
+        expected = (1 - weight) * first[1 + i].to_dense() + weight * second[i].to_dense()
+        np.testing.assert_allclose(faded[1 + i].to_dense(), expected, atol=1e-6)
+    same = cross_fade(first, first, 4)  # a medium into itself, with all frames overlapping
     np.testing.assert_allclose(same[2].to_dense(), first[2].to_dense(), atol=1e-6)
 
 
-def test_what_cannot_be_spliced() -> None:
-    one = medium(3)
+def test_media_that_cannot_be_spliced_are_refused() -> None:
+    first = medium(3)
     with pytest.raises(InvalidArgument, match=r"medium 1 to splice, rate_hz: found 30\.0; expected 25\.0"):
-        cross_fade(one, medium(3, rate_hz=30.0), 0)
-    other = HapticMedium.from_frames([ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))], 25.0)
+        cross_fade(first, medium(3, rate_hz=30.0), 0)
+    foreign = HapticMedium.from_frames([ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))], 25.0)
     with pytest.raises(InvalidArgument, match="medium 1 to splice, grid"):
-        cross_fade(one, other, 1)
+        cross_fade(first, foreign, 1)
     for frames in (-1, 4, True, 1.0):
         with pytest.raises(InvalidArgument, match="cross-fade"):
-            cross_fade(one, one, frames)  # type: ignore[arg-type]
+            cross_fade(first, first, frames)  # type: ignore[arg-type]
 
 
-def test_regions_and_edits_are_told_with_their_numbers() -> None:
+def test_texts_of_regions_and_edits_have_their_numbers() -> None:
     ball, half = Ball((0.001, 0.02, -0.3), 0.25), HalfSpace((0.0, 3.0, -4.0), (0.1, 0.2, 0.3))
     assert ball.text == "ball (0.001, 0.02, -0.3) radius 0.25 m"
     assert half.text == "half-space (0, 0.6, -0.8) from (0.1, 0.2, 0.3)"

@@ -1,5 +1,4 @@
-"""One battery for every registered haptic filter: each claim that it makes is measured; information never
-grows.
+"""Tests of every registered haptic filter: each of its claims is measured; information never increases.
 
 Paper section 3.2; the laws of information are the data-processing inequality and the chain rule.
 """
@@ -27,7 +26,7 @@ from touchfield.filters.registry import (
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, Grid, HapticMedium
 
-ASKED: dict[str, list[str]] = {
+TEXTS: dict[str, list[str]] = {
     "gaussian": ["1.2mm", "0.7mm"],
     "fir": ["1/2/1", "1/3/3/3/1", "-1/2/-1,normalise=false", "1/1/1"],
     "lowpass": ["pitch=4mm", "pitch=2.5mm,kernel=sinc", "pitch=9mm,cutoff=literal"],
@@ -36,24 +35,24 @@ ASKED: dict[str, list[str]] = {
     "multiresolution": ["3", "2"],
     "texture": ["salt-pepper:seed=1", "salt-pepper:density=0.3,rms=0.3,grain=2mm"],
 }
-CASES = [pytest.param(name, text, id=f"{name}-{text}") for name, texts in ASKED.items() for text in texts]
+CASES = [pytest.param(name, text, id=f"{name}-{text}") for name, texts in TEXTS.items() for text in texts]
 GRID = Grid((40, 36, 33), (0.001, 0.001, 0.0012), (-0.02, 0.0, 0.01))
 SMALL = Grid((24, 23, 22), (0.001, 0.001, 0.001), (0.0, 0.0, 0.0))
 WIDE = Grid((64, 64, 64), (0.001, 0.001, 0.001), (0.0, 0.0, 0.0))
 
 
-def claiming(*claims: str) -> list[Any]:
-    """The cases that make all of these claims."""
-    return [c for c in CASES if all(getattr(made(*c.values)[1], claim) for claim in claims)]
+def cases_with_claims(*claims: str) -> list[Any]:
+    """The cases of filters that make all of these claims."""
+    return [c for c in CASES if all(getattr(filter_and_claims(*c.values)[1], claim) for claim in claims)]
 
 
-def made(name: str, text: str) -> tuple[FieldFilter, Claims]:
-    chosen = filter_of(name, text)
-    return chosen, chosen.claims(GRID)
+def filter_and_claims(name: str, text: str) -> tuple[FieldFilter, Claims]:
+    tested = filter_of(name, text)
+    return tested, tested.claims(GRID)
 
 
 def blob(seed: int, grid: Grid = GRID, clear: int = 12) -> ForceField:
-    """Random forces in the middle of a grid, clear of its border."""
+    """Random forces in the centre of a grid, away from its border."""
     rng = np.random.default_rng(seed)
     forces = np.zeros((*grid.shape, 3), np.float32)
     inner = tuple(slice(min(clear, n // 2 - 1), max(n - clear, n // 2 + 1)) for n in grid.shape)
@@ -62,50 +61,50 @@ def blob(seed: int, grid: Grid = GRID, clear: int = 12) -> ForceField:
     return ForceField.from_dense(grid, forces)
 
 
-def close(a: ForceField, b: ForceField, tolerance: float = 2e-5) -> None:
+def assert_close(a: ForceField, b: ForceField, tolerance: float = 2e-5) -> None:
     x, y = a.to_dense(), b.to_dense()
     np.testing.assert_allclose(x, y, atol=tolerance * max(1e-9, float(np.abs(y).max())))
 
 
-def test_every_registered_filter_is_in_the_battery() -> None:
-    assert set(field_filters()) == set(ASKED)
+def test_every_registered_filter_is_tested() -> None:
+    assert set(field_filters()) == set(TEXTS)
     for name, kind in field_filters().items():
         assert kind.name == name and kind.summary and kind.__doc__
         assert kind.parse(kind.example).example == kind.example
 
 
 @pytest.mark.parametrize(("name", "text"), CASES)
-def test_the_words_of_a_filter_make_it_again(name: str, text: str) -> None:
-    chosen, _ = made(name, text)
-    assert filter_of(name, chosen.text) == chosen
+def test_text_of_a_filter_round_trips(name: str, text: str) -> None:
+    tested, _ = filter_and_claims(name, text)
+    assert filter_of(name, tested.text) == tested
 
 
 @pytest.mark.parametrize(("name", "text"), CASES)
-def test_nothing_comes_of_nothing_and_threads_change_no_bit(
+def test_empty_field_stays_empty_and_threads_change_no_bit(
     name: str, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    chosen, _ = made(name, text)
-    assert chosen(ForceField.empty(GRID)) == ForceField.empty(GRID)
+    tested, _ = filter_and_claims(name, text)
+    assert tested(ForceField.empty(GRID)) == ForceField.empty(GRID)
     field = blob(1)
     monkeypatch.setenv("TOUCHFIELD_THREADS", "1")
-    alone = chosen(field)
+    single_threaded = tested(field)
     monkeypatch.setenv("TOUCHFIELD_THREADS", "5")
-    assert chosen(field) == alone and alone.grid == GRID
+    assert tested(field) == single_threaded and single_threaded.grid == GRID
 
 
 @pytest.mark.parametrize(("name", "text"), CASES)
 def test_reach(name: str, text: str) -> None:
-    chosen, claims = made(name, text)
+    tested, claims = filter_and_claims(name, text)
     field = blob(2)
-    place = np.array([20, 17, 16])
+    index = np.array([20, 17, 16])
     forces = field.to_dense()
-    forces[tuple(place)] += np.float32([0.9, -0.4, 0.7])
+    forces[tuple(index)] += np.float32([0.9, -0.4, 0.7])
     changed = np.argwhere(
-        (chosen(field).to_dense() != chosen(ForceField.from_dense(GRID, forces)).to_dense()).any(-1)
+        (tested(field).to_dense() != tested(ForceField.from_dense(GRID, forces)).to_dense()).any(-1)
     )
     assert len(changed), "the change is seen somewhere"
-    assert (np.abs(changed - place).max(axis=0) <= claims.reach).all()
-    before, after = field.positions(), chosen(field).positions()
+    assert (np.abs(changed - index).max(axis=0) <= claims.reach).all()
+    before, after = field.positions(), tested(field).positions()
     low, high = before.min(axis=0) - claims.reach, before.max(axis=0) + claims.reach
     assert ((after >= low) & (after <= high)).all()
     if claims.keeps_support:
@@ -115,8 +114,8 @@ def test_reach(name: str, text: str) -> None:
 UNEQUAL = Grid((28, 26, 23), (0.0008, 0.001, 0.0014), (-0.008, 0.0, 0.01))
 SWAPPED = (1, 0, 2)
 ORDERS = {"lowpass": [SWAPPED], "multiresolution": [SWAPPED], "texture": []}
-"""Orders of the axes for filters that single out z; others take any. Grains of a texture are drawn for each
-place.
+"""Orders of the axes for filters that treat z differently; others take any. Texture grains depend on the
+position.
 """
 PERMUTED = [
     pytest.param(*case.values, order, id=f"{case.id}-{order}")
@@ -126,70 +125,71 @@ PERMUTED = [
 
 
 @pytest.mark.parametrize(("name", "text", "order"), PERMUTED)
-def test_axes_of_unequal_spacings_may_be_permuted_before_or_after(
-    name: str, text: str, order: tuple[int, ...]
-) -> None:
-    """No axis gets the spacing of another."""
+def test_filters_commute_with_permutations_of_the_axes(name: str, text: str, order: tuple[int, ...]) -> None:
+    """Each axis uses its own spacing."""
 
     def permuted(field: ForceField) -> ForceField:
         shape, spacing_m, origin_m = (tuple(row[axis] for axis in order) for row in astuple(field.grid))
         dense = field.to_dense().transpose(*order, 3)[..., order]
         return ForceField.from_dense(Grid(shape, spacing_m, origin_m), np.ascontiguousarray(dense))
 
-    chosen, _ = made(name, text)
+    tested, _ = filter_and_claims(name, text)
     field = blob(5, UNEQUAL, 5)
-    close(permuted(chosen(field)), chosen(permuted(field)), 1e-4)
+    assert_close(permuted(tested(field)), tested(permuted(field)), 1e-4)
 
 
-@pytest.mark.parametrize(("name", "text"), claiming("linear"))
+@pytest.mark.parametrize(("name", "text"), cases_with_claims("linear"))
 def test_linear_filters_are_linear(name: str, text: str) -> None:
-    chosen, _ = made(name, text)
+    tested, _ = filter_and_claims(name, text)
     x, y = blob(3), blob(4)
-    close(chosen(x.scaled(2.0) + y), chosen(x).scaled(2.0) + chosen(y))
+    assert_close(tested(x.scaled(2.0) + y), tested(x).scaled(2.0) + tested(y))
 
 
-@pytest.mark.parametrize(("name", "text"), [c for c in CASES if made(*c.values)[1].dc_gain is not None])
-def test_constants_gain_what_is_declared(name: str, text: str) -> None:
-    chosen, claims = made(name, text)
-    reach = chosen.claims(WIDE).reach
+@pytest.mark.parametrize(
+    ("name", "text"), [c for c in CASES if filter_and_claims(*c.values)[1].dc_gain is not None]
+)
+def test_constants_have_the_declared_gain(name: str, text: str) -> None:
+    tested, claims = filter_and_claims(name, text)
+    reach = tested.claims(WIDE).reach
     force = np.float32([0.3, -0.8, 0.5])
     field = ForceField.from_dense(WIDE, np.tile(force, (*WIDE.shape, 1)))
     inner = tuple(slice(r, n - r) for r, n in zip(reach, WIDE.shape))
-    got = chosen(field).to_dense()[inner]
+    got = tested(field).to_dense()[inner]
     assert got.size, "the grid of this test is wide enough"
     np.testing.assert_allclose(got, np.broadcast_to(claims.dc_gain * force, got.shape), atol=2e-6)
 
 
 @pytest.mark.parametrize(("name", "text"), CASES)
-def test_mean_greatest_force_direction_and_amplitude(name: str, text: str) -> None:
-    chosen, claims = made(name, text)
+def test_claims_of_mean_maximum_direction_and_amplitude(name: str, text: str) -> None:
+    tested, claims = filter_and_claims(name, text)
     field = blob(5, clear=max(claims.reach))
-    x, y = field.to_dense().astype(float), chosen(field).to_dense().astype(float)
-    size, other = np.linalg.norm(x, axis=-1), np.linalg.norm(y, axis=-1)
-    both = (size > 0) & (other > 0)
+    x, y = field.to_dense().astype(float), tested(field).to_dense().astype(float)
+    size, filtered_size = np.linalg.norm(x, axis=-1), np.linalg.norm(y, axis=-1)
+    both = (size > 0) & (filtered_size > 0)
     across = np.linalg.norm(np.cross(x[both], y[both]), axis=-1)
     assert both.sum() > 100
     block = field.to_dense() * 0
-    block[12:-12, 12:-12, 12:-12, 0] = 1  # at its edges a kernel with negative lobes rings
-    rung = chosen(ForceField.from_dense(GRID, block)).to_dense()
-    kept = {
+    block[12:-12, 12:-12, 12:-12, 0] = 1  # a kernel with negative lobes overshoots at its edges
+    filtered_block = tested(ForceField.from_dense(GRID, block)).to_dense()
+    measured = {
         "keeps_mean": np.allclose(
             y.sum(axis=(0, 1, 2)), x.sum(axis=(0, 1, 2)), rtol=0, atol=1e-5 * size.sum()
         ),
-        "max_principle": max(other.max() / size.max(), np.linalg.norm(rung, axis=-1).max()) <= 1 + 1e-6,
-        "keeps_direction": (across <= 1e-5 * size[both] * other[both]).all(),
-        "keeps_amplitude": np.allclose(other[both], size[both], rtol=1e-5, atol=0),
+        "max_principle": max(filtered_size.max() / size.max(), np.linalg.norm(filtered_block, axis=-1).max())
+        <= 1 + 1e-6,
+        "keeps_direction": (across <= 1e-5 * size[both] * filtered_size[both]).all(),
+        "keeps_amplitude": np.allclose(filtered_size[both], size[both], rtol=1e-5, atol=0),
     }
-    assert {claim: bool(held) for claim, held in kept.items()} == {
-        claim: getattr(claims, claim) for claim in kept
+    assert {claim: bool(is_true) for claim, is_true in measured.items()} == {
+        claim: getattr(claims, claim) for claim in measured
     }
 
 
-@pytest.mark.parametrize(("name", "text"), claiming("linear", "dc_gain"))
-def test_an_impulse_stays_where_it_is(name: str, text: str) -> None:
-    chosen, _ = made(name, text)
+@pytest.mark.parametrize(("name", "text"), cases_with_claims("linear", "dc_gain"))
+def test_impulse_response_is_centred(name: str, text: str) -> None:
+    tested, _ = filter_and_claims(name, text)
     impulse = ForceField.from_support(GRID, [[18, 16, 14]], [[1.0, 0.0, 0.0]])
-    weight = chosen(impulse).to_dense()[..., 0].astype(float)
+    weight = tested(impulse).to_dense()[..., 0].astype(float)
     centre = [(weight * i).sum() / weight.sum() for i in np.indices(GRID.shape)]
     np.testing.assert_allclose(centre, [18, 16, 14], atol=1e-4)
 
@@ -197,41 +197,39 @@ def test_an_impulse_stays_where_it_is(name: str, text: str) -> None:
 # -- information -------------------------------------------------------------------------------------------
 
 
-def joint_bits(frames: list[ForceField], words: str | None = None) -> float:
-    """The entropy of the whole field, quantised or as it is, every frame being equally likely.
+def joint_bits(frames: list[ForceField], quantiser_text: str | None = None) -> float:
+    """Entropy of the whole field, quantised or exact, with equally likely frames.
 
-    Joint, not a sum of marginals: of those the inequality says nothing.
+    Joint, as the inequality does not hold for sums of marginals.
     """
-    quantise = FieldQuantiserSpec.parse(words).fit(frames) if words else None
+    quantise = FieldQuantiserSpec.parse(quantiser_text).fit(frames) if quantiser_text else None
     outcomes = [quantise(f).to_dense() if quantise else f.to_dense() for f in frames]
     return entropy_bits(list(Counter(outcome.tobytes() for outcome in outcomes).values()))
 
 
 @pytest.mark.parametrize(("name", "text"), CASES)
-def test_no_filter_and_requantiser_makes_information(name: str, text: str) -> None:
-    """All 2^6 fields with or without a force at six places: 6 bits in, never more out, and less at every
-    step.
-    """
-    chosen = filter_of(name, text)
-    places = np.add(9, [[2, 2, 2], [2, 2, 4], [4, 2, 2], [4, 4, 4], [5, 4, 4], [3, 3, 3]])
+def test_filters_and_requantisers_add_no_information(name: str, text: str) -> None:
+    """All 2^6 fields with or without a force at six positions: 6 bits in, never more at any later step."""
+    tested = filter_of(name, text)
+    positions = np.add(9, [[2, 2, 2], [2, 2, 4], [4, 2, 2], [4, 4, 4], [5, 4, 4], [3, 3, 3]])
     force = np.float32([[1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 1, 1], [-1, 0, 0], [1, -1, 1]])
     inputs = []
     for bits in itertools.product((0, 1), repeat=6):
-        held = np.flatnonzero(bits)
-        inputs.append(ForceField.from_support(SMALL, np.take(places, held, axis=0), force[held]))
+        selected = np.flatnonzero(bits)
+        inputs.append(ForceField.from_support(SMALL, np.take(positions, selected, axis=0), force[selected]))
     assert joint_bits(inputs) == pytest.approx(6)
-    once = [chosen(x) for x in inputs]
-    exact = joint_bits(once)
+    filtered = [tested(x) for x in inputs]
+    exact = joint_bits(filtered)
     assert exact <= 6 + 1e-12
-    for words in ("weber:0.25", "uniform:0.3/octa1", "components:0.5", "lloyd-max:1/none"):
-        assert joint_bits(once, words) <= exact + 1e-12
-    twice = [chosen(x) for x in once]
-    assert joint_bits(twice) <= exact + 1e-12
+    for quantiser_text in ("weber:0.25", "uniform:0.3/octa1", "components:0.5", "lloyd-max:1/none"):
+        assert joint_bits(filtered, quantiser_text) <= exact + 1e-12
+    filtered_twice = [tested(x) for x in filtered]
+    assert joint_bits(filtered_twice) <= exact + 1e-12
 
 
-def test_a_chain_is_applied_in_order_and_says_so() -> None:
-    names = list(ASKED)
-    chain = [filter_of(n, ASKED[n][0]) for n in names[:2]]
+def test_chain_is_applied_in_order_and_named() -> None:
+    names = list(TEXTS)
+    chain = [filter_of(n, TEXTS[n][0]) for n in names[:2]]
     field = blob(6)
     expected = field
     for step in chain:
@@ -248,13 +246,13 @@ def test_a_chain_is_applied_in_order_and_says_so() -> None:
 @pytest.mark.parametrize(
     "text", ["", "2", "two mm", "2mm,2mm", "2mm,sigma=1mm", "2mm,depth=3", "nanmm", "-1mm"]
 )
-def test_bad_words_are_refused(text: str) -> None:
+def test_invalid_texts_are_refused(text: str) -> None:
     with pytest.raises(InvalidArgument):
         filter_of("gaussian", text)
     with pytest.raises(InvalidArgument, match="one of"):
         filter_of("sharpen", text)
 
 
-def test_a_length_without_its_unit_says_so() -> None:
+def test_length_without_a_unit_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="a length with its unit, such as 2mm"):
         filter_of("gaussian", "2")

@@ -1,6 +1,4 @@
-"""Equation 4: dense arrays by two methods against scipy, bricks against dense, and what item 11 says of
-entropy.
-"""
+"""Equation 4: dense arrays by two methods against scipy, bricks against dense, and entropies of item 11."""
 
 from __future__ import annotations
 
@@ -21,14 +19,14 @@ from touchfield.filters.separable import BOUNDARIES, SCIPY_MODES
 from touchfield.medium import ForceField, Grid
 
 
-def random_field(shape: tuple[int, int, int], seed: int, share: float = 0.02) -> ForceField:
+def random_field(shape: tuple[int, int, int], seed: int, density: float = 0.02) -> ForceField:
     rng = np.random.default_rng(seed)
-    forces = rng.normal(size=(*shape, 3)) * (rng.random(shape) < share)[..., None]
+    forces = rng.normal(size=(*shape, 3)) * (rng.random(shape) < density)[..., None]
     return ForceField.from_dense(Grid(shape, (0.001,) * 3, (0.0,) * 3), forces)
 
 
 def filter_of_array(taps: ArrayLike, **others: Any) -> FirFilter:
-    """The filter of an array of one or three axes, by the words of its taps;
+    """The filter of an array of one or three axes, through the text of its taps;
     `others` are its other fields.
     """
     h = np.asarray(taps, np.float64)
@@ -40,7 +38,7 @@ def filter_of_array(taps: ArrayLike, **others: Any) -> FirFilter:
 
 
 def test_the_literal_sum_of_equation_4() -> None:
-    """Written out: y[n] = sum of h[k] x[n - k], what lies before the first sample being zero."""
+    """The explicit sum: y[n] = sum of h[k] x[n - k], with zeros before the first sample."""
     rng = np.random.default_rng(0)
     x, h = rng.normal(size=20), rng.normal(size=4)
     expected = [sum(h[k] * x[n - k] for k in range(4) if n >= k) for n in range(20)]
@@ -65,8 +63,8 @@ def test_any_kernel_is_the_padded_sum(
         h = math.prod((rng.normal(size=n).reshape([-1 if a == b else 1 for b in range(len(counts))])
                        for a, n in enumerate(counts)), start=np.ones([1] * len(counts)))  # fmt: skip
     mode = {"zero": "constant", "nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}[boundary]
-    ahead = [n // 2 if anchor == "centred" else 0 for n in counts]
-    padding = [(n - 1 - a, a) for n, a in zip(counts, ahead, strict=True)]
+    lookahead = [n // 2 if anchor == "centred" else 0 for n in counts]
+    padding = [(n - 1 - a, a) for n, a in zip(counts, lookahead, strict=True)]
     wide = np.pad(x, [*padding, *[(0, 0)] * components], mode=mode)
     expected = np.zeros_like(x)
     for k in itertools.product(*(range(n) for n in counts)):
@@ -76,21 +74,21 @@ def test_any_kernel_is_the_padded_sum(
 
 
 @pytest.mark.parametrize("boundary", BOUNDARIES)
-def test_the_causal_form_is_the_centred_one_moved(boundary: str) -> None:
+def test_causal_form_is_the_shifted_centred_one(boundary: str) -> None:
     x, h = np.random.default_rng(3).normal(size=(30, 31)), np.random.default_rng(4).normal(size=(5, 7))
     centred, causal = (fir_filter(x, h, anchor=a, boundary=boundary) for a in ("centred", "causal"))
     assert causal[4:-2, 6:-3] == pytest.approx(centred[2:-4, 3:-6], abs=1e-13)  # by (N - 1)/2 = 2 and 3
     assert centred == pytest.approx(ndimage.convolve(x, h, mode=SCIPY_MODES[boundary]), abs=1e-13)
 
 
-def test_the_type_of_the_signal_is_kept() -> None:
+def test_dtype_of_the_signal_is_preserved() -> None:
     h = np.array([1.0, 2.0, 1.0]) / 4
     assert fir_filter(np.ones((9, 3), np.float32), h).dtype == np.float32
     assert fir_filter(np.ones(9, np.int64), h).dtype == np.float64
 
 
 @pytest.mark.parametrize(
-    ("taps", "options", "said"),
+    ("taps", "options", "message"),
     [
         (np.ones(4), {}, "odd number along each axis"),
         (np.ones((3, 2)), {}, "odd number along each axis"),
@@ -104,8 +102,8 @@ def test_the_type_of_the_signal_is_kept() -> None:
         (np.ones(3), {"boundary": "mirror"}, "zero, nearest, reflect, wrap"),
     ],
 )
-def test_kernels_that_are_refused(taps: np.ndarray, options: dict[str, str], said: str) -> None:
-    with pytest.raises(InvalidArgument, match=said):
+def test_invalid_kernels_are_refused(taps: np.ndarray, options: dict[str, str], message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
         fir_filter(np.ones((10, 12)), taps, **options)
 
 
@@ -123,14 +121,14 @@ def entropy_bits(counts: Counter[object]) -> float:
 
 
 def test_filtering_raises_the_entropy_of_a_sample_and_lowers_that_of_the_field() -> None:
-    """All 512 binary fields on a 3 x 3 torus, each as likely as another, through the 3 x 3 box sum."""
+    """All 512 equally likely binary fields on a 3 x 3 torus, through the 3 x 3 box sum."""
     fields = np.array(list(itertools.product((0, 1), repeat=9)), float).reshape(-1, 3, 3)
-    one = Counter(fields[:, 1, 1].tolist())
-    assert entropy_bits(one) == 1.0
+    sample_counts = Counter(fields[:, 1, 1].tolist())
+    assert entropy_bits(sample_counts) == 1.0
     boxed = [fir_filter(f, np.ones((3, 3)), boundary="wrap") for f in fields]
     assert entropy_bits(Counter(round(f[1, 1]) for f in boxed)) == pytest.approx(2.629928, abs=1e-6)
     joint = entropy_bits(Counter(tuple(np.rint(f).ravel().tolist()) for f in boxed))
-    assert joint == pytest.approx(2.629928, abs=1e-6)  # of 9 bits: all nine sums are the same one
+    assert joint == pytest.approx(2.629928, abs=1e-6)  # of 9 bits: all nine sums are equal
     assert joint / 9 == pytest.approx(0.292214, abs=1e-6)
     cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
     crossed = [fir_filter(f, cross, boundary="wrap") for f in fields]
@@ -143,8 +141,8 @@ def test_the_joint_entropy_of_a_valid_box_of_4_by_4() -> None:
     sums = fir_filter(np.moveaxis(fields, 0, -1), np.ones((3, 3)), anchor="causal")[2:, 2:]
     codes = np.rint(sums).astype(np.int64).reshape(4, -1)
     _, counts = np.unique(codes, axis=1, return_counts=True)
-    share = counts / counts.sum()
-    assert -(share * np.log2(share)).sum() == pytest.approx(8.786455, abs=1e-6)
+    probability = counts / counts.sum()
+    assert -(probability * np.log2(probability)).sum() == pytest.approx(8.786455, abs=1e-6)
 
 
 # -- bricks ------------------------------------------------------------------------------------------------
@@ -153,56 +151,56 @@ def test_the_joint_entropy_of_a_valid_box_of_4_by_4() -> None:
 @pytest.mark.parametrize("taps", [[1.0, 3.0, 2.0], [0.5, -1.0, 0.0, 2.0, 1.0]])
 def test_one_axis_of_taps_on_bricks_equals_the_dense_array(taps: list[float]) -> None:
     field = random_field((20, 17, 26), 5)
-    made = filter_of_array(taps, normalise=False)(field)
+    filtered = filter_of_array(taps, normalise=False)(field)
     h = np.einsum("i,j,k->ijk", taps, taps, taps)
     expected = fir_filter(field.to_dense().astype(float), h)
-    assert np.abs(made.to_dense() - expected).max() < 2e-5
-    assert made == ForceField.from_dense(field.grid, made.to_dense())
+    assert np.abs(filtered.to_dense() - expected).max() < 2e-5
+    assert filtered == ForceField.from_dense(field.grid, filtered.to_dense())
 
 
 @pytest.mark.parametrize("shape", [(3, 3, 3), (1, 5, 3), (9, 1, 11)])
 def test_a_box_of_taps_on_bricks_equals_the_dense_array(shape: tuple[int, int, int]) -> None:
     field = random_field((20, 17, 26), 6)
     h = np.random.default_rng(7).normal(size=shape)
-    made = filter_of_array(h, normalise=False)(field)
+    filtered = filter_of_array(h, normalise=False)(field)
     expected = fir_filter(field.to_dense().astype(float), h)
-    assert np.abs(made.to_dense() - expected).max() < 1e-5
-    assert made == ForceField.from_dense(field.grid, made.to_dense())
+    assert np.abs(filtered.to_dense() - expected).max() < 1e-5
+    assert filtered == ForceField.from_dense(field.grid, filtered.to_dense())
 
 
 @given(
     st.tuples(*[st.integers(1, 20)] * 3), st.integers(0, 999), st.sampled_from([0.002, 0.1, 1.0]), st.data()
 )
 def test_any_box_of_taps_on_any_field(
-    shape: tuple[int, int, int], seed: int, share: float, data: st.DataObject
+    shape: tuple[int, int, int], seed: int, density: float, data: st.DataObject
 ) -> None:
-    field = random_field(shape, seed, share)
+    field = random_field(shape, seed, density)
     odd = [2 * data.draw(st.integers(0, min(n - 1, 5) // 2)) + 1 for n in shape]
     h = np.random.default_rng(seed).normal(size=odd)
-    made = filter_of_array(h, normalise=False)(field)
+    filtered = filter_of_array(h, normalise=False)(field)
     expected = fir_filter(field.to_dense().astype(float), h)
-    assert np.abs(made.to_dense() - expected).max() < 1e-4
+    assert np.abs(filtered.to_dense() - expected).max() < 1e-4
 
 
 @pytest.mark.parametrize("taps", ["1/2/1", "3x3x3:" + "/".join(str(v) for v in range(27))])
 def test_the_same_bits_for_any_number_of_threads(taps: str, monkeypatch: pytest.MonkeyPatch) -> None:
     field = random_field((60, 50, 40), 8)
-    made = []
+    results = []
     for threads in ("1", "3"):
         monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
-        made.append(FirFilter(taps)(field))
-    assert made[0] == made[1]
+        results.append(FirFilter(taps)(field))
+    assert results[0] == results[1]
 
 
-def test_bricks_of_a_lattice_that_could_never_be_dense() -> None:
+def test_bricks_of_a_huge_lattice() -> None:
     grid = Grid((1 << 20, 1 << 20, 1 << 20), (1e-6,) * 3, (0.0,) * 3)
     field = ForceField.from_support(
         grid, [[7, 8, 9], [1 << 19, 0, (1 << 20) - 1]], [[1.0, 0, 0], [0, 2.0, 0]]
     )
     laplace = "3x3x3:0/0/0/0/1/0/0/0/0/0/1/0/1/-6/1/0/1/0/0/0/0/0/1/0/0/0/0"
-    made = FirFilter(laplace, normalise=False)(field)
-    assert made.support_count == 7 + 5
-    assert made.vectors_n().sum(axis=0) == pytest.approx([0, -4, 0])
+    filtered = FirFilter(laplace, normalise=False)(field)
+    assert filtered.support_count == 7 + 5
+    assert filtered.vectors_n().sum(axis=0) == pytest.approx([0, -4, 0])
 
 
 # -- what it declares --------------------------------------------------------------------------------------
@@ -214,9 +212,7 @@ def test_claims_of_a_smoothing_and_a_high_pass() -> None:
     high = FirFilter("3x1x1:-1/2/-1", normalise=False)
     assert smooth.claims(grid).reach == (1, 1, 1) and smooth.claims(grid).dc_gain == pytest.approx(1)
     assert smooth.claims(grid).keeps_mean and smooth.claims(grid).max_principle
-    assert FirFilter("-100/201/-100").claims(grid).dc_gain == pytest.approx(
-        1
-    )  # a small sum is none that is zero
+    assert FirFilter("-100/201/-100").claims(grid).dc_gain == pytest.approx(1)  # a small sum is not zero
     with pytest.raises(InvalidArgument, match="found 0 frequencies"):
         frequency_response(1.0)
     assert high.claims(grid).dc_gain == 0 and not high.claims(grid).keeps_mean
@@ -247,12 +243,14 @@ def test_a_flat_field_is_filtered_along_its_two_axes() -> None:
 # -- words -------------------------------------------------------------------------------------------------
 
 
-def test_words_come_back() -> None:
-    asked = FirFilter.parse("1/2/1,anchor=centred,boundary=zero")  # as older streams have it
-    assert asked == FirFilter("1/2/1") == FirFilter.parse(asked.text)
+def test_text_round_trip() -> None:
+    parsed = FirFilter.parse("1/2/1,anchor=centred,boundary=zero")  # the notation of older streams
+    assert parsed == FirFilter("1/2/1") == FirFilter.parse(parsed.text)
     h = np.random.default_rng(1).normal(size=(3, 1, 3))
-    of_array, field = filter_of_array(h), random_field((16, 16, 16), 2)
-    assert np.array_equal(of_array.kernel, h) and of_array(field) == FirFilter.parse(of_array.text)(field)
+    array_filter, field = filter_of_array(h), random_field((16, 16, 16), 2)
+    assert np.array_equal(array_filter.kernel, h) and array_filter(field) == FirFilter.parse(
+        array_filter.text
+    )(field)
 
 
 def test_an_empty_field_stays_empty() -> None:
@@ -262,7 +260,7 @@ def test_an_empty_field_stays_empty() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "no taps"),
         ("1/x/1", "numbers with /"),
@@ -277,8 +275,8 @@ def test_an_empty_field_stays_empty() -> None:
         ("1/2/1,normalise=perhaps", "true or false"),
     ],
 )
-def test_words_that_make_no_filter(text: str, said: str) -> None:
-    with pytest.raises(InvalidArgument, match=said):
+def test_invalid_texts_are_refused(text: str, message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
         FirFilter.parse(text)
 
 
@@ -295,9 +293,9 @@ def test_a_kernel_larger_than_the_field_is_refused() -> None:
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_sums_beyond_the_type_are_refused(dtype: type) -> None:
     huge = 0.5 * float(np.finfo(dtype).max)
-    said = f"signal: found numbers whose sums are beyond {np.dtype(dtype)}"
+    message = f"signal: found numbers whose sums are beyond {np.dtype(dtype)}"
     for shape, taps in (((40,), np.ones(3)), ((9, 9), np.eye(3)), ((7, 7, 7, 3), np.ones((3, 3, 3)))):
-        with pytest.raises(InvalidArgument, match=said):
+        with pytest.raises(InvalidArgument, match=message):
             fir_filter(np.full(shape, huge, dtype), taps)
     assert np.isfinite(fir_filter(np.full(40, huge / 8, dtype), np.ones(3))).all()
 

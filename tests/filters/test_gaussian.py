@@ -1,4 +1,4 @@
-"""Gaussian smoothing: dense against scipy, bricks against dense, the same bits for any number of threads."""
+"""Gaussian smoothing: dense against scipy, bricks against dense, and the same bits for any thread count."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def unit_grid(shape: tuple[int, int, int]) -> Grid:
     return Grid(shape, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
 
 
-def random_field(shape: tuple[int, int, int], seed: int, share: float) -> ForceField:
+def random_field(shape: tuple[int, int, int], seed: int, density: float) -> ForceField:
     rng = np.random.default_rng(seed)
-    forces = rng.normal(size=(*shape, 3)) * (rng.random(shape) < share)[..., None]
+    forces = rng.normal(size=(*shape, 3)) * (rng.random(shape) < density)[..., None]
     return ForceField.from_dense(unit_grid(shape), forces)
 
 
@@ -46,9 +46,9 @@ def by_scipy(dense: NDArray[np.float32], sigmas: tuple[float, ...], boundary: st
 @pytest.mark.parametrize("sigmas", [(2.0, 2.0, 2.0), (0.0, 1.3, 2.9), (0.6, 0.0, 0.0), (3.4, 1.0, 0.3)])
 def test_a_dense_field_equals_scipy(boundary: str, sigmas: tuple[float, float, float]) -> None:
     field = np.random.default_rng(1).normal(size=(29, 20, 37, 3)).astype(np.float32)
-    made = gaussian(field, sigmas, boundary=boundary)
-    assert made.dtype == np.float32
-    assert np.abs(made - by_scipy(field, sigmas, boundary)).max() < 1e-6
+    filtered = gaussian(field, sigmas, boundary=boundary)
+    assert filtered.dtype == np.float32
+    assert np.abs(filtered - by_scipy(field, sigmas, boundary)).max() < 1e-6
 
 
 @pytest.mark.parametrize("boundary", BOUNDARIES)
@@ -60,22 +60,22 @@ def test_scalars_of_any_number_of_axes_equal_scipy(
 ) -> None:
     for dtype, tolerance in ((np.float64, 1e-14), (np.float32, 1e-6)):
         signal = np.random.default_rng(2).normal(size=shape).astype(dtype)
-        made = gaussian(signal, sigma, boundary=boundary)
-        assert made.dtype == dtype
-        assert np.abs(made - by_scipy(signal, (sigma,) * len(shape), boundary)).max() < tolerance
+        filtered = gaussian(signal, sigma, boundary=boundary)
+        assert filtered.dtype == dtype
+        assert np.abs(filtered - by_scipy(signal, (sigma,) * len(shape), boundary)).max() < tolerance
 
 
 def test_the_components_of_a_field_are_not_mixed() -> None:
     field = np.zeros((17, 17, 17, 3), np.float32)
     field[8, 8, 8, 1] = 1
-    made = gaussian(field, 2.0)
-    assert not made[..., 0].any() and not made[..., 2].any()
-    assert made[8, 8, 8, 1] == pytest.approx(gaussian_taps(2.0)[8] ** 3, rel=1e-6)
+    filtered = gaussian(field, 2.0)
+    assert not filtered[..., 0].any() and not filtered[..., 2].any()
+    assert filtered[8, 8, 8, 1] == pytest.approx(gaussian_taps(2.0)[8] ** 3, rel=1e-6)
 
 
-def test_a_signal_of_whole_numbers_becomes_float64() -> None:
-    made = gaussian(np.eye(20, dtype=np.int16) * 100, 1.0)
-    assert made.dtype == np.float64 and made[10, 10] > 10
+def test_integer_signals_become_float64() -> None:
+    filtered = gaussian(np.eye(20, dtype=np.int16) * 100, 1.0)
+    assert filtered.dtype == np.float64 and filtered[10, 10] > 10
 
 
 @given(st.floats(0.13, 6))
@@ -92,67 +92,68 @@ def test_taps_are_symmetric_positive_and_of_unit_sum(sigma: float) -> None:
 @pytest.mark.parametrize("shape", [(24, 33, 41), (17, 18, 30), (40, 17, 64)])
 def test_bricks_equal_the_dense_array(shape: tuple[int, int, int]) -> None:
     field = random_field(shape, 3, 0.01)
-    made = GaussianFilter(1.9)(field)
+    filtered = GaussianFilter(1.9)(field)
     expected = by_scipy(field.to_dense(), (1.9,) * 3, "zero")
-    assert np.abs(made.to_dense() - expected).max() < 1e-6
-    assert made == ForceField.from_dense(
-        field.grid, made.to_dense()
-    )  # no empty brick, nothing beyond the grid
+    assert np.abs(filtered.to_dense() - expected).max() < 1e-6
+    # no empty brick, and no sample outside the grid
+    assert filtered == ForceField.from_dense(field.grid, filtered.to_dense())
 
 
 @given(shapes, st.integers(0, 999), st.sampled_from([0.001, 0.05, 1.0]), st.data())
 def test_any_taps_on_bricks_and_on_arrays_equal_scipy(
-    shape: tuple[int, int, int], seed: int, share: float, data: st.DataObject
+    shape: tuple[int, int, int], seed: int, density: float, data: st.DataObject
 ) -> None:
-    field = random_field(shape, seed, share)
+    field = random_field(shape, seed, density)
     rng = np.random.default_rng(seed)
     axes, expected = [], field.to_dense().astype(float)
     for axis, count in enumerate(shape):
         taps = rng.normal(size=2 * data.draw(st.integers(0, (count - 1) // 2)) + 1)
         if data.draw(st.booleans()):
-            taps = taps + taps[::-1]  # mirrored pairs go another way through the kernel
+            taps = taps + taps[::-1]  # symmetric taps use another path of the kernel
         taps[rng.random(len(taps)) < 0.2] = 0
         axes.append(AxisTaps(taps))
         expected = ndimage.correlate1d(expected, taps[::-1], axis=axis, mode="constant")
     tolerance = 1e-5 * max(1.0, float(np.prod([np.abs(a.taps).sum() for a in axes])))
     rows = (axes[0], axes[1], axes[2])
-    made, _ = filter_field(field, rows)
-    assert np.abs(made.to_dense() - expected).max() <= tolerance
-    assert made == ForceField.from_dense(field.grid, made.to_dense())
+    filtered, _ = filter_field(field, rows)
+    assert np.abs(filtered.to_dense() - expected).max() <= tolerance
+    assert filtered == ForceField.from_dense(field.grid, filtered.to_dense())
 
 
-def test_far_bricks_of_a_vast_lattice_cost_only_themselves() -> None:
+def test_distant_bricks_of_a_huge_lattice() -> None:
     grid = unit_grid((1 << 20, 1 << 20, 1 << 20))
-    places = np.array([[5, 5, 5], [1 << 19, 9, (1 << 20) - 1], [1 << 19, 9, 1 << 10], [1 << 19, 1 << 19, 12]])
-    field = ForceField.from_support(grid, places, np.ones((4, 3)))
-    made = GaussianFilter(1.0)(field)
+    positions_in = np.array(
+        [[5, 5, 5], [1 << 19, 9, (1 << 20) - 1], [1 << 19, 9, 1 << 10], [1 << 19, 1 << 19, 12]]
+    )
+    field = ForceField.from_support(grid, positions_in, np.ones((4, 3)))
+    filtered = GaussianFilter(1.0)(field)
     centre = gaussian_taps(1.0)[4] ** 3
-    positions = made.positions()
-    for place in places:
-        assert made.vectors_n()[(positions == place).all(axis=1)] == pytest.approx(centre, rel=1e-6)
-    assert made.support_count == 9**3 + 9 * 9 * 5 + 2 * 9**3
+    positions = filtered.positions()
+    for position in positions_in:
+        assert filtered.vectors_n()[(positions == position).all(axis=1)] == pytest.approx(centre, rel=1e-6)
+    assert filtered.support_count == 9**3 + 9 * 9 * 5 + 2 * 9**3
 
 
 def test_more_than_one_tile_along_z_and_a_long_reach() -> None:
     shape = (30, 9, 700)
     field = random_field(shape, 5, 0.002)
     axes = (AxisTaps(np.ones(29)), AxisTaps(np.arange(1.0, 8)), AxisTaps(gaussian_taps(12.0)))
-    made = filter_field(field, axes)[0].to_dense()
+    filtered = filter_field(field, axes)[0].to_dense()
     expected = field.to_dense().astype(float)
     for axis, row in enumerate(axes):
         expected = ndimage.correlate1d(expected, row.taps[::-1], axis=axis, mode="constant")
-    assert np.abs(made - expected).max() < 2e-5 * np.abs(expected).max()
+    assert np.abs(filtered - expected).max() < 2e-5 * np.abs(expected).max()
 
 
 def test_the_same_bits_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     field = random_field((70, 60, 50), 6, 0.01)
-    made = []
+    results = []
     for threads in ("1", "2", "3", "5"):
         monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
-        made.append((GaussianFilter(2.0)(field), gaussian(field.to_dense(), 2.0, boundary="reflect")))
-    for sparse, dense in made[1:]:
-        assert sparse == made[0][0]
-        assert np.array_equal(dense, made[0][1])
+        results.append((GaussianFilter(2.0)(field), gaussian(field.to_dense(), 2.0, boundary="reflect")))
+    for sparse, dense in results[1:]:
+        assert sparse == results[0][0]
+        assert np.array_equal(dense, results[0][1])
 
 
 # -- what the filter declares ------------------------------------------------------------------------------
@@ -164,33 +165,35 @@ def test_claims_hold_on_a_field_clear_of_the_border(wavy_field: ForceField) -> N
         grid, wavy_field.positions() + np.array([16, 12, 14]), wavy_field.vectors_n()
     )
     smooth = GaussianFilter.parse("2mm")
-    claims, made = smooth.claims(grid), smooth(field)
+    claims, filtered = smooth.claims(grid), smooth(field)
     assert claims.reach == (8, 4, 5) and claims.linear and claims.dc_gain == 1
-    before, after = field.vectors_n(), made.vectors_n()
+    before, after = field.vectors_n(), filtered.vectors_n()
     assert after.sum(axis=0, dtype=float) == pytest.approx(
         before.sum(axis=0, dtype=float), rel=1e-5, abs=1e-4
     )
     assert np.linalg.norm(after, axis=1).max() <= np.linalg.norm(before, axis=1).max() * (1 + 1e-6)
     low, high = field.positions().min(axis=0), field.positions().max(axis=0)
-    assert (made.positions() >= low - claims.reach).all() and (made.positions() <= high + claims.reach).all()
+    assert (filtered.positions() >= low - claims.reach).all() and (
+        filtered.positions() <= high + claims.reach
+    ).all()
     twice = smooth(field.scaled(-2.5)).to_dense()
-    assert np.abs(twice + 2.5 * made.to_dense()).max() < 1e-6
+    assert np.abs(twice + 2.5 * filtered.to_dense()).max() < 1e-6
 
 
-def test_an_axis_of_one_sample_is_left_alone() -> None:
+def test_axis_of_one_sample_is_not_filtered() -> None:
     field = random_field((30, 30, 1), 8, 0.1)
-    made = GaussianFilter(2.0)(field).to_dense()
-    assert np.abs(made - by_scipy(field.to_dense(), (2.0, 2.0), "zero")).max() < 1e-6
+    filtered = GaussianFilter(2.0)(field).to_dense()
+    assert np.abs(filtered - by_scipy(field.to_dense(), (2.0, 2.0), "zero")).max() < 1e-6
 
 
-def test_an_empty_field_stays_empty_and_words_come_back() -> None:
-    smooth = GaussianFilter.parse("sigma=2mm,truncate=4.0,boundary=zero")  # as older streams have it
+def test_empty_field_stays_empty_and_text_round_trip() -> None:
+    smooth = GaussianFilter.parse("sigma=2mm,truncate=4.0,boundary=zero")  # the notation of older streams
     assert smooth == GaussianFilter(0.002) == GaussianFilter.parse(smooth.text)
     empty = ForceField.empty(Grid((32, 32, 32), (0.001,) * 3, (0.0,) * 3))
     assert smooth(empty) == empty
 
 
-def test_factors_of_a_product_and_of_what_is_none() -> None:
+def test_factors_of_separable_and_other_kernels() -> None:
     rng = np.random.default_rng(4)
     rows = [rng.normal(size=n) for n in (3, 5, 2)]
     product = np.einsum("i,j,k->ijk", *rows)
@@ -204,7 +207,7 @@ def test_factors_of_a_product_and_of_what_is_none() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("-2mm", "positive length"),
         ("0mm", "positive length"),
@@ -212,8 +215,8 @@ def test_factors_of_a_product_and_of_what_is_none() -> None:
         ("2mm,truncate=3", "each of sigma at most once"),
     ],
 )
-def test_words_that_make_no_gaussian(text: str, said: str) -> None:
-    with pytest.raises(InvalidArgument, match=said):
+def test_invalid_texts_are_refused(text: str, message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
         GaussianFilter.parse(text)
 
 
@@ -254,24 +257,26 @@ def test_a_signal_that_is_not_finite_is_refused(bad: float) -> None:
 
 
 def test_sums_of_the_largest_numbers_do_not_overflow() -> None:
-    """SciPy adds two samples of one weight before it weighs them; our passes weigh each."""
-    most = float(np.finfo(np.float32).max)
-    field = ForceField.from_dense(unit_grid((20, 20, 20)), np.full((20, 20, 20, 3), 0.9 * most))
+    """SciPy adds two samples of equal weight before it multiplies; these passes multiply each first."""
+    max_float = float(np.finfo(np.float32).max)
+    field = ForceField.from_dense(unit_grid((20, 20, 20)), np.full((20, 20, 20, 3), 0.9 * max_float))
     for boundary in BOUNDARIES:
-        assert gaussian(field.to_dense(), 1.0, boundary=boundary).max() == pytest.approx(0.9 * most, rel=1e-6)
+        assert gaussian(field.to_dense(), 1.0, boundary=boundary).max() == pytest.approx(
+            0.9 * max_float, rel=1e-6
+        )
         assert gaussian(np.full(20, 1.7e308), 1.0, boundary=boundary).max() == pytest.approx(
             1.7e308, rel=1e-12
         )
-    assert GaussianFilter(1.0)(field).forces_n.max() == pytest.approx(0.9 * most, rel=1e-6)
+    assert GaussianFilter(1.0)(field).forces_n.max() == pytest.approx(0.9 * max_float, rel=1e-6)
     assert np.isfinite(GaussianFilter(1.0)(field.scaled(0.5)).forces_n).all()
 
 
-def test_sums_of_bricks_beyond_the_type_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sums_of_bricks_beyond_the_type_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     field = ForceField.from_dense(unit_grid((20, 20, 20)), np.full((20, 20, 20, 3), 3e38))
-    one = AxisTaps(np.ones(1))
+    identity = AxisTaps(np.ones(1))
     for axis in range(3):
         for gain, finite in ((0.5, True), (0.6, False)):
-            rows = [one, one, one]
+            rows = [identity, identity, identity]
             rows[axis] = AxisTaps(np.array([gain, gain, 0.0]))
             axes = (rows[0], rows[1], rows[2])
             assert filter_field(field, axes)[1] == finite

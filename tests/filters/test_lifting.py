@@ -1,4 +1,4 @@
-"""Quincunx and FCC lifting: perfect reconstruction, the coarse samples, and what cannot be lifted."""
+"""Quincunx and FCC lifting: perfect reconstruction, coarse samples, and invalid arguments."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def integer_arrays(draw: st.DrawFn) -> tuple[int, NDArray[Any], int]:
 
 @given(integer_arrays())
 @example((2, np.full((3, 3), 2**63, np.uint64), 2))
-def test_integers_come_back_with_the_same_bits(case: tuple[int, NDArray[Any], int]) -> None:
+def test_integer_round_trip_is_exact(case: tuple[int, NDArray[Any], int]) -> None:
     dimensions, values, stages = case
     coefficients = FORWARD[dimensions](values, stages)
     assert coefficients.dtype == (np.int32 if values.itemsize <= 2 else np.int64)
     back = INVERSE[dimensions](coefficients, stages)
-    assert back.dtype == np.int64  # where a uint64 from 2^63 on is the negative number of its bits
+    assert back.dtype == np.int64  # a uint64 of at least 2^63 becomes the negative number with its bits
     assert np.array_equal(back, values.astype(np.int64))
 
 
@@ -55,7 +55,7 @@ def test_integers_come_back_with_the_same_bits(case: tuple[int, NDArray[Any], in
     st.integers(0, 12),
     st.data(),
 )
-def test_floats_come_back_to_rounding(
+def test_float_round_trip_is_exact_to_rounding(
     dimensions: int, sizes: list[int], stages: int, data: st.DataObject
 ) -> None:
     kind = data.draw(st.sampled_from((np.float16, np.float32, np.float64)))
@@ -70,7 +70,7 @@ def test_floats_come_back_to_rounding(
 
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_lifting_agrees_with_convolution(dimensions: int) -> None:
-    """Steps over the whole array with scipy, where only the parity of a site decides whether it is used."""
+    """Steps over the whole array with scipy, where the parity of a site decides whether it is used."""
     rng = np.random.default_rng(dimensions)
     values = rng.normal(size=(11, 8, 9)[:dimensions])
     expected = values.copy()
@@ -82,7 +82,7 @@ def test_lifting_agrees_with_convolution(dimensions: int) -> None:
             kernel[tuple(np.array(offset) + 1)] = 1
         kernel /= kernel.sum()
         details = before & ~after
-        # the mirror image about an edge sample is scipy's "mirror"; here every edge is a site of the first
+        # reflection about an edge sample is scipy's "mirror"; here every edge is a site of the first
         # octave
         expected[details] -= ndimage.convolve(expected, kernel, mode="mirror")[details]
         expected[after] += (
@@ -97,7 +97,7 @@ def test_one_row_is_lifted_in_one_dimension() -> None:
     assert got[1::2] == pytest.approx(x[1::2] - (x[:-2:2] + x[2::2]) / 2)
     assert got[2:-1:2] == pytest.approx(x[2:-1:2] + (got[1:-2:2] + got[3::2]) / 4)
     assert got[[0, -1]] == pytest.approx(x[[0, -1]] + got[[1, -2]] / 2)
-    assert np.array_equal(quincunx_forward(x[None], 2)[0], got)  # the diagonal stage has nothing to drop
+    assert np.array_equal(quincunx_forward(x[None], 2)[0], got)  # the diagonal stage removes no sample
     assert np.array_equal(quincunx_forward(x[:, None], 1)[:, 0], got)
     assert np.array_equal(fcc_forward(x[None, :, None], 1)[0, :, 0], got)
 
@@ -108,7 +108,7 @@ def test_a_flat_volume_is_an_image() -> None:
     assert np.array_equal(fcc_forward(image[None], 2)[0], quincunx_forward(image, 2))
 
 
-def test_components_are_lifted_alone_and_the_input_is_left_as_it_was() -> None:
+def test_components_are_lifted_separately_and_the_input_is_unchanged() -> None:
     values = np.random.default_rng(2).normal(size=(9, 10, 11, 3))
     before = values.copy()
     together = fcc_forward(values, 4)
@@ -118,25 +118,26 @@ def test_components_are_lifted_alone_and_the_input_is_left_as_it_was() -> None:
     assert np.array_equal(fcc_forward(np.asfortranarray(values), 4), together)
 
 
-def test_integer_lifting_rounds_to_the_nearest_of_what_floats_give() -> None:
+def test_integer_lifting_rounds_the_float_result() -> None:
     values = np.random.default_rng(3).integers(-30000, 30000, (12, 13, 14)).astype(np.int16)
     for stages in (1, 2, 3):
-        whole, exact = fcc_forward(values, stages), fcc_forward(values.astype(float), stages)
-        assert np.abs(whole - exact).max() <= 1.0 * stages  # half a unit each step, and what they hand on
+        rounded, exact = fcc_forward(values, stages), fcc_forward(values.astype(float), stages)
+        assert np.abs(rounded - exact).max() <= 1.0 * stages  # half a unit per step, and its propagation
+    # 2.5 rounds up
     assert quincunx_forward(np.array([[0, 5], [5, 0]], np.uint8), 1).tolist() == [
         [3, 5],
         [5, 3],
-    ]  # 2.5 goes up
+    ]
     assert quincunx_forward(np.array([[0, -5], [-5, 0]], np.int8), 1).tolist() == [[-2, -5], [-5, -2]]
 
 
 def test_the_bits_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     values = np.random.default_rng(4).normal(size=(64, 65, 66, 3)).astype(np.float32)
-    made = []
+    results = []
     for threads in ("1", "2", "5"):
         monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
-        made.append(fcc_forward(values, 7))
-    assert np.array_equal(made[0], made[1]) and np.array_equal(made[0], made[2])
+        results.append(fcc_forward(values, 7))
+    assert np.array_equal(results[0], results[1]) and np.array_equal(results[0], results[2])
 
 
 # -- the coarse signal -------------------------------------------------------------------------------------
@@ -144,7 +145,7 @@ def test_the_bits_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("dimensions", [2, 3])
 @pytest.mark.parametrize("stages", [0, 1, 2, 3, 5])
-def test_the_coarse_samples_alone_rebuild_the_coarse_signal(dimensions: int, stages: int) -> None:
+def test_coarse_samples_rebuild_the_coarse_signal(dimensions: int, stages: int) -> None:
     shape = (7, 12, 9)[:dimensions]
     coefficients = FORWARD[dimensions](np.random.default_rng(8).normal(size=(*shape, 3)), stages)
     mask = coarse_mask(shape, stages)
@@ -178,7 +179,7 @@ def test_details_are_small_where_the_field_is_smooth() -> None:
 
 
 @pytest.mark.parametrize("stages", [-1, 61, 1.5, "3", None, True])
-def test_a_number_of_stages_that_is_none(stages: Any) -> None:
+def test_invalid_numbers_of_stages_are_refused(stages: Any) -> None:
     image = np.zeros((4, 4, 4))
     for call in (
         lambda: quincunx_forward(image, stages),
@@ -202,19 +203,19 @@ def test_a_number_of_stages_that_is_none(stages: Any) -> None:
         np.array([[None]]),
     ],
 )
-def test_an_image_that_is_none(wrong: NDArray[Any]) -> None:
+def test_invalid_images_are_refused(wrong: NDArray[Any]) -> None:
     with pytest.raises(InvalidArgument, match="image"):
         quincunx_forward(wrong, 1)
     with pytest.raises(InvalidArgument, match="coefficients"):
         quincunx_inverse(wrong, 1)
 
 
-def test_a_filter_reaches_along_an_axis_as_far_as_its_stages_have_sites_there() -> None:
+def test_reach_depends_on_the_stages_with_sites_along_an_axis() -> None:
     reaches = MultiresolutionFilter(6).claims(Grid((40, 40, 2), (0.001,) * 3, (0.0,) * 3)).reach
     assert reaches == (3 * (1 + 1 + 1 + 2 + 2 + 2), 3 * (1 + 1 + 1 + 2 + 2 + 2), 3 * (1 + 1))
 
 
-def test_a_volume_that_is_none() -> None:
+def test_invalid_volumes_are_refused() -> None:
     with pytest.raises(InvalidArgument, match=r"volume.*3 axes"):
         fcc_forward(np.zeros((4, 4)), 1)
 
@@ -225,7 +226,7 @@ def test_booleans_are_numbers() -> None:
 
 
 @pytest.mark.shared
-def test_a_real_picture_comes_back(shared_data: Path) -> None:
+def test_recorded_image_round_trip(shared_data: Path) -> None:
     from PIL import Image
 
     pictures = sorted(p for p in shared_data.rglob("*.png") if p.stat().st_size < 4 << 20)

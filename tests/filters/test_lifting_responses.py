@@ -1,4 +1,4 @@
-"""Quincunx and FCC lifting in frequency: responses, passbands, and patterns that pass."""
+"""Quincunx and FCC lifting in the frequency domain: responses, passbands, and preserved patterns."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from touchfield.filters.lifting import QUINCUNX, fcc_forward
 
 
 def wave(shape: tuple[int, ...], frequency: tuple[float, ...]) -> NDArray[np.float64]:
-    """cos(w . n); the frequency is in cycles over the whole array, so that the DFT has it in one bin."""
+    """cos(w . n), with the frequency in cycles over the whole array, so that it is one bin of the DFT."""
     phase = sum(2 * np.pi * f / n * i for f, n, i in zip(frequency, shape, np.indices(shape), strict=True))
     return np.asarray(np.cos(phase))
 
 
 def frequencies(shape: tuple[int, ...]) -> list[NDArray[np.float64]]:
-    """The frequencies of the DFT, radians a sample."""
+    """The frequencies of the DFT, radians per sample."""
     return list(np.meshgrid(*(2 * np.pi * np.fft.fftfreq(n) for n in shape), indexing="ij"))
 
 
@@ -47,13 +47,13 @@ def test_masked_spectrum_and_halfband_identity_of_the_fcc() -> None:
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
-def test_the_stated_responses_are_those_of_the_lifting(dimensions: int) -> None:
-    """An impulse far from the border: at a kept and at a dropped site, forth and back."""
+def test_documented_responses_agree_with_the_lifting(dimensions: int) -> None:
+    """An impulse far from the border, at a coarse and at a detail site, forward and inverse."""
     shape, centre = ((17,) * dimensions, (8,) * dimensions)
     responses = {2: stage_responses, 3: stage_responses}[dimensions]
     w = frequencies(shape)
     analysis, synthesis = responses(*w)
-    rows = np.zeros(shape)  # the coarse site in the middle as a function of the input
+    rows = np.zeros(shape)  # the coarse site in the centre as a function of the input
     for site in itertools.product(range(5, 12), repeat=dimensions):
         impulse = np.zeros(shape)
         impulse[site] = 1
@@ -61,7 +61,7 @@ def test_the_stated_responses_are_those_of_the_lifting(dimensions: int) -> None:
     assert np.allclose(np.fft.fftn(np.fft.ifftshift(rows)), analysis, atol=1e-13)
     impulse = np.zeros(shape)
     impulse[centre] = 1
-    spread = INVERSE[dimensions](impulse, 1)  # a coarse value alone; its update subtracts no detail
+    spread = INVERSE[dimensions](impulse, 1)  # a single coarse value; its update subtracts no detail
     assert np.allclose(np.fft.fftn(np.fft.ifftshift(spread)), synthesis, atol=1e-13)
 
 
@@ -74,32 +74,32 @@ def test_the_passbands_are_half_of_the_cube_and_tile_it_with_their_image() -> No
         assert (inside ^ passband(*(w[:d] + np.pi))).all()
     cell = np.abs(w).sum(axis=0) <= 1.5 * np.pi
     assert np.array_equal(stage_passband(*w), cell)
-    n = 200  # the volume once more, by the midpoint rule
+    n = 200  # the volume again, by the midpoint rule
     axis = (np.arange(n) + 0.5) / n * np.pi
     volume = (axis[:, None, None] + axis[:, None] + axis <= 1.5 * np.pi).mean()
     assert volume == pytest.approx(0.5, abs=1e-4)
 
 
-def test_a_pattern_that_separable_decimation_aliases_keeps_its_frequency() -> None:
-    """0.75 pi along an axis: in the diamond, but beyond pi / 2; decimated by 2 it is felt as 0.25 pi."""
+def test_pattern_aliased_by_separable_decimation_is_preserved() -> None:
+    """0.75 pi along an axis: in the diamond, but above pi / 2; decimation by 2 aliases it to 0.25 pi."""
     image = wave((32, 32), (12.0, 0.0))
     separable = np.zeros_like(image)
     separable[::2, ::2] = image[::2, ::2]
     w1, w2 = frequencies((32, 32))
     slow = np.hypot(w1, w2) < np.pi / 2
-    kept = image * coarse_mask((32, 32), 1)
+    quincunx_samples = image * coarse_mask((32, 32), 1)
     assert stage_passband(0.75 * np.pi, 0.0) and not stage_passband(0.75 * np.pi, 0.5 * np.pi)
-    assert np.abs(np.fft.fft2(separable))[slow].max() == pytest.approx(32 * 32 / 8)  # a phantom at 0.25 pi
-    assert np.abs(np.fft.fft2(kept))[slow].max() < 1e-9
+    assert np.abs(np.fft.fft2(separable))[slow].max() == pytest.approx(32 * 32 / 8)  # an alias at 0.25 pi
+    assert np.abs(np.fft.fft2(quincunx_samples))[slow].max() < 1e-9
     rebuilt = np.abs(np.fft.fft2(coarse_only(image[:, :], QUINCUNX, 1)))
-    assert rebuilt[12, 0] > 0.55 * 32 * 32 / 2  # the pattern itself is still there
+    assert rebuilt[12, 0] > 0.55 * 32 * 32 / 2  # the pattern itself is preserved
     assert rebuilt[12, 0] > 2 * rebuilt[slow].max()
 
 
-def test_a_time_that_stands_still_passes_the_second_stage_of_x_y_t() -> None:
-    """x, y, t: after two stages every second frame is left, as a quincunx picture."""
-    still = np.repeat(np.random.default_rng(6).normal(size=(16, 16, 1)), 12, axis=2)
-    mask = coarse_mask(still.shape, 2)
+def test_static_sequence_passes_the_second_stage_of_x_y_t() -> None:
+    """x, y, t: after two stages every second frame is left, as a quincunx image."""
+    static = np.repeat(np.random.default_rng(6).normal(size=(16, 16, 1)), 12, axis=2)
+    mask = coarse_mask(static.shape, 2)
     assert not mask[:, :, 1::2].any()
-    frames = fcc_forward(still, 2)[mask].reshape(-1, 6)  # raster order, t fastest
+    frames = fcc_forward(static, 2)[mask].reshape(-1, 6)  # raster order, t fastest
     assert np.allclose(frames, frames[:, :1], atol=1e-12)

@@ -1,4 +1,4 @@
-"""The multiresolution filter on fields: the bits of the array, reach, claims, words."""
+"""The multiresolution filter on fields: agreement with arrays, reach, claims and texts."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def field_of(forces_n: NDArray[Any]) -> ForceField:
     return ForceField.from_dense(Grid(forces_n.shape[:3], (0.001, 0.002, 0.003), (0.1, 0.2, 0.3)), forces_n)
 
 
-def sparse(shape: tuple[int, int, int], share: float, seed: int = 0) -> NDArray[np.float32]:
+def sparse(shape: tuple[int, int, int], density: float, seed: int = 0) -> NDArray[np.float32]:
     rng = np.random.default_rng(seed)
-    held = rng.random(shape) < share
-    return (rng.normal(size=(*shape, 3)) * held[..., None]).astype(np.float32)
+    supported = rng.random(shape) < density
+    return (rng.normal(size=(*shape, 3)) * supported[..., None]).astype(np.float32)
 
 
-def clear_of(claims_reach: tuple[int, int, int], room: int = 3) -> tuple[int, int, int]:
-    x, y, z = (2 * r + room + 2 for r in claims_reach)
+def clear_of(claims_reach: tuple[int, int, int], margin: int = 3) -> tuple[int, int, int]:
+    x, y, z = (2 * r + margin + 2 for r in claims_reach)
     return (x, y, z)
 
 
@@ -36,24 +36,23 @@ def clear_of(claims_reach: tuple[int, int, int], room: int = 3) -> tuple[int, in
     "shape", [(40, 37, 50), (24, 20, 17), (5, 6, 7), (9, 16, 33), (90, 70, 1), (1, 64, 70), (1, 1, 130)]
 )
 @pytest.mark.parametrize("stages", [1, 2, 3, 4, 8, 12])
-def test_the_bits_are_those_of_the_array(shape: tuple[int, int, int], stages: int) -> None:
+def test_bits_agree_with_the_array(shape: tuple[int, int, int], stages: int) -> None:
     for forces in (sparse(shape, 1.0), sparse(shape, 3 / math.prod(shape), seed=1)):
-        made = MultiresolutionFilter(stages)(field_of(forces))
-        assert np.array_equal(made.to_dense(), coarse_only(forces, FCC, stages))
-        assert made.mask.any(axis=(1, 2, 3)).all()
-        assert (
-            ForceField.from_bricks(made.grid, made.bricks, made.forces_n) == made
-        )  # nothing beyond the grid
+        filtered = MultiresolutionFilter(stages)(field_of(forces))
+        assert np.array_equal(filtered.to_dense(), coarse_only(forces, FCC, stages))
+        assert filtered.mask.any(axis=(1, 2, 3)).all()
+        # no sample outside the grid
+        assert ForceField.from_bricks(filtered.grid, filtered.bricks, filtered.forces_n) == filtered
 
 
 @pytest.mark.parametrize("stages", [1, 2, 3, 7])
-def test_nothing_goes_farther_than_the_reach(stages: int) -> None:
+def test_no_sample_is_reached_beyond_the_claim(stages: int) -> None:
     middle = 40 if stages == 7 else 16
     wide = Grid((2 * middle + 4,) * 3, (1, 1, 1), (0, 0, 0))
     step = MultiresolutionFilter(stages)
     reach = np.array(step.claims(wide).reach)
     found = np.zeros(3, int)
-    for offset in itertools.product((0, 1), repeat=3):  # each place relative to the first octave's lattice
+    for offset in itertools.product((0, 1), repeat=3):  # each position relative to the first octave's lattice
         at = middle + np.array(offset)
         out = step(ForceField.from_support(wide, at[None], [[1.0, 2.0, 3.0]]))
         assert out.support_count > 1
@@ -77,21 +76,21 @@ def test_mean_constant_and_sum_are_as_claimed(stages: int) -> None:
     fields = [ForceField.from_support(wide, positions[i::2], rng.normal(size=(20, 3))) for i in range(2)]
     for field in fields:
         total = field.forces_n.sum(axis=(0, 1, 2, 3), dtype=np.float64)
-        made = step(field).forces_n.sum(axis=(0, 1, 2, 3), dtype=np.float64)
-        assert made == pytest.approx(total, abs=1e-5)
+        filtered_total = step(field).forces_n.sum(axis=(0, 1, 2, 3), dtype=np.float64)
+        assert filtered_total == pytest.approx(total, abs=1e-5)
     both = step(fields[0].scaled(2.0) + fields[1])
     parts = step(fields[0]).scaled(2.0) + step(fields[1])
     assert np.abs((both + parts.scaled(-1.0)).forces_n).max(initial=0) < 2e-6
     constant = np.broadcast_to(np.float32([1, -2, 0.3]), (*(min(n, 48) for n in shape), 3))
-    assert np.abs(step(field_of(constant)).to_dense() - constant).max() < 1e-6  # at the border, too
+    assert np.abs(step(field_of(constant)).to_dense() - constant).max() < 1e-6  # also at the border
 
 
-def test_a_level_of_detail_is_one_already() -> None:
+def test_filter_is_a_projection() -> None:
     forces = sparse((33, 34, 35), 0.2)
-    once = MultiresolutionFilter(3)(field_of(forces))
-    twice = MultiresolutionFilter(3)(once)
-    assert np.abs(once.to_dense() - forces).max() > 0.5
-    assert np.abs(twice.to_dense() - once.to_dense()).max() < 1e-6  # a projection
+    filtered = MultiresolutionFilter(3)(field_of(forces))
+    filtered_twice = MultiresolutionFilter(3)(filtered)
+    assert np.abs(filtered.to_dense() - forces).max() > 0.5
+    assert np.abs(filtered_twice.to_dense() - filtered.to_dense()).max() < 1e-6  # a projection
 
 
 def test_a_field_that_is_too_large_to_be_dense_is_refused() -> None:
@@ -109,12 +108,11 @@ def test_an_empty_field_and_one_sample() -> None:
     assert MultiresolutionFilter(5).claims(point.grid).reach == (0, 0, 0)
 
 
-def test_words() -> None:
+def test_text_round_trip_and_invalid_texts() -> None:
     assert issubclass(MultiresolutionFilter, FieldFilter) and MultiresolutionFilter.name == "multiresolution"
     assert MultiresolutionFilter.parse("") == MultiresolutionFilter.parse("3") == MultiresolutionFilter(3)
-    assert MultiresolutionFilter.parse("stages=5,keep=coarse") == MultiresolutionFilter(
-        5
-    )  # as older streams have it
+    # the notation of older streams
+    assert MultiresolutionFilter.parse("stages=5,keep=coarse") == MultiresolutionFilter(5)
     assert MultiresolutionFilter.parse(MultiresolutionFilter(7).text) == MultiresolutionFilter(7)
     for text in ("0", "13", "-1", "2.5", "stages=nan"):
         with pytest.raises(InvalidArgument, match="stages"):

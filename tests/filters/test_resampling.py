@@ -1,4 +1,4 @@
-"""Low-passes, their frequency responses, and resampling against the dense product."""
+"""Low-passes, their frequency responses, and resampling compared with the dense product."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def test_frequency_response_in_two_and_three_dimensions() -> None:
     rng = np.random.default_rng(1)
     for taps in (rng.normal(size=(3, 5)), rng.normal(size=(2, 3, 4))):
         omegas = rng.uniform(-3, 3, (taps.ndim, 7, 2))
-        places = np.stack(np.indices(taps.shape), axis=0).reshape(taps.ndim, -1)
-        direct = np.exp(-1j * np.einsum("aij,an->ijn", omegas, places)) @ taps.reshape(-1)
+        indices = np.stack(np.indices(taps.shape), axis=0).reshape(taps.ndim, -1)
+        direct = np.exp(-1j * np.einsum("aij,an->ijn", omegas, indices)) @ taps.reshape(-1)
         assert np.allclose(frequency_response(taps, *omegas), direct)
     with pytest.raises(InvalidArgument, match="one for each axis"):
         frequency_response(np.ones((3, 3)), 0.5)
@@ -96,10 +96,11 @@ def test_resample_equals_the_dense_product(
 ) -> None:
     field = random_field(Grid.over_box((0, 0, 0), (1, 1.3, 0.7), shape), 3)
     grid = Grid.over_box((-0.1, 0.2, 0), (0.9, 1.5, 0.7), target)
-    made, expected = resample(field, grid, kernel), dense_resample(field, grid, kernel)
-    assert np.abs(made.to_dense() - expected).max() < 1e-6
+    resampled, expected = resample(field, grid, kernel), dense_resample(field, grid, kernel)
+    assert np.abs(resampled.to_dense() - expected).max() < 1e-6
     assert np.abs(expected).max() > 0.1
-    assert made == ForceField.from_dense(grid, made.to_dense())  # no empty brick, nothing beyond the grid
+    # no empty brick, and no sample outside the grid
+    assert resampled == ForceField.from_dense(grid, resampled.to_dense())
 
 
 @given(
@@ -116,20 +117,20 @@ def test_resample_to_any_lattice_is_linear_and_equals_the_dense_product(
     source = Grid.over_box((0, 0, 0), (1, 1, 1), shape)
     grid = Grid.over_box(shift, np.add(shift, (1, 0.8, 1.2)), target)
     a, b = random_field(source, seed, 0.2), random_field(source, seed + 1, 0.2)
-    made = resample(a, grid, kernel).to_dense()
-    assert np.abs(made - dense_resample(a, grid, kernel)).max() < 3e-6
+    resampled = resample(a, grid, kernel).to_dense()
+    assert np.abs(resampled - dense_resample(a, grid, kernel)).max() < 3e-6
     both = resample(a + b.scaled(2), grid, kernel).to_dense()
-    assert np.abs(both - made - 2 * resample(b, grid, kernel).to_dense()).max() < 2e-5
+    assert np.abs(both - resampled - 2 * resample(b, grid, kernel).to_dense()).max() < 2e-5
 
 
 def test_resample_is_the_same_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     field = random_field(Grid.over_box((0, 0, 0), (1, 1, 1), (64, 64, 64)), 5, 0.01)
     grid = Grid.over_box((0, 0, 0), (1, 1, 1), (48, 48, 48))
-    made = []
+    results = []
     for threads in ("1", "3"):
         monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
-        made.append(resample(field, grid))
-    assert made[0] == made[1]
+        results.append(resample(field, grid))
+    assert results[0] == results[1]
 
 
 @pytest.mark.parametrize("kernel", LOW_PASSES)
@@ -175,8 +176,8 @@ def test_a_kernel_does_not_shift_the_field() -> None:
     field = ForceField.from_dense(source, blob[..., None] * np.array([0.0, 0.0, 1.0]))
     for count in (60, 30, 23):
         grid = Grid.over_box((0, 0, 0), (1, 1, 1), (count,) * 3)
-        made = resample(field, grid)
-        centre = np.average(grid.to_m(made.positions()), axis=0, weights=made.vectors_n()[:, 2])
+        resampled = resample(field, grid)
+        centre = np.average(grid.to_m(resampled.positions()), axis=0, weights=resampled.vectors_n()[:, 2])
         assert centre == pytest.approx((0.47, 0.52, 0.55), abs=2e-4)
 
 
@@ -188,9 +189,9 @@ def test_a_wave_above_the_new_nyquist_rate_is_attenuated_as_designed(kernel: str
     for frequency in (0.05, 0.1, 0.19, 0.23):  # the Nyquist rate of the target is 0.125
         wave = np.zeros((256, 1, 1, 3))
         wave[:, 0, 0, 0] = np.sin(2 * np.pi * frequency * np.arange(256))
-        made = resample(ForceField.from_dense(source, wave), grid, kernel).to_dense()[8:-8, 0, 0, 0]
+        resampled = resample(ForceField.from_dense(source, wave), grid, kernel).to_dense()[8:-8, 0, 0, 0]
         designed = abs(frequency_response(weights, 2 * np.pi * frequency))
-        assert np.sqrt(2 * np.mean(made**2)) == pytest.approx(designed, abs=0.03)
+        assert np.sqrt(2 * np.mean(resampled**2)) == pytest.approx(designed, abs=0.03)
         if frequency > 0.18:
             assert designed < 0.35
 
@@ -201,10 +202,10 @@ def test_a_step_rings_only_where_the_kernel_has_negative_lobes() -> None:
     wall[20:44, ..., 0] = 1.0
     field, grid = ForceField.from_dense(source, wall), Grid((32, 1, 1), (2.0, 4.0, 4.0), (0.5, 1.5, 1.5))
     for kernel in LOW_PASSES:
-        made = resample(field, grid, kernel).to_dense()[..., 0]
-        assert (made.min() < -0.01) == (kernel == "sinc")
+        resampled = resample(field, grid, kernel).to_dense()[..., 0]
+        assert (resampled.min() < -0.01) == (kernel == "sinc")
         if kernel != "sinc":
-            assert made.max() <= 1.0 + 1e-6
+            assert resampled.max() <= 1.0 + 1e-6
 
 
 def test_fields_that_cannot_be_resampled() -> None:
@@ -224,5 +225,5 @@ def test_fields_that_cannot_be_resampled() -> None:
         axis_weights((8, 0.1, 0.0), (1 << 23, 0.1, 0.0), low_pass("spline"), 5.0)
     flat = Grid((8, 8, 1), (0.1, 0.1, 0.1), (0.0, 0.0, 0.0))
     assert resample(random_field(flat, 1, 1.0), flat).support_count > 0
-    beside = Grid((8, 8, 1), (0.1, 0.1, 0.1), (0.0, 0.0, 1.0))
-    assert resample(random_field(flat, 1, 1.0), beside).support_count == 0
+    shifted = Grid((8, 8, 1), (0.1, 0.1, 0.1), (0.0, 0.0, 1.0))
+    assert resample(random_field(flat, 1, 1.0), shifted).support_count == 0

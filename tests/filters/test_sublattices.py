@@ -1,4 +1,4 @@
-"""The quincunx, the FCC and what follows them: which sites each stage keeps."""
+"""The quincunx, the FCC and later stages: the sites of each stage."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from lifting_makers import coarse_mask
 from touchfield.filters.lifting import FCC, QUINCUNX, SublatticeChain
 
 
-def test_the_quincunx_keeps_the_sites_of_its_matrix() -> None:
+def test_quincunx_sites_are_those_of_its_matrix() -> None:
     matrix = np.array([[1, 1], [1, -1]])
     for stages in range(1, 7):
-        kept = np.argwhere(coarse_mask((12, 16), stages))
-        whole = np.linalg.solve(np.linalg.matrix_power(matrix, stages).astype(float), kept.T)
-        assert np.allclose(whole, np.round(whole))  # every kept site is D^s k ...
+        sites = np.argwhere(coarse_mask((12, 16), stages))
+        coordinates = np.linalg.solve(np.linalg.matrix_power(matrix, stages).astype(float), sites.T)
+        assert np.allclose(coordinates, np.round(coordinates))  # every site is D^s k ...
     n1, n2 = np.indices((12, 16))
     assert np.array_equal(coarse_mask((12, 16), 1), (n1 + n2) % 2 == 0)  # ... and none is missing
     assert np.array_equal(coarse_mask((12, 16), 2), (n1 % 2 == 0) & (n2 % 2 == 0))
 
 
-def test_the_fcc_and_what_follows_it() -> None:
+def test_fcc_and_later_stages() -> None:
     a, b, c = np.indices((8, 8, 8))
     assert np.array_equal(coarse_mask((8, 8, 8), 1), (a + b + c) % 2 == 0)
     assert np.array_equal(coarse_mask((8, 8, 8), 2), ((a + b) % 2 == 0) & (c % 2 == 0))
@@ -31,7 +31,7 @@ def test_the_fcc_and_what_follows_it() -> None:
 
 
 @pytest.mark.parametrize("chain", [QUINCUNX, FCC], ids=lambda c: c.name)
-def test_each_stage_keeps_half_of_a_lattice_and_the_neighbours_are_the_nearest(
+def test_each_stage_halves_a_lattice_and_uses_the_nearest_neighbours(
     chain: SublatticeChain,
 ) -> None:
     d = chain.dimensions
@@ -41,20 +41,22 @@ def test_each_stage_keeps_half_of_a_lattice_and_the_neighbours_are_the_nearest(
         assert not (after & ~before).any()
         assert coarse_mask((32,) * d, stage).sum() == 2 * coarse_mask((32,) * d, stage + 1).sum()
         sites = np.argwhere(after) - centre
-        near = sites[(np.abs(sites) <= 8).all(axis=1)]  # a lattice: it holds all differences of its sites
-        held = {tuple(s) for s in np.argwhere(after) - centre}
-        assert all(tuple(p - q) in held for p, q in itertools.product(near[::7], near[::5]))
-        around = {tuple(o) for o in np.array(split.offsets) * split.scale}
+        central_sites = sites[(np.abs(sites) <= 8).all(axis=1)]  # a lattice has all differences of its sites
+        site_set = {tuple(s) for s in np.argwhere(after) - centre}
+        assert all(
+            tuple(p - q) in site_set for p, q in itertools.product(central_sites[::7], central_sites[::5])
+        )
+        neighbours = {tuple(o) for o in np.array(split.offsets) * split.scale}
         details = np.argwhere(before & ~after)
         for detail in details[(np.abs(details - centre) <= split.scale).all(axis=1)]:
-            away = np.argwhere(after) - detail
-            square = (away**2).sum(axis=1)
-            assert {tuple(v) for v in away[square == square.min()]} == around
-        assert {tuple(-np.array(o)) for o in around} == around
+            offsets = np.argwhere(after) - detail
+            square = (offsets**2).sum(axis=1)
+            assert {tuple(v) for v in offsets[square == square.min()]} == neighbours
+        assert {tuple(-np.array(o)) for o in neighbours} == neighbours
 
 
-def test_no_body_centred_lattice_lies_in_the_fcc() -> None:
-    """Its least square distance would be 3 (its density being 1/4), and the FCC has none that is odd."""
+def test_fcc_contains_no_body_centred_lattice() -> None:
+    """Its smallest square distance would be 3 (its density being 1/4), and the FCC has no odd one."""
     sites = np.argwhere(coarse_mask((9, 9, 9), 1)) - 4
     assert not ((sites**2).sum(axis=1) % 2).any()
     body_centred = np.array([[-1, 1, 1], [1, -1, 1], [1, 1, -1]])

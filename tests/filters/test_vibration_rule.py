@@ -1,4 +1,4 @@
-"""The words of --vibration, and bands of frames."""
+"""The argument of --vibration, and vibrations of frames."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GRID = Grid((3, 4, 5), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(
-    ("words", "rule"),
+    ("text", "rule"),
     [
         ("", VibrationRule()),
         ("gain=0.2", VibrationRule(gain=0.2)),
@@ -28,12 +28,12 @@ GRID = Grid((3, 4, 5), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
         ("frequency=250..80", VibrationRule(low_hz=250, high_hz=80)),
     ],
 )
-def test_words(words: str, rule: VibrationRule) -> None:
-    assert VibrationRule.parse(words) == rule
+def test_texts_make_rules(text: str, rule: VibrationRule) -> None:
+    assert VibrationRule.parse(text) == rule
 
 
 @pytest.mark.parametrize(
-    "words",
+    "text",
     [
         "0.1",
         "gain",
@@ -53,9 +53,9 @@ def test_words(words: str, rule: VibrationRule) -> None:
         "frequency=nan",
     ],
 )
-def test_words_that_make_no_sense(words: str) -> None:
+def test_invalid_texts_are_refused(text: str) -> None:
     with pytest.raises(InvalidArgument, match="--vibration"):
-        VibrationRule.parse(words)
+        VibrationRule.parse(text)
 
 
 @given(text=st.text(max_size=30))
@@ -67,7 +67,7 @@ def test_any_text_is_a_rule_or_an_error(text: str) -> None:
     assert rule.gain > 0
 
 
-def test_the_frequency_ends_at_f_max_and_what_is_too_weak_is_left_out() -> None:
+def test_frequency_saturates_at_f_max_and_weak_forces_are_omitted() -> None:
     forces = np.zeros((*GRID.shape, 3), np.float32)
     forces[0, 0, :3, 2] = (1, 2, 4)
     forces[2, 3, 4, 0] = 1e-40
@@ -77,25 +77,25 @@ def test_the_frequency_ends_at_f_max_and_what_is_too_weak_is_left_out() -> None:
     np.testing.assert_allclose(frame.amplitudes_n, [1e-6, 2e-6, 4e-6], rtol=1e-6)
 
 
-def test_each_frame_is_made_once_for_force_and_vibration() -> None:
-    made = []
+def test_each_frame_is_computed_once_for_force_and_vibration() -> None:
+    calls = []
 
     def make(i: int) -> ForceField:
-        made.append(i)
+        calls.append(i)
         return ForceField.from_dense(GRID, np.full((*GRID.shape, 3), 1 + i, np.float32))
 
     medium = add_vibration(HapticMedium(GRID, 10.0, 3, make), VibrationRule(), 3.3)
     assert medium.vibration is not None
     for i in range(3):
         assert medium[i].support_count == len(medium.vibration(i)) == GRID.voxel_count
-    assert made == [0, 1, 2]
+    assert calls == [0, 1, 2]
 
 
-def test_a_lattice_that_differs_by_rounding_keeps_the_vibration() -> None:
-    made = add_vibration(HapticMedium.from_frames([ForceField.empty(GRID)], 10.0), VibrationRule(), 3.3)
+def test_lattice_that_differs_by_rounding_has_the_vibration() -> None:
+    medium = add_vibration(HapticMedium.from_frames([ForceField.empty(GRID)], 10.0), VibrationRule(), 3.3)
     x, y, z = GRID.origin_m
-    near = Grid(GRID.shape, GRID.spacing_m, (x + 1e-10, y, z))
+    shifted = Grid(GRID.shape, GRID.spacing_m, (x + 1e-10, y, z))
     passed = device_medium(
-        StoredScene(made), device("phantom-omni"), near, Placement(), profile_of(LawSpec(), 0.01)
+        StoredScene(medium), device("phantom-omni"), shifted, Placement(), profile_of(LawSpec(), 0.01)
     )
-    assert passed.grid == near and passed.vibration is not None and passed.vibration(0).grid == near
+    assert passed.grid == shifted and passed.vibration is not None and passed.vibration(0).grid == shifted

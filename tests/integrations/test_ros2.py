@@ -1,6 +1,4 @@
-"""The node of `integrations/ros2` against stand-ins of rclpy and geometry_msgs: the forces of Python's
-sampler.
-"""
+"""The node of `integrations/ros2`, with stubs of rclpy and geometry_msgs, sends the forces of the sampler."""
 
 from __future__ import annotations
 
@@ -20,15 +18,15 @@ import touchfield as tf
 
 
 class StubNode:
-    """What the node asks of rclpy, with a clock that the test turns."""
+    """The parts of rclpy that the node uses, with a clock that the test sets."""
 
-    told: dict[str, Any] = {}  # noqa: RUF012
+    parameters: dict[str, Any] = {}  # noqa: RUF012
 
     def __init__(self, name: str) -> None:
-        self.name, self.now_ns, self.sent, self.values, self.words = name, 10**9, [], {}, []
+        self.name, self.now_ns, self.sent, self.values, self.warnings = name, 10**9, [], {}, []
 
     def declare_parameter(self, name: str, value: Any) -> None:
-        self.values[name] = self.told.get(name, value)
+        self.values[name] = self.parameters.get(name, value)
 
     def get_parameter(self, name: str) -> Any:
         return SimpleNamespace(value=self.values[name])
@@ -43,7 +41,7 @@ class StubNode:
         return SimpleNamespace(publish=self.sent.append)
 
     def get_logger(self) -> Any:
-        return SimpleNamespace(warning=lambda words, **_: self.words.append(words))
+        return SimpleNamespace(warning=lambda message, **_: self.warnings.append(message))
 
     def create_timer(self, period_s: float, tick: Any) -> None:
         self.period_s, self.tick = period_s, tick
@@ -65,8 +63,8 @@ class Wrench:
 
 
 def pose(x: float, y: float, z: float, frame_id: str = "") -> Any:
-    place = SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=z))
-    return SimpleNamespace(header=SimpleNamespace(frame_id=frame_id), pose=place)
+    position_only = SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=z))
+    return SimpleNamespace(header=SimpleNamespace(frame_id=frame_id), pose=position_only)
 
 
 @pytest.fixture
@@ -92,52 +90,50 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def force(node: Any) -> np.ndarray:
     node.tick()
-    own = node.sent[-1].wrench.force
-    return np.array([own.x, own.y, own.z])
+    components = node.sent[-1].wrench.force
+    return np.array([components.x, components.y, components.z])
 
 
 @pytest.mark.parametrize("name", ["touch-block", "objects-touch"])
-def test_wrenches_are_the_samplers(name: str, play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrenches_agree_with_the_sampler(name: str, play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     stream = GOLDEN / f"{name}.touch"
-    monkeypatch.setattr(StubNode, "told", {"file": str(stream), "frame_id": "hand_base"})
+    monkeypatch.setattr(StubNode, "parameters", {"file": str(stream), "frame_id": "hand_base"})
     node = play()
-    assert node.period_s == pytest.approx(0.001) and not force(node).any()  # nothing was heard yet
-    with tf.open_stream(stream) as own:
-        sampler, felt = tf.FieldSampler(own.scene or own.medium), 0
-        low, high = own.grid.box_m
+    assert node.period_s == pytest.approx(0.001) and not force(node).any()  # no pose was received yet
+    with tf.open_stream(stream) as opened:
+        sampler, contacts = tf.FieldSampler(opened.scene or opened.medium), 0
+        low, high = opened.grid.box_m
         for n in range(60):
-            place = low + (high - low) * np.random.default_rng(n).uniform(0.1, 0.9, 3)
-            node.hear(pose(*place, "hand_base"))
-            right = np.array(sampler.at((node.now_ns - node.began_ns) / 1e9 % node.seconds, *place))
-            size = np.linalg.norm(right)
-            right *= min(1.0, node.force_max_n / size) if size else 0.0
-            np.testing.assert_allclose(force(node), right, atol=1e-6)
-            felt += bool(size)
+            position_m = low + (high - low) * np.random.default_rng(n).uniform(0.1, 0.9, 3)
+            node.hear(pose(*position_m, "hand_base"))
+            expected_n = np.array(sampler.at((node.now_ns - node.began_ns) / 1e9 % node.seconds, *position_m))
+            size = np.linalg.norm(expected_n)
+            expected_n *= min(1.0, node.force_max_n / size) if size else 0.0
+            np.testing.assert_allclose(force(node), expected_n, atol=1e-6)
+            contacts += bool(size)
             node.now_ns += 7_000_000
-    assert felt
+    assert contacts
     assert node.sent[-1].header.frame_id == "hand_base" and node.sent[-1].header.stamp.sec == 1
     node.destroy_node()
 
 
-def test_a_hand_that_falls_silent_or_is_nowhere_gets_no_force(
-    play: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_or_invalid_poses_give_no_force(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     stream = GOLDEN / "touch-block.touch"
-    monkeypatch.setattr(StubNode, "told", {"file": str(stream), "force_max_n": 0.01})
+    monkeypatch.setattr(StubNode, "parameters", {"file": str(stream), "force_max_n": 0.01})
     node = play()
-    with tf.open_stream(stream) as own:
-        first = own.medium[0]
-        place = own.grid.to_m(first.positions()[np.argmax(np.linalg.norm(first.vectors_n(), axis=1))])
-    node.hear(pose(*place))
-    assert np.linalg.norm(force(node)) == pytest.approx(0.01)  # as little as was asked for
+    with tf.open_stream(stream) as opened:
+        first = opened.medium[0]
+        position_m = opened.grid.to_m(first.positions()[np.argmax(np.linalg.norm(first.vectors_n(), axis=1))])
+    node.hear(pose(*position_m))
+    assert np.linalg.norm(force(node)) == pytest.approx(0.01)  # the requested limit
     node.now_ns += 200_000_000
     assert not force(node).any()
-    for nowhere in (pose(math.nan, 0.0, 0.0), pose(*place, "camera")):
-        node.hear(pose(*place))
+    for invalid_pose in (pose(math.nan, 0.0, 0.0), pose(*position_m, "camera")):
+        node.hear(pose(*position_m))
         assert force(node).any()
-        node.hear(nowhere)
+        node.hear(invalid_pose)
         assert not force(node).any()
-    assert "'camera'" in node.words[0]
+    assert "'camera'" in node.warnings[0]
     node.destroy_node()
 
 
@@ -148,7 +144,7 @@ def test_the_package_builds(tmp_path: Path) -> None:
     assert list(tmp_path.rglob("touchfield_ros/node.py"))
 
 
-def test_programs_lie_where_ros_looks_for_them() -> None:
+def test_programs_are_installed_where_ros_finds_them() -> None:
     settings = configparser.ConfigParser()
     settings.read(INTEGRATIONS / "ros2" / "setup.cfg")
     assert settings["install"]["install_scripts"] == "$base/lib/touchfield_ros"

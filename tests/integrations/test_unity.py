@@ -1,4 +1,4 @@
-"""The C# file for Unity: its structs lie as those of C, and where Mono is, it feels what Python feels."""
+"""The C# file for Unity: its structs have C's layout, and with Mono it computes the forces of Python."""
 
 from __future__ import annotations
 
@@ -8,7 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import ATOL_N, FAULTY, INTEGRATIONS, ROOT, asked_at, made, needs, python_forces, run, stream_of
+from builders import (
+    ATOL_N,
+    FAULTY,
+    INTEGRATIONS,
+    ROOT,
+    build_integration,
+    needs,
+    python_forces,
+    query_program,
+    run,
+    stream_of,
+)
 
 pytestmark = needs("make", "cc")
 SOURCE = (INTEGRATIONS / "unity" / "Touchfield.cs").read_text()
@@ -18,16 +29,16 @@ Layouts = dict[str, tuple[int, ...]]
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return made("unity", tmp_path_factory.mktemp("unity"), "CFLAGS=-O1")
+    return build_integration("unity", tmp_path_factory.mktemp("unity"), "CFLAGS=-O1")
 
 
-def told(text: str) -> Layouts:
+def parse_layouts(text: str) -> Layouts:
     """Lines `name number ...`."""
-    return {words[0]: tuple(map(int, words[1:])) for words in map(str.split, text.splitlines())}
+    return {fields[0]: tuple(map(int, fields[1:])) for fields in map(str.split, text.splitlines())}
 
 
 def layouts_of_cs() -> Layouts:
-    """Sizes and offsets as `LayoutKind.Sequential` gives them: each field at a multiple of its alignment."""
+    """Sizes and offsets under `LayoutKind.Sequential`: each field at a multiple of its alignment."""
     sizes, out = dict(BASIC), {}
     for name, body in re.findall(
         r"LayoutKind\.Sequential\)\]\s+public struct (\w+)\s+{(.*?)}", SOURCE, re.DOTALL
@@ -36,25 +47,25 @@ def layouts_of_cs() -> Layouts:
         for kind, fields in re.findall(r"public (\w+) ([^;]+);", body):
             size, alignment = sizes[kind]
             for field in fields.split(","):
-                begin = -(-end // alignment) * alignment
-                out[f"{name}.{field.strip().lstrip('@')}"] = begin, size
-                end, widest = begin + size, max(widest, alignment)
+                start = -(-end // alignment) * alignment
+                out[f"{name}.{field.strip().lstrip('@')}"] = start, size
+                end, widest = start + size, max(widest, alignment)
         sizes[name] = -(-end // widest) * widest, widest
         out[name] = (sizes[name][0],)
-    return {name: lies for name, lies in out.items() if name.startswith("touch_")}
+    return {name: layout for name, layout in out.items() if name.startswith("touch_")}
 
 
 @pytest.mark.skipif(
     platform.machine() not in ("x86_64", "aarch64"), reason="pointers here are of another size"
 )
-def test_structs_lie_as_in_c(built: Path) -> None:
-    in_c = told(run(built / "layouts").stdout)
+def test_structs_have_the_layout_of_c(built: Path) -> None:
+    in_c = parse_layouts(run(built / "layouts").stdout)
     assert in_c == layouts_of_cs()
     header = (ROOT / "c" / "touch.h").read_text().partition("#endif\n#endif")[0]
     assert set(re.findall(r"^} (touch_\w+);", header, re.MULTILINE)) == {n for n in in_c if "." not in n}
 
 
-def test_every_function_of_the_header_is_there() -> None:
+def test_every_function_of_the_header_is_declared() -> None:
     header = (ROOT / "c" / "touch.h").read_text().partition("#endif\n#endif")[0]
     functions = set(re.findall(r"^\w+ (touch_\w+)\(.*\);", header, re.MULTILINE))
     named = set(re.findall(r"static extern \w+ (touch_\w+)\(", SOURCE))
@@ -63,26 +74,28 @@ def test_every_function_of_the_header_is_there() -> None:
 
 @pytest.fixture(scope="module")
 def program(built: Path) -> list[object]:
-    made("unity", built, "CFLAGS=-O1", "try")
+    build_integration("unity", built, "CFLAGS=-O1", "try")
     return ["env", f"LD_LIBRARY_PATH={built}", "mono", built / "try.exe"]
 
 
 @needs("mono", "mcs")
-def test_mono_lays_structs_as_c(built: Path, program: list[object]) -> None:
-    of_mono = told(run(*program, "--layouts").stdout)
-    assert {n: v for n, v in of_mono.items() if n.startswith("touch_")} == told(run(built / "layouts").stdout)
+def test_mono_has_the_layout_of_c(built: Path, program: list[object]) -> None:
+    of_mono = parse_layouts(run(*program, "--layouts").stdout)
+    assert {n: v for n, v in of_mono.items() if n.startswith("touch_")} == parse_layouts(
+        run(built / "layouts").stdout
+    )
 
 
 @needs("mono", "mcs")
 @pytest.mark.parametrize("name", ["touch-block", "objects-touch-deforming"])
-def test_forces_are_those_of_python(program: list[object], name: str) -> None:
-    frames, points, forces = asked_at(name, [*program, stream_of(name), 0.5], 100)
+def test_forces_agree_with_python(program: list[object], name: str) -> None:
+    frames, points, forces = query_program(name, [*program, stream_of(name), 0.5], 100)
     np.testing.assert_allclose(forces, python_forces(name, frames, points, 0.5), atol=ATOL_N, rtol=0)
     assert np.linalg.norm(forces, axis=-1).max() == pytest.approx(0.5)
 
 
 @needs("mono", "mcs")
-def test_a_damaged_file_is_told_in_words(program: list[object]) -> None:
+def test_damaged_file_is_refused_with_a_message(program: list[object]) -> None:
     done = run(*program, FAULTY)
     assert done.returncode == 65 and "end too early" in done.stderr
 

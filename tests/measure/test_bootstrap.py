@@ -1,4 +1,4 @@
-"""The block bootstrap: a slow double, coverage on dependent sources, refusals.
+"""The block bootstrap: a slow reference, coverage on dependent sources, refused arguments.
 
 Measured coverage of 95 % intervals, 300 draws each (standard error 1.5 %), n samples in B blocks, AR(1) of
 correlation 0.8 between neighbours:
@@ -29,9 +29,9 @@ miller-madow      64 %      96 % I: 100 %
 chao-wang-jost    59 %      97 % I: 100 %
 ============== ======= ========= ==============================================================================
 
-A ratio H(M(W)) / H(W) of what a mapping M leaves of W is resampled in pairs (`paired_ratio`): the same blocks
-of both. Coverage, and width beside that of the opposite corners of two our own intervals, of W as above and
-300 draws of a plug-in ratio; corners cover 97 % to 100 %:
+A ratio H(M(W)) / H(W), the fraction of W's entropy that a mapping M preserves, is resampled in pairs
+(`paired_ratio`): the same blocks of both. Coverage, and width relative to that of the opposite corners of two
+of our intervals, for W as above and 300 draws of a plug-in ratio; corners cover 97 % to 100 %:
 
 ========================================================= ===== ==== ====== ==============
 W and M                                                       n    B paired width/corners
@@ -74,7 +74,7 @@ Ints = NDArray[np.int64]
 
 
 def markov(rng: np.random.Generator, n: int) -> Ints:
-    """A binary chain that leaves 0 with chance .05 and 1 with chance .2, from its stationary state."""
+    """A binary chain that leaves 0 with probability .05 and 1 with .2, from its stationary state."""
     runs = [
         np.full(rng.geometric((0.05, 0.2)[state]), state)
         for state in [int(rng.random() < 0.2)]
@@ -89,7 +89,7 @@ def levels(rng: np.random.Generator, n: int) -> Ints:
     return np.clip(np.floor(8 * x) + 32, 0, 63).astype(np.int64)
 
 
-def counted(symbols: Ints, blocks: int, alphabet: int) -> Ints:
+def counts_in_blocks(symbols: Ints, blocks: int, alphabet: int) -> Ints:
     owner = np.arange(len(symbols)) * blocks // len(symbols)
     return np.bincount(owner * alphabet + symbols, minlength=blocks * alphabet).reshape(blocks, alphabet)
 
@@ -97,10 +97,10 @@ def counted(symbols: Ints, blocks: int, alphabet: int) -> Ints:
 # -- the interval ------------------------------------------------------------------------------------------
 
 
-def by_hand(
+def reference_interval(
     statistic: Callable[[Ints], float], counts: Ints, replicates: int, level: float, seed: int
 ) -> list[float]:
-    """One resample after the other."""
+    """One resample at a time."""
     blocks, rng = len(counts), np.random.default_rng(seed)
     values = []
     for times in rng.multinomial(blocks, [1 / blocks] * blocks, size=replicates):
@@ -117,32 +117,32 @@ def by_hand(
 
 
 @pytest.mark.parametrize(("blocks", "level", "seed"), [(8, 0.95, 0), (20, 0.5, 3), (40, 0.99, 4)])
-def test_it_equals_one_resample_after_the_other(
+def test_interval_agrees_with_one_resample_at_a_time(
     blocks: int, level: float, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    counts = counted(levels(np.random.default_rng(seed), 900), blocks, 70)
-    expected = by_hand(entropy_bits, counts, 60, level, seed)
-    made = interval(entropy_bits, counts, 60, level, seed)
-    assert [made.low, made.high] == pytest.approx(expected, abs=1e-12)
-    assert made.level == level and f"{blocks} blocks, 60 resamples" in made.method
+    counts = counts_in_blocks(levels(np.random.default_rng(seed), 900), blocks, 70)
+    expected = reference_interval(entropy_bits, counts, 60, level, seed)
+    found = interval(entropy_bits, counts, 60, level, seed)
+    assert [found.low, found.high] == pytest.approx(expected, abs=1e-12)
+    assert found.level == level and f"{blocks} blocks, 60 resamples" in found.method
     monkeypatch.setattr("touchfield.measure.quantity._CHUNK_VALUES", 150)
-    assert interval(entropy_bits, counts, 60, level, seed) == made
+    assert interval(entropy_bits, counts, 60, level, seed) == found
 
 
-def test_joint_counts_keep_their_shape_and_bounds_cut() -> None:
+def test_joint_counts_have_their_shape_and_bounds_clip() -> None:
     rng = np.random.default_rng(1)
     x, y = rng.integers(0, 8, (2, 2000))
-    joint = counted(8 * x + y, 20, 64).reshape(20, 8, 8)
+    joint = counts_in_blocks(8 * x + y, 20, 64).reshape(20, 8, 8)
 
     def information(c: Ints) -> float:
         assert c.shape == (8, 8) and c.dtype == np.int64
         return entropy_bits(c.sum(0)) + entropy_bits(c.sum(1)) - entropy_bits(c)
 
     free = interval(information, joint)
-    assert free.low < 0.002  # independent: all of the estimate is bias, and the basic interval says so
+    assert free.low < 0.002  # independent: the whole estimate is bias, as the basic interval shows
     assert free.high == pytest.approx(information(joint.sum(0)), abs=0.01)
-    held = interval(information, joint, bounds=(0.0, math.inf))
-    assert held.low == max(free.low, 0) and held.high == free.high
+    bounded = interval(information, joint, bounds=(0.0, math.inf))
+    assert bounded.low == max(free.low, 0) and bounded.high == free.high
 
 
 @pytest.mark.parametrize(
@@ -160,18 +160,18 @@ def test_coverage_on_dependent_sources(
         edges = np.concatenate([[-np.inf], (np.arange(1, 64) - 32) / 8, [np.inf]])
         truth = float(stats.entropy(np.diff(stats.norm.cdf(edges)), base=2))
     rng = np.random.default_rng(5)
-    ours = percentile = 0
+    covered = percentile = 0
     for _ in range(100):
-        counts = counted(source(rng, n), blocks, 64)
-        made = interval(entropy_bits, counts, 100)
+        counts = counts_in_blocks(source(rng, n), blocks, 64)
+        found = interval(entropy_bits, counts, 100)
         estimate = entropy_bits(counts.sum(axis=0))
-        assert made.low <= estimate <= made.high
-        ours += made.low <= truth <= made.high
+        assert found.low <= estimate <= found.high
+        covered += found.low <= truth <= found.high
         weights = rng.multinomial(blocks, [1 / blocks] * blocks, size=100)
         low, high = np.quantile([entropy_bits(c) for c in weights @ counts], [0.025, 0.975])
         percentile += low <= truth <= high
-    assert 85 <= ours <= 100
-    assert percentile <= percentile_at_most * 100 and percentile <= ours
+    assert 85 <= covered <= 100
+    assert percentile <= percentile_at_most * 100 and percentile <= covered
 
 
 # -- statistics that take their own bias off ---------------------------------------------------------------
@@ -179,47 +179,45 @@ def test_coverage_on_dependent_sources(
 
 @pytest.mark.parametrize("name", [*ESTIMATORS])
 def test_coverage_of_every_estimator(name: str) -> None:
-    """Independent draws, p ~ 1/rank of 1000 symbols: the bias is taken off once, and not twice."""
+    """Independent draws, p ~ 1/rank of 1000 symbols: the bias is corrected exactly once."""
     weight = 1 / np.arange(1, 1001)
     p, draws = weight / weight.sum(), 40
     truth, rng = float(stats.entropy(p, base=2)), np.random.default_rng(6)
-    held = 0
+    covered = 0
     for _ in range(draws):
-        counts = counted(rng.choice(1000, 20_000, p=p), 64, 1000)
+        counts = counts_in_blocks(rng.choice(1000, 20_000, p=p), 64, 1000)
         corrects_bias = name != "plug-in"
-        made = interval(lambda c: estimate_bits(c, name, 1000), counts, 50, corrects_bias=corrects_bias)
-        held += made.low <= truth <= made.high
-    assert held >= 0.87 * draws
+        found = interval(lambda c: estimate_bits(c, name, 1000), counts, 50, corrects_bias=corrects_bias)
+        covered += found.low <= truth <= found.high
+    assert covered >= 0.87 * draws
 
 
 @pytest.mark.parametrize("level", [0.5, 0.95])
 def test_the_normal_interval_is_student_times_the_spread(level: float) -> None:
-    counts = counted(levels(np.random.default_rng(3), 900), 20, 70)
-    made = interval(entropy_bits, counts, 60, level, 3, corrects_bias=True)
+    counts = counts_in_blocks(levels(np.random.default_rng(3), 900), 20, 70)
+    found = interval(entropy_bits, counts, 60, level, 3, corrects_bias=True)
     weights = np.random.default_rng(3).multinomial(20, [1 / 20] * 20, size=60)
     spread = np.std([entropy_bits(c) for c in weights @ counts], ddof=1) * math.sqrt(20 / 19)
     half = stats.t.ppf((1 + level) / 2, 19) * spread
     estimate = entropy_bits(counts.sum(axis=0))
-    assert (made.low, made.high) == pytest.approx((estimate - half, estimate + half), abs=1e-12)
-    assert made.method == "block bootstrap (normal), 20 blocks, 60 resamples"
+    assert (found.low, found.high) == pytest.approx((estimate - half, estimate + half), abs=1e-12)
+    assert found.method == "block bootstrap (normal), 20 blocks, 60 resamples"
 
 
 @pytest.mark.parametrize(("value", "expected"), [(-9.0, (-9.0, 0.0)), (9.0, (1.0, 9.0))])
-def test_an_estimate_beyond_a_bound_is_held_together_with_the_bound(
-    value: float, expected: tuple[float, float]
-) -> None:
-    made = interval(
+def test_interval_contains_an_estimate_beyond_its_bound(value: float, expected: tuple[float, float]) -> None:
+    found = interval(
         lambda c: value + 1e-3 * entropy_bits(c),
-        counted(markov(np.random.default_rng(1), 2000), 20, 2),
+        counts_in_blocks(markov(np.random.default_rng(1), 2000), 20, 2),
         bounds=(0.0, 1.0),
         corrects_bias=True,
     )
-    assert (made.low, made.high) == pytest.approx(expected, abs=1e-3)
+    assert (found.low, found.high) == pytest.approx(expected, abs=1e-3)
 
 
-def test_a_width_is_only_missing_where_nothing_varies() -> None:
+def test_interval_has_no_width_only_without_variation() -> None:
     x, y = np.tile([0, 1], 500), np.repeat([0, 1], 500)  # exactly independent, and at the bound
-    joint = counted(2 * x + y, 10, 4)
+    joint = counts_in_blocks(2 * x + y, 10, 4)
 
     def information(c: Ints) -> float:
         t = c.reshape(2, 2)
@@ -227,46 +225,46 @@ def test_a_width_is_only_missing_where_nothing_varies() -> None:
             t[0, 0] % 7
         )
 
-    made = interval(
+    found = interval(
         information, joint * [[1], [2], [1], [3], [1], [2], [1], [1], [5], [1]], bounds=(0.0, math.inf)
     )
-    assert made.low < made.high
+    assert found.low < found.high
     flat = interval(lambda c: -0.0, joint, corrects_bias=True)
     assert (str(flat.low), str(flat.high)) == ("0.0", "0.0")
 
 
-def test_blocks_feel_the_dependence_that_single_samples_hide() -> None:
+def test_blocks_account_for_dependence() -> None:
     rng = np.random.default_rng(8)
     chain = markov(rng, 8192)
     widths = []
     for symbols in (chain, rng.permutation(chain)):
-        made = interval(entropy_bits, counted(symbols, 64, 2))
-        widths.append(made.high - made.low)
+        found = interval(entropy_bits, counts_in_blocks(symbols, 64, 2))
+        widths.append(found.high - found.low)
     assert widths[0] > 2 * widths[1]  # theory: sqrt((1 + .75)/(1 - .75)) = 2.6
 
 
-def test_the_seed_decides() -> None:
-    counts = counted(markov(np.random.default_rng(1), 2000), 20, 2)
+def test_interval_depends_on_the_seed() -> None:
+    counts = counts_in_blocks(markov(np.random.default_rng(1), 2000), 20, 2)
     assert interval(entropy_bits, counts) == interval(entropy_bits, counts)
     assert interval(entropy_bits, counts, seed=1) != interval(entropy_bits, counts)
 
 
-def test_blocks_without_a_sample_are_left_out() -> None:
-    counts = counted(markov(np.random.default_rng(1), 2000), 10, 2)
+def test_blocks_without_a_sample_are_ignored() -> None:
+    counts = counts_in_blocks(markov(np.random.default_rng(1), 2000), 10, 2)
     padded = np.concatenate([np.zeros((5, 2), np.int64), counts, np.zeros((7, 2), np.int64)])
     assert interval(entropy_bits, padded) == interval(entropy_bits, counts)
 
 
 def test_no_spread_is_an_interval_without_width() -> None:
-    made = interval(entropy_bits, np.full((10, 4), 25))
-    assert (made.low, made.high) == (2.0, 2.0)
+    found = interval(entropy_bits, np.full((10, 4), 25))
+    assert (found.low, found.high) == (2.0, 2.0)
 
 
 FINE = np.ones((10, 2), np.int64)
 
 
 @pytest.mark.parametrize(
-    ("counts", "options", "words"),
+    ("counts", "options", "message"),
     [
         (FINE[:7], {}, "7 blocks with a sample; expected at least 8"),
         (FINE * 0, {}, "0 blocks with a sample"),
@@ -281,8 +279,10 @@ FINE = np.ones((10, 2), np.int64)
         (FINE, {"level": math.nan}, "level"),
     ],
 )
-def test_intervals_that_cannot_be(counts: NDArray[np.float64], options: dict[str, float], words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
+def test_invalid_arguments_are_refused(
+    counts: NDArray[np.float64], options: dict[str, float], message: str
+) -> None:
+    with pytest.raises(InvalidArgument, match=message):
         interval(entropy_bits, counts, **options)  # type: ignore[arg-type]
     assert "50 resamples" in interval(entropy_bits, FINE[:8], 50).method
 

@@ -1,4 +1,4 @@
-"""Workspace capacity, WMR and HIL against enumerated frames and the numbers of the theory."""
+"""Workspace capacity, WMR and HIL compared with enumerated frames and the numbers of the theory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from touchfield.measure.capacity import Capacity, capacity, codomain_bits
 from touchfield.measure.quantity import Interval, Quantity
 
 bits = st.floats(0, 1e12, allow_subnormal=False)
-shares = st.floats(0, 1)
+fractions = st.floats(0, 1)
 
 
 def entropy(value: float, low: float | None = None, high: float | None = None, **more: object) -> Quantity:
@@ -29,9 +29,7 @@ def entropy(value: float, low: float | None = None, high: float | None = None, *
 
 
 def joint_bits(shape: tuple[int, int], mapping: Callable[[NDArray[np.int64]], NDArray[np.int64]]) -> float:
-    """H(M(W)) of all binary images of a shape, each as likely as any other: the joint entropy of what M
-    gives.
-    """
+    """H(M(W)) of all equally likely binary images of a shape: the joint entropy of the mapped images."""
     frames = itertools.product((0, 1), repeat=math.prod(shape))
     found = Counter(mapping(np.reshape(f, shape)).tobytes() for f in frames)
     return float(stats.entropy(list(found.values()), base=2))
@@ -42,7 +40,7 @@ def periodic_box(image: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def valid_box(image: NDArray[np.int64]) -> NDArray[np.int64]:
-    """3 x 3 sums where the box lies within a 4 x 4 image, 2 x 2 of them."""
+    """3 x 3 sums of boxes inside a 4 x 4 image, 2 x 2 of them."""
     return sum(image[i : i + 2, j : j + 2] for i in range(3) for j in range(3))  # type: ignore[return-value]
 
 
@@ -66,9 +64,9 @@ def test_box_sum_within_an_image() -> None:
 
 
 @pytest.mark.parametrize("per_sample", [1.2, 2.3, 18.0])
-def test_the_omni_alone_keeps_one_sample_in_125(per_sample: float) -> None:
-    whole, device = 10**12, 8 * 10**9
-    reference = Quantity("H(S)", per_sample, "bit/sample").times(whole, "bit/frame", "H(W)")
+def test_omni_alone_renders_one_sample_in_125(per_sample: float) -> None:
+    sample_count, device = 10**12, 8 * 10**9
+    reference = Quantity("H(S)", per_sample, "bit/sample").times(sample_count, "bit/frame", "H(W)")
     rendered = Quantity("H(S)", per_sample, "bit/sample").times(device, "bit/frame", "H(M(W))")
     found = capacity(reference, rendered, codomain_bits(device, 1 << 18))
     assert found.wmr.value == pytest.approx(1 / 125, rel=1e-12)
@@ -79,28 +77,28 @@ def test_the_omni_alone_keeps_one_sample_in_125(per_sample: float) -> None:
 
 
 @given(bits, bits, bits)
-def test_the_ratios_sum_to_one(h: float, d: float, room: float) -> None:
+def test_ratios_sum_to_one(h: float, d: float, codomain: float) -> None:
     assume(h > 1e-300)
-    c = capacity(entropy(h), entropy(min(d, room)), room)
+    c = capacity(entropy(h), entropy(min(d, codomain)), codomain)
     assert c.wmr.value + c.hil.value == pytest.approx(1, abs=1e-15)
     assert 0 <= c.wmr.value <= 1 and 0 <= c.hil.value <= 1
-    assert c.capacity.value == min(h, d, room)
+    assert c.capacity.value == min(h, d, codomain)
     assert (c.capacity.unit, c.wmr.unit, c.hil.unit) == ("bit/frame", "1", "1")
 
 
-@given(st.tuples(bits, bits, shares), st.tuples(bits, bits, shares), bits, shares, shares)
-def test_no_pair_of_entropies_within_the_intervals_leaves_the_carried_ones(
-    h: tuple[float, float, float], d: tuple[float, float, float], room: float, at_h: float, at_d: float
+@given(st.tuples(bits, bits, fractions), st.tuples(bits, bits, fractions), bits, fractions, fractions)
+def test_interval_arithmetic_contains_all_pairs_of_entropies(
+    h: tuple[float, float, float], d: tuple[float, float, float], codomain: float, at_h: float, at_d: float
 ) -> None:
     quantities, inside = [], []
-    for (a, b, share), place, most in ((h, at_h, math.inf), (d, at_d, room)):
-        low, high = sorted((min(a, most), min(b, most)))
-        point = min(high, low + share * (high - low))
+    for (a, b, fraction), position, limit in ((h, at_h, math.inf), (d, at_d, codomain)):
+        low, high = sorted((min(a, limit), min(b, limit)))
+        point = min(high, low + fraction * (high - low))
         quantities.append(entropy(point, low, high))
-        inside.append(min(high, low + place * (high - low)))
+        inside.append(min(high, low + position * (high - low)))
     assume(quantities[0].value > 1e-300 and inside[0] > 1e-300)
-    found = capacity(*quantities, room)
-    other = capacity(entropy(inside[0]), entropy(inside[1]), room)
+    found = capacity(*quantities, codomain)
+    other = capacity(entropy(inside[0]), entropy(inside[1]), codomain)
     for name in ("capacity", "wmr", "hil"):
         spread = getattr(found, name).interval
         slack = 1e-12 * max(1.0, abs(spread.high))
@@ -109,15 +107,15 @@ def test_no_pair_of_entropies_within_the_intervals_leaves_the_carried_ones(
         assert spread.level == pytest.approx(0.90) and "interval arithmetic" in spread.method
 
 
-def test_one_interval_keeps_its_level_and_none_gives_none() -> None:
+def test_one_interval_has_its_level_and_none_gives_none() -> None:
     plain = capacity(entropy(8), entropy(4), 6)
     assert plain.wmr.interval is None and plain.hil.interval is None and plain.capacity.interval is None
-    one = capacity(entropy(8, 5, 10), entropy(4), 6).wmr.interval
-    assert one is not None
-    assert (one.low, one.high, one.level) == (0.4, 0.8, pytest.approx(0.95))
+    found = capacity(entropy(8, 5, 10), entropy(4), 6).wmr.interval
+    assert found is not None
+    assert (found.low, found.high, found.level) == (0.4, 0.8, pytest.approx(0.95))
 
 
-def test_an_interval_that_misses_its_estimate_is_widened_to_it() -> None:
+def test_interval_is_widened_to_its_estimate() -> None:
     spread = capacity(entropy(8, 9, 10), entropy(4, -1, 3), 6).wmr.interval
     assert spread is not None
     assert (spread.low, spread.high) == (0.0, 0.5)
@@ -126,14 +124,14 @@ def test_an_interval_that_misses_its_estimate_is_widened_to_it() -> None:
 # -- guards ------------------------------------------------------------------------------------------------
 
 
-def test_the_min_guards_against_upsampling_and_says_so() -> None:
+def test_upsampling_is_limited_and_noted() -> None:
     found = capacity(entropy(10), entropy(12), 40)
     assert (found.capacity.value, found.wmr.value, found.hil.value) == (10, 1, 0)
     assert any("min() of eq. 1 acted" in n for n in found.notes)
     assert not capacity(entropy(10), entropy(10), 40).notes
 
 
-def test_an_overshooting_estimate_stops_at_the_codomain() -> None:
+def test_estimate_is_limited_to_the_codomain() -> None:
     found = capacity(entropy(10, estimator="chao-wang-jost"), entropy(7, estimator="chao-wang-jost"), 6)
     assert found.capacity.value == 6 and any("overshoots" in n for n in found.notes)
     with pytest.raises(InvalidArgument, match=r"codomain_bits: found 6, below H\(M\(W\)\) = 7"):
@@ -153,12 +151,12 @@ def test_a_medium_without_information_has_no_ratio() -> None:
         assert found.summary()["hil"]["value"] is None
 
 
-def test_a_device_that_tells_nothing() -> None:
+def test_device_without_information() -> None:
     found = capacity(entropy(5), entropy(0), codomain_bits(100, 1))
     assert (found.wmr.value, found.hil.value) == (0, 1)
 
 
-def test_what_the_ratios_are_of() -> None:
+def test_metadata_of_the_ratios() -> None:
     a = entropy(5, quantiser="distinct", weighting="voxel", estimator="chao-wang-jost")
     b = entropy(3, quantiser="weber:0.1", weighting="voxel", samples=40, symbols=7)
     found = capacity(a, b, 8)
@@ -180,7 +178,7 @@ def test_the_summary_is_json() -> None:
 # -- bad input ---------------------------------------------------------------------------------------------
 
 
-def asked(**changes: object) -> Capacity:
+def capacity_with(**changes: object) -> Capacity:
     arguments: dict[str, object] = {"reference": entropy(5), "rendered": entropy(3), "codomain_bits": 8.0}
     return capacity(**(arguments | changes))  # type: ignore[arg-type]
 
@@ -201,9 +199,9 @@ def asked(**changes: object) -> Capacity:
         ({"codomain_bits": math.nan}, "codomain_bits: found nan"),
     ],
 )
-def test_what_is_refused(wrong: dict[str, object], message: str) -> None:
+def test_invalid_arguments_are_refused(wrong: dict[str, object], message: str) -> None:
     with pytest.raises(InvalidArgument, match=message):
-        asked(**wrong)
+        capacity_with(**wrong)
 
 
 def test_codomain() -> None:
@@ -214,14 +212,14 @@ def test_codomain() -> None:
             codomain_bits(samples, alphabet)  # type: ignore[arg-type]
 
 
-def test_the_ends_of_the_intervals_are_those_of_opposite_corners() -> None:
+def test_interval_limits_are_those_of_opposite_corners() -> None:
     found = capacity(entropy(8, 5, 10), entropy(4, 3, 7), 6)
     spreads = {name: getattr(found, name).interval for name in ("capacity", "wmr", "hil")}
     assert {name: (i.low, i.high) for name, i in spreads.items()} == {
         "capacity": (3, 6), "wmr": (pytest.approx(0.3), 1), "hil": (0, pytest.approx(0.7))
     }  # fmt: skip
-    told = "interval arithmetic, H(W) in [5, 10] and H(M(W)) in [3, 6]; block bootstrap"
-    assert {i.method for i in spreads.values()} == {told}
+    method = "interval arithmetic, H(W) in [5, 10] and H(M(W)) in [3, 6]; block bootstrap"
+    assert {i.method for i in spreads.values()} == {method}
     of_wmr = capacity(entropy(8, 7, 10), entropy(4, 3, 5), 6).wmr.interval
     assert of_wmr is not None and (of_wmr.low, of_wmr.high) == pytest.approx((0.3, 5 / 7))
     both = Interval(1, 9, 0.9, "a"), Interval(1, 2, 0.8, "b")
@@ -233,7 +231,7 @@ def test_the_ends_of_the_intervals_are_those_of_opposite_corners() -> None:
     assert empty is not None and (empty.low, empty.high) == (0, 0)
 
 
-def test_the_notes_of_the_guards_have_their_figures() -> None:
+def test_notes_of_the_limits_have_their_numbers() -> None:
     (note,) = capacity(entropy(10), entropy(12), 40).notes
     assert "H(M(W)) = 12 bit/frame is above H(W) = 10," in note
     guessed = {"estimator": "chao-wang-jost"}

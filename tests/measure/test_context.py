@@ -1,4 +1,4 @@
-"""Entropies given causal neighbours, against brute force and known sources."""
+"""Entropies given causal neighbours, compared with brute force and known sources."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ def conditional_by_brute_force(
 
 @pytest.mark.parametrize("previous", [False, True])
 @pytest.mark.parametrize("neighbourhood", list(NEIGHBOURHOODS))
-def test_contexts_of_fields_are_counted_as_by_hand(neighbourhood: str, previous: bool) -> None:
+def test_contexts_of_fields_agree_with_brute_force(neighbourhood: str, previous: bool) -> None:
     frames = sparse((3, 10, 9, 11), 4, 0.1)
     bits, contexts, cells = conditional_by_brute_force(frames, neighbourhood, previous)
-    for given_as in (fields_of(frames, 4), tuple(fields_of(frames, 4))):
-        found = context_entropy(given_as, neighbourhood, previous_frame=previous)
+    for source in (fields_of(frames, 4), tuple(fields_of(frames, 4))):
+        found = context_entropy(source, neighbourhood, previous_frame=previous)
         assert found.per_voxel.value == pytest.approx(bits, abs=1e-12)
         assert (found.contexts, found.cells) == (contexts, cells)
         assert found.per_voxel.samples == frames.size
@@ -61,7 +61,7 @@ def test_contexts_of_fields_are_counted_as_by_hand(neighbourhood: str, previous:
 @pytest.mark.parametrize("shape", [(50,), (7, 9), (6, 5, 4)])
 @pytest.mark.parametrize("high", [2, 2**31 - 1])
 def test_arrays_of_few_axes_and_large_symbols(shape: tuple[int, ...], high: int) -> None:
-    """Nine symbols of 31 bits fill five words of a key."""
+    """Nine symbols of 31 bits need five words of a key."""
     x = np.where(sparse(shape, 3, 0.6) > 0, sparse(shape, 3, 1.0, 1), 0)
     large = np.where(x == 2, high, x)
     full = x.reshape(1, *(1,) * (3 - len(shape)), *shape)
@@ -73,8 +73,8 @@ def test_arrays_of_few_axes_and_large_symbols(shape: tuple[int, ...], high: int)
 
 
 @given(hnp.arrays(np.int16, hnp.array_shapes(min_dims=4, max_dims=4, max_side=5), elements=st.integers(0, 3)))
-def test_to_know_more_never_costs_more(x: np.ndarray) -> None:
-    """H(S|c) <= H(S), and less for each neighbour more: exactly so for the plug-in."""
+def test_more_context_never_increases_the_entropy(x: np.ndarray) -> None:
+    """H(S|c) <= H(S), and each further neighbour reduces it: exact for the plug-in estimate."""
     found = {(n, p): of_array(x, n, previous_frame=p).per_voxel.value
              for n in NEIGHBOURHOODS for p in (False, True)}  # fmt: skip
     assert found["none", False] == pytest.approx(entropy_bits(np.bincount(x.ravel())), abs=1e-12)
@@ -84,8 +84,8 @@ def test_to_know_more_never_costs_more(x: np.ndarray) -> None:
     assert all(found[n, True] <= found[n, False] + 1e-12 for n in NEIGHBOURHOODS)
 
 
-def test_a_field_whose_axis_neighbours_are_needed_together() -> None:
-    """Each voxel is the parity of its three axis neighbours, but for one in ten: H(S|axes) = h2(.1),
+def test_field_that_needs_all_axis_neighbours() -> None:
+    """Each voxel is the parity of its three axis neighbours, except one in ten: H(S|axes) = h2(.1),
     H(S|one) = 1.
     """
     flips = (np.random.default_rng(3).random((40, 40, 40)) < 0.1).astype(np.int32)
@@ -99,20 +99,20 @@ def test_a_field_whose_axis_neighbours_are_needed_together() -> None:
     assert of_array(x, "previous").per_voxel.value == pytest.approx(1, abs=0.01)
 
 
-def test_independent_voxels_teach_nothing() -> None:
+def test_context_of_independent_voxels_has_no_information() -> None:
     x = np.random.default_rng(5).choice(4, (40, 40, 40), p=[0.7, 0.1, 0.1, 0.1])
     h = entropy_bits([7, 1, 1, 1])
     assert h - 0.01 < of_array(x, "axes").per_voxel.value < h
     assert of_array(x, "previous").per_voxel.value == pytest.approx(h, abs=0.01)
 
 
-def test_the_frame_before_is_worth_what_it_tells() -> None:
+def test_previous_frame_reduces_the_entropy() -> None:
     rng = np.random.default_rng(6)
     first = rng.integers(0, 2, (24, 24, 24))
     flips = rng.random((7, *first.shape)) < 0.02
     frames = np.concatenate([first[None], first ^ np.cumsum(flips, axis=0) % 2])
     found = of_array(frames, "none", previous_frame=True).per_voxel.value
-    # of 16 half frames, 9 follow a 0, the two of the first frame among them; 7 follow a 1
+    # of 16 half frames, 9 follow a 0, including the two of the first frame; 7 follow a 1
     want = 9 / 16 * binary_entropy_bits((1 + 7 * 0.02) / 9) + 7 / 16 * binary_entropy_bits(0.02)
     assert found == pytest.approx(want, abs=0.01)
     assert of_array(frames, "corner").per_voxel.value > 0.95
@@ -125,7 +125,7 @@ def test_rate_of_a_markov_chain() -> None:
     assert of_array(chain, "previous").per_voxel.value == pytest.approx(0.373504, abs=0.003)
 
 
-def test_dilution_is_told() -> None:
+def test_dilution_is_noted() -> None:
     x = sparse((12, 12, 12), 200, 0.5)
     found = of_array(x, "corner")
     assert found.is_diluted and found.per_voxel.value < 0.2 and "diluted" in found.per_voxel.notes[1]
@@ -133,24 +133,22 @@ def test_dilution_is_told() -> None:
     assert not of_array(markov(10_000), "previous").is_diluted
 
 
-def test_cells_with_equal_hashes_are_told_apart() -> None:
-    """More cells than the first table holds, and no two merged: counts agree with numpy's sort of whole
-    rows.
-    """
+def test_cells_with_equal_hashes_are_distinguished() -> None:
+    """More cells than the initial table: counts agree with numpy's sort of whole rows."""
     rng = np.random.default_rng(7)
     rows = rng.integers(0, 60, (60_000, 3), dtype=np.uint64)
-    counter = CellCounter(3, 32)  # two symbols to a word
+    counter = CellCounter(3, 32)  # two symbols per word
     packed = np.stack([rows[:, 0] | rows[:, 1] << np.uint64(32), rows[:, 2]], axis=1)
-    some = packed.any(axis=1)
-    counter.add(packed[some])
-    counter.zeros += int((~some).sum())
+    nonzero = packed.any(axis=1)
+    counter.add(packed[nonzero])
+    counter.zeros += int((~nonzero).sum())
     for columns in ((0, 1, 2), (0, 2), (1,)):
         _, want = np.unique(rows[:, columns], axis=0, return_counts=True)
         assert sorted(counter.marginal(columns).counts()) == sorted(want)
     assert counter.samples == len(rows)
 
 
-def test_contexts_are_named_and_their_dilution_has_its_figures() -> None:
+def test_names_and_dilution_notes_of_contexts() -> None:
     frames = fields_of(np.stack([sparse((6, 7, 8), 9, 0.5, seed) for seed in (0, 1)]), 9)
     names = {
         ("none", False): "H(S)",
@@ -164,11 +162,11 @@ def test_contexts_are_named_and_their_dilution_has_its_figures() -> None:
         assert found.per_voxel.name == name
         assert found.per_voxel.notes[0] == f"{found.contexts} contexts"
         assert (found.per_voxel.samples, found.per_voxel.symbols) == (2 * 6 * 7 * 8, found.cells)
-        told = (
+        note = (
             f"diluted: {found.informed} voxels not all 0 for {found.cells} cells, fewer than ten each; too "
             "low"
         )
-        assert (told in found.per_voxel.notes) == found.is_diluted == (found.informed < 10 * found.cells)
+        assert (note in found.per_voxel.notes) == found.is_diluted == (found.informed < 10 * found.cells)
     assert context_entropy(frames, "corner").is_diluted and not context_entropy(frames, "none").is_diluted
     edge = context_entropy(frames, "none")
     assert not replace(edge, informed=10 * edge.cells).is_diluted

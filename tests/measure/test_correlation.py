@@ -1,4 +1,4 @@
-"""A picture beside a haptic medium: what rays meet, and whether what they share is chance."""
+"""An image and a haptic medium: contacts along rays, and significance of their mutual information."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ Float64s = NDArray[np.float64]
 
 
 def smooth_noise(seed: int, shape: tuple[int, int] = (64, 64), sigma: float = 1.5) -> Float64s:
-    made: Float64s = ndimage.gaussian_filter(
+    image: Float64s = ndimage.gaussian_filter(
         np.random.default_rng(seed).normal(size=shape), sigma, mode="wrap"
     )
-    return made
+    return image
 
 
 def contact_along_axis(
@@ -43,16 +43,16 @@ def contact_along_axis(
     low = np.stack(np.meshgrid(*across, indexing="ij"), axis=-1)
     high = low.copy()
     high[..., axis] = grid.shape[axis] - 1
-    ends = (grid.to_m(low), grid.to_m(high)) if from_low else (grid.to_m(high), grid.to_m(low))
-    met = contact_along_rays(field, ends[0], ends[1], reading)
-    return Contact(met.amplitudes_n.squeeze(axis), met.distances_m.squeeze(axis))
+    endpoints = (grid.to_m(low), grid.to_m(high)) if from_low else (grid.to_m(high), grid.to_m(low))
+    contact = contact_along_rays(field, endpoints[0], endpoints[1], reading)
+    return Contact(contact.amplitudes_n.squeeze(axis), contact.distances_m.squeeze(axis))
 
 
 # -- rays --------------------------------------------------------------------------------------------------
 
 
 @given(st.integers(0, 200), st.integers(0, 2), st.booleans(), st.sampled_from(["first", "peak"]))
-def test_columns_are_those_of_the_dense_field(seed: int, axis: int, from_low: bool, reading: str) -> None:
+def test_columns_agree_with_the_dense_field(seed: int, axis: int, from_low: bool, reading: str) -> None:
     rng = np.random.default_rng(seed)
     grid = Grid((9, 5, 12), (0.001, 0.0013, 0.0017), (0.3, -0.2, 0.01))
     dense = rng.normal(size=(*grid.shape, 3)) * (rng.random(grid.shape) < 0.1)[..., None]
@@ -60,53 +60,53 @@ def test_columns_are_those_of_the_dense_field(seed: int, axis: int, from_low: bo
     found = contact_along_axis(field, axis, from_low, reading)
     amplitudes = np.moveaxis(np.linalg.norm(field.to_dense().astype(float), axis=-1), axis, -1)
     amplitudes = amplitudes if from_low else amplitudes[..., ::-1]
-    place = (amplitudes > 0).argmax(axis=-1) if reading == "first" else amplitudes.argmax(axis=-1)
-    expected = np.take_along_axis(amplitudes, place[..., None], axis=-1)[..., 0]
-    met = expected > 0
-    assert np.array_equal(np.isnan(found.amplitudes_n), ~met)
-    assert found.amplitudes_n[met] == pytest.approx(expected[met])
-    off = np.abs(found.distances_m - place * grid.spacing_m[axis])[met]
+    index = (amplitudes > 0).argmax(axis=-1) if reading == "first" else amplitudes.argmax(axis=-1)
+    expected = np.take_along_axis(amplitudes, index[..., None], axis=-1)[..., 0]
+    has_contact = expected > 0
+    assert np.array_equal(np.isnan(found.amplitudes_n), ~has_contact)
+    assert found.amplitudes_n[has_contact] == pytest.approx(expected[has_contact])
+    off = np.abs(found.distances_m - index * grid.spacing_m[axis])[has_contact]
     assert (off <= 0.51 * grid.spacing_m[axis]).all(), "the step at which the sample is the nearest"
 
 
 def test_rays_of_a_camera_meet_a_tilted_wall(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The distance to a plane along each ray, to within a sample."""
+    """The distance to a plane along each ray, within a sample."""
     grid = Grid.over_box((-0.1, -0.1, 0.1), (0.1, 0.1, 0.3), (64, 64, 64))
     x, y, z = (grid.axis_m(a) for a in range(3))
-    behind = z[None, None, :] - (0.2 + 0.3 * x[:, None, None] + 0 * y[None, :, None])
+    depth = z[None, None, :] - (0.2 + 0.3 * x[:, None, None] + 0 * y[None, :, None])
     dense = np.zeros((*grid.shape, 3), np.float32)
-    dense[..., 2] = -np.clip(behind, 0, 0.02) * 100
+    dense[..., 2] = -np.clip(depth, 0, 0.02) * 100
     u, v = np.meshgrid(np.linspace(-0.3, 0.3, 9), np.linspace(-0.3, 0.3, 7))
     rays = np.stack([u, v, np.ones_like(u)], axis=-1)
-    met = contact_along_rays(ForceField.from_dense(grid, dense), (0.0, 0.0, 0.0), 0.3 * rays)
+    contact = contact_along_rays(ForceField.from_dense(grid, dense), (0.0, 0.0, 0.0), 0.3 * rays)
     expected = 0.2 / (1 - 0.3 * u) * np.linalg.norm(rays, axis=-1)
-    assert met.distances_m == pytest.approx(expected, abs=1.5 * grid.spacing_m[0])
-    assert met.amplitudes_n.shape == (7, 9)
+    assert contact.distances_m == pytest.approx(expected, abs=1.5 * grid.spacing_m[0])
+    assert contact.amplitudes_n.shape == (7, 9)
     peak = contact_along_rays(ForceField.from_dense(grid, dense), (0.0, 0.0, 0.0), 0.3 * rays, "peak")
     assert peak.amplitudes_n == pytest.approx(2.0)
-    monkeypatch.setattr(sys.modules[Contact.__module__], "_RAYS", 8)  # at a time
-    again = contact_along_rays(ForceField.from_dense(grid, dense), (0.0, 0.0, 0.0), 0.3 * rays)
-    assert np.array_equal(again.distances_m, met.distances_m)
+    monkeypatch.setattr(sys.modules[Contact.__module__], "_RAYS", 8)  # rays per chunk
+    contact_in_chunks = contact_along_rays(ForceField.from_dense(grid, dense), (0.0, 0.0, 0.0), 0.3 * rays)
+    assert np.array_equal(contact_in_chunks.distances_m, contact.distances_m)
 
 
-def test_rays_beside_the_field_meet_nothing(wavy_field: ForceField) -> None:
-    met = contact_along_rays(wavy_field, (9.0, 9.0, 9.0), (9.0, 9.0, 9.01))
-    assert math.isnan(met.amplitudes_n) and math.isnan(met.distances_m)
+def test_rays_outside_the_field_have_no_contact(wavy_field: ForceField) -> None:
+    contact = contact_along_rays(wavy_field, (9.0, 9.0, 9.0), (9.0, 9.0, 9.01))
+    assert math.isnan(contact.amplitudes_n) and math.isnan(contact.distances_m)
     assert np.isnan(contact_along_axis(ForceField.empty(wavy_field.grid)).amplitudes_n).all()
 
 
-def test_rays_that_are_refused(wavy_field: ForceField, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_invalid_rays_are_refused(wavy_field: ForceField, monkeypatch: pytest.MonkeyPatch) -> None:
     origin = (0.0, 0.0, 0.0)
-    for starts, ends in ((origin, (0.0, math.nan, 0.0)), (np.zeros((2, 3)), np.zeros((4, 3))), (0.0, 1.0)):
+    for starts, ends_m in ((origin, (0.0, math.nan, 0.0)), (np.zeros((2, 3)), np.zeros((4, 3))), (0.0, 1.0)):
         with pytest.raises(InvalidArgument, match="rays"):
-            contact_along_rays(wavy_field, starts, ends)
+            contact_along_rays(wavy_field, starts, ends_m)
     with pytest.raises(InvalidArgument, match="shorter rays"):
         contact_along_rays(wavy_field, origin, (0.0, 0.0, 1e9))
     monkeypatch.setattr(sys.modules[Contact.__module__], "MAX_LOOKUPS", 30)
-    one = np.array([0.0, 0.0, 20 * min(wavy_field.grid.spacing_m) / 2])
-    assert contact_along_rays(wavy_field, origin, one).amplitudes_n.shape == ()
+    end_m = np.array([0.0, 0.0, 20 * min(wavy_field.grid.spacing_m) / 2])
+    assert contact_along_rays(wavy_field, origin, end_m).amplitudes_n.shape == ()
     with pytest.raises(InvalidArgument, match="2 rays of 20 steps"):
-        contact_along_rays(wavy_field, origin, [one, one])
+        contact_along_rays(wavy_field, origin, [end_m, end_m])
     with pytest.raises(InvalidArgument, match="first or peak"):
         contact_along_rays(wavy_field, origin, (0.0, 0.0, 1.0), "mean")
 
@@ -115,23 +115,23 @@ def test_rays_that_are_refused(wavy_field: ForceField, monkeypatch: pytest.Monke
 
 
 @given(st.integers(0, 500), st.integers(2, 9), st.integers(1, 400))
-def test_classes_keep_order_and_equal_values_and_share(seed: int, count: int, size: int) -> None:
+def test_classes_are_monotone_and_equally_filled(seed: int, count: int, size: int) -> None:
     rng = np.random.default_rng(seed)
     values = rng.integers(0, 40, size).astype(float)
     values[rng.random(size) < 0.1] = np.nan
     found = quantile_classes(values, count)
     assert np.array_equal(found == -1, np.isnan(values))
-    known = ~np.isnan(values)
-    order = np.argsort(values[known], kind="stable")
-    assert (np.diff(found[known][order]) >= 0).all()
-    for value in np.unique(values[known]):
+    is_known = ~np.isnan(values)
+    order = np.argsort(values[is_known], kind="stable")
+    assert (np.diff(found[is_known][order]) >= 0).all()
+    for value in np.unique(values[is_known]):
         assert len(set(found[values == value])) == 1
     distinct = quantile_classes(rng.permutation(count * 10), count)
     assert (np.bincount(distinct) == 10).all()
 
 
-def test_correlation_length_of_both() -> None:
-    """White noise falls at once, beside whatever; two of autocorrelation exp(-d^2 / 4 s^2) at sqrt 2 s."""
+def test_correlation_length_of_two_images() -> None:
+    """White noise decorrelates at once with any other; exp(-d^2 / 4 s^2) at sqrt 2 s."""
     white, smooth = np.random.default_rng(0).normal(size=(256, 256)), smooth_noise(1, (256, 256), 5.0)
     assert correlation_length_px(white, smooth) == correlation_length_px(smooth, white) == 1
     assert correlation_length_px(smooth, smooth_noise(2, (256, 256), 5.0)) == pytest.approx(
@@ -147,9 +147,7 @@ def test_correlation_length_of_both() -> None:
 
 
 def wall(depth: Float64s) -> ForceField:
-    """A surface z = depth, in samples; before it a guide that is the stronger the farther it is from the
-    hand.
-    """
+    """A surface z = depth, in samples, with a guiding force in front of it that grows with the distance."""
     grid = Grid((*depth.shape, 32), (1e-3,) * 3, (0, 0, 0))
     z = np.arange(32)
     before = (z < depth[..., None]) & (z >= depth[..., None] - 3)
@@ -159,28 +157,26 @@ def wall(depth: Float64s) -> ForceField:
     return ForceField.from_dense(grid, dense)
 
 
-def test_depth_tells_of_its_own_field_and_noise_does_not() -> None:
+def test_depth_correlates_with_its_field_and_noise_does_not() -> None:
     depth = 16 + 40 * smooth_noise(1)
     touched = contact_along_axis(wall(depth)).amplitudes_n
-    own = picture_correlation(depth, touched)
-    assert own.p == 1 / 200 and own.z > 10
-    assert float(own.mutual) > 1
-    assert own.mutual.interval is not None and own.mutual.interval.low > own.null_mean_bits
-    noise = picture_correlation(smooth_noise(2), touched)
-    assert noise.p > 0.05
-    assert float(noise.mutual) < float(own.mutual) / 5
+    related = picture_correlation(depth, touched)
+    assert related.p == 1 / 200 and related.z > 10
+    assert float(related.mutual) > 1
+    assert related.mutual.interval is not None and related.mutual.interval.low > related.null_mean_bits
+    unrelated = picture_correlation(smooth_noise(2), touched)
+    assert unrelated.p > 0.05
+    assert float(unrelated.mutual) < float(related.mutual) / 5
 
 
-def test_the_depth_of_the_first_contact_is_the_picture_of_the_surface() -> None:
+def test_depth_of_the_first_contact_is_the_surface() -> None:
     depth = 16 + 40 * smooth_noise(3)
     met: Contact = contact_along_axis(wall(depth))
     assert picture_correlation(depth, met.distances_m, classes=4).mutual.value > 1.5
 
 
-def test_independent_pictures_are_called_related_as_often_as_p_says() -> None:
-    """40 pairs: 5 or more below p = 0.025 come by chance once in 300 times; single pixels say so of nearly
-    all.
-    """
+def test_p_values_of_independent_images_are_calibrated() -> None:
+    """40 pairs: 5 or more below p = 0.025 have a probability of 1/300; with single pixels nearly all are."""
     pairs = [(smooth_noise(2 * s + 10), smooth_noise(2 * s + 11)) for s in range(40)]
     by_blocks = [picture_correlation(a, b, shuffles=79, interval=False).p for a, b in pairs]
     assert sum(p <= 0.025 for p in by_blocks) < 5
@@ -188,7 +184,7 @@ def test_independent_pictures_are_called_related_as_often_as_p_says() -> None:
     assert sum(p <= 0.025 for p in by_pixels) >= 5
 
 
-def test_unknown_pixels_are_left_out() -> None:
+def test_unknown_pixels_are_ignored() -> None:
     a = smooth_noise(5)
     b = a.copy()
     rng = np.random.default_rng(6)
@@ -201,7 +197,7 @@ def test_unknown_pixels_are_left_out() -> None:
     assert found.blocks == 64 and "64 blocks" in found.mutual.interval.method
 
 
-def test_seeded_and_summarised() -> None:
+def test_correlation_is_seeded_and_has_a_summary() -> None:
     a, b = smooth_noise(7), smooth_noise(8)
     found, again = picture_correlation(a, b), picture_correlation(a, b)
     assert found.summary() == again.summary()
@@ -211,14 +207,14 @@ def test_seeded_and_summarised() -> None:
     assert constant.summary()["z"] is None
 
 
-def test_a_picture_too_small_for_its_blocks_says_so() -> None:
+def test_image_too_small_for_its_blocks_is_refused() -> None:
     a = smooth_noise(9, (64, 64), 8.0)
     found = picture_correlation(a, a)
     assert any("p is too small" in note for note in found.mutual.notes)
     assert found.blocks >= 16
 
 
-def test_pictures_that_are_refused() -> None:
+def test_invalid_images_are_refused() -> None:
     a = smooth_noise(1, (16, 16))
     unknown = np.full((16, 16), np.nan)
     for x, y in ((a, a[:8]), (a, unknown), (a[0], a[0]), (a, np.full((16, 16), np.inf))):
@@ -237,74 +233,74 @@ def to_hand(placement: Placement, points_m: Float64s) -> Float64s:
 
 
 def test_the_motorcycle() -> None:
-    """The rays of the pixels meet the surface where the depth map has it;
-    then luma is set beside the field.
-    """
+    """Rays of the pixels meet the surface at the depth of the map; luma is then compared with the field."""
     data = pytest.importorskip("skimage.data")
     from touchfield.sources.depth.inverse_depth import motorcycle_sequence
 
     sequence, stride = motorcycle_sequence(), 16
     prepared = prepare("sample:motorcycle", EncodeSpec(nw=6))
-    some = slice(stride // 2, None, stride)
-    depth = sequence.depth_m(0)[some, some].astype(float)
+    pixels = slice(stride // 2, None, stride)
+    depth = sequence.depth_m(0)[pixels, pixels].astype(float)
     depth[depth <= 0] = np.nan
-    luma = (data.stereo_motorcycle()[0] @ [0.299, 0.587, 0.114])[some, some]
+    luma = (data.stereo_motorcycle()[0] @ [0.299, 0.587, 0.114])[pixels, pixels]
     v, u = np.mgrid[: depth.shape[0], : depth.shape[1]] * stride + stride // 2
     k = sequence.intrinsics
     rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(u.shape)], axis=-1)
-    near_m, far_m = 0.9 * np.nanmin(depth), 1.1 * np.nanmax(depth)
-    begin, end = (to_hand(prepared.placement, z * rays) for z in (near_m, far_m))
-    met = contact_along_rays(prepared.medium[0], begin, end)
-    assert np.isfinite(met.amplitudes_n).mean() > 0.5
+    min_depth_m, max_depth_m = 0.9 * np.nanmin(depth), 1.1 * np.nanmax(depth)
+    starts_m, ends_m = (to_hand(prepared.placement, z * rays) for z in (min_depth_m, max_depth_m))
+    contact = contact_along_rays(prepared.medium[0], starts_m, ends_m)
+    assert np.isfinite(contact.amplitudes_n).mean() > 0.5
 
     length = np.linalg.norm(rays, axis=-1) * prepared.placement.scale
-    off = np.abs(met.distances_m / length + near_m - depth) * prepared.placement.scale
+    off = np.abs(contact.distances_m / length + min_depth_m - depth) * prepared.placement.scale
     assert np.nanmedian(off) < 1.5 * max(prepared.medium.grid.spacing_m), (
         "registered to within a sample or two"
     )
-    own = picture_correlation(depth, met.distances_m, classes=4)
-    assert own.p == 1 / 200 and own.z > 5
-    peak = contact_along_rays(prepared.medium[0], begin, end, "peak")
+    depth_correlation = picture_correlation(depth, contact.distances_m, classes=4)
+    assert depth_correlation.p == 1 / 200 and depth_correlation.z > 5
+    peak = contact_along_rays(prepared.medium[0], starts_m, ends_m, "peak")
     of_luma = picture_correlation(luma, peak.amplitudes_n, classes=4)
-    assert 0 < float(of_luma.mutual) < float(own.mutual)
+    assert 0 < float(of_luma.mutual) < float(depth_correlation.mutual)
 
 
 def miller_madow_bits(*columns: NDArray[np.int64]) -> float:
-    """Plug-in entropy of the rows, and (K - 1) / (2 n ln 2) more."""
+    """Plug-in entropy of the rows, plus (K - 1) / (2 n ln 2)."""
     counts = np.unique(np.stack(columns, axis=1), axis=0, return_counts=True)[1]
     p, n = counts / counts.sum(), counts.sum()
     return float(-(p * np.log2(p)).sum() + (len(counts) - 1) / (2 * n * math.log(2)))
 
 
-def test_the_figures_of_a_correlation_are_those_of_shuffles_made_by_hand() -> None:
+def test_correlation_agrees_with_explicit_shuffles() -> None:
     rng, side, classes = np.random.default_rng(3), 6, 5
     a = smooth_noise(11, (40, 58))
     b = a + 0.3 * smooth_noise(12, (40, 58))
     a[rng.random(a.shape) < 0.1] = np.nan
     found = picture_correlation(a, b, classes=classes, shuffles=19, block_px=side, seed=4)
-    places = [
+    blocks = [
         (slice(y, y + side), slice(x, x + side)) for y in range(0, 36, side) for x in range(0, 54, side)
     ]
-    of_a, of_b = (np.stack([quantile_classes(m, classes)[place].ravel() for place in places]) for m in (a, b))
+    classes_a, classes_b = (
+        np.stack([quantile_classes(m, classes)[block].ravel() for block in blocks]) for m in (a, b)
+    )
 
     def bits(y: NDArray[np.int64]) -> float:
-        known = (of_a >= 0) & (y >= 0)
-        u, v = of_a[known], y[known]
+        is_known = (classes_a >= 0) & (y >= 0)
+        u, v = classes_a[is_known], y[is_known]
         return miller_madow_bits(u) + miller_madow_bits(v) - miller_madow_bits(u, v)
 
     draw = np.random.default_rng(4)
-    null = np.array([bits(of_b[draw.permutation(len(of_b))]) for _ in range(19)])
-    assert float(found.mutual) == pytest.approx(bits(of_b))
+    null = np.array([bits(classes_b[draw.permutation(len(classes_b))]) for _ in range(19)])
+    assert float(found.mutual) == pytest.approx(bits(classes_b))
     assert (found.null_mean_bits, found.null_spread_bits) == pytest.approx((null.mean(), null.std(ddof=1)))
-    assert found.z == pytest.approx((bits(of_b) - null.mean()) / null.std(ddof=1))
-    assert found.p == pytest.approx((1 + np.count_nonzero(null >= bits(of_b))) / 20)
+    assert found.z == pytest.approx((bits(classes_b) - null.mean()) / null.std(ddof=1))
+    assert found.p == pytest.approx((1 + np.count_nonzero(null >= bits(classes_b))) / 20)
     assert (found.shuffles, found.block_px, found.blocks) == (19, side, 6 * 9)
-    assert found.share == pytest.approx(np.count_nonzero(of_a >= 0) / a.size)
+    assert found.share == pytest.approx(np.count_nonzero(classes_a >= 0) / a.size)
     assert found.mutual.quantiser == "5 classes of equal share"
     assert found.mutual.notes[-1] == "5 classes of equal share each"
 
 
-def test_the_note_on_blocks_has_their_side_and_the_length() -> None:
+def test_note_on_blocks_has_side_and_correlation_length() -> None:
     a = smooth_noise(9, (64, 64), 8.0)
     found = picture_correlation(a, a)
     length = correlation_length_px(a, a)

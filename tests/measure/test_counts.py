@@ -1,4 +1,4 @@
-"""Counts of symbols: every dtype, layout and size, jointly and block by block, against numpy.unique."""
+"""Counts of symbols: every dtype, layout and size, joint and by block, compared with numpy.unique."""
 
 from __future__ import annotations
 
@@ -54,27 +54,27 @@ def test_large_arrays_of_every_spread(dtype: str, spread: int) -> None:
 
 @pytest.mark.parametrize("low", [0, 65_400, 32_760, -64])
 @pytest.mark.parametrize("width", [1, 2, 17, 128, 129, 256])
-def test_narrow_ranges_with_strange_symbols(low: int, width: int) -> None:
-    """At the beginning, within, and at the end."""
+def test_narrow_ranges_with_outliers(low: int, width: int) -> None:
+    """Outliers at the start, within, and at the end."""
     rng = np.random.default_rng(width)
     samples = ((low + rng.integers(0, width, 400_001)) % 65_536).astype(np.uint16)
-    for strange in ((), (1,), (399_999,), (5, 123_457, 300_001)):
+    for outlier_indices in ((), (1,), (399_999,), (5, 123_457, 300_001)):
         x = samples.copy()
-        x[list(strange)] ^= 0x4321
+        x[list(outlier_indices)] ^= 0x4321
         assert np.array_equal(count.counts_of_16_bits(x), np.bincount(x, minlength=65_536))
         assert np.array_equal(count.counts_of_16_bits(x[3:]), np.bincount(x[3:], minlength=65_536))
 
 
 def same_as_bincount(x: NDArray[np.int16]) -> None:
-    words = x.view(np.uint16)
-    assert np.array_equal(count.counts_of_16_bits(words), np.bincount(words, minlength=65_536))
+    unsigned = x.view(np.uint16)
+    assert np.array_equal(count.counts_of_16_bits(unsigned), np.bincount(unsigned, minlength=65_536))
 
 
 @pytest.mark.parametrize("low", [-63, -1, -32_768, 32_767])
 @pytest.mark.parametrize("width", [63, 64, 65, 127, 128, 129])
 @pytest.mark.parametrize("power", [1, 4, 9])
 def test_ranges_of_every_width(low: int, width: int, power: int) -> None:
-    """Evenly spread symbols and mostly low ones; odd lengths, starts within a word."""
+    """Uniform symbols and mostly low ones; odd lengths, and unaligned starts."""
     offsets = (width * np.random.default_rng(width).random(66_001) ** power).astype(np.int64)
     offsets[[7, 40_000, 66_000]] = 0, width - 1, width - 1
     x = (low + offsets).astype(np.uint16).view(np.int16)
@@ -87,9 +87,7 @@ def test_ranges_of_every_width(low: int, width: int, power: int) -> None:
 def test_blocks_that_change_their_range(
     widths: tuple[int, ...], every: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each part of the data has a range of its own, in step with the blocks or not; constant parts among
-    them.
-    """
+    """Each part of the data has its own range, aligned with the blocks or not; some parts are constant."""
     monkeypatch.setenv("TOUCHFIELD_THREADS", "1")
     monkeypatch.setattr(count, "_SMALL", 1)
     rng = np.random.default_rng(len(widths))
@@ -102,11 +100,11 @@ def test_blocks_that_change_their_range(
         same_as_bincount(samples)
 
 
-@pytest.mark.parametrize("apart", [100, 1500, 20_011])
-def test_some_symbols_far_from_the_others(apart: int) -> None:
-    """None, a few and most stretches of a block have one, which is its first, its last or neither."""
-    x = np.random.default_rng(apart).integers(-20, 21, 700_003).astype(np.int16)
-    x[apart::apart] = 30_000
+@pytest.mark.parametrize("distance", [100, 1500, 20_011])
+def test_outlying_symbols(distance: int) -> None:
+    """No, some or most chunks of a block have an outlier, which is their first, last or neither."""
+    x = np.random.default_rng(distance).integers(-20, 21, 700_003).astype(np.int16)
+    x[distance::distance] = 30_000
     for start in range(4):
         same_as_bincount(x[start:])
 
@@ -122,7 +120,7 @@ def test_runs_among_other_symbols(symbol: int, width: int) -> None:
         same_as_bincount(x[start:])
 
 
-def test_32_bit_tables_are_added_up_before_they_overflow(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tables_of_32_bits_are_summed_before_they_overflow(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(count, "_ROUND", 10)
     for symbols in (9, 300):
         x = np.random.default_rng(0).integers(0, symbols, 50_001).astype(np.uint16)
@@ -177,14 +175,14 @@ def test_memory_is_bounded_by_the_symbols(dtype: str, monkeypatch: pytest.Monkey
 @pytest.mark.parametrize(
     "bad", [np.zeros(3), np.array([np.nan, 1]), [0.5], "text", [None], np.zeros(2, complex)]
 )
-def test_what_is_no_symbol(bad: object) -> None:
+def test_invalid_symbols_are_refused(bad: object) -> None:
     with pytest.raises(InvalidArgument, match="integers or booleans"):
         Counts.of(bad)  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match="integers or booleans"):
         Counts.of(bad, bad)  # type: ignore[arg-type]
 
 
-def test_other_refusals() -> None:
+def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(InvalidArgument, match="NaN among them"):
         Counts.of(np.array([1.0, np.nan]))
     with pytest.raises(InvalidArgument, match=r"2\^63"):
@@ -193,14 +191,14 @@ def test_other_refusals() -> None:
         Counts.of([1, 2], [1, 2, 3])
     with pytest.raises(InvalidArgument, match="no array"):
         Counts.of()
-    one = np.ones(2, np.int64)
-    row = one[:1, None]
-    for cells, counts in ((one, one), (row, one), (row, one[:1] * 0), (row.astype(float), one[:1])):
+    ones = np.ones(2, np.int64)
+    row = ones[:1, None]
+    for cells, counts in ((ones, ones), (row, ones), (row, ones[:1] * 0), (row.astype(float), ones[:1])):
         with pytest.raises(InvalidArgument, match="Counts"):
             Counts(cells, counts)
     for rows in (np.array([[1, 2], [1, 2]]), np.array([[1, 2], [1, 1]]), np.array([[2, 0], [1, 5]])):
         with pytest.raises(InvalidArgument, match="ascending"):
-            Counts(rows, one)
+            Counts(rows, ones)
     with pytest.raises(ValueError, match="read-only"):
         Counts.of([1]).weights[0] = 5
     full = np.arange(70_000)
@@ -219,7 +217,7 @@ def test_other_refusals() -> None:
     )
 )
 def test_joint_symbols(samples: tuple[NDArray[np.generic], ...]) -> None:
-    """64-bit symbols of full range make boxes of more than 2^63 cells."""
+    """64-bit symbols of full range give boxes of more than 2^63 cells."""
     h = Counts.of(*samples)
     joint_agrees(h, *samples)
     joint_agrees(Counts.of(*[x.T for x in samples]), *[x.T for x in samples])
@@ -257,12 +255,12 @@ def test_joint_blocks_add_up() -> None:
     counts = Counts.of(x, y, blocks=12)
     assert counts.blocks is not None and np.array_equal(counts.blocks.sum(axis=0), counts.weights)
     first = Counts.of(x.ravel()[:170], y.ravel()[:170])
-    held = counts.blocks[0] > 0
-    assert np.array_equal(counts.cells[held], first.cells)
-    assert np.array_equal(counts.blocks[0][held], first.weights)
+    nonzero = counts.blocks[0] > 0
+    assert np.array_equal(counts.cells[nonzero], first.cells)
+    assert np.array_equal(counts.blocks[0][nonzero], first.weights)
 
 
-def test_how_many_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_number_of_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     x = np.arange(1000) % 50
     assert Counts.of(x).blocks is None and not Counts.of(x).notes
     few = Counts.of(x[:5], blocks=64)

@@ -1,4 +1,4 @@
-"""Descriptors of media: spherical-harmonic power, octree levels, and what each part does not change with."""
+"""Descriptors of media: spherical-harmonic power, octree levels, and the invariances of each part."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def vectors(seed: int, count: int = 30) -> Float64s:
     return rng.normal(size=(count, 3)) * rng.uniform(0.1, 3, (count, 1)) + rng.normal(size=3)
 
 
-def turn_of(seed: int) -> Float64s:
+def rotation_of(seed: int) -> Float64s:
     return Rotation.random(random_state=seed).as_matrix()
 
 
@@ -72,14 +72,14 @@ def test_addition_theorem_and_power_as_a_sum_over_pairs(seed: int) -> None:
 
 
 @given(seeds, st.floats(0.01, 100))
-def test_power_does_not_change_with_a_turn_or_a_factor(seed: int, factor: float) -> None:
+def test_power_is_invariant_to_rotation_and_scale(seed: int, factor: float) -> None:
     f = vectors(seed)
-    assert direction_power(factor * f @ turn_of(seed).T) == pytest.approx(direction_power(f), abs=1e-10)
+    assert direction_power(factor * f @ rotation_of(seed).T) == pytest.approx(direction_power(f), abs=1e-10)
 
 
 @given(seeds, st.floats(1e-3, 0.5))
-def test_power_changes_no_more_than_directions_do(seed: int, angle: float) -> None:
-    """sqrt(P_l) by sqrt(l (l + 1) / 2) times the angle at most."""
+def test_power_changes_are_bounded_by_those_of_directions(seed: int, angle: float) -> None:
+    """sqrt(P_l) changes by at most sqrt(l (l + 1) / 2) times the angle."""
     f = vectors(seed)
     axes = np.random.default_rng(seed).normal(size=f.shape)
     axes *= angle / np.linalg.norm(axes, axis=1, keepdims=True)
@@ -98,14 +98,12 @@ def test_power_of_a_wall_a_cube_and_nothing() -> None:
         DirectionSums(0)
 
 
-def test_the_42_directions_are_those_of_the_coder() -> None:
+def test_directions_are_those_of_the_coder() -> None:
     assert icosahedral_directions() == pytest.approx(Codebook.get("ico2").vertices, abs=1e-9)
 
 
 def test_a_sphere_on_a_lattice_within_the_bound_of_the_lattice() -> None:
-    """A sample stands for points up to half a diagonal of its cell away: over the radius, how far a normal
-    turns.
-    """
+    """A sample represents points up to half a cell diagonal away, which bounds the change of the normal."""
     for n in (24, 48):
         grid = Grid.over_box(*GRID.box_m, (n, n, n))
         r, wall_m = 0.055, 0.01
@@ -118,15 +116,15 @@ def test_a_sphere_on_a_lattice_within_the_bound_of_the_lattice() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_power_of_a_body_in_two_poses(kind: str) -> None:
-    """The same to a fifth of what tells it from any other kind."""
+    """The difference between poses is below a fifth of that to any other kind."""
     poses = [
-        descriptor(body(kind, 0.055, turn_of(s), np.full(3, 1e-3 * s)))["direction_power"] for s in (1, 2)
+        descriptor(body(kind, 0.055, rotation_of(s), np.full(3, 1e-3 * s)))["direction_power"] for s in (1, 2)
     ]
     others = [
-        descriptor(body(k, 0.055, turn_of(3), np.zeros(3)))["direction_power"] for k in KINDS if k != kind
+        descriptor(body(k, 0.055, rotation_of(3), np.zeros(3)))["direction_power"] for k in KINDS if k != kind
     ]
-    apart = np.linalg.norm(poses[0] - poses[1])
-    assert apart < min(np.linalg.norm(poses[0] - other) for other in others) / 5
+    difference = np.linalg.norm(poses[0] - poses[1])
+    assert difference < min(np.linalg.norm(poses[0] - other_power) for other_power in others) / 5
 
 
 # -- octree ------------------------------------------------------------------------------------------------
@@ -141,10 +139,10 @@ def levels_of(shape: tuple[int, int, int], amplitude: float = 1.0) -> tuple[Floa
 
 
 @pytest.mark.parametrize(("shape", "dimension"), [((32, 32, 32), 3), ((32, 32, 1), 2), ((1, 32, 1), 1)])
-def test_support_fraction_tells_the_dimension(shape: tuple[int, int, int], dimension: int) -> None:
+def test_support_fraction_gives_the_dimension(shape: tuple[int, int, int], dimension: int) -> None:
     fractions, entropies = levels_of(shape)
-    whole = np.array([n == 32 for n in shape])
-    assert whole.sum() == dimension
+    is_full = np.array([n == 32 for n in shape])
+    assert is_full.sum() == dimension
     expected = 2.0 ** ((dimension - 3) * np.arange(1, LEVELS + 1))
     assert fractions == pytest.approx(expected)
     h2 = [0 if p == 1 else -p * math.log2(p) - (1 - p) * math.log2(1 - p) for p in expected]
@@ -169,19 +167,19 @@ def sheet(grid: Grid = GRID, shift: int = 0) -> ForceField:
     return ForceField.from_dense(grid, (amplitude[..., None] * normal).astype(np.float32))
 
 
-def test_place_and_size_change_nothing() -> None:
+def test_descriptor_is_invariant_to_position_and_size() -> None:
     plain = descriptor(sheet())
     assert descriptor(sheet(shift=3)).values == pytest.approx(plain.values, abs=1e-6)
     twice = sheet().on_grid(GRID.moved(2.0, (0.3, 0.1, 0.0)))
     assert descriptor(twice).values == pytest.approx(plain.values, abs=1e-6)
 
 
-def test_turns_by_right_angles_change_the_directions_alone() -> None:
+def test_rotations_by_right_angles_change_only_directions() -> None:
     """x to y, y to z, z to x; a stiffer body has other amplitudes and classes."""
     field = sheet()
     dense = field.to_dense()
-    turned = ForceField.from_dense(GRID, dense.transpose(2, 0, 1, 3)[..., [2, 0, 1]])
-    a, b = descriptor(field), descriptor(turned)
+    rotated = ForceField.from_dense(GRID, dense.transpose(2, 0, 1, 3)[..., [2, 0, 1]])
+    a, b = descriptor(field), descriptor(rotated)
     for part in PARTS:
         if part != "directions":
             assert b[part] == pytest.approx(a[part], abs=1e-6), part
@@ -192,7 +190,7 @@ def test_turns_by_right_angles_change_the_directions_alone() -> None:
     assert np.abs(stiffer["amplitude"] - a["amplitude"]).max() > 0.05
 
 
-def test_what_no_hand_feels_does_not_count() -> None:
+def test_imperceptible_forces_do_not_count() -> None:
     field = sheet()
     weak = np.where(field.to_dense() == 0, 0.02, field.to_dense())
     assert descriptor(ForceField.from_dense(GRID, weak.astype(np.float32))).values == pytest.approx(
@@ -200,7 +198,7 @@ def test_what_no_hand_feels_does_not_count() -> None:
     )
 
 
-def test_amplitude_shares_are_of_all_voxels() -> None:
+def test_amplitude_fractions_are_of_all_voxels() -> None:
     d = descriptor(sheet())
     for part in ("amplitude", "directions"):
         assert (d[part] ** 2).sum() == pytest.approx(1)
@@ -209,10 +207,12 @@ def test_amplitude_shares_are_of_all_voxels() -> None:
     assert alike == pytest.approx([math.sqrt(0.5) if n in (3, 4) else 0 for n in range(21)], abs=1e-3)
 
 
-def test_entropies_of_levels_are_over_the_most_of_all_classes_and_no_force() -> None:
-    held = sheet().support()
-    felt = held.amplitudes_n >= 0.05
-    entropies = octree_levels(GRID, held.positions[felt], held.amplitudes_n[felt], thresholds_n())[1]
+def test_level_entropies_are_normalised_by_the_number_of_classes() -> None:
+    support = sheet().support()
+    perceptible = support.amplitudes_n >= 0.05
+    entropies = octree_levels(
+        GRID, support.positions[perceptible], support.amplitudes_n[perceptible], thresholds_n()
+    )[1]
     assert descriptor(sheet())["level_entropy"] == pytest.approx(entropies / math.log2(22))
 
 
@@ -224,9 +224,9 @@ def film(frames: list[ForceField], rate_hz: float) -> HapticMedium:
 
 
 def test_change_in_time() -> None:
-    still, moving = film([sheet()] * 3, 30), film([sheet(shift=s) for s in range(3)], 30)
-    assert descriptor(still) == descriptor(sheet())
-    assert (descriptor(still)["change"][0], descriptor(still)["turnover"][0]) == (0, 0)
+    static, moving = film([sheet()] * 3, 30), film([sheet(shift=s) for s in range(3)], 30)
+    assert descriptor(static) == descriptor(sheet())
+    assert (descriptor(static)["change"][0], descriptor(static)["turnover"][0]) == (0, 0)
     assert 0 < descriptor(moving)["turnover"][0] < descriptor(moving)["change"][0] < 1
     opposite = descriptor(film([sheet(), sheet().scaled(-1)], 30))
     assert (opposite["change"][0], opposite["turnover"][0]) == (1, 0)
@@ -259,22 +259,23 @@ def test_change_does_not_depend_on_the_rate() -> None:
     assert descriptor(fast, 100).values == pytest.approx(descriptor(slow, 100).values, abs=1e-6)
 
 
-def test_few_frames_are_looked_at() -> None:
-    asked: list[int] = []
+def test_few_frames_are_read() -> None:
+    requested: list[int] = []
 
     def make(i: int) -> ForceField:
-        asked.append(i)
+        requested.append(i)
         return sheet(shift=i % 5)
 
     descriptor(HapticMedium(GRID, 1000.0, 500, make), frames=3)
-    assert asked == [0, 33, 233, 266, 466, 499]
-    for rate_hz, count, places in (
+    assert requested == [0, 33, 233, 266, 466, 499]
+    # two frames 20 ms apart; all frames of a shorter medium
+    for rate_hz, count, expected in (
         (50.0, 9, [0, 2]),
         (1000.0, 4, [0, 3]),
-    ):  # two of 20 ms; all where it is shorter
-        asked.clear()
+    ):
+        requested.clear()
         descriptor(HapticMedium(GRID, rate_hz, count, make), frames=1)
-        assert asked == places
+        assert requested == expected
 
 
 # -- the record --------------------------------------------------------------------------------------------
@@ -284,7 +285,7 @@ def test_parts_fill_the_vector() -> None:
     assert sum(PARTS.values()) == DESCRIPTOR_LENGTH == len(descriptor(sheet()).values)
 
 
-def test_refusals() -> None:
+def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(InvalidArgument, match=r"no force of 0\.05 N"):
         descriptor(ForceField.empty(GRID))
     with pytest.raises(InvalidArgument, match="frames"):

@@ -1,4 +1,4 @@
-"""Exact quantities of given probabilities, against values worked out by hand, scipy and dit."""
+"""Exact quantities of given probabilities, compared with analytic values, scipy and dit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Vector = NDArray[np.float64]
 
 
 class d:
-    """The quantities of given probabilities."""
+    """Information quantities of given probabilities."""
 
     @staticmethod
     def entropy(p: object) -> Quantity:
@@ -55,14 +55,14 @@ class d:
 
 
 def probabilities(shape: int | tuple[int, ...]) -> st.SearchStrategy[Vector]:
-    """Distributions with zeros and with very small probabilities among them."""
+    """Distributions that include zeros and very small probabilities."""
     weights = st.one_of(st.just(0.0), st.floats(1e-6, 1), st.floats(1e-30, 1e-6))
     return (
         arrays(np.float64, shape, elements=weights).filter(lambda w: w.sum() > 0).map(lambda w: w / w.sum())
     )
 
 
-def test_numbers_of_the_literature() -> None:
+def test_values_of_the_literature() -> None:
     assert float(d.entropy([1 / 2, 1 / 4, 1 / 8, 1 / 8])) == 1.75
     assert float(d.entropy([0.9, 0.1])) == pytest.approx(0.468996, abs=1e-6)
     assert float(d.entropy(COVER_THOMAS.sum(axis=1))) == pytest.approx(1.75, abs=1e-12)
@@ -83,7 +83,7 @@ def test_markov_chain() -> None:
     assert float(d.conditional_entropy(joint, given=0)) == pytest.approx(0.373504, abs=1e-6)
 
 
-def test_what_a_quantity_says() -> None:
+def test_metadata_of_a_quantity() -> None:
     q = d.jensen_shannon_distance([0.5, 0.5, 0], [0, 0.5, 0.5])
     assert (q.estimator, q.samples, q.symbols, q.unit, q.interval) == ("exact", 0, 3, "sqrt(bit)", None)
     assert d.entropy([1.0]).value == 0 and math.copysign(1, d.entropy([1.0]).value) == 1
@@ -94,7 +94,7 @@ def test_divergences_agree_with_scipy(p: Vector, q: Vector) -> None:
     assert float(d.entropy(p)) == pytest.approx(stats.entropy(p, base=2), abs=1e-12)
     assert float(d.jensen_shannon_distance(p, q)) ** 2 == pytest.approx(
         np.nan_to_num(distance.jensenshannon(p, q, 2)) ** 2,
-        abs=1e-12,  # scipy: NaN for equal ones, by rounding
+        abs=1e-12,  # scipy: NaN for equal distributions, by rounding
     )
 
 
@@ -103,56 +103,56 @@ def test_joint_quantities_agree_with_dit(table: Vector) -> None:
     joint = dit.Distribution([f"{x}{y}" for x in range(4) for y in range(3)], table.ravel())
     joint.set_rv_names("XY")
     x, y = dit.shannon.entropy(joint, "X"), dit.shannon.entropy(joint, "Y")
-    both, shared = dit.shannon.entropy(joint), dit.shannon.mutual_information(joint, "X", "Y")
-    near = {"abs": 1e-12, "rel": 0}
-    assert float(d.joint_entropy(table)) == pytest.approx(both, **near)
-    assert float(d.mutual_information(table)) == pytest.approx(shared, **near)
+    both, mutual = dit.shannon.entropy(joint), dit.shannon.mutual_information(joint, "X", "Y")
+    tolerance = {"abs": 1e-12, "rel": 0}
+    assert float(d.joint_entropy(table)) == pytest.approx(both, **tolerance)
+    assert float(d.mutual_information(table)) == pytest.approx(mutual, **tolerance)
     assert float(d.conditional_entropy(table, 1)) == pytest.approx(
-        dit.shannon.conditional_entropy(joint, "X", "Y"), **near
+        dit.shannon.conditional_entropy(joint, "X", "Y"), **tolerance
     )
     assert float(d.conditional_entropy(table, 0)) == pytest.approx(
-        dit.shannon.conditional_entropy(joint, "Y", "X"), **near
+        dit.shannon.conditional_entropy(joint, "Y", "X"), **tolerance
     )
-    assert float(d.variation_of_information(table)) == pytest.approx(2 * both - x - y, **near)
-    below = math.sqrt(max(0.0, x * y))
-    if below > 1e-3:  # a quotient of rounding errors says nothing
-        assert float(d.normalised_mutual_information(table)) == pytest.approx(shared / below, abs=1e-9)
+    assert float(d.variation_of_information(table)) == pytest.approx(2 * both - x - y, **tolerance)
+    denominator = math.sqrt(max(0.0, x * y))
+    if denominator > 1e-3:  # a quotient of rounding errors is meaningless
+        assert float(d.normalised_mutual_information(table)) == pytest.approx(mutual / denominator, abs=1e-9)
 
 
 @given(probabilities((3, 2, 4)))
 def test_chain_rule(table: Vector) -> None:
-    whole = float(d.joint_entropy(table))
+    joint_bits = float(d.joint_entropy(table))
     first = float(d.entropy(table.sum(axis=(1, 2))))
     second = float(d.conditional_entropy(table.sum(axis=2), given=0))
     pairs = float(d.conditional_entropy(table.reshape(6, 4), given=0))
-    assert first + second + pairs == pytest.approx(whole, abs=1e-12)
-    assert first + float(d.conditional_entropy(table, given=0)) == pytest.approx(whole, abs=1e-12)
+    assert first + second + pairs == pytest.approx(joint_bits, abs=1e-12)
+    assert first + float(d.conditional_entropy(table, given=0)) == pytest.approx(joint_bits, abs=1e-12)
 
 
 @given(probabilities(5), probabilities(5), probabilities(5))
 def test_root_of_jensen_shannon_is_a_metric(p: Vector, q: Vector, r: Vector) -> None:
-    def far(a: Vector, b: Vector) -> float:
+    def jsd(a: Vector, b: Vector) -> float:
         return float(d.jensen_shannon_distance(a, b))
 
-    assert far(p, p) == pytest.approx(0, abs=1e-7)
-    assert far(p, q) == pytest.approx(far(q, p), abs=1e-15)
-    assert 0 <= far(p, q) <= 1
-    assert far(p, r) <= far(p, q) + far(q, r) + 1e-7
+    assert jsd(p, p) == pytest.approx(0, abs=1e-7)
+    assert jsd(p, q) == pytest.approx(jsd(q, p), abs=1e-15)
+    assert 0 <= jsd(p, q) <= 1
+    assert jsd(p, r) <= jsd(p, q) + jsd(q, r) + 1e-7
 
 
 @given(probabilities((3, 3, 3)))
 def test_variation_of_information_is_a_metric(table: Vector) -> None:
-    def far(rest: int) -> float:
+    def variation(rest: int) -> float:
         return float(d.variation_of_information(table.sum(axis=rest)))
 
-    assert far(1) <= far(2) + far(0) + 1e-12
-    assert far(2) == pytest.approx(float(d.variation_of_information(table.sum(axis=2).T)), abs=1e-12)
+    assert variation(1) <= variation(2) + variation(0) + 1e-12
+    assert variation(2) == pytest.approx(float(d.variation_of_information(table.sum(axis=2).T)), abs=1e-12)
     assert float(d.variation_of_information(np.diag(table.sum(axis=(1, 2))))) == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.parametrize("row", [[1.0, 0.0], [1 / 6, 4 / 6, 1 / 6], [1 / 7] * 7])
-def test_nothing_varies(row: list[float]) -> None:
-    """Also where the shares of a certainty add up to 1 - 1e-16."""
+def test_constant_variables(row: list[float]) -> None:
+    """Also where the probabilities of a certain event sum to 1 - 1e-16."""
     q = d.normalised_mutual_information([row, [0.0] * len(row)])
     assert math.isnan(float(q)) and "0/0" in q.notes[0]
 
@@ -170,14 +170,14 @@ def test_nothing_varies(row: list[float]) -> None:
         (["a"], "no array of numbers"),
     ],
 )
-def test_what_is_no_distribution(p: object, found: str) -> None:
+def test_invalid_distributions_are_refused(p: object, found: str) -> None:
     with pytest.raises(InvalidArgument, match=found):
         d.entropy(p)
     with pytest.raises(InvalidArgument, match=found):
         d.jensen_shannon_distance([0.5, 0.5], p)
 
 
-def test_other_refusals() -> None:
+def test_invalid_arguments_are_refused() -> None:
     assert float(d.entropy([0.5, 0.5 - 5e-10])) == pytest.approx(1, abs=1e-8)
     with pytest.raises(InvalidArgument, match="1 variable; expected 2"):
         d.mutual_information([0.5, 0.5])

@@ -1,4 +1,4 @@
-"""Entropy from counts: known values, exact expectations, convergence, declared properties, refusals."""
+"""Entropy from counts: known values, exact expectations, convergence, properties, and refused arguments."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def zipf(count: int) -> Probabilities:
 
 
 def sparse() -> Probabilities:
-    """97 % zeros; the rest over 512 codewords."""
+    """97 % zeros; the rest uniform over 512 codewords."""
     return np.concatenate([[0.97], 0.03 * zipf(512)])
 
 
@@ -41,7 +41,7 @@ small_counts = st.lists(st.integers(0, 6), min_size=1, max_size=30).filter(any)
 
 
 @given(counts_lists)
-def test_plug_in_equals_scipy_and_the_entropy_of_the_job(counts: list[int]) -> None:
+def test_plug_in_agrees_with_scipy_and_entropy_bits(counts: list[int]) -> None:
     assert estimate_bits(counts) == pytest.approx(stats.entropy(counts, base=2), abs=1e-12)
     assert estimate_bits(counts) == pytest.approx(entropy_bits(counts), abs=1e-12)
 
@@ -49,7 +49,7 @@ def test_plug_in_equals_scipy_and_the_entropy_of_the_job(counts: list[int]) -> N
 @pytest.mark.parametrize("voxels", [10**3, 10**9, 2**36, 2**60])
 @pytest.mark.parametrize("few", [[1], [1] * 512, [300, 200, 12]])
 def test_plug_in_where_one_symbol_dominates(voxels: int, few: list[int]) -> None:
-    """One brick in an empty lattice: against 50 digits."""
+    """One brick in an empty lattice, compared with 50 digits."""
     with decimal.localcontext(prec=50):
         p = [decimal.Decimal(c) / voxels for c in (*few, voxels - sum(few))]
         bits = float(-sum(x * x.ln() for x in p) / decimal.Decimal(2).ln())
@@ -59,16 +59,16 @@ def test_plug_in_where_one_symbol_dominates(voxels: int, few: list[int]) -> None
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_no_entropy_is_zero_and_not_minus_zero(name: str) -> None:
+def test_zero_entropy_is_not_minus_zero(name: str) -> None:
     for alphabet in (None, 1):
         assert math.copysign(1, estimate_bits([1000], name, alphabet)) == 1
     assert math.copysign(1, entropy_bits([1000])) == 1
 
 
-def test_plug_in_of_the_textbook() -> None:
+def test_plug_in_agrees_with_the_textbook() -> None:
     assert estimate_bits([4, 2, 1, 1]) == 1.75
     assert estimate_bits([9, 1]) == pytest.approx(0.468996, abs=5e-7)
-    chain = np.array([[0.76, 0.04], [0.04, 0.16]]) * 100  # a = .05, b = .2: pairs of neighbours
+    chain = np.array([[0.76, 0.04], [0.04, 0.16]]) * 100  # a = .05, b = .2: adjacent pairs
     assert estimate_bits(chain.sum(axis=1).round()) == pytest.approx(0.721928, abs=5e-7)
     rate = estimate_bits(chain.round()) - estimate_bits(chain.sum(axis=1).round())
     assert rate == pytest.approx(0.373504, abs=1e-6)
@@ -86,12 +86,12 @@ def test_a_rounded_gaussian(step: float, bits: float) -> None:
         assert estimate_bits(drawn, name) == pytest.approx(bits, abs=4e-3)
 
 
-def test_uniform_quantisation_with_entropy_coding_costs_a_quarter_of_a_bit() -> None:
+def test_uniform_quantisation_is_a_quarter_of_a_bit_above_the_bound() -> None:
     step = 0.05
     centre = np.arange(-200, 201) * step
     cell = np.array([centre - step / 2, centre + step / 2])
     p = np.diff(stats.norm.cdf(cell), axis=0)[0]
-    # E (X - c)^2 in a cell, from the moments of a cut Gaussian
+    # E (X - c)^2 in a cell, from the moments of a truncated Gaussian
     low, high = cell
     first = stats.norm.pdf(low) - stats.norm.pdf(high)
     second = p + low * stats.norm.pdf(low) - high * stats.norm.pdf(high)
@@ -108,10 +108,10 @@ def test_miller_madow_adds_half_a_nat_for_each_observed_symbol() -> None:
 
 
 @given(small_counts)
-def test_chao_wang_jost_equals_the_printed_formula(counts: list[int]) -> None:
-    seen = [c for c in counts if c]
-    n, once, twice = sum(seen), seen.count(1), seen.count(2)
-    nats = sum(c / n * sum(1 / k for k in range(c, n)) for c in seen)
+def test_chao_wang_jost_agrees_with_the_published_formula(counts: list[int]) -> None:
+    positive = [c for c in counts if c]
+    n, once, twice = sum(positive), positive.count(1), positive.count(2)
+    nats = sum(c / n * sum(1 / k for k in range(c, n)) for c in positive)
     if once and n > 1:
         a = 2 * twice / ((n - 1) * once + 2 * twice) if twice else 2 / ((n - 1) * (once - 1) + 2)
         if a < 1:
@@ -123,15 +123,15 @@ def test_chao_wang_jost_equals_the_printed_formula(counts: list[int]) -> None:
 @pytest.mark.parametrize(
     ("a", "n"), [(0.9, 1), (0.3, 1), (0.3, 2), (0.3, 1000), (0.01, 7), (1e-3, 500), (0.9, 1e9)]
 )
-def test_the_tail_of_chao_wang_jost_equals_its_sum(a: float, n: float) -> None:
+def test_tail_of_chao_wang_jost_agrees_with_its_sum(a: float, n: float) -> None:
     j = np.arange(1, 60_000)
     expected = math.fsum((1 - a) ** j / (n - 1 + j))
     assert _geometric_tail(a, n) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("z", [1e-6, 0.1, 3.0, 200.0])
-def test_the_tail_of_chao_wang_jost_for_many_samples(z: float) -> None:
-    n = 1e10  # it becomes e^z E1(z), to 1/n, where the printed difference has lost its digits
+def test_tail_of_chao_wang_jost_for_many_samples(z: float) -> None:
+    n = 1e10  # it approaches e^z E1(z), to 1/n, where the published difference suffers from cancellation
     assert _geometric_tail(z / n, n) == pytest.approx(
         special.exp1(z) * math.exp(z), rel=2 * (z + 1) / n + 1e-13
     )
@@ -141,11 +141,11 @@ def test_the_tail_of_chao_wang_jost_for_many_samples(z: float) -> None:
 
 
 def expected_bits(p: Probabilities, n: int, term: Callable[[Probabilities], Probabilities]) -> float:
-    """The expectation of sum over symbols of term(count), exactly."""
+    """The exact expectation of sum over symbols of term(count)."""
     k = np.arange(n + 1)
     values = term(k.astype(float))
-    chances, times = np.unique(p, return_counts=True)
-    return float(sum(t * (stats.binom.pmf(k, n, c) * values).sum() for c, t in zip(chances, times)))
+    probabilities, times = np.unique(p, return_counts=True)
+    return float(sum(t * (stats.binom.pmf(k, n, c) * values).sum() for c, t in zip(probabilities, times)))
 
 
 def linear_terms(n: int) -> dict[str, Callable[[Probabilities], Probabilities]]:
@@ -163,7 +163,7 @@ CASES = {"zipf": (zipf(1000), 1000), "sparse": (sparse(), 10_000)}
 
 @pytest.fixture(scope="module")
 def drawn_biases() -> dict[tuple[str, str], tuple[float, float]]:
-    """Mean and standard error of (estimate - entropy), bits, of 400 draws, for each case and estimator."""
+    """Mean and standard error of (estimate - entropy), bits, over 400 draws, by case and estimator."""
     rng, found = np.random.default_rng(2), {}
     for case, (p, n) in CASES.items():
         draws = [rng.multinomial(n, p) for _ in range(400)]
@@ -187,7 +187,7 @@ def test_the_bias_is_the_exact_expectation(
 
 @pytest.mark.parametrize(
     ("case", "name", "published", "documented", "tolerance"),
-    [  # `published` was measured on other draws (and, sparse, on another spread of the 3 %)
+    [  # `published` was measured on other draws (and for sparse, on another distribution of the 3 %)
         ("zipf", "plug-in", -0.64, -0.60, 0.05),
         ("zipf", "miller-madow", -0.32, -0.36, 0.06),
         ("zipf", "chao-wang-jost", None, -0.07, 0.0),
@@ -228,7 +228,7 @@ def test_every_estimator_converges(name: str, case: str) -> None:
 
 
 def outcomes(n: int, symbols: int) -> Iterator[tuple[int, ...]]:
-    """All counts of n samples."""
+    """All possible counts of n samples."""
     for bars in itertools.combinations(range(n + symbols - 1), symbols - 1):
         yield tuple(b - a - 1 for a, b in itertools.pairwise((-1, *bars, n + symbols - 1)))
 
@@ -239,21 +239,23 @@ def exact_bias(name: str, p: tuple[float, ...], n: int) -> float:
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_is_biased_low_is_what_happens(name: str) -> None:
+def test_sign_of_the_bias_is_as_declared(name: str) -> None:
     cases = [((0.5, 0.5), 2), ((0.9, 0.1), 12), ((0.4, 0.3, 0.3), 6), ((0.8, 0.1, 0.1), 8), ((0.7, 0.3), 40)]
     cases += [((0.5, 0.5), 60), (tuple([1 / 6] * 6), 3)]
     biases = [exact_bias(name, p, n) for p, n in cases]
     plain = [exact_bias("plug-in", p, n) for p, n in cases]
     if name == "plug-in":
         assert max(biases) < 0
-    elif name == "miller-madow":  # half a nat for each symbol that is expected to be seen, but one
-        seen = [sum(1 - (1 - one) ** n for one in p) for p, n in cases]
-        added = [(symbols - 1) / (2 * n * LN2) for symbols, (_, n) in zip(seen, cases, strict=True)]
+    elif name == "miller-madow":  # half a nat for each expected symbol except one
+        expected_symbols = [sum(1 - (1 - probability) ** n for probability in p) for p, n in cases]
+        added = [
+            (symbols - 1) / (2 * n * LN2) for symbols, (_, n) in zip(expected_symbols, cases, strict=True)
+        ]
         assert biases == pytest.approx(np.add(plain, added), abs=1e-12)
     else:
         assert max(biases) > 0
     if name != "plug-in":
-        assert all(abs(own) < abs(other) for own, other in zip(biases, plain, strict=True)), (
+        assert all(abs(bias) < abs(plain_bias) for bias, plain_bias in zip(biases, plain, strict=True)), (
             "most of it is taken off"
         )
 
@@ -263,7 +265,7 @@ def test_is_biased_low_is_what_happens(name: str) -> None:
 
 @pytest.mark.parametrize("name", ESTIMATORS)
 @given(counts=small_counts, extra=st.integers(0, 5))
-def test_only_the_counts_of_the_counts_matter(name: str, counts: list[int], extra: int) -> None:
+def test_estimates_depend_only_on_counts_of_counts(name: str, counts: list[int], extra: int) -> None:
     shuffled = np.array(sorted(counts, reverse=True) + [0] * extra, np.float32).reshape(-1, 1)
     assert estimate_bits(shuffled, name) == estimate_bits(np.array(counts, np.uint8), name)
 
@@ -277,11 +279,11 @@ def test_every_estimate_is_an_entropy(name: str, counts: list[int], more: int) -
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_one_symbol_seen_often_says_nothing(name: str) -> None:
+def test_one_frequent_symbol_has_no_entropy(name: str) -> None:
     assert estimate_bits([0, 10**7], name) == pytest.approx(0, abs=1e-6)
 
 
-def test_the_counts_of_the_counts() -> None:
+def test_counts_of_the_counts() -> None:
     t = tally([[3, 0, 1], [1, 3, 3]])
     assert (t.counts.tolist(), t.times.tolist()) == ([1, 3], [2, 3])
     assert (
@@ -300,7 +302,7 @@ def test_the_counts_of_the_counts() -> None:
 
 @pytest.mark.parametrize("name", ESTIMATORS)
 @pytest.mark.parametrize(
-    ("counts", "words"),
+    ("counts", "message"),
     [
         ([3, -1], "counts: found -1"),
         ([0.5, 0.5], "counts: found 0.5"),
@@ -313,18 +315,18 @@ def test_the_counts_of_the_counts() -> None:
         ([1 + 2j], "counts"),
     ],
 )
-def test_counts_that_cannot_be(name: str, counts: list[object], words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
+def test_invalid_counts_are_refused(name: str, counts: list[object], message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
         estimate_bits(counts, name)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("alphabet", [2, 0, -1, 3.5, math.nan, math.inf])
-def test_an_alphabet_that_cannot_be(alphabet: float) -> None:
+def test_invalid_alphabets_are_refused(alphabet: float) -> None:
     with pytest.raises(InvalidArgument, match="a whole number of at least 3"):
         estimate_bits([1, 2, 3, 0], "chao-wang-jost", alphabet)  # type: ignore[arg-type]
 
 
-def test_an_estimator_that_is_not() -> None:
+def test_unknown_estimators_are_refused() -> None:
     with pytest.raises(
         InvalidArgument, match="estimator: found 'magic'; expected one of plug-in, miller-madow"
     ):

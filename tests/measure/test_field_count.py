@@ -1,4 +1,4 @@
-"""Voxels and object from one count: the same quantities as apart, from fewer passes."""
+"""Voxel and object entropy from one count: the same as from separate counts, with fewer passes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def frame(seed: int, alphabet: int, full: bool = False) -> FieldSymbols:
     return FieldSymbols.from_dense(GRID, dense, alphabet, "a Q")
 
 
-class Made(Sequence[FieldSymbols]):
+class CountingFrames(Sequence[FieldSymbols]):
     def __init__(self, frames: list[FieldSymbols]) -> None:
         self.frames, self.times = frames, [0] * len(frames)
 
@@ -41,21 +41,21 @@ class Made(Sequence[FieldSymbols]):
 @pytest.mark.parametrize("alphabet", [12, 1 << 20])
 @pytest.mark.parametrize("full", [False, True])
 @pytest.mark.parametrize("interval", [False, True])
-def test_one_count_serves_every_entropy(alphabet: int, full: bool, interval: bool) -> None:
+def test_one_count_gives_every_entropy(alphabet: int, full: bool, interval: bool) -> None:
     frames = [frame(n, alphabet, full) for n in range(3)]
-    lazy = Made(frames)
+    lazy = CountingFrames(frames)
     counts = field_counts(lazy, interval=interval)
     assert lazy.times == [1 + interval] * 3
     for over in ("voxel", "object"):
         for estimator in ("plug-in", "miller-madow"):
-            alone = field_entropy(frames, over, estimator=estimator, interval=interval)
-            assert entropy(counts[over], estimator=estimator) == alone
-            assert (alone.interval is not None) == interval
+            separate = field_entropy(frames, over, estimator=estimator, interval=interval)
+            assert entropy(counts[over], estimator=estimator) == separate
+            assert (separate.interval is not None) == interval
         plain = field_entropy(frames, over, interval=False)
         assert entropy(counts[over], interval=False) == plain
 
 
-def test_without_a_force_there_are_voxels_and_no_object() -> None:
+def test_empty_fields_have_voxels_and_no_object() -> None:
     empty = FieldSymbols.from_dense(GRID, np.zeros(GRID.shape, int), 9, "a Q")
     counts = field_counts([empty, empty])
     assert entropy(counts["voxel"]).value == 0
@@ -65,19 +65,17 @@ def test_without_a_force_there_are_voxels_and_no_object() -> None:
         field_entropy([empty, empty], "object")
 
 
-def test_a_measurement_makes_each_frame_seldom(wavy_field: ForceField) -> None:
-    """To fit Q, to count, to count the blocks, and for each of time's two passes;
-    once more for the energy.
-    """
-    made = [0] * 6
+def test_measurement_computes_each_frame_few_times(wavy_field: ForceField) -> None:
+    """Passes to fit Q, to count, to count the blocks, and two for time; one more frame for the energy."""
+    calls = [0] * 6
 
     def make(i: int) -> ForceField:
-        made[i] += 1
+        calls[i] += 1
         return wavy_field.scaled(1.0 if i == 4 else 0.01 + 0.1 * i)
 
     medium = HapticMedium(wavy_field.grid, 30.0, 6, make)
     found = measure_medium(medium, MeasureSpec(limits=False))
-    assert max(made) <= 6 and sum(made) <= 5 * 6 + 1
+    assert max(calls) <= 6 and sum(calls) <= 5 * 6 + 1
     assert found.corrected.value > found.voxel.value and found.corrected.interval is None
     symbols = found.object.samples
     assert found.supported_voxels == symbols and found.voxel.samples == 6 * wavy_field.grid.voxel_count

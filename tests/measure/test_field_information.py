@@ -1,4 +1,4 @@
-"""Entropies of quantised fields: the identity of voxel and object, joint measures, and the parts of space."""
+"""Entropies of quantised fields: the identity of voxel and object, joint measures, and spatial blocks."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ def grid_of(*shape: int) -> Grid:
     return Grid((x, y, z), (1e-3,) * 3, (0, 0, 0))
 
 
-def drawn(grid: Grid, seed: int, share: float = 0.2) -> NDArray[np.int32]:
-    """Symbols in a corner of the lattice."""
+def random_symbols(grid: Grid, seed: int, density: float = 0.2) -> NDArray[np.int32]:
+    """Symbols in a part of the lattice."""
     rng = np.random.default_rng(seed)
-    s = np.minimum(rng.geometric(0.4, grid.shape), K - 1) * (rng.random(grid.shape) < share)
+    s = np.minimum(rng.geometric(0.4, grid.shape), K - 1) * (rng.random(grid.shape) < density)
     s[:, :, grid.shape[2] // 2 :] = 0
     return s.astype(np.int32)
 
 
-def field(grid: Grid, seed: int, share: float = 0.2) -> FieldSymbols:
-    return FieldSymbols.from_dense(grid, drawn(grid, seed, share), K, "a Q")
+def field(grid: Grid, seed: int, density: float = 0.2) -> FieldSymbols:
+    return FieldSymbols.from_dense(grid, random_symbols(grid, seed, density), K, "a Q")
 
 
 def joint(first: Any, second: Any, over: str = "voxel", interval: bool = True) -> Counts:
@@ -58,10 +58,10 @@ def joint(first: Any, second: Any, over: str = "voxel", interval: bool = True) -
     st.sampled_from([0.02, 0.3, 1.0]),
     st.integers(1, 3),
 )
-def test_voxel_and_object_entropy(shape: tuple[int, int, int], seed: int, share: float, count: int) -> None:
-    """H_voxel = h2(p) + p H_object, exactly; and both are those of the dense array."""
+def test_voxel_and_object_entropy(shape: tuple[int, int, int], seed: int, density: float, count: int) -> None:
+    """H_voxel = h2(p) + p H_object exactly, and both agree with the dense array."""
     grid = grid_of(*shape)
-    frames = [field(grid, seed + i, share) for i in range(count)]
+    frames = [field(grid, seed + i, density) for i in range(count)]
     dense = np.stack([f.to_dense() for f in frames])
     voxel = field_entropy(frames, interval=False)
     assert float(voxel) == pytest.approx(float(info.entropy(dense, interval=False)), abs=1e-12)
@@ -71,64 +71,68 @@ def test_voxel_and_object_entropy(shape: tuple[int, int, int], seed: int, share:
             field_entropy(frames, "object")
         return
     p = np.count_nonzero(dense) / dense.size
-    within = field_entropy(frames, "object", interval=False)
-    assert float(voxel) == pytest.approx(binary_entropy_bits(p) + p * float(within), abs=1e-12)
-    assert float(within) == pytest.approx(float(info.entropy(dense[dense != 0], interval=False)), abs=1e-12)
+    object_entropy = field_entropy(frames, "object", interval=False)
+    assert float(voxel) == pytest.approx(binary_entropy_bits(p) + p * float(object_entropy), abs=1e-12)
+    assert float(object_entropy) == pytest.approx(
+        float(info.entropy(dense[dense != 0], interval=False)), abs=1e-12
+    )
 
 
 def test_voxel_and_object_entropy_of_other_estimators() -> None:
-    """H_voxel = h2(p) + p H_object is of plug-in estimates: the corrections of the two differ."""
+    """H_voxel = h2(p) + p H_object holds for plug-in estimates; bias corrections break it."""
     f = field(grid_of(16, 16, 16), 1, 0.05)
     p = f.object_count / f.voxel_count
-    apart = {}
+    differences = {}
     for estimator in ("plug-in", "miller-madow"):
-        voxel, within = (
+        voxel, object_bits = (
             float(field_entropy(f, o, estimator=estimator, interval=False)) for o in ("voxel", "object")
         )
-        apart[estimator] = voxel - binary_entropy_bits(p) - p * within
+        differences[estimator] = voxel - binary_entropy_bits(p) - p * object_bits
     # (K - 1) / 2n of K symbols and V voxels, and of K - 1 and p V: times p they differ by 1 / 2V
-    assert apart["plug-in"] == pytest.approx(0, abs=1e-12)
-    assert apart["miller-madow"] == pytest.approx(1 / (2 * f.voxel_count * math.log(2)), rel=1e-6)
+    assert differences["plug-in"] == pytest.approx(0, abs=1e-12)
+    assert differences["miller-madow"] == pytest.approx(1 / (2 * f.voxel_count * math.log(2)), rel=1e-6)
 
 
-def test_a_lattice_that_no_memory_holds() -> None:
-    """1.15e18 voxels, 512 of them with a force: H_voxel = h2(p) + p H_object still."""
+def test_lattice_larger_than_the_memory() -> None:
+    """1.15e18 voxels, 512 of them with a force: H_voxel = h2(p) + p H_object holds."""
     grid = grid_of(1 << 20, 1 << 20, 1 << 20)
     symbols = np.arange(512, dtype=np.int32).reshape(1, 8, 8, 8) % 8 + 1
-    one = FieldSymbols(grid, np.array([[77, 1234, 99]], np.int32), symbols, K, "a Q")
-    voxel, within = field_entropy(one), field_entropy(one, "object")
-    assert float(within) == 3 and voxel.samples == 1 << 60
+    symbols_field = FieldSymbols(grid, np.array([[77, 1234, 99]], np.int32), symbols, K, "a Q")
+    voxel, object_entropy = field_entropy(symbols_field), field_entropy(symbols_field, "object")
+    assert float(object_entropy) == 3 and voxel.samples == 1 << 60
     p = 512 / 2**60
     assert float(voxel) == pytest.approx(p * (3 + 51 + 1 / math.log(2)), rel=1e-3)
     assert voxel.interval is not None and voxel.interval.low <= float(voxel) <= voxel.interval.high
     with pytest.raises(InvalidArgument, match=r"2\^63"):
-        field_entropy([one] * 8)
+        field_entropy([symbols_field] * 8)
 
 
-def test_what_a_field_entropy_says() -> None:
+def test_metadata_of_a_field_entropy() -> None:
     f = field(grid_of(40, 40, 40), 1)
-    voxel, within = field_entropy(f), field_entropy(f, "object")
+    voxel, object_entropy = field_entropy(f), field_entropy(f, "object")
     assert (voxel.name, voxel.unit, voxel.quantiser) == ("H(S)", "bit/sample", "a Q")
-    assert (voxel.weighting, within.weighting) == ("voxel", "object")
-    assert (voxel.symbols, within.symbols) == (K, K - 1)
-    assert (voxel.samples, within.samples) == (64_000, f.object_count)
-    for q, name in ((voxel, "blocks"), (within, "9 blocks")):
+    assert (voxel.weighting, object_entropy.weighting) == ("voxel", "object")
+    assert (voxel.symbols, object_entropy.symbols) == (K, K - 1)
+    assert (voxel.samples, object_entropy.samples) == (64_000, f.object_count)
+    for q, name in ((voxel, "blocks"), (object_entropy, "9 blocks")):
         assert q.interval is not None and name in q.interval.method
         assert q.interval.low < float(q) < q.interval.high
     other = field_entropy(f, "object", estimator="chao-wang-jost", interval=False)
-    assert other.estimator == "chao-wang-jost" and float(other) == pytest.approx(float(within), abs=0.01)
+    assert other.estimator == "chao-wang-jost" and float(other) == pytest.approx(
+        float(object_entropy), abs=0.01
+    )
     assert field_entropy(f, interval=False).interval is None
 
 
-def test_frames_that_say_the_same_do_not_narrow_the_interval() -> None:
+def test_repeated_frames_do_not_narrow_the_interval() -> None:
     f = field(grid_of(48, 32, 32), 2)
     for over in ("voxel", "object"):
-        one, many = field_entropy(f, over).interval, field_entropy([f] * 5, over).interval
-        assert one is not None and many is not None
-        assert (many.low, many.high) == pytest.approx((one.low, one.high), abs=1e-9)
+        single, repeated = field_entropy(f, over).interval, field_entropy([f] * 5, over).interval
+        assert single is not None and repeated is not None
+        assert (repeated.low, repeated.high) == pytest.approx((single.low, single.high), abs=1e-9)
 
 
-def test_when_a_field_has_no_interval() -> None:
+def test_fields_without_an_interval() -> None:
     q = field_entropy(field(grid_of(9, 9, 20), 3), "voxel")
     assert q.interval is not None  # 12 bricks
     for over in ("voxel", "object"):
@@ -140,10 +144,10 @@ def test_when_a_field_has_no_interval() -> None:
 
 
 @given(st.integers(0, 1000), st.sampled_from([0.0, 0.02, 0.4]))
-def test_joint_measures_are_those_of_the_dense_arrays(seed: int, share: float) -> None:
+def test_joint_measures_agree_with_dense_arrays(seed: int, density: float) -> None:
     grid = grid_of(11, 17, 9)
     first = [field(grid, seed + i, 0.1) for i in range(2)]
-    second = [replace(field(grid, seed + 7 + i, share), alphabet=20, quantiser="another") for i in range(2)]
+    second = [replace(field(grid, seed + 7 + i, density), alphabet=20, quantiser="another") for i in range(2)]
     x, y = (np.stack([f.to_dense() for f in frames]) for frames in (first, second))
     either = (x != 0) | (y != 0)
     for over, (a, b) in {"voxel": (x, y), "object": (x[either], y[either])}.items():
@@ -178,7 +182,7 @@ def test_a_field_and_itself() -> None:
     assert shared.interval is not None and shared.interval.low < float(shared)
 
 
-def test_a_joint_measure_warns() -> None:
+def test_joint_measures_warn() -> None:
     grid = grid_of(8, 8, 2)
     found = joint(field(grid, 7, 1.0), field(grid, 8, 1.0), "object")
     with pytest.warns(FewSamplesWarning):
@@ -188,8 +192,8 @@ def test_a_joint_measure_warns() -> None:
 # -- frames that are made when asked for -------------------------------------------------------------------
 
 
-class Unlike(FieldSymbols):
-    """A frame that equals itself alone, for a weak set."""
+class IdentityFrame(FieldSymbols):
+    """A frame that equals only itself, for a weak set."""
 
     __hash__ = object.__hash__
 
@@ -197,22 +201,22 @@ class Unlike(FieldSymbols):
         return self is other
 
 
-class Made(Sequence[FieldSymbols]):
-    """Frames that are made when asked for, and count how often each was, and how many were alive at once."""
+class CountingFrames(Sequence[FieldSymbols]):
+    """Lazy frames that count their accesses and the maximum number alive at once."""
 
     def __init__(self, frames: list[FieldSymbols], alive: weakref.WeakSet[Any] | None = None) -> None:
-        self._frames, self.times, self.most = frames, [0] * len(frames), 0
+        self._frames, self.times, self.max_alive = frames, [0] * len(frames), 0
         self._alive: weakref.WeakSet[Any] = weakref.WeakSet() if alive is None else alive
 
     def __len__(self) -> int:
         return len(self._frames)
 
     def __getitem__(self, index: Any) -> Any:
-        made = Unlike(**vars(self._frames[index]))
+        frame = IdentityFrame(**vars(self._frames[index]))
         self.times[index] += 1
-        self._alive.add(made)
-        self.most = max(self.most, len(self._alive))
-        return made
+        self._alive.add(frame)
+        self.max_alive = max(self.max_alive, len(self._alive))
+        return frame
 
 
 WAYS: dict[str, tuple[Callable[[Any], Any], int]] = {
@@ -224,13 +228,13 @@ WAYS: dict[str, tuple[Callable[[Any], Any], int]] = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_one_frame_is_held_and_made_seldom(way: str) -> None:
-    measure, passes = WAYS[way]
+@pytest.mark.parametrize("case", WAYS)
+def test_one_frame_is_alive_and_computed_few_times(case: str) -> None:
+    measure, passes = WAYS[case]
     frames = [field(grid_of(20, 20, 40), n) for n in range(5)]
-    lazy = Made(frames)
+    lazy = CountingFrames(frames)
     assert measure(lazy) == measure(frames)
-    assert lazy.most == 1 and lazy.times == [passes] * 5
+    assert lazy.max_alive == 1 and lazy.times == [passes] * 5
 
 
 @pytest.mark.parametrize(
@@ -243,44 +247,50 @@ def test_one_frame_is_held_and_made_seldom(way: str) -> None:
         ("object", False, K, 1),
     ],
 )
-def test_one_pair_is_held_and_made_seldom(over: str, interval: bool, alphabet: int, passes: int) -> None:
+def test_one_pair_is_alive_and_computed_few_times(
+    over: str, interval: bool, alphabet: int, passes: int
+) -> None:
     grid = grid_of(20, 20, 40)
     alive: weakref.WeakSet[Any] = weakref.WeakSet()
     sides = [[replace(field(grid, s + n), alphabet=alphabet) for n in range(5)] for s in (0, 50)]
-    first, second = (Made(frames, alive) for frames in sides)
-    made, kept = joint(first, second, over, interval), joint(*sides, over, interval)
-    assert info.mutual_information(made) == info.mutual_information(kept)
-    assert max(first.most, second.most) == 2 and first.times == second.times == [passes] * 5
+    first, second = (CountingFrames(frames, alive) for frames in sides)
+    lazy_counts, expected = joint(first, second, over, interval), joint(*sides, over, interval)
+    assert info.mutual_information(lazy_counts) == info.mutual_information(expected)
+    assert max(first.max_alive, second.max_alive) == 2 and first.times == second.times == [passes] * 5
 
 
-def test_a_frame_and_the_one_before_are_made_once_a_pass() -> None:
+def test_frames_are_computed_once_per_pass() -> None:
     fields = [field(grid_of(20, 20, 40), n) for n in range(6)]
-    asked: list[int] = []
+    requested: list[int] = []
 
     def quantise(n: int) -> FieldSymbols:
-        asked.append(n)
+        requested.append(n)
         return fields[n]
 
     frames = SymbolFrames(range(6), quantise)  # type: ignore[arg-type]
     found = joint(frames[1:], frames[:-1], interval=False)
     plain = joint(fields[1:], fields[:-1], interval=False)
-    assert info.mutual_information(found) == info.mutual_information(plain) and sorted(asked) == list(
+    assert info.mutual_information(found) == info.mutual_information(plain) and sorted(requested) == list(
         range(6)
     )
 
 
-def test_one_pass_and_two_make_the_same_blocks() -> None:
-    """A large alphabet takes another way to the same counts, also where no voxel is empty."""
+def test_one_pass_and_two_passes_agree() -> None:
+    """A large alphabet uses another algorithm with the same counts, also where no voxel is empty."""
     grid = grid_of(33, 20, 41)
     for full in (False, True):
-        symbols = drawn(grid, 1) + full
-        one, two = (FieldSymbols.from_dense(grid, symbols, k, "a Q") for k in (20, 1 << 20))
-        assert field_entropy(one).interval is not None
-        assert field_entropy([one, one]) == field_entropy([two, two])
+        symbols = random_symbols(grid, 1) + full
+        small_alphabet, large_alphabet = (
+            FieldSymbols.from_dense(grid, symbols, k, "a Q") for k in (20, 1 << 20)
+        )
+        assert field_entropy(small_alphabet).interval is not None
+        assert field_entropy([small_alphabet, small_alphabet]) == field_entropy(
+            [large_alphabet, large_alphabet]
+        )
 
 
 def test_frames_that_change_between_passes() -> None:
-    class Changing(Made):
+    class Changing(CountingFrames):
         to: int
 
         def __getitem__(self, index: Any) -> Any:
@@ -291,12 +301,16 @@ def test_frames_that_change_between_passes() -> None:
 
     frames = [replace(field(grid_of(32, 32, 32), n, 1.0), alphabet=K) for n in range(2)]
     frames = [replace(f, symbols=np.minimum(f.symbols, K - 2)) for f in frames]
-    for Changing.to in (1, K - 1):  # known symbols in other numbers; one beyond those of the first pass
+    # other numbers of known symbols; a symbol that the first pass did not have
+    for Changing.to in (
+        1,
+        K - 1,
+    ):
         with pytest.raises(InvalidArgument, match="second pass"):
             field_entropy(Changing(frames), "object")
 
 
-def test_each_frame_is_checked_as_it_passes() -> None:
+def test_each_frame_is_checked_in_each_pass() -> None:
     frames: list[Any] = [field(grid_of(16, 16, 16), n) for n in range(3)]
     for wrong in (replace(frames[0], quantiser="another Q"), field(grid_of(16, 16, 8), 0), "no frame"):
         bad = [*frames[:2], wrong]
@@ -314,7 +328,7 @@ def test_each_frame_is_checked_as_it_passes() -> None:
 # -- refusals ----------------------------------------------------------------------------------------------
 
 
-def test_what_does_not_match() -> None:
+def test_mismatched_frames_are_refused() -> None:
     grid = grid_of(16, 16, 16)
     f = field(grid, 9)
     for other in (replace(f, alphabet=K + 1), replace(f, quantiser="another Q")):
@@ -353,10 +367,10 @@ def test_what_does_not_match() -> None:
 
 
 @given(st.tuples(*[st.integers(1, 90)] * 3), st.integers(1, 70))
-def test_boxes_fill_the_lattice(shape: tuple[int, int, int], most: int) -> None:
+def test_boxes_cover_the_lattice(shape: tuple[int, int, int], max_boxes: int) -> None:
     grid = grid_of(*shape)
-    boxes = Boxes.of_bricks(grid, most)
-    assert 1 <= boxes.count <= most
+    boxes = Boxes.of_bricks(grid, max_boxes)
+    assert 1 <= boxes.count <= max_boxes
     bricks = np.argwhere(np.ones(grid.brick_shape)).astype(np.int32)
     inside = np.ones(len(bricks), np.int64)
     for axis, n in enumerate(grid.shape):
@@ -365,7 +379,7 @@ def test_boxes_fill_the_lattice(shape: tuple[int, int, int], most: int) -> None:
     assert np.array_equal(boxes.voxels, counted) and counted.min() > 0
 
 
-def test_groups_hold_equally_many_bricks_and_are_compact() -> None:
+def test_groups_are_equally_large_and_compact() -> None:
     grid = grid_of(64, 64, 64)
     bricks = np.argwhere(np.random.default_rng(0).random(grid.brick_shape) < 0.5).astype(np.int32)
     groups = BrickGroups.of(grid, brick_keys(grid, bricks), 20)
@@ -373,13 +387,11 @@ def test_groups_hold_equally_many_bricks_and_are_compact() -> None:
     sizes = np.bincount(owner)
     assert groups.count == len(sizes) == 20 and sizes.max() - sizes.min() <= 1
     spread = [np.ptp(bricks[owner == b], axis=0).prod() for b in range(20)]
-    assert np.median(spread) <= 3**3  # in the order of the field a group would be a plate of 8 x 8
+    assert np.median(spread) <= 3**3  # in storage order a group would be a plate of 8 x 8
 
 
 def gaussian_field(rng: np.random.Generator, n: int, length: float) -> np.ndarray:
-    """A periodic Gaussian field of variance 1, correlation exp(-r^2 / 2 length^2), cut to n^3 of (2 n)^3
-    samples.
-    """
+    """A periodic Gaussian field of variance 1, correlation exp(-r^2 / 2 length^2), n^3 of (2 n)^3 samples."""
     k = np.fft.fftfreq(2 * n)
     square = k[:, None, None] ** 2 + k[None, :, None] ** 2 + k[None, None, :] ** 2
     gain = np.exp(-((np.pi * length) ** 2) * square)
@@ -388,10 +400,8 @@ def gaussian_field(rng: np.random.Generator, n: int, length: float) -> np.ndarra
     return smooth[:n, :n, :n] / np.sqrt((gain**2).mean())
 
 
-def test_intervals_cover_the_entropy_of_fields_whose_neighbours_agree() -> None:
-    """Seeded: 40 draws of 48^3 samples that stay alike over 3.5 of them;
-    of 95 % at least 90 % are covered.
-    """
+def test_intervals_cover_the_entropy_of_correlated_fields() -> None:
+    """Seeded: 40 draws of 48^3 samples with a correlation length of 3.5; at least 90 % are covered."""
     rng, edges = np.random.default_rng(11), np.linspace(-2, 2, 7)
     p = np.diff([0.0, *(0.5 * (1 + math.erf(e / math.sqrt(2))) for e in edges), 1.0])
     truth, covered = -(p * np.log2(p)).sum(), {"voxel": 0, "object": 0}

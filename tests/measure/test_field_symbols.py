@@ -1,4 +1,4 @@
-"""Quantised fields as sparse symbols: what is refused, and what a dense array and its bricks say."""
+"""Quantised fields as sparse symbols: refused arguments, and agreement of dense arrays and bricks."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def of_bricks(grid: Grid, bricks: Any, symbols: NDArray[np.int32] | None = None)
 # -- bricks ------------------------------------------------------------------------------------------------
 
 
-def test_bricks_out_of_order_twice_or_outside() -> None:
+def test_invalid_bricks_are_refused() -> None:
     grid = grid_of(16, 24, 32)
     good = [[0, 0, 1], [0, 2, 0], [1, 0, 0], [1, 2, 3]]
     assert of_bricks(grid, good).object_count == 4 * 512
@@ -45,24 +45,24 @@ def test_bricks_out_of_order_twice_or_outside() -> None:
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_symbols_beyond_the_last_sample(axis: int) -> None:
+def test_symbols_outside_the_grid_are_refused(axis: int) -> None:
     shape = [16, 16, 16]
     shape[axis] = 13
     grid = grid_of(*shape)
-    last, within, beyond = [0, 0, 0], [7, 7, 7], [3, 3, 3]
-    last[axis], within[axis], beyond[axis] = 1, 4, 5
+    last, last_inside, first_outside = [0, 0, 0], [7, 7, 7], [3, 3, 3]
+    last[axis], last_inside[axis], first_outside[axis] = 1, 4, 5
     symbols = np.zeros((2, 8, 8, 8), np.int32)
-    symbols[0] = 1  # a brick that is not the last holds all its samples
-    symbols[1][tuple(within)] = 5
+    symbols[0] = 1  # a brick inside the grid has all its samples
+    symbols[1][tuple(last_inside)] = 5
     assert of_bricks(grid, [[0, 0, 0], last], symbols).object_count == 513
-    symbols[1][tuple(beyond)] = 1
+    symbols[1][tuple(first_outside)] = 1
     with pytest.raises(
         InvalidArgument, match=f"beyond the grid along {'xyz'[axis]}; expected 0 from sample 13"
     ):
         of_bricks(grid, [[0, 0, 0], last], symbols)
 
 
-def test_shapes_types_and_range() -> None:
+def test_invalid_shapes_types_and_ranges_are_refused() -> None:
     grid = grid_of(8, 8, 8)
     brick, symbols = np.zeros((1, 3), np.int32), np.zeros((1, 8, 8, 8), np.int32)
     wrong: list[tuple[Any, Any]] = [
@@ -83,18 +83,18 @@ def test_shapes_types_and_range() -> None:
 
 @example(
     (16, 16, 16), 0, 0.5
-)  # whole bricks: beyond a border the key of a brick is that of one in the next row
+)  # whole bricks: outside the grid, a brick's key equals that of one in the next row
 @given(st.tuples(*[st.integers(1, 19)] * 3), st.integers(0, 1000), st.sampled_from([0.0, 0.01, 0.5]))
-def test_dense_and_back(shape: tuple[int, int, int], seed: int, share: float) -> None:
+def test_dense_round_trip(shape: tuple[int, int, int], seed: int, density: float) -> None:
     rng = np.random.default_rng(seed)
-    dense = rng.integers(1, K, shape) * (rng.random(shape) < share)
+    dense = rng.integers(1, K, shape) * (rng.random(shape) < density)
     for dtype in (np.int8, np.uint16, np.int64, np.uint64):
         f = FieldSymbols.from_dense(grid_of(*shape), dense.astype(dtype), K, "a Q")
         assert np.array_equal(f.to_dense(), dense)
     assert f.object_count == np.count_nonzero(dense) and f.symbols.any(axis=(1, 2, 3)).all()
     index = np.argwhere(np.ones(shape))
     assert np.array_equal(f.symbols_at(index), dense.ravel())
-    for step in np.diag(shape):  # beyond one border
+    for step in np.diag(shape):  # outside one border
         assert not f.symbols_at(index + step).any() and not f.symbols_at(index - step).any()
 
 
@@ -104,7 +104,7 @@ def test_booleans_are_symbols() -> None:
 
 
 @pytest.mark.parametrize("value", [1.0, 1.5, np.nan, 1j, "1", None, 1 << 70])
-def test_what_is_no_integer(value: Any) -> None:
+def test_symbols_that_are_no_integers_are_refused(value: Any) -> None:
     with pytest.raises(InvalidArgument, match="expected integers"):
         FieldSymbols.from_dense(grid_of(8, 8, 8), np.full((8, 8, 8), value), K, "a Q")
 
@@ -122,14 +122,14 @@ def test_what_is_no_integer(value: Any) -> None:
         (1 << 31, 1 << 40),
     ],
 )
-def test_what_the_cast_would_wrap(value: Any, alphabet: int) -> None:
+def test_symbols_that_a_cast_would_wrap_are_refused(value: Any, alphabet: int) -> None:
     dense = np.zeros((9, 8, 8), np.asarray(value).dtype)
     dense[8, 1, 1] = value
     with pytest.raises(InvalidArgument, match=r"symbols: found .* to .*; expected 0 to"):
         FieldSymbols.from_dense(grid_of(9, 8, 8), dense, alphabet, "a Q")
 
 
-def test_a_dense_array_of_another_shape() -> None:
+def test_dense_array_of_another_shape_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="as the grid says"):
         FieldSymbols.from_dense(grid_of(8, 8, 8), np.zeros((8, 8, 9), int), K, "a Q")
 

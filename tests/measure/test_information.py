@@ -1,4 +1,4 @@
-"""Information measures of symbol arrays, against values worked out by hand, scipy and scikit-learn."""
+"""Information measures of symbol arrays, compared with analytic values, scipy and scikit-learn."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def symbols(n: int, k: int = 5) -> st.SearchStrategy[Symbols]:
 
 
 def cover_thomas(times: int = 10) -> tuple[Symbols, Symbols]:
-    """Samples whose frequencies are example 2.2.1 of Elements of Information Theory."""
+    """Samples with the frequencies of example 2.2.1 of Elements of Information Theory."""
     table = np.array([[4, 2, 1, 1], [2, 4, 1, 1], [2, 2, 2, 2], [8, 0, 0, 0]]).T * times
     x, y = np.indices(table.shape)
     return np.repeat(x.ravel(), table.ravel()), np.repeat(y.ravel(), table.ravel())
@@ -51,17 +51,19 @@ def cover_thomas(times: int = 10) -> tuple[Symbols, Symbols]:
 # -- values ------------------------------------------------------------------------------------------------
 
 
-def test_numbers_of_the_literature() -> None:
+def test_values_of_the_literature() -> None:
     x, y = cover_thomas()
-    near = {"abs": 1e-12}
-    assert float(info.entropy(x)) == pytest.approx(1.75, **near)
-    assert float(info.entropy(y)) == pytest.approx(2, **near)
-    assert float(info.joint_entropy(x, y)) == pytest.approx(3.375, **near)
-    assert float(info.mutual_information(x, y)) == pytest.approx(0.375, **near)
-    assert float(info.conditional_entropy(x, y)) == pytest.approx(1.375, **near)
-    assert float(info.conditional_entropy(y, x)) == pytest.approx(1.625, **near)
-    assert float(info.variation_of_information(x, y)) == pytest.approx(3, **near)
-    assert float(info.normalised_mutual_information(x, y)) == pytest.approx(0.375 / math.sqrt(3.5), **near)
+    tolerance = {"abs": 1e-12}
+    assert float(info.entropy(x)) == pytest.approx(1.75, **tolerance)
+    assert float(info.entropy(y)) == pytest.approx(2, **tolerance)
+    assert float(info.joint_entropy(x, y)) == pytest.approx(3.375, **tolerance)
+    assert float(info.mutual_information(x, y)) == pytest.approx(0.375, **tolerance)
+    assert float(info.conditional_entropy(x, y)) == pytest.approx(1.375, **tolerance)
+    assert float(info.conditional_entropy(y, x)) == pytest.approx(1.625, **tolerance)
+    assert float(info.variation_of_information(x, y)) == pytest.approx(3, **tolerance)
+    assert float(info.normalised_mutual_information(x, y)) == pytest.approx(
+        0.375 / math.sqrt(3.5), **tolerance
+    )
     coin, biased = np.arange(10) % 2, np.arange(20) < 2
     assert float(info.entropy(biased)) == pytest.approx(0.468996, abs=1e-6)
     assert float(info.jensen_shannon_distance(coin, biased)) ** 2 == pytest.approx(0.146793, abs=1e-6)
@@ -82,11 +84,11 @@ def test_markov_chain() -> None:
 @given(st.integers(1, 60).flatmap(lambda n: st.tuples(symbols(n), symbols(n, 2))))
 def test_agrees_with_scipy_and_scikit_learn(samples: tuple[Symbols, Symbols]) -> None:
     x, y = samples
-    near = {"abs": 1e-12, "rel": 0}
+    tolerance = {"abs": 1e-12, "rel": 0}
     counts = [np.unique(s, return_counts=True)[1] for s in samples]
-    assert float(info.entropy(x, **PLAIN)) == pytest.approx(stats.entropy(counts[0], base=2), **near)
+    assert float(info.entropy(x, **PLAIN)) == pytest.approx(stats.entropy(counts[0], base=2), **tolerance)
     assert float(info.mutual_information(x, y, **PLAIN)) == pytest.approx(
-        metrics.mutual_info_score(x, y) / NATS, **near
+        metrics.mutual_info_score(x, y) / NATS, **tolerance
     )
     q = info.normalised_mutual_information(x, y, **PLAIN)
     if math.isnan(float(q)):
@@ -108,10 +110,10 @@ def test_distance_of_samples_of_any_two_sizes(x: Symbols, y: Symbols) -> None:
     assert float(info.jensen_shannon_distance(Counts.of(x), Counts.of(y), **PLAIN)) == float(found)
 
 
-def test_distance_of_counts_in_other_blocks_has_no_interval_and_says_so() -> None:
-    apart = info.jensen_shannon_distance(*(Counts.of(np.arange(400) % 4, blocks=n) for n in (8, 9)))
+def test_distance_of_counts_in_other_blocks_has_no_interval() -> None:
+    found = info.jensen_shannon_distance(*(Counts.of(np.arange(400) % 4, blocks=n) for n in (8, 9)))
     assert (
-        apart.interval is None and "no interval: blocks of one do not match those of the other" in apart.notes
+        found.interval is None and "no interval: blocks of one do not match those of the other" in found.notes
     )
 
 
@@ -124,17 +126,20 @@ def test_identities_and_metrics(samples: tuple[Symbols, Symbols, Symbols]) -> No
     )
     assert h["xyz"] >= h["xy"] - 1e-12
     assert 0 <= float(info.conditional_entropy(x, y, **PLAIN)) <= float(info.entropy(x, **PLAIN)) + 1e-12
-    for far, slack in ((info.variation_of_information, 1e-12), (info.jensen_shannon_distance, 1e-7)):
-        assert float(far(x, z, **PLAIN)) <= float(far(x, y, **PLAIN)) + float(far(y, z, **PLAIN)) + slack
-        assert float(far(x, y, **PLAIN)) == pytest.approx(float(far(y, x, **PLAIN)), abs=1e-12)
-        assert float(far(x, x, **PLAIN)) == pytest.approx(0, abs=slack)
+    for metric, slack in ((info.variation_of_information, 1e-12), (info.jensen_shannon_distance, 1e-7)):
+        assert (
+            float(metric(x, z, **PLAIN))
+            <= float(metric(x, y, **PLAIN)) + float(metric(y, z, **PLAIN)) + slack
+        )
+        assert float(metric(x, y, **PLAIN)) == pytest.approx(float(metric(y, x, **PLAIN)), abs=1e-12)
+        assert float(metric(x, x, **PLAIN)) == pytest.approx(0, abs=slack)
 
 
 @given(
     st.integers(1, 40).flatmap(lambda n: st.tuples(symbols(n, 3), symbols(n, 3))),
     st.sampled_from([*ESTIMATORS]),
 )
-def test_combinations_are_of_one_estimator(samples: tuple[Symbols, Symbols], estimator: str) -> None:
+def test_combinations_use_one_estimator(samples: tuple[Symbols, Symbols], estimator: str) -> None:
     x, y = samples
     options: dict[str, Any] = {"estimator": estimator, "interval": False}
     hx, hy = float(info.entropy(x, **options)), float(info.entropy(y, **options))
@@ -148,7 +153,7 @@ def test_combinations_are_of_one_estimator(samples: tuple[Symbols, Symbols], est
     assert any("negative" in n for n in q.notes) == (float(q) < 0) and q.estimator == estimator
 
 
-def test_a_negative_estimate_is_said_and_not_clipped() -> None:
+def test_negative_estimate_is_noted_and_not_clipped() -> None:
     x, y = np.tile([0, 1], 20), np.repeat([0, 1], 20)  # exactly independent
     q = info.mutual_information(x, y, estimator="miller-madow")
     assert float(q) == pytest.approx(-1 / (80 * NATS), abs=1e-12)
@@ -160,7 +165,7 @@ def test_a_negative_estimate_is_said_and_not_clipped() -> None:
     assert float(large) == 1 and not large.notes
 
 
-def test_what_corrects_its_bias_has_an_interval_about_the_estimate() -> None:
+def test_bias_corrected_estimates_have_a_centred_interval() -> None:
     rng = np.random.default_rng(0)
     for _ in range(5):
         x, y = rng.integers(0, 8, (2, 4096))  # independent: I = 0
@@ -175,15 +180,15 @@ def test_what_corrects_its_bias_has_an_interval_about_the_estimate() -> None:
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
-def test_an_interval_stays_within_the_alphabet(estimator: str) -> None:
+def test_interval_is_limited_by_the_alphabet(estimator: str) -> None:
     x = np.random.default_rng(4).choice(5, 500, p=[0.21, 0.21, 0.2, 0.19, 0.19])
     q = info.entropy(replace(Counts.of(x, blocks=64), alphabet=5), estimator=estimator)
     assert q.interval is not None and q.interval.low < q.interval.high == math.log2(5)
-    beyond = info.entropy(x, estimator=estimator).interval
-    assert beyond is not None and beyond.high > math.log2(5)  # where the alphabet is not known
+    unlimited = info.entropy(x, estimator=estimator).interval
+    assert unlimited is not None and unlimited.high > math.log2(5)  # if the alphabet is unknown
 
 
-def test_nothing_is_minus_zero() -> None:
+def test_no_value_is_minus_zero() -> None:
     x = np.zeros(200, np.int64)
     for estimator in ESTIMATORS:
         for q in (info.entropy(x, estimator=estimator), *(two(x, x, estimator=estimator) for two in TWO[:4])):
@@ -203,7 +208,7 @@ def test_any_type_and_shape() -> None:
 # -- what is said of a value -------------------------------------------------------------------------------
 
 
-def test_a_quantity_says_what_it_is_of() -> None:
+def test_metadata_of_a_quantity() -> None:
     x, y = cover_thomas()
     q = info.mutual_information(x, y)
     assert (q.name, q.unit, q.weighting, q.quantiser) == ("I(X;Y)", "bit/sample", "samples", "as given")
@@ -223,7 +228,7 @@ def test_a_quantity_says_what_it_is_of() -> None:
 
 
 @pytest.mark.parametrize("two", TWO)
-def test_intervals_hold_the_value_and_are_reproducible(two: Callable[..., Quantity]) -> None:
+def test_intervals_contain_the_value_and_are_reproducible(two: Callable[..., Quantity]) -> None:
     rng = np.random.default_rng(2)
     x = rng.integers(0, 4, 2000)
     y = (x + (rng.random(2000) < 0.3)) % 5
@@ -231,15 +236,13 @@ def test_intervals_hold_the_value_and_are_reproducible(two: Callable[..., Quanti
     assert q.interval is not None and "20 blocks" in q.interval.method
     assert q.interval.low < float(q) < q.interval.high
     assert two(x, y, blocks=20) == q
-    repeated = two(
-        np.repeat(x, 50), np.repeat(y, 50), blocks=20
-    )  # a hundred thousand samples that say no more
+    repeated = two(np.repeat(x, 50), np.repeat(y, 50), blocks=20)  # 100,000 samples without more information
     assert repeated.interval is not None
     width, other = (i.high - i.low for i in (q.interval, repeated.interval))
     assert other == pytest.approx(width, rel=0.05)
 
 
-def test_few_samples_are_warned_of() -> None:
+def test_few_samples_give_a_warning() -> None:
     rng = np.random.default_rng(3)
     x = rng.integers(0, 30, 299) + np.arange(299) * 0
     x[:30] = np.arange(30)
@@ -255,7 +258,7 @@ def test_few_samples_are_warned_of() -> None:
         info.jensen_shannon_distance(np.arange(90) % 10, np.arange(9000) % 10)
 
 
-def test_when_there_is_no_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_quantities_without_an_interval(monkeypatch: pytest.MonkeyPatch) -> None:
     x = np.arange(400) % 4
     q = info.entropy(Counts.of_stream([x[:200], x[200:]]))
     assert float(q) == 2 and q.interval is None and "order" in q.notes[0]
@@ -272,7 +275,7 @@ def test_when_there_is_no_interval(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_resamples_without_variation() -> None:
-    """One block in ten varies, so that many resamples have nothing to be normalised by."""
+    """One block in ten varies, so that many resamples cannot be normalised."""
     x = np.zeros(1000, np.int64)
     x[900:] = np.arange(100) % 2
     q = info.normalised_mutual_information(x, x, blocks=10)
@@ -284,7 +287,7 @@ def test_resamples_without_variation() -> None:
 
 
 @pytest.mark.parametrize("two", TWO)
-def test_what_is_refused(two: Callable[..., Quantity]) -> None:
+def test_invalid_arguments_are_refused(two: Callable[..., Quantity]) -> None:
     x = np.arange(100) % 4
     for bad in (x / 2, np.full(100, np.nan)):
         with pytest.raises(InvalidArgument, match="Quantise them first"):
@@ -306,7 +309,7 @@ def test_what_is_refused(two: Callable[..., Quantity]) -> None:
             two(x, x, estimator="best")
 
 
-def test_other_refusals() -> None:
+def test_other_invalid_arguments_are_refused() -> None:
     x = np.arange(100) % 4
     for ragged in ([[1, 2], [3]], [1, [2, 3]]):
         with pytest.raises(InvalidArgument, match=r"samples.*: found lists that differ in length"):
@@ -325,16 +328,16 @@ def test_other_refusals() -> None:
     assert Counts.of(x, x).total == 100
 
 
-def test_another_unit_takes_the_interval_along_and_a_summary_tells_both() -> None:
+def test_conversion_scales_the_interval_too() -> None:
     bits = Quantity("H(S)", 2.0, "bit/sample", "a Q", "voxel", interval=Interval(1.5, 2.75, 0.95, "by hand"))
-    told = bits.times(64, "bit/frame", "H(W)").summary()
-    assert [told[name] for name in ("name", "value", "unit", "quantiser")] == [
+    summary = bits.times(64, "bit/frame", "H(W)").summary()
+    assert [summary[name] for name in ("name", "value", "unit", "quantiser")] == [
         "H(W)",
         128.0,
         "bit/frame",
         "a Q",
     ]
-    assert told["interval"] == {
+    assert summary["interval"] == {
         "low": 96.0, "high": 176.0, "level": 0.95, "method": "by hand", "population": Interval.population,
     }  # fmt: skip
     assert str(bits) == "H(S) = 2 [1.5, 2.75] bit/sample (Q a Q, mu voxel)"
@@ -344,7 +347,7 @@ def test_another_unit_takes_the_interval_along_and_a_summary_tells_both() -> Non
 # ------------------------------------------------------------------------------------------------
 
 
-def test_quantities_of_several_variables_are_named_by_them() -> None:
+def test_names_of_quantities_of_several_variables() -> None:
     x, y, z = np.random.default_rng(0).integers(0, 3, (3, 400))
     names = [
         info.entropy(x, y, z, interval=False),
@@ -368,50 +371,48 @@ def test_quantities_of_several_variables_are_named_by_them() -> None:
         info.mutual_information(x)
 
 
-@pytest.mark.parametrize(("samples", "is_told"), [(29, True), (30, False)])
-def test_fewer_than_ten_samples_to_a_symbol_are_warned_of_with_both_numbers(
-    samples: int, is_told: bool
-) -> None:
-    few, many = np.arange(samples) % 3, np.arange(300) % 3
+@pytest.mark.parametrize(("samples", "is_warned"), [(29, True), (30, False)])
+def test_warning_of_few_samples_states_both_numbers(samples: int, is_warned: bool) -> None:
+    few_samples, many_samples = np.arange(samples) % 3, np.arange(300) % 3
     note = f"few samples: {samples} for 3 symbols, fewer than 10 to each"
     for name, make in (
-        ("H(X)", lambda: info.entropy(few, interval=False)),
-        ("sqrt(JSD(X,Y))", lambda: info.jensen_shannon_distance(few, many, interval=False)),
-        ("sqrt(JSD(X,Y))", lambda: info.jensen_shannon_distance(many, few, interval=False)),
+        ("H(X)", lambda: info.entropy(few_samples, interval=False)),
+        ("sqrt(JSD(X,Y))", lambda: info.jensen_shannon_distance(few_samples, many_samples, interval=False)),
+        ("sqrt(JSD(X,Y))", lambda: info.jensen_shannon_distance(many_samples, few_samples, interval=False)),
     ):
-        with warnings.catch_warnings(record=True) as heard:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             found = make()
-        assert [str(one.message) for one in heard] == ([f"{name}: {note}"] if is_told else [])
-        assert [n for n in found.notes if n.startswith("few")] == ([note] if is_told else [])
+        assert [str(warning.message) for warning in caught] == ([f"{name}: {note}"] if is_warned else [])
+        assert [n for n in found.notes if n.startswith("few")] == ([note] if is_warned else [])
     assert not info.entropy(Counts.of_probabilities([0.5, 0.5])).notes, (
         "of what is known no sample is missing"
     )
 
 
-@pytest.mark.parametrize(("filled", "is_made"), [(7, False), (8, True)])
-def test_too_few_blocks_with_samples_are_told_by_their_number(filled: int, is_made: bool) -> None:
+@pytest.mark.parametrize(("filled", "has_interval"), [(7, False), (8, True)])
+def test_note_of_too_few_blocks_states_their_number(filled: int, has_interval: bool) -> None:
     blocks = np.zeros((12, 2), np.int64)
     blocks[:filled] = [[20, 30 + n] for n in range(filled)]
     counts = Counts(np.array([[0], [1]]), blocks.sum(axis=0), blocks)
     found = info.entropy(counts)
-    assert (found.interval is not None) == is_made
+    assert (found.interval is not None) == has_interval
     note = f"no interval: {filled} blocks with samples, fewer than 8"
-    assert (note in found.notes) != is_made
+    assert (note in found.notes) != has_interval
     plain = info.entropy(counts, interval=False)
     assert plain.interval is None and plain.notes == () and float(plain) == float(found)
 
 
-def test_an_estimate_that_no_true_value_can_be_is_told() -> None:
+def test_note_of_impossible_estimates() -> None:
     rng = np.random.default_rng(1)
     x, y = rng.permutation(np.arange(4000) % 4), np.arange(4000) // 1000
     found = [
         info.mutual_information(rng.permutation(x), y, estimator="miller-madow", interval=False)
         for _ in "abcdefgh"
     ]
-    below = [one for one in found if float(one) < 0]
-    assert below and len(below) < len(found)
-    told = "negative, which no true value is: the bias correction of miller-madow is larger"
-    assert all((told in one.notes) == (float(one) < 0) for one in found)
+    negative = [estimate for estimate in found if float(estimate) < 0]
+    assert negative and len(negative) < len(found)
+    note = "negative, which no true value is: the bias correction of miller-madow is larger"
+    assert all((note in estimate.notes) == (float(estimate) < 0) for estimate in found)
     high = info.normalised_mutual_information(x, x, estimator="miller-madow", interval=False)
     assert float(high) == pytest.approx(1, abs=1e-9) and not high.notes

@@ -1,4 +1,4 @@
-"""Where a hand was: traces, their files, visits, and the entropy that a hand meets."""
+"""Traces of a hand, their files, visits, and the entropy along a trace."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ GRID = Grid((5, 12, 9), (0.01, 0.02, 0.005), (-0.02, 0.1, 0.0))
 LOW_M, HIGH_M = GRID.box_m
 inside_m = arrays(
     np.float64, st.tuples(st.integers(1, 80), st.just(3)), elements=st.floats(0.001, 0.999)
-).map(lambda share: LOW_M + share * (HIGH_M - LOW_M))
+).map(lambda fraction: LOW_M + fraction * (HIGH_M - LOW_M))
 
 
 def symbols_of(seed: int, alphabet: int = 4, quantiser: str = "given") -> FieldSymbols:
@@ -35,7 +35,7 @@ def symbols_of(seed: int, alphabet: int = 4, quantiser: str = "given") -> FieldS
 
 
 def walk(samples: int, seed: int = 0) -> Trace:
-    """A hand that wanders within the box of GRID, 1 kHz."""
+    """A random walk inside the box of GRID, 1 kHz."""
     steps = np.random.default_rng(seed).normal(0, 0.02, (samples, 3)).cumsum(axis=0)
     return Trace.regular(LOW_M + (HIGH_M - LOW_M) * (0.5 + 0.499 * np.sin(steps)))
 
@@ -53,9 +53,8 @@ def quiet(trace: Trace, symbols: FieldSymbols | Sequence[FieldSymbols], **more: 
 def test_visits_are_of_the_nearest_lattice_point(positions: NDArray[np.float64]) -> None:
     found = visits(Trace.regular(positions), GRID)
     axes = [np.abs(positions[:, a, None] - GRID.axis_m(a)) for a in range(3)]
-    for axis, distance in enumerate(
-        axes
-    ):  # of every sample, no lattice point is nearer than the one it is given
+    # for every sample, no lattice point is nearer than the assigned one
+    for axis, distance in enumerate(axes):
         assert (distance.min(axis=1) <= GRID.spacing_m[axis] * (0.5 + 1e-9)).all()
     nearest = Counter(zip(*(d.argmin(axis=1).tolist() for d in axes)))
     shifted = Counter({tuple(p): n for p, n in zip(found.indices.tolist(), found.counts.tolist())})
@@ -66,7 +65,7 @@ def test_visits_are_of_the_nearest_lattice_point(positions: NDArray[np.float64])
     assert (np.diff(keys) > 0).all()
 
 
-def test_what_lies_outside_is_counted_apart() -> None:
+def test_positions_outside_are_counted_separately() -> None:
     edge = np.array([LOW_M + 1e-9, LOW_M - 1e-9, HIGH_M - 1e-9, HIGH_M + 1e-9, [1e300, 0, 0], [-1e300] * 3])
     found = visits(Trace.regular(edge), GRID)
     assert (
@@ -80,7 +79,7 @@ def test_what_lies_outside_is_counted_apart() -> None:
 
 
 @given(inside_m, st.integers(0, 5))
-def test_entropy_of_what_a_hand_meets(positions: NDArray[np.float64], seed: int) -> None:
+def test_interaction_entropy_agrees_with_its_definition(positions: NDArray[np.float64], seed: int) -> None:
     symbols = symbols_of(seed)
     trace = Trace.regular(positions)
     found = quiet(trace, symbols, interval=False)
@@ -91,7 +90,7 @@ def test_entropy_of_what_a_hand_meets(positions: NDArray[np.float64], seed: int)
     assert (found.samples, found.symbols) == (len(positions), np.count_nonzero(weight))
 
 
-def test_a_hand_at_every_voxel_once_meets_the_voxel_entropy() -> None:
+def test_trace_through_every_voxel_has_the_voxel_entropy() -> None:
     symbols = symbols_of(1)
     trace = Trace.regular(GRID.to_m(np.argwhere(np.ones(GRID.shape))))
     found = quiet(trace, symbols, interval=False)
@@ -99,28 +98,27 @@ def test_a_hand_at_every_voxel_once_meets_the_voxel_entropy() -> None:
     assert found.value == pytest.approx(stats.entropy(counts, base=2), abs=1e-12)
 
 
-def test_a_hand_that_stays_meets_nothing_new() -> None:
+def test_stationary_trace_has_no_entropy() -> None:
     found = interaction_entropy(Trace.regular(np.tile(GRID.to_m([2, 3, 4]), (100, 1))), symbols_of(2))
     assert found.value == 0 and found.symbols == 1
 
 
-def test_the_interval_is_of_blocks_of_time() -> None:
+def test_interval_uses_blocks_of_time() -> None:
     symbols = symbols_of(3)
     together = interaction_entropy(walk(4000), symbols, blocks=16)
     spread = together.interval
     assert spread is not None and spread.low <= together.value <= spread.high
     assert interaction_entropy(walk(4000), symbols, blocks=16) == together  # seeded
     shuffled = np.random.default_rng(0).permutation(walk(4000).positions_m)
-    apart = interaction_entropy(Trace.regular(shuffled), symbols, blocks=16)
-    assert apart.value == pytest.approx(together.value, abs=1e-12)
-    assert apart.interval is not None
-    assert spread.high - spread.low > 3 * (
-        apart.interval.high - apart.interval.low
-    )  # dependence is not hidden
+    shuffled_entropy = interaction_entropy(Trace.regular(shuffled), symbols, blocks=16)
+    assert shuffled_entropy.value == pytest.approx(together.value, abs=1e-12)
+    assert shuffled_entropy.interval is not None
+    # the interval accounts for dependence
+    assert spread.high - spread.low > 3 * (shuffled_entropy.interval.high - shuffled_entropy.interval.low)
 
 
 @pytest.mark.parametrize("estimator", ["plug-in", "miller-madow", "chao-wang-jost"])
-def test_the_interval_is_within_the_alphabet(estimator: str) -> None:
+def test_interval_is_limited_by_the_alphabet(estimator: str) -> None:
     rng = np.random.default_rng(1)
     symbols = FieldSymbols.from_dense(GRID, rng.integers(0, 2, GRID.shape), 2, "given")
     found = interaction_entropy(walk(1000), symbols, blocks=8, estimator=estimator).interval
@@ -131,12 +129,12 @@ def test_the_interval_is_within_the_alphabet(estimator: str) -> None:
     assert seldom is not None and 0 <= seldom.low < seldom.high
 
 
-def test_a_short_trace_has_no_interval_and_says_why() -> None:
+def test_short_trace_has_no_interval_and_a_note() -> None:
     found = quiet(walk(7), symbols_of(3))
     assert found.interval is None and any("no interval" in n for n in found.notes)
 
 
-def test_few_samples_are_warned_of() -> None:
+def test_few_samples_give_a_warning() -> None:
     with pytest.warns(FewSamplesWarning, match="few samples"):
         found = interaction_entropy(walk(30), symbols_of(3, alphabet=60), interval=False)
     assert any("few samples" in n for n in found.notes)
@@ -149,7 +147,7 @@ def test_another_estimator() -> None:
     assert corrected.estimator == "miller-madow" and corrected.value > plain.value
 
 
-def test_a_trace_partly_outside_says_so() -> None:
+def test_trace_partly_outside_is_noted() -> None:
     positions = np.concatenate([walk(300).positions_m, np.full((100, 3), 9.0)])
     found = interaction_entropy(Trace.regular(positions), symbols_of(5), interval=False)
     assert found.samples == 300 and found.notes == (
@@ -168,8 +166,8 @@ def test_uneven_times_are_noted() -> None:
 # -- frames ------------------------------------------------------------------------------------------------
 
 
-class Asked(list[FieldSymbols]):
-    """Frames that remember which were asked for."""
+class RecordingFrames(list[FieldSymbols]):
+    """Frames that record the requested indices."""
 
     def __init__(self, frames: list[FieldSymbols]) -> None:
         super().__init__(frames)
@@ -180,31 +178,31 @@ class Asked(list[FieldSymbols]):
         return super().__getitem__(index)
 
 
-def test_frames_are_felt_while_they_last() -> None:
-    frames = Asked([symbols_of(n) for n in range(6)])
+def test_frames_are_used_for_their_duration() -> None:
+    frames = RecordingFrames([symbols_of(n) for n in range(6)])
     times = np.round(np.arange(-20, 60) * 0.01, 2)  # -0.2 s to 0.59 s, written with two decimals
     positions = walk(80).positions_m
     found = quiet(Trace(times, positions), frames, rate_hz=10.0, interval=False)
-    met = [
+    symbols = [
         frames[n // 10].symbols_at(visits(Trace.regular(p[None]), GRID).indices)[0]
         for n, p in enumerate(positions[20:])
     ]
     assert found.value == pytest.approx(
-        stats.entropy(list(Counter(map(int, met)).values()), base=2), abs=1e-12
+        stats.entropy(list(Counter(map(int, symbols)).values()), base=2), abs=1e-12
     )
     assert found.samples == 60 and any("20 of 80" in n for n in found.notes)
 
 
-def test_a_time_that_is_rounded_down_is_of_the_frame_that_begins_there() -> None:
+def test_rounded_down_time_belongs_to_the_frame_that_starts_there() -> None:
     frames = [FieldSymbols.from_dense(GRID, np.full(GRID.shape, n), 3, "given") for n in (1, 2)]
     trace = Trace(np.array([0.03333333, 0.05]), GRID.to_m(np.array([[1, 1, 1], [1, 1, 1]])))
     assert quiet(trace, frames, rate_hz=30.0, interval=False).value == 0
 
 
-def test_outside_in_time_and_outside_the_box_are_counted_apart() -> None:
+def test_samples_outside_in_time_and_space_are_counted_separately() -> None:
     frames = [symbols_of(n) for n in range(6)]
     positions = walk(100).positions_m.copy()
-    positions[[5, 30, 31, 32, 95]] = 9.0  # two of the five are felt at no time anyway
+    positions[[5, 30, 31, 32, 95]] = 9.0  # two of the five are outside in time as well
     times = np.arange(-10, 90) * 0.01  # ten samples too early, thirty too late
     found = quiet(Trace(times, positions), frames, rate_hz=10.0, interval=False)
     assert found.samples == 57
@@ -214,14 +212,14 @@ def test_outside_in_time_and_outside_the_box_are_counted_apart() -> None:
     ]
 
 
-def test_frames_that_no_hand_meets_are_not_made() -> None:
-    frames = Asked([symbols_of(n) for n in range(6)])
+def test_unvisited_frames_are_not_computed() -> None:
+    frames = RecordingFrames([symbols_of(n) for n in range(6)])
     trace = Trace(np.linspace(0.31, 0.39, 50), walk(50).positions_m)
     quiet(trace, frames, rate_hz=10.0, interval=False)
     assert set(frames.numbers) == {0, 3}
 
 
-def test_frames_that_do_not_fit() -> None:
+def test_mismatched_frames_are_refused() -> None:
     trace = walk(200)
     frames = [symbols_of(0), symbols_of(1, quantiser="another")]
     with pytest.raises(InvalidArgument, match="frame 1: found the quantiser another"):
@@ -233,7 +231,7 @@ def test_frames_that_do_not_fit() -> None:
         interaction_entropy(trace, [], rate_hz=10.0)
 
 
-def test_a_trace_that_never_meets_the_field() -> None:
+def test_trace_outside_the_field_is_refused() -> None:
     with pytest.raises(InvalidArgument, match=r"trace: found positions from \(9, 9, 9\) to .*none of them"):
         interaction_entropy(Trace.regular(np.full((10, 3), 9.0)), symbols_of(0))
     late = Trace(walk(10).times_s + 1.3e9, walk(10).positions_m)
@@ -260,12 +258,12 @@ def test_too_few_blocks() -> None:
         ([0.0, 1.0, 0.5], np.zeros((3, 3)), "times_s: found 0.5 s after 1.0 s at sample 2"),
     ],
 )
-def test_a_trace_that_is_none(times: object, positions: object, message: str) -> None:
+def test_invalid_traces_are_refused(times: object, positions: object, message: str) -> None:
     with pytest.raises(InvalidArgument, match=message):
         Trace(times, positions)  # type: ignore[arg-type]
 
 
-def test_a_trace_keeps_its_own_numbers() -> None:
+def test_trace_copies_its_arrays() -> None:
     positions = np.zeros((2, 3))
     trace = Trace.regular(positions, 50.0)
     positions[:] = 1
@@ -298,7 +296,7 @@ def test_read(tmp_path: Path, text: str) -> None:
     assert found.positions_m == pytest.approx(EXPECTED.positions_m)
 
 
-def test_a_file_without_times_has_the_rate_it_is_given(tmp_path: Path) -> None:
+def test_file_without_times_uses_the_given_rate(tmp_path: Path) -> None:
     path = tmp_path / "trace.csv"
     path.write_text("x_m,y_m,z_m\n" + "0,0,0\n" * 4)
     assert read_trace(path).times_s == pytest.approx([0, 0.001, 0.002, 0.003])
@@ -308,9 +306,7 @@ def test_a_file_without_times_has_the_rate_it_is_given(tmp_path: Path) -> None:
 
 
 @given(arrays(np.float64, st.tuples(st.integers(1, 20), st.just(3)), elements=st.floats(-1e6, 1e6)))
-def test_what_is_written_is_read(
-    tmp_path_factory: pytest.TempPathFactory, positions: NDArray[np.float64]
-) -> None:
+def test_trace_round_trip(tmp_path_factory: pytest.TempPathFactory, positions: NDArray[np.float64]) -> None:
     path = tmp_path_factory.mktemp("traces") / "trace.csv"
     trace = Trace.regular(positions)
     rows = np.column_stack([trace.times_s, positions])
@@ -347,7 +343,7 @@ HEAD = "t_s,x_m,y_m,z_m\n"
         (HEAD + "1" * 70000, "line 2: found a line without end"),
     ],
 )
-def test_files_that_are_no_trace(tmp_path: Path, text: str, message: str) -> None:
+def test_invalid_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "trace.csv"
     path.write_text(text)
     with pytest.raises(SourceError, match=r"trace\.csv") as caught:
@@ -355,9 +351,9 @@ def test_files_that_are_no_trace(tmp_path: Path, text: str, message: str) -> Non
     assert message in str(caught.value)
 
 
-def test_files_that_are_not_there(tmp_path: Path) -> None:
-    for path, told in ((tmp_path, "found a folder"), (tmp_path / "none.csv", "Check path and rights")):
-        with pytest.raises(SourceError, match=told):
+def test_missing_files_are_refused(tmp_path: Path) -> None:
+    for path, message in ((tmp_path, "found a folder"), (tmp_path / "none.csv", "Check path and rights")):
+        with pytest.raises(SourceError, match=message):
             read_trace(path)
 
 
@@ -373,10 +369,8 @@ def test_a_file_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.shared
-def test_a_hand_that_traces_a_symbol(shared_data: Path, tmp_path: Path) -> None:
-    """Two recordings of one person: the forces of the first make a field, the second feels its way through
-    it.
-    """
+def test_recorded_hand_meets_more_entropy_than_all_voxels(shared_data: Path, tmp_path: Path) -> None:
+    """Two recordings of one person: forces of the first make a field, the second is a trace in it."""
     recordings = io.loadmat(
         shared_data / "force_panda_comanipulation" / "symbol_data.mat",
         squeeze_me=True,
@@ -411,22 +405,22 @@ def test_a_hand_that_traces_a_symbol(shared_data: Path, tmp_path: Path) -> None:
     assert met.value == pytest.approx(stats.entropy(weight, base=2), abs=1e-12)
     assert met.interval is not None and met.interval.low < met.value < met.interval.high
     everywhere = stats.entropy(np.bincount(symbols.to_dense().ravel()), base=2)
-    assert met.value > everywhere + 0.5  # a hand stays where there is something to feel
+    assert met.value > everywhere + 0.5  # a hand stays where forces vary
 
 
-def test_a_trace_that_tells_how_the_probe_is_turned(tmp_path: Path) -> None:
+def test_trace_with_orientations(tmp_path: Path) -> None:
     path = tmp_path / "turned.csv"
     path.write_text("qx,t_s,qw,x_m,y_m,z_m,qz,qy\n0.6,0,0.8,1,2,3,0,0\n0,1,0,1,2,3,1.01,0\n")
     trace = read_trace(path)
     assert trace.quaternions is not None
     assert trace.quaternions == pytest.approx(np.array([[0.8, 0.6, 0, 0], [0, 0, 0, 1]]))
     assert trace == read_trace(path) and trace != Trace(trace.times_s, trace.positions_m)
-    for text, words in (
+    for text, message in (
         ("x_m,y_m,z_m,qw,qx,qy\n1,2,3,1,0,0\n", "all of qw"),
         ("x_m,y_m,z_m,qw,qx,qy,qz\n1,2,3,0,0,0,0\n", "length 0"),
     ):
         path.write_text(text)
-        with pytest.raises(SourceError, match=words):
+        with pytest.raises(SourceError, match=message):
             read_trace(path)
     with pytest.raises(InvalidArgument, match="length 1"):
         Trace(np.zeros(1), np.zeros((1, 3)), np.ones((1, 4)))

@@ -1,4 +1,4 @@
-"""The coding limits of a medium, all together; and what cannot be measured."""
+"""All coding limits of a medium, and refused arguments."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from touchfield.medium import ForceField, Grid
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
 
 
-def test_the_limits_of_a_medium(wavy_field: ForceField) -> None:
+def test_coding_limits_agree_with_separate_measures(wavy_field: ForceField) -> None:
     moved = wavy_field.scaled(0.9)
     quantiser = FieldQuantiserSpec.parse("weber:0.25/ico3").fit([wavy_field])
     frames = [quantiser(wavy_field), quantiser(moved)]
@@ -31,14 +31,19 @@ def test_the_limits_of_a_medium(wavy_field: ForceField) -> None:
     identity = binary_entropy_bits(p) + p * found.object_entropy.value
     assert found.voxel_entropy.value == pytest.approx(identity, abs=1e-12)
     for context in found.contexts:
-        alone = context_entropy(frames, context.neighbourhood, previous_frame=context.previous_frame)
-        assert alone == context and context.per_voxel.value <= found.voxel_entropy.value
-    told = json.loads(json.dumps(found.summary(), allow_nan=False))
-    held = np.count_nonzero(dense)
-    assert told["supported_voxels"] == held and told["object_entropy_bits"] == found.object_entropy.value
-    each = told["voxel_entropy"]
-    assert each["bits_per_frame"] == pytest.approx(each["bits_per_voxel"] * dense.size / 2)
-    assert each["bits_per_supported_voxel"] == pytest.approx(each["bits_per_voxel"] * dense.size / held)
+        separate = context_entropy(frames, context.neighbourhood, previous_frame=context.previous_frame)
+        assert separate == context and context.per_voxel.value <= found.voxel_entropy.value
+    summary = json.loads(json.dumps(found.summary(), allow_nan=False))
+    support_count = np.count_nonzero(dense)
+    assert (
+        summary["supported_voxels"] == support_count
+        and summary["object_entropy_bits"] == found.object_entropy.value
+    )
+    limit = summary["voxel_entropy"]
+    assert limit["bits_per_frame"] == pytest.approx(limit["bits_per_voxel"] * dense.size / 2)
+    assert limit["bits_per_supported_voxel"] == pytest.approx(
+        limit["bits_per_voxel"] * dense.size / support_count
+    )
     before = np.pad(dense, [(0, 0)] * 3 + [(1, 0)])[..., :-1]
     times = np.unique(np.stack([dense, before], axis=-1).reshape(-1, 2), axis=0, return_counts=True)[1]
     previous = found.context("previous")
@@ -56,9 +61,9 @@ def test_the_limits_of_a_medium(wavy_field: ForceField) -> None:
 def test_flat_media_are_scanned_along_the_last_axis_that_has_samples(
     shape: tuple[int, ...], axis: str
 ) -> None:
-    """A flat array of actuators has limits, and those of the array without its single sample along z."""
+    """A flat array of actuators has the limits of the array without its axis of one sample."""
     x = sparse((2, *shape), 4, 0.6)
-    x = np.maximum.accumulate(x, axis=1 + "xyz".index(axis))  # neighbours along the lines tell
+    x = np.maximum.accumulate(x, axis=1 + "xyz".index(axis))  # neighbours along the lines are informative
     found = coding_limits(fields_of(x, 4))
     assert found.scan_axis == found.summary()["scan_axis"] == axis
     dense = x if axis == "z" else x.reshape(2, *(1,) * shape.count(1), *(n for n in shape if n > 1))
@@ -75,7 +80,7 @@ def test_flat_media_are_scanned_along_the_last_axis_that_has_samples(
         assert found.context("previous").per_voxel.value < 0.9 * found.voxel_entropy.value
 
 
-def test_an_empty_medium_tells_nothing_and_says_why_it_has_no_object() -> None:
+def test_empty_medium_has_zero_entropy_and_a_note() -> None:
     empty = FieldSymbols(Grid((64, 64, 64), (1, 1, 1), (0, 0, 0)), np.zeros((0, 3), np.int32),
                          np.zeros((0, 8, 8, 8), np.int32), 1, "test")  # fmt: skip
     found = coding_limits([empty, empty])
@@ -85,7 +90,7 @@ def test_an_empty_medium_tells_nothing_and_says_why_it_has_no_object() -> None:
     json.dumps(found.summary(), allow_nan=False)
 
 
-def test_a_nominal_lattice_is_never_laid_out() -> None:
+def test_nominal_lattice_is_never_dense() -> None:
     """8 x 10^9 voxels, one brick of symbols: empty space in closed form."""
     symbols = np.zeros((1, 8, 8, 8), np.int32)
     symbols[0, 2:5, 3, 1] = [1, 2, 1]
@@ -96,15 +101,15 @@ def test_a_nominal_lattice_is_never_laid_out() -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    ("call", "message"),
     [
         (lambda: coding_limits(7), "int"),
         (lambda: coding_limits([1, 2]), "FieldSymbols"),
         (lambda: coding_limits([]), "no frame"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_measured_is_refused(call: object, words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
+def test_invalid_arguments_are_refused(call: object, message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
         call()
 
 

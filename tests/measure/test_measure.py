@@ -1,4 +1,4 @@
-"""Measures against their definitions."""
+"""Measures compared with their definitions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_plug_in_entropy(counts: list[int], bits: float) -> None:
 
 
 @given(st.lists(st.integers(0, 15), min_size=1, max_size=200), st.integers(0, 1000))
-def test_voxel_and_object_entropy_obey_their_identity(symbols: list[int], empty: int) -> None:
+def test_voxel_and_object_entropy_satisfy_their_identity(symbols: list[int], empty: int) -> None:
     counter = SymbolCounter()
     counter.add(symbols, len(symbols) + empty)
     p = len(symbols) / (len(symbols) + empty)
@@ -46,7 +46,7 @@ def test_fidelity_in_the_three_conventions() -> None:
     assert meter.nmse_forensic_db == pytest.approx(2 * meter.nmse_db, abs=1e-9)
     assert meter.nmse_literal_db == pytest.approx(20 * math.log10(1.34 / 7.01), abs=1e-5)
     assert (meter.supported_voxels, meter.compared_voxels) == (3, 4)
-    assert meter.mask_violations == 1  # the second voxel alone: 1 N against a mask of 0.4 N
+    assert meter.mask_violations == 1  # only the second voxel: 1 N against a mask of 0.4 N
     assert meter.mask_violation_share == 0.25
     assert meter.worst_mask_ratio == pytest.approx(2.5)
 
@@ -57,7 +57,7 @@ def test_no_error_has_no_decibels(wavy_field: ForceField) -> None:
     assert meter.nmse_db is None and meter.mask_violations == 0 and meter.worst_mask_ratio == 0
 
 
-def test_a_mask_that_is_none_and_a_field_of_another_shape_are_refused() -> None:
+def test_invalid_masks_and_shapes_are_refused() -> None:
     x, y = (ForceField.empty(Grid(shape, (1, 1, 1), (0, 0, 0))) for shape in ((8, 9, 10), (9, 8, 10)))
     with pytest.raises(InvalidArgument, match="F_0 > 0"):
         FidelityMeter(0.1, 0.0)
@@ -71,19 +71,20 @@ def test_rate() -> None:
     assert compression_ratio(account.total, 2, 4) == pytest.approx(64 / (2 * 4 * 96))
 
 
-def test_frames_are_added_up_and_the_worst_of_all_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fidelity_sums_over_frames_and_keeps_the_maximum(monkeypatch: pytest.MonkeyPatch) -> None:
     grid = Grid((40, 9, 8), (0.001, 0.002, 0.003), (0, 0, 0))
-    places = [[0, 0, 0], [9, 8, 0], [39, 0, 7]]
+    positions = [[0, 0, 0], [9, 8, 0], [39, 0, 7]]
     sources = [
-        ForceField.from_support(grid, places, [[1.0, 0, 0], [0, 2.0, 0], [0, 0, size]]) for size in (3.0, 4.0)
+        ForceField.from_support(grid, positions, [[1.0, 0, 0], [0, 2.0, 0], [0, 0, size]])
+        for size in (3.0, 4.0)
     ]
     errors = [[0.0, 0, 0.05], [0.5, 0, 0], [0, 0, 0]], [[0, 0, 0], [0, 0.1, 0], [0, 0, -1.4]]
     pairs = [
-        (one, one + ForceField.from_support(grid, places, error))
-        for one, error in zip(sources, errors, strict=True)
+        (field, field + ForceField.from_support(grid, positions, error))
+        for field, error in zip(sources, errors, strict=True)
     ]
     for order, bricks in ((pairs, 4096), (pairs[::-1], 4096), (pairs, 1)):
-        monkeypatch.setattr(fidelity, "_CHUNK", bricks)  # at a time
+        monkeypatch.setattr(fidelity, "_CHUNK", bricks)  # bricks per chunk
         meter = FidelityMeter(k=0.1, f0_n=0.05)
         for pair in order:
             meter.add(*pair)

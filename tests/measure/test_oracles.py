@@ -1,4 +1,4 @@
-"""One battery of oracles (dit, scipy, scikit-learn) for every road to a quantity of information, to 1e-12."""
+"""Every implementation of each information quantity, compared with dit, scipy and scikit-learn to 1e-12."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ pairs = st.integers(1, 40).flatmap(lambda n: st.tuples(symbols(n, KX), symbols(n
 
 
 def table_of(x: Symbols, y: Symbols) -> Floats:
-    """How often each pair occurs, as a share."""
+    """Relative frequency of each pair."""
     return np.bincount(KY * x + y, minlength=KX * KY).reshape(KX, KY) / len(x)
 
 
-def law_of(table: Floats) -> dit.Distribution:
-    held = [tuple(place) for place in np.argwhere(table).tolist()]
-    return dit.Distribution(["".join(map(str, h)) for h in held], [table[h] for h in held])
+def distribution_of(table: Floats) -> dit.Distribution:
+    cells = [tuple(index) for index in np.argwhere(table).tolist()]
+    return dit.Distribution(["".join(map(str, h)) for h in cells], [table[h] for h in cells])
 
 
-def law_of_one(p: Floats) -> dit.Distribution:
+def distribution_of_one(p: Floats) -> dit.Distribution:
     return dit.Distribution([str(i) for i in range(len(p))], p)
 
 
@@ -76,7 +76,7 @@ def counter_bits(x: Symbols) -> float:
     return counter.voxel_bits
 
 
-def shares(x: Symbols) -> Floats:
+def frequencies(x: Symbols) -> Floats:
     return np.bincount(x, minlength=KX) / len(x)
 
 
@@ -124,16 +124,16 @@ ROADS: dict[str, dict[str, Road]] = {
     "JSD(X,Y)": {
         "samples": lambda x, y: float(info.jensen_shannon_distance(x, y, interval=False)) ** 2,
         "probabilities": lambda x, y: (
-            float(info.jensen_shannon_distance(exact(shares(x)), exact(shares(y)))) ** 2
+            float(info.jensen_shannon_distance(exact(frequencies(x)), exact(frequencies(y)))) ** 2
         ),
         "fields": lambda x, y: float(info.jensen_shannon_distance(joined(x, y))) ** 2,
     },
 }
 
 
-def oracles(quantity: str, x: Symbols, y: Symbols) -> list[float]:
-    """The same from dit, and from scipy or scikit-learn where they know it, bits."""
-    law = law_of(table_of(x, y))
+def reference_values(quantity: str, x: Symbols, y: Symbols) -> list[float]:
+    """The same from dit, and from scipy or scikit-learn where available, bits."""
+    law = distribution_of(table_of(x, y))
     if quantity == "H(X)":
         return [dit.shannon.entropy(law, [0]), stats.entropy(np.bincount(x), base=2)]
     if quantity == "H(X,Y)":
@@ -146,52 +146,60 @@ def oracles(quantity: str, x: Symbols, y: Symbols) -> list[float]:
         return [dit.shannon.mutual_information(law, [0], [1]), metrics.mutual_info_score(x, y) / math.log(2)]
     if quantity == "VI(X,Y)":
         return [dit.multivariate.residual_entropy(law)]
-    return [dit.divergences.jensen_shannon_divergence([law_of_one(shares(x)), law_of_one(shares(y))])]
+    return [
+        dit.divergences.jensen_shannon_divergence(
+            [distribution_of_one(frequencies(x)), distribution_of_one(frequencies(y))]
+        )
+    ]
 
 
 @pytest.mark.parametrize("quantity", ROADS)
 @given(samples=pairs)
-def test_every_road_leads_to_the_oracle(quantity: str, samples: tuple[Symbols, Symbols]) -> None:
+def test_all_implementations_agree_with_the_reference(
+    quantity: str, samples: tuple[Symbols, Symbols]
+) -> None:
     found = {name: float(road(*samples)) for name, road in ROADS[quantity].items()}
-    for expected in oracles(quantity, *samples):
+    for expected in reference_values(quantity, *samples):
         assert found == pytest.approx(dict.fromkeys(found, expected), abs=1e-12, rel=0)
 
 
 @given(samples=pairs)
-def test_normalised_information_leads_to_the_oracle(samples: tuple[Symbols, Symbols]) -> None:
+def test_normalised_information_agrees_with_the_reference(samples: tuple[Symbols, Symbols]) -> None:
     x, y = samples
     found = [
         float(info.normalised_mutual_information(x, y, interval=False)),
         float(info.normalised_mutual_information(joined(x, y))),
     ]
-    law = law_of(table_of(x, y))
+    law = distribution_of(table_of(x, y))
     h_x, h_y = (dit.shannon.entropy(law, rvs) for rvs in ([0], [1]))
     denominator = math.sqrt(max(0.0, h_x * h_y))
-    if denominator < 1e-6:  # nothing varies, but for rounding
+    if denominator < 1e-6:  # no variation except rounding
         assert all(math.isnan(f) for f in found)
         return
     found.append(float(info.normalised_mutual_information(exact(table_of(x, y)))))
     expected = dit.shannon.mutual_information(law, [0], [1]) / denominator
     assert found == pytest.approx([expected] * 3, abs=1e-12, rel=0)
-    if min(h_x, h_y) > 1e-9:  # scikit-learn says 0 or 1, by kind, where one of the two does not vary
+    if min(h_x, h_y) > 1e-9:  # scikit-learn gives 0 or 1, depending on the kind, if one variable is constant
         score = metrics.normalized_mutual_info_score(x, y, average_method="geometric")
         assert found == pytest.approx([score] * 3, abs=1e-12, rel=0)
 
 
 @given(samples=pairs)
-def test_what_a_sequence_says_of_itself_leads_to_the_oracle(samples: tuple[Symbols, Symbols]) -> None:
-    """H(S'|S), with nothing before the first; and of a field given the frame before."""
+def test_conditional_entropy_of_a_sequence_agrees_with_the_reference(
+    samples: tuple[Symbols, Symbols],
+) -> None:
+    """H(S'|S), with zero before the first, and the entropy of a field given the previous frame."""
     x, y = samples
     before = np.concatenate([[0], x[:-1]])
     pair = np.bincount(KX * x + before, minlength=KX * KX).reshape(KX, KX) / len(x)
-    rate = dit.shannon.conditional_entropy(law_of(pair), [0], [1])
+    rate = dit.shannon.conditional_entropy(distribution_of(pair), [0], [1])
     assert float(context_entropy([as_field(x, KX)], "previous").per_voxel) == pytest.approx(
         rate, abs=1e-12, rel=0
     )
     frames = [as_field(y, KX), as_field(x, KX)]
     now, past = np.concatenate([y, x]), np.concatenate([0 * y, y])
     pair = np.bincount(KX * now + past, minlength=KX * KX).reshape(KX, KX) / len(now)
-    rate = dit.shannon.conditional_entropy(law_of(pair), [0], [1])
+    rate = dit.shannon.conditional_entropy(distribution_of(pair), [0], [1])
     found = context_entropy(frames, "none", previous_frame=True).per_voxel
     assert float(found) == pytest.approx(rate, abs=1e-12, rel=0)
 
@@ -203,10 +211,14 @@ tables = (
 
 
 @given(tables)
-def test_three_variables_lead_to_the_oracle(table: Floats) -> None:
-    law = law_of(table)
-    near = {"abs": 1e-12, "rel": 0}
-    assert float(info.joint_entropy(exact(table))) == pytest.approx(dit.shannon.entropy(law), **near)
+def test_three_variables_agree_with_the_reference(table: Floats) -> None:
+    distribution = distribution_of(table)
+    tolerance = {"abs": 1e-12, "rel": 0}
+    assert float(info.joint_entropy(exact(table))) == pytest.approx(
+        dit.shannon.entropy(distribution), **tolerance
+    )
     for axis in range(3):
-        expected = dit.shannon.conditional_entropy(law, [a for a in range(3) if a != axis], [axis])
-        assert float(info.conditional_entropy(exact(table), given=axis)) == pytest.approx(expected, **near)
+        expected = dit.shannon.conditional_entropy(distribution, [a for a in range(3) if a != axis], [axis])
+        assert float(info.conditional_entropy(exact(table), given=axis)) == pytest.approx(
+            expected, **tolerance
+        )

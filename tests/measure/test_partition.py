@@ -1,6 +1,4 @@
-"""Workspace partitions: the losses of boxes against a count of every sample, the optimum against every
-division.
-"""
+"""Workspace partitions: losses of boxes compared with counts of samples, and the optimum with enumeration."""
 
 from __future__ import annotations
 
@@ -36,9 +34,9 @@ def divisions(
     """Every dyadic division of a box."""
     yield [(depth, index)]
     if depth < lat.depth:
-        here, below = lat.boxes(depth), lat.boxes(depth + 1)
-        steps = [range(b // a) for a, b in zip(here, below, strict=True)]
-        factor = [b // a for a, b in zip(here, below, strict=True)]
+        boxes_here, boxes_below = lat.boxes(depth), lat.boxes(depth + 1)
+        steps = [range(b // a) for a, b in zip(boxes_here, boxes_below, strict=True)]
+        factor = [b // a for a, b in zip(boxes_here, boxes_below, strict=True)]
         corners = itertools.product(*steps)
         children = [
             list(
@@ -46,14 +44,14 @@ def divisions(
             )  # type: ignore[arg-type]
             for at in corners
         ]
-        for chosen in itertools.product(*children):
-            yield [box for part in chosen for box in part]
+        for selected in itertools.product(*children):
+            yield [box for part in selected for box in part]
 
 
-def random_losses(lat: DyadicLattice, seed: int, whole: bool = False) -> list[NDArray[np.float64]]:
+def random_losses(lat: DyadicLattice, seed: int, is_rounded: bool = False) -> list[NDArray[np.float64]]:
     rng = np.random.default_rng(seed)
     found = [rng.random(lat.boxes(d)) * 8.0 ** -(0.7 * d) * 10 for d in range(lat.depth + 1)]
-    return [np.rint(4 * loss) for loss in found] if whole else found
+    return [np.rint(4 * loss) for loss in found] if is_rounded else found
 
 
 TREES = [
@@ -65,60 +63,60 @@ TREES = [
 
 
 @pytest.mark.parametrize(("split", "depth"), TREES)
-def test_the_optimum_is_that_of_every_division(split: tuple[bool, bool, bool], depth: int) -> None:
+def test_optimum_agrees_with_enumeration(split: tuple[bool, bool, bool], depth: int) -> None:
     lat = lattice(split, depth)
-    every = list(divisions(lat))
+    all_divisions = list(divisions(lat))
     for seed, penalty in itertools.product(range(6), (0.0, 0.3, 1.0, 4.0, 100.0)):
         losses = random_losses(lat, seed)
-        costs = [sum(losses[d][i] for d, i in boxes) + penalty * len(boxes) for boxes in every]
-        made = optimal_partition(lat, losses, penalty)
-        assert made.cost_bits == pytest.approx(min(costs), rel=1e-12)
-        best = every[int(np.argmin(costs))]
-        assert {(b.depth, b.index) for b in made.boxes} == set(best)
+        costs = [sum(losses[d][i] for d, i in boxes) + penalty * len(boxes) for boxes in all_divisions]
+        partition = optimal_partition(lat, losses, penalty)
+        assert partition.cost_bits == pytest.approx(min(costs), rel=1e-12)
+        best = all_divisions[int(np.argmin(costs))]
+        assert {(b.depth, b.index) for b in partition.boxes} == set(best)
 
 
 @given(st.sampled_from(TREES), st.integers(0, 2**32 - 1), st.floats(0, 20), st.floats(0, 20), st.booleans())
-def test_boxes_are_disjoint_and_cover_and_lambda_is_monotone(
-    tree: Any, seed: int, first: float, second: float, whole: bool
+def test_boxes_partition_the_grid_and_lambda_is_monotone(
+    tree: Any, seed: int, first: float, second: float, is_rounded: bool
 ) -> None:
     lat = lattice(*tree)
-    losses = random_losses(lat, seed, whole)
-    few, many = (optimal_partition(lat, losses, p) for p in sorted((first, second), reverse=True))
-    for made in (few, many):
+    losses = random_losses(lat, seed, is_rounded)
+    coarse, fine = (optimal_partition(lat, losses, p) for p in sorted((first, second), reverse=True))
+    for partition in (coarse, fine):
         covered = np.zeros(lat.grid.shape, int)
-        for box in made.boxes:
-            covered[slices(made, box)] += 1
+        for box in partition.boxes:
+            covered[slices(partition, box)] += 1
             assert box.loss_bits == losses[box.depth][box.index]
         assert (covered == 1).all()
-    assert len(few.boxes) <= len(many.boxes)
-    assert few.loss_bits >= many.loss_bits - 1e-9
+    assert len(coarse.boxes) <= len(fine.boxes)
+    assert coarse.loss_bits >= fine.loss_bits - 1e-9
 
 
-def slices(made: Partition, box: Any) -> tuple[slice, ...]:
-    """The fine samples of a box, by the metres of its own lattice."""
-    low, high = (made.lattice.grid.to_index(edge) + 0.5 for edge in made.grid(box).box_m)
+def slices(partition: Partition, box: Any) -> tuple[slice, ...]:
+    """The fine samples of a box, from the metres of its lattice."""
+    low, high = (partition.lattice.grid.to_index(edge) + 0.5 for edge in partition.grid(box).box_m)
     assert np.abs(low - np.rint(low)).max() < 1e-6 and np.abs(high - np.rint(high)).max() < 1e-6
     return tuple(
         slice(a, b) for a, b in zip(np.rint(low).astype(int), np.rint(high).astype(int), strict=True)
     )
 
 
-def test_each_box_fills_the_device() -> None:
+def test_each_box_has_the_shape_of_the_device() -> None:
     lat = lattice((True, True, False), 3, (4, 2, 5))
-    made = optimal_partition(lat, random_losses(lat, 1), 0.05)
-    assert len({b.depth for b in made.boxes}) > 1
-    for box in made.boxes:
-        grid = made.grid(box)
+    partition = optimal_partition(lat, random_losses(lat, 1), 0.05)
+    assert len({b.depth for b in partition.boxes}) > 1
+    for box in partition.boxes:
+        grid = partition.grid(box)
         assert grid.shape == (4, 2, 5)
         extent = np.subtract(*reversed(lat.grid.box_m)) / [2**box.depth, 2**box.depth, 1]
         np.testing.assert_allclose(np.subtract(*reversed(grid.box_m)), extent)
-    summary = made.summary()
-    assert sum(summary["boxes_by_depth"].values()) == summary["boxes"] == len(made.boxes)
-    assert summary["lost_bits_per_frame"] == made.loss_bits < summary["cost_bits"] == made.cost_bits
+    summary = partition.summary()
+    assert sum(summary["boxes_by_depth"].values()) == summary["boxes"] == len(partition.boxes)
+    assert summary["lost_bits_per_frame"] == partition.loss_bits < summary["cost_bits"] == partition.cost_bits
     assert summary["device_shape"] == [4, 2, 5]
 
 
-def test_of_equal_partitions_the_fewer_boxes() -> None:
+def test_fewer_boxes_win_ties() -> None:
     lat = lattice((True, True, True), 2)
     none = [np.zeros(lat.boxes(d)) for d in range(3)]
     assert len(optimal_partition(lat, none, 0.0).boxes) == 1
@@ -128,12 +126,12 @@ def test_of_equal_partitions_the_fewer_boxes() -> None:
 
 
 def conditional_bits(pairs: list[tuple[int, int]]) -> float:
-    """n H(S|K) of pairs (k, s), by the definition."""
-    joint, given_k = Counter(pairs), Counter(k for k, _ in pairs)
-    return -sum(c * np.log2(c / given_k[k]) for (k, _), c in joint.items())
+    """n H(S|K) of pairs (k, s), by definition."""
+    joint, counts_k = Counter(pairs), Counter(k for k, _ in pairs)
+    return -sum(c * np.log2(c / counts_k[k]) for (k, _), c in joint.items())
 
 
-def test_losses_are_the_conditional_entropies_of_every_sample() -> None:
+def test_losses_are_conditional_entropies_of_samples() -> None:
     lat = lattice((True, True, False), 3, (3, 2, 5))
     losses, rng = BoxLosses(lat), np.random.default_rng(0)
     frames = []
@@ -159,7 +157,7 @@ def test_losses_are_the_conditional_entropies_of_every_sample() -> None:
     assert bits[0][0, 0, 0] > 0 and not bits[3].any()
 
 
-def test_an_empty_workspace_loses_nothing() -> None:
+def test_empty_workspace_has_no_loss() -> None:
     lat = lattice((True, True, True), 2)
     losses = BoxLosses(lat)
     losses.add(
@@ -175,45 +173,45 @@ def test_an_empty_workspace_loses_nothing() -> None:
 
 
 def corner_medium(frames: int = 2) -> HapticMedium:
-    """Rough forces in one corner, a constant force in the opposite one, nothing between."""
+    """Rough forces in one corner, a constant force in the opposite one, and empty space between."""
     grid = Grid.over_box((-0.08,) * 3, (0.08,) * 3, (32, 32, 32))
-    made = []
+    fields = []
     for t in range(frames):
         forces = np.zeros((32, 32, 32, 3), np.float32)
         forces[:8, :8, :8] = np.random.default_rng(t).normal(size=(8, 8, 8, 3))
         forces[16:, 16:, 16:] = (0.0, 0.0, 1.0)
-        made.append(ForceField.from_dense(grid, forces))
-    return HapticMedium.from_frames(made, 25.0)
+        fields.append(ForceField.from_dense(grid, forces))
+    return HapticMedium.from_frames(fields, 25.0)
 
 
-def test_small_boxes_go_where_the_detail_is() -> None:
+def test_small_boxes_are_at_fine_detail() -> None:
     medium = corner_medium()
-    made = partition_workspace(medium, (4, 4, 4), penalty_bits=50.0)
-    rough = [b for b in made.boxes if all(i < (8 << b.depth) / 32 for i in b.index)]
-    assert max(b.depth for b in made.boxes) == 3
-    assert {b.depth for b in made.boxes if b not in rough} == {1, 2}
-    assert len(rough) == 8 and made.loss_bits == 0.0
-    assert len(made.boxes) == 7 + 7 + 8
-    # the whole depth everywhere loses nothing either, at 512 boxes
-    dear = partition_workspace(medium, (4, 4, 4), penalty_bits=1e6)
-    assert len(dear.boxes) == 1 and dear.loss_bits > 1000
+    partition = partition_workspace(medium, (4, 4, 4), penalty_bits=50.0)
+    rough = [b for b in partition.boxes if all(i < (8 << b.depth) / 32 for i in b.index)]
+    assert max(b.depth for b in partition.boxes) == 3
+    assert {b.depth for b in partition.boxes if b not in rough} == {1, 2}
+    assert len(rough) == 8 and partition.loss_bits == 0.0
+    assert len(partition.boxes) == 7 + 7 + 8
+    # full depth everywhere has no loss either, but 512 boxes
+    expensive = partition_workspace(medium, (4, 4, 4), penalty_bits=1e6)
+    assert len(expensive.boxes) == 1 and expensive.loss_bits > 1000
 
 
 def test_the_same_partition_for_any_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = []
+    partitions = []
     for threads in ("1", "3"):
         monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
-        made.append(partition_workspace(corner_medium(), (8, 8, 8), 20.0))
-    assert made[0] == made[1]
+        partitions.append(partition_workspace(corner_medium(), (8, 8, 8), 20.0))
+    assert partitions[0] == partitions[1]
 
 
-def test_a_medium_on_the_devices_own_lattice_is_one_box() -> None:
-    made = partition_workspace(corner_medium(1), (32, 32, 32), 0.0)
-    assert len(made.boxes) == 1 and made.loss_bits == 0.0
-    assert made.grid(made.boxes[0]) == made.lattice.grid
+def test_medium_on_the_lattice_of_the_device_is_one_box() -> None:
+    partition = partition_workspace(corner_medium(1), (32, 32, 32), 0.0)
+    assert len(partition.boxes) == 1 and partition.loss_bits == 0.0
+    assert partition.grid(partition.boxes[0]) == partition.lattice.grid
 
 
-def test_what_is_no_partition() -> None:
+def test_invalid_arguments_are_refused() -> None:
     grid = Grid((32, 32, 32), (1, 1, 1), (0, 0, 0))
     for device in ((32, 16, 8), (5, 32, 32), (64, 32, 32), (0, 1, 1), (12, 12, 12)):
         with pytest.raises(InvalidArgument, match=r"grid to partition|device_shape"):

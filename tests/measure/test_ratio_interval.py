@@ -1,6 +1,4 @@
-"""The paired bootstrap of a ratio: a slow double, coverage where the truth is enumerated, and what has no
-ratio.
-"""
+"""The paired bootstrap of a ratio: a slow reference, coverage for enumerated truth, and undefined ratios."""
 
 from __future__ import annotations
 
@@ -22,7 +20,7 @@ Ints = NDArray[np.int64]
 
 
 def markov(rng: np.random.Generator, n: int) -> Ints:
-    """A binary chain that leaves 0 with chance .05 and 1 with chance .2, from its stationary state."""
+    """A binary chain that leaves 0 with probability .05 and 1 with .2, from its stationary state."""
     state = int(rng.random() < 0.2)
     runs = [rng.geometric((0.05, 0.2)[(state + i) % 2]) for i in range(n)]
     return np.repeat((state + np.arange(n)) % 2, runs)[:n]
@@ -34,12 +32,12 @@ def levels(rng: np.random.Generator, n: int) -> Ints:
     return np.clip(np.floor(8 * x) + 32, 0, 63).astype(np.int64)
 
 
-def level_shares() -> NDArray[np.float64]:
+def level_probabilities() -> NDArray[np.float64]:
     edges = np.concatenate([[-np.inf], (np.arange(1, 64) - 32) / 8, [np.inf]])
     return np.asarray(np.diff(stats.norm.cdf(edges)))
 
 
-def counted(symbols: Ints, blocks: int) -> Ints:
+def counts_in_blocks(symbols: Ints, blocks: int) -> Ints:
     owner = np.arange(len(symbols)) * blocks // len(symbols)
     return np.bincount(owner * 64 + symbols, minlength=blocks * 64).reshape(blocks, 64)
 
@@ -53,37 +51,37 @@ def both(blocks: tuple[Ints, Ints]) -> tuple[Counts, Counts]:
     return first, second
 
 
-def test_it_equals_one_resample_of_both_after_the_other() -> None:
+def test_paired_interval_agrees_with_one_resample_at_a_time() -> None:
     w = levels(np.random.default_rng(1), 960)
-    above, below = counted(w[::2] // 8, 12), counted(w, 12)
-    made = paired_ratio(both((below, above)), (1, 1), math.inf)
+    rendered_counts, reference_counts = counts_in_blocks(w[::2] // 8, 12), counts_in_blocks(w, 12)
+    found = paired_ratio(both((reference_counts, rendered_counts)), (1, 1), math.inf)
     drawn = np.random.default_rng(0).multinomial(12, [1 / 12] * 12, size=200)
-    values = np.array([entropy_bits(t @ above) / entropy_bits(t @ below) for t in drawn])
+    values = np.array([entropy_bits(t @ rendered_counts) / entropy_bits(t @ reference_counts) for t in drawn])
     low, high = np.quantile(values, [0.025, 0.975])
     reach = math.sqrt(12 / 11) * stats.t.ppf(0.975, 11) / stats.norm.ppf(0.975)
-    estimate = entropy_bits(above.sum(0)) / entropy_bits(below.sum(0))
+    estimate = entropy_bits(rendered_counts.sum(0)) / entropy_bits(reference_counts.sum(0))
     middle = 2 * estimate - values.mean()
-    want = min(middle - reach * (high - values.mean()), estimate), middle + reach * (values.mean() - low)
-    assert made is not None and (made.low, made.high) == pytest.approx(want, abs=1e-12)
-    assert made.method == "paired block bootstrap (basic), 12 blocks, 200 resamples" and made.level == 0.95
+    expected = min(middle - reach * (high - values.mean()), estimate), middle + reach * (values.mean() - low)
+    assert found is not None and (found.low, found.high) == pytest.approx(expected, abs=1e-12)
+    assert found.method == "paired block bootstrap (basic), 12 blocks, 200 resamples" and found.level == 0.95
 
 
 @pytest.mark.parametrize(
     ("source", "mapping", "fewer", "truth"),
     [
-        # a device of half the samples, each the greater of two: its chance of 0 is that of two zeros in a row
+        # half the samples, each the maximum of two: P(0) is that of two zeros in a row
         (
             markov,
             lambda w: w[::2] | w[1::2],
             2,
             binary_entropy_bits(0.8 * 0.95) / binary_entropy_bits(0.2) / 2,
         ),
-        # a device of as many samples and a quarter of the levels
+        # the same samples with a quarter of the levels
         (
             levels,
             lambda w: w // 4,
             1,
-            stats.entropy(level_shares().reshape(16, 4).sum(1)) / stats.entropy(level_shares()),
+            stats.entropy(level_probabilities().reshape(16, 4).sum(1)) / stats.entropy(level_probabilities()),
         ),
     ],
     ids=["fewer samples", "fewer levels"],
@@ -94,47 +92,47 @@ def test_coverage_where_the_truth_is_enumerated(
     fewer: int,
     truth: float,
 ) -> None:
-    """As often as it says, and far narrower than the corners of two intervals."""
+    """The nominal coverage, with intervals far narrower than the corners of two intervals."""
     rng, n, blocks = np.random.default_rng(2), 4096, 32
-    held, ours, corners = 0, [], []
+    covered, widths, corners = 0, [], []
     for draw in range(80):
         w = source(rng, n)
-        counts = counted(w, blocks), counted(mapping(w), blocks)
-        made = paired_ratio(both(counts), (n, n // fewer), math.inf)
-        assert made is not None
-        held += made.low <= truth <= made.high
+        counts = counts_in_blocks(w, blocks), counts_in_blocks(mapping(w), blocks)
+        found = paired_ratio(both(counts), (n, n // fewer), math.inf)
+        assert found is not None
+        covered += found.low <= truth <= found.high
         if draw % 8:
             continue
-        ours.append(made.high - made.low)
+        widths.append(found.high - found.low)
         h, c = (interval(entropy_bits, k, 50) for k in counts)
         corners.append(c.high / h.low / fewer - c.low / h.high / fewer)
-    assert 68 <= held <= 80  # 95 %: fewer than 68 of 80 with chance 10^-4
-    assert np.mean(ours) < 0.4 * np.mean(corners)
+    assert 68 <= covered <= 80  # 95 %: fewer than 68 of 80 have probability 10^-4
+    assert np.mean(widths) < 0.4 * np.mean(corners)
 
 
-def test_a_relabelling_loses_nothing_with_certainty() -> None:
+def test_relabelling_has_ratio_one_without_width() -> None:
     w = levels(np.random.default_rng(4), 2048)
-    counts = counted(w, 16), counted(63 - w, 16)
-    made = paired_ratio(both(counts), (2048, 2048), math.inf)
-    assert made is not None and (made.low, made.high) == pytest.approx((1, 1), abs=1e-12)
+    counts = counts_in_blocks(w, 16), counts_in_blocks(63 - w, 16)
+    found = paired_ratio(both(counts), (2048, 2048), math.inf)
+    assert found is not None and (found.low, found.high) == pytest.approx((1, 1), abs=1e-12)
 
 
-def test_an_estimator_that_uses_the_alphabet_or_corrects_its_bias_has_its_own() -> None:
+def test_paired_interval_of_other_estimators() -> None:
     w = levels(np.random.default_rng(5), 2048)
-    counts = counted(w, 16), counted(w // 8, 16)
+    counts = counts_in_blocks(w, 16), counts_in_blocks(w // 8, 16)
     corrected = paired_ratio(both(counts), (2048, 2048), math.inf, "miller-madow")
     assert corrected is not None and "normal" in corrected.method
-    told = paired_ratio(both(counts), (2048, 2048), 100.0)
-    assert told is not None and told.high < 100 / 2048  # never more than the device can be told
+    limited = paired_ratio(both(counts), (2048, 2048), 100.0)
+    assert limited is not None and limited.high < 100 / 2048  # limited by the capacity of the device
 
 
 def test_without_variation_there_is_no_ratio() -> None:
-    """Of 12 blocks one alone varies; a third of the resamples leave it out."""
-    below = np.zeros((12, 64), np.int64)
-    below[:, 0], below[5, :2] = 10, (5, 5)
-    assert paired_ratio(both((below, below)), (1, 1), math.inf) is None
-    below[5, 1] = 0
-    assert paired_ratio(both((below, below)), (1, 1), math.inf) is None
+    """Only one of 12 blocks varies; a third of the resamples omit it."""
+    counts = np.zeros((12, 64), np.int64)
+    counts[:, 0], counts[5, :2] = 10, (5, 5)
+    assert paired_ratio(both((counts, counts)), (1, 1), math.inf) is None
+    counts[5, 1] = 0
+    assert paired_ratio(both((counts, counts)), (1, 1), math.inf) is None
 
 
 def test_too_few_blocks() -> None:
@@ -157,17 +155,17 @@ def test_wmr_has_the_interval_of_the_pair_and_hil_its_mirror_image() -> None:
     assert found.wmr.interval == Interval(0.55, 0.7, 0.95, "paired")
     assert found.hil.interval is not None
     assert (found.hil.interval.low, found.hil.interval.high) == pytest.approx((0.3, 0.45))
-    apart = capacity(frame_bits(10.0), frame_bits(6.0), 20.0)
-    assert found.capacity == apart.capacity and found.wmr.value == apart.wmr.value
-    assert apart.wmr.interval is not None and apart.wmr.interval.high == 1
+    separate = capacity(frame_bits(10.0), frame_bits(6.0), 20.0)
+    assert found.capacity == separate.capacity and found.wmr.value == separate.wmr.value
+    assert separate.wmr.interval is not None and separate.wmr.interval.high == 1
 
 
 @pytest.mark.parametrize(
-    ("given", "want"), [((0.9, 1.2), (0.9, 1.0)), ((1.05, 1.2), (1.0, 1.0)), ((0.5, 0.8), (0.5, 1.0))]
+    ("limits", "expected"), [((0.9, 1.2), (0.9, 1.0)), ((1.05, 1.2), (1.0, 1.0)), ((0.5, 0.8), (0.5, 1.0))]
 )
-def test_it_is_cut_at_one_and_holds_the_estimate(
-    given: tuple[float, float], want: tuple[float, float]
+def test_interval_is_limited_to_one_and_contains_the_estimate(
+    limits: tuple[float, float], expected: tuple[float, float]
 ) -> None:
-    found = capacity(frame_bits(10.0), frame_bits(11.0), 20.0, ratio=Interval(*given, 0.95, "paired"))
+    found = capacity(frame_bits(10.0), frame_bits(11.0), 20.0, ratio=Interval(*limits, 0.95, "paired"))
     i = found.wmr.interval
-    assert found.wmr.value == 1 and i is not None and (i.low, i.high) == want
+    assert found.wmr.value == 1 and i is not None and (i.low, i.high) == expected

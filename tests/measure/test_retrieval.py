@@ -1,6 +1,4 @@
-"""Search among media: exact neighbours, files, average precision, and how well a known collection is told
-apart.
-"""
+"""Search among media: exact neighbours, files, average precision, and separation of a known collection."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ from touchfield.measure.retrieval import (
 from touchfield.medium import ForceField
 
 
-def drawn(seed: int, count: int = 12) -> dict[str, Descriptor]:
+def random_descriptors(seed: int, count: int = 12) -> dict[str, Descriptor]:
     rng = np.random.default_rng(seed)
     return {f"m{i}": Descriptor(v) for i, v in enumerate(rng.random((count, DESCRIPTOR_LENGTH)).round(1))}
 
@@ -56,9 +54,9 @@ def index_of(entries: dict[str, Descriptor]) -> MediumIndex:
     st.integers(1, 15),
     st.sampled_from([{}, ANY_POSE, {"support": 2.5, "amplitude": 0.1}]),
 )
-def test_the_nearest_are_those_of_a_plain_search(seed: int, count: int, weights: dict[str, float]) -> None:
-    entries = drawn(seed)
-    query = drawn(seed + 1, 1)["m0"]
+def test_nearest_media_agree_with_brute_force(seed: int, count: int, weights: dict[str, float]) -> None:
+    entries = random_descriptors(seed)
+    query = random_descriptors(seed + 1, 1)["m0"]
     expected = []
     for name, entry in entries.items():
         square = sum(weights.get(part, 1.0) * ((entry[part] - query[part]) ** 2).sum() for part in PARTS)
@@ -70,25 +68,25 @@ def test_the_nearest_are_those_of_a_plain_search(seed: int, count: int, weights:
     assert {m.name for m in found[:1]} <= {n for d, n in expected if d == pytest.approx(expected[0][0])}
 
 
-def test_the_same_descriptor_is_at_0_and_the_first_of_equals_comes_first() -> None:
-    entries = drawn(3, 4)
+def test_equal_descriptors_have_distance_0_in_order() -> None:
+    entries = random_descriptors(3, 4)
     entries["twin"] = entries["m2"]
     found = index_of(entries).query(entries["m2"], 2)
     assert [(m.name, m.distance) for m in found] == [("m2", 0.0), ("twin", 0.0)]
 
 
-def test_media_are_looked_at_in_turn_and_so_many_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    entries = drawn(8, 5)
-    whole = index_of(entries).query(entries["m3"])
+def test_media_are_searched_in_chunks_up_to_a_maximum(monkeypatch: pytest.MonkeyPatch) -> None:
+    entries = random_descriptors(8, 5)
+    expected = index_of(entries).query(entries["m3"])
     monkeypatch.setattr(retrieval, "_BLOCK", 2)
-    assert index_of(entries).query(entries["m3"]) == whole
+    assert index_of(entries).query(entries["m3"]) == expected
     monkeypatch.setattr(retrieval, "MAX_MEDIA", 4)
     with pytest.raises(InvalidArgument, match="4 media; expected fewer than 4"):
         index_of(entries)
 
 
-def test_what_is_added_later_is_found() -> None:
-    entries = drawn(4, 3)
+def test_media_added_later_are_found() -> None:
+    entries = random_descriptors(4, 3)
     index = index_of({"m0": entries["m0"]})
     assert index.query(entries["m1"])[0].name == "m0"
     index.add("m1", entries["m1"])
@@ -96,8 +94,8 @@ def test_what_is_added_later_is_found() -> None:
     assert (len(index), "m1" in index, index.names, index["m1"]) == (2, True, ("m0", "m1"), entries["m1"])
 
 
-def test_refusals() -> None:
-    entry = drawn(5, 1)["m0"]
+def test_invalid_arguments_are_refused() -> None:
+    entry = random_descriptors(5, 1)["m0"]
     index = MediumIndex()
     with pytest.raises(InvalidArgument, match="no medium"):
         index.query(entry)
@@ -118,8 +116,8 @@ def test_refusals() -> None:
 # -- files -------------------------------------------------------------------------------------------------
 
 
-def test_a_file_holds_the_same_bits_twice(tmp_path: Path) -> None:
-    entries = drawn(6)
+def test_files_are_reproducible(tmp_path: Path) -> None:
+    entries = random_descriptors(6)
     entries["naïve – 名"] = entries.pop("m3")
     index_of(entries).save(tmp_path / "a.npz")
     index_of(entries).save(tmp_path / "b.npz")
@@ -135,51 +133,51 @@ def test_a_file_holds_the_same_bits_twice(tmp_path: Path) -> None:
 
 
 @given(st.integers(0, 10_000), st.integers(1, 255))
-def test_a_damaged_file_is_one_error_or_does_not_matter(
-    tmp_path_factory: pytest.TempPathFactory, place: int, flip: int
+def test_damaged_file_is_an_error_or_unchanged(
+    tmp_path_factory: pytest.TempPathFactory, offset: int, flip: int
 ) -> None:
     folder = tmp_path_factory.mktemp("index")
-    entries = drawn(7, 3)
+    entries = random_descriptors(7, 3)
     index_of(entries).save(folder / "a.npz")
     data = bytearray((folder / "a.npz").read_bytes())
-    (folder / "cut.npz").write_bytes(data[: place % len(data)])
-    data[place % len(data)] ^= flip
+    (folder / "cut.npz").write_bytes(data[: offset % len(data)])
+    data[offset % len(data)] ^= flip
     (folder / "b.npz").write_bytes(data)
     with pytest.raises(SourceError):
         MediumIndex.load(folder / "cut.npz")
     with contextlib.suppress(SourceError):
-        back = MediumIndex.load(folder / "b.npz")
-        assert {name: back[name] for name in back.names} == entries
+        restored = MediumIndex.load(folder / "b.npz")
+        assert {name: restored[name] for name in restored.names} == entries
 
 
-def test_other_archives_are_told_apart(tmp_path: Path) -> None:
-    own = {
+def test_other_archives_are_refused(tmp_path: Path) -> None:
+    header = {
         "format": "touchfield medium index", "descriptor_version": DESCRIPTOR_VERSION, "parts": dict(PARTS),
         "names": ["a"],
     }  # fmt: skip
-    one = np.zeros((1, DESCRIPTOR_LENGTH))
+    values_row = np.zeros((1, DESCRIPTOR_LENGTH))
 
-    def written(values: Any = one, **changes: Any) -> Path:
-        head = np.frombuffer(json.dumps(own | changes).encode(), np.uint8)
+    def write_archive(values: Any = values_row, **changes: Any) -> Path:
+        head = np.frombuffer(json.dumps(header | changes).encode(), np.uint8)
         np.savez(tmp_path / "x.npz", head=head, values=values)
         return tmp_path / "x.npz"
 
-    assert MediumIndex.load(written()).names == ("a",)
+    assert MediumIndex.load(write_archive()).names == ("a",)
     wrong: list[tuple[str, Any, dict[str, Any]]] = [
-        ("head: found 'a table'", one, {"format": "a table"}),
-        ("expected 'touchfield medium index'", one, {"names": "a"}),
-        ("descriptors of version 0 of", one, {"descriptor_version": 0}),
-        ("'amplitude': 20", one, {"parts": {**PARTS, "amplitude": 20, "change": 2}}),
-        (r"values: found float32 \[1, 83\]", one.astype(np.float32), {}),
-        (r"values: found float64 \[1, 82\]; expected float64 \[1, 83\]", one[:, 1:], {}),
+        ("head: found 'a table'", values_row, {"format": "a table"}),
+        ("expected 'touchfield medium index'", values_row, {"names": "a"}),
+        ("descriptors of version 0 of", values_row, {"descriptor_version": 0}),
+        ("'amplitude': 20", values_row, {"parts": {**PARTS, "amplitude": 20, "change": 2}}),
+        (r"values: found float32 \[1, 83\]", values_row.astype(np.float32), {}),
+        (r"values: found float64 \[1, 82\]; expected float64 \[1, 83\]", values_row[:, 1:], {}),
         (r"x\.npz, name: found 'a'", np.zeros((2, DESCRIPTOR_LENGTH)), {"names": ["a", "a"]}),
-        (r"x\.npz, descriptor: found a number below 0", one - 1, {}),
+        (r"x\.npz, descriptor: found a number below 0", values_row - 1, {}),
     ]
-    for told, values, changes in wrong:
-        with pytest.raises(SourceError, match=told):
-            MediumIndex.load(written(values, **changes))
+    for message, values, changes in wrong:
+        with pytest.raises(SourceError, match=message):
+            MediumIndex.load(write_archive(values, **changes))
     short = np.frombuffer(b'{"format": "touchfield medium index", "names": []}', np.uint8)
-    for arrays in ({"values": one}, {"head": short, "values": one}, {"head": np.zeros(4)}):
+    for arrays in ({"values": values_row}, {"head": short, "values": values_row}, {"head": np.zeros(4)}):
         np.savez(tmp_path / "x.npz", **arrays)
         with pytest.raises(SourceError):
             MediumIndex.load(tmp_path / "x.npz")
@@ -211,9 +209,9 @@ def precision(entries: dict[str, Descriptor], weights: dict[str, float]) -> floa
     return float(np.mean([average_precision_score(hits, -np.arange(len(hits))) for hits in alike.values()]))
 
 
-def test_kinds_are_found_in_any_size_and_pose(entries: dict[str, Descriptor]) -> None:
+def test_kinds_are_found_at_any_size_and_pose(entries: dict[str, Descriptor]) -> None:
     """Seven kinds of body and terrain, four of each."""
-    chance = 0.2  # of three that are alike among 27, in any order: 0.203
+    chance = 0.2  # three alike among 27 in random order: 0.203
     only_power = {part: float(part == "direction_power") for part in PARTS}
     assert precision(entries, dict(ANY_POSE)) > 0.9
     assert precision(entries, only_power) > 0.9
@@ -238,7 +236,7 @@ def test_a_coded_medium_finds_its_original(
 def test_a_filtered_medium_finds_its_original(
     fields: dict[str, ForceField], entries: dict[str, Descriptor]
 ) -> None:
-    """Spheres are all alike but for their size, which the descriptor leaves out: there the kind is enough."""
+    """Spheres differ only in size, which the descriptor omits: the kind is sufficient there."""
     index = index_of(entries)
     smooth = GaussianFilter(0.35 * next(iter(fields.values())).grid.spacing_m[0])
     for name, field in fields.items():

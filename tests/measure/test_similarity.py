@@ -1,4 +1,4 @@
-"""Similarity of media: metric axioms where they hold, what shows that they fail elsewhere, and the NCD."""
+"""Similarity of media: metric axioms, counterexamples, and the NCD."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ dense = arrays(np.int32, SMALL.shape, elements=st.integers(0, K - 1))
 
 @given(dense, dense, dense)
 def test_axioms_of_the_metrics(a: Symbols, b: Symbols, c: Symbols) -> None:
-    """VI and sqrt(JSD) over "voxel"; sqrt(JSD) over "object" as well. The root is of rounding."""
+    """VI and sqrt(JSD) over "voxel"; also sqrt(JSD) over "object". The square root is of rounding errors."""
     f, g, h = field(a), field(b), field(c)
     ab, ba, bc, ac, aa = plain(f, g), plain(g, f), plain(g, h), plain(f, h), plain(f, f)
     for get in (lambda s: float(s.variation), lambda s: float(s.jensen_shannon)):
@@ -61,15 +61,17 @@ def test_axioms_of_the_metrics(a: Symbols, b: Symbols, c: Symbols) -> None:
 
 
 @given(dense, dense)
-def test_values_are_those_of_the_plain_arrays(a: Symbols, b: Symbols) -> None:
+def test_values_agree_with_arrays(a: Symbols, b: Symbols) -> None:
     found = similarity(field(a), field(b), compressed=False, interval=False)
     assert float(found.variation) == pytest.approx(
         float(info.variation_of_information(a, b, interval=False)), abs=1e-12
     )
     nmi = float(info.normalised_mutual_information(a, b, interval=False))
     assert float(found.normalised) == pytest.approx(nmi, abs=1e-12, nan_ok=True)
-    shares = [np.bincount(s.ravel(), minlength=K) / s.size for s in (a, b)]
-    assert float(found.jensen_shannon) == pytest.approx(distance.jensenshannon(*shares, base=2), abs=1e-7)
+    frequencies = [np.bincount(s.ravel(), minlength=K) / s.size for s in (a, b)]
+    assert float(found.jensen_shannon) == pytest.approx(
+        distance.jensenshannon(*frequencies, base=2), abs=1e-7
+    )
     assert (found.variation.weighting, found.variation.quantiser, found.variation.unit) == (
         "voxel",
         "a Q",
@@ -78,9 +80,7 @@ def test_values_are_those_of_the_plain_arrays(a: Symbols, b: Symbols) -> None:
 
 
 def test_a_distance_of_0_between_media_that_differ() -> None:
-    """VI does not see other names of the symbols, nor sqrt(JSD) where they lie:
-    each is the other's remedy.
-    """
+    """VI is invariant to relabelling, and sqrt(JSD) to positions: each detects what the other does not."""
     a, renamed, moved = on_row(0, 0, 1, 2), on_row(1, 1, 2, 0), on_row(2, 0, 1, 0)
     assert float(plain(a, renamed).variation) == pytest.approx(0, abs=1e-12)
     assert float(plain(a, renamed).jensen_shannon) > 0.1
@@ -88,10 +88,8 @@ def test_a_distance_of_0_between_media_that_differ() -> None:
     assert float(plain(a, moved).variation) > 0.1
 
 
-def test_the_triangle_does_not_hold_over_the_object() -> None:
-    """Two small bodies, and one that fills all: over the wide unions with it,
-    each small one hardly varies.
-    """
+def test_triangle_inequality_fails_over_the_object() -> None:
+    """Two small bodies, and one that fills the grid: in unions with it, the small ones hardly vary."""
     a, b, c = on_row(1, 2, *[0] * 98), on_row(*[1] * 100), on_row(*[0] * 98, 1, 2)
     sides = {}
     for over in ("voxel", "object"):
@@ -114,18 +112,21 @@ def test_frames_are_samples_together() -> None:
     assert found.variation.samples == a.size
 
 
-def test_an_interval_holds_the_value_and_the_summary_has_all() -> None:
+def test_interval_contains_the_value_and_summary_is_complete() -> None:
     rng = np.random.default_rng(2)
     a = rng.integers(0, K, LARGE.shape)
     b = np.where(rng.random(a.shape) < 0.5, a, rng.integers(0, K, a.shape))
     found = similarity(field(a, LARGE), field(b, LARGE))
     assert found.compression is not None
-    for one in (found.normalised, found.variation, found.jensen_shannon):
-        assert one.interval is not None and one.interval.low <= float(one) <= one.interval.high
+    for quantity in (found.normalised, found.variation, found.jensen_shannon):
+        assert (
+            quantity.interval is not None
+            and quantity.interval.low <= float(quantity) <= quantity.interval.high
+        )
     assert set(found.summary()) == {"normalised", "variation", "jensen_shannon", "compression"}
 
 
-def test_other_lattices_are_refused_and_resampling_mends_it(wavy_field: ForceField) -> None:
+def test_other_lattices_need_resampling(wavy_field: ForceField) -> None:
     low, high = wavy_field.grid.box_m
     coarse = resample(wavy_field, Grid.over_box(low, high, (12, 10, 9)))
     quantise = FieldQuantiserSpec.parse("weber:0.2/ico1").fit([wavy_field, coarse], 4.0)
@@ -137,7 +138,7 @@ def test_other_lattices_are_refused_and_resampling_mends_it(wavy_field: ForceFie
     assert math.isnan(empty.normalised.value) and empty.normalised.notes
 
 
-def test_refusals() -> None:
+def test_invalid_arguments_are_refused() -> None:
     a = field(np.ones(SMALL.shape, np.int64))
     nothing = field(np.zeros(SMALL.shape, np.int64))
     with pytest.raises(InvalidArgument, match="Fit one quantiser to both"):
@@ -161,7 +162,7 @@ def noise(seed: int, k: int = 200) -> FieldSymbols:
 
 def test_ncd_of_equal_unrelated_and_shifted_media() -> None:
     a, b = noise(3), noise(4)
-    shifted = field(np.roll(a.to_dense(), 8, axis=0), LARGE, 200)  # by whole bricks
+    shifted = field(np.roll(a.to_dense(), 8, axis=0), LARGE, 200)  # by a whole number of bricks
     assert 0 < float(compression_distance(a, a)) < 0.05, "not 0: NCD is no metric"
     assert float(compression_distance(a, b)) == pytest.approx(1, abs=0.05)
     assert float(compression_distance(a, shifted)) < 0.1
@@ -174,35 +175,35 @@ def test_ncd_of_equal_unrelated_and_shifted_media() -> None:
 
 
 @given(st.integers(0, 100), st.sampled_from([2, 250, 300, 70_000]))
-def test_packed_bytes_are_of_the_symbols_and_not_of_their_storage(seed: int, k: int) -> None:
+def test_packed_bytes_do_not_depend_on_the_storage(seed: int, k: int) -> None:
     rng = np.random.default_rng(seed)
     s = (rng.integers(0, k, SMALL.shape) * (rng.random(SMALL.shape) < 0.1)).astype(np.int32)
     sparse = field(s, SMALL, k)
     bricks = np.argwhere(np.ones(SMALL.brick_shape)).astype(np.int32)
     full = np.zeros((len(bricks), 8, 8, 8), np.int32)
-    for place, symbols in zip(sparse.bricks.tolist(), sparse.symbols, strict=True):
-        full[bricks.tolist().index(place)] = symbols
+    for brick, symbols in zip(sparse.bricks.tolist(), sparse.symbols, strict=True):
+        full[bricks.tolist().index(brick)] = symbols
     stored = FieldSymbols(SMALL, bricks, full, k, "a Q")
     assert pack(Frames(sparse, "a")) == pack(Frames(stored, "b"))
-    other = s.copy()
-    other[0, 0, 0] = (other[0, 0, 0] + 1) % k
-    assert pack(Frames(sparse, "a")) != pack(Frames(field(other, SMALL, k), "b"))
+    changed = s.copy()
+    changed[0, 0, 0] = (changed[0, 0, 0] + 1) % k
+    assert pack(Frames(sparse, "a")) != pack(Frames(field(changed, SMALL, k), "b"))
 
 
 def test_too_many_symbols_to_pack_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = field(np.ones(SMALL.shape, np.int64))
-    size = len(pack(Frames(one, "a")))
-    assert len(pack(Frames(one, "a"), size)) == size
+    symbols_field = field(np.ones(SMALL.shape, np.int64))
+    size = len(pack(Frames(symbols_field, "a")))
+    assert len(pack(Frames(symbols_field, "a"), size)) == size
     with pytest.raises(InvalidArgument, match="fewer frames"):
-        pack(Frames(one, "a"), size - 1)
-    monkeypatch.setattr(sys.modules[similarity.__module__], "MAX_BYTES", 2 * size)  # of both together
-    assert compression_distance(one, one).samples == 2 * SMALL.voxel_count
+        pack(Frames(symbols_field, "a"), size - 1)
+    monkeypatch.setattr(sys.modules[similarity.__module__], "MAX_BYTES", 2 * size)  # for both together
+    assert compression_distance(symbols_field, symbols_field).samples == 2 * SMALL.voxel_count
     monkeypatch.setattr(sys.modules[similarity.__module__], "MAX_BYTES", 2 * size - 1)
     with pytest.raises(InvalidArgument, match="fewer frames"):
-        compression_distance(one, one)
+        compression_distance(symbols_field, symbols_field)
 
 
-def test_media_of_other_lengths_are_compressed_and_all_voxels_told() -> None:
+def test_media_of_different_lengths_are_compressed_together() -> None:
     a, b = noise(5), noise(6)
     found = compression_distance([a, b], [a])
     assert found.samples == 3 * LARGE.voxel_count and found.quantiser == "a Q" and found.weighting == "voxel"

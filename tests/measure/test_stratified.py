@@ -1,4 +1,4 @@
-"""A huge lattice by samples of it, against lattices small enough to be counted whole."""
+"""Sampling of a huge lattice, compared with lattices small enough to count completely."""
 
 from __future__ import annotations
 
@@ -35,27 +35,27 @@ def quantiser() -> FieldQuantiser:
     return FieldQuantiserSpec.parse("weber:0.25/ico1").fit([], 3.3)
 
 
-def drawn(quantiser: FieldQuantiser, seed: int, per_axis: int = 20, starts: int = 16) -> LatticeSample:
+def draw_sample(quantiser: FieldQuantiser, seed: int, per_axis: int = 20, starts: int = 16) -> LatticeSample:
     return sample_lattice(
         field, LATTICE, {"Q": quantiser.symbols_of}, per_axis=per_axis, starts=starts, seed=seed
     )
 
 
-def test_a_small_lattice_is_counted_whole(quantiser: FieldQuantiser) -> None:
-    sample = drawn(quantiser, 0, per_axis=64)
-    whole = quantiser(field(LATTICE))
+def test_small_lattice_is_counted_completely(quantiser: FieldQuantiser) -> None:
+    sample = draw_sample(quantiser, 0, per_axis=64)
+    symbols = quantiser(field(LATTICE))
     found = sample.entropies("Q")
     assert sample.is_whole and sample.count.interval is None and found.object.interval is None
     assert sample.count.value == field(LATTICE).support_count
-    times = np.bincount(whole.object_symbols)
+    times = np.bincount(symbols.object_symbols)
     assert found.object.value == pytest.approx(entropy_bits(times), abs=1e-12)
-    assert found.density.value == whole.object_count / LATTICE.voxel_count
-    every = np.append(times[times > 0], LATTICE.voxel_count - whole.object_count)
-    assert found.voxel.value == pytest.approx(entropy_bits(every), abs=1e-12)
+    assert found.density.value == symbols.object_count / LATTICE.voxel_count
+    all_counts = np.append(times[times > 0], LATTICE.voxel_count - symbols.object_count)
+    assert found.voxel.value == pytest.approx(entropy_bits(all_counts), abs=1e-12)
 
 
-def test_all_starts_together_are_the_lattice() -> None:
-    """Each sample of the lattice belongs to one start, so that the count is unbiased exactly."""
+def test_all_starts_together_cover_the_lattice() -> None:
+    """Each sample of the lattice belongs to exactly one start, so the count is unbiased."""
 
     class Fixed:
         def __init__(self, first: tuple[int, int, int]) -> None:
@@ -75,30 +75,30 @@ def test_all_starts_together_are_the_lattice() -> None:
     assert total == field(ragged).support_count
 
 
-def test_the_intervals_hold_the_truth_as_often_as_they_say(quantiser: FieldQuantiser) -> None:
-    whole = quantiser(field(LATTICE))
-    times = np.bincount(whole.object_symbols)
+def test_interval_coverage_is_nominal(quantiser: FieldQuantiser) -> None:
+    symbols = quantiser(field(LATTICE))
+    times = np.bincount(symbols.object_symbols)
     truths = np.array(
-        [field(LATTICE).support_count, whole.object_count / LATTICE.voxel_count, entropy_bits(times)]
+        [field(LATTICE).support_count, symbols.object_count / LATTICE.voxel_count, entropy_bits(times)]
     )
     truths = np.append(truths, binary_entropy_bits(truths[1]) + truths[1] * truths[2])
     draws = 40
-    held = np.zeros(4)
+    covered = np.zeros(4)
     counts = []
     for seed in range(draws):
-        sample = drawn(quantiser, seed)
+        sample = draw_sample(quantiser, seed)
         found = sample.entropies("Q")
         counts.append(sample.count.value)
         for i, quantity in enumerate((sample.count, found.density, found.object, found.voxel)):
             assert quantity.interval is not None
-            held[i] += quantity.interval.low <= truths[i] <= quantity.interval.high
-    assert (held >= 0.85 * draws).all(), held  # 95 % less three standard deviations
+            covered[i] += quantity.interval.low <= truths[i] <= quantity.interval.high
+    assert (covered >= 0.85 * draws).all(), covered  # 95 % minus three standard deviations
     error = np.mean(counts) - truths[0]
     assert abs(error) < 4 * np.std(counts) / math.sqrt(draws)
     assert np.std(counts) < 0.02 * truths[0], "far less than independent samples would vary"
 
 
-def test_what_no_coarse_look_sees_is_counted_too() -> None:
+def test_objects_smaller_than_the_step_are_counted() -> None:
     """A ball of a few samples in a lattice of 10^9, smaller than the step of any start."""
     grid = Grid.over_box((0, 0, 0), (1, 1, 1), (1000, 1000, 1000))
     ball = AnalyticScene((Sphere((0.3217, 0.611, 0.4), 0.0061),))
@@ -107,36 +107,36 @@ def test_what_no_coarse_look_sees_is_counted_too() -> None:
         sample_lattice(lambda part: ball.field(0, part, PROFILE), grid, {}, per_axis=64, starts=24, seed=seed)
         for seed in range(12)
     ]
-    counts = np.array([one.count.value for one in samples])
+    counts = np.array([sample.count.value for sample in samples])
     assert abs(counts.mean() - truth) < 4 * counts.std() / math.sqrt(len(counts)) + 1e-9
     assert counts.std() > 0
 
 
 def test_the_identity_of_voxels_and_objects_holds(quantiser: FieldQuantiser) -> None:
-    found = drawn(quantiser, 3).entropies("Q")
+    found = draw_sample(quantiser, 3).entropies("Q")
     p = found.density.value
     assert found.voxel.value == pytest.approx(binary_entropy_bits(p) + p * found.object.value, abs=1e-12)
     assert (found.object.weighting, found.voxel.weighting) == ("object", "voxel")
 
 
-def test_the_same_seed_gives_the_same(quantiser: FieldQuantiser) -> None:
-    assert drawn(quantiser, 5).count == drawn(quantiser, 5).count
-    assert drawn(quantiser, 5).count != drawn(quantiser, 6).count
+def test_results_are_reproducible(quantiser: FieldQuantiser) -> None:
+    assert draw_sample(quantiser, 5).count == draw_sample(quantiser, 5).count
+    assert draw_sample(quantiser, 5).count != draw_sample(quantiser, 6).count
 
 
-def test_few_samples_are_told(quantiser: FieldQuantiser) -> None:
+def test_few_samples_are_noted(quantiser: FieldQuantiser) -> None:
     fine = FieldQuantiserSpec.parse("weber:0.05/ico12").fit([], 3.3)
     sample = sample_lattice(field, LATTICE, {"fine": fine.symbols_of}, per_axis=10, starts=8)
     assert any("few samples" in note for note in sample.entropies("fine").object.notes)
 
 
-def test_bad_arguments_are_refused(quantiser: FieldQuantiser) -> None:
+def test_invalid_arguments_are_refused(quantiser: FieldQuantiser) -> None:
     with pytest.raises(InvalidArgument, match="per_axis"):
         sample_lattice(field, LATTICE, {}, per_axis=0)
     with pytest.raises(InvalidArgument, match="starts"):
         sample_lattice(field, LATTICE, {}, starts=3)
     with pytest.raises(InvalidArgument, match="quantiser"):
-        drawn(quantiser, 0).entropies("another")
+        draw_sample(quantiser, 0).entropies("another")
     empty = sample_lattice(ForceField.empty, LATTICE, {"Q": quantiser.symbols_of}, per_axis=20)
     assert empty.count.value == 0
     with pytest.raises(InvalidArgument, match="no force"):

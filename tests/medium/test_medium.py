@@ -1,4 +1,4 @@
-"""Laws of the values: grids, sparse fields, media."""
+"""Properties of the values: grids, sparse fields, media."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def dense_fields(draw: st.DrawFn) -> tuple[Grid, np.ndarray]:
 
 
 @given(dense_fields())
-def test_dense_and_sparse_are_two_views_of_one_field(case: tuple[Grid, np.ndarray]) -> None:
+def test_dense_and_sparse_round_trip(case: tuple[Grid, np.ndarray]) -> None:
     grid, dense = case
     field = ForceField.from_dense(grid, dense)
     np.testing.assert_array_equal(field.to_dense(), dense)
@@ -102,7 +102,7 @@ def test_bricks_in_any_order_become_canonical() -> None:
     forces[1] = 0  # an empty brick is not stored
     field = ForceField.from_bricks(grid, [[1, 1, 1], [0, 1, 0], [0, 0, 0]], forces)
     np.testing.assert_array_equal(field.bricks, [[0, 0, 0], [1, 1, 1]])
-    assert field.support_count == 512 + 64  # beyond the grid's ninth sample along z nothing is kept
+    assert field.support_count == 512 + 64  # nothing is stored beyond the ninth sample along z
 
 
 def test_values_are_read_only(wavy_field: ForceField) -> None:
@@ -140,17 +140,17 @@ def test_bad_fields_are_refused() -> None:
 
 
 def test_medium_is_lazy_and_sliced(wavy_field: ForceField) -> None:
-    made: list[int] = []
+    computed_frames: list[int] = []
 
     def make(frame: int) -> ForceField:
-        made.append(frame)
+        computed_frames.append(frame)
         return wavy_field.scaled(frame + 1)
 
     medium = HapticMedium(wavy_field.grid, 30.0, 10, make)
-    assert not made
+    assert not computed_frames
     part = medium.between(4, 7)
     assert len(part) == 3 and part[0] == wavy_field.scaled(5) and part[-1] == wavy_field.scaled(7)
-    assert made == [4, 6]
+    assert computed_frames == [4, 6]
     with pytest.raises(IndexError):
         part[3]
     np.testing.assert_allclose(part.at(0.7 / 30).to_dense(), 5.7 * wavy_field.to_dense(), rtol=1e-6)
@@ -170,7 +170,7 @@ def test_medium_is_lazy_and_sliced(wavy_field: ForceField) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"positions": np.zeros((2, 3), np.int64)}, "int32"),
         ({"positions": np.array([[0, 0, 0], [0, 0, 3]], np.int32)}, "outside"),
@@ -183,10 +183,10 @@ def test_medium_is_lazy_and_sliced(wavy_field: ForceField) -> None:
         ({"frequencies_hz": np.array([1, 10001], np.float32)}, "up to 10000 Hz"),
     ],
 )
-def test_bad_vibrations_are_refused(change: dict[str, np.ndarray], said: str) -> None:
-    places, both = np.array([[0, 0, 1], [1, 0, 0]], np.int32), np.full(2, 10000, np.float32)
-    frame = VibrationFrame(Grid((2, 2, 3), (1, 1, 1), (0, 0, 0)), places, both, both)
-    with pytest.raises(InvalidArgument, match=said):
+def test_bad_vibrations_are_refused(change: dict[str, np.ndarray], message: str) -> None:
+    indices, both = np.array([[0, 0, 1], [1, 0, 0]], np.int32), np.full(2, 10000, np.float32)
+    frame = VibrationFrame(Grid((2, 2, 3), (1, 1, 1), (0, 0, 0)), indices, both, both)
+    with pytest.raises(InvalidArgument, match=message):
         replace(frame, **change)
 
 
@@ -207,42 +207,42 @@ def test_a_medium_as_a_dataset(monkeypatch: pytest.MonkeyPatch) -> None:
     data = HapticMedium.from_array(forces, grid, rate_hz=50.0).to_xarray()
     assert data.forces_n.dims == ("t", "x", "y", "z", "component") and data.forces_n.units == "N"
     np.testing.assert_array_equal(data.forces_n, forces)
-    near = data.forces_n.sel(component="y").sel(t=0.02, x=0.102, y=0.204, z=0.303, method="nearest")
-    assert near == forces[1, 2, 2, 1, 1]
+    nearest = data.forces_n.sel(component="y").sel(t=0.02, x=0.102, y=0.204, z=0.303, method="nearest")
+    assert nearest == forces[1, 2, 2, 1, 1]
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.000001")  # 1073 bytes: one frame, of 720
     assert HapticMedium.from_array(forces[0], grid).to_xarray().forces_n.shape[0] == 1
     with pytest.raises(InvalidArgument, match="Take fewer frames"):
         HapticMedium.from_array(forces, grid, rate_hz=50.0).to_xarray()
 
 
-def test_a_grid_and_a_field_are_told_axis_by_axis() -> None:
+def test_descriptions_of_grid_and_field_list_every_axis() -> None:
     grid = Grid((3, 40, 500), (0.001, 0.0025, 0.04), (0.0, 0.0, 0.0))
     assert grid.description == "3 x 40 x 500 samples of 1 x 2.5 x 40 mm"
     dense = np.zeros((*grid.shape, 3), np.float32)
     dense[:, :, :10] = 1
-    told = repr(ForceField.from_dense(grid, dense))
-    assert told == f"<ForceField: 1,200 of 60,000 samples hold a force, {grid.description}>"
-    one = HapticMedium(grid, 25.0, 1, lambda _: ForceField.empty(grid), "x right, y up, z near")
-    assert repr(one) == f"<HapticMedium: 1 frame at 25 Hz on {grid.description}; x right, y up, z near>"
-    beside = repr(replace(one, frame_count=2, vibration=lambda _: VibrationFrame.empty(grid)))
-    assert "2 frames at" in beside and "vibration beside it" in beside
+    text = repr(ForceField.from_dense(grid, dense))
+    assert text == f"<ForceField: 1,200 of 60,000 samples hold a force, {grid.description}>"
+    medium = HapticMedium(grid, 25.0, 1, lambda _: ForceField.empty(grid), "x right, y up, z near")
+    assert repr(medium) == f"<HapticMedium: 1 frame at 25 Hz on {grid.description}; x right, y up, z near>"
+    text_with_vibration = repr(replace(medium, frame_count=2, vibration=lambda _: VibrationFrame.empty(grid)))
+    assert "2 frames at" in text_with_vibration and "vibration beside it" in text_with_vibration
 
 
-def test_memory_that_is_refused_is_told_in_its_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_error_of_refused_memory_states_both_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "1.5")
     assert memory_budget_bytes() == 3 << 29
     with pytest.raises(
         InvalidArgument, match=r"a thing: found 2\.0 GiB of bricks; expected at most 1\.5 GiB"
     ):
         require_memory("a thing", "bricks", 2 << 30)
-    whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    physical_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     for text in ("", "much", "inf"):
         monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", text)
-        assert memory_budget_bytes() == whole // 2
+        assert memory_budget_bytes() == physical_bytes // 2
 
 
 @pytest.mark.parametrize(
-    ("frames", "first", "second", "share"),
+    ("frames", "first", "second", "weight"),
     [
         (-1.0, 0, 0, 0.0),
         (0.25, 0, 1, 0.25),
@@ -252,34 +252,34 @@ def test_memory_that_is_refused_is_told_in_its_figures(monkeypatch: pytest.Monke
         (7.3, 2, 2, 0.0),
     ],
 )
-def test_between_two_frames_forces_are_on_a_line(
-    wavy_field: ForceField, frames: float, first: int, second: int, share: float
+def test_forces_between_two_frames_are_interpolated_linearly(
+    wavy_field: ForceField, frames: float, first: int, second: int, weight: float
 ) -> None:
     fields = [wavy_field, wavy_field.scaled(-2.0), wavy_field.scaled(5.0)]
     medium = HapticMedium.from_frames(fields, 40.0)
-    expected = (1 - share) * fields[first].to_dense().astype(float) + share * fields[second].to_dense()
+    expected = (1 - weight) * fields[first].to_dense().astype(float) + weight * fields[second].to_dense()
     np.testing.assert_allclose(medium.at(frames / 40).to_dense(), expected, atol=1e-6)
     points = wavy_field.grid.to_m(np.random.default_rng(1).uniform(0, 15, (40, 3)))
     sampled = [fields[n].sample_n(points).astype(float) for n in (first, second)]
     np.testing.assert_allclose(
-        medium.sample_n(points, frames / 40), (1 - share) * sampled[0] + share * sampled[1], atol=1e-6
+        medium.sample_n(points, frames / 40), (1 - weight) * sampled[0] + weight * sampled[1], atol=1e-6
     )
     with pytest.raises(InvalidArgument, match="time_s"):
         medium.at(float("nan"))
 
 
-def test_the_voxels_of_a_scene_keep_what_is_beside_it(wavy_field: ForceField) -> None:
-    own = HapticMedium.from_frames([wavy_field], 50.0)
-    body = HapticObject("a", own, PoseTrack.constant(3))
-    told: dict[str, Any] = {
+def test_voxels_of_a_scene_keep_its_metadata(wavy_field: ForceField) -> None:
+    body_medium = HapticMedium.from_frames([wavy_field], 50.0)
+    body = HapticObject("a", body_medium, PoseTrack.constant(3))
+    metadata: dict[str, Any] = {
         "axes": "x right, y up, z near", "friction": 0.25, "damping_n_s_per_m": 3.0, "tags": ("symbolic",),
         "provenance": {"source": "a scene"},
     }  # fmt: skip
-    scene = HapticScene(wavy_field.grid, 50.0, (body,), 3.3, **told)
+    scene = HapticScene(wavy_field.grid, 50.0, (body,), 3.3, **metadata)
     coarse = Grid.over_box(*wavy_field.grid.box_m, (5, 6, 7))
     for voxels, grid in ((scene.voxelise(), scene.grid), (scene.voxelise(coarse), coarse)):
         assert (voxels.grid, voxels.rate_hz, len(voxels)) == (grid, 50.0, 3)
-        for name, value in told.items():
+        for name, value in metadata.items():
             assert getattr(voxels, name) == value, name
         assert (voxels.metadata["friction"], voxels.metadata["damping_n_s_per_m"]) == (0.25, 3.0)
 
@@ -290,19 +290,19 @@ def test_a_part_of_a_scene_has_the_fields_and_poses_of_its_frames(wavy_field: Fo
     rigid = HapticObject("rigid", HapticMedium.from_frames(fields[:1], 50.0), track)
     soft = HapticObject("soft", HapticMedium.from_frames(fields, 50.0), PoseTrack.constant(4))
     part = HapticScene(wavy_field.grid, 50.0, (rigid, soft), 3.3).between(2, 4)
-    assert len(part) == 2 and [one.is_rigid for one in part.objects] == [True, False]
+    assert len(part) == 2 and [obj.is_rigid for obj in part.objects] == [True, False]
     assert [part.objects[1].field(i) for i in range(2)] == fields[2:]
     assert part.objects[0].field(1) == fields[0]
     np.testing.assert_array_equal(part.objects[0].track.positions_m, track.positions_m[2:])
 
 
-def test_what_vibrates_is_looked_up_as_amplitude_and_frequency() -> None:
+def test_vibration_is_sampled_as_amplitude_and_frequency() -> None:
     grid = Grid((9, 3, 20), (0.001, 0.002, 0.003), (0.1, 0.2, 0.3))
-    places = np.array([[0, 2, 17], [8, 0, 0], [8, 2, 19]], np.int32)
+    indices = np.array([[0, 2, 17], [8, 0, 0], [8, 2, 19]], np.int32)
     amplitudes, frequencies = np.array([1, 2, 3], np.float32), np.array([40, 50, 60], np.float32)
-    field = VibrationFrame(grid, places, amplitudes, frequencies).as_field()
+    field = VibrationFrame(grid, indices, amplitudes, frequencies).as_field()
     assert field.grid == grid
-    np.testing.assert_array_equal(field.positions(), places)
+    np.testing.assert_array_equal(field.positions(), indices)
     np.testing.assert_array_equal(
         field.vectors_n(), np.stack([amplitudes, frequencies, 0 * amplitudes], axis=1)
     )

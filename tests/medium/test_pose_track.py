@@ -1,6 +1,4 @@
-"""Pose tracks: rotations against scipy, motions there and back, velocities of motions with a closed form,
-faults.
-"""
+"""Pose tracks: rotations against scipy, round trips, velocities with a closed form, invalid poses."""
 
 from __future__ import annotations
 
@@ -37,15 +35,15 @@ def test_rotations_are_those_of_the_quaternions(seed: int) -> None:
 
 
 @given(seeds, vectors)
-def test_to_the_scene_and_back(seed: int, point: np.ndarray) -> None:
+def test_round_trip_to_the_scene(seed: int, point: np.ndarray) -> None:
     rotation, track = any_track(seed)
-    there = track.to_scene(point, 2)
-    np.testing.assert_allclose(there, rotation[2].apply(point) + track.positions_m[2], atol=1e-12)
-    np.testing.assert_allclose(track.to_body(there, 2), point, atol=1e-12)
+    in_scene = track.to_scene(point, 2)
+    np.testing.assert_allclose(in_scene, rotation[2].apply(point) + track.positions_m[2], atol=1e-12)
+    np.testing.assert_allclose(track.to_body(in_scene, 2), point, atol=1e-12)
 
 
 @given(seeds)
-def test_neighbouring_quaternions_are_near_and_signs_do_not_matter(seed: int) -> None:
+def test_successive_quaternions_have_no_sign_flips(seed: int) -> None:
     _, track = any_track(seed)
     q = track.quaternions
     assert q[0, 0] >= 0
@@ -70,26 +68,26 @@ def test_velocities_of_a_screw_motion_are_exact(
     np.testing.assert_allclose(turning, np.tile(spin * axis, (6, 1)), atol=1e-7 * rate_hz)
 
 
-def test_at_both_ends_a_velocity_is_that_of_one_step() -> None:
+def test_velocity_at_both_ends_is_a_one_sided_difference() -> None:
     turns = wxyz(Rotation.from_rotvec(np.outer([0.0, 0.1, 0.4, 0.9], [0, 0, 1])))
     velocity, turning = PoseTrack(turns, np.outer([0.0, 0.1, 0.4, 0.9], [1, 0, 0])).velocities(10.0)
     for found in (velocity[:, 0], turning[:, 2]):
         np.testing.assert_allclose(found, [1, 2, 4, 5], atol=1e-9)
 
 
-def test_a_single_pose_and_a_still_one_do_not_move() -> None:
+def test_single_and_constant_poses_have_no_velocity() -> None:
     for track in (PoseTrack.constant(1), PoseTrack.constant(4, (1.0, 2.0, 3.0))):
         velocity, turning = track.velocities(30.0)
         assert velocity.shape == turning.shape == (len(track), 3)
         assert not velocity.any() and not turning.any()
         assert track.is_constant
     assert not any_track(1)[1].is_constant
-    there_and_back = PoseTrack(PoseTrack.constant(3).quaternions, [[0, 0, 0], [0, 0, 1], [0, 0, 0]])
+    round_trip = PoseTrack(PoseTrack.constant(3).quaternions, [[0, 0, 0], [0, 0, 1], [0, 0, 0]])
     spinning = PoseTrack([[1, 0, 0, 0], [0.6, 0.8, 0, 0]], np.zeros((2, 3)))
-    assert not there_and_back.is_constant and not spinning.is_constant
+    assert not round_trip.is_constant and not spinning.is_constant
 
 
-def test_scaling_the_scene_scales_the_body_and_its_place() -> None:
+def test_scaling_the_scene_scales_the_body_and_its_position() -> None:
     _, track = any_track(4)
     point, offset = np.array([0.1, -0.4, 0.2]), np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(
@@ -112,7 +110,7 @@ def test_a_part_of_a_track() -> None:
         track.between(2, 2)
 
 
-def test_a_part_may_begin_with_the_first_and_end_with_the_last_pose() -> None:
+def test_a_part_may_include_the_first_and_the_last_pose() -> None:
     track = PoseTrack(np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)), np.arange(15.0).reshape(5, 3))
     assert track.between(0, 5) == track
     for start, stop in ((0, 1), (4, 5)):
@@ -123,7 +121,7 @@ def test_a_part_may_begin_with_the_first_and_end_with_the_last_pose() -> None:
 
 
 @pytest.mark.parametrize(
-    ("quaternions", "positions", "words"),
+    ("quaternions", "positions", "message"),
     [
         (np.zeros((0, 4)), np.zeros((0, 3)), "at least 1"),
         ([[1, 0, 0]], [[0, 0, 0]], "shape"),
@@ -133,6 +131,6 @@ def test_a_part_may_begin_with_the_first_and_end_with_the_last_pose() -> None:
         ([[1, 0, 0, math.inf]], [[0, 0, 0]], "not finite"),
     ],
 )
-def test_poses_that_are_none(quaternions: object, positions: object, words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
+def test_invalid_poses_are_refused(quaternions: object, positions: object, message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
         PoseTrack(np.array(quaternions, float), np.array(positions, float))

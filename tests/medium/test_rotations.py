@@ -1,6 +1,4 @@
-"""Rotations as quaternions and matrices: against scipy, at turns of no and of half a circle, and what is
-none.
-"""
+"""Rotations as quaternions and matrices: against scipy, at zero and half turns, and invalid matrices."""
 
 from __future__ import annotations
 
@@ -32,7 +30,7 @@ def test_matrices_and_turns_are_those_of_scipy(seed: int) -> None:
     np.testing.assert_allclose(rotation_matrices(wxyz(a)), a.as_matrix(), atol=1e-14)
     turns = Rotation.from_rotvec(
         rotation_vectors(wxyz(a), -wxyz(b))
-    )  # the same rotation, told by the other quaternion
+    )  # the same rotation, as the negated quaternion
     np.testing.assert_allclose((turns * a).as_matrix(), b.as_matrix(), atol=1e-14)
 
 
@@ -50,31 +48,31 @@ def test_quaternions_come_back_from_matrices(seed: int, short_of_half_a_turn: fl
 
 
 @given(seeds, st.floats(0.0, 1.0))
-def test_between_two_rotations_as_scipy_has_it(seed: int, share: float) -> None:
-    ends = Rotation.random(2, random_state=np.random.default_rng(seed))
-    first, second = wxyz(ends)[:, None]
-    found = slerp(first, second, np.array([share]))
-    expected = Slerp([0.0, 1.0], ends)(share).as_matrix()
+def test_slerp_agrees_with_scipy(seed: int, weight: float) -> None:
+    rotations = Rotation.random(2, random_state=np.random.default_rng(seed))
+    first, second = wxyz(rotations)[:, None]
+    found = slerp(first, second, np.array([weight]))
+    expected = Slerp([0.0, 1.0], rotations)(weight).as_matrix()
     np.testing.assert_allclose(
         rotation_matrices(found)[0], expected, atol=1e-7
-    )  # scipy's own digits near half turns
-    turned_round = slerp(first, -second, np.array([share]))  # the same rotation, told by the other quaternion
-    np.testing.assert_allclose(rotation_matrices(turned_round), rotation_matrices(found), atol=1e-12)
-    in_other_order = slerp(np.roll(first, -1, axis=1), np.roll(second, -1, axis=1), np.array([share]))
+    )  # the accuracy of scipy near half turns
+    to_negated = slerp(first, -second, np.array([weight]))  # the same rotation, as the negated quaternion
+    np.testing.assert_allclose(rotation_matrices(to_negated), rotation_matrices(found), atol=1e-12)
+    in_other_order = slerp(np.roll(first, -1, axis=1), np.roll(second, -1, axis=1), np.array([weight]))
     np.testing.assert_allclose(np.roll(in_other_order, 1, axis=1), found, atol=1e-12)
 
 
 @given(st.floats(0.0, 1.0), st.floats(1e-12, 3.0))
-def test_the_turn_grows_evenly_however_small_it_is(share: float, angle: float) -> None:
+def test_slerp_is_uniform_for_small_angles(weight: float, angle: float) -> None:
     end = np.array([[np.cos(angle / 2), 0.0, np.sin(angle / 2), 0.0]])
-    found = slerp(IDENTITY, end, np.array([share]))[0]
-    assert 2 * np.arctan2(found[2], found[0]) == pytest.approx(share * angle, rel=1e-9, abs=1e-15)
+    found = slerp(IDENTITY, end, np.array([weight]))[0]
+    assert 2 * np.arctan2(found[2], found[0]) == pytest.approx(weight * angle, rel=1e-9, abs=1e-15)
 
 
 @pytest.mark.parametrize(
     "matrix",
     [np.eye(3)[::-1], 1.001 * np.eye(3), np.eye(4), np.full((3, 3), np.nan), np.diag([1.0, 1.0, -1.0])],
 )
-def test_what_is_no_rotation_is_refused(matrix: np.ndarray) -> None:
+def test_matrices_that_are_no_rotation_are_refused(matrix: np.ndarray) -> None:
     with pytest.raises(InvalidArgument, match="rotation"):
         checked_rotation(matrix)

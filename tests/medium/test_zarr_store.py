@@ -1,4 +1,4 @@
-"""Fields as zarr stores, in and out; the coder `touch` as a codec; tiles of a huge lattice."""
+"""Fields as zarr stores, written and read; the coder `touch` as a codec; tiles of a huge lattice."""
 
 from __future__ import annotations
 
@@ -35,40 +35,40 @@ def medium(shape: tuple[int, int, int], frames: int = 2, seed: int = 0) -> Hapti
     draw = np.random.default_rng(seed)
     forces = draw.standard_normal((frames, *shape, 3)) * (draw.random((frames, *shape, 1)) < 0.2)
     grid = Grid(shape, (0.001, 0.002, 0.003), (0.1, 0.0, -0.1))
-    made = HapticMedium.from_array(forces.astype(np.float32), grid, 50.0, "x right, y up, z near")
-    return replace(made, friction=0.25, damping_n_s_per_m=3.0, tags=("symbolic", "direct"))
+    created = HapticMedium.from_array(forces.astype(np.float32), grid, 50.0, "x right, y up, z near")
+    return replace(created, friction=0.25, damping_n_s_per_m=3.0, tags=("symbolic", "direct"))
 
 
 @given(SHAPES, st.integers(1, 3), st.integers(0, 99))
 @settings(max_examples=15, deadline=None)
-def test_what_is_written_is_read_again(shape: tuple[int, int, int], frames: int, seed: int) -> None:
+def test_a_store_round_trips(shape: tuple[int, int, int], frames: int, seed: int) -> None:
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
-        path, made = Path(folder) / "a.zarr", medium(shape, frames, seed)
-        write_zarr(path, made)
+        path, source = Path(folder) / "a.zarr", medium(shape, frames, seed)
+        write_zarr(path, source)
         again = read_zarr(path)
-        assert all(a == b for a, b in zip(again, made, strict=True))
+        assert all(a == b for a, b in zip(again, source, strict=True))
         for name in ("grid", "rate_hz", "axes", "friction", "damping_n_s_per_m", "tags"):
-            assert getattr(again, name) == getattr(made, name)
+            assert getattr(again, name) == getattr(source, name)
         assert [p.name for p in Path(folder).iterdir()] == ["a.zarr"]
 
 
-def test_other_programs_read_it_with_zarr_and_xarray_alone(tmp_path: Path) -> None:
-    made = medium((20, 9, 17))
-    write_zarr(tmp_path / "a.zarr", made)
+def test_plain_zarr_and_xarray_read_the_store(tmp_path: Path) -> None:
+    source = medium((20, 9, 17))
+    write_zarr(tmp_path / "a.zarr", source)
     array = zarr.open_array(tmp_path / "a.zarr", path="forces_n", mode="r")
-    assert np.array_equal(array[1], made[1].to_dense())
+    assert np.array_equal(array[1], source[1].to_dense())
     assert array.attrs["units"] == "N" and array.metadata.dimension_names == ("t", "x", "y", "z", "component")
     xarray = pytest.importorskip("xarray", reason="the extra xarray is not installed")
     found = xarray.open_zarr(tmp_path / "a.zarr", consolidated=False)
     assert found.forces_n.dims == ("t", "x", "y", "z", "component")
-    assert np.array_equal(found.forces_n[0].values, made[0].to_dense())
+    assert np.array_equal(found.forces_n[0].values, source[0].to_dense())
 
 
-def test_chunks_of_other_hands_need_be_no_bricks(tmp_path: Path) -> None:
-    made, path = medium((20, 9, 17)), tmp_path / "a.zarr"
-    write_zarr(path, made)
+def test_foreign_chunks_need_not_be_bricks(tmp_path: Path) -> None:
+    source, path = medium((20, 9, 17)), tmp_path / "a.zarr"
+    write_zarr(path, source)
     array = zarr.create_array(
         path,
         name="forces_n",
@@ -77,12 +77,12 @@ def test_chunks_of_other_hands_need_be_no_bricks(tmp_path: Path) -> None:
         dtype="float64",
         overwrite=True,
     )
-    array[:] = np.stack([field.to_dense() for field in made])
-    assert list(read_zarr(path)) == list(made)
+    array[:] = np.stack([field.to_dense() for field in source])
+    assert list(read_zarr(path)) == list(source)
 
 
-def test_levels_of_detail_follow(tmp_path: Path) -> None:
-    """Every level lies where `multiscales` says, and holds what `pyramid` makes; xarray opens all of them."""
+def test_levels_of_detail_are_stored(tmp_path: Path) -> None:
+    """Every level lies where `multiscales` says and equals the output of `pyramid`; xarray opens them all."""
     xarray = pytest.importorskip("xarray", reason="the extra xarray is not installed")
     assert _exit_code(["encode", "sample:shapes", str(tmp_path / "a.touch"), "--nw", "5"]) == 0
     assert _exit_code(["lod", str(tmp_path / "a.touch"), str(tmp_path / "a.zarr"), "--levels", "2"]) == 0
@@ -90,9 +90,9 @@ def test_levels_of_detail_follow(tmp_path: Path) -> None:
     store = xarray.open_zarr(tmp_path / "a.zarr", consolidated=False)
     (scales,) = store.attrs["multiscales"]
     for n, level in enumerate((field, *pyramid(field, 2)[1:])):
-        told = scales["datasets"][n]
-        assert np.array_equal(store[told["path"]][0], level.to_dense())
-        scale, translation = (t[t["type"]] for t in told["coordinateTransformations"])
+        dataset = scales["datasets"][n]
+        assert np.array_equal(store[dataset["path"]][0], level.to_dense())
+        scale, translation = (t[t["type"]] for t in dataset["coordinateTransformations"])
         assert np.allclose(scale[:4], [1 / read_zarr(tmp_path / "a.zarr").rate_hz, *level.grid.spacing_m])
         assert np.allclose(translation[1:4], level.grid.origin_m)
     assert read_zarr(tmp_path / "a.zarr")[0].support_count == field.support_count
@@ -107,7 +107,7 @@ def test_an_empty_part_takes_no_bytes(tmp_path: Path) -> None:
     files = [p for p in (tmp_path / "a.zarr").rglob("*") if p.is_file() and p.name != "zarr.json"]
     assert len(files) == 2 and max(file.stat().st_size for file in files) < 5000
     assert all(
-        np.array_equal(read.to_dense(), one) for read, one in zip(read_zarr(tmp_path / "a.zarr"), dense)
+        np.array_equal(read.to_dense(), frame) for read, frame in zip(read_zarr(tmp_path / "a.zarr"), dense)
     )
 
 
@@ -121,7 +121,7 @@ def test_parts_cover_a_lattice_once() -> None:
 
 @given(SHAPES, st.integers(0, 99), st.sampled_from([0.03, 0.1, 0.5]), st.sampled_from([0.0, 0.05]))
 @settings(max_examples=10, deadline=None)
-def test_the_codec_keeps_the_promise_chunk_by_chunk(
+def test_the_codec_keeps_the_error_bound_in_every_chunk(
     shape: tuple[int, int, int], seed: int, k: float, f0_n: float
 ) -> None:
     dense = np.stack([f.to_dense() for f in medium(shape, 2, seed)])
@@ -140,7 +140,7 @@ def test_the_codec_keeps_the_promise_chunk_by_chunk(
 @pytest.mark.parametrize(
     "configuration", [{"k": 2}, {"k": "x"}, {"mode": "other"}, {"strange": 1}, {"spacing_m": [0, 1, 1]}]
 )
-def test_a_codec_that_cannot_be_is_refused(configuration: dict[str, Any]) -> None:
+def test_an_invalid_codec_configuration_is_refused(configuration: dict[str, Any]) -> None:
     with pytest.raises((InvalidArgument, TypeError)):
         zarr.create_array(
             zarr.storage.MemoryStore(), shape=(1, 8, 8, 8, 3), chunks=(1, 8, 8, 8, 3), dtype="float32",
@@ -169,7 +169,7 @@ def damaged(tmp_path: Path, name: str) -> tuple[Path, dict[str, Any], dict[str, 
     return path, group, array
 
 
-def test_a_stranger_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_foreign_store_is_refused_in_one_line(tmp_path: Path) -> None:
     def change(key: str, value: Any) -> Any:
         def of(group: dict[str, Any], array: dict[str, Any]) -> None:
             array[key] = value
@@ -221,7 +221,7 @@ def test_a_stranger_is_refused_in_one_line(tmp_path: Path) -> None:
         open_source(tmp_path / "none.zarr")
 
 
-def test_a_damaged_chunk_is_told_with_its_frame(tmp_path: Path) -> None:
+def test_error_of_a_damaged_chunk_names_its_frame(tmp_path: Path) -> None:
     path, _, _ = damaged(tmp_path, "chunk.zarr")
     file = next(p for p in (path / "forces_n" / "c" / "1").rglob("*") if p.is_file())
     data = bytearray(file.read_bytes())
@@ -231,15 +231,15 @@ def test_a_damaged_chunk_is_told_with_its_frame(tmp_path: Path) -> None:
     assert found[0].support_count
     with pytest.raises(SourceError, match="frame 1"):
         found[1]
-    whole = read_zarr(tmp_path / "good.zarr")
-    nan = whole[0].to_dense()
+    intact = read_zarr(tmp_path / "good.zarr")
+    nan = intact[0].to_dense()
     nan[3, 3, 3] = np.nan
     zarr.open_array(path, path="forces_n", mode="r+")[0] = nan
     with pytest.raises(SourceError, match="frame 0"):
         read_zarr(path)[0]
 
 
-def test_what_is_broken_off_leaves_nothing(tmp_path: Path) -> None:
+def test_an_interrupted_write_leaves_nothing(tmp_path: Path) -> None:
     def broken(i: int) -> ForceField:
         if i:
             raise RuntimeError("a fault of the source")
@@ -248,7 +248,7 @@ def test_what_is_broken_off_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError):
         write_zarr(tmp_path / "a.zarr", replace(medium((9, 9, 9)), make_frame=broken))
     assert not list(tmp_path.iterdir())
-    shutil.copytree(damaged(tmp_path, "old.zarr")[0], tmp_path / "a.zarr.parts")  # of a run that was ended
+    shutil.copytree(damaged(tmp_path, "old.zarr")[0], tmp_path / "a.zarr.parts")  # left by an interrupted run
     write_zarr(tmp_path / "a.zarr", medium((9, 9, 9)))
     assert read_zarr(tmp_path / "a.zarr").grid.shape == (9, 9, 9) and not (tmp_path / "a.zarr.parts").exists()
 
@@ -267,17 +267,17 @@ def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zarr_store, "_CHUNK", 16)
 
 
-def test_tiles_are_the_field_within_the_promise(
+def test_tiles_equal_the_field_within_the_error_bound(
     tmp_path: Path, small_tiles: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tiles, "_BLOCK_SAMPLES", 8)  # a tile in eight parts
     done = encode_tiles("sample:shapes", tmp_path / "a.zarr", SPEC)
-    whole = prepare("sample:shapes", replace(SPEC, representation="voxel")).medium[0]
+    field = prepare("sample:shapes", replace(SPEC, representation="voxel")).medium[0]
     again = read_zarr(tmp_path / "a.zarr")
-    assert again.grid == whole.grid and done.tiles == 8
-    assert done.supported_voxels == pytest.approx(whole.support_count, rel=1e-3)
+    assert again.grid == field.grid and done.tiles == 8
+    assert done.supported_voxels == pytest.approx(field.support_count, rel=1e-3)
     assert done.file_bytes == sum(map(len, tree(tmp_path / "a.zarr").values()))
-    x, y = whole.to_dense().astype(np.float64), again[0].to_dense()
+    x, y = field.to_dense().astype(np.float64), again[0].to_dense()
     assert (np.linalg.norm(x - y, axis=-1) <= np.maximum(0.05, 0.1 * np.linalg.norm(x, axis=-1)) + 2e-6).all()
 
 
@@ -285,17 +285,17 @@ def tree(path: Path) -> dict[str, bytes]:
     return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
 
 
-def test_tiles_that_are_finished_are_not_made_again(
+def test_finished_tiles_are_not_computed_again(
     tmp_path: Path, small_tiles: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = encode_tiles("sample:shapes", tmp_path / "whole.zarr", SPEC)
-    make, made = tiles.make_tile, 0
+    complete = encode_tiles("sample:shapes", tmp_path / "whole.zarr", SPEC)
+    make, tile_count = tiles.make_tile, 0
 
     def fragile(tile: Any) -> int:
-        nonlocal made
-        if made == 5:
+        nonlocal tile_count
+        if tile_count == 5:
             raise OSError("the disk is full")
-        made += 1
+        tile_count += 1
         return make(tile)
 
     monkeypatch.setattr(tiles, "make_tile", fragile)
@@ -304,19 +304,19 @@ def test_tiles_that_are_finished_are_not_made_again(
         encode_tiles("sample:shapes", out, SPEC)
     assert not out.exists()
     with (tmp_path / "a.zarr.parts.txt").open("a") as stream:
-        stream.write("0,16,16,16 12")  # the line of a run that was killed: of 1234, perhaps
-    made = 0
+        stream.write("0,16,16,16 12")  # a truncated line of a killed run, perhaps of 1234
+    tile_count = 0
     done = encode_tiles("sample:shapes", out, SPEC)
-    assert made == 3 and any("5 of 8 tiles" in note for note in done.notes)
-    assert done.supported_voxels == whole.supported_voxels
+    assert tile_count == 3 and any("5 of 8 tiles" in note for note in done.notes)
+    assert done.supported_voxels == complete.supported_voxels
     assert tree(out) == tree(tmp_path / "whole.zarr")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.zarr", "whole.zarr"]
-    made = 0
+    tile_count = 0
     with pytest.raises(SourceError):
         encode_tiles("sample:shapes", tmp_path / "b.zarr", SPEC)
-    made = -10
+    tile_count = -10
     done = encode_tiles("sample:shapes", tmp_path / "b.zarr", replace(SPEC, touch=TouchSpec(k=0.3)))
-    assert made == -2 and not any("earlier run" in note for note in done.notes)
+    assert tile_count == -2 and not any("earlier run" in note for note in done.notes)
 
 
 def test_workers_write_the_same_store(tmp_path: Path, small_tiles: None) -> None:
@@ -328,7 +328,7 @@ def test_workers_write_the_same_store(tmp_path: Path, small_tiles: None) -> None
     assert tree(tmp_path / "a.zarr") == tree(tmp_path / "b.zarr")
 
 
-def test_what_a_tile_cannot_know_is_refused(tmp_path: Path) -> None:
+def test_options_that_need_the_whole_field_are_refused(tmp_path: Path) -> None:
     for spec in (
         replace(SPEC, filters=(("gaussian", "sigma=2mm"),)),
         replace(SPEC, vibration="gain=0.1,frequency=150", representation="voxel"),

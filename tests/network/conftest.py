@@ -1,4 +1,4 @@
-"""What the tests of servers share."""
+"""Fixtures shared by the tests of servers."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import pytest
 
 
 @pytest.fixture
-def left(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+def client_dropped(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """Set once a server leaves a client that does not read."""
     from touchfield.network import access
 
-    told = threading.Event()
+    event = threading.Event()
 
-    class Left(access.ClientDropped):
+    class RecordingDropped(access.ClientDropped):
         def __init__(self) -> None:
-            told.set()
+            event.set()
 
-    monkeypatch.setattr(access, "ClientDropped", Left)
-    return told
+    monkeypatch.setattr(access, "ClientDropped", RecordingDropped)
+    return event

@@ -1,4 +1,4 @@
-"""Pictures that are taken while they are felt, and live streams through a pipe."""
+"""Scenes captured while they are played, and live streams through a pipe."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ OPTIONS = SourceOptions(intrinsics="60,60,31.5,23.5", depth_scale=1000.0, source
 
 
 def depth_mm(number: int) -> np.ndarray:
-    """A wall that comes nearer, with a step in it."""
+    """A wall with a step that comes nearer."""
     picture = np.full((48, 64), 900 - 5 * number, np.uint16)
     picture[:, 32:] += 60
     return picture
@@ -76,10 +76,8 @@ def piped(data: bytes, options: SourceOptions = OPTIONS) -> CapturedSequence:
     return CapturedSequence(PipedPictures(io.BytesIO(data)), options)
 
 
-def test_a_folder_that_grows_shows_the_newest_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(capture, "TIMEOUT_S", 60.0)  # however slow the machine is
+def test_a_growing_folder_returns_the_newest_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capture, "TIMEOUT_S", 60.0)  # enough for a slow machine
     put(tmp_path, 0)
     scene = open_capture(f"watch:{tmp_path}", OPTIONS)
     assert isinstance(scene, FusedScene) and scene.is_captured
@@ -91,24 +89,22 @@ def test_a_folder_that_grows_shows_the_newest_picture(
     frames = iter(range(2, 10_000))
     until(lambda: bool((sequence.depth_m(next(frames)) == depth_mm(2) / np.float32(1000)).all()))
     monkeypatch.setattr(capture, "TIMEOUT_S", 0.3)
-    ends = CapturedSequence(GrowingFolder(tmp_path), OPTIONS)
+    finished = CapturedSequence(GrowingFolder(tmp_path), OPTIONS)
     with pytest.raises(CaptureEnd, match=r"no new picture for 0\.3 s"):
-        until(lambda: ends.depth_m(next(frames)) is None)
+        until(lambda: finished.depth_m(next(frames)) is None)
 
 
-def test_a_folder_that_goes_is_the_end_at_once(tmp_path: Path) -> None:
+def test_a_removed_folder_ends_the_capture_at_once(tmp_path: Path) -> None:
     (tmp_path / "watched").mkdir()
     put(tmp_path / "watched", 0)
     folder = GrowingFolder(tmp_path / "watched")
     folder.next()
     shutil.rmtree(tmp_path / "watched")
-    with pytest.raises(CaptureEnd, match="no folder any more"):  # where it waits, it tells of no new picture
+    with pytest.raises(CaptureEnd, match="no folder any more"):  # not the error of a wait
         folder.next()
 
 
-def test_a_picture_that_is_never_finished_is_passed_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unfinished_picture_is_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capture, "TIMEOUT_S", 5.0)
     monkeypatch.setattr(capture, "_WRITE_GRACE_S", 0.05)
     (tmp_path / "depth8.png").write_bytes(png(0)[:-30])
@@ -117,19 +113,19 @@ def test_a_picture_that_is_never_finished_is_passed_over(
     np.testing.assert_array_equal(folder.next(), depth_mm(1))
 
 
-def test_pictures_of_a_pipe_are_shown_one_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_picture_of_a_pipe_is_returned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     sequence = piped(b"".join(png(i) for i in range(5)))
     for i in range(5):
         np.testing.assert_array_equal(sequence.depth_m(i), depth_mm(i) / np.float32(1000))
-    np.testing.assert_array_equal(sequence.depth_m(3), depth_mm(3) / np.float32(1000))  # asked for again
+    np.testing.assert_array_equal(sequence.depth_m(3), depth_mm(3) / np.float32(1000))  # a second request
     with pytest.raises(CaptureEnd, match="its end"):
         sequence.depth_m(5)
-    until(lambda: not list(tmp_path.iterdir()))  # nothing is left behind
+    until(lambda: not list(tmp_path.iterdir()))  # no temporary file remains
 
 
 @pytest.mark.parametrize(
-    ("data", "words"),
+    ("data", "message"),
     [
         (b"", "its end"),
         (b"GIF89a and more", "PNG pictures one behind the other"),
@@ -138,8 +134,8 @@ def test_pictures_of_a_pipe_are_shown_one_by_one(tmp_path: Path, monkeypatch: py
         (png(0)[:20] + b"\xff" + png(0)[21:], "picture"),
     ],
 )
-def test_what_is_no_picture_is_told(data: bytes, words: str) -> None:
-    with pytest.raises(SourceError, match=words):
+def test_data_that_are_no_picture_are_refused(data: bytes, message: str) -> None:
+    with pytest.raises(SourceError, match=message):
         piped(data)
 
 
@@ -158,7 +154,7 @@ def test_a_picture_of_another_size_is_refused() -> None:
         scene.field(1, grid, profile)
 
 
-def test_what_is_no_depth_is_told(tmp_path: Path) -> None:
+def test_pictures_that_are_no_depth_are_refused(tmp_path: Path) -> None:
     file = io.BytesIO()
     Image.fromarray(np.zeros((48, 64), np.uint8)).save(file, "PNG")
     with pytest.raises(SourceError, match="16-bit"):
@@ -169,46 +165,46 @@ def test_what_is_no_depth_is_told(tmp_path: Path) -> None:
         piped(png(0), SourceOptions(intrinsics="60,60,31.5,23.5"))
     with pytest.raises(SourceError, match="no folder"):
         open_capture(f"watch:{tmp_path / 'absent'}", OPTIONS)
-    for asked in ({"reading": "height"}, {"segment": "step=0.1"}, {"poses": "a.txt"}):
+    for options in ({"reading": "height"}, {"segment": "step=0.1"}, {"poses": "a.txt"}):
         with pytest.raises(InvalidArgument, match="all there"):
-            open_capture(f"watch:{tmp_path}", SourceOptions(**asked))
+            open_capture(f"watch:{tmp_path}", SourceOptions(**options))
     assert open_capture("room.ply", OPTIONS) is None and open_capture("sample:terrain", OPTIONS) is None
 
 
-def test_a_causal_world_of_a_pipe_is_that_of_the_stored_sequence() -> None:
+def test_causal_fusion_of_a_pipe_equals_that_of_the_stored_sequence() -> None:
     class Stored:
         frame_count, size = 6, (64, 48)
 
         def values(self, frame: int) -> np.ndarray:
             return depth_mm(frame)
 
-    coming = FusedScene(piped(b"".join(png(i) for i in range(6))), "causal")
-    sequence = CodedSequence("stored", Stored(), DepthCode(1000.0), coming.sequence.intrinsics, 50.0)
+    captured = FusedScene(piped(b"".join(png(i) for i in range(6))), "causal")
+    sequence = CodedSequence("stored", Stored(), DepthCode(1000.0), captured.sequence.intrinsics, 50.0)
     stored = FusedScene(sequence, "causal")
-    np.testing.assert_allclose(coming.bounds_m()[0, 2], 0.9, atol=0.01)  # of the first picture
+    np.testing.assert_allclose(captured.bounds_m()[0, 2], 0.9, atol=0.01)  # of the first picture
     grid = Grid.over_box((-0.4, -0.3, 0.7), (0.4, 0.3, 1.1), (32, 32, 32))
     profile = ForceProfile(((-0.05, 0.0, 0.0, -18.0),))
     for frame in range(6):
-        now = coming.field(frame, grid, profile)
+        now = captured.field(frame, grid, profile)
         assert now == stored.field(frame, grid, profile) and now.support_count
 
 
-def test_a_capture_goes_on_the_air_until_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_capture_is_broadcast_until_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = io.BytesIO(b"".join(png(i) for i in range(12)))
     monkeypatch.setattr(capture, "standard_input", lambda: data)
     prepared, _ = open_sender("-", EncodeSpec(nw=4, source=OPTIONS))
     assert any("in the first picture" in note for note in prepared.notes)
     now, sent, notes = [0.0], list[LiveSegment](), list[str]()
-    told = broadcast(
+    statistics = broadcast(
         prepared, lambda segment: sent.append(segment), LiveSpec(1.0), notes.append, lambda: now[0],
         lambda seconds: now.__setitem__(0, now[0] + seconds),
     )  # fmt: skip
-    assert told.frames == 12 and told.left_out == 0
-    assert [(one.first_frame, one.frame_count) for one in sent] == [(0, 12)]
+    assert statistics.frames == 12 and statistics.left_out == 0
+    assert [(sent_segment.first_frame, sent_segment.frame_count) for sent_segment in sent] == [(0, 12)]
     assert notes == ["standard input: its end"]
 
 
-def test_opencv_takes_a_row_of_pictures(tmp_path: Path) -> None:
+def test_opencv_reads_a_sequence_of_pictures(tmp_path: Path) -> None:
     pytest.importorskip("cv2", reason="opencv-python-headless is not installed")
     for i in range(4):
         (tmp_path / f"f{i}.png").write_bytes(png(i))
@@ -242,13 +238,13 @@ def test_messages_of_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
         with pytest.raises(SourceError):
             list(messages(io.BytesIO(bad), "pipe"))
     read, write = os.pipe()
-    with open(read, "rb", buffering=0) as there, open(write, "wb") as here:
-        write_message(here, b"at once")
+    with open(read, "rb", buffering=0) as read_end, open(write, "wb") as write_end:
+        write_message(write_end, b"at once")
         os.set_blocking(read, False)
-        assert next(messages(there, "pipe")) == b"at once"
+        assert next(messages(read_end, "pipe")) == b"at once"
 
 
-def test_one_process_feels_what_another_sends_through_a_pipe() -> None:
+def test_one_process_renders_what_another_sends_through_a_pipe() -> None:
     program = [sys.executable, "-c", "from touchfield.cli.main import run; run()"]
     camera = [
         "--intrinsics",
@@ -277,11 +273,9 @@ def test_one_process_feels_what_another_sends_through_a_pipe() -> None:
     sender.stdout.close()
     sender.stdin.write(b"".join(png(i % 12) for i in range(100)))
     sender.stdin.close()
-    out, told = hand.communicate(timeout=120)
-    assert sender.wait(60) == 0 and "frames_used" in out and "the sender has ended the stream" in out, told
-    assert hand.returncode == (
-        "this has failed" in out
-    )  # a busy machine, whose frames come too late, is told
+    out, report = hand.communicate(timeout=120)
+    assert sender.wait(60) == 0 and "frames_used" in out and "the sender has ended the stream" in out, report
+    assert hand.returncode == ("this has failed" in out)  # a busy machine reports frames that come too late
 
 
 def test_a_pipe_gets_the_opening_the_segments_and_the_end(
@@ -294,18 +288,18 @@ def test_a_pipe_gets_the_opening_the_segments_and_the_end(
     receiver, events = LiveReceiver(), list[live.Event]()
     for message in messages(io.BytesIO(out.buffer.getvalue()), "-"):  # type: ignore[attr-defined]
         events += receiver.receive(message)
-    told = [type(event).__name__ for event in events]
-    assert told[0] == "Opened" and told[-1] == "Ended" and 1 <= told.count("LiveSegment") <= 2
+    kinds = [type(event).__name__ for event in events]
+    assert kinds[0] == "Opened" and kinds[-1] == "Ended" and 1 <= kinds.count("LiveSegment") <= 2
     assert b"10 frames" in capfdbinary.readouterr().err
 
 
-def test_datagrams_go_out_beside_the_server(tmp_path: Path) -> None:
+def test_datagrams_are_sent_in_parallel_to_the_server(tmp_path: Path) -> None:
     write_npz(tmp_path / "m.npz", medium()[:10])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         receiver.setblocking(False)
         to = f"127.0.0.1:{receiver.getsockname()[1]}"
-        words = [
+        arguments = [
             "live",
             str(tmp_path / "m.npz"),
             "--port",
@@ -317,7 +311,7 @@ def test_datagrams_go_out_beside_the_server(tmp_path: Path) -> None:
             "--nw",
             "4",
         ]
-        assert _exit_code(words) == 0
+        assert _exit_code(arguments) == 0
         sizes = dict[int, int]()  # of messages, by their numbers
         with suppress(BlockingIOError):
             while True:

@@ -1,6 +1,4 @@
-"""The end of a live stream, seen from both ends: whoever lags still gets the newest segment, and then the
-end.
-"""
+"""The end of a live stream at both ends: a receiver that lags still gets the newest segment, then the end."""
 
 from __future__ import annotations
 
@@ -31,16 +29,16 @@ aiohttp = pytest.importorskip("aiohttp")
 COUNT = 12
 
 
-def taken(sender: LiveSender, receiver: Any) -> list[bytes]:
-    """All messages that there are for a receiver now."""
+def pending_messages(sender: LiveSender, subscriber: Any) -> list[bytes]:
+    """All messages that are pending for a receiver."""
     messages = []
-    while (message := sender.next(receiver)) is not None:
+    while (message := sender.next(subscriber)) is not None:
         messages.append(message)
     return messages
 
 
 @pytest.mark.parametrize("read", range(COUNT + 1))
-def test_a_receiver_that_has_read_so_many_gets_the_last_segment_and_the_end(read: int) -> None:
+def test_a_slow_receiver_gets_the_last_segment_and_the_end(read: int) -> None:
     sender, _ = sender_of(0)
     slow = sender.joined()
     early = [sender.next(slow)]
@@ -48,32 +46,28 @@ def test_a_receiver_that_has_read_so_many_gets_the_last_segment_and_the_end(read
         sender.add(segment(5 * number))
         early += [sender.next(slow)] if number < read else []
     sender.end()
-    behind = taken(sender, slow)
-    assert behind[-1] == END and behind.count(END) == 1 and taken(sender, slow) == []
+    late = pending_messages(sender, slow)
+    assert late[-1] == END and late.count(END) == 1 and pending_messages(sender, slow) == []
     receiver = LiveReceiver()
     events = [
-        event for message in (*early, *behind) if message is not None for event in receiver.receive(message)
+        event for message in (*early, *late) if message is not None for event in receiver.receive(message)
     ]
-    assert (
-        isinstance(events[0], Opened) and events[-2:] == [segment(5 * (COUNT - 1)), Ended()]
-        if read < COUNT
-        else True
-    )
+    assert isinstance(events[0], Opened) and events[-2:] == [segment(5 * (COUNT - 1)), Ended()]
     got = [event.first_frame // 5 for event in events if isinstance(event, LiveSegment)]
-    left = COUNT - read
-    kept = list(range(read, COUNT)) if left <= MAX_SEGMENTS else [COUNT - 1]
-    assert got == [*range(read), *kept], "all that is kept, or the newest alone"
-    lost = sum(event.frame_count for event in events if isinstance(event, Lost))
-    assert lost == (0 if left <= MAX_SEGMENTS or not read else 5 * (left - 1)), (
+    unread_count = COUNT - read
+    queued = list(range(read, COUNT)) if unread_count <= MAX_SEGMENTS else [COUNT - 1]
+    assert got == [*range(read), *queued], "all that is kept, or the newest alone"
+    lost_frames = sum(event.frame_count for event in events if isinstance(event, Lost))
+    assert lost_frames == (0 if unread_count <= MAX_SEGMENTS or not read else 5 * (unread_count - 1)), (
         "a receiver that had none knows of none"
     )
-    assert slow.skipped == (0 if left <= MAX_SEGMENTS else left - 1)
+    assert slow.skipped == (0 if unread_count <= MAX_SEGMENTS else unread_count - 1)
 
 
-def test_who_joins_behind_the_end_gets_the_last_segment_and_the_end() -> None:
+def test_a_receiver_that_joins_after_the_end_gets_the_last_segment_and_the_end() -> None:
     sender, (opening, *_, newest) = sender_of(COUNT)
     sender.end()
-    assert taken(sender, sender.joined()) == [opening, newest, END]
+    assert pending_messages(sender, sender.joined()) == [opening, newest, END]
 
 
 def large(number: int) -> LiveSegment:
@@ -81,7 +75,7 @@ def large(number: int) -> LiveSegment:
     return LiveSegment(5 * number, 5, bytes([number]) * (1 << 20))
 
 
-def test_a_socket_that_was_not_read_for_a_while_ends_with_the_last_segment_and_the_end() -> None:
+def test_a_paused_socket_gets_the_last_segment_and_the_end() -> None:
     sender, _ = sender_of(0)
 
     async def received(address: str) -> list[bytes]:
@@ -109,24 +103,24 @@ def test_a_socket_that_was_not_read_for_a_while_ends_with_the_last_segment_and_t
     assert any(isinstance(event, Lost) for event in events) and server.skipped, "it did lag"
 
 
-def test_a_manifest_that_is_read_behind_the_end_still_has_the_last_segments() -> None:
+def test_a_manifest_read_after_the_end_lists_the_last_segments() -> None:
     sender, _ = sender_of(0)
 
-    async def asked(address: str, path: str) -> Any:
+    async def fetch(address: str, path: str) -> Any:
         async with aiohttp.ClientSession() as session, session.get(f"http://{address}/{path}") as answer:
             return await (answer.json() if path.endswith(".json") else answer.read())
 
     with LiveServer(sender, Access(port=0)) as server:
         messages = [server.add(segment(5 * number)) for number in range(COUNT)]
         server.end()
-        manifest = asyncio.run(asked(server.address, "live.json"))
-        numbers = [one["number"] for one in manifest["segments"]]
+        manifest = asyncio.run(fetch(server.address, "live.json"))
+        numbers = [entry["number"] for entry in manifest["segments"]]
         assert manifest["is_ended"] and numbers == list(range(COUNT - MAX_SEGMENTS, COUNT))
-        assert asyncio.run(asked(server.address, f"live/{COUNT - 1}")) == messages[-1]
+        assert asyncio.run(fetch(server.address, f"live/{COUNT - 1}")) == messages[-1]
 
 
 @pytest.mark.parametrize("form", ["ws", "http"])
-def test_the_client_hands_over_the_last_segment_of_a_stream_that_has_ended(form: str) -> None:
+def test_the_client_returns_the_last_segment_of_an_ended_stream(form: str) -> None:
     sender, _ = sender_of(COUNT)
     url = {"ws": "ws://{}/live", "http": "http://{}/live.json"}[form]
     with LiveServer(sender, Access(port=0)) as server:
@@ -139,15 +133,15 @@ def test_the_client_hands_over_the_last_segment_of_a_stream_that_has_ended(form:
                 np.testing.assert_allclose(stream.medium[i].to_dense(), field(number).to_dense(), atol=0.2)
 
 
-def test_a_manifest_without_a_segment_yet_is_no_end() -> None:
+def test_an_empty_manifest_does_not_mean_the_end() -> None:
     sender, _ = sender_of(0)
     with LiveServer(sender, Access(port=0)) as server:
 
-        def begin() -> None:
+        def add_first() -> None:
             server.add(segment(0))
             server.end()
 
-        timer = Timer(0.6, begin)
+        timer = Timer(0.6, add_first)
         timer.start()
         with open_live(f"http://{server.address}/live.json") as stream:
             np.testing.assert_allclose(stream.medium[4].to_dense(), field(4).to_dense(), atol=0.2)
@@ -155,7 +149,7 @@ def test_a_manifest_without_a_segment_yet_is_no_end() -> None:
 
 
 @pytest.mark.parametrize("origins", [(), ("https://a.example",), ("*",)])
-def test_pages_elsewhere_read_what_is_live_only_where_they_may(origins: tuple[str, ...]) -> None:
+def test_only_allowed_origins_read_a_live_stream(origins: tuple[str, ...]) -> None:
     sender, _ = sender_of(2)
 
     async def allowed(address: str) -> list[str | None]:

@@ -1,4 +1,4 @@
-"""A coarse layer beside a live stream: what is felt where the stream has lost something or is late."""
+"""A coarse layer beside a live stream: what a hand feels where the stream has lost a segment or is late."""
 
 from __future__ import annotations
 
@@ -50,15 +50,15 @@ COARSE = {
 
 
 @cache
-def wanted(number: int) -> dict[str, np.ndarray]:
-    """Forces of a frame where the stream has it, where its coarse layer has, and where neither."""
+def expected_forces(number: int) -> dict[str, np.ndarray]:
+    """Forces of a frame from the stream, from its coarse layer, and where both are missing."""
     coarse = rebuild_level(pyramid(field(number), 1)[-1], GRID)
-    made = {"fine": field(number), "coarse": coarse, "nothing": ForceField.empty(GRID)}
-    return {name: one.to_dense() for name, one in made.items()}
+    fields = {"fine": field(number), "coarse": coarse, "nothing": ForceField.empty(GRID)}
+    return {name: dense_field.to_dense() for name, dense_field in fields.items()}
 
 
 class Pair:
-    """A stream and its coarse layer, their clock, and what the stream tells."""
+    """A stream and its coarse layer, their clock, and the notes of the stream."""
 
     def __init__(self) -> None:
         self.now_s, self.notes = 0.0, list[str]()
@@ -66,13 +66,13 @@ class Pair:
         self.frames = LiveFrames(OPENED, self.notes.append, lambda: self.now_s, self.under)
 
     def kind(self, index: int) -> str:
-        """What a frame is answered with."""
+        """The layer that answers the query of a frame."""
         if not self.frames.is_there(index):
             return "waits"
-        given = self.frames(index).to_dense()
+        forces = self.frames(index).to_dense()
         number = self.frames.stream_frame(index) or 0
-        for name, other in wanted(number).items():
-            if np.abs(given - other).max() < 0.45:
+        for name, other in expected_forces(number).items():
+            if np.abs(forces - other).max() < 0.45:
                 return name
         return "something else"
 
@@ -82,12 +82,12 @@ def test_the_layers_differ_by_more_than_their_masks() -> None:
     assert np.abs(coarse - fine).max() > 0.9
 
 
-def test_what_was_lost_is_felt_coarse() -> None:
+def test_the_coarse_layer_replaces_lost_segments() -> None:
     pair = Pair()
     for event in (COARSE[0], COARSE[5], COARSE[15]):
         pair.under.take(event)
-    for one in (FINE[0], Lost(5, 10), FINE[15]):
-        pair.frames.take(one)
+    for fine_event in (FINE[0], Lost(5, 10), FINE[15]):
+        pair.frames.take(fine_event)
     assert [pair.kind(i) for i in (4, 5, 9, 10, 14, 15)] == [
         "fine",
         "coarse",
@@ -99,7 +99,7 @@ def test_what_was_lost_is_felt_coarse() -> None:
     assert pair.frames.covered == 2 and pair.frames.lost == 10
 
 
-def test_what_is_late_is_felt_coarse_once_it_is_needed_and_fine_as_soon_as_it_comes() -> None:
+def test_the_coarse_layer_replaces_late_segments_until_they_arrive() -> None:
     pair = Pair()
     for step in range(20):
         pair.now_s = 0.1 * (step + 1)
@@ -147,7 +147,7 @@ def test_a_stream_that_fails_goes_on_coarse_until_both_have_ended() -> None:
 
 
 @pytest.mark.parametrize("comes", ["coarse alone", "coarse first", "fine first"])
-def test_another_programme_of_which_the_coarse_layer_comes_first_or_alone(comes: str) -> None:
+def test_another_programme_whose_coarse_layer_comes_first_or_alone(comes: str) -> None:
     pair = Pair()
     pair.now_s = 2.2
     for first in (100, 105):
@@ -156,12 +156,12 @@ def test_another_programme_of_which_the_coarse_layer_comes_first_or_alone(comes:
     fine = (pair.frames, FINE), (pair.under, COARSE)
     for step in range(8):
         pair.now_s = 5.0 + 0.1 * step
-        for layer, own in fine if comes == "fine first" else fine[::-1]:
+        for layer, events in fine if comes == "fine first" else fine[::-1]:
             if layer is pair.frames and (comes == "coarse alone" or (comes == "coarse first" and step < 2)):
                 continue
             if step == 0 or (step == 2 and layer is pair.frames and comes == "coarse first"):
                 layer.start_programme()
-            layer.take(own[5 * step])
+            layer.take(events[5 * step])
     assert pair.frames.stream_frame(10) == 0, "what comes next is behind what was there"
     pair.now_s = 5.65
     assert [pair.kind(10 + number) for number in (8, 31)] == [
@@ -174,12 +174,12 @@ def test_another_programme_of_which_the_coarse_layer_comes_first_or_alone(comes:
     assert not pair.frames.is_there(10 + 40) and pair.frames.skipped == 0
 
 
-def test_what_only_the_coarse_layer_could_have_is_nothing_where_it_lost_it() -> None:
-    """A hand that asks frame by frame, as an array does, is not held up for ever."""
+def test_frames_that_both_layers_lost_are_empty() -> None:
+    """A hand that queries frame by frame, as an array does, does not wait for ever."""
     pair = Pair()
     pair.frames.take(FINE[0])
-    for one in (COARSE[0], COARSE[10], replace(COARSE[0], first_frame=65)):
-        pair.under.take(one)
+    for event in (COARSE[0], COARSE[10], replace(COARSE[0], first_frame=65)):
+        pair.under.take(event)
     assert [pair.kind(i) for i in (4, 7, 10, 16, 21)] == ["fine", "nothing", "coarse", "nothing", "waits"]
     pair.under.take(replace(COARSE[0], first_frame=10_000))
     pair.now_s = 200.0
@@ -197,15 +197,13 @@ def test_a_layer_of_another_lattice_is_refused() -> None:
 
 
 class Layers(RuleBasedStateMachine):
-    """Segments of both layers come, or do not, at any time: the finest is felt,
-    and what is due not awaited.
-    """
+    """Segments of both layers arrive, or do not, at any time: the finest one is played without waiting."""
 
     def __init__(self) -> None:
         super().__init__()
         self.pair = Pair()
         self.next = [0, 0]
-        self.come: list[set[int]] = [set(), set()]
+        self.arrived: list[set[int]] = [set(), set()]
 
     @rule(layer=st.integers(0, 1), lost=st.integers(0, 2))
     def arrive(self, layer: int, lost: int) -> None:
@@ -215,27 +213,29 @@ class Layers(RuleBasedStateMachine):
             return
         frames.take((FINE, COARSE)[layer][first])
         self.next[layer] = first + 5
-        self.come[layer].add(first)
+        self.arrived[layer].add(first)
 
     @rule(seconds=st.floats(0, 0.3))
     def wait(self, seconds: float) -> None:
         self.pair.now_s += seconds
 
     @invariant()
-    def the_finest_is_felt(self) -> None:
+    def the_finest_is_played(self) -> None:
         frames, under = self.pair.frames, self.pair.under
-        if not self.come[0] or frames.stream_frame(0) is None:
+        if not self.arrived[0] or frames.stream_frame(0) is None:
             return
-        oldest = min([*sorted(self.come[0])[-4:], *sorted(self.come[1])[-8:]])
+        oldest = min([*sorted(self.arrived[0])[-4:], *sorted(self.arrived[1])[-8:]])
         for number in range(max(oldest, 0), 40, 3):
             first = number - number % 5
-            is_kept = [first in sorted(come)[-n:] for come, n in zip(self.come, (4, 8), strict=True)]
-            if number < min(sorted(self.come[0])[-4:]) and not is_kept[1]:
+            is_stored = [
+                first in sorted(numbers)[-n:] for numbers, n in zip(self.arrived, (4, 8), strict=True)
+            ]
+            if number < min(sorted(self.arrived[0])[-4:]) and not is_stored[1]:
                 continue  # play would be moved on
             kind = self.pair.kind(number)
-            if is_kept[0]:
+            if is_stored[0]:
                 assert kind == "fine"
-            elif is_kept[1]:
+            elif is_stored[1]:
                 is_lost = number < self.next[0]
                 assert kind == "coarse" or (kind == "waits" and not is_lost and not frames._is_due(number))
             else:
@@ -249,12 +249,12 @@ TestLayers.settings = settings(max_examples=30, stateful_step_count=25, deadline
 
 @settings(max_examples=60, deadline=None)
 @given(st.tuples(*[st.integers(1, 20)] * 3), st.integers(0, 2**32 - 1), st.floats(0, 1))
-def test_twice_as_fine_is_what_interpolation_gives(
-    shape: tuple[int, int, int], seed: int, share: float
+def test_a_doubled_lattice_equals_interpolation(
+    shape: tuple[int, int, int], seed: int, density: float
 ) -> None:
     rng = np.random.default_rng(seed)
     fine = Grid(shape, (0.002, 0.003, 0.001), (0.1, 0.2, -0.3))
-    dense = rng.normal(size=(*half_grid(fine).shape, 3)) * (rng.random((*half_grid(fine).shape, 1)) < share)
+    dense = rng.normal(size=(*half_grid(fine).shape, 3)) * (rng.random((*half_grid(fine).shape, 1)) < density)
     level = ForceField.from_dense(half_grid(fine), dense.astype(np.float32))
     expected = interpolate(level, fine, border="cell").to_dense()
     np.testing.assert_allclose(rebuild_level(level, fine).to_dense(), expected, atol=2e-6)
@@ -264,23 +264,21 @@ def test_twice_as_fine_is_what_interpolation_gives(
 
 
 class Paced:
-    """A clock that goes on where it is waited for, once whoever codes has sent all segments that are
-    complete.
-    """
+    """A clock that advances with `pause`, once the encoder has sent all complete segments."""
 
     def __init__(self, frames: int, *sent: Sized) -> None:
         self.now_s, self._frames, self._sent = 0.0, frames, sent
 
     def pause(self, seconds: float) -> None:
-        complete, ends = round(50 * self.now_s) // self._frames, time.monotonic() + 30
-        while any(len(one) < complete for one in self._sent) and time.monotonic() < ends:
+        complete, deadline_s = round(50 * self.now_s) // self._frames, time.monotonic() + 30
+        while any(len(segments) < complete for segments in self._sent) and time.monotonic() < deadline_s:
             time.sleep(0.001)
         self.now_s += seconds
 
 
-def test_both_layers_go_on_the_air() -> None:
-    one, ones = np.ones((1, 3), np.int32), np.ones(1, np.float32)
-    shaken = replace(medium(), vibration=lambda i: VibrationFrame(GRID, one, ones, (100 + i) * ones))
+def test_both_layers_are_broadcast() -> None:
+    index, unit = np.ones((1, 3), np.int32), np.ones(1, np.float32)
+    shaken = replace(medium(), vibration=lambda i: VibrationFrame(GRID, index, unit, (100 + i) * unit))
     prepared, _ = open_sender(shaken, EncodeSpec())
     assert prepared.spec.touch.effort == "fast"
     coarse, under = coarse_layer(shaken, prepared)
@@ -291,9 +289,9 @@ def test_both_layers_go_on_the_air() -> None:
         prepared, took[0].append, spec, clock_s=lambda: paced.now_s, pause=paced.pause, coarse=layer
     )
     assert sent.segments == len(took[0]) == len(took[1]) == 20 and sent.left_out == 0
-    assert sent.coarse_bytes == sum(len(one.body) for one in took[1]) > 0
-    assert sent.sent_bytes == sum(len(one.body) + len(one.vibration or b"") for one in took[0])
-    assert not any(one.vibration for one in took[1]), "what vibrates is in the fine layer"
+    assert sent.coarse_bytes == sum(len(segment.body) for segment in took[1]) > 0
+    assert sent.sent_bytes == sum(len(segment.body) + len(segment.vibration or b"") for segment in took[0])
+    assert not any(segment.vibration for segment in took[1]), "what vibrates is in the fine layer"
     last = took[0][-1]  # the medium has begun again
     assert last.vibration is not None
     band = [float(f.frequencies_hz[0]) for f in decode_vibration(last.vibration, GRID, 5)]
@@ -327,20 +325,20 @@ def sent_messages(with_layer: bool) -> list[bytes]:
     return [sender.opening, *messages]
 
 
-def test_a_layer_beside_it_changes_no_byte_of_a_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_coarse_layer_changes_no_byte_of_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("touchfield.network.live.secrets.token_hex", lambda count: "the same word")
     alone = sent_messages(False)
     assert len(alone) == 3 and sent_messages(True) == alone
 
 
-def test_what_cannot_be_halved_is_refused() -> None:
+def test_a_lattice_that_cannot_be_halved_is_refused() -> None:
     grid = Grid((1, 1, 1), (0.01,) * 3, (0.0,) * 3)
-    one = HapticMedium.from_frames(
+    medium_of_one = HapticMedium.from_frames(
         [ForceField.from_dense(grid, np.ones((1, 1, 1, 3), np.float32))], 30.0, HEAD.axes
     )
-    prepared, _ = open_sender(one, EncodeSpec())
+    prepared, _ = open_sender(medium_of_one, EncodeSpec())
     with pytest.raises(InvalidArgument, match="halved"):
-        coarse_layer(one, prepared)
+        coarse_layer(medium_of_one, prepared)
 
 
 # -- through a network -------------------------------------------------------------------------------------
@@ -359,93 +357,91 @@ from touchfield.tasks.play import PlaySpec, play  # noqa: E402
 
 
 def test_the_coarse_layer_survives_bursts_that_the_fine_one_does_not() -> None:
-    """5 % of losses in bursts of five (Gilbert), seeded: in time, at 30 % more bytes than both layers
-    have.
-    """
+    """5 % of losses in bursts of five (Gilbert), seeded; in time, with 30 % more bytes than both layers."""
     rng, is_bad, sent_bytes, count = np.random.default_rng(5), False, 0, 400
     sizes, bodies = (20_000, 2_800), rng.bytes(20_000)
-    ends = [
+    links = [
         (Datagrams(1, REPAIR["fine"]), Gathering(max_open=11)),
         (Datagrams(2, REPAIR["coarse"]), Gathering(max_open=11)),
     ]
-    came: tuple[dict[int, int], dict[int, int]] = ({}, {})
+    arrivals: tuple[dict[int, int], dict[int, int]] = ({}, {})
     for slot in range(count + 1):
-        for (sending, gathering), size, got in zip(ends, sizes, came, strict=True):
+        for (sending, gathering), size, got in zip(links, sizes, arrivals, strict=True):
             message = slot.to_bytes(4, "big") + bodies[: size - 4]
-            for one in sending.add(message) if slot < count else sending.flush():
-                sent_bytes += len(one)
+            for datagram in sending.add(message) if slot < count else sending.flush():
+                sent_bytes += len(datagram)
                 is_bad = rng.random() > 1 / 5 if is_bad else rng.random() < 0.05 / (0.95 * 5)
-                for whole in [] if is_bad else gathering.receive(one):
-                    got[int.from_bytes(whole[:4], "big")] = slot
-    in_time = [{number for number, slot in got.items() if slot <= number + 8} for got in came]
+                for received in [] if is_bad else gathering.receive(datagram):
+                    got[int.from_bytes(received[:4], "big")] = slot
+    in_time = [{number for number, slot in got.items() if slot <= number + 8} for got in arrivals]
     assert len(in_time[0]) < 0.995 * count, "the fine layer loses something, or nothing is shown"
     assert len(in_time[0] | in_time[1]) >= 0.999 * count and len(in_time[1]) >= 0.995 * count
     assert sent_bytes <= 1.3 * count * sum(sizes)
 
 
 def rough() -> HapticMedium:
-    """A force of 2 N and more towards the user everywhere; segments of its coarse layer have some
-    datagrams.
-    """
+    """At least 2 N towards the user everywhere; a segment of its coarse layer takes several datagrams."""
     rng = np.random.default_rng(3)
     noise = rng.uniform(0, 0.8, (25, *GRID.shape, 3)) + np.array([0, 0, 2.0])
     return HapticMedium.from_frames(
-        [ForceField.from_dense(GRID, one.astype(np.float32)) for one in noise], 50.0, HEAD.axes
+        [ForceField.from_dense(GRID, frame.astype(np.float32)) for frame in noise], 50.0, HEAD.axes
     )
 
 
-def felt_share(has_layer: bool, segments: int = 150) -> float:
-    """Share of the time that a hand feels: frames from datagrams that are lost in bursts,
-    on a clock of ours.
-    """
+def played_fraction(has_layer: bool, segments: int = 150) -> float:
+    """Fraction of the time with a force at the hand, with bursts of lost datagrams, on a simulated clock."""
     source, now, rng, is_bad = rough(), [0.0], np.random.default_rng(11), False
     fine, sender = open_sender(source, EncodeSpec())
     _, under = coarse_layer(source, fine)
     layers = []
-    for own, layer in ((under, "coarse"), (sender, "fine"))[not has_layer :]:
+    for layer_sender, layer in ((under, "coarse"), (sender, "fine"))[not has_layer :]:
         bodies = coded_rough()[layer]
-        (opened,) = LiveReceiver().receive(own.opening)
+        (opened,) = LiveReceiver().receive(layer_sender.opening)
         assert isinstance(opened, Opened)
         frames = LiveFrames(opened, clock_s=lambda: now[0], coarse=layers[0][0] if layers else None)
         repair = REPAIR[layer if has_layer else "alone"]  # type: ignore[index]
-        ends = Datagrams(7, repair), Gathering(max_open=11 if has_layer else 24), LiveReceiver()
-        layers.append((frames, own, bodies, *ends))
+        link = Datagrams(7, repair), Gathering(max_open=11 if has_layer else 24), LiveReceiver()
+        layers.append((frames, layer_sender, bodies, *link))
     frames, hand = layers[-1][0], Hand(0.0)
-    live, ticks, felt = LiveStream("live", frames), 0, 0
+    live, ticks, played = LiveStream("live", frames), 0, 0
     for step in range(10 * segments):
         now[0] = 0.01 * step
         number = step // 10
-        for own_frames, own, bodies, sending, gathering, receiver in layers if step % 10 == 0 else []:
-            message = own.add(LiveSegment(5 * number, 5, bodies[number % 5]))
-            for one in (sending.add(own.opening) if number % 4 == 0 else []) + sending.add(message):
+        for layer_frames, layer_sender, bodies, sending, gathering, receiver in (
+            layers if step % 10 == 0 else []
+        ):
+            message = layer_sender.add(LiveSegment(5 * number, 5, bodies[number % 5]))
+            for datagram in (sending.add(layer_sender.opening) if number % 4 == 0 else []) + sending.add(
+                message
+            ):
                 is_bad = rng.random() > 1 / 5 if is_bad else rng.random() < 0.05 / (0.95 * 5)
-                for whole in [] if is_bad else gathering.receive(one):
-                    for event in receiver.receive(whole):
-                        own_frames.take(event)
+                for received in [] if is_bad else gathering.receive(datagram):
+                    for event in receiver.receive(received):
+                        layer_frames.take(event)
         if step % 10 == 0:
             live.keep_up(hand)
         if step > 200:
             index, ticks = int(hand.media_s * 50) + 1, ticks + 1
-            felt += frames.is_there(index) and frames(index).support_count > 0
+            played += frames.is_there(index) and frames(index).support_count > 0
         if frames.stream_frame(0) is not None:
             hand.media_s += 0.01 * hand.speed
-    return felt / ticks
+    return played / ticks
 
 
-def test_a_hand_feels_more_of_the_time_with_a_coarse_layer_through_bursts_of_losses(
+def test_a_coarse_layer_raises_the_played_fraction_under_bursts_of_losses(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     decode, decoded = TouchDecoder.frames, dict[tuple[Grid, bytes], list[ForceField]]()
 
     def frames(decoder: TouchDecoder, body: bytes, count: int) -> list[ForceField]:
-        """Those of a segment that has come before, which is one of five of its layer."""
+        """The frames of one of the five segments of the layer, decoded before."""
         key = decoder._grid, body
         if key not in decoded:
             decoded[key] = list(decode(decoder, body, count))
         return decoded[key]
 
     monkeypatch.setattr(TouchDecoder, "frames", frames)
-    alone, layered = felt_share(False), felt_share(True)
+    alone, layered = played_fraction(False), played_fraction(True)
     assert layered > 0.99 and layered >= alone, (alone, layered)
 
 
@@ -464,8 +460,7 @@ def coded_rough() -> dict[str, list[bytes]]:
 
 
 class OnAir:
-    """A medium with its coarse layer on a server, and by datagrams at two ports, coded before it goes on the
-    air.
+    """A medium with its coarse layer on a server and by datagrams at two ports; encoded beforehand.
 
     The fine layer is no longer sent half a second after `keep_back` has been called.
     """
@@ -481,30 +476,31 @@ class OnAir:
         self._port, self._sent, self._last = port, 0, math.inf
         self._thread, self._is_over = threading.Thread(target=self._run, daemon=True), threading.Event()
 
-    def keep_back(self) -> None:
+    def stop_fine(self) -> None:
         self._last = min(self._last, self._sent + 5)
 
     @property
-    def has_kept_back(self) -> bool:
-        """Whether all that was sent of the fine layer must have come, or is lost."""
+    def has_stopped_fine(self) -> bool:
+        """Whether every segment of the fine layer has arrived or is lost."""
         return self._sent > self._last + 20
 
     def _run(self) -> None:
-        with ExitStack() as held:
+        with ExitStack() as stack:
             by_datagrams = []
             if self._port is not None:
                 to = f"127.0.0.1:{self._port}"
-                by_datagrams.append(held.enter_context(UdpSender(self._sender, to, "fine")))
-                by_datagrams.append(held.enter_context(UdpSender(self._under, to, "coarse")))
+                by_datagrams.append(stack.enter_context(UdpSender(self._sender, to, "fine")))
+                by_datagrams.append(stack.enter_context(UdpSender(self._under, to, "coarse")))
             began = time.monotonic()
             while not self._is_over.wait(max(0.0, began + 0.1 * (self._sent + 1) - time.monotonic())):
                 fine, coarse = (
-                    LiveSegment(5 * self._sent, 5, own[self._sent % len(own)]) for own in self._bodies
+                    LiveSegment(5 * self._sent, 5, bodies[self._sent % len(bodies)])
+                    for bodies in self._bodies
                 )
                 messages = [self.server.add(fine), self.server.add(coarse, is_coarse=True)]
-                for one, message in zip(by_datagrams, messages, strict=False):
+                for link, message in zip(by_datagrams, messages, strict=False):
                     if message is messages[1] or self._sent < self._last:
-                        one.add(message)
+                        link.add(message)
                 self._sent += 1
 
     def __enter__(self) -> OnAir:
@@ -519,7 +515,7 @@ class OnAir:
 
 
 @pytest.mark.parametrize("form", ["ws://{}/coarse/live", "http://{}/coarse/live.json"])
-def test_a_receiver_with_a_thin_link_takes_the_coarse_layer_alone(form: str) -> None:
+def test_a_receiver_with_low_bandwidth_takes_the_coarse_layer_alone(form: str) -> None:
     with OnAir() as air, open_stream(form.format(air.server.address)) as stream:
         assert stream.grid == HALF
         frames = stream.medium
@@ -528,9 +524,7 @@ def test_a_receiver_with_a_thin_link_takes_the_coarse_layer_alone(form: str) -> 
         np.testing.assert_allclose(frames[0].to_dense(), expected, atol=0.45)
 
 
-def test_a_hand_goes_on_feeling_where_only_the_coarse_layer_comes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_play_continues_with_the_coarse_layer_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hand, port, notes = tmp_path / "hand.csv", free_port(), list[str]()
     hand.write_text("t_s,x_m,y_m,z_m\n0,0,0,-0.07\n60,0,0,-0.07\n")
     spec = PlaySpec(
@@ -538,32 +532,32 @@ def test_a_hand_goes_on_feeling_where_only_the_coarse_layer_comes(
     )
     alone: list[
         tuple[float, int]
-    ] = []  # place of play, and frames felt coarse, once nothing fine came any more
+    ] = []  # play position, and frames from the coarse layer, once the fine layer has stopped
     with OnAir(port) as air:
         keep_up = LiveStream.keep_up
 
         def played_already(live: LiveStream, player: Any) -> bool:
-            air.keep_back()
-            if air.has_kept_back and not alone:
+            air.stop_fine()
+            if air.has_stopped_fine and not alone:
                 alone.append((player.media_s, live.frames.covered))
             if alone and live.frames.covered >= alone[0][1] + 50:
-                raise KeyboardInterrupt  # as a user ends it
+                raise KeyboardInterrupt  # as a user does
             return keep_up(live, player)
 
         monkeypatch.setattr(LiveStream, "keep_up", played_already)
         played = play(f"udp://127.0.0.1:{port}", spec, on_note=notes.append)
     assert played.error is None and played.rows is not None, notes
     assert alone, (played.statistics, notes)
-    felt = np.linalg.norm(played.rows["force_n"][played.rows["media_s"] > alone[0][0]], axis=1)
-    assert (felt > 0.5).sum() > 100, (played.statistics, notes)  # where nothing comes it is none
+    force_n = np.linalg.norm(played.rows["force_n"][played.rows["media_s"] > alone[0][0]], axis=1)
+    assert (force_n > 0.5).sum() > 100, (played.statistics, notes)  # without data the force is zero
 
 
-def test_a_coarse_layer_that_is_not_there_is_told_and_one_of_a_file_refused(tmp_path: Path) -> None:
+def test_a_missing_coarse_layer_is_reported_and_one_of_a_file_is_refused(tmp_path: Path) -> None:
     notes: list[str] = []
     with OnAir() as air:
         address = air.server.address
-        given = open_stream(f"ws://{address}/live", notes.append, f"ws://{address}/nothing")
-        with given as stream:
+        opened = open_stream(f"ws://{address}/live", notes.append, f"ws://{address}/nothing")
+        with opened as stream:
             assert stream.medium[0].support_count
     assert "without its coarse layer" in notes[0]
     with (
@@ -573,10 +567,10 @@ def test_a_coarse_layer_that_is_not_there_is_told_and_one_of_a_file_refused(tmp_
         pass
 
 
-def test_a_coarse_layer_of_which_no_datagram_comes_delays_the_start_by_seconds(
+def test_a_silent_coarse_layer_delays_the_start_by_seconds_only(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Not by the minute that a first segment is waited for; and the stream's own segments are felt."""
+    """Not by the minute that the first segment may take; the segments of the stream itself are played."""
     assert live_client._COARSE_WAIT_S <= 5
     monkeypatch.setattr(live_client, "_COARSE_WAIT_S", 0.1)
     notes, port, began = list[str](), free_port(), time.monotonic()
@@ -588,7 +582,7 @@ def test_a_coarse_layer_of_which_no_datagram_comes_delays_the_start_by_seconds(
     assert any("without its coarse layer" in note and "nothing in time" in note for note in notes), notes
 
 
-def test_a_coarse_address_that_is_none_is_an_error() -> None:
+def test_an_invalid_coarse_address_is_an_error() -> None:
     with (
         OnAir() as air,
         pytest.raises(InvalidArgument, match="address of datagrams: found 'here'"),

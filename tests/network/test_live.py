@@ -1,4 +1,4 @@
-"""The core of live streams without sockets: messages in, events out, whatever comes."""
+"""The core of live streams without sockets: messages in, events out, for any input."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from touchfield.network.live import (  # fmt: skip
 )
 
 
-def test_messages_become_events_again() -> None:
+def test_messages_decode_to_events() -> None:
     _, messages = sender_of(3)
     receiver = LiveReceiver()
     opened, *events = [event for message in [*messages, END] for event in receiver.receive(message)]
@@ -37,7 +37,7 @@ def test_messages_become_events_again() -> None:
     assert [type(e) for e in receiver.receive(messages[1])] == [Refused]
 
 
-def test_a_message_that_is_lost_late_told_twice_or_damaged_costs_only_itself() -> None:
+def test_a_lost_late_repeated_or_damaged_message_loses_only_itself() -> None:
     _, (opening, *segments) = sender_of(6)
     receiver = LiveReceiver()
     assert isinstance(receiver.receive(segments[0])[0], Refused)  # no opening yet
@@ -46,7 +46,7 @@ def test_a_message_that_is_lost_late_told_twice_or_damaged_costs_only_itself() -
     assert isinstance(receiver.receive(segments[0])[0], Refused)
     assert receiver.receive(segments[2]) == [Lost(5, 5), segment(10)]
     assert "late" in receiver.receive(segments[1])[0].reason  # type: ignore[union-attr]
-    half = sender_of(1)[0].add(replace(segment(0), first_frame=14))  # one of its frames has been felt
+    half = sender_of(1)[0].add(replace(segment(0), first_frame=14))  # one of its frames has been played
     assert "late" in receiver.receive(half)[0].reason  # type: ignore[union-attr]
     damaged = bytearray(segments[3])
     damaged[40] ^= 1
@@ -64,7 +64,7 @@ def test_a_message_that_is_lost_late_told_twice_or_damaged_costs_only_itself() -
     assert receiver.receive(segments[5]) == [segment(25)]
 
 
-def test_what_vibrates_beside_other_frames_is_refused() -> None:
+def test_a_vibration_of_other_frames_is_refused() -> None:
     sender, (opening,) = sender_of(0)
     message = sender.add(replace(segment(0), vibration=b"beside"))
     receiver = LiveReceiver()
@@ -76,7 +76,7 @@ def test_what_vibrates_beside_other_frames_is_refused() -> None:
     assert receiver.receive(message) == [replace(segment(0), vibration=b"beside")]
 
 
-def test_what_is_no_live_stream_or_too_long_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stored_streams_and_too_long_messages_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     sender, messages = sender_of(1)
     file = b"".join(opening_of(replace(HEAD, frame_count=500), {}))
     (refused,) = LiveReceiver().receive(file)
@@ -98,7 +98,7 @@ def test_what_is_no_live_stream_or_too_long_is_refused(monkeypatch: pytest.Monke
     assert isinstance(refused, Refused) and "bytes; expected at most" in refused.reason
 
 
-def test_a_sender_that_is_started_again_begins_anew() -> None:
+def test_a_restarted_sender_begins_a_new_programme() -> None:
     (_, before), (sender, again) = sender_of(4), sender_of(2)
     retold = LiveSender()
     retold.open(HEAD, {"source": "test", "programme": _parse_opening(sender.opening).provenance["programme"]})
@@ -116,7 +116,7 @@ def test_a_sender_that_is_started_again_begins_anew() -> None:
 @given(
     st.lists(st.one_of(st.binary(max_size=200), st.integers(0, 6).map(lambda i: _MESSAGES[i])), max_size=12)
 )
-def test_whatever_comes_is_an_event_and_no_error(messages: list[bytes]) -> None:
+def test_any_message_is_an_event_and_no_error(messages: list[bytes]) -> None:
     receiver = LiveReceiver()
     for message in messages:
         for event in receiver.receive(message):
@@ -127,9 +127,7 @@ _MESSAGES = [*sender_of(5)[1], END]
 
 
 class Broadcast(RuleBasedStateMachine):
-    """Receivers that come and read at their own pace: what each gets is in order,
-    and little is kept for it.
-    """
+    """Receivers join and read at different speeds: each gets its segments in order; queues stay short."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -153,7 +151,7 @@ class Broadcast(RuleBasedStateMachine):
     @precondition(lambda self: self.receivers)
     @rule(pick=st.integers(0, 3), count=st.integers(1, 6))
     def read(self, pick: int, count: int) -> None:
-        subscriber, receiver, seen = self.receivers[pick % len(self.receivers)]
+        subscriber, receiver, received = self.receivers[pick % len(self.receivers)]
         for _ in range(count):
             message = self.sender.next(subscriber)  # type: ignore[arg-type]
             if message is None:
@@ -161,7 +159,7 @@ class Broadcast(RuleBasedStateMachine):
             for event in receiver.receive(message):
                 assert not isinstance(event, Refused)
                 if isinstance(event, LiveSegment):
-                    seen.append(event.first_frame)
+                    received.append(event.first_frame)
 
     @precondition(lambda self: not self.is_over)
     @rule()
@@ -173,9 +171,9 @@ class Broadcast(RuleBasedStateMachine):
 
     @invariant()
     def in_order_and_bounded(self) -> None:
-        for subscriber, _, seen in self.receivers.values():
-            assert seen == sorted(set(seen))
-            assert subscriber.skipped + len(seen) <= self.bodies // 5 + 1  # type: ignore[attr-defined]
+        for subscriber, _, received in self.receivers.values():
+            assert received == sorted(set(received))
+            assert subscriber.skipped + len(received) <= self.bodies // 5 + 1  # type: ignore[attr-defined]
         assert len(self.sender.manifest()["segments"]) <= 4
 
 
@@ -184,13 +182,13 @@ TestBroadcast = Broadcast.TestCase
 TestBroadcast.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
 
 
-def test_who_comes_late_begins_with_the_newest() -> None:
+def test_a_late_receiver_begins_with_the_newest_segment() -> None:
     sender, (opening, *_, newest) = sender_of(3)
     receiver = sender.joined()
     assert [sender.next(receiver) for _ in range(3)] == [opening, newest, None] and receiver.skipped == 0
 
 
-def test_who_is_slow_is_moved_on_to_the_newest() -> None:
+def test_a_slow_receiver_skips_to_the_newest_segment() -> None:
     sender, _ = sender_of(1)
     slow = sender.joined()
     assert sender.next(slow) == sender.opening
@@ -201,9 +199,9 @@ def test_who_is_slow_is_moved_on_to_the_newest() -> None:
     message = sender.next(slow)
     assert message is not None and receiver.receive(message) == [segment(95)] and slow.skipped == 19
     assert sender.next(slow) is None
-    told = {"number": 19, "first_frame": 95, "frames": 5, "bytes": len(message)}
+    entry = {"number": 19, "first_frame": 95, "frames": 5, "bytes": len(message)}
     assert (
-        sender.manifest()["segments"][-1] == told
+        sender.manifest()["segments"][-1] == entry
         and sender.message(19) == message
         and sender.message(15) is None
     )

@@ -1,4 +1,4 @@
-"""A live stream as a medium that is played: frames that come, are lost, are late, and clocks that jump."""
+"""A live stream played as a medium: frames that arrive, are lost or late, and clocks that jump."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def frames_of(*events: LiveSegment | Lost) -> LiveFrames:
     return frames
 
 
-def test_frames_are_those_that_were_sent_and_lost_ones_hold_no_force() -> None:
+def test_sent_frames_are_played_and_lost_ones_are_empty() -> None:
     frames = frames_of(segment(10), Lost(15, 5), segment(20))
     for i in (0, 4, 10, 14):
         np.testing.assert_allclose(frames(i).to_dense(), field(10 + i).to_dense(), atol=0.2)
@@ -33,9 +33,9 @@ def test_frames_are_those_that_were_sent_and_lost_ones_hold_no_force() -> None:
     assert frames.is_there(14) and not frames.is_there(15)
 
 
-def test_what_vibrates_is_that_of_the_frame_and_messages_of_no_use_are_counted() -> None:
-    place, one = np.zeros((1, 3), np.int32), np.ones(1, np.float32)
-    bands = [VibrationFrame(GRID, place + i, one, (90 + i) * one) for i in range(5)]
+def test_vibration_belongs_to_its_frame_and_useless_messages_are_counted() -> None:
+    index, unit = np.zeros((1, 3), np.int32), np.ones(1, np.float32)
+    bands = [VibrationFrame(GRID, index + i, unit, (90 + i) * unit) for i in range(5)]
     frames = frames_of(segment(0))
     assert not frames.vibrates and LiveStream("live", frames).medium.vibration is None
     frames.take(replace(segment(5), vibration=encode_vibration(bands)))
@@ -47,7 +47,7 @@ def test_what_vibrates_is_that_of_the_frame_and_messages_of_no_use_are_counted()
     assert frames.refused == 3
 
 
-def test_who_has_fallen_behind_goes_on_with_the_newest() -> None:
+def test_a_lagging_player_continues_with_the_newest_frames() -> None:
     notes: list[str] = []
     frames = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), notes.append)
     for i in range(8):
@@ -56,15 +56,13 @@ def test_who_has_fallen_behind_goes_on_with_the_newest() -> None:
     assert frames.skipped == 32 and frames.stream_frame(3) == 35 and "behind" in notes[0]
 
 
-@pytest.mark.parametrize("begins_s", [-1.5, -0.2, 0.0, 0.2, 4.0])
-def test_play_stays_at_what_is_due(begins_s: float) -> None:
-    """Segments of a tenth of a second come up to 30 ms late: soon play is behind the latest of them, and not
-    far.
-    """
+@pytest.mark.parametrize("start_s", [-1.5, -0.2, 0.0, 0.2, 4.0])
+def test_play_stays_at_the_due_frame(start_s: float) -> None:
+    """Segments of a tenth of a second arrive up to 30 ms late; soon the lag behind the latest is small."""
     now, rng = [0.0], np.random.default_rng(4)
     opened = Opened(replace(HEAD, frame_count=ENDLESS), {})
     frames = LiveFrames(opened, clock_s=lambda: now[0])
-    live, hand, waits, skipped = LiveStream("live", frames), Hand(begins_s), 0, 0
+    live, hand, waits, skipped = LiveStream("live", frames), Hand(start_s), 0, 0
     late, sent = rng.uniform(0, 0.03, 60), 0
     bodies = [segment(5 * i) for i in range(12)]
     for step in range(500):
@@ -84,56 +82,58 @@ def test_play_stays_at_what_is_due(begins_s: float) -> None:
     assert waits == 0 and frames.skipped == skipped
 
 
-@pytest.mark.parametrize(("here_s", "there_s"), [(1000.0, 0.0), (0.0, 60.0), (-300.0, 0.0)])
-def test_a_clock_that_jumps_is_followed(here_s: float, there_s: float) -> None:
-    """The receiver's clock jumps after two seconds, or the sender's: half a second later play is where it
-    was.
+@pytest.mark.parametrize(("receiver_s", "sender_s"), [(1000.0, 0.0), (0.0, 60.0), (-300.0, 0.0)])
+def test_a_clock_that_jumps_is_followed(receiver_s: float, sender_s: float) -> None:
+    """The clock of the receiver or the sender jumps after two seconds; half a second later play has
+    recovered.
     """
     now, sent = 0.0, 0
     frames = LiveFrames(
-        Opened(replace(HEAD, frame_count=ENDLESS), {}), clock_s=lambda: now + here_s * (now >= 2)
+        Opened(replace(HEAD, frame_count=ENDLESS), {}), clock_s=lambda: now + receiver_s * (now >= 2)
     )
     live, hand = LiveStream("live", frames), Hand(0.0)
     bodies = [segment(5 * i) for i in range(12)]
     for step in range(500):
         now = 0.01 * step
         while now >= 0.1 * (sent + 1):
-            skipped = round(there_s * 50) * (now >= 2)
+            skipped = round(sender_s * 50) * (now >= 2)
             frames.take(replace(bodies[sent % 12], first_frame=5 * sent + skipped))
             sent += 1
         if step % 10 == 0:
             live.keep_up(hand)
         if step > 260 or 150 < step < 199:
-            assert -0.02 < now + there_s * (now >= 2) - hand.media_s - 0.1 < 0.1
+            assert -0.02 < now + sender_s * (now >= 2) - hand.media_s - 0.1 < 0.1
             assert frames.is_there(int(hand.media_s * 50))
         hand.media_s += 0.01 * hand.speed
 
 
-def test_a_segment_that_cannot_be_decoded_costs_only_itself() -> None:
+def test_an_undecodable_segment_loses_only_itself() -> None:
     bad = LiveSegment(5, 5, b"\0" * 50)
     frames = frames_of(segment(0), bad, segment(10))
     assert frames.lost == 5 and not frames(5).support_count and frames(10).support_count
-    whole = segment(5)
-    reader = BodyReader(whole.body, GRID, exact=False)
+    original = segment(5)
+    reader = BodyReader(original.body, GRID, exact=False)
     records = reader.records(5)
-    records[3] = replace(records[3], payload=records[3].payload + bytes(99))  # those before it can be decoded
+    records[3] = replace(
+        records[3], payload=records[3].payload + bytes(99)
+    )  # the records before it can be decoded
     frames = frames_of(
-        segment(0), replace(whole, body=write_body(reader.lattice, records, reader.max_error)), segment(10)
+        segment(0), replace(original, body=write_body(reader.lattice, records, reader.max_error)), segment(10)
     )
     assert [i for i in range(5, 11) if not frames(i).support_count] == [8, 9] and frames.lost == 2
 
 
-def test_of_large_segments_fewer_are_kept_and_one_at_least(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fewer_large_segments_are_stored_but_at_least_one(monkeypatch: pytest.MonkeyPatch) -> None:
     size = sum(frames_of(segment(5))(i).forces_n.nbytes for i in range(5))
-    for most, oldest in ((1, 25), (2 * size, 20), (1 << 30, 10)):
-        monkeypatch.setattr("touchfield.network.live_medium.MAX_BYTES", most)
+    for max_bytes, oldest in ((1, 25), (2 * size, 20), (1 << 30, 10)):
+        monkeypatch.setattr("touchfield.network.live_medium.MAX_BYTES", max_bytes)
         frames = frames_of(*(replace(segment(5), first_frame=5 * i) for i in range(6)))
         assert frames(oldest).support_count and frames.skipped == 0
         assert frames(oldest - 1).support_count and frames.skipped == 26 - oldest
 
 
 @pytest.mark.parametrize("is_layered", [False, True])
-def test_another_programme_goes_on_behind_the_one_before(is_layered: bool) -> None:
+def test_another_programme_continues_after_the_previous_one(is_layered: bool) -> None:
     opened = Opened(replace(HEAD, frame_count=ENDLESS), {})
     now = [2.2]
     under = LiveFrames(Opened(UNDER_HEAD, {}), clock_s=lambda: now[0]) if is_layered else None
@@ -141,9 +141,9 @@ def test_another_programme_goes_on_behind_the_one_before(is_layered: bool) -> No
     frames.take(segment(100))
     frames.take(segment(105))
     if under is not None:
-        under.take(COARSE[5])  # its numbers are of no use behind the other programme's
+        under.take(COARSE[5])  # its numbers are useless after those of the other programme
     frames.start_programme()
-    assert frames(9).support_count and not frames.is_there(10)  # what is there stays until more comes
+    assert frames(9).support_count and not frames.is_there(10)  # the frames stay until more arrive
     now[0] = 5.0
     frames.take(segment(0))
     for i in range(5):
@@ -153,7 +153,7 @@ def test_another_programme_goes_on_behind_the_one_before(is_layered: bool) -> No
     assert frames.due_s(50) == pytest.approx(0.27) and frames.skipped == 0
 
 
-def test_the_end_and_silence_are_told() -> None:
+def test_the_end_and_silence_are_reported() -> None:
     frames = frames_of(segment(0))
     with pytest.raises(SourceError, match="far ahead"):
         frames(100_000)
@@ -164,16 +164,16 @@ def test_the_end_and_silence_are_told() -> None:
         frames(5)
 
 
-def test_a_frame_that_comes_soon_is_waited_for_and_objects_are_not_live() -> None:
-    frames, coming = frames_of(segment(0)), segment(5)
-    threading.Timer(0.02, frames.take, [coming]).start()
+def test_play_waits_for_a_frame_that_is_due_and_objects_are_not_live() -> None:
+    frames, next_segment = frames_of(segment(0)), segment(5)
+    threading.Timer(0.02, frames.take, [next_segment]).start()
     assert frames(9).support_count
     with pytest.raises(UnsupportedVersion, match="coder objects; expected a coder of fields"):
         LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS, coder="objects"), {}))
 
 
 @pytest.mark.parametrize("length", [5, 60])
-def test_silence_is_waited_for_a_minute_and_told_once(length: int) -> None:
+def test_silence_is_reported_once_and_ends_after_a_minute(length: int) -> None:
     now, notes, usual_s = [0.0], list[str](), length / 50
     frames = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), notes.append, clock_s=lambda: now[0])
     now[0] = 61.0

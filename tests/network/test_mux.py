@@ -1,4 +1,4 @@
-"""Touch beside sound and picture: in, played on by others, and out again byte for byte."""
+"""Touch muxed with sound and video: written, played by other programs, and extracted byte for byte."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def pictures(path: Path) -> list[tuple[Fraction, bytes]]:
-    """Times and packets of the picture's track."""
+    """Times and packets of the video track."""
     with av.open(str(path)) as movie:
         track = movie.streams.video[0]
         return [(p.pts * p.time_base, bytes(p)) for p in movie.demux(track) if p.pts is not None]
@@ -73,16 +73,18 @@ def pictures(path: Path) -> list[tuple[Fraction, bytes]]:
 
 @pytest.mark.parametrize("form", [".mp4", ".mov", ".ts"])
 @pytest.mark.parametrize("name", ["noise.touch", "bodies.touch"])
-def test_what_is_taken_out_is_what_was_put_in(folder: Path, tmp_path: Path, form: str, name: str) -> None:
+def test_demux_returns_the_muxed_stream(folder: Path, tmp_path: Path, form: str, name: str) -> None:
     out, back = tmp_path / f"both{form}", tmp_path / "back.touch"
     done = mux(folder / "movie.mp4", folder / name, out, 0.4)
-    taken = demux(out, back)
-    assert done.other_tracks == ("video", "audio") and done.at_s == 0.4 == pytest.approx(taken.at_s, abs=2e-3)
+    demuxed = demux(out, back)
+    assert done.other_tracks == ("video", "audio") and done.at_s == 0.4 == pytest.approx(
+        demuxed.at_s, abs=2e-3
+    )
     with TouchReader(back) as reader:
-        own = len(reader.segments), reader.head.frame_count / reader.head.rate_hz
-        end = reader.segments[-1].offset + reader.segments[-1].length  # what is behind is made again
-    assert (done.segments, done.touch_seconds) == (taken.segments, taken.touch_seconds) == own
-    assert taken.touch_bytes >= end and (form == ".ts" or done.touch_bytes == taken.touch_bytes == end)
+        layout = len(reader.segments), reader.head.frame_count / reader.head.rate_hz
+        end = reader.segments[-1].offset + reader.segments[-1].length  # the rest is written anew
+    assert (done.segments, done.touch_seconds) == (demuxed.segments, demuxed.touch_seconds) == layout
+    assert demuxed.touch_bytes >= end and (form == ".ts" or done.touch_bytes == demuxed.touch_bytes == end)
     assert back.read_bytes() == (folder / name).read_bytes()
     assert (b"moof" in out.read_bytes()) == (form != ".ts")  # fragments, for streaming
     if form == ".mp4":
@@ -90,34 +92,34 @@ def test_what_is_taken_out_is_what_was_put_in(folder: Path, tmp_path: Path, form
     before, after = pictures(folder / "movie.mp4"), pictures(out)
     assert len(before) == len(after) and [b for _, b in before] == [b for _, b in after]
     shifts = {round(float(a - b), 3) for (a, _), (b, _) in zip(after, before, strict=True)}
-    assert len(shifts) == 1  # MPEG-TS begins its clock a little later
+    assert len(shifts) == 1  # the clock of MPEG-TS starts a little later
     with TouchReader(folder / name) as reader, av.open(str(out)) as movie:
         assert [s.type for s in movie.streams].count("data") == 1
         touch = movie.streams.data[0]
         packets = [p for p in movie.demux(touch) if p.pts is not None]
         times = [float(p.pts * p.time_base) - shifts.copy().pop() for p in packets]
-        wanted = [0.4 + entry.first_frame / reader.head.rate_hz for entry in reader.segments]
-        np.testing.assert_allclose(times, wanted, atol=2e-3)
-        if form == ".ts":  # data without a registered name ffmpeg may take for video, by what is in it
+        expected = [0.4 + entry.first_frame / reader.head.rate_hz for entry in reader.segments]
+        np.testing.assert_allclose(times, expected, atol=2e-3)
+        if form == ".ts":  # ffmpeg may take data without a registered name for video, by its content
             assert out.read_bytes().count(b"KLVA") >= 1
-        else:  # which tells a duration
+        else:  # which has a duration
             lasts = [float(p.duration * p.time_base) for p in packets]
-            wanted = [entry.frame_count / reader.head.rate_hz for entry in reader.segments]
-            np.testing.assert_allclose(lasts, wanted, atol=2e-3)
+            expected = [entry.frame_count / reader.head.rate_hz for entry in reader.segments]
+            np.testing.assert_allclose(lasts, expected, atol=2e-3)
 
 
 def test_the_movie_is_decoded_as_before(folder: Path, tmp_path: Path) -> None:
-    out, notes, shown = tmp_path / "both.mp4", list[tuple[int, int]](), list[list[bytes]]()
+    out, notes, decoded = tmp_path / "both.mp4", list[tuple[int, int]](), list[list[bytes]]()
     mux(
         folder / "movie.mp4", folder / "noise.touch", out, 1.5, lambda *at: notes.append(at)
-    )  # beyond its end, too
+    )  # also beyond its end
     assert notes == [(1, 3), (2, 3), (3, 3)]
     demux(out, tmp_path / "back.TOUCH")
     assert (tmp_path / "back.TOUCH").read_bytes() == (folder / "noise.touch").read_bytes()
     for path in (folder / "movie.mp4", out):
         with av.open(str(path)) as movie:
-            shown.append([f.to_ndarray(format="rgb24").tobytes() for f in movie.decode(video=0)])
-    assert shown[0] == shown[1] and len(shown[0]) == 50
+            decoded.append([f.to_ndarray(format="rgb24").tobytes() for f in movie.decode(video=0)])
+    assert decoded[0] == decoded[1] and len(decoded[0]) == 50
 
 
 @pytest.mark.parametrize("stem", ["film", "sight & touch"])
@@ -130,14 +132,17 @@ def test_a_manifest_names_the_movie_and_the_touch(folder: Path, tmp_path: Path, 
     assert (done.other_tracks, done.at_s, done.touch_bytes) == (("video", "audio"), 0.5, size)
     space = "{urn:mpeg:dash:schema:mpd:2011}"
     sets = ElementTree.parse(out).getroot().findall(f"{space}Period/{space}AdaptationSet")
-    assert [one.get("contentType") for one in sets] == ["video", "audio", "application"]
-    named = [one.findtext(f"{space}Representation/{space}BaseURL") for one in sets]
+    assert [adaptation.get("contentType") for adaptation in sets] == ["video", "audio", "application"]
+    named = [adaptation.findtext(f"{space}Representation/{space}BaseURL") for adaptation in sets]
     assert {path.name for path in tmp_path.iterdir()} == {out.name, *map(str, named)}
     assert sets[2].get("mimeType") == "haptics/vnd.touchfield" and named[2] == f"{stem}.touch"
-    shown = sets[2].find(f"{space}Representation")
-    assert shown is not None and shown.get("bandwidth") == str(round(8 * size / 0.9))
-    told = sets[2].find(f"{space}SupplementalProperty")
-    assert told is not None and (told.get("schemeIdUri"), told.get("value")) == (START_SCHEME, "0.5")
+    representation = sets[2].find(f"{space}Representation")
+    assert representation is not None and representation.get("bandwidth") == str(round(8 * size / 0.9))
+    supplement = sets[2].find(f"{space}SupplementalProperty")
+    assert supplement is not None and (supplement.get("schemeIdUri"), supplement.get("value")) == (
+        START_SCHEME,
+        "0.5",
+    )
     assert (tmp_path / f"{stem}.touch").read_bytes() == (folder / "noise.touch").read_bytes()
     assert [data for _, data in pictures(tmp_path / str(named[0]))] == [
         data for _, data in pictures(folder / "movie.mp4")
@@ -148,12 +153,14 @@ def test_a_manifest_names_the_movie_and_the_touch(folder: Path, tmp_path: Path, 
         mux(tmp_path / str(named[0]), folder / "noise.touch", out)
 
 
-def test_one_clear_line_each(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_error_is_one_clear_line(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     movie, touch = str(folder / "movie.mp4"), str(folder / "noise.touch")
     (tmp_path / "text.mp4").write_text("no movie")
     out, also = tmp_path / "out.mp4", tmp_path / "touch.mp4"
-    also.write_bytes((folder / "noise.touch").read_bytes())  # a stream by another ending
-    for words, said in (
+    also.write_bytes((folder / "noise.touch").read_bytes())  # a stream with another suffix
+    for arguments, message in (
         (["mux", movie, touch, str(tmp_path / "out.avi")], ".avi"),
         (["mux", str(tmp_path / "text.mp4"), touch, str(out)], "a movie that ffmpeg reads"),
         (["mux", movie, movie, str(out)], "movie.mp4"),
@@ -164,9 +171,9 @@ def test_one_clear_line_each(folder: Path, tmp_path: Path, capsys: pytest.Captur
         (["demux", movie, str(tmp_path / "x.touch")], "no track of touch"),
         (["demux", str(tmp_path / "absent.mp4"), str(tmp_path / "x.touch")], "absent.mp4"),
     ):
-        assert _exit_code(words) != 0
-        told = capsys.readouterr().err
-        assert said in told and told.count("\n") == 1 and "Traceback" not in told
+        assert _exit_code(arguments) != 0
+        stderr = capsys.readouterr().err
+        assert message in stderr and stderr.count("\n") == 1 and "Traceback" not in stderr
     assert not out.exists() and not (tmp_path / "x.touch").exists()
     assert also.read_bytes() == (folder / "noise.touch").read_bytes()
     assert _exit_code(["mux", movie, touch, str(out), "--json"]) == 0
@@ -197,7 +204,7 @@ def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(
             back.unlink()
     assert refused > 5
     found = mux_module._touch_samples
-    monkeypatch.setattr(mux_module, "_touch_samples", lambda *given: (found(*given)[0][:2], 0.0))
+    monkeypatch.setattr(mux_module, "_touch_samples", lambda *args: (found(*args)[0][:2], 0.0))
     with pytest.raises(TouchfieldError, match=r"both\.ts: INDX\.segments: found 6 frames; expected 9"):
         demux(out, back)
     assert not back.exists()
@@ -207,7 +214,7 @@ def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(
 def test_each_damaged_record_in_a_movie_is_an_error_and_leaves_no_file(
     folder: Path, tmp_path: Path, name: str
 ) -> None:
-    """The head, objects, and of each segment, the last one too, the forces and the vibration."""
+    """The head, objects, and the forces and the vibration of each segment including the last one."""
     movie, back, spoilt = tmp_path / "both.mp4", tmp_path / "back.touch", tmp_path / "spoilt.mp4"
     mux(folder / "movie.mp4", folder / name, movie)
     data, stream = movie.read_bytes(), (folder / name).read_bytes()
@@ -216,7 +223,7 @@ def test_each_damaged_record_in_a_movie_is_an_error_and_leaves_no_file(
     tags = [record.tag for record in records]
     assert min(tags.count(tag) for tag in (("SEGM", "VIBR") if name == "vibrating.touch" else ("OBJT",))) >= 3
     for record in records:
-        if record.tag in ("INDX", "TEND"):  # which are made again
+        if record.tag in ("INDX", "TEND"):  # which are written anew
             continue
         at = data.index(stream[record.offset : record.end])
         changed = bytearray(data)

@@ -1,4 +1,4 @@
-"""Streams elsewhere: what is fetched, and what a server may not do to a receiver."""
+"""Remote streams: the bytes that are fetched, and what a server cannot do to a receiver."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def served(folder: Path, access: Access = Access()) -> Iterator[str]:
 
 @contextmanager
 def answering(*answers: Callable[[socket.socket], None] | bytes) -> Iterator[str]:
-    """The address of a server that gives these answers in turn, the last one again and again."""
+    """The address of a server that gives these answers in turn and repeats the last one."""
     listener = socket.create_server(("127.0.0.1", 0))
     listener.settimeout(0.05)
     done = threading.Event()
@@ -107,57 +107,63 @@ def answering(*answers: Callable[[socket.socket], None] | bytes) -> Iterator[str
     listener.close()
 
 
-def partial(data: bytes, at: int, whole: int, tag: str = '"a"') -> bytes:
+def partial(data: bytes, at: int, total: int, tag: str = '"a"') -> bytes:
     head = f"HTTP/1.1 206 Partial Content\r\nContent-Length: {len(data)}\r\nETag: {tag}\r\n"
-    return f"{head}Content-Range: bytes {at}-{at + len(data) - 1}/{whole}\r\n\r\n".encode() + data
+    return f"{head}Content-Range: bytes {at}-{at + len(data) - 1}/{total}\r\n\r\n".encode() + data
 
 
-def test_a_stream_is_opened_in_three_requests_and_segments_are_fetched_when_felt(folder: Path) -> None:
-    with served(folder) as address, TouchReader(f"{address}/noise.touch") as far:
-        source = far._source.remote
-        assert source is not None and source.requests <= 3 and source.received < 65536 < far.size
-        with TouchReader(folder / "noise.touch") as near:
-            assert (far.head, far.segments, far.provenance) == (near.head, near.segments, near.provenance)
+def test_a_stream_opens_in_three_requests_and_fetches_segments_on_demand(folder: Path) -> None:
+    with served(folder) as address, TouchReader(f"{address}/noise.touch") as remote_file:
+        source = remote_file._source.remote
+        assert source is not None and source.requests <= 3 and source.received < 65536 < remote_file.size
+        with TouchReader(folder / "noise.touch") as local_file:
+            assert (remote_file.head, remote_file.segments, remote_file.provenance) == (
+                local_file.head,
+                local_file.segments,
+                local_file.provenance,
+            )
             before = source.requests, source.received
-            assert far.read_segment(5) == near.read_segment(5)
+            assert remote_file.read_segment(5) == local_file.read_segment(5)
             assert source.requests - before[0] == 1
-            assert source.received - before[1] == far.segments[5].length
-            assert [far.read_segment(i) for i in range(8)] == [near.read_segment(i) for i in range(8)]
+            assert source.received - before[1] == remote_file.segments[5].length
+            assert [remote_file.read_segment(i) for i in range(8)] == [
+                local_file.read_segment(i) for i in range(8)
+            ]
         assert source.requests <= 3 + 8
 
 
-def test_what_is_kept_of_a_file_elsewhere_is_bounded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with served(folder) as address, TouchReader(f"{address}/noise.touch") as far:
-        source = far._source.remote
+def test_the_cache_of_a_remote_file_is_bounded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with served(folder) as address, TouchReader(f"{address}/noise.touch") as remote_file:
+        source = remote_file._source.remote
         assert source is not None
-        longest = max(entry.length for entry in far.segments)
+        longest = max(entry.length for entry in remote_file.segments)
         monkeypatch.setattr(remote, "_MAX_CACHED", 2 * longest)
         for i in range(8):
-            far.read_segment(i)
+            remote_file.read_segment(i)
             assert sum(map(len, source._cache.values())) <= 2 * longest
         before = source.requests
-        far.read_segment(7)
+        remote_file.read_segment(7)
         assert source.requests == before
-        far.read_segment(0)
+        remote_file.read_segment(0)
         assert source.requests == before + 1
-        far.read_segment(7)  # used last: another one makes room
-        far.read_segment(1)
+        remote_file.read_segment(7)  # used last, so that another one is evicted
+        remote_file.read_segment(1)
         before = source.requests
-        far.read_segment(7)
+        remote_file.read_segment(7)
         assert source.requests == before
-        far.read_segment(0)
+        remote_file.read_segment(0)
         assert source.requests == before + 1
 
 
 @pytest.mark.parametrize("name", ["noise.touch", "bodies.touch"])
-def test_forces_from_elsewhere_are_those_of_the_file(folder: Path, name: str) -> None:
+def test_remote_forces_equal_those_of_the_file(folder: Path, name: str) -> None:
     with (
         served(folder) as address,
-        tf.open_stream(f"{address}/{name}") as far,
-        tf.open_stream(folder / name) as near,
+        tf.open_stream(f"{address}/{name}") as remote_file,
+        tf.open_stream(folder / name) as local_file,
     ):
         for i in (7, 0, 3):
-            assert far.medium[i] == near.medium[i]
+            assert remote_file.medium[i] == local_file.medium[i]
 
 
 def test_commands_take_an_address(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,23 +176,26 @@ def test_commands_take_an_address(folder: Path, tmp_path: Path, capsys: pytest.C
         page = tmp_path / "page.html"
         assert _exit_code(["view", url, "--no-open", "--out", str(page)]) == 0 and page.exists()
         assert _exit_code(["info", f"{address}/absent.touch"]) == 1
-    said = capsys.readouterr().err
-    assert "404" in said and "Traceback" not in said
+    stderr = capsys.readouterr().err
+    assert "404" in stderr and "Traceback" not in stderr
 
 
-def test_a_store_of_objects_is_read_by_ranges(folder: Path) -> None:
+def test_an_object_store_is_read_by_ranges(folder: Path) -> None:
     pytest.importorskip("obstore", reason="needs the extra remote")
-    with TouchReader((folder / "noise.touch").as_uri()) as far, TouchReader(folder / "noise.touch") as near:
-        assert far._source.remote is not None and far._source.remote.requests <= 3
-        assert far.read_segment(6) == near.read_segment(6)
+    with (
+        TouchReader((folder / "noise.touch").as_uri()) as remote_file,
+        TouchReader(folder / "noise.touch") as local_file,
+    ):
+        assert remote_file._source.remote is not None and remote_file._source.remote.requests <= 3
+        assert remote_file.read_segment(6) == local_file.read_segment(6)
     with pytest.raises(SourceError, match=r"absent\.touch"):
         TouchReader((folder / "absent.touch").as_uri())
 
 
-def test_a_result_is_sent_to_a_store_of_objects(
+def test_a_result_is_sent_to_an_object_store(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The bytes are those of a local file; what cannot be sent stays in the working folder."""
+    """The bytes are those of a local file; a result that cannot be sent stays in the working folder."""
     pytest.importorskip("obstore", reason="needs the extra remote")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "store").mkdir()
@@ -234,7 +243,7 @@ OPENING = b"\x89TOUCH\r\n\x1a\n\x01\x00\x00\x00"
 
 
 @pytest.mark.parametrize(
-    ("answers", "words"),
+    ("answers", "message"),
     [
         ((b"HTTP/1.1 200 OK\r\nContent-Length: 3\r\n\r\nabc",), "does not answer ranges"),
         ((b"HTTP/1.1 416 Range Not Satisfiable\r\nContent-Length: 0\r\n\r\n",), "416"),
@@ -260,31 +269,35 @@ OPENING = b"\x89TOUCH\r\n\x1a\n\x01\x00\x00\x00"
     ],
     ids=lambda value: value[:20] if isinstance(value, str) else "x",
 )
-def test_a_server_that_misbehaves_is_told_at_once(
-    answers: tuple[Callable[[socket.socket], None] | bytes, ...], words: str, monkeypatch: pytest.MonkeyPatch
+def test_a_misbehaving_server_is_an_error_at_once(
+    answers: tuple[Callable[[socket.socket], None] | bytes, ...],
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(remote, "_TIMEOUT_S", 0.5)
-    with answering(*answers) as url, pytest.raises(TouchfieldError, match=words) as caught:
+    with answering(*answers) as url, pytest.raises(TouchfieldError, match=message) as caught:
         TouchReader(url)
     assert url in str(caught.value)
 
 
-def test_a_connection_that_has_ended_is_made_again(folder: Path) -> None:
+def test_an_ended_connection_is_renewed(folder: Path) -> None:
     data = (folder / "noise.touch").read_bytes()
 
-    def once(link: socket.socket, begin: int, end: int) -> None:
-        answer = partial(data[begin:end], begin, len(data))
+    def once(link: socket.socket, start: int, stop: int) -> None:
+        answer = partial(data[start:stop], start, len(data))
         link.sendall(answer)
 
     size = len(data)
     tail = max(4096, size - 16384)
     first = (lambda link: once(link, 0, 4096)), (lambda link: once(link, tail, size))
     with answering(*first) as url:
-        far = remote.RemoteFile(url)
-        assert far.read_at(100, 50) == data[100:150] and far.read_at(size - 60, 60) == data[-60:]
+        remote_file = remote.RemoteFile(url)
+        assert (
+            remote_file.read_at(100, 50) == data[100:150] and remote_file.read_at(size - 60, 60) == data[-60:]
+        )
 
 
-def test_secrets_are_not_told(folder: Path) -> None:
+def test_errors_contain_no_secrets(folder: Path) -> None:
     with served(folder, Access(token="long enough")) as address:
         assert TouchReader(f"{address}/noise.touch?token=long%20enough").name == f"{address}/noise.touch"
         with pytest.raises(SourceError, match="401") as caught:
@@ -292,12 +305,14 @@ def test_secrets_are_not_told(folder: Path) -> None:
         assert "another-word" not in str(caught.value)
 
 
-def asked(address: str, line: str, *headers: str) -> str:
-    """The answer to a request that is sent as it is."""
+def raw_response(address: str, line: str, *headers: str) -> str:
+    """The response to a request that is sent verbatim."""
     host, port = address.removeprefix("http://").split(":")
     with socket.create_connection((host, int(port)), timeout=5) as link:
-        own = headers if any(h.startswith("Host") for h in headers) else (f"Host: {host}:{port}", *headers)
-        link.sendall("\r\n".join([f"{line} HTTP/1.1", *own, "Connection: close", "", ""]).encode())
+        header_lines = (
+            headers if any(h.startswith("Host") for h in headers) else (f"Host: {host}:{port}", *headers)
+        )
+        link.sendall("\r\n".join([f"{line} HTTP/1.1", *header_lines, "Connection: close", "", ""]).encode())
         parts = []
         while part := link.recv(65536):
             parts.append(part)
@@ -325,43 +340,45 @@ def asked(address: str, line: str, *headers: str) -> str:
 def test_nothing_but_the_streams_of_the_folder_is_served(folder: Path, name: str, tmp_path: Path) -> None:
     inside = tmp_path / "inside"
     inside.mkdir()
-    for one in folder.iterdir():
-        (inside / one.name).write_bytes(one.read_bytes())
+    for file in folder.iterdir():
+        (inside / file.name).write_bytes(file.read_bytes())
     (tmp_path / "x.touch").write_bytes(b"secret")
     (inside / "out.touch").symlink_to(tmp_path / "x.touch")
     (inside / "ring.touch").symlink_to(inside / "ring.touch")
     with served(inside) as address:
-        answer = asked(address, f"GET {name}")
+        answer = raw_response(address, f"GET {name}")
         assert answer.startswith("HTTP/1.1 4") and "secret" not in answer and "private" not in answer
-        assert asked(address, "GET /noise.touch").startswith("HTTP/1.1 200")
+        assert raw_response(address, "GET /noise.touch").startswith("HTTP/1.1 200")
 
 
-def test_pages_elsewhere_read_only_where_they_may(folder: Path) -> None:
+def test_only_allowed_origins_read_a_folder(folder: Path) -> None:
     with served(folder, Access(origins=("https://a.example",))) as address:
-        good = asked(address, "GET /noise.touch", "Origin: https://a.example", "Range: bytes=0-3")
+        good = raw_response(address, "GET /noise.touch", "Origin: https://a.example", "Range: bytes=0-3")
         assert "Access-Control-Allow-Origin: https://a.example" in good and good.startswith("HTTP/1.1 206")
-        assert "Access-Control" not in asked(address, "GET /noise.touch", "Origin: https://b.example")
-        assert "Allow-Headers: Range" in asked(address, "OPTIONS /noise.touch", "Origin: https://a.example")
-        assert asked(address, "GET /noise.touch", "Host: evil.example").startswith("HTTP/1.1 403")
-        assert asked(address, "POST /noise.touch", "Content-Length: 0").startswith("HTTP/1.1 405")
+        assert "Access-Control" not in raw_response(address, "GET /noise.touch", "Origin: https://b.example")
+        assert "Allow-Headers: Range" in raw_response(
+            address, "OPTIONS /noise.touch", "Origin: https://a.example"
+        )
+        assert raw_response(address, "GET /noise.touch", "Host: evil.example").startswith("HTTP/1.1 403")
+        assert raw_response(address, "POST /noise.touch", "Content-Length: 0").startswith("HTTP/1.1 405")
 
 
-def test_addresses_of_a_folder_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_addresses_of_a_folder_are_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def run(served: object, access: Access, ready: Callable[[str], None], until: object) -> None:
         ready("[::1]:80")
 
     monkeypatch.setattr(server, "run", run)
-    told: list[str] = []
-    server.serve(tmp_path, Access(), told.append)
-    assert told.pop() == f"{tmp_path} holds no .touch file yet"
+    lines: list[str] = []
+    server.serve(tmp_path, Access(), lines.append)
+    assert lines.pop() == f"{tmp_path} holds no .touch file yet"
     for n in range(22):
         (tmp_path / f"{n:02d} a.touch").touch()
-    server.serve(tmp_path, Access(token="a long word"), told.append, Pages("", ""))
-    assert told[:20] == [f"http://[::1]:80/{n:02d}%20a.touch?token=..." for n in range(20)]
-    assert told[20:] == ["in a browser: http://[::1]:80/view/00%20a.touch?token=...", "and 2 more"]
+    server.serve(tmp_path, Access(token="a long word"), lines.append, Pages("", ""))
+    assert lines[:20] == [f"http://[::1]:80/{n:02d}%20a.touch?token=..." for n in range(20)]
+    assert lines[20:] == ["in a browser: http://[::1]:80/view/00%20a.touch?token=...", "and 2 more"]
 
 
-def test_beyond_this_machine_only_with_a_token(folder: Path) -> None:
+def test_a_public_address_needs_a_token(folder: Path) -> None:
     with pytest.raises(TouchfieldError, match="--token"):
         Access("0.0.0.0")
     assert (
@@ -372,7 +389,7 @@ def test_beyond_this_machine_only_with_a_token(folder: Path) -> None:
             Access(port=port)
     with served(folder, Access(token="a long word")) as address:
         for word, status in (("Bearer a long word", 206), ("Bearer a long", 401), ("", 401)):
-            answer = asked(address, "GET /noise.touch", f"Authorization: {word}", "Range: bytes=0-3")
+            answer = raw_response(address, "GET /noise.touch", f"Authorization: {word}", "Range: bytes=0-3")
             assert answer.startswith(f"HTTP/1.1 {status}")
     with pytest.raises(TouchfieldError, match="8 or more"):
         Access(token="short")
@@ -380,8 +397,8 @@ def test_beyond_this_machine_only_with_a_token(folder: Path) -> None:
         application(folder / "absent", Access())
 
 
-def test_a_client_that_does_not_read_is_left(
-    folder: Path, left: threading.Event, monkeypatch: pytest.MonkeyPatch
+def test_a_client_that_does_not_read_is_dropped(
+    folder: Path, client_dropped: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "_PATIENCE_S", 0.3)
     monkeypatch.setattr(server, "_SLOWEST", 1 << 40)
@@ -390,19 +407,19 @@ def test_a_client_that_does_not_read_is_left(
         host, port = address.removeprefix("http://").split(":")
         with socket.create_connection((host, int(port)), timeout=5) as link:
             link.sendall(f"GET /large.touch HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
-            assert left.wait(30)
+            assert client_dropped.wait(30)
             received = 0
             with suppress(ConnectionError):
                 while part := link.recv(1 << 20):
                     received += len(part)
         assert received < 1 << 25
-        assert asked(address, "GET /noise.touch", "Range: bytes=0-3").startswith("HTTP/1.1 206")
+        assert raw_response(address, "GET /noise.touch", "Range: bytes=0-3").startswith("HTTP/1.1 206")
     (folder / "large.touch").unlink()
 
 
-def test_ranges_are_answered_on_one_connection(folder: Path) -> None:
-    with served(folder) as address, TouchReader(f"{address}/noise.touch") as far:
-        link = far._source.remote._store._link  # type: ignore[union-attr]
+def test_ranges_are_served_on_one_connection(folder: Path) -> None:
+    with served(folder) as address, TouchReader(f"{address}/noise.touch") as remote_file:
+        link = remote_file._source.remote._store._link  # type: ignore[union-attr]
         for i in (0, 5, 2):
-            far.read_segment(i)
-        assert link is not None and far._source.remote._store._link is link  # type: ignore[union-attr]
+            remote_file.read_segment(i)
+        assert link is not None and remote_file._source.remote._store._link is link  # type: ignore[union-attr]

@@ -1,6 +1,4 @@
-"""A hand that slides: known sines through the band, walks along a ball,
-and errors whose vibration is known.
-"""
+"""A sliding hand: sines within the band, walks along a ball, and errors of known vibration."""
 
 from dataclasses import replace
 
@@ -45,7 +43,7 @@ def sine(frequency_hz, seconds=0.7, rate_hz=RATE_HZ):
 
 
 def ball(error=None):
-    """A ball of 20 mm, 500 N/m; `error(points_m) -> newtons` is added within."""
+    """A ball of 20 mm, 500 N/m; `error(points_m) -> newtons` is added within it."""
     points = GRID.to_m(np.moveaxis(np.indices(GRID.shape), 0, -1))
     r = np.linalg.norm(points, axis=-1, keepdims=True)
     forces = STIFFNESS * np.maximum(RADIUS_M - r, 0) * points / np.maximum(r, 1e-9)
@@ -58,24 +56,26 @@ def rms(signal):
     return np.sqrt((signal**2).sum(axis=1).mean())
 
 
-def test_signals_together_count_as_one_by_one():
+def test_a_batch_of_signals_counts_as_single_ones():
     signals = np.random.default_rng(1).normal(0, 0.01, (700, 3, 3))
-    together, apart = BandSums(1), BandSums(1)
+    together, separate = BandSums(1), BandSums(1)
     together.add(0, signals, RATE_HZ, 700)
-    for n in (2, 0, 1):  # the one with the greatest peak first
-        apart.add(0, signals[:, n : n + 1], RATE_HZ, 700)
-    assert together.samples == apart.samples == [3 * (700 - 2 * round(MARGIN_S * RATE_HZ))]
-    assert together.mn(0) == pytest.approx(apart.mn(0))
-    np.testing.assert_allclose(together.thirds_mn(), apart.thirds_mn())
+    for n in (2, 0, 1):  # the signal with the greatest peak first
+        separate.add(0, signals[:, n : n + 1], RATE_HZ, 700)
+    assert together.samples == separate.samples == [3 * (700 - 2 * round(MARGIN_S * RATE_HZ))]
+    assert together.mn(0) == pytest.approx(separate.mn(0))
+    np.testing.assert_allclose(together.thirds_mn(), separate.thirds_mn())
 
 
-def test_every_way_is_slid_once_however_few_at_once(monkeypatch):
-    """The figures of all ways are the same where each is filtered by itself."""
-    whole = slides(ball(), ball(lambda p: 0.01 * np.sin(1500 * p)), QUICK)
+def test_slides_are_independent_of_the_batch_size(monkeypatch):
+    """The figures of all paths are the same if each is filtered on its own."""
+    batched = slides(ball(), ball(lambda p: 0.01 * np.sin(1500 * p)), QUICK)
     monkeypatch.setattr(hand_motion, "_AT_ONCE", 1)
-    for one, other in zip(whole, slides(ball(), ball(lambda p: 0.01 * np.sin(1500 * p)), QUICK), strict=True):
-        assert one.paths == other.paths == QUICK.paths
-        assert one.error_mn == pytest.approx(other.error_mn)
+    for expected, actual in zip(
+        batched, slides(ball(), ball(lambda p: 0.01 * np.sin(1500 * p)), QUICK), strict=True
+    ):
+        assert expected.paths == actual.paths == QUICK.paths
+        assert expected.error_mn == pytest.approx(actual.error_mn)
 
 
 @pytest.mark.parametrize("frequency_hz", [63.1, 100.0, 250.0])
@@ -89,18 +89,18 @@ def test_a_sine_within_the_band_passes_and_lies_in_its_third(frequency_hz):
 
 
 @pytest.mark.parametrize("frequency_hz", [1.0, 5.0, 10.0])
-def test_what_is_slow_stays_out_at_the_ends_too(frequency_hz):
-    signal = 100 * sine(frequency_hz) + np.linspace(0, 3, 700)[:, None]  # newtons, as a hand that presses
+def test_slow_signals_are_rejected_up_to_both_ends(frequency_hz):
+    signal = 100 * sine(frequency_hz) + np.linspace(0, 3, 700)[:, None]  # newtons, as of a pressing hand
     assert np.abs(in_band(signal, RATE_HZ)).max() < 2e-4
     assert np.sqrt(third_octave_power(signal, RATE_HZ)).max() < 2e-4
 
 
-def test_the_margins_are_left_out_and_the_phase_is_kept():
+def test_in_band_omits_the_margins_and_preserves_the_phase():
     signal = sine(100.0)
-    kept = in_band(signal, RATE_HZ)
+    filtered = in_band(signal, RATE_HZ)
     margin = round(MARGIN_S * RATE_HZ)
-    assert len(kept) == len(signal) - 2 * margin
-    np.testing.assert_allclose(kept, signal[margin:-margin], atol=5e-4)
+    assert len(filtered) == len(signal) - 2 * margin
+    np.testing.assert_allclose(filtered, signal[margin:-margin], atol=5e-4)
 
 
 def test_a_signal_too_short_or_too_slow_is_refused():
@@ -114,7 +114,7 @@ def test_thresholds_follow_the_points_and_the_model():
     stylus = vibration_threshold()
     np.testing.assert_allclose(stylus.displacement_peak_um([10, 20, 320]), [26.0, 8.5, 0.06])
     per_octave_db = 20 * np.log10(stylus.displacement_peak_um(10) / stylus.displacement_peak_um(160)) / 4
-    assert per_octave_db == pytest.approx(13, abs=0.1)  # as the source says
+    assert per_octave_db == pytest.approx(13, abs=0.1)  # as in the source
     w = 2 * np.pi * 20
     n_per_m = abs(500 - 0.055 * w**2 + 4j * w)
     assert stylus.force_rms_mn(20.0) == pytest.approx(1e3 * 8.5e-6 / np.sqrt(2) * n_per_m)
@@ -135,11 +135,13 @@ def test_margin_names_the_worst_third():
         margin_of(levels).db == pytest.approx(20 * np.log10(2)) and margin_of(levels).third_hz == THIRDS_HZ[4]
     )
     assert margin_of(np.zeros(11)).db == np.inf
-    told = HandMotion((Slide(50.0, 1, 1.0, 1, 1, 1, 1, None, levels),), None, vibration_threshold()).summary()
-    assert told["threshold_margin_third_hz"] == THIRDS_HZ[4]
+    summary = HandMotion(
+        (Slide(50.0, 1, 1.0, 1, 1, 1, 1, None, levels),), None, vibration_threshold()
+    ).summary()
+    assert summary["threshold_margin_third_hz"] == THIRDS_HZ[4]
 
 
-def test_points_and_walks_lie_where_the_force_is_one_newton():
+def test_points_and_walks_lie_on_the_surface_of_one_newton():
     field = ball()
     points = points_on_surface(field, 20, np.random.default_rng(1))
     assert len(points) == 20 and level_of(field) == 1.0
@@ -153,17 +155,17 @@ def test_points_and_walks_lie_where_the_force_is_one_newton():
     np.testing.assert_allclose(speed, 0.1, rtol=0.05)
 
 
-def test_each_hand_slides_along_its_own_walk_those_of_one_length_together():
+def test_paths_of_equal_length_are_batched():
     ways = np.eye(3)
     points = np.arange(101)[:, None, None] * 0.001 * ways
-    points[41:, 0] = points[40, 0]  # the first ends early, and stands still
+    points[41:, 0] = points[40, 0]  # the first path stops early and stays there
     walks = SurfaceWalks(points, np.array([41, 101, 101]), 0.001)
     short, long = slide_m(walks, 0.1, 5.0, RATE_HZ)
-    for paths, own in ((short, ways[:1]), (long, ways[1:])):
+    for paths, directions in ((short, ways[:1]), (long, ways[1:])):
         at = 0.1 * np.arange(len(paths))[:, None, None] / RATE_HZ
-        np.testing.assert_allclose(paths, at * own, atol=1e-12)
+        np.testing.assert_allclose(paths, at * directions, atol=1e-12)
     assert (len(short), len(long)) == (400, 1000)
-    fewest = SurfaceWalks(points, np.array([15, 16, 15]), 0.001)  # of four knots is one of them
+    fewest = SurfaceWalks(points, np.array([15, 16, 15]), 0.001)  # one of them has four knots
     assert [paths.shape[1] for paths in slide_m(fewest, 0.1, 5.0, RATE_HZ)] == [1]
 
 
@@ -178,7 +180,7 @@ def test_a_grating_is_heard_at_the_speed_over_its_wavelength():
     found = slides(ball(), ball(lambda p: size_n * np.sin(turn * p[..., :1]) * [0, 0, 1.0]), QUICK)
     slow, _, fast = found
     assert [s.paths for s in found] == [4, 4, 4]
-    # at most v / wavelength, where a path runs along x, and mostly near it
+    # at most v / wavelength, on a path along x, and mostly near it
     assert THIRDS_HZ[int(np.argmax(fast.error_thirds_mn))] <= 200 / 1.6 * 10**0.05
     assert fast.error_thirds_mn[7:].max() < 0.2 * fast.error_thirds_mn.max()
     assert 0 < fast.error_mn < 1e3 * size_n
@@ -192,32 +194,32 @@ def test_the_same_field_has_no_error_and_a_constant_one_no_vibration():
     assert all(s.error_mn < 0.1 for s in shifted)
 
 
-def test_the_lattice_alone_is_told_where_the_field_is_known():
+def test_the_lattice_error_is_reported_for_a_known_field():
     def exact(points):
         r = np.linalg.norm(points, axis=1, keepdims=True)
         return STIFFNESS * np.maximum(RADIUS_M - r, 0) * points / r
 
-    known = slides(ball(), ball(), QUICK, exact)
-    assert all(0 < s.lattice_mn < 5 and not s.error_thirds_mn.any() for s in known)
+    with_exact = slides(ball(), ball(), QUICK, exact)
+    assert all(0 < s.lattice_mn < 5 and not s.error_thirds_mn.any() for s in with_exact)
     assert all(s.lattice_mn is None for s in slides(ball(), ball(), QUICK))
     itself = slides(ball(), ball(), QUICK, lambda points: ball().sample_n(points).astype(float))
     assert all(s.lattice_mn == 0 for s in itself)
 
 
 def test_the_same_seed_gives_the_same_figures_and_frames_add_up():
-    one = slides(ball(), ball().scaled(1.01), QUICK)
+    single = slides(ball(), ball().scaled(1.01), QUICK)
     again = slides(ball(), ball().scaled(1.01), QUICK)
-    np.testing.assert_array_equal(one[0].error_thirds_mn, again[0].error_thirds_mn)
+    np.testing.assert_array_equal(single[0].error_thirds_mn, again[0].error_thirds_mn)
     meter = SlideMeter(QUICK)
     for _ in range(2):
         meter.add(ball(), ball().sample_n, ball().scaled(1.01).sample_n)
     assert [s.paths for s in meter.slides()] == [8, 8, 8]
     twice = slides(ball(), ball().scaled(1.01), replace(QUICK, rate_hz=2000.0))
-    for slide in (*one, *twice):  # from knot to knot, 0.2 s of margins less
+    for slide in (*single, *twice):  # from knot to knot, less 0.2 s of margins
         assert slide.seconds == pytest.approx(4 * 0.3)
 
 
-def test_nothing_to_touch_is_nothing_measured():
+def test_an_empty_field_gives_no_measurement():
     empty = ForceField.empty(GRID)
     assert [s.paths for s in slides(empty, empty, QUICK)] == [0, 0, 0]
     single = ForceField.from_support(GRID, [[9, 9, 9]], [[0.0, 0.0, 1e-30]])
@@ -252,10 +254,10 @@ def test_a_wrong_spec_is_refused(wrong):
     st.sampled_from([1e-38, 1e-3, 1.0, 1e6]),
     st.sampled_from([0.02, 0.5, 1.0]),
 )
-def test_any_field_is_measured_without_a_fault(shape, seed, size_n, share):
+def test_any_field_can_be_measured(shape, seed, size_n, density):
     rng = np.random.default_rng(seed)
     grid = Grid(shape, (0.001, 0.002, 0.0015), (0.0, 0.1, -0.2))
-    forces = size_n * rng.normal(size=(*shape, 3)) * (rng.random((*shape, 1)) < share)
+    forces = size_n * rng.normal(size=(*shape, 3)) * (rng.random((*shape, 1)) < density)
     field = ForceField.from_dense(grid, forces)
     found = slides(field, field.scaled(0.95), QUICK)
     assert len(found) == len(slides(field, field, QUICK))
@@ -269,9 +271,9 @@ def test_rms_and_peak_of_each_kind_are_those_of_its_lengths():
     rng = np.random.default_rng(6)
     signals = [scale * rng.normal(0, 1, (700, 2, 3)) for scale in (0.01, 0.03)]
     sums = BandSums(3)
-    for kind, own in enumerate(signals):
-        sums.add(kind, own, RATE_HZ)
-        lengths_mn = 1e3 * np.linalg.norm(in_band(own, RATE_HZ), axis=2)
+    for kind, signal in enumerate(signals):
+        sums.add(kind, signal, RATE_HZ)
+        lengths_mn = 1e3 * np.linalg.norm(in_band(signal, RATE_HZ), axis=2)
         assert sums.mn(kind) == pytest.approx((np.sqrt((lengths_mn**2).mean()), lengths_mn.max()))
     assert sums.mn(2) == (0, 0) and not sums.thirds_mn().any()
     assert sums.samples.tolist() == [1000, 1000, 0]
@@ -284,7 +286,7 @@ def test_peaks_are_of_the_same_signals_as_the_rms():
         assert slide.source_peak_mn > 1.5 * slide.source_mn
 
 
-def test_another_seed_takes_other_paths_and_a_longer_slide_more_time():
+def test_seed_and_duration_change_the_paths():
     noisy = ball(lambda p: 0.02 * np.sin(1500 * p))
     first, second = (slides(ball(), noisy, replace(QUICK, seed=seed)) for seed in (0, 1))
     assert all(a.error_mn != b.error_mn for a, b in zip(first, second, strict=True))
@@ -294,7 +296,7 @@ def test_another_seed_takes_other_paths_and_a_longer_slide_more_time():
 
 
 def hand_of(hold_mn, slide_mn, paths=(2, 2)):
-    """Slides at two speeds and a hold of some rms; each third has its own margin."""
+    """Slides at two speeds and a hold of given rms; each third octave has its own margin."""
     limit = vibration_threshold().force_rms_mn()
 
     def thirds(level_mn, at):
@@ -315,29 +317,27 @@ def hand_of(hold_mn, slide_mn, paths=(2, 2)):
         (1.0, (2.0, 3.0), (2, 2), 3.0, 3),
         (1.0, (4.0, 3.0), (2, 2), 4.0, 2),
         (5.0, (4.0, 3.0), (2, 2), 5.0, 7),
-        (1.0, (2.0, 3.0), (2, 0), 2.0, 2),  # what was not slid is not the loudest
+        (1.0, (2.0, 3.0), (2, 0), 2.0, 2),  # a speed without paths is not the loudest
         (None, (2.0, 3.0), (2, 2), 3.0, 3),
         (5.0, (2.0, 3.0), (0, 0), 5.0, 7),
     ],
 )
-def test_the_loudest_of_slides_and_hold_is_told_with_all_its_figures(
-    hold_mn, slide_mn, paths, loudest_mn, third
-):
+def test_summary_states_the_loudest_of_slides_and_hold(hold_mn, slide_mn, paths, loudest_mn, third):
     hand = hand_of(hold_mn, slide_mn, paths)
-    told = hand.summary()
-    assert told["hand_vibration_mn"] == loudest_mn
-    assert told["hand_vibration_peak_mn"] == 2 * loudest_mn
-    assert told["hand_vibration_source_mn"] == 3 * loudest_mn
+    summary = hand.summary()
+    assert summary["hand_vibration_mn"] == loudest_mn
+    assert summary["hand_vibration_peak_mn"] == 2 * loudest_mn
+    assert summary["hand_vibration_source_mn"] == 3 * loudest_mn
     is_slide = isinstance(hand.loudest, Slide)
-    assert told["hand_vibration_lattice_mn"] == (5 * loudest_mn if is_slide else None)
-    assert told["threshold_margin_db"] == pytest.approx(20 * np.log10(100 / loudest_mn))
-    assert told["threshold_margin_third_hz"] == THIRDS_HZ[third]
-    assert len(told["slides"]) == 2 and told["hold"]["error_mn"] == hold_mn
+    assert summary["hand_vibration_lattice_mn"] == (5 * loudest_mn if is_slide else None)
+    assert summary["threshold_margin_db"] == pytest.approx(20 * np.log10(100 / loudest_mn))
+    assert summary["threshold_margin_third_hz"] == THIRDS_HZ[third]
+    assert len(summary["slides"]) == 2 and summary["hold"]["error_mn"] == hold_mn
 
 
-def test_where_nothing_was_measured_no_figure_is_told():
+def test_summary_of_no_measurement_has_no_figures():
     hand = hand_of(None, (2.0, 3.0), (0, 0))
-    told = hand.summary()
+    summary = hand.summary()
     assert hand.measured == [] and hand.loudest is None
-    assert {told[f"hand_vibration{end}_mn"] for end in ("", "_peak", "_source", "_lattice")} == {None}
-    assert told["threshold_margin_db"] is told["threshold_margin_third_hz"] is None
+    assert {summary[f"hand_vibration{end}_mn"] for end in ("", "_peak", "_source", "_lattice")} == {None}
+    assert summary["threshold_margin_db"] is summary["threshold_margin_third_hz"] is None

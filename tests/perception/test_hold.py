@@ -1,4 +1,4 @@
-"""A hand that holds still: steps and vibrations put into the decoded frames of a ball that rests or moves."""
+"""A hand at rest: steps and vibrations added to the decoded frames of a ball that rests or moves."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def ball(shift_m=0.0):
 REST = ball()
 
 
-def held(errors_n, rate_hz=1000.0, starts=(0,), source=None):
+def measured_hold(errors_n, rate_hz=1000.0, starts=(0,), source=None):
     """The hold over frames of a ball at rest whose decoded force is off by `errors_n` [frames, 3]."""
     meter = HoldMeter(len(errors_n), rate_hz, K, F0_N, points=8)
     for frame, error in enumerate(errors_n):
@@ -33,27 +33,27 @@ def along_z(values):
     return np.outer(values, [0.0, 0.0, 1.0])
 
 
-def test_what_is_decoded_as_it_was_makes_no_step():
-    hold = held(np.zeros((40, 3)))
+def test_a_lossless_decode_adds_no_step():
+    hold = measured_hold(np.zeros((40, 3)))
     assert hold.points == 8 and hold.steps == 8 * 39
     assert hold.step_mn == hold.still_step_mn == hold.still_step_ratio == hold.start_error_mn == 0
-    assert hold.error_mn is None  # 40 ms tell nothing of 40 Hz
+    assert hold.error_mn is None  # 40 ms are too short for 40 Hz
 
 
 @pytest.mark.parametrize("at_once", [1, 3 * 500, 1 << 17])
-def test_every_point_counts_however_many_are_filtered_together(monkeypatch, at_once):
+def test_hold_is_independent_of_the_batch_size(monkeypatch, at_once):
     monkeypatch.setattr(hand_motion, "_AT_ONCE", at_once)
-    meter, share = HoldMeter(1000, 1000.0, K, F0_N, points=8), np.linspace(0, 1, 8)
+    meter, weight = HoldMeter(1000, 1000.0, K, F0_N, points=8), np.linspace(0, 1, 8)
     for frame in range(1000):
-        error = 0.02 * np.sin(0.2 * np.pi * frame) * along_z(share)  # 100 Hz
+        error = 0.02 * np.sin(0.2 * np.pi * frame) * along_z(weight)  # 100 Hz
         meter.add(REST, REST.sample_n, lambda p, e=error: REST.sample_n(p) + e[: len(p)], frame == 0)
-    assert meter.hold().error_mn == pytest.approx(20 * np.sqrt((share**2).mean() / 2), rel=0.03)
+    assert meter.hold().error_mn == pytest.approx(20 * np.sqrt((weight**2).mean() / 2), rel=0.03)
 
 
 @pytest.mark.parametrize("at", [1, 499, 500, 501, 502, 1003, 1999])
-def test_a_single_step_is_found_wherever_it_is(at):
+def test_a_single_step_is_found_at_any_frame(at):
     errors = along_z(np.where(np.arange(2000) < at, 0.0, 0.12))
-    hold = held(errors, starts=(0, at))
+    hold = measured_hold(errors, starts=(0, at))
     assert hold.step_mn == hold.start_step_mn == pytest.approx(120, rel=1e-4)
     assert hold.step_source_mn == 0 and hold.error_step_mn == 0
     assert hold.start_error_mn == pytest.approx(120, rel=1e-4)
@@ -62,79 +62,79 @@ def test_a_single_step_is_found_wherever_it_is(at):
     assert hold.still_step_ratio == pytest.approx(1.2, rel=0.03)
 
 
-def test_steps_at_the_starts_of_segments_are_told_from_others():
+def test_steps_at_segment_starts_are_reported_separately():
     frames = np.arange(64)
     errors = along_z(0.01 * (frames // 8 % 2) + 0.001 * (frames % 2))
-    hold = held(errors, starts=range(0, 64, 8))
+    hold = measured_hold(errors, starts=range(0, 64, 8))
     assert hold.start_step_mn == hold.step_mn == pytest.approx(11, rel=0.02)
     assert hold.error_step_mn == pytest.approx(1, rel=1e-3)
 
 
 def test_a_sine_of_the_error_has_its_rms_and_its_third():
     t = np.arange(600) / 1000
-    hold = held(along_z(0.01 * np.sin(2 * np.pi * 100 * t)))
+    hold = measured_hold(along_z(0.01 * np.sin(2 * np.pi * 100 * t)))
     assert hold.error_mn == pytest.approx(10 / np.sqrt(2), rel=0.05)
     assert np.argmax(hold.error_thirds_mn) == 4 and hold.source_mn < 1e-3
     assert hold.error_peak_mn == pytest.approx(10, rel=0.2)
 
 
-def test_slow_frames_are_blended_as_the_receiver_does():
-    # 10 mN up and down at 30 Hz: a triangle of 15 Hz has its third harmonic, 45 Hz, at 8 / 9 / pi^2 of 5 mN
-    hold = held(along_z(0.01 * (np.arange(60) % 2)), rate_hz=30.0)
+def test_slow_frames_are_blended_as_by_the_receiver():
+    # +-5 mN at 30 Hz is a triangle of 15 Hz; its third harmonic, 45 Hz, has 8 / 9 / pi^2 of 5 mN
+    hold = measured_hold(along_z(0.01 * (np.arange(60) % 2)), rate_hz=30.0)
     third_harmonic_mn = 5 * 8 / 9 / np.pi**2 / np.sqrt(2)
     assert hold.error_mn == pytest.approx(third_harmonic_mn, rel=0.25)
     assert hold.step_mn == pytest.approx(10, rel=1e-4)
 
 
-def test_steps_of_the_source_are_its_own():
-    hold = held(np.zeros((30, 3)), source=lambda frame: ball(0.0003 * (frame // 10)))
+def test_steps_of_the_source_are_reported_separately():
+    hold = measured_hold(np.zeros((30, 3)), source=lambda frame: ball(0.0003 * (frame // 10)))
     assert hold.step_mn == hold.step_source_mn > 50 and hold.still_step_mn <= 1
     assert hold.start_error_mn == hold.error_step_mn == 0
 
 
 def test_points_wait_for_the_first_frame_with_a_surface():
     empty = ForceField.empty(GRID)
-    hold = held(np.zeros((20, 3)), source=lambda frame: REST if frame > 4 else empty)
+    hold = measured_hold(np.zeros((20, 3)), source=lambda frame: REST if frame > 4 else empty)
     assert hold.points == 8 and hold.steps == 8 * 14
-    assert held(np.zeros((20, 3)), source=lambda frame: empty).points == 0
+    assert measured_hold(np.zeros((20, 3)), source=lambda frame: empty).points == 0
 
 
 @pytest.mark.parametrize(("frames", "parts"), [(500, 1), (1250, 2), (1251, 3), (2000, 4)])
-def test_each_part_has_points_of_its_own_and_a_short_rest_none(frames, parts):
-    hold = held(np.zeros((frames, 3)))
+def test_each_part_has_new_points_and_a_short_rest_has_none(frames, parts):
+    hold = measured_hold(np.zeros((frames, 3)))
     assert (hold.points, hold.steps) == (8 * parts, 8 * (frames - 1))
 
 
-def test_below_the_floor_a_step_is_told_over_the_floor():
+def test_below_the_floor_a_step_is_relative_to_the_floor():
     weak = REST.scaled(0.02)
-    hold = held(along_z(0.06 * (np.arange(20) >= 10)), source=lambda frame: weak)
+    hold = measured_hold(along_z(0.06 * (np.arange(20) >= 10)), source=lambda frame: weak)
     assert hold.still_step_ratio == pytest.approx(0.06 / F0_N, rel=1e-4)
 
 
-def test_a_step_at_the_start_of_a_segment_has_the_step_of_the_source_there():
+def test_start_steps_have_the_source_step_of_the_same_frame():
     shifts = np.array([0.0, 0.0002, 0.0006])
-    hold = held(np.zeros((30, 3)), starts=(0, 10), source=lambda frame: ball(shifts[frame // 10]))
+    hold = measured_hold(np.zeros((30, 3)), starts=(0, 10), source=lambda frame: ball(shifts[frame // 10]))
     assert 0 < hold.start_step_mn == hold.start_step_source_mn < 0.7 * hold.step_mn
     assert hold.step_mn == hold.step_source_mn
     error = along_z(0.02 * (np.arange(30) >= 20))
-    louder = held(error, starts=(0, 20), source=lambda frame: ball(shifts[frame // 10]))
+    louder = measured_hold(error, starts=(0, 20), source=lambda frame: ball(shifts[frame // 10]))
     assert louder.start_step_source_mn == pytest.approx(hold.step_source_mn)
     assert louder.start_step_mn != louder.start_step_source_mn
     assert louder.start_error_mn == pytest.approx(20, rel=1e-3) and louder.error_step_mn < 1e-3
 
 
-def test_a_source_that_vibrates_is_told_beside_the_error():
+def test_vibration_of_the_source_is_reported_separately():
     t = np.arange(600) / 1000
-    shares = 1 + 0.01 * np.sin(2 * np.pi * 100 * t)
-    hold = held(np.zeros((600, 3)), source=lambda frame: REST.scaled(shares[frame]))
+    scale = 1 + 0.01 * np.sin(2 * np.pi * 100 * t)
+    hold = measured_hold(np.zeros((600, 3)), source=lambda frame: REST.scaled(scale[frame]))
     assert hold.source_mn == pytest.approx(10 / np.sqrt(2), rel=0.05)  # a hundredth of 1 N
     assert hold.error_mn == hold.error_peak_mn == 0 and not hold.error_thirds_mn.any()
 
 
-def test_frames_quicker_than_the_servo_are_felt_at_their_own_rate():
+def test_frames_faster_than_the_servo_keep_their_rate():
     t = np.arange(1200) / 2000
-    hold = held(along_z(0.01 * np.sin(2 * np.pi * 100 * t)), rate_hz=2000.0)
+    hold = measured_hold(along_z(0.01 * np.sin(2 * np.pi * 100 * t)), rate_hz=2000.0)
     assert hold.error_mn == pytest.approx(10 / np.sqrt(2), rel=0.05)
     assert np.argmax(hold.error_thirds_mn) == 4
-    beyond = held(along_z(0.01 * np.sin(2 * np.pi * 900 * t)), rate_hz=2000.0)
-    assert beyond.error_mn < 0.1  # of every other frame it would be 100 Hz
+    beyond = measured_hold(along_z(0.01 * np.sin(2 * np.pi * 900 * t)), rate_hz=2000.0)
+    assert beyond.error_mn < 0.1  # every other frame would alias it to 100 Hz

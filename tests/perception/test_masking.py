@@ -1,4 +1,4 @@
-"""Spatial masking: against a dense correlation, the plain mask, its laws, arrays and body sites."""
+"""Spatial masking: against a dense correlation and the plain mask; its properties, arrays and body sites."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from touchfield.perception.mask import (
 GRID = Grid((24, 20, 17), (0.001, 0.002, 0.0015), (-0.01, 0.0, 0.02))
 
 
-def noise(grid: Grid, seed: int, share: float = 0.1) -> ForceField:
+def noise(grid: Grid, seed: int, density: float = 0.1) -> ForceField:
     rng = np.random.default_rng(seed)
-    held = rng.random(grid.shape) < share
-    return ForceField.from_dense(grid, rng.normal(size=(*grid.shape, 3)) * held[..., None])
+    is_supported = rng.random(grid.shape) < density
+    return ForceField.from_dense(grid, rng.normal(size=(*grid.shape, 3)) * is_supported[..., None])
 
 
 def lattice_weights(grid: Grid, radius_m: float) -> NDArray[np.float64]:
@@ -62,20 +62,20 @@ def dense(field: ForceField, masks: NDArray[np.float32]) -> NDArray[np.float64]:
     st.sampled_from([0.0021, 0.006, 0.0135]),
     st.sampled_from([0.002, 0.05, 0.6]),
 )
-def test_equals_the_dense_correlation(
-    shape: tuple[int, int, int], seed: int, radius_m: float, share: float
+def test_masks_equal_the_dense_correlation(
+    shape: tuple[int, int, int], seed: int, radius_m: float, density: float
 ) -> None:
     grid = Grid(shape, (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
-    field = noise(grid, seed, share)
+    field = noise(grid, seed, density)
     masking = SpatialMasking(0.1, 0.02, 0.4, radius_m)
     levels = amplitudes(field)
-    around = ndimage.correlate(levels, lattice_weights(grid, radius_m), mode="constant")
-    expected = np.maximum(0.02, 0.1 * levels + 0.4 * around)
+    neighbours = ndimage.correlate(levels, lattice_weights(grid, radius_m), mode="constant")
+    expected = np.maximum(0.02, 0.1 * levels + 0.4 * neighbours)
     masks = masking.field_mask_n(field)
     assert masks.dtype == np.float32 and masks.shape == field.forces_n.shape[:-1]
-    made = dense(field, masks)
-    stored = ~np.isnan(made)
-    assert made[stored] == pytest.approx(expected[stored], rel=1e-6)
+    result = dense(field, masks)
+    stored = ~np.isnan(result)
+    assert result[stored] == pytest.approx(expected[stored], rel=1e-6)
     assert stored.any() == bool(levels.any())
 
 
@@ -84,46 +84,46 @@ def test_a_reach_beyond_the_next_brick() -> None:
     field = noise(grid, 3, 2e-4)
     assert 20 < len(field.bricks) < 200
     levels = amplitudes(field)
-    around = signal.fftconvolve(levels, lattice_weights(grid, 0.019), mode="same")
-    made = dense(field, SpatialMasking(0.0, 0.0, 1.0, 0.019).field_mask_n(field))
-    stored = ~np.isnan(made)
-    assert made[stored] == pytest.approx(around[stored], rel=1e-6, abs=1e-12)
+    neighbours = signal.fftconvolve(levels, lattice_weights(grid, 0.019), mode="same")
+    masks = dense(field, SpatialMasking(0.0, 0.0, 1.0, 0.019).field_mask_n(field))
+    stored = ~np.isnan(masks)
+    assert masks[stored] == pytest.approx(neighbours[stored], rel=1e-6, abs=1e-12)
 
 
-def test_without_beta_it_is_the_plain_mask_to_the_last_bit() -> None:
+def test_without_beta_the_mask_equals_the_plain_one_bit_for_bit() -> None:
     field = noise(GRID, 1)
     x, y, z = np.moveaxis(field.forces_n.astype(np.float64), -1, 0)
     plain = mask_n(np.sqrt(x * x + y * y + z * z), 0.1, 0.05).astype(np.float32)
-    for radius_m in (1e-6, 0.01):  # where there is no beta the neighbours do not matter
+    for radius_m in (1e-6, 0.01):  # without beta the neighbours do not matter
         assert np.array_equal(SpatialMasking(0.1, 0.05, 0.0, radius_m).field_mask_n(field), plain)
     assert SpatialMasking(0.1).beta == 0
     lone = ForceField.from_support(GRID, [[10, 10, 10]], [[0.0, 3.0, 4.0]])
     masks = SpatialMasking(0.1, 0.0, 1.0, 0.006).field_mask_n(lone)
-    assert dense(lone, masks)[10, 10, 10] == np.float32(0.5)  # w_ii = 0: a lone force hides itself by k alone
+    assert dense(lone, masks)[10, 10, 10] == np.float32(0.5)  # w_ii = 0: a lone force masks itself by k alone
 
 
-def test_a_uniform_stimulus_hides_beta_of_itself() -> None:
+def test_a_uniform_stimulus_masks_beta_of_itself() -> None:
     field = ForceField.from_dense(GRID, np.broadcast_to(np.float32([2.0, 0.0, 0.0]), (*GRID.shape, 3)))
-    made = dense(field, SpatialMasking(0.1, 0.0, 0.25, 0.006).field_mask_n(field))
-    assert made[6:-6, 3:-3, 4:-4] == pytest.approx(0.1 * 2 + 0.25 * 2, rel=1e-6)  # sum_j w_ij = 1
-    assert made[0, 0, 0] < 0.6  # beyond the border there is none
+    masks = dense(field, SpatialMasking(0.1, 0.0, 0.25, 0.006).field_mask_n(field))
+    assert masks[6:-6, 3:-3, 4:-4] == pytest.approx(0.1 * 2 + 0.25 * 2, rel=1e-6)  # sum_j w_ij = 1
+    assert masks[0, 0, 0] < 0.6  # there is no stimulus beyond the border
 
 
 @settings(max_examples=30)
 @given(st.integers(0, 99), st.tuples(*[st.integers(0, n - 1) for n in GRID.shape]), st.floats(1e-6, 2))
-def test_the_mask_rises_with_every_force(seed: int, place: tuple[int, int, int], more: float) -> None:
+def test_the_mask_rises_with_every_force(seed: int, index: tuple[int, int, int], more: float) -> None:
     field = noise(GRID, seed, 0.02)
     masking = SpatialMasking(0.1, 0.02, 0.5, 0.005)
     before = dense(field, masking.field_mask_n(field))
     assert (before >= dense(field, SpatialMasking(0.1, 0.02).field_mask_n(field)))[~np.isnan(before)].all()
     forces = field.to_dense()
-    size = np.linalg.norm(forces[place])
-    forces[place] = [size + more, 0, 0] if size == 0 else forces[place] * (1 + more)
+    size = np.linalg.norm(forces[index])
+    forces[index] = [size + more, 0, 0] if size == 0 else forces[index] * (1 + more)
     louder = ForceField.from_dense(GRID, forces)
     after = dense(louder, masking.field_mask_n(louder))
     both = ~np.isnan(before)
     assert (after[both] >= before[both]).all()
-    assert after[place] > (0.0 if np.isnan(before[place]) else before[place]) or after[place] == np.float32(
+    assert after[index] > (0.0 if np.isnan(before[index]) else before[index]) or after[index] == np.float32(
         0.02
     )
 
@@ -138,16 +138,16 @@ def test_the_mask_scales_with_the_forces() -> None:
     )
 
 
-def test_the_same_bits_for_any_number_of_threads_and_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_masks_are_independent_of_threads_and_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     from touchfield.medium import field as module
 
     field = noise(Grid((40, 40, 40), (0.001,) * 3, (0.0, 0.0, 0.0)), 5, 0.01)
-    masking, made = SpatialMasking(0.1, 0.0, 0.5, 0.01), []
+    masking, masks = SpatialMasking(0.1, 0.0, 0.5, 0.01), []
     for threads, pieces in (("1", 1 << 21), ("3", 1 << 21), ("2", 37 << 14)):
         monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
         monkeypatch.setattr(module, "_BLOCK_VALUES", pieces)
-        made.append(masking.field_mask_n(field))
-    assert np.array_equal(made[0], made[1]) and np.array_equal(made[0], made[2])
+        masks.append(masking.field_mask_n(field))
+    assert np.array_equal(masks[0], masks[1]) and np.array_equal(masks[0], masks[2])
 
 
 def test_an_empty_field_has_no_masks() -> None:
@@ -163,7 +163,7 @@ def test_an_empty_field_has_no_masks() -> None:
 
 
 @pytest.mark.parametrize("bad", [-0.1, math.nan, math.inf])
-def test_parameters_that_make_no_sense(bad: float) -> None:
+def test_invalid_parameters_are_refused(bad: float) -> None:
     for name in ("k", "f0_n", "beta", "radius_m"):
         with pytest.raises(InvalidArgument, match=name):
             SpatialMasking(**{"k": 0.1, name: bad})
@@ -177,7 +177,7 @@ def test_parameters_that_make_no_sense(bad: float) -> None:
         SpatialMasking(0.1, radius_m=0.0)
 
 
-def test_a_radius_that_does_not_fit_the_lattice() -> None:
+def test_a_radius_below_the_spacing_is_refused() -> None:
     field = noise(GRID, 1)
     with pytest.raises(InvalidArgument, match="radius_m"):
         SpatialMasking(0.1, beta=0.1, radius_m=0.0009).field_mask_n(field)
@@ -195,13 +195,13 @@ def test_a_radius_that_does_not_fit_the_lattice() -> None:
 
 
 @pytest.mark.parametrize("radius_m", [0.0001, 0.005, 1.0])
-def test_one_sample_alone_has_the_plain_mask(radius_m: float) -> None:
+def test_a_single_sample_has_the_plain_mask(radius_m: float) -> None:
     masking, plain = SpatialMasking(0.1, 0.02, 0.5, radius_m), SpatialMasking(0.1, 0.02)
     lone = ForceField.from_dense(Grid((1, 1, 1), (0.001,) * 3, (0.0,) * 3), np.full((1, 1, 1, 3), 3.0))
     assert np.array_equal(masking.field_mask_n(lone), plain.field_mask_n(lone))
 
 
-def test_violations_are_judged_by_what_the_neighbours_hide() -> None:
+def test_violations_account_for_masking_by_neighbours() -> None:
     field = noise(GRID, 7)
     x = field.forces_n[field.mask]
     y = x * np.float32(1.15)
@@ -216,8 +216,8 @@ def test_violations_are_judged_by_what_the_neighbours_hide() -> None:
     assert 0 < masked.count < plain.count
 
 
-def test_a_meter_takes_what_hides_from_the_brick_where_it_lies() -> None:
-    """Bricks of very different forces, one of which only the decoded field has, beside a dense reckoning."""
+def test_a_meter_applies_masking_to_the_right_brick() -> None:
+    """Bricks of very different forces, one of them in the decoded field only, against a dense computation."""
     rng = np.random.default_rng(4)
     grid = Grid((40, 8, 8), (0.001,) * 3, (0.0,) * 3)
     dense = rng.normal(size=(*grid.shape, 3)) * np.repeat([4.0, 0.02, 1.0, 0.0, 0.2], 8)[:, None, None, None]
@@ -228,8 +228,8 @@ def test_a_meter_takes_what_hides_from_the_brick_where_it_lies() -> None:
     meter = FidelityMeter(0.05, 0.01, masking=(0.3, 0.0025))
     meter.add(original, decoded)
     hidden = np.zeros(grid.shape)
-    around = SpatialMasking(0.0, 0.0, 0.3, 0.0025).hidden_n(original)
-    for (x, y, z), block in zip(8 * original.bricks, around, strict=True):
+    hidden_blocks = SpatialMasking(0.0, 0.0, 0.3, 0.0025).hidden_n(original)
+    for (x, y, z), block in zip(8 * original.bricks, hidden_blocks, strict=True):
         hidden[x : x + 8, y : y + 8, z : z + 8] = block
     force, error = (
         np.linalg.norm(v, axis=-1) for v in (original.to_dense(), decoded.to_dense() - original.to_dense())

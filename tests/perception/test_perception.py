@@ -1,4 +1,4 @@
-"""The perceptual mask, eq. 6 literal and corrected, and every reading of the deadband (paper section 4.2)."""
+"""The perceptual mask, eq. 6 as printed and corrected, and every variant of the deadband (section 4.2)."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def along_x(amplitudes):
     return vectors
 
 
-def held_values(sent, values):
-    """What a decoder holds: the last value that was sent, and zero before the first."""
+def decoder_output(sent, values):
+    """Output of a decoder: the last sent value, and zero before the first."""
     latest = np.maximum.accumulate(np.where(sent, np.arange(len(sent)), -1))
     return np.where(latest[:, None] >= 0, values[latest], np.float32(0))
 
@@ -51,7 +51,7 @@ def test_the_mask_is_the_larger_of_floor_and_fraction():
     np.testing.assert_array_equal(mask_n([0.0, 2.0], 0.1, 0.05, masking_n=[0.25, 0.0]), [0.25, 0.2])
 
 
-def test_violations_are_counted_where_the_error_leaves_the_mask():
+def test_violations_are_counted_where_the_error_exceeds_the_mask():
     original = along_x([1.0, 1.0, 0.1, 0.0])
     decoded = along_x([1.0625, 1.25, 0.125, 0.03125])
     found = violations(original, decoded, 0.1, 0.05)
@@ -60,24 +60,24 @@ def test_violations_are_counted_where_the_error_leaves_the_mask():
     assert violations(original[:0], decoded[:0], 0.1) == (0, 0.0, 0.0)
 
 
-def test_a_force_where_nothing_is_allowed_has_no_finite_ratio():
+def test_an_error_with_a_zero_mask_has_an_infinite_ratio():
     original, decoded = along_x([0.0, 1.0]), along_x([1e-6, 1.0])
     assert violations(original, decoded, 0.1) == (1, 0.5, None)
     assert violations(original, decoded, 0.1, 1e-5).count == 0
 
 
-@pytest.mark.parametrize("place", [0, -1])
-def test_a_violation_in_the_first_and_in_the_last_of_many_pieces_is_found(place):
+@pytest.mark.parametrize("index", [0, -1])
+def test_a_violation_in_the_first_or_last_chunk_is_found(index):
     original = along_x(np.ones(200_000))
     decoded = original.copy()
-    decoded[place, 1] = 0.5
+    decoded[index, 1] = 0.5
     assert violations(original, decoded, 0.1) == (1, 1 / 200_000, pytest.approx(5.0))
-    original[place] = 0.0
+    original[index] = 0.0
     assert violations(original, decoded, 0.1) == (1, 1 / 200_000, None)
 
 
 @pytest.mark.parametrize(("k", "f0"), [(-0.1, 0.0), (np.nan, 0.0), (0.1, -1.0), (0.1, np.inf)])
-def test_the_mask_refuses_what_is_no_threshold(k, f0):
+def test_the_mask_refuses_invalid_thresholds(k, f0):
     with pytest.raises(InvalidArgument):
         mask_n([1.0], k, f0)
 
@@ -102,18 +102,20 @@ def test_eq_6_with_a_step_of_k_x_is_a_gain_and_no_quantiser():
     assert jnd_gain(0.4) == pytest.approx(1.2)  # 0.4 floor(3)
 
 
-def test_a_fixed_step_keeps_half_a_step_and_the_mask_only_above_its_limit():
+def test_a_fixed_step_keeps_the_mask_only_above_its_limit():
     step, k = 0.02, 0.1
     x = np.linspace(-3, 3, 100_001)
     error = np.abs(quantise_fixed_step(x, step) - x)
     assert error.max() <= step / 2 * (1 + 1e-12)
-    left = error > k * np.abs(x) * (1 + 1e-12)
+    is_violated = error > k * np.abs(x) * (1 + 1e-12)
     limit = within_mask_from_n(step, k)
     assert limit == pytest.approx(0.1)
-    assert left.any() and not left[np.abs(x) >= limit].any()
+    assert is_violated.any() and not is_violated[np.abs(x) >= limit].any()
     zero_bin = (np.abs(x) < step / 2) & (x != 0)
-    assert left[zero_bin].all()
-    assert quantise_fixed_step(-0.011, step) == pytest.approx(-0.02)  # rounds half away, keeps the sign
+    assert is_violated[zero_bin].all()
+    assert quantise_fixed_step(-0.011, step) == pytest.approx(
+        -0.02
+    )  # rounds half away from zero, keeps the sign
 
 
 # -- the Weber ladder --------------------------------------------------------------------------------------
@@ -153,15 +155,15 @@ def test_geometric_midpoints_would_break_the_mask():
 
 
 @pytest.mark.parametrize(
-    "asked",
+    "arguments",
     [(0.0, 0.03, 3), (1.0, 0.03, 3), (np.nan, 0.03, 3), (0.1, 0.0, 3), (0.1, 0.03, 0), (0.1, 0.03, 65536)],
 )
-def test_a_ladder_out_of_range_is_refused(asked):
+def test_a_ladder_out_of_range_is_refused(arguments):
     with pytest.raises(InvalidArgument):
-        WeberLadder(*asked)
+        WeberLadder(*arguments)
 
 
-def test_a_ladder_is_refused_where_it_would_be_endless():
+def test_an_endless_ladder_is_refused():
     with pytest.raises(InvalidArgument, match="1e30"):
         WeberLadder(0.9, 1.0, 1000)
     with pytest.raises(InvalidArgument, match="65535"):
@@ -176,8 +178,8 @@ def test_a_ladder_is_refused_where_it_would_be_endless():
 # -- the deadband ------------------------------------------------------------------------------------------
 
 
-def slowly(reading, vectors, k, decoded):
-    """Eq. 8 in its readings, word for word."""
+def reference_gate(reading, vectors, k, decoded):
+    """Eq. 8 in each of its variants, literally."""
     x, y = vectors.astype(np.float64), decoded.astype(np.float64)
     size = np.sqrt((x * x).sum(axis=1))
     sent, written, last = [], [], 0
@@ -197,89 +199,93 @@ def slowly(reading, vectors, k, decoded):
 
 
 @given(scans, fractions, st.sampled_from(READINGS))
-def test_every_reading_is_what_its_words_say(vectors, k, reading):
+def test_every_reading_equals_its_literal_definition(vectors, k, reading):
     decoded = (vectors * np.float32(1.015)).astype(np.float32)
-    np.testing.assert_array_equal(gate(vectors, k, reading, decoded), slowly(reading, vectors, k, decoded))
+    np.testing.assert_array_equal(
+        gate(vectors, k, reading, decoded), reference_gate(reading, vectors, k, decoded)
+    )
 
 
-def test_a_slow_ramp_is_lost_on_the_previous_sample():
+def test_a_slow_ramp_drifts_with_the_previous_sample():
     ramp = along_x(1.005 ** np.arange(1000.0) * 0.01)
     assert np.flatnonzero(gate(ramp, 0.01, "previous")).tolist() == [0]
-    held = held_values(gate(ramp, 0.01, "previous"), ramp)
-    assert relative_errors(ramp, held).max() > 0.99  # the drift is without bound
+    decoded = decoder_output(gate(ramp, 0.01, "previous"), ramp)
+    assert relative_errors(ramp, decoded).max() > 0.99  # the drift is unbounded
     for reading in ("last-sent", "closed"):
         assert gate(ramp, 0.01, reading).sum() > 300
 
 
 @given(scans, fractions)
-def test_a_zero_in_place_is_always_followed_by_a_sent_sample(vectors, k):
+def test_a_zeroed_sample_is_followed_by_a_sent_one(vectors, k):
     sent = gate(vectors, k, "zero")
     assert not (~sent[1:] & ~sent[:-1]).any()
     assert 2 * sent.sum() >= len(sent)
 
 
-def test_the_fraction_that_guarantees_a_tenth():
+def test_fraction_that_guarantees_an_error_of_a_tenth():
     assert guaranteeing_fraction(0.1) == pytest.approx(0.1 / 1.1)
     rng = np.random.default_rng(5)
     steps = rng.normal(size=(200_000, 3)) * 0.004
     vectors = (np.cumsum(steps, axis=0) + np.array([1, 0, 0])).astype(np.float32)
     sent = gate(vectors, 0.1, "closed")
-    assert 0.09 < relative_errors(vectors, held_values(sent, vectors)).max() <= 0.1 * (1 + 1e-6)
+    assert 0.09 < relative_errors(vectors, decoder_output(sent, vectors)).max() <= 0.1 * (1 + 1e-6)
     assert sent.mean() < 0.05
-    fading = along_x(np.exp(-1e-5 * np.arange(200_000)))  # the worst case: straight down
-    assert 0.09998 < relative_errors(fading, held_values(gate(fading, 0.1), fading)).max() <= 0.1 * (1 + 1e-6)
-    # with the k of the text in place of k', a held sample may be off by k / (1 - k)
+    fading = along_x(np.exp(-1e-5 * np.arange(200_000)))  # the worst case: a steady decay
+    assert (
+        0.09998 < relative_errors(fading, decoder_output(gate(fading, 0.1), fading)).max() <= 0.1 * (1 + 1e-6)
+    )
+    # with the k of the text instead of k', the error of a held sample may reach k / (1 - k)
     amplitudes = along_x(np.linalg.norm(vectors.astype(float), axis=1))
-    worst = relative_errors(amplitudes, held_values(gate(amplitudes, 0.1, "last-sent"), amplitudes)).max()
+    worst = relative_errors(amplitudes, decoder_output(gate(amplitudes, 0.1, "last-sent"), amplitudes)).max()
     assert 0.105 < worst <= 0.1 / 0.9 * (1 + 1e-6)
 
 
 @given(scans, fractions, st.floats(-0.25, 0.25, width=32))
-def test_held_samples_keep_the_mask_for_any_quantiser(vectors, k, gain):
+def test_repeated_samples_stay_within_the_mask_for_any_quantiser(vectors, k, gain):
     decoded = (vectors * np.float32(1 + gain)).astype(np.float32)
     sent = gate(vectors, k, "closed", decoded)
-    shown = held_values(sent, decoded)
-    errors = np.linalg.norm(vectors.astype(float) - shown, axis=1)
+    output = decoder_output(sent, decoded)
+    errors = np.linalg.norm(vectors.astype(float) - output, axis=1)
     limit = k * (1 + 1e-6) * np.linalg.norm(vectors.astype(float), axis=1)
     assert (errors <= limit)[~sent].all()
-    np.testing.assert_array_equal(shown[sent], decoded[sent])
+    np.testing.assert_array_equal(output[sent], decoded[sent])
 
 
 @given(arrays(np.float32, (40, 3), elements=forces), arrays(np.float32, (40, 3), elements=forces), fractions)
-def test_samples_held_in_time_keep_the_mask(vectors, reference, k):
+def test_samples_repeated_in_time_stay_within_the_mask(vectors, reference, k):
     reference[::3] = vectors[::3] * np.float32(1 + k / 2)
     sent = gate_in_time(vectors, reference, k)
-    held = vectors[~sent].astype(float)
-    errors = np.linalg.norm(held - reference[~sent], axis=1)
-    assert (errors <= k * (1 + 1e-6) * np.linalg.norm(held, axis=1)).all()
+    unsent = vectors[~sent].astype(float)
+    errors = np.linalg.norm(unsent - reference[~sent], axis=1)
+    assert (errors <= k * (1 + 1e-6) * np.linalg.norm(unsent, axis=1)).all()
     assert not sent[::3][np.abs(reference[::3]).max(axis=1) > 1e-30].any()  # k/2 is well within k'
 
 
-def test_in_time_only_zero_is_held_on_zero():
+def test_in_time_only_zero_repeats_zero():
     vectors, reference = along_x([0.0, 1e-38, 1.0]), np.zeros((3, 3), np.float32)
     assert gate_in_time(vectors, reference, 0.1).tolist() == [False, True, True]
 
 
-def test_a_turn_at_constant_amplitude_is_seen_by_the_vector_alone():
+def test_only_the_vector_reading_detects_a_turn_at_constant_amplitude():
     angle = np.linspace(0, np.pi, 100)
     turn = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1).astype(np.float32)
     assert gate(turn, 0.1, "last-sent").sum() == 1
     assert gate(turn, 0.1, "closed").sum() > 30
 
 
-def test_after_a_zero_only_the_closed_loop_holds_another():
+def test_after_a_zero_only_the_closed_loop_repeats_it():
     zeros = along_x([1.0, 0.0, 0.0, 0.0])
     assert gate(zeros, 0.1, "closed").tolist() == [True, True, False, False]
     for reading in ("previous", "zero", "last-sent"):
         assert gate(zeros, 0.1, reading).all()
 
 
-def test_k_of_zero_holds_equal_samples_only():
+def test_k_of_zero_repeats_equal_samples_only():
     vectors = along_x([1.0, 1.0, np.nextafter(np.float32(1), np.float32(2))])
     assert gate(vectors, 0.0, "closed").tolist() == [True, False, True]
 
 
-def test_the_deadband_refuses_what_it_cannot_use():
+def test_the_deadband_refuses_invalid_arguments():
     vectors = along_x([1.0, 2.0])
     with pytest.raises(InvalidArgument, match="reading"):
         gate(vectors, 0.1, "other")

@@ -1,4 +1,4 @@
-"""A stream on an array of actuators: which drives it makes, and where they lie on the panel."""
+"""A stream on an array of actuators: its drives, and their positions on the panel."""
 
 from __future__ import annotations
 
@@ -27,15 +27,17 @@ VEST = device("tactsuit-x40")
 
 
 def stream(medium: HapticMedium, device_type: int = 2, force_max_n: float = 2.0) -> Any:
-    """What `array_medium` looks at of an open stream."""
+    """The part of an open stream that `array_medium` uses."""
     head = SimpleNamespace(device_type=device_type, force_max_n=force_max_n)
     return SimpleNamespace(medium=medium, reader=SimpleNamespace(head=head))
 
 
-def on_lattice(one: Device, forces_n: dict[tuple[int, int], float], axes: str = UP_Y_AXES) -> HapticMedium:
+def on_lattice(
+    profile: Device, forces_n: dict[tuple[int, int], float], axes: str = UP_Y_AXES
+) -> HapticMedium:
     """One frame on the lattice of an array: samples (column, j) and their forces along z."""
-    x, y, z = one.workspace_m
-    grid = Grid.over_box((-x / 2, -y / 2, -z / 2), (x / 2, y / 2, z / 2), one.lattice)
+    x, y, z = profile.workspace_m
+    grid = Grid.over_box((-x / 2, -y / 2, -z / 2), (x / 2, y / 2, z / 2), profile.lattice)
     vectors = np.array([[0.0, 0.0, f] for f in forces_n.values()]).reshape(-1, 3)
     field = ForceField.from_support(grid, [[i, j, 0] for i, j in forces_n], vectors)
     return HapticMedium.from_frames([field], 20.0, axes)
@@ -72,16 +74,16 @@ def test_a_stream_of_the_same_array_goes_through_as_it_is() -> None:
     assert frames.frequencies(0) is None
 
 
-class Shown:
-    """A player of an array that has been waited for, of whose frames a twentieth came too late."""
+class FakePlayer:
+    """A finished player of an array, in which a twentieth of the frames were late."""
 
     error, notes = None, ("as it was shown",)
 
-    def __init__(self, drives: Any, chosen: Any, **times: float) -> None:
-        self.told, self.times = chosen.profile.name, times
-        SHOWN.append(self)
+    def __init__(self, drives: Any, selected: Any, **times: float) -> None:
+        self.profile_name, self.times = selected.profile.name, times
+        PLAYERS.append(self)
 
-    def __enter__(self) -> Shown:
+    def __enter__(self) -> FakePlayer:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -97,40 +99,42 @@ class Shown:
         return {"sent": 100, "stalled": 5}
 
 
-SHOWN: list[Shown] = []
+PLAYERS: list[FakePlayer] = []
 
 
-def test_an_array_is_played_as_it_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("touchfield.tasks.play.ArrayPlayer", Shown)
-    path, said = tmp_path / "vest.touch", list[str]()
+def test_an_array_is_played_with_the_requested_options(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("touchfield.tasks.play.ArrayPlayer", FakePlayer)
+    path, notes = tmp_path / "vest.touch", list[str]()
     pipeline.encode(on_lattice(VEST, {(1, 0): 1.0}), path, EncodeSpec(device=VEST.name))
     times = {"loop": True, "speed": 2.0, "start_s": 0.5}
     for profile in (None, "tshirt-32x32"):
         spec = PlaySpec("osc:127.0.0.1:9", profile=profile, **times)  # type: ignore[arg-type]
-        played = play(path, spec, on_note=said.append)
+        played = play(path, spec, on_note=notes.append)
         assert played.statistics["stalled_share"] == 0.05 and played.is_starved
-        assert SHOWN[-1].times == times and played.notes == Shown.notes
-        assert SHOWN[-1].told == played.statistics["profile"] == (profile or VEST.name)
-        assert [f"made for {VEST.name}, and is shown on {profile}" in note for note in said] == [True] * bool(
-            profile
-        )
+        assert PLAYERS[-1].times == times and played.notes == FakePlayer.notes
+        assert PLAYERS[-1].profile_name == played.statistics["profile"] == (profile or VEST.name)
+        assert [f"made for {VEST.name}, and is shown on {profile}" in note for note in notes] == [
+            True
+        ] * bool(profile)
     for wrong in ({"offline": True}, {"trace": path}, {"trajectory": path}, {"is_logged": True}):
         with pytest.raises(InvalidArgument, match="with a point device"):
             play(path, PlaySpec("osc:127.0.0.1:9", **wrong))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("pool", ["max", "mean"])
-def test_what_is_pooled_along_the_depth_is_the_field_at_each_point_of_it(pool: str) -> None:
+def test_pooling_along_the_depth_equals_pooling_of_single_points(pool: str) -> None:
     from touchfield.filters.kernels.forces import pool_depth
 
     random = np.random.default_rng(3)
     forces = random.normal(size=(19, 12, 21, 3)) * (random.random((19, 12, 21, 1)) < 0.1)
     forces[8:16, :, 8:16] = 0.0
     stored = ForceField.from_dense(Grid((19, 12, 21), (0.01, 0.02, 0.015), (0.1, -0.2, 0.05)), forces)
-    asked = Grid((37, 41, 60), (0.006, 0.007, 0.0061), (0.08, -0.23, 0.0))
-    points = np.stack(np.meshgrid(*(asked.axis_m(n) for n in range(3)), indexing="ij"), axis=-1)
+    lattice = Grid((37, 41, 60), (0.006, 0.007, 0.0061), (0.08, -0.23, 0.0))
+    points = np.stack(np.meshgrid(*(lattice.axis_m(n) for n in range(3)), indexing="ij"), axis=-1)
     size = np.linalg.norm(stored.sample_n(points).astype(np.float64), axis=-1)
-    greatest, mean, first, last = pool_depth(stored, asked)
+    greatest, mean, first, last = pool_depth(stored, lattice)
     if pool == "max":
         np.testing.assert_allclose(greatest, size.max(axis=2), rtol=1e-6, atol=1e-9)
     else:
@@ -140,17 +144,17 @@ def test_what_is_pooled_along_the_depth_is_the_field_at_each_point_of_it(pool: s
     numbers = np.where(size > 0, np.arange(1, 61), 0)
     assert np.array_equal(last, numbers.max(axis=2))
     assert np.array_equal(first, np.where(last > 0, np.where(size > 0, numbers, 61).min(axis=2), 0))
-    assert not pool_depth(ForceField.empty(stored.grid), asked).any()
+    assert not pool_depth(ForceField.empty(stored.grid), lattice).any()
 
 
-def test_no_drive_is_beyond_1_even_where_f_max_is_next_to_nothing() -> None:
+def test_no_drive_exceeds_1_even_for_a_tiny_f_max() -> None:
     medium = on_lattice(VEST, {(0, 0): 3e38, (1, 1): 1e-40})
     for force_max_n in (1e-300, 1e-3, 1e300):
         drives = array_drives(stream(medium, force_max_n=force_max_n), VEST).drives(0)
         assert np.isfinite(drives).all() and 0.0 <= drives.min() <= drives.max() <= 1.0
 
 
-def test_panels_that_are_not_there() -> None:
+def test_unknown_panels_are_refused() -> None:
     with pytest.raises(InvalidArgument, match=r"panel: found 'left' of tactsuit-x40; expected front or back"):
         array_drives(stream(on_lattice(VEST, {})), VEST, "left")
     shirt = device("tshirt-32x32")
@@ -172,7 +176,7 @@ def test_the_greater_of_force_and_vibration_drives_an_actuator() -> None:
     assert not frequencies[0, 1:].any() and not frequencies[1].any()
 
 
-def test_an_array_of_another_size_is_pooled_as_the_encoder_pools_it(tmp_path: Path) -> None:
+def test_an_array_of_another_size_is_pooled_as_by_the_encoder(tmp_path: Path) -> None:
     shirt = device("tshirt-32x32")
     medium = on_lattice(shirt, {(i, j): 3.0 for i in range(4, 12) for j in range(20, 28)})
     array = array_drives(stream(medium, force_max_n=3.3), VEST)
@@ -184,7 +188,7 @@ def test_an_array_of_another_size_is_pooled_as_the_encoder_pools_it(tmp_path: Pa
     assert drives[0, 3:].max() == 0.0 and drives[0, 1, 0] > 0.3
 
 
-def test_a_stream_in_space_and_one_of_objects_reach_the_actuators(tmp_path: Path) -> None:
+def test_voxel_and_object_streams_reach_the_actuators(tmp_path: Path) -> None:
     for number in (2, 5):
         path = tmp_path / f"{number}.touch"
         pipeline.encode(tiny_scenes()[number], path, EncodeSpec(nw=5))
@@ -195,7 +199,7 @@ def test_a_stream_in_space_and_one_of_objects_reach_the_actuators(tmp_path: Path
         assert drives[0].max() > 0.05 and drives[1].max() == 0.0 and drives.max() <= 1.0
 
 
-def test_a_stream_made_for_the_array_is_what_its_encoder_saw(tmp_path: Path) -> None:
+def test_a_stream_for_the_array_returns_the_drives_of_its_encoder(tmp_path: Path) -> None:
     path = tmp_path / "vest.touch"
     pipeline.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST.name))
     with pipeline.open_stream(path) as opened:
@@ -223,18 +227,14 @@ def test_a_band_of_another_lattice_reaches_the_actuators_over_it(nx: int, ny: in
     assert frequencies is not None and (frequencies[0] > 0).tolist() == (drives > 0).tolist()
     strongest = max(np.float32(a) for a, _ in values.values())
     full = np.float32(float(strongest) / VEST.force_max_n)
-    at_hz = {
-        np.float32(f) for a, f in values.values() if np.float32(a) == strongest
-    }  # of equal ones any may stay
-    assert drives.max() == full and at_hz & set(
-        frequencies[0][drives == full]
-    )  # nothing is lost, nothing is added
-    extent = max(nx / 4, ny / 5)  # samples to one actuator, the aspect kept
+    at_hz = {np.float32(f) for a, f in values.values() if np.float32(a) == strongest}  # ties are arbitrary
+    assert drives.max() == full and at_hz & set(frequencies[0][drives == full])  # nothing is lost or added
+    extent = max(nx / 4, ny / 5)  # samples per actuator, with the aspect ratio
     for (i, j, _), (a, _) in values.items():
         column = 1.5 + (i - (nx - 1) / 2) / extent
         row = 2.0 + (j - (ny - 1) / 2) / extent
-        near = drives[
+        nearby = drives[
             max(0, round(row - 0.5)) : round(row + 0.5) + 1,
             max(0, round(column - 0.5)) : round(column + 0.5) + 1,
         ]
-        assert near.max() >= np.float32(a / VEST.force_max_n) * (1 - 1e-6)
+        assert nearby.max() >= np.float32(a / VEST.force_max_n) * (1 - 1e-6)

@@ -1,6 +1,4 @@
-"""A stream one of whose segments is damaged: whoever reads it says so, be it the first, one between or the
-last.
-"""
+"""A stream with one damaged segment, first, middle or last: every reader reports it."""
 
 from __future__ import annotations
 
@@ -46,15 +44,15 @@ ALL_VIBRATIONS = ("encode {stream} new.touch", "export {stream} new.wav --device
 
 
 def frame(number: int) -> ForceField:
-    """A wall across the lattice, which sinks."""
+    """A wall across the lattice that sinks."""
     dense = np.zeros((*GRID.shape, 3), np.float32)
     dense[:, :, : 10 - number, 2] = 1.0 + 0.1 * number
     return ForceField.from_dense(GRID, dense)
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """A stream of three segments of two frames, which vibrates."""
+def intact(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A stream of three segments of two frames, with vibration."""
     path = tmp_path_factory.mktemp("whole") / "whole.touch"
     medium = HapticMedium.from_frames([frame(i) for i in range(2 * SEGMENTS)], 50.0)
     touch = TouchSpec(effort="fast", segment_frames=2)
@@ -63,18 +61,18 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return path.read_bytes()
 
 
-def damaged(path: Path, whole: bytes, segment: int, payload: str) -> Path:
+def damaged(path: Path, intact: bytes, segment: int, payload: str) -> Path:
     """The stream with one bit changed in the middle of a payload of a segment."""
-    path.write_bytes(whole)
+    path.write_bytes(intact)
     with TouchReader(path) as reader:
         assert len(reader.segments) == SEGMENTS
         body = reader.read_segment(segment) if payload == FORCE else reader.read_vibration(segment)
     assert body
-    begin = 0
-    for _ in range(segment if payload == VIBRATION else 0):  # the same body may come several times
-        begin = whole.index(b"VIBR", begin) + 4
-    data = bytearray(whole)
-    data[whole.index(body, begin) + len(body) // 2] ^= 4
+    start = 0
+    for _ in range(segment if payload == VIBRATION else 0):  # the same body may occur several times
+        start = intact.index(b"VIBR", start) + 4
+    data = bytearray(intact)
+    data[intact.index(body, start) + len(body) // 2] ^= 4
     path.write_bytes(data)
     return path
 
@@ -82,9 +80,9 @@ def damaged(path: Path, whole: bytes, segment: int, payload: str) -> Path:
 @pytest.mark.parametrize("segment", range(SEGMENTS))
 @pytest.mark.parametrize("payload", [FORCE, VIBRATION])
 def test_one_segment_is_refused_and_the_others_are_read(
-    whole: bytes, tmp_path: Path, segment: int, payload: str
+    intact: bytes, tmp_path: Path, segment: int, payload: str
 ) -> None:
-    with TouchReader(damaged(tmp_path / "a.touch", whole, segment, payload)) as reader:
+    with TouchReader(damaged(tmp_path / "a.touch", intact, segment, payload)) as reader:
         for i in range(SEGMENTS):
             for kind, read in ((FORCE, reader.read_segment), (VIBRATION, reader.read_vibration)):
                 if (i, kind) == (segment, payload):
@@ -95,32 +93,32 @@ def test_one_segment_is_refused_and_the_others_are_read(
 
 
 def cases() -> Iterator[tuple[str, str]]:
-    yield from ((words, FORCE) for words in ALL_FRAMES)
-    yield from ((words, VIBRATION) for words in ALL_VIBRATIONS)
+    yield from ((command, FORCE) for command in ALL_FRAMES)
+    yield from ((command, VIBRATION) for command in ALL_VIBRATIONS)
 
 
-@pytest.mark.parametrize(("words", "payload"), list(cases()))
+@pytest.mark.parametrize(("command", "payload"), list(cases()))
 def test_a_command_that_reads_all_refuses_a_stream_whose_last_segment_is_damaged(
-    whole: bytes, tmp_path: Path, words: str, payload: str,
+    intact: bytes, tmp_path: Path, command: str, payload: str,
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "whole.touch").write_bytes(whole)
-    damaged(tmp_path / "bad.touch", whole, SEGMENTS - 1, payload)
+    (tmp_path / "whole.touch").write_bytes(intact)
+    damaged(tmp_path / "bad.touch", intact, SEGMENTS - 1, payload)
     capsys.readouterr()
-    assert _exit_code(words.format(stream="bad.touch").split()) == 1
+    assert _exit_code(command.format(stream="bad.touch").split()) == 1
     lines = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("note: ")]
     assert len(lines) == 1 and lines[0].startswith("touchfield: ") and "CRC-32" in lines[0]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.touch", "whole.touch"]
 
 
 @pytest.mark.parametrize("is_starved", [False, True])
-def test_a_play_that_an_error_ended_shows_its_figures_and_fails(
-    whole: bytes, tmp_path: Path, is_starved: bool,
+def test_a_play_ended_by_an_error_reports_its_figures_and_fails(
+    intact: bytes, tmp_path: Path, is_starved: bool,
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     path = tmp_path / "a.touch"
-    path.write_bytes(whole)
+    path.write_bytes(intact)
     figures = {"device": "haply", "stalled_share": 0.5 if is_starved else 0.0}
     ended = Played(
         figures, None, None, ("as far as it came",), DeviceError("haply", "a cable pulled", "a device")
@@ -128,6 +126,6 @@ def test_a_play_that_an_error_ended_shows_its_figures_and_fails(
     monkeypatch.setattr("touchfield.tasks.play.play", lambda *_: ended)
     capsys.readouterr()
     assert _exit_code(["play", str(path), "--json"]) == 1
-    told = capsys.readouterr()
-    assert '"haply"' in told.out and "as far as it came" in told.out
-    assert json.loads(told.err.splitlines()[-1])["error"].startswith("haply: found a cable pulled")
+    output = capsys.readouterr()
+    assert '"haply"' in output.out and "as far as it came" in output.out
+    assert json.loads(output.err.splitlines()[-1])["error"].startswith("haply: found a cable pulled")

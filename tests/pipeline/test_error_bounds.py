@@ -1,4 +1,4 @@
-"""A law over everything that writes: the error bound is proved and reported, or there is a warning.
+"""Every writer either proves and reports its error bound, or warns.
 
 The tables below name every coder, mode and writer; a new one that is missing here fails a test.
 """
@@ -62,24 +62,22 @@ UNBOUNDED = ("nmse", "paper")
 
 
 def is_bounded(name: str, is_composed: bool = False) -> bool:
-    """Which bounds are known, in this test's own words: none of nmse and paper, nor of directions that are
-    added.
-    """
+    """Which bounds are known, independently of the code: none for nmse, paper, and summed directions."""
     return not any(word in name for word in UNBOUNDED) and not (is_composed and "direction" in name)
 
 
 @contextmanager
 def caught() -> Iterator[list[str]]:
-    """Warnings of bounds that are not proved."""
+    """Warnings of unproved bounds."""
     texts: list[str] = []
     with warnings.catch_warnings(record=True) as every:
         warnings.simplefilter("always")
         yield texts
-    texts += [str(one.message) for one in every if issubclass(one.category, UnboundedError)]
+    texts += [str(warning.message) for warning in every if issubclass(warning.category, UnboundedError)]
 
 
-def assert_law(keys: dict[str, Any], texts: list[str], bounded: bool) -> None:
-    """A bound in words with its largest ratio, or None with a note, which was a warning too."""
+def assert_reported(keys: dict[str, Any], texts: list[str], bounded: bool) -> None:
+    """A bound in words with its largest ratio, or None with a note that was also a warning."""
     if bounded:
         assert keys["error_bound"] and keys["promise_kept"] is True and "error_bound_note" not in keys
         assert 0 <= keys["worst_mask_ratio"] <= 1 and texts == []
@@ -92,10 +90,10 @@ def assert_law(keys: dict[str, Any], texts: list[str], bounded: bool) -> None:
 def rolling(frames: int = 3) -> tf.HapticMedium:
     """A soft ball that pushes outwards and moves along x."""
     grid = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (16, 16, 16))
-    places = np.stack(np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij"), axis=-1)
+    positions_m = np.stack(np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij"), axis=-1)
     dense = []
     for n in range(frames):
-        away = places - np.array([0.004 * n, 0.003, 0.0])
+        away = positions_m - np.array([0.004 * n, 0.003, 0.0])
         length = np.linalg.norm(away, axis=-1, keepdims=True)
         dense.append(
             np.minimum(100 * np.clip(0.025 - length, 0, None), 2.0) * away / np.maximum(length, 1e-9)
@@ -104,7 +102,7 @@ def rolling(frames: int = 3) -> tf.HapticMedium:
 
 
 def falling() -> BodyScene:
-    """A box that tumbles as it falls onto a ball."""
+    """A box that tumbles while it falls onto a ball."""
     t = np.arange(4) / 200
     turns = np.stack([np.cos(4 * t), np.sin(4 * t), 0 * t, 0 * t], axis=1)
     ways = np.stack([0 * t, 0.02 + 0 * t, 0.03 - 4.905 * t**2], axis=1)
@@ -115,24 +113,24 @@ def falling() -> BodyScene:
     return BodyScene((box, ball), 200.0)
 
 
-# -- the tables are whole ----------------------------------------------------------------------------------
+# -- complete tables --------------------------------------------------------------------------------------
 
 WRITERS = {
-    "codec/zarr_codec.py": "test_chunks_of_zarr_keep_the_law",
-    "pipeline/segments.py": "test_a_file_keeps_the_law",
-    "tasks/editing.py": "test_what_is_made_of_a_file_keeps_the_law",
-    "pipeline/encoding.py": "test_a_file_keeps_the_law",
-    "tasks/exchange.py": "test_an_effect_keeps_the_law",
-    "tasks/live.py": "test_a_live_stream_keeps_the_law",
-    "tasks/plan.py": "",  # codes frames to count their bytes, and writes nothing
-    "pipeline/rate_control.py": "test_a_file_of_a_given_size_keeps_the_law",
-    "tasks/texture.py": "test_a_copy_keeps_the_law",
-    "tasks/view.py": "",  # codes for the page that it opens, in mode "mask"
-    "network/live.py": "",  # wraps a segment that a live stream has sent, for decoders that know files alone
+    "codec/zarr_codec.py": "test_chunks_of_zarr_report_their_bound",
+    "pipeline/segments.py": "test_a_file_reports_its_bound",
+    "tasks/editing.py": "test_derived_files_report_their_bound",
+    "pipeline/encoding.py": "test_a_file_reports_its_bound",
+    "tasks/exchange.py": "test_an_effect_reports_its_bound",
+    "tasks/live.py": "test_a_live_stream_reports_its_bound",
+    "tasks/plan.py": "",  # encodes frames to count their bytes, and writes nothing
+    "pipeline/rate_control.py": "test_a_file_of_a_given_size_reports_its_bound",
+    "tasks/texture.py": "test_a_copy_reports_its_bound",
+    "tasks/view.py": "",  # encodes for the page that it opens, in mode "mask"
+    "network/live.py": "",  # wraps a sent segment of a live stream for decoders of files
     "network/mux.py": "",  # copies a file and warns as it does: tests/network/test_mux.py
-    "pipeline/workers.py": "test_a_file_keeps_the_law",  # the same segments: tests/pipeline/test_parts.py
+    "pipeline/workers.py": "test_a_file_reports_its_bound",  # the same segments: tests/pipeline/test_parts.py
 }
-"""Modules that write or code segments, beside the test of each."""
+"""Modules that write or encode segments, with the test of each."""
 
 _WRITES = re.compile(
     r"\b(TouchWriter|ObjectsEncoder|encode_prepared|write_objects|encode_segment)\(|\bdef mux\("
@@ -156,12 +154,12 @@ def test_every_module_that_writes_is_in_the_table() -> None:
 def test_every_coder_and_mode_is_in_the_table() -> None:
     assert {spec.coder for spec in SPECS.values()} == set(field_coders()) == set(ENTRIES) - {"objects"}
     touch = [spec.touch for spec in SPECS.values() if spec.coder == "touch"]
-    assert {(one.mode, one.effort) for one in touch} == {
+    assert {(touch_spec.mode, touch_spec.effort) for touch_spec in touch} == {
         (mode, effort) for mode in MODES for effort in EFFORTS
     }
 
 
-def test_a_coder_that_names_no_rule_guarantees_nothing() -> None:
+def test_a_coder_without_a_rule_guarantees_nothing() -> None:
     for name, spec in SPECS.items():
         rule = coder(spec.coder).bound_rule(spec.coding)
         assert (rule.text is not None) == is_bounded(name) and bool(rule.reason) != is_bounded(name)
@@ -170,17 +168,17 @@ def test_a_coder_that_names_no_rule_guarantees_nothing() -> None:
 # -- parts of the mechanism --------------------------------------------------------------------------------
 
 
-def test_what_is_not_known_of_one_segment_is_not_known_of_the_file() -> None:
-    known = MaxError(0.5, 2, (1, 2, 3))
-    assert max_error_keys([(0, known), (8, MaxError(0.75, 1, (4, 5, 6)))])["worst_frame"] == 9
-    for segments in ([(0, known), (8, None)], [(0, None), (8, known)], [(0, None)], []):
+def test_a_file_has_no_bound_if_one_segment_has_none() -> None:
+    bound = MaxError(0.5, 2, (1, 2, 3))
+    assert max_error_keys([(0, bound), (8, MaxError(0.75, 1, (4, 5, 6)))])["worst_frame"] == 9
+    for segments in ([(0, bound), (8, None)], [(0, None), (8, bound)], [(0, None)], []):
         keys = max_error_keys(segments)
         assert keys == dict.fromkeys(MAX_ERROR_KEYS)
         assert bound_keys(coder("touch").bound_rule(TouchSpec()), keys)["error_bound"] is None
 
 
 @pytest.mark.parametrize("ratio", [float("nan"), float("inf"), 1.0000001, -0.1])
-def test_a_ratio_that_proves_nothing_is_never_written(ratio: float) -> None:
+def test_an_invalid_ratio_is_never_written(ratio: float) -> None:
     with pytest.raises(AssertionError, match="of what is allowed"):
         _ = MaxError(ratio, 0, (0, 0, 0)).rounded_up
 
@@ -194,24 +192,24 @@ def test_a_ratio_is_rounded_up(ratio: float, steps: int) -> None:
 
 
 def keys_of(path: Path) -> dict[str, Any]:
-    """What the file itself states."""
+    """The error bound as stated in the file."""
     with open_stream(path) as opened:
         return opened.error_bound()
 
 
 def assert_same(summary: dict[str, Any], path: Path) -> None:
-    """A summary says what the file does."""
+    """A summary states the same as the file."""
     stated = keys_of(path)
     assert {name: summary[name] for name in stated} == stated
 
 
 @pytest.mark.parametrize("name", SPECS)
-def test_a_file_keeps_the_law(name: str, tmp_path: Path) -> None:
+def test_a_file_reports_its_bound(name: str, tmp_path: Path) -> None:
     spec, out = SPECS[name], tmp_path / "a.touch"
     medium = rolling()
     with caught() as texts:
         done = encode(medium, out, spec)
-    assert_law(done.summary(), texts, is_bounded(name))
+    assert_reported(done.summary(), texts, is_bounded(name))
     assert_same(done.summary(), out)
     if spec.touch.mode == "mask" and spec.coder == "touch" and not spec.touch.masking:
         with open_stream(out) as opened:
@@ -221,28 +219,28 @@ def test_a_file_keeps_the_law(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["touch, mask, fast", "touch, nmse, fast"])
-def test_a_file_by_workers_keeps_the_law(name: str, tmp_path: Path) -> None:
+def test_a_file_written_by_workers_reports_its_bound(name: str, tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(SPHERE)
     with ThreadPoolExecutor(1) as executor, caught() as texts:
         done = encode(tmp_path / "a.toml", tmp_path / "a.touch", SPECS[name], executor=executor)
-    assert_law(done.summary(), texts, is_bounded(name))
+    assert_reported(done.summary(), texts, is_bounded(name))
     assert_same(done.summary(), tmp_path / "a.touch")
 
 
 @pytest.mark.parametrize("damping", [0.0, 1.0])
 @pytest.mark.parametrize("name", [name for name in SPECS if "masking" not in name])
-def test_bodies_keep_the_law(name: str, damping: float, tmp_path: Path) -> None:
+def test_bodies_report_their_bound(name: str, damping: float, tmp_path: Path) -> None:
     spec, out = replace(SPECS[name], surface_damping_n_s_per_m=damping), tmp_path / "a.touch"
     with caught() as texts:
         done = encode(falling(), out, spec)
     with open_stream(out) as opened:
         assert opened.scene is not None
-    assert_law(done.summary(), texts, is_bounded(name, is_composed=True))
+    assert_reported(done.summary(), texts, is_bounded(name, is_composed=True))
     assert_same(done.summary(), out)
 
 
 @pytest.mark.parametrize("name", ["touch, mask, fast", "touch, lossless, fast", "touch, nmse, fast", "paper"])
-def test_what_is_made_of_a_file_keeps_the_law(name: str, tmp_path: Path) -> None:
+def test_derived_files_report_their_bound(name: str, tmp_path: Path) -> None:
     spec, source = SPECS[name], tmp_path / "a.touch"
     with caught():
         encode(rolling(), source, spec)
@@ -256,11 +254,11 @@ def test_what_is_made_of_a_file_keeps_the_law(name: str, tmp_path: Path) -> None
         out = tmp_path / f"{way}.touch"
         with caught() as texts:
             summary = run(out).summary()
-        assert_law(summary, texts, is_bounded(name))
+        assert_reported(summary, texts, is_bounded(name))
         assert_same(summary, out)
     with caught() as texts:
         culled = reduce_medium(source, None, tmp_path / "culled.touch", coder=spec).summary()
-    assert_law(
+    assert_reported(
         {key[7:]: value for key, value in culled.items() if key.startswith("culled_")},
         texts,
         is_bounded(name),
@@ -268,39 +266,39 @@ def test_what_is_made_of_a_file_keeps_the_law(name: str, tmp_path: Path) -> None
     with caught() as texts:
         levels_of_detail(source, tmp_path / "levels", 1, spec=spec)
     for level in range(2):
-        assert_law(keys_of(tmp_path / "levels" / f"level-{level}.touch"), texts, is_bounded(name))
+        assert_reported(keys_of(tmp_path / "levels" / f"level-{level}.touch"), texts, is_bounded(name))
 
 
 @pytest.mark.parametrize("name", ["touch, mask, fast", "touch, nmse, fast"])
-def test_a_file_of_a_given_size_keeps_the_law(name: str, tmp_path: Path) -> None:
+def test_a_file_of_a_given_size_reports_its_bound(name: str, tmp_path: Path) -> None:
     with caught() as texts:
         done = encode_to_target(rolling(), tmp_path / "a.touch", SPECS[name], Target(nmse_db=-25.0))
-    assert_law(done.summary(), texts, is_bounded(name))
+    assert_reported(done.summary(), texts, is_bounded(name))
     assert_same(done.summary(), tmp_path / "a.touch")
 
 
 @pytest.mark.parametrize("name", ["touch, mask, fast", "touch, nmse, fast", "paper"])
-def test_an_effect_keeps_the_law(name: str, tmp_path: Path) -> None:
+def test_an_effect_reports_its_bound(name: str, tmp_path: Path) -> None:
     wave = band("VectorialWave", effect([keyframe(0, 0.5, 100), keyframe(100, 0.5, 200)]))
     source = written(tmp_path / "e.hjif", document(channel(wave)))
     with caught() as texts:
         done = import_effect(source, tmp_path / "e.touch", replace(SPECS[name], nw=None), force_max_n=2.0)
-    assert_law(done.summary(), texts, is_bounded(name))
+    assert_reported(done.summary(), texts, is_bounded(name))
 
 
 @pytest.mark.parametrize("name", ["touch, mask, fast", "touch, mask-direction, fast", "touch, nmse, fast"])
-def test_a_live_stream_keeps_the_law(name: str) -> None:
+def test_a_live_stream_reports_its_bound(name: str) -> None:
     with caught() as texts:
         prepared, sender = open_sender(rolling(), replace(SPECS[name], nw=None))
         coarse, under = coarse_layer(rolling(), prepared)
         sent = broadcast(prepared, sender.add, LiveSpec(), pause=lambda s: None, coarse=(coarse, under.add))
     keys = {**sent.error_bound(prepared), **sent.summary()}
     assert sent.segments and coarse.spec.touch.mode == "mask"
-    assert_law(keys, texts, is_bounded(name))
+    assert_reported(keys, texts, is_bounded(name))
 
 
 @pytest.mark.parametrize("name", ["touch, mask, fast", "touch, nmse, fast"])
-def test_chunks_of_zarr_keep_the_law(name: str, tmp_path: Path) -> None:
+def test_chunks_of_zarr_report_their_bound(name: str, tmp_path: Path) -> None:
     pytest.importorskip("zarr", reason="the extra zarr is not installed", exc_type=Exception)
     from touchfield.codec.zarr_codec import TouchCodec, recorded_ratios
 
@@ -308,7 +306,7 @@ def test_chunks_of_zarr_keep_the_law(name: str, tmp_path: Path) -> None:
     with caught() as texts:
         done = encode_tiles(tmp_path / "a.toml", tmp_path / "a.zarr", SPECS[name])
     assert done.supported_voxels and done.tiles == 1
-    assert_law(done.summary(), texts, is_bounded(name))
+    assert_reported(done.summary(), texts, is_bounded(name))
     dense = np.stack([field.to_dense() for field in rolling()])
     with caught() as texts, recorded_ratios() as ratios:
         TouchCodec(mode=SPECS[name].touch.mode).encode_chunk(dense)
@@ -316,24 +314,24 @@ def test_chunks_of_zarr_keep_the_law(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["touch, mask, fast", "touch, nmse, fast"])
-def test_a_copy_keeps_the_law(name: str, tmp_path: Path) -> None:
+def test_a_copy_reports_its_bound(name: str, tmp_path: Path) -> None:
     source, out = tmp_path / "a.touch", tmp_path / "b.touch"
     with caught():
         encode(rolling(), source, SPECS[name])
     with caught() as texts:
         store_materials(source, [Material("oak", 0.3)], out)
-    assert_law(keys_of(out), texts, is_bounded(name))
+    assert_reported(keys_of(out), texts, is_bounded(name))
     assert keys_of(out) == keys_of(source)
 
 
 # -- on the command line -----------------------------------------------------------------------------------
 
 
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[str, str]:
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[str, str]:
     capsys.readouterr()
-    assert _exit_code([str(word) for word in words]) == 0
-    said = capsys.readouterr()
-    return said.out, said.err
+    assert _exit_code([str(word) for word in arguments]) == 0
+    captured = capsys.readouterr()
+    return captured.out, captured.err
 
 
 @pytest.mark.parametrize(
@@ -344,12 +342,12 @@ def test_commands_print_the_bound_or_warn(
 ) -> None:
     scene, out = tmp_path / "a.toml", tmp_path / "a.touch"
     scene.write_text(SPHERE)
-    for words in (("encode", scene, out, "--nw", 4, *options.split()), ("info", out)):
-        shown, told = run(capsys, *words)
-        assert "error_bound " in shown and ("warning: no error bound" in told) == (not bounded)
-        shown, told = run(capsys, *words, "--json")
-        answer = json.loads(shown)
-        assert ("warning: no error bound" in told) == (not bounded)
+    for arguments in (("encode", scene, out, "--nw", 4, *options.split()), ("info", out)):
+        stdout, stderr = run(capsys, *arguments)
+        assert "error_bound " in stdout and ("warning: no error bound" in stderr) == (not bounded)
+        stdout, stderr = run(capsys, *arguments, "--json")
+        answer = json.loads(stdout)
+        assert ("warning: no error bound" in stderr) == (not bounded)
         assert bool(answer["error_bound"]) == bounded and answer.get("warnings", []) == (
             [] if bounded else [answer["error_bound_note"]]
         )
@@ -359,7 +357,7 @@ def test_commands_print_the_bound_or_warn(
 
 
 def test_no_field_stops_an_encoding_by_its_statistics() -> None:
-    """Small and repetitive fields, whose few bits are less than they were priced at."""
+    """Small and repetitive fields that take fewer bits than estimated."""
     for shape in ((1, 1, 1), (2, 1, 1), (4, 4, 4)):
         grid = tf.Grid(shape, (0.001,) * 3, (0.0,) * 3)
         for seed in range(30):
@@ -371,7 +369,7 @@ def test_no_field_stops_an_encoding_by_its_statistics() -> None:
 
 
 def test_f0_of_bodies_is_zero_in_the_file(tmp_path: Path) -> None:
-    """The encoder of bodies takes an F_0 for their poses; the one of the promise is the mask's."""
+    """The encoder of bodies needs an F_0 for their poses; the F_0 of the bound is that of the mask."""
     encoder = ObjectsEncoder(tf_scene := prepared_scene(), TouchSpec(f0_n=0.0), 0.05)
     assert encoder.is_bounded and len(list(encoder.segments())) >= 1 and len(tf_scene) == 4
 

@@ -1,6 +1,4 @@
-"""What is fitted into the workspace: the frames that are asked for, with a margin,
-and a note that says so.
-"""
+"""Fitting into the workspace: the requested frames, with a margin and a note."""
 
 from __future__ import annotations
 
@@ -33,7 +31,7 @@ GRID = Grid((4, 5, 6), (0.01, 0.02, 0.03), (-0.1, 0.0, 0.1))
 
 
 class Receding(DepthSequence):
-    """A slanted wall that is at 1 m in frame 0 and 1 m farther in each frame that follows."""
+    """A slanted wall, at 1 m in frame 0 and 1 m farther in each later frame."""
 
     name, frame_count, width, height, rate_hz = "receding", 4, 32, 24, 30.0
     intrinsics = Intrinsics(30.0, 30.0, 15.5, 11.5)
@@ -55,15 +53,15 @@ MOVING = {
 
 
 @pytest.mark.parametrize("make", MOVING.values(), ids=MOVING)
-def test_the_frames_that_are_taken_are_those_that_are_fitted(make) -> None:
-    whole = prepare(make(), EncodeSpec(nw=4))
+def test_the_selected_frames_are_fitted(make) -> None:
+    complete = prepare(make(), EncodeSpec(nw=4))
     part = prepare(make(), EncodeSpec(nw=4, frames=(0, 1)))
-    as_whole = prepare(make(), EncodeSpec(nw=4, frames=(0, 1), fit_frames=(0, None)))
+    part_as_complete = prepare(make(), EncodeSpec(nw=4, frames=(0, 1), fit_frames=(0, None)))
     other = prepare(make(), EncodeSpec(nw=4, fit_frames=(0, 1)))
-    assert part.placement.scale > 1.2 * whole.placement.scale
-    assert as_whole.placement == whole.placement and len(as_whole.medium) == 1
+    assert part.placement.scale > 1.2 * complete.placement.scale
+    assert part_as_complete.placement == complete.placement and len(part_as_complete.medium) == 1
     assert other.placement == part.placement and len(other.medium) == 4
-    assert any("in frames 0 to 3 fits" in note for note in whole.notes)
+    assert any("in frames 0 to 3 fits" in note for note in complete.notes)
     assert any(
         "in frames 0 to 0 fits" in note and "3.5 mm of it left on every side" in note for note in part.notes
     )
@@ -71,20 +69,22 @@ def test_the_frames_that_are_taken_are_those_that_are_fitted(make) -> None:
 
 def test_a_scan_that_fills_the_depth_has_its_face_inside_the_workspace() -> None:
     box = AnalyticScene((Box((0.0, 0.0, 0.0), (0.02, 0.02, 0.05)),))
-    made = prepare(box, EncodeSpec(nw=6))
-    face_mm = 1e3 * made.placement.scale * 0.05
+    prepared = prepare(box, EncodeSpec(nw=6))
+    face_mm = 1e3 * prepared.placement.scale * 0.05
     assert face_mm == pytest.approx(35 - 3.5)  # of the Omni's 70 mm
-    ahead = made.medium[0].sample_n([[0, 0, 0.0345], [0, 0, 0.030]])
+    forces_n = prepared.medium[0].sample_n([[0, 0, 0.0345], [0, 0, 0.030]])
     assert (
-        not ahead[0].any() and ahead[1, 2] > 0
-    )  # a hand can be before the face, and is pushed back behind it
+        not forces_n[0].any() and forces_n[1, 2] > 0
+    )  # there is space before the face, and a pushing force behind it
     filled = prepare(box, EncodeSpec(nw=6, mapping="fill"))
     assert 2 * filled.placement.scale * 0.05 == pytest.approx(device("phantom-omni").workspace_m[2])
 
 
-@pytest.mark.parametrize(("spec", "words"), [({"frames": (2, 9)}, "2:9"), ({"fit_frames": (4, None)}, "4:4")])
-def test_frames_that_are_not_there_are_refused(spec: dict, words: str) -> None:
-    with pytest.raises(InvalidArgument, match=rf"{words}.*within 0:4"):
+@pytest.mark.parametrize(
+    ("spec", "option"), [({"frames": (2, 9)}, "2:9"), ({"fit_frames": (4, None)}, "4:4")]
+)
+def test_missing_frames_are_refused(spec: dict, option: str) -> None:
+    with pytest.raises(InvalidArgument, match=rf"{option}.*within 0:4"):
         prepare(DepthScene(Receding()), EncodeSpec(nw=4, **spec))
     assert EncodeSpec.from_json(EncodeSpec(fit_frames=(1, None)).to_json()).fit_frames == (1, None)
 
@@ -92,7 +92,7 @@ def test_frames_that_are_not_there_are_refused(spec: dict, words: str) -> None:
 # -- scene to hand and back --------------------------------------------------------------------------------
 
 
-def test_points_go_to_the_hand_and_back() -> None:
+def test_points_round_trip_between_scene_and_hand() -> None:
     placement = Placement(0.05, (1.0, -2.0, 3.0))
     points = np.random.default_rng(0).normal(size=(7, 3))
     assert np.allclose(placement.to_hand([[1.0, -2.0, 3.0], [2.0, -2.0, 3.0]]), [[0, 0, 0], [0.05, 0, 0]])
@@ -101,14 +101,14 @@ def test_points_go_to_the_hand_and_back() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scale", "words"), [(1e-3, "1 m of"), (0.05, "20 mm of"), (4.0, "250 um of"), (1e-7, "10 km of")]
+    ("scale", "ratio"), [(1e-3, "1 m of"), (0.05, "20 mm of"), (4.0, "250 um of"), (1e-7, "10 km of")]
 )
-def test_the_scale_in_words(scale: float, words: str) -> None:
-    assert Placement(scale).wording == f"1 mm of the hand is {words} the scene"
+def test_wording_of_the_scale(scale: float, ratio: str) -> None:
+    assert Placement(scale).wording == f"1 mm of the hand is {ratio} the scene"
 
 
-def test_the_mapping_is_told_everywhere(tmp_path: Path) -> None:
-    """Summaries, info, npz and vti; a corner of the scene is felt where they say."""
+def test_every_output_states_the_mapping(tmp_path: Path) -> None:
+    """Summaries, info, npz and vti state the mapping; a corner of the scene has its force there."""
     box = AnalyticScene((Box((0.4, 0.0, 0.0), (0.02, 0.02, 0.05)),))
     done = encode(box, tmp_path / "a.touch", EncodeSpec(nw=4))
     placement = done.prepared.placement
@@ -116,10 +116,10 @@ def test_the_mapping_is_told_everywhere(tmp_path: Path) -> None:
     write_field(tmp_path / "a.vti", done.prepared.medium, placement=placement)
     with open_stream(tmp_path / "a.touch") as stream:
         assert stream.placement == placement
-        told = stream.summary()
+        of_stream = stream.summary()
         inside = stream.medium[0].sample_n(placement.to_hand([0.4, 0.0, 0.047]))
     assert inside[2] > 0
-    for summary in (told, done.summary()):
+    for summary in (of_stream, done.summary()):
         assert summary["mapping_scale"] == placement.scale
         assert summary["mapping_offset_m"] == [0.4, 0.0, 0.0]
         assert summary["axes"] == box.axes
@@ -135,7 +135,7 @@ def test_the_mapping_is_told_everywhere(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("axes", [CAMERA_AXES, UP_Z_AXES])
-def test_a_preview_shows_where_the_scene_lies(
+def test_a_preview_shows_the_position_of_the_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, axes: str
 ) -> None:
     pytest.importorskip("matplotlib")
@@ -149,18 +149,18 @@ def test_a_preview_shows_where_the_scene_lies(
     assert "frame 1 of 1" in figure.get_suptitle()
     front, side, above = figure.axes[:3]
     half_mm = 1e3 * prepared.placement.scale * np.array([0.04, 0.02, 0.05])
-    seen = ((0, 2), (1, 2), (0, 1)) if axes == UP_Z_AXES else ((0, 1), (2, 1), (0, 2))
-    for panel, (across, up) in zip((front, side, above), seen, strict=True):
+    panel_axes = ((0, 2), (1, 2), (0, 1)) if axes == UP_Z_AXES else ((0, 1), (2, 1), (0, 2))
+    for panel, (across, up) in zip((front, side, above), panel_axes, strict=True):
         shadow = panel.images[0].get_array().filled(0) > 0.1
         low_x, high_x, low_y, high_y = panel.images[0].get_extent()
         ys, xs = np.nonzero(shadow)
-        for places, low, high, count, half in (
+        for indices, low, high, count, half in (
             (xs, low_x, high_x, shadow.shape[1], half_mm[across]),
             (ys, low_y, high_y, shadow.shape[0], half_mm[up]),
         ):  # fmt: skip
             step = (high - low) / count
-            assert abs(low + step * places.min() + half) < 1.6 * step
-            assert abs(low + step * (places.max() + 1) - half) < 1.6 * step
+            assert abs(low + step * indices.min() + half) < 1.6 * step
+            assert abs(low + step * (indices.max() + 1) - half) < 1.6 * step
     # the viewer sits at the left of the side panel, and below the other: z points away, or y does
     assert not side.xaxis_inverted() and not above.yaxis_inverted()
     assert front.yaxis_inverted() == side.yaxis_inverted() == (axes == CAMERA_AXES)
@@ -177,7 +177,7 @@ def test_field_draws_a_preview_without_writing_a_field(tmp_path: Path) -> None:
         load_commands(), ["field", str(source), "--nw", "4", "--preview", str(tmp_path / "a.png"), "--json"]
     )
     assert result.exit_code == 0, result.output
-    told = json.loads(result.stdout)
-    assert told["preview"] == str(tmp_path / "a.png") and "file" not in told
+    summary = json.loads(result.stdout)
+    assert summary["preview"] == str(tmp_path / "a.png") and "file" not in summary
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG") and not list(tmp_path.glob("*.npz"))
     assert CliRunner().invoke(load_commands(), ["field", str(source)]).exit_code != 0

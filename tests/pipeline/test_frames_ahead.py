@@ -1,4 +1,4 @@
-"""Frames by number, in sequence and at random, with segments decoded ahead."""
+"""Frames by number, in sequence and at random, with segments decoded in advance."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def field(number: int) -> ForceField:
     return ForceField(GRID, np.zeros((1, 3), np.int32), np.full((1, 8, 8, 8, 3), number + 1, np.float32))
 
 
-def number_of(made: ForceField) -> int:
-    return int(made.forces_n[0, 0, 0, 0, 0]) - 1
+def number_of(frame: ForceField) -> int:
+    return int(frame.forces_n[0, 0, 0, 0, 0]) - 1
 
 
 def reader() -> Any:
@@ -54,12 +54,12 @@ def test_any_order_gives_the_right_frames(order: list[int], run: int) -> None:
 
 
 @pytest.mark.parametrize("threads", ["1", "2", "5"])
-@pytest.mark.parametrize("most_bytes", [1, 1 << 28])
+@pytest.mark.parametrize("max_bytes", [1, 1 << 28])
 def test_in_sequence_every_segment_is_decoded_once(
-    threads: str, most_bytes: int, monkeypatch: pytest.MonkeyPatch
+    threads: str, max_bytes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
-    monkeypatch.setattr(module, "MAX_LOOKAHEAD_BYTES", most_bytes)
+    monkeypatch.setattr(module, "MAX_LOOKAHEAD_BYTES", max_bytes)
     begun: list[int] = []
     frames = frames_of(begun.append)
     assert [number_of(frames(i)) for i in range(LENGTH * COUNT)] == list(range(LENGTH * COUNT))
@@ -71,17 +71,17 @@ def test_in_sequence_every_segment_is_decoded_once(
 
 def test_the_next_segments_are_decoded_by_other_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
-    ahead = threading.Event()
+    next_decoded = threading.Event()
 
     def note(segment: int) -> None:
         if segment == 1:
-            ahead.set()
+            next_decoded.set()
 
     frames = frames_of(note)
     frames(0)
-    assert not ahead.is_set(), "one frame alone asks for nothing else"
+    assert not next_decoded.is_set(), "one frame alone asks for nothing else"
     frames(1)
-    assert ahead.wait(30)
+    assert next_decoded.wait(30)
     monkeypatch.setenv("TOUCHFIELD_THREADS", "1")
     begun: list[int] = []
     alone = frames_of(begun.append)
@@ -90,27 +90,29 @@ def test_the_next_segments_are_decoded_by_other_threads(monkeypatch: pytest.Monk
     assert begun == [0], "there is no other thread"
 
 
-def test_of_a_large_segment_only_the_first_frames_are_decoded_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_the_first_frames_of_a_large_segment_are_decoded_in_advance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
     monkeypatch.setattr(module, "MAX_LOOKAHEAD_BYTES", field(0).forces_n.nbytes)
-    made: list[int] = []
+    decoded: list[int] = []
 
     def decode(segment: int) -> Iterator[ForceField]:
         for i in range(LENGTH * segment, LENGTH * (segment + 1)):
-            made.append(i)
+            decoded.append(i)
             yield field(i)
 
     frames = SegmentFrames(reader(), decode)
     frames(0), frames(1)
-    ends = time.monotonic() + 30
-    while 7 not in made and time.monotonic() < ends:
+    deadline_s = time.monotonic() + 30
+    while 7 not in decoded and time.monotonic() < deadline_s:
         time.sleep(0.001)
     time.sleep(0.02)
-    assert sorted(made) == [0, 1, 3, 4, 6, 7], "as many as fit, and the one that does not"
+    assert sorted(decoded) == [0, 1, 3, 4, 6, 7], "as many as fit, and the one that does not"
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
-def test_a_damaged_segment_costs_its_own_frames_from_the_fault_on(
+def test_a_damaged_segment_loses_its_frames_from_the_fault_on(
     threads: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TOUCHFIELD_THREADS", threads)

@@ -1,4 +1,4 @@
-"""Work in threads, results in order, memory bounded."""
+"""Work in threads, with ordered results and bounded memory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from touchfield.compute.executors import in_order
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
-def test_results_come_in_the_order_of_the_items(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_are_in_the_order_of_the_items(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
 
     def slow_where_even(i: int) -> int:
@@ -23,18 +23,18 @@ def test_results_come_in_the_order_of_the_items(threads: str, monkeypatch: pytes
     assert list(in_order(slow_where_even, [])) == []
 
 
-def test_it_is_done_by_several_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_several_threads_work_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TOUCHFIELD_THREADS", "3")
     meet = threading.Barrier(3, timeout=30)
     assert list(in_order(lambda i: meet.wait() >= 0 and i, range(3))) == [0, 1, 2]
 
 
-@pytest.mark.parametrize(("most_weight", "most"), [(0, 4), (5, 1), (10, 2)])
-def test_no_more_is_under_way_than_asked(
-    most_weight: int, most: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("max_weight", "max_items"), [(0, 4), (5, 1), (10, 2)])
+def test_items_in_flight_are_limited(
+    max_weight: int, max_items: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TOUCHFIELD_THREADS", "3")
-    drawn, given_back, seen = 0, 0, 0
+    drawn, given_back, peak = 0, 0, 0
 
     def items() -> Iterator[int]:
         nonlocal drawn
@@ -42,14 +42,14 @@ def test_no_more_is_under_way_than_asked(
             drawn += 1
             yield i
 
-    for _ in in_order(lambda i: time.sleep(0.001), items(), lambda _: 5, most_weight):
-        seen = max(seen, drawn - given_back)
+    for _ in in_order(lambda i: time.sleep(0.001), items(), lambda _: 5, max_weight):
+        peak = max(peak, drawn - given_back)
         given_back += 1
-    assert given_back == 12 and seen <= most + 1  # one more is drawn before there is room for it
+    assert given_back == 12 and peak <= max_items + 1  # one more item is drawn while it waits for capacity
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
-def test_the_first_error_ends_it(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_error_ends_the_iteration(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
     begun: list[int] = []
 

@@ -1,4 +1,4 @@
-"""A few bytes that tell of a large grid: the sparse field is read in little memory, the dense one refused."""
+"""Small files with a large grid: the sparse field is read in little memory, the dense one refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A stored field without loss: its own samples, bit for bit; what the promise is held against is said."""
+"""A stored field without loss keeps its samples bit for bit; the summary states the reference of
+the bound.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,7 @@ def stored(
 
 
 def quantised(shape: tuple[int, ...], frames: int = 2) -> np.ndarray:
-    """Quarters of a newton here and there, zeros of both signs between them."""
+    """Scattered quarters of a newton, with zeros of both signs between them."""
     rng = np.random.default_rng(3)
     forces = rng.integers(-3, 4, (frames, *shape, 3)) / np.float32(4)
     forces[rng.random((frames, *shape)) < 0.7] = 0
@@ -59,7 +61,7 @@ def test_a_stored_field_keeps_its_lattice_and_every_bit(
     assert compare(source, tmp_path / "a.touch").summary()["mask_violations"] == 0
 
 
-def test_bricks_of_negative_zeros_are_kept(tmp_path: Path) -> None:
+def test_bricks_of_negative_zeros_are_preserved(tmp_path: Path) -> None:
     forces = np.zeros((1, 16, 8, 9, 3), np.float32)
     forces[0, 1, 1, 1] = forces[0, 9, 2, 8, 1] = -0.0
     encode(stored(tmp_path / "a.npz", forces, 0.001), tmp_path / "a.touch", SPEC)
@@ -67,7 +69,7 @@ def test_bricks_of_negative_zeros_are_kept(tmp_path: Path) -> None:
     assert np.array_equal(np.signbit(found), np.signbit(forces)) and not found.any()
 
 
-def test_a_field_elsewhere_is_moved_and_one_that_is_scaled_keeps_its_forces(tmp_path: Path) -> None:
+def test_an_offset_field_is_moved_and_a_scaled_one_keeps_its_forces(tmp_path: Path) -> None:
     shape, spacing_m = SMALL
     forces = quantised(shape)
     source = stored(tmp_path / "a.npz", forces, spacing_m, (5.0, 0.0, 0.0))
@@ -96,7 +98,7 @@ def test_a_field_larger_than_the_workspace_is_refused(tmp_path: Path) -> None:
     assert decoded(tmp_path / "a.touch")[0].shape == shape
 
 
-def test_what_a_promise_is_held_against_is_said(tmp_path: Path) -> None:
+def test_the_reference_of_the_error_bound_is_stated(tmp_path: Path) -> None:
     shape, spacing_m = SMALL
     source = stored(tmp_path / "a.npz", quantised(shape), spacing_m)
     ball = tmp_path / "ball.toml"

@@ -1,4 +1,4 @@
-"""M(W) for devices: what is cropped, clipped, resampled and pooled, in bits (paper eq. 1 to 3)."""
+"""M(W) for devices: cropping, clipping, resampling and pooling, in bits (paper eq. 1 to 3)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from touchfield.pipeline.mapping import map_to_device
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.tasks.measure import MeasureSpec, measure_medium
 
-ASKED = FieldQuantiserSpec.parse("weber:0.1")
+QUANTISER = FieldQuantiserSpec.parse("weber:0.1")
 
 
 def medium(shape: tuple[int, int, int], box_m: tuple[float, float, float], seed: int = 0) -> HapticMedium:
@@ -26,56 +26,56 @@ def medium(shape: tuple[int, int, int], box_m: tuple[float, float, float], seed:
     return HapticMedium.from_frames([ForceField.from_dense(grid, forces)], 30.0)
 
 
-def test_a_finer_device_is_given_the_samples_of_the_medium() -> None:
+def test_a_finer_device_gets_the_samples_of_the_medium() -> None:
     w = medium((24, 18, 16), (0.16, 0.12, 0.07))
-    shown = map_to_device(w, "phantom-omni", ASKED)
-    assert shown.medium.grid.shape == w.grid.shape and any("finer" in note for note in shown.notes)
-    x, y = w[0].to_dense(), shown.medium[0].to_dense()
+    mapped = map_to_device(w, "phantom-omni", QUANTISER)
+    assert mapped.medium.grid.shape == w.grid.shape and any("finer" in note for note in mapped.notes)
+    x, y = w[0].to_dense(), mapped.medium[0].to_dense()
     size = np.linalg.norm(x, axis=-1, keepdims=True)
     clipped = x * np.minimum(1, device("phantom-omni").force_max_n / np.maximum(size, 1e-9))
     np.testing.assert_allclose(y, clipped, atol=1e-5)
     assert np.linalg.norm(y, axis=-1).max() <= 3.3 + 1e-6 < size.max()
 
 
-def test_a_small_workspace_crops_what_it_cannot_reach() -> None:
+def test_a_small_workspace_crops_unreachable_samples() -> None:
     w = medium((50, 50, 50), (1.0, 1.0, 1.0))
-    shown = map_to_device(w, "phantom-omni", ASKED, EncodeSpec(mapping="crop"))
-    grid = shown.medium.grid
+    mapped = map_to_device(w, "phantom-omni", QUANTISER, EncodeSpec(mapping="crop"))
+    grid = mapped.medium.grid
     low, high = grid.box_m
     workspace = np.array(device("phantom-omni").workspace_m)
-    # samples within the workspace: no more than fit it, and none that would fit is left out
+    # all samples within the workspace and no others
     assert (high - low < workspace + 0.02 + 1e-9).all() and (high - low > workspace - 0.02 - 1e-9).all()
     corner = np.round(w.grid.to_index(grid.origin_m)).astype(int)
     part = w[0].to_dense()[tuple(slice(c, c + n) for c, n in zip(corner, grid.shape))]
     part *= np.minimum(1, 3.3 / np.maximum(np.linalg.norm(part, axis=-1, keepdims=True), 1e-9))
-    np.testing.assert_allclose(shown.medium[0].to_dense(), part, atol=1e-5)
+    np.testing.assert_allclose(mapped.medium[0].to_dense(), part, atol=1e-5)
     found = measure_medium(
         w, MeasureSpec(devices=("phantom-omni",), limits=False, encode=EncodeSpec(mapping="crop"))
     )
     assert found.capacities["phantom-omni"].wmr.value < 0.1, "most of the scene is out of reach"
 
 
-def test_a_coarser_device_is_given_its_own_lattice() -> None:
+def test_a_coarser_device_gets_its_lattice() -> None:
     w = medium((40, 40, 40), (0.0042, 0.0042, 0.0042))  # in hand metres, finer than an Omni's 55 micrometres
-    shown = map_to_device(w, "phantom-omni", ASKED, EncodeSpec(mapping="0.25"))
-    assert shown.medium.grid.shape == (19, 19, 19)
-    low, high = shown.medium.grid.box_m
+    mapped = map_to_device(w, "phantom-omni", QUANTISER, EncodeSpec(mapping="0.25"))
+    assert mapped.medium.grid.shape == (19, 19, 19)
+    low, high = mapped.medium.grid.box_m
     np.testing.assert_allclose(high - low, 0.25 * 0.0042, rtol=1e-6)
 
 
 def test_an_array_has_its_actuators_and_its_levels() -> None:
     w = medium((24, 18, 16), (0.16, 0.12, 0.07))
-    shown = map_to_device(w, "dotpad", ASKED)
-    chosen = device("dotpad")
-    assert shown.medium.grid.shape == (*chosen.lattice[:2], 1)
-    assert chosen.levels is not None
-    assert shown.quantiser.text == f"uniform:{chosen.force_max_n / (chosen.levels - 1)!r}/none"
-    forces = shown.medium[0].to_dense()
-    assert not forces[..., :2].any() and forces[..., 2].max() <= chosen.force_max_n + 1e-6
+    mapped = map_to_device(w, "dotpad", QUANTISER)
+    profile = device("dotpad")
+    assert mapped.medium.grid.shape == (*profile.lattice[:2], 1)
+    assert profile.levels is not None
+    assert mapped.quantiser.text == f"uniform:{profile.force_max_n / (profile.levels - 1)!r}/none"
+    forces = mapped.medium[0].to_dense()
+    assert not forces[..., :2].any() and forces[..., 2].max() <= profile.force_max_n + 1e-6
 
 
 @pytest.mark.parametrize("name", ["phantom-omni", "novint-falcon", "delta.3"])
-def test_a_clip_alone_never_makes_information(name: str) -> None:
+def test_a_clip_alone_never_adds_information(name: str) -> None:
     w = medium((24, 18, 16), (0.16, 0.12, 0.07), seed=3)
     found = measure_medium(w, MeasureSpec(devices=(name,), limits=False, quantiser="weber:0.1"))
     c = found.capacities[name]
@@ -84,7 +84,7 @@ def test_a_clip_alone_never_makes_information(name: str) -> None:
 
 
 def bands(shape: tuple[int, int, int], top_n: float) -> HapticMedium:
-    """Waves of 0 to `top_n` newtons that fill the lattice, along z."""
+    """Waves of 0 to `top_n` newtons that fill the lattice along z."""
     grid = Grid.over_box([-0.05, -0.04, -0.03], [0.05, 0.04, 0.03], shape)
     x, y, z = np.indices(shape) * np.pi / 7
     forces = np.zeros((*shape, 3))
@@ -93,8 +93,10 @@ def bands(shape: tuple[int, int, int], top_n: float) -> HapticMedium:
 
 
 @pytest.mark.parametrize("name", ["phantom-omni", "tshirt-32x32"])
-def test_w_and_what_is_rendered_of_it_are_resampled_together(name: str) -> None:
-    """A clip, and an array that pools the depth: the ratio is surer than the two intervals beside it are."""
+def test_w_and_its_rendering_are_resampled_jointly(name: str) -> None:
+    """With a clip, and an array that pools the depth: the ratio has a narrower interval than the
+    two values.
+    """
     found = measure_medium(bands((48, 40, 24), 6.0), MeasureSpec(devices=(name,), limits=False)).capacities[
         name
     ]
@@ -108,16 +110,16 @@ def test_w_and_what_is_rendered_of_it_are_resampled_together(name: str) -> None:
     assert i.high - i.low < min(1.0, c.high / h.low) - c.low / h.high
 
 
-def test_a_window_that_shares_too_little_has_the_interval_of_the_corners() -> None:
+def test_a_window_with_little_overlap_has_the_interval_of_the_corners() -> None:
     w = medium((50, 50, 50), (1.0, 1.0, 1.0))
     spec = MeasureSpec(devices=("phantom-omni",), limits=False, encode=EncodeSpec(mapping="crop"))
     i = measure_medium(w, spec).capacities["phantom-omni"].wmr.interval
     assert i is not None and i.method.startswith("interval arithmetic")
 
 
-def test_the_own_lattice_lies_where_the_device_renders_it() -> None:
+def test_the_source_lattice_is_aligned_with_the_device() -> None:
     w = medium((24, 18, 16), (0.16, 0.12, 0.07))
-    shown = map_to_device(w, "phantom-omni", ASKED)
-    own, finer = shown.source_grid, shown.medium.grid
-    assert own.shape == w.grid.shape == finer.shape
-    np.testing.assert_allclose(np.stack(own.box_m), np.stack(finer.box_m), atol=1e-12)
+    mapped = map_to_device(w, "phantom-omni", QUANTISER)
+    source_grid, finer = mapped.source_grid, mapped.medium.grid
+    assert source_grid.shape == w.grid.shape == finer.shape
+    np.testing.assert_allclose(np.stack(source_grid.box_m), np.stack(finer.box_m), atol=1e-12)

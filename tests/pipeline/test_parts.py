@@ -1,4 +1,4 @@
-"""Media coded by workers: the bytes of one process, whoever works, in any order, after any loss."""
+"""Media encoded by workers: the bytes of one process, for any worker, order and loss."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FRAMES = 20
 
 
 def field(height: float, noise: float = 0.0) -> ForceField:
-    """A solid below a height, in samples, its forces upwards."""
+    """A solid below a height, in samples, with upward forces."""
     x, y, z = np.indices(GRID.shape)
     depth = np.clip(height + np.sin(x / 3) + np.cos(y / 4) - z, 0, 4)
     depth += noise * np.random.default_rng(round(1e6 * height)).standard_normal(depth.shape) * (depth > 0)
@@ -45,14 +45,14 @@ def field(height: float, noise: float = 0.0) -> ForceField:
 
 
 def moving(count: int = FRAMES) -> np.ndarray:
-    """Newtons of frames that rise, stand, and rise again; those that stand differ by a little."""
+    """Newtons of frames that rise, rest, and rise again; frames at rest differ by a little."""
     heights = [5 + 0.2 * min(i, 6) + 0.2 * max(0, i - 14) for i in range(count)]
     return np.stack([field(h + 2e-4 * i).to_dense() for i, h in enumerate(heights)])
 
 
 @pytest.fixture(scope="module", autouse=True)
 def short_stretches() -> Iterator[None]:
-    """Stretches of one segment, so that there are many."""
+    """Ranges of one segment, so that there are many."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(segments, "SEGMENTS_PER_RANGE", 1)
         yield
@@ -74,11 +74,11 @@ def alone(source: Path) -> bytes:
 
 
 class Shuffled(Executor):
-    """Runs what it was given only when a result is waited for, the last first; may break down on its way."""
+    """Runs its tasks only when a result is requested, in reverse order; may fail on its way."""
 
-    def __init__(self, most: int | None = None) -> None:
+    def __init__(self, max_tasks: int | None = None) -> None:
         self.waiting: list[tuple[Future[Any], Callable[..., Any], Any]] = []
-        self.most, self.done = most, 0
+        self.max_tasks, self.done = max_tasks, 0
 
     def submit(self, work: Callable[..., Any], *items: Any, **_: Any) -> Future[Any]:
         outer, travelled = self, pickle.loads(pickle.dumps((work, items)))
@@ -95,7 +95,7 @@ class Shuffled(Executor):
 
     def step(self) -> None:
         future, work, items = self.waiting.pop()
-        if self.most is not None and self.done >= self.most:
+        if self.max_tasks is not None and self.done >= self.max_tasks:
             future.set_exception(OSError("the machine is gone"))
             return
         self.done += 1
@@ -106,7 +106,7 @@ class Shuffled(Executor):
 
 
 class Straight(Shuffled):
-    """The first is done first."""
+    """Runs the first task first."""
 
     def step(self) -> None:
         self.waiting.reverse()
@@ -115,14 +115,14 @@ class Straight(Shuffled):
 
 
 def test_bytes_are_those_of_one_process_in_any_order(source: Path, alone: bytes, tmp_path: Path) -> None:
-    told: list[tuple[int, int]] = []
+    progress: list[tuple[int, int]] = []
     for name, workers in (("shuffled", Shuffled()), ("threads", ThreadPoolExecutor(3))):
         out = tmp_path / f"{name}.touch"
-        told.clear()
-        done = encode(source, out, SPEC, lambda *at: told.append(at), executor=workers)
+        progress.clear()
+        done = encode(source, out, SPEC, lambda *at: progress.append(at), executor=workers)
         assert out.read_bytes() == alone
         assert done.supported_voxels == encode(source, tmp_path / "again.touch", SPEC).supported_voxels
-        assert told[-1] == (FRAMES, FRAMES) and told == sorted(told)
+        assert progress[-1] == (FRAMES, FRAMES) and progress == sorted(progress)
         assert not list(tmp_path.glob("*.parts"))
 
 
@@ -130,10 +130,10 @@ def test_a_part_may_have_several_segments(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(segments, "SEGMENTS_PER_RANGE", 2)
-    here = encode(source, tmp_path / "a.touch", SPEC)
-    there = encode(source, tmp_path / "b.touch", SPEC, executor=Straight())
+    local = encode(source, tmp_path / "a.touch", SPEC)
+    remote = encode(source, tmp_path / "b.touch", SPEC, executor=Straight())
     assert (tmp_path / "a.touch").read_bytes() == (tmp_path / "b.touch").read_bytes()
-    assert here.supported_voxels == there.supported_voxels
+    assert local.supported_voxels == remote.supported_voxels
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -143,36 +143,36 @@ def test_processes_write_the_same_bytes(source: Path, alone: bytes, tmp_path: Pa
     assert (tmp_path / "a.touch").read_bytes() == alone
 
 
-def test_vibrating_media_and_the_paper_s_coder_travel_too(source: Path, tmp_path: Path) -> None:
+def test_workers_encode_vibration_and_coder_paper_too(source: Path, tmp_path: Path) -> None:
     spec = replace(SPEC, vibration="gain=0.1,frequency=150")
-    for i, asked in enumerate((spec, replace(SPEC, coder="paper", touch=TouchSpec()))):
+    for i, requested in enumerate((spec, replace(SPEC, coder="paper", touch=TouchSpec()))):
         files = [tmp_path / f"{i}{name}.touch" for name in "ab"]
-        encode(source, files[0], asked)
-        encode(source, files[1], asked, executor=Shuffled())
+        encode(source, files[0], requested)
+        encode(source, files[1], requested, executor=Shuffled())
         assert files[0].read_bytes() == files[1].read_bytes()
 
 
-def test_segments_of_a_world_that_stands_begin_with_the_same_bytes(alone: bytes) -> None:
+def test_segments_of_a_static_world_begin_with_the_same_bytes(alone: bytes) -> None:
     with TouchReader(io.BytesIO(alone)) as reader:
         bodies = [BodyReader(reader.read_segment(i), GRID, exact=False) for i in range(7)]
         firsts = [
-            body.records(one.frame_count)[0].payload
-            for body, one in zip(bodies, reader.segments, strict=True)
+            body.records(entry.frame_count)[0].payload
+            for body, entry in zip(bodies, reader.segments, strict=True)
         ]
     assert firsts[2] == firsts[3] == firsts[4] and len(set(firsts)) == 5
 
 
-def test_a_world_that_stands_keeps_its_anchor_from_stretch_to_stretch(source: Path) -> None:
+def test_a_static_world_keeps_its_key_frame_across_ranges(source: Path) -> None:
     from touchfield.codec.registry import field_encoder
     from touchfield.pipeline.segments import frame_ranges
 
     medium = HapticMedium.from_array(moving(), GRID)
     cut = [s for s, _ in frame_ranges(medium, SPEC, field_encoder(GRID, SPEC.touch))]
     assert [s.start for s in cut] == list(range(0, FRAMES, 3))
-    assert [s.key_frame for s in cut] == [0, 3, 6, 6, 6, 15, 18]  # it stands in frames 6 to 14
+    assert [s.key_frame for s in cut] == [0, 3, 6, 6, 6, 15, 18]  # it is static in frames 6 to 14
 
 
-def test_a_run_goes_on_from_what_was_finished(source: Path, alone: bytes, tmp_path: Path) -> None:
+def test_a_run_resumes_from_finished_parts(source: Path, alone: bytes, tmp_path: Path) -> None:
     out = tmp_path / "a.touch"
     with pytest.raises(SourceError, match=r"a worker: found .*the machine is gone"):
         encode(source, out, SPEC, executor=Straight(4))
@@ -183,32 +183,30 @@ def test_a_run_goes_on_from_what_was_finished(source: Path, alone: bytes, tmp_pa
     assert out.read_bytes() == alone
 
 
-def test_frames_without_a_force_are_told_of_where_parts_were_there(source: Path, tmp_path: Path) -> None:
-    asked, out = replace(SPEC, touch=replace(SPEC.touch, f0_n=50.0)), tmp_path / "a.touch"
+def test_frames_without_a_force_are_noted_after_a_resumed_run(source: Path, tmp_path: Path) -> None:
+    spec, out = replace(SPEC, touch=replace(SPEC.touch, f0_n=50.0)), tmp_path / "a.touch"
     with pytest.raises(SourceError):
-        encode(source, out, asked, executor=Straight(4))
-    notes = encode(source, out, asked, executor=Straight()).notes
+        encode(source, out, spec, executor=Straight(4))
+    notes = encode(source, out, spec, executor=Straight()).notes
     assert any("4 of 7 parts" in note for note in notes)
-    told = [
+    found = [
         note
-        for note in encode(source, tmp_path / "b.touch", asked).notes
+        for note in encode(source, tmp_path / "b.touch", spec).notes
         if "decoded without any force" in note
     ]
-    assert told and set(told) <= set(notes) and f"{FRAMES} of {FRAMES}" in told[0]
+    assert found and set(found) <= set(notes) and f"{FRAMES} of {FRAMES}" in found[0]
 
 
-def test_parts_that_are_damaged_or_of_another_job_are_made_again(
-    source: Path, alone: bytes, tmp_path: Path
-) -> None:
+def test_damaged_and_foreign_parts_are_encoded_again(source: Path, alone: bytes, tmp_path: Path) -> None:
     out = tmp_path / "a.touch"
     with pytest.raises(SourceError):
         encode(source, out, SPEC, executor=Straight(5))
-    kept = sorted(Path(f"{out}.parts").iterdir())
-    data = bytearray(kept[1].read_bytes())
+    parts = sorted(Path(f"{out}.parts").iterdir())
+    data = bytearray(parts[1].read_bytes())
     data[len(data) // 2] ^= 1
-    kept[1].write_bytes(data)
-    kept[2].write_bytes(b"")
-    kept[3].write_bytes(kept[0].read_bytes())
+    parts[1].write_bytes(data)
+    parts[2].write_bytes(b"")
+    parts[3].write_bytes(parts[0].read_bytes())
     workers = Straight()
     encode(source, out, SPEC, executor=workers)
     assert workers.done == 2 + 3 and out.read_bytes() == alone
@@ -216,11 +214,11 @@ def test_parts_that_are_damaged_or_of_another_job_are_made_again(
         encode(source, out, SPEC, executor=Straight(5))
     workers = Straight()
     encode(source, out, replace(SPEC, touch=replace(SPEC.touch, k=0.2)), executor=workers)
-    assert workers.done == 7  # nothing of the other job was taken
+    assert workers.done == 7  # no part of the other job was used
 
 
 @pytest.mark.parametrize("totals", [{}, {"supported": "1"}, {"supported": "1", "lost": "none"}])
-def test_a_part_without_its_totals_is_made_again(
+def test_a_part_without_its_totals_is_encoded_again(
     source: Path, alone: bytes, tmp_path: Path, totals: dict[str, str]
 ) -> None:
     out = tmp_path / "a.touch"
@@ -248,7 +246,7 @@ def test_a_part_without_its_totals_is_made_again(
     assert workers.done == 1 + 3 and out.read_bytes() == alone
 
 
-def test_a_job_is_another_where_its_source_was_written_again(tmp_path: Path) -> None:
+def test_a_rewritten_source_makes_another_job(tmp_path: Path) -> None:
     path = tmp_path / "depth" / "0.png"
     path.parent.mkdir()
     path.write_bytes(b"12")
@@ -260,7 +258,7 @@ def test_a_job_is_another_where_its_source_was_written_again(tmp_path: Path) -> 
     assert len({*names, *later}) == 4
 
 
-def test_a_part_that_is_damaged_before_the_join_is_named(
+def test_a_part_damaged_before_the_join_is_named(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write = workers_module._PartFolder.write
@@ -278,22 +276,24 @@ def test_a_part_that_is_damaged_before_the_join_is_named(
     assert not (tmp_path / "a.touch").exists()
 
 
-def test_what_cannot_be_is_said(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_invalid_sources_and_executors_are_refused(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     medium = HapticMedium.from_array(moving(4), GRID)
     with pytest.raises(InvalidArgument, match="a path, which workers can open"):
         encode(medium, tmp_path / "a.touch", SPEC, executor=Shuffled())
     task = EncodeTask("job", str(source), SPEC, segments.FrameRange(0, 3, 0), "0.0.1")
     with pytest.raises(InvalidArgument, match=r"a worker: found touchfield .*; expected 0\.0\.1"):
         encode_part(task)
-    for words in ("", "processes", "processes:0", "processes:x", "dask:", "slurm:4"):
-        with pytest.raises(InvalidArgument, match="--workers"), executor_of(words):
+    for executor in ("", "processes", "processes:0", "processes:x", "dask:", "slurm:4"):
+        with pytest.raises(InvalidArgument, match="--workers"), executor_of(executor):
             pass
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     with pytest.raises(MissingExtra, match="cluster"), executor_of("dask:tcp://127.0.0.1:1"):
         pass
 
 
-def test_errors_travel_between_processes() -> None:
+def test_errors_are_passed_between_processes() -> None:
     for error in (
         InvalidArgument("a", "b", "c", "d"),
         MissingExtra("x", "lib", "extra"),
@@ -304,18 +304,21 @@ def test_errors_travel_between_processes() -> None:
         assert again.where == error.where
 
 
-def test_plan_and_index_ask_workers(source: Path, alone: bytes, tmp_path: Path) -> None:
+def test_plan_and_index_use_workers(source: Path, alone: bytes, tmp_path: Path) -> None:
     grid = PlanGrid(nw=(4,), k=(0.1, 0.2), step_n=(0.1,), directions=())
-    here = plan(source, 1e6, EncodeSpec(nw=4), grid)
-    there = plan(source, 1e6, EncodeSpec(nw=4), grid, executor=Shuffled())
-    assert here.summary() == there.summary()
+    local = plan(source, 1e6, EncodeSpec(nw=4), grid)
+    remote = plan(source, 1e6, EncodeSpec(nw=4), grid, executor=Shuffled())
+    assert local.summary() == remote.summary()
     folder = tmp_path / "media"
     folder.mkdir()
     for n in range(3):
         (folder / f"{n}.touch").write_bytes(alone[: -n or None])
-    mine, theirs = index_folder(folder), index_folder(folder, tmp_path / "b.npz", executor=Shuffled())
-    assert len(mine.faults) == 2 and mine.faults == theirs.faults
-    assert mine.path.read_bytes() == theirs.path.read_bytes()
+    local_index, remote_index = (
+        index_folder(folder),
+        index_folder(folder, tmp_path / "b.npz", executor=Shuffled()),
+    )
+    assert len(local_index.faults) == 2 and local_index.faults == remote_index.faults
+    assert local_index.path.read_bytes() == remote_index.path.read_bytes()
 
 
 @contextmanager
@@ -324,21 +327,21 @@ def cluster() -> Iterator[Any]:
     distributed = pytest.importorskip("distributed", reason="the extra cluster is not installed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs="ERROR"
-    ) as made:
-        yield made
+    ) as local_cluster:
+        yield local_cluster
 
 
-def test_a_worker_of_a_cluster_that_is_killed_three_times_changes_no_byte(
+def test_killing_three_workers_of_a_cluster_changes_no_byte(
     source: Path, alone: bytes, tmp_path: Path
 ) -> None:
     killed: list[int] = []
-    with cluster() as made, executor_of(f"dask:{made.scheduler_address}") as workers:
+    with cluster() as local_cluster, executor_of(f"dask:{local_cluster.scheduler_address}") as workers:
 
         def kill(done: int, total: int) -> None:
             if done < (3, 9, 12, total + 1)[len(killed)]:
                 return
             deadline = time.monotonic() + 60
-            while time.monotonic() < deadline:  # until one is there again
+            while time.monotonic() < deadline:  # until a worker is available
                 alive = workers._client.run(os.getpid, on_error="return").values()
                 fresh = [pid for pid in alive if isinstance(pid, int) and pid not in killed]
                 if fresh:

@@ -1,4 +1,4 @@
-"""Where a scene lies in the workspace of a device, and on which lattice."""
+"""The position of a scene in the workspace of a device, and its lattice."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def test_fit_fills_the_workspace_and_no_more(
     low, extent = np.array(box[:3]), np.array(box[3:])
     placement = Placement.fit([low, low + extent], workspace, margin)
     corners = placement.scale * (np.array([low, low + extent]) - placement.offset_m)
-    room = np.array(workspace) / 2 - margin
-    assert (np.abs(corners) <= room * (1 + 1e-6) + 1e-9).all()
-    assert np.isclose(np.abs(corners), room, rtol=1e-5).any()
+    half_size_m = np.array(workspace) / 2 - margin
+    assert (np.abs(corners) <= half_size_m * (1 + 1e-6) + 1e-9).all()
+    assert np.isclose(np.abs(corners), half_size_m, rtol=1e-5).any()
 
 
 def test_crop_and_scale_keep_the_centre_of_the_box() -> None:
@@ -44,10 +44,10 @@ def test_crop_and_scale_keep_the_centre_of_the_box() -> None:
     assert Placement.fit(box, (0.1, 0.1, math.inf)) == Placement(0.1 / 4, (1.5, 4.0, 3.0))
     grid = device_grid(OMNI, 5)
     placement = Placement.scaled(box, 0.05)
-    there = placement.to_scene(grid)
-    assert there.spacing_m == pytest.approx(np.array(grid.spacing_m) * 20)
-    assert np.mean(there.box_m, axis=0) == pytest.approx((1.5, 4.0, 3.0))
-    assert np.allclose(placement.to_hand(there).box_m, grid.box_m, atol=1e-15)
+    scene_grid = placement.to_scene(grid)
+    assert scene_grid.spacing_m == pytest.approx(np.array(grid.spacing_m) * 20)
+    assert np.mean(scene_grid.box_m, axis=0) == pytest.approx((1.5, 4.0, 3.0))
+    assert np.allclose(placement.to_hand(scene_grid).box_m, grid.box_m, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -62,12 +62,12 @@ def test_crop_and_scale_keep_the_centre_of_the_box() -> None:
     ],
 )
 @pytest.mark.filterwarnings("ignore:overflow")
-def test_a_box_that_is_none(box: list[list[float]]) -> None:
+def test_an_invalid_box_is_refused(box: list[list[float]]) -> None:
     with pytest.raises(InvalidArgument, match="scene_box_m"):
         Placement.fit(box, (1, 1, 1))
 
 
-def test_placements_that_are_impossible() -> None:
+def test_invalid_placements_are_refused() -> None:
     box = [[0, 0, 0], [1, 1, 1]]
     for margin in (0.5, -0.1, math.nan):
         with pytest.raises(InvalidArgument, match="margin_m"):
@@ -94,36 +94,36 @@ def test_the_lattice_fills_the_workspace() -> None:
             device_grid(OMNI, nw)  # type: ignore[arg-type]
 
 
-def test_heights_of_a_map_are_told_as_they_are() -> None:
+def test_note_states_the_true_heights_of_a_map() -> None:
     heights = np.add.outer(np.linspace(0, 40, 30), np.linspace(260, 300, 50))
-    for device_name, told in (
+    for device_name, message in (
         ("graphiti", "down at z = 260 m of the scene and up at 340 m"),
         ("phantom-omni", "fits"),
     ):
         for factor in (1.0, 5.0):
             scene = HeightScene(heights, (10.0, 10.0), exaggeration=factor)
             length, *_ = prepare(scene, EncodeSpec(device=device_name, nw=5)).notes
-            assert told in length and ("heights 5 times what they are" in length) == (factor == 5.0)
+            assert message in length and ("heights 5 times what they are" in length) == (factor == 5.0)
 
 
-def test_options_of_another_kind_of_device_are_told() -> None:
+def test_options_of_another_kind_of_device_are_noted() -> None:
     scene = HeightScene(np.zeros((5, 5)), (10.0, 10.0))
-    asked = EncodeSpec(nw=4, pool="mean")
+    spec = EncodeSpec(nw=4, pool="mean")
     for name, idle in (("graphiti", "--nw"), ("phantom-omni", "--pool")):
-        told = prepare(scene, replace(asked, device=name)).notes
-        assert f"Options that do nothing for {name}: {idle}." in told
+        notes = prepare(scene, replace(spec, device=name)).notes
+        assert f"Options that do nothing for {name}: {idle}." in notes
 
 
-def test_a_wall_between_the_samples_is_told() -> None:
+def test_a_wall_thinner_than_the_spacing_is_noted() -> None:
     scene = HeightScene(np.zeros((5, 5)), (10.0, 10.0))
-    for thickness_m, nw, is_told in ((0.002, 5, True), (0.002, 7, False), (None, 5, False)):
+    for thickness_m, nw, is_noted in ((0.002, 5, True), (0.002, 7, False), (None, 5, False)):
         notes = prepare(scene, EncodeSpec(nw=nw, thickness_m=thickness_m)).notes
-        assert any("2 mm is thinner than the 5 mm" in note for note in notes) == is_told
+        assert any("2 mm is thinner than the 5 mm" in note for note in notes) == is_noted
     pins = prepare(scene, EncodeSpec(device="graphiti", thickness_m=0.002)).notes
     assert not any("is thinner than" in note for note in pins), "an array pools what lies between"
 
 
-def test_an_array_has_its_own_lattice() -> None:
+def test_an_array_has_the_lattice_of_its_actuators() -> None:
     pad = device("dotpad")
     grid = device_grid(pad, 7)
     assert grid.shape == (60, 40, 1)

@@ -1,4 +1,4 @@
-"""Sizes and errors to reach, on small scenes."""
+"""Target sizes and target errors, on small scenes."""
 
 from __future__ import annotations
 
@@ -30,59 +30,57 @@ def rough(frames: int) -> StoredScene:
     x, y, z = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
     random = np.random.default_rng(7)
     grain = random.normal(0, 0.25, (*grid.shape, 3))
-    made = []
+    fields = []
     for t in range(frames):
         depth = z - (14 + 4 * np.sin((x + 0.4 * t) / 5) * np.cos(y / 6))
         size = np.where((depth > 0) & (depth < 5), 0.5 * depth, 0)
         normal = np.stack([np.sin(x / 7), np.cos(y / 9), -np.ones_like(x)], axis=-1) + grain
-        made.append(ForceField.from_dense(grid, (size[..., None] * normal).astype(np.float32)))
-    return StoredScene(HapticMedium.from_frames(made, 25.0))
+        fields.append(ForceField.from_dense(grid, (size[..., None] * normal).astype(np.float32)))
+    return StoredScene(HapticMedium.from_frames(fields, 25.0))
 
 
 @pytest.mark.parametrize("frames", [2, 12])
-def test_a_promise_is_weakened_until_it_fits_and_says_so(frames: int, tmp_path: Path) -> None:
+def test_the_bound_is_relaxed_until_the_file_fits_and_is_reported(frames: int, tmp_path: Path) -> None:
     source, out = rough(frames), tmp_path / "s.touch"
-    whole = encode(source, tmp_path / "whole.touch", SPEC).file_bytes
-    target = round(0.75 * whole)
+    full_bytes = encode(source, tmp_path / "whole.touch", SPEC).file_bytes
+    target = round(0.75 * full_bytes)
     done = encode_to_target(source, out, SPEC, Target(bytes=target))
-    told = done.summary()
-    assert out.stat().st_size == told["file_bytes"]
-    assert 0.97 * target <= told["file_bytes"] <= target
-    assert told["k"] > 0.1 == told["asked_k"] and told["f0_n"] == pytest.approx(0.5 * told["k"])
-    assert told["encodes"] <= MAX_ENCODES and told["target_bytes"] == target
-    assert any(f"raised from 0.1 to {told['k']:.4g}" in note for note in done.notes)
+    summary = done.summary()
+    assert out.stat().st_size == summary["file_bytes"]
+    assert 0.97 * target <= summary["file_bytes"] <= target
+    assert summary["k"] > 0.1 == summary["asked_k"] and summary["f0_n"] == pytest.approx(0.5 * summary["k"])
+    assert summary["encodes"] <= MAX_ENCODES and summary["target_bytes"] == target
+    assert any(f"raised from 0.1 to {summary['k']:.4g}" in note for note in done.notes)
     with open_stream(out) as opened:
-        assert opened.reader.head.weber_fraction == told["k"]
+        assert opened.reader.head.weber_fraction == summary["k"]
         assert opened.summary()["promise_kept"]
     assert compare(source, out).summary()["mask_violations"] == 0
 
 
-def test_a_promise_that_fits_is_kept_as_asked(tmp_path: Path) -> None:
-    told = encode_to_target(rough(2), tmp_path / "s.touch", SPEC, Target(bytes=10**6)).summary()
-    assert told["k"] == 0.1 and told["encodes"] == 1
+def test_a_bound_that_fits_is_unchanged(tmp_path: Path) -> None:
+    summary = encode_to_target(rough(2), tmp_path / "s.touch", SPEC, Target(bytes=10**6)).summary()
+    assert summary["k"] == 0.1 and summary["encodes"] == 1
 
 
 @pytest.mark.parametrize("frames", [2, 12])
 def test_a_mean_error_is_reached(frames: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source, out, calls = rough(frames), tmp_path / "s.touch", list[int]()
     was = rate_control.encode_prepared
-    monkeypatch.setattr(rate_control, "encode_prepared", lambda *given: calls.append(1) or was(*given))
-    told = encode_to_target(source, out, NMSE, Target(nmse_db=-24.0)).summary()
+    monkeypatch.setattr(rate_control, "encode_prepared", lambda *args: calls.append(1) or was(*args))
+    summary = encode_to_target(source, out, NMSE, Target(nmse_db=-24.0)).summary()
     found = compare(source, out).summary()
     assert found["nmse_db"] == pytest.approx(-24.0, abs=0.13)
-    assert told["nmse_db"] == pytest.approx(found["nmse_db"], abs=1e-6)
-    assert told["mode"] == "nmse" and told["encodes"] == len(calls) <= MAX_ENCODES
+    assert summary["nmse_db"] == pytest.approx(found["nmse_db"], abs=1e-6)
+    assert summary["mode"] == "nmse" and summary["encodes"] == len(calls) <= MAX_ENCODES
 
 
-def test_of_what_fits_the_best_is_kept_wherever_the_search_ends(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    steps = iter((0.5, *np.linspace(0.2, 0.1, 20)))  # of which the first alone fits
+def test_the_best_fitting_result_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = iter((0.5, *np.linspace(0.2, 0.1, 20)))  # only the first one fits
     monkeypatch.setattr(RootSearch, "next_x", lambda search: next(map(math.log, steps), None))
     spec = replace(NMSE, touch=replace(NMSE.touch, step_n=0.8))
-    told = encode_to_target(rough(2), tmp_path / "s.touch", spec, Target(bytes=6000)).summary()
-    assert told["step_n"] == 0.5 and told["encodes"] == MAX_ENCODES
-    assert told["file_bytes"] == (tmp_path / "s.touch").stat().st_size < 6000
+    summary = encode_to_target(rough(2), tmp_path / "s.touch", spec, Target(bytes=6000)).summary()
+    assert summary["step_n"] == 0.5 and summary["encodes"] == MAX_ENCODES
+    assert summary["file_bytes"] == (tmp_path / "s.touch").stat().st_size < 6000
 
 
 def test_bytes_are_reached_by_the_step(tmp_path: Path) -> None:
@@ -102,7 +100,7 @@ def test_bytes_are_reached_by_the_step(tmp_path: Path) -> None:
         (EncodeSpec(coder="paper", paper=PaperSpec()), Target(bytes=5000), "coder paper"),
     ],
 )
-def test_what_cannot_be_reached_is_one_error(
+def test_an_unreachable_target_is_one_error(
     spec: EncodeSpec, target: Target, word: str, tmp_path: Path
 ) -> None:
     with pytest.raises(InvalidArgument, match=word):

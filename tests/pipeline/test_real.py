@@ -1,4 +1,4 @@
-"""Real inputs, end to end; skipped where the optional folder of real inputs is absent."""
+"""Real inputs, end to end; skipped without the optional folder of real inputs."""
 
 from __future__ import annotations
 
@@ -66,13 +66,13 @@ def test_trends_of_the_paper_on_a_real_sequence(shared_data: Path, tmp_path: Pat
     assert by_k[0]["nmse_db"] < by_k[1]["nmse_db"] < by_k[2]["nmse_db"]
     coarse = figures(1, k=0.01, directions="ico3")
     assert coarse["nmse_db"] > by_k[0]["nmse_db"] + 2
-    # CR is per frame: several frames of a standing world cost no more each than the first alone
-    one, three = figures(1), figures(3)
-    assert three["cr_full"] < one["cr_full"]
+    # CR is per frame: each of several frames of a static world takes no more than the first one alone
+    single, three = figures(1), figures(3)
+    assert three["cr_full"] < single["cr_full"]
 
 
 class Standing(DepthSequence):
-    """The first frame of a real sequence again and again, with the last digit of the sensor flickering."""
+    """The first frame of a real sequence repeated, with flicker in the last digit of the sensor."""
 
     def __init__(self, sequence: DepthSequence, frames: int) -> None:
         self.name, self.frame_count = "standing", frames
@@ -85,7 +85,7 @@ class Standing(DepthSequence):
         return np.where(self._depth > 0, self._depth + flicker, 0).astype(np.float32)
 
 
-def test_a_standing_scene_seen_by_a_standing_camera(shared_data: Path, tmp_path: Path) -> None:
+def test_a_static_scene_before_a_static_camera(shared_data: Path, tmp_path: Path) -> None:
     scene = open_source(shared_data / "rgbd_tum_fr1_rpy")
     assert isinstance(scene, DepthScene)
     bits = {}

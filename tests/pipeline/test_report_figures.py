@@ -1,7 +1,7 @@
-"""Figures of the reports of encode, compare, filter and play, each against a computation of its own.
+"""Figures in the reports of encode, compare, filter and play, each against an independent computation.
 
-The medium has another size, spacing and origin on each axis, several segments, and a last frame unlike the
-others, so that a figure of one axis, one segment or all frames but the last is another.
+The medium has a different size, spacing and origin on each axis, several segments, and a distinct last frame,
+so that a figure of the wrong axis, segment or frames differs.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ COUNT = 7
 
 
 def medium(scale: float = 1.0) -> HapticMedium:
-    """A wall that rises from frame to frame; in the last frame it is as high again, and pushes aside."""
+    """A wall that rises from frame to frame; in the last frame it repeats its height and pushes aside."""
     frames = np.zeros((COUNT, *GRID.shape, 3), np.float32)
     x, y = np.meshgrid(np.arange(24.0), np.arange(16.0), indexing="ij")
     for n in range(COUNT):
         wave = scale * (1.0 + 0.1 * n + 0.3 * np.sin(0.4 * x + 0.7 * y + n))
         frames[n, :, :, : 1 + n // 2] = (wave[..., None] * [0.1, 0.2, 1.0])[:, :, None]
     frames[-1, :, :, :7] = np.roll(frames[-1, :, :, :1], 1, axis=-1)
-    frames[2:5, 3:20, 2:9, 6] = 0.003  # which no hand feels, and coder `touch` leaves out
+    frames[2:5, 3:20, 2:9, 6] = 0.003  # imperceptible, and dropped by coder `touch`
     return HapticMedium.from_array(frames, GRID, 20.0, "x right, y up, z towards the viewer")
 
 
@@ -60,54 +60,55 @@ def decibels(factor: float, ratio: float) -> float:
 @pytest.mark.parametrize("by", ["this thread", "workers"])
 def test_figures_of_an_encoding(tmp_path: Path, by: str) -> None:
     out, source = tmp_path / "out.touch", write_field(tmp_path / "field.npz", medium())
-    chosen = device("omega.3")
-    asked = replace(SPEC, device="omega.3", nw=4, mapping="crop", touch=replace(SPEC.touch, k=0.2, f0_n=0.07))
+    profile = device("omega.3")
+    spec = replace(SPEC, device="omega.3", nw=4, mapping="crop", touch=replace(SPEC.touch, k=0.2, f0_n=0.07))
     with ThreadPoolExecutor(2) as pool:
-        done = encode(source, out, asked, executor=pool if by == "workers" else None)
-    own, told = done.prepared.medium, done.summary()
-    held = int((dense(own) != 0).any(-1).sum())
+        done = encode(source, out, spec, executor=pool if by == "workers" else None)
+    prepared, summary = done.prepared.medium, done.summary()
+    supported = int((dense(prepared) != 0).any(-1).sum())
     box = np.stack(medium().grid.box_m)
     bits = 8 * out.stat().st_size
-    assert held > 0
+    assert supported > 0
     for key, value in {
         "frames": COUNT, "rate_hz": 20.0, "grid_shape": [16, 16, 16], "device": "omega.3",
-        "force_max_n": chosen.force_max_n, "mapping_scale": 1.0, "axes": own.axes, "representation": "voxel",
-        "coder": "touch", "k": 0.2, "f0_n": 0.07, "file_bytes": bits // 8, "supported_voxels": held,
-        "bits_per_supported_voxel": bits / held, "cr_full": bits / (COUNT * 16**3 * 96), "promise_kept": True,
+        "force_max_n": profile.force_max_n, "mapping_scale": 1.0, "axes": prepared.axes,
+        "representation": "voxel", "coder": "touch", "k": 0.2, "f0_n": 0.07, "file_bytes": bits // 8,
+        "supported_voxels": supported, "bits_per_supported_voxel": bits / supported,
+        "cr_full": bits / (COUNT * 16**3 * 96), "promise_kept": True,
     }.items():  # fmt: skip
-        assert told[key] == value, key
-    assert told["spacing_mm"] == pytest.approx([one / 16 for one in chosen.workspace_mm])
-    assert told["mapping_offset_m"] == pytest.approx(box.mean(axis=0).tolist())
+        assert summary[key] == value, key
+    assert summary["spacing_mm"] == pytest.approx([side / 16 for side in profile.workspace_mm])
+    assert summary["mapping_offset_m"] == pytest.approx(box.mean(axis=0).tolist())
     with open_stream(out) as stream:
         info, head = stream.summary(), stream.reader.head
         assert (head.weber_fraction, head.force_threshold_n) == (0.2, 0.07)
-        assert head.force_max_n == chosen.force_max_n
-        assert [one.frame_count for one in stream.reader.segments] == [3, 3, 1]
-    both = info.keys() & told.keys()
-    assert len(both) > 20 and {key: info[key] for key in both} == {key: told[key] for key in both}
+        assert head.force_max_n == profile.force_max_n
+        assert [entry.frame_count for entry in stream.reader.segments] == [3, 3, 1]
+    both = info.keys() & summary.keys()
+    assert len(both) > 20 and {key: info[key] for key in both} == {key: summary[key] for key in both}
     assert done.notes == done.prepared.notes, "every frame has a force that is kept"
 
 
-def test_an_encoding_without_a_force_has_no_bits_for_each(tmp_path: Path) -> None:
+def test_an_encoding_without_a_force_has_no_bits_per_voxel(tmp_path: Path) -> None:
     done = encode(ForceField.empty(GRID), tmp_path / "out.touch", SPEC)
     assert done.supported_voxels == 0 and done.summary()["bits_per_supported_voxel"] is None
     assert "The result is empty: no sample has a force." in done.notes[-1]
 
 
 @pytest.mark.parametrize("has_law", [True, False])
-def test_a_frame_below_the_threshold_is_told_with_what_mends_it(tmp_path: Path, has_law: bool) -> None:
-    """A stiffness mends nothing where the forces are the source's own."""
+def test_note_of_a_frame_below_the_threshold_suggests_a_remedy(tmp_path: Path, has_law: bool) -> None:
+    """A stiffness is no remedy where the forces come from the source."""
     scene = tmp_path / "ball.toml"
     scene.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.02\n')
     weak = replace(SPEC, nw=4, mapping="crop", touch=replace(SPEC.touch, f0_n=9.0))
     done = encode(scene if has_law else medium()[:2], tmp_path / "out.touch", weak)
-    (told,) = [note for note in done.notes if "decoded without any force" in note]
-    assert told.startswith(f"{1 if has_law else 2} of {1 if has_law else 2} frames")
-    assert ("--stiffness-n-per-m" in told) == has_law and ": all forces are below --f0-n" in told
+    (note_text,) = [note for note in done.notes if "decoded without any force" in note]
+    assert note_text.startswith(f"{1 if has_law else 2} of {1 if has_law else 2} frames")
+    assert ("--stiffness-n-per-m" in note_text) == has_law and ": all forces are below --f0-n" in note_text
 
 
 def expected_of(original: np.ndarray, decoded: np.ndarray, k: float, f0_n: float) -> dict[str, Any]:
-    """The figures of a comparison that follow from the forces alone."""
+    """The figures of a comparison that follow from the forces."""
     force, error = np.linalg.norm(original, axis=-1), np.linalg.norm(decoded - original, axis=-1)
     is_compared = (original != 0).any(-1) | (decoded != 0).any(-1)
     ratio = error / np.maximum(f0_n, k * force)
@@ -134,29 +135,34 @@ def test_figures_of_a_comparison(tmp_path: Path, coder: str) -> None:
     with open_stream(out) as stream:
         decoded, info = dense(stream.medium), stream.summary()
     size, voxels = 8 * out.stat().st_size, COUNT * 24 * 16 * 8
-    for asked in ({}, {"k": 0.01, "f0_n": 0.002}):
-        told = compare(medium(), out, **asked).summary()  # type: ignore[arg-type]
-        k, f0_n = (asked[name] if asked else info[name] for name in ("k", "f0_n"))
+    for mask in ({}, {"k": 0.01, "f0_n": 0.002}):
+        summary = compare(medium(), out, **mask).summary()  # type: ignore[arg-type]
+        k, f0_n = (mask[name] if mask else info[name] for name in ("k", "f0_n"))
         for key, value in expected_of(original, decoded, k, f0_n).items():
-            assert told[key] == pytest.approx(value, rel=1e-5), key
-        assert (told["mask_violations"] > 0) == bool(asked or coder == "paper")
-        assert coder == "paper" or told["decoded_supported_voxels"] < told["supported_voxels"]
-        assert (told["k"], told["f0_n"], told["frames"], told["device"]) == (k, f0_n, COUNT, "phantom-omni")
-        assert (told["grid_shape"], told["file_bytes"]) == ([24, 16, 8], size // 8)
-        assert told["bits_per_supported_voxel"] == size / told["supported_voxels"]
-        assert told["bits_per_decoded_voxel"] == size / told["decoded_supported_voxels"]
-        assert told["cr_full"] == info["cr_full"] == size / (96 * voxels)
-        literal = told["bits_amplitude"] + told["bits_direction"]
-        assert told["cr_literal"] == info["cr_literal"] == literal / (96 * voxels)
-        assert [told[f"bits_{name}"] for name in ("support", "amplitude", "direction")] == [
+            assert summary[key] == pytest.approx(value, rel=1e-5), key
+        assert (summary["mask_violations"] > 0) == bool(mask or coder == "paper")
+        assert coder == "paper" or summary["decoded_supported_voxels"] < summary["supported_voxels"]
+        assert (summary["k"], summary["f0_n"], summary["frames"], summary["device"]) == (
+            k,
+            f0_n,
+            COUNT,
+            "phantom-omni",
+        )
+        assert (summary["grid_shape"], summary["file_bytes"]) == ([24, 16, 8], size // 8)
+        assert summary["bits_per_supported_voxel"] == size / summary["supported_voxels"]
+        assert summary["bits_per_decoded_voxel"] == size / summary["decoded_supported_voxels"]
+        assert summary["cr_full"] == info["cr_full"] == size / (96 * voxels)
+        literal = summary["bits_amplitude"] + summary["bits_direction"]
+        assert summary["cr_literal"] == info["cr_literal"] == literal / (96 * voxels)
+        assert [summary[f"bits_{name}"] for name in ("support", "amplitude", "direction")] == [
             info[f"bits_{name}"] for name in ("support", "amplitude", "direction")
         ]
-        assert told["bits_side"] == info["bits_side"] + info["bits_models"] and told["bits_poses"] == 0
-        assert told["bits_side"] == size - literal - told["bits_support"]
+        assert summary["bits_side"] == info["bits_side"] + info["bits_models"] and summary["bits_poses"] == 0
+        assert summary["bits_side"] == size - literal - summary["bits_support"]
 
 
-def test_bits_of_a_model_are_told_and_compared_as_bits_beside(tmp_path: Path) -> None:
-    """Of a ball, whose field is told by a few numbers; a body in motion has bits for its poses."""
+def test_bits_of_a_model_count_as_side_bits(tmp_path: Path) -> None:
+    """For a ball, whose field has few parameters, and a body in motion, which has bits for its poses."""
     ball, out = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.03),)), tmp_path / "out.touch"
     encode(ball, out, replace(SPEC, nw=5))
     parts = ("support", "amplitude", "direction", "side")
@@ -164,24 +170,24 @@ def test_bits_of_a_model_are_told_and_compared_as_bits_beside(tmp_path: Path) ->
         encode(source, out, replace(SPEC, nw=4 + has_models))
         with open_stream(out) as stream:
             info = stream.summary()
-        told = compare(source, out).summary()
+        summary = compare(source, out).summary()
         if has_models:
             assert info["guesses"] == 1 and info["bits_guesses"] == info["bits_models"] > 0
-            assert told["bits_poses"] == 0
+            assert summary["bits_poses"] == 0
         else:
-            assert info["representation"] == "object" and told["bits_poses"] == info["bits_poses"] > 0
+            assert info["representation"] == "object" and summary["bits_poses"] == info["bits_poses"] > 0
             assert info["bits_fields"] > 0
-        assert told["bits_side"] == info["bits_side"] + info["bits_models"]
-        assert sum(told[f"bits_{part}"] for part in (*parts, "poses")) == 8 * out.stat().st_size
-        own = sum(info[f"bits_{part}"] for part in (*parts, "models"))
-        assert own + info.get("bits_poses", 0) == 8 * out.stat().st_size
+        assert summary["bits_side"] == info["bits_side"] + info["bits_models"]
+        assert sum(summary[f"bits_{part}"] for part in (*parts, "poses")) == 8 * out.stat().st_size
+        total_bits = sum(info[f"bits_{part}"] for part in (*parts, "models"))
+        assert total_bits + info.get("bits_poses", 0) == 8 * out.stat().st_size
 
 
-def test_the_frame_of_a_comparison_that_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the figures of the report above it, and in units of the mask of that report."""
+def test_the_drawn_frame_of_a_comparison(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the figures of the report, and in units of its mask."""
     drawn: list[tuple[Any, ...]] = []
-    module = import_module("touchfield.pipeline.comparison")  # its name is that of the function, too
-    monkeypatch.setattr(module, "draw_comparison", lambda *given: drawn.append(given))
+    module = import_module("touchfield.pipeline.comparison")  # the function has the same name
+    monkeypatch.setattr(module, "draw_comparison", lambda *args: drawn.append(args))
     out = tmp_path / "out.touch"
     encode(medium(), out, SPEC)
     with open_stream(out) as stream:
@@ -190,20 +196,25 @@ def test_the_frame_of_a_comparison_that_is_drawn(tmp_path: Path, monkeypatch: py
         compared = compare(medium(), out, frame=frame, k=0.01, f0_n=0.002)
         compared.draw(tmp_path / "x.png")
         path, before, after, title, axes, mask = drawn.pop()
-        wanted = COUNT // 2 if frame is None else frame
-        assert (path, before, after) == (tmp_path / "x.png", medium()[wanted], decoded[wanted])
+        expected_frame = COUNT // 2 if frame is None else frame
+        assert (path, before, after) == (
+            tmp_path / "x.png",
+            medium()[expected_frame],
+            decoded[expected_frame],
+        )
         assert (axes, mask) == ("x right, y up, z towards the viewer", (0.01, 0.002))
-        told = compared.summary()
-        for words in (
-            f"frame {wanted + 1} of {COUNT} for phantom-omni", f"{out.stat().st_size:,} bytes",
-            f"{told['bits_per_supported_voxel']:.3g} bits per supported voxel", f"CR {told['cr_full']:.3g}",
-            f"NMSE {told['nmse_db']:.1f} dB",
-            f"{100 * told['mask_violation_share']:.1f} % of voxels beyond the mask",
+        summary = compared.summary()
+        for text in (
+            f"frame {expected_frame + 1} of {COUNT} for phantom-omni", f"{out.stat().st_size:,} bytes",
+            f"{summary['bits_per_supported_voxel']:.3g} bits per supported voxel",
+            f"CR {summary['cr_full']:.3g}",
+            f"NMSE {summary['nmse_db']:.1f} dB",
+            f"{100 * summary['mask_violation_share']:.1f} % of voxels beyond the mask",
         ):  # fmt: skip
-            assert words in title, words
-        shown = repr(compared)
+            assert text in title, text
+        representation = repr(compared)
         for key in ("frames", "file_bytes", "bits_per_supported_voxel", "nmse_db", "mask_violation_share"):
-            assert f"{key} {told[key]:.6g}" in shown
+            assert f"{key} {summary[key]:.6g}" in representation
 
 
 def test_figures_of_the_stages_of_a_filter() -> None:
@@ -239,16 +250,16 @@ def test_figures_of_the_stages_of_a_filter() -> None:
 
 
 def test_every_column_of_a_log_has_the_value_of_its_name(tmp_path: Path) -> None:
-    """More rows than are written at once, each value unlike all others."""
+    """More rows than are written at once, with distinct values."""
     count = (1 << 14) + 3
     rows = np.zeros(count, ROW)
     n = np.arange(count)
     columns: dict[str, np.ndarray] = {}
 
     def fill(field: str, *names: str) -> None:
-        for place, name in enumerate(names):
+        for column, name in enumerate(names):
             columns[name] = n / 1024 + 100 * len(columns)
-            (rows[field] if len(names) == 1 else rows[field][:, place])[:] = columns[name]
+            (rows[field] if len(names) == 1 else rows[field][:, column])[:] = columns[name]
 
     fill("time_s", "t_s")
     fill("position_m", "x_m", "y_m", "z_m")
@@ -267,17 +278,17 @@ def test_every_column_of_a_log_has_the_value_of_its_name(tmp_path: Path) -> None
     names, *lines = (tmp_path / "log.csv").read_text().splitlines()
     cells = [line.split(",") for line in lines]
     assert tuple(names.split(",")) == COLUMNS == (*columns, "buttons", "state") and len(cells) == count
-    for place, name in enumerate(columns):
-        found = [float(row[place]) for row in cells]
+    for column, name in enumerate(columns):
+        found = [float(row[column]) for row in cells]
         np.testing.assert_allclose(found, columns[name], rtol=1e-8, err_msg=name)
     assert [int(row[-2]) for row in cells] == (n % 5).tolist()
     for row, flags in zip(cells, (n % 128).tolist(), strict=True):
-        words = [name for name, bit in FLAGS.items() if flags & bit]
-        assert row[-1] == ("+".join(words) or "idle")
+        states = [name for name, bit in FLAGS.items() if flags & bit]
+        assert row[-1] == ("+".join(states) or "idle")
 
 
 def test_figures_of_a_play_are_those_of_its_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of any log, one that ends with a force too; and what a run without a clock cannot know is left out."""
+    """For any log, including one that ends with a force; a run without a clock omits its figures of time."""
     out, error = tmp_path / "out.touch", CorruptFile("half way")
     forces = np.zeros((*GRID.shape, 3), np.float32)
     forces[..., 2] = 1.0

@@ -1,6 +1,4 @@
-"""Figures that grow segment by segment: sums, largest ratios and unknown ones, in whatever order segments
-come.
-"""
+"""Figures that accumulate by segment: sums, largest ratios and unknown ones, in any order."""
 
 from __future__ import annotations
 
@@ -35,7 +33,7 @@ def test_a_broadcast_counts_every_segment_and_has_their_largest_ratio(
 
 
 @pytest.mark.parametrize("ratios", ORDERS, ids=str)
-def test_a_file_has_the_largest_ratio_of_its_segments_and_its_place(ratios: tuple[float, ...]) -> None:
+def test_a_file_has_the_largest_ratio_of_its_segments_and_its_index(ratios: tuple[float, ...]) -> None:
     found = max_error_keys((5 * i, MaxError(ratio, 2, (i, 1, 0))) for i, ratio in enumerate(ratios))
     at = ratios.index(0.875)
     assert (found["worst_mask_ratio"], found["promise_kept"]) == (0.875, True)
@@ -43,11 +41,11 @@ def test_a_file_has_the_largest_ratio_of_its_segments_and_its_place(ratios: tupl
 
 
 @pytest.mark.parametrize("at", range(3))
-def test_a_segment_of_an_unknown_ratio_makes_that_of_the_file_unknown(at: int) -> None:
+def test_the_ratio_of_a_file_with_an_unknown_segment_is_unknown(at: int) -> None:
     segments = [None if i == at else MaxError(ratio, 0, (0, 0, 0)) for i, ratio in enumerate(RATIOS)]
     assert set(max_error_keys((i, worst) for i, worst in enumerate(segments)).values()) == {None}
-    known = [None if i == at else ratio for i, ratio in enumerate(RATIOS)]
-    assert tiles._error_bound(TouchSpec(), known)["worst_mask_ratio"] is None
+    ratios = [None if i == at else ratio for i, ratio in enumerate(RATIOS)]
+    assert tiles._error_bound(TouchSpec(), ratios)["worst_mask_ratio"] is None
 
 
 @pytest.mark.parametrize("ratios", ORDERS, ids=str)

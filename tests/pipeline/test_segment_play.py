@@ -1,6 +1,4 @@
-"""Segments from the coder to the hand: how long they are, and how a standing world is felt where one
-starts.
-"""
+"""Segments from the encoder to the hand: their duration, and their starts in a static world."""
 
 from __future__ import annotations
 
@@ -29,13 +27,13 @@ BALL = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.03),))
 
 
 def noisy(frames: int, rate_hz: float, noise_n: float = 0.01) -> StoredScene:
-    """A ball at rest as a sensor sees it: each force with noise of its own in each frame, within the mask."""
-    rng, still = np.random.default_rng(3), prepare(BALL, SPEC).medium[0]
-    made = []
+    """A ball at rest with sensor noise within the mask: each force of each frame differs."""
+    rng, noiseless = np.random.default_rng(3), prepare(BALL, SPEC).medium[0]
+    fields = []
     for _ in range(frames):
-        noise = rng.normal(0, noise_n, still.forces_n.shape) * still.mask[..., None]
-        made.append(ForceField.from_bricks(still.grid, still.bricks, still.forces_n + noise))
-    return StoredScene(HapticMedium.from_frames(made, rate_hz, "x right, y up, z towards the viewer"))
+        noise = rng.normal(0, noise_n, noiseless.forces_n.shape) * noiseless.mask[..., None]
+        fields.append(ForceField.from_bricks(noiseless.grid, noiseless.bricks, noiseless.forces_n + noise))
+    return StoredScene(HapticMedium.from_frames(fields, rate_hz, "x right, y up, z towards the viewer"))
 
 
 @pytest.mark.parametrize(
@@ -48,13 +46,13 @@ def test_a_segment_lasts_half_a_second(rate_hz: float, frames: int) -> None:
     assert EncodeSpec(coder="paper").segment_frames_at(rate_hz) == 8
 
 
-def test_files_have_segments_by_their_rate_or_as_asked(tmp_path: Path) -> None:
-    for rate_hz, asked, lengths in (
+def test_segments_of_a_file_depend_on_its_rate_or_the_option(tmp_path: Path) -> None:
+    for rate_hz, segment_frames, lengths in (
         (60.0, None, [30, 3]),
         (30.0, None, [15, 15, 3]),
         (60.0, 10, [10, 10, 10, 3]),
     ):
-        spec = replace(SPEC, touch=replace(FAST, segment_frames=asked))
+        spec = replace(SPEC, touch=replace(FAST, segment_frames=segment_frames))
         encode(noisy(33, rate_hz), tmp_path / "a.touch", spec)
         with open_stream(tmp_path / "a.touch") as opened:
             assert [s.frame_count for s in opened.reader.segments] == lengths
@@ -65,18 +63,18 @@ def test_files_have_segments_by_their_rate_or_as_asked(tmp_path: Path) -> None:
         TouchSpec(segment_frames=0)
 
 
-def test_a_frame_that_repeats_the_one_before_ends_no_segment(tmp_path: Path) -> None:
-    one, other = (noisy(1, 30.0).stored[0], noisy(1, 30.0, 0.02).stored[0])
-    frames = [one] * 40 + [other] + [one, other] * 10
+def test_a_repeated_frame_ends_no_segment(tmp_path: Path) -> None:
+    first, second = (noisy(1, 30.0).stored[0], noisy(1, 30.0, 0.02).stored[0])
+    frames = [first] * 40 + [second] + [first, second] * 10
     scene = StoredScene(HapticMedium.from_frames(frames, 30.0, "x right, y up, z towards the viewer"))
-    for asked, lengths in ((None, [30, 24, 7]), (8, [8] * 7 + [5])):
-        encode(scene, tmp_path / "a.touch", replace(SPEC, touch=replace(FAST, segment_frames=asked)))
+    for segment_frames, lengths in ((None, [30, 24, 7]), (8, [8] * 7 + [5])):
+        encode(scene, tmp_path / "a.touch", replace(SPEC, touch=replace(FAST, segment_frames=segment_frames)))
         with open_stream(tmp_path / "a.touch") as opened:
             assert [s.frame_count for s in opened.reader.segments] == lengths
 
 
 @pytest.mark.parametrize("touch", [replace(FAST, mode="nmse"), replace(FAST, mode="mask-direction")])
-def test_without_a_mask_that_is_a_ball_nothing_is_blended(tmp_path: Path, touch: TouchSpec) -> None:
+def test_only_the_mode_mask_is_blended(tmp_path: Path, touch: TouchSpec) -> None:
     encode(noisy(9, 30.0), tmp_path / "a.touch", replace(SPEC, touch=replace(touch, segment_frames=8)))
     with open_stream(tmp_path / "a.touch") as opened:
         assert opened.medium.segments is None
@@ -84,32 +82,34 @@ def test_without_a_mask_that_is_a_ball_nothing_is_blended(tmp_path: Path, touch:
     assert hold is not None and hold.start_error_mn > 0
 
 
-@pytest.mark.parametrize(("rate_hz", "frames", "most"), [(30.0, 31, 0.6), (1000.0, 129, 0.25)])
-def test_a_hand_on_a_standing_world_feels_no_start(
-    tmp_path: Path, rate_hz: float, frames: int, most: float, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("rate_hz", "frames", "max_fraction"), [(30.0, 31, 0.6), (1000.0, 129, 0.25)])
+def test_the_blend_hides_segment_starts_of_a_static_world(
+    tmp_path: Path, rate_hz: float, frames: int, max_fraction: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, scene = tmp_path / "a.touch", noisy(frames, rate_hz)
     encode(scene, path, SPEC)
     with open_stream(path) as opened:
         before = [opened.medium[i] for i in range(frames)]
     holds = [compare(scene, path).hand.hold]
-    monkeypatch.setattr(sys.modules["touchfield.pipeline.comparison"], "with_blends", lambda felt: (felt, ()))
-    holds.append(compare(scene, path).hand.hold)  # each frame as it was decoded
-    # the noise of the source itself is in every step; what a start adds to the others is what the blend takes
+    monkeypatch.setattr(
+        sys.modules["touchfield.pipeline.comparison"], "with_blends", lambda medium: (medium, ())
+    )
+    holds.append(compare(scene, path).hand.hold)  # each frame as decoded
+    # the noise of the source is in every step; the blend removes the excess at the start of a segment
     added, decoded_added = (np.sqrt(max(0.0, h.start_error_mn**2 - h.error_step_mn**2)) for h in holds if h)
-    assert decoded_added > 5 and added < most * decoded_added
+    assert decoded_added > 5 and added < max_fraction * decoded_added
     with open_stream(path) as opened:
-        step = 1 + frames // 32  # each frame is decoded from the first of its segment on
+        step = 1 + frames // 32  # each frame is decoded from the start of its segment
         assert [opened.medium[i] for i in range(frames)[::-step]] == before[::-step]
 
 
-def test_the_player_can_leave_it_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_play_can_disable_the_blend(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, logs = tmp_path / "a.touch", [tmp_path / "with.csv", tmp_path / "without.csv"]
     encode(noisy(33, 60.0, 0.05), path, replace(SPEC, touch=replace(FAST, segment_frames=8)))
     where = tmp_path / "held.csv"
     where.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{t},0.0,0.0,0.022\n" for t in (0.0, 0.5)))
     for log, more in zip(logs, ([], ["--no-blend"])):
-        asked = [
+        arguments = [
             "play",
             str(path),
             "--offline",
@@ -120,8 +120,8 @@ def test_the_player_can_leave_it_out(tmp_path: Path, capsys: pytest.CaptureFixtu
             "--json",
             *more,
         ]
-        assert _exit_code(asked) == 0
+        assert _exit_code(arguments) == 0
     capsys.readouterr()
-    one, other = (log.read_text().splitlines() for log in logs)
-    assert len(one) == len(other) > 400
-    assert one[:100] == other[:100] and one != other  # the first segment lasts for 133 ticks
+    blended, unblended = (log.read_text().splitlines() for log in logs)
+    assert len(blended) == len(unblended) > 400
+    assert blended[:100] == unblended[:100] and blended != unblended  # the first segment lasts for 133 ticks

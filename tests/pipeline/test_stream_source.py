@@ -1,4 +1,4 @@
-"""A stream as a source: decoded, it can be coded, compared and written again."""
+"""A stream as a source: decoded, encoded, compared and written again."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_stream_keeps_its_lattice_whatever_is_asked(stream: Path, tmp_path: Path) -> None:
+def test_a_stream_keeps_its_lattice_regardless_of_options(stream: Path, tmp_path: Path) -> None:
     prepared = pipeline.prepare(stream, EncodeSpec(nw=7, device="tshirt-32x32"))
     with pipeline.open_stream(stream) as opened:
         assert prepared.medium.grid == opened.grid and prepared.device.name == "phantom-omni"
@@ -44,14 +44,14 @@ def test_the_file_is_closed_with_its_scene(stream: Path) -> None:
     assert file.closed
 
 
-def test_a_stream_of_ones_own_device_needs_no_profile(tmp_path: Path) -> None:
+def test_a_stream_of_a_custom_device_needs_no_profile(tmp_path: Path) -> None:
     from touchfield.devices import profile
 
-    own = tmp_path / "home-made.toml"
+    path = tmp_path / "home-made.toml"
     shipped = Path(profile.__file__).parent / "profiles" / "phantom-omni.toml"
-    own.write_text(shipped.read_text())
+    path.write_text(shipped.read_text())
     stream = tmp_path / "own.touch"
-    pipeline.encode(tiny_scenes()[0], stream, EncodeSpec(nw=4, device=str(own)))
+    pipeline.encode(tiny_scenes()[0], stream, EncodeSpec(nw=4, device=str(path)))
     prepared = pipeline.prepare(stream)
     with pipeline.open_stream(stream) as opened:
         assert prepared.device.name == opened.reader.head.device_name

@@ -25,7 +25,7 @@ SMALL = Settings(nw=4, nq=4, fractions=(0.1, 0.25), frame_counts=(1, 2))
 
 @pytest.fixture(scope="module")
 def plane() -> SequenceRuns:
-    """All settings on a plane that is measured with a little noise."""
+    """All settings on a plane with a little noise."""
     counted: list[int] = []
     found = run_sequence(DepthInput("plane", Plane(3, noise_per_m=1e-3)), SMALL, lambda: counted.append(1))
     assert len(counted) == steps(SMALL, has_poses=True), "the bar ends where it said it would"
@@ -36,7 +36,7 @@ def plane() -> SequenceRuns:
 
 
 def _orderly() -> dict[Case, Point]:
-    """Figures that follow every trend and no bound forbids."""
+    """Figures that follow every trend and respect every bound."""
     return {
         Case(m, k, high): Point(0.1 * (1 - 0.01 * m) * (1 - k) + 0.001 * high, -20 + 10 * k - 3 * high)
         for m in FRAME_COUNTS
@@ -83,9 +83,9 @@ def test_equal_figures_follow_no_trend() -> None:
 @given(st.floats(0.01, 100), st.sampled_from(sorted(PRINTED)))
 def test_the_bound_is_a_ratio(factor: float, case: Case) -> None:
     scaled = {c: p._replace(cr=p.cr * factor) for c, p in PRINTED.items()}
-    for ours, theirs in zip(bounds(scaled), bounds(PRINTED), strict=True):
-        assert ours.is_possible == theirs.is_possible
-        assert ours.least_cr == pytest.approx(theirs.least_cr * factor)
+    for scaled_bound, printed_bound in zip(bounds(scaled), bounds(PRINTED), strict=True):
+        assert scaled_bound.is_possible == printed_bound.is_possible
+        assert scaled_bound.least_cr == pytest.approx(printed_bound.least_cr * factor)
     if case.m > 1:  # a figure at its bound is possible
         at = {**PRINTED, case: Point(PRINTED[case._replace(m=1)].cr / case.m, 0.0)}
         assert {b.case for b in bounds(at) if b.is_possible} == {case}
@@ -95,12 +95,12 @@ def test_what_the_paper_prints() -> None:
     assert len(PRINTED) == 18
     assert all(trend.holds for trend in trends(PRINTED)), "its figures follow its words"
     assert not any(bound.is_possible for bound in bounds(PRINTED)), "yet none of the multi-frame rows can be"
-    told = impossibility()
-    assert "12 printed multi-frame figures 12 are below" in told
+    text = impossibility()
+    assert "12 printed multi-frame figures 12 are below" in text
     assert (
-        "| m = 2, k = 0.01, high | 0.00710 | 0.03345 | 4.7 | not possible |" in told
+        "| m = 2, k = 0.01, high | 0.00710 | 0.03345 | 4.7 | not possible |" in text
     )  # 0.0669 / 2, theory section 3
-    assert "from 0.00540 (m = 2) to 0.00478 (m = 5)" in told
+    assert "from 0.00540 (m = 2) to 0.00478 (m = 5)" in text
 
 
 # -- runs --------------------------------------------------------------------------------------------------
@@ -116,7 +116,7 @@ def test_a_run_is_the_main_job(tmp_path: Path) -> None:
     job = compare(DepthScene(sequence), tmp_path / "a.touch").summary()
     assert coded.cr_full == pytest.approx(
         job["cr_full"], rel=0.02
-    )  # the provenance tells which frames were asked
+    )  # the provenance states the requested frames
     assert coded.cr_literal == pytest.approx(job["cr_literal"])
     assert coded.nmse_db == pytest.approx(job["nmse_db"])
     assert coded.decibels["20 log L"] == pytest.approx(job["nmse_literal_db"])
@@ -129,7 +129,7 @@ def test_a_run_is_the_main_job(tmp_path: Path) -> None:
         CodedScene(DepthScene(sequence), 4).coded(PaperSpec(), 3)
 
 
-def test_every_setting_is_there_and_none_is_impossible(plane: SequenceRuns) -> None:
+def test_every_setting_is_present_and_none_is_impossible(plane: SequenceRuns) -> None:
     assert [runs.variant for runs in plane.variants] == ["wall, world", "wall, camera", "solid, camera"]
     for runs in plane.variants:
         for reading, coded in runs.coded.items():
@@ -138,26 +138,26 @@ def test_every_setting_is_there_and_none_is_impossible(plane: SequenceRuns) -> N
                 bound.is_possible for bound in bounds({c: Point(v.cr_literal, 0) for c, v in coded.items()})
             )
             assert all(v.cr_full > v.cr_literal for v in coded.values())
-            # nothing held is the best that these quantisers do in a single frame
+            # without repeated samples these quantisers are at their best in a single frame
             for case in (c for c in coded if c.m == 1):
                 assert coded[case].nmse_db >= runs.floors_db[reading][case.is_high] - 3
 
 
-def test_a_still_view_costs_the_open_difference_nothing(plane: SequenceRuns) -> None:
+def test_a_static_view_adds_no_bits_to_the_open_difference(plane: SequenceRuns) -> None:
     causes = {cause.circumstance: cause for cause in plane.causes}
-    still, noise = causes[STILL], causes[NOISE]
+    rest, noise = causes[STILL], causes[NOISE]
     for k in SMALL.fractions:
-        assert still.cost["literal"][k] == 0
-        assert still.cost["literal"][k] < noise.cost["literal"][k]
-    # at 0.1 the quantiser's own error leaves the mask, and is mended whatever moves
-    assert still.resent[0.25] < noise.resent[0.25] < 1
-    # in camera coordinates the plane comes nearer and farther; in the world it stands
+        assert rest.cost["literal"][k] == 0
+        assert rest.cost["literal"][k] < noise.cost["literal"][k]
+    # at 0.1 the error of the quantiser exceeds the mask, and is corrected in any case
+    assert rest.resent[0.25] < noise.resent[0.25] < 1
+    # in camera coordinates the plane moves to and fro; in the world it rests
     assert {name for name in causes if name.startswith(MOVING)} == {
         f"{MOVING}, {c} coordinates" for c in ("world", "camera")
     }
 
 
-def test_without_poses_there_is_no_world() -> None:
+def test_without_poses_there_are_no_world_coordinates() -> None:
     counted: list[int] = []
     few = Settings(nw=3, nq=3, fractions=(0.25,), frame_counts=(1,))
     found = run_sequence(DepthInput("bare", Plane(1, has_poses=False)), few, lambda: counted.append(1))
@@ -187,11 +187,11 @@ def test_the_page_has_a_row_for_each_setting(plane: SequenceRuns) -> None:
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["rgbd_tum_fr1_rpy", "rgbd_iclnuim_livingroom1"])
 def test_real_sequences(shared_data: Path, name: str) -> None:
-    (one,) = user_inputs((shared_data / name,))
-    assert one.name == name
+    (depth_input,) = user_inputs((shared_data / name,))
+    assert depth_input.name == name
     assert [two.name for two in user_inputs((shared_data / name,) * 2)] == [name, f"{name} (2)"]
     few = Settings(nw=4, nq=6, fractions=(0.01, 0.25), frame_counts=(1, 2))
-    found = run_sequence(one, few, lambda: None)
+    found = run_sequence(depth_input, few, lambda: None)
     assert str(shared_data) not in table_3._page((found,), is_quick=True)
     for runs in found.variants:
         assert runs.support_share > 0.01

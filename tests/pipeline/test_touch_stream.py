@@ -1,4 +1,4 @@
-"""Coder `touch` through the main job: what is asked, what the file tells, and the promise kept."""
+"""Coder `touch` through the pipeline: its options, the metadata of its files, and its error bound."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ SPEC = EncodeSpec(nw=4, touch=FAST)
 def breathing(frames: int = 7) -> StoredScene:
     """A stored medium on the lattice of the device: a ball that grows."""
     grid = prepare(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02),)), SPEC).medium.grid
-    made = []
+    fields = []
     for t in range(frames):
         scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02 + 0.002 * t),))
-        made.append(prepare(scene, replace(SPEC, mapping="crop")).medium[0].on_grid(grid))
-    return StoredScene(HapticMedium.from_frames(made, 25.0, "x right, y up, z towards the viewer"))
+        fields.append(prepare(scene, replace(SPEC, mapping="crop")).medium[0].on_grid(grid))
+    return StoredScene(HapticMedium.from_frames(fields, 25.0, "x right, y up, z towards the viewer"))
 
 
-def test_a_stream_tells_what_its_head_and_its_segments_say(tmp_path: Path) -> None:
-    """All of it unlike any default; forces only in the second segment."""
+def test_the_summary_of_a_stream_states_head_and_segments(tmp_path: Path) -> None:
+    """All values differ from the defaults; only the second segment has forces."""
     grid = Grid((16, 8, 24), (0.01, 0.02, 0.005), (0.1, -0.2, 0.3))
     spec = TouchSpec(effort="fast", k=0.2, f0_n=0.07, masking=0.03, masking_radius_m=0.006)
     encoder, path, notes = TouchEncoder(grid, spec), tmp_path / "own.touch", list[tuple[int, int]]()
@@ -68,13 +68,13 @@ def test_a_stream_tells_what_its_head_and_its_segments_say(tmp_path: Path) -> No
         writer.write_segment(0, 3, encoder.encode_segment(frames[:1] * 3).body)
         writer.write_segment(3, 2, encoder.encode_segment(frames[1:] * 2).body)
     with open_stream(path) as opened:
-        told, medium, device = opened.summary(), opened.medium, opened.declared_device
+        summary, medium, device = opened.summary(), opened.medium, opened.declared_device
         assert opened.masking == (0.03, 0.006) and medium.segments == Segments((0, 3), 0.2, 0.07)
-        held = opened.supported_voxels(lambda *at: notes.append(at))
+        supported = opened.supported_voxels(lambda *at: notes.append(at))
         size = 8 * path.stat().st_size
-        assert opened.bits_of_voxels(held)["bits_per_decoded_voxel"] == size / held
+        assert opened.bits_of_voxels(supported)["bits_per_decoded_voxel"] == size / supported
         assert opened.bits_of_voxels(0)["bits_per_decoded_voxel"] is None
-        assert held == sum(field.support_count for field in medium) == 2 * medium[4].support_count > 0
+        assert supported == sum(field.support_count for field in medium) == 2 * medium[4].support_count > 0
     assert notes == [(i + 1, 5) for i in range(5)]
     for key, value in {
         "frames": 5,
@@ -95,13 +95,14 @@ def test_a_stream_tells_what_its_head_and_its_segments_say(tmp_path: Path) -> No
         "cr_full": size / (5 * 3072 * 96),
         "guesses": 0,
     }.items():
-        assert told[key] == value, key
-    assert told["spacing_mm"] == pytest.approx([10, 20, 5]) and told["worst_frame"] in (3, 4)
-    assert told["cr_literal"] == (told["bits_amplitude"] + told["bits_direction"]) / (5 * 3072 * 96)
+        assert summary[key] == value, key
+    assert summary["spacing_mm"] == pytest.approx([10, 20, 5]) and summary["worst_frame"] in (3, 4)
+    assert summary["cr_literal"] == (summary["bits_amplitude"] + summary["bits_direction"]) / (5 * 3072 * 96)
     assert (
-        sum(told[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "models", "side")) == size
+        sum(summary[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "models", "side"))
+        == size
     )
-    kinds, each = told["frame_kinds"], told["bits_per_frame_by_kind"]
+    kinds, each = summary["frame_kinds"], summary["bits_per_frame_by_kind"]
     assert (
         sum(kinds.values()) == 5 and size - 8 * 600 < sum(kinds[kind] * each[kind] for kind in kinds) < size
     )
@@ -120,57 +121,64 @@ def test_threads_change_no_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     done: dict[str, list[int]] = {}
     for threads in ("1", "3"):
         monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
-        told: list[int] = []
-        encode(breathing(), tmp_path / f"{threads}.touch", SPEC, lambda n, total, told=told: told.append(n))
-        done[threads] = told
+        progress: list[int] = []
+        encode(
+            breathing(),
+            tmp_path / f"{threads}.touch",
+            SPEC,
+            lambda n, total, progress=progress: progress.append(n),
+        )
+        done[threads] = progress
         with open_stream(tmp_path / f"{threads}.touch") as opened:
             assert [s.frame_count for s in opened.reader.segments] == [2, 2, 2, 1]
     assert (tmp_path / "1.touch").read_bytes() == (tmp_path / "3.touch").read_bytes()
-    for told in done.values():
-        assert told == sorted(told) and told[-1] == 7
+    for progress in done.values():
+        assert progress == sorted(progress) and progress[-1] == 7
 
 
-def test_the_file_tells_the_promise_it_keeps(tmp_path: Path) -> None:
+def test_the_file_states_its_error_bound(tmp_path: Path) -> None:
     stream = tmp_path / "s.touch"
-    made = encode(breathing(), stream, replace(SPEC, touch=replace(FAST, k=0.2, f0_n=0.02))).summary()
-    assert (made["coder"], made["mode"], made["k"], made["f0_n"]) == ("touch", "mask", 0.2, 0.02)
+    encoded = encode(breathing(), stream, replace(SPEC, touch=replace(FAST, k=0.2, f0_n=0.02))).summary()
+    assert (encoded["coder"], encoded["mode"], encoded["k"], encoded["f0_n"]) == ("touch", "mask", 0.2, 0.02)
     with open_stream(stream) as opened:
-        told = opened.summary()
+        summary = opened.summary()
         assert opened.reader.head.weber_fraction == 0.2 and opened.reader.head.force_threshold_n == 0.02
         decoded = list(opened.medium)
-    assert told["mode"] == "mask" and told["promise_kept"] is True
+    assert summary["mode"] == "mask" and summary["promise_kept"] is True
     assert (
-        sum(told[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "side"))
-        == 8 * told["file_bytes"]
+        sum(summary[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "side"))
+        == 8 * summary["file_bytes"]
     )
-    assert sum(told["frame_kinds"].values()) == 7 and told["guesses"] == 0
-    # what the file says of its worst voxel is what a receiver finds there
-    frame, voxel = told["worst_frame"], tuple(told["worst_voxel"])
+    assert sum(summary["frame_kinds"].values()) == 7 and summary["guesses"] == 0
+    # the error of the worst voxel in the file equals that at the receiver
+    frame, voxel = summary["worst_frame"], tuple(summary["worst_voxel"])
     original = breathing().stored[frame].to_dense()[voxel].astype(float)
     error = np.linalg.norm(decoded[frame].to_dense()[voxel] - original)
     ratio = error / max(0.02, 0.2 * np.linalg.norm(original))
-    assert told["worst_mask_ratio"] == pytest.approx(ratio, abs=2e-5)
+    assert summary["worst_mask_ratio"] == pytest.approx(ratio, abs=2e-5)
     compared = compare(breathing(), stream).summary()
     assert compared["mask_violations"] == 0
     assert compared["worst_mask_ratio"] == pytest.approx(ratio, abs=1e-6)
 
 
-def test_no_floor_can_be_compared_too(tmp_path: Path) -> None:
+def test_a_stream_without_a_floor_can_be_compared(tmp_path: Path) -> None:
     stream = tmp_path / "s.touch"
     encode(breathing(2), stream, replace(SPEC, touch=replace(FAST, f0_n=0.0)))
     assert compare(breathing(2), stream).summary()["mask_violations"] == 0
 
 
-def test_a_mean_error_promises_nothing(tmp_path: Path) -> None:
+def test_a_mean_error_gives_no_bound(tmp_path: Path) -> None:
     stream = tmp_path / "s.touch"
-    made = encode(breathing(2), stream, replace(SPEC, touch=replace(FAST, mode="nmse", step_n=0.3))).summary()
-    assert made["step_n"] == 0.3
+    encoded = encode(
+        breathing(2), stream, replace(SPEC, touch=replace(FAST, mode="nmse", step_n=0.3))
+    ).summary()
+    assert encoded["step_n"] == 0.3
     with open_stream(stream) as opened:
-        told = opened.summary()
-    assert told["mode"] == "nmse" and told["promise_kept"] is None and told["worst_voxel"] is None
+        summary = opened.summary()
+    assert summary["mode"] == "nmse" and summary["promise_kept"] is None and summary["worst_voxel"] is None
 
 
-def test_what_is_quantised_already_is_kept_exactly(tmp_path: Path) -> None:
+def test_a_quantised_field_is_preserved_exactly(tmp_path: Path) -> None:
     first, second = tmp_path / "a.touch", tmp_path / "b.touch"
     encode(breathing(3), first, SPEC)
     encode(first, second, EncodeSpec(touch=TouchSpec(mode="lossless", segment_frames=3)))
@@ -179,16 +187,16 @@ def test_what_is_quantised_already_is_kept_exactly(tmp_path: Path) -> None:
         assert b.summary()["worst_mask_ratio"] == 0
 
 
-def test_both_coders_read_the_same_road(tmp_path: Path) -> None:
+def test_both_coders_share_the_pipeline(tmp_path: Path) -> None:
     stream = tmp_path / "p.touch"
     encode(breathing(2), stream, EncodeSpec(nw=4, coder="paper", paper=PaperSpec(k=0.2)))
     with open_stream(stream) as opened:
-        told = opened.summary()
-    assert told["coder"] == "paper" and told["k"] == 0.2 and "promise_kept" not in told
+        summary = opened.summary()
+    assert summary["coder"] == "paper" and summary["k"] == 0.2 and "promise_kept" not in summary
     assert compare(breathing(2), stream).summary()["k"] == 0.2
 
 
-def test_a_provenance_holds_what_is_asked_of_its_coder_alone() -> None:
+def test_a_provenance_has_the_options_of_its_coder_alone() -> None:
     spec = EncodeSpec(coder="paper", paper=PaperSpec(nq=5))
     assert EncodeSpec.from_json(spec.to_json()) == spec
     assert "touch" not in json.loads(spec.to_json()) and "paper" not in json.loads(EncodeSpec().to_json())
@@ -197,7 +205,7 @@ def test_a_provenance_holds_what_is_asked_of_its_coder_alone() -> None:
     assert new.changed_options() == {"k": 0.25, "mode": "mask-direction"}
 
 
-def test_what_a_coder_does_not_take_is_refused() -> None:
+def test_options_of_another_coder_are_refused() -> None:
     with pytest.raises(InvalidArgument, match="nq 5 works with coder paper, not with touch"):
         EncodeSpec(paper=PaperSpec(nq=5))
     with pytest.raises(InvalidArgument, match="effort 'fast' works with coder touch, not with paper"):

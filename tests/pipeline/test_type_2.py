@@ -1,5 +1,5 @@
-"""Type 2 end to end (paper section 5.1, table 2): medium, actuators, perceptual filter, 6 bits a sample,
-stream.
+"""Type 2 end to end (paper section 5.1, table 2): medium, actuators, perceptual filter, 6-bit
+samples, stream.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ FRAMES = 9
 SIX_BITS = PaperSpec(k=K, nq=6, amplitude="weber", interframe="none")
 
 
-class Room(DepthSequence):
-    """A slanted wall, and a box before it that moves."""
+class RoomSequence(DepthSequence):
+    """A slanted wall, and a moving box before it."""
 
     def __init__(self, count: int = 6) -> None:
         self.name, self.intrinsics, self.rate_hz = "room", Intrinsics(80.0, 80.0, 39.5, 29.5), 25.0
@@ -58,7 +58,7 @@ def blob() -> SaliencyScene:
 
 
 def scenes() -> dict[str, Scene]:
-    return {"direct": DepthScene(Room()), "symbolic": blob()}
+    return {"direct": DepthScene(RoomSequence()), "symbolic": blob()}
 
 
 # -- the ladder of 6 bits ----------------------------------------------------------------------------------
@@ -75,19 +75,20 @@ def test_63_steps_and_a_zero_span_547_to_1() -> None:
 
 
 @given(st.floats(0.01, 0.05), st.integers(1, 9), st.floats(1e-3, 1e3), st.lists(st.floats(0, 1), max_size=30))
-def test_a_ladder_of_so_many_steps_keeps_the_mask_up_to_its_top(
-    k: float, nq: int, top: float, parts: list
-) -> None:
+def test_a_ladder_keeps_the_mask_up_to_its_top(k: float, nq: int, top: float, parts: list) -> None:
     amplitudes = (top * np.array([1.0, *parts])).astype(np.float32)
     table = weber_levels(weber_ladder(k, float(amplitudes.max()), 2**nq - 1))
     assert len(table) == 2**nq  # n_q bits a sample
     decoded = table.levels_n[table.encode(amplitudes)]
-    held = amplitudes >= table.thresholds_n[0]
-    assert held[0] and (np.abs(decoded - amplitudes)[held] <= k * amplitudes[held] * (1 + 1e-6)).all()
-    assert not decoded[~held].any()
+    is_supported = amplitudes >= table.thresholds_n[0]
+    assert (
+        is_supported[0]
+        and (np.abs(decoded - amplitudes)[is_supported] <= k * amplitudes[is_supported] * (1 + 1e-6)).all()
+    )
+    assert not decoded[~is_supported].any()
 
 
-def test_a_ladder_without_a_force_and_ladders_too_long() -> None:
+def test_an_empty_ladder_and_ladders_too_long() -> None:
     assert len(weber_levels(weber_ladder(K, 0.0, 63))) == 64
     for k, steps in ((K, 0), (K, 65536), (0.1, 511), (0.5, 63)):  # at 0.1, 511 steps from 1 N end at 3e-45 N
         with pytest.raises(InvalidArgument, match=f"{steps} steps"):
@@ -95,7 +96,7 @@ def test_a_ladder_without_a_force_and_ladders_too_long() -> None:
     assert weber_levels(weber_ladder(0.1, 1e-20, 255)).levels_n[-1] >= 1e-20
 
 
-def test_arrays_take_all_levels_and_points_as_many_as_k_needs() -> None:
+def test_arrays_use_all_levels_and_points_as_many_as_k_needs() -> None:
     assert PaperSpec(amplitude="weber").for_device(is_array=True).weber_steps == 63
     assert PaperSpec(amplitude="weber").for_device(is_array=False).weber_steps is None
     assert PaperSpec(nq=4, weber_levels="full").for_device(is_array=False).weber_steps == 15
@@ -107,7 +108,7 @@ def test_arrays_take_all_levels_and_points_as_many_as_k_needs() -> None:
         PaperSpec(weber_levels="most")
 
 
-# -- the whole chain ---------------------------------------------------------------------------------------
+# -- the complete chain------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("tag", ["direct", "symbolic"])
@@ -126,19 +127,19 @@ def test_six_bits_a_sample_and_every_actuator_within_the_mask(tmp_path: Path, ta
             assert math.ceil(math.log2(len(table.levels_n))) == 6
             assert table.levels_n[-1] / table.levels_n[1] == pytest.approx(RATIO**62, rel=1e-4)
         raw_bits = 6 * 32 * 32 * len(opened.medium)
-        # empty actuators and held ones cost little; the file has a head and code tables besides
+        # empty and repeated actuators take few bits; the file also has a head and code tables
         assert opened.bits.total < raw_bits / 2 and 8 * done.file_bytes < raw_bits
-        felt = 0
+        nonzero = 0
         for frame, decoded in enumerate(opened.medium):
             x, y = (f.to_dense()[:, :, 0] for f in (original[frame], decoded))
             assert not x[..., :2].any() and not y[..., :2].any() and y.min() >= 0
             assert (np.abs(x - y)[..., 2] <= mask_n(x[..., 2], K, summary["f0_n"]) * (1 + 1e-6)).all()
-            felt += decoded.support_count
-        assert felt == done.supported_voxels > 200
+            nonzero += decoded.support_count
+        assert nonzero == done.supported_voxels > 200
 
 
-def test_held_actuators_do_not_leave_the_ladder_behind(tmp_path: Path) -> None:
-    """An amplitude that was expected to be held, and is sent, may be the largest of all."""
+def test_repeated_actuators_do_not_shrink_the_ladder(tmp_path: Path) -> None:
+    """An amplitude that was expected to repeat, but is sent, may be the largest of all."""
     for k, nq in ((0.3, 4), (0.08, 8)):
         spec = EncodeSpec(
             device=SHIRT, coder="paper", paper=PaperSpec(k=k, nq=nq, amplitude="weber", interframe="none")
@@ -150,8 +151,8 @@ def test_held_actuators_do_not_leave_the_ladder_behind(tmp_path: Path) -> None:
 
 def test_the_chain_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, path, field = gif(tmp_path / "a.gif", FRAMES), tmp_path / "a.touch", tmp_path / "a.npz"
-    asked = f"--device {SHIRT} --coder paper --amplitude weber --nq 6 --k 0.05 --interframe none --json"
-    assert _exit_code(["encode", str(source), str(path), *asked.split()]) == 0
+    options = f"--device {SHIRT} --coder paper --amplitude weber --nq 6 --k 0.05 --interframe none --json"
+    assert _exit_code(["encode", str(source), str(path), *options.split()]) == 0
     assert "Symbolic" in json.loads(capsys.readouterr().out)["notes"][0]
     assert _exit_code(["info", str(path), "--json"]) == 0
     info = json.loads(capsys.readouterr().out)
@@ -165,7 +166,7 @@ def test_the_chain_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureF
     assert json.loads(capsys.readouterr().out)["mask_violations"] == 0
 
 
-def test_a_person_sees_what_each_actuator_does(tmp_path: Path) -> None:
+def test_the_picture_shows_each_actuator(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     from PIL import Image
 
@@ -176,7 +177,7 @@ def test_a_person_sees_what_each_actuator_does(tmp_path: Path) -> None:
     with Image.open(tmp_path / "a.png") as drawn:
         assert drawn.width > 1000
         colours = np.asarray(drawn.convert("RGB")).reshape(-1, 3)
-    yellow = (254, 232, 56)  # the upper end of the scale of forces
+    yellow = (254, 232, 56)  # the upper end of the colour scale
     assert (np.abs(colours.astype(int) - yellow).max(axis=1) < 24).sum() > 500
 
 
@@ -189,8 +190,8 @@ def test_an_ordinary_video_on_the_shirt(tmp_path: Path) -> None:
             tmp_path / f"{type(source).__name__}.touch",
             EncodeSpec(device=SHIRT, coder="paper", paper=SIX_BITS),
         )
-    ours, theirs = sorted(tmp_path.glob("*.touch"))
-    with open_stream(ours) as a, open_stream(theirs) as b:
+    first, second = sorted(tmp_path.glob("*.touch"))
+    with open_stream(first) as a, open_stream(second) as b:
         assert a.summary()["tags"] == ["symbolic"]
         assert all(x == y for x, y in zip(a.medium, b.medium, strict=True))
 

@@ -1,4 +1,4 @@
-"""One source, coder, driver and filter of another distribution."""
+"""One source, one coder, one driver and one filter of another distribution."""
 
 from dataclasses import dataclass
 

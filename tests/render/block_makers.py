@@ -1,4 +1,4 @@
-"""Fields and frames written into a block, for the tests of the renderer."""
+"""Writes fields and frames into a block, for the tests of the renderer."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from touchfield.render.block.frames import FramePart, field_words, frame_words, 
 
 
 class Block:
-    """A block that is filled from front to back."""
+    """A block filled from front to back."""
 
-    def __init__(self, words: int = 400_000) -> None:
-        self.memory = Memory.empty(words)
+    def __init__(self, word_count: int = 400_000) -> None:
+        self.memory = Memory.empty(word_count)
         self.top = 8
 
     def field(self, field: ForceField) -> int:
-        """Write a field; where it lies."""
+        """Write a field; return its address."""
         pool, at = CellPool.of(field), self.top
         write_field(self.memory, at, pool)
         self.top += field_words(pool)
         return at
 
     def frame(self, parts: Sequence[FramePart], force_max_n: float = np.inf, vibration_at: int = 0) -> int:
-        """Write a frame; where it lies."""
+        """Write a frame; return its address."""
         at = self.top
         write_frame(self.memory, at, parts, force_max_n, vibration_at)
         self.top += frame_words(len(parts))
         return at
 
     def voxels(self, field: ForceField) -> int:
-        """Write a field and the frame of voxels that shows it; where the frame lies."""
+        """Write a field and its frame of voxels; return the address of the frame."""
         return self.frame([FramePart.voxels(self.field(field))])
 
 
 def some_field(rng: np.random.Generator, grid: Grid | None = None) -> ForceField:
-    """Forces here and there on a small lattice whose sides are not multiples of a brick; perhaps none."""
+    """Random forces, possibly none, on a small lattice whose sides are not multiples of a brick."""
     if grid is None:
         grid = Grid(
             tuple(rng.integers(1, 20, 3)), tuple(rng.uniform(0.003, 0.02, 3)), tuple(rng.normal(0, 0.05, 3))

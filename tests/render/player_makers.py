@@ -1,7 +1,6 @@
-"""What the tests of the player share: a small medium whose force tells its frame, devices that keep what they
-get.
+"""For the tests of the player: a small medium whose force encodes the frame number, and fake devices.
 
-Devices are classes of a module, because the servo's process makes them there.
+Devices are module-level classes, because the process of the servo instantiates them.
 """
 
 from __future__ import annotations
@@ -28,31 +27,33 @@ RATE_HZ = 50.0
 
 
 @cache
-def told(frame: int) -> ForceField:
+def numbered_field(frame: int) -> ForceField:
     """A field whose force everywhere is (0, 0, 0.5 + frame / 64) newtons, exact in float32."""
     forces = np.zeros((*GRID.shape, 3), np.float32)
     forces[..., 2] = 0.5 + frame / 64
     return ForceField.from_dense(GRID, forces)
 
 
-def telling(frames: int = 20, rate_hz: float = RATE_HZ, corrupt_from: int | None = None) -> HapticMedium:
-    """A medium of such fields; from one frame on it cannot be read."""
+def numbered_medium(
+    frames: int = 20, rate_hz: float = RATE_HZ, corrupt_from: int | None = None
+) -> HapticMedium:
+    """A medium of such fields; reading fails from the frame `corrupt_from` on."""
 
     def make(frame: int) -> ForceField:
         if corrupt_from is not None and frame >= corrupt_from:
             raise CorruptFile("segment 3", "a wrong checksum")
-        return told(frame)
+        return numbered_field(frame)
 
     return HapticMedium(GRID, rate_hz, frames, make, AXES)
 
 
 def frame_of(force_n: float) -> float:
-    """The frame that tells this force."""
+    """The frame number encoded by this force."""
     return 64 * (force_n - 0.5)
 
 
-class Still(PointDevice):
-    """Stays in the middle, where all fields are told, and keeps the forces that it gets."""
+class RestingDevice(PointDevice):
+    """Stays in the middle, within all numbered fields, and records its forces."""
 
     def __init__(self) -> None:
         self.forces: list[Point] = []
@@ -73,15 +74,15 @@ class Still(PointDevice):
         self.closed += 1
 
 
-class Simulated(Still):
-    """The same, for which time is the number of the tick."""
+class Simulated(RestingDevice):
+    """The same with simulated time: the number of the tick."""
 
     def advance(self, dt_s: float) -> None:
         return
 
 
-class Failing(Still):
-    """Does not answer any more after some ticks."""
+class Failing(RestingDevice):
+    """Stops answering after some ticks."""
 
     def position_m(self) -> Point:
         if len(self.forces) >= 100:
@@ -89,7 +90,7 @@ class Failing(Still):
         return super().position_m()
 
 
-class Hung(Still):
+class Hung(RestingDevice):
     """Never answers, and cannot be interrupted."""
 
     def position_m(self) -> Point:
@@ -97,10 +98,8 @@ class Hung(Still):
             time.sleep(60)
 
 
-class Noted(Still):
-    """Writes down, in a file named by the environment, each opening and force; its reads hang after some
-    ticks.
-    """
+class Noted(RestingDevice):
+    """Writes each opening and force to the file named by the environment; its reads hang after some ticks."""
 
     def open(self) -> None:
         super().open()
@@ -116,13 +115,13 @@ class Noted(Still):
         if len(self.forces) == 1:
             self._note(f"force {x:g} {y:g} {z:g}")
 
-    def _note(self, what: str) -> None:
+    def _note(self, line: str) -> None:
         with open(os.environ["NOTED_FORCES"], "a") as file:
-            file.write(f"{what}\n")
+            file.write(f"{line}\n")
 
 
-class Absent(Still):
-    """Is not there."""
+class Absent(RestingDevice):
+    """Cannot be opened."""
 
     def open(self) -> None:
         raise DeviceError("fake device", "nothing on the bus", "a device", "Plug it in.")

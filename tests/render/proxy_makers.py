@@ -1,4 +1,4 @@
-"""What tests and benchmark of the proxy share: a hand of 0.1 kg on a field, and walls to press it into."""
+"""For tests and benchmark of the proxy: a hand of 0.1 kg on a field, and walls to press it into."""
 
 from __future__ import annotations
 
@@ -26,15 +26,14 @@ Vector = NDArray[np.float64]
 
 
 def field_of(*shapes: Shape, nw: int = 7, mapping: str = "1") -> ForceField:
-    """The device's field of shapes, hand metres."""
+    """The field of shapes for the device, in metres of the hand."""
     return prepare(AnalyticScene(shapes), EncodeSpec(nw=nw, mapping=mapping)).medium[0]
 
 
 class Held:
-    """A field, rendered by the proxy or as it is.
+    """A field, rendered by the proxy or directly.
 
-    Poses, if any, place the field as a body, (w, x, y, z) and metres a frame; `at_s` goes from one to the
-    next.
+    Poses, if any, place the field as a body, (w, x, y, z) and metres a frame; `at` interpolates between them.
     """
 
     def __init__(
@@ -71,7 +70,7 @@ class Held:
         self.at = 0.0
 
     def tick(self, hand: Vector) -> Vector:
-        """The force on a hand, newtons; `at` tells between which poses."""
+        """The force on a hand, newtons; `at` selects the poses to interpolate."""
         n = min(int(self.at), len(self.frames) - 1)
         following, blend = self.frames[min(n + 1, len(self.frames) - 1)], float(self.at - n)
         return np.array(tick(*self.memory.views, self.frames[n], following, blend, *map(float, hand), DT_S))
@@ -82,7 +81,7 @@ class Held:
 
     @property
     def proxy_m(self) -> Vector:
-        """Where the proxy is."""
+        """Position of the proxy."""
         return self.word(W.PROXY)
 
     def pushed(
@@ -92,8 +91,8 @@ class Held:
         seconds: float,
         damping: float = 5.0,
     ) -> tuple[Vector, Vector, Vector]:
-        """Places of a free hand of 0.1 kg that is pushed, forces on it and places of the proxy,
-        a row a tick.
+        """Positions of a pushed free hand of 0.1 kg, forces on it and positions of the proxy, a row
+        a tick.
         """
         x, v, rows = np.array(start_m, np.float64), np.zeros(3), []
         for n in range(round(seconds / DT_S)):
@@ -109,9 +108,7 @@ class Held:
 def ramp_n(
     direction: Sequence[float], newtons: float = 3.0, rise_s: float = 0.3, guided_n_per_m: float = 0.0
 ) -> Callable[[float, Vector], Vector]:
-    """A push along a direction that rises to so many newtons, by a hand that a spring keeps on its line, or
-    none.
-    """
+    """A push along a direction that rises to `newtons`, optionally guided along its line by a spring."""
     unit = np.array(direction, np.float64) / np.linalg.norm(direction)
     line: list[Vector] = []
 

@@ -1,4 +1,4 @@
-"""The player of arrays: in time, linear between frames, and all off whatever ends it."""
+"""The player of arrays: in time, linear between frames, and off at any end."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHAPE = (2, 3, 2)
 
 
 class Recorder(ArrayDevice):
-    """Writes down what it is told; gone after so many frames, or slow."""
+    """Records its drives; fails after a given number of frames, or is slow."""
 
     def __init__(
         self, gone_after: int | None = None, error: Exception | None = None, slow_s: float = 0.0
@@ -30,7 +30,7 @@ class Recorder(ArrayDevice):
         self.profile = VEST
         self.gone_after, self.slow_s = gone_after, slow_s
         self.error = error or DeviceError("recorder", "that it is gone")
-        self.shown: list[np.ndarray] = []
+        self.sent_drives: list[np.ndarray] = []
         self.frequencies: list[np.ndarray | None] = []
         self.opened = self.closed = 0
 
@@ -42,10 +42,10 @@ class Recorder(ArrayDevice):
     def put_drives(self, drives: np.ndarray, frequencies_hz: np.ndarray | None, seconds: float) -> None:
         assert self.opened and not self.closed
         assert drives.dtype == np.float32 and drives.shape == SHAPE and 0 < seconds <= 10
-        if self.gone_after is not None and len(self.shown) >= self.gone_after:
+        if self.gone_after is not None and len(self.sent_drives) >= self.gone_after:
             raise self.error
         time.sleep(self.slow_s)
-        self.shown.append(drives.copy())
+        self.sent_drives.append(drives.copy())
         self.frequencies.append(frequencies_hz)
 
     def close(self) -> None:
@@ -53,18 +53,18 @@ class Recorder(ArrayDevice):
 
 
 class Frames:
-    """Frames that a function of their number makes."""
+    """Frames computed by a function of their number."""
 
     def __init__(self, make: Callable[[int], object], count: int, rate_hz: float = 100.0) -> None:
         self.make, self.frame_count, self.rate_hz = make, count, rate_hz
-        self.asked: list[int] = []
+        self.requested_frames: list[int] = []
 
     def drives(self, frame: int) -> np.ndarray:
-        self.asked.append(frame)
-        made = self.make(frame)
-        if isinstance(made, Exception):
-            raise made
-        return np.broadcast_to(np.asarray(made, np.float32), SHAPE)
+        self.requested_frames.append(frame)
+        levels = self.make(frame)
+        if isinstance(levels, Exception):
+            raise levels
+        return np.broadcast_to(np.asarray(levels, np.float32), SHAPE)
 
     def frequencies(self, frame: int) -> np.ndarray | None:
         return None
@@ -74,18 +74,18 @@ def played(frames: Frames, recorder: Recorder, **options: object) -> tuple[list[
     """The first drive of each frame that was sent."""
     with ArrayPlayer(frames, recorder, **options) as player:
         assert player.wait(20.0)
-    assert recorder.closed and not recorder.shown[-1].any()
-    return [float(one[0, 0, 0]) for one in recorder.shown], player
+    assert recorder.closed and not recorder.sent_drives[-1].any()
+    return [float(drives[0, 0, 0]) for drives in recorder.sent_drives], player
 
 
-def test_every_frame_in_its_turn_and_all_off_at_the_end() -> None:
-    shown, player = played(Frames(lambda i: (i + 1) / 10, 5), recorder := Recorder(), rate_hz=100)
+def test_frames_are_played_in_order_and_end_all_off() -> None:
+    levels, player = played(Frames(lambda i: (i + 1) / 10, 5), recorder := Recorder(), rate_hz=100)
     assert recorder.opened == recorder.closed == 1
-    steps, told = [s for s in shown if s], player.statistics()
+    steps, statistics = [s for s in levels if s], player.statistics()
     assert steps == sorted(set(steps)) and set(steps) <= {float(np.float32(n / 10)) for n in range(1, 6)}
-    assert len(steps) == told["sent"] - told["stalled"] == len(shown) - 1 - told["stalled"]
-    assert len(steps) + told["skipped"] >= 5 and told["mean_rate_hz"] > 0
-    assert len(player.notes) == (told["stalled"] > 0)
+    assert len(steps) == statistics["sent"] - statistics["stalled"] == len(levels) - 1 - statistics["stalled"]
+    assert len(steps) + statistics["skipped"] >= 5 and statistics["mean_rate_hz"] > 0
+    assert len(player.notes) == (statistics["stalled"] > 0)
 
 
 def test_the_mean_rate_is_that_of_the_intervals_between_frames() -> None:
@@ -95,9 +95,9 @@ def test_the_mean_rate_is_that_of_the_intervals_between_frames() -> None:
     assert player.statistics()["mean_rate_hz"] == 5.0
 
 
-def test_linear_between_frames_and_the_last_is_held() -> None:
-    ahead = DrivePrefetcher(Frames(lambda i: [0.0, 1.0, 0.5][i], 3), SHAPE, 0.0, 0.25, 50, False)
-    ahead.thread.start()
+def test_drives_are_linear_between_frames_and_the_last_one_stays() -> None:
+    prefetcher = DrivePrefetcher(Frames(lambda i: [0.0, 1.0, 0.5][i], 3), SHAPE, 0.0, 0.25, 50, False)
+    prefetcher.thread.start()
     for position, drive in (
         (0.0, 0.0),
         (0.25, 0.25),
@@ -107,33 +107,36 @@ def test_linear_between_frames_and_the_last_is_held() -> None:
         (2.0, 0.5),
         (2.75, 0.5),
     ):
-        ahead.wait_for(position)
-        shown = ahead.at(position)
-        assert shown is not None and shown[1] is None and (shown[0] == np.float32(drive)).all()
-    ahead.stop()
-    ahead.thread.join(5.0)
+        prefetcher.wait_for(position)
+        sample = prefetcher.at(position)
+        assert sample is not None and sample[1] is None and (sample[0] == np.float32(drive)).all()
+    prefetcher.stop()
+    prefetcher.thread.join(5.0)
 
 
-def test_frequencies_come_from_the_nearer_frame_that_has_one() -> None:
+def test_frequencies_are_those_of_the_nearest_vibrating_frame() -> None:
     class Vibrating(Frames):
         def frequencies(self, frame: int) -> np.ndarray:
             return np.broadcast_to(np.array([[100.0, 0.0], [200.0, 150.0]][frame], np.float32), SHAPE)
 
-    ahead = DrivePrefetcher(Vibrating(lambda i: 0.5, 2), SHAPE, 0.0, 0.25, 50, False)
-    ahead.thread.start()
-    ahead.wait_for(0.25)
+    prefetcher = DrivePrefetcher(Vibrating(lambda i: 0.5, 2), SHAPE, 0.0, 0.25, 50, False)
+    prefetcher.thread.start()
+    prefetcher.wait_for(0.25)
     for position, expected in ((0.0, [100, 0]), (0.25, [100, 150]), (0.75, [200, 150])):
-        shown = ahead.at(position)
-        assert shown is not None and shown[1] is not None and (shown[1][0, 0] == expected).all()
-    ahead.stop()
-    ahead.thread.join(5.0)
+        sample = prefetcher.at(position)
+        assert sample is not None and sample[1] is not None and (sample[1][0, 0] == expected).all()
+    prefetcher.stop()
+    prefetcher.thread.join(5.0)
 
 
-def test_as_many_frames_as_the_medium_has_time_for() -> None:
+def test_the_number_of_frames_is_that_of_the_duration() -> None:
     """Steps of 0.6 frames, which have no exact sum."""
     _, player = played(Frames(lambda i: 0.5, 60, 300.0), Recorder(), rate_hz=500)
-    told = player.statistics()
-    assert told["sent"] - told["stalled"] + told["skipped"] >= 100 and told["sent"] - told["stalled"] <= 100
+    statistics = player.statistics()
+    assert (
+        statistics["sent"] - statistics["stalled"] + statistics["skipped"] >= 100
+        and statistics["sent"] - statistics["stalled"] <= 100
+    )
 
 
 def test_usual_rates() -> None:
@@ -144,38 +147,41 @@ def test_usual_rates() -> None:
 
 
 def test_speed_start_and_loop() -> None:
-    shown, _ = played(
+    levels, _ = played(
         Frames(lambda i: i / 100, 100, 1000.0), Recorder(), rate_hz=100, speed=2.0, start_s=0.02
     )
-    steps = [s for s in shown if s]
+    steps = [s for s in levels if s]
     assert steps[0] == np.float32(0.2) and len(steps) <= 4
     assert all(b - a > 0.19 for a, b in zip(steps, steps[1:]))  # 20 frames of the medium to one of the player
     recorder, frames = Recorder(), Frames(lambda i: (i + 1) / 10, 3)
     with ArrayPlayer(frames, recorder, rate_hz=200, loop=True) as player:
-        while len(recorder.shown) < 25:
+        while len(recorder.sent_drives) < 25:
             assert not player.wait(0.005)
-    assert len({float(s[0, 0, 0]) for s in recorder.shown}) >= 3 and not recorder.shown[-1].any()
-    assert set(frames.asked) == {0, 1, 2} and len(frames.asked) > 3
+    assert len({float(s[0, 0, 0]) for s in recorder.sent_drives}) >= 3 and not recorder.sent_drives[-1].any()
+    assert set(frames.requested_frames) == {0, 1, 2} and len(frames.requested_frames) > 3
 
 
-def test_a_fast_medium_is_not_decoded_where_it_is_not_shown() -> None:
+def test_skipped_frames_of_a_fast_medium_are_not_decoded() -> None:
     frames = Frames(lambda i: 0.5, 100000, 10000.0)
     _, player = played(frames, Recorder(), rate_hz=100, start_s=9.7, speed=1.0)
-    assert len(frames.asked) < 100 and player.statistics()["stalled"] < 20
+    assert len(frames.requested_frames) < 100 and player.statistics()["stalled"] < 20
 
 
-def test_what_is_decoded_ahead_is_bounded() -> None:
+def test_the_lookahead_is_bounded() -> None:
     frames = Frames(lambda i: 0.5, 1 << 30, 1e6)
-    ahead = DrivePrefetcher(frames, SHAPE, 0.0, 0.5, 2000.0, True)
-    ahead.thread.start()
-    ahead.wait_for(200.0)
+    prefetcher = DrivePrefetcher(frames, SHAPE, 0.0, 0.5, 2000.0, True)
+    prefetcher.thread.start()
+    prefetcher.wait_for(200.0)
     time.sleep(0.05)
-    assert len(frames.asked) <= MAX_LOOKAHEAD_FRAMES and len(ahead._buffer) <= MAX_LOOKAHEAD_FRAMES
-    ahead.stop()
-    ahead.thread.join(5.0)
+    assert (
+        len(frames.requested_frames) <= MAX_LOOKAHEAD_FRAMES
+        and len(prefetcher._buffer) <= MAX_LOOKAHEAD_FRAMES
+    )
+    prefetcher.stop()
+    prefetcher.thread.join(5.0)
 
 
-def test_a_stall_of_the_feed_is_all_off_and_nothing_is_left_out() -> None:
+def test_a_stall_turns_all_off_and_skips_nothing() -> None:
     released = threading.Event()
 
     def make(frame: int) -> float:
@@ -187,27 +193,31 @@ def test_a_stall_of_the_feed_is_all_off_and_nothing_is_left_out() -> None:
     with ArrayPlayer(Frames(make, 4), recorder, rate_hz=200) as player:
         while player.statistics()["stalled"] < 3:
             assert not player.wait(0.005)
-        assert not recorder.shown[-1].any()
+        assert not recorder.sent_drives[-1].any()
         released.set()
         assert player.wait(20)
     (note,) = player.notes
     assert "Frames are not ready in time: the actuators are off until they are." in note
     assert (
-        max(float(one.max()) for one in recorder.shown) == pytest.approx(0.4) and not recorder.shown[-1].any()
+        max(float(drives.max()) for drives in recorder.sent_drives) == pytest.approx(0.4)
+        and not recorder.sent_drives[-1].any()
     )
 
 
 @pytest.mark.parametrize("loop", [False, True])
-def test_one_frame_stays_as_long_as_it_is_wanted_and_is_made_once(loop: bool) -> None:
+def test_a_single_frame_is_played_until_the_end_and_decoded_once(loop: bool) -> None:
     frames, recorder = Frames(lambda i: 0.5, 1), Recorder()
     with ArrayPlayer(frames, recorder, rate_hz=200, loop=loop) as player:
-        while len(recorder.shown) < 40:
+        while len(recorder.sent_drives) < 40:
             assert not player.wait(0.005)  # a frame of 100 Hz lasts for two of these
-    assert frames.asked == [0] and player.statistics()["stalled"] == 0
-    assert all((one == np.float32(0.5)).all() for one in recorder.shown[:-1]) and not recorder.shown[-1].any()
+    assert frames.requested_frames == [0] and player.statistics()["stalled"] == 0
+    assert (
+        all((drives == np.float32(0.5)).all() for drives in recorder.sent_drives[:-1])
+        and not recorder.sent_drives[-1].any()
+    )
 
 
-def test_preparation_is_told_from_play() -> None:
+def test_preparation_is_distinguished_from_play() -> None:
     released = threading.Event()
     frames = Frames(lambda i: 0.5 if released.wait(20) else 0.0, 1)
     with ArrayPlayer(frames, Recorder(), rate_hz=200) as player:
@@ -231,28 +241,28 @@ def test_a_close_waits_for_the_frame_that_is_being_decoded() -> None:
 
     with ArrayPlayer(Frames(make, 1), Recorder()):
         assert begun.wait(20)
-    assert not [one for one in threading.enumerate() if one.name.startswith("touchfield-array")]
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("touchfield-array")]
 
 
-def test_a_device_that_is_not_there_is_told_by_start() -> None:
+def test_start_raises_the_error_of_a_missing_device() -> None:
     recorder = Recorder(gone_after=-1)
     player = ArrayPlayer(Frames(lambda i: 1.0, 5), recorder)
     with pytest.raises(DeviceError, match="gone"):
         player.start()
     player.close()
-    assert recorder.closed == 1 and not recorder.shown
+    assert recorder.closed == 1 and not recorder.sent_drives
     with pytest.raises(InvalidArgument, match="started before"):
         player.start()
 
 
-def test_a_slow_device_is_sent_fewer_frames_in_the_same_time() -> None:
+def test_a_slow_device_gets_fewer_frames_in_the_same_time() -> None:
     began = time.monotonic()
-    shown, player = played(Frames(lambda i: 0.5, 30, 100.0), Recorder(slow_s=0.03), rate_hz=200)
-    told = player.statistics()
-    assert len(shown) < 20 and told["skipped"] >= 30 and time.monotonic() - began >= 0.25
+    levels, player = played(Frames(lambda i: 0.5, 30, 100.0), Recorder(slow_s=0.03), rate_hz=200)
+    statistics = player.statistics()
+    assert len(levels) < 20 and statistics["skipped"] >= 30 and time.monotonic() - began >= 0.25
 
 
-def test_frames_of_another_shape_and_bad_numbers() -> None:
+def test_frames_of_another_shape_or_with_bad_numbers_are_errors() -> None:
     class Wrong(Frames):
         def drives(self, frame: int) -> np.ndarray:
             return np.zeros((1, 3, 2), np.float32)
@@ -317,7 +327,7 @@ ODD = st.one_of(st.floats(width=32), st.floats(-0.5, 1.5, width=32))
     slow=st.booleans(),
     loop=st.booleans(),
 )
-def test_whatever_happens_drives_are_bounded_and_the_last_is_off(
+def test_drives_are_always_bounded_and_end_off(
     drives: list[float],
     broken: int | None,
     gone_after: int | None,
@@ -349,6 +359,9 @@ def test_whatever_happens_drives_are_bounded_and_the_last_is_off(
     player.close()
     player.close()
     assert recorder.closed == 1
-    assert all(np.isfinite(one).all() and one.min() >= 0 and one.max() <= 1 for one in recorder.shown)
-    if gone_after is None or len(recorder.shown) < gone_after:
-        assert recorder.shown and not recorder.shown[-1].any()
+    assert all(
+        np.isfinite(levels).all() and levels.min() >= 0 and levels.max() <= 1
+        for levels in recorder.sent_drives
+    )
+    if gone_after is None or len(recorder.sent_drives) < gone_after:
+        assert recorder.sent_drives and not recorder.sent_drives[-1].any()

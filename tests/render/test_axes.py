@@ -1,5 +1,5 @@
-"""Axes in words: what every shipped profile and every kind of source says, round trips, and what cannot be
-read.
+"""Descriptions of axes: those of every shipped profile and every kind of source, round trips,
+invalid texts.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from touchfield.render.point_device import BOX_AXES, axes_matrix, axes_notes, ax
 from touchfield.render.spec import RenderSpec
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES
 
-WORDS = (
+DIRECTIONS = (
     ("right", "left", "rightwards", "to the left"),
     ("up", "down", "upwards", "downwards"),
     ("towards the user", "away from the user", "back", "forward", "towards the viewer", "toward the user"),
@@ -25,11 +25,11 @@ WORDS = (
 
 @st.composite
 def texts(draw: st.DrawFn) -> tuple[str, np.ndarray]:
-    """A text that can be read, and its matrix."""
+    """A valid text and its matrix."""
     order = draw(st.permutations(range(3)))
     matrix, parts = np.zeros((3, 3)), []
     for n, axis in enumerate(order):
-        word = draw(st.sampled_from(WORDS[axis]))
+        word = draw(st.sampled_from(DIRECTIONS[axis]))
         sign = -1 if any(w in word for w in ("left", "down", "away", "forward")) else 1
         matrix[axis, n] = sign
         parts.append(f"{'xyz'[n]} {word}")
@@ -38,25 +38,25 @@ def texts(draw: st.DrawFn) -> tuple[str, np.ndarray]:
 
 
 @given(texts(), texts())
-def test_a_device_is_read_as_it_says_and_back_again(
-    one: tuple[str, np.ndarray], other: tuple[str, np.ndarray]
+def test_axes_of_a_device_round_trip(
+    device_case: tuple[str, np.ndarray], field_case: tuple[str, np.ndarray]
 ) -> None:
-    (text, matrix), (field_text, field) = one, other
+    (text, matrix), (field_text, field) = device_case, field_case
     read = axes_of_text(text)
     assert read is not None
     assert (read == matrix).all()
-    turned = axes_matrix(text, field_text)
-    assert (turned @ turned.T == np.eye(3)).all()
-    assert abs(np.linalg.det(turned)) == pytest.approx(1)
-    if np.diagonal(field).all():  # along the box: all that a medium's words can tell
-        assert (field @ turned == matrix).all()
+    permuted = axes_matrix(text, field_text)
+    assert (permuted @ permuted.T == np.eye(3)).all()
+    assert abs(np.linalg.det(permuted)) == pytest.approx(1)
+    if np.diagonal(field).all():  # along the box: the only axes that the text of a medium can describe
+        assert (field @ permuted == matrix).all()
         assert axes_notes(text, field_text) == ()
     else:
-        assert (turned == matrix).all()
+        assert (permuted == matrix).all()
         assert len(axes_notes(text, field_text)) == 1
 
 
-def test_words_of_devices_and_sources() -> None:
+def test_axes_of_devices_and_sources() -> None:
     inverse3, omega = "x right, y away from the user, z up", "x towards the user, y right, z up"
     assert axes_matrix(BOX_AXES, UP_Y_AXES).tolist() == np.eye(3).tolist()
     assert axes_matrix(BOX_AXES, CAMERA_AXES).tolist() == np.diag([1.0, -1, -1]).tolist()
@@ -73,8 +73,8 @@ def test_up_is_up_for_the_hand() -> None:
         ("x", [1, 0, 0]), ("-x", [-1, 0, 0]), ("y", [0, 1, 0]),
         ("-y", [0, -1, 0]), ("z", [0, 0, 1]), ("-z", [0, 0, -1]),
     ):  # fmt: skip
-        turned = axes_matrix(BOX_AXES, "of nobody's knowing", up)
-        assert (turned @ [0, 1, 0]).tolist() == vector and np.linalg.det(turned) == pytest.approx(1)
+        matrix = axes_matrix(BOX_AXES, "of nobody's knowing", up)
+        assert (matrix @ [0, 1, 0]).tolist() == vector and np.linalg.det(matrix) == pytest.approx(1)
         assert axes_notes(BOX_AXES, "of nobody's knowing", up) == ()
     for axes, vector in ((UP_Z_AXES, [0, 0, 1]), (UP_Y_AXES, [0, 1, 0]), (CAMERA_AXES, [0, -1, 0])):
         assert (axes_matrix(BOX_AXES, axes, "auto") @ [0, 1, 0]).tolist() == vector
@@ -86,11 +86,11 @@ def test_up_is_up_for_the_hand() -> None:
         RenderSpec(up="w")
 
 
-def test_every_shipped_point_says_its_axes_in_words_that_are_read() -> None:
-    points = [one for one in devices() if not one.is_array]
+def test_axes_of_every_shipped_point_device_are_valid() -> None:
+    points = [profile for profile in devices() if not profile.is_array]
     assert len(points) > 5
-    for one in points:
-        assert axes_of_text(one.axes) is not None, one.name
+    for profile in points:
+        assert axes_of_text(profile.axes) is not None, profile.name
 
 
 UNREADABLE = (
@@ -113,7 +113,7 @@ UNREADABLE = (
 
 
 @pytest.mark.parametrize("text", UNREADABLE)
-def test_what_cannot_be_read_is_the_box_and_a_note(text: str) -> None:
+def test_unknown_axes_are_those_of_the_box_with_a_note(text: str) -> None:
     assert axes_of_text(text) is None
     assert (axes_matrix(text, text) == np.eye(3)).all()
     notes = axes_notes(text, text)
@@ -122,18 +122,18 @@ def test_what_cannot_be_read_is_the_box_and_a_note(text: str) -> None:
 
 
 @given(st.text(max_size=40))
-def test_any_text_gives_a_signed_permutation(text: str) -> None:
+def test_any_text_gives_a_signed_permutation_matrix(text: str) -> None:
     for matrix in (axes_matrix(text, BOX_AXES), axes_matrix(BOX_AXES, text)):
         assert sorted(np.abs(matrix).ravel().tolist()) == [0] * 6 + [1] * 3
         assert (matrix @ matrix.T == np.eye(3)).all()
 
 
-def test_all_48_ways_are_told_apart() -> None:
+def test_all_48_orientations_are_distinct() -> None:
     found = set()
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((0, 1), repeat=3):
             parts = [
-                f"{'xyz'[n]} {WORDS[axis][sign]}"
+                f"{'xyz'[n]} {DIRECTIONS[axis][sign]}"
                 for n, (axis, sign) in enumerate(zip(order, signs, strict=True))
             ]
             found.add(tuple(axes_matrix(", ".join(parts), BOX_AXES).ravel()))

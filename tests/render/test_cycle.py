@@ -1,4 +1,4 @@
-"""One turn of the servo: the media clock, which frames are meant, what is counted and what is logged."""
+"""One cycle of the servo: the media clock, the frames in use, the counters and the log."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from player_makers import RATE_HZ, frame_of, laid_out, telling
+from player_makers import RATE_HZ, frame_of, laid_out, numbered_medium
 
 from touchfield.medium import HapticMedium
 from touchfield.render.block import FLAGS, TickLog, statistics_of, words as W
@@ -19,7 +19,7 @@ START_NS = 5_000_000_000
 
 
 class Desk:
-    """A session whose ticks, feed and orders are at hand."""
+    """A session with access to its ticks, feed and orders."""
 
     def __init__(self, medium: HapticMedium, spec: RenderSpec | None = None, **options: object) -> None:
         self.session, self.memory = laid_out(medium, spec, **options)
@@ -27,10 +27,10 @@ class Desk:
         self.log = TickLog(self.memory, 1 << 30)
         self.now_ns, self.is_fed = START_NS, True
 
-    def order(self, **wanted: object) -> None:
-        given = self.session.order(self.memory, **wanted)  # type: ignore[arg-type]
-        if "seek_s" in wanted:
-            self.feeder.seek(given.generation, self.session.frame_at(given.start_s))
+    def order(self, **changes: object) -> None:
+        applied = self.session.order(self.memory, **changes)  # type: ignore[arg-type]
+        if "seek_s" in changes:
+            self.feeder.seek(applied.generation, self.session.frame_at(applied.start_s))
 
     def tick(self, count: int = 1, step_ns: int = TICK_NS) -> tuple[float, float, float]:
         force = (0.0, 0.0, 0.0)
@@ -41,12 +41,12 @@ class Desk:
             self.now_ns += step_ns
         return force
 
-    def told(self) -> float:
-        """The frame that the field's force tells, between two where it is blended."""
+    def played_frame(self) -> float:
+        """The frame number encoded by the force; fractional between two frames."""
         return frame_of(float(self.memory.f8[W.FIELD_FORCE + 2]))
 
-    def word(self, place: int) -> int:
-        return int(self.memory.i8[place])
+    def word(self, index: int) -> int:
+        return int(self.memory.i8[index])
 
     @property
     def media_s(self) -> float:
@@ -58,13 +58,13 @@ class Desk:
 
 
 def playing(frames: int = 20, **options: object) -> Desk:
-    desk = Desk(telling(frames), **options)  # type: ignore[arg-type]
+    desk = Desk(numbered_medium(frames), **options)  # type: ignore[arg-type]
     desk.order(mode=W.PLAYING)
     return desk
 
 
-def test_no_force_before_it_is_told_to_play() -> None:
-    desk = Desk(telling())
+def test_no_force_before_play() -> None:
+    desk = Desk(numbered_medium())
     for _ in range(50):
         assert desk.tick() == (0.0, 0.0, 0.0)
     assert desk.media_s == 0 and desk.word(W.RESTING)
@@ -72,12 +72,12 @@ def test_no_force_before_it_is_told_to_play() -> None:
     assert desk.tick(100)[2] > 0 and desk.counts["waits"] == 0
 
 
-def test_between_frames_the_force_is_blended_and_at_a_frame_it_is_that_frame() -> None:
+def test_the_force_is_exact_at_frames_and_blended_between() -> None:
     desk = playing()
     for n in range(200):
         desk.tick()
         assert desk.media_s == pytest.approx(n * 1e-3, abs=1e-12)
-        assert desk.told() == pytest.approx(n * 1e-3 * RATE_HZ, abs=1e-5)
+        assert desk.played_frame() == pytest.approx(n * 1e-3 * RATE_HZ, abs=1e-5)
 
 
 @given(st.floats(0.05, 20.0), st.floats(0.0, 0.3))
@@ -86,16 +86,16 @@ def test_speed_and_start(speed: float, start_s: float) -> None:
     desk.tick(40)
     media_s = start_s + 39e-3 * speed
     assert desk.media_s == pytest.approx(media_s, abs=1e-9)
-    place = math.fmod(media_s * RATE_HZ, 20)
-    expected = place if place <= 19 else 19 * (20 - place)  # from the last frame back to the first
-    assert desk.told() == pytest.approx(expected, abs=1e-4)
+    position = math.fmod(media_s * RATE_HZ, 20)
+    expected = position if position <= 19 else 19 * (20 - position)  # from the last frame back to the first
+    assert desk.played_frame() == pytest.approx(expected, abs=1e-4)
 
 
-def test_a_change_of_speed_makes_no_leap() -> None:
+def test_a_change_of_speed_is_continuous() -> None:
     desk = playing()
     desk.tick(101)
     desk.order(speed=0.25)
-    desk.tick()  # the order is taken up at its beginning
+    desk.tick()  # the order is applied at its start
     before = desk.media_s
     assert before == pytest.approx(0.101)
     desk.tick(40)
@@ -117,7 +117,9 @@ def test_pause_keeps_the_field_and_the_time() -> None:
 def test_the_end_is_a_ramp_to_zero() -> None:
     desk = playing(10)
     desk.tick(200)
-    assert desk.told() == 9.0 and desk.word(W.FEED) == W.RUNNING  # its last frame stays for its time
+    assert (
+        desk.played_frame() == 9.0 and desk.word(W.FEED) == W.RUNNING
+    )  # the last frame stays for its duration
     assert desk.tick()[2] > 0 and desk.word(W.FEED) == W.ENDED
     assert desk.tick(40) == (0.0, 0.0, 0.0) and desk.word(W.RESTING)
     assert desk.media_s == pytest.approx(0.2)
@@ -126,7 +128,7 @@ def test_the_end_is_a_ramp_to_zero() -> None:
     assert desk.media_s == pytest.approx(0.158, abs=2e-3)
 
 
-def test_one_frame_lasts() -> None:
+def test_a_single_frame_stays() -> None:
     desk = playing(1)
     assert desk.tick(3000)[2] == pytest.approx(0.5)
     assert desk.word(W.FEED) == W.RUNNING
@@ -136,7 +138,7 @@ def test_an_underrun_is_counted_once_and_keeps_time() -> None:
     desk = playing()
     desk.tick(50)
     desk.is_fed = False
-    for _ in range(2):  # what was fed ahead is used up, then the force goes to zero
+    for _ in range(2):  # the lookahead is used up, then the force goes to zero
         assert desk.tick(125) == (0.0, 0.0, 0.0)
     assert desk.counts["underruns"] == 1 and desk.counts["waits"] == 0
     late = desk.counts["stalled_ticks"]
@@ -148,7 +150,7 @@ def test_an_underrun_is_counted_once_and_keeps_time() -> None:
     assert desk.counts["underruns"] == 1
 
 
-def test_the_clock_stands_where_nothing_more_will_come() -> None:
+def test_the_clock_stops_after_the_last_frame() -> None:
     desk = playing()
     desk.tick(50)
     desk.is_fed, desk.memory.i8[W.FEED_FAILED] = False, 1
@@ -159,7 +161,7 @@ def test_the_clock_stands_where_nothing_more_will_come() -> None:
 
 
 def test_waiting_for_the_first_frames_is_no_underrun() -> None:
-    desk = Desk(telling())
+    desk = Desk(numbered_medium())
     desk.is_fed = False
     desk.order(mode=W.PLAYING)
     assert desk.tick(30) == (0.0, 0.0, 0.0)
@@ -173,7 +175,7 @@ def test_waiting_for_the_first_frames_is_no_underrun() -> None:
     assert desk.media_s == 0.2
 
 
-def test_a_player_that_is_silent_is_no_player() -> None:
+def test_a_silent_player_stops_the_servo() -> None:
     desk = playing(1)
     desk.memory.i8[W.HEARTBEAT_NS] = START_NS
     assert desk.tick(1000)[2] > 0
@@ -182,7 +184,7 @@ def test_a_player_that_is_silent_is_no_player() -> None:
     assert desk.tick(60)[2] > 0 and desk.counts["underruns"] == 0
 
 
-def test_a_stop_ends_in_zero_for_ever() -> None:
+def test_a_stop_ends_in_zero() -> None:
     desk = playing(1)
     assert desk.tick(100)[2] > 0
     desk.order(is_stopping=True)
@@ -192,7 +194,7 @@ def test_a_stop_ends_in_zero_for_ever() -> None:
     assert desk.tick(100) == (0.0, 0.0, 0.0)
 
 
-def test_an_order_that_is_being_written_is_not_taken() -> None:
+def test_an_unfinished_order_is_not_applied() -> None:
     desk = playing()
     desk.tick(10)
     desk.memory.i8[W.SEQUENCE] += 1
@@ -231,18 +233,18 @@ def test_quantiles_are_those_of_the_ticks(late_ns: list[int]) -> None:
         found.append(late if desk.word(W.TICKS) else 0)
         cycle(*desk.memory.views, 0.0, 0.0, 0.0, deadline + found[-1])
     ordered = np.sort(found) * 1e-3
-    for name, share in (("p50", 0.5), ("p99", 0.99)):
-        exact = ordered[max(math.ceil(share * len(ordered)) - 1, 0)]
-        told = desk.counts[f"lateness_{name}_us"]
-        assert exact <= told + 1e-9 and (told <= exact + 1 or exact >= 3000)
+    for name, fraction in (("p50", 0.5), ("p99", 0.99)):
+        exact = ordered[max(math.ceil(fraction * len(ordered)) - 1, 0)]
+        reported_us = desk.counts[f"lateness_{name}_us"]
+        assert exact <= reported_us + 1e-9 and (reported_us <= exact + 1 or exact >= 3000)
     assert desk.counts["lateness_worst_us"] == pytest.approx(ordered[-1])
 
 
-def test_each_frame_that_is_used_counts_once() -> None:
+def test_each_used_frame_counts_once() -> None:
     desk = playing()
     for _ in range(20):
         desk.feeder.step()
-    desk.tick(100)  # five frames, 20 ms one after the other
+    desk.tick(100)  # five frames, at 20 ms intervals
     assert desk.counts["frames_used"] == 5
 
 
@@ -262,7 +264,7 @@ def test_the_log_has_a_row_for_each_tick() -> None:
     assert not rows["position_m"].any() and not rows["friction_n"].any()
 
 
-def test_rows_that_nobody_took_are_counted() -> None:
+def test_lost_rows_are_counted() -> None:
     desk = playing(1)
     ring = desk.session.layout.log_rows
     desk.tick(ring + 100)

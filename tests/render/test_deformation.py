@@ -1,4 +1,4 @@
-"""A deformation at the receiver: the map, its force, its tracks, and what gives way under a hand."""
+"""A deformation at the receiver: the map, its force, its tracks, and compliance under a hand."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def ball(p: Float64s) -> Float64s:
 
 
 def spring(p: Float64s) -> Float64s:
-    """-grad of a square: linear, and so given back by the sampler but for float32."""
+    """-grad of a square: linear, so the sampler reproduces it up to float32."""
     return p @ np.array([[80.0, 30, -20], [30, 120, 10], [-20, 10, 60]])
 
 
@@ -50,14 +50,14 @@ def wavy(frames: int = 1, size_m: float = 0.0006, rate_hz: float = 10.0, control
 
 
 def controls_m(lattice: Deformation) -> Float64s:
-    """Places of the control points, [nx, ny, nz, 3]."""
+    """Positions of the control points, [nx, ny, nz, 3]."""
     index = np.stack(
         np.meshgrid(*(np.arange(n) for n in lattice.displacement_m.shape[1:4]), indexing="ij"), axis=-1
     )
     return np.asarray(lattice.corner_m) + (index - 1) * np.asarray(lattice.spacing_m)
 
 
-def places(count: int = 400, reach_m: float = 0.013, seed: int = 1) -> Float64s:
+def random_points(count: int = 400, reach_m: float = 0.013, seed: int = 1) -> Float64s:
     return np.random.default_rng(seed).uniform(-reach_m, reach_m, (count, 3))
 
 
@@ -69,37 +69,37 @@ def moved(lattice: Deformation, u: Float64s, p: Float64s) -> Float64s:
 # -- the map -----------------------------------------------------------------------------------------------
 
 
-def test_at_rest_every_bit_is_as_without() -> None:
-    still, p = medium(ball), places()
-    plain, bent = FieldSampler(still), FieldSampler(still, deformation=Deformation.at_rest(*BOX))
+def test_a_deformation_at_rest_changes_no_bit() -> None:
+    base, p = medium(ball), random_points()
+    plain, bent = FieldSampler(base), FieldSampler(base, deformation=Deformation.at_rest(*BOX))
     times = np.zeros(len(p))
     for ask in ("force_n", "gradient_n_per_m"):
-        made = getattr(bent, ask)(times, p)
-        assert made.any() and np.array_equal(made, getattr(plain, ask)(times, p))
+        found = getattr(bent, ask)(times, p)
+        assert found.any() and np.array_equal(found, getattr(plain, ask)(times, p))
 
 
-def test_an_affine_map_is_that_map_and_turns_forces_with_it() -> None:
+def test_an_affine_map_is_exact_and_rotates_forces() -> None:
     lattice = Deformation.at_rest(*BOX)
     a, shift = (
         np.array([[0.1, -0.05, 0.02], [0.03, -0.08, 0.04], [-0.02, 0.06, 0.12]]),
         [0.001, -0.0005, 0.0008],
     )
     bent = replace(lattice, displacement_m=(controls_m(lattice) @ a.T + shift)[None])
-    p = places(reach_m=0.0149)
-    made = FieldSampler(medium(spring), deformation=bent).force_n(np.zeros(len(p)), p).astype(float)
+    p = random_points(reach_m=0.0149)
+    found = FieldSampler(medium(spring), deformation=bent).force_n(np.zeros(len(p)), p).astype(float)
     j = np.eye(3) + a
     expected = spring(p @ j.T + shift) @ j
-    assert np.abs(made - expected).max() < 1e-6 * np.abs(expected).max()
+    assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
     assert bent.min_determinant()[0] == pytest.approx(np.linalg.det(j))
     assert np.linalg.norm(j, 2) <= bent.max_stretch < 1.15 * np.linalg.norm(j, 2)
-    for frames in (1, 2):  # of one frame the field is shared
+    for frames in (1, 2):  # a single field is shared by all frames
         sources = [FrameSource(medium(spring, frames), deformation=d) for d in (None, bent)]
         plain, stretched = (max(s.stiffest_n_per_m, s.prepare(0).stiffest_n_per_m) for s in sources)
         assert plain > 0 and stretched == pytest.approx(bent.max_stretch**2 * plain)
 
 
-def test_force_and_slopes_are_those_of_the_formula() -> None:
-    bent, p, t = wavy(3), places(), 0.137
+def test_force_and_gradient_equal_the_formula() -> None:
+    bent, p, t = wavy(3), random_points(), 0.137
     sampler = FieldSampler(medium(spring), deformation=bent)
     u = 0.63 * bent.displacement_m[1] + 0.37 * bent.displacement_m[2]  # 1.37 frames
 
@@ -110,52 +110,52 @@ def test_force_and_slopes_are_those_of_the_formula() -> None:
         ) + np.eye(3)
         return np.einsum("nki,nk->ni", j, spring(p + moved(bent, u, p)))
 
-    made = np.array([sampler.at(t, *q) for q in p])
-    assert made == pytest.approx(expected(p), abs=2e-6)
+    found = np.array([sampler.at(t, *q) for q in p])
+    assert found == pytest.approx(expected(p), abs=2e-6)
     slopes = np.stack([(expected(p + d) - expected(p - d)) / 2e-4 for d in 1e-4 * np.eye(3)], axis=-1)
     assert sampler.gradient_n_per_m(t, p) == pytest.approx(slopes, abs=0.02 * np.abs(slopes).max())
 
 
-def test_a_loop_gives_no_work() -> None:
-    """Of a force that keeps its size instead, as one might think right, it does."""
+def test_a_closed_loop_does_no_work() -> None:
+    """A force of unchanged amplitude, the naive choice, would do work."""
     sampler, bent = FieldSampler(medium(spring), deformation=wavy(1, 0.0009)), wavy(1, 0.0009)
     s, weights = np.polynomial.legendre.leggauss(400)
     angle = np.pi * (s + 1)
-    around = 0.01 * np.stack([np.cos(angle), np.sin(angle), 0.5 * np.sin(2 * angle)], axis=-1)
+    loop_m = 0.01 * np.stack([np.cos(angle), np.sin(angle), 0.5 * np.sin(2 * angle)], axis=-1)
     along = 0.01 * np.stack([-np.sin(angle), np.cos(angle), np.cos(2 * angle)], axis=-1)
-    # pieces between the cells of the lattice, in which the spline is one polynomial, are short enough
-    force = np.array([sampler.at(0.0, *p) for p in around])
-    share = np.einsum("nc,nc->n", force, along)
-    scale = float(np.pi * weights @ np.abs(share))
-    assert abs(np.pi * weights @ share) < 2e-5 * scale
-    kept = np.linalg.norm(spring(around + moved(bent, bent.displacement_m[0], around)), axis=1)
-    same = np.einsum("nc,nc->n", force / np.linalg.norm(force, axis=1)[:, None] * kept[:, None], along)
+    # the pieces within a cell, where the spline is one polynomial, are short enough
+    force = np.array([sampler.at(0.0, *p) for p in loop_m])
+    power = np.einsum("nc,nc->n", force, along)
+    scale = float(np.pi * weights @ np.abs(power))
+    assert abs(np.pi * weights @ power) < 2e-5 * scale
+    amplitude = np.linalg.norm(spring(loop_m + moved(bent, bent.displacement_m[0], loop_m)), axis=1)
+    same = np.einsum("nc,nc->n", force / np.linalg.norm(force, axis=1)[:, None] * amplitude[:, None], along)
     assert abs(np.pi * weights @ same) > 1e-3 * scale
 
 
-def test_beyond_the_lattice_it_is_flat_and_joins_on() -> None:
+def test_the_map_is_constant_and_continuous_outside_the_lattice() -> None:
     bent = wavy(1, 0.0004)
     sampler = FieldSampler(medium(spring), deformation=bent)
     edge = bent.corner_m[0] + bent.spacing_m[0] * 5
     inner, outer = (np.array(sampler.at(0.0, edge + d, 0.002, 0.001)) for d in (-1e-9, 1e-9))
-    far = np.array(sampler.at(0.0, edge + 0.003, 0.002, 0.001))
+    outside = np.array(sampler.at(0.0, edge + 0.003, 0.002, 0.001))
     u = moved(bent, bent.displacement_m[0], np.array([[edge, 0.002, 0.001]]))[0]
     assert (
         np.linalg.norm(moved(bent, bent.displacement_m[0], np.array([[edge + 0.003, 0.002, 0.001]]))[0] - u)
         < 1e-12
     )
-    assert np.isfinite(far).all() and np.linalg.norm(outer - inner) < 0.5 * np.linalg.norm(inner)
+    assert np.isfinite(outside).all() and np.linalg.norm(outer - inner) < 0.5 * np.linalg.norm(inner)
     assert not np.array(sampler.at(0.0, np.nan, 0.0, 0.0)).any()
 
 
-def test_what_folds_or_is_no_deformation_is_refused() -> None:
+def test_folds_and_invalid_deformations_are_refused() -> None:
     lattice = Deformation.at_rest(*BOX)
     swap = replace(lattice, displacement_m=(-0.99 * controls_m(lattice))[None])
     assert 0 < swap.min_determinant()[0] < 2e-6
     folded = np.stack([0 * controls_m(lattice), -1.2 * controls_m(lattice) * [1, 0, 0]])
     with pytest.raises(InvalidArgument, match="frame 1: found a fold"):
         replace(lattice, displacement_m=folded)
-    for bad, said in (
+    for bad, message in (
         ({"displacement_m": np.zeros((1, 3, 8, 8, 3))}, "4 to 32 control points"),
         ({"displacement_m": np.full((1, 8, 8, 8, 3), np.nan)}, "not finite"),
         ({"spacing_m": (0.1, 0.1, 0.0)}, "spacing_m"),
@@ -165,15 +165,15 @@ def test_what_folds_or_is_no_deformation_is_refused() -> None:
         ({"compliance_m_per_n": -1.0}, "compliance_m_per_n"),
         ({"displacement_m": swap.displacement_m, "compliance_m_per_n": 0.001}, "bend by their utmost"),
     ):
-        with pytest.raises(InvalidArgument, match=said):
+        with pytest.raises(InvalidArgument, match=message):
             replace(lattice, **bad)  # type: ignore[arg-type]
-    most = replace(lattice, displacement_m=np.zeros((1 << 9, 11, 11, 11, 3)))  # 2^18 cells
-    assert len(replace(most, displacement_m=np.full((1, 4, 4, 4, 3), 0.5))) == 1
+    largest = replace(lattice, displacement_m=np.zeros((1 << 9, 11, 11, 11, 3)))  # 2^18 cells
+    assert len(replace(largest, displacement_m=np.full((1, 4, 4, 4, 3), 0.5))) == 1
     with pytest.raises(InvalidArgument, match="262656 cells over all frames"):
-        replace(most, displacement_m=np.zeros((1 + (1 << 9), 11, 11, 11, 3)))
+        replace(largest, displacement_m=np.zeros((1 + (1 << 9), 11, 11, 11, 3)))
 
 
-def test_a_file_keeps_whole_steps_and_strangers_are_refused(tmp_path: Path) -> None:
+def test_a_file_round_trips_and_foreign_files_are_refused(tmp_path: Path) -> None:
     bent = replace(wavy(4, 0.0001), compliance_m_per_n=0.001, relax_s=0.2)
     bent.write(tmp_path / "a.npz")
     back = read_deformation(tmp_path / "a.npz")
@@ -186,11 +186,11 @@ def test_a_file_keeps_whole_steps_and_strangers_are_refused(tmp_path: Path) -> N
     (tmp_path / "c.npz").write_bytes(data[: len(data) // 2])
     with pytest.raises(SourceError, match=r"c\.npz"):
         read_deformation(tmp_path / "c.npz")
-    with np.load(tmp_path / "a.npz") as held:
-        arrays = dict(held)
+    with np.load(tmp_path / "a.npz") as stored:
+        arrays = dict(stored)
     steps = np.rint(-1.2 / STEP_M * controls_m(bent)[None] * [1, 0, 0]).astype(int)
     folds = (steps << 1) ^ (steps >> 15)
-    for name, value, said in (
+    for name, value, message in (
         ("displacement", arrays["displacement"].astype(np.int32), "bytes"),
         ("displacement", arrays["displacement"][:1], "bytes"),
         ("displacement", np.stack([folds, folds >> 8]).astype(np.uint8), "a fold"),
@@ -198,7 +198,7 @@ def test_a_file_keeps_whole_steps_and_strangers_are_refused(tmp_path: Path) -> N
         ("rate_hz", np.array([0.0]), "rate_hz"),
     ):
         np.savez(tmp_path / "d.npz", **(arrays | {name: value}))
-        with pytest.raises(SourceError, match=said):
+        with pytest.raises(SourceError, match=message):
             read_deformation(tmp_path / "d.npz")
     np.savez(tmp_path / "d.npz", **{k: v for k, v in arrays.items() if k != "relax_s"})
     with pytest.raises(SourceError, match="relax_s"):
@@ -208,16 +208,16 @@ def test_a_file_keeps_whole_steps_and_strangers_are_refused(tmp_path: Path) -> N
 # -- tracks ------------------------------------------------------------------------------------------------
 
 
-def test_tracks_make_the_frames_of_a_still_medium_and_follow_those_of_another() -> None:
-    bent, p = wavy(5), places(50)
-    still = FieldSampler(medium(ball), deformation=bent)
+def test_tracks_animate_a_static_medium_and_follow_a_moving_one() -> None:
+    bent, p = wavy(5), random_points(50)
+    of_static = FieldSampler(medium(ball), deformation=bent)
     moving = FieldSampler(medium(ball, 5), deformation=replace(bent, rate_hz=50.0))
     for frame in range(5):
-        one = FieldSampler(
+        expected_sampler = FieldSampler(
             medium(ball), deformation=replace(bent, displacement_m=bent.displacement_m[frame : frame + 1])
         )
-        expected = one.force_n(np.zeros(len(p)), p)
-        assert np.array_equal(still.force_n(np.full(len(p), frame / 10), p), expected)
+        expected = expected_sampler.force_n(np.zeros(len(p)), p)
+        assert np.array_equal(of_static.force_n(np.full(len(p), frame / 10), p), expected)
         assert np.array_equal(moving.force_n(np.full(len(p), frame / 50), p), expected)
     with pytest.raises(InvalidArgument, match="tracks of 5 frames; expected 1 or 3"):
         FieldSampler(medium(ball, 3), deformation=bent)
@@ -225,17 +225,17 @@ def test_tracks_make_the_frames_of_a_still_medium_and_follow_those_of_another() 
         RenderSpec(deformation=bent, render="proxy")
 
 
-def test_a_fit_finds_an_affine_motion_to_the_last_and_carries_it_on() -> None:
-    rest = places(600, 0.01)
+def test_a_fit_finds_and_extrapolates_an_affine_motion() -> None:
+    rest = random_points(600, 0.01)
     a = np.array([[0.95, -0.2, 0], [0.2, 0.95, 0], [0, 0, 1.05]])
     now = rest @ a.T + [0.001, 0, 0]
     reported: list[int] = []
-    made, rms = fitted(
+    fit, rms = fitted(
         rest, [rest, now], Deformation.at_rest((-0.013,) * 3, (0.013,) * 3), 25.0, reported.append
     )
-    assert reported == [1, 2] and rms < 2e-6 and not made.displacement_m[0].any() and made.rate_hz == 25.0
-    p = places(200, 0.006, seed=9) @ a.T + [0.001, 0, 0]
-    back = p + moved(made, made.displacement_m[1], p)
+    assert reported == [1, 2] and rms < 2e-6 and not fit.displacement_m[0].any() and fit.rate_hz == 25.0
+    p = random_points(200, 0.006, seed=9) @ a.T + [0.001, 0, 0]
+    back = p + moved(fit, fit.displacement_m[1], p)
     assert np.abs(back - (p - [0.001, 0, 0]) @ np.linalg.inv(a).T).max() < 2e-5
     with pytest.raises(InvalidArgument, match="frame 1: found 599 vertices"):
         fitted(rest, [rest, now[1:]], Deformation.at_rest(*BOX), 25.0)
@@ -243,7 +243,7 @@ def test_a_fit_finds_an_affine_motion_to_the_last_and_carries_it_on() -> None:
         fitted(rest, [rest * [-1, 1, 1]], Deformation.at_rest(*BOX), 25.0)
 
 
-# -- what gives way ----------------------------------------------------------------------------------------
+# -- compliance --------------------------------------------------------------------------------------------
 
 
 def soft(compliance: float, relax_s: float = 0.02, controls: int = 8) -> Deformation:
@@ -253,38 +253,40 @@ def soft(compliance: float, relax_s: float = 0.02, controls: int = 8) -> Deforma
 
 
 @pytest.mark.parametrize("compliance", [0.0005, 0.002])
-def test_a_wall_that_yields_is_a_spring_in_series(compliance: float) -> None:
+def test_a_compliant_wall_is_a_spring_in_series(compliance: float) -> None:
     depth, stiffness = 0.004, 300.0
     bench = Bench(
         wall(stiffness), RenderSpec(damping_n_s_per_m=0.0, coupling_n_per_m=0.0), deformation=soft(compliance)
     )
     force = bench.settled(0.003, -0.011, -depth, 400)
     expected = stiffness * depth / (1 + stiffness * compliance)
-    # that the force points up, and the lattice bends about it, adds a part of second order
+    # the lattice also bends about the force, which adds a second-order term
     assert force[2] == pytest.approx(expected, rel=0.12) and np.abs(force[:2]).max() < 0.1 * force[2]
     assert force[2] < stiffness * depth
-    held = bench.memory.f8[bench.yields :]
-    assert 0 < np.abs(held).max() <= soft(compliance).max_yield_m
-    before = np.abs(held).max()
+    yield_m = bench.memory.f8[bench.yields :]
+    assert 0 < np.abs(yield_m).max() <= soft(compliance).max_yield_m
+    before = np.abs(yield_m).max()
     for _ in range(20):  # one time constant
         bench.tick(0.0, 0.0, 0.02)
-    assert np.abs(held).max() == pytest.approx(before * np.exp(-1), rel=1e-6)
+    assert np.abs(yield_m).max() == pytest.approx(before * np.exp(-1), rel=1e-6)
 
 
-def test_it_never_folds_however_hard_it_is_pressed() -> None:
+def test_hard_pressing_never_folds_the_lattice() -> None:
     lattice = soft(0.5, 0.001)
     bench = Bench(wall(2000.0), RenderSpec(damping_n_s_per_m=0.0, coupling_n_per_m=0.0), deformation=lattice)
     rng = np.random.default_rng(2)
     for _ in range(300):
         bench.tick(*rng.uniform(-0.06, 0.06, 2), -0.05)
-    held = bench.memory.f8[bench.yields :][: lattice.displacement_m.size]
-    assert np.abs(held).max() == pytest.approx(lattice.max_yield_m)
-    assert replace(lattice, displacement_m=held.reshape(lattice.displacement_m.shape), compliance_m_per_n=0.0)
+    yield_m = bench.memory.f8[bench.yields :][: lattice.displacement_m.size]
+    assert np.abs(yield_m).max() == pytest.approx(lattice.max_yield_m)
+    assert replace(
+        lattice, displacement_m=yield_m.reshape(lattice.displacement_m.shape), compliance_m_per_n=0.0
+    )
 
 
 @pytest.mark.parametrize("stiffness", [200.0, 1000.0])
 @pytest.mark.parametrize("relax_s", [0.005, 0.1])
-def test_a_hand_on_what_yields_comes_to_rest(stiffness: float, relax_s: float) -> None:
+def test_a_hand_on_a_compliant_wall_comes_to_rest(stiffness: float, relax_s: float) -> None:
     device = replace(OMNI, force_max_n=12.0)
     spec = RenderSpec(damping_n_s_per_m=2.0, coupling_n_per_m=0.0)
     bench = Bench(wall(stiffness, 10.0), spec, device, deformation=soft(0.001, relax_s))
@@ -297,26 +299,26 @@ def test_a_hand_on_what_yields_comes_to_rest(stiffness: float, relax_s: float) -
         heights.append(z)
     tail = np.array(heights[-500:])
     assert np.ptp(tail) < 2e-6
-    assert -tail[-1] > 0.8 / stiffness + 0.0005  # deeper than in what does not yield
+    assert -tail[-1] > 0.8 / stiffness + 0.0005  # deeper than in a rigid wall
 
 
 class Pressing(Simulated):
-    """Goes into the ball along z and stays there."""
+    """Moves into the ball along z and stays there."""
 
     def position_m(self) -> tuple[float, float, float]:
         return 0.0, 0.0, max(0.018 - 4e-5 * len(self.forces), 0.006)
 
 
-def test_the_player_takes_it() -> None:
+def test_the_player_applies_a_deformation() -> None:
     lattices = (None, Deformation.at_rest(*BOX), Deformation.at_rest(*BOX, compliance_m_per_n=0.002))
-    made = []
-    for one in lattices:
-        spec = RenderSpec(render="field", damping_n_s_per_m=0.0, coupling_n_per_m=0.0, deformation=one)
+    forces = []
+    for lattice in lattices:
+        spec = RenderSpec(render="field", damping_n_s_per_m=0.0, coupling_n_per_m=0.0, deformation=lattice)
         device = Pressing()
         run_offline(medium(ball), OMNI, lambda device=device: device, spec, seconds=0.5)
-        made.append(np.array(device.forces))
-    assert made[0].any() and np.array_equal(made[0], made[1])
-    assert 0.3 * np.abs(made[0]).max() < np.abs(made[2][:499]).max() < 0.9 * np.abs(made[0]).max()
+        forces.append(np.array(device.forces))
+    assert forces[0].any() and np.array_equal(forces[0], forces[1])
+    assert 0.3 * np.abs(forces[0]).max() < np.abs(forces[2][:499]).max() < 0.9 * np.abs(forces[0]).max()
 
 
 # -- the command -------------------------------------------------------------------------------------------
@@ -327,24 +329,24 @@ def test_an_animated_model_bends_the_stream_of_a_pose(
 ) -> None:
     model = chain_rig(joints=10, triangles=1500, frames=20).save(tmp_path / "snake.glb", "glb")
     stream, tracks = tmp_path / "snake.touch", tmp_path / "snake.npz"
-    asked = ["--frames", "0:1", "--nw", "5", "--representation", "voxel"]
-    assert _exit_code(["encode", str(model), str(stream), *asked]) == 0
+    options = ["--frames", "0:1", "--nw", "5", "--representation", "voxel"]
+    assert _exit_code(["encode", str(model), str(stream), *options]) == 0
     capsys.readouterr()
     assert (
         _exit_code(["deform", str(stream), str(model), "-o", str(tracks), "--frames", "0:5", "--json"]) == 0
     )
-    told = json.loads(capsys.readouterr().out)
-    assert told["frames"] == 5 and told["control_points"] == [8, 8, 8] and told["min_determinant"] > 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["frames"] == 5 and report["control_points"] == [8, 8, 8] and report["min_determinant"] > 0
     bent = read_deformation(tracks)
     assert not bent.displacement_m[0].any() and bent.displacement_m[-1].any()
     with pipeline.open_stream(stream) as opened:
         spacing_mm = 1e3 * float(np.mean(opened.grid.spacing_m))
-    assert 0.02 * spacing_mm < told["rms_mm"] < 0.2 * spacing_mm, (
+    assert 0.02 * spacing_mm < report["rms_mm"] < 0.2 * spacing_mm, (
         "millimetres, as few controls cannot follow it all"
     )
     play = ["play", str(stream), "--offline", "--seconds", "0.1", "--deformation"]
     assert _exit_code([*play, str(tracks)]) == 0
-    for words, said in (
+    for arguments, message in (
         (["deform", str(stream), "-o", str(tracks)], "no model and no compliance"),
         (["deform", str(stream), str(model), "-o", str(tracks), "--frames", "30:31"], "--frames"),
         (["deform", str(stream), str(model), "-o", str(stream)], "snake.touch"),
@@ -352,9 +354,9 @@ def test_an_animated_model_bends_the_stream_of_a_pose(
         ([*play, str(stream)], "snake.touch"),
     ):
         capsys.readouterr()
-        assert _exit_code(words) != 0
-        told_error = capsys.readouterr().err
-        assert said in told_error and len(told_error.strip().splitlines()) == 1
+        assert _exit_code(arguments) != 0
+        stderr = capsys.readouterr().err
+        assert message in stderr and len(stderr.strip().splitlines()) == 1
     assert np.array_equal(read_deformation(tracks).displacement_m, bent.displacement_m), "it is as it was"
 
 
@@ -367,18 +369,18 @@ def uneven(**more: float) -> Deformation:
     return Deformation(np.zeros((1, 5, 6, 8, 3)), (-0.013, -0.0165, -0.02), (0.013, 0.011, 0.008), **more)
 
 
-def test_an_affine_map_is_that_map_on_a_lattice_whose_axes_differ() -> None:
+def test_an_affine_map_is_exact_on_an_uneven_lattice() -> None:
     lattice = uneven()
     a, shift = (
         np.array([[0.1, -0.05, 0.02], [0.03, -0.08, 0.04], [-0.02, 0.06, 0.05]]),
         [0.001, -0.0005, 0.0008],
     )
     bent = replace(lattice, displacement_m=(controls_m(lattice) @ a.T + shift)[None])
-    p = places(reach_m=1.0) * [0.0129, 0.0164, 0.0175]
-    made = FieldSampler(medium(spring), deformation=bent).force_n(np.zeros(len(p)), p).astype(float)
+    p = random_points(reach_m=1.0) * [0.0129, 0.0164, 0.0175]
+    found = FieldSampler(medium(spring), deformation=bent).force_n(np.zeros(len(p)), p).astype(float)
     j = np.eye(3) + a
     expected = spring(p @ j.T + shift) @ j
-    assert np.abs(made - expected).max() < 1e-6 * np.abs(expected).max()
+    assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
     assert moved(bent, bent.displacement_m[0], p) == pytest.approx(p @ a.T + shift, abs=1e-12)
     assert bent.min_determinant()[0] == pytest.approx(np.linalg.det(j))
     assert np.linalg.norm(j, 2) <= bent.max_stretch < 1.15 * np.linalg.norm(j, 2)
@@ -386,37 +388,37 @@ def test_an_affine_map_is_that_map_on_a_lattice_whose_axes_differ() -> None:
 
 def test_a_lattice_at_rest_fills_its_box_along_each_axis() -> None:
     low, high = np.array([-0.01, 0.02, -0.05]), np.array([0.02, 0.03, 0.01])
-    made = Deformation.at_rest(low, high, 6, compliance_m_per_n=0.003, relax_s=0.07)
-    assert made.corner_m == pytest.approx(low) and made.spacing_m == pytest.approx((high - low) / 3)
-    assert made.displacement_m.shape == (1, 6, 6, 6, 3) and not made.displacement_m.any()
-    assert (made.compliance_m_per_n, made.relax_s) == (0.003, 0.07)
+    lattice = Deformation.at_rest(low, high, 6, compliance_m_per_n=0.003, relax_s=0.07)
+    assert lattice.corner_m == pytest.approx(low) and lattice.spacing_m == pytest.approx((high - low) / 3)
+    assert lattice.displacement_m.shape == (1, 6, 6, 6, 3) and not lattice.displacement_m.any()
+    assert (lattice.compliance_m_per_n, lattice.relax_s) == (0.003, 0.07)
     assert Deformation.at_rest(low, high).displacement_m.shape[1:4] == (8, 8, 8)
     two = replace(uneven(), displacement_m=np.zeros((2, 5, 6, 8, 3)))
     assert repr(two) == "<Deformation: 2 frames of 5 x 6 x 8 control points>"
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_what_a_point_may_yield_is_less_by_the_slope_of_the_tracks(axis: int) -> None:
+def test_max_yield_is_reduced_by_the_slope_of_the_tracks(axis: int) -> None:
     lattice = uneven()
-    most = np.sqrt(sum(3 * (2 / h) ** 2 for h in lattice.spacing_m))  # of the slope, for a metre
-    assert lattice.max_yield_m == pytest.approx(0.95 / most)
+    max_slope = np.sqrt(sum(3 * (2 / h) ** 2 for h in lattice.spacing_m))  # of the slope, for a metre
+    assert lattice.max_yield_m == pytest.approx(0.95 / max_slope)
     tracks = np.zeros((2, 5, 6, 8, 3))
     tracks[1] = 0.3 * np.roll(controls_m(lattice), 1, axis=-1) * np.roll(np.eye(3)[axis], 1)
-    assert replace(lattice, displacement_m=tracks).max_yield_m == pytest.approx((0.95 - 0.3) / most)
+    assert replace(lattice, displacement_m=tracks).max_yield_m == pytest.approx((0.95 - 0.3) / max_slope)
 
 
-def test_a_fit_on_a_lattice_whose_axes_differ_finds_an_affine_motion() -> None:
-    rest = places(600, 1.0) * [0.009, 0.012, 0.015]
+def test_a_fit_on_an_uneven_lattice_finds_an_affine_motion() -> None:
+    rest = random_points(600, 1.0) * [0.009, 0.012, 0.015]
     a = np.array([[0.95, -0.1, 0], [0.1, 1.02, 0.05], [0, 0.03, 1.05]])
     now = rest @ a.T + [0.001, 0, -0.0005]
-    made, rms = fitted(rest, [rest, now], uneven(), 25.0)
-    left = now + moved(made, made.displacement_m[1], now) - rest
-    of_both = np.sqrt((left**2).sum(axis=1).mean() / 2)
+    fit, rms = fitted(rest, [rest, now], uneven(), 25.0)
+    residual_m = now + moved(fit, fit.displacement_m[1], now) - rest
+    of_both = np.sqrt((residual_m**2).sum(axis=1).mean() / 2)
     assert rms == pytest.approx(of_both) and rms < 2e-6
-    assert (made.corner_m, made.spacing_m) == (uneven().corner_m, uneven().spacing_m)
+    assert (fit.corner_m, fit.spacing_m) == (uneven().corner_m, uneven().spacing_m)
 
 
-def test_a_wall_yields_alike_on_a_lattice_whose_axes_differ() -> None:
+def test_a_wall_yields_alike_on_an_uneven_lattice() -> None:
     spec = RenderSpec(damping_n_s_per_m=0.0, coupling_n_per_m=0.0)
     spacing = (0.07, 0.14 / 3, 0.028)
     lattice = Deformation(np.zeros((1, 5, 6, 8, 3)), (-0.07,) * 3, spacing, 1.0, 0.0005, 0.02)

@@ -1,4 +1,4 @@
-"""Friction, damping, coupling, passivity and vibration, felt by a hand that is simulated."""
+"""Friction, damping, coupling, passivity and vibration, with a simulated hand."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ QUICK = {"slew_n_per_s": 1e6, "ramp_s": 1e-3}
 
 
 def circle(turns: float, per_turn: int, radius_m: float = 0.02) -> Vector:
-    """Places of a hand that is driven round, anticlockwise."""
+    """Positions of a hand that moves in circles, anticlockwise."""
     angle = 2 * math.pi * np.arange(int(turns * per_turn)) / per_turn
     return radius_m * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
 
 
 def gained_j(bench: Bench, path: Vector) -> float:
-    """What a hand gains on a path: each force, held until the next place."""
-    places_m, forces = (np.array(a) for a in zip(*bench.along(path), strict=True))
-    return float((forces[:-1] * np.diff(places_m, axis=0)).sum())
+    """The energy that a hand gains on a path; each force acts until the next position."""
+    positions_m, forces = (np.array(a) for a in zip(*bench.along(path), strict=True))
+    return float((forces[:-1] * np.diff(positions_m, axis=0)).sum())
 
 
 def released_m(
     bench: Bench, hand_kg: float, damping_n_s_per_m: float, start_m: Vector, seconds: float
 ) -> Vector:
-    """Places of a free hand that the ticks push, float64 [n, 3]."""
-    place, velocity, way = np.array(start_m, np.float64), np.zeros(3), []
+    """Positions of a free hand that the ticks push, float64 [n, 3]."""
+    position, velocity, path = np.array(start_m, np.float64), np.zeros(3), []
     for _ in range(int(seconds / bench.dt)):
-        force = bench.tick(*place)
+        force = bench.tick(*position)
         for _ in range(4):
             velocity += (force - damping_n_s_per_m * velocity) * bench.dt / 4 / hand_kg
-            place = place + velocity * bench.dt / 4
-        way.append(place)
-    return np.array(way)
+            position = position + velocity * bench.dt / 4
+        path.append(position)
+    return np.array(path)
 
 
 # -- friction, damping -------------------------------------------------------------------------------------
@@ -56,7 +56,9 @@ def test_friction_and_damping_of_a_hand_that_slides() -> None:
     assert bench.state(W.VELOCITY) == pytest.approx([0.06, 0.08, 0.0], rel=1e-6)
     assert bench.state(W.FRICTION_FORCE) == pytest.approx([-0.36, -0.48, 0], rel=1e-6)
     assert force == pytest.approx([-0.36 - 0.09, -0.48 - 0.12, 2.0], rel=1e-6)
-    bench.restart(RenderSpec(friction=0.0, damping_n_s_per_m=0.0))  # what the receiver says, not the medium
+    bench.restart(
+        RenderSpec(friction=0.0, damping_n_s_per_m=0.0)
+    )  # the option of the receiver, not the value of the medium
     assert [f for _, f in bench.along(path)][-1] == pytest.approx([0, 0, 2.0], rel=1e-6)
 
 
@@ -65,15 +67,13 @@ def test_friction_and_damping_of_a_hand_that_slides() -> None:
     st.floats(0, 3),
     st.floats(0, 5),
 )
-def test_friction_and_damping_only_take(way: list[tuple[float, ...]], mu: float, b: float) -> None:
+def test_friction_and_damping_only_dissipate(way: list[tuple[float, ...]], mu: float, b: float) -> None:
     FIELD.restart(RenderSpec(friction=mu, damping_n_s_per_m=b, coupling_n_per_m=200.0 * (mu > 1)))
     for x, y, z, dt in way:
         FIELD.tick(x, y, z, dt)
         v, f, t = (FIELD.state(p) for p in (W.VELOCITY, W.FIELD_FORCE, W.FRICTION_FORCE))
         assert math.fsum(t * v) <= 2e-16 * float(np.abs(t * v).sum())
-        assert (
-            math.hypot(*t) <= mu * math.hypot(*f) * (1 + 1e-12) + 1e-300
-        )  # squares of less than 1e-154 are lost
+        assert math.hypot(*t) <= mu * math.hypot(*f) * (1 + 1e-12) + 1e-300  # squares below 1e-154 underflow
         assert (FIELD.state(W.WANTED) - f - t) @ v <= 1e-9 * (1 + np.abs(f).sum()) * (1 + b * (v @ v))
 
 
@@ -87,7 +87,7 @@ def test_the_velocity_follows_true_times() -> None:
         x += 0.05 * dt
         bench.tick(x, 0, 0, dt)
     assert bench.state(W.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
-    for _ in range(20):  # while the device says nothing, time goes on
+    for _ in range(20):  # time passes while the device is silent
         bench.tick(math.nan, 0, 0, 0.001)
     bench.tick(x + 21 * 0.05 * 0.001, 0, 0, 0.001)
     assert bench.state(W.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
@@ -111,7 +111,7 @@ def test_a_coupling_gives_the_force_of_the_field_in_steady_contact() -> None:
     assert not Bench(law, RenderSpec(coupling_n_per_m=300.0)).settled(0.01, 0, 0.02).any()
 
 
-def test_two_springs_in_a_row() -> None:
+def test_coupling_and_field_are_two_springs_in_series() -> None:
     bench = Bench(wall(400.0), RenderSpec(coupling_n_per_m=300.0), device=STRONG)
     assert bench.settled(0, 0, -0.007)[2] == pytest.approx(0.007 / (1 / 400 + 1 / 300), rel=1e-6)
 
@@ -122,14 +122,14 @@ def test_a_stiff_field_that_buzzes_is_steady_with_a_coupling(law: object) -> Non
 
     def rest_of(spec: RenderSpec) -> float:
         bench = Bench(law, spec, device=STRONG)  # type: ignore[arg-type]
-        place, velocity, way = np.array([0.0, 0.0, 0.002]), np.zeros(3), []
+        position, velocity, heights = np.array([0.0, 0.0, 0.002]), np.zeros(3), []
         for _ in range(3000):
-            force = bench.tick(*place) + weight
+            force = bench.tick(*position) + weight
             for _ in range(4):
                 velocity += (force - 1.0 * velocity) * bench.dt / 4 / 0.05
-                place = place + velocity * bench.dt / 4
-            way.append(place[2])
-        return float(np.ptp(way[-500:]))
+                position = position + velocity * bench.dt / 4
+            heights.append(position[2])
+        return float(np.ptp(heights[-500:]))
 
     assert rest_of(RenderSpec(**QUICK)) > 1e-4
     assert rest_of(RenderSpec(coupling_n_per_m=500.0, **QUICK)) < 1e-6
@@ -137,7 +137,7 @@ def test_a_stiff_field_that_buzzes_is_steady_with_a_coupling(law: object) -> Non
 
 @pytest.mark.parametrize("depth_m", [0.0001, 0.0003, 0.0007, 0.0011, 0.0015])
 @pytest.mark.parametrize("k", [300.0, 1000.0, 4000.0])
-def test_a_proxy_at_a_step_of_the_force_does_not_leap_to_and_fro(depth_m: float, k: float) -> None:
+def test_a_proxy_at_a_step_of_the_force_does_not_oscillate(depth_m: float, k: float) -> None:
     fine = Grid(
         (33, 33, 33), (0.0001,) * 3, (-0.0016,) * 3
     )  # 1 N from one sample to the next: 10 N/mm, then level
@@ -155,7 +155,7 @@ def test_a_proxy_at_a_step_of_the_force_does_not_leap_to_and_fro(depth_m: float,
     st.floats(10.0, 3000.0),
     st.tuples(*[st.floats(-0.02, 0.02)] * 3),
 )
-def test_the_proxy_comes_to_rest_in_any_linear_field_that_pushes_back(
+def test_the_proxy_comes_to_rest_in_any_stable_linear_field(
     stiffness: float, curl: float, normal: tuple[float, ...], coupling: float, hand: tuple[float, ...]
 ) -> None:
     n = np.array([normal[0], normal[1], normal[2] + 1e-3])
@@ -164,13 +164,13 @@ def test_the_proxy_comes_to_rest_in_any_linear_field_that_pushes_back(
     bench = Bench(linear(matrix), RenderSpec(coupling_n_per_m=coupling, **QUICK), device=STRONG)
     bench.settled(*hand)
     expected = np.linalg.solve(coupling * np.eye(3) - matrix, coupling * np.array(hand))
-    # float32 holds the forces of the field at its edge to a unit in 2^24
+    # in float32, forces at the edge of the field are exact to one part in 2^24
     assert bench.state(W.PROXY) == pytest.approx(
         expected, abs=1e-6 + 0.2 * (stiffness + abs(curl)) * 2**-24 / coupling
     )
 
 
-def test_a_field_that_drives_away_takes_the_proxy_along_and_never_back() -> None:
+def test_an_unstable_field_drives_the_proxy_away_monotonically() -> None:
     for growth in (100.0, 499.0, 500.0, 501.0, 5000.0):  # the pull of the coupling grows by 500 N/m
         bench = Bench(linear(growth * np.eye(3)), RenderSpec(coupling_n_per_m=500.0), device=STRONG)
         for _ in range(200):
@@ -193,7 +193,7 @@ def test_a_coupling_does_not_drag_in_free_space() -> None:
 CURL = 40.0 * np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]])  # 0.8 N along the way at 20 mm
 
 
-def test_a_field_with_curl_feeds_a_hand_unless_it_is_watched() -> None:
+def test_a_field_with_curl_adds_energy_unless_it_is_observed() -> None:
     path = circle(5, 500)
     bench = Bench(linear(CURL))
     free = gained_j(bench, path)
@@ -205,22 +205,22 @@ def test_a_field_with_curl_feeds_a_hand_unless_it_is_watched() -> None:
     assert bench.word(W.ENERGY) == pytest.approx(-watched, abs=1e-12)
 
 
-def test_what_was_put_in_may_come_out_again() -> None:
+def test_stored_energy_may_return() -> None:
     press = 0.02 * np.sin(np.linspace(0, 2 * np.pi, 2000))
     path = np.stack([0 * press, 0 * press, -np.abs(press)], axis=-1)
     free, watched = (
         np.array([f for _, f in Bench(wall(60.0), RenderSpec(passivity=p)).along(path)])
         for p in (False, True)
     )
-    # a spring gives back what it took; what sampling adds to that is braked on the last of the way
-    apart = np.abs(free - watched).max(axis=1)
-    assert apart.max() < 0.15
-    assert (apart > 1e-9).mean() < 0.05
+    # a spring returns its energy; the surplus due to sampling is braked at the end of the path
+    difference = np.abs(free - watched).max(axis=1)
+    assert difference.max() < 0.15
+    assert (difference > 1e-9).mean() < 0.05
     assert free.max() > 0.9
 
 
 @given(st.lists(st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)), min_size=2, max_size=6))
-def test_watched_energy_is_not_below_what_one_step_may_give(corners: list[tuple[float, float]]) -> None:
+def test_observed_energy_is_bounded_by_one_step(corners: list[tuple[float, float]]) -> None:
     bench = WATCHED
     bench.restart(RenderSpec(passivity=True))
     knots = np.array([*corners, corners[0]])
@@ -229,19 +229,19 @@ def test_watched_energy_is_not_below_what_one_step_may_give(corners: list[tuple[
     fastest = float(np.abs(np.diff(path, axis=0)).max())
     low, gained = 0.0, 0.0
     before, force = path[0], bench.tick(*path[0])
-    for place in path[1:]:
-        gained += float(force @ (place - before))
+    for position in path[1:]:
+        gained += float(force @ (position - before))
         low = min(low, bench.word(W.ENERGY))
-        before, force = place, bench.tick(*place)
+        before, force = position, bench.tick(*position)
     assert bench.word(W.ENERGY) == pytest.approx(-gained, abs=1e-9)
-    # what the low-pass of the velocity cannot foresee at corners, and a creep too slow to be damped
+    # the error of the low-passed velocity at corners, and a creep too slow to be damped
     assert low >= -20 * 4.0 * fastest - 1e-8
 
 
 WATCHED = Bench(linear(CURL))
 
 
-def test_what_is_owed_is_taken_by_a_damper_that_a_light_hand_bears() -> None:
+def test_an_energy_debt_is_paid_by_a_gentle_damper() -> None:
     bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(passivity=True))
     bench.settled(0, 0, 0)
     bench.memory.f8[W.ENERGY] = -0.01
@@ -252,7 +252,7 @@ def test_what_is_owed_is_taken_by_a_damper_that_a_light_hand_bears() -> None:
     assert abs(forces[-1]) < 1e-3
 
 
-def test_the_weight_of_the_handle_is_no_gain() -> None:
+def test_the_weight_of_the_handle_adds_no_energy() -> None:
     bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(passivity=True, gravity_n=(0.0, 0.5, 0.0)))
     bench.settled(0, 0, 0)
     path = np.array([[0, 0.0001 * n, 0] for n in range(500)])  # the force lifts all the way
@@ -264,7 +264,7 @@ def test_the_weight_of_the_handle_is_no_gain() -> None:
 
 
 @pytest.mark.parametrize(("force", "axis"), [((0.0, 0.0, 0.0), 2), ((1.5, 0.0, 0.0), 0)])
-def test_a_vibration_is_a_sine_beside_the_force(force: tuple[float, float, float], axis: int) -> None:
+def test_a_vibration_adds_a_sine_to_the_force(force: tuple[float, float, float], axis: int) -> None:
     bench = Bench(constant(*force), RenderSpec(slew_n_per_s=1e5), device=STRONG, vibration=(0.4, 80.0))
     bench.settled(0.01, 0.01, 0.01)
     forces = np.array([bench.tick(0.01, 0.01, 0.01) for _ in range(1000)])
@@ -275,7 +275,7 @@ def test_a_vibration_is_a_sine_beside_the_force(force: tuple[float, float, float
     assert np.abs(np.delete(forces, axis, axis=1)).max() < 1e-9
 
 
-def test_its_phase_runs_on_however_uneven_the_ticks() -> None:
+def test_its_phase_is_continuous_for_uneven_ticks() -> None:
     bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(slew_n_per_s=1e6), device=STRONG, vibration=(0.4, 80.0))
     bench.settled(0, 0, 0)
     rng, t, start = np.random.default_rng(5), 0.0, bench.word(W.PHASE)
@@ -286,7 +286,7 @@ def test_its_phase_runs_on_however_uneven_the_ticks() -> None:
         )
 
 
-def test_between_two_frames_amplitudes_are_blended() -> None:
+def test_amplitudes_are_blended_between_frames() -> None:
     spec = RenderSpec(slew_n_per_s=1e5)
     bench = Bench(constant(0.0, 0.0, 0.0), spec, device=STRONG, vibration=(0.4, 80.0))
     memory = Memory.empty(bench.memory.words + frame_words(1))
@@ -299,7 +299,7 @@ def test_between_two_frames_amplitudes_are_blended() -> None:
         assert max(forces[100:]) == pytest.approx(0.3, rel=1e-2)
 
 
-def test_what_the_rate_cannot_show_is_left_out() -> None:
+def test_frequencies_above_nyquist_are_omitted() -> None:
     for frequency, rate in ((500.0, 1000.0), (600.0, 1000.0), (60.0, 100.0)):
         bench = Bench(constant(0.0, 0.0, 1.0), RenderSpec(rate_hz=rate), vibration=(0.4, frequency))
         assert bench.settled(0, 0, 0, 300) == pytest.approx([0, 0, 1.0])

@@ -1,4 +1,4 @@
-"""The force at a point between two frames of the block, against fields and scenes that say what it is."""
+"""The force at a point between two frames of the block, against reference fields and scenes."""
 
 from __future__ import annotations
 
@@ -74,11 +74,11 @@ def test_objects_are_the_scene_at_its_frames(seed: int, damping: float, limit_n:
     ]
     scene = HapticScene(GRID, 50.0, tuple(objects), limit_n, damping)
     block = Block()
-    places = [block.field(f) for f in fields]
+    addresses = [block.field(f) for f in fields]
     frames = []
     for i in range(2):
         motions = [damping * np.concatenate([v[i] for v in t.velocities(50.0)]) for t in tracks]
-        rows = zip(places, tracks, motions)
+        rows = zip(addresses, tracks, motions)
         frames.append(
             block.frame([FramePart(at, t.quaternions[i], t.positions_m[i], m) for at, t, m in rows], limit_n)
         )
@@ -93,17 +93,17 @@ def test_objects_are_the_scene_at_its_frames(seed: int, damping: float, limit_n:
 @settings(max_examples=20)
 @given(seeds, st.floats(0.01, 0.99), st.booleans())
 def test_a_body_moves_and_leaves_no_ghost(seed: int, blend: float, is_long_way: bool) -> None:
-    """Between two poses the body lies at the pose between; the sign of a quaternion does not matter."""
+    """Between two poses the body has the interpolated pose; the sign of a quaternion does not matter."""
     rng = np.random.default_rng(seed)
     dense = rng.normal(size=(*GRID.shape, 3))
     field, block = ForceField.from_dense(GRID, dense), Block()
-    place = block.field(field)
+    address = block.field(field)
     quaternions = Rotation.random(2, random_state=rng).as_quat(scalar_first=True)
     shift = rng.normal(0, 0.05, (2, 3))
     sign = -1.0 if is_long_way else 1.0
-    a, b = (block.frame([FramePart(place, s * q, t)]) for s, q, t in zip((1.0, sign), quaternions, shift))
-    near = quaternions[1] * np.sign(quaternions[0] @ quaternions[1])
-    turn = Rotation.from_quat((1 - blend) * quaternions[0] + blend * near, scalar_first=True)
+    a, b = (block.frame([FramePart(address, s * q, t)]) for s, q, t in zip((1.0, sign), quaternions, shift))
+    nearest = quaternions[1] * np.sign(quaternions[0] @ quaternions[1])
+    turn = Rotation.from_quat((1 - blend) * quaternions[0] + blend * nearest, scalar_first=True)
     points = rng.uniform(*GRID.box_m, (40, 3))
     expected = turn.apply(field.sample_n(points).astype(float))
     at = turn.apply(points) + (1 - blend) * shift[0] + blend * shift[1]
@@ -112,13 +112,13 @@ def test_a_body_moves_and_leaves_no_ghost(seed: int, blend: float, is_long_way: 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e30, -1e308])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("turned", [False, True])
-def test_no_place_gives_no_force(bad: float, axis: int, turned: bool) -> None:
+@pytest.mark.parametrize("is_rotated", [False, True])
+def test_an_invalid_position_gives_no_force(bad: float, axis: int, is_rotated: bool) -> None:
     block = Block()
-    place = block.field(ForceField.from_dense(GRID, np.ones((*GRID.shape, 3))))
-    quaternion = (0.6, 0.8, 0.0, 0.0) if turned else (1.0, 0.0, 0.0, 0.0)
-    frame = block.frame([FramePart(place, quaternion, is_identity=not turned)])
-    later = block.frame([FramePart(place, (1.0, 0.0, 0.0, 0.0), (0.1, 0.1, 0.1))])
+    address = block.field(ForceField.from_dense(GRID, np.ones((*GRID.shape, 3))))
+    quaternion = (0.6, 0.8, 0.0, 0.0) if is_rotated else (1.0, 0.0, 0.0, 0.0)
+    frame = block.frame([FramePart(address, quaternion, is_identity=not is_rotated)])
+    later = block.frame([FramePart(address, (1.0, 0.0, 0.0, 0.0), (0.1, 0.1, 0.1))])
     point = np.zeros(3)
     assert force_at(*block.memory.views, frame, later, 0.0, *point) != (0.0, 0.0, 0.0)
     point[axis] = bad
@@ -127,7 +127,7 @@ def test_no_place_gives_no_force(bad: float, axis: int, turned: bool) -> None:
     assert vibration_at(*block.memory.views, frame, *point) == (0.0, 0.0)
 
 
-def test_vibration_has_the_frequency_of_the_corner_that_adds_most() -> None:
+def test_vibration_has_the_frequency_of_the_dominant_corner() -> None:
     grid, block = Grid((4, 4, 4), (0.01, 0.01, 0.02), (0.0, 0.0, 0.0)), Block()
     band = VibrationFrame(
         grid,
@@ -143,7 +143,7 @@ def test_vibration_has_the_frequency_of_the_corner_that_adds_most() -> None:
         (1.0 * 0.11 + 3 * 0.09 + 2 * 0.44, 120.0)
     )
     assert vibration_at(*views, frame, 0.001, 0.01, 0.02) == pytest.approx((0.1, 80.0))
-    nearer = vibration_at(*views, frame, 0.01, 0.01, 0.026)  # 0.7 N of the near one, 0.9 N of the far one
+    nearer = vibration_at(*views, frame, 0.01, 0.01, 0.026)  # 0.7 N of the near corner, 0.9 N of the far one
     assert nearer == pytest.approx((1.6, 250.0))
     equal = vibration_at(
         *views, frame, 0.01 + 0.01 / 3, 0.01, 0.02
@@ -153,11 +153,11 @@ def test_vibration_has_the_frequency_of_the_corner_that_adds_most() -> None:
     assert vibration_at(*views, block.frame([]), 0.01, 0.01, 0.02) == (0.0, 0.0)
 
 
-def test_a_field_can_be_moved_as_it_is() -> None:
+def test_a_written_field_can_be_moved() -> None:
     field = some_field(np.random.default_rng(3), GRID)
     pool, memory = CellPool.of(field), Memory.empty(100_000)
-    words = field_words(pool)
+    word_count = field_words(pool)
     write_field(memory, 5, pool)
-    before = memory.i8[5 : 5 + words].copy()
+    before = memory.i8[5 : 5 + word_count].copy()
     write_field(memory, 777, pool)
-    assert np.array_equal(memory.i8[777 : 777 + words], before)
+    assert np.array_equal(memory.i8[777 : 777 + word_count], before)

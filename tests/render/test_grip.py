@@ -1,6 +1,4 @@
-"""A hand that turns: orientation goes in at every tick, torque comes out,
-and both are let go like a force.
-"""
+"""A rotating hand: orientation in and torque out at every tick; both are released like a force."""
 
 from __future__ import annotations
 
@@ -9,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from player_makers import AXES, GRID, Still, told
+from player_makers import AXES, GRID, RestingDevice, numbered_field
 
 from touchfield.devices import device
 from touchfield.devices.drivers.simulated import SimHand
@@ -28,10 +26,8 @@ STICK = Tool(np.array([[0.02, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]]), "stick"
 SPEC = RenderSpec(tool=STICK)
 
 
-class Wrist(Still):
-    """Turns by a tenth of a radian a tick about z, with a button and a gripper; keeps the torques that it
-    gets.
-    """
+class Wrist(RestingDevice):
+    """Rotates by a tenth of a radian a tick about z, with a button and a gripper; records its torques."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -56,7 +52,7 @@ class Wrist(Still):
 
 
 class Breaking(Wrist):
-    """Breaks after some ticks."""
+    """Fails after some ticks."""
 
     def position_m(self) -> tuple[float, float, float]:
         if len(self.forces) == 100:
@@ -65,18 +61,18 @@ class Breaking(Wrist):
 
 
 def medium(frames: int = 20) -> HapticMedium:
-    return HapticMedium(GRID, 50.0, frames, told, AXES)
+    return HapticMedium(GRID, 50.0, frames, numbered_field, AXES)
 
 
-def test_what_the_device_tells_is_in_the_log_and_the_torque_is_that_of_the_lever() -> None:
-    made: list[Wrist] = []
+def test_device_state_is_logged_and_the_torque_is_that_of_the_lever() -> None:
+    devices: list[Wrist] = []
 
     def opener() -> Wrist:
-        made.append(Wrist())
-        return made[0]
+        devices.append(Wrist())
+        return devices[0]
 
     rows = run_offline(medium(), SIGMA, opener, SPEC, seconds=0.3).log
-    torques = np.array(made[0].torques)
+    torques = np.array(devices[0].torques)
     assert torques[: len(rows)] == pytest.approx(rows["torque_nm"]) and not torques[-1].any()
     n = np.arange(len(rows))
     assert rows["orientation"][:, 0] == pytest.approx(np.cos(0.05 * n))
@@ -87,21 +83,21 @@ def test_what_the_device_tells_is_in_the_log_and_the_torque_is_that_of_the_lever
     assert (np.linalg.norm(rows["field_torque_nm"][:300], axis=1) > 0.03).all()
 
 
-def test_a_device_that_fails_gets_its_torque_down_to_zero() -> None:
-    made: list[Breaking] = []
+def test_the_torque_of_a_failing_device_goes_to_zero() -> None:
+    devices: list[Breaking] = []
 
     def opener() -> Breaking:
-        made.append(Breaking())
-        return made[0]
+        devices.append(Breaking())
+        return devices[0]
 
     with pytest.raises(DeviceError, match="no answer"):
         run_offline(medium(), SIGMA, opener, SPEC, seconds=0.3)
-    sizes = np.linalg.norm(made[0].torques, axis=1)
+    sizes = np.linalg.norm(devices[0].torques, axis=1)
     assert sizes[99] > 0.01 and sizes[-1] == 0
-    assert (np.abs(np.diff(made[0].torques, axis=0)) <= 0.2 / 0.005 * 0.001 * 1.001).all()
+    assert (np.abs(np.diff(devices[0].torques, axis=0)) <= 0.2 / 0.005 * 0.001 * 1.001).all()
 
 
-def test_a_trajectory_turns_the_simulated_hand() -> None:
+def test_a_trajectory_rotates_the_simulated_hand() -> None:
     half = math.sqrt(0.5)
     trace = Trace(np.array([0.0, 0.2]), np.zeros((2, 3)), np.array([[1, 0, 0, 0], [half, 0, 0, -half]]))
     rows = run_offline(medium(), SIGMA, lambda: SimHand(trace), SPEC, seconds=0.3).log
@@ -111,30 +107,30 @@ def test_a_trajectory_turns_the_simulated_hand() -> None:
     assert rows["field_torque_nm"][290, 0] < -0.03 and abs(rows["field_torque_nm"][290, 1]) < 1e-9
 
 
-class Low(Still):
-    """Pushes from below: a hand of its own."""
+class Low(RestingDevice):
+    """Pushes from below, as a second hand."""
 
     def position_m(self) -> tuple[float, float, float]:
         super().position_m()
         return 0.0, 0.0, -0.02
 
 
-def test_two_hands_on_one_medium_both_feel_it_in_their_own_time() -> None:
+def test_two_hands_play_one_medium_independently() -> None:
     shared = medium(200)
     profile = replace(SIGMA, axes=AXES)
     with (
-        Player(shared, profile, Still, log_rows=10_000, is_realtime=False) as left,
-        Player(shared, profile, Low, SPEC, log_rows=10_000, is_realtime=False) as right,
+        Player(shared, profile, RestingDevice, log_rows=10_000, is_realtime=False) as upper,
+        Player(shared, profile, Low, SPEC, log_rows=10_000, is_realtime=False) as lower,
     ):
-        left.play()
-        right.play()
-        left.wait(0.5)
-    for player in (left, right):
+        upper.play()
+        lower.play()
+        upper.wait(0.5)
+    for player in (upper, lower):
         assert player.error is None
         rows = player.log()
-        assert not (rows["flags"] & FLAGS["silent"]).any()  # each has told all the time that it is there
-        felt = rows[rows["field_force_n"][:, 2] > 0]
-        assert len(felt) > 100
-        shown = 64 * (felt["field_force_n"][:, 2] / (4 if player is right else 1) - 0.5)
-        assert np.abs(shown - 50 * felt["media_s"]).max() < 1e-3 * (1 + shown.max())
-    assert (left.log()["position_m"][:, 2] == 0).all() and (right.log()["position_m"][-1, 2]) == -0.02
+        assert not (rows["flags"] & FLAGS["silent"]).any()  # each has reported all the time
+        touching = rows[rows["field_force_n"][:, 2] > 0]
+        assert len(touching) > 100
+        frames = 64 * (touching["field_force_n"][:, 2] / (4 if player is lower else 1) - 0.5)
+        assert np.abs(frames - 50 * touching["media_s"]).max() < 1e-3 * (1 + frames.max())
+    assert (upper.log()["position_m"][:, 2] == 0).all() and (lower.log()["position_m"][-1, 2]) == -0.02

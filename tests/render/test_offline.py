@@ -1,4 +1,4 @@
-"""An offline run: the log has a row for every tick, however long it is."""
+"""An offline run: the log has a row for every tick, for any duration."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ GRID = Grid((8, 8, 8), (0.002,) * 3, (-0.007,) * 3)
 
 
 def test_a_long_run_has_a_row_for_every_tick() -> None:
-    """The log is a ring that is drained before it wraps around: here it would do so twice."""
+    """The log is a ring that is drained before it wraps; here it would wrap twice."""
     medium = HapticMedium.from_frames([ForceField.empty(GRID)], 60.0)
     run = run_offline(medium, device("phantom-omni"), SimHand, seconds=17.0)
-    assert len(run.log) == 17_001  # the last sets the force to zero
+    assert len(run.log) == 17_001  # the last tick sets the force to zero
     np.testing.assert_allclose(np.diff(run.log["time_s"]), 0.001, atol=1e-9)

@@ -1,4 +1,4 @@
-"""The player with its process: orders, the end, and that nothing is left behind however it ends."""
+"""The player with its process: orders, the end, and no leftovers after any end."""
 
 from __future__ import annotations
 
@@ -13,7 +13,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from player_makers import GRID, OMNI, Absent, Failing, Hung, Noted, Simulated, Still, telling, told
+from player_makers import (
+    GRID,
+    OMNI,
+    Absent,
+    Failing,
+    Hung,
+    Noted,
+    RestingDevice,
+    Simulated,
+    numbered_field,
+    numbered_medium,
+)
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
@@ -24,8 +35,8 @@ from touchfield.render.servo import zero_by_reconnecting
 
 
 @pytest.fixture(autouse=True)
-def nothing_is_left() -> object:
-    """No block in shared memory and no process once a test is over."""
+def no_leftovers() -> object:
+    """No block in shared memory and no process after each test."""
     before = set(shared_folder().glob(PREFIX + "*"))
     yield
     assert set(shared_folder().glob(PREFIX + "*")) <= before
@@ -34,7 +45,7 @@ def nothing_is_left() -> object:
 
 
 def _children() -> list[str]:
-    """Processes that this one began and that serve a device."""
+    """Processes started by this one that serve a device."""
     found = []
     for path in Path("/proc").glob("[0-9]*"):
         try:
@@ -48,7 +59,7 @@ def _children() -> list[str]:
 
 
 def test_a_medium_is_played_to_its_end_and_again() -> None:
-    with Player(telling(10), OMNI, Still, start_s=0.1) as player:
+    with Player(numbered_medium(10), OMNI, RestingDevice, start_s=0.1) as player:
         assert (
             not player.wait(0.05)
             and player.media_s == pytest.approx(0.1)
@@ -78,10 +89,12 @@ def test_a_medium_is_played_to_its_end_and_again() -> None:
     assert not log["force_n"][-1].any() and log["flags"][-1] & FLAGS["stopping"]
     assert np.linalg.norm(log["force_n"], axis=1).max() <= 4.0
     assert counts["priority"] and counts["memory"] and counts["processors"] and counts["decode_median_s"] > 0
-    player.close()  # twice is once
+    player.close()  # a second call does nothing
     assert player.is_ended
     assert not [
-        one for one in threading.enumerate() if one.name in ("touchfield-feeder", "touchfield-player")
+        thread
+        for thread in threading.enumerate()
+        if thread.name in ("touchfield-feeder", "touchfield-player")
     ]
     assert player.servo_pid is None
     for use in (player.play, player.pause, player.__enter__):
@@ -89,8 +102,8 @@ def test_a_medium_is_played_to_its_end_and_again() -> None:
             use()
 
 
-def test_a_device_that_fails_is_told_and_the_force_is_zero() -> None:
-    with Player(telling(1), OMNI, Failing) as player:
+def test_a_failing_device_is_an_error_and_its_force_goes_to_zero() -> None:
+    with Player(numbered_medium(1), OMNI, Failing) as player:
         player.play()
         with pytest.raises(
             DeviceError, match=r"fake device: found no answer; expected a position. Plug it in."
@@ -102,16 +115,16 @@ def test_a_device_that_fails_is_told_and_the_force_is_zero() -> None:
 
 
 def slow(frame: int) -> ForceField:
-    """Takes ten times as long as a frame lasts: also for a servo that a busy machine makes wait."""
+    """Takes ten times the duration of a frame, too long even for a servo on a busy machine."""
     time.sleep(0.2)
-    return told(frame)
+    return numbered_field(frame)
 
 
-def test_a_stream_that_is_too_slow_is_told_while_it_plays_and_keeps_time() -> None:
-    medium = replace(telling(30), make_frame=slow)
+def test_a_slow_stream_is_noted_during_play_and_keeps_time() -> None:
+    medium = replace(numbered_medium(30), make_frame=slow)
     frame_bytes = W.WORD * FrameSource(medium).prepare(0).word_count
-    # room for some frames, so that not all are there where the device takes long to be opened
-    with Player(medium, OMNI, Still, memory_bytes=6 * frame_bytes) as player:
+    # capacity for some frames, so that not all are decoded while a device opens slowly
+    with Player(medium, OMNI, RestingDevice, memory_bytes=6 * frame_bytes) as player:
         player.play()
         assert player.wait(60)
         assert any("left out" in note for note in player.notes)
@@ -119,36 +132,36 @@ def test_a_stream_that_is_too_slow_is_told_while_it_plays_and_keeps_time() -> No
     assert player.statistics()["frames_left_out"] > 10
 
 
-def test_a_device_that_is_not_there_is_told_at_once() -> None:
-    with pytest.raises(DeviceError, match="nothing on the bus"), Player(telling(1), OMNI, Absent):
+def test_a_missing_device_is_an_error_at_once() -> None:
+    with pytest.raises(DeviceError, match="nothing on the bus"), Player(numbered_medium(1), OMNI, Absent):
         pytest.fail("there is no device")
 
 
-def test_a_corrupt_segment_in_the_middle_is_told() -> None:
-    with Player(telling(20, corrupt_from=6), OMNI, Simulated) as player:
+def test_a_corrupt_segment_in_the_middle_is_an_error() -> None:
+    with Player(numbered_medium(20, corrupt_from=6), OMNI, Simulated) as player:
         player.play()
         with pytest.raises(CorruptFile, match="segment 3"):
             player.wait(30)
         assert isinstance(player.error, CorruptFile)
     log = player.log()
     assert log["media_s"].max() >= 4 / 50 and not log["force_n"][-1].any()
-    with pytest.raises(CorruptFile), Player(telling(20, corrupt_from=0), OMNI, Simulated):
+    with pytest.raises(CorruptFile), Player(numbered_medium(20, corrupt_from=0), OMNI, Simulated):
         pytest.fail("there is no first frame")
 
 
-def test_an_error_is_raised_at_the_end_also_where_the_watch_had_no_turn(
+def test_an_error_is_raised_at_the_end_even_without_the_watch(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(Player, "_watch", lambda player: None)
-    with Player(telling(20, corrupt_from=6), OMNI, Simulated) as player:
+    with Player(numbered_medium(20, corrupt_from=6), OMNI, Simulated) as player:
         player.play()
         with pytest.raises(CorruptFile, match="segment 3"):
             player.wait(30)
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
-def test_a_process_that_is_killed_is_told() -> None:
-    with Player(telling(1), OMNI, Still) as player:
+def test_a_killed_process_is_an_error() -> None:
+    with Player(numbered_medium(1), OMNI, RestingDevice) as player:
         player.play()
         assert not player.wait(0.1)
         assert player.servo_pid is not None
@@ -158,27 +171,27 @@ def test_a_process_that_is_killed_is_told() -> None:
     assert any("set to zero through a new connection" in note for note in player.notes)
 
 
-def test_a_read_that_hangs_is_told_and_zero_is_written_through_a_fresh_connection(
+def test_a_hanging_read_is_an_error_and_zero_is_written_by_reconnecting(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    noted = tmp_path / "noted"
-    monkeypatch.setenv("NOTED_FORCES", str(noted))
-    with Player(telling(1), OMNI, Noted) as player:
+    record = tmp_path / "noted"
+    monkeypatch.setenv("NOTED_FORCES", str(record))
+    with Player(numbered_medium(1), OMNI, Noted) as player:
         player.play()
         with pytest.raises(DeviceError, match="no answer for"):
             player.wait(30)
-    assert noted.read_text().splitlines() == ["open", "force 0 0 0", "open", "force 0 0 0"]
+    assert record.read_text().splitlines() == ["open", "force 0 0 0", "open", "force 0 0 0"]
     assert any("set to zero through a new connection" in note for note in player.notes)
 
 
-def test_a_fresh_connection_that_fails_is_told() -> None:
+def test_a_failed_reconnection_is_reported() -> None:
     assert "nothing on the bus" in zero_by_reconnecting(Absent)
 
 
-def test_a_device_that_hangs_cannot_keep_us(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hanging_device_does_not_block_close(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("touchfield.render.player._JOIN_S", 0.1)
     monkeypatch.setattr("touchfield.render.servo._TERMINATE_S", 0.1)
-    with Player(telling(1), OMNI, Hung) as player:
+    with Player(numbered_medium(1), OMNI, Hung) as player:
         player.play()
         with pytest.raises(DeviceError, match="no answer for"):
             player.wait(30)
@@ -187,7 +200,7 @@ def test_a_device_that_hangs_cannot_keep_us(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 def test_a_signal_to_the_process_is_a_stop() -> None:
-    with Player(telling(1), OMNI, Still, is_realtime=False) as player:
+    with Player(numbered_medium(1), OMNI, RestingDevice, is_realtime=False) as player:
         player.play()
         assert not player.wait(0.1)
         assert player.servo_pid is not None
@@ -197,36 +210,39 @@ def test_a_signal_to_the_process_is_a_stop() -> None:
     assert not player.log()["force_n"][-1].any()
 
 
-def test_what_cannot_be_is_refused_before_anything_is_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_invalid_options_are_refused_before_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InvalidArgument, match="from_frames"):
-        Player(telling()[0], OMNI, Still)  # type: ignore[arg-type]
+        Player(numbered_medium()[0], OMNI, RestingDevice)  # type: ignore[arg-type]
     for options in ({"memory_bytes": 0}, {"speed": -1.0}, {"start_s": float("inf")}):
         with pytest.raises(InvalidArgument):
-            Player(telling(), OMNI, Still, **options)  # type: ignore[arg-type]
-    with pytest.raises(InvalidArgument, match="pickled"), Player(telling(), OMNI, lambda: Still()):
+            Player(numbered_medium(), OMNI, RestingDevice, **options)  # type: ignore[arg-type]
+    with (
+        pytest.raises(InvalidArgument, match="pickled"),
+        Player(numbered_medium(), OMNI, lambda: RestingDevice()),
+    ):
         pytest.fail("a lambda cannot be sent to another process")
     with (
         pytest.raises(InvalidArgument, match="memory_bytes"),
-        Player(telling(), OMNI, Still, memory_bytes=5000),
+        Player(numbered_medium(), OMNI, RestingDevice, memory_bytes=5000),
     ):
         pytest.fail("no frame fits")
     monkeypatch.setattr(
         "touchfield.render.player.free_bytes", lambda: 5000
-    )  # of which nine tenths may be taken
-    body = HapticScene(GRID, 50.0, (HapticObject("body", telling(1), PoseTrack.constant(2)),), 4.0)
+    )  # of which nine tenths may be used
+    body = HapticScene(GRID, 50.0, (HapticObject("body", numbered_medium(1), PoseTrack.constant(2)),), 4.0)
     with pytest.raises(InvalidArgument, match=r"memory_bytes: found 0\.00 MiB of room"):
-        Player(body, OMNI, Still)
+        Player(body, OMNI, RestingDevice)
 
 
 ORPHAN = """
 import signal
 import sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background would not hear it
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job would ignore it
 sys.path.insert(0, {folder!r})
-from player_makers import OMNI, Still, telling
+from player_makers import OMNI, RestingDevice, numbered_medium
 from touchfield.render.player import Player
 if __name__ == "__main__":
-    with Player(telling(1), OMNI, Still) as player:
+    with Player(numbered_medium(1), OMNI, RestingDevice) as player:
         player.play()
         player.wait(0.05)
         print(player.servo_pid, flush=True)
@@ -236,7 +252,7 @@ if __name__ == "__main__":
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGINT"])
-def test_when_the_player_is_gone_the_servo_goes(name: str, tmp_path: Path) -> None:
+def test_the_servo_ends_with_its_player(name: str, tmp_path: Path) -> None:
     script = tmp_path / "orphan.py"
     script.write_text(ORPHAN.format(folder=str(Path(__file__).parent)))
     with subprocess.Popen(
@@ -246,10 +262,10 @@ def test_when_the_player_is_gone_the_servo_goes(name: str, tmp_path: Path) -> No
         servo = int(program.stdout.readline())
         program.send_signal(getattr(signal, name))
         program.wait(30)
-        said = program.stderr.read()
-    assert "leaked" not in said and "BufferError" not in said
-    ends = time.monotonic() + 20
-    while _runs(servo) and time.monotonic() < ends:
+        stderr = program.stderr.read()
+    assert "leaked" not in stderr and "BufferError" not in stderr
+    deadline_s = time.monotonic() + 20
+    while _runs(servo) and time.monotonic() < deadline_s:
         time.sleep(0.02)
     assert not _runs(servo)
 
@@ -259,16 +275,16 @@ import sys
 from functools import partial
 import numpy as np
 sys.path.insert(0, {folder!r})
-from player_makers import OMNI, telling
+from player_makers import OMNI, numbered_medium
 from touchfield.devices.drivers.simulated import SimHand
 from touchfield.medium.trace import Trace
 from touchfield.render.player import Player
-with Player(telling(1), OMNI, partial(SimHand, Trace.regular(np.zeros((100_000, 3))))) as player:
+with Player(numbered_medium(1), OMNI, partial(SimHand, Trace.regular(np.zeros((100_000, 3))))) as player:
     player.play()
 """
 
 
-def test_a_program_without_its_guard_is_told_whatever_goes_to_the_device(tmp_path: Path) -> None:
+def test_a_program_without_a_main_guard_is_a_clear_error(tmp_path: Path) -> None:
     script = tmp_path / "unguarded.py"
     script.write_text(UNGUARDED.format(folder=str(Path(__file__).parent)))
     done = subprocess.run(

@@ -1,6 +1,4 @@
-"""The proxy: what is thin holds, what is thick is felt as the field has it, friction drags, what moves
-carries.
-"""
+"""The proxy: thin plates hold, thick bodies keep the force of the field, friction drags, motion carries."""
 
 from __future__ import annotations
 
@@ -38,10 +36,10 @@ def plate(thickness_m: float, nw: int = 7) -> ForceField:
     return field_of(Box((0.0, 0.0, 0.0), (0.03, 0.02, thickness_m / 2)), nw=nw)
 
 
-def into(held: Held, start: np.ndarray, end: np.ndarray, steps: int = 60) -> np.ndarray:
-    """The force after a straight way of the hand."""
-    for share in np.linspace(0, 1, steps):
-        force = held.tick(start + share * (end - start))
+def into(rendered: Held, start: np.ndarray, end: np.ndarray, steps: int = 60) -> np.ndarray:
+    """The force after a straight path of the hand."""
+    for weight in np.linspace(0, 1, steps):
+        force = rendered.tick(start + weight * (end - start))
     return force
 
 
@@ -50,7 +48,7 @@ def test_a_thin_plate_holds_three_newtons_and_the_plain_field_does_not(thickness
     field = plate(1e-3 * thickness_mm)
     start, push = (0.004, -0.003, 0.006), ramp_n((0, 0, -1))
     hand, forces, proxy = Held(field).pushed(start, push, 1.0)
-    assert proxy[:, 2].min() > 0.0  # never at the far side
+    assert proxy[:, 2].min() > 0.0  # never beyond the plate
     assert np.linalg.norm(forces[-1] - [0, 0, 3.0]) < 0.05 and abs(hand[-1, 2] - hand[-50, 2]) < 2e-5
     hand, _, _ = Held(field, is_proxy=False).pushed(start, push, 1.0)
     assert hand[-1, 2] < -0.02
@@ -64,17 +62,17 @@ def test_edges_and_corners_hold() -> None:
     hand, forces, proxy = Held(corner).pushed((0.005, 0.0, 0.012), ramp_n((1, 0, -1)), 1.2)
     assert (np.linalg.norm(corner.sample_n(proxy), axis=1) < level).all()
     assert np.linalg.norm(forces[-1] - 3.0 * np.array([-1, 0, 1]) / np.sqrt(2)) < 0.15
-    assert 0.0145 < proxy[-1, 0] < 0.017 and -0.009 < proxy[-1, 2] < -0.0065  # the middle of all lies at 0
+    assert 0.0145 < proxy[-1, 0] < 0.017 and -0.009 < proxy[-1, 2] < -0.0065  # the centre is at 0
     block = field_of(BLOCK)
     push = ramp_n((-1, 0, -1), guided_n_per_m=500.0)
     hand, forces, proxy = Held(block).pushed((0.036, 0.0, 0.021), push, 1.0)  # onto an edge
     assert (np.linalg.norm(block.sample_n(proxy), axis=1) < level).all() and np.linalg.norm(forces[-1]) > 2.0
     assert (
         np.linalg.norm(hand[-1] - hand[-200]) < 1e-3 and proxy[-1, 2] > 0.0145
-    )  # it stays, on the edge or above
+    )  # it stays on the edge or above it
 
 
-def test_forces_of_thick_things_are_the_field_s() -> None:
+def test_forces_of_thick_bodies_are_those_of_the_field() -> None:
     rng = np.random.default_rng(1)
     ball, block = Held(field_of(BALL)), Held(field_of(BLOCK))
     errors = []
@@ -95,21 +93,21 @@ def test_forces_of_thick_things_are_the_field_s() -> None:
 @pytest.mark.parametrize(
     ("stiffness", "spacing_m"), [(500, 0.0044), (2000, 0.00125), (1000, 0.0022), (500, 0.001)]
 )
-def test_a_wall_that_is_full_within_two_samples_is_felt_from_its_surface(
+def test_a_wall_saturated_within_two_samples_starts_at_its_surface(
     stiffness: float, spacing_m: float
 ) -> None:
     grid = Grid((24, 24, 24), (spacing_m,) * 3, (-11.5 * spacing_m,) * 3)
     forces = np.zeros((*grid.shape, 3), np.float32)
     forces[..., 2] = np.minimum(stiffness * np.maximum(-grid.axis_m(2), 0.0), 3.3)
-    held = Held(ForceField.from_dense(grid, forces), stiffness=stiffness)
-    for share in (0.3, 0.5, 0.8):
-        held.memory.f8[W.IS_COUPLED] = 0.0
-        depth = share * 3.3 / stiffness
-        force = into(held, np.array([0.0, 0.0, 2 * spacing_m]), np.array([0.0, 0.0, -depth]))
+    rendered = Held(ForceField.from_dense(grid, forces), stiffness=stiffness)
+    for fraction in (0.3, 0.5, 0.8):
+        rendered.memory.f8[W.IS_COUPLED] = 0.0
+        depth = fraction * 3.3 / stiffness
+        force = into(rendered, np.array([0.0, 0.0, 2 * spacing_m]), np.array([0.0, 0.0, -depth]))
         assert force[2] == pytest.approx(stiffness * depth, rel=0.3, abs=0.1)
 
 
-def test_a_still_hand_on_a_rough_surface_feels_no_click() -> None:
+def test_a_resting_hand_on_a_rough_surface_gets_no_step() -> None:
     smooth, rng = field_of(BLOCK), np.random.default_rng(3)
     noise = rng.normal(size=smooth.forces_n.shape) * np.linalg.norm(smooth.forces_n, axis=-1, keepdims=True)
     rough = Held(ForceField(smooth.grid, smooth.bricks, (smooth.forces_n + 0.2 * noise).astype(np.float32)))
@@ -123,44 +121,44 @@ def test_a_still_hand_on_a_rough_surface_feels_no_click() -> None:
 
 
 @pytest.mark.parametrize("shape", [Box((0, 0, 0), (0.02, 0.02, 0.02)), Sphere((0, 0, 0), 0.02)])
-def test_a_hand_that_slides_off_is_let_go_once(shape: Box | Sphere) -> None:
+def test_a_hand_that_slides_off_is_released_once(shape: Box | Sphere) -> None:
     field, rng = field_of(shape, nw=6 if isinstance(shape, Box) else 7), np.random.default_rng(0)
     for _ in range(60):
-        held = Held(field)
+        rendered = Held(field)
         inwards = rng.normal(size=3)
         inwards /= np.linalg.norm(inwards)
         along = np.cross(inwards, rng.normal(size=3))
         along /= np.linalg.norm(along)
-        path = [(0.036 - 0.019 * share) * inwards for share in np.linspace(0, 1, 200)]
+        path = [(0.036 - 0.019 * weight) * inwards for weight in np.linspace(0, 1, 200)]
         path += [path[-1] + s * along for s in np.arange(0.0, 0.04, 0.00025)]
-        sizes = np.array([np.linalg.norm(held.tick(place)) for place in path])
+        sizes = np.array([np.linalg.norm(rendered.tick(position)) for position in path])
         is_lost = (sizes[1:-1] == 0) & (sizes[:-2] > 0) & (sizes[2:] > 0)
         assert not is_lost.any()
 
 
-def test_friction_sticks_and_then_slips_at_mu_times_the_pressure() -> None:
+def test_friction_sticks_then_slips_at_mu_times_the_pressure() -> None:
     for mu in (0.0, 0.3, 0.7):
-        held = Held(field_of(BLOCK), mu=mu)
-        into(held, np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, 0.013]))
+        rendered = Held(field_of(BLOCK), mu=mu)
+        into(rendered, np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, 0.013]))
         for way in np.linspace(0, 0.004, 200):
-            held.tick(np.array([way, 0.5 * way, 0.013]))
-            pressure = np.linalg.norm(held.word(W.FIELD_FORCE))
-            drag = np.linalg.norm(held.word(W.FRICTION_FORCE))
-            pull = held.wall.stiffness_n_per_m * np.hypot(way, 0.5 * way)
+            rendered.tick(np.array([way, 0.5 * way, 0.013]))
+            pressure = np.linalg.norm(rendered.word(W.FIELD_FORCE))
+            drag = np.linalg.norm(rendered.word(W.FRICTION_FORCE))
+            pull = rendered.wall.stiffness_n_per_m * np.hypot(way, 0.5 * way)
             assert drag == pytest.approx(min(pull, mu * pressure), rel=0.02, abs=0.02)
 
 
-def test_no_energy_is_given_by_random_pressing() -> None:
+def test_random_pressing_adds_no_energy() -> None:
     rng = np.random.default_rng(2)
-    for shape, far in ((BALL, 0.025), (BLOCK, 0.015)):
-        held = Held(field_of(shape), damping=0.3)
+    for shape, depth_m in ((BALL, 0.025), (BLOCK, 0.015)):
+        rendered = Held(field_of(shape), damping=0.3)
         x, v, energy = np.array([0.0, 0.0, 0.035]), np.zeros(3), [0.0]
         way, goal = rng.normal(size=3), np.zeros(3)
         for n in range(6000):
             if n % 250 == 0:
                 way = 0.7 * way + rng.normal(size=3) + [0, 0, 1.0]
-                goal = (far - rng.uniform(-0.004, 0.006)) * way / np.linalg.norm(way)
-            force = held.tick(x)
+                goal = (depth_m - rng.uniform(-0.004, 0.006)) * way / np.linalg.norm(way)
+            force = rendered.tick(x)
             before = x
             for _ in range(4):
                 v = v + (500 * (goal - x) - 14 * v + force) / 0.1 * 2.5e-4
@@ -171,42 +169,49 @@ def test_no_energy_is_given_by_random_pressing() -> None:
 
 def test_a_plate_that_rises_carries_the_hand() -> None:
     lifts = [(UNTURNED, (0.0, 0.0, 0.01 * n)) for n in range(4)]  # 10 mm a frame, the plate 2 mm
-    held = Held(plate(0.002), poses=lifts)
-    into(held, np.array([0.0, 0.0, 0.004]), np.array([0.0, 0.0, -0.001]))
-    steps, force = [], held.tick(np.array([0.0, 0.0, -0.001]))
+    rendered = Held(plate(0.002), poses=lifts)
+    into(rendered, np.array([0.0, 0.0, 0.004]), np.array([0.0, 0.0, -0.001]))
+    steps, force = [], rendered.tick(np.array([0.0, 0.0, -0.001]))
     for n in range(120):
-        held.at = n / 40  # a frame in 40 ms: 0.25 m/s
-        after = held.tick(np.array([0.0, 0.0, -0.001 + 0.01 * held.at]))  # the hand goes with it
+        rendered.at = n / 40  # a frame in 40 ms: 0.25 m/s
+        after = rendered.tick(np.array([0.0, 0.0, -0.001 + 0.01 * rendered.at]))  # the hand moves with it
         steps.append(np.linalg.norm(after - force))
         force = after
-    assert held.proxy_m[2] > 0.029 and force[2] > 0.3
+    assert rendered.proxy_m[2] > 0.029 and force[2] > 0.3
     assert max(steps) < 0.05
 
 
-def test_a_proxy_without_contact_is_the_hand_s_and_gives_nothing() -> None:
-    held = Held(field_of(BALL), mu=0.5)
+def test_a_proxy_without_contact_follows_the_hand_without_force() -> None:
+    rendered = Held(field_of(BALL), mu=0.5)
     for z in np.linspace(0.05, 0.03, 40):
-        assert not held.tick(np.array([0.0, 0.0, z])).any()
-    assert np.allclose(held.proxy_m, [0, 0, 0.03])
-    assert into(held, np.array([0.0, 0.0, 0.03]), np.array([0.0, 0.0, 0.022]))[2] > 1.0
-    assert not into(held, np.array([0.0, 0.0, 0.022]), np.array([0.0, 0.0, 0.03])).any()
-    for place in (np.array([np.nan, 0, 0]), np.array([1e9, 0, 0])):
-        assert np.isfinite(held.tick(place)).all()
+        assert not rendered.tick(np.array([0.0, 0.0, z])).any()
+    assert np.allclose(rendered.proxy_m, [0, 0, 0.03])
+    assert into(rendered, np.array([0.0, 0.0, 0.03]), np.array([0.0, 0.0, 0.022]))[2] > 1.0
+    assert not into(rendered, np.array([0.0, 0.0, 0.022]), np.array([0.0, 0.0, 0.03])).any()
+    for position in (np.array([np.nan, 0, 0]), np.array([1e9, 0, 0])):
+        assert np.isfinite(rendered.tick(position)).all()
 
 
-def test_walls_are_found_where_there_are_some() -> None:
+def test_walls_are_detected() -> None:
     ball = field_of(BALL, nw=6)
     wall = wall_of(ball)
     assert wall is not None and wall.stiffness_n_per_m == pytest.approx(500, rel=0.02)
     steady = np.where(ball.forces_n.any(axis=-1, keepdims=True), np.float32([0, 0, 1]), np.float32(0))
     assert wall_of(ForceField(ball.grid, ball.bricks, steady)) is None
-    assert wall_of(ForceField(ball.grid, ball.bricks, -ball.forces_n)) is None  # it draws the hand in
+    assert wall_of(ForceField(ball.grid, ball.bricks, -ball.forces_n)) is None  # it attracts the hand
     empty = ForceField.empty(ball.grid)
     assert wall_of(empty) is None
     late = HapticMedium.from_frames([empty, ball], 30.0)  # nothing in its first frame
-    for words, stiffness in ((None, 500), (700, 700), (1.0, 1), (5001, 500)):  # what a file may state counts
-        told = {} if words is None else {"spec": json.dumps({"law": "penalty", "stiffness_n_per_m": words})}
-        found = FrameSource(replace(late, provenance=told)).wall()
+    for stated, stiffness in (
+        (None, 500),
+        (700, 700),
+        (1.0, 1),
+        (5001, 500),
+    ):  # a valid stated stiffness takes precedence
+        provenance = (
+            {} if stated is None else {"spec": json.dumps({"law": "penalty", "stiffness_n_per_m": stated})}
+        )
+        found = FrameSource(replace(late, provenance=provenance)).wall()
         assert found is not None and found.stiffness_n_per_m == pytest.approx(stiffness, rel=0.02)
     for law, more in (("constant", {}), ("penalty", {"edits": "gain 2"})):
         assert stated_n_per_m({"spec": json.dumps({"law": law, "stiffness_n_per_m": 700}), **more}) is None
@@ -220,12 +225,10 @@ def test_walls_are_found_where_there_are_some() -> None:
     assert weakest is not None and found.level_n == weakest.level_n < wall.level_n
     coarse = HapticObject("coarse", HapticMedium.from_frames([field_of(BALL, nw=5)], 30.0), track)
     found = FrameSource(HapticScene(ball.grid, 30.0, (coarse, bodies[1]), 20.0)).wall()
-    assert (
-        found is not None and found.spacing_m == (min(ball.grid.spacing_m),) * 3
-    )  # whichever way they are turned
-    still = VibrationFrame.empty(ball.grid)
-    found = FrameSource(HapticMedium(ball.grid, 30.0, 1, lambda i: ball, vibration=lambda i: still)).wall()
-    assert found == wall  # what is beside it is no second body
+    assert found is not None and found.spacing_m == (min(ball.grid.spacing_m),) * 3  # in any orientation
+    silence = VibrationFrame.empty(ball.grid)
+    found = FrameSource(HapticMedium(ball.grid, 30.0, 1, lambda i: ball, vibration=lambda i: silence)).wall()
+    assert found == wall  # a vibration is no second body
 
 
 def test_a_terrain_whose_rim_overshoots_is_a_wall() -> None:
@@ -240,22 +243,22 @@ def _peak_n(medium: HapticMedium | HapticScene, spec: RenderSpec) -> tuple[float
     return float(run.log["field_force_n"][260:290, 2].mean()), run.notes
 
 
-def test_a_session_chooses_and_tells() -> None:
+def test_a_session_selects_the_proxy_and_notes_it() -> None:
     field = plate(0.002)
     medium = HapticMedium(field.grid, 30.0, 1, lambda i: field, axes=STRONG.axes)
-    held, notes = _peak_n(medium, RenderSpec())
-    assert held > 1.0 and any("proxy" in note for note in notes)
+    rendered, notes = _peak_n(medium, RenderSpec())
+    assert rendered > 1.0 and any("proxy" in note for note in notes)
     soft = RenderSpec(wall_n_per_m=300.0)
     assert _peak_n(medium, soft)[0] == pytest.approx(300 * 0.006, rel=0.1)
     session, memory = laid_out(medium, soft)
-    chosen = memory.f8[[W.BRAKE, W.COUPLING]]
-    session.feeder(memory).fill_lookahead(1)  # its stiffest slope is that of the field, which nobody feels
-    assert (memory.f8[[W.BRAKE, W.COUPLING]] == chosen).all()
+    selected = memory.f8[[W.BRAKE, W.COUPLING]]
+    session.feeder(memory).fill_lookahead(1)  # its stiffest slope is that of the field, which the proxy hides
+    assert (memory.f8[[W.BRAKE, W.COUPLING]] == selected).all()
     for spec in (RenderSpec(render="field"), RenderSpec(coupling_n_per_m=300.0)):
         plain, notes = _peak_n(medium, spec)
         assert abs(plain) < 0.5 and not any("proxy" in note for note in notes)
     tool, bent = Tool.sphere(0.001, 10), Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)
-    for spec in (RenderSpec(tool=tool), RenderSpec(deformation=bent)):  # these are of the field as it is
+    for spec in (RenderSpec(tool=tool), RenderSpec(deformation=bent)):  # these render the field itself
         assert not any("proxy" in note for note in laid_out(medium, spec)[0].notes)
         with pytest.raises(InvalidArgument, match="proxy"):
             replace(spec, render="proxy")

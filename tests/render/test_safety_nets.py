@@ -1,8 +1,7 @@
-"""Every safety net of the servo, made to fire while force and torque push: both go to zero, and stay within
-limits.
+"""Every safety net of the servo under force and torque: both go to zero and stay within their limits.
 
-A device with a tool in the hand, so that there is a torque, is served on a clock of its own. Each net is
-fired by the fault that it is there for.
+A device with a tool, so that there is a torque, is served on a simulated clock. Each net is triggered by its
+own fault.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from player_makers import AXES, GRID, Still, told
+from player_makers import AXES, GRID, RestingDevice, numbered_field
 
 from touchfield.devices import device
 from touchfield.errors import CorruptFile, DeviceError
@@ -33,8 +32,8 @@ FIRES = 100
 """The tick at which the fault happens."""
 
 
-class Wrist(Still):
-    """Keeps every wrench with its time; a fault of the device is a method that is replaced."""
+class Wrist(RestingDevice):
+    """Records every wrench with its time; a fault of the device overrides a method."""
 
     def __init__(self, clock: VirtualClock) -> None:
         super().__init__()
@@ -63,7 +62,7 @@ class Silent(Wrist):
 
 
 class Slow(Silent):
-    """Does not answer, and takes a second for each wrench; the torque that came last acts on."""
+    """Does not answer, and takes a second for each wrench; the last torque keeps acting."""
 
     def put_wrench(self, fx: float, fy: float, fz: float, tx: float, ty: float, tz: float) -> None:
         super().put_wrench(fx, fy, fz, tx, ty, tz)
@@ -83,14 +82,14 @@ class Unwilling(Wrist):
 
 
 class Nowhere(Wrist):
-    """Tells a place that is none."""
+    """Reports an invalid position."""
 
     def position_m(self) -> Point:
         return (0.0, float("nan"), 0.0) if self.is_faulty else super().position_m()
 
 
 class Unturned(Wrist):
-    """Tells an orientation that is none."""
+    """Reports an invalid orientation."""
 
     def orientation(self) -> Quaternion:
         return (float("nan"), 0.0, 0.0, 0.0) if self.is_faulty else super().orientation()
@@ -104,13 +103,13 @@ class Away(Wrist):
 
 
 def medium(is_readable: bool = True, force_n: float = 0.0) -> HapticMedium:
-    """A steady push; where it is not readable, from the third frame on it cannot be decoded."""
+    """A steady push; if not readable, decoding fails from the third frame on."""
 
     def make(frame: int) -> ForceField:
         if frame > 1 and not is_readable:
             raise CorruptFile("segment 3", "a wrong checksum")
         if not force_n:
-            return told(0)
+            return numbered_field(0)
         forces = np.zeros((*GRID.shape, 3), np.float32)
         forces[..., 2] = force_n
         return ForceField.from_dense(GRID, forces)
@@ -120,7 +119,7 @@ def medium(is_readable: bool = True, force_n: float = 0.0) -> HapticMedium:
 
 @dataclass(frozen=True)
 class Net:
-    """A fault, and whether the servo ends by it with an error; `act` does it to the block at tick `FIRES`."""
+    """A fault, and whether it ends the servo with an error; `act` applies it to the block at tick `FIRES`."""
 
     make: type[Wrist] = Wrist
     act: Callable[[Memory], None] = lambda memory: None
@@ -147,14 +146,14 @@ NETS = {
 
 
 def served(net: Net, spec: RenderSpec = SPEC, force_n: float = 0.0) -> tuple[Wrist, Memory]:
-    """A device after the net had two seconds to bring the wrench to zero."""
+    """The device after two seconds in which the net brings the wrench to zero."""
     session = Session(medium(net.is_readable, force_n), SIGMA, spec)
     memory = Memory.empty(session.layout.words)
     session.set_up(memory)
     feeder = session.feeder(memory, is_timed=False)
     session.order(memory, mode=W.PLAYING)
     clock = VirtualClock()
-    clock.sleep_until(2 * W.SILENCE_NS)  # what is dead has been so for long
+    clock.sleep_until(2 * W.SILENCE_NS)  # a dead process has been so for long
     device_ = net.make(clock)
     is_fed = True
 
@@ -176,15 +175,15 @@ def served(net: Net, spec: RenderSpec = SPEC, force_n: float = 0.0) -> tuple[Wri
 
 
 @pytest.mark.parametrize("name", NETS)
-def test_force_and_torque_push_before_and_are_zero_behind(name: str) -> None:
+def test_force_and_torque_push_before_the_fault_and_vanish_after(name: str) -> None:
     net = NETS[name]
     hand, memory = served(net)
     wrenches = np.array(hand.wrenches)
     force, torque = np.linalg.norm(wrenches[:, :3], axis=1), np.linalg.norm(wrenches[:, 3:], axis=1)
     assert force[FIRES - 1] > 0.4 and torque[FIRES - 1] > 0.005
     within = len(wrenches) if net.fails or net.is_stop else 400
-    still = wrenches[within - 1 :] if net.fails or net.is_stop else wrenches[within:-1]
-    assert len(still) and not still.any(), "zero in time, and not only as the servo ends"
+    after = wrenches[within - 1 :] if net.fails or net.is_stop else wrenches[within:-1]
+    assert len(after) and not after.any(), "zero in time, and not only as the servo ends"
     assert hand.closed == 1
     times_s = 1e-9 * np.diff(hand.times_ns)
     for part, slew in ((wrenches[:, :3], W.SLEW), (wrenches[:, 3:], W.TORQUE_SLEW)):
@@ -204,13 +203,13 @@ def test_an_end_waits_for_the_slower_of_force_and_torque(slow: dict[str, float])
 
 @pytest.mark.parametrize("name", ["force", "torque"])
 def test_heat_and_peak_limit_force_and_torque_from_both_sides(name: str) -> None:
-    """As much as the peak at first, and in the long run the continuous limit, no more and hardly less."""
+    """The peak at first, and in the long run the continuous limit: no more, and hardly less."""
     limits = {"force": (0.9, 0.3, 9.0, 5.0), "torque": (9.0, 5.0, 0.012, 0.004)}[name]
     spec = replace(
         SPEC, **dict(zip(("peak_n", "continuous_n", "peak_nm", "continuous_nm"), limits, strict=True))
     )
-    known = replace(SIGMA, force_max_n=20.0, torque_max_nm=9.0)
-    session = Session(medium(force_n=6.0), known, spec)
+    device = replace(SIGMA, force_max_n=20.0, torque_max_nm=9.0)
+    session = Session(medium(force_n=6.0), device, spec)
     memory = Memory.empty(session.layout.words)
     session.set_up(memory)
     feeder = session.feeder(memory, is_timed=False)
@@ -232,12 +231,12 @@ def test_heat_and_peak_limit_force_and_torque_from_both_sides(name: str) -> None
     assert not wrenches[-1].any()
 
 
-def test_a_fresh_connection_zeroes_the_torque_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    hand, told_ = Wrist(VirtualClock()), []
+def test_reconnecting_zeroes_the_torque_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    hand, sent = Wrist(VirtualClock()), []
 
     class Pipe:
         def send(self, word: str) -> None:
-            told_.append(word)
+            sent.append(word)
 
     servo._write_zero(lambda: hand, Pipe())  # type: ignore[arg-type]
-    assert hand.wrenches == [(0.0,) * 6] and hand.closed == 1 and told_ == [""]
+    assert hand.wrenches == [(0.0,) * 6] and hand.closed == 1 and sent == [""]

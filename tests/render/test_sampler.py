@@ -1,4 +1,4 @@
-"""F(x, t) in one process, against the frames of the medium themselves."""
+"""F(x, t) in one process, against the frames of the medium."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def some_medium(rng: np.random.Generator, count: int) -> HapticMedium:
 
 
 def some_scene(rng: np.random.Generator, count: int = 3, limit_n: float = 1.5) -> HapticScene:
-    """A rigid body in motion, one that changes as it moves, and one that stays."""
+    """A rigid body in motion, a deforming body in motion, and a static one."""
     rigid = HapticMedium.from_frames([full_field(rng)], RATE_HZ)
     soft = HapticMedium.from_frames([full_field(rng) for _ in range(count)], RATE_HZ)
     tracks = [
@@ -47,41 +47,41 @@ def some_points(rng: np.random.Generator, *shape: int) -> np.ndarray:
     return rng.uniform(low - 0.02, high + 0.02, (*shape, 3))
 
 
-HELD = FieldSampler(
+SAMPLER = FieldSampler(
     HapticMedium.from_frames([full_field(np.random.default_rng(7)) for _ in range(3)], RATE_HZ)
 )
 
 
-def between(medium: HapticMedium, place: float, points: np.ndarray) -> np.ndarray:
-    """The definition: two frames, blended."""
-    place = min(max(place, 0.0), len(medium) - 1.0)
-    first, share = int(place), place - int(place)
-    found = (1 - share) * medium[first].sample_n(points).astype(float)
-    return found + share * medium[first + 1].sample_n(points) if share else found
+def between(medium: HapticMedium, position: float, points: np.ndarray) -> np.ndarray:
+    """The definition: two blended frames."""
+    position = min(max(position, 0.0), len(medium) - 1.0)
+    first, weight = int(position), position - int(position)
+    found = (1 - weight) * medium[first].sample_n(points).astype(float)
+    return found + weight * medium[first + 1].sample_n(points) if weight else found
 
 
 @settings(max_examples=25)
 @given(seeds, st.floats(-2, 6), st.integers(1, 4))
-def test_voxels_at_one_instant(seed: int, place: float, count: int) -> None:
+def test_voxels_at_one_instant(seed: int, position: float, count: int) -> None:
     rng = np.random.default_rng(seed)
     medium, points = some_medium(rng, count), some_points(rng, 5, 8)
-    found = FieldSampler(medium).force_n(place / RATE_HZ, points)
+    found = FieldSampler(medium).force_n(position / RATE_HZ, points)
     assert found.dtype == np.float32 and found.shape == points.shape
-    np.testing.assert_allclose(found, between(medium, place, points), atol=2e-6, rtol=0)
+    np.testing.assert_allclose(found, between(medium, position, points), atol=2e-6, rtol=0)
 
 
 @settings(max_examples=15)
 @given(seeds, st.integers(1, 4))
-def test_each_point_at_its_own_time(seed: int, count: int) -> None:
+def test_each_point_has_its_time(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
-    medium, points, places = some_medium(rng, count), some_points(rng, 30), rng.uniform(-2, 6, 30)
-    places[::5] = np.round(places[::5])
+    medium, points, positions = some_medium(rng, count), some_points(rng, 30), rng.uniform(-2, 6, 30)
+    positions[::5] = np.round(positions[::5])
     sampler = FieldSampler(medium)
-    found = sampler.force_n(places / RATE_HZ, points)
-    expected = [between(medium, t, p[None])[0] for t, p in zip(places, points)]
+    found = sampler.force_n(positions / RATE_HZ, points)
+    expected = [between(medium, t, p[None])[0] for t, p in zip(positions, points)]
     np.testing.assert_allclose(found, expected, atol=2e-6, rtol=0)
-    one = [sampler.at(t / RATE_HZ, *p) for t, p in zip(places.tolist(), points.tolist())]
-    np.testing.assert_allclose(one, expected, atol=2e-6, rtol=0)
+    single = [sampler.at(t / RATE_HZ, *p) for t, p in zip(positions.tolist(), points.tolist())]
+    np.testing.assert_allclose(single, expected, atol=2e-6, rtol=0)
 
 
 def test_exact_at_samples_and_frames() -> None:
@@ -115,15 +115,15 @@ def test_scenes_at_their_frames(seed: int) -> None:
 
 
 def difference(sampler: FieldSampler, time_s: float, point: np.ndarray, step_m: float) -> np.ndarray:
-    """One-sided differences [3, 3]; a negative step looks back."""
-    here = np.array(sampler.at(time_s, *point))
+    """One-sided differences [3, 3]; a negative step is backward."""
+    base = np.array(sampler.at(time_s, *point))
     moved = [np.array(sampler.at(time_s, *(point + step_m * unit))) for unit in np.eye(3)]
-    return (np.stack(moved, axis=1) - here[:, None]) / step_m
+    return (np.stack(moved, axis=1) - base[:, None]) / step_m
 
 
 @settings(max_examples=8)
 @given(seeds, st.sampled_from([0.0, 0.4, 1.0]), st.sampled_from(["voxels", "scene", "cut scene"]))
-def test_gradient_is_the_slope(seed: int, place: float, kind: str) -> None:
+def test_gradient_is_the_slope(seed: int, position: float, kind: str) -> None:
     rng = np.random.default_rng(seed)
     low, high = GRID.box_m
     points = rng.uniform(0.6 * low + 0.4 * high, 0.4 * low + 0.6 * high, (12, 3))
@@ -131,19 +131,19 @@ def test_gradient_is_the_slope(seed: int, place: float, kind: str) -> None:
         sampler = FieldSampler(HapticMedium.from_frames([full_field(rng), full_field(rng)], RATE_HZ))
     else:
         sampler = FieldSampler(some_scene(rng, 3, 0.9 if kind == "cut scene" else 1e6))
-    time_s = place / RATE_HZ
+    time_s = position / RATE_HZ
     found = sampler.gradient_n_per_m(time_s, points)
     assert np.array_equal(found, sampler.gradient_n_per_m(np.full(12, time_s), points))
     smooth = 0
     for gradient, point in zip(found, points):
-        ahead, behind = (difference(sampler, time_s, point, step) for step in (1e-7, -1e-7))
-        if np.abs(ahead - behind).max() < 0.02:  # no plane of a lattice, nor the edge of the limit, between
+        forward, backward = (difference(sampler, time_s, point, step) for step in (1e-7, -1e-7))
+        if np.abs(forward - backward).max() < 0.02:  # no lattice plane and no edge of the limit in between
             smooth += 1
-            np.testing.assert_allclose(gradient, (ahead + behind) / 2, atol=0.02, rtol=1e-5)
+            np.testing.assert_allclose(gradient, (forward + backward) / 2, atol=0.02, rtol=1e-5)
     assert smooth >= 6
 
 
-def test_gradient_on_a_plane_is_the_one_ahead() -> None:
+def test_gradient_on_a_lattice_plane_is_the_forward_one() -> None:
     sampler = FieldSampler(HapticMedium.from_frames([full_field(np.random.default_rng(5))], RATE_HZ))
     for index in ((3, 4, 5), (8, 8, 8), (7, 0, 15)):
         point = GRID.to_m(index)
@@ -152,12 +152,12 @@ def test_gradient_on_a_plane_is_the_one_ahead() -> None:
         )
 
 
-def test_few_frames_are_kept_and_the_rest_made_again() -> None:
-    rng, made = np.random.default_rng(1), []
+def test_few_frames_are_cached_and_the_rest_recomputed() -> None:
+    rng, computed = np.random.default_rng(1), []
     fields = [full_field(rng) for _ in range(9)]
 
     def make(i: int) -> ForceField:
-        made.append(i)
+        computed.append(i)
         return fields[i]
 
     medium = HapticMedium(GRID, RATE_HZ, 9, make)
@@ -165,16 +165,16 @@ def test_few_frames_are_kept_and_the_rest_made_again() -> None:
     points = some_points(rng, 20)
     for i in (*range(9), 8, 7, 6):
         sampler.force_n(i / RATE_HZ, points)
-    assert made == list(range(9))  # none was made twice
+    assert computed == list(range(9))  # none was computed twice
     tight = FieldSampler(medium, memory_bytes=1_400_000)  # three
     order = [*range(9), 0, 0.5, 3.5, 2.5, 7.25, 8, 0]
-    for place in order:
+    for position in order:
         np.testing.assert_allclose(
-            tight.force_n(place / RATE_HZ, points), between(medium, place, points), atol=2e-6, rtol=0
+            tight.force_n(position / RATE_HZ, points), between(medium, position, points), atol=2e-6, rtol=0
         )
         np.testing.assert_allclose(
-            [tight.at(place / RATE_HZ, *p) for p in points.tolist()],
-            between(medium, place, points),
+            [tight.at(position / RATE_HZ, *p) for p in points.tolist()],
+            between(medium, position, points),
             atol=2e-6,
             rtol=0,
         )
@@ -182,7 +182,7 @@ def test_few_frames_are_kept_and_the_rest_made_again() -> None:
         assert tight._pairs._cached_words * 8 <= 1_400_000
 
 
-def test_what_does_not_fit_is_told() -> None:
+def test_a_cache_too_small_is_an_error() -> None:
     rng = np.random.default_rng(1)
     sampler = FieldSampler(HapticMedium.from_frames([full_field(rng) for _ in range(3)], RATE_HZ), 600_000)
     points = some_points(rng, 4)
@@ -202,8 +202,8 @@ def test_a_band_of_vibration_between_frames() -> None:
     fields = [ForceField.empty(GRID)] * 3
     medium = HapticMedium(GRID, RATE_HZ, 3, fields.__getitem__, vibration=frames.__getitem__)
     sampler, point = FieldSampler(medium), GRID.to_m(at[0])
-    found = [sampler.vibration(place / RATE_HZ, point) for place in (0, 0.25, 0.4, 0.75, 1, 1.75, 2)]
-    # the frequency is that of the frame that says more
+    found = [sampler.vibration(position / RATE_HZ, point) for position in (0, 0.25, 0.4, 0.75, 1, 1.75, 2)]
+    # the frequency is that of the dominant frame
     expected = [(2, 80), (2.5, 80), (2.8, 160), (3.5, 160), (4, 160), (1, 160), (0, 0)]
     np.testing.assert_allclose(found, expected, rtol=1e-6)
     amplitudes, frequencies = sampler.vibration(0.0, GRID.to_m([[3, 4, 5.5], [0, 0, 0]]))
@@ -215,11 +215,9 @@ def test_a_band_of_vibration_between_frames() -> None:
 
 @settings(max_examples=100)
 @given(st.tuples(*[st.floats()] * 3), st.floats(allow_nan=False, allow_infinity=False))
-def test_any_number_is_a_place(point: tuple[float, float, float], time_s: float) -> None:
-    """Whatever the coordinates: a finite force, and none out of the box; whatever the finite time: some
-    frame.
-    """
-    found = HELD.at(time_s / RATE_HZ, *point)
+def test_any_number_is_a_valid_position(point: tuple[float, float, float], time_s: float) -> None:
+    """Any coordinates give a finite force, none outside the box; any finite time gives some frame."""
+    found = SAMPLER.at(time_s / RATE_HZ, *point)
     assert np.isfinite(found).all()
     low, high = GRID.box_m
     spacing = np.array(GRID.spacing_m)
@@ -227,7 +225,7 @@ def test_any_number_is_a_place(point: tuple[float, float, float], time_s: float)
         assert found == (0.0, 0.0, 0.0)
 
 
-def test_points_of_any_kind() -> None:
+def test_points_of_any_type() -> None:
     rng = np.random.default_rng(2)
     sampler = FieldSampler(HapticMedium.from_frames([full_field(rng)], RATE_HZ))
     points = some_points(rng, 6, 6)
@@ -244,29 +242,29 @@ def test_points_of_any_kind() -> None:
     assert not sampler.force_n(np.zeros(3), [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 1e300]]).any()
 
 
-def test_numbers_of_any_kind_take_one_compiled_query() -> None:
+def test_numbers_of_any_type_share_one_compiled_query() -> None:
     grid = Grid((3, 3, 3), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
     field = ForceField.from_dense(grid, np.random.default_rng(3).normal(size=(3, 3, 3, 3)))
     sampler = FieldSampler(HapticMedium.from_frames([field] * 3, 1.0), 1e6)  # type: ignore[arg-type]
     found = sampler.at(0.5, 1.0, 2.0, 1.0)
-    for one in (
+    for arguments in (
         (0.5, 1, 2, 1),
         (0.5, np.float32(1), np.int8(2), True),
         (np.array(0.5), np.array(1), 2.0, "1"),
     ):
-        assert sampler.at(*one) == found  # type: ignore[arg-type]
+        assert sampler.at(*arguments) == found  # type: ignore[arg-type]
     assert len(force_at_once.signatures) == 1
     with pytest.raises(InvalidArgument, match="time_s, x_m, y_m, z_m"):
         sampler.at(0.5, [1.0, 2.0], 2.0, 1.0)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("point", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 1e300]])
-def test_there_is_no_slope_where_no_force_can_be(point: list[float]) -> None:
-    assert not HELD.gradient_n_per_m(0.0, point).any()
+def test_the_gradient_is_zero_outside_the_box(point: list[float]) -> None:
+    assert not SAMPLER.gradient_n_per_m(0.0, point).any()
 
 
 @pytest.mark.parametrize("time_s", [np.nan, np.inf, [0.0, np.nan], [0.0], [[0.0, 0.0]]])
-def test_times_that_are_none_are_refused(time_s: object) -> None:
+def test_invalid_times_are_refused(time_s: object) -> None:
     sampler = FieldSampler(some_medium(np.random.default_rng(0), 2))
     with pytest.raises(InvalidArgument, match="time_s"):
         sampler.force_n(time_s, np.zeros((2, 3)))
@@ -281,43 +279,43 @@ def test_points_without_three_coordinates_are_refused(points_m: object) -> None:
         FieldSampler(some_medium(np.random.default_rng(0), 1)).force_n(0.0, points_m)
 
 
-def test_the_pair_that_follows_is_made_before_it_is_asked_for() -> None:
+def test_the_next_pair_is_computed_in_advance() -> None:
     import threading
 
     from touchfield.render.block.frames import FrameParts
     from touchfield.render.sampler import Pairs
 
-    made = {n: threading.Event() for n in range(4)}
+    computed = {n: threading.Event() for n in range(4)}
     grid = Grid((4, 4, 4), (0.01,) * 3, (0.0,) * 3)
 
     def make(frame: int) -> ForceField:
-        made[frame].set()
+        computed[frame].set()
         return ForceField.from_dense(grid, np.full((4, 4, 4, 3), 1.0 + frame, np.float32))
 
-    ahead = Pairs(FrameParts(HapticMedium(grid, 30.0, 4, make)), 1 << 24)
-    ahead.take(0, 1)
-    ahead.prepare(1, 2)
-    assert made[2].wait(20) and not made[3].is_set()
-    ahead.take(1, 2)
-    ahead.prepare(2, 3)
-    assert made[3].wait(20)
+    pairs = Pairs(FrameParts(HapticMedium(grid, 30.0, 4, make)), 1 << 24)
+    pairs.take(0, 1)
+    pairs.prepare(1, 2)
+    assert computed[2].wait(20) and not computed[3].is_set()
+    pairs.take(1, 2)
+    pairs.prepare(2, 3)
+    assert computed[3].wait(20)
 
 
-def test_pairs_that_follow_make_each_frame_once_and_have_room_for_two() -> None:
+def test_successive_pairs_compute_each_frame_once_and_store_two() -> None:
     from touchfield.render.block.frames import FrameParts
     from touchfield.render.sampler import Pairs
 
     grid = Grid((16, 16, 16), (0.01,) * 3, (0.0,) * 3)
-    made: list[int] = []
+    computed: list[int] = []
 
     def make(frame: int) -> ForceField:
-        made.append(frame)
+        computed.append(frame)
         return ForceField.from_dense(grid, np.full((16, 16, 16, 3), 1.0 + frame, np.float32))
 
-    ahead = Pairs(FrameParts(HapticMedium(grid, 30.0, 60, make)), 1 << 28)
-    words = []
+    pairs = Pairs(FrameParts(HapticMedium(grid, 30.0, 60, make)), 1 << 28)
+    word_counts = []
     for a in range(59):
-        words.append(ahead.take(a, a + 1).memory.words)
-        ahead.prepare(a + 1, a + 2)
-    assert made == list(range(60))
-    assert max(words) == words[0]  # room for two frames, at the end as at first
+        word_counts.append(pairs.take(a, a + 1).memory.words)
+        pairs.prepare(a + 1, a + 2)
+    assert computed == list(range(60))
+    assert max(word_counts) == word_counts[0]  # capacity for two frames, at the end as at the start

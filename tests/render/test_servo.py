@@ -1,6 +1,4 @@
-"""The loop of the servo in this process, on a clock of its own: what a device gets,
-whatever happens to it.
-"""
+"""The loop of the servo in this process, on a simulated clock: the calls of a device under faults."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from player_makers import OMNI, Absent, Failing, Simulated, Still, frame_of, laid_out, telling
+from player_makers import OMNI, Absent, Failing, RestingDevice, Simulated, frame_of, laid_out, numbered_medium
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.render.block import LOG_ROWS, words as W
@@ -23,11 +21,11 @@ TICK_S = 1e-3
 PEAK_N, SLEW_N_PER_S = (
     0.8,
     120.0,
-)  # both are met often: the fields reach 0.5 to 0.8 N, and gravity comes on top
+)  # both are reached often: the fields have 0.5 to 0.8 N, plus gravity
 
 
 class Late(VirtualClock):
-    """Wakes up later than was asked for, by a list of delays."""
+    """Wakes up later than requested, by a list of delays."""
 
     def __init__(self, delays_ns: list[int]) -> None:
         super().__init__()
@@ -39,7 +37,7 @@ class Late(VirtualClock):
 
 @dataclass
 class Ordeal(PointDevice):
-    """Jumps about, fails where it is told to, and keeps each call with its time."""
+    """Jumps about, fails where configured, and records each call with its time."""
 
     clock: VirtualClock
     jumps: dict[int, Point] = field(default_factory=dict)
@@ -47,17 +45,17 @@ class Ordeal(PointDevice):
     puts_that_fail: range = range(0)
     calls: list[tuple[int, Point]] = field(default_factory=list)
     closed: int = 0
-    asked: int = 0
+    reads: int = 0
     at_m: Point = (0.0, 0.0, 0.0)
 
     def open(self) -> None:
         assert not self.calls
 
     def position_m(self) -> Point:
-        self.asked += 1
-        if self.position_fails_at is not None and self.asked > self.position_fails_at:
+        self.reads += 1
+        if self.position_fails_at is not None and self.reads > self.position_fails_at:
             raise DeviceError("ordeal", "no answer", "a position")
-        self.at_m = self.jumps.get(self.asked, self.at_m)
+        self.at_m = self.jumps.get(self.reads, self.at_m)
         return self.at_m
 
     def put_force_n(self, x: float, y: float, z: float) -> None:
@@ -99,7 +97,7 @@ faults = st.fixed_dictionaries(
     st.booleans(),
     st.none() | st.integers(0, 19),
 )
-def test_whatever_happens_forces_keep_their_limits_and_the_last_is_zero(
+def test_forces_always_keep_their_limits_and_end_at_zero(
     turns: list[tuple[int, tuple[str, object]]],
     faulty: dict[str, object],
     delays_ns: list[int],
@@ -109,7 +107,7 @@ def test_whatever_happens_forces_keep_their_limits_and_the_last_is_zero(
     spec = RenderSpec(
         peak_n=PEAK_N, slew_n_per_s=SLEW_N_PER_S, gravity_n=(0.1, 0.3, 0.0), damping_n_s_per_m=2.0
     )
-    session, memory = laid_out(telling(corrupt_from=corrupt_from), spec, loop=loop)
+    session, memory = laid_out(numbered_medium(corrupt_from=corrupt_from), spec, loop=loop)
     feeder, clock = session.feeder(memory, is_timed=False), Late(delays_ns)
     device = Ordeal(clock, **faulty)  # type: ignore[arg-type]
     i8, is_fed = memory.i8, True
@@ -123,17 +121,17 @@ def test_whatever_happens_forces_keep_their_limits_and_the_last_is_zero(
     def before_tick() -> bool:
         nonlocal is_fed
         ticks = int(i8[W.TICKS])
-        what, value = script.get(ticks, ("", None))
-        if what == "feed":
+        option, value = script.get(ticks, ("", None))
+        if option == "feed":
             is_fed = bool(value)
-        elif what == "heartbeat":
+        elif option == "heartbeat":
             i8[W.HEARTBEAT_NS] = value
-        elif what == "signal":
+        elif option == "signal":
             return True
-        elif what:
-            given_ = session.order(memory, **{what: value})  # type: ignore[arg-type]
-            if what == "seek_s":
-                feeder.seek(given_.generation, session.frame_at(given_.start_s))
+        elif option:
+            applied = session.order(memory, **{option: value})  # type: ignore[arg-type]
+            if option == "seek_s":
+                feeder.seek(applied.generation, session.frame_at(applied.start_s))
         if is_fed:
             feeder.fill_lookahead(5)
         return ticks >= 300
@@ -155,7 +153,7 @@ def test_whatever_happens_forces_keep_their_limits_and_the_last_is_zero(
 
 
 def served(device: PointDevice, must_stop: Callable[[int], bool], **options: object) -> None:
-    session, memory = laid_out(telling(), **options)  # type: ignore[arg-type]
+    session, memory = laid_out(numbered_medium(), **options)  # type: ignore[arg-type]
     feeder = session.feeder(memory, is_timed=False)
     session.order(memory, mode=W.PLAYING)
 
@@ -166,29 +164,29 @@ def served(device: PointDevice, must_stop: Callable[[int], bool], **options: obj
     serve(memory, device, VirtualClock(), before_tick)
 
 
-def test_a_stop_lets_go_gently() -> None:
-    device = Still()
+def test_a_stop_ramps_down() -> None:
+    device = RestingDevice()
     served(device, lambda ticks: ticks >= 200, loop=True)
     forces = np.array(device.forces)
     assert forces[199, 2] > 0.4 and 201 < len(forces) < 230
     assert (np.diff(forces[199:, 2]) < 0).all() and not forces[-1].any() and device.closed == 1
 
 
-def test_a_device_that_fails_is_let_go_and_told() -> None:
+def test_a_failing_device_is_released_and_reported() -> None:
     device = Failing()
     with pytest.raises(DeviceError, match="fake device: found no answer"):
         served(device, lambda ticks: False)
     assert device.forces[99][2] > 0.4 and device.forces[-1] == (0.0, 0.0, 0.0) and device.closed == 1
 
 
-def test_a_device_that_is_not_there_is_closed_and_told() -> None:
+def test_a_missing_device_is_closed_and_reported() -> None:
     device = Absent()
     with pytest.raises(DeviceError, match="nothing on the bus"):
         served(device, lambda ticks: False)
     assert not device.forces and device.closed == 1
 
 
-def test_a_device_that_answers_slowly_does_not_hold_up_its_end() -> None:
+def test_a_slow_device_does_not_delay_the_end() -> None:
     clock = VirtualClock()
 
     class Slow(Failing):
@@ -197,7 +195,7 @@ def test_a_device_that_answers_slowly_does_not_hold_up_its_end() -> None:
             if len(self.forces) > 100:
                 clock.sleep_until(clock.now_ns() + 10**9)
 
-    session, memory = laid_out(telling(1))
+    session, memory = laid_out(numbered_medium(1))
     session.feeder(memory).step()
     session.order(memory, mode=W.PLAYING)
     device = Slow()
@@ -206,29 +204,29 @@ def test_a_device_that_answers_slowly_does_not_hold_up_its_end() -> None:
     assert device.forces[-1] == (0.0, 0.0, 0.0) and len(device.forces) < 110
 
 
-def test_zero_comes_no_sooner_than_the_slew_limit_allows() -> None:
+def test_zero_is_reached_no_faster_than_the_slew_limit() -> None:
     clock, times_ns = VirtualClock(), []
 
     class Once(Failing):
         def put_force_n(self, x: float, y: float, z: float) -> None:
             super().put_force_n(x, y, z)
-            if len(self.forces) == 102:  # after the failure: all the time of the ramp in one answer
+            if len(self.forces) == 102:  # after the failure: one call takes the duration of the ramp
                 clock.sleep_until(clock.now_ns() + 10**10)
             times_ns.append(clock.now_ns())
 
-    session, memory = laid_out(telling(1))
+    session, memory = laid_out(numbered_medium(1))
     session.feeder(memory).step()
     session.order(memory, mode=W.PLAYING)
     device = Once()
     with pytest.raises(DeviceError):
         serve(memory, device, clock, lambda: False)
-    held_n = np.linalg.norm(device.forces[-2])
-    assert held_n > 0.1 and device.forces[-1] == (0.0, 0.0, 0.0)
-    assert held_n <= 1e-9 * (times_ns[-1] - times_ns[-2]) * float(memory.f8[W.SLEW]) * (1 + 1e-9)
+    last_n = np.linalg.norm(device.forces[-2])
+    assert last_n > 0.1 and device.forces[-1] == (0.0, 0.0, 0.0)
+    assert last_n <= 1e-9 * (times_ns[-1] - times_ns[-2]) * float(memory.f8[W.SLEW]) * (1 + 1e-9)
 
 
-class Driver(Still):
-    """A vendor's driver in a thread of its own, which calls the compiled cycle."""
+class Driver(RestingDevice):
+    """A vendor's driver with its own thread, which calls the compiled cycle."""
 
     is_driven = True
 
@@ -236,7 +234,7 @@ class Driver(Still):
         super().__init__()
         self._calls = calls
 
-    def drive(self, address: int, words: int) -> None:
+    def drive(self, address: int, word_count: int) -> None:
         import ctypes
         import threading
         import time
@@ -244,7 +242,7 @@ class Driver(Still):
         from touchfield.render.block import Memory
         from touchfield.render.kernels.tick import cycle
 
-        memory = Memory.of((ctypes.c_char * (8 * words)).from_address(address))
+        memory = Memory.of((ctypes.c_char * (8 * word_count)).from_address(address))
 
         def call() -> None:
             while not self.closed and len(self.forces) < self._calls:
@@ -260,13 +258,13 @@ class Driver(Still):
             self._thread.join()
 
 
-def test_a_driver_calls_us_until_the_force_is_zero() -> None:
+def test_a_driver_calls_until_the_force_is_zero() -> None:
     device = Driver()
     served(device, lambda ticks: ticks >= 100)
     assert max(force[2] for force in device.forces) > 0.4 and device.forces[-1] == (0.0, 0.0, 0.0)
 
 
-def test_a_driver_that_calls_no_more_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_driver_that_stops_calling_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("touchfield.render.servo._MAX_SILENCE_S", 0.2)
     device = Driver(calls=20)
     with pytest.raises(DeviceError, match="no call for"):
@@ -277,17 +275,17 @@ def test_a_driver_that_calls_no_more_is_told(monkeypatch: pytest.MonkeyPatch) ->
 # -- without a process -------------------------------------------------------------------------------------
 
 
-def test_offline_the_whole_medium_is_felt_and_the_same_twice() -> None:
-    made: list[Simulated] = []
+def test_an_offline_run_plays_the_complete_medium_reproducibly() -> None:
+    devices: list[Simulated] = []
 
     def opener() -> Simulated:
-        made.append(Simulated())
-        return made[-1]
+        devices.append(Simulated())
+        return devices[-1]
 
-    runs = [run_offline(telling(20), OMNI, opener) for _ in range(2)]
+    runs = [run_offline(numbered_medium(20), OMNI, opener) for _ in range(2)]
     log = runs[0].log
     assert np.array_equal(log["force_n"], runs[1].log["force_n"])
-    assert np.array_equal(log["force_n"], made[0].forces)
+    assert np.array_equal(log["force_n"], devices[0].forces)
     running = log[50:400]
     assert frame_of(running["field_force_n"][:, 2]) == pytest.approx(
         np.minimum(running["time_s"] * 50, 19), abs=1e-4
@@ -296,26 +294,28 @@ def test_offline_the_whole_medium_is_felt_and_the_same_twice() -> None:
     assert runs[0].statistics["underruns"] == runs[0].statistics["waits"] == 0
 
 
-def test_offline_for_some_seconds_and_round_and_round() -> None:
-    run = run_offline(telling(5), OMNI, Simulated, RenderSpec(rate_hz=500), seconds=1.0, loop=True, speed=3.0)
+def test_an_offline_run_of_given_duration_loops() -> None:
+    run = run_offline(
+        numbered_medium(5), OMNI, Simulated, RenderSpec(rate_hz=500), seconds=1.0, loop=True, speed=3.0
+    )
     assert 500 < len(run.log) < 530 and run.log["media_s"][499] == pytest.approx(499 * 3 / 500)
     assert (run.log["field_force_n"][50:500, 2] > 0.49).all()
-    assert not run_offline(telling(5), OMNI, Simulated, seconds=0.0).log["force_n"].any()
-    ticks = LOG_ROWS + 1000  # the ring of the log is taken out in time
-    long = run_offline(telling(1), OMNI, Simulated, seconds=ticks / 1000)
+    assert not run_offline(numbered_medium(5), OMNI, Simulated, seconds=0.0).log["force_n"].any()
+    ticks = LOG_ROWS + 1000  # the ring of the log is drained in time
+    long = run_offline(numbered_medium(1), OMNI, Simulated, seconds=ticks / 1000)
     assert len(long.log) >= ticks and np.allclose(np.diff(long.log["time_s"]), 1e-3)
 
 
-def test_offline_an_error_of_the_medium_comes_after_the_ramp() -> None:
+def test_an_offline_run_raises_an_error_of_the_medium_after_the_ramp() -> None:
     device = Simulated()
     with pytest.raises(CorruptFile, match="segment 3"):
-        run_offline(telling(20, corrupt_from=8), OMNI, lambda: device)
+        run_offline(numbered_medium(20, corrupt_from=8), OMNI, lambda: device)
     assert max(force[2] for force in device.forces) > 0.5 and device.forces[-1] == (0.0, 0.0, 0.0)
     assert device.closed == 1
 
 
 @pytest.mark.parametrize(
-    ("options", "what"),
+    ("options", "message"),
     [
         ({"loop": True}, "seconds"),
         ({"seconds": -1.0}, "seconds"),
@@ -326,8 +326,8 @@ def test_offline_an_error_of_the_medium_comes_after_the_ramp() -> None:
         ({"start_s": float("nan")}, "time"),
     ],
 )
-def test_offline_what_cannot_be_is_refused(options: dict[str, object], what: str) -> None:
-    with pytest.raises(InvalidArgument, match=what):
-        run_offline(telling(), OMNI, Simulated, **options)  # type: ignore[arg-type]
+def test_an_offline_run_refuses_invalid_options(options: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
+        run_offline(numbered_medium(), OMNI, Simulated, **options)  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match="one that sets its own rate"):
-        run_offline(telling(), OMNI, Driver)
+        run_offline(numbered_medium(), OMNI, Driver)

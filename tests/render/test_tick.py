@@ -1,4 +1,4 @@
-"""One tick: the field's force where the hand is, mapping to the device, ramps, parameters."""
+"""One tick: the force of the field at the hand, mapping to the device, ramps, parameters."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def test_axes_scale_clutch_and_gravity(device_axes: str, field_axes: str) -> Non
     spec = RenderSpec(scale=2.0, clutch_m=(0.01, -0.02, 0.005), force_scale=0.5, gravity_n=(0.1, 0.2, 0.3))
     bench = Bench(linear(FULL), spec, replace(OMNI, axes=device_axes), axes=field_axes)
     turn = axes_matrix(device_axes, field_axes, spec.up)
-    for place in ([0.0, 0, 0], [0.003, 0.004, -0.006], [-0.005, 0.001, 0.002]):
-        inside = np.array(spec.clutch_m) + 2.0 * turn @ place
+    for position in ([0.0, 0, 0], [0.003, 0.004, -0.006], [-0.005, 0.001, 0.002]):
+        inside = np.array(spec.clutch_m) + 2.0 * turn @ position
         expected = 0.5 * turn.T @ (FULL @ inside) + spec.gravity_n
-        assert bench.settled(*place) == pytest.approx(expected, abs=1e-6)
+        assert bench.settled(*position) == pytest.approx(expected, abs=1e-6)
         assert bench.state(W.POSITION) == pytest.approx(inside)
 
 
@@ -56,9 +56,7 @@ def test_axes_scale_clutch_and_gravity(device_axes: str, field_axes: str) -> Non
     st.floats(0.1, 3),
     st.sampled_from(["x right, y down, z forward", "x left, y up, z back"]),
 )
-def test_friction_and_damping_take_from_the_hand_in_any_axes(
-    scale: float, force_scale: float, axes: str
-) -> None:
+def test_friction_and_damping_dissipate_in_any_axes(scale: float, force_scale: float, axes: str) -> None:
     spec = RenderSpec(scale=scale, force_scale=force_scale, friction=0.4, damping_n_s_per_m=1.0)
     bench = MAPPED
     bench.axes = axes
@@ -76,38 +74,38 @@ MAPPED = Bench(constant(0.0, 0.0, 0.5))
 # -- ramps -------------------------------------------------------------------------------------------------
 
 
-def test_the_force_comes_and_goes_within_the_ramp() -> None:
+def test_the_force_rises_and_falls_within_the_ramp() -> None:
     spec = RenderSpec(gravity_n=(0.0, 0.5, 0.0))
     bench = Bench(constant(0.8, 0.0, 0.0), spec)
     rising = np.array([bench.tick(0, 0, 0) for _ in range(30)])
     assert rising[9] == pytest.approx([0.4, 0.25, 0])
     assert rising[19] == pytest.approx([0.8, 0.5, 0])
     away = np.array([bench.tick(0, 0, 0, is_there=False) for _ in range(30)])
-    assert away[9] == pytest.approx([0.4, 0.25, 0])  # all of it, as it was
+    assert away[9] == pytest.approx([0.4, 0.25, 0])  # the full force, as before
     assert not away[20:].any()
     assert not bench.state(W.FIELD_FORCE).any()
     back = np.array([bench.tick(0, 0, 0) for _ in range(30)])
     assert back == pytest.approx(rising)
 
 
-def test_a_stall_in_the_middle_of_a_ramp_goes_down_from_there() -> None:
+def test_a_stall_during_a_ramp_reverses_it() -> None:
     bench = Bench(constant(0.8, 0.0, 0.0))
     sizes = [bench.tick(0, 0, 0, is_there=n % 20 < 10)[0] for n in range(100)]
     assert max(sizes) == pytest.approx(0.4)
     assert np.abs(np.diff(sizes)).max() == pytest.approx(0.04)
 
 
-@pytest.mark.parametrize("place", [math.nan, math.inf, -math.inf, 1e7])
-def test_a_place_that_is_none_is_as_no_frame(place: float) -> None:
+@pytest.mark.parametrize("coordinate", [math.nan, math.inf, -math.inf, 1e7])
+def test_an_invalid_position_is_treated_as_a_missing_frame(coordinate: float) -> None:
     bench = Bench(constant(0.8, 0.0, 0.0), damping=1.0)
     bench.settled(0, 0, 0)
-    gone = np.array([bench.tick(0, place, 0) for _ in range(25)])
+    gone = np.array([bench.tick(0, coordinate, 0) for _ in range(25)])
     assert gone[9] == pytest.approx([0.4, 0, 0])
     assert not gone[20:].any()
     assert bench.settled(0, 0, 0) == pytest.approx([0.8, 0, 0])
 
 
-def test_release_goes_down_straight_and_stays_down() -> None:
+def test_a_release_falls_linearly_and_stays_at_zero() -> None:
     bench = Bench(constant(0.8, -0.4, 0.0))
     bench.settled(0, 0, 0)
     forces = np.array([bench.release() for _ in range(40)])
@@ -117,7 +115,7 @@ def test_release_goes_down_straight_and_stays_down() -> None:
     assert bench.settled(0, 0, 0) == pytest.approx([0.8, -0.4, 0])  # and up again
 
 
-def test_release_takes_as_long_as_the_slew_limit_needs() -> None:
+def test_a_release_respects_the_slew_limit() -> None:
     bench = Bench(constant(0.8, 0.0, 0.0), RenderSpec(slew_n_per_s=10.0))
     bench.settled(0, 0, 0, 100)
     sizes = [bench.release()[0] for _ in range(90)]
@@ -125,7 +123,7 @@ def test_release_takes_as_long_as_the_slew_limit_needs() -> None:
     assert sizes[-1] == 0
 
 
-def test_time_that_does_not_pass_changes_nothing() -> None:
+def test_a_tick_of_zero_duration_changes_nothing() -> None:
     bench = Bench(constant(0.8, 0.0, 0.0))
     force = bench.settled(0, 0, 0, 5)
     before = bench.state(W.STATE, W.STATE_WORDS)
@@ -155,7 +153,7 @@ def written(spec: RenderSpec, **device_changes: object) -> tuple[Memory, tuple[s
     return memory, notes
 
 
-def test_limits_are_those_of_the_device_unless_lower_ones_are_asked_for() -> None:
+def test_limits_are_those_of_the_device_or_lower_requested_ones() -> None:
     memory, notes = written(RenderSpec())
     assert notes == ()
     assert memory.f8[[W.PEAK, W.CONTINUOUS, W.SLEW]].tolist() == [4, 1, 800]
@@ -166,7 +164,7 @@ def test_limits_are_those_of_the_device_unless_lower_ones_are_asked_for() -> Non
     assert memory.f8[[W.PEAK, W.CONTINUOUS, W.SLEW]].tolist() == [2, 0.5, 50]
     assert memory.f8[[W.FRICTION, W.DAMPING]].tolist() == [0, 0.1]
     assert written(RenderSpec(), force_continuous_n=None)[0].f8[W.CONTINUOUS] == 0
-    assert written(RenderSpec(peak_n=0.9))[0].f8[W.CONTINUOUS] == 0  # the peak is below it
+    assert written(RenderSpec(peak_n=0.9))[0].f8[W.CONTINUOUS] == 0  # the peak is below the continuous limit
 
 
 @pytest.mark.parametrize(
@@ -183,7 +181,7 @@ def test_limits_beyond_the_device_are_refused(spec: RenderSpec) -> None:
         written(spec)
 
 
-def test_what_cannot_be_rendered_is_refused() -> None:
+def test_unsupported_devices_are_refused() -> None:
     with pytest.raises(DeviceError, match="type 2"):
         write_parameters(Memory.empty(W.FREE), RenderSpec(), device("tactsuit-x40"), 0, 0, "")
     for force in (0.0, math.nan, math.inf, 1e9):
@@ -194,8 +192,8 @@ def test_what_cannot_be_rendered_is_refused() -> None:
             write_parameters(Memory.empty(W.FREE), RenderSpec(), OMNI, mu, b, "")
 
 
-def test_a_weight_that_leaves_nothing_is_told() -> None:
-    for weight, count in ((1.2, 1), (1.0, 1), (0.99, 0)):  # of the 1 N that it may have for long
+def test_a_weight_beyond_the_continuous_limit_is_noted() -> None:
+    for weight, count in ((1.2, 1), (1.0, 1), (0.99, 0)):  # of the continuous limit of 1 N
         _, notes = written(RenderSpec(gravity_n=(0.0, weight, 0.0)))
         assert sum(f"{weight:g} N" in note for note in notes) == len(notes) == count
 
@@ -207,12 +205,12 @@ def test_a_block_without_parameters_gives_no_force() -> None:
     assert not memory.u8.any()
 
 
-def test_parameters_and_state_lie_apart_from_the_rest() -> None:
+def test_parameters_stay_within_their_zones_of_the_block() -> None:
     memory = Memory.empty(W.FREE)
     memory.u8[:] = 7
     write_parameters(memory, RenderSpec(), OMNI, 0, 0, "x right, y up, z back")
     touched = np.flatnonzero(memory.u8 != 7)
     first, last = W.RATE_HZ + W.PARAMETER_WORDS, W.STATE + W.STATE_WORDS
     zones = ((128, first), (W.STATE, last), (W.WRENCH, W.WRENCH + W.WRENCH_WORDS))
-    assert np.logical_or.reduce([(touched >= begin) & (touched < end) for begin, end in zones]).all()
+    assert np.logical_or.reduce([(touched >= start) & (touched < end) for start, end in zones]).all()
     assert len(touched) == W.PARAMETER_WORDS + W.STATE_WORDS + W.WRENCH_WORDS

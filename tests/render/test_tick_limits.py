@@ -1,6 +1,6 @@
-"""No force beyond the limit, no step beyond the slew, zero in the end: whatever comes in.
+"""No force beyond the limit, no step beyond the slew, zero at the end, for any input.
 
-The lengths are computed here without rounding, from the numbers that were handed out.
+The lengths are computed here without rounding, from the exact output.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ specs = st.builds(
 
 
 def square(vector: Vector) -> Fraction:
-    """Of the length, without rounding."""
+    """Square of the length, without rounding."""
     return sum((Fraction(float(v)) ** 2 for v in vector), Fraction(0))
 
 
@@ -58,12 +58,12 @@ def check_step(before: Vector, after: Vector, peak: float, slew: float, dt: floa
         ((Fraction(float(a)) - Fraction(float(b))) ** 2 for a, b in zip(after, before, strict=True)),
         Fraction(0),
     )
-    room = Fraction(slew) * Fraction(dt) if math.isfinite(dt) and dt > 0 else Fraction(0)
-    assert step <= room**2
+    allowed = Fraction(slew) * Fraction(dt) if math.isfinite(dt) and dt > 0 else Fraction(0)
+    assert step <= allowed**2
 
 
 @given(spec=specs, steps=st.lists(ticks | releases, min_size=5, max_size=60))
-def test_limits_hold_of_the_numbers_handed_out(spec: RenderSpec, steps: list[tuple[object, ...]]) -> None:
+def test_limits_hold_exactly_for_the_output(spec: RenderSpec, steps: list[tuple[object, ...]]) -> None:
     bench = BENCH
     bench.restart(spec)
     peak, slew = limits(bench)
@@ -98,7 +98,7 @@ forces = st.floats(-1e3, 1e3) | odd
     st.floats(0.01, 3.9),
     st.sampled_from([0.1, 1.0, 1e-3]),
 )
-def test_any_wish_is_held_within_the_limits(
+def test_any_requested_force_stays_within_the_limits(
     wishes: list[tuple[float, float, float, float]], continuous: float, thermal_s: float
 ) -> None:
     memory = Memory.empty(W.FREE)
@@ -113,7 +113,7 @@ def test_any_wish_is_held_within_the_limits(
         before = force
 
 
-def test_a_force_that_turns_while_its_limit_sinks_keeps_the_slew() -> None:
+def test_a_turning_force_with_a_falling_limit_keeps_the_slew() -> None:
     for turn in range(1, 40):
         memory, before = Memory.empty(W.FREE), np.zeros(3)
         write_parameters(memory, RenderSpec(thermal_s=0.02, slew_n_per_s=1000.0), OMNI, 0.0, 0.0, "")
@@ -131,30 +131,30 @@ def test_no_direction_rounds_beyond_the_peak() -> None:
         assert square(np.array(limited(memory.f8, tuple(wish), 0.001))) <= Fraction(0.7) ** 2
 
 
-def test_a_late_tick_moves_the_force_no_further_than_two() -> None:
+def test_a_late_tick_moves_the_force_by_at_most_two_ticks() -> None:
     memory = Memory.empty(W.FREE)
     write_parameters(memory, RenderSpec(slew_n_per_s=100.0), OMNI, 0.0, 0.0, "")
     assert limited(memory.f8, (3.0, 0.0, 0.0), 0.3)[0] == pytest.approx(0.2)
     assert limited(memory.f8, (3.0, 0.0, 0.0), 0.0015)[0] == pytest.approx(0.35)
 
 
-def test_directions_are_kept_where_the_peak_cuts() -> None:
+def test_the_peak_limit_preserves_the_direction() -> None:
     bench = Bench(constant(30.0, 0.0, -40.0), RenderSpec(thermal_s=100.0))
     force = bench.settled(0.0, 0.0, 0.0)
     assert force == pytest.approx([2.4, 0, -3.2], rel=1e-9)
 
 
 def test_the_peak_is_allowed_until_the_heat_is_reached() -> None:
-    bench = Bench(constant(0.0, 0.0, 30.0))  # peak 4 N, 1 N for ever, a time constant of 1 s
+    bench = Bench(constant(0.0, 0.0, 30.0))  # peak 4 N, continuous 1 N, a time constant of 1 s
     forces = np.array([bench.tick(0, 0, 0)[2] for _ in range(4000)])
     full = np.flatnonzero(forces > 3.999)
-    # heat 16 (1 - exp(-t)) reaches 0.75 at 48 ms, a little later because the force had to rise first
+    # heat 16 (1 - exp(-t)) reaches 0.75 at 48 ms, a little later because the force rises first
     assert 0.045 < full.max() / 1000 < 0.07
     assert forces[2000:] == pytest.approx(1.0, rel=1e-2)
     assert (np.diff(forces[full.max() :]) <= 1e-12).all()  # no buzz on the way down
     assert bench.word(W.HEAT) <= 1.0
     for _ in range(3000):
-        bench.tick(0.2, 0, 0)  # where no force is
+        bench.tick(0.2, 0, 0)  # where there is no force
     assert bench.word(W.HEAT) < 0.1
     assert max(bench.tick(0, 0, 0)[2] for _ in range(30)) > 3.999  # cold again
 
@@ -164,13 +164,13 @@ def test_the_continuous_limit_holds_in_the_long_run(stays: list[tuple[float, int
     bench = SPRING
     bench.restart(RenderSpec(thermal_s=0.3))
     heats, squares = [], []
-    for place, count in stays * 3:
+    for coordinate, count in stays * 3:
         for _ in range(count):
-            squares.append(float(np.square(bench.tick(place, 0, 0)).sum()))
+            squares.append(float(np.square(bench.tick(coordinate, 0, 0)).sum()))
             heats.append(bench.word(W.HEAT))
-    assert max(heats) <= 1.01  # N^2: 1 N for ever
+    assert max(heats) <= 1.01  # N^2: 1 N continuously
     seconds = len(squares) / 1000
-    assert sum(squares) / 1000 <= 1.0 * (seconds + 0.3) + 0.01  # and what the heat of the beginning allowed
+    assert sum(squares) / 1000 <= 1.0 * (seconds + 0.3) + 0.01  # plus the initial thermal margin
 
 
 SPRING = Bench(linear(-2000 * np.eye(3)))

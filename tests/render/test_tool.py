@@ -1,6 +1,4 @@
-"""A tool of many points: its force and torque are those of the integral over its surface, wherever it is
-turned.
-"""
+"""A tool of many points: force and torque equal the integral over its surface, in any orientation."""
 
 from __future__ import annotations
 
@@ -29,7 +27,7 @@ Law = Callable[[Vector], Vector]
 
 
 def box(x: float, y: float, z: float, points: int) -> Tool:
-    """A box of such sides about the device's point, its triangles inside out."""
+    """A box of these sides about the device's point, with inverted triangles."""
     corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) * (x / 2, y / 2, z / 2)
     quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
     triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])[:, ::-1]
@@ -41,24 +39,28 @@ def unit(*wxyz: float) -> Vector:
     return q / np.linalg.norm(q)
 
 
-def integral(sides: Vector, place: Vector, turn: Vector, law: Law, steps: int = 200) -> tuple[Vector, Vector]:
-    """Force and torque of a box, by the midpoint rule on each face: dA max(0, -n F / |F|) F over a quarter of
-    A.
-    """
+def integral(
+    sides: Vector, position: Vector, turn: Vector, law: Law, steps: int = 200
+) -> tuple[Vector, Vector]:
+    """Force and torque of a box, by the midpoint rule on each face: dA max(0, -n F / |F|) F over A / 4."""
     force, torque, area = np.zeros(3), np.zeros(3), 0.0
     middles = (np.arange(steps) + 0.5) / steps - 0.5
     for axis in range(3):
         others = [n for n in range(3) if n != axis]
         for sign in (-1.0, 1.0):
             u, v = np.meshgrid(middles * sides[others[0]], middles * sides[others[1]], indexing="ij")
-            own = np.zeros((steps * steps, 3))
-            own[:, others[0]], own[:, others[1]], own[:, axis] = u.ravel(), v.ravel(), sign * sides[axis] / 2
-            levers, normal = own @ turn.T, turn[:, axis] * sign
-            f = law(place + levers)
+            points_m = np.zeros((steps * steps, 3))
+            points_m[:, others[0]], points_m[:, others[1]], points_m[:, axis] = (
+                u.ravel(),
+                v.ravel(),
+                sign * sides[axis] / 2,
+            )
+            levers, normal = points_m @ turn.T, turn[:, axis] * sign
+            f = law(position + levers)
             size = np.linalg.norm(f, axis=1)
-            shown = np.maximum(0.0, -(f @ normal)) / np.where(size > 0, size, 1.0)
+            facing = np.maximum(0.0, -(f @ normal)) / np.where(size > 0, size, 1.0)
             face = sides[others[0]] * sides[others[1]]
-            weighted = f * shown[:, None] * face / steps**2
+            weighted = f * facing[:, None] * face / steps**2
             force, torque = force + weighted.sum(axis=0), torque + np.cross(levers, weighted).sum(axis=0)
             area += face
     return force / (area / 4), torque / (area / 4)
@@ -75,39 +77,39 @@ def ball(radius: float, stiffness: float) -> Law:
     return law
 
 
-class Held:
-    """A block with one frame, or two, of one part each, and a tool; without ticks."""
+class ToolBlock:
+    """A block with one or two frames and a tool; without ticks."""
 
     def __init__(self, tool: Tool, grid: Grid, *laws: Law, parts: tuple[FramePart, ...] = ()) -> None:
         pools = [
             CellPool.of(ForceField.from_dense(grid, law(points(grid)).astype(np.float32))) for law in laws
         ]
         first = W.FREE + tool_word_count(tool)
-        begins = first + np.cumsum([0, *map(field_words, pools)])
-        self.frames = [int(begins[-1]) + n * frame_words(2) for n in range(max(len(pools), 1))]
+        addresses = first + np.cumsum([0, *map(field_words, pools)])
+        self.frames = [int(addresses[-1]) + n * frame_words(2) for n in range(max(len(pools), 1))]
         self.memory = Memory.empty(self.frames[-1] + frame_words(2))
-        for place, pool in zip(begins, pools, strict=False):
-            write_field(self.memory, int(place), pool)
+        for position, pool in zip(addresses, pools, strict=False):
+            write_field(self.memory, int(position), pool)
         for n, frame in enumerate(self.frames):
-            own = [replace(part, field_at=int(begins[n])) for part in parts] or [
-                FramePart.voxels(int(begins[n]))
+            parts_of_frame = [replace(part, field_at=int(addresses[n])) for part in parts] or [
+                FramePart.voxels(int(addresses[n]))
             ]
-            write_frame(self.memory, frame, own, np.inf if not parts else 1e3)
+            write_frame(self.memory, frame, parts_of_frame, np.inf if not parts else 1e3)
         write_tool(self.memory, W.FREE, tool)
         self.tool = tool
 
-    def wrench(self, place: Vector, turn: Vector, blend: float = 0.0) -> tuple[Vector, Vector]:
+    def wrench(self, position: Vector, turn: Vector, blend: float = 0.0) -> tuple[Vector, Vector]:
         self.memory.f8[W.TURN : W.TURN + 9] = turn.ravel()
-        force = tool_force(*self.memory.views, self.frames[0], self.frames[-1], blend, *map(float, place))
+        force = tool_force(*self.memory.views, self.frames[0], self.frames[-1], blend, *map(float, position))
         return np.array(force), self.memory.f8[W.FIELD_TORQUE : W.FIELD_TORQUE + 3].copy()
 
-    def by_points(self, place: Vector, turn: Vector, blend: float = 0.0) -> tuple[Vector, Vector]:
-        """The same from `force_at`, point by point."""
+    def by_points(self, position: Vector, turn: Vector, blend: float = 0.0) -> tuple[Vector, Vector]:
+        """The same by `force_at` at each point."""
         force, torque = np.zeros(3), np.zeros(3)
-        for own, normal in zip(self.tool.points_m, self.tool.normals, strict=True):
-            lever = turn @ own
+        for parts_of_frame, normal in zip(self.tool.points_m, self.tool.normals, strict=True):
+            lever = turn @ parts_of_frame
             f = np.array(
-                force_at(*self.memory.views, self.frames[0], self.frames[-1], blend, *(place + lever))
+                force_at(*self.memory.views, self.frames[0], self.frames[-1], blend, *(position + lever))
             )
             size = np.linalg.norm(f)
             if size > 0:
@@ -120,23 +122,23 @@ def test_the_torque_of_a_box_in_the_field_of_a_ball_is_the_integral() -> None:
     sides = np.array([0.03, 0.02, 0.012])
     law = ball(0.05, 400.0)
     fine = Grid((131, 131, 131), (0.001,) * 3, (-0.065,) * 3)
-    held = Held(box(*sides, 10_000), fine, law)
-    rng, told = np.random.default_rng(7), []
+    block = ToolBlock(box(*sides, 10_000), fine, law)
+    rng, is_large = np.random.default_rng(7), []
     for _ in range(6):
         turn = rotation_matrices(unit(*rng.normal(size=4)))
-        place = rng.normal(size=3)
-        place *= 0.045 / np.linalg.norm(place)
-        force, torque = held.wrench(place, turn)
-        expected, about = integral(sides, place, turn, law)
+        position = rng.normal(size=3)
+        position *= 0.045 / np.linalg.norm(position)
+        force, torque = block.wrench(position, turn)
+        expected, about = integral(sides, position, turn, law)
         assert np.linalg.norm(force - expected) < 0.01 * np.linalg.norm(expected)
-        error, most = np.linalg.norm(torque - about), np.linalg.norm(expected) * np.linalg.norm(sides) / 2
-        assert error < 0.002 * most
-        told.append(np.linalg.norm(about) > 0.05 * most)
-        assert error < 0.01 * np.linalg.norm(about) or not told[-1], (torque, about)
-    assert sum(told) > 3  # the rest are forces through the middle, whose torque is next to nothing
+        error, scale = np.linalg.norm(torque - about), np.linalg.norm(expected) * np.linalg.norm(sides) / 2
+        assert error < 0.002 * scale
+        is_large.append(np.linalg.norm(about) > 0.05 * scale)
+        assert error < 0.01 * np.linalg.norm(about) or not is_large[-1], (torque, about)
+    assert sum(is_large) > 3  # the rest are forces through the centre, with hardly any torque
 
 
-def test_the_sum_is_that_of_single_points_between_frames_and_of_bodies_that_move() -> None:
+def test_the_wrench_is_the_sum_of_single_points() -> None:
     rng = np.random.default_rng(3)
     tool = Tool.sphere(0.02, 300)
     quaternion = unit(1.0, 0.2, -0.4, 0.1)
@@ -146,34 +148,34 @@ def test_the_sum_is_that_of_single_points_between_frames_and_of_bodies_that_move
     def swirl(p: Vector) -> Vector:
         return 30 * np.cross(p, [1.0, 2.0, -1.0])
 
-    for held in (
-        Held(tool, GRID, ball(0.05, 400.0), swirl),
-        Held(tool, GRID, ball(0.05, 400.0), parts=(moving, other)),
-        Held(tool, GRID, swirl, ball(0.03, 90.0), parts=(moving, other)),
+    for block in (
+        ToolBlock(tool, GRID, ball(0.05, 400.0), swirl),
+        ToolBlock(tool, GRID, ball(0.05, 400.0), parts=(moving, other)),
+        ToolBlock(tool, GRID, swirl, ball(0.03, 90.0), parts=(moving, other)),
     ):
         for blend in (0.0, 0.3, 1.0):
-            place, turn = rng.normal(0, 0.03, 3), rotation_matrices(unit(*rng.normal(size=4)))
+            position, turn = rng.normal(0, 0.03, 3), rotation_matrices(unit(*rng.normal(size=4)))
             for got, expected in zip(
-                held.wrench(place, turn, blend), held.by_points(place, turn, blend), strict=True
+                block.wrench(position, turn, blend), block.by_points(position, turn, blend), strict=True
             ):
                 assert np.abs(got - expected).max() < 1e-5 * max(np.abs(expected).max(), 1e-3)
 
 
-def test_a_small_sphere_feels_what_a_point_feels_and_a_convex_tool_does_in_the_mean() -> None:
-    held = Held(Tool.sphere(1e-6, 4000), GRID, constant(0.6, -0.2, 1.1))
-    force, torque = held.wrench(np.zeros(3), np.eye(3))
+def test_a_small_sphere_equals_a_point_and_a_convex_tool_does_on_average() -> None:
+    block = ToolBlock(Tool.sphere(1e-6, 4000), GRID, constant(0.6, -0.2, 1.1))
+    force, torque = block.wrench(np.zeros(3), np.eye(3))
     assert force == pytest.approx([0.6, -0.2, 1.1], rel=2e-3)
     assert np.abs(torque).max() < 1e-8
-    held = Held(box(0.02, 0.01, 0.005, 3000), GRID, constant(0.0, 0.0, 1.0))
+    block = ToolBlock(box(0.02, 0.01, 0.005, 3000), GRID, constant(0.0, 0.0, 1.0))
     rng = np.random.default_rng(5)
-    shares = [
-        held.wrench(np.zeros(3), rotation_matrices(unit(*rng.normal(size=4))))[0][2] for _ in range(400)
+    forces_n = [
+        block.wrench(np.zeros(3), rotation_matrices(unit(*rng.normal(size=4))))[0][2] for _ in range(400)
     ]
-    assert np.mean(shares) == pytest.approx(1.0, rel=0.05)
+    assert np.mean(forces_n) == pytest.approx(1.0, rel=0.05)
 
 
-def test_what_comes_from_behind_a_thin_plate_does_not_pull_the_tool_through() -> None:
-    def plate(p: Vector) -> Vector:  # 4 mm thick, out at the nearer side
+def test_the_far_side_of_a_thin_plate_does_not_pull_the_tool_through() -> None:
+    def plate(p: Vector) -> Vector:  # 4 mm thick, pushing out at the nearer side
         force = np.zeros_like(p)
         z = p[..., 2]
         force[..., 2] = np.where(
@@ -182,21 +184,23 @@ def test_what_comes_from_behind_a_thin_plate_does_not_pull_the_tool_through() ->
         return force
 
     fine = Grid((25, 25, 161), (0.002, 0.002, 0.0005), (-0.024, -0.024, -0.04))
-    held = Held(Tool.sphere(0.01, 4000), fine, plate)
-    for depth in np.linspace(0.0005, 0.0095, 10):  # from above, until its middle is at the plate
-        assert held.wrench(np.array([0, 0, 0.012 - depth]), np.eye(3))[0][2] > 0
+    block = ToolBlock(Tool.sphere(0.01, 4000), fine, plate)
+    for depth in np.linspace(0.0005, 0.0095, 10):  # from above, until its centre is at the plate
+        assert block.wrench(np.array([0, 0, 0.012 - depth]), np.eye(3))[0][2] > 0
 
 
-def test_a_long_tool_is_felt_at_its_far_end() -> None:
+def test_a_long_tool_acts_at_its_tip() -> None:
     stick = Tool(np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]] * 2))
-    force, torque = Held(stick, GRID, constant(0.0, 0.0, 1.0)).wrench(np.array([-0.3, 0.0, 0.0]), np.eye(3))
+    force, torque = ToolBlock(stick, GRID, constant(0.0, 0.0, 1.0)).wrench(
+        np.array([-0.3, 0.0, 0.0]), np.eye(3)
+    )
     assert force == pytest.approx([0, 0, 2]) and torque == pytest.approx([0, -0.6, 0])
 
 
-def test_of_a_tool_far_away_or_nowhere_nothing_is_felt() -> None:
-    held = Held(Tool.sphere(0.01, 50), GRID, constant(1.0, 0.0, 0.0))
-    for place in ((5.0, 0, 0), (np.nan, 0, 0), (0, np.inf, 0), (1e300, 0, 0)):
-        force, torque = held.wrench(np.array(place), np.eye(3))
+def test_a_tool_outside_the_field_has_no_force() -> None:
+    block = ToolBlock(Tool.sphere(0.01, 50), GRID, constant(1.0, 0.0, 0.0))
+    for position in ((5.0, 0, 0), (np.nan, 0, 0), (0, np.inf, 0), (1e300, 0, 0)):
+        force, torque = block.wrench(np.array(position), np.eye(3))
         assert not force.any() and not torque.any()
 
 
@@ -229,7 +233,7 @@ def test_points_of_a_mesh_are_even_and_face_outward(count: int) -> None:
         lambda: RenderSpec(peak_nm=-1.0),
     ],
 )
-def test_what_is_no_tool_is_refused(make: Callable[[], object]) -> None:
+def test_invalid_tools_are_refused(make: Callable[[], object]) -> None:
     with pytest.raises(InvalidArgument):
         make()
 
@@ -238,7 +242,7 @@ def test_what_is_no_tool_is_refused(make: Callable[[], object]) -> None:
 
 
 class Grip(Bench):
-    """A bench whose device shows a torque, with a tool in its hand."""
+    """A bench whose device renders a torque, with a tool."""
 
     def __init__(self, law: Law, tool: Tool, spec: RenderSpec | None = None, **options: object) -> None:
         self.tool = tool
@@ -263,14 +267,14 @@ class Grip(Bench):
 
 
 STICK = Tool(np.array([[0.05, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]]), "stick")
-"""One point 50 mm off, whose weight is 4 where it faces the force."""
+"""One point at 50 mm, whose weight is 4 when it faces the force."""
 
 UP = constant(0.0, 0.0, 0.5)
 
 STRAIGHT = replace(SIGMA, axes="x right, y up, z towards the user")
 
 
-def test_a_lever_gives_a_torque_and_turns_with_the_grip() -> None:
+def test_a_lever_gives_a_torque_and_rotates_with_the_grip() -> None:
     grip = Grip(UP, STICK, RenderSpec(slew_nm_per_s=1e4))
     force = grip.settled(0.0, 0.0, 0.0)
     assert force == pytest.approx([0, 0, 2.0], rel=1e-6)
@@ -283,7 +287,7 @@ def test_a_lever_gives_a_torque_and_turns_with_the_grip() -> None:
 
 @pytest.mark.parametrize("axes", ["x towards the user, y right, z up", "x right, y up, z away from the user"])
 def test_force_and_torque_are_those_of_one_lever_in_any_axes(axes: str) -> None:
-    """In the device's axes the torque is lever x force, also where these are of the other hand."""
+    """The torque is lever x force in the device's axes, also for left-handed ones."""
     grip = Grip(UP, STICK, RenderSpec(scale=2.0), device=replace(SIGMA, axes=axes))
     force = grip.settled(0.0, 0.0, 0.0)
     axes_matrix = grip.state(W.AXES, 9).reshape(3, 3)
@@ -293,7 +297,7 @@ def test_force_and_torque_are_those_of_one_lever_in_any_axes(axes: str) -> None:
     assert grip.torque == pytest.approx(np.cross(lever, force), rel=1e-6, abs=1e-12), handed
 
 
-def test_a_device_without_torque_gets_none_and_the_user_is_told() -> None:
+def test_a_device_without_torque_gets_none_and_a_note() -> None:
     grip = Grip(UP, STICK, device=OMNI)
     (note,) = [text for text in grip.restart(RenderSpec()) if "torque" in text]
     assert "phantom-omni" in note
@@ -304,26 +308,26 @@ def test_a_device_without_torque_gets_none_and_the_user_is_told() -> None:
         grip.restart(RenderSpec(peak_nm=0.1))
 
 
-def test_a_grip_that_tells_no_orientation_is_let_go_and_comes_back() -> None:
+def test_an_invalid_orientation_releases_the_torque_until_it_returns() -> None:
     grip = Grip(UP, STICK)
     grip.settled(0.0, 0.0, 0.0)
-    held = grip.torque
+    torque_nm = grip.torque
     for odd in ((np.nan, 0, 0, 0), (0, 0, 0, 0), (2.0, 0, 0, 0), (np.inf, 0, 0, 0)):
         grip.turn(*odd)
         grip.tick(0.0, 0.0, 0.0)
         first = grip.torque
         assert (
-            0 < np.linalg.norm(first) < np.linalg.norm(held)
+            0 < np.linalg.norm(first) < np.linalg.norm(torque_nm)
             and grip.state(W.FIELD_TORQUE).tolist() == [0] * 3
         )
         grip.settled(0.0, 0.0, 0.0)
         assert not grip.torque.any() and not grip.state(W.FORCE).any()
         grip.turn(1, 0, 0, 0)
         grip.settled(0.0, 0.0, 0.0)
-        assert grip.torque == pytest.approx(held)
+        assert grip.torque == pytest.approx(torque_nm)
 
 
-def test_a_released_torque_goes_to_zero_in_a_line() -> None:
+def test_a_released_torque_falls_linearly_to_zero() -> None:
     grip = Grip(UP, STICK, RenderSpec(ramp_s=0.02))
     grip.settled(0.0, 0.0, 0.0)
     sizes = [float(np.linalg.norm(grip.torque))]
@@ -353,7 +357,7 @@ WILD = Grip(lambda p: 900.0 * p[..., ::-1] * np.array([1.0, -1.0, 3.0]), Tool.sp
     st.sampled_from([None, 0.01, 1e5]),
     st.sampled_from([1.0, 1e-300, 1e300]),
 )
-def test_limits_of_torque_hold_of_the_numbers_handed_out(
+def test_limits_of_torque_hold_exactly_for_the_output(
     steps: list[tuple[object, ...]], peak: float | None, slew: float | None, scale: float
 ) -> None:
     WILD.restart(RenderSpec(peak_nm=peak, slew_nm_per_s=slew, scale=scale))
@@ -364,8 +368,8 @@ def test_limits_of_torque_hold_of_the_numbers_handed_out(
         WILD.tick(x, y, z, dt, bool(is_there))  # type: ignore[arg-type]
         torque = WILD.torque
         assert np.isfinite(torque).all() and np.linalg.norm(torque) <= peak_nm
-        room = slew_nm_s * dt if np.isfinite(dt) and dt > 0 else 0.0  # type: ignore[operator]
-        assert np.linalg.norm(torque - before) <= room * (1 + 1e-15)
+        allowed = slew_nm_s * dt if np.isfinite(dt) and dt > 0 else 0.0  # type: ignore[operator]
+        assert np.linalg.norm(torque - before) <= allowed * (1 + 1e-15)
         before = torque
     for _ in range(5000):
         WILD.release()
@@ -380,7 +384,7 @@ def test_limits_of_torque_hold_of_the_numbers_handed_out(
         assert not before.any()
 
 
-def test_a_torque_held_for_long_comes_down_to_what_is_allowed_for_ever() -> None:
+def test_a_long_torque_falls_to_the_continuous_limit() -> None:
     grip = Grip(constant(0.0, 0.0, 2.0), STICK, RenderSpec(continuous_nm=0.05, thermal_s=0.2))
     sizes = []
     for _ in range(1500):

@@ -1,6 +1,4 @@
-"""What a receiver wishes for stands where the ticks read it; what a session tells has the figures that it
-acts on.
-"""
+"""Options of a receiver are written where the ticks read them; notes of a session state the values in use."""
 
 from __future__ import annotations
 
@@ -31,10 +29,10 @@ def medium(stiffness_n_per_m: float = 300.0, frames: int = 1, axes: str = AXES) 
     return HapticMedium.from_frames([ForceField.from_dense(GRID, forces)] * frames, 20.0, axes)
 
 
-# -- wishes
+# -- options
 # ---------------------------------------------------------------------------------------------------------
 
-WISHES = {
+OPTIONS = {
     "rate_hz": (2000.0, "RATE_HZ", 2000.0),
     "friction": (0.21, "FRICTION", 0.21),
     "damping_n_s_per_m": (0.31, "DAMPING", 0.31),
@@ -61,29 +59,29 @@ def written(spec: RenderSpec) -> tuple[Memory, tuple[str, ...]]:
     return memory, write_parameters(memory, spec, TWISTING, 0.3, 0.7, AXES)
 
 
-@pytest.mark.parametrize("name", WISHES)
-def test_a_wish_changes_its_own_word_and_no_other(name: str) -> None:
-    value, word, expected = WISHES[name]
-    usual, found = written(RenderSpec())[0], written(RenderSpec(**{name: value}))[0]
+@pytest.mark.parametrize("name", OPTIONS)
+def test_an_option_changes_only_its_word(name: str) -> None:
+    value, word, expected = OPTIONS[name]
+    default, found = written(RenderSpec())[0], written(RenderSpec(**{name: value}))[0]
     at = getattr(W, word)
-    assert found.f8[at] == pytest.approx(expected) and usual.f8[at] != found.f8[at]
+    assert found.f8[at] == pytest.approx(expected) and default.f8[at] != found.f8[at]
     follow = {
         "friction": {W.FRICTION_NOW},
-        "peak_n": {W.SLEW, W.LIMIT},  # the slew limit is to the peak in 5 ms
+        "peak_n": {W.SLEW, W.LIMIT},  # the slew limit reaches the peak in 5 ms
         "peak_nm": {W.TORQUE_SLEW, W.TORQUE_LIMIT},
         "rate_hz": {W.DELAY},
     }.get(name, set())
-    assert set(np.flatnonzero(usual.f8 != found.f8).tolist()) - follow == {at}
+    assert set(np.flatnonzero(default.f8 != found.f8).tolist()) - follow == {at}
 
 
-def test_all_wishes_together_stand_where_they_do_alone() -> None:
+def test_combined_options_equal_single_ones() -> None:
     spec = RenderSpec(
-        **{name: value for name, (value, *_) in WISHES.items()},
+        **{name: value for name, (value, *_) in OPTIONS.items()},
         clutch_m=(0.1, -0.2, 0.3),
         gravity_n=(0.4, -0.5, 0.6),
     )
     memory, notes = written(spec)
-    for name, (_, word, expected) in WISHES.items():
+    for name, (_, word, expected) in OPTIONS.items():
         assert memory.f8[getattr(W, word)] == pytest.approx(expected), name
     assert memory.f8[W.CLUTCH : W.CLUTCH + 3].tolist() == [0.1, -0.2, 0.3]
     assert memory.f8[W.GRAVITY : W.GRAVITY + 3].tolist() == [0.4, -0.5, 0.6]
@@ -94,17 +92,17 @@ def test_all_wishes_together_stand_where_they_do_alone() -> None:
     )
 
 
-def test_a_torque_is_limited_by_the_device_and_only_where_it_states_one() -> None:
-    usual = written(RenderSpec())[0].f8
-    assert usual[[W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_LIMIT]].tolist() == [0.2, 0.05, 0.2]
-    assert usual[W.TORQUE_SLEW] == pytest.approx(0.2 / 0.005)
-    for name, most, told in (
+def test_torque_limits_are_those_of_a_device_that_states_them() -> None:
+    default = written(RenderSpec())[0].f8
+    assert default[[W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_LIMIT]].tolist() == [0.2, 0.05, 0.2]
+    assert default[W.TORQUE_SLEW] == pytest.approx(0.2 / 0.005)
+    for name, max_nm, message in (
         ("peak_nm", 0.2, "to 0.2 N m, the limit of"),
         ("continuous_nm", 0.05, "to 0.05 continuously, the limit of"),
     ):
-        assert written(RenderSpec(**{name: most}))
-        with pytest.raises(InvalidArgument, match=f"{name}: found .*{told}"):
-            written(RenderSpec(**{name: most * 1.001}))
+        assert written(RenderSpec(**{name: max_nm}))
+        with pytest.raises(InvalidArgument, match=f"{name}: found .*{message}"):
+            written(RenderSpec(**{name: max_nm * 1.001}))
     for name in ("peak_nm", "continuous_nm", "slew_nm_per_s"):
         with pytest.raises(
             InvalidArgument, match=f"{name}: found a limit for phantom-omni; expected a device that states"
@@ -114,8 +112,8 @@ def test_a_torque_is_limited_by_the_device_and_only_where_it_states_one() -> Non
     assert silent == ("phantom-omni states no torque: only the tool's force is rendered",)
 
 
-@pytest.mark.parametrize("name", [*WISHES, "wall_n_per_m"])
-def test_a_wish_that_is_no_number_above_0_is_refused_by_its_name(name: str) -> None:
+@pytest.mark.parametrize("name", [*OPTIONS, "wall_n_per_m"])
+def test_an_option_that_is_not_positive_is_refused_by_name(name: str) -> None:
     if name == "passivity":
         return
     may_be_0 = name in ("friction", "damping_n_s_per_m", "coupling_n_per_m", "force_scale")
@@ -143,35 +141,37 @@ def test_rates_and_vectors_out_of_range_are_refused() -> None:
 
 @pytest.mark.parametrize("scale", [1.0, 3.0])
 @pytest.mark.parametrize("stiffness", [0.0, 40.0, 900.0, 20_000.0])
-def test_damping_and_coupling_are_told_as_the_device_has_them(scale: float, stiffness: float) -> None:
+def test_note_states_damping_and_coupling_in_units_of_the_device(scale: float, stiffness: float) -> None:
     device = replace(OMNI, damping_n_s_per_m=0.3, delay_ms=2.0)
     spec = RenderSpec(scale=scale, force_scale=0.5, rate_hz=500.0)
     found, factor = stability_of(device, spec, 0.1, stiffness), 0.5 * scale
     hold_s = 0.001 + 0.002
     of_device = factor * stiffness
     brake, coupling = factor * found.brake_n_s_per_m, factor * found.coupling_n_per_m
-    felt = 1 / (1 / of_device + 1 / coupling) if coupling else of_device
+    rendered_n_per_m = 1 / (1 / of_device + 1 / coupling) if coupling else of_device
     start = (
         f"the medium's stiffest slope is {of_device:.0f} N/m, and the device alone can render "
         f"{0.3 / hold_s:.0f} N/m"
     )
     damped = f": damping in contact {brake:.2g} N s/m"
     coupled = (
-        f", coupling {coupling:.0f} N/m, so that {felt:.0f} N/m are felt" if coupling else ", no coupling"
+        f", coupling {coupling:.0f} N/m, so that {rendered_n_per_m:.0f} N/m are felt"
+        if coupling
+        else ", no coupling"
     )
     assert found.note == start + damped + coupled
-    assert brake == pytest.approx(max(0.0, 2 * felt * hold_s - 0.3 - factor * 0.1))
-    of_own = stability_of(device, replace(spec, damping_n_s_per_m=0.2), 0.1, stiffness)
-    assert of_own.note == start + coupled and of_own.brake_n_s_per_m == 0
-    given = stability_of(device, replace(spec, coupling_n_per_m=70.0), 0.1, stiffness)
-    assert given.note.startswith(start + ": damping") and "coupling" not in given.note
-    assert given.coupling_n_per_m == pytest.approx(70.0)
+    assert brake == pytest.approx(max(0.0, 2 * rendered_n_per_m * hold_s - 0.3 - factor * 0.1))
+    damped_result = stability_of(device, replace(spec, damping_n_s_per_m=0.2), 0.1, stiffness)
+    assert damped_result.note == start + coupled and damped_result.brake_n_s_per_m == 0
+    coupled_result = stability_of(device, replace(spec, coupling_n_per_m=70.0), 0.1, stiffness)
+    assert coupled_result.note.startswith(start + ": damping") and "coupling" not in coupled_result.note
+    assert coupled_result.coupling_n_per_m == pytest.approx(70.0)
 
 
-def test_the_wall_of_a_proxy_is_told_as_it_is_rendered() -> None:
+def test_note_states_the_wall_of_the_proxy_as_rendered() -> None:
     grid = Grid((33, 31, 65), (0.004, 0.006, 0.0025), (-0.064, -0.09, -0.08))
-    for most_n, level_n in ((9.0, 0.05), (0.2, 0.02)):  # a tenth of what is weak
-        field = ForceField.from_dense(grid, wall(30.0, most_n)(points(grid)).astype(np.float32))
+    for max_n, level_n in ((9.0, 0.05), (0.2, 0.02)):  # a tenth of a weak force
+        field = ForceField.from_dense(grid, wall(30.0, max_n)(points(grid)).astype(np.float32))
         _, memory = laid_out(HapticMedium.from_frames([field], 20.0, AXES))
         assert memory.f8[W.WALL] == pytest.approx(30, rel=0.01)
         assert memory.f8[W.WALL_LEVEL] == pytest.approx(level_n)
@@ -186,7 +186,7 @@ def test_the_wall_of_a_proxy_is_told_as_it_is_rendered() -> None:
     assert memory.f8[W.WALL] == 0 and not any("proxy" in note for note in plain.notes)
 
 
-def test_axes_that_are_guessed_are_quoted() -> None:
+def test_note_quotes_assumed_axes() -> None:
     assert axes_notes("x left, y", AXES) == (
         f'axes of the device, "x left, y", cannot be read and are taken as {BOX_AXES}',
     )
@@ -197,28 +197,28 @@ def test_axes_that_are_guessed_are_quoted() -> None:
     )
     session, memory = laid_out(medium(axes="x, y, z"))
     assert f'axes of the field, "x, y, z", are placed along {BOX_AXES}' in session.notes
-    turned = RenderSpec(up="z")
-    session, memory = laid_out(medium(axes="x, y, z"), turned)
+    spec = RenderSpec(up="z")
+    session, memory = laid_out(medium(axes="x, y, z"), spec)
     expected = axes_matrix(OMNI.axes, "x, y, z", "z")
     assert np.array_equal(memory.f8[W.AXES : W.AXES + 9].reshape(3, 3), expected)
     assert not np.array_equal(expected, axes_matrix(OMNI.axes, "x, y, z", "auto"))
     assert not any("axes of the field" in note for note in session.notes)
 
 
-def test_a_feed_that_is_too_slow_is_told_with_both_rates() -> None:
+def test_note_of_a_slow_feed_states_both_rates() -> None:
     session, memory = laid_out(medium(frames=4))
     feeder: Feeder = session.feeder(memory)
     memory.f8[W.SPEED_NOW] = 1.0
     feeder._pace.frame_s = 0.08
     assert "This machine decodes 12.5 frames a second, and speed 1 needs 20:" in feeder.note
-    feeder._pace.frame_s = 0.04  # 25 a second: enough at this speed, and not at twice the speed
+    feeder._pace.frame_s = 0.04  # 25 a second: enough at this speed, but not at twice the speed
     assert "had to be fetched" in feeder.note
     memory.f8[W.SPEED_NOW] = 2.0
     assert "This machine decodes 25 frames a second, and speed 2 needs 40:" in feeder.note
 
 
 @pytest.mark.parametrize(
-    ("spec", "is_taken"),
+    ("spec", "is_accepted"),
     [
         ({"law": "penalty", "stiffness_n_per_m": 1.0}, True),
         ({"law": "penalty", "stiffness_n_per_m": 5000.0}, True),
@@ -228,11 +228,9 @@ def test_a_feed_that_is_too_slow_is_told_with_both_rates() -> None:
         ({"law": "penalty"}, False),
     ],
 )
-def test_a_stiffness_that_a_file_states_is_taken_within_bounds(
-    spec: dict[str, object], is_taken: bool
-) -> None:
+def test_a_stated_stiffness_is_accepted_within_bounds(spec: dict[str, object], is_accepted: bool) -> None:
     text = json.dumps(spec)
-    assert stated_n_per_m({"spec": text}) == (spec["stiffness_n_per_m"] if is_taken else None)
+    assert stated_n_per_m({"spec": text}) == (spec["stiffness_n_per_m"] if is_accepted else None)
     assert stated_n_per_m({"spec": text, "edits": "gain 2"}) is None
     other = json.dumps({"law": "penalty", "stiffness_n_per_m": 77.0})
     assert stated_n_per_m({"spec": text, "source.spec": other}) == 77
@@ -242,11 +240,11 @@ def test_a_stiffness_that_a_file_states_is_taken_within_bounds(
 # ------------------------------------------------------------------------------------------------------
 
 
-def test_every_value_of_a_material_goes_through_its_file(tmp_path: Path) -> None:
+def test_every_value_of_a_material_round_trips(tmp_path: Path) -> None:
     levels = tuple(
         tuple(tuple(0.01 * (s + 2 * f + 3 * b) for b in range(16)) for f in range(3)) for s in range(2)
     )
-    one = Material(
+    material = Material(
         "a",
         0.31,
         0.41,
@@ -258,13 +256,13 @@ def test_every_value_of_a_material_goes_through_its_file(tmp_path: Path) -> None
         levels,
     )
     plain = Material("b")
-    (tmp_path / "t.json").write_text(materials_json((one, plain)))
+    (tmp_path / "t.json").write_text(materials_json((material, plain)))
     found, other = read_materials(tmp_path / "t.json")
-    np.testing.assert_allclose(found.levels_n, one.levels_n, rtol=1e-3)
-    assert replace(found, texture_rms_n=one.texture_rms_n) == one and other == plain
+    np.testing.assert_allclose(found.levels_n, material.levels_n, rtol=1e-3)
+    assert replace(found, texture_rms_n=material.texture_rms_n) == material and other == plain
 
 
-def test_materials_of_impossible_numbers_are_named() -> None:
+def test_invalid_materials_are_refused_by_name() -> None:
     row = ((0.0,) * 16,)
     good = {"speeds_m_s": (0.1,), "forces_n": (1.0,), "texture_rms_n": (row,)}
     assert Material("a", 0.0, 0.0) and Material("a", **good) and Material("a", slip_length_m=1e-6)
@@ -290,7 +288,7 @@ def test_materials_of_impossible_numbers_are_named() -> None:
 # -----------------------------------------------------------------------------------------------------
 
 
-def test_every_figure_of_the_statistics_is_of_its_own_count() -> None:
+def test_every_statistic_has_its_counter() -> None:
     memory = Memory.empty(W.FREE)
     counts = {
         "LATE": 11,
@@ -334,7 +332,7 @@ def test_every_figure_of_the_statistics_is_of_its_own_count() -> None:
         "lateness_p99_9_us": 20.5,
         "lateness_worst_us": 20.5,
     }
-    memory.i8[W.PERIODS + W.TIME_BINS] = 2  # of the open bin the worst is told
+    memory.i8[W.PERIODS + W.TIME_BINS] = 2  # the open bin reports the maximum
     memory.i8[W.PERIODS + 40] = 9
     assert statistics_of(memory)["jitter_p99_9_us"] == 9000.0
     nothing = statistics_of(Memory.empty(W.FREE))

@@ -1,4 +1,4 @@
-"""What the tests of one tick share: a block with parameters, and frames with a field in it."""
+"""For the tests of one tick: a block with parameters, and frames with a field."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def wall(stiffness_n_per_m: float, most_n: float = np.inf) -> Law:
 
 
 def linear(matrix: Vector) -> Law:
-    """F = M p: trilinear interpolation gives it back exactly, but for float32."""
+    """F = M p: reproduced exactly by trilinear interpolation, up to float32."""
     return lambda p: p @ np.asarray(matrix).T
 
 
@@ -99,7 +99,7 @@ class Bench:
         self.restart(self.spec)
 
     def restart(self, spec: RenderSpec) -> tuple[str, ...]:
-        """Other parameters, and the state anew."""
+        """Set other parameters and reset the state."""
         self.spec, self.dt = spec, 1 / spec.rate_hz
         self.memory.f8[self.yields :] = 0.0
         return write_parameters(self.memory, spec, self.device, self.friction, self.damping, self.axes)
@@ -107,7 +107,7 @@ class Bench:
     def tick(self, x: float, y: float, z: float, dt: float | None = None, is_there: bool = True) -> Vector:
         """One force, newtons."""
         frame, step = self.frame if is_there else 0, self.dt if dt is None else dt
-        numbers = (float(number) for number in (x, y, z, step))  # whole numbers would be compiled once more
+        numbers = (float(number) for number in (x, y, z, step))  # integers would be compiled separately
         return np.array(tick(*self.memory.views, frame, frame, 0.0, *numbers))
 
     def release(self, dt: float | None = None) -> Vector:
@@ -115,7 +115,7 @@ class Bench:
         return np.array(release(self.memory.f8, self.dt if dt is None else dt))
 
     def settled(self, x: float, y: float, z: float, ticks: int = 60) -> Vector:
-        """The force at a place where the hand rests."""
+        """The force at the position of a resting hand."""
         for _ in range(ticks):
             force = self.tick(x, y, z)
         return force
@@ -129,7 +129,7 @@ class Bench:
         return float(self.memory.f8[place])
 
     def along(self, path: Vector) -> Iterator[tuple[Vector, Vector]]:
-        """A path, metres, float64 [n, 3]: each of its places, and the force that is put out there."""
+        """A path, metres, float64 [n, 3]: each position, and the force that is put out there."""
         for place in path:
             yield place, self.tick(*place)
 

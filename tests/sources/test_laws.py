@@ -37,13 +37,13 @@ def test_proximity_guides_outside_only(k: float, f_max: float, band_m: float) ->
 @given(stiffness, force_max, st.floats(1e-3, 0.1))
 def test_magnetic_pulls_from_both_sides_and_is_continuous(k: float, f_max: float, band_m: float) -> None:
     profile = profile_of(LawSpec("magnetic", k, f_max, band_m=band_m), 0.01)
-    near = np.linspace(-band_m, band_m, 2001)
-    f = profile(near)
+    distances_m = np.linspace(-band_m, band_m, 2001)
+    f = profile(distances_m)
     np.testing.assert_allclose(f, -f[::-1], atol=1e-9 * (1 + f_max))
-    assert (f[near > 0] <= 1e-12).all(), "outside, it pulls inwards"
+    assert (f[distances_m > 0] <= 1e-12).all(), "outside, it pulls inwards"
     assert np.abs(f).max() <= f_max * (1 + 1e-9)
     steepest = max(k, 2 * f_max / band_m, k * band_m / band_m)
-    assert np.abs(np.diff(f)).max() <= steepest * (near[1] - near[0]) * 1.01
+    assert np.abs(np.diff(f)).max() <= steepest * (distances_m[1] - distances_m[0]) * 1.01
     assert profile(band_m * 1.001) == 0
 
 

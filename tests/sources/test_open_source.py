@@ -1,4 +1,4 @@
-"""What a path is taken for: ``--as``, folders in folders, what an error names; units that cannot be."""
+"""The kind of a path: ``--as``, nested folders, names in errors, and implausible units."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from touchfield.sources.registry import open_source
 MM = SourceOptions(depth_scale=1000)
 
 
-def test_a_kind_is_asked_for_by_its_name(tmp_path: Path) -> None:
+def test_a_kind_can_be_requested_by_name(tmp_path: Path) -> None:
     folder = make.write_redwood(tmp_path / "s")
     assert open_source(folder, SourceOptions(kind="redwood")).frame_count == make.FRAMES
     with pytest.raises(InvalidArgument, match=r"--as.*'TUM'.*one of .*tum, redwood"):
@@ -32,7 +32,7 @@ def test_a_folder_of_a_folder_is_named_and_not_opened(tmp_path: Path) -> None:
         open_source(tmp_path)
 
 
-def test_an_error_names_what_lies_there(tmp_path: Path) -> None:
+def test_an_error_lists_the_contents_of_the_folder(tmp_path: Path) -> None:
     for i in range(3):
         make.write_png(tmp_path / f"{i}.png", np.zeros((4, 6, 3), np.uint8))
     (tmp_path / "colour").mkdir()
@@ -46,44 +46,46 @@ def test_an_error_names_what_lies_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scale", "words"), [(1, "m across (--depth-scale)."), (1000, None), (1e6, "m across (--depth-scale).")]
+    ("scale", "message"), [(1, "m across (--depth-scale)."), (1000, None), (1e6, "m across (--depth-scale).")]
 )
 @pytest.mark.parametrize("reading", ["camera", "height"])
-def test_depth_in_a_unit_that_cannot_be_is_told(
-    tmp_path: Path, scale: float, words: str | None, reading: str
+def test_depth_in_an_implausible_unit_is_noted(
+    tmp_path: Path, scale: float, message: str | None, reading: str
 ) -> None:
     values = np.kron(make.depths_mm()[0], np.ones((8, 8), np.uint16))
     make.write_png(tmp_path / "depth" / "0.png", values)
     options = SourceOptions(depth_scale=scale, reading=reading, intrinsics="160,168,47.5,35.5")
     notes = prepare(tmp_path, EncodeSpec(nw=4, source=options)).notes
-    assert ("Is the unit right?" in " ".join(notes)) == (words is not None)
-    assert words is None or any(words in note for note in notes)
+    assert ("Is the unit right?" in " ".join(notes)) == (message is not None)
+    assert message is None or any(message in note for note in notes)
 
 
 @pytest.mark.parametrize(
-    ("unit_m", "words"),
+    ("unit_m", "message"),
     [(1.0, None), (1e-3, "6e-05 m across (--unit-m)."), (1e5, "6e+03 m across (--unit-m).")],
 )
-def test_a_mesh_in_a_unit_that_cannot_be_is_told(tmp_path: Path, unit_m: float, words: str | None) -> None:
+def test_a_mesh_in_an_implausible_unit_is_noted(tmp_path: Path, unit_m: float, message: str | None) -> None:
     corners = "v 0 0 0\nv 0.06 0 0\nv 0 0.06 0\nv 0 0 0.06\n"
     (tmp_path / "a.obj").write_text(corners + "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
     notes = prepare(tmp_path / "a.obj", EncodeSpec(nw=4, source=SourceOptions(unit_m=unit_m))).notes
-    assert ("Is the unit right?" in " ".join(notes)) == (words is not None)
-    assert words is None or any(words in note for note in notes)
+    assert ("Is the unit right?" in " ".join(notes)) == (message is not None)
+    assert message is None or any(message in note for note in notes)
 
 
-def test_options_that_do_nothing_are_told(tmp_path: Path) -> None:
+def test_idle_options_are_noted(tmp_path: Path) -> None:
     values = np.kron(make.depths_mm()[0], np.ones((8, 8), np.uint16))
-    make.write_png(tmp_path / "shot.png", values)  # not named like depth: a height map
-    asked = SourceOptions(
+    make.write_png(tmp_path / "shot.png", values)  # its name does not suggest depth: a height map
+    options = SourceOptions(
         depth_scale=1000, intrinsics="160,168,47.5,35.5", exaggeration=2.0, allow_outside=True
     )
-    notes = prepare(tmp_path / "shot.png", EncodeSpec(nw=3, source=asked)).notes
+    notes = prepare(tmp_path / "shot.png", EncodeSpec(nw=3, source=options)).notes
     assert "Options that do nothing for this source: --depth-scale, --intrinsics." in notes
     (tmp_path / "depth").mkdir()
     (tmp_path / "shot.png").rename(tmp_path / "depth" / "0.png")
-    asked = SourceOptions(depth_scale=1000, intrinsics="160,168,47.5,35.5", kind="depth-folder", rate_hz=10.0)
-    assert "do nothing" not in " ".join(prepare(tmp_path, EncodeSpec(nw=3, source=asked)).notes)
+    options = SourceOptions(
+        depth_scale=1000, intrinsics="160,168,47.5,35.5", kind="depth-folder", rate_hz=10.0
+    )
+    assert "do nothing" not in " ".join(prepare(tmp_path, EncodeSpec(nw=3, source=options)).notes)
     assert "--seconds." in " ".join(
         prepare("sample:shapes", EncodeSpec(nw=3, source=SourceOptions(seconds=1))).notes
     )
@@ -129,7 +131,7 @@ def test_a_number_that_is_not_above_0_is_refused_by_its_name(name: str) -> None:
             SourceOptions(**{name: wrong})
 
 
-def test_every_option_is_a_number_or_one_of_some_words() -> None:
+def test_every_option_is_a_number_or_a_choice() -> None:
     assert {f.name for f in fields(SourceOptions)} == {*NUMBERS, *OTHER, "kind", "allow_outside"}
     for name in ("frame", "world", "reading", "shell", "holes", "interpolation"):
         assert getattr(SourceOptions(**{name: OTHER[name]}), name) == OTHER[name]
@@ -140,7 +142,7 @@ def test_every_option_is_a_number_or_one_of_some_words() -> None:
 
 
 @pytest.mark.parametrize("name", [*NUMBERS, *OTHER])
-def test_an_option_that_no_one_reads_is_known(name: str) -> None:
+def test_an_unread_option_is_detected(name: str) -> None:
     value = OTHER.get(name, 0.5)
     watched = WatchedOptions(SourceOptions(**{name: value}))
     assert watched.unread() == [name]

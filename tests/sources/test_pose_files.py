@@ -1,4 +1,4 @@
-"""Recorded poses: the file and its faults, interpolation at any rate, and scenes that only files pose."""
+"""Recorded poses: the file and its faults, interpolation at any rate, and scenes posed by files only."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def written(folder: Path, text: str, scene: str = SCENE) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "line", "said"),
+    ("old", "new", "line", "message"),
     [
         ("1.0,", "0.25,", 4, "0.25 s after 0.5 s"),
         ("0.2,0.7071", "nan,0.7071", 3, "finite"),
@@ -58,22 +58,22 @@ def written(folder: Path, text: str, scene: str = SCENE) -> Path:
         (HEADER, "", 1, "no column"),
     ],
 )
-def test_faults_name_file_and_line(tmp_path: Path, old: str, new: str, line: int, said: str) -> None:
+def test_faults_name_file_and_line(tmp_path: Path, old: str, new: str, line: int, message: str) -> None:
     assert GOOD.count(old) == 1
     path = written(tmp_path, GOOD.replace(old, new))
     with pytest.raises(SourceError) as caught:
         open_physics(path, SourceOptions())
-    assert f"track.csv line {line}" in str(caught.value) and said in str(caught.value)
+    assert f"track.csv line {line}" in str(caught.value) and message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["", HEADER, "# nothing\n"])
-def test_a_file_without_poses(tmp_path: Path, text: str) -> None:
+def test_a_file_without_poses_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(SourceError, match=r"track\.csv: found (an empty file|a header and no sample)"):
         open_physics(written(tmp_path, text), SourceOptions())
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_pose_file_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, GOOD)
     (tmp_path / "track.csv").unlink()
     with pytest.raises(SourceError, match=r"track\.csv"):
@@ -93,7 +93,7 @@ def test_linear_and_at_constant_angular_velocity() -> None:
 
 
 @given(angles, angles, st.floats(0.01, 1.0), st.booleans())
-def test_the_shorter_way_through_all_poses(
+def test_interpolation_takes_the_shorter_arc(
     first: tuple, second: tuple, gap: float, is_other_sign: bool
 ) -> None:
     a, b = quaternion_of_euler(first), quaternion_of_euler(second)
@@ -102,8 +102,8 @@ def test_the_shorter_way_through_all_poses(
     np.testing.assert_allclose(track.rotation(0), rotation_matrix(first), atol=1e-9)
     np.testing.assert_allclose(track.rotation(100), rotation_matrix(second), atol=1e-9)
     steps = np.abs((track.quaternions[1:] * track.quaternions[:-1]).sum(axis=1))
-    whole = np.arccos(min(abs(float(a @ b)), 1.0))
-    np.testing.assert_allclose(np.cos(whole / 100), steps, atol=1e-9)
+    angle = np.arccos(min(abs(float(a @ b)), 1.0))
+    np.testing.assert_allclose(np.cos(angle / 100), steps, atol=1e-9)
 
 
 @given(angles)
@@ -133,9 +133,9 @@ def test_a_scene_of_files_needs_no_mujoco(tmp_path: Path, monkeypatch: pytest.Mo
     )
     (tmp_path / "short.csv").write_text(GOOD.replace("1.0,0.1,0,0.2,0,0,0,1\n", ""))
     path.write_text(SCENE + short)
-    assert open_physics(path, SourceOptions()).frame_count == 1001  # as long as the longest
+    assert open_physics(path, SourceOptions()).frame_count == 1001  # the duration of the longest file
     path.write_text("[physics]\nseconds = 2.0\nstep_s = 0.002\n" + SCENE)
-    assert [open_physics(path, SourceOptions(seconds=asked)).frame_count for asked in (None, 0.5)] == [
+    assert [open_physics(path, SourceOptions(seconds=seconds)).frame_count for seconds in (None, 0.5)] == [
         2000,
         500,
     ]
@@ -145,7 +145,7 @@ def test_a_scene_of_files_needs_no_mujoco(tmp_path: Path, monkeypatch: pytest.Mo
         open_physics(path, SourceOptions())
 
 
-def test_times_that_are_no_scene_times_are_refused(tmp_path: Path) -> None:
+def test_invalid_times_of_a_scene_are_refused(tmp_path: Path) -> None:
     path = written(tmp_path, HEADER + "1600000000,0,0,0,1,0,0,0\n")
     with pytest.raises(InvalidArgument, match=r"1.6e\+09 s at 1000 Hz.*begin at 0"):
         open_physics(path, SourceOptions())
@@ -153,7 +153,7 @@ def test_times_that_are_no_scene_times_are_refused(tmp_path: Path) -> None:
         open_physics(written(tmp_path, GOOD), SourceOptions(seconds=4000.0))
 
 
-def test_poses_outside_the_time_of_the_scene_are_told(tmp_path: Path) -> None:
+def test_poses_outside_the_time_of_the_scene_are_noted(tmp_path: Path) -> None:
     path = written(tmp_path, GOOD)
     assert open_physics(path, SourceOptions()).notes == ()
     assert open_physics(path, SourceOptions(seconds=1.0)).notes == ()
@@ -165,4 +165,4 @@ def test_any_recorded_interaction_is_followed(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time [ms];x [mm];y [mm];z [mm]\n0;0;0;100\n500;0;0;200\n")
     track = track_at_rate(read_trace(tmp_path / "a.csv"), 4.0, 3)
     np.testing.assert_allclose(track.positions_m[:, 2], [0.1, 0.15, 0.2])
-    np.testing.assert_array_equal(track.rotation(1), np.eye(3))  # never turned
+    np.testing.assert_array_equal(track.rotation(1), np.eye(3))  # never rotated

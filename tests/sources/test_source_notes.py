@@ -1,4 +1,4 @@
-"""What a source tells of itself: the figures of its notes, and what is assumed where a file says nothing."""
+"""Notes of a source: their figures, and the assumptions where a file states nothing."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TUM = layouts.LAYOUTS[0]
 
 
 class Flat(DepthSequence):
-    """A plane before a camera whose axes differ; every other pixel of some frames is unknown."""
+    """A plane before a camera with unequal axes; every other pixel of some frames is unknown."""
 
     name, rate_hz, notes = "flat", 25.0, ("a note",)
     width, height, intrinsics = 12, 8, Intrinsics(10.0, 16.0, 5.0, 4.5)
@@ -42,8 +42,8 @@ class Flat(DepthSequence):
 # --------------------------------------------------------------------------------------------------------
 
 
-def test_a_camera_of_other_pictures_is_scaled_along_each_axis_and_told() -> None:
-    """Pixel centres lie at one half there, and at whole numbers here; 1 % of another shape is let pass."""
+def test_note_of_a_camera_scaled_from_another_resolution() -> None:
+    """Pixel centres are at one half there, and at integers here; an aspect ratio may differ by 1 %."""
     camera = parse_intrinsics("1 PINHOLE 2000 1000 400 420 900 480", "a/cameras.txt", (100, 50))
     assert camera.intrinsics == Intrinsics(20, 21, 900 / 20 - 0.5, 480 / 20 - 0.5)
     assert camera.notes == ("cameras.txt is for 2000 x 1000 pixels: scaled to the depth's.",)
@@ -53,15 +53,15 @@ def test_a_camera_of_other_pictures_is_scaled_along_each_axis_and_told() -> None
         SourceError, match=r"found a camera of 2000 x 1011 pixels; expected the aspect .*100 x 50"
     ):
         parse_intrinsics("1 PINHOLE 2000 1011 400 420 900 480", "cameras.txt", (100, 50))
-    own = parse_intrinsics("1 PINHOLE 100 50 20 21 45 24", "cameras.txt", (100, 50))
-    assert own.intrinsics == Intrinsics(20, 21, 44.5, 23.5) and own.notes == ()
+    same_size = parse_intrinsics("1 PINHOLE 100 50 20 21 45 24", "cameras.txt", (100, 50))
+    assert same_size.intrinsics == Intrinsics(20, 21, 44.5, 23.5) and same_size.notes == ()
     simple = parse_intrinsics("1 SIMPLE_PINHOLE 100 50 20 45 24", "cameras.txt", (100, 50))
     assert simple.intrinsics == Intrinsics(20, 20, 44.5, 23.5)
     with pytest.raises(SourceError, match="found a camera SIMPLE_PINHOLE of 4 numbers"):
         parse_intrinsics("1 SIMPLE_PINHOLE 100 50 20 21 45 24", "cameras.txt", (100, 50))
 
 
-def test_the_camera_of_a_nerfstudio_file_is_that_of_colour_and_its_distortion_is_told() -> None:
+def test_note_of_a_nerfstudio_camera_states_its_distortion() -> None:
     camera = {"w": 200, "h": 100, "fl_x": 40.0, "fl_y": 42.0, "cx": 90.0, "cy": 48.0, "frames": []}
     plain = parse_intrinsics(json.dumps(camera), "transforms.json", (100, 50))
     assert plain.intrinsics == Intrinsics(20, 21, 44.5, 23.5)
@@ -72,7 +72,7 @@ def test_the_camera_of_a_nerfstudio_file_is_that_of_colour_and_its_distortion_is
         assert bent.notes[-1] == "The distortion in transforms.json is not corrected."
 
 
-def test_where_a_camera_comes_from_is_told(tmp_path: Path) -> None:
+def test_note_states_the_file_of_a_camera(tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "K.txt").write_text("20 0 5.5\n0 -21 4\n0 0 1")
     camera = camera_of("s", None, (tmp_path, tmp_path / "b"), (12, 9))
@@ -80,7 +80,7 @@ def test_where_a_camera_comes_from_is_told(tmp_path: Path) -> None:
         "The camera is that of K.txt.", "fy is negative: y of the camera and of its poses is turned over."
     )  # fmt: skip
     assert camera.intrinsics == Intrinsics(20, 21, 5.5, 4) and camera.is_mirrored
-    (tmp_path / "intrinsics.txt").write_text("30 31 5 4")  # a folder that is named before goes before
+    (tmp_path / "intrinsics.txt").write_text("30 31 5 4")  # an earlier folder takes precedence
     assert camera_of("s", None, (tmp_path, tmp_path / "b"), (12, 9)).intrinsics.fx == 30
     assert camera_of("s", "40,41,6,5", (tmp_path,), (12, 9)).intrinsics == Intrinsics(40, 41, 6, 5)
     with pytest.raises(SourceError, match="s: found no camera intrinsics"):
@@ -98,7 +98,7 @@ def test_a_camera_of_no_number_is_refused_by_its_name(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("folder", "camera", "numbers"),
-    [  # as their makers publish them
+    [  # as published by their authors
         ("fr1_desk", "freiburg1", (517.3, 516.5, 318.6, 255.3)),
         ("fr2_xyz", "freiburg2", (520.9, 521.0, 325.1, 249.7)),
         ("freiburg3_office", "freiburg3", (535.4, 539.2, 320.1, 247.6)),
@@ -106,24 +106,24 @@ def test_a_camera_of_no_number_is_refused_by_its_name(name: str) -> None:
         ("office_traj2", "icl", (481.2, 480.0, 319.5, 239.5)),
     ],
 )
-def test_a_published_camera_is_taken_and_told(
+def test_a_published_camera_is_used_and_noted(
     tmp_path: Path, folder: str, camera: str, numbers: tuple[float, ...]
 ) -> None:
     make.write_png(tmp_path / folder / "depth" / "1.5.png", np.full((480, 640), 5000, np.uint16))
     sequence = TUM.read_sequence(tmp_path / folder, SourceOptions())
     assert sequence.intrinsics == Intrinsics(*numbers)
-    told = ", ".join(map(str, numbers))
-    assert f"No intrinsics file: the published ones of {camera}, {told}, are used." in sequence.notes
+    text = ", ".join(map(str, numbers))
+    assert f"No intrinsics file: the published ones of {camera}, {text}, are used." in sequence.notes
 
 
-def test_pictures_of_a_list_that_are_not_there_are_counted(tmp_path: Path) -> None:
+def test_note_counts_missing_pictures_of_a_list(tmp_path: Path) -> None:
     folder = make.write_tum(tmp_path / "tum")
-    listing, there = (folder / "depth.txt").read_text(), len(list((folder / "depth").iterdir()))
+    listing, file_count = (folder / "depth.txt").read_text(), len(list((folder / "depth").iterdir()))
     listed = sum(not line.startswith("#") for line in listing.splitlines() if line.strip())
     (folder / "depth.txt").write_text(listing + "1e6 depth/gone.png\n1e7 depth/lost.png\n")
     sequence = TUM.read_sequence(folder, SourceOptions(frame="camera"))
-    assert sequence.frame_count == there
-    assert f"{there} of the {listed + 2} frames in depth.txt are there." in sequence.notes
+    assert sequence.frame_count == file_count
+    assert f"{file_count} of the {listed + 2} frames in depth.txt are there." in sequence.notes
 
 
 # -- frames in time
@@ -137,12 +137,12 @@ def test_key_frames_are_those_nearest_to_the_pictures(rate_hz: float, keys: list
 
 
 def test_a_rate_of_too_many_frames_is_refused_with_its_figures() -> None:
-    told = r"found 1e\+09 Hz: 1\.6e\+08 frames of 4 at 25 Hz; expected at most \d+ frames"
-    with pytest.raises(InvalidArgument, match=told):
+    message = r"found 1e\+09 Hz: 1\.6e\+08 frames of 4 at 25 Hz; expected at most \d+ frames"
+    with pytest.raises(InvalidArgument, match=message):
         InterpolatedSequence(Flat(4), 1e9)
 
 
-def test_a_sequence_at_another_rate_is_told_with_both() -> None:
+def test_note_of_an_interpolated_sequence_states_both_rates() -> None:
     quicker = InterpolatedSequence(Flat(4), 100.0, "nearest")
     assert quicker.notes == (
         "a note",
@@ -157,7 +157,7 @@ def test_a_sequence_at_another_rate_is_told_with_both() -> None:
 # --------------------------------------------------------------------------------------------------------
 
 
-def test_depth_read_as_heights_tells_at_what_distance_pixels_are_true() -> None:
+def test_note_of_depth_as_heights_states_the_distance_of_its_scale() -> None:
     scene = HeightScene.from_depth_sequence(Flat(depth_m=3.25))
     assert scene.notes[0] == "a note" and "pixels are spaced as at 3.25 m" in scene.notes[1]
     low, high = scene.bounds_m()
@@ -165,22 +165,22 @@ def test_depth_read_as_heights_tells_at_what_distance_pixels_are_true() -> None:
     np.testing.assert_allclose(high, [6 / 10 * 3.25, 2.5 / 16 * 3.25, 3.25])
 
 
-def test_a_picture_without_a_scale_tells_the_relief_that_is_assumed(tmp_path: Path) -> None:
+def test_note_of_a_picture_states_the_assumed_relief(tmp_path: Path) -> None:
     path = tmp_path / "hills.png"
     values = np.arange(4 * 9, dtype=np.uint8).reshape(4, 9) + 20
     Image.fromarray(values).save(path)
     scene = KIND.open(path, SourceOptions(cell_size_m=0.5))
     relief_m = PICTURE_RELIEF * 4 * 0.5  # of the shorter side
-    told = f"{relief_m / 35:.4g} m a unit is assumed, a relief of {relief_m:.3g} m"
-    assert any(told in note for note in scene.notes)
+    text = f"{relief_m / 35:.4g} m a unit is assumed, a relief of {relief_m:.3g} m"
+    assert any(text in note for note in scene.notes)
     assert np.ptp(scene.bounds_m()[:, 2]) == pytest.approx(relief_m)
 
 
-def test_degrees_are_told_in_metres_east_and_north(tmp_path: Path) -> None:
+def test_note_states_degrees_in_metres_east_and_north(tmp_path: Path) -> None:
     path = tmp_path / "ground.npz"
     heights = np.arange(12.0).reshape(3, 4)
-    place = {"xmin": 10.0, "xmax": 10.2, "ymin": 59.9, "ymax": 60.1}
-    np.savez(path, z=heights, dx=0.05, dy=0.02, **place)
+    extent = {"xmin": 10.0, "xmax": 10.2, "ymin": 59.9, "ymax": 60.1}
+    np.savez(path, z=heights, dx=0.05, dy=0.02, **extent)
     scene = KIND.open(path, SourceOptions())
     along, across = degree_m(60.0)
     east, north = 0.05 * across, 0.02 * along
@@ -195,7 +195,7 @@ def test_degrees_are_told_in_metres_east_and_north(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------------------------------------------
 
 
-def test_sides_are_told_in_their_order_and_the_unit() -> None:
+def test_size_note_states_sides_in_order_and_the_unit() -> None:
     assert size_note(np.array([1.0, 2.5, 30.0]), None) == (
         "Coordinates taken as metres: 1 x 2.5 x 30 m; give --unit-m if they are not."
     )
@@ -204,7 +204,7 @@ def test_sides_are_told_in_their_order_and_the_unit() -> None:
     )
 
 
-def test_what_a_mesh_is_taken_for_is_told() -> None:
+def test_note_states_the_interpretation_of_a_mesh() -> None:
     vertices, faces = cube()
     assert MeshScene(vertices, faces).notes == ("12 triangles, closed: what they enclose is inside.",)
     is_top = (vertices[faces][:, :, 2] == 1).all(axis=1)
@@ -226,7 +226,7 @@ def test_what_a_mesh_is_taken_for_is_told() -> None:
     )
 
 
-def test_holes_are_told_largest_first_with_their_size() -> None:
+def test_note_lists_holes_by_size() -> None:
     """Two boxes without a lid: of 2 m, where the lid would be a fifth of the rest, and of 1 m."""
 
     def lidless(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
@@ -234,15 +234,15 @@ def test_holes_are_told_largest_first_with_their_size() -> None:
         return vertices, faces[~(vertices[faces][:, :, 2] == high).all(axis=1)]
 
     closed = MeshScene(*together(lidless(5.0, 6.0), lidless(0.0, 2.0)), holes="close")
-    told = (
+    note_text = (
         f"2 holes closed: {np.hypot(2, 2):.3g} m across (20.00% of its part), {np.hypot(1, 1):.3g} m across"
     )
-    assert closed.is_closed and closed.notes[0].startswith(told)
-    left = MeshScene(*together(lidless(5.0, 6.0), lidless(0.0, 2.0)), holes="leave")
-    assert left.notes[0].startswith(
+    assert closed.is_closed and closed.notes[0].startswith(note_text)
+    unclosed = MeshScene(*together(lidless(5.0, 6.0), lidless(0.0, 2.0)), holes="leave")
+    assert unclosed.notes[0].startswith(
         "2 open outlines left, where the force falls to 0: 2.83 m across (20.00% of its"
     )
-    assert left.notes[0].endswith("; --holes close closes them")
+    assert unclosed.notes[0].endswith("; --holes close closes them")
     assert "1 hole closed: " in MeshScene(*lidless(0.0, 2.0), holes="close").notes[0]
 
 
@@ -251,7 +251,7 @@ def test_holes_are_told_largest_first_with_their_size() -> None:
 
 
 @pytest.mark.parametrize(
-    ("world", "posed", "told"),
+    ("world", "posed", "message"),
     [
         ("fused", True, "The world is fused from all frames (--world fused)"),
         ("causal", True, "The world is fused from what was seen so far (--world causal)"),
@@ -263,15 +263,15 @@ def test_holes_are_told_largest_first_with_their_size() -> None:
         ),
     ],
 )
-def test_of_which_frames_a_world_is_made_is_told(world: str, posed: bool, told: str) -> None:
+def test_note_states_the_frames_of_a_fused_world(world: str, posed: bool, message: str) -> None:
     sequence = Flat(3)
     sequence.poses = np.tile(np.eye(4), (3, 1, 1)) if posed else None
     scene = FusedScene(sequence, world)
-    assert scene.notes[0] == "a note" and scene.notes[-1].startswith(told)
+    assert scene.notes[0] == "a note" and scene.notes[-1].startswith(message)
 
 
 class Drifting(_World):
-    """A world whose residuals are given, metres a frame."""
+    """A world with given residuals, metres a frame."""
 
     def __init__(self, residuals_m: np.ndarray) -> None:
         self._volume = type("Volume", (), {"residuals_m": residuals_m.tolist()})()  # type: ignore[assignment]
@@ -284,30 +284,30 @@ class Drifting(_World):
 
 
 @pytest.mark.parametrize(
-    ("first_mm", "last_mm", "frames", "is_told"),
+    ("first_mm", "last_mm", "frames", "is_noted"),
     [
         (2.0, DRIFT_FACTOR * 2.0, 8, True),
         (2.0, DRIFT_FACTOR * 2.0 - 0.01, 8, False),
         (0.1, 2.0, 8, True),
-        (0.1, 1.99, 8, False),  # of less than 2 mm no poses are blamed
-        (2.0, 30.0, 7, False),  # too few to say
+        (0.1, 1.99, 8, False),  # below 2 mm the poses are not blamed
+        (2.0, 30.0, 7, False),  # too few frames
         (2.0, 30.0, 11, True),
     ],
 )
-def test_poses_that_drift_are_told_by_the_first_and_the_last_quarter(
-    first_mm: float, last_mm: float, frames: int, is_told: bool
+def test_note_of_drift_compares_the_first_and_the_last_quarter(
+    first_mm: float, last_mm: float, frames: int, is_noted: bool
 ) -> None:
     quarter = frames // 4
     residuals_mm = np.full(frames, 9.0)
     residuals_mm[:quarter], residuals_mm[frames - quarter :] = first_mm, last_mm
     notes = Drifting(residuals_mm / 1000).notes()
-    assert len(notes) == is_told
-    if is_told:
+    assert len(notes) == is_noted
+    if is_noted:
         figures = f"{first_mm:.2g} mm in the first quarter of the frames and {last_mm:.2g} mm in the last"
         assert figures in notes[0]
 
 
-def test_how_many_objects_a_picture_has_is_told() -> None:
+def test_note_states_the_number_of_objects() -> None:
     class Boxes(Flat):
         width, height = 60, 40
 
@@ -320,7 +320,7 @@ def test_how_many_objects_a_picture_has_is_told() -> None:
 
     def parts(sequence: DepthSequence, rule: SegmentRule) -> tuple[list[str], str]:
         bodies, note = segmented_bodies(
-            lambda one: HeightScene.from_depth_sequence(one), sequence, rule, 5e-4
+            lambda part: HeightScene.from_depth_sequence(part), sequence, rule, 5e-4
         )
         return [body.name for body in bodies], note
 

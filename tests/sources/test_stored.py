@@ -1,4 +1,4 @@
-"""Stored fields: what is written is what is read, by us and by others; damage is told in one line."""
+"""Stored fields: round trips, reading by other programs, and one-line errors for damage."""
 
 from __future__ import annotations
 
@@ -56,17 +56,17 @@ def test_slabs_are_the_dense_field_in_pieces(field: ForceField, axis: int) -> No
 def test_an_interrupted_write_leaves_nothing_new(tmp_path: Path, error: type[BaseException]) -> None:
     path = tmp_path / "a.npz"
     path.write_text("older")
-    made = error("x", "y") if error is InvalidArgument else error()
+    raised = error("x", "y") if error is InvalidArgument else error()
     with pytest.raises(error), atomic_path(path) as temporary:  # noqa: PT012
         assert temporary.parent == tmp_path
         assert temporary.suffix == ".npz"
         temporary.write_text("half")
-        raise made
+        raise raised
     assert path.read_text() == "older"
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_an_atomic_file_appears_whole_and_through_links(tmp_path: Path) -> None:
+def test_an_atomic_file_appears_complete_and_through_links(tmp_path: Path) -> None:
     path, link = tmp_path / "a.txt", tmp_path / "link.txt"
     path.write_text("older")
     link.symlink_to(path)
@@ -78,13 +78,13 @@ def test_an_atomic_file_appears_whole_and_through_links(tmp_path: Path) -> None:
     (tmp_path / "fresh").touch()
     assert path.stat().st_mode == (tmp_path / "fresh").stat().st_mode
     assert len(list(tmp_path.iterdir())) == 3
-    long = tmp_path / ("n" * 255)  # the longest name that systems take
+    long = tmp_path / ("n" * 255)  # the longest name that systems accept
     with atomic_path(long) as temporary:
         temporary.write_text("long")
     assert long.read_text() == "long"
 
 
-def test_whoever_reads_the_older_file_keeps_it(tmp_path: Path) -> None:
+def test_a_reader_of_the_old_file_is_not_affected(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_text("older")
     node = path.stat().st_ino
@@ -92,12 +92,12 @@ def test_whoever_reads_the_older_file_keeps_it(tmp_path: Path) -> None:
         with atomic_path(path) as temporary:
             temporary.write_text("newer, and longer")
             written = temporary.stat().st_ino
-        assert older.read() == "older"  # a copy in place would show here
+        assert older.read() == "older"  # a copy in place would be visible here
     assert path.read_text() == "newer, and longer"
     assert path.stat().st_ino == written != node
 
 
-def test_where_nothing_can_be_written(tmp_path: Path) -> None:
+def test_an_unwritable_path_is_an_error(tmp_path: Path) -> None:
     for path in (tmp_path / "absent" / "a.npz", tmp_path):
         with pytest.raises(InvalidArgument, match=str(path)), atomic_path(path):
             pytest.fail("the block must not begin")
@@ -124,25 +124,25 @@ def test_npz_keeps_the_medium_and_numpy_reads_it(tmp_path: Path, medium: HapticM
         write_npz(tmp_path / "tagged.npz", replace(medium, tags=tags, friction=0.3, damping_n_s_per_m=2.0))
         read = read_npz(tmp_path / "tagged.npz")
         assert (read.tags, read.friction, read.damping_n_s_per_m) == (tags, 0.3, 2.0)
-    with np.load(path) as seen:
-        assert str(seen["axes"]) == medium.axes
-        np.testing.assert_array_equal(seen["origin_m"], medium.grid.origin_m)
-        np.testing.assert_array_equal(seen["forces_n"], np.stack([f.to_dense() for f in medium]))
+    with np.load(path) as arrays:
+        assert str(arrays["axes"]) == medium.axes
+        np.testing.assert_array_equal(arrays["origin_m"], medium.grid.origin_m)
+        np.testing.assert_array_equal(arrays["forces_n"], np.stack([f.to_dense() for f in medium]))
     again = tmp_path / "b.npz"
     write_npz(again, medium)
     assert again.read_bytes() == path.read_bytes()
 
 
-def test_npz_of_other_hands(tmp_path: Path, wavy_field: ForceField) -> None:
-    place = {"origin_m": wavy_field.grid.origin_m, "spacing_m": wavy_field.grid.spacing_m}
+def test_npz_of_other_programs(tmp_path: Path, wavy_field: ForceField) -> None:
+    lattice = {"origin_m": wavy_field.grid.origin_m, "spacing_m": wavy_field.grid.spacing_m}
     for save in (np.savez, np.savez_compressed):
-        save(tmp_path / "a.npz", forces_n=wavy_field.to_dense().astype(">f8"), **place)
+        save(tmp_path / "a.npz", forces_n=wavy_field.to_dense().astype(">f8"), **lattice)
         read = read_npz(tmp_path / "a.npz")
         assert (len(read), read.rate_hz, read.axes) == (1, 30.0, "x, y, z")
         assert read[0] == wavy_field
 
 
-def test_npz_at_fault(tmp_path: Path) -> None:
+def test_invalid_npz_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     good = {
         "forces_n": np.zeros((2, 3, 4, 5, 3)),
@@ -182,7 +182,7 @@ def test_npz_at_fault(tmp_path: Path) -> None:
             read[1]
 
 
-def test_an_npz_that_claims_more_than_it_holds(tmp_path: Path) -> None:
+def test_an_npz_with_a_too_large_header_is_refused(tmp_path: Path) -> None:
     header = repr(
         {"descr": "<f4", "fortran_order": False, "shape": (1, 1 << 20, 1 << 20, 1 << 20, 3)}
     ).encode()
@@ -194,24 +194,26 @@ def test_an_npz_that_claims_more_than_it_holds(tmp_path: Path) -> None:
         read_npz(tmp_path / "a.npz")
 
 
-def test_an_npz_whose_entry_claims_more_than_deflate_can_hold(tmp_path: Path) -> None:
+def test_an_npz_entry_beyond_the_ratio_of_deflate_is_refused(tmp_path: Path) -> None:
     path, shape = tmp_path / "a.npz", (1, 512, 512, 256, 3)
     header = repr({"descr": "<f4", "fortran_order": False, "shape": shape}).encode().ljust(117) + b"\n"
     entry = b"\x93NUMPY\x01\0" + struct.pack("<H", len(header)) + header + bytes(12000)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("forces_n.npy", entry)
         packed = archive.getinfo("forces_n.npy").compress_size
-    claimed = 128 + 4 * math.prod(shape)  # in the list of entries as in the header
-    begin, behind, listed = path.read_bytes().partition(b"PK\x01\x02")
-    for held in (packed, claimed // 2):  # more than deflate can make of them, or more than the file has
-        told = listed.replace(struct.pack("<II", packed, len(entry)), struct.pack("<II", held, claimed))
-        path.write_bytes(begin + behind + told)
+    claimed = 128 + 4 * math.prod(shape)  # in the central directory as in the header
+    entries, signature, listed = path.read_bytes().partition(b"PK\x01\x02")
+    for packed_size in (packed, claimed // 2):  # more than deflate can expand, or more than the file has
+        directory = listed.replace(
+            struct.pack("<II", packed, len(entry)), struct.pack("<II", packed_size, claimed)
+        )
+        path.write_bytes(entries + signature + directory)
         with pytest.raises(SourceError, match=f"found {claimed} bytes for float32"):
             NpzArchive(path).header("forces_n")
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_an_array_of_either_order_is_read_as_it_was_saved(tmp_path: Path, order: str) -> None:
+def test_arrays_of_either_order_round_trip(tmp_path: Path, order: str) -> None:
     values = np.arange(24, dtype=np.int16).reshape(2, 3, 4)
     np.savez(tmp_path / "a.npz", values=np.asarray(values, order=order))  # type: ignore[call-overload]
     np.testing.assert_array_equal(NpzArchive(tmp_path / "a.npz").read("values"), values)
@@ -240,16 +242,16 @@ def forces_in_vti(path: Path) -> np.ndarray:
     return np.frombuffer(b"".join(parts), "<f4").reshape(nz, ny, nx, 3).transpose(2, 1, 0, 3)
 
 
-def test_vti_keeps_one_frame_and_pvd_names_several(tmp_path: Path, medium: HapticMedium) -> None:
-    one = write_vti(tmp_path / "one.vti", medium.between(0, 1))
-    assert one == tmp_path / "one.vti"
+def test_vti_stores_one_frame_and_pvd_lists_several(tmp_path: Path, medium: HapticMedium) -> None:
+    single = write_vti(tmp_path / "one.vti", medium.between(0, 1))
+    assert single == tmp_path / "one.vti"
     counted: list[int] = []
     several = write_vti(tmp_path / "film.vti", medium, lambda done, of: counted.append(done))
     assert several == tmp_path / "film.pvd"
     assert counted == [1, 2, 3]
     files = [set_.attrib for set_ in ElementTree.parse(several).iter("DataSet")]
     assert [float(entry["timestep"]) for entry in files] == [i / medium.rate_hz for i in range(3)]
-    for frame, path in enumerate([one, *(tmp_path / entry["file"] for entry in files)]):
+    for frame, path in enumerate([single, *(tmp_path / entry["file"] for entry in files)]):
         field, i = medium[max(frame - 1, 0)], max(frame - 1, 0)
         np.testing.assert_array_equal(forces_in_vti(path), field.to_dense())
         image = ElementTree.fromstring(path.read_bytes().partition(b"<AppendedData")[0] + b"</VTKFile>")[0]
@@ -289,7 +291,7 @@ def test_damaged_files_give_a_field_or_a_source_error(
 # -- the scene ---------------------------------------------------------------------------------------------
 
 
-def test_a_stored_scene_gives_the_stored_field_on_its_own_grid(tmp_path: Path, medium: HapticMedium) -> None:
+def test_a_stored_scene_returns_the_stored_field_on_its_grid(tmp_path: Path, medium: HapticMedium) -> None:
     write_npz(tmp_path / "a.npz", medium)
     assert KIND.recognise(tmp_path / "a.npz")
     scene = KIND.open(tmp_path / "a.npz", SourceOptions())
@@ -316,7 +318,7 @@ def test_a_stored_scene_samples_every_other_grid_trilinearly(
     np.testing.assert_array_equal(got.to_dense(), field.sample_n(at))
 
 
-def test_what_is_no_stored_field(tmp_path: Path) -> None:
+def test_other_files_are_not_recognised_as_stored_fields(tmp_path: Path) -> None:
     np.savez(tmp_path / "ground.npz", z=np.zeros((3, 3)))
     (tmp_path / "bad.npz").write_bytes(b"PK")
     for name in ("ground.npz", "bad.npz", "absent.vti", "absent.npz", "a.ply"):

@@ -1,7 +1,7 @@
-"""Every kind of source puts its surface where it is: to a hundredth of a sample, along each axis.
+"""Every kind of source places its surface correctly: to a hundredth of a sample, along each axis.
 
-The surface is a plane of known place, tilted so that a shift along any axis moves it. How deep a sample lies
-is read off the force of a linear law.
+The surface is a plane at a known position, tilted so that a shift along any axis moves it. The depth of a
+sample is derived from the force of a linear law.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def unit(normal: list[float]) -> np.ndarray:
 
 
 def block(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A rotation whose third column is the normal, and the middle of a large block below the plane."""
+    """A rotation whose third column is the normal, and the centre of a large block below the plane."""
     turn, _ = Rotation.align_vectors([normal], [[0.0, 0.0, 1.0]])
     return turn.as_matrix(), MIDDLE - 0.2 * normal
 
@@ -61,14 +61,14 @@ def mesh(normal: np.ndarray) -> Scene:
 
 
 def heights(normal: np.ndarray) -> Scene:
-    """Sampled more coarsely than the lattice, at places of its own; solid beyond the surface."""
+    """Sampled more coarsely than the lattice, at other positions; solid below the surface."""
     x, y = -0.053 + 0.0061 * np.arange(20), 0.061 - 0.0057 * np.arange(24)
     z = MIDDLE[2] - (normal[0] * x + normal[1] * y[:, None]) / normal[2]
     return HeightScene(z, HeightLattice(x[0], 0.0061, y[0], -0.0057, -1))
 
 
 class Camera(DepthSequence):
-    """Exact depth maps of a plane; the second is from a camera whose axes are not the scene's."""
+    """Exact depth maps of a plane; the second camera has axes different from those of the scene."""
 
     def __init__(self, normal: np.ndarray) -> None:
         self.intrinsics, self.name, self.rate_hz = Intrinsics(190.0, 180.0, 70.3, 58.8), "plane", 30.0
@@ -81,9 +81,9 @@ class Camera(DepthSequence):
         self._normal = normal
 
     def depth_m(self, frame: int) -> np.ndarray:
-        turn, place = self.poses[frame, :3, :3], self.poses[frame, :3, 3]
+        turn, position = self.poses[frame, :3, :3], self.poses[frame, :3, 3]
         along = self._rays @ turn.T @ self._normal
-        return np.asarray((MIDDLE - place) @ self._normal / along, np.float32)
+        return np.asarray((MIDDLE - position) @ self._normal / along, np.float32)
 
 
 def depth(normal: np.ndarray) -> Scene:
@@ -91,7 +91,7 @@ def depth(normal: np.ndarray) -> Scene:
 
 
 def stored(normal: np.ndarray) -> Scene:
-    """The force of the plane on a lattice twice as fine and of another place; linear inside the wall."""
+    """The force of the plane on a shifted lattice of half the spacing; linear inside the wall."""
     fine = Grid.over_box(
         *(np.array(edge) + shift for edge, shift in zip(GRID.box_m, (-0.0071, 0.0083))), (40, 42, 46)
     )
@@ -118,7 +118,7 @@ def depths_of(field: ForceField, normal: np.ndarray) -> tuple[np.ndarray, np.nda
 
 @pytest.mark.parametrize("tilt", TILTS)
 @pytest.mark.parametrize("name", SOURCES)
-def test_a_surface_lies_where_it_is(name: str, tilt: list[float]) -> None:
+def test_a_surface_is_at_its_position(name: str, tilt: list[float]) -> None:
     normal = unit(tilt)
     scene = SOURCES[name](normal)
     field = scene.field(scene.frame_count - 1, GRID, LAW)

@@ -1,4 +1,4 @@
-"""Streams out to the formats of others and effects of others in, end to end."""
+"""Export of streams to other formats and import of effects, end to end."""
 
 from __future__ import annotations
 
@@ -51,19 +51,19 @@ def stream(path: Path, medium: HapticMedium, name: str) -> Path:
 
 def vest_stream(path: Path, name: str = "tactsuit-x40") -> tuple[Path, np.ndarray]:
     """A stream for a vest, and its drives [frames, rows, columns]."""
-    chosen = device(name)
-    columns, rows, _ = chosen.lattice
+    profile = device(name)
+    columns, rows, _ = profile.lattice
     drives = np.random.default_rng(3).random((6, rows, columns)) * (np.arange(columns) != 1)
     forces = np.zeros((6, columns, rows, 1, 3), np.float32)
-    forces[..., 0, 2] = chosen.force_max_n * drives[:, ::-1].transpose(0, 2, 1)
-    grid = device_grid(chosen)
+    forces[..., 0, 2] = profile.force_max_n * drives[:, ::-1].transpose(0, 2, 1)
+    grid = device_grid(profile)
     return stream(
         path, HapticMedium.from_frames([ForceField.from_dense(grid, f) for f in forces], 20.0), name
     ), drives
 
 
 def wall_stream(path: Path) -> Path:
-    """A stream for a point: the force along z grows with depth, and over two frames."""
+    """A stream for a point device: the force along z grows with depth, over two frames."""
     grid = Grid((8, 8, 8), (0.01, 0.01, 0.01), (-0.035, -0.035, -0.035))
     forces = np.zeros((8, 8, 8, 3), np.float32)
     forces[..., 2] = np.linspace(0, 3.5, 8)
@@ -106,19 +106,19 @@ def test_a_stream_for_a_vest_as_hjif_and_back(tmp_path: Path) -> None:
 
 def test_a_stream_for_a_vest_as_a_pattern(tmp_path: Path) -> None:
     path, drives = vest_stream(tmp_path / "a.touch")
-    for profile in (None, "tactsuit-x40"):  # one panel as the stream tells it, and both of the vest
+    for profile in (None, "tactsuit-x40"):  # one panel as stated by the stream, and both of the vest
         done = export(path, tmp_path / "a.tact", profile, panel="back")
         spans = read_tact(tmp_path / "a.tact")
         assert (
             done.figures["panel"] == "back"
             and len(spans) == 6
-            and {one.position for one in spans} == {"VestBack"}
+            and {span.position for span in spans} == {"VestBack"}
         )
-        for one, wanted in zip(spans, drives):
-            assert one.intensities == pytest.approx(wanted, abs=K + 0.0051)
+        for span, drive in zip(spans, drives):
+            assert span.intensities == pytest.approx(drive, abs=K + 0.0051)
 
 
-def test_fields_in_space_are_pooled_onto_the_array(tmp_path: Path) -> None:
+def test_voxel_fields_are_pooled_onto_the_array(tmp_path: Path) -> None:
     path = wall_stream(tmp_path / "a.touch")
     done = export(path, tmp_path / "a.tact")
     assert (
@@ -128,7 +128,7 @@ def test_fields_in_space_are_pooled_onto_the_array(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "a.hjif").read_text())["level"] == 2
 
 
-def test_heights_of_pins_are_no_vibration_and_that_is_told(tmp_path: Path) -> None:
+def test_exporting_heights_of_pins_as_vibration_is_noted(tmp_path: Path) -> None:
     path = wall_stream(tmp_path / "a.touch")
     assert not any("pins" in note for note in export(path, tmp_path / "a.hjif", "tshirt-32x32").notes)
     assert any("knows no pins" in note for note in export(path, tmp_path / "a.hjif", "graphiti").notes)
@@ -143,15 +143,15 @@ def test_a_force_along_a_trajectory(tmp_path: Path) -> None:
     times, forces = read_force(tmp_path / "f.hjif")
     expected = np.array(
         [0, 2.0 * 0.75, 2.0 * 0.5, 2.75 * 0.5, 0]
-    )  # frame 1 holds half of frame 0, from 0.1 s on
+    )  # frame 1 has half the force of frame 0, from 0.1 s on
     found = np.interp([0, 0.05, 0.1, 0.2, 0.3], times, forces[:, 2])
     assert found == pytest.approx(expected, rel=2 * K, abs=1e-4) and np.abs(forces[:, :2]).max() < 0.01
     assert done.figures["samples"] == 301 and done.figures["greatest_n"] == pytest.approx(1.5, rel=2 * K)
 
 
-def test_a_probe_seen_seldom_meets_what_lies_between(tmp_path: Path) -> None:
+def test_a_coarsely_sampled_probe_is_interpolated(tmp_path: Path) -> None:
     path = wall_stream(tmp_path / "a.touch")
-    fast = probe(tmp_path / "p.csv", [(0.0, 0, 0, -0.2), (0.04, 0, 0, 0.2)])  # both ends lie outside
+    fast = probe(tmp_path / "p.csv", [(0.0, 0, 0, -0.2), (0.04, 0, 0, 0.2)])  # both ends are outside
     export(path, tmp_path / "f.hjif", trajectory=fast)
     _, forces = read_force(tmp_path / "f.hjif")
     assert not forces[0].any() and not forces[-1].any() and forces[:, 2].max() > 2.5
@@ -160,14 +160,14 @@ def test_a_probe_seen_seldom_meets_what_lies_between(tmp_path: Path) -> None:
         assert export(path, tmp_path / "f.hjif", trajectory=slow).figures["ticks_per_second"] == ticks
 
 
-def test_newtons_above_one_are_told_to_clip_in_sound(tmp_path: Path) -> None:
+def test_clipping_of_newtons_above_one_is_noted(tmp_path: Path) -> None:
     path, probe_path = wall_stream(tmp_path / "a.touch"), tmp_path / "p.csv"
     probe(probe_path, [(0.0, 0, 0, 0.005), (0.1, 0, 0, 0.005)])  # 2 N
     done = export(path, tmp_path / "f.hjif", trajectory=probe_path)
     assert any("clip above 1 N" in note for note in done.notes)
-    shares = export(path, tmp_path / "g.hjif", trajectory=probe_path, full_scale_n=2.2)
+    scaled = export(path, tmp_path / "g.hjif", trajectory=probe_path, full_scale_n=2.2)
     perception = json.loads((tmp_path / "g.hjif").read_text())["perceptions"][0]
-    assert not shares.notes and max(one["gain"] for one in perception["channels"]) <= 1
+    assert not scaled.notes and max(channel["gain"] for channel in perception["channels"]) <= 1
 
 
 def test_sounds_clips_and_patterns(tmp_path: Path) -> None:
@@ -182,8 +182,8 @@ def test_sounds_clips_and_patterns(tmp_path: Path) -> None:
     assert read.drives[:6, 0, 0] == pytest.approx(drives.max(axis=(1, 2)), abs=2 * K)
     wall = wall_stream(tmp_path / "w.touch")
     rows = [(0.0, 0, 0, 0.005), (0.05, 0, 0, 0.005)]
-    told = export(wall, tmp_path / "f.wav", trajectory=probe(tmp_path / "p.csv", rows))
-    assert "Full scale is 2" in told.notes[0]
+    exported = export(wall, tmp_path / "f.wav", trajectory=probe(tmp_path / "p.csv", rows))
+    assert "Full scale is 2" in exported.notes[0]
     with wave.open(str(tmp_path / "f.wav")) as sound:
         samples = np.frombuffer(sound.readframes(500), "<i2").reshape(-1, 3)
     assert samples[:, 2].max() == 32767 and np.abs(samples[:, :2]).max() < 500 and len(samples) == 401
@@ -200,7 +200,7 @@ def test_a_real_sequence_is_valid_against_the_schemas(tmp_path: Path, shared_dat
         assert schema_errors(json.loads((tmp_path / "a.hjif").read_text()), folder) == []
 
 
-def test_what_exceeds_the_peak_is_clipped(tmp_path: Path) -> None:
+def test_forces_above_the_peak_are_clipped(tmp_path: Path) -> None:
     path = wall_stream(tmp_path / "a.touch")
     deep = probe(tmp_path / "p.csv", [(0.0, 0, 0, 0.035), (0.01, 0, 0, 0.035), (0.02, 0, 0, 0.0)])
     done = export(path, tmp_path / "f.hjif", trajectory=deep)
@@ -226,7 +226,7 @@ NOTHING, PINS, FEWER = "The result is empty", "knows no pins", "20 actuators bec
         (0.3, "f.wav", 1.0, (NOTHING,)), (0.3, "f.hjif", 1.0, (NOTHING,)),
     ],
 )  # fmt: skip
-def test_each_note_on_a_force_stands_beside_the_others(
+def test_notes_on_forces_are_combined(
     depth_m: float, name: str, full_scale_n: float, expected: tuple[str, ...], tmp_path: Path
 ) -> None:
     path = probe(tmp_path / "p.csv", [(t, 0, 0, depth_m) for t in (0.0, 0.05)])
@@ -251,20 +251,20 @@ def test_each_note_on_a_force_stands_beside_the_others(
         ("graphiti", None, "tact", (PINS,)),
     ],
 )
-def test_each_note_on_drives_stands_beside_the_others(
+def test_notes_on_drives_are_combined(
     name: str, array: str | None, kind: str, expected: tuple[str, ...], drive: float, tmp_path: Path
 ) -> None:
-    chosen = device(name)
-    forces = np.zeros((*chosen.lattice, 3), np.float32)
-    forces[..., 2] = chosen.force_max_n * drive
-    field = ForceField.from_dense(device_grid(chosen), forces)
+    profile = device(name)
+    forces = np.zeros((*profile.lattice, 3), np.float32)
+    forces[..., 2] = profile.force_max_n * drive
+    field = ForceField.from_dense(device_grid(profile), forces)
     path = stream(tmp_path / "a.touch", HapticMedium.from_frames([field] * 2, 20.0), name)
     done = export(path, tmp_path / f"a.{kind}", array)
     expected = (*expected, *(() if drive else (NOTHING,)))
     assert [text in note for text, note in zip(expected, done.notes, strict=True)] == [True] * len(expected)
 
 
-def test_effects_of_others_become_streams(tmp_path: Path) -> None:
+def test_effects_are_imported_as_streams(tmp_path: Path) -> None:
     wave = band("VectorialWave", effect([keyframe(0, 0.5, 100), keyframe(100, 0.5, 200)]))
     written(tmp_path / "e.hjif", document(channel(wave), channel(wave)))
     done = import_effect(tmp_path / "e.hjif", tmp_path / "e.touch", FINE, force_max_n=2.0)
@@ -289,7 +289,7 @@ def test_effects_of_others_become_streams(tmp_path: Path) -> None:
         assert [opened.medium[i].support_count for i in (19, 20)] == [0, 1]
 
 
-def test_a_force_comes_in_as_one_actuator_of_its_greatest_force(tmp_path: Path) -> None:
+def test_an_exported_force_is_imported_as_one_actuator(tmp_path: Path) -> None:
     path = wall_stream(tmp_path / "a.touch")
     rows = [(0.0, 0, 0, 0.005), (0.1, 0, 0, 0.005)]
     export(path, tmp_path / "f.hjif", trajectory=probe(tmp_path / "p.csv", rows))
@@ -308,7 +308,7 @@ def test_frames_of_an_effect(tmp_path: Path) -> None:
         assert [f.vectors_n()[0, 2] for f in opened.medium] == pytest.approx([1.65, 1.98, 2.31], rel=K)
 
 
-def test_what_cannot_be_is_told_in_one_line_and_leaves_nothing(tmp_path: Path) -> None:
+def test_invalid_exchanges_are_one_line_and_leave_no_file(tmp_path: Path) -> None:
     wall = wall_stream(tmp_path / "a.touch")
     vest, _ = vest_stream(tmp_path / "v.touch")
     good = probe(tmp_path / "p.csv", [(0.0, 0, 0, 0), (0.1, 0, 0, 0)])
@@ -330,10 +330,10 @@ def test_what_cannot_be_is_told_in_one_line_and_leaves_nothing(tmp_path: Path) -
         (SourceError, "bad.csv", (wall, hjif, None, bad)),
         (TouchfieldError, "none.touch", (tmp_path / "none.touch", hjif)),
     ]
-    for kind, told, given in calls:
+    for kind, message, call in calls:
         with pytest.raises(kind) as caught:
-            export(*given)
-        assert told in str(caught.value) and "\n" not in str(caught.value)
+            export(*call)
+        assert message in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(InvalidArgument, match="ending"):
         import_effect(wall, tmp_path / "b.touch")
     with pytest.raises(SourceError, match=r"none\.hjif"):

@@ -1,4 +1,4 @@
-"""The hand of a stream: figures of `compare` and of the command line; scenes with a formula."""
+"""The hand motion of a stream: figures of `compare` and the command line, on scenes with a formula."""
 
 import json
 
@@ -28,21 +28,21 @@ def ball(tmp_path_factory):
     return path
 
 
-def test_the_loudest_slide_is_told(ball):
+def test_compare_reports_the_loudest_slide(ball):
     found = compare(BALL, ball).summary()
     assert found["hold"] is None  # one frame
     assert 0 < found["hand_vibration_mn"] < 100
     loudest = max(found["slides"], key=lambda s: s["error_mn"])
     assert found["hand_vibration_mn"] == loudest["error_mn"]
     assert found["hand_vibration_lattice_mn"] == loudest["lattice_mn"]
-    least = min(margin_of(np.array(s["error_thirds_mn"])) for s in found["slides"])
-    assert (found["threshold_margin_db"], found["threshold_margin_third_hz"]) == least
+    min_margin = min(margin_of(np.array(s["error_thirds_mn"])) for s in found["slides"])
+    assert (found["threshold_margin_db"], found["threshold_margin_third_hz"]) == min_margin
 
 
-def test_the_lattice_of_a_ball_is_all_that_its_source_vibrates(ball):
+def test_vibration_of_a_ball_is_due_to_its_lattice(ball):
     found = compare(BALL, ball).hand.slides
     assert found
-    for slide in found:  # round a ball the exact force is constant
+    for slide in found:  # the exact force is constant around a ball
         assert slide.lattice_mn == pytest.approx(slide.source_mn, rel=0.02)
 
 
@@ -52,22 +52,22 @@ def test_the_exact_field_is_that_of_the_lattice_at_its_samples():
     inner = field.positions()[np.linalg.norm(field.vectors_n(), axis=1) > 0.5][::50]
     points = field.grid.to_m(inner)
     off_n = np.linalg.norm(prepared.exact(points) - field.sample_n(points), axis=1)
-    assert np.median(off_n) < 0.02  # the low-pass takes more near the centre and where the force saturates
+    assert np.median(off_n) < 0.02  # the low-pass changes more near the centre and where the force saturates
     assert prepare(BALL, EncodeSpec(nw=5, filters=(("gaussian", "2mm"),))).exact is None
 
 
-def test_a_medium_of_many_frames_is_held(tmp_path):
-    still = prepare(BALL, EncodeSpec(nw=4)).medium[0]
-    scene = StoredScene(HapticMedium.from_frames([still] * 12, 30.0))
+def test_a_medium_of_many_frames_has_a_hold(tmp_path):
+    field = prepare(BALL, EncodeSpec(nw=4)).medium[0]
+    scene = StoredScene(HapticMedium.from_frames([field] * 12, 30.0))
     path = tmp_path / "still.touch"
     encode(scene, path, EncodeSpec(nw=4))
     hold = compare(scene, path).hand.hold
     assert hold.points > 0 and hold.step_source_mn == 0 and hold.still_step_mn == hold.step_mn
 
 
-def test_a_step_where_a_segment_starts_is_told_as_such(tmp_path):
-    still = prepare(BALL, EncodeSpec(nw=4)).medium[0]
-    scene = StoredScene(HapticMedium.from_frames([still, still.scaled(0.5)], 30.0))
+def test_a_step_at_a_segment_start_is_reported_as_such(tmp_path):
+    field = prepare(BALL, EncodeSpec(nw=4)).medium[0]
+    scene = StoredScene(HapticMedium.from_frames([field, field.scaled(0.5)], 30.0))
     steps = []
     for length in (1, 2):
         spec = EncodeSpec(nw=4, touch=TouchSpec(segment_frames=length))
@@ -76,7 +76,7 @@ def test_a_step_where_a_segment_starts_is_told_as_such(tmp_path):
     assert steps[0] > 0 == steps[1]
 
 
-def test_objects_are_felt_by_the_receivers_query(tmp_path):
+def test_objects_are_measured_by_the_receiver_s_query(tmp_path):
     turning = PoseTrack(np.tile([1.0, 0.0, 0.0, 0.0], (6, 1)), np.zeros((6, 3)))
     scene = BodyScene((Body("ball", BALL, turning),), 30.0)
     encode(scene, tmp_path / "o.touch", EncodeSpec(nw=5, representation="object"))
@@ -85,18 +85,18 @@ def test_objects_are_felt_by_the_receivers_query(tmp_path):
     assert all(slide.paths for slide in found.slides)
 
 
-def test_the_command_line_tells_the_figures_and_their_threshold(tmp_path, capsys):
+def test_the_command_line_reports_the_figures_and_their_threshold(tmp_path, capsys):
     scene = tmp_path / "ball.toml"
     scene.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.03\n')
     out = tmp_path / "ball.touch"
     encode(str(scene), out, SPEC)
-    words = ["compare", str(scene), str(out), "--no-picture"]
+    arguments = ["compare", str(scene), str(out), "--no-picture"]
     with pytest.raises(SystemExit) as ended:
-        run([*words, "--json"])
+        run([*arguments, "--json"])
     assert not ended.value.code
-    told = json.loads(capsys.readouterr().out)
-    assert told["hand"] == "stylus" and told["hand_vibration_mn"] > 0 and len(told["slides"]) == 3
+    report = json.loads(capsys.readouterr().out)
+    assert report["hand"] == "stylus" and report["hand_vibration_mn"] > 0 and len(report["slides"]) == 3
     with pytest.raises(SystemExit):
-        run(words)
-    shown = capsys.readouterr().out
-    assert "threshold_margin_db" in shown and "speed_mm_s" in shown and "error_thirds" not in shown
+        run(arguments)
+    output = capsys.readouterr().out
+    assert "threshold_margin_db" in output and "speed_mm_s" in output and "error_thirds" not in output

@@ -1,5 +1,5 @@
-"""A folder of media: filed once, filed again only where it changed, searched, compared,
-held beside pictures.
+"""A folder of media: indexed once, re-indexed only where changed, searched, compared, correlated
+with pictures.
 """
 
 from __future__ import annotations
@@ -32,52 +32,52 @@ BODIES = ("sphere", "plate", "torus")
 def body(
     kind: str, size_m: float = 0.05, frames: int = 1, grid: tf.Grid = GRID, rate_hz: float = 30.0
 ) -> tf.HapticMedium:
-    """A body that stands, or one that swells a little from frame to frame."""
-    made = [
+    """A static body, or one that swells a little from frame to frame."""
+    fields = [
         AnalyticScene([shape(kind, size_m * (1 + 0.02 * n))]).field(0, grid, PROFILE) for n in range(frames)
     ]
-    return tf.HapticMedium.from_frames(made, rate_hz, "x right, y up, z towards the viewer")
+    return tf.HapticMedium.from_frames(fields, rate_hz, "x right, y up, z towards the viewer")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two sizes of each body, one of them a folder deeper, a damaged file and one without a
-    force.
+def media_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two sizes of each body, one of them in a subfolder, a damaged file and one
+    without a force.
     """
     folder = tmp_path_factory.mktemp("library") / "media"
     (folder / "deeper").mkdir(parents=True)
     for kind in BODIES:
         tf.encode(body(kind), folder / f"{kind}.touch")
         tf.encode(body(kind, 0.06), folder / "deeper" / f"{kind}-large.touch")
-    whole = (folder / "sphere.touch").read_bytes()
-    (folder / "cut.touch").write_bytes(whole[:-200])
+    intact = (folder / "sphere.touch").read_bytes()
+    (folder / "cut.touch").write_bytes(intact[:-200])
     tf.encode(tf.ForceField.empty(GRID), folder / "still.touch")
     (folder / "notes.txt").write_text("no medium")
     return folder
 
 
 @pytest.fixture
-def folder(made: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(made, tmp_path / "media"))
+def folder(media_folder: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(media_folder, tmp_path / "media"))
 
 
 @pytest.fixture
 def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The names of the files that are decoded."""
+    """The names of the decoded files."""
     names: list[str] = []
 
-    def told(path: Path) -> tf.HapticMedium:
+    def record(path: Path) -> tf.HapticMedium:
         names.append(Path(path).name)
         return tf.decode(path)
 
-    monkeypatch.setattr(room, "decode", told)
+    monkeypatch.setattr(room, "decode", record)
     return names
 
 
-# -- filing ------------------------------------------------------------------------------------------------
+# -- indexing ----------------------------------------------------------------------------------------------
 
 
-def test_every_medium_is_filed_and_what_cannot_be_is_told(folder: Path) -> None:
+def test_every_medium_is_indexed_and_faults_are_reported(folder: Path) -> None:
     steps: list[tuple[int, int]] = []
     done = index_folder(folder, report=lambda n, total: steps.append((n, total)))
     assert done.path == folder.parent / "media.index.npz" and done.path.is_file()
@@ -95,7 +95,7 @@ def test_every_medium_is_filed_and_what_cannot_be_is_told(folder: Path) -> None:
         assert index[name] == tf.measure.descriptor(tf.decode(folder / name))
 
 
-def test_a_folder_without_media_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_without_media_is_noted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "bare").mkdir()
     assert _exit_code(["index", str(tmp_path / "bare")]) == 0
     assert "note: no .touch file in" in capsys.readouterr().out
@@ -103,7 +103,7 @@ def test_a_folder_without_media_is_told(tmp_path: Path, capsys: pytest.CaptureFi
     assert "no .touch file in" in json.loads(capsys.readouterr().out)["notes"][0]
 
 
-def test_only_what_changed_is_decoded_again(folder: Path, decoded: list[str]) -> None:
+def test_only_changed_files_are_decoded_again(folder: Path, decoded: list[str]) -> None:
     first = index_folder(folder)
     assert len(decoded) == 8
     decoded.clear()
@@ -111,7 +111,7 @@ def test_only_what_changed_is_decoded_again(folder: Path, decoded: list[str]) ->
     again = index_folder(folder)
     assert not decoded and again.figures["described"] == 0 and again.figures["kept"] == 8
     assert first.path.read_bytes() == before
-    os.utime(folder / "sphere.touch", ns=(1, 1))  # another time, the same bytes
+    os.utime(folder / "sphere.touch", ns=(1, 1))  # a new time, the same bytes
     (folder / "torus.touch").rename(folder / "ring.touch")
     shutil.copyfile(folder / "plate.touch", folder / "copy.touch")
     third = index_folder(folder)
@@ -123,9 +123,9 @@ def test_only_what_changed_is_decoded_again(folder: Path, decoded: list[str]) ->
     assert decoded == ["plate.touch"]
     assert set(fourth.faults) == {"still.touch"}
     fresh = Library.load(index_folder(folder, folder.parent / "fresh.npz").path)
-    known = Library.load(fourth.path)
-    assert known.entries == fresh.entries
-    assert all(np.array_equal(known.rows[name], fresh.rows[name]) for name in fresh.rows)
+    stored = Library.load(fourth.path)
+    assert stored.entries == fresh.entries
+    assert all(np.array_equal(stored.rows[name], fresh.rows[name]) for name in fresh.rows)
 
 
 def test_a_file_that_could_not_be_opened_is_tried_again(
@@ -133,10 +133,10 @@ def test_a_file_that_could_not_be_opened_is_tried_again(
 ) -> None:
     opened = Path.open
 
-    def refused(self: Path, *words: str, **more: str) -> object:
+    def refused(self: Path, *args: str, **more: str) -> object:
         if self.name == "torus.touch":
             raise PermissionError(13, "Permission denied", str(self))
-        return opened(self, *words, **more)  # type: ignore[call-overload]
+        return opened(self, *args, **more)  # type: ignore[call-overload]
 
     def unread(path: Path) -> tf.HapticMedium:
         with Path(path).open("rb"):
@@ -150,7 +150,7 @@ def test_a_file_that_could_not_be_opened_is_tried_again(
 
 
 @pytest.mark.parametrize("kind", [KeyboardInterrupt, SystemExit])
-def test_a_run_that_is_broken_off_is_gone_on_with(
+def test_an_interrupted_run_is_resumed(
     folder: Path, decoded: list[str], monkeypatch: pytest.MonkeyPatch, kind: type[BaseException]
 ) -> None:
     counted = itertools.count()
@@ -164,21 +164,21 @@ def test_a_run_that_is_broken_off_is_gone_on_with(
     saved = Library.load(library_path(folder))
     assert len(saved.entries) == 4
     decoded.clear()
-    whole = index_folder(folder)
+    complete = index_folder(folder)
     assert set(decoded).isdisjoint(Path(name).name for name in saved.entries)
-    assert len(whole.library.entries) == 8
+    assert len(complete.library.entries) == 8
 
 
-def test_what_is_described_is_saved_as_time_goes_by(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_index_is_saved_during_a_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(room, "SAVE_EVERY_S", 0.0)
     counts: list[int] = []
     save = Library.save
 
-    def told(self: Library, path: Path) -> None:
+    def record(self: Library, path: Path) -> None:
         counts.append(len(self.entries))
         save(self, path)
 
-    monkeypatch.setattr(Library, "save", told)
+    monkeypatch.setattr(Library, "save", record)
     index_folder(folder)
     assert counts[0] < 8 and counts[-1] == 8 and counts == sorted(counts)
 
@@ -192,20 +192,20 @@ def test_what_is_described_is_saved_as_time_goes_by(folder: Path, monkeypatch: p
         lambda data: b"not a zip" * 100,
     ],
 )
-def test_a_damaged_index_is_told_and_never_read(folder: Path, harm: Callable[[bytes], bytes]) -> None:
+def test_a_damaged_index_is_refused(folder: Path, harm: Callable[[bytes], bytes]) -> None:
     path = index_folder(folder).path
     path.write_bytes(harm(path.read_bytes()))
     with pytest.raises(SourceError):
         search(folder, folder / "sphere.touch")
 
 
-def test_an_index_of_another_program_is_no_library(folder: Path) -> None:
+def test_an_index_of_another_program_is_refused(folder: Path) -> None:
     MediumIndex().save(library_path(folder))
     with pytest.raises(SourceError, match="touchfield index"):
         index_folder(folder)
 
 
-def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidArgument, match="no folder"):
         index_folder(tmp_path / "nowhere")
 
@@ -229,13 +229,13 @@ def test_the_nearest_is_of_the_same_kind(folder: Path) -> None:
     assert nearest(folder, folder / "sphere.touch", ANY_POSE) == "deeper/sphere-large.touch"
 
 
-def test_a_medium_from_elsewhere_is_described_for_the_query(folder: Path, tmp_path: Path) -> None:
+def test_a_medium_outside_the_folder_is_described_for_the_query(folder: Path, tmp_path: Path) -> None:
     index_folder(folder)
     tf.encode(body("torus", 0.045), tmp_path / "like.touch")
     assert "torus" in nearest(folder, tmp_path / "like.touch")
 
 
-def test_what_changed_since_is_told(folder: Path) -> None:
+def test_changes_since_the_index_are_noted(folder: Path) -> None:
     index_folder(folder)
     assert not search(folder, folder / "sphere.touch").notes
     tf.encode(body("lens"), folder / "sphere.touch")
@@ -254,7 +254,7 @@ def test_what_changed_since_is_told(folder: Path) -> None:
     assert not search(folder, folder / "sphere.touch").notes, "a file that is gone is gone from the index"
 
 
-def test_without_an_index_it_is_told_how_to_make_one(folder: Path) -> None:
+def test_error_of_a_missing_index_names_the_command(folder: Path) -> None:
     with pytest.raises(SourceError, match=r"touchfield index .*media"):
         search(folder, folder / "sphere.touch")
 
@@ -263,8 +263,8 @@ def test_without_an_index_it_is_told_how_to_make_one(folder: Path) -> None:
 
 
 def test_a_medium_is_like_itself_and_less_like_others() -> None:
-    one = body("torus", frames=2)
-    same, other = similar(one, one), similar(one, body("plate", frames=2))
+    torus = body("torus", frames=2)
+    same, other = similar(torus, torus), similar(torus, body("plate", frames=2))
     assert same.figures["normalised"]["value"] == 1.0 and same.figures["variation"]["value"] == 0.0
     assert same.figures["descriptor_distance"] == 0.0 and not same.notes
     assert other.figures["normalised"]["value"] < 0.5 and other.figures["jensen_shannon"]["value"] > 0.1
@@ -276,24 +276,24 @@ def test_a_medium_is_like_itself_and_less_like_others() -> None:
 
 
 def test_media_of_other_lattices_rates_and_axes_are_compared() -> None:
-    one = body("plate", 0.06, frames=4)
+    plate = body("plate", 0.06, frames=4)
     finer = tf.Grid.over_box((-0.08,) * 3, (0.08,) * 3, (64, 64, 64))
     other = body("plate", 0.06, frames=6, grid=finer, rate_hz=60.0)
-    found = similar(one, other)
-    unlike = similar(one, body("torus", frames=4))
+    found = similar(plate, other)
+    unlike = similar(plate, body("torus", frames=4))
     assert found.figures["normalised"]["value"] > unlike.figures["normalised"]["value"] + 0.1
     assert len(found.notes) == 2 and found.figures["frames"] == 3, "those that both have"
 
 
-# -- a video beside ----------------------------------------------------------------------------------------
+# -- videos ------------------------------------------------------------------------------------------------
 
 
-def looks(video: Path, stream: Path, **asked: Any) -> list[dict[str, Any]]:
-    return list(correlate(video, stream, **asked).figures["looks"])
+def looks(video: Path, stream: Path, **options: Any) -> list[dict[str, Any]]:
+    return list(correlate(video, stream, **options).figures["looks"])
 
 
 def wavy(seed: int, axes: str) -> tuple[tf.HapticMedium, NDArray[np.float64]]:
-    """A slab that pushes harder here and softer there, and how hard, [y up, x]."""
+    """A slab of varying stiffness, and the stiffness [y up, x]."""
     from scipy import ndimage
 
     rng = np.random.default_rng(seed)
@@ -306,7 +306,7 @@ def wavy(seed: int, axes: str) -> tuple[tf.HapticMedium, NDArray[np.float64]]:
 
 
 @pytest.mark.parametrize("axes", ["x right, y up, z towards the viewer", "x right, y down, z forward"])
-def test_a_picture_tells_of_the_touch_of_its_own_scene(axes: str, tmp_path: Path) -> None:
+def test_a_picture_correlates_with_its_scene(axes: str, tmp_path: Path) -> None:
     medium, hard = wavy(3, axes)
     tf.encode(medium, tmp_path / "slab.touch")
     rows = hard[::-1] if "y up" in axes else hard
@@ -320,7 +320,7 @@ def test_a_picture_tells_of_the_touch_of_its_own_scene(axes: str, tmp_path: Path
     assert found["turned"]["p"] > 0.01 and found["other"]["p"] > 0.01
 
 
-def test_the_rays_of_a_camera_find_what_it_saw(tmp_path: Path) -> None:
+def test_the_rays_of_a_camera_find_its_pixels(tmp_path: Path) -> None:
     medium, hard = wavy(5, "x right, y down, z forward")
     medium = tf.HapticMedium.from_frames(
         [medium[0].on_grid(tf.Grid(medium.grid.shape, medium.grid.spacing_m, (-0.05, -0.05, 0.2)))],
@@ -331,9 +331,9 @@ def test_the_rays_of_a_camera_find_what_it_saw(tmp_path: Path) -> None:
     depth_m = medium.grid.axis_m(2)[3]
     v, u = np.mgrid[:64, :64]
     x, y = ((n - 31.5) / focal_px * depth_m for n, focal_px in ((u, 100.0), (v, 140.0)))
-    places = medium.grid.to_index(np.stack([x, y, np.full_like(x, depth_m)], axis=-1)).round().astype(int)
-    seen = hard[places[..., 1].clip(0, 63), places[..., 0].clip(0, 63)]
-    grey = (255 * (seen - seen.min()) / np.ptp(seen)).astype(np.uint8)
+    indices = medium.grid.to_index(np.stack([x, y, np.full_like(x, depth_m)], axis=-1)).round().astype(int)
+    visible = hard[indices[..., 1].clip(0, 63), indices[..., 0].clip(0, 63)]
+    grey = (255 * (visible - visible.min()) / np.ptp(visible)).astype(np.uint8)
     Image.fromarray(np.stack([grey] * 3, axis=-1)).save(tmp_path / "seen.png")
     camera = (100.0, 140.0, 31.5, 31.5)
     right = looks(tmp_path / "seen.png", tmp_path / "slab.touch", intrinsics=camera)[0]
@@ -344,7 +344,7 @@ def test_the_rays_of_a_camera_find_what_it_saw(tmp_path: Path) -> None:
         correlate(tmp_path / "seen.png", tmp_path / "up.touch", intrinsics=camera)
 
 
-def test_each_time_is_held_beside_the_picture_of_that_time(tmp_path: Path) -> None:
+def test_each_frame_is_correlated_with_the_picture_of_its_time(tmp_path: Path) -> None:
     first, hard = wavy(6, "x right, y up, z towards the viewer")
     second, softer = wavy(7, "x right, y up, z towards the viewer")
     medium = tf.HapticMedium.from_frames([first[0]] * 5 + [second[0]] * 5, 50.0, first.axes)
@@ -362,7 +362,7 @@ def test_each_time_is_held_beside_the_picture_of_that_time(tmp_path: Path) -> No
 # -- the command line --------------------------------------------------------------------------------------
 
 
-def test_index_search_and_similar_as_their_user_meets_them(
+def test_index_search_and_similar_from_the_command_line(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _exit_code(["search", str(folder), str(folder / "sphere.touch")]) == 1
@@ -370,45 +370,55 @@ def test_index_search_and_similar_as_their_user_meets_them(
     assert _exit_code(["index", str(folder)]) == 0
     assert "left out: cut.touch" in capsys.readouterr().out
     assert _exit_code(["index", str(folder), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    report = json.loads(capsys.readouterr().out)
     assert (
-        told["media"] == 6 and told["described"] == 0 and set(told["faults"]) == {"cut.touch", "still.touch"}
+        report["media"] == 6
+        and report["described"] == 0
+        and set(report["faults"]) == {"cut.touch", "still.touch"}
     )
-    asked = ["search", str(folder), str(folder / "sphere.touch"), "--count", "2", "--weight", "amplitude=2"]
-    assert _exit_code([*asked, "--any-pose", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert [row["rank"] for row in told["matches"]] == [1, 2]
-    assert told["matches"][0]["name"] == "deeper/sphere-large.touch"
+    arguments = [
+        "search",
+        str(folder),
+        str(folder / "sphere.touch"),
+        "--count",
+        "2",
+        "--weight",
+        "amplitude=2",
+    ]
+    assert _exit_code([*arguments, "--any-pose", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert [row["rank"] for row in report["matches"]] == [1, 2]
+    assert report["matches"][0]["name"] == "deeper/sphere-large.touch"
     same = search(folder, folder / "sphere.touch", 2, {**ANY_POSE, "amplitude": 2.0}).summary()["matches"]
-    assert [row["distance"] for row in told["matches"]] == [row["distance"] for row in same]
-    assert _exit_code([*asked, "--json"]) == 0
+    assert [row["distance"] for row in report["matches"]] == [row["distance"] for row in same]
+    assert _exit_code([*arguments, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["matches"][1]["distance"] > same[1]["distance"]
-    assert _exit_code(asked) == 0
+    assert _exit_code(arguments) == 0
     assert capsys.readouterr().out.splitlines()[1].endswith("deeper/sphere-large.touch")
     for bad in (["--weight", "amplitude"], ["--weight", "colour=1"], ["--count", "0"]):
-        assert _exit_code([*asked[:3], *bad]) == 2
+        assert _exit_code([*arguments[:3], *bad]) == 2
     two = [str(folder / "sphere.touch"), str(folder / "plate.touch")]
     assert _exit_code(["similar", *two, "--json"]) == 0
     both = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert 0 < both["normalised"]["value"] < 1 and both["descriptor_distance"] > 0
     assert _exit_code(["similar", *two]) == 0
-    said = capsys.readouterr().out
-    assert "NMI" in said and "do nothing" not in said
+    output = capsys.readouterr().out
+    assert "NMI" in output and "do nothing" not in output
     assert _exit_code(["similar", *two, "--nw", "5"]) == 0
     assert capsys.readouterr().out.count("options of the scene do nothing") == 1
     assert _exit_code(["similar", *two, "--over", "nothing"]) == 2
 
 
-def test_correlate_as_its_user_meets_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_correlate_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     medium, hard = wavy(8, "x right, y up, z towards the viewer")
     tf.encode(medium, tmp_path / "slab.touch")
     grey = (255 * (hard[::-1] - hard.min()) / np.ptp(hard)).astype(np.uint8)
     Image.fromarray(np.stack([grey] * 3, axis=-1)).save(tmp_path / "seen.png")
-    asked = ["correlate", str(tmp_path / "seen.png"), str(tmp_path / "slab.touch")]
-    assert _exit_code([*asked, "--json"]) == 0
+    arguments = ["correlate", str(tmp_path / "seen.png"), str(tmp_path / "slab.touch")]
+    assert _exit_code([*arguments, "--json"]) == 0
     (look,) = json.loads(capsys.readouterr().out)["looks"]
     assert look["frame"] == 0 and look["p"] <= 0.01 and look["mutual_bits"] > 1
-    assert _exit_code(asked) == 0
+    assert _exit_code(arguments) == 0
     assert "mutual_bits" in capsys.readouterr().out
-    assert _exit_code([*asked, "--intrinsics", "1,2"]) == 2
-    assert _exit_code([*asked, "--looks", "0"]) == 2
+    assert _exit_code([*arguments, "--intrinsics", "1,2"]) == 2
+    assert _exit_code([*arguments, "--looks", "0"]) == 2

@@ -1,4 +1,4 @@
-"""What `live` sends: every frame of its source once, however long it may be on the air."""
+"""Frames sent by `live`: each frame of the source once, for any duration of the broadcast."""
 
 from __future__ import annotations
 
@@ -30,4 +30,4 @@ def test_a_source_ends_unless_it_loops(spec: LiveSpec, frame_count: int, tmp_pat
     clock_s = [0.0]
     wait = lambda seconds: clock_s.append(clock_s[-1] + seconds)  # noqa: E731
     sent = broadcast(prepared, sender.add, spec, clock_s=lambda: clock_s[-1], pause=wait)
-    assert sent.frames + sent.left_out == frame_count  # those that coding was too late for count as well
+    assert sent.frames + sent.left_out == frame_count  # frames that were encoded too late count as well

@@ -1,4 +1,4 @@
-"""Materials: recordings, tables, and what a hand that slides feels of them (section 6.4)."""
+"""Materials: recordings, tables, and the texture under a sliding hand (section 6.4)."""
 
 from __future__ import annotations
 
@@ -59,9 +59,9 @@ def csv(path: Path, head: str, rows: Float64s) -> Path:
 
 def test_recordings_are_read_from_sound_and_from_text(tmp_path: Path) -> None:
     a = np.clip(0.2 * noise(4000, 3), -1, 1)
-    whole = read_recording(wav(tmp_path / "a.wav", np.round(a * 32767).astype(np.int16)), 20.0)
-    assert whole.rate_hz == 5000
-    np.testing.assert_allclose(whole.acceleration_m_s2, 20 * a, atol=20 / 16000)
+    recording = read_recording(wav(tmp_path / "a.wav", np.round(a * 32767).astype(np.int16)), 20.0)
+    assert recording.rate_hz == 5000
+    np.testing.assert_allclose(recording.acceleration_m_s2, 20 * a, atol=20 / 16000)
     floats = read_recording(wav(tmp_path / "b.wav", a[:, 0].astype(np.float32)))
     np.testing.assert_allclose(floats.acceleration_m_s2[:, 0], 9.80665 * a[:, 0], rtol=1e-6)
     assert not floats.acceleration_m_s2[:, 1:].any()
@@ -75,13 +75,13 @@ def test_recordings_are_read_from_sound_and_from_text(tmp_path: Path) -> None:
     text = read_recording(table)
     assert text.rate_hz == pytest.approx(3999 / times[-1], rel=1e-9)
     np.testing.assert_allclose(text.acceleration_m_s2, a, rtol=1e-7)
-    one = read_recording(csv(tmp_path / "b.csv", "t_s,a_m_s2", np.c_[times, a[:, 0]]))
-    assert one.rate_hz == text.rate_hz
-    np.testing.assert_array_equal(one.acceleration_m_s2[:, 0], text.acceleration_m_s2[:, 0])
+    single_axis = read_recording(csv(tmp_path / "b.csv", "t_s,a_m_s2", np.c_[times, a[:, 0]]))
+    assert single_axis.rate_hz == text.rate_hz
+    np.testing.assert_array_equal(single_axis.acceleration_m_s2[:, 0], text.acceleration_m_s2[:, 0])
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "told"),
+    ("name", "content", "message"),
     [
         ("a.wav", b"RIFF nothing", "a.wav: found what is no sound"),
         ("a.wav", b"", "a.wav: found what is no sound"),
@@ -105,16 +105,16 @@ def test_recordings_are_read_from_sound_and_from_text(tmp_path: Path) -> None:
         ("a.mp3", b"x", "a.mp3: found a name that ends in '.mp3'"),
     ],
 )
-def test_a_file_that_is_no_recording_is_told_by_name_and_line(
-    tmp_path: Path, name: str, content: bytes, told: str
+def test_error_of_an_invalid_recording_states_file_and_line(
+    tmp_path: Path, name: str, content: bytes, message: str
 ) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(SourceError, match=re.escape(told)) as caught:
+    with pytest.raises(SourceError, match=re.escape(message)) as caught:
         read_recording(tmp_path / name)
     assert "expected" in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_sound_of_too_many_channels_and_files_that_are_not_there(tmp_path: Path) -> None:
+def test_sounds_of_too_many_channels_and_missing_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="4 channels"):
         read_recording(wav(tmp_path / "a.wav", np.zeros((100, 4), np.int16)))
     with pytest.raises(SourceError, match=r"none\.csv: found"):
@@ -128,7 +128,7 @@ def test_sound_of_too_many_channels_and_files_that_are_not_there(tmp_path: Path)
 
 
 def oak(scale: float = 1.0, **others: Any) -> Material:
-    """Three speeds at two forces; spectra that differ."""
+    """Three speeds at two forces, with different spectra."""
     shape = scale * 0.004 * np.exp(0.5 * noise(3, 2, 16, seed=3)) * np.array([1, 2, 3])[:, None, None]
     table = tuple(tuple(tuple(map(float, row)) for row in rows) for rows in shape)
     return Material(
@@ -137,7 +137,7 @@ def oak(scale: float = 1.0, **others: Any) -> Material:
 
 
 def field(stiffness_n_per_m: float = 300.0) -> tf.HapticMedium:
-    """Below z = 0 the force points up."""
+    """The force points up below z = 0."""
     force = np.zeros((1, *GRID.shape, 3))
     z = GRID.origin_m[2] + GRID.spacing_m[2] * np.arange(GRID.shape[2])
     force[..., 2] = np.maximum(-stiffness_n_per_m * z, 0)
@@ -150,13 +150,15 @@ def slide(
     spec: RenderSpec,
     depth_m: float = 0.0025,
     profile: Any = STRONG,
-    way: float = 0.28,
+    length_m: float = 0.28,
 ) -> NDArray[Any]:
-    """Rows of the log of a hand that slides along x, once it is steady."""
-    at = np.array([[-way / 2, 0, -depth_m], [-way / 2, 0, -depth_m], [way / 2, 0, -depth_m]])
-    trace = Trace(np.array([0, 0.1, 0.1 + way / speed]), at)
-    run = run_offline(medium, profile, point_device("sim", trace).opener, spec, seconds=0.1 + way / speed)
-    return run.log[int(0.25 * spec.rate_hz) : int((0.09 + way / speed) * spec.rate_hz)]
+    """Rows of the log of a hand that slides along x in the steady state."""
+    at = np.array([[-length_m / 2, 0, -depth_m], [-length_m / 2, 0, -depth_m], [length_m / 2, 0, -depth_m]])
+    trace = Trace(np.array([0, 0.1, 0.1 + length_m / speed]), at)
+    run = run_offline(
+        medium, profile, point_device("sim", trace).opener, spec, seconds=0.1 + length_m / speed
+    )
+    return run.log[int(0.25 * spec.rate_hz) : int((0.09 + length_m / speed) * spec.rate_hz)]
 
 
 def vibration(rows: NDArray[Any], axis: int = 2) -> Float64s:
@@ -166,27 +168,27 @@ def vibration(rows: NDArray[Any], axis: int = 2) -> Float64s:
 
 @pytest.mark.parametrize("render", ["field", "proxy"])
 @pytest.mark.parametrize("speed", [0.03, 0.06, 0.09, 0.12])
-def test_a_hand_that_slides_feels_the_spectrum_of_the_table_within_1_db(speed: float, render: str) -> None:
+def test_a_sliding_hand_gets_the_spectrum_of_the_table_within_1_db(speed: float, render: str) -> None:
     material, spec = oak(), RenderSpec(render=render, rate_hz=RATE_HZ, materials=(oak(),), force_scale=1.0)
     rows = slide(field(), speed, spec)
     force = float(np.linalg.norm(rows["field_force_n"][len(rows) // 2]))
     assert 0.5 < force < 2.0
     by_speed = [np.interp(speed, material.speeds_m_s, material.levels_n[:, 0, b]) for b in range(16)]
     pressed = [np.interp(speed, material.speeds_m_s, material.levels_n[:, 1, b]) for b in range(16)]
-    share = (force - 0.5) / 1.5
-    wanted = (1 - share) * np.array(by_speed) + share * np.array(pressed)
-    assert np.abs(db(band_rms(vibration(rows), RATE_HZ) / wanted)).max() < 1.0
+    weight = (force - 0.5) / 1.5
+    expected = (1 - weight) * np.array(by_speed) + weight * np.array(pressed)
+    assert np.abs(db(band_rms(vibration(rows), RATE_HZ) / expected)).max() < 1.0
     bare = slide(field(), speed, replace(spec, materials=()))
     assert np.abs(vibration(bare)).max() < 1e-3
 
 
-def test_a_hand_at_rest_or_off_the_surface_feels_no_texture() -> None:
+def test_a_hand_at_rest_or_off_the_surface_gets_no_texture() -> None:
     spec = RenderSpec(render="field", rate_hz=RATE_HZ, materials=(oak(scale=20.0),))
-    assert np.abs(vibration(slide(field(), 1e-5, spec, way=1e-5))).max() < 0.01
+    assert np.abs(vibration(slide(field(), 1e-5, spec, length_m=1e-5))).max() < 0.01
     assert np.abs(slide(field(), 0.1, spec, depth_m=-0.02)["force_n"]).max() == 0
 
 
-def test_what_the_loop_cannot_show_is_left_out_and_told() -> None:
+def test_bands_above_the_rate_of_the_loop_are_dropped_and_noted() -> None:
     spec = RenderSpec(render="field", rate_hz=1000.0, materials=(oak(),))
     trace = Trace(np.array([0.0, 1.0]), np.array([[0, 0, -0.002], [0.1, 0, -0.002]]))
     run = run_offline(field(), STRONG, point_device("sim", trace).opener, spec, seconds=1.0)
@@ -195,7 +197,7 @@ def test_what_the_loop_cannot_show_is_left_out_and_told() -> None:
         np.fft.rfftfreq(600, 1e-3) > 460
     ]
     assert high.max() < 0.01
-    slow = replace(spec, slew_n_per_s=2.0)  # for what is shown alone
+    slow = replace(spec, slew_n_per_s=2.0)  # for the rendered bands alone
     notes = run_offline(field(), STRONG, point_device("sim", trace).opener, slow, seconds=0.01).notes
     turns = 2 * np.pi * np.array(BANDS_HZ)[:12] * oak().levels_n[..., :12]
     weaker = 20 * np.log10(MATERIAL_CREST * np.sqrt((turns**2).sum(axis=-1)).max() / 2)
@@ -214,36 +216,40 @@ def test_the_limits_of_the_device_hold_and_the_spectrum_keeps_its_shape(scale: f
     )
     weaker = f"oak is weaker by up to {20 * np.log10(steepest / 300):.1f} dB"
     assert any(weaker in note and "300 N/s" in note for note in notes)
-    twice = replace(spec, force_scale=2.0)  # of the field's newtons the device's limit allows half
+    twice = replace(spec, force_scale=2.0)  # the limit of the device allows half the newtons of the field
     assert any("150 N/s" in n for n in run_offline(field(), STRONG, SimHand, twice, seconds=0.0).notes)
     rows = slide(field(), 0.12, spec)
     change = np.linalg.norm(np.diff(rows["force_n"].astype(np.float64), axis=0), axis=1) * RATE_HZ
     assert change.max() <= 300.0 * (1 + 1e-6)
     assert np.linalg.norm(rows["force_n"], axis=1).max() <= STRONG.force_max_n
-    share = band_rms(vibration(rows), RATE_HZ) / band_rms(
+    ratio = band_rms(vibration(rows), RATE_HZ) / band_rms(
         vibration(slide(field(), 0.12, replace(spec, materials=(oak(),), slew_n_per_s=None))), RATE_HZ
     )
-    assert np.ptp(db(share)) < 0.5
+    assert np.ptp(db(ratio)) < 0.5
 
 
-def test_the_first_material_of_a_place_holds_and_friction_is_its_own() -> None:
-    left = oak(friction=0.5, box_m=((-1, -1, -1), (0, 1, 1)))
-    right = Material("ice", friction=0.05)
+def test_the_first_material_at_a_position_applies_with_its_friction() -> None:
+    left_half = oak(friction=0.5, box_m=((-1, -1, -1), (0, 1, 1)))
+    right_half = Material("ice", friction=0.05)
     rows = slide(
-        field(), 0.1, RenderSpec(render="field", friction=None, rate_hz=RATE_HZ, materials=(left, right))
+        field(),
+        0.1,
+        RenderSpec(render="field", friction=None, rate_hz=RATE_HZ, materials=(left_half, right_half)),
     )
     x, drag = rows["position_m"][:, 0], np.linalg.norm(rows["friction_n"], axis=1)
     push = np.linalg.norm(rows["field_force_n"], axis=1)
     np.testing.assert_allclose(drag / push, np.where(x <= 0, 0.5, 0.05), atol=1e-4)
     z = rows["force_n"][:, 2].astype(np.float64)
     assert z[x < -0.001].std() > 0.005 and z[x > 0.01].std() < 1e-4
-    own = slide(
-        field(), 0.1, RenderSpec(render="field", friction=0.2, rate_hz=RATE_HZ, materials=(left, right))
+    overridden = slide(
+        field(),
+        0.1,
+        RenderSpec(render="field", friction=0.2, rate_hz=RATE_HZ, materials=(left_half, right_half)),
     )
-    np.testing.assert_allclose(np.linalg.norm(own["friction_n"], axis=1), 0.2 * push, rtol=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(overridden["friction_n"], axis=1), 0.2 * push, rtol=1e-4)
 
 
-def test_stick_slip_is_a_sawtooth_over_the_way_that_only_takes_energy() -> None:
+def test_stick_slip_is_a_dissipative_sawtooth_over_the_path() -> None:
     slips = Material("rubber", friction=0.4, static_friction=0.8, slip_length_m=0.002)
     rows = slide(field(), 0.05, RenderSpec(render="field", rate_hz=RATE_HZ, materials=(slips,)))
     mu = np.linalg.norm(rows["friction_n"], axis=1) / np.linalg.norm(rows["field_force_n"], axis=1)
@@ -255,17 +261,17 @@ def test_stick_slip_is_a_sawtooth_over_the_way_that_only_takes_energy() -> None:
     quick = (
         np.linalg.norm(fast["friction_n"], axis=1)[-20:] / np.linalg.norm(fast["field_force_n"], axis=1)[-20:]
     )
-    np.testing.assert_allclose(quick, 0.6, atol=1e-3)  # 700 slips a second at 1000 ticks: their mean
+    np.testing.assert_allclose(quick, 0.6, atol=1e-3)  # 700 slips a second at 1000 ticks: the mean force
 
 
 def test_a_material_may_be_that_of_an_object() -> None:
     medium = field()
     count = 120
-    still = [
+    bodies = [
         tf.medium.PoseTrack(np.tile([1.0, 0, 0, 0], (count, 1)), np.tile(at, (count, 1)))
         for at in ([0, 0, 0], [0, 0, -9])
     ]
-    objects = [tf.medium.HapticObject(name, medium, track) for name, track in zip(("table", "floor"), still)]
+    objects = [tf.medium.HapticObject(name, medium, track) for name, track in zip(("table", "floor"), bodies)]
     scene = tf.medium.HapticScene(GRID, 30.0, tuple(objects), 40.0)
     spec = RenderSpec(render="field", rate_hz=RATE_HZ, materials=(oak(object="table", friction=0.3),))
     rows = slide(scene, 0.1, spec)
@@ -282,19 +288,19 @@ def test_a_material_may_be_that_of_an_object() -> None:
         slide(medium, 0.1, spec)
 
 
-def test_a_table_goes_through_its_file_and_a_stream_unharmed(tmp_path: Path) -> None:
+def test_a_table_round_trips_through_a_file_and_a_stream(tmp_path: Path) -> None:
     both = (oak(friction=0.3, box_m=((-1.0, -1.0, -1.0), (0.0, 1.0, 1.0))), Material("ice", 0.05, 0.1, 0.002))
     write_table(tmp_path / "t.json", both)
     again = read_materials(tmp_path / "t.json")
     assert materials_json(again) == materials_json(both) and again[1] == both[1]
     np.testing.assert_allclose(again[0].levels_n, both[0].levels_n, rtol=1e-3)
-    levels = tuple(0.1 * (n + 1) for n in range(32))  # as many as there may be of one, and of them
-    most = (
+    levels = tuple(0.1 * (n + 1) for n in range(32))  # as many levels and materials as allowed
+    materials = (
         Material("slate", speeds_m_s=levels, forces_n=(1.0,), texture_rms_n=((((0.001,) * 16),),) * 32),
     ) * 64
-    write_table(tmp_path / "most.json", most)
+    write_table(tmp_path / "most.json", materials)
     assert len(read_materials(tmp_path / "most.json")) == 64
-    write_table(tmp_path / "more.json", (*most, Material("one more")))
+    write_table(tmp_path / "more.json", (*materials, Material("one more")))
     with pytest.raises(SourceError, match="a list of at most 64"):
         read_materials(tmp_path / "more.json")
     tf.encode(field(), tmp_path / "a.touch")
@@ -305,17 +311,17 @@ def test_a_table_goes_through_its_file_and_a_stream_unharmed(tmp_path: Path) -> 
     assert stored_materials(stored.provenance) == again and stored_materials(plain.provenance) == ()
     np.testing.assert_array_equal(plain[0].to_dense(), stored[0].to_dense())
     spec = RenderSpec(render="field", rate_hz=RATE_HZ)
-    heard, still = slide(stored, 0.1, spec), slide(plain, 0.1, spec)
-    x = heard["position_m"][:, 0]
-    assert vibration(heard)[x < -0.01].std() > 10 * max(vibration(still)[x < -0.01].std(), 1e-6)
+    textured, smooth = slide(stored, 0.1, spec), slide(plain, 0.1, spec)
+    x = textured["position_m"][:, 0]
+    assert vibration(textured)[x < -0.01].std() > 10 * max(vibration(smooth)[x < -0.01].std(), 1e-6)
     with pytest.raises(InvalidArgument, match=r"characters; expected at most 4096\. Give it separately"):
         store_materials(
             tmp_path / "a.touch", [replace(oak(), name=str(n)) for n in range(9)], tmp_path / "c.touch"
         )
-    room = 4097 - len(materials_json([Material("a")]))
-    assert len(stored_json([Material("a" * room)])) == 4096
+    capacity = 4097 - len(materials_json([Material("a")]))
+    assert len(stored_json([Material("a" * capacity)])) == 4096
     with pytest.raises(InvalidArgument, match="a table of 4097 characters"):
-        stored_json([Material("a" * (room + 1))])
+        stored_json([Material("a" * (capacity + 1))])
     with pytest.raises(InvalidArgument, match=r"'\.json'; expected OUT\.touch"):
         store_materials(tmp_path / "a.touch", again, tmp_path / "c.json")
     with pytest.raises(InvalidArgument, match=r"'\.touch'; expected TABLE\.json"):
@@ -359,11 +365,11 @@ BAD_TABLES = [
 ]
 
 
-@pytest.mark.parametrize(("table", "told"), BAD_TABLES)
-def test_a_table_that_is_none_is_told_by_file_and_field(tmp_path: Path, table: Any, told: str) -> None:
+@pytest.mark.parametrize(("table", "message"), BAD_TABLES)
+def test_error_of_an_invalid_table_states_file_and_field(tmp_path: Path, table: Any, message: str) -> None:
     path = tmp_path / "t.json"
     path.write_text(table if isinstance(table, str) else json.dumps({"bands_hz": list(BANDS_HZ)} | table))
-    with pytest.raises(SourceError, match=told) as caught:
+    with pytest.raises(SourceError, match=message) as caught:
         read_materials(path)
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
     assert "expected" in str(caught.value)
@@ -375,45 +381,45 @@ def test_recordings_become_a_table(tmp_path: Path) -> None:
     t = np.arange(10_000) / 5000
     tones = [np.outer(size * np.sin(2 * np.pi * BANDS_HZ[8] * t), [0.6, 0.0, 0.8]) for size in (1, 2, 3, 4)]
     speeds, forces = [0.1, 0.05, 0.1, 0.05], [1.0, 1.0, 2.0, 2.0]
-    made = texture_of([Recording(5000.0, tone) for tone in tones], speeds, forces, "rib", 0.2)
-    assert (made.speeds_m_s, made.forces_n, made.friction) == ((0.05, 0.1), (1.0, 2.0), 0.2)
-    ratio = made.levels_n[:, :, 8] / made.levels_n[1, 0, 8]
+    material = texture_of([Recording(5000.0, tone) for tone in tones], speeds, forces, "rib", 0.2)
+    assert (material.speeds_m_s, material.forces_n, material.friction) == ((0.05, 0.1), (1.0, 2.0), 0.2)
+    ratio = material.levels_n[:, :, 8] / material.levels_n[1, 0, 8]
     np.testing.assert_allclose(ratio, [[2, 4], [1, 3]], rtol=1e-6)
-    assert made.levels_n[:, :, 8].min() > 100 * np.delete(made.levels_n, 8, axis=2).max() / 4
+    assert material.levels_n[:, :, 8].min() > 100 * np.delete(material.levels_n, 8, axis=2).max() / 4
     with pytest.raises(InvalidArgument, match="each speed at each force, once"):
         texture_of([Recording(5000.0, tone) for tone in tones[:3]], speeds[:3], forces[:3])
     with pytest.raises(InvalidArgument, match=r"0\.2 s; expected 0\.5 s or more"):
         texture_of([Recording(5000.0, tones[0][:1000])], [0.1], [1.0])
-    assert merge_materials((oak(),), (made, replace(oak(), friction=1.0)))[0].friction == 1.0
+    assert merge_materials((oak(),), (material, replace(oak(), friction=1.0)))[0].friction == 1.0
 
 
-# -- the door ----------------------------------------------------------------------------------------------
+# -- the command -------------------------------------------------------------------------------------------
 
 
-def test_the_command_makes_a_table_puts_it_into_a_stream_and_plays_it(
+def test_the_command_creates_stores_and_plays_a_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for name, size in (("slow", 0.1), ("fast", 0.2)):
         wav(Path(f"{name}.wav"), np.round(32767 * np.clip(size * noise(10_000, 3), -1, 1)).astype(np.int16))
-    words = (
+    command = (
         "texture slow.wav fast.wav -o oak.json --speed-m-s 0.05,0.1 --force-n 1 --name oak --friction 0.4 "
         "--json"
     )
-    drawn = ["--plot", "oak.png"] if pytest.importorskip("matplotlib") else []
-    assert _exit_code([*words.split(), *drawn]) == 0
+    pytest.importorskip("matplotlib")
+    assert _exit_code([*command.split(), "--plot", "oak.png"]) == 0
     assert json.loads(capsys.readouterr().out)["materials"] == ["oak"]
     assert Path("oak.png").stat().st_size > 10_000
-    (one,) = read_materials("oak.json")
-    assert one.friction == 0.4 and one.speeds_m_s == (0.05, 0.1)
-    np.testing.assert_allclose(one.levels_n[1] / one.levels_n[0], 2, rtol=0.2)
+    (material,) = read_materials("oak.json")
+    assert material.friction == 0.4 and material.speeds_m_s == (0.05, 0.1)
+    np.testing.assert_allclose(material.levels_n[1] / material.levels_n[0], 2, rtol=0.2)
     tf.encode(field(), "a.touch")
     assert _exit_code(["texture", "oak.json", "--into", "a.touch", "-o", "b.touch"]) == 0
     capsys.readouterr()
-    for words in ("play b.touch --offline --json", "play a.touch --offline --materials oak.json --json"):
-        assert _exit_code(words.split()) == 0
+    for command in ("play b.touch --offline --json", "play a.touch --offline --materials oak.json --json"):
+        assert _exit_code(command.split()) == 0
         assert "materials: oak" in json.loads(capsys.readouterr().out)["notes"]
-    for words, told in (
+    for command, message in (
         ("texture slow.wav -o x.json --force-n 1", "--speed-m-s: found nothing"),
         ("texture slow.wav -o x.json --speed-m-s a --force-n 1", "--speed-m-s: found 'a'"),
         ("texture oak.json -o x.json --name elm", "those of recordings"),
@@ -421,9 +427,9 @@ def test_the_command_makes_a_table_puts_it_into_a_stream_and_plays_it(
         ("texture none.wav -o x.json --speed-m-s 1 --force-n 1", "none.wav: found"),
         ("play a.touch --offline --materials slow.wav", "slow.wav: found a file that is not text"),
     ):
-        assert _exit_code(words.split()) in (1, 2)
-        said = capsys.readouterr().err
-        assert told in said and said.count("\n") == 1
+        assert _exit_code(command.split()) in (1, 2)
+        stderr = capsys.readouterr().err
+        assert message in stderr and stderr.count("\n") == 1
     assert not Path("x.json").exists()
 
 

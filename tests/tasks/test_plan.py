@@ -1,4 +1,4 @@
-"""Planning for a bit rate: the frontier, the choice, and that it is what `encode` then makes."""
+"""Planning for a bit rate: the frontier, the choice, and that `encode` gives the planned file."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ def test_sizes_are_read(text: str, size: float) -> None:
     assert parse_budget(text) == Budget(bytes=size)
 
 
-@pytest.mark.parametrize("asked", [(), (0.0,), (math.nan,), (1.0, 1.0), (None, -1.0), (math.inf,)])
-def test_a_budget_is_one_of_both(asked: tuple[float, ...]) -> None:
+@pytest.mark.parametrize("arguments", [(), (0.0,), (math.nan,), (1.0, 1.0), (None, -1.0), (math.inf,)])
+def test_a_budget_is_either_a_rate_or_a_size(arguments: tuple[float, ...]) -> None:
     with pytest.raises(InvalidArgument, match="one of both, above 0"):
-        Budget(*asked)
+        Budget(*arguments)
 
 
 @pytest.mark.parametrize(
@@ -61,13 +61,13 @@ def test_other_rates_are_refused(text: str) -> None:
 
 
 @cache
-def found() -> Plan:
+def example_plan() -> Plan:
     scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),))
     return plan(scene, Budget(bytes=3750), SPEC, SEARCH)
 
 
-def test_every_setting_is_tried_and_the_best_within_the_budget_taken() -> None:
-    tried = found()
+def test_every_setting_is_tried_and_the_best_within_the_budget_selected() -> None:
+    tried = example_plan()
     assert len(tried.trials) == 2 * (2 * 2 + 2 + 1)
     within = [t for t in tried.trials if t.file_bytes <= 3750]
     assert tried.choice.nmse == min(t.nmse for t in within)
@@ -82,27 +82,27 @@ def test_every_setting_is_tried_and_the_best_within_the_budget_taken() -> None:
 
 def test_the_rate_is_that_of_the_file(tmp_path: Path) -> None:
     scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),))
-    chosen = found().choice
-    size = encode(scene, tmp_path / "s.touch", chosen.spec).file_bytes
-    assert chosen.file_bytes == pytest.approx(size, abs=450), "head and provenance are a guess"
+    choice = example_plan().choice
+    size = encode(scene, tmp_path / "s.touch", choice.spec).file_bytes
+    assert choice.file_bytes == pytest.approx(size, abs=450), "head and provenance are a guess"
 
 
 def test_the_summary_and_the_picture(tmp_path: Path) -> None:
-    told = found().summary()
-    assert told["trials"][told["chosen"]]["file_bytes"] <= 3750
-    front = [told["trials"][i] for i in told["front"]]
+    summary = example_plan().summary()
+    assert summary["trials"][summary["chosen"]]["file_bytes"] <= 3750
+    front = [summary["trials"][i] for i in summary["front"]]
     assert [t["file_bytes"] for t in front] == sorted(t["file_bytes"] for t in front)
-    assert told["lambda_bytes"] > 0 and told["encode_options"].startswith("--nw")
-    found().draw(tmp_path / "p.png")
+    assert summary["lambda_bytes"] > 0 and summary["encode_options"].startswith("--nw")
+    example_plan().draw(tmp_path / "p.png")
     assert (tmp_path / "p.png").stat().st_size > 5000
 
 
-def test_too_little_names_the_least() -> None:
+def test_error_of_a_small_budget_states_the_minimum() -> None:
     with pytest.raises(InvalidArgument, match=r"--budget.*at least \d+ bytes, the nearest"):
         plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), 10.0, SPEC, PlanGrid((4,), (0.4,), (), ()))
 
 
-def test_a_scene_that_the_coarsest_lattice_misses_is_planned_all_the_same() -> None:
+def test_a_scene_missed_by_the_coarsest_lattice_is_planned() -> None:
     scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.002),))
     spec = EncodeSpec(mapping="1", oversample=1, touch=TouchSpec(effort="fast"))
     assert not prepare(scene, EncodeSpec(mapping="1", oversample=1, nw=3)).medium[0].support_count
@@ -115,24 +115,24 @@ def test_a_scene_that_the_coarsest_lattice_misses_is_planned_all_the_same() -> N
 @given(
     st.lists(st.tuples(st.integers(1, 60), st.integers(0, 30)), min_size=1, max_size=20), st.integers(1, 60)
 )
-def test_lambda_makes_the_choice_where_it_lies_on_the_hull(rows: list[tuple[int, int]], budget: int) -> None:
+def test_lambda_gives_the_choice_on_the_hull(rows: list[tuple[int, int]], budget: int) -> None:
     trials = tuple(Trial(SPEC, size, 8, nmse / 30, 1.0, 1.0) for size, nmse in rows)
     if all(t.bits_per_s > budget for t in trials):
         with pytest.raises(InvalidArgument, match="budget"):
             Plan(trials, 0.1, 0.05, budget, "x", 2)
         return
-    made = Plan(trials, 0.1, 0.05, budget, "x", 2)
-    chosen, multiplier = made.choice, made.multiplier
-    assert chosen.bits_per_s <= budget
-    assert not any(t.bits_per_s <= budget and t.nmse < chosen.nmse for t in trials)
+    planned = Plan(trials, 0.1, 0.05, budget, "x", 2)
+    choice, multiplier = planned.choice, planned.multiplier
+    assert choice.bits_per_s <= budget
+    assert not any(t.bits_per_s <= budget and t.nmse < choice.nmse for t in trials)
     if multiplier is not None:
-        costs = [t.bits_per_s + multiplier * t.nmse for t in made.front()]
-        on_edge = [t for t, c in zip(made.front(), costs, strict=True) if c <= min(costs) + 1e-6]
-        assert on_edge[0].bits_per_s <= chosen.bits_per_s <= on_edge[-1].bits_per_s
+        costs = [t.bits_per_s + multiplier * t.nmse for t in planned.front()]
+        on_edge = [t for t, c in zip(planned.front(), costs, strict=True) if c <= min(costs) + 1e-6]
+        assert on_edge[0].bits_per_s <= choice.bits_per_s <= on_edge[-1].bits_per_s
 
 
 @given(st.lists(st.tuples(st.integers(1, 50), st.integers(0, 9)), min_size=1, max_size=30))
-def test_a_front_is_a_front(rows: list[tuple[int, int]]) -> None:
+def test_a_front_is_a_pareto_front(rows: list[tuple[int, int]]) -> None:
     tried = Plan(tuple(Trial(SPEC, size, 2, nmse / 9) for size, nmse in rows), 0.1, 0.01, 1e9, "x", 2)
     front = tried.front()
     for a, b in zip(front, front[1:], strict=False):
@@ -156,23 +156,23 @@ def of_the_paper() -> Plan:
     return plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), Budget(bytes=1e9), SPEC, PAPER)
 
 
-def test_the_settings_of_the_paper_are_tried_in_order_and_told() -> None:
-    asked = [(s["nw"], s["k"], s["nq"], s["directions"]) for s in of_the_paper().summary()["trials"]]
+def test_the_settings_of_the_paper_are_tried_in_order_and_reported() -> None:
+    tried = [(s["nw"], s["k"], s["nq"], s["directions"]) for s in of_the_paper().summary()["trials"]]
     expected = [(w, k, q, d) for w in (4, 5) for k in (0.02, 0.25) for q in (3, 6) for d in ("ico1", "ico5")]
-    assert asked == expected
+    assert tried == expected
     assert (
         of_the_paper().trials
         == plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), 1e9, SPEC, PAPER).trials
     )
 
 
-def test_a_trial_is_what_encode_and_a_meter_make(tmp_path: Path) -> None:
+def test_a_trial_equals_encode_and_a_meter(tmp_path: Path) -> None:
     ball = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),))
     tried = of_the_paper()
     reference = prepare(ball, tried.trials[-1].spec).medium[0]
     for trial in (tried.trials[1], tried.trials[-1]):
-        made = encode(ball, tmp_path / "one.touch", trial.spec)
-        assert trial.frames == 1 and abs(made.file_bytes - trial.file_bytes) < 450
+        encoded = encode(ball, tmp_path / "one.touch", trial.spec)
+        assert trial.frames == 1 and abs(encoded.file_bytes - trial.file_bytes) < 450
         meter = FidelityMeter(tried.k, tried.f0_n)
         with open_stream(tmp_path / "one.touch") as opened:
             decoded = opened.medium[0]
@@ -184,14 +184,14 @@ def test_a_trial_is_what_encode_and_a_meter_make(tmp_path: Path) -> None:
         assert trial.mask_fraction == 1 - meter.mask_violation_share
 
 
-def test_what_the_settings_do() -> None:
+def test_effects_of_the_settings() -> None:
     by_setting = {(s["nw"], s["k"], s["nq"], s["directions"]): s for s in of_the_paper().summary()["trials"]}
-    for (nw, k, nq, directions), one in by_setting.items():
-        if nw == 4:  # a coarse lattice is small and loses what lies between its samples
+    for (nw, k, nq, directions), trial in by_setting.items():
+        if nw == 4:  # a coarse lattice is small and loses detail between its samples
             fine = by_setting[5, k, nq, directions]
-            assert one["file_bytes"] < fine["file_bytes"] and one["nmse"] > fine["nmse"]
+            assert trial["file_bytes"] < fine["file_bytes"] and trial["nmse"] > fine["nmse"]
         if directions == "ico1":
-            assert one["nmse"] > by_setting[nw, k, nq, "ico5"]["nmse"]
+            assert trial["nmse"] > by_setting[nw, k, nq, "ico5"]["nmse"]
     smallest, best = of_the_paper().front()[0], of_the_paper().front()[-1]
     assert best.spec.nw == 5 and best.spec.paper.directions == "ico5" and best.spec.paper.k == 0.02
     assert smallest.spec.nw == 4 and smallest.spec.paper.nq == 3 and smallest.spec.paper.directions == "ico1"
@@ -210,18 +210,18 @@ def test_an_array_keeps_its_lattice() -> None:
     assert tried.front()[-1].nmse < 0.01
 
 
-def test_what_cannot_be_planned() -> None:
+def test_impossible_plans_are_refused() -> None:
     with pytest.raises(InvalidArgument, match="no setting to try"):
         PlanGrid(nw=())
     with pytest.raises(InvalidArgument, match="nw"):
         plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), 1e9, SPEC, PlanGrid(nw=(2,)))
-    far = EncodeSpec(mapping="1e-6", oversample=1, thickness_m=1e-6)
+    invisible = EncodeSpec(mapping="1e-6", oversample=1, thickness_m=1e-6)
     with pytest.raises(InvalidArgument, match="without a force"):
-        plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 1e-9),)), 1e9, far, PlanGrid(nw=(3,)))
+        plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 1e-9),)), 1e9, invisible, PlanGrid(nw=(3,)))
 
 
 def drifting(frames: int = 6) -> StoredScene:
-    """A ball on the lattice of the device that grows."""
+    """A growing ball on the lattice of the device."""
     grid = prepare(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02),)), EncodeSpec(nw=5)).medium.grid
     fields = [
         prepare(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02 + 0.002 * t),)), EncodeSpec(nw=5, mapping="crop"))
@@ -232,7 +232,7 @@ def drifting(frames: int = 6) -> StoredScene:
     return StoredScene(HapticMedium.from_frames(fields, 25.0))
 
 
-def test_a_medium_that_moves_has_a_rate_and_a_size_is_one_over_its_time(tmp_path: Path) -> None:
+def test_a_moving_medium_has_a_rate_and_a_size_is_converted(tmp_path: Path) -> None:
     scene, search = drifting(), PlanGrid((4, 5), (0.1,), (0.1,), ())
     by_rate = plan(scene, 400_000.0, SPEC, search)
     assert by_rate.unit == "bit/s" and by_rate.choice.bits_per_s <= 400_000
@@ -244,36 +244,38 @@ def test_a_medium_that_moves_has_a_rate_and_a_size_is_one_over_its_time(tmp_path
     assert trial.frames == 6 and trial.file_bytes == pytest.approx(size, rel=0.2)
 
 
-def test_what_is_tried_are_pairs_of_frames_all_over_the_medium() -> None:
-    still, search = drifting(1).stored[0], PlanGrid((5,), (0.4,), (), ())
+def test_pairs_of_frames_across_the_medium_are_tried() -> None:
+    field, search = drifting(1).stored[0], PlanGrid((5,), (0.4,), (), ())
     for count, expected in ((2, [0, 1]), (5, [0, 1, 2, 3]), (20, [3, 4, 9, 10, 15, 16])):
-        made: list[int] = []
-        medium = HapticMedium(still.grid, 25.0, count, lambda i, made=made: made.append(i) or still)  # type: ignore[misc]
+        computed: list[int] = []
+        medium = HapticMedium(
+            field.grid, 25.0, count, lambda i, computed=computed: computed.append(i) or field
+        )  # type: ignore[misc]
         assert plan(StoredScene(medium), 1e9, SPEC, search).frames_tried == len(expected)
-        assert sorted(set(made)) == expected
+        assert sorted(set(computed)) == expected
 
 
-def test_a_still_medium_takes_of_a_rate_what_one_second_carries() -> None:
+def test_the_budget_of_a_static_medium_is_one_second_of_the_rate() -> None:
     scene, search = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), PlanGrid((4,), (0.4,), (), ())
-    made = plan(scene, 64_000.0, SPEC, search)
-    assert (made.budget, made.unit) == (8000, "bytes") and made.choice.file_bytes <= 8000
-    assert not any("bits_per_s" in key for key in (*made.summary(), *made.summary()["trials"][0]))
+    planned = plan(scene, 64_000.0, SPEC, search)
+    assert (planned.budget, planned.unit) == (8000, "bytes") and planned.choice.file_bytes <= 8000
+    assert not any("bits_per_s" in key for key in (*planned.summary(), *planned.summary()["trials"][0]))
 
 
-def test_what_cannot_be_is_refused_before_the_finest_lattice_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_impossible_budget_is_refused_before_the_finest_lattice(monkeypatch: pytest.MonkeyPatch) -> None:
     import touchfield.tasks.plan  # noqa: F401
 
-    module, asked = sys.modules["touchfield.tasks.plan"], []
+    module, tried = sys.modules["touchfield.tasks.plan"], []
     was = module.prepare
-    monkeypatch.setattr(module, "prepare", lambda scene, spec: asked.append(spec.nw) or was(scene, spec))
+    monkeypatch.setattr(module, "prepare", lambda scene, spec: tried.append(spec.nw) or was(scene, spec))
     with pytest.raises(InvalidArgument, match=r"at least \d+ bit/s, the nearest \(--nw 4"):
         plan(drifting(), 100.0, SPEC, PlanGrid((4, 5), (0.1, 0.4), (0.1, 0.4), ("ico3",)))
-    assert asked == [4]
+    assert tried == [4]
 
 
-def test_a_choice_that_a_hand_feels_is_told() -> None:
-    def trial(size: int, nmse: float, kept: float) -> Trial:
-        return Trial(SPEC, size, 1, nmse, 30.0, kept)
+def test_a_perceptible_choice_is_noted() -> None:
+    def trial(size: int, nmse: float, fraction_within_bound: float) -> Trial:
+        return Trial(SPEC, size, 1, nmse, 30.0, fraction_within_bound)
 
     rows = (trial(10, 0.5, 0.08), trial(40, 0.1, 0.99), trial(60, 0.05, 1.0))
     (note,) = Plan(rows, 0.1, 0.05, 20, "x", 1, "bytes").notes
@@ -285,7 +287,7 @@ def test_a_choice_that_a_hand_feels_is_told() -> None:
     assert "no setting that was tried keeps it" in note
 
 
-def test_pins_are_planned_by_what_suits_them() -> None:
+def test_settings_for_pins_are_planned_in_steps() -> None:
     search = PlanGrid((5, 6), (0.1, 0.2), (), ())
     tried = plan("sample:terrain", "1MB", EncodeSpec(device="graphiti"), search).trials
     assert [trial.spec.touch.k * 35 for trial in tried[:2]] == pytest.approx([0.5, 1.0])

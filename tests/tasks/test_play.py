@@ -1,4 +1,4 @@
-"""The device that a stream is played for, and the walls that its file states."""
+"""The device of a stream, and the walls stated by its file."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ half_extents_m = [0.05, 0.04, 0.001]
 
 
 def test_a_stream_names_a_profile_and_never_a_file(tmp_path: Path) -> None:
-    told = replace(device("phantom-omni"), title="as the stream tells", force_max_n=2.0)
-    assert stream_device(SimpleNamespace(declared_device=told)) == device("phantom-omni")
+    declared = replace(device("phantom-omni"), title="as the stream tells", force_max_n=2.0)
+    assert stream_device(SimpleNamespace(declared_device=declared)) == device("phantom-omni")
     path = tmp_path / "profile.toml"
     path.write_text("no profile")
     for name in (str(path), "mine", ""):
-        named = replace(told, name=name)
+        named = replace(declared, name=name)
         assert stream_device(SimpleNamespace(declared_device=named)) is named
-    array = replace(told, type=2)
+    array = replace(declared, type=2)
     assert stream_device(SimpleNamespace(declared_device=array)) is array
 
 
-def test_what_comes_behind_the_end_of_a_live_stream_was_missed_by_nobody() -> None:
+def test_stalls_after_the_end_of_a_live_stream_are_not_counted() -> None:
     rows = np.zeros(10, [("flags", np.int64)])
     rows["flags"][:6], rows["flags"][2] = FLAGS["running"], FLAGS["stalled"]
     rows["flags"][6:] = FLAGS["stalled"]
-    told = _before_end({"stalled_ticks": 5, "stalled_share": 0.5, "ticks": 10}, rows)
-    assert told == {"stalled_ticks": 1, "stalled_share": 1 / 6, "ticks": 10}
+    statistics = _before_end({"stalled_ticks": 5, "stalled_share": 0.5, "ticks": 10}, rows)
+    assert statistics == {"stalled_ticks": 1, "stalled_share": 1 / 6, "ticks": 10}
 
 
 @pytest.mark.parametrize("stiffness", [150.0, 1500.0])
-def test_a_file_of_one_s_own_forces_has_walls_as_stiff_as_these(stiffness: float, tmp_path: Path) -> None:
+def test_a_file_of_custom_forces_has_the_stiffness_of_its_walls(stiffness: float, tmp_path: Path) -> None:
     forces = np.zeros((*GRID.shape, 3))
     forces[..., 2] = np.maximum(-stiffness * GRID.axis_m(2), 0.0)
     medium = tf.HapticMedium.from_array(forces, GRID)
@@ -62,7 +62,7 @@ def test_a_file_of_one_s_own_forces_has_walls_as_stiff_as_these(stiffness: float
     assert stated_n_per_m(tf.decode(out).provenance) is None
 
 
-def test_a_stream_coded_anew_keeps_the_walls_that_it_states_and_an_edited_one_has_its_own(
+def test_reencoding_preserves_stated_walls_and_editing_remeasures_them(
     tmp_path: Path,
 ) -> None:
     plate, again, edited = tmp_path / "plate.toml", tmp_path / "again.touch", tmp_path / "edited.touch"

@@ -1,4 +1,4 @@
-"""`play --check`: what is decoded, what it is compared with, and the exit code."""
+"""`play --check`: the decoded frames, the required rate, and the exit code."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Clock:
-    """A clock that goes on by so much whenever it is read."""
+    """A clock that advances by a step at each reading."""
 
     def __init__(self, step_s: float) -> None:
         self.now_s, self.step_s = 0.0, step_s
@@ -42,7 +42,7 @@ class Clock:
         return self.now_s
 
 
-def test_a_sample_of_segments_is_held_against_real_time(stream: Path) -> None:
+def test_a_sample_of_segments_is_compared_with_real_time(stream: Path) -> None:
     quick, slow = check_play(stream, clock_s=Clock(0.01)), check_play(stream, clock_s=Clock(0.05))
     assert quick["frames_decoded"] == slow["frames_decoded"] == 24  # 8 of 10 segments
     assert quick["can_play"] and not slow["can_play"]
@@ -54,17 +54,17 @@ def test_a_sample_of_segments_is_held_against_real_time(stream: Path) -> None:
     assert [check_play(stream, speed, Clock(0.05))["needed_rate_hz"] for speed in (1.0, 0.5)] == [30.0, 15.0]
 
 
-def test_a_short_file_is_decoded_whole_and_a_still_one_can_always_be_played(
+def test_a_short_file_is_decoded_completely_and_a_static_one_always_plays(
     stream: Path, tmp_path: Path
 ) -> None:
     for count in (5, 1):
         encode(decode(stream)[:count], tmp_path / "a.touch", EncodeSpec(touch=TouchSpec(segment_frames=3)))
         assert check_play(tmp_path / "a.touch", clock_s=Clock(0.05))["frames_decoded"] == count
-    told = check_play(tmp_path / "a.touch", clock_s=Clock(30.0))
-    assert (told["frames_decoded"], told["needed_rate_hz"], told["can_play"]) == (1, 0.0, True)
+    result = check_play(tmp_path / "a.touch", clock_s=Clock(30.0))
+    assert (result["frames_decoded"], result["needed_rate_hz"], result["can_play"]) == (1, 0.0, True)
 
 
-def test_the_exit_code_tells(
+def test_the_exit_code_states_the_result(
     stream: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     import touchfield.tasks.play as job

@@ -1,4 +1,4 @@
-"""Groups of kernels that are compiled ahead: each is a small job that runs."""
+"""Groups of kernels compiled in advance: each is a small job that runs."""
 
 from __future__ import annotations
 

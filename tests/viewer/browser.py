@@ -1,4 +1,4 @@
-"""A real browser with the page: where it is, and what it answers to a list of steps."""
+"""Drives the page in a real browser: finds the browser, runs steps and returns the answers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SECONDS = 240
 
 
 def why_not() -> str:
-    """What is missing for a browser; nothing: it is there."""
+    """The reason for a missing browser; empty if there is one."""
     if NODE is None:
         return "there is no node here"
     if not (ROOT / "web" / "node_modules" / "playwright-core").is_dir():
@@ -31,25 +31,31 @@ def why_not() -> str:
 needs_browser = pytest.mark.skipif(bool(why_not()), reason=why_not())
 
 
-class Told(NamedTuple):
-    """Answers to the steps, addresses that were asked, and errors of the page."""
+class Result(NamedTuple):
+    """Answers to the steps, requested addresses, and errors of the page."""
 
     answers: list[Any]
     requests: list[str]
     errors: list[str]
 
 
-def drive(folder: Path, *steps: dict[str, Any], **context: Any) -> Told:
-    """Do steps in a browser without a network."""
-    asked, told = folder / "steps.json", folder / "answers.json"
-    seconds = SECONDS + sum(one.get("ms", 0) for one in steps) / 1000
-    asked.write_text(json.dumps({"steps": steps, "context": context}, default=str))
-    command = [str(NODE), str(ROOT / "tests" / "viewer" / "drive.mjs"), str(CHROMIUM), str(asked), str(told)]
+def drive(folder: Path, *steps: dict[str, Any], **context: Any) -> Result:
+    """Run steps in a browser without a network."""
+    input_path, output_path = folder / "steps.json", folder / "answers.json"
+    seconds = SECONDS + sum(step.get("ms", 0) for step in steps) / 1000
+    input_path.write_text(json.dumps({"steps": steps, "context": context}, default=str))
+    command = [
+        str(NODE),
+        str(ROOT / "tests" / "viewer" / "drive.mjs"),
+        str(CHROMIUM),
+        str(input_path),
+        str(output_path),
+    ]
     done = subprocess.run(
         command, cwd=ROOT / "web", capture_output=True, text=True, check=False, timeout=seconds
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    return Told(**json.loads(told.read_text()))
+    return Result(**json.loads(output_path.read_text()))
 
 
 FAST = """(() => {
@@ -69,10 +75,10 @@ FAST = """(() => {
 
 
 def hour_played(folder: Path, page: str) -> np.ndarray:
-    """A minute of a floor that moves, played sixty times, as fast as the browser draws.
+    """A minute of a moving floor, played sixty times, as fast as the browser draws.
 
-    Ten times a second: seconds of the medium, bytes of the page, bytes of its decoder, things on the graphics
-    card.
+    Ten times a second: seconds of the medium, bytes of the page, bytes of its decoder, objects on the
+    graphics card.
     """
     dense = np.zeros((1200, 16, 16, 16, 3), np.float32)
     for i in range(1200):
@@ -82,6 +88,6 @@ def hour_played(folder: Path, page: str) -> np.ndarray:
     steps = [{"do": "goto", "url": page}, {"do": "open", "file": str(folder / "minute.touch")}]
     steps += [{"do": "click", "id": "play"}, {"do": "run", "code": FAST}]
     steps += [{"do": "until", "code": "told.at(-1)?.[0] >= 3600"}, {"do": "run", "code": "told"}]
-    told = drive(folder, *steps)
-    assert told.errors == []
-    return np.array(told.answers[5])
+    result = drive(folder, *steps)
+    assert result.errors == []
+    return np.array(result.answers[5])

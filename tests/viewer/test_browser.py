@@ -1,4 +1,4 @@
-"""The page in a real browser: opened, played, dragged and felt, with the forces that Python gives."""
+"""The page in a real browser: opened, played, dragged and probed, with the forces given by Python."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SOLID = CONFORMANCE / "v1" / "touch-solid.touch"
 
 
 def is_paper(stream: Path) -> bool:
-    """Whether a file needs the paper's coder, which the page has not."""
+    """Whether a file needs the paper's coder, which the page does not support."""
     return b"\x05\x00paper" in stream.read_bytes()
 
 
@@ -41,14 +41,14 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
     return path.as_uri()
 
 
-def step(do: str, **given: Any) -> dict[str, Any]:
-    return {"do": do, **given}
+def step(do: str, **arguments: Any) -> dict[str, Any]:
+    return {"do": do, **arguments}
 
 
 GOLDEN = [s for s in sorted((CONFORMANCE / "v1").glob("*.touch")) if not is_paper(s)]
 
 
-def test_forces_are_those_of_python_in_every_golden_file(page: str, tmp_path: Path) -> None:
+def test_forces_equal_those_of_python_in_every_golden_file(page: str, tmp_path: Path) -> None:
     steps, expected, names = [step("goto", url=page)], [None], [""]
     rng = np.random.default_rng(18)
     for stream in GOLDEN:
@@ -68,63 +68,64 @@ def test_forces_are_those_of_python_in_every_golden_file(page: str, tmp_path: Pa
                 steps += [step("seek", time=time_s), step("feel", points=points.reshape(-1).tolist())]
                 expected += [None, np.column_stack([forces, amplitudes, frequencies])]
                 names += [stream.stem, f"{stream.stem} at {time_s:g} s"]
-    told = drive(tmp_path, *steps)
-    assert told.errors == []
-    felt = 0
-    for answer, wanted, name in zip(told.answers, expected, names, strict=True):
-        if wanted is not None:
+    result = drive(tmp_path, *steps)
+    assert result.errors == []
+    nonzero = 0
+    for answer, of_python, name in zip(result.answers, expected, names, strict=True):
+        if of_python is not None:
             got = np.array(answer).reshape(-1, 5)
-            np.testing.assert_allclose(got[:, :4], wanted[:, :4], rtol=0, atol=ALIKE_N, err_msg=name)
-            felt += int((np.abs(wanted[:, :3]).max(axis=1) > 0).sum())
-    assert felt > 1000
+            np.testing.assert_allclose(got[:, :4], of_python[:, :4], rtol=0, atol=ALIKE_N, err_msg=name)
+            nonzero += int((np.abs(of_python[:, :3]).max(axis=1) > 0).sum())
+    assert nonzero > 1000
 
 
 def _within(field: Any, rng: np.random.Generator) -> np.ndarray:
-    """Points near samples that hold a force."""
+    """Points near samples with a force."""
     support = field.support()
     if not len(support.positions):
         return np.zeros((0, 3))
-    chosen = support.positions[rng.integers(0, len(support.positions), 60)]
+    positions = support.positions[rng.integers(0, len(support.positions), 60)]
     grid = field.grid
-    return np.asarray(grid.origin_m) + (chosen + rng.uniform(-0.6, 0.6, chosen.shape)) * np.asarray(
+    return np.asarray(grid.origin_m) + (positions + rng.uniform(-0.6, 0.6, positions.shape)) * np.asarray(
         grid.spacing_m
     )
 
 
-def test_a_faulty_file_is_refused_in_words(page: str, tmp_path: Path) -> None:
+def test_a_faulty_file_is_refused_with_an_explanation(page: str, tmp_path: Path) -> None:
     names = sorted(FAULTY)
     steps = [step("goto", url=page)]
     for name in names:
         file = CONFORMANCE / "faulty" / f"{name}.touch"
         steps += [step("drop", file=file), step("through"), step("text", id="fault"), step("state")]
-    told = drive(tmp_path, *steps)
-    assert told.errors == []
-    for name, words, state in zip(names, told.answers[3::4], told.answers[4::4], strict=True):
+    result = drive(tmp_path, *steps)
+    assert result.errors == []
+    for name, text, state in zip(names, result.answers[3::4], result.answers[4::4], strict=True):
         assert state["state"] == "fault", name
-        assert words.startswith(f"{name}.touch cannot be shown: "), words
+        assert text.startswith(f"{name}.touch cannot be shown: "), text
         if not is_paper(CONFORMANCE / "faulty" / f"{name}.touch"):
-            assert KINDS[FAULTY[name]] in words, (name, words)
+            assert KINDS[FAULTY[name]] in text, (name, text)
 
 
 def test_files_of_the_coder_paper_are_refused_by_name(page: str, tmp_path: Path) -> None:
-    told = drive(tmp_path, step("goto", url=page), step("open", file=CONFORMANCE / "v1" / "paper-dct.touch"),
-                 step("text", id="fault"), step("open", file=SOLID), step("state"))  # fmt: skip
-    assert "another version" in told.answers[2] and "coder" in told.answers[2]
-    assert told.answers[4]["state"] == "ready"
+    result = drive(tmp_path, step("goto", url=page),
+                   step("open", file=CONFORMANCE / "v1" / "paper-dct.touch"), step("text", id="fault"),
+                   step("open", file=SOLID), step("state"))  # fmt: skip
+    assert "another version" in result.answers[2] and "coder" in result.answers[2]
+    assert result.answers[4]["state"] == "ready"
 
 
-def test_a_byte_is_told_where_a_record_does_not_hold(page: str, tmp_path: Path) -> None:
+def test_error_of_a_damaged_record_states_its_byte(page: str, tmp_path: Path) -> None:
     broken = bytearray(SOLID.read_bytes())
     broken[200] ^= 1
     path = tmp_path / "broken.touch"
     path.write_bytes(broken)
-    told = drive(tmp_path, step("goto", url=page), step("drop", file=path), step("text", id="fault"))
-    assert "at byte 14)" in told.answers[2]  # where HEAD begins
+    result = drive(tmp_path, step("goto", url=page), step("drop", file=path), step("text", id="fault"))
+    assert "at byte 14)" in result.answers[2]  # the start of HEAD
 
 
-def test_it_is_played_sought_and_paused(page: str, tmp_path: Path) -> None:
-    looks = [one for _ in range(6) for one in (step("wait", ms=130), step("state"))]
-    told = drive(
+def test_play_seek_and_pause(page: str, tmp_path: Path) -> None:
+    looks = [action for _ in range(6) for action in (step("wait", ms=130), step("state"))]
+    result = drive(
         tmp_path,
         step("goto", url=page),
         step("open", file=MOVING),
@@ -137,30 +138,30 @@ def test_it_is_played_sought_and_paused(page: str, tmp_path: Path) -> None:
         step("press", key="."),
         step("state"),
     )
-    first, *playing = told.answers[2], *told.answers[5:16:2]
-    paused, on = told.answers[17], told.answers[20]
+    first, *playing = result.answers[2], *result.answers[5:16:2]
+    paused, on = result.answers[17], result.answers[20]
     assert first["bodies"] > 1 and first["triangles"] > 0 and first["cones"] > 0 and not first["playing"]
     assert all(state["playing"] for state in playing) and len({state["time"] for state in playing}) > 1
     assert not paused["playing"]
-    assert on["time"] == pytest.approx(1 / on["head"]["rate"]) and told.errors == []
+    assert on["time"] == pytest.approx(1 / on["head"]["rate"]) and result.errors == []
 
 
-def test_the_pointer_feels_and_drags(page: str, tmp_path: Path) -> None:
-    told = drive(tmp_path, step("goto", url=page), step("open", file=SOLID), step("state"),
-                 step("move", x=430, y=400), step("move", x=470, y=430), step("state"),
-                 step("place", selector="#labels .handle"))  # fmt: skip
-    before, after, box = told.answers[2], told.answers[5], told.answers[6]
+def test_the_pointer_probes_and_drags(page: str, tmp_path: Path) -> None:
+    result = drive(tmp_path, step("goto", url=page), step("open", file=SOLID), step("state"),
+                   step("move", x=430, y=400), step("move", x=470, y=430), step("state"),
+                   step("place", selector="#labels .handle"))  # fmt: skip
+    before, after, box = result.answers[2], result.answers[5], result.answers[6]
     assert before["point"] != after["point"]
     middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
-    told = drive(tmp_path, step("goto", url=page), step("open", file=SOLID), step("state"),
-                 step("drag", **{"from": middle, "to": [middle[0] - 60, middle[1]]}), step("state"),
-                 step("drag", **{"from": [300, 600], "to": [400, 620]}), step("state"))  # fmt: skip
-    assert told.answers[4]["cut"] != told.answers[2]["cut"]
-    assert told.answers[6]["cut"] == told.answers[4]["cut"]
-    assert told.errors == []
+    result = drive(tmp_path, step("goto", url=page), step("open", file=SOLID), step("state"),
+                   step("drag", **{"from": middle, "to": [middle[0] - 60, middle[1]]}), step("state"),
+                   step("drag", **{"from": [300, 600], "to": [400, 620]}), step("state"))  # fmt: skip
+    assert result.answers[4]["cut"] != result.answers[2]["cut"]
+    assert result.answers[6]["cut"] == result.answers[4]["cut"]
+    assert result.errors == []
 
 
-def test_a_hand_that_slides_hears_the_material(page: str, tmp_path: Path) -> None:
+def test_a_sliding_hand_plays_the_sound_of_the_material(page: str, tmp_path: Path) -> None:
     levels = np.zeros((1, 1, len(BANDS_HZ)))
     levels[..., 9] = 0.01
     oak = Material("oak", speeds_m_s=(1e-6,), forces_n=(1e-4,), texture_rms_n=levels.tolist())
@@ -168,7 +169,7 @@ def test_a_hand_that_slides_hears_the_material(page: str, tmp_path: Path) -> Non
     store_materials(SOLID, [oak], stream)
     opening = [step("goto", url=page), step("open", file=stream), step("press", key="j")]
     slides = [step("press", key=key) for key in ("ArrowRight", "ArrowLeft", "ArrowRight")]
-    told = drive(
+    result = drive(
         tmp_path,
         *opening,
         *slides,
@@ -177,13 +178,13 @@ def test_a_hand_that_slides_hears_the_material(page: str, tmp_path: Path) -> Non
         step("press", key="j"),
         step("state"),
     )
-    assert told.errors == []
-    sliding, still = (told.answers[n]["sound"] for n in (6, 9))
+    assert result.errors == []
+    sliding, resting = (result.answers[n]["sound"] for n in (6, 9))
     assert sliding["hertz"] == pytest.approx(BANDS_HZ[9], rel=1e-4) and sliding["loudness"] > 0
-    assert still["hertz"] != pytest.approx(BANDS_HZ[9], rel=1e-4)
+    assert resting["hertz"] != pytest.approx(BANDS_HZ[9], rel=1e-4)
 
 
-def test_all_of_it_by_keys_and_told_in_words(page: str, tmp_path: Path) -> None:
+def test_all_functions_by_keys_and_as_spoken_text(page: str, tmp_path: Path) -> None:
     keys = [
         "ArrowUp",
         "ArrowRight",
@@ -200,8 +201,8 @@ def test_all_of_it_by_keys_and_told_in_words(page: str, tmp_path: Path) -> None:
         "h",
         "j",
     ]
-    pressed = [one for key in keys for one in (step("press", key=key), step("state"))]
-    told = drive(
+    pressed = [action for key in keys for action in (step("press", key=key), step("state"))]
+    result = drive(
         tmp_path,
         step("goto", url=page),
         step("open", file=MOVING),
@@ -218,68 +219,70 @@ def test_all_of_it_by_keys_and_told_in_words(page: str, tmp_path: Path) -> None:
         step("wait", ms=3000),
         step("state"),
     )
-    states = dict(zip(keys, told.answers[4 : 4 + 2 * len(keys) : 2], strict=True))
-    first = told.answers[2]
+    states = dict(zip(keys, result.answers[4 : 4 + 2 * len(keys) : 2], strict=True))
+    first = result.answers[2]
     assert states["ArrowUp"]["point"] != first["point"]
     assert states["PageDown"]["point"] != states["Shift+ArrowLeft"]["point"] != states["ArrowRight"]["point"]
     assert states["]"]["cut"] != first["cut"] and states["y"]["axis"] == 1
     assert max(np.abs(states["j"]["force"][:3])) > 0 and states["j"]["sound"]["loudness"] > 0
-    spoken, asked, looks, scanning, over = (told.answers[i] for i in (-9, -7, -6, -3, -1))
+    spoken, help_text, looks, scanning, over = (result.answers[i] for i in (-9, -7, -6, -3, -1))
     assert "newtons" in spoken and "millimetres from the middle" in spoken
-    assert "scan" in asked and looks == "contrast"
+    assert "scan" in help_text and looks == "contrast"
     assert scanning["point"] != over["point"]
     assert over["point"] == pytest.approx(states["j"]["point"])
-    assert told.errors == []
+    assert result.errors == []
 
 
-def test_a_file_of_its_own_opens_without_a_request(tmp_path: Path) -> None:
+def test_an_exported_page_opens_without_a_request(tmp_path: Path) -> None:
     out = tmp_path / "page.html"
     with pytest.raises(SystemExit) as ended:
         run_cli(["export", str(MOVING), str(out)], app)
     assert ended.value.code == 0
-    told = drive(tmp_path, step("goto", url=out.as_uri()), step("state"), step("click", id="play"),
-                 step("wait", ms=500), step("count", selector="#figures dd"))  # fmt: skip
-    assert told.answers[1]["state"] == "ready" and told.answers[1]["name"] == MOVING.name
-    assert told.answers[4] > 8
-    assert [r for r in told.requests if not r.startswith("blob:")] == [out.as_uri()]
-    assert told.errors == []
+    result = drive(tmp_path, step("goto", url=out.as_uri()), step("state"), step("click", id="play"),
+                   step("wait", ms=500), step("count", selector="#figures dd"))  # fmt: skip
+    assert result.answers[1]["state"] == "ready" and result.answers[1]["name"] == MOVING.name
+    assert result.answers[4] > 8
+    assert [r for r in result.requests if not r.startswith("blob:")] == [out.as_uri()]
+    assert result.errors == []
 
 
-def test_the_difference_is_that_between_the_file_and_its_source(tmp_path: Path) -> None:
-    """At samples of the lattice, in units of the mask, within what the source beside it is coded to."""
+def test_the_difference_of_the_file_and_its_source(tmp_path: Path) -> None:
+    """At samples of the lattice, in units of the mask, up to the error of the embedded source."""
     medium, rng = _waves(), np.random.default_rng(3)
     tf.encode(medium, tmp_path / "waves.touch", tf.EncodeSpec(touch=tf.codec.TouchSpec(k=0.3, f0_n=0.05)))
     page = tf.view(tmp_path / "waves.touch", against=medium)
     page.save(tmp_path / "page.html")
     field, grid = medium[0], medium.grid
     support = field.support().positions
-    places = support[rng.integers(0, len(support), 300)]
-    points = (np.asarray(grid.origin_m) + places * np.asarray(grid.spacing_m)).reshape(-1).tolist()
-    felt = step("feel", points=points)
-    told = drive(tmp_path, step("goto", url=(tmp_path / "page.html").as_uri()), felt, step("press", key="e"),
-                 step("wait", ms=500), felt, step("text", id="unit"),
-                 step("click", id="beside [data-what=difference]"), step("wait", ms=900), felt,
-                 step("text", id="unit"), step("state"), step("text", id="caption"),
-                 step("open", file=SOLID), step("state"), step("place", selector="#beside"))  # fmt: skip
-    assert told.errors == []
-    decoded, source, between = (np.array(told.answers[n]).reshape(-1, 5) for n in (1, 4, 8))
+    indices = support[rng.integers(0, len(support), 300)]
+    points = (np.asarray(grid.origin_m) + indices * np.asarray(grid.spacing_m)).reshape(-1).tolist()
+    probe = step("feel", points=points)
+    result = drive(tmp_path, step("goto", url=(tmp_path / "page.html").as_uri()), probe,
+                   step("press", key="e"), step("wait", ms=500), probe, step("text", id="unit"),
+                   step("click", id="beside [data-what=difference]"), step("wait", ms=900), probe,
+                   step("text", id="unit"), step("state"), step("text", id="caption"),
+                   step("open", file=SOLID), step("state"), step("place", selector="#beside"))  # fmt: skip
+    assert result.errors == []
+    decoded, source, between = (np.array(result.answers[n]).reshape(-1, 5) for n in (1, 4, 8))
     true = field.sample_n(np.array(points).reshape(-1, 3))
     allowed = np.maximum(0.05, 0.3 * np.linalg.norm(true, axis=1))
     assert (np.linalg.norm(source[:, :3] - true, axis=1) <= 0.1 * allowed * (1 + 1e-6)).all()
     expected = (decoded[:, :3] - true) / allowed[:, None]
-    assert np.linalg.norm(expected, axis=1).max() > 0.5  # there is something to see
+    assert np.linalg.norm(expected, axis=1).max() > 0.5  # the difference is visible
     np.testing.assert_allclose(between[:, :3], expected, atol=0.15)
     np.testing.assert_allclose(between[:, 3], allowed, rtol=0.04)
-    assert (told.answers[5], told.answers[9]) == ("N", "of what is allowed") and "0.1" in told.answers[11]
-    assert told.answers[10]["triangles"] > 0 and told.answers[10]["cones"] > 0
+    assert (result.answers[5], result.answers[9]) == ("N", "of what is allowed") and "0.1" in result.answers[
+        11
+    ]
+    assert result.answers[10]["triangles"] > 0 and result.answers[10]["cones"] > 0
     assert (
-        told.answers[13]["state"] == "ready"
-        and told.answers[13]["what"] == "decoded"
-        and told.answers[14] is None
+        result.answers[13]["state"] == "ready"
+        and result.answers[13]["what"] == "decoded"
+        and result.answers[14] is None
     )
 
 
-def test_a_difference_of_bodies_and_of_an_array_is_shown(tmp_path: Path) -> None:
+def test_differences_of_bodies_and_arrays_are_drawn(tmp_path: Path) -> None:
     """Every kind of medium: bodies at an instant between two frames, and actuators."""
     grid = tf.Grid((6, 5, 1), (0.01, 0.01, 0.01), (0, 0, 0))
     drives = np.zeros((6, 5, 1, 3), np.float32)
@@ -288,11 +291,11 @@ def test_a_difference_of_bodies_and_of_an_array_is_shown(tmp_path: Path) -> None
     for name, source in (("array", tf.HapticMedium.from_array(drives, grid)), ("bodies", MOVING)):
         file = tmp_path / f"{name}.touch" if name == "array" else _again(MOVING, tmp_path / "bodies.touch")
         tf.view(file, against=source).save(tmp_path / f"{name}.html")
-        told = drive(tmp_path, step("goto", url=(tmp_path / f"{name}.html").as_uri()),
+        result = drive(tmp_path, step("goto", url=(tmp_path / f"{name}.html").as_uri()),
                      step("click", id="beside [data-what=difference]"), step("wait", ms=600),
                      step("seek", time=0.0004), step("feel", points=[0, 0, 0]), step("state"))  # fmt: skip
-        assert told.errors == [] and told.answers[5]["state"] == "ready", name
-        assert told.answers[5]["what"] == "difference" and told.answers[4][3] > 0
+        assert result.errors == [] and result.answers[5]["state"] == "ready", name
+        assert result.answers[5]["what"] == "difference" and result.answers[4][3] > 0
 
 
 def _again(stream: Path, out: Path) -> Path:
@@ -308,27 +311,27 @@ def _waves() -> tf.HapticMedium:
     return tf.HapticMedium.from_array(force, grid)
 
 
-def test_words_in_a_file_are_shown_and_not_run(page: str, tmp_path: Path) -> None:
+def test_texts_of_a_file_are_escaped(page: str, tmp_path: Path) -> None:
     grid = tf.Grid((16, 16, 8), (0.005, 0.005, 0.005), (-0.0375, -0.0375, -0.0175))
     force = np.zeros((16, 16, 8, 3), np.float32)
     force[4:12, 4:12, 2:6, 2] = 1.0
     evil = "<img src=x onerror=window.ran=1>"
     medium = tf.HapticMedium.from_array(force, grid, axes=f"x right, y up, z {evil}")
     tf.encode(medium, tmp_path / "evil.touch")
-    told = drive(tmp_path, step("goto", url=page), step("open", file=tmp_path / "evil.touch"),
-                 step("count", selector="img"), step("run", code="window.ran ?? 0"),
-                 step("text", id="figures"))  # fmt: skip
-    assert told.answers[2] == told.answers[3] == 0
-    assert evil in told.answers[4]
+    result = drive(tmp_path, step("goto", url=page), step("open", file=tmp_path / "evil.touch"),
+                   step("count", selector="img"), step("run", code="window.ran ?? 0"),
+                   step("text", id="figures"))  # fmt: skip
+    assert result.answers[2] == result.answers[3] == 0
+    assert evil in result.answers[4]
 
 
-def test_a_game_pad_rumbles_as_strongly_as_the_probe_is_pushed(page: str, tmp_path: Path) -> None:
+def test_a_game_pad_rumbles_in_proportion_to_the_force(page: str, tmp_path: Path) -> None:
     pad = """window.played = []; Object.defineProperty(navigator, "getGamepads", { value: () => [null, {
       vibrationActuator: { playEffect: (kind, effect) => {
         played.push({ kind, ...effect });
         return Promise.resolve("complete");
       } } }] }); 0"""
-    told = drive(
+    result = drive(
         tmp_path,
         step("goto", url=page),
         step("run", code=pad),
@@ -342,26 +345,26 @@ def test_a_game_pad_rumbles_as_strongly_as_the_probe_is_pushed(page: str, tmp_pa
         step("press", key="ArrowUp"),
         step("run", code="played.length"),
     )
-    silent, state, played, after = told.answers[3], told.answers[6], told.answers[7], told.answers[10]
+    silent, state, played, after = result.answers[3], result.answers[6], result.answers[7], result.answers[10]
     size = np.linalg.norm(state["force"][:3])
-    assert told.errors == [] and silent == 0 and after == len(played) > 0
+    assert result.errors == [] and silent == 0 and after == len(played) > 0
     assert played[-1]["kind"] == "dual-rumble" and played[-1]["duration"] > 60
     assert played[-1]["strongMagnitude"] == pytest.approx(size / state["head"]["peak"]) and size > 0
 
 
 def test_the_pressure_of_a_pen_is_depth(page: str, tmp_path: Path) -> None:
-    """At half its pressure the probe is as deep as that of a pointer, and it goes deeper in proportion."""
+    """At half its pressure a pen has the depth of a mouse, and the depth is proportional to the pressure."""
     presses = [("mousePressed", 0.1), ("mouseMoved", 0.5), ("mouseMoved", 0.9), ("mouseReleased", 0.0)]
     pens = [
-        one
+        action
         for kind, force in presses
-        for one in (step("pen", type=kind, x=479, y=420, force=force), step("state"))
+        for action in (step("pen", type=kind, x=479, y=420, force=force), step("state"))
     ]
-    told = drive(tmp_path, step("goto", url=page), step("open", file=SOLID), step("press", key="c"),
-                 step("move", x=479, y=420), step("state"), *pens)  # fmt: skip
-    assert told.errors == []
-    head, pointer = told.answers[4]["head"], np.array(told.answers[4]["point"])
-    light, half, hard = (np.array(told.answers[n]["point"]) for n in (6, 8, 10))
+    result = drive(tmp_path, step("goto", url=page), step("open", file=SOLID), step("press", key="c"),
+                   step("move", x=479, y=420), step("state"), *pens)  # fmt: skip
+    assert result.errors == []
+    head, pointer = result.answers[4]["head"], np.array(result.answers[4]["point"])
+    light, half, hard = (np.array(result.answers[n]["point"]) for n in (6, 8, 10))
     depth_m = 0.05 * min(n * h for n, h in zip(head["shape"], head["spacing"], strict=True))
     np.testing.assert_allclose(half, pointer, atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(half - light), 0.8 * depth_m, rtol=1e-3)
@@ -369,12 +372,12 @@ def test_the_pressure_of_a_pen_is_depth(page: str, tmp_path: Path) -> None:
 
 
 def test_an_hour_of_a_medium_takes_no_more_memory_than_its_first_minutes(page: str, tmp_path: Path) -> None:
-    played, heap, memory, kept = hour_played(tmp_path, page).T
+    played, heap, memory, objects = hour_played(tmp_path, page).T
     first, last = (played > 600) & (played < 1800), played > 2400
     assert first.sum() > 10 and last.sum() > 10
     assert np.median(heap[last]) - np.median(heap[first]) < 500_000
     assert memory[last].max() == memory[first].max() > 1 << 20
-    assert kept[last].max() <= kept[first].max() < 50
+    assert objects[last].max() <= objects[first].max() < 50
 
 
 @pytest.mark.parametrize(
@@ -382,11 +385,11 @@ def test_an_hour_of_a_medium_takes_no_more_memory_than_its_first_minutes(page: s
     [
         "",  # Jupyter and marimo
         "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
-        "img-src https: data:; child-src https: data: blob:",  # as an editor's view may have it
-        "worker-src 'none'",  # no threads: the decoder runs beside the page
+        "img-src https: data:; child-src https: data: blob:",  # as in the view of an editor
+        "worker-src 'none'",  # no threads: the decoder runs in the thread of the page
     ],
 )
-def test_a_notebook_shows_it_in_a_frame_of_its_own(tmp_path: Path, policy: str) -> None:
+def test_a_notebook_shows_the_page_in_a_frame(tmp_path: Path, policy: str) -> None:
     out = tmp_path / "notebook.html"
     head = f'<meta http-equiv="Content-Security-Policy" content="{policy}">' if policy else ""
     cell = tf.view(MOVING)._repr_html_()
@@ -394,36 +397,35 @@ def test_a_notebook_shows_it_in_a_frame_of_its_own(tmp_path: Path, policy: str) 
         f'<!doctype html><html data-state="ready"><head>{head}</head><body>{cell}</body></html>',
         encoding="utf-8",
     )
-    around = "(() => { try { return parent.document.title; } catch { return 'closed'; } })()"
-    told = drive(tmp_path, step("goto", url=out.as_uri()),
-                 step("until", frame=1, code="window.touchfield?.state().state == 'ready'"),
-                 step("within", code="window.touchfield.state()"), step("within", code=around),
-                 step("within", code="[...document.querySelectorAll('button')].find((b) => b.id == "
-                                     "'play').click()"),
-                 step("until", frame=1, code="window.touchfield.state().time > 0"))  # fmt: skip
-    assert told.answers[2]["state"] == "ready" and told.answers[2]["triangles"] > 0, told.errors
-    assert told.answers[3] == "closed"
-    assert all("worker" in error.lower() for error in told.errors) and bool(told.errors) == (
+    outer_title = "(() => { try { return parent.document.title; } catch { return 'closed'; } })()"
+    result = drive(tmp_path, step("goto", url=out.as_uri()),
+                   step("until", frame=1, code="window.touchfield?.state().state == 'ready'"),
+                   step("within", code="window.touchfield.state()"), step("within", code=outer_title),
+                   step("within", code="[...document.querySelectorAll('button')].find((b) => b.id == "
+                                       "'play').click()"),
+                   step("until", frame=1, code="window.touchfield.state().time > 0"))  # fmt: skip
+    assert result.answers[2]["state"] == "ready" and result.answers[2]["triangles"] > 0, result.errors
+    assert result.answers[3] == "closed"
+    assert all("worker" in error.lower() for error in result.errors) and bool(result.errors) == (
         "worker-src" in policy
     )
 
 
-def test_memory_grows_with_what_a_file_needs(page: str, tmp_path: Path) -> None:
+def test_memory_grows_with_the_file(page: str, tmp_path: Path) -> None:
     grid = tf.Grid((160, 160, 160), (1e-3,) * 3, (-0.0795,) * 3)
     force = np.zeros((160, 160, 160, 3), np.float32)
-    force[4::8, 4::8, 4::8, 2] = 1.0  # 8000 bricks: more than the room at first
+    force[4::8, 4::8, 4::8, 2] = 1.0  # 8000 bricks: more than the initial memory
     tf.encode(tf.HapticMedium.from_array(force, grid), tmp_path / "wide.touch")
     point = [grid.origin_m[n] + 12e-3 for n in range(3)]
-    told = drive(tmp_path, step("goto", url=page), step("open", file=tmp_path / "wide.touch"), step("state"),
-                 step("feel", points=point), step("open", file=MOVING), step("state"))  # fmt: skip
-    assert told.answers[2]["state"] == told.answers[5]["state"] == "ready" and told.errors == []
-    assert told.answers[3][2] == pytest.approx(1.0, abs=0.11)
+    result = drive(tmp_path, step("goto", url=page), step("open", file=tmp_path / "wide.touch"),
+                   step("state"), step("feel", points=point), step("open", file=MOVING),
+                   step("state"))  # fmt: skip
+    assert result.answers[2]["state"] == result.answers[5]["state"] == "ready" and result.errors == []
+    assert result.answers[3][2] == pytest.approx(1.0, abs=0.11)
 
 
 def test_a_movie_and_its_touch_are_on_one_clock(tmp_path: Path) -> None:
-    """The picture tells its time by its brightness, and the touch by its height; both are there from one
-    file.
-    """
+    """The brightness of the picture and the height of the touch encode the time; both are in one file."""
     av = pytest.importorskip("av", reason="movies need the extra video")
     from touchfield.network.mux import mux
 
@@ -448,8 +450,8 @@ def test_a_movie_and_its_touch_are_on_one_clock(tmp_path: Path) -> None:
         "(() => { const at = document.getElementById('at'); at.value = '0.5'; "
         "at.dispatchEvent(new Event('input')); })()"
     )
-    looks = [one for _ in range(5) for one in (step("wait", ms=400), step("state"))]
-    told = drive(
+    looks = [state for _ in range(5) for state in (step("wait", ms=400), step("state"))]
+    result = drive(
         tmp_path,
         step("goto", url=(tmp_path / "page.html").as_uri()),
         step("run", code=ready),
@@ -462,16 +464,14 @@ def test_a_movie_and_its_touch_are_on_one_clock(tmp_path: Path) -> None:
         step("state"),
         step("shot", path=str(tmp_path / "movie.png")),
     )
-    first, playing, last = told.answers[2], told.answers[5:14:2], told.answers[17]
-    assert told.errors == [] and not [
-        url for url in told.requests if not url.startswith(("file:", "blob:", "data:"))
+    first, playing, last = result.answers[2], result.answers[5:14:2], result.answers[17]
+    assert result.errors == [] and not [
+        url for url in result.requests if not url.startswith(("file:", "blob:", "data:"))
     ]
     assert first["state"] == "ready" and first["movie"] == 0
-    shown = [(one["movie"], one["time"]) for one in playing]
-    assert all(0 < a < b for (a, _), (b, _) in zip(shown, shown[1:], strict=False))
-    for film, touch in shown:
-        assert touch == pytest.approx(
-            min(max(film - 1, 0), 29 / 30), abs=0.35
-        )  # a frame that is drawn slowly
+    times = [(state["movie"], state["time"]) for state in playing]
+    assert all(0 < a < b for (a, _), (b, _) in zip(times, times[1:], strict=False))
+    for film, touch in times:
+        assert touch == pytest.approx(min(max(film - 1, 0), 29 / 30), abs=0.35)  # a slowly drawn frame
     assert not last["playing"] and last["movie"] == pytest.approx(1.5, abs=0.05)
     assert last["time"] == pytest.approx(0.5)

@@ -1,4 +1,6 @@
-"""The page is what its sources give, small enough, closed to scripts and networks; Python fills it in."""
+"""The page equals the build of its sources, is small, allows no scripts or networks, and is filled
+in by Python.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +28,12 @@ from touchfield.viewer.browser import empty_page, page_of
 
 WEB = ROOT / "web"
 GOLDEN = ROOT / "conformance" / "v1"
-WHOLE_GZ, WASM_GZ = 200_000, 60_000
+PAGE_GZ, WASM_GZ = 200_000, 60_000
 
 
 def sources() -> list[str]:
-    """As build.mjs names them."""
-    own = [
+    """The sources named by build.mjs."""
+    names = [
         "../c/touch.h",
         "build.mjs",
         "build_wasm.sh",
@@ -42,7 +44,7 @@ def sources() -> list[str]:
     ]
     folders = [f"{p.parent.name}/{p.name}" for p in sorted((WEB / "freestanding").iterdir())]
     return [
-        *own,
+        *names,
         "three_core.mjs",
         "touch_wasm.c",
         *folders,
@@ -50,12 +52,12 @@ def sources() -> list[str]:
     ]
 
 
-def test_the_page_is_made_from_the_sources_that_are_here() -> None:
-    told = hashlib.sha256()
+def test_the_page_is_built_from_the_current_sources() -> None:
+    digest = hashlib.sha256()
     for name in sources():
-        told.update(name.encode() + b"\0" + (WEB / name).read_bytes() + b"\0")
+        digest.update(name.encode() + b"\0" + (WEB / name).read_bytes() + b"\0")
     recorded = re.search(r'name="touchfield-sources" content="([0-9a-f]{64})"', empty_page())
-    assert recorded and recorded[1] == told.hexdigest(), "web/ or c/touch.h has changed: make web"
+    assert recorded and recorded[1] == digest.hexdigest(), "web/ or c/touch.h has changed: make web"
 
 
 def test_building_again_gives_the_same_page(tmp_path: Path) -> None:
@@ -75,10 +77,10 @@ def test_building_again_gives_the_same_page(tmp_path: Path) -> None:
 def test_the_page_is_small() -> None:
     packed = re.search(r'id="decoder">([^<]+)<', empty_page())
     assert packed and len(base64.b64decode(packed[1])) < WASM_GZ
-    assert len(gzip.compress(empty_page().encode(), 9)) < WHOLE_GZ
+    assert len(gzip.compress(empty_page().encode(), 9)) < PAGE_GZ
 
 
-def test_the_page_lets_no_script_run_but_its_own_and_asks_no_network() -> None:
+def test_the_page_allows_only_its_script_and_no_network() -> None:
     page = empty_page()
     policy = re.search(r'Content-Security-Policy" content="([^"]+)"', page)
     assert policy is not None
@@ -94,59 +96,59 @@ def test_the_page_lets_no_script_run_but_its_own_and_asks_no_network() -> None:
     )
 
 
-def test_words_of_a_stranger_stay_words() -> None:
+def test_foreign_texts_are_escaped() -> None:
     page = page_of(b"abc", '"><script>alert(1)</script>', {"mode": "</script><script>alert(2)</script>"})
     assert page.count("<script") == empty_page().count("<script")
     assert "alert(1)</script>" not in page and base64.b64encode(b"abc").decode() in page
 
 
-def test_view_tells_what_the_file_promises() -> None:
+def test_view_states_the_error_bound_of_the_file() -> None:
     page = tf.view(GOLDEN / "touch-mask.touch")
     assert page.figures["mode"] == "mask" and page.figures["promise_kept"]
     assert 'data-name="touch-mask.touch"' in page.html
-    told = re.search(r'id="given-figures">(.*?)</script>', page.html)
-    assert told and json.loads(told[1])["mode"] == "mask"
+    figures = re.search(r'id="given-figures">(.*?)</script>', page.html)
+    assert figures and json.loads(figures[1])["mode"] == "mask"
     assert page._repr_html_().startswith("<iframe srcdoc=")
 
 
 def test_the_command_writes_and_opens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stream, out, shown = str(GOLDEN / "touch-mask.touch"), tmp_path / "page.html", []
-    monkeypatch.setattr("webbrowser.open", shown.append)
+    stream, out, opened = str(GOLDEN / "touch-mask.touch"), tmp_path / "page.html", []
+    monkeypatch.setattr("webbrowser.open", opened.append)
     assert _exit_code(["view", stream, "--out", str(out), "--no-open"]) == 0
-    assert out.read_text(encoding="utf-8") == tf.view(stream).html and not shown
+    assert out.read_text(encoding="utf-8") == tf.view(stream).html and not opened
     assert _exit_code(["view", stream, "--out", str(out)]) == 0
-    assert shown == [out.as_uri()]
+    assert opened == [out.as_uri()]
     assert _exit_code(["view", stream]) == 0
-    assert shown[1].endswith("/page.html")
+    assert opened[1].endswith("/page.html")
     assert _exit_code(["view", stream, "--no-open"]) == 2
 
 
-def test_a_page_tells_what_devices_render(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The figures are those of the command `measure`; of a file alone, none is computed."""
+def test_a_page_states_the_capacity_of_devices(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The figures are those of the command `measure`; a page of a file alone has none."""
     stream, out = GOLDEN / "touch-solid.touch", tmp_path / "page.html"
     names = ("phantom-omni", "tshirt-32x32")
-    asked = [word for name in names for word in ("--device", name)]
-    assert _exit_code(["view", str(stream), *asked, "--out", str(out), "--no-open", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert _exit_code(["measure", str(stream), *asked, "--no-limits", "--json"]) == 0
+    options = [word for name in names for word in ("--device", name)]
+    assert _exit_code(["view", str(stream), *options, "--out", str(out), "--no-open", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert _exit_code(["measure", str(stream), *options, "--no-limits", "--json"]) == 0
     expected = json.loads(capsys.readouterr().out)
-    assert told["entropy_voxel_bits"] == expected["entropy_voxel"]["value"]
-    assert told["entropy_frame_bits"] == expected["entropy_frame"]["value"]
+    assert report["entropy_voxel_bits"] == expected["entropy_voxel"]["value"]
+    assert report["entropy_frame_bits"] == expected["entropy_frame"]["value"]
     for name in names:
-        own, found = told["capacity"][name], expected["capacity"][name]
-        assert [own["capacity_bits"], own["wmr"], own["hil"]] == [
+        of_page, found = report["capacity"][name], expected["capacity"][name]
+        assert [of_page["capacity_bits"], of_page["wmr"], of_page["hil"]] == [
             found[key]["value"] for key in ("capacity", "wmr", "hil")
         ]
     within = re.search(r'id="given-figures">(.*?)</script>', out.read_text(encoding="utf-8"))
-    assert within and json.loads(within[1])["capacity"] == told["capacity"]
+    assert within and json.loads(within[1])["capacity"] == report["capacity"]
     assert "capacity" not in tf.view(stream).figures
     assert "capacity" in tf.view(tf.decode(stream), devices=names[:1]).figures
     assert (
-        _exit_code(["view", str(GOLDEN / "touch-empty.touch"), *asked, "--out", str(out), "--no-open"]) == 2
+        _exit_code(["view", str(GOLDEN / "touch-empty.touch"), *options, "--out", str(out), "--no-open"]) == 2
     )
 
 
-def test_a_page_with_the_source_tells_its_bytes(
+def test_a_page_with_the_source_states_its_bytes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     grid = tf.Grid((16, 16, 8), (0.005, 0.005, 0.005), (-0.0375, -0.0375, -0.0175))
@@ -156,23 +158,23 @@ def test_a_page_with_the_source_tells_its_bytes(
     tf.write_field(source, tf.HapticMedium.from_array(force, grid))
     tf.encode(source, stream, tf.EncodeSpec(nw=4))
     assert _exit_code(["export", stream, out, "--source", source, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    report = json.loads(capsys.readouterr().out)
     within = re.search(r'id="given-source">([^<]+)<', Path(out).read_text(encoding="utf-8"))
-    assert within and len(base64.b64decode(within[1])) == told["source_bytes"] > 0
+    assert within and len(base64.b64decode(within[1])) == report["source_bytes"] > 0
     assert _exit_code(["export", stream, str(tmp_path / "drives.hjif"), "--source", source]) == 2
     assert _exit_code(["view", stream, "--source", source, "--out", source, "--no-open"]) == 2
     assert list(tf.view(stream, source).figures["capacity"]) == ["phantom-omni"]
 
-    def share(most_bytes: int) -> float:
-        monkeypatch.setattr("touchfield.tasks.view.MAX_SOURCE_BYTES", most_bytes)
+    def source_fraction(max_bytes: int) -> float:
+        monkeypatch.setattr("touchfield.tasks.view.MAX_SOURCE_BYTES", max_bytes)
         with tf.open_stream(stream) as opened:
             return fine_source(source, opened).error_fraction
 
-    assert [share(told["source_bytes"] - n) for n in (0, 1)] == pytest.approx([0.1, 0.3])
+    assert [source_fraction(report["source_bytes"] - n) for n in (0, 1)] == pytest.approx([0.1, 0.3])
     with pytest.raises(InvalidArgument, match="at most 100 in a page"):
-        share(100)
+        source_fraction(100)
     tf.encode(source, stream, tf.EncodeSpec(nw=4, touch=tf.codec.TouchSpec(k=0.002, f0_n=0.01)))
-    assert share(1 << 20) == pytest.approx(0.5), "no finer than k = 0.001"
+    assert source_fraction(1 << 20) == pytest.approx(0.5), "no finer than k = 0.001"
     nothing = tf.HapticMedium.from_frames([tf.ForceField.empty(grid)], 30.0)
     tf.encode(nothing, tmp_path / "nothing.touch")
     assert "capacity" not in tf.view(tmp_path / "nothing.touch", nothing).figures
@@ -184,7 +186,7 @@ def test_a_page_with_the_source_tells_its_bytes(
     assert "Name its own source" in capsys.readouterr().err
 
 
-def test_the_coder_paper_is_refused_with_what_to_do() -> None:
+def test_the_coder_paper_is_refused_with_a_remedy() -> None:
     with pytest.raises(InvalidArgument, match=r"touchfield encode .* NEW\.touch"):
         tf.view(GOLDEN / "paper-dct.touch")
 

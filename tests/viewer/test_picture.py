@@ -1,6 +1,4 @@
-"""The picture of a comparison: what it shows is where the force is, in millimetres,
-and in units of the mask.
-"""
+"""The picture of a comparison: the force at its position, in millimetres and in units of the mask."""
 
 from __future__ import annotations
 
@@ -33,28 +31,28 @@ def drawn(axes: str, decoded: ForceField) -> tuple[_Panels, list[np.ndarray], li
     images = [panel.images[0] for panel in row]
     return (
         panels,
-        [np.ma.filled(one.get_array(), np.nan) for one in images],
-        [one.get_extent() for one in images],
+        [np.ma.filled(image.get_array(), np.nan) for image in images],
+        [image.get_extent() for image in images],
     )
 
 
 @pytest.mark.parametrize(
-    ("axes", "place"), [("x right, y down, z forward", 6), ("x right, y up, z towards the user", 8)]
+    ("axes", "index"), [("x right, y down, z forward", 6), ("x right, y up, z towards the user", 8)]
 )
-def test_a_hand_from_the_viewer_meets_the_nearer_face(axes: str, place: int) -> None:
+def test_a_hand_from_the_viewer_reaches_the_nearer_face(axes: str, index: int) -> None:
     _, (source, decoded, _), _ = drawn(axes, plate(1.0))
-    expected_mm = 1e3 * (GRID.origin_m[2] + place * GRID.spacing_m[2])
+    expected_mm = 1e3 * (GRID.origin_m[2] + index * GRID.spacing_m[2])
     for depth in (source, decoded):
         assert np.isfinite(depth).sum() == 6 * 4
         assert depth[np.isfinite(depth)] == pytest.approx(expected_mm, abs=1e-6)
 
 
-def test_a_picture_lies_where_the_samples_are() -> None:
+def test_a_picture_is_aligned_with_the_samples() -> None:
     panels, _, extents = drawn("x right, y up, z towards the user", plate(1.0))
     for low_mm, high_mm, axis in ((extents[0][0], extents[0][1], 0), (extents[0][2], extents[0][3], 1)):
-        own = PLATE[axis]
+        half_mm = PLATE[axis]
         first, last = (
-            1e3 * (GRID.origin_m[axis] + i * GRID.spacing_m[axis]) for i in (own.start, own.stop - 1)
+            1e3 * (GRID.origin_m[axis] + i * GRID.spacing_m[axis]) for i in (half_mm.start, half_mm.stop - 1)
         )
         half = 500 * GRID.spacing_m[axis]
         assert low_mm == pytest.approx(first - 3 * half) and high_mm == pytest.approx(last + 3 * half), (

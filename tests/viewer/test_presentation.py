@@ -1,5 +1,5 @@
-"""What the user reads: names as they are, nothing cut off, every note with its quantity, pictures of any
-name.
+"""Texts for the user: unescaped names, nothing truncated, notes with their quantity, file names of
+pictures.
 """
 
 from __future__ import annotations
@@ -92,12 +92,12 @@ def test_names_are_printed_as_they_are(
     assert capsys.readouterr().out.count(":motorcycle:") == 6
 
 
-def test_nothing_is_cut_off(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_truncated(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    words = "kind=salt-pepper,seed=4,density=0.05,rms=0.1," * 3
-    Answer({"filters": words}, "long").show()
+    text = "kind=salt-pepper,seed=4,density=0.05,rms=0.1," * 3
+    Answer({"filters": text}, "long").show()
     printed = capsys.readouterr().out
-    assert words in "".join(printed.split()) and "\u2026" not in printed
+    assert text in "".join(printed.split()) and "\u2026" not in printed
     stages = [{"stage": f"multiresolution-{i}", "supported_voxels": 14942 + i} for i in range(6)]
     show_rows(stages, "stages")
     printed = capsys.readouterr().out
@@ -113,10 +113,13 @@ def test_devices_fit_a_terminal_a_line_each(capsys: Capture, monkeypatch: pytest
     printed = capsys.readouterr().out.splitlines()
     lines = printed[: [line.strip() for line in printed].index("drivers (play --device)")]
     assert len(lines) == len(devices()) + 3 and max(map(len, printed)) <= 80
-    for one, line in zip(devices(), lines[2:], strict=False):
-        assert line.startswith(one.name) and "x".join(f"{x:.0f}" for x in one.workspace_mm) in line.split()
-        unseen = [source for source in one.sources.values() if source.startswith("unverified")]
-        assert line.rstrip().endswith(f" {len(unseen)} of {len(one.sources)}")
+    for profile, line in zip(devices(), lines[2:], strict=False):
+        assert (
+            line.startswith(profile.name)
+            and "x".join(f"{x:.0f}" for x in profile.workspace_mm) in line.split()
+        )
+        unseen = [source for source in profile.sources.values() if source.startswith("unverified")]
+        assert line.rstrip().endswith(f" {len(unseen)} of {len(profile.sources)}")
 
 
 def test_names_are_listed_and_sizes_multiplied(capsys: Capture) -> None:
@@ -154,8 +157,8 @@ def test_notes_name_their_quantity(
     assert "few samples" in notes[0] or "too low" in notes[0]
     assert len(set(notes)) == len(notes)
     of = measured.capacities["dotpad"]
-    told = replace(of, rendered=of.rendered.of(notes=("few samples: 1",)))
-    printed = _printed(replace(measured, capacities={"dotpad": told}), capsys, monkeypatch)
+    with_notes = replace(of, rendered=of.rendered.of(notes=("few samples: 1",)))
+    printed = _printed(replace(measured, capacities={"dotpad": with_notes}), capsys, monkeypatch)
     assert "note: dotpad, H(M(W)): few samples: 1" in printed
 
 
@@ -165,17 +168,17 @@ def test_no_interval_of_a_capacity_without_that_of_its_entropy(
     of = measured.capacities["dotpad"]
     bare = replace(of, rendered=of.rendered.of(interval=None))
     printed = _printed(replace(measured, capacities={"dotpad": bare}), capsys, monkeypatch)
-    shown = printed.split("capacity of devices")[1].split("energy")[0]
-    rows = [line for line in shown.splitlines() if line.startswith(("dotpad", "  WMR", "  HIL"))]
+    section = printed.split("capacity of devices")[1].split("energy")[0]
+    rows = [line for line in section.splitlines() if line.startswith(("dotpad", "  WMR", "  HIL"))]
     assert len(rows) == 3 and not any(" to " in row for row in rows)
 
 
-def test_energy_that_could_not_be_seen(
+def test_unmeasured_energy_is_printed_without_nan(
     measured: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert measured.passivity is not None
-    unseen = replace(measured.passivity, relative_curl=math.nan, notes=("no curl: thin",))
-    printed = _printed(replace(measured, passivity=unseen), capsys, monkeypatch)
+    unmeasured = replace(measured.passivity, relative_curl=math.nan, notes=("no curl: thin",))
+    printed = _printed(replace(measured, passivity=unmeasured), capsys, monkeypatch)
     assert "nan" not in printed
     assert "no curl: thin" in next(line for line in printed.splitlines() if line.startswith("relative curl"))
 
@@ -186,19 +189,17 @@ def test_report_of_filters_on_a_narrow_page(
     monkeypatch.setenv("COLUMNS", "60")
     scene = tmp_path / "s.toml"
     scene.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n')
-    words = ["filter", str(scene), str(tmp_path / "o.touch"), "--nw", "4", "--report"]
-    words += ["--multiresolution", "1", "--texture", "salt-pepper:seed=4"]
-    assert _exit_code(words) == 0
+    arguments = ["filter", str(scene), str(tmp_path / "o.touch"), "--nw", "4", "--report"]
+    arguments += ["--multiresolution", "1", "--texture", "salt-pepper:seed=4"]
+    assert _exit_code(arguments) == 0
     printed = capsys.readouterr().out
     assert "\u2026" not in printed and "rms=0.1" in printed
-    shown = printed.split("before and after")[1]
-    assert max(map(len, shown.splitlines())) <= 60 and "multiresolution" in shown
+    section = printed.split("before and after")[1]
+    assert max(map(len, section.splitlines())) <= 60 and "multiresolution" in section
 
 
-def test_the_slices_go_through_where_the_most_force_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Many weak samples at one height, fewer strong ones at another."""
+def test_slices_pass_through_the_greatest_force(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many weak samples at one height, and fewer strong ones at another."""
     grid = Grid.over_box((0, 0, 0), (0.04, 0.02, 0.04), (80, 10, 80))
     dense = np.zeros((80, 10, 80, 3))
     dense[:, 2, :, 2] = 0.01
@@ -209,11 +210,11 @@ def test_the_slices_go_through_where_the_most_force_is(
     draw_comparison(tmp_path / "x.png", field, field, "t\nc", "x right, y up", (0.1, 0.02))
     titles = [panel.get_title() for panel in drawn[0].axes]
     assert sum("slice at y = 15.0 mm" in title for title in titles) == 4
-    arrows = [one for panel in drawn[0].axes for one in panel.findobj(Quiver)]
-    assert [len(one.U) for one in arrows] == [16**2] * 2, (
+    arrows = [quiver for panel in drawn[0].axes for quiver in panel.findobj(Quiver)]
+    assert [len(quiver.U) for quiver in arrows] == [16**2] * 2, (
         "one for each thirtieth of the page that holds a force"
     )
-    assert all((one.V > 0).all() and not one.U.any() for one in arrows)
+    assert all((quiver.V > 0).all() and not quiver.U.any() for quiver in arrows)
 
 
 def test_the_axes_are_millimetres_of_the_lattice_where_forces_are(
@@ -230,9 +231,11 @@ def test_the_axes_are_millimetres_of_the_lattice_where_forces_are(
     low, high = grid.box_m
     for panel in (front, top):
         assert panel.get_xlabel() == "x / mm"
-        seen = sorted(panel.get_xlim())
+        limits = sorted(panel.get_xlim())
         # the box of the forces, -10 to 10 mm, with at most a few samples around it
-        assert 1e3 * low[0] - 1e-6 <= seen[0] <= -10 + 1e-6 and 10 - 1e-6 <= seen[1] <= 1e3 * high[0] + 1e-6
+        assert (
+            1e3 * low[0] - 1e-6 <= limits[0] <= -10 + 1e-6 and 10 - 1e-6 <= limits[1] <= 1e3 * high[0] + 1e-6
+        )
     met_mm = front.images[0].get_array().compressed()
     np.testing.assert_allclose(met_mm, 117.0, err_msg="whoever has z towards the eye meets the highest first")
     assert top.get_ylabel() == "z / mm" and 100 - 1e-6 <= min(top.get_ylim()) <= 106 + 1e-6

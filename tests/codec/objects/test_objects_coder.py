@@ -1,6 +1,4 @@
-"""The coder `objects`: a haptic scene goes through a file and comes back, piece by piece and within its
-claims.
-"""
+"""Coder `objects`: haptic scenes survive a round trip, and faulty files are refused."""
 
 from __future__ import annotations
 
@@ -33,8 +31,8 @@ from touchfield.pipeline.encoding import record_of, write_objects
 SPEC = PaperSpec(segment_frames=3)
 
 
-def written(path: Path, scene: HapticScene, spec: PaperSpec = SPEC) -> ObjectsEncoder:
-    """A file of a scene."""
+def write_scene(path: Path, scene: HapticScene, spec: PaperSpec = SPEC) -> ObjectsEncoder:
+    """Write a scene to a file; return its encoder."""
     encoder = ObjectsEncoder(scene, spec, F0_N)
     with TouchWriter(path) as writer:
         writer.write_head(head_of(scene, encoder, spec), {"source": "made up"})
@@ -45,14 +43,14 @@ def written(path: Path, scene: HapticScene, spec: PaperSpec = SPEC) -> ObjectsEn
 @pytest.fixture(scope="module")
 def stream_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("objects") / "moving.touch"
-    written(path, moving_scene())
+    write_scene(path, moving_scene())
     return path
 
 
 # -- whole scenes ------------------------------------------------------------------------------------------
 
 
-def test_a_scene_comes_back(stream_path: Path) -> None:
+def test_scene_round_trip(stream_path: Path) -> None:
     scene = moving_scene()
     with TouchReader(stream_path) as reader:
         decoded = SceneStream(reader).scene
@@ -68,32 +66,32 @@ def test_a_scene_comes_back(stream_path: Path) -> None:
             assert getattr(decoded, name) == getattr(scene, name)
         assert decoded.damping_n_s_per_m == scene.damping_n_s_per_m
         assert decoded.provenance == {"source": "made up"}
-        for mine, theirs in zip(decoded.objects, scene.objects, strict=True):
-            assert (mine.name, mine.is_rigid, mine.medium.grid) == (
-                theirs.name,
-                theirs.is_rigid,
-                theirs.medium.grid,
+        for restored, original in zip(decoded.objects, scene.objects, strict=True):
+            assert (restored.name, restored.is_rigid, restored.medium.grid) == (
+                original.name,
+                original.is_rigid,
+                original.medium.grid,
             )
-            assert len(mine.track) == 7
+            assert len(restored.track) == 7
 
 
 @pytest.mark.parametrize("damping", [0.02, 0.5, 10.0])
 def test_the_damping_of_a_moving_surface_is_within_the_mask(tmp_path: Path, damping: float) -> None:
-    """Where the exact and the decoded motion both have a force; its edge is moved by less than a voxel."""
+    """Compared where both motions have a force; the surface is displaced by less than a voxel."""
     scene = moving_scene(deforming=False, surface_damping=damping)
     scene = dataclasses.replace(scene, objects=scene.objects[:1], force_max_n=100.0)
-    written(tmp_path / "a.touch", scene)
+    write_scene(tmp_path / "a.touch", scene)
     index = np.moveaxis(np.indices((41, 41, 41)), 0, -1) / 40 - 0.5
     with TouchReader(tmp_path / "a.touch") as reader:
         decoded = SceneStream(reader).scene
-        one = decoded.objects[0]
+        body = decoded.objects[0]
         exact = dataclasses.replace(
-            decoded, objects=(dataclasses.replace(one, track=scene.objects[0].track),)
+            decoded, objects=(dataclasses.replace(body, track=scene.objects[0].track),)
         )
-        still = dataclasses.replace(exact, surface_damping_n_s_per_m=0.0)
+        undamped = dataclasses.replace(exact, surface_damping_n_s_per_m=0.0)
         for frame in (0, 3, 6):
             points = scene.objects[0].track.to_scene(0.009 * index, frame)
-            both = (np.abs(still.sample_n(frame, points)) > 1e-3).any(axis=-1)
+            both = (np.abs(undamped.sample_n(frame, points)) > 1e-3).any(axis=-1)
             error = exact.sample_n(frame, points) - decoded.sample_n(frame, points)
             assert both.sum() > 1000
             assert np.sqrt((error[both] ** 2).sum(axis=-1)).max() <= F0_N / 2 + 1e-5
@@ -103,7 +101,7 @@ def test_fields_are_those_of_the_paper_coder(stream_path: Path) -> None:
     scene = moving_scene()
     with TouchReader(stream_path) as reader:
         stream = SceneStream(reader)
-        coders = [PaperEncoder(one.medium.grid, SPEC) for one in scene.objects]
+        coders = [PaperEncoder(item.medium.grid, SPEC) for item in scene.objects]
         for i in (0, 1):
             body = coders[i].encode_segment([scene.objects[i].field(0)]).body
             (expected,) = PaperDecoder(scene.objects[i].medium.grid, coders[i].parameters).frames(body, 1)
@@ -129,8 +127,8 @@ def test_both_representations_agree_after_decoding(stream_path: Path) -> None:
             assert voxels[frame].support_count > 100
 
 
-def test_surface_damping_travels(tmp_path: Path) -> None:
-    written(tmp_path / "a.touch", moving_scene(deforming=False, surface_damping=0.75))
+def test_surface_damping_round_trip(tmp_path: Path) -> None:
+    write_scene(tmp_path / "a.touch", moving_scene(deforming=False, surface_damping=0.75))
     with TouchReader(tmp_path / "a.touch") as reader:
         stream = SceneStream(reader)
         assert stream.scene.surface_damping_n_s_per_m == 0.75
@@ -140,40 +138,39 @@ def test_surface_damping_travels(tmp_path: Path) -> None:
 def test_rigid_motion_costs_poses_and_one_field(tmp_path: Path) -> None:
     sizes = {}
     for frames in (2, 200):
-        written(tmp_path / f"{frames}.touch", moving_scene(frames, deforming=False))
+        write_scene(tmp_path / f"{frames}.touch", moving_scene(frames, deforming=False))
         with TouchReader(tmp_path / f"{frames}.touch") as reader:
             sizes[frames] = SceneStream(reader).bits
             assert len(reader.segments) == 1
     assert sizes[200].support == sizes[2].support > 0
-    assert (
-        sizes[2].poses < sizes[200].poses < 200 * 64 * 8
-    )  # a raw pose of float64 has 56 bytes, and there are two
+    # a raw pose of float64 has 56 bytes, and there are two
+    assert sizes[2].poses < sizes[200].poses < 200 * 64 * 8
 
 
-def test_the_bits_are_all_told(tmp_path: Path) -> None:
-    encoder = written(tmp_path / "a.touch", moving_scene())
+def test_bits_of_all_parts_sum_to_the_file(tmp_path: Path) -> None:
+    encoder = write_scene(tmp_path / "a.touch", moving_scene())
     with TouchReader(tmp_path / "a.touch") as reader:
         stream = SceneStream(reader)
         bodies = [reader.read_segment(i) for i in range(len(reader.segments))]
-        rigid = [one.field for one in stream.decoder.objects]
+        rigid = [body.field for body in stream.decoder.objects]
         bits = stream.bits
     assert bits.total == 8 * (sum(map(len, bodies)) + sum(map(len, rigid)))
     assert min(bits.poses, bits.support, bits.amplitude, bits.direction, bits.side) > 0
-    held = [f.support_count for one in moving_scene().objects for f in one.medium]
-    assert encoder.supported == sum(held)
+    support_counts = [f.support_count for body in moving_scene().objects for f in body.medium]
+    assert encoder.supported == sum(support_counts)
 
 
 def test_the_same_scene_has_the_same_bytes(stream_path: Path, tmp_path: Path) -> None:
-    written(tmp_path / "again.touch", moving_scene())
+    write_scene(tmp_path / "again.touch", moving_scene())
     assert (tmp_path / "again.touch").read_bytes() == stream_path.read_bytes()
 
 
-def test_segments_may_come_before_the_objects_are_listed() -> None:
+def test_segments_may_be_encoded_before_the_objects() -> None:
     scene = moving_scene()
-    one, other = (ObjectsEncoder(scene, SPEC, F0_N) for _ in range(2))
-    listed = list(one.objects())
-    assert list(one.segments()) == list(other.segments())
-    assert listed == list(other.objects())
+    encoder, other_encoder = (ObjectsEncoder(scene, SPEC, F0_N) for _ in range(2))
+    objects = list(encoder.objects())
+    assert list(encoder.segments()) == list(other_encoder.segments())
+    assert objects == list(other_encoder.objects())
 
 
 def test_empty_objects_and_a_single_frame(tmp_path: Path) -> None:
@@ -181,7 +178,7 @@ def test_empty_objects_and_a_single_frame(tmp_path: Path) -> None:
     nothing = HapticMedium.from_frames([ball(grid, 1e-9)], 30.0)
     assert nothing[0].support_count == 0
     scene = HapticScene(grid, 30.0, (HapticObject("", nothing, tumbling(1, 0.1, 0.3)),), 3.0)
-    written(tmp_path / "a.touch", scene)
+    write_scene(tmp_path / "a.touch", scene)
     with TouchReader(tmp_path / "a.touch") as reader:
         decoded = SceneStream(reader).scene
         assert decoded.voxelise()[0].support_count == 0
@@ -256,32 +253,33 @@ def test_too_many_objects_or_poses() -> None:
         check_pose_count(2, MAX_POSES // 2 + 1)
 
 
-def test_a_file_that_claims_many_poses_costs_no_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Segments of nothing, whose poses would take 100 GB: refused before anything is made of them."""
+def test_declared_poses_allocate_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Empty segments whose poses would take 100 GB are refused before anything is allocated."""
     scene = moving_scene(1, deforming=False)
     encoder = ObjectsEncoder(scene, SPEC, F0_N)
 
-    def claiming(frames: int) -> io.BytesIO:
+    def file_with_frames(frames: int) -> io.BytesIO:
         with TouchWriter(tmp_path / "a.touch") as writer:
             writer.write_head(dataclasses.replace(head_of(scene, encoder), frame_count=frames))
-            for one in encoder.objects():
-                writer.write_object(record_of(one))
+            for body in encoder.objects():
+                writer.write_object(record_of(body))
             for first in range(0, frames, 65535):
                 writer.write_segment(first, min(65535, frames - first), b"")
         return io.BytesIO((tmp_path / "a.touch").read_bytes())
 
     with (
-        TouchReader(claiming(MAX_POSES // 2 + 1)) as reader,
+        TouchReader(file_with_frames(MAX_POSES // 2 + 1)) as reader,
         pytest.raises(CorruptFile, match="16777216 poses"),
     ):
         SceneStream(reader)
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.1")
-    with TouchReader(claiming(1 << 20)) as reader, pytest.raises(InvalidArgument, match="GiB of poses"):
+    with (
+        TouchReader(file_with_frames(1 << 20)) as reader,
+        pytest.raises(InvalidArgument, match="GiB of poses"),
+    ):
         SceneStream(reader)
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "1")
-    with TouchReader(claiming(1 << 20)) as reader:
+    with TouchReader(file_with_frames(1 << 20)) as reader:
         tracemalloc.start()
         try:
             with pytest.raises(FormatError):
@@ -295,22 +293,22 @@ def test_a_file_that_claims_many_poses_costs_no_memory(
 
 
 voxels = st.tuples(*[st.integers(0, (1 << 20) - 1)] * 3)
-worsts = st.none() | st.builds(
+max_errors = st.none() | st.builds(
     lambda n, f, v: MaxError(n / 65535, f, v), st.integers(0, 65535), st.integers(0, 65534), voxels
 )
 
 
 @given(
-    worsts,
+    max_errors,
     st.lists(st.tuples(st.binary(max_size=300), st.none() | st.binary(max_size=300)), max_size=6),
     st.data(),
 )
-def test_parts_fill_the_body(
-    worst: MaxError | None, made: list[tuple[bytes, bytes | None]], data: st.DataObject
+def test_segment_parts_round_trip(
+    max_error: MaxError | None, contents: list[tuple[bytes, bytes | None]], data: st.DataObject
 ) -> None:
-    parts = SegmentParts(worst, [ObjectPart(poses, fields) for poses, fields in made])
+    parts = SegmentParts(max_error, [ObjectPart(poses, fields) for poses, fields in contents])
     body = parts.to_bytes()
-    kinds = [fields is not None for _, fields in made]
+    kinds = [fields is not None for _, fields in contents]
     assert SegmentParts.from_bytes(body, kinds) == parts
     with pytest.raises(CorruptFile, match="1 bytes after the last object"):
         SegmentParts.from_bytes(body + b"\0", kinds)
@@ -319,7 +317,7 @@ def test_parts_fill_the_body(
 
 
 @pytest.mark.parametrize("ratio", [0.0, 1e-9, 0.5, 0.99999, 1.0])
-def test_the_worst_error_is_not_rounded_down(ratio: float) -> None:
+def test_max_error_is_not_rounded_down(ratio: float) -> None:
     read = SegmentParts.from_bytes(SegmentParts(MaxError(ratio, 0, (0, 0, 0)), []).to_bytes(), []).max_error
     assert read is not None and ratio <= read.ratio <= ratio + 1 / 65535
 
@@ -330,7 +328,7 @@ def test_a_length_beyond_the_body_allocates_nothing() -> None:
         SegmentParts.from_bytes(huge, [False])
 
 
-def test_a_worst_voxel_out_of_bounds(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
+def test_max_error_voxel_out_of_bounds(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
     decoder, bodies = decoding
     parts = decoder.parts(bodies[0])
     late = parts._replace(max_error=MaxError(0.5, 3, (0, 0, 0)))
@@ -349,12 +347,12 @@ def test_a_worst_voxel_out_of_bounds(decoding: tuple[ObjectsDecoder, list[bytes]
 def test_changed_bodies_are_refused_or_read(
     decoding: tuple[ObjectsDecoder, list[bytes]], data: st.DataObject
 ) -> None:
-    """Behind the CRC-32 every byte pattern reaches the decoder: named errors, nothing else."""
+    """Past the CRC-32 any bytes may reach the decoder: it raises only the named errors."""
     decoder, bodies = decoding
     body = bytearray(data.draw(st.sampled_from(bodies)))
     for _ in range(data.draw(st.integers(1, 4))):
-        begin = data.draw(st.integers(0, len(body)))
-        body[begin : begin + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
+        start = data.draw(st.integers(0, len(body)))
+        body[start : start + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
     with suppress(FormatError):
         assert all(len(track) == 3 for track in decoder.tracks(bytes(body), 3))
         assert len(list(decoder.fields(bytes(body), 2, 3))) == 3
@@ -370,8 +368,8 @@ def test_changed_objects_are_refused_or_read(
     name = data.draw(st.sampled_from(["field", "pose_steps", "field_parameters"]))
     value = bytearray(getattr(decoder.objects[index], name))
     for _ in range(data.draw(st.integers(1, 3))):
-        begin = data.draw(st.integers(0, len(value)))
-        value[begin : begin + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=3))
+        start = data.draw(st.integers(0, len(value)))
+        value[start : start + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=3))
     objects = list(decoder.objects)
     objects[index] = dataclasses.replace(objects[index], **{name: bytes(value)})
     with suppress(FormatError):
@@ -382,7 +380,7 @@ def test_changed_objects_are_refused_or_read(
 
 
 def test_bytes_after_the_last_field_of_a_segment_are_noticed(stream_path: Path) -> None:
-    """Also where frames are asked for one by one."""
+    """Also where frames are read one at a time."""
     with TouchReader(stream_path) as reader:
         stream = SceneStream(reader)
         medium = stream.scene.objects[2].medium
@@ -414,9 +412,7 @@ def test_fields_are_of_objects_that_deform(decoding: tuple[ObjectsDecoder, list[
 def test_the_parts_of_a_segment_are_read_once_for_all_objects(
     stream_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Thousands of objects each ask for the same body: reading it anew would cost the square of their
-    number.
-    """
+    """Thousands of objects read the same body: parsing it for each would be quadratic in their number."""
     calls = []
     read = SegmentParts.from_bytes
     monkeypatch.setattr(SegmentParts, "from_bytes", lambda *a: calls.append(a) or read(*a))
@@ -432,13 +428,13 @@ def test_the_parts_of_a_segment_are_read_once_for_all_objects(
 
 def test_errors_name_the_record_and_the_object(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
     decoder, bodies = decoding
-    for change, words in (
+    for change, message in (
         ({"pose_steps": b"\0"}, "OBJT 1 pose_steps: found 1 bytes"),
         ({"field_parameters": b"cube"}, "OBJT 1 field_parameters: found b'cube'"),
         ({"field_coder": "x"}, "OBJT 1 field_coder: found 'x'"),
     ):
         first, second, third = decoder.objects
-        with pytest.raises(FormatError, match=words):
+        with pytest.raises(FormatError, match=message):
             ObjectsDecoder(
                 Parameters(3, 0.0, 0.0).to_bytes(), [first, dataclasses.replace(second, **change), third]
             )
@@ -448,36 +444,36 @@ def test_errors_name_the_record_and_the_object(decoding: tuple[ObjectsDecoder, l
         decoder.tracks(SegmentParts(None, cut).to_bytes(), 3)
 
 
-def test_a_damping_that_asks_for_too_fine_poses_is_refused_in_words(tmp_path: Path) -> None:
+def test_damping_that_needs_too_fine_poses_is_refused(tmp_path: Path) -> None:
     scene = moving_scene(3, deforming=False, surface_damping=1e9)
     with pytest.raises(
         InvalidArgument, match=r"a damping of 1e\+09 N s/m at 1000 Hz.*smaller surface damping"
     ):
-        written(tmp_path / "x.touch", scene)
+        write_scene(tmp_path / "x.touch", scene)
     assert not list(tmp_path.iterdir())
 
 
-def test_still_objects_at_their_place_are_exact(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
+def test_objects_at_rest_are_exact(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
     decoder, bodies = decoding
     assert decoder.tracks(bodies[0], 3)[1] == PoseTrack.constant(3)
 
 
-def written_over(path: Path, scene: HapticScene, world: Grid) -> int:
-    """A file of a scene whose workspace is another, as a stranger may write one; its bytes."""
+def write_scene_on_grid(path: Path, scene: HapticScene, world: Grid) -> int:
+    """Write a scene whose header declares another grid; return the file's size in bytes."""
     encoder = ObjectsEncoder(scene, SPEC, F0_N)
     head = head_of(scene, encoder, SPEC)
     with TouchWriter(path) as writer:
-        told = {"grid_shape": world.shape, "spacing_m": world.spacing_m, "origin_m": world.origin_m}
-        writer.write_head(dataclasses.replace(head, **told), {})
+        grid_fields = {"grid_shape": world.shape, "spacing_m": world.spacing_m, "origin_m": world.origin_m}
+        writer.write_head(dataclasses.replace(head, **grid_fields), {})
         write_objects(writer, encoder, scene.frame_count)
     return path.stat().st_size
 
 
 @pytest.mark.parametrize("spacing_m", [1e-9, 1e-5, 5e-5])
-def test_a_small_file_fills_no_huge_grid(tmp_path: Path, spacing_m: float) -> None:
-    """Each brick of a body would reach from thousands of the grid's bricks to all 134 million."""
+def test_small_file_cannot_fill_a_huge_grid(tmp_path: Path, spacing_m: float) -> None:
+    """Each brick of a body would cover thousands of the grid's bricks, up to all 134 million."""
     world = Grid((4096,) * 3, (spacing_m,) * 3, (-2048 * spacing_m,) * 3)
-    size = written_over(tmp_path / "a.touch", moving_scene(3), world)
+    size = write_scene_on_grid(tmp_path / "a.touch", moving_scene(3), world)
     with TouchReader(tmp_path / "a.touch") as reader:
         scene = SceneStream(reader).scene
         scene.sample_n(0, [0.0, 0.0, 0.0])
@@ -490,19 +486,21 @@ def test_a_small_file_fills_no_huge_grid(tmp_path: Path, spacing_m: float) -> No
             peak = tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()
-        assert peak < (700 << 20)  # a word for each brick of the grid, of which no page is touched
-        near = Grid((8, 8, 8), (0.001,) * 3, (0.0,) * 3)
-        assert scene.voxelise(near)[1].grid == near  # what the user asks for is the user's
+        assert peak < (700 << 20)  # an index entry per brick of the grid; its pages are never touched
+        small_grid = Grid((8, 8, 8), (0.001,) * 3, (0.0,) * 3)
+        assert scene.voxelise(small_grid)[1].grid == small_grid  # a requested grid is not limited
 
 
-def test_a_huge_grid_about_a_small_scene_is_no_fault(tmp_path: Path) -> None:
+def test_huge_grid_around_a_small_scene_is_accepted(tmp_path: Path) -> None:
     scene = moving_scene(3)
     h, origin = scene.grid.spacing_m, scene.grid.origin_m
-    roomy = Grid((4096,) * 3, h, (origin[0] - 1024 * h[0], origin[1] - 1024 * h[1], origin[2] - 1024 * h[2]))
-    written_over(tmp_path / "a.touch", scene, roomy)
-    written(tmp_path / "b.touch", scene)
-    with TouchReader(tmp_path / "a.touch") as reader, TouchReader(tmp_path / "b.touch") as usual:
-        found, expected = (SceneStream(r).scene.voxelise()[2] for r in (reader, usual))
-        inside = found.bricks - 128
-        kept = ((inside >= 0) & (inside < scene.grid.brick_shape)).all(axis=1)
-        assert np.array_equal(inside[kept], expected.bricks)
+    wide_grid = Grid(
+        (4096,) * 3, h, (origin[0] - 1024 * h[0], origin[1] - 1024 * h[1], origin[2] - 1024 * h[2])
+    )
+    write_scene_on_grid(tmp_path / "a.touch", scene, wide_grid)
+    write_scene(tmp_path / "b.touch", scene)
+    with TouchReader(tmp_path / "a.touch") as reader, TouchReader(tmp_path / "b.touch") as plain_reader:
+        found, expected = (SceneStream(r).scene.voxelise()[2] for r in (reader, plain_reader))
+        shifted = found.bricks - 128
+        is_inside = ((shifted >= 0) & (shifted < scene.grid.brick_shape)).all(axis=1)
+        assert np.array_equal(shifted[is_inside], expected.bricks)

@@ -1,6 +1,4 @@
-"""The pose coder: quantised poses keep the force within the mask, and the bytes are what the document
-says.
-"""
+"""The pose coder: quantised poses keep the force within the mask, and the bytes follow the document."""
 
 from __future__ import annotations
 
@@ -18,7 +16,7 @@ from touchfield.errors import CorruptFile, FormatError, InvalidArgument, Truncat
 from touchfield.medium.pose_track import PoseTrack
 
 FINE = PoseSteps(2.0**-16, 2.0**-15)
-"""What a wall of 1 N/mm, 7 cm from the body's origin, needs where 0.05 N are felt."""
+"""Steps for a wall of 1 N/mm, 7 cm from the body's origin, with a threshold of 0.05 N."""
 
 steps_of_all_sizes = st.builds(
     lambda p, q: PoseSteps(2.0**p, 2.0**q), st.integers(-40, 0), st.integers(-30, -2)
@@ -35,19 +33,19 @@ def rng_units(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def falling(count: int, seed: int = 0, rate_hz: float = 1000.0, every_s: float = 0.4) -> PoseTrack:
-    """A tumbling body that bounces every so often: parabolas, and a new spin of some 10 rad/s at each
+    """A tumbling body that bounces every `every_s`: parabolas, with a new spin of some 10 rad/s at each
     bounce.
     """
     rng = np.random.default_rng(seed)
     bounce, phase_s = np.divmod(np.arange(count) / rate_hz, every_s)
     height = 9.81 / 2 * phase_s * (every_s - phase_s)
     drift = rng.normal(0, 0.3, (len(set(bounce)), 2))[bounce.astype(int)] / rate_hz
-    turn, quaternions = Rotation.identity(), []
-    for one in np.unique(bounce):
+    rotation, quaternions = Rotation.identity(), []
+    for index in np.unique(bounce):
         spin = rng.normal(0, 6, 3)
-        during = turn * Rotation.from_rotvec(phase_s[bounce == one][:, None] * spin)
+        during = rotation * Rotation.from_rotvec(phase_s[bounce == index][:, None] * spin)
         quaternions.append(during.as_quat()[:, [3, 0, 1, 2]])
-        turn = turn * Rotation.from_rotvec(every_s * spin)
+        rotation = rotation * Rotation.from_rotvec(every_s * spin)
     return PoseTrack(np.concatenate(quaternions), np.column_stack([np.cumsum(drift, axis=0), height]))
 
 
@@ -55,34 +53,30 @@ def falling(count: int, seed: int = 0, rate_hz: float = 1000.0, every_s: float =
 
 
 @given(st.floats(1e-7, 1e-3), st.floats(0, 0.2), st.integers(0, 2**32 - 1))
-def test_no_point_leaves_its_place_by_more_than_the_tolerance(
-    tolerance_m: float, far_m: float, seed: int
-) -> None:
+def test_no_point_moves_by_more_than_the_tolerance(tolerance_m: float, radius_m: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     track = random_track(rng, 6)
-    steps = choose_pose_steps(track, far_m, tolerance_m)
+    steps = choose_pose_steps(track, radius_m, tolerance_m)
     decoded = decode_poses(encode_poses(track, steps), 6, steps)
-    points = far_m * rng_units(rng, 50)[:, :3]
-    away = [track.to_scene(points, i) - decoded.to_scene(points, i) for i in range(6)]
-    assert np.linalg.norm(away, axis=2).max() <= tolerance_m + 1e-15
+    points = radius_m * rng_units(rng, 50)[:, :3]
+    differences_m = [track.to_scene(points, i) - decoded.to_scene(points, i) for i in range(6)]
+    assert np.linalg.norm(differences_m, axis=2).max() <= tolerance_m + 1e-15
 
 
 def test_the_steps_are_the_coarsest() -> None:
-    """Twice as coarse ones of either kind move a point too far."""
-    track, far_m = falling(400), 0.03
-    steps = choose_pose_steps(track, far_m, 1e-5)
+    """Doubling either step moves a point by more than the tolerance."""
+    track, radius_m = falling(400), 0.03
+    steps = choose_pose_steps(track, radius_m, 1e-5)
     for wider in (
         PoseSteps(2 * steps.position_m, steps.quaternion),
         PoseSteps(steps.position_m, 2 * steps.quaternion),
     ):
-        assert displacement_m(track, wider.track(round_poses(track, wider)), far_m).max() > 1e-5
-    spinning = PoseTrack(
-        track.quaternions, np.zeros((400, 3))
-    )  # of which positions cost nothing, however coarse
-    assert choose_pose_steps(spinning, far_m, 1e-5).quaternion >= steps.quaternion
+        assert displacement_m(track, wider.track(round_poses(track, wider)), radius_m).max() > 1e-5
+    spinning = PoseTrack(track.quaternions, np.zeros((400, 3)))  # whose positions are exact at any step
+    assert choose_pose_steps(spinning, radius_m, 1e-5).quaternion >= steps.quaternion
 
 
-def test_the_velocity_of_a_surface_asks_for_finer_steps() -> None:
+def test_surface_damping_needs_finer_steps() -> None:
     track = falling(100)
     damping = Damping(2.0, 1000.0, 0.0125)
     coarse, fine = choose_pose_steps(track, 0.03, 1e-5), choose_pose_steps(track, 0.03, 1e-5, damping)
@@ -91,7 +85,7 @@ def test_the_velocity_of_a_surface_asks_for_finer_steps() -> None:
     assert not damping.is_within(track, coarse.track(round_poses(track, coarse)), 0.03)
 
 
-def test_steps_that_would_have_to_be_too_fine_are_refused() -> None:
+def test_too_fine_steps_are_refused() -> None:
     with pytest.raises(InvalidArgument, match="keep to 1e-06 um"):
         choose_pose_steps(falling(5), 1.0, 1e-12)
 
@@ -117,7 +111,7 @@ def test_faulty_steps_are_refused() -> None:
 
 
 @given(steps_of_all_sizes, st.integers(1, 40), st.integers(0, 2**32 - 1), st.floats(0, 800))
-def test_tracks_return_to_within_half_a_step_and_then_unchanged(
+def test_decoded_tracks_are_within_half_a_step(
     steps: PoseSteps, count: int, seed: int, reach_m: float
 ) -> None:
     track = random_track(np.random.default_rng(seed), count, reach_m)
@@ -128,7 +122,7 @@ def test_tracks_return_to_within_half_a_step_and_then_unchanged(
 
 
 @pytest.mark.parametrize("power", [-2, -3, -8, -15, -30])
-def test_quarter_turns_and_spins_through_the_ambiguous_sign_return(power: int) -> None:
+def test_quarter_turns_and_sign_changes_round_trip(power: int) -> None:
     steps = PoseSteps(2.0**-10, 2.0**power)
     angles = np.concatenate([np.arange(9) * np.pi / 2, np.linspace(0, 20, 60)])
     for axis in np.eye(3):
@@ -142,7 +136,7 @@ def test_quarter_turns_and_spins_through_the_ambiguous_sign_return(power: int) -
         )
 
 
-def test_cheap_tracks_are_cheap() -> None:
+def test_simple_tracks_take_few_bytes() -> None:
     assert len(encode_poses(PoseTrack.constant(2000), FINE)) <= 8
     assert len(encode_poses(PoseTrack.constant(MAX_SEGMENT_POSES, (0.1, -0.2, 0.3)), FINE)) <= 16
     tumbling = falling(2000)
@@ -150,8 +144,8 @@ def test_cheap_tracks_are_cheap() -> None:
     assert len(encode_poses(tumbling.between(0, 300), FINE)) < 0.25 * len(encode_poses(tumbling, FINE))
 
 
-def test_each_component_has_the_order_that_suits_it() -> None:
-    """Ramps and parabolas of whole steps leave nothing to code but their first numbers."""
+def test_each_component_has_its_own_predictor_order() -> None:
+    """Ramps and parabolas of whole steps have zero residuals after their first numbers."""
     i = np.arange(1000)
     for numbers in (3 * i, i * i, 2 * (i - 400) ** 2):
         track = PoseTrack(
@@ -172,12 +166,12 @@ def test_tracks_beyond_the_limits_are_refused() -> None:
             decode_poses(b"", count, FINE)
 
 
-def test_the_largest_jumps_return() -> None:
-    """Positions from one end of the range to the other and back: residuals of the most bits."""
+def test_largest_jumps_round_trip() -> None:
+    """Positions that alternate between both ends of the range: residuals with the most bits."""
     steps = PoseSteps(2.0**-40, 2.0**-30)
-    ends = 1024.0 * np.array([[1, -1, 1], [-1, 1, -1], [-1, -1, 1], [1, 1, -1]] * 5)
-    track = PoseTrack(rng_units(np.random.default_rng(0), 20), ends)
-    assert np.array_equal(decode_poses(encode_poses(track, steps), 20, steps).positions_m, ends)
+    corners_m = 1024.0 * np.array([[1, -1, 1], [-1, 1, -1], [-1, -1, 1], [1, 1, -1]] * 5)
+    track = PoseTrack(rng_units(np.random.default_rng(0), 20), corners_m)
+    assert np.array_equal(decode_poses(encode_poses(track, steps), 20, steps).positions_m, corners_m)
 
 
 # -- faults ------------------------------------------------------------------------------------------------
@@ -191,8 +185,8 @@ def assert_fault_or_track(data: bytes, count: int, steps: PoseSteps) -> None:
     assert len(track) == count
 
 
-def test_cut_and_longer_bytes_are_not_taken_for_the_track() -> None:
-    """A code has no end of its own, so that a cut one may by chance be that of another track."""
+def test_truncated_or_extended_bytes_do_not_decode_to_the_track() -> None:
+    """The code has no end marker, so truncated bytes may decode to another track."""
     track = falling(100)
     data = encode_poses(track, FINE)
     decoded = decode_poses(data, 100, FINE)
@@ -212,10 +206,10 @@ def test_cut_and_longer_bytes_are_not_taken_for_the_track() -> None:
 
 def test_changed_bytes_are_a_fault_or_another_track() -> None:
     data = encode_poses(falling(60), FINE)
-    for place in range(len(data)):
+    for index in range(len(data)):
         for change in (1, 0x40, 0xFF):
             wrong = bytearray(data)
-            wrong[place] ^= change
+            wrong[index] ^= change
             assert_fault_or_track(bytes(wrong), 60, FINE)
 
 
@@ -224,10 +218,8 @@ def test_random_bytes_are_a_fault_or_a_track(data: bytes, count: int, steps: Pos
     assert_fault_or_track(data, count, steps)
 
 
-def test_quaternions_that_are_none_are_corrupt() -> None:
-    """Steps other than those of the encoder make quaternions of a wrong length,
-    or numbers beyond the limit.
-    """
+def test_numbers_that_are_no_quaternion_are_corrupt() -> None:
+    """Decoding with other steps gives quaternions of a wrong length, or numbers beyond the limit."""
     data = encode_poses(PoseTrack.constant(3), FINE)
     with pytest.raises(CorruptFile, match="frame 0"):
         decode_poses(data, 3, PoseSteps(FINE.position_m, FINE.quaternion / 2))
@@ -237,7 +229,7 @@ def test_quaternions_that_are_none_are_corrupt() -> None:
         decode_poses(b"", 3, FINE)  # seven zeros would be the shortest code of all
 
 
-def test_few_bytes_take_no_more_memory_than_poses_do() -> None:
+def test_decoding_few_bytes_takes_memory_in_proportion_to_the_poses() -> None:
     data = encode_poses(PoseTrack.constant(MAX_SEGMENT_POSES), FINE)
     tracemalloc.start()
     decode_poses(data, MAX_SEGMENT_POSES, FINE)

@@ -1,4 +1,4 @@
-"""The direction codebooks: theory's table, their symmetry, and the exact nearest vertex."""
+"""The direction codebooks: covering radii, symmetry, and the exact nearest vertex."""
 
 from __future__ import annotations
 
@@ -38,10 +38,14 @@ def brute_force(codebook, vectors):
 
 def assert_nearest(codebook, vectors):
     found, best = codebook.nearest(vectors), brute_force(codebook, vectors)
-    other = found != best
-    x = vectors[other].astype(np.float64)
-    mine, theirs = ((x * codebook.vertices[which[other]]).sum(axis=1) for which in (found, best))
-    assert (np.abs(mine - theirs) <= 4e-16 * np.linalg.norm(x, axis=1)).all()  # a tie, broken by rounding
+    differs = found != best
+    x = vectors[differs].astype(np.float64)
+    found_dots, best_dots = (
+        (x * codebook.vertices[vertices[differs]]).sum(axis=1) for vertices in (found, best)
+    )
+    assert (
+        np.abs(found_dots - best_dots) <= 4e-16 * np.linalg.norm(x, axis=1)
+    ).all()  # a tie, broken by rounding
     return found
 
 
@@ -100,7 +104,7 @@ PINNED = {
 
 
 def test_the_vertices_are_the_same_on_every_machine():
-    """The bits of the codebooks are part of the stream's format; this fails where they change."""
+    """The codebooks' bits are part of the format: a change of a digest is a change of the format."""
     bits = {
         n: hashlib.sha256(Codebook.get(n).vertices.astype("<f8").tobytes()).hexdigest()[:16] for n in PINNED
     }
@@ -110,7 +114,7 @@ def test_the_vertices_are_the_same_on_every_machine():
 @pytest.mark.parametrize(
     "name", ["ico", "ico0", "ico21", "ico05", "octa6", "ico2-flat", "octa3-flat", "", "ico5 ", 5]
 )
-def test_other_names_are_refused(name):
+def test_unknown_names_are_refused(name):
     with pytest.raises(InvalidArgument, match="directions"):
         Codebook.get(name)
 
@@ -134,8 +138,8 @@ def test_the_nearest_at_the_borders_of_voronoi_cells(name):
     codebook = Codebook.get(name)
     a, b, c = (codebook.vertices[codebook.faces[:, i]] for i in range(3))
     for at in (a + b, b + c, np.cross(b - a, c - a), 0.9 * a + 1.1 * b):
-        for away in (0.0, 1e-7):
-            assert_nearest(codebook, (at + away * (a - b)).astype(np.float32))
+        for offset in (0.0, 1e-7):
+            assert_nearest(codebook, (at + offset * (a - b)).astype(np.float32))
 
 
 @given(arrays(np.float32, (20, 3), elements=st.floats(width=32, allow_nan=False, allow_infinity=False)))
@@ -143,12 +147,12 @@ def test_the_nearest_of_vectors_of_any_length(vectors):
     codebook = Codebook.get("ico5")
     scaled = vectors.astype(np.float64)
     size = np.abs(scaled).max(axis=1)
-    held = size > 0
+    nonzero = size > 0
     found = codebook.nearest(vectors)
-    assert (found[~held] == 0).all()
-    dots = (scaled[held] / size[held, None]) @ codebook.vertices.T
-    own = np.take_along_axis(dots, found[held, None].astype(np.int64), axis=1)[:, 0]
-    assert (own >= dots.max(axis=1) - 1e-15).all()
+    assert (found[~nonzero] == 0).all()
+    dots = (scaled[nonzero] / size[nonzero, None]) @ codebook.vertices.T
+    found_dots = np.take_along_axis(dots, found[nonzero, None].astype(np.int64), axis=1)[:, 0]
+    assert (found_dots >= dots.max(axis=1) - 1e-15).all()
 
 
 def test_a_vertex_is_nearest_to_itself():
@@ -157,7 +161,7 @@ def test_a_vertex_is_nearest_to_itself():
         np.testing.assert_array_equal(codebook.nearest(codebook.vertices_float32), np.arange(len(codebook)))
 
 
-def test_vectors_that_are_none_are_refused():
+def test_vectors_that_are_not_finite_are_refused():
     codebook = Codebook.get("ico3")
     for bad in (np.nan, np.inf, -np.inf):
         with pytest.raises(InvalidArgument, match="finite"):
@@ -172,13 +176,13 @@ def test_vectors_that_are_none_are_refused():
 
 @pytest.mark.parametrize(("name", "k"), [("ico3", 0.25), ("ico5", 0.1), ("octa3", 0.05)])
 def test_the_error_of_amplitude_and_direction_together_is_bounded(name, k):
-    """Relative error^2 <= e_r^2 + 2 (1 + k) (1 - cos theta_c), the amplitude being quantised by itself."""
+    """Relative error^2 <= e_r^2 + 2 (1 + k) (1 - cos theta_c), with the amplitude quantised separately."""
     codebook, table = Codebook.get(name), weber_levels(weber_ladder(k, 10.0))
     x = random_vectors(100_000, 5)
     size = np.sqrt((x.astype(np.float64) ** 2).sum(axis=1))
     amplitude = table.levels_n[table.encode(size.astype(np.float32))]
     decoded = amplitude[:, None] * codebook.vertices_float32[codebook.nearest(x)]
-    held = size > 0.031
-    errors = ((decoded.astype(float) - x) ** 2).sum(axis=1)[held] / size[held] ** 2
+    above_floor = size > 0.031
+    errors = ((decoded.astype(float) - x) ** 2).sum(axis=1)[above_floor] / size[above_floor] ** 2
     bound = k**2 + 2 * (1 + k) * (1 - np.cos(np.radians(codebook.covering_radius_deg)))
     assert 0.7 * bound < errors.max() <= bound * (1 + 1e-6)

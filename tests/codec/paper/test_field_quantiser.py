@@ -1,4 +1,4 @@
-"""Q of the measures: symbols of fields against the quantisers they are made of."""
+"""Field quantisers of the measures: their symbols agree with the quantisers they combine."""
 
 from __future__ import annotations
 
@@ -9,23 +9,21 @@ from touchfield.codec.paper.field_quantiser import Components, FieldQuantiserSpe
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 
-WORDS = [
+SPEC_TEXTS = [
     "weber:0.1", "weber:0.25/octa3", "weber:0.1/none", "uniform:0.05", "lloyd-max:4/ico3", "components:0.02",
     "weber-components:0.1/31", "distinct",
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("words", WORDS)
-def test_symbols_are_the_same_where_and_only_where_the_codewords_are(
-    words: str, wavy_field: ForceField
-) -> None:
-    spec = FieldQuantiserSpec.parse(words)
+@pytest.mark.parametrize("text", SPEC_TEXTS)
+def test_symbols_are_equal_exactly_where_codewords_are(text: str, wavy_field: ForceField) -> None:
+    spec = FieldQuantiserSpec.parse(text)
     assert FieldQuantiserSpec.parse(spec.text) == spec
     quantiser = spec.fit([wavy_field])
     symbols = quantiser(wavy_field)
     dense, vectors = symbols.to_dense().ravel(), wavy_field.to_dense().reshape(-1, 3)
     assert quantiser.alphabet > 1 and dense.min() >= 0 and dense.max() < quantiser.alphabet
-    if words == "distinct":
+    if text == "distinct":
         codewords = vectors + 0.0
     elif isinstance(quantiser, Components):
         table = quantiser.levels
@@ -40,10 +38,12 @@ def test_symbols_are_the_same_where_and_only_where_the_codewords_are(
         if codebook is not None:
             directions = codebook.vertices[codebook.nearest(vectors)]
         codewords = level[:, None] * directions + 0.0
-    _, ours = np.unique(dense, return_inverse=True)
-    _, theirs = np.unique(codewords, axis=0, return_inverse=True)
-    pairs = np.unique(np.stack([ours, theirs.ravel()]), axis=1)
-    assert pairs.shape[1] == ours.max() + 1 == theirs.max() + 1, "one symbol to one codeword, both ways"
+    _, symbol_ids = np.unique(dense, return_inverse=True)
+    _, codeword_ids = np.unique(codewords, axis=0, return_inverse=True)
+    pairs = np.unique(np.stack([symbol_ids, codeword_ids.ravel()]), axis=1)
+    assert pairs.shape[1] == symbol_ids.max() + 1 == codeword_ids.max() + 1, (
+        "one symbol to one codeword, both ways"
+    )
     assert ((dense == 0) == ~codewords.any(axis=1)).all(), "0 is no force"
 
 
@@ -69,21 +69,21 @@ def test_a_force_beyond_the_quantiser_is_an_error(wavy_field: ForceField) -> Non
 
 def test_an_empty_field_has_one_symbol() -> None:
     empty = ForceField.empty(Grid((9, 9, 9), (1, 1, 1), (0, 0, 0)))
-    for words in WORDS:
-        symbols = FieldQuantiserSpec.parse(words).fit([empty])(empty)
+    for text in SPEC_TEXTS:
+        symbols = FieldQuantiserSpec.parse(text).fit([empty])(empty)
         assert symbols.object_count == 0 and not symbols.to_dense().any()
 
 
 @pytest.mark.parametrize(
-    "words",
+    "text",
     ["", "weber", "weber:", "weber:x", "weber:0.1/", "weber:2", "gauss:0.1", "lloyd-max:2.5", "lloyd-max:40",
      "uniform:0", "weber-components:0.1", "weber-components:0.1/0", "weber-components:0.1/x",
      "weber-components:0.1/512", "weber-components:1.5/31",
      "weber:0.1/ico99", "components:0.1/ico5", "components:-1", "weber:nan"],
 )  # fmt: skip
-def test_bad_words_are_refused(words: str) -> None:
+def test_invalid_texts_are_refused(text: str) -> None:
     with pytest.raises(InvalidArgument):
-        FieldQuantiserSpec.parse(words)
+        FieldQuantiserSpec.parse(text)
 
 
 def test_a_step_may_be_as_fine_as_the_forces_allow(wavy_field: ForceField) -> None:
@@ -93,7 +93,9 @@ def test_a_step_may_be_as_fine_as_the_forces_allow(wavy_field: ForceField) -> No
         fine.fit([wavy_field])
 
 
-def test_a_large_frame_trains_too(monkeypatch: pytest.MonkeyPatch, wavy_field: ForceField) -> None:
+def test_large_frame_is_subsampled_for_training(
+    monkeypatch: pytest.MonkeyPatch, wavy_field: ForceField
+) -> None:
     from touchfield.codec.paper import field_quantiser
 
     monkeypatch.setattr(field_quantiser, "_MAX_PER_FRAME", 50)
@@ -102,9 +104,9 @@ def test_a_large_frame_trains_too(monkeypatch: pytest.MonkeyPatch, wavy_field: F
     assert quantiser.alphabet >= 8 and quantiser(wavy_field).object_count == wavy_field.support_count
 
 
-def test_different_numbers_have_different_words() -> None:
-    words = [FieldQuantiserSpec.parse(f"weber:0.1234567{i}").text for i in range(3)]
-    assert len(set(words)) == 3
+def test_different_numbers_have_different_texts() -> None:
+    texts = [FieldQuantiserSpec.parse(f"weber:0.1234567{i}").text for i in range(3)]
+    assert len(set(texts)) == 3
     for bad in (-1.0, float("nan"), float("inf")):
         with pytest.raises(InvalidArgument):
             FieldQuantiserSpec().fit([], force_max_n=bad)
@@ -117,12 +119,12 @@ def test_too_fine_components_are_refused(wavy_field: ForceField) -> None:
         FieldQuantiserSpec.parse("components:0.0001").fit([wavy_field])
 
 
-@pytest.mark.parametrize("words", WORDS)
-def test_a_codeword_is_its_own_codeword(words: str, wavy_field: ForceField) -> None:
-    quantiser = FieldQuantiserSpec.parse(words).fit([wavy_field], force_max_n=3.0)
+@pytest.mark.parametrize("text", SPEC_TEXTS)
+def test_quantising_a_codeword_returns_it(text: str, wavy_field: ForceField) -> None:
+    quantiser = FieldQuantiserSpec.parse(text).fit([wavy_field], force_max_n=3.0)
     vectors = wavy_field.forces_n[wavy_field.mask]
     symbols = quantiser.symbols_of(vectors)
-    if words.endswith("/none"):
+    if text.endswith("/none"):
         with pytest.raises(InvalidArgument, match="no direction"):
             quantiser.vectors_of(symbols)
         return
@@ -130,12 +132,12 @@ def test_a_codeword_is_its_own_codeword(words: str, wavy_field: ForceField) -> N
     assert np.array_equal(quantiser.symbols_of(decoded), symbols), "what was decoded has the same symbols"
     assert not decoded[symbols == 0].any() and decoded[symbols > 0].any(axis=1).all()
     error = np.linalg.norm(decoded - vectors, axis=1) / np.linalg.norm(vectors, axis=1)
-    assert np.median(error) <= (0 if words == "distinct" else 0.25)
+    assert np.median(error) <= (0 if text == "distinct" else 0.25)
     with pytest.raises(InvalidArgument, match="symbols"):
         quantiser.vectors_of(np.array([quantiser.alphabet], np.int32))
 
 
-def test_weber_components_keep_the_mask_where_none_is_below_the_ladder() -> None:
+def test_weber_components_satisfy_the_mask_above_the_ladder_floor() -> None:
     field = ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))
     quantiser = FieldQuantiserSpec.parse("weber-components:0.1/31").fit([field], force_max_n=3.3)
     assert isinstance(quantiser, Components) and quantiser.alphabet == 63**3 < 2**18
@@ -145,6 +147,6 @@ def test_weber_components_keep_the_mask_where_none_is_below_the_ladder() -> None
     x = rng.uniform(-3.3 / np.sqrt(3), 3.3 / np.sqrt(3), (20_000, 3)).astype(np.float32)
     error = np.linalg.norm(quantiser.vectors_of(quantiser.symbols_of(x)).astype(float) - x, axis=1)
     size = np.linalg.norm(x.astype(float), axis=1)
-    whole = (np.abs(x) >= force_min_n).all(axis=1)
-    assert 0.09 < (error[whole] / size[whole]).max() <= 0.1 + 1e-9
+    above_floor = (np.abs(x) >= force_min_n).all(axis=1)
+    assert 0.09 < (error[above_floor] / size[above_floor]).max() <= 0.1 + 1e-9
     assert (error <= 0.1 * size + np.sqrt(3) * force_min_n).all()

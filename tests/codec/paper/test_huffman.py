@@ -1,4 +1,4 @@
-"""Huffman codes and runs of held samples: the identities of the theory, and every fault an error."""
+"""Huffman codes and runs of held samples: theoretical identities, and errors for faulty streams."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def entropy_bits(counts: list[int]) -> float:
 
 
 def heap_bits(counts: list[int]) -> int:
-    """Total bits of an optimal code without a limit."""
+    """Total bits of an optimal code without a length limit."""
     heap = [c for c in counts if c]
     heapq.heapify(heap)
     total = 0
@@ -38,7 +38,7 @@ def heap_bits(counts: list[int]) -> int:
     return total
 
 
-def coded(
+def encode_runs(
     sent: np.ndarray, levels: np.ndarray, count: int, single: bool = False
 ) -> tuple[HuffmanCode, BitStream]:
     symbols, values, bits = pack_runs(sent, levels, count, single=single)
@@ -78,7 +78,7 @@ def test_lengths_are_limited() -> None:
 
 
 @pytest.mark.parametrize("lengths", [[1, 1, 1], [2], [1, 2], [25] * 4, [1, 2, 3, 0]])
-def test_lengths_that_are_no_complete_code(lengths: list[int]) -> None:
+def test_incomplete_codes_are_refused(lengths: list[int]) -> None:
     with pytest.raises(InvalidArgument):
         HuffmanCode(np.array(lengths, np.uint8))
     with pytest.raises(CorruptFile):
@@ -86,25 +86,23 @@ def test_lengths_that_are_no_complete_code(lengths: list[int]) -> None:
 
 
 @given(COUNTS, st.integers(0, 500), st.data())
-def test_a_table_reads_back_and_a_changed_one_is_an_error_or_a_code(
-    counts: list[int], absent: int, data: st.DataObject
-) -> None:
+def test_table_round_trip_and_changed_tables(counts: list[int], absent: int, data: st.DataObject) -> None:
     code = fitted_code(np.array(counts + [0] * absent))
-    told = encode_numbers(code.lengths)
-    assert HuffmanCode.from_bytes(told, len(code.lengths)).lengths.tolist() == code.lengths.tolist()
-    assert len(told) <= len(counts) + 12
-    changed = bytearray(told)
-    changed[data.draw(st.integers(0, len(told) - 1))] ^= data.draw(st.integers(1, 255))
+    table = encode_numbers(code.lengths)
+    assert HuffmanCode.from_bytes(table, len(code.lengths)).lengths.tolist() == code.lengths.tolist()
+    assert len(table) <= len(counts) + 12
+    changed = bytearray(table)
+    changed[data.draw(st.integers(0, len(table) - 1))] ^= data.draw(st.integers(1, 255))
     for wrong, n in (
         (bytes(changed), len(code.lengths)),
-        (told, len(code.lengths) + 1),
-        (told[:-1], len(counts)),
+        (table, len(code.lengths) + 1),
+        (table[:-1], len(counts)),
     ):
         try:
-            again = HuffmanCode.from_bytes(wrong, n)
+            restored = HuffmanCode.from_bytes(wrong, n)
         except FormatError:
             continue
-        assert len(again.lengths) == n
+        assert len(restored.lengths) == n
 
 
 def test_bytes_are_fixed() -> None:
@@ -122,9 +120,9 @@ def test_bytes_are_fixed() -> None:
 
 
 @given(FLAGS, st.integers(1, 70), st.booleans())
-def test_runs_read_back(sent: np.ndarray, level_count: int, single: bool) -> None:
+def test_runs_round_trip(sent: np.ndarray, level_count: int, single: bool) -> None:
     levels = (np.arange(np.count_nonzero(sent)) ** 2 % level_count).astype(np.uint16)
-    code, stream = coded(sent, levels, level_count, single)
+    code, stream = encode_runs(sent, levels, level_count, single)
     read = decode_symbols(code, stream, len(sent), level_count)
     assert np.array_equal(read[0], sent) and np.array_equal(read[1], levels)
     for wrong in (len(sent) + 1, max(0, len(sent) - 1), 5 * len(sent) + 7):
@@ -147,20 +145,22 @@ def test_runs_of_every_length() -> None:
 @given(FLAGS.filter(len), st.binary(min_size=1, max_size=40), st.data())
 def test_random_bits_are_an_error_or_runs(sent: np.ndarray, noise: bytes, data: st.DataObject) -> None:
     levels = (np.arange(np.count_nonzero(sent)) ** 2 % 9).astype(np.uint16)
-    code, (told, bits) = coded(sent, levels, 9)
-    flipped = bytearray(told)
-    flipped[data.draw(st.integers(0, len(told) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    code, (encoded, bits) = encode_runs(sent, levels, 9)
+    flipped = bytearray(encoded)
+    flipped[data.draw(st.integers(0, len(encoded) - 1))] ^= 1 << data.draw(st.integers(0, 7))
     for wrong, length in (
         (bytes(flipped), bits),
         (noise, 8 * len(noise)),
-        (told[:-1], bits),
-        (told, bits + 8),
+        (encoded[:-1], bits),
+        (encoded, bits + 8),
     ):
         try:
-            read, held = decode_symbols(code, BitStream(wrong, length), len(sent), 9)
+            read, read_levels = decode_symbols(code, BitStream(wrong, length), len(sent), 9)
         except FormatError:
             continue
-        assert len(read) == len(sent) and len(held) == np.count_nonzero(read) and (held < 9).all()
+        assert (
+            len(read) == len(sent) and len(read_levels) == np.count_nonzero(read) and (read_levels < 9).all()
+        )
 
 
 def test_an_empty_alphabet_has_no_stream() -> None:

@@ -1,4 +1,4 @@
-"""The paper's coder: what it promises, what it costs, and that nothing but the named errors comes out."""
+"""The paper's coder: its error bound, its cost in bits, and its errors on damaged bodies."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def moving_sheet(frames: int, noise_n: float = 0.0, speed: float = 0.0, seed: in
     rng = np.random.default_rng(seed)
     grid = Grid((40, 36, 30), (0.004, 0.004, 0.004), (0.0, 0.0, 0.0))
     x, y, z = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
-    made = []
+    fields = []
     for t in range(frames):
         depth = z - (12 + 5 * np.sin((x + speed * t) / 6) * np.cos(y / 7))
         amplitude = np.where((depth > 0) & (depth < 5), 3.3 * depth / 5, 0)
@@ -32,17 +32,21 @@ def moving_sheet(frames: int, noise_n: float = 0.0, speed: float = 0.0, seed: in
         normal = slope / np.linalg.norm(slope, axis=-1, keepdims=True)
         force = amplitude[..., None] * normal
         force += noise_n * rng.normal(size=force.shape) * (amplitude > 0)[..., None]
-        made.append(ForceField.from_dense(grid, force.astype(np.float32)))
-    return made
+        fields.append(ForceField.from_dense(grid, force.astype(np.float32)))
+    return fields
 
 
-def coded(frames: list[ForceField], spec: PaperSpec) -> tuple[bytes, list[ForceField], PaperDecoder]:
+def encode_and_decode(
+    frames: list[ForceField], spec: PaperSpec
+) -> tuple[bytes, list[ForceField], PaperDecoder]:
     encoder = PaperEncoder(frames[0].grid, spec)
     segment = encoder.encode_segment(frames)
-    assert [one.supported for one in segment.frames[:1]] == [frames[0].support_count]
+    assert [frame_record.supported for frame_record in segment.frames[:1]] == [frames[0].support_count]
     decoder = PaperDecoder(frames[0].grid, encoder.parameters)
     costs = decoder.costs(segment.body, len(frames))
-    assert [(c.kind, c.bits) for c in costs] == [(one.kind, one.bits) for one in segment.frames]
+    assert [(c.kind, c.bits) for c in costs] == [
+        (frame_record.kind, frame_record.bits) for frame_record in segment.frames
+    ]
     return segment.body, list(decoder.frames(segment.body, len(frames))), decoder
 
 
@@ -67,78 +71,82 @@ SPECS = {
 
 
 @pytest.mark.parametrize("spec", SPECS.values(), ids=SPECS)
-def test_every_setting_comes_back_with_its_support_and_its_bits_counted(spec: PaperSpec) -> None:
+def test_support_and_bits_of_every_setting(spec: PaperSpec) -> None:
     frames = moving_sheet(3, noise_n=0.02, speed=0.3)
-    body, decoded, decoder = coded(frames, spec)
-    for original, back in zip(frames, decoded, strict=True):
-        places, given_places = ({tuple(p) for p in f.positions().tolist()} for f in (back, original))
+    body, decoded, decoder = encode_and_decode(frames, spec)
+    for original, restored in zip(frames, decoded, strict=True):
+        positions, original_positions = (
+            {tuple(p) for p in f.positions().tolist()} for f in (restored, original)
+        )
         if spec.interframe != "open" and spec.amplitude == "lloyd-max":
-            assert places == given_places
+            assert positions == original_positions
         elif spec.interframe != "open":
-            assert places <= given_places, "a ladder with a zero level may silence a voxel, never wake one"
+            assert positions <= original_positions, (
+                "a ladder with a zero level may silence a voxel, never wake one"
+            )
     total = sum(c.bits.total for c in decoder.costs(body, len(frames)))
     assert 0 < 8 * len(body) - total <= 8 * 1500, "what the frames do not cost is tables"
     assert nmse_db(frames, decoded) < -3
 
 
 @pytest.mark.parametrize("noise_n", [0.0, 0.05])
-def test_held_voxels_keep_the_promise_of_k(noise_n: float) -> None:
-    """Whatever the quantisers do, what the deadband holds is within k of the truth, in every frame."""
+def test_held_voxels_are_within_k(noise_n: float) -> None:
+    """A voxel held by the deadband is within k of the original in every frame, whatever the quantisers do."""
     frames = moving_sheet(6, noise_n)
     for k in (0.05, 0.25):
-        body, decoded, _ = coded(frames, PaperSpec(k=k, choose_by_size=False))
+        body, decoded, _ = encode_and_decode(frames, PaperSpec(k=k, choose_by_size=False))
         reader = BodyReader(body, frames[0].grid, Codebook.get("ico5"))
         read = [reader.symbols(parts) for parts, _ in reader.frames(len(frames))]
-        held_in_all = 0
-        for symbols, original, back in zip(read, frames, decoded, strict=True):
+        held_count = 0
+        for symbols, original, restored in zip(read, frames, decoded, strict=True):
             x = original.vectors_n().astype(float)
-            y = back.forces_at(brick_keys(original.grid, original.bricks)).reshape(-1, 3)
+            y = restored.forces_at(brick_keys(original.grid, original.bricks)).reshape(-1, 3)
             y = y[original.raster_slots()]
             error, force = np.linalg.norm(x - y, axis=1), np.linalg.norm(x, axis=1)
-            held = ~symbols.sent
-            held_in_all += held.sum()
-            assert (error[held] <= k * force[held] * (1 + 1e-5)).all()
-        assert held_in_all > 1000
+            is_held = ~symbols.sent
+            held_count += is_held.sum()
+            assert (error[is_held] <= k * force[is_held] * (1 + 1e-5)).all()
+        assert held_count > 1000
 
 
 def test_trends_of_the_paper_in_one_frame() -> None:
     frames = moving_sheet(1, noise_n=0.02)
     sizes, errors = [], []
     for k in (0.01, 0.4, 0.6):
-        body, decoded, _ = coded(frames, PaperSpec(k=k, directions="octa3"))
+        body, decoded, _ = encode_and_decode(frames, PaperSpec(k=k, directions="octa3"))
         sizes.append(len(body))
         errors.append(nmse_db(frames, decoded))
     assert sizes[0] > sizes[1] > sizes[2]
     assert errors[0] < errors[1] < errors[2]
-    _, coarse, _ = coded(frames, PaperSpec(k=0.01, directions="ico3"))
+    _, coarse, _ = encode_and_decode(frames, PaperSpec(k=0.01, directions="ico3"))
     assert nmse_db(frames, coarse) > errors[0] + 2
 
 
-def test_a_standing_scene_costs_less_with_every_frame() -> None:
+def test_static_scene_costs_less_per_frame() -> None:
     frames = moving_sheet(5, noise_n=0.01)
     bits = []
     for m in (1, 2, 5):
-        body, _, decoder = coded(frames[:m], PaperSpec())
+        body, _, decoder = encode_and_decode(frames[:m], PaperSpec())
         bits.append(8 * len(body) / m)
         assert [s.kind.name for s in decoder.costs(body, m)] == ["INTRA"] + ["INTER"] * (m - 1)
     assert bits[1] < 0.9 * bits[0]
     assert bits[2] < 0.6 * bits[0]
 
 
-def test_a_frame_is_coded_alone_where_that_is_cheaper() -> None:
+def test_frame_is_coded_intra_where_that_is_smaller() -> None:
     frames = [moving_sheet(1, noise_n=0.3, seed=s)[0] for s in (1, 2)]
     frames[1] = ForceField.from_dense(frames[1].grid, np.flip(frames[1].to_dense(), 0))
-    free, _, _decoder = coded(frames, PaperSpec())
-    alone, _, _ = coded(frames, PaperSpec(interframe="none"))
-    forced, _, _ = coded(frames, PaperSpec(choose_by_size=False))
+    free, _, _decoder = encode_and_decode(frames, PaperSpec())
+    alone, _, _ = encode_and_decode(frames, PaperSpec(interframe="none"))
+    forced, _, _ = encode_and_decode(frames, PaperSpec(choose_by_size=False))
     assert len(free) <= min(len(alone), len(forced)) * 1.01
 
 
 def test_open_loop_drifts_and_closed_loop_does_not() -> None:
     frames = [moving_sheet(1)[0].scaled(1 + 0.1 * t) for t in range(8)]
     coarse = {"choose_by_size": False, "deadband": "none", "nq": 1, "directions": "ico1"}
-    _, open_loop, _ = coded(frames, PaperSpec(interframe="open", **coarse))
-    _, closed, _ = coded(frames, PaperSpec(**coarse))
+    _, open_loop, _ = encode_and_decode(frames, PaperSpec(interframe="open", **coarse))
+    _, closed, _ = encode_and_decode(frames, PaperSpec(**coarse))
     first, last = (nmse_db(frames[i : i + 1], open_loop[i : i + 1]) for i in (0, 7))
     assert nmse_db(frames[7:], closed[7:]) < min(first, last) - 6
 
@@ -155,7 +163,7 @@ def test_with_fine_quantisation_every_frame_of_a_motion_is_followed(interframe: 
         directions="octa5",
         choose_by_size=False,
     )
-    _, decoded, _ = coded(frames, fine)
+    _, decoded, _ = encode_and_decode(frames, fine)
     assert max(nmse_db(frames[i : i + 1], decoded[i : i + 1]) for i in range(5)) < -25
 
 
@@ -164,13 +172,13 @@ def test_empty_frames(empty: tuple[int, ...]) -> None:
     frames = moving_sheet(3)
     for i in empty:
         frames[i] = ForceField.empty(frames[i].grid)
-    _, decoded, _ = coded(frames, PaperSpec())
+    _, decoded, _ = encode_and_decode(frames, PaperSpec())
     assert [i for i, f in enumerate(decoded) if not f.support_count] == list(empty)
 
 
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["default", "literal", "weber", "no-deadband"]))
-def test_random_fields_come_back(seed: int, name: str) -> None:
+def test_random_fields_round_trip(seed: int, name: str) -> None:
     rng = np.random.default_rng(seed)
     grid = Grid(tuple(rng.integers(1, 20, 3).tolist()), (1, 1, 1), (0, 0, 0))
     frames = []
@@ -178,13 +186,13 @@ def test_random_fields_come_back(seed: int, name: str) -> None:
         dense = rng.normal(size=(*grid.shape, 3)) * 10 ** rng.uniform(-3, 1)
         dense[rng.random(grid.shape) > rng.choice([0.01, 0.3, 1.0])] = 0
         frames.append(ForceField.from_dense(grid, dense))
-    _, decoded, _ = coded(frames, SPECS[name])
+    _, decoded, _ = encode_and_decode(frames, SPECS[name])
     assert len(decoded) == len(frames)
 
 
 def test_damaged_bodies_raise_only_the_named_errors() -> None:
     frames = moving_sheet(2, noise_n=0.02, speed=0.5)
-    body, _, decoder = coded(frames, PaperSpec(directions="ico2", nq=3))
+    body, _, decoder = encode_and_decode(frames, PaperSpec(directions="ico2", nq=3))
     rng = np.random.default_rng(0)
     cuts = [body[:n] for n in sorted({*range(200), *rng.integers(200, len(body), 200).tolist()})]
     for damaged in cuts:
@@ -220,10 +228,10 @@ def test_specs_are_checked() -> None:
     ):
         with pytest.raises(InvalidArgument):
             dataclasses.replace(PaperSpec(), **bad)
-    for most in ({"nq": 1}, {"nq": 12}, {"segment_frames": 1}, {"segment_frames": 4096}, {"k": 0.999}):
-        dataclasses.replace(PaperSpec(), **most)
-    for most in (1e-9, 1e6):
-        PaperSpec(stage="dct", step_n=most)
+    for limit in ({"nq": 1}, {"nq": 12}, {"segment_frames": 1}, {"segment_frames": 4096}, {"k": 0.999}):
+        dataclasses.replace(PaperSpec(), **limit)
+    for limit in (1e-9, 1e6):
+        PaperSpec(stage="dct", step_n=limit)
     with pytest.raises(InvalidArgument):
         PaperEncoder(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)), PaperSpec(directions="ico99"))
 

@@ -1,4 +1,4 @@
-"""The amplitude quantisers: Lloyd-Max against known optima, the Weber ladder's mask, uniform steps."""
+"""Amplitude quantisers: Lloyd-Max against known optima, the mask of the Weber ladder, uniform steps."""
 
 from __future__ import annotations
 
@@ -62,13 +62,13 @@ def best_partition(samples: np.ndarray, count: int) -> float:
 @pytest.mark.parametrize("seed", range(6))
 def test_the_local_optimum_is_near_the_global_one(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    made = [np.abs(rng.normal(size=300)), rng.exponential(size=300), rng.random(300) ** 4][seed % 3]
-    samples = made.astype(np.float32)
+    drawn = [np.abs(rng.normal(size=300)), rng.exponential(size=300), rng.random(300) ** 4][seed % 3]
+    samples = drawn.astype(np.float32)
     best = best_partition(samples, 8)
     assert best * (1 - 1e-6) <= mean_square(samples, lloyd_max_levels(samples, 3)) <= 1.25 * best
 
 
-def test_clusters_that_the_start_misses_get_their_levels() -> None:
+def test_clusters_missed_by_the_initial_levels_get_levels() -> None:
     clusters = np.array([0.001, 0.00101, 0.00102, 0.00103, 0.00104, 5000.0])
     samples = (
         np.abs(clusters + np.random.default_rng(0).normal(size=(2000, 6)) * 1e-7).astype(np.float32).ravel()
@@ -100,7 +100,7 @@ def test_the_same_samples_in_any_order_give_the_same_levels() -> None:
 @pytest.mark.parametrize(
     ("samples", "nq"), [([np.nan], 4), ([np.inf], 4), ([-1.0], 4), ([1.0], 0), ([1.0], 13)]
 )
-def test_samples_that_are_none_and_bits_out_of_range_are_refused(samples: list[float], nq: int) -> None:
+def test_invalid_samples_and_bits_are_refused(samples: list[float], nq: int) -> None:
     with pytest.raises(InvalidArgument):
         lloyd_max_levels(np.array(samples, np.float32), nq)
 
@@ -108,14 +108,14 @@ def test_samples_that_are_none_and_bits_out_of_range_are_refused(samples: list[f
 # -- by formulas -------------------------------------------------------------------------------------------
 
 
-def test_the_weber_levels_keep_k_and_send_the_weak_to_zero() -> None:
+def test_weber_levels_are_within_k_and_weak_forces_become_zero() -> None:
     table = weber_levels(weber_ladder(0.1, 3.3))
     assert len(table) == 25
     values = np.geomspace(0.001, 3.3, 100_003).astype(np.float32)
     decoded = table.levels_n[table.encode(values)].astype(float)
     assert (decoded == 0).tolist() == (values < 0.03).tolist()
-    held = values >= 0.03
-    assert 0.0999 < (np.abs(decoded - values)[held] / values[held]).max() <= 0.1
+    above_floor = values >= 0.03
+    assert 0.0999 < (np.abs(decoded - values)[above_floor] / values[above_floor]).max() <= 0.1
 
 
 def test_a_weber_ladder_takes_its_upper_end_from_the_data() -> None:
@@ -148,7 +148,7 @@ def test_an_amplitude_takes_the_nearest_level(levels: np.ndarray) -> None:
     np.testing.assert_allclose(errors[np.arange(300), table.encode(values)], errors.min(axis=1), atol=2.0**-4)
 
 
-def test_what_is_no_amplitude_is_refused() -> None:
+def test_invalid_amplitudes_are_refused() -> None:
     table = uniform_levels(0.5, 2.0)
     for bad in (-1.0, np.nan, np.inf):
         with pytest.raises(InvalidArgument):

@@ -1,4 +1,4 @@
-"""Fields of every kind for the tests of coder `touch`, random and smooth."""
+"""Random and smooth fields of every kind, for the tests of coder `touch`."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ def field_of(kind: str, seed: int, grid: Grid = GRID) -> ForceField:
     elif kind == "denormal":
         where = rng.random(shape) < 0.03
         f[where] = (rng.normal(0, 1, (int(where.sum()), 3)) * 1e-40).astype(np.float32)
-    elif kind == "threshold":  # |F| at F_0 and its neighbours among the float32
+    elif kind == "threshold":  # |F| at F_0 and the adjacent float32 values
         where = rng.random(shape) < 0.05
         f[where, 2] = np.float32(0.05) + np.float32(2.0**-28) * rng.integers(-3, 4, int(where.sum()))
         f[0, 0, 0] = 2.0
-    elif kind == "huge":  # 1e-30 N beside 1e30 N
+    elif kind == "huge":  # 1e-30 N next to 1e30 N
         where = rng.random(shape) < 0.03
         size = 10 ** rng.uniform(-30, 30, (int(where.sum()), 1))
         f[where] = (rng.normal(0, 1, (int(where.sum()), 3)) * size).astype(np.float32)
@@ -69,19 +69,19 @@ def field_of(kind: str, seed: int, grid: Grid = GRID) -> ForceField:
 
 
 def hills(depth: int, wall: int | None = None, lift: float = 0.0) -> ForceField:
-    """A penalty field behind a wavy surface, towards -z; a wall of some voxels, or all that is behind."""
+    """A penalty field towards -z below a wavy surface: `wall` voxels thick, or solid if None."""
     grid = Grid((40, 33, depth), (0.001, 0.001, 0.0007), (0.0, 0.0, 0.0))
     x, y, z = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
     inside = z - (9 + lift + 3 * np.sin(x / 6) * np.cos(y / 7))
-    held = (inside > 0) & (True if wall is None else inside < wall)
+    supported = (inside > 0) & (True if wall is None else inside < wall)
     forces = np.zeros((*grid.shape, 3), np.float32)
-    forces[..., 2] = -np.where(held, np.minimum(0.35 * inside, 3.3), 0)
-    forces[..., 0] = np.where(held, 0.2 * forces[..., 2] * np.cos(x / 6), 0)
+    forces[..., 2] = -np.where(supported, np.minimum(0.35 * inside, 3.3), 0)
+    forces[..., 0] = np.where(supported, 0.2 * forces[..., 2] * np.cos(x / 6), 0)
     return ForceField.from_dense(grid, forces)
 
 
 def round_trip(frames: list[ForceField], spec: TouchSpec) -> tuple[bytes, TouchDecoder, list[ForceField]]:
-    """A segment's body, what decodes it, and the decoded frames."""
+    """A segment's body, its decoder, and the decoded frames."""
     encoder = TouchEncoder(frames[0].grid, spec)
     body = encoder.encode_segment(frames).body
     decoder = TouchDecoder(frames[0].grid, encoder.parameters)
@@ -89,13 +89,13 @@ def round_trip(frames: list[ForceField], spec: TouchSpec) -> tuple[bytes, TouchD
 
 
 def case_of(seed: int) -> tuple[list[ForceField], TouchSpec]:
-    """Random frames of a random grid, and what is asked of the coder."""
+    """Random frames on a random grid, and random options of the coder."""
     rng = np.random.default_rng(seed)
     shape = SHAPES[rng.integers(len(SHAPES))]
     grid = Grid(shape, (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
     kinds = rng.choice(KINDS, int(rng.integers(1, 4)))
     frames = [field_of(str(kind), int(rng.integers(1 << 30)), grid) for kind in kinds]
-    if rng.random() < 0.3:  # a frame like the one before
+    if rng.random() < 0.3:  # a copy of the previous frame
         frames.append(frames[-1].scaled(float(rng.choice([1.0, 1.03, 0.5, -1.0]))))
     spec = TouchSpec(
         k=float(rng.choice([0.001, 0.02, 0.1, 0.25, 0.9])),

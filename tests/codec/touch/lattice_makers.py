@@ -1,4 +1,4 @@
-"""Lattices and limits, as the encoder has them."""
+"""Lattices and limits as the encoder computes them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ FLAT = Lattice(1e-4, 500, 7000, 500, 7000)
 
 
 def lattice_of(frame: ForceField) -> Lattice:
-    """The lattice of a field under the usual promise."""
+    """The lattice of a field with the default options."""
     return lattice_for(TouchSpec(), float(np.linalg.norm(frame.forces_n.astype(np.float64), axis=-1).max()))
 
 
-def limits_of(lattice: Lattice, **asked: Any) -> Limits:
-    """The error that may be made, as asked of the coder."""
-    return limits_for(TouchSpec(**asked), lattice)
+def limits_of(lattice: Lattice, **options: Any) -> Limits:
+    """The allowed error for the given options."""
+    return limits_for(TouchSpec(**options), lattice)

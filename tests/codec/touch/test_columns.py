@@ -1,6 +1,4 @@
-"""The column guess: what a height map comes to, the same from its bytes along every axis, and bad bytes
-refused.
-"""
+"""The column base layer: fit of height maps along every axis, round trip, and faulty bytes."""
 
 from __future__ import annotations
 
@@ -19,10 +17,8 @@ SHAPE, SPACING_M = (40, 36, 30), (0.001, 0.0012, 0.0008)
 GRID = Grid(SHAPE, SPACING_M, (0.0, 0.0, 0.0))
 
 
-def solid(step: float = 0.0, blurred: bool = False) -> np.ndarray:
-    """A hill, solid towards low z, with a step of so many samples; a low-pass may have mixed both sides of
-    it.
-    """
+def solid_hill(step: float = 0.0, blurred: bool = False) -> np.ndarray:
+    """A hill, solid towards low z, with a step of `step` samples; `blurred` mixes both sides of it."""
     x, y, z = np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")
     height = 12 + 3 * np.sin(x / 9.0) + 2 * np.cos(y / 8.0) + step * (x > 21.5)
     normal = np.stack([-np.cos(x / 9.0) / 3 * 0.8, np.sin(y / 8.0) / 4 * 0.67, np.ones_like(x)], axis=-1)
@@ -33,10 +29,8 @@ def solid(step: float = 0.0, blurred: bool = False) -> np.ndarray:
     return force.astype(np.float32)
 
 
-def turned(forces: np.ndarray, axis: int, inverted: bool) -> ForceField:
-    """The field with its main axis along `axis`, pushing towards larger or (not `is_inverted`) smaller
-    indices.
-    """
+def permuted_field(forces: np.ndarray, axis: int, inverted: bool) -> ForceField:
+    """The field with main axis `axis`, pushing towards larger or (if not `inverted`) smaller indices."""
     order = [*(c for c in range(3) if c != 2), 2]
     order.insert(axis, order.pop())
     out = np.ascontiguousarray(forces.transpose(*order, 3)[..., order])
@@ -47,19 +41,19 @@ def turned(forces: np.ndarray, axis: int, inverted: bool) -> ForceField:
     return ForceField.from_dense(Grid(shape, spacing_m, (0.0, 0.0, 0.0)), out)
 
 
-def kept(frame: ForceField, data: bytes) -> float:
-    """The share of forces at which the guess of some bytes is within the mask."""
+def fraction_within_mask(frame: ForceField, data: bytes) -> float:
+    """Fraction of forces at which the base layer decoded from `data` is within the mask."""
     forces, unit_n = frame.to_dense(), lattice_of(frame).unit_n
-    guess = columns.decode_columns(data, frame.grid).field(frame.grid, unit_n).to_dense()
+    predicted = columns.decode_columns(data, frame.grid).field(frame.grid, unit_n).to_dense()
     length = np.linalg.norm(forces, axis=-1)
     return float(
-        (np.linalg.norm(guess - forces, axis=-1) <= np.maximum(0.05, 0.1 * length))[length > 0].mean()
+        (np.linalg.norm(predicted - forces, axis=-1) <= np.maximum(0.05, 0.1 * length))[length > 0].mean()
     )
 
 
 @pytest.fixture(scope="module")
-def coded() -> tuple[ForceField, bytes]:
-    frame = turned(solid(), 2, True)
+def coded_hill() -> tuple[ForceField, bytes]:
+    frame = permuted_field(solid_hill(), 2, True)
     found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
     return frame, found[0]
@@ -67,27 +61,27 @@ def coded() -> tuple[ForceField, bytes]:
 
 @pytest.mark.parametrize("inverted", [False, True])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_hill_is_guessed_along_every_axis(axis, inverted):
-    frame = turned(solid(), axis, inverted)
+def test_hill_has_a_base_layer_along_every_axis(axis, inverted):
+    frame = permuted_field(solid_hill(), axis, inverted)
     found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
-    data, guess = found
-    made = columns.decode_columns(data, frame.grid)
-    assert np.array_equal(made.bricks, guess.bricks)
-    assert np.array_equal(made.vectors, guess.vectors)
-    assert kept(frame, data) > 0.95
+    data, fitted = found
+    decoded = columns.decode_columns(data, frame.grid)
+    assert np.array_equal(decoded.bricks, fitted.bricks)
+    assert np.array_equal(decoded.vectors, fitted.vectors)
+    assert fraction_within_mask(frame, data) > 0.95
     assert len(data) < 0.05 * frame.support_count
 
 
-def test_two_surfaces_tell_what_a_low_pass_mixed_at_a_step():
-    frame = turned(solid(step=9, blurred=True), 2, True)
+def test_two_surfaces_predict_a_blurred_step():
+    frame = permuted_field(solid_hill(step=9, blurred=True), 2, True)
     found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
-    assert kept(frame, found[0]) > 0.95
+    assert fraction_within_mask(frame, found[0]) > 0.95
 
 
 @pytest.mark.parametrize("kind", ["noise", "nothing", "one voxel", "a wall", "a ball"])
-def test_what_is_no_solid_has_no_guess(kind):
+def test_fields_that_are_not_solid_have_no_base_layer(kind):
     forces = np.zeros((*SHAPE, 3), np.float32)
     x, y, z = np.meshgrid(*(np.arange(n) - n / 2 for n in SHAPE), indexing="ij")
     if kind == "noise":
@@ -103,16 +97,16 @@ def test_what_is_no_solid_has_no_guess(kind):
 
 
 @pytest.mark.parametrize("f0_n", [0.0, 1e-9, 10.0])
-def test_any_mask_is_taken(f0_n):
-    frame = turned(solid(), 2, True)
+def test_any_f0_is_accepted(f0_n):
+    frame = permuted_field(solid_hill(), 2, True)
     found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame), f0_n=f0_n))
     assert found is None or np.array_equal(
         columns.decode_columns(found[0], frame.grid).vectors, found[1].vectors
     )
 
 
-def test_cut_bytes_are_refused(coded):
-    frame, data = coded
+def test_truncated_bytes_are_refused(coded_hill):
+    frame, data = coded_hill
     for size in (*range(14), len(data) // 2):
         with pytest.raises((TruncatedFile, CorruptFile)):
             columns.decode_columns(data[:size], frame.grid)
@@ -120,17 +114,17 @@ def test_cut_bytes_are_refused(coded):
 
 @settings(deadline=None, max_examples=60)
 @given(data=st.data())
-def test_changed_bytes_give_a_field_or_a_named_error(coded, data):
-    frame, code = coded
+def test_changed_bytes_give_a_field_or_a_named_error(coded_hill, data):
+    frame, code = coded_hill
     changed = bytearray(code)
     for _ in range(data.draw(st.integers(1, 4))):
         changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
     try:
-        made = columns.decode_columns(bytes(changed), frame.grid)
+        decoded = columns.decode_columns(bytes(changed), frame.grid)
     except TouchfieldError:
         return
-    assert np.abs(made.vectors, dtype=np.int64).max(initial=0) < 1 << 17
-    assert len(made.bricks) <= 64 + 16 * len(changed)
+    assert np.abs(decoded.vectors, dtype=np.int64).max(initial=0) < 1 << 17
+    assert len(decoded.bricks) <= 64 + 16 * len(changed)
 
 
 def test_a_box_of_more_tiles_than_bytes_is_refused():
@@ -154,7 +148,7 @@ def test_columns_too_deep_are_refused():
 
 
 def test_more_bricks_than_bytes_are_refused():
-    """A deep solid is told in few bytes, and zeros behind them make as many as its bricks need."""
+    """A deep solid takes few bytes; padding zeros raise the number of bricks it may have."""
     forces = np.zeros((8, 8, 8000, 3), np.float32)
     forces[..., 2] = np.clip(0.04 * (7990 - np.arange(8000)), 0, 2)
     frame = ForceField.from_dense(Grid((8, 8, 8000), SPACING_M, (0.0,) * 3), forces)

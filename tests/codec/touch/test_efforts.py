@@ -1,4 +1,4 @@
-"""The laws of all efforts: they change neither the bytes nor the promise."""
+"""All efforts write the same bytes and satisfy the same error bound."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from field_makers import hills, round_trip
-from test_promise_kept import check
+from test_promise_kept import check_bound
 
 from touchfield.codec.touch.body import BodyReader
 from touchfield.codec.touch.decoder import TouchDecoder
@@ -48,7 +48,7 @@ def test_efforts_write_the_same_bytes(name: str) -> None:
 
 
 @pytest.mark.parametrize("mode", ["mask", "mask-direction", "nmse"])
-def test_a_decoder_need_not_know_the_effort(mode: str) -> None:
+def test_decoder_does_not_need_the_effort(mode: str) -> None:
     frames = walls(2)
     for effort in EFFORTS:
         spec = TouchSpec(effort=effort, mode=mode)
@@ -59,43 +59,43 @@ def test_a_decoder_need_not_know_the_effort(mode: str) -> None:
 
 
 @pytest.mark.parametrize("effort", EFFORTS)
-def test_a_solid_is_guessed(effort: str) -> None:
+def test_solid_has_a_base_layer(effort: str) -> None:
     sizes = []
-    for asked in ("auto", "off"):
-        spec = TouchSpec(effort=effort, guess=asked)
-        check([hills(40)], spec)
+    for guess in ("auto", "off"):
+        spec = TouchSpec(effort=effort, guess=guess)
+        check_bound([hills(40)], spec)
         body, decoder, _ = round_trip([hills(40)], spec)
         (record,) = BodyReader(body, hills(40).grid, exact=False).records(1)
         (cost,) = decoder.costs(body, 1)
-        assert bool(record.base_layer) == (cost.bits.models > 0) == (asked == "auto")
+        assert bool(record.base_layer) == (cost.bits.models > 0) == (guess == "auto")
         sizes.append(len(body))
     assert sizes[0] < sizes[1]
 
 
-def test_a_surface_that_stands_is_not_guessed_again() -> None:
+def test_static_surface_has_no_second_base_layer() -> None:
     body, decoder, _ = round_trip([hills(40), hills(40)], TouchSpec())
     first, second = decoder.costs(body, 2)
     assert second.bits.models == 0 and second.bits.total < 0.1 * first.bits.total
 
 
 @pytest.fixture(scope="module")
-def real(shared_data: Path) -> dict[tuple[str, str], list[ForceField]]:
-    """Two frames of each real sequence, as bands and as height fields."""
-    made = {}
+def recorded_fields(shared_data: Path) -> dict[tuple[str, str], list[ForceField]]:
+    """Two frames of each recorded sequence, as bands and as height fields."""
+    fields = {}
     for name in ("rgbd_tum_fr1_rpy", "rgbd_iclnuim_livingroom1"):
         for reading in ("band", "height"):
             source = SourceOptions() if reading == "band" else SourceOptions(reading="height")
             spec = EncodeSpec(nw=6, frames=(0, 2), source=source)
-            made[name, reading] = list(prepare(shared_data / name, spec).medium)
-    return made
+            fields[name, reading] = list(prepare(shared_data / name, spec).medium)
+    return fields
 
 
 @pytest.mark.shared
 @pytest.mark.parametrize("effort", EFFORTS)
 @pytest.mark.parametrize("k", [0.05, 0.25])
-def test_real_fields_keep_the_promise(
-    real: dict[tuple[str, str], list[ForceField]], effort: str, k: float
+def test_recorded_fields_satisfy_the_bound(
+    recorded_fields: dict[tuple[str, str], list[ForceField]], effort: str, k: float
 ) -> None:
-    assert real and all(real.values())
-    for frames in real.values():
-        check(frames, TouchSpec(effort=effort, k=k))
+    assert recorded_fields and all(recorded_fields.values())
+    for frames in recorded_fields.values():
+        check_bound(frames, TouchSpec(effort=effort, k=k))

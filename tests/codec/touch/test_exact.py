@@ -1,4 +1,4 @@
-"""The exact mode: the same bits back whatever the field, small where it repeats, and every fault named."""
+"""The exact mode: bit-exact round trip, size of repetitive fields, and named errors."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def grid_of(*shape: int) -> Grid:
 
 
 def field_of(bits: np.ndarray) -> ForceField:
-    """A field of dense float32 bits [nx, ny, nz, 3]; bricks of nothing but -0.0 stay."""
+    """A field from dense float32 bits [nx, ny, nz, 3]; bricks that hold only -0.0 are included."""
     shape = bits.shape[:3]
     bx, by, bz = (-(-n // 8) for n in shape)
-    whole = np.zeros((8 * bx, 8 * by, 8 * bz, 3), np.uint32)
-    whole[: shape[0], : shape[1], : shape[2]] = bits
-    tiled = whole.reshape(bx, 8, by, 8, bz, 8, 3).transpose(0, 2, 4, 1, 3, 5, 6)
+    padded = np.zeros((8 * bx, 8 * by, 8 * bz, 3), np.uint32)
+    padded[: shape[0], : shape[1], : shape[2]] = bits
+    tiled = padded.reshape(bx, 8, by, 8, bz, 8, 3).transpose(0, 2, 4, 1, 3, 5, 6)
     bricks = np.argwhere(tiled.any(axis=(3, 4, 5, 6))).astype(np.int32)
     forces = np.ascontiguousarray(tiled[tuple(bricks.T)]).view(np.float32)
     return ForceField(grid_of(*shape), bricks, forces)
@@ -52,23 +52,23 @@ def bits_by_brick(field: ForceField) -> dict[tuple[int, ...], bytes]:
     }
 
 
-def coded(*frames: ForceField) -> list[bytes]:
-    """The payloads, which decode to the same bits, and whose shares are what they are long."""
-    made, known = list(encode_exact(frames)), None
-    for frame, (payload, bits) in zip(frames, made, strict=True):
-        known = decode_exact(payload, frame.grid, known)
-        assert bits_by_brick(known.field) == bits_by_brick(frame)
+def encode_checked(*frames: ForceField) -> list[bytes]:
+    """The payloads, checked to decode to the same bits and to have parts that sum to their length."""
+    encoded, state = list(encode_exact(frames)), None
+    for frame, (payload, bits) in zip(frames, encoded, strict=True):
+        state = decode_exact(payload, frame.grid, state)
+        assert bits_by_brick(state.field) == bits_by_brick(frame)
         assert sum(bits) == pytest.approx(8 * len(payload), abs=1e-6) and min(bits) >= -1e-6
-    return [payload for payload, _ in made]
+    return [payload for payload, _ in encoded]
 
 
 @st.composite
 def fields(draw: st.DrawFn, shape: tuple[int, int, int] | None = None) -> ForceField:
-    """Fields of every kind of palette, -0.0, denormals and the largest floats among them."""
+    """Fields with every kind of palette, -0.0, denormals and the largest floats."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     shape = shape or draw(st.tuples(st.integers(1, 17), st.integers(1, 9), st.integers(1, 25)))
     kind = draw(st.sampled_from(["odd", "noise", "uniform", "vectors", "products", "constant", "none"]))
-    held = rng.random(shape) < draw(st.sampled_from([0.01, 0.3, 1.0]))
+    supported = rng.random(shape) < draw(st.sampled_from([0.01, 0.3, 1.0]))
     if kind == "odd":
         bits = rng.choice(ODD, (*shape, 3))
     elif kind == "noise":
@@ -85,14 +85,14 @@ def fields(draw: st.DrawFn, shape: tuple[int, int, int] | None = None) -> ForceF
         bits = (levels * Codebook.get("ico2").vertices_float32[rng.integers(0, 42, shape)]).view(np.uint32)
     else:
         bits = np.full((*shape, 3), ODD[5] if kind == "constant" else 0, np.uint32)
-    return field_of(np.where(held[..., None], bits, np.uint32(0)))
+    return field_of(np.where(supported[..., None], bits, np.uint32(0)))
 
 
 @given(fields())
 @settings(max_examples=40)
-def test_every_field_comes_back_to_the_bit(field):
-    (payload,) = coded(field)
-    assert coded(decode_exact(payload, field.grid, None).field) == [payload]
+def test_every_field_round_trip_is_exact(field):
+    (payload,) = encode_checked(field)
+    assert encode_checked(decode_exact(payload, field.grid, None).field) == [payload]
     assert (
         len(payload) < 12.7 * field.forces_n.view(np.uint32).any(axis=-1).sum() + 140 * len(field.bricks) + 8
     )
@@ -100,96 +100,99 @@ def test_every_field_comes_back_to_the_bit(field):
 
 @given(st.data())
 @settings(max_examples=20)
-def test_frame_before_may_be_anything(data):
+def test_previous_frame_may_be_any_field(data):
     shape = data.draw(st.tuples(st.integers(1, 17), st.integers(1, 9), st.integers(1, 17)))
-    coded(data.draw(fields(shape)), data.draw(fields(shape)), data.draw(fields(shape)))
+    encode_checked(data.draw(fields(shape)), data.draw(fields(shape)), data.draw(fields(shape)))
 
 
-def second(payloads: list[bytes], shape: tuple[int, int, int]) -> list[dict[tuple[int, ...], bytes]]:
-    """The frames as the second decoder reads them."""
-    known, out = None, []
+def decode_reference(
+    payloads: list[bytes], shape: tuple[int, int, int]
+) -> list[dict[tuple[int, ...], bytes]]:
+    """The frames as the reference decoder reads them."""
+    state, out = None, []
     for payload in payloads:
-        known = decode_again(payload, shape, known)
-        out.append({b: f.tobytes() for b, f in in_bricks(known.forces).items()})
+        state = decode_again(payload, shape, state)
+        out.append({b: f.tobytes() for b, f in in_bricks(state.forces).items()})
     return out
 
 
 @given(st.data())
 @settings(max_examples=6)
-def test_second_decoder_reads_the_same(data):
+def test_reference_decoder_agrees(data):
     shape = data.draw(st.tuples(st.integers(1, 10), st.integers(1, 9), st.integers(1, 9)))
     frames = [data.draw(fields(shape)) for _ in range(2)]
-    assert second([p for p, _ in encode_exact(frames)], shape) == [bits_by_brick(f) for f in frames]
+    assert decode_reference([p for p, _ in encode_exact(frames)], shape) == [bits_by_brick(f) for f in frames]
 
 
-def test_levels_and_directions_are_found_and_left_where_they_no_longer_do(wavy_field):
-    """Frames of products share one palette; a frame of others behind them is told as components."""
+def test_levels_and_directions_are_detected_and_dropped(wavy_field):
+    """Frames of products share a palette; a following frame of other forces is coded by components."""
     (decoded,), _ = paper_frames(wavy_field)
-    books = [payload[0] for payload in coded(decoded, decoded)]
+    books = [payload[0] for payload in encode_checked(decoded, decoded)]
     assert books[0] == books[1] > 0
-    assert [payload[0] for payload in coded(decoded, wavy_field, decoded)] == [books[0], 0, 0]
-    assert [payload[0] for payload in coded(wavy_field, decoded)] == [0, 0]
+    assert [payload[0] for payload in encode_checked(decoded, wavy_field, decoded)] == [books[0], 0, 0]
+    assert [payload[0] for payload in encode_checked(wavy_field, decoded)] == [0, 0]
 
 
-def test_second_decoder_follows_from_products_to_components():
+def test_reference_decoder_switches_from_products_to_components():
     rng = np.random.default_rng(5)
-    places = rng.integers(0, 252, (9, 6, 10))
+    palette_indices = rng.integers(0, 252, (9, 6, 10))
     products = (
-        np.float32([0.1, 0.7, 2.5])[places % 3, None] * Codebook.get("ico5").vertices_float32[places]
+        np.float32([0.1, 0.7, 2.5])[palette_indices % 3, None]
+        * Codebook.get("ico5").vertices_float32[palette_indices]
     ).view(np.uint32)
     frames = [field_of(products), field_of(products[::-1]), field_of(products ^ 1), field_of(products)]
-    payloads = coded(*frames)
-    assert [p[0] for p in payloads] == [5, 0, 0, 0] and [p[0] for p in coded(*frames[:2])] == [5, 5]
-    for told in (payloads, coded(*frames[:2])):
-        assert second(told, (9, 6, 10)) == [bits_by_brick(f) for f in frames[: len(told)]]
+    payloads = encode_checked(*frames)
+    assert [p[0] for p in payloads] == [5, 0, 0, 0] and [p[0] for p in encode_checked(*frames[:2])] == [5, 5]
+    for sequence in (payloads, encode_checked(*frames[:2])):
+        assert decode_reference(sequence, (9, 6, 10)) == [bits_by_brick(f) for f in frames[: len(sequence)]]
 
 
-def test_empty_bricks_of_the_frame_before_are_not_known(wavy_field):
-    """The decoder's frame before has none, for they are not told."""
+def test_empty_bricks_of_the_previous_frame_are_ignored(wavy_field):
+    """The decoder's previous frame has no empty bricks, as they are not coded."""
     bricks = np.argwhere(np.ones(wavy_field.grid.brick_shape)).astype(np.int32)
     before = ForceField(wavy_field.grid, bricks, wavy_field.forces_at(np.arange(len(bricks))))
     assert len(before.bricks) > len(wavy_field.bricks)
-    assert coded(before, wavy_field) == coded(wavy_field, wavy_field)
+    assert encode_checked(before, wavy_field) == encode_checked(wavy_field, wavy_field)
 
 
 # -- size --------------------------------------------------------------------------------------------------
 
 
 def paper_frames(field: ForceField, count: int = 1) -> tuple[list[ForceField], int]:
-    """What coder `paper` makes of a field, frame by frame, and the bytes of its segment."""
+    """The decoded frames of coder `paper`, and the size of their segment in bytes."""
     encoder = PaperEncoder(field.grid, PaperSpec(deadband="none", interframe="none"))
     body = encoder.encode_segment([field] * count).body
     return list(PaperDecoder(field.grid, encoder.parameters).frames(body, count)), len(body)
 
 
-def test_field_of_coder_paper_is_smaller_than_its_own_file_and_xz(wavy_field):
+def test_field_of_coder_paper_is_smaller_than_its_segment_and_xz(wavy_field):
     (decoded,), size = paper_frames(wavy_field)
-    (payload,) = coded(decoded)
+    (payload,) = encode_checked(decoded)
     assert len(payload) < size
     assert 2 * len(payload) < len(lzma.compress(decoded.vectors_n().T.tobytes(), preset=9))
 
 
-def test_frame_like_the_one_before_costs_next_to_nothing(wavy_field):
-    (decoded, again), _ = paper_frames(wavy_field, 2)
-    first, second = coded(decoded, again)
-    assert 8 * len(second) < len(first)
+def test_repeated_frame_costs_almost_nothing(wavy_field):
+    (decoded, repeated), _ = paper_frames(wavy_field, 2)
+    first_payload, repeated_payload = encode_checked(decoded, repeated)
+    assert 8 * len(repeated_payload) < len(first_payload)
 
 
 def test_few_distinct_forces_cost_little(wavy_field):
     steps = ForceField.from_bricks(wavy_field.grid, wavy_field.bricks, np.round(wavy_field.forces_n * 8) / 8)
     constant = ForceField.from_dense(grid_of(32, 32, 32), np.full((32, 32, 32, 3), np.float32(0.3)))
-    assert 10 * len(coded(steps)[0]) < len(coded(wavy_field)[0])
-    assert len(coded(constant)[0]) < 60
+    assert 10 * len(encode_checked(steps)[0]) < len(encode_checked(wavy_field)[0])
+    assert len(encode_checked(constant)[0]) < 60
 
 
 # -- faults ------------------------------------------------------------------------------------------------
 
 
-def test_cut_payload_is_named_or_another_field():
-    """A code that ends early may be all of another field's: only its end tells, and a container's check."""
+def test_truncated_payload_is_an_error_or_another_field():
+    """A truncated code may be another field's complete code; the container's checksum detects it."""
     rng = np.random.default_rng(4)
     field = field_of(rng.choice(ODD, (8, 8, 8, 3)) * (rng.random((8, 8, 8, 1)) < 0.1).astype(np.uint32))
-    (payload,), silent = coded(field), 0
+    (payload,), silent = encode_checked(field), 0
     for size in range(len(payload)):
         with contextlib.suppress(TruncatedFile, CorruptFile):
             read = decode_exact(payload[:size], field.grid, None).field
@@ -201,29 +204,29 @@ def test_cut_payload_is_named_or_another_field():
 
 @given(st.data(), st.lists(st.tuples(st.integers(0, 4000), st.integers(0, 255)), min_size=1, max_size=4))
 @settings(max_examples=40)
-def test_changed_payload_is_named_or_another_field(data, changes):
+def test_changed_payload_is_an_error_or_another_field(data, changes):
     frames = [data.draw(fields((9, 8, 16))) for _ in range(2)]
     payloads = [bytearray(payload) for payload, _ in encode_exact(frames)]
-    for place, byte in changes:
-        payloads[place % 2][place // 2 % len(payloads[place % 2])] = byte
-    known = None
+    for position, byte in changes:
+        payloads[position % 2][position // 2 % len(payloads[position % 2])] = byte
+    state = None
     with contextlib.suppress(FormatError):
         for payload in payloads:
-            known = decode_exact(bytes(payload), frames[0].grid, known)
-            assert np.isfinite(known.field.forces_n).all()
+            state = decode_exact(bytes(payload), frames[0].grid, state)
+            assert np.isfinite(state.field.forces_n).all()
 
 
-def test_palettes_that_there_are_not_are_named():
+def test_invalid_palettes_raise_named_errors():
     field = field_of(np.full((3, 3, 3, 3), ODD[-1]))
     ((payload, _),) = encode_exact([field])
     assert payload[0] != 5
-    known = decode_exact(payload, field.grid, None)
+    state = decode_exact(payload, field.grid, None)
     nan = np.float32([1, np.nan]).tobytes()
     for data, before in (
         (b"\x1a\1\0" + bytes(4), None),
         (b"\5\0\0", None),
         (b"\5\2\0" + nan, None),
-        (b"\5", known),
+        (b"\5", state),
     ):
         with pytest.raises(CorruptFile, match="codebook"):
             decode_exact(data, field.grid, before)
@@ -234,7 +237,7 @@ def test_palettes_that_there_are_not_are_named():
 
 @given(st.binary(max_size=200), st.sampled_from([b"\0", b"\5\1\0\0\0\0\x3f", b"\x14\2\0\0\0\0\0\0\0\0\x3f"]))
 @settings(max_examples=40)
-def test_strange_bytes_are_named_and_take_little_memory(tail, head):
+def test_random_bytes_raise_named_errors_and_take_little_memory(tail, head):
     grid = grid_of(1 << 20, 1 << 20, 1 << 20)
     Codebook.get("ico20")
     tracemalloc.start()

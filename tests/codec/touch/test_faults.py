@@ -1,6 +1,4 @@
-"""Damaged bodies: only the named errors come out, in bounded memory; `bench/fuzz_touch.py` looks for
-longer.
-"""
+"""Damaged bodies raise only the named errors, in bounded memory; `bench/fuzz_touch.py` searches longer."""
 
 from __future__ import annotations
 
@@ -21,14 +19,14 @@ NAMED = (CorruptFile, TruncatedFile, UnsupportedVersion)
 
 
 @pytest.fixture(scope="module")
-def goods() -> dict[str, fuzz.Good]:
-    """A good segment of each mode and guess."""
+def valid_segments() -> dict[str, fuzz.Good]:
+    """A valid segment of each mode and base layer."""
     return {name: make() for name, make in fuzz.makers().items()}
 
 
 @pytest.mark.parametrize("name", fuzz.makers())
-def test_a_cut_segment_is_refused(goods: dict[str, fuzz.Good], name: str) -> None:
-    good = goods[name]
+def test_truncated_segment_is_refused(valid_segments: dict[str, fuzz.Good], name: str) -> None:
+    good = valid_segments[name]
     decoder, body = good.decoder, good.body
     assert len(list(decoder.frames(body, good.frames))) == good.frames
     rng = np.random.default_rng(0)
@@ -43,10 +41,10 @@ def test_a_cut_segment_is_refused(goods: dict[str, fuzz.Good], name: str) -> Non
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_changed_segment_is_refused_or_is_another(goods: dict[str, fuzz.Good], seed: int) -> None:
-    """Bodies, payloads, guesses and exceptions, with the lengths around them made right again."""
-    pool = list(goods.values())
-    told = set()
+def test_a_changed_segment_is_refused_or_is_another(valid_segments: dict[str, fuzz.Good], seed: int) -> None:
+    """Changed bodies, payloads, base layers and outliers, with the lengths around them corrected."""
+    pool = list(valid_segments.values())
+    outcomes = set()
     tracemalloc.start()
     for number in range(60):
         case = fuzz.case_of(pool, seed, number)
@@ -57,14 +55,14 @@ def test_a_changed_segment_is_refused_or_is_another(goods: dict[str, fuzz.Good],
         assert tracemalloc.get_traced_memory()[1] - before < fuzz.bytes_allowed(case), (
             f"--replay {seed} {number}"
         )
-        told.add(found)
+        outcomes.add(found)
     tracemalloc.stop()
-    assert {"CorruptFile"} <= told <= {"decoded", *(error.__name__ for error in NAMED)}
+    assert {"CorruptFile"} <= outcomes <= {"decoded", *(error.__name__ for error in NAMED)}
 
 
-def test_random_bytes_are_no_segment(goods: dict[str, fuzz.Good]) -> None:
+def test_random_bytes_are_no_segment(valid_segments: dict[str, fuzz.Good]) -> None:
     rng = np.random.default_rng(2)
-    for good in goods.values():
+    for good in valid_segments.values():
         for size in (0, 1, 30, 300):
             with pytest.raises(NAMED):
                 list(good.decoder.frames(rng.bytes(size), 2))

@@ -1,4 +1,4 @@
-"""The guess of a frame: which kind it is, and bytes of no kind."""
+"""The base layer of a frame: the selected kind, and invalid kinds."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from lattice_makers import lattice_of, limits_of
-from test_columns import solid, turned
+from test_columns import permuted_field, solid_hill
 from test_spline import ball
 
 from touchfield.codec.touch import base_layer
@@ -21,17 +21,20 @@ from touchfield.medium import ForceField, Grid
 
 @pytest.mark.parametrize(
     ("frame", "kind"),
-    [(ball(), base_layer.SPLINE), (turned(solid(step=9, blurred=True), 2, True), base_layer.COLUMNS)],
+    [
+        (ball(), base_layer.SPLINE),
+        (permuted_field(solid_hill(step=9, blurred=True), 2, True), base_layer.COLUMNS),
+    ],
 )
-def test_the_kind_of_a_field(frame, kind):
-    found, share = fit_base_layer(frame, lattice_of(frame), limits_of(lattice_of(frame)), TouchSpec())
+def test_base_layer_kind_of_a_field(frame, kind):
+    found, agreement = fit_base_layer(frame, lattice_of(frame), limits_of(lattice_of(frame)), TouchSpec())
     assert found is not None
     assert found[0][0] == kind
-    assert share > 0.9
+    assert agreement > 0.9
     assert np.array_equal(base_layer.decode_base_layer(found[0], frame.grid).vectors, found[1].vectors)
 
 
-def test_the_agreement_of_a_field():
+def test_agreement_of_a_base_layer_with_a_field():
     frame = ball()
     lattice = lattice_of(frame)
     exact = np.rint(frame.forces_n / lattice.unit_n).astype(np.int32)
@@ -39,15 +42,15 @@ def test_the_agreement_of_a_field():
     counts = (frame.forces_n != 0).any(-1).sum(axis=(1, 2, 3))
     assert fraction_within_bound(frame, FixedField(frame.bricks, exact), lattice.unit_n, TouchSpec()) == 1
     small = np.linalg.norm(frame.forces_n, axis=-1) <= 0.05
-    some = (counts[:half].sum() + (small & (frame.forces_n != 0).any(-1))[half:].sum()) / counts.sum()
-    told = fraction_within_bound(
+    expected = (counts[:half].sum() + (small & (frame.forces_n != 0).any(-1))[half:].sum()) / counts.sum()
+    agreement = fraction_within_bound(
         frame, FixedField(frame.bricks[:half], exact[:half]), lattice.unit_n, TouchSpec()
     )
-    assert told == pytest.approx(some, abs=1e-3)
+    assert agreement == pytest.approx(expected, abs=1e-3)
 
 
-def test_a_guess_that_misses_much_is_not_made():
-    """Heights of noise: columns can tell them, but few of their forces."""
+def test_inaccurate_base_layer_is_not_used():
+    """Random heights: columns fit them, but predict few of the forces."""
     forces = np.zeros((40, 40, 24, 3), np.float32)
     heights = np.random.default_rng(2).uniform(4, 22, (40, 40))
     forces[..., 2] = np.clip(0.4 * (heights[..., None] - np.arange(24)), 0, 2)
@@ -56,7 +59,7 @@ def test_a_guess_that_misses_much_is_not_made():
     assert fit_base_layer(frame, lattice_of(frame), limits_of(lattice_of(frame)), TouchSpec())[0] is None
 
 
-def test_noise_has_no_guess():
+def test_noise_has_no_base_layer():
     frame = ball()
     noise = np.random.default_rng(0).normal(size=frame.forces_n.shape).astype(np.float32)
     rough = ForceField.from_bricks(frame.grid, frame.bricks, noise)
@@ -66,7 +69,7 @@ def test_noise_has_no_guess():
 @pytest.mark.parametrize(
     ("data", "error"), [(b"", TruncatedFile), (b"\2abc", CorruptFile), (b"\0", TruncatedFile)]
 )
-def test_bytes_of_no_kind_are_refused(data, error):
+def test_invalid_kinds_are_refused(data, error):
     with pytest.raises(error):
         base_layer.decode_base_layer(data, ball().grid)
 
@@ -74,8 +77,8 @@ def test_bytes_of_no_kind_are_refused(data, error):
 @pytest.mark.parametrize("provider", [fit_spline, fit_columns])
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 1000), (300, 9, 2), (17, 16, 15)])
 @pytest.mark.parametrize("kind", ["full", "ramp", "wide", "denormal", "checkers"])
-def test_any_field_is_guessed_or_not(kind, shape, provider):
-    """Whatever the field, a fit ends, and what it makes is what its bytes make."""
+def test_fit_of_any_field_terminates(kind, shape, provider):
+    """For any field the fit terminates, and its bytes decode to the fitted layer."""
     random = np.random.default_rng(3)
     i, j, k = np.meshgrid(*(np.arange(n) for n in shape), indexing="ij")
     forces = np.zeros((*shape, 3), np.float32)
@@ -95,19 +98,19 @@ def test_any_field_is_guessed_or_not(kind, shape, provider):
         found = provider(frame, lattice_of(frame), limits_of(lattice_of(frame), mode=mode))
         if found is not None:
             kinds = {fit_spline: base_layer.SPLINE, fit_columns: base_layer.COLUMNS}
-            made = base_layer.decode_base_layer(bytes([kinds[provider]]) + found[0], frame.grid)
-            assert np.array_equal(made.bricks, found[1].bricks)
-            assert np.array_equal(made.vectors, found[1].vectors)
+            decoded = base_layer.decode_base_layer(bytes([kinds[provider]]) + found[0], frame.grid)
+            assert np.array_equal(decoded.bricks, found[1].bricks)
+            assert np.array_equal(decoded.vectors, found[1].vectors)
 
 
 @pytest.mark.parametrize("provider", [fit_spline, fit_columns])
 def test_a_few_bricks_of_a_huge_grid_take_little_memory(provider):
     grid = Grid((1 << 20,) * 3, (0.001,) * 3, (0.0,) * 3)
-    far = (1 << 17) - 1
+    last = (1 << 17) - 1
     x = np.arange(8) + 1.0
     forces = np.zeros((3, 8, 8, 8, 3), np.float32)
     forces[..., 2] = x
-    bricks = np.array([[0, 0, 0], [0, 0, far], [far, far, far]], np.int32)
+    bricks = np.array([[0, 0, 0], [0, 0, last], [last, last, last]], np.int32)
     frame = ForceField.from_bricks(grid, bricks, forces)
     tracemalloc.start()
     found = provider(frame, lattice_of(frame), limits_of(lattice_of(frame)))

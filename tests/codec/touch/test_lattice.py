@@ -1,6 +1,4 @@
-"""The geometry of coder `touch`: whole numbers that are near what they stand for, within the widths that are
-told.
-"""
+"""The lattice of coder `touch`: integers near the values they represent, within the declared widths."""
 
 from __future__ import annotations
 
@@ -61,18 +59,16 @@ def test_roots_are_exact(n: int, s: int) -> None:
 
 
 @pytest.mark.parametrize(("floor", "rate"), LATTICES)
-def test_lengths_come_back_from_the_warp(floor: int, rate: int) -> None:
-    """Within a sixteenth of a sixteenth of a step, and odd; neighbours a step apart are about a step
-    apart.
-    """
+def test_lengths_round_trip_through_the_warp(floor: int, rate: int) -> None:
+    """Lengths round-trip within 1/256 of a step; the map is odd; a step apart stays about a step apart."""
     border = warp_of(floor, rate)
     assert border[0] == 0 and (np.diff(border) > 0).all() and border[-1] > 1 << 26
     rng = np.random.default_rng(floor)
     for a in (0, 1, 5, 31, 32, 1000, 65536, (1 << 18) - 1, *rng.integers(1 << 18, size=50).tolist()):
         level, step = level_of(a, border), max(floor, a * rate >> 16, 1)
-        made = amplitude_of(level, border)
-        assert abs(made - a) <= step / 200 + 1
-        assert amplitude_of(-level, border) == -made
+        restored = amplitude_of(level, border)
+        assert abs(restored - a) <= step / 200 + 1
+        assert amplitude_of(-level, border) == -restored
         assert level_of(min(a + step, (1 << 18) - 1), border) >= level
     assert abs(amplitude_of(1 << 40, border)) <= border[-1] >> 8
 
@@ -86,7 +82,7 @@ def test_axes_are_of_unit_length_and_across(vector: list[int], shift: int) -> No
     axes_and_vector(p, 10_000, -300, 70, rows)
     axes = rows[AXES : AXES + 3] / 16384
     exact = p / np.linalg.norm(p)
-    rough = 2e-4 + 1 / np.linalg.norm(p)  # the length is a whole number
+    rough = 2e-4 + 1 / np.linalg.norm(p)  # the length is rounded to an integer
     assert np.abs(axes[0] - exact).max() < rough
     assert np.abs(axes @ axes.T - np.eye(3)).max() < 4 * rough
     assert np.abs(rows[VECTOR] - np.array([10_000, -300, 70]) @ axes).max() <= 0.5 + 1e-6
@@ -96,17 +92,17 @@ def test_axes_are_of_unit_length_and_across(vector: list[int], shift: int) -> No
 
 @pytest.mark.parametrize("longest", [0.0, 1e-42, 1e-3, 3.3, 1e30])
 @pytest.mark.parametrize("spec", SPECS)
-def test_lattices_hold_the_longest_force(longest: float, spec: TouchSpec) -> None:
+def test_lattices_contain_the_longest_force(longest: float, spec: TouchSpec) -> None:
     lattice = lattice_for(spec, longest)
     assert lattice.unit_n == np.float32(lattice.unit_n) > 0
     assert longest <= lattice.unit_n * 65536 * (1 + 1e-6)
-    body = write_body(lattice, [], None)  # what it may be is held against it by the reader
+    body = write_body(lattice, [], None)  # the reader validates it
     assert list(round_trip([field_of("one", 1)], spec)[1].frames(body, 0)) == []
 
 
 def test_lattices_fit_the_mask() -> None:
     lattice = lattice_for(SPECS[0], 3.3)
-    # a cell's corners alone may be beyond the ball
+    # only a cell's corners may be outside the ball
     assert 0.95 < lattice.floor * lattice.unit_n * np.sqrt(3) / 2 / 0.05 < 1.05
     assert 0.95 < lattice.rate / 65536 * np.sqrt(3) / 2 / 0.1 < 1.05
     wide = lattice_for(SPECS[2], 3.3)
@@ -116,17 +112,17 @@ def test_lattices_fit_the_mask() -> None:
 
 @pytest.mark.parametrize("longest", [1e-3, 3.3, 1e30])
 @pytest.mark.parametrize(
-    "asked",
+    "options",
     [{"k": 0.001, "f0_n": 0.0}, {"k": 0.001, "f0_n": 0.0, "mode": "mask-direction"}, {"mode": "nmse"}],
 )
-def test_the_table_of_a_lattice_is_short(asked: dict[str, Any], longest: float) -> None:
-    lattice = lattice_for(replace(TouchSpec(step_n=1e-9), **asked), longest)
+def test_lattice_tables_are_short(options: dict[str, Any], longest: float) -> None:
+    lattice = lattice_for(replace(TouchSpec(step_n=1e-9), **options), longest)
     assert 1000 < len(warp_of(lattice.floor, lattice.rate)) <= 200_000
     for floor, rate in ((MIN_FLOOR, 0), (MIN_FLOOR, 3), (1, MIN_RATE)):
         assert len(warp_of(floor, rate)) <= 200_000
 
 
-def test_a_lattice_of_a_long_table_is_refused() -> None:
+def test_lattice_with_a_long_table_is_refused() -> None:
     decoder = round_trip([field_of("one", 1, GRID)], TouchSpec())[1]
     for floor, rate in ((MIN_FLOOR - 1, MIN_RATE - 1), (1, 0)):
         with pytest.raises(CorruptFile, match="lattice"):

@@ -1,6 +1,4 @@
-"""The pass over a frame: the decoder makes of the bytes what the encoder says that it does, whatever is
-known.
-"""
+"""The voxel pass: the decoder reproduces the encoder's output for any reference and memory."""
 
 from __future__ import annotations
 
@@ -37,10 +35,10 @@ def learnt_alike(a: Memory, b: Memory) -> bool:
     return all(np.array_equal(x, y) for x, y in pairs)
 
 
-def coded(
+def encode_with_lattice(
     frame: ForceField, spec: TouchSpec, reference: FixedField | None, memory: Memory | None = None
 ) -> tuple[CodedFrame, Lattice]:
-    """A frame, and its lattice."""
+    """An encoded frame and its lattice."""
     lattice = lattice_for(spec, 4.0 if np.abs(frame.forces_n).max(initial=0) < 2 else 1e32)
     limits = limits_for(spec, lattice)
     return encode_frame(
@@ -48,69 +46,69 @@ def coded(
     ), lattice
 
 
-def check(
+def check_frame(
     frame: ForceField, spec: TouchSpec, reference: FixedField | None, memory: Memory
 ) -> tuple[FixedField, Memory]:
-    """What is decoded, and learnt; the memory stays as it is."""
+    """The decoded frame and the adapted memory; `memory` itself is unchanged."""
     before = memory.copy()
-    made, lattice = coded(frame, spec, reference, memory)
-    decoded = decode_frame(made.payload, frame.grid, lattice, reference, before)
-    assert same(decoded, made.decoded)
-    assert learnt_alike(made.memory, before)
-    assert abs(sum(made.bits) - 8 * len(made.payload)) < 100 + 1.1 * 8 * len(frame.bricks) / 16
-    # nothing beyond the grid, and no component beyond what a vector holds
+    encoded, lattice = encode_with_lattice(frame, spec, reference, memory)
+    decoded = decode_frame(encoded.payload, frame.grid, lattice, reference, before)
+    assert same(decoded, encoded.decoded)
+    assert learnt_alike(encoded.memory, before)
+    assert abs(sum(encoded.bits) - 8 * len(encoded.payload)) < 100 + 1.1 * 8 * len(frame.bricks) / 16
+    # no sample outside the grid, and no component outside the range of a vector
     assert np.abs(decoded.vectors).max(initial=0) < 1 << 17
     field = decoded.field(frame.grid, 1.0)
     assert ForceField.from_dense(frame.grid, field.to_dense()) == field
-    return decoded, made.memory
+    return decoded, encoded.memory
 
 
 @settings(max_examples=40)
 @given(st.sampled_from(KINDS), st.sampled_from(KINDS), st.integers(0, 999), st.sampled_from(SPECS))
-def test_the_decoder_makes_what_the_encoder_says(first: str, second: str, seed: int, spec: TouchSpec) -> None:
-    """Alone; given the field before, with what it has taught; given a field of another kind."""
-    before, memory = check(field_of(first, seed), spec, None, new_memory())
-    _, memory = check(field_of(second, seed), spec, before, memory)
-    check(field_of(second, seed + 1), spec, None, memory)
+def test_decoder_reproduces_the_encoder(first: str, second: str, seed: int, spec: TouchSpec) -> None:
+    """Without a reference; with the previous field and its memory; with a field of another kind."""
+    before, memory = check_frame(field_of(first, seed), spec, None, new_memory())
+    _, memory = check_frame(field_of(second, seed), spec, before, memory)
+    check_frame(field_of(second, seed + 1), spec, None, memory)
 
 
 @pytest.mark.parametrize("code", [code for code in range(32) if code & 3 < 3])
-def test_every_course(code: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On partial bricks at the edges of a grid: whatever the course, the bytes make what the encoder says."""
+def test_every_scan_order(code: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On partial bricks at the edges of a grid, for every scan order."""
     monkeypatch.setattr(frame_encoder, "_scan_order", lambda *_: ScanOrder(GRID, code))
-    before, memory = check(field_of("dense", 1), SPECS[0], None, new_memory())
-    check(field_of("sparse", 2), SPECS[0], before, memory)
+    before, memory = check_frame(field_of("dense", 1), SPECS[0], None, new_memory())
+    check_frame(field_of("sparse", 2), SPECS[0], before, memory)
 
 
-def test_a_frame_as_the_reference_has_it_takes_next_to_nothing() -> None:
+def test_frame_equal_to_its_reference_costs_almost_nothing() -> None:
     frame = hills(24, 5)
-    first, _ = coded(frame, SPECS[0], None)
-    again, _ = coded(frame, SPECS[0], first.decoded, first.memory)
+    first, _ = encode_with_lattice(frame, SPECS[0], None)
+    again, _ = encode_with_lattice(frame, SPECS[0], first.decoded, first.memory)
     assert len(again.payload) < 40 < len(first.payload) // 10
     assert same(again.decoded, first.decoded)
 
 
-def test_each_half_pays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a frame has taught, and its forces, each make the next one smaller."""
+def test_memory_and_reference_each_reduce_the_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The memory and the forces of the previous frame each make the next one smaller."""
     frames = [hills(24, 5, 0.1 * i) for i in range(2)]
-    first, _ = coded(frames[0], SPECS[0], None)
-    alone, taught, given_it = (
-        len(coded(frames[1], SPECS[0], reference, memory)[0].payload)
+    first, _ = encode_with_lattice(frames[0], SPECS[0], None)
+    intra, with_memory, with_reference = (
+        len(encode_with_lattice(frames[1], SPECS[0], reference, memory)[0].payload)
         for reference, memory in ((None, None), (None, first.memory), (first.decoded, first.memory))
     )
-    assert given_it < taught < alone
+    assert with_reference < with_memory < intra
 
 
 @settings(max_examples=60)
 @given(st.data())
 def test_a_damaged_frame_is_refused_or_is_another(data: st.DataObject) -> None:
     frame = hills(17, 5)
-    made, lattice = coded(frame, SPECS[0], None)
-    bad = bytearray(made.payload)
-    for at in data.draw(st.sets(st.integers(0, len(bad) - 1), min_size=1, max_size=3)):
-        bad[at] ^= data.draw(st.integers(1, 255))
+    encoded, lattice = encode_with_lattice(frame, SPECS[0], None)
+    damaged = bytearray(encoded.payload)
+    for at in data.draw(st.sets(st.integers(0, len(damaged) - 1), min_size=1, max_size=3)):
+        damaged[at] ^= data.draw(st.integers(1, 255))
     try:
-        decoded = decode_frame(bytes(bad), frame.grid, lattice, None, new_memory())
+        decoded = decode_frame(bytes(damaged), frame.grid, lattice, None, new_memory())
     except FormatError:
         return
     assert (decoded.bricks < frame.grid.brick_shape).all() and np.abs(decoded.vectors).max(
@@ -118,13 +116,13 @@ def test_a_damaged_frame_is_refused_or_is_another(data: st.DataObject) -> None:
     ) < 1 << 17
 
 
-def test_what_no_frame_begins_with() -> None:
+def test_invalid_frame_headers_are_refused() -> None:
     frame = hills(17, 5)
-    known = frame.grid, coded(frame, SPECS[0], None)[1], None, new_memory()
+    context = frame.grid, encode_with_lattice(frame, SPECS[0], None)[1], None, new_memory()
     with pytest.raises(TruncatedFile, match="scan order"):
-        decode_frame(b"", *known)
+        decode_frame(b"", *context)
     for head in (3, 7, 31, 1 << 5, 255):
         with pytest.raises(CorruptFile, match="scan order"):
-            decode_frame(bytes([head, 0, 0, 0, 0]), *known)
+            decode_frame(bytes([head, 0, 0, 0, 0]), *context)
     with pytest.raises(CorruptFile, match="slope"):
-        decode_frame(b"\0\xff\xff\xff\x7f\0\0\0", *known)
+        decode_frame(b"\0\xff\xff\xff\x7f\0\0\0", *context)

@@ -1,4 +1,4 @@
-"""The comparison that decides whether a segment may be written agrees with a plain reading of the promise."""
+"""The comparison that decides whether a segment may be written agrees with the definition of the bound."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from touchfield.perception.mask import violations
 MASK = TouchSpec(k=0.1, f0_n=0.05)
 
 
-def disturbed(field: ForceField, seed: int, share: float) -> ForceField:
-    """Each force off by about `share` of itself, some lost, some made up."""
+def disturbed(field: ForceField, seed: int, deviation: float) -> ForceField:
+    """Each force with a relative error of about `deviation`; some removed, some added."""
     rng = np.random.default_rng(seed)
     dense = field.to_dense()
     size = np.sqrt((dense.astype(np.float64) ** 2).sum(-1, keepdims=True))
-    dense += (size * rng.normal(0, share, dense.shape)).astype(np.float32)
+    dense += (size * rng.normal(0, deviation, dense.shape)).astype(np.float32)
     dense[rng.random(GRID.shape) < 0.01] = 0
     dense[rng.random(GRID.shape) < 0.003] = 0.03
     return ForceField.from_dense(GRID, dense)
@@ -36,8 +36,8 @@ def disturbed(field: ForceField, seed: int, share: float) -> ForceField:
     st.sampled_from([0.0, 0.02, 0.08]),
     st.sampled_from([0.0, 0.05]),
 )
-def test_the_mask_is_that_of_perception(kind: str, seed: int, share: float, f0_n: float) -> None:
-    original, decoded = field_of(kind, seed), disturbed(field_of(kind, seed), seed, share)
+def test_mask_agrees_with_perception(kind: str, seed: int, deviation: float, f0_n: float) -> None:
+    original, decoded = field_of(kind, seed), disturbed(field_of(kind, seed), seed, deviation)
     found = compare_frames(original, decoded, replace(MASK, f0_n=f0_n))
     a, b = (f.to_dense().reshape(-1, 3) for f in (original, decoded))
     expected = violations(a, b, MASK.k, f0_n)
@@ -53,11 +53,11 @@ def test_the_mask_is_that_of_perception(kind: str, seed: int, share: float, f0_n
     x, y, z = np.unravel_index(found.keys, GRID.brick_shape)
     i, j, k = np.unravel_index(found.samples, (8, 8, 8))
     error = original.to_dense().astype(np.float64) - decoded.to_dense()
-    here = np.sqrt((error[8 * x + i, 8 * y + j, 8 * z + k] ** 2).sum(-1))
-    assert (here > f0_n).all()
+    errors_n = np.sqrt((error[8 * x + i, 8 * y + j, 8 * z + k] ** 2).sum(-1))
+    assert (errors_n > f0_n).all()
 
 
-def test_the_rule_of_directions() -> None:
+def test_direction_bound() -> None:
     spec = TouchSpec(mode="mask-direction", k=0.1, f0_n=0.05, direction_jnd_deg=18.0)
     force = np.array([0.0, 0.0, 1.0])
 
@@ -67,24 +67,24 @@ def test_the_rule_of_directions() -> None:
 
     for degrees in (0.0, 5.0, 17.9, 18.1, 90.0, 180.0):
         angle = math.radians(degrees)
-        turned = [math.sin(angle), 0.0, math.cos(angle)]
-        assert ratio(turned) == pytest.approx(degrees / 18, abs=1e-6)
+        rotated = [math.sin(angle), 0.0, math.cos(angle)]
+        assert ratio(rotated) == pytest.approx(degrees / 18, abs=1e-6)
     assert ratio([0.0, 0.0, 1.05]) == pytest.approx(0.5, abs=1e-6)
     assert ratio([0.0, 0.0, 0.85]) == pytest.approx(1.5, abs=1e-6)
-    # of at most F_0 / sin(JND) = 0.162 N the error itself counts
+    # up to F_0 / sin(JND) = 0.162 N the absolute error counts
     weak = np.array([0.0, 0.0, 0.16])
     assert ratio([0.04, 0.0, 0.16], weak) == pytest.approx(0.8, abs=1e-6)
     assert ratio([0.0, 0.0, 0.0], np.array([0.0, 0.0, 0.04])) == pytest.approx(0.8, abs=1e-6)
 
 
-def test_an_exact_support_is_asked_for_where_it_is() -> None:
+def test_exact_support_is_checked_if_requested() -> None:
     original = ForceField.from_support(GRID, [[1, 1, 1], [9, 9, 9]], [[0.01, 0, 0], [1, 0, 0]])
-    lost = ForceField.from_support(GRID, [[9, 9, 9]], [[1, 0, 0]])
-    assert not len(compare_frames(original, lost, MASK).keys)
-    assert len(compare_frames(original, lost, replace(MASK, support="exact")).keys) == 1
-    assert len(compare_frames(lost, original, replace(MASK, support="exact")).keys) == 1
-    assert len(compare_frames(original, lost, replace(MASK, mode="nmse", support="exact")).keys) == 1
-    assert not len(compare_frames(original, lost, replace(MASK, mode="nmse")).keys)
+    reduced = ForceField.from_support(GRID, [[9, 9, 9]], [[1, 0, 0]])
+    assert not len(compare_frames(original, reduced, MASK).keys)
+    assert len(compare_frames(original, reduced, replace(MASK, support="exact")).keys) == 1
+    assert len(compare_frames(reduced, original, replace(MASK, support="exact")).keys) == 1
+    assert len(compare_frames(original, reduced, replace(MASK, mode="nmse", support="exact")).keys) == 1
+    assert not len(compare_frames(original, reduced, replace(MASK, mode="nmse")).keys)
 
 
 def test_lossless_means_every_bit() -> None:
@@ -100,7 +100,7 @@ def test_lossless_means_every_bit() -> None:
     assert compare_frames(ForceField.empty(GRID), fields[0], spec).samples.tolist() == [64 + 16 + 3]
 
 
-def test_agreement_is_a_share_of_voxels() -> None:
+def test_agreement_is_a_fraction_of_voxels() -> None:
     original = ForceField.from_support(
         GRID, [[1, 1, 1], [1, 1, 2], [9, 9, 9]], [[1, 0, 0], [2, 0, 0], [3, 0, 0]]
     )
@@ -108,11 +108,13 @@ def test_agreement_is_a_share_of_voxels() -> None:
     vectors[0, 1, 1, 1] = 105, 0, 0
     vectors[0, 1, 1, 2] = 150, 0, 0
     vectors[1, 0, 0, 0] = 40, 0, 0
-    guess = FixedField(np.array([[0, 0, 0], [0, 0, 1]], np.int32), vectors)
-    # of four voxels with a force, here or there, the first keeps the mask
-    assert fraction_within_bound(original, guess, 0.01, MASK) == 0.25
-    assert fraction_within_bound(original, guess, 0.01, replace(MASK, mode="nmse", step_n=0.11)) == 0.25
+    base_layer = FixedField(np.array([[0, 0, 0], [0, 0, 1]], np.int32), vectors)
+    # of four voxels with a force in either field, only the first is within the mask
+    assert fraction_within_bound(original, base_layer, 0.01, MASK) == 0.25
+    assert fraction_within_bound(original, base_layer, 0.01, replace(MASK, mode="nmse", step_n=0.11)) == 0.25
     assert (
-        fraction_within_bound(ForceField.empty(GRID), FixedField(guess.bricks[:0], vectors[:0]), 0.01, MASK)
+        fraction_within_bound(
+            ForceField.empty(GRID), FixedField(base_layer.bricks[:0], vectors[:0]), 0.01, MASK
+        )
         == 1.0
     )

@@ -1,4 +1,4 @@
-"""The spline guess: what a smooth field comes to, the same from its bytes, and bad bytes refused."""
+"""The spline base layer: fit of smooth fields, round trip, and faulty bytes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def ball(stiffness: float = 500.0, top_n: float = 2.0) -> ForceField:
 
 
 @pytest.fixture(scope="module")
-def coded() -> tuple[ForceField, float, bytes, np.ndarray]:
+def coded_ball() -> tuple[ForceField, float, bytes, np.ndarray]:
     frame = ball()
     lattice = lattice_of(frame)
     found = fit_spline(frame, lattice, limits_of(lattice))
@@ -41,51 +41,47 @@ def coded() -> tuple[ForceField, float, bytes, np.ndarray]:
     return frame, lattice.unit_n, found[0], found[1].field(GRID, lattice.unit_n).to_dense()
 
 
-def test_a_ball_takes_few_bytes_and_keeps_the_mask_nearly_everywhere(coded):
-    frame, _, data, guess = coded
+def test_ball_takes_few_bytes_and_is_mostly_within_the_mask(coded_ball):
+    frame, _, data, predicted = coded_ball
     forces = frame.to_dense()
     length = np.linalg.norm(forces, axis=-1)
-    within = np.linalg.norm(guess - forces, axis=-1) <= np.maximum(0.05, 0.1 * length)
+    within = np.linalg.norm(predicted - forces, axis=-1) <= np.maximum(0.05, 0.1 * length)
     assert within[length > 0].mean() > 0.94
     assert within[length == 0].mean() > 0.995
     assert len(data) < 0.05 * frame.support_count
 
 
-def test_the_guess_is_smoother_than_the_mask(coded):
-    """Along a line below the surface the error has no jumps: its second differences are far below the
-    mask.
-    """
-    frame, _, _, guess = coded
-    error = guess[30, :, 26] - frame.to_dense()[30, :, 26]
+def test_base_layer_error_is_smooth(coded_ball):
+    """Along a line below the surface the second differences of the error are far below the mask."""
+    frame, _, _, predicted = coded_ball
+    error = predicted[30, :, 26] - frame.to_dense()[30, :, 26]
     inside = np.linalg.norm(frame.to_dense()[30, :, 26], axis=-1) > 0.3
     assert inside.sum() > 8
     bends = np.linalg.norm(np.diff(error, 2, axis=0), axis=-1)[inside[1:-1]]
     assert np.median(bends) < 0.02
 
 
-def test_the_bytes_give_what_the_fit_said(coded):
-    _, unit_n, data, guess = coded
-    assert np.array_equal(spline.decode_spline(data, GRID).field(GRID, unit_n).to_dense(), guess)
+def test_bytes_decode_to_the_fit(coded_ball):
+    _, unit_n, data, predicted = coded_ball
+    assert np.array_equal(spline.decode_spline(data, GRID).field(GRID, unit_n).to_dense(), predicted)
 
 
 @pytest.mark.parametrize("shifts", [(3, 2, 4), (5, 5, 5), (2, 4, 3)])
-def test_an_affine_potential_comes_back_exactly(shifts):
-    """A wall: f grows along x, and so do the forces, against it; also across the cells of a coarse
-    lattice.
-    """
+def test_affine_potential_is_exact(shifts):
+    """A wall whose potential grows along x, with forces against x; also across cells of a coarse lattice."""
     head = spline.Head(shifts, 1, (1 << 15, 1 << 15, 1 << 15))
     bricks = np.array([[1, 0, 0], [1, 1, 0], [2, 0, 0], [3, 2, 4]], np.int32)
     nodes = spline.Nodes(bricks, shifts)
     x = (bricks[:, 0, None] * 8 >> shifts[0]) - 1 + np.arange(nodes.per_brick.shape[1])
     values = np.broadcast_to((1000 * (x << shifts[0]) - 9000)[:, :, None, None], nodes.per_brick.shape)
-    made = spline.spline_forces(head, GRID, bricks, values)
+    decoded = spline.spline_forces(head, GRID, bricks, values)
     samples = 8 * bricks[:, 0, None] + np.arange(8)
-    assert np.array_equal(made.vectors[:, :, 3, 3, 0], -np.clip(1000 * samples - 8500, 0, 1 << 16))
-    assert not made.vectors[..., 1:].any()
-    assert not made.vectors[3, :, :, 4:].any()  # beyond the grid
+    assert np.array_equal(decoded.vectors[:, :, 3, 3, 0], -np.clip(1000 * samples - 8500, 0, 1 << 16))
+    assert not decoded.vectors[..., 1:].any()
+    assert not decoded.vectors[3, :, :, 4:].any()  # beyond the grid
 
 
-def test_nodes_know_those_before_them():
+def test_nodes_index_the_previous_nodes():
     bricks = np.array([[0, 0, 0], [5, 0, 9]], np.int32)
     nodes = spline.Nodes(bricks, (3, 3, 3))
     assert nodes.predecessors.shape == (128, 6)
@@ -99,18 +95,18 @@ def test_nodes_know_those_before_them():
 
 @pytest.mark.parametrize("shift", [2, 3, 4, 5])
 def test_weights_are_those_of_a_cubic_spline(shift):
-    """Straight lines come back, and so does a cubic, by its blossom."""
+    """The weights reproduce straight lines and, by its blossom, a cubic."""
     h = 1 << shift
-    for place, table in enumerate(spline.corner_weights(shift)):
+    for index, table in enumerate(spline.corner_weights(shift)):
         nodes = h * np.arange(-1, len(table) - 1)
-        corners = 8 * place + np.arange(9)
+        corners = 8 * index + np.arange(9)
         assert (table.sum(axis=0) == 6 * h**3).all()
         assert np.array_equal(nodes @ table, 6 * h**3 * corners)
         assert np.array_equal((nodes - h) * nodes * (nodes + h) @ table, 6 * h**3 * corners**3)
 
 
 @pytest.mark.parametrize("kind", ["noise", "nothing", "one voxel", "a wall of one voxel"])
-def test_what_is_not_smooth_has_no_guess(kind):
+def test_fields_that_are_not_smooth_have_no_base_layer(kind):
     forces = np.zeros((*GRID.shape, 3), np.float32)
     if kind == "noise":
         forces[...] = np.random.default_rng(1).normal(size=forces.shape)
@@ -123,14 +119,14 @@ def test_what_is_not_smooth_has_no_guess(kind):
 
 
 @pytest.mark.parametrize("f0_n", [0.0, 1e-9, 10.0])
-def test_any_mask_is_taken(f0_n):
+def test_any_f0_is_accepted(f0_n):
     frame = ball()
     found = fit_spline(frame, lattice_of(frame), limits_of(lattice_of(frame), f0_n=f0_n))
     assert found is None or np.array_equal(spline.decode_spline(found[0], GRID).vectors, found[1].vectors)
 
 
-def test_cut_bytes_are_refused(coded):
-    data = coded[2]
+def test_truncated_bytes_are_refused(coded_ball):
+    data = coded_ball[2]
     for size in (*range(12), len(data) // 4):
         with pytest.raises((TruncatedFile, CorruptFile)):
             spline.decode_spline(data[:size], GRID)
@@ -138,37 +134,37 @@ def test_cut_bytes_are_refused(coded):
 
 @settings(deadline=None, max_examples=60)
 @given(data=st.data())
-def test_changed_bytes_give_a_field_or_a_named_error(coded, data):
-    changed = bytearray(coded[2])
+def test_changed_bytes_give_a_field_or_a_named_error(coded_ball, data):
+    changed = bytearray(coded_ball[2])
     for _ in range(data.draw(st.integers(1, 4))):
         changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
     try:
-        made = spline.decode_spline(bytes(changed), GRID)
+        decoded = spline.decode_spline(bytes(changed), GRID)
     except TouchfieldError:
         return
-    assert np.abs(made.vectors).max() <= (1 << 17)
-    assert len(made.bricks) <= 64 + 16 * len(changed)
+    assert np.abs(decoded.vectors).max() <= (1 << 17)
+    assert len(decoded.bricks) <= 64 + 16 * len(changed)
 
 
-def test_bricks_far_apart_take_little_memory():
-    """The box around two bricks at the far corners of a large grid is nobody's business."""
+def test_distant_bricks_take_little_memory():
+    """Two bricks at the far corners of a large grid must not allocate the box around them."""
     grid = Grid((4096, 4096, 4096), (0.001,) * 3, (0.0,) * 3)
-    far = np.array([[0, 0, 0], [511, 511, 511]], np.int32)
-    told = writer(1024, new_models(spline.SPLINE_CONTEXTS, spline.LIST_SETS))
-    code_bricks(told, 0, 0, grid.brick_shape, far, None)
+    corners = np.array([[0, 0, 0], [511, 511, 511]], np.int32)
+    bits = writer(1024, new_models(spline.SPLINE_CONTEXTS, spline.LIST_SETS))
+    code_bricks(bits, 0, 0, grid.brick_shape, corners, None)
     tracemalloc.start()
-    made = spline.decode_spline(
-        spline.Head((3, 3, 3), 1, (1, 1, 1)).to_bytes() + finish(told) + bytes(1024), grid
+    decoded = spline.decode_spline(
+        spline.Head((3, 3, 3), 1, (1, 1, 1)).to_bytes() + finish(bits) + bytes(1024), grid
     )
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert np.array_equal(made.bricks, far)
+    assert np.array_equal(decoded.bricks, corners)
     assert peak < 1 << 22
 
 
 @pytest.mark.parametrize(
     "head", [(1, 2, 2, 9, 9, 9, 9), (2, 2, 6, 9, 9, 9, 9), (2, 2, 2, 0, 9, 9, 9), (2, 2, 2, 9, 9, 9, 0)]
 )
-def test_a_head_beyond_its_limits_is_refused(coded, head):
+def test_a_head_beyond_its_limits_is_refused(coded_ball, head):
     with pytest.raises(CorruptFile, match="head"):
-        spline.decode_spline(bytes(head) + coded[2][9:], GRID)
+        spline.decode_spline(bytes(head) + coded_ball[2][9:], GRID)

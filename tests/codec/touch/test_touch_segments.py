@@ -1,6 +1,4 @@
-"""Segments: frames that stand alone and that follow, what is forgotten between them,
-and a common beginning.
-"""
+"""Segments: intra and inter frames, independence of segments, and shared key frames."""
 
 from __future__ import annotations
 
@@ -47,16 +45,16 @@ def kinds_of(body: bytes, decoder: TouchDecoder, count: int) -> list[FrameKind]:
     return [cost.kind for cost in decoder.costs(body, count)]
 
 
-def test_a_frame_follows_the_one_before_where_that_is_smaller() -> None:
+def test_frame_is_inter_coded_where_that_is_smaller() -> None:
     frames = [hills(24, 5, 0.05 * i) for i in range(3)] + [hills(24, 5, 8.0)]
     body, decoder, decoded = round_trip(frames, TouchSpec())
     costs = decoder.costs(body, 4)
     assert [c.kind for c in costs][:3] == [FrameKind.INTRA, FrameKind.INTER, FrameKind.INTER]
-    alone, off, _ = round_trip(frames, TouchSpec(interframe="off"))
-    assert len(body) < len(alone) and set(kinds_of(alone, off, 4)) == {FrameKind.INTRA}
-    forced, on, _ = round_trip(frames, TouchSpec(interframe="on"))
-    assert kinds_of(forced, on, 4) == [FrameKind.INTRA] + 3 * [FrameKind.INTER]
-    # bits by kind, with and without decoding, are those that the encoder told
+    intra_body, intra_decoder, _ = round_trip(frames, TouchSpec(interframe="off"))
+    assert len(body) < len(intra_body) and set(kinds_of(intra_body, intra_decoder, 4)) == {FrameKind.INTRA}
+    inter_body, inter_decoder, _ = round_trip(frames, TouchSpec(interframe="on"))
+    assert kinds_of(inter_body, inter_decoder, 4) == [FrameKind.INTRA] + 3 * [FrameKind.INTER]
+    # bits by kind, with and without decoding, equal the encoder's
     segment = TouchEncoder(frames[0].grid, TouchSpec()).encode_segment(frames)
     assert [c.bits for c in costs] == [s.bits for s in segment.frames]
     assert [c.kind for c in costs] == [s.kind for s in segment.frames]
@@ -65,7 +63,7 @@ def test_a_frame_follows_the_one_before_where_that_is_smaller() -> None:
     assert costs[0].bits.support > 0 and costs[0].bits.amplitude > 0 and costs[0].bits.direction > 0
 
 
-def test_most_voxels_need_no_exception(wavy_field: ForceField) -> None:
+def test_most_voxels_are_not_outliers(wavy_field: ForceField) -> None:
     frames = [wavy_field, wavy_field.scaled(1.04), wavy_field.scaled(1.1)]
     body, _, decoded = round_trip(frames, TouchSpec())
     assert decoded[0].support_count > 0.8 * wavy_field.support_count
@@ -74,7 +72,7 @@ def test_most_voxels_need_no_exception(wavy_field: ForceField) -> None:
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_a_force_sent_apart_lies_in_the_grid(axis: int) -> None:
+def test_outliers_must_be_inside_the_grid(axis: int) -> None:
     shape = [24, 24, 24]
     shape[axis] = 19
     grid, wide = (Grid((a, b, c), (0.001,) * 3, (0.0,) * 3) for a, b, c in (shape, (24, 24, 24)))
@@ -83,10 +81,10 @@ def test_a_force_sent_apart_lies_in_the_grid(axis: int) -> None:
         at = [17, 17, 17]
         at[axis] = last
         dense[tuple(at)] = 1, 2, 3
-        frame, place = ForceField.from_dense(wide, dense), 0
+        frame, sample = ForceField.from_dense(wide, dense), 0
         for c in at:
-            place = place << 3 | c & 7
-        data = encode_outliers(frame, np.array([2 * 9 + 2 * 3 + 2]), np.array([place]))
+            sample = sample << 3 | c & 7
+        data = encode_outliers(frame, np.array([2 * 9 + 2 * 3 + 2]), np.array([sample]))
         if is_inside:
             inner = tuple(slice(n) for n in grid.shape)
             assert apply_outliers(ForceField.empty(grid), data) == ForceField.from_dense(grid, dense[inner])
@@ -96,60 +94,58 @@ def test_a_force_sent_apart_lies_in_the_grid(axis: int) -> None:
 
 
 @pytest.mark.parametrize("effort", ["fast", "default"])
-def test_segments_know_nothing_of_each_other(effort: str) -> None:
-    """What is learnt within a segment ends with it, in encoder and decoder, and so they may come in any
-    order.
-    """
+def test_segments_are_independent(effort: str) -> None:
+    """Adapted state ends with its segment in encoder and decoder, so segments may come in any order."""
     segments = [[hills(17, 5, 0.4 * i + j) for j in range(2)] for i in range(3)]
     encoder = TouchEncoder(segments[0][0].grid, TouchSpec(effort=effort))
-    forth = [encoder.encode_segment(frames).body for frames in segments]
-    assert [encoder.encode_segment(frames).body for frames in reversed(segments)] == forth[::-1]
+    bodies = [encoder.encode_segment(frames).body for frames in segments]
+    assert [encoder.encode_segment(frames).body for frames in reversed(segments)] == bodies[::-1]
     decoder = TouchDecoder(segments[0][0].grid, encoder.parameters)
-    there = [list(decoder.frames(body, 2)) for body in forth]
-    assert {i: list(decoder.frames(forth[i], 2)) for i in (2, 0, 1)} == dict(enumerate(there))
+    expected = [list(decoder.frames(body, 2)) for body in bodies]
+    assert {i: list(decoder.frames(bodies[i], 2)) for i in (2, 0, 1)} == dict(enumerate(expected))
 
 
 def test_threads_share_encoder_and_decoder(wavy_field: ForceField) -> None:
     encoder = TouchEncoder(wavy_field.grid, FAST)
     segments = [[wavy_field.scaled(1 + i / 7), wavy_field.scaled(1 + i / 5)] for i in range(6)]
-    alone = [encoder.encode_segment(frames).body for frames in segments]
-    made: dict[int, bytes] = {}
+    expected = [encoder.encode_segment(frames).body for frames in segments]
+    bodies: dict[int, bytes] = {}
 
     def work(i: int) -> None:
-        made[i] = encoder.encode_segment(segments[i]).body
+        bodies[i] = encoder.encode_segment(segments[i]).body
 
     threads = [threading.Thread(target=work, args=(i,)) for i in range(6)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert [made[i] for i in range(6)] == alone
+    assert [bodies[i] for i in range(6)] == expected
 
 
-def test_segments_that_share_an_anchor_begin_alike() -> None:
-    """Of a world that stands, seen with some noise: the first forces of each segment are the same."""
+def test_segments_that_share_a_key_frame_start_with_the_same_payload() -> None:
+    """A static scene with some noise: the first frame of each segment has the same payload."""
     spec, world = TouchSpec(), hills(24, 5)
     rng = np.random.default_rng(1)
     segments = []
     for _ in range(3):
-        near = world.forces_n * (1 + rng.normal(0, 0.01, world.forces_n.shape).astype(np.float32))
-        segments.append([ForceField(world.grid, world.bricks, near), world])
+        noisy = world.forces_n * (1 + rng.normal(0, 0.01, world.forces_n.shape).astype(np.float32))
+        segments.append([ForceField(world.grid, world.bricks, noisy), world])
     encoder = TouchEncoder(world.grid, spec)
-    anchor = world.scaled(1.2)  # longer than all: the unit of each segment is its own
-    bodies = [encoder.encode_segment(frames, anchor).body for frames in segments]
+    key_frame = world.scaled(1.2)  # longer than every force: each segment has its own unit
+    bodies = [encoder.encode_segment(frames, key_frame).body for frames in segments]
     decoder = TouchDecoder(world.grid, encoder.parameters)
     for frames, body in zip(segments, bodies, strict=True):
-        for original, made in zip(frames, decoder.frames(body, 2), strict=True):
-            assert not len(compare_frames(original, made, spec).keys)
-    firsts = [BodyReader(body, world.grid, exact=False).records(2)[0] for body in bodies]
-    assert firsts[0].payload == firsts[1].payload == firsts[2].payload
+        for original, restored in zip(frames, decoder.frames(body, 2), strict=True):
+            assert not len(compare_frames(original, restored, spec).keys)
+    first_records = [BodyReader(body, world.grid, exact=False).records(2)[0] for body in bodies]
+    assert first_records[0].payload == first_records[1].payload == first_records[2].payload
     with pytest.raises(InvalidArgument, match="grid"):
         encoder.encode_segment([world], field_of("one", 1))
 
 
 @settings(max_examples=15)
 @given(st.sampled_from(KINDS), st.integers(0, 999), st.sampled_from(SPECS))
-def test_what_was_decoded_can_be_coded_again(kind: str, seed: int, spec: TouchSpec) -> None:
+def test_decoded_fields_can_be_coded_again(kind: str, seed: int, spec: TouchSpec) -> None:
     once = round_trip([field_of(kind, seed)], spec)[2]
     body, _, twice = round_trip(once, spec)
     if spec.mode != "nmse":
@@ -157,11 +153,11 @@ def test_what_was_decoded_can_be_coded_again(kind: str, seed: int, spec: TouchSp
     assert round_trip(once, spec)[0] == body  # equal fields, equal bytes
 
 
-def test_a_mean_error_is_bought_with_bytes(wavy_field: ForceField) -> None:
+def test_smaller_mean_error_takes_more_bytes(wavy_field: ForceField) -> None:
     errors, sizes = [], []
     for step in (0.2, 0.05, 0.01):
-        body, decoder, (made,) = round_trip([wavy_field], TouchSpec(mode="nmse", step_n=step))
-        errors.append(float(((wavy_field.to_dense() - made.to_dense()) ** 2).mean()))
+        body, decoder, (restored,) = round_trip([wavy_field], TouchSpec(mode="nmse", step_n=step))
+        errors.append(float(((wavy_field.to_dense() - restored.to_dense()) ** 2).mean()))
         sizes.append(len(body))
         assert decoder.max_error(body) is None
     assert errors[0] > 4 * errors[1] > 16 * errors[2] and sizes[0] < sizes[1] < sizes[2]
@@ -179,10 +175,10 @@ def test_lossless_is_exact_to_the_bit(kind: str) -> None:
 
 def test_fields_that_cannot_be_coded_are_refused_by_name() -> None:
     good = field_of("sparse", 1)
-    for bad, told in ((np.nan, "nan"), (np.inf, "inf"), (-np.inf, "inf"), (3e38, "3e\\+38")):
+    for invalid, message in ((np.nan, "nan"), (np.inf, "inf"), (-np.inf, "inf"), (3e38, "3e\\+38")):
         forces = np.array(good.forces_n)
-        forces[0, 1, 2, 3, 1] = bad
-        with pytest.raises(InvalidArgument, match=f"frame 1.*{told}"):
+        forces[0, 1, 2, 3, 1] = invalid
+        with pytest.raises(InvalidArgument, match=f"frame 1.*{message}"):
             TouchEncoder(GRID, FAST).encode_segment([good, ForceField(GRID, good.bricks, forces)])
     other = Grid((8, 8, 8), (1, 1, 1), (0, 0, 0))
     with pytest.raises(InvalidArgument, match="grid"):
@@ -190,7 +186,7 @@ def test_fields_that_cannot_be_coded_are_refused_by_name() -> None:
 
 
 @pytest.mark.parametrize("spec", SPECS)
-def test_parameters_tell_what_was_asked_for(spec: TouchSpec) -> None:
+def test_parameters_round_trip_the_options(spec: TouchSpec) -> None:
     parameters = TouchEncoder(GRID, spec).parameters
     read = TouchDecoder(GRID, parameters).spec
     used = {"mask": ("k", "f0_n"), "mask-direction": ("k", "f0_n", "direction_jnd_deg"), "nmse": ("step_n",)}
@@ -218,7 +214,7 @@ def test_parameters_tell_what_was_asked_for(spec: TouchSpec) -> None:
             TouchDecoder(GRID, parameters[:-8] + np.float64(-np.inf).tobytes())
 
 
-def test_an_effort_that_is_no_longer_written_is_read() -> None:
+def test_obsolete_efforts_are_read() -> None:
     body, _, frames = round_trip([field_of("dense", 3)], TouchSpec())
     parameters = TouchEncoder(GRID, TouchSpec()).parameters
     former = TouchDecoder(GRID, bytes([1, 2 << 3, *parameters[2:]]))
@@ -228,21 +224,21 @@ def test_an_effort_that_is_no_longer_written_is_read() -> None:
         TouchSpec(effort="max")
 
 
-def test_the_worst_error_is_not_rounded_down() -> None:
+def test_max_error_is_not_rounded_down() -> None:
     lattice = Lattice(1.0, 100, 0, 100, 0)
     for ratio in (0.0, 1e-9, 0.5, 0.99999, 1.0):
         read = BodyReader(write_body(lattice, [], MaxError(ratio, 0, (0, 0, 0))), GRID, exact=False).max_error
         assert read is not None and ratio <= read.ratio <= ratio + 1 / 65535
 
 
-def test_the_worst_voxel_of_a_file_is_in_its_frame() -> None:
-    worsts = [
+def test_max_error_of_a_file_names_its_frame() -> None:
+    max_errors = [
         (0, MaxError(0.5, 2, (1, 2, 3))),
         (8, MaxError(0.75, 1, (4, 5, 6))),
         (24, MaxError(0.75, 0, (0, 0, 0))),
     ]
-    told = {"promise_kept": True, "worst_mask_ratio": 0.75, "worst_frame": 9, "worst_voxel": [4, 5, 6]}
-    assert max_error_keys(worsts) == told
+    expected = {"promise_kept": True, "worst_mask_ratio": 0.75, "worst_frame": 9, "worst_voxel": [4, 5, 6]}
+    assert max_error_keys(max_errors) == expected
     assert set(max_error_keys([(0, None)]).values()) == {None}
 
 
@@ -255,7 +251,7 @@ def test_the_registry_knows_the_coder() -> None:
         field_decoder("touch", GRID, b"", "OBJT 7")
 
 
-def test_shares_are_of_255() -> None:
+def test_fractions_are_multiples_of_1_255() -> None:
     assert bit_fractions((0.0, 0.0, 0.0)) == (255, 0)
     assert bit_fractions((1.0, 1.0, 0.0)) == (128, 127)
     assert bit_fractions((0.0, 0.0, 5.0)) == (0, 0)
@@ -266,9 +262,9 @@ def test_shares_are_of_255() -> None:
 
 
 @pytest.mark.parametrize(
-    ("bits", "shares"),
+    ("bits", "fractions"),
     [
-        ((-8.0, 10.0, 6.0), (0, 255)),  # less than nothing for one, as prices are estimates
+        ((-8.0, 10.0, 6.0), (0, 255)),  # a negative cost, as costs are estimates
         ((20.0, -3.0, -9.0), (255, 0)),
         ((3.0, -5.0, 10.0), (96, 0)),
         ((-1e9, 1e9, 1.0), (0, 255)),
@@ -277,10 +273,8 @@ def test_shares_are_of_255() -> None:
         ((-5.0, 2.0, 1.0), (255, 0)),
     ],
 )
-def test_shares_saturate_and_never_stop_an_encoding(
-    bits: tuple[float, float, float], shares: tuple[int, int]
-) -> None:
-    assert bit_fractions(bits) == shares
-    record = FrameRecord(False, b"", b"payload", shares)
+def test_fractions_saturate(bits: tuple[float, float, float], fractions: tuple[int, int]) -> None:
+    assert bit_fractions(bits) == fractions
+    record = FrameRecord(False, b"", b"payload", fractions)
     parts = write_body(None, [record], None)
-    assert BodyReader(parts, GRID, exact=True).records(1)[0].fractions == shares
+    assert BodyReader(parts, GRID, exact=True).records(1)[0].fractions == fractions

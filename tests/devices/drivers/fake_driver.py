@@ -1,4 +1,4 @@
-"""Fake drivers: shared libraries built from a few lines of C beside this file, asked what they saw."""
+"""Fake drivers: shared libraries built from C files in this folder, which record the calls they get."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 
 
 def built(name: str, folder: Path) -> Path:
-    """The shared library of ``NAME.c``, in `folder`; skips where there is no C compiler."""
+    """Build ``NAME.c`` as a shared library in `folder`; skip if there is no C compiler."""
     compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
     if compiler is None:
         pytest.skip("no C compiler (cc, gcc or clang), which builds the fake driver")
@@ -26,7 +26,7 @@ def built(name: str, folder: Path) -> Path:
         "-fPIC",
         "-o",
         str(library),
-        str(HERE / f"{name}.c"),
+        str(FOLDER / f"{name}.c"),
         "-lpthread",
         "-lm",
     ]
@@ -35,7 +35,7 @@ def built(name: str, folder: Path) -> Path:
 
 
 class FakeDriver:
-    """The same library that the adapter loads: it is one in the process."""
+    """The library that the adapter loads; it is loaded once per process."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -47,7 +47,7 @@ class FakeDriver:
         self.library.fake_reset()
 
     def fail(self, function: str, code: int) -> None:
-        """Let a function fail."""
+        """Make a function fail."""
         self.library.fake_fail(function.encode(), code)
 
     @property
@@ -58,7 +58,7 @@ class FakeDriver:
 
     @property
     def log(self) -> str:
-        """One letter a call."""
+        """One letter per call."""
         return self.library.fake_log().decode()
 
     @property

@@ -1,6 +1,6 @@
-"""A stand-in for the Haply Inverse Service: speaks as it does, and checks every message it gets.
+"""A fake Haply Inverse Service that checks every message it receives.
 
-As the real one it tells a first message, and then one state for each force.
+As the real one it sends a first message, and then one state for each force.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from websockets.sync.server import ServerConnection, serve
 
 
 class FakeHaply:
-    """What it got, what was wrong about it, and how it answers."""
+    """Records received forces and faults, and answers with states."""
 
     def __init__(
         self, first: Any = None, answer: Callable[[int, ServerConnection], Any] | None = None
@@ -27,7 +27,7 @@ class FakeHaply:
         self.forces: list[tuple[float, float, float]] = []
         self.faults: list[str] = []
         self.port = 0
-        self.hung_up = threading.Event()
+        self.disconnected = threading.Event()
 
     @staticmethod
     def state(n: int) -> dict[str, Any]:
@@ -42,19 +42,19 @@ class FakeHaply:
         }
 
     def talk(self, connection: ServerConnection) -> None:
-        """One connection, to its end."""
+        """Serve one connection until it closes."""
         try:
-            self.say(connection, self.first)
+            self.send(connection, self.first)
             for n, text in enumerate(connection, 1):
                 self.check(text)
-                self.say(connection, self.answer(n, connection))
+                self.send(connection, self.answer(n, connection))
         except ConnectionClosed:
             pass
         finally:
-            self.hung_up.set()
+            self.disconnected.set()
 
     @staticmethod
-    def say(connection: ServerConnection, message: Any) -> None:
+    def send(connection: ServerConnection, message: Any) -> None:
         if message is not None:
             connection.send(message if isinstance(message, (str, bytes)) else json.dumps(message))
 
@@ -79,7 +79,7 @@ class FakeHaply:
 
 @contextmanager
 def fake_haply(**options: Any) -> Iterator[FakeHaply]:
-    """A fake on a port of its own, as long as the block runs; no wrong message may have come."""
+    """A fake on its own port for the duration of the block; at its end, no message was invalid."""
     fake = FakeHaply(**options)
     with serve(fake.talk, "127.0.0.1", 0, compression=None) as server:
         fake.port = server.socket.getsockname()[1]

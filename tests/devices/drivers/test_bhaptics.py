@@ -1,4 +1,4 @@
-"""bHaptics vests: every message of a fake Player is checked, and a Player that fails is told in one line."""
+"""bHaptics vests: a fake Player checks every message, and its failures are one-line errors."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ X40, PRO = device("tactsuit-x40"), device("tactsuit-pro")
 
 
 class Player:
-    """A fake Player: holds every message against the protocol and answers with its own state."""
+    """A fake Player: checks every message against the protocol and answers with its state."""
 
     def __init__(self, answers: int = 1, closes_after: int | None = None) -> None:
         self.answers, self.closes_after = answers, closes_after
         self.frames: list[dict[str, np.ndarray]] = []
-        self.lasts_ms: set[int] = set()
+        self.durations_ms: set[int] = set()
         self.faults: list[str] = []
-        self.is_gone = threading.Event()
+        self.disconnected = threading.Event()
         self.port = 0
 
     def __call__(self, line: ServerConnection) -> None:
@@ -42,7 +42,7 @@ class Player:
             assert path.startswith("/v2/feedbacks?app_id=") and "app_name=" in path, path
             for message in line:
                 self.check(message)
-                with suppress(ConnectionClosed):  # what came before is still to be checked
+                with suppress(ConnectionClosed):  # earlier messages are still checked
                     for _ in range(self.answers):
                         line.send(
                             json.dumps({"RegisteredKeys": [], "ActiveKeys": [], "ConnectedDeviceCount": 1})
@@ -51,37 +51,37 @@ class Player:
                     return
         except ConnectionClosed:
             pass
-        except Exception as error:  # told by the test that started it
+        except Exception as error:  # checked by the test that started it
             self.faults.append(repr(error))
         finally:
-            self.is_gone.set()
+            self.disconnected.set()
 
     def check(self, message: str | bytes) -> None:
         assert isinstance(message, str)
         root = json.loads(message)
         assert set(root) == {"Submit"}
-        shown = {}
-        for one in root["Submit"]:
-            assert set(one) == {"Type", "Key", "Frame"} and one["Type"] == "frame"
-            frame = one["Frame"]
+        intensities = {}
+        for command in root["Submit"]:
+            assert set(command) == {"Type", "Key", "Frame"} and command["Type"] == "frame"
+            frame = command["Frame"]
             assert set(frame) == {"Position", "DotPoints", "PathPoints", "DurationMillis"}
-            assert frame["Position"] in ("VestFront", "VestBack") and frame["Position"] not in shown
-            assert one["Key"] == f"touchfield-{frame['Position']}" and frame["PathPoints"] == []
+            assert frame["Position"] in ("VestFront", "VestBack") and frame["Position"] not in intensities
+            assert command["Key"] == f"touchfield-{frame['Position']}" and frame["PathPoints"] == []
             assert type(frame["DurationMillis"]) is int and 50 <= frame["DurationMillis"] <= 10000
-            self.lasts_ms.add(frame["DurationMillis"])
+            self.durations_ms.add(frame["DurationMillis"])
             dots = frame["DotPoints"]
             assert [d["Index"] for d in dots] == list(range(20)) and all(
                 set(d) == {"Index", "Intensity"} for d in dots
             )
             assert all(type(d["Intensity"]) is int and 0 <= d["Intensity"] <= 100 for d in dots)
-            shown[frame["Position"]] = np.array([d["Intensity"] for d in dots]).reshape(5, 4)
-        self.frames.append(shown)
+            intensities[frame["Position"]] = np.array([d["Intensity"] for d in dots]).reshape(5, 4)
+        self.frames.append(intensities)
 
 
 @contextmanager
 def running(player: Player) -> Iterator[Player]:
-    # a closing handshake of a second: on a busy machine the usual ten would be all that a test waits for
-    # no bound of the queue: with one, a server of websockets 17 that answers a line just closed waits for
+    # a closing handshake of one second: with the default of ten, it would take most of a test's time
+    # an unbounded queue: with a bound, a server of websockets 17 that answers a closed connection hangs
     # ever
     with serve(player, "127.0.0.1", 0, max_queue=None, close_timeout=1) as server:
         player.port = server.socket.getsockname()[1]
@@ -96,15 +96,15 @@ def running(player: Player) -> Iterator[Player]:
 
 
 def drives(profile: object, **at: float) -> np.ndarray:
-    """Zeros but for what is named, such as f00=0.5: front, row 0, column 0."""
+    """Zeros except for named actuators: f00=0.5 is front, row 0, column 0."""
     columns, rows, _ = profile.lattice
-    made = np.zeros((profile.panels, rows, columns), np.float32)
+    values = np.zeros((profile.panels, rows, columns), np.float32)
     for name, value in at.items():
-        made["fb".index(name[0]), int(name[1]), int(name[2])] = value
-    return made
+        values["fb".index(name[0]), int(name[1]), int(name[2])] = value
+    return values
 
 
-def test_each_motor_of_an_x40_at_its_dot_and_all_off_at_the_end() -> None:
+def test_each_motor_of_an_x40_has_its_dot_and_all_are_off_at_the_end() -> None:
     with running(Player()) as player:
         vest = array_device(f"bhaptics:127.0.0.1:{player.port}")
         assert isinstance(vest, BHaptics) and vest.profile is X40
@@ -112,15 +112,15 @@ def test_each_motor_of_an_x40_at_its_dot_and_all_off_at_the_end() -> None:
         vest.put_drives(drives(X40, f00=0.5, f03=1.0, b40=0.253), None, 0.05)
         vest.close()
         vest.close()
-        assert player.is_gone.wait(60)
+        assert player.disconnected.wait(60)
     first, last = player.frames
     assert first["VestFront"][0].tolist() == [50, 0, 0, 100] and not first["VestFront"][1:].any()
     assert first["VestBack"][4].tolist() == [25, 0, 0, 0] and first["VestBack"].sum() == 25
     assert not last["VestFront"].any() and not last["VestBack"].any()
-    assert player.lasts_ms == {75, 50}  # half a frame more than it should last
+    assert player.durations_ms == {75, 50}  # one and a half frames
 
 
-def test_a_pro_has_16_steps_and_four_rows() -> None:
+def test_pro_has_16_steps_and_four_rows() -> None:
     with running(Player()) as player:
         vest = array_device(f"bhaptics:127.0.0.1:{player.port}", PRO)
         vest.open()
@@ -129,12 +129,12 @@ def test_a_pro_has_16_steps_and_four_rows() -> None:
                 drives(PRO, f00=step / 15 + 0.02, f31=step / 15, b11=step / 15 - 0.02), None, 0.02
             )
         vest.close()
-        assert player.is_gone.wait(60)
-    for step, shown in enumerate(player.frames[:16]):
+        assert player.disconnected.wait(60)
+    for step, frame in enumerate(player.frames[:16]):
         intensity = int(step * 100 / 15 + 0.5)
-        assert shown["VestFront"][0, 0] == shown["VestFront"][3, 1] == shown["VestFront"][4, 1] == intensity
-        assert shown["VestBack"][1, 1] == intensity and shown["VestBack"].sum() == intensity
-    assert player.lasts_ms == {50}
+        assert frame["VestFront"][0, 0] == frame["VestFront"][3, 1] == frame["VestFront"][4, 1] == intensity
+        assert frame["VestBack"][1, 1] == intensity and frame["VestBack"].sum() == intensity
+    assert player.durations_ms == {50}
 
 
 def test_an_x16_through_all_20_dots() -> None:
@@ -144,17 +144,17 @@ def test_an_x16_through_all_20_dots() -> None:
         vest.open()
         vest.put_drives(drives(x16, f02=1.0, b10=1.0), None, 1e9)
         vest.close()
-        assert player.is_gone.wait(60)
+        assert player.disconnected.wait(60)
     assert player.frames[0]["VestFront"][:, 2].tolist() == [100, 100, 0, 0, 0]
     assert player.frames[0]["VestBack"][:, 0].tolist() == [0, 0, 100, 100, 100]
-    assert player.lasts_ms == {10000, 50}
+    assert player.durations_ms == {10000, 50}
 
 
 @given(
     st.lists(st.floats(width=32), min_size=40, max_size=40), st.sampled_from([X40, replace(X40, levels=None)])
 )
-def test_whatever_the_drives_intensities_are_whole_and_bounded(values: list[float], profile: object) -> None:
-    class Told:
+def test_intensities_are_bounded_integers(values: list[float], profile: object) -> None:
+    class RecordingLine:
         sent, waits = "", 5
 
         def send(self, text: str) -> None:
@@ -166,10 +166,12 @@ def test_whatever_the_drives_intensities_are_whole_and_bounded(values: list[floa
             self.waits -= 1
 
     vest, fake = BHaptics(profile), Player()
-    vest._line = told = Told()
+    vest._line = line = RecordingLine()
     vest.put_drives(np.array(values, np.float32).reshape(2, 5, 4), None, float("nan"))
-    fake.check(told.sent)
-    assert not told.waits and fake.lasts_ms == {10000}  # all that waits is read; of a time that is no number
+    fake.check(line.sent)
+    assert not line.waits and fake.durations_ms == {
+        10000
+    }  # all pending messages are read; NaN gives the longest duration
     expected = [0 if not v > 0 else 100 if v >= 1 else int(np.floor(v * 100 + 0.5)) for v in values]
     assert (
         np.concatenate([fake.frames[0]["VestFront"], fake.frames[0]["VestBack"]]).reshape(-1).tolist()
@@ -177,18 +179,18 @@ def test_whatever_the_drives_intensities_are_whole_and_bounded(values: list[floa
     )
 
 
-def test_a_player_that_talks_without_end_is_read_and_left_aside() -> None:
+def test_excess_messages_of_a_player_are_ignored() -> None:
     with running(Player(answers=200)) as player:
         vest = BHaptics(X40, ("127.0.0.1", player.port))
         vest.open()
         for _ in range(5):
             vest.put_drives(drives(X40, f00=1.0), None, 0.05)
         vest.close()
-        assert player.is_gone.wait(60)
+        assert player.disconnected.wait(60)
     assert len(player.frames) == 6 and not player.frames[-1]["VestFront"].any()
 
 
-def test_a_player_that_goes_ends_the_play_with_one_line() -> None:
+def test_disconnecting_player_ends_the_playback_with_one_line() -> None:
     class Frames:
         frame_count, rate_hz = 1000, 100.0
 
@@ -211,7 +213,7 @@ def test_a_player_that_goes_ends_the_play_with_one_line() -> None:
             vest.put_drives(drives(X40), None, 0.05)
 
 
-def test_nobody_listens_or_no_websocket_or_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_or_silent_players_are_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bhaptics, "_TIMEOUT_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         port = silent.getsockname()[1]
@@ -239,7 +241,7 @@ def test_nobody_listens_or_no_websocket_or_silence(monkeypatch: pytest.MonkeyPat
     vest.close()
 
 
-def test_vests_that_the_protocol_does_not_know() -> None:
+def test_unsupported_vests_are_refused() -> None:
     for profile in (
         device("tactile-vest-8x8"),
         device("dotpad"),
@@ -250,9 +252,9 @@ def test_vests_that_the_protocol_does_not_know() -> None:
             BHaptics(profile)
 
 
-def test_checks_tell_what_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as there:
-        monkeypatch.setattr(bhaptics, "PLAYER", there.getsockname())
+def test_checks_report_the_player(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        monkeypatch.setattr(bhaptics, "PLAYER", server.getsockname())
         library, service = bhaptics.checks()
         assert library.is_there and service.is_there and not service.mend
     library, service = bhaptics.checks()

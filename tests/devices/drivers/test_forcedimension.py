@@ -1,6 +1,4 @@
-"""Force Dimension against a fake library: every force arrives, calls come in order, a failure is one clear
-line.
-"""
+"""Force Dimension with a fake library: forces, order of calls, and one-line errors."""
 
 from __future__ import annotations
 
@@ -36,27 +34,27 @@ def fake(library, monkeypatch):
     assert not driver.faults, driver.faults
 
 
-def test_positions_and_forces_pass_and_the_last_force_is_zero(fake) -> None:
+def test_positions_and_forces_are_passed_and_the_last_force_is_zero(fake) -> None:
     device = pickle.loads(pickle.dumps(point_device("forcedimension").opener))()
     device.open()
-    places = []
+    positions_m = []
     for n in range(20):
-        places.append(device.position_m())
+        positions_m.append(device.position_m())
         device.put_force_n(float(n), 0.5, -1.0)
     device.close()
     device.close()
-    assert places == [(0.001 * n, -0.01, 0.02) for n in range(20)]
+    assert positions_m == [(0.001 * n, -0.01, 0.02) for n in range(20)]
     assert fake.forces.tolist() == [[0, 0, 0], *([n, 0.5, -1] for n in range(20)), [0, 0, 0]]
     assert fake.log == "OEeC"
 
 
 def torques(fake) -> np.ndarray:
-    """All torques that went with the forces, newton metres, [n, 3]."""
+    """All torques sent with the forces, newton metres, [n, 3]."""
     fake.library.fake_torques.restype = ctypes.POINTER(ctypes.c_double)
     return np.ctypeslib.as_array(fake.library.fake_torques(), (len(fake.forces), 3)).copy()
 
 
-def test_a_wrist_tells_how_it_is_turned_and_gets_the_torque_and_zero_in_the_end(fake) -> None:
+def test_wrist_has_an_orientation_and_a_torque_that_ends_at_zero(fake) -> None:
     fake.library.fake_wrist(1)
     device = ForceDimension()
     device.open()
@@ -73,20 +71,20 @@ def test_a_wrist_tells_how_it_is_turned_and_gets_the_torque_and_zero_in_the_end(
     assert torques(fake).tolist() == [[0, 0, 0], [0, 0, 0.05], [0, 0, 0], [0, 0.1, 0], [0, 0, 0]]
 
 
-def test_a_fresh_connection_ends_the_torque_of_a_process_that_was_killed(fake) -> None:
+def test_new_connection_ends_the_torque_of_a_killed_process(fake) -> None:
     fake.library.fake_wrist(1)
     killed = ForceDimension()
     killed.open()
     killed.put_wrench(1.0, 0.0, 0.0, 0.0, 0.0, 0.05)
     fake.library.dhdEnableForce(0, 0)
-    fake.library.dhdClose(0)  # as the system does; the torque is put still
+    fake.library.dhdClose(0)  # as the system does; the torque remains
     answers: list[str] = []
     _write_zero(ForceDimension, SimpleNamespace(send=answers.append))
     assert answers == [""] and not fake.faults
     assert not torques(fake)[-1].any() and not fake.forces[-1].any()
 
 
-def test_a_torque_that_cannot_be_zeroed_leaves_the_force_zero_and_the_motors_off(fake) -> None:
+def test_torque_that_cannot_be_zeroed_turns_the_motors_off(fake) -> None:
     fake.library.fake_wrist(1)
     device = ForceDimension()
     device.open()
@@ -96,7 +94,7 @@ def test_a_torque_that_cannot_be_zeroed_leaves_the_force_zero_and_the_motors_off
     assert fake.forces[-1].tolist() == [0, 0, 0] and fake.log.endswith("eC") and not fake.faults
 
 
-def test_a_device_without_a_wrist_is_not_asked_for_it(fake) -> None:
+def test_device_without_a_wrist_gets_no_torque_calls(fake) -> None:
     device = ForceDimension()
     device.open()
     assert (device.orientation(), device.buttons(), device.gripper_m()) == ((1, 0, 0, 0), 0, 0)
@@ -106,7 +104,7 @@ def test_a_device_without_a_wrist_is_not_asked_for_it(fake) -> None:
 
 
 @pytest.mark.parametrize(
-    ("function", "words"),
+    ("function", "message"),
     [
         ("dhdGetOrientationFrame", "orientation"),
         ("turn nan", "rotation"),
@@ -114,7 +112,7 @@ def test_a_device_without_a_wrist_is_not_asked_for_it(fake) -> None:
         ("dhdSetForceAndTorqueAndGripperForce", "torque"),
     ],
 )
-def test_a_wrist_that_fails_is_told(fake, function, words) -> None:
+def test_wrist_failure_is_an_error(fake, function, message) -> None:
     fake.library.fake_wrist(1)
     device = ForceDimension()
     device.open()
@@ -125,13 +123,13 @@ def test_a_wrist_that_fails_is_told(fake, function, words) -> None:
         device.gripper_m()
         device.put_wrench(0.0, 0.0, 0.0, 0.1, 0.0, 0.0)
 
-    with pytest.raises(DeviceError, match=words):
+    with pytest.raises(DeviceError, match=message):
         run()
     device.close()
 
 
 @pytest.mark.parametrize("axis", range(4))
-def test_a_quaternion_is_that_of_its_matrix(axis) -> None:
+def test_quaternion_agrees_with_its_matrix(axis) -> None:
     q = np.random.default_rng(axis).normal(0, 0.2, 4)
     q[axis] += 1.0
     q /= np.linalg.norm(q)
@@ -139,7 +137,7 @@ def test_a_quaternion_is_that_of_its_matrix(axis) -> None:
     assert found * np.sign(found @ q) == pytest.approx(q, abs=1e-12)
 
 
-def test_it_opens_again_and_twice_in_a_row(fake) -> None:
+def test_device_can_be_opened_again(fake) -> None:
     device = ForceDimension()
     device.open()
     device.open()
@@ -149,7 +147,7 @@ def test_it_opens_again_and_twice_in_a_row(fake) -> None:
 
 
 @pytest.mark.parametrize("function", ["dhdOpen", "dhdEnableForce", "dhdSetForce"])
-def test_a_device_that_does_not_open_is_told_and_let_go(fake, function) -> None:
+def test_failure_to_open_is_an_error_and_closes_the_device(fake, function) -> None:
     fake.fail(function, 0)
     device = ForceDimension()
     with pytest.raises(DeviceError, match="no device found") as caught:
@@ -162,7 +160,7 @@ def test_a_device_that_does_not_open_is_told_and_let_go(fake, function) -> None:
 
 
 @pytest.mark.parametrize("function", ["dhdGetPosition", "dhdSetForce", "nan"])
-def test_a_device_that_goes_away_is_told(fake, function) -> None:
+def test_device_failure_is_an_error(fake, function) -> None:
     device = ForceDimension()
     device.open()
     fake.fail(function, 5)
@@ -178,7 +176,7 @@ def test_a_device_that_goes_away_is_told(fake, function) -> None:
     assert fake.log == "OEeC"
 
 
-def test_a_force_that_is_no_number_is_not_sent(fake) -> None:
+def test_forces_that_are_not_finite_are_not_sent(fake) -> None:
     device = ForceDimension()
     device.open()
     with pytest.raises(DeviceError, match="finite newtons"):
@@ -187,7 +185,7 @@ def test_a_force_that_is_no_number_is_not_sent(fake) -> None:
     assert not fake.forces.any()
 
 
-def test_without_the_library_it_says_how_to_get_it(monkeypatch, tmp_path) -> None:
+def test_missing_library_error_says_how_to_install_it(monkeypatch, tmp_path) -> None:
     broken = tmp_path / "libdhd.so"
     broken.write_bytes(b"no library at all")
     for path in (broken, tmp_path / "missing.so"):
@@ -200,17 +198,17 @@ def test_without_the_library_it_says_how_to_get_it(monkeypatch, tmp_path) -> Non
         assert not check.is_there and VARIABLE in check.mend
 
 
-def test_a_library_of_something_else_is_told(monkeypatch) -> None:
+def test_wrong_library_is_an_error(monkeypatch) -> None:
     monkeypatch.setenv(VARIABLE, "libm.so.6")
     with pytest.raises(DeviceError, match=r"no function dhdOpen|cannot|found"):
         ForceDimension().open()
 
 
-def test_the_check_finds_it(fake) -> None:
+def test_check_finds_the_library(fake) -> None:
     (check,) = forcedimension.DRIVER.checks()
     assert check.is_there and check.found == str(fake.path)
 
 
-def test_nothing_stands_behind_the_name() -> None:
+def test_name_takes_no_argument() -> None:
     with pytest.raises(InvalidArgument, match="without a colon"):
         point_device("forcedimension:1")

@@ -1,6 +1,4 @@
-"""The Inverse3 over a loopback: forces arrive as they were put, and whatever the service says is one clear
-line.
-"""
+"""The Inverse3 over loopback: exact forces, and one-line errors for every faulty message."""
 
 from __future__ import annotations
 
@@ -28,14 +26,14 @@ from fake_haply import FakeHaply, fake_haply
 STATE = FakeHaply.state(1)
 
 
-def opened(fake: FakeHaply, answer_s: float = 5.0) -> Haply:
+def open_device(fake: FakeHaply, answer_s: float = 5.0) -> Haply:
     device = Haply(("127.0.0.1", fake.port), answer_s)
     device.open()
     return device
 
 
-def answered(first=None, answer=None, answer_s: float = 5.0) -> tuple[float, float, float]:
-    """What one reading of the position gives, if the service speaks so."""
+def position_after(first=None, answer=None, answer_s: float = 5.0) -> tuple[float, float, float]:
+    """The result of one position reading when the service sends these messages."""
     with fake_haply(first=first, answer=answer) as fake:
         device = Haply(("127.0.0.1", fake.port), answer_s)
         try:
@@ -45,37 +43,35 @@ def answered(first=None, answer=None, answer_s: float = 5.0) -> tuple[float, flo
             device.close()
 
 
-def test_forces_and_positions_take_turns_and_the_last_force_is_zero() -> None:
+def test_forces_and_positions_alternate_and_the_last_force_is_zero() -> None:
     with fake_haply() as fake:
-        device = opened(fake)
-        places = []
+        device = open_device(fake)
+        positions_m = []
         for n in range(50):
-            places.append(device.position_m())
+            positions_m.append(device.position_m())
             device.put_force_n(0.1 * n, -1e-9, 2.0)
         device.close()
         device.close()
-        assert fake.hung_up.wait(5)
-    assert places == [(0.001 * n, -0.02, 0.1) for n in range(1, 51)]
+        assert fake.disconnected.wait(5)
+    assert positions_m == [(0.001 * n, -0.02, 0.1) for n in range(1, 51)]
     assert fake.forces == [(0, 0, 0), *((0.1 * n, -1e-9, 2.0) for n in range(50)), (0, 0, 0)]
 
 
-def test_it_opens_again_after_a_close() -> None:
+def test_device_can_be_opened_again() -> None:
     with fake_haply() as fake:
         for _ in range(2):
-            device = opened(fake)
+            device = open_device(fake)
             assert device.position_m() == (0.001, -0.02, 0.1)
             device.close()
-        device = opened(fake)
-        fake.hung_up.clear()
-        device.open()  # lets the first connection go
-        assert fake.hung_up.wait(5) and device.position_m() == (0.001, -0.02, 0.1)
+        device = open_device(fake)
+        fake.disconnected.clear()
+        device.open()  # closes the first connection
+        assert fake.disconnected.wait(5) and device.position_m() == (0.001, -0.02, 0.1)
         device.close()
 
 
 def send_limit_s(line: socket.socket) -> float:
-    """The time-out of a send, as the system keeps it: seconds and microseconds in the machine's own byte
-    order.
-    """
+    """The send timeout in the system's representation: seconds and microseconds in native byte order."""
     limit = line.getsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, 2 * ctypes.sizeof(ctypes.c_long))
     half = len(limit) // 2
     seconds, microseconds = (int.from_bytes(part, sys.byteorder) for part in (limit[:half], limit[half:]))
@@ -84,46 +80,46 @@ def send_limit_s(line: socket.socket) -> float:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the option is milliseconds there")
 @pytest.mark.parametrize("answer_s", [0.25, 1.5])
-def test_a_send_of_the_open_device_is_bounded_by_its_answer_time(answer_s: float) -> None:
+def test_send_timeout_is_the_answer_time(answer_s: float) -> None:
     with fake_haply() as fake:
-        device = opened(fake, answer_s)
+        device = open_device(fake, answer_s)
         assert send_limit_s(device._socket.socket) == pytest.approx(answer_s, abs=0.02)
         device.close()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the option is milliseconds there")
 @pytest.mark.parametrize("answer_s", [0.25, 1.2])
-def test_a_send_that_nobody_reads_ends_in_time(answer_s: float) -> None:
-    def send_on(line: socket.socket, how: int = 0) -> None:
+def test_unread_send_ends_in_time(answer_s: float) -> None:
+    def send_on(line: socket.socket, flags: int = 0) -> None:
         while True:
-            line.send(bytes(1 << 20), how)
+            line.send(bytes(1 << 20), flags)
 
     with (
-        socket.create_server(("127.0.0.1", 0)) as deaf,
-        links.connect(deaf.getsockname(), "deaf", 3.0, "", answer_s) as line,
+        socket.create_server(("127.0.0.1", 0)) as server,
+        links.connect(server.getsockname(), "deaf", 3.0, "", answer_s) as line,
     ):
         assert send_limit_s(line) == pytest.approx(answer_s, abs=0.02)
         assert line.gettimeout() is None
         with pytest.raises(BlockingIOError):
-            send_on(line, socket.MSG_DONTWAIT)  # all that there is room for
+            send_on(line, socket.MSG_DONTWAIT)  # until the buffers are full
         began = time.monotonic()
         with pytest.raises(BlockingIOError):
             send_on(line)
         assert answer_s - 0.05 <= time.monotonic() - began
 
 
-def test_of_many_states_the_latest_counts() -> None:
-    told = threading.Event()
+def test_latest_of_many_states_is_used() -> None:
+    sent = threading.Event()
 
     def flood(n, connection):
         for k in range(200):
             connection.send(json.dumps(FakeHaply.state(k)))
-        told.set()
+        sent.set()
         return FakeHaply.state(200)
 
     with fake_haply(answer=flood) as fake:
-        device = opened(fake)
-        assert told.wait(5)
+        device = open_device(fake)
+        assert sent.wait(5)
         time.sleep(0.2)
         readings = 1
         while device.position_m()[0] < 0.2:
@@ -132,20 +128,20 @@ def test_of_many_states_the_latest_counts() -> None:
     assert readings < 50
 
 
-def test_a_service_that_never_stops_talking_is_hung_up_on() -> None:
+def test_endless_messages_end_the_connection() -> None:
     def endless(n, connection):
         while True:
             connection.send(json.dumps(STATE))
 
     with fake_haply(answer=endless) as fake:
-        device = opened(fake)
+        device = open_device(fake)
         assert device.position_m() == (0.001, -0.02, 0.1)
         device.close()
-        assert fake.hung_up.wait(5)
+        assert fake.disconnected.wait(5)
 
 
 def without(message: dict, *path: str) -> dict:
-    """A copy of a state that lacks one key, named from the device on."""
+    """A copy of a state without one key, given as a path from the device."""
     copy = json.loads(json.dumps(message))
     at = copy["inverse3"][0]
     for key in path[:-1]:
@@ -154,12 +150,12 @@ def without(message: dict, *path: str) -> dict:
     return copy
 
 
-def placed(x) -> str:
+def state_with_x(x) -> str:
     return json.dumps(STATE).replace('"x": 0.001', f'"x": {x}')
 
 
 @pytest.mark.parametrize(
-    ("answer", "words"),
+    ("answer", "message"),
     [
         ("{", "no JSON"),
         ("[" * 20000, "no JSON"),
@@ -170,24 +166,24 @@ def placed(x) -> str:
         (without(STATE, "state"), "without cursor_position"),
         (without(STATE, "state", "cursor_position"), "without cursor_position"),
         (without(STATE, "state", "cursor_position", "y"), "y = None"),
-        (placed("NaN"), "x = nan"),
-        (placed("-Infinity"), "x = -inf"),
-        (placed("1e400"), "x = inf"),
-        (placed("9" * 400), "x = 999"),
-        (placed("true"), "x = True"),
-        (placed('"0.1"'), "x = '0.1'"),
-        (placed("2.5"), "x = 2.5"),
+        (state_with_x("NaN"), "x = nan"),
+        (state_with_x("-Infinity"), "x = -inf"),
+        (state_with_x("1e400"), "x = inf"),
+        (state_with_x("9" * 400), "x = 999"),
+        (state_with_x("true"), "x = True"),
+        (state_with_x('"0.1"'), "x = '0.1'"),
+        (state_with_x("2.5"), "x = 2.5"),
         (" " * links.MAX_MESSAGE_BYTES + "{}", "connection that broke"),
     ],
 )
-def test_a_state_that_cannot_be_is_one_clear_line(answer, words) -> None:
-    with pytest.raises(DeviceError, match=words) as caught:
-        answered(answer=lambda n, _: answer)
+def test_invalid_states_are_one_clear_line(answer, message) -> None:
+    with pytest.raises(DeviceError, match=message) as caught:
+        position_after(answer=lambda n, _: answer)
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
 
 
 @pytest.mark.parametrize(
-    ("first", "words"),
+    ("first", "message"),
     [
         ("[]", "without inverse3"),
         ("{}", "without inverse3"),
@@ -199,11 +195,11 @@ def test_a_state_that_cannot_be_is_one_clear_line(answer, words) -> None:
         ("hello", "no JSON"),
     ],
 )
-def test_a_first_message_without_a_device_is_told(first, words) -> None:
+def test_first_message_without_a_device_is_an_error(first, message) -> None:
     with fake_haply(first=first) as fake:
-        with pytest.raises(DeviceError, match=words):
+        with pytest.raises(DeviceError, match=message):
             Haply(("127.0.0.1", fake.port)).open()
-        assert fake.hung_up.wait(5)
+        assert fake.disconnected.wait(5)
 
 
 NUMBERS = st.integers() | st.floats(allow_nan=True)
@@ -212,30 +208,30 @@ STATES = st.dictionaries(st.sampled_from(["cursor_position", "other"]), CURSORS 
 
 
 @given(STATES | NUMBERS | st.none() | st.lists(NUMBERS))
-def test_whatever_a_device_tells_it_is_a_position_or_a_device_error(told) -> None:
+def test_any_state_gives_a_position_or_a_device_error(state) -> None:
     device = Haply()
     device._id = "a"
-    device._message = lambda seconds: {"inverse3": [{"device_id": "a", "state": told}]}  # type: ignore[method-assign]
+    device._message = lambda seconds: {"inverse3": [{"device_id": "a", "state": state}]}  # type: ignore[method-assign]
 
-    def none(seconds: float) -> None:
+    def time_out(seconds: float) -> None:
         raise TimeoutError
 
-    device._receive = none  # type: ignore[method-assign]
+    device._receive = time_out  # type: ignore[method-assign]
     try:
-        place = device.position_m()
+        position_m = device.position_m()
     except DeviceError:
         return
-    assert all(abs(value) <= 2 for value in place)
+    assert all(abs(value) <= 2 for value in position_m)
 
 
-def test_an_answer_that_does_not_come_is_a_device_error() -> None:
+def test_missing_answer_is_a_device_error() -> None:
     with pytest.raises(DeviceError, match=r"no answer within 0\.05 s"):
-        answered(answer=lambda n, _: None, answer_s=0.05)
+        position_after(answer=lambda n, _: None, answer_s=0.05)
 
 
-def test_a_service_that_hangs_up_is_a_device_error_and_close_does_not_raise() -> None:
+def test_disconnection_is_a_device_error_and_close_does_not_raise() -> None:
     with fake_haply(answer=lambda n, connection: connection.close()) as fake:
-        device = opened(fake)
+        device = open_device(fake)
         with pytest.raises(DeviceError, match="connection that broke"):
             device.position_m()
         with pytest.raises(DeviceError, match="connection that broke"):
@@ -245,25 +241,25 @@ def test_a_service_that_hangs_up_is_a_device_error_and_close_does_not_raise() ->
             device.put_force_n(0.0, 0.0, 0.0)
 
 
-def test_nobody_there_is_told_with_how_to_mend_it() -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # bound and not listening: refuses
+def test_missing_service_error_says_how_to_start_it() -> None:
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))  # bound and not listening: refuses
         with pytest.raises(DeviceError, match="Start the Haply Inverse Service"):
-            Haply(taken.getsockname()).open()
+            Haply(bound.getsockname()).open()
 
 
 @pytest.mark.parametrize(
-    "words", [b"", b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nhi", b"SSH-2.0-x\r\n" * 9]
+    "answer", [b"", b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nhi", b"SSH-2.0-x\r\n" * 9]
 )
-def test_a_port_in_use_by_something_else_is_told(words) -> None:
+def test_port_of_another_service_is_an_error(answer) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
 
-        def other() -> None:
-            with server.accept()[0] as one:
-                one.recv(4096)
-                one.sendall(words)
+        def serve() -> None:
+            with server.accept()[0] as connection:
+                connection.recv(4096)
+                connection.sendall(answer)
 
-        thread = threading.Thread(target=other)
+        thread = threading.Thread(target=serve)
         thread.start()
         device = Haply(server.getsockname())
         with pytest.raises(DeviceError, match="no WebSocket"):
@@ -272,22 +268,22 @@ def test_a_port_in_use_by_something_else_is_told(words) -> None:
         thread.join(5)
 
 
-def test_forces_that_are_no_numbers_are_not_sent() -> None:
+def test_forces_that_are_not_finite_are_not_sent() -> None:
     with fake_haply() as fake:
-        device = opened(fake)
+        device = open_device(fake)
         with pytest.raises(DeviceError, match="finite newtons"):
             device.put_force_n(float("nan"), 0.0, 0.0)
         device.close()
 
 
-def test_without_the_library_it_says_which_extra(monkeypatch) -> None:
+def test_missing_library_error_names_the_extra(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "websockets.sync.client", None)
     with pytest.raises(MissingExtra, match=r"touchfield\[devices\]"):
         Haply().open()
 
 
 @pytest.mark.parametrize(
-    ("words", "host", "port"),
+    ("text", "host", "port"),
     [
         ("haply", "127.0.0.1", 10001),
         ("haply:lab-3.local", "lab-3.local", 10001),
@@ -296,37 +292,37 @@ def test_without_the_library_it_says_which_extra(monkeypatch) -> None:
         ("haply::9000", "127.0.0.1", 9000),
     ],
 )
-def test_the_place_is_read_from_the_words(words, host, port) -> None:
-    choice = point_device(words)
+def test_address_is_parsed_from_the_text(text, host, port) -> None:
+    choice = point_device(text)
     device = pickle.loads(pickle.dumps(choice.opener))()
     assert (device._service, choice.profile) == ((host, port), "haply-inverse3")
 
 
 @pytest.mark.parametrize(
-    "words", ["haply:9000", "haply:a:0", "haply:a:65536", "haply:a b", "haply:a:b", "haply:a/b"]
+    "text", ["haply:9000", "haply:a:0", "haply:a:65536", "haply:a b", "haply:a:b", "haply:a/b"]
 )
-def test_a_place_that_is_none_is_refused(words) -> None:
+def test_invalid_addresses_are_refused(text) -> None:
     with pytest.raises(InvalidArgument, match="haply:HOST:PORT"):
-        point_device(words)
+        point_device(text)
 
 
-def test_the_checks_name_library_and_service() -> None:
+def test_checks_name_library_and_service() -> None:
     library, service = haply.checks()
     assert library.is_there and "websockets" in library.what
     assert "10001" in service.what and (service.is_there or service.mend)
 
 
-def gripped(n: int, **state) -> dict:
+def state_with_grip(n: int, **state) -> dict:
     """A state with a grip."""
-    given = {
+    default_state = {
         "orientation": {"w": 0.6, "x": 0.0, "y": 0.8, "z": 0.0},
         "buttons": {"a": True, "b": False, "c": True},
     }
-    grip = {"device_id": "61576", "state": {**given, **state}}
+    grip = {"device_id": "61576", "state": {**default_state, **state}}
     return {**FakeHaply.state(n), "wireless_verse_grip": [grip]}
 
 
-def test_a_grip_tells_how_it_is_turned_and_its_buttons_and_when_it_is_lost() -> None:
+def test_grip_has_orientation_buttons_and_loss() -> None:
     def answer(n: int, _: object) -> dict:
         if n == 2:
             wired = {
@@ -334,24 +330,24 @@ def test_a_grip_tells_how_it_is_turned_and_its_buttons_and_when_it_is_lost() -> 
                 "state": {"orientation": {"w": 1, "x": 0, "y": 0, "z": 0}, "button": True},
             }
             return {**FakeHaply.state(n), "verse_grip": [wired]}
-        return gripped(n) if n == 1 else FakeHaply.state(n)
+        return state_with_grip(n) if n == 1 else FakeHaply.state(n)
 
-    told = []
+    readings = []
     with fake_haply(answer=answer) as fake:
-        device = opened(fake)
+        device = open_device(fake)
         assert device.orientation() == (1, 0, 0, 0) and device.buttons() == 0
         for _ in range(3):
             device.position_m()
-            told.append((device.orientation(), device.buttons()))
-            device.put_wrench(0.0, 0.5, 0.0, 0.1, 0.1, 0.1)  # it has no motors for the torque
+            readings.append((device.orientation(), device.buttons()))
+            device.put_wrench(0.0, 0.5, 0.0, 0.1, 0.1, 0.1)  # the device has no motors for the torque
         device.close()
         fake.answer = lambda n, _: FakeHaply.state(n)
         device.open()
         device.position_m()
-        told.append((device.orientation(), device.buttons()))  # none that was lost, but none
+        readings.append((device.orientation(), device.buttons()))  # a device without a grip, not a lost one
         device.close()
-    assert told[:2] == [((0.6, 0, 0.8, 0), 5), ((1, 0, 0, 0), 1)]
-    assert math.isnan(told[2][0][0]) and told[2][1] == 0 and told[3] == ((1, 0, 0, 0), 0)
+    assert readings[:2] == [((0.6, 0, 0.8, 0), 5), ((1, 0, 0, 0), 1)]
+    assert math.isnan(readings[2][0][0]) and readings[2][1] == 0 and readings[3] == ((1, 0, 0, 0), 0)
     assert fake.forces[:5] == [(0, 0, 0), (0, 0.5, 0), (0, 0.5, 0), (0, 0.5, 0), (0, 0, 0)]
 
 
@@ -366,6 +362,6 @@ def test_a_grip_tells_how_it_is_turned_and_its_buttons_and_when_it_is_lost() -> 
         {"state": {"orientation": {"w": "1", "x": 0, "y": 0, "z": 0}}},
     ],
 )
-def test_a_grip_that_makes_no_sense_is_told(grip) -> None:
+def test_invalid_grips_are_an_error(grip) -> None:
     with pytest.raises(DeviceError, match="orientation"):
-        answered(answer=lambda n, _: {**FakeHaply.state(n), "wireless_verse_grip": [grip]})
+        position_after(answer=lambda n, _: {**FakeHaply.state(n), "wireless_verse_grip": [grip]})

@@ -1,6 +1,4 @@
-"""OpenHaptics against a fake driver that calls from a thread of its own: order, millimetres, clock, and the
-end.
-"""
+"""OpenHaptics with a fake driver that calls from its own thread: order, units, clock, and shutdown."""
 
 from __future__ import annotations
 
@@ -22,20 +20,18 @@ from touchfield.render.block import Memory
 
 VARIABLE = "TOUCHFIELD_OPENHAPTICS_LIBRARY"
 TICKS, RELEASE, RAISE, NOW = 0, 1, 2, 3
-PLACE, SIZE = 10, 20
-WORDS = 512
+POSITION, SIZE = 10, 20
+BLOCK_WORDS = 512
 
 
 @njit
 def cycle(i8, u8, f8, f4, x, y, z, now_ns):
-    """A stand-in with the renderer's signature: leaves in the block what it got,
-    and goes to zero on release.
-    """
+    """A stub with the renderer's signature: stores its inputs in the block, and goes to zero on release."""
     if i8[RAISE] and i8[TICKS] == i8[RAISE]:
         raise ValueError("a renderer at fault")
     u8[100 + i8[TICKS] % 256] = np.uint64(now_ns)
-    f4[2 * WORDS - 1] = np.float32(0.25)
-    f8[PLACE], f8[PLACE + 1], f8[PLACE + 2] = x, y, z
+    f4[2 * BLOCK_WORDS - 1] = np.float32(0.25)
+    f8[POSITION], f8[POSITION + 1], f8[POSITION + 2] = x, y, z
     i8[TICKS] += 1
     f8[SIZE] = max(0.0, f8[SIZE] - 0.1) if i8[RELEASE] else min(2.0, f8[SIZE] + 0.1)
     return f8[SIZE], -f8[SIZE], 0.0
@@ -56,46 +52,44 @@ def fake(library, monkeypatch):
 
 @pytest.fixture
 def block():
-    return Memory.empty(WORDS)
+    return Memory.empty(BLOCK_WORDS)
 
 
-def driven(block: Memory, name: str | None = None) -> OpenHaptics:
+def start_device(block: Memory, name: str | None = None) -> OpenHaptics:
     device = OpenHaptics(name, cycle)
     device.open()
     device.drive(block.i8.ctypes.data, block.words)
     return device
 
 
-def until(condition) -> None:
+def wait_until(condition) -> None:
     end = time.monotonic() + 10
     while not condition():
         assert time.monotonic() < end, "did not happen within 10 s"
         time.sleep(0.002)
 
 
-def test_the_driver_calls_the_cycle_and_the_last_force_is_zero(fake, block) -> None:
-    device = driven(block)
-    until(lambda: block.i8[TICKS] > 60)
+def test_driver_calls_the_cycle_and_the_last_force_is_zero(fake, block) -> None:
+    device = start_device(block)
+    wait_until(lambda: block.i8[TICKS] > 60)
     block.i8[RELEASE] = 1
     device.close()
     device.close()
     forces = fake.forces
     ticks = int(block.i8[TICKS])
     assert fake.log == "IESRTD"
-    assert len(forces) == ticks + 1  # and one more frame, of zero
-    assert (
-        np.abs(np.diff(forces[:, 0], prepend=0.0)) <= 0.1 + 1e-9
-    ).all()  # down the ramp, and not by a step
+    assert len(forces) == ticks + 1  # and one more frame of zero force
+    assert (np.abs(np.diff(forces[:, 0], prepend=0.0)) <= 0.1 + 1e-9).all()  # along the ramp, without a step
     assert forces[:, 0].max() == pytest.approx(2.0) and (forces[:, 1] == -forces[:, 0]).all()
     assert not forces[-2:].any()
-    assert block.f8[PLACE : PLACE + 3] == pytest.approx([0.0005 * (ticks % 200), -0.02, 0.03])  # metres
-    assert block.f4[2 * WORDS - 1] == 0.25
+    assert block.f8[POSITION : POSITION + 3] == pytest.approx([0.0005 * (ticks % 200), -0.02, 0.03])  # metres
+    assert block.f4[2 * BLOCK_WORDS - 1] == 0.25
 
 
-def test_its_clock_is_that_of_the_servo(fake, block) -> None:
+def test_clock_is_that_of_the_servo(fake, block) -> None:
     before = time.perf_counter_ns()
-    device = driven(block)
-    until(lambda: block.i8[TICKS] > 30)
+    device = start_device(block)
+    wait_until(lambda: block.i8[TICKS] > 30)
     block.i8[RELEASE] = 1
     device.close()
     times = block.u8[100 : 100 + min(256, int(block.i8[TICKS]))].astype(np.int64)
@@ -104,65 +98,65 @@ def test_its_clock_is_that_of_the_servo(fake, block) -> None:
         assert (np.diff(times) > 0).all()
 
 
-def test_the_interpreter_s_lock_is_not_needed(fake, block) -> None:
+def test_ticks_do_not_need_the_interpreter_lock(fake, block) -> None:
     """A thread that holds the lock in one long compiled call does not stop the ticks."""
-    device = driven(block)
-    until(lambda: block.i8[TICKS] > 5)
+    device = start_device(block)
+    wait_until(lambda: block.i8[TICKS] > 5)
     before = int(block.i8[TICKS])
-    held = spin(50_000_000)
-    assert held > 0 and block.i8[TICKS] > before + 3
+    spin_result = spin(50_000_000)
+    assert spin_result > 0 and block.i8[TICKS] > before + 3
     block.i8[RELEASE] = 1
     device.close()
 
 
 @njit
 def spin(count):
-    """Compiled without ``nogil``: it holds the lock all the time."""
+    """Compiled without ``nogil``: it holds the lock during the call."""
     total = 1
     for n in range(count):
         total = (total * 1103515245 + n) % 2147483647
     return total + 1
 
 
-def test_without_a_release_the_end_still_comes_and_the_last_force_is_zero(fake, block, monkeypatch) -> None:
+def test_close_without_a_release_ends_with_zero_force(fake, block, monkeypatch) -> None:
     monkeypatch.setattr(openhaptics, "_RELEASE_S", 0.05)
-    device = driven(block)
-    until(lambda: block.i8[TICKS] > 30)
+    device = start_device(block)
+    wait_until(lambda: block.i8[TICKS] > 30)
     device.close()
     assert fake.log == "IESRTD"
     assert fake.forces[-2].any() and not fake.forces[-1].any()
 
 
-def test_a_renderer_that_raises_ends_with_a_force_of_zero(fake, block) -> None:
+def test_failing_renderer_ends_with_zero_force(fake, block) -> None:
     block.i8[RAISE] = 25
-    device = driven(block)
-    until(lambda: len(fake.forces) == 26)
+    device = start_device(block)
+    wait_until(lambda: len(fake.forces) == 26)
     assert fake.forces[24].any() and not fake.forces[25].any()
-    until(lambda: device._box[4])
+    wait_until(lambda: device._box[4])
     with pytest.raises(DeviceError, match="renderer that failed"):
         device.watch()
     device.close()
     assert len(fake.forces) == 26 and fake.log == "IESRTD"
 
 
-def test_a_fault_while_it_runs_is_told_to_the_one_who_watches(fake, block, monkeypatch) -> None:
+def test_fault_while_running_is_raised_by_watch(fake, block, monkeypatch) -> None:
     monkeypatch.setattr(openhaptics, "_SILENCE_S", 0.15)
-    device = driven(block)
-    for _ in range(2):  # it calls, however long it has run
+    device = start_device(block)
+    for _ in range(2):  # the driver calls at any time
         time.sleep(0.1)
-        until(lambda: block.i8[TICKS] > 5)
+        wait_until(lambda: block.i8[TICKS] > 5)
         device.watch()
-    fake.fail("hdEndFrame", 0x0204)  # the driver limits the force of itself: nothing to tell
+    fake.fail("hdEndFrame", 0x0204)  # the driver limited the force by itself: no error
     ticks = int(block.i8[TICKS])
-    until(lambda: block.i8[TICKS] > ticks + 5)
+    wait_until(lambda: block.i8[TICKS] > ticks + 5)
     fake.fail("hdEndFrame", 0x0301)
 
-    def watched() -> bool:
+    def watch() -> bool:
         device.watch()
         return False
 
     with pytest.raises(DeviceError, match=r"a fault while it ran .device already initiated, code 0x0301"):
-        until(watched)
+        wait_until(watch)
     block.i8[RELEASE] = 1
     device.close()
     assert not fake.forces[-1].any()
@@ -170,17 +164,17 @@ def test_a_fault_while_it_runs_is_told_to_the_one_who_watches(fake, block, monke
         device.watch()
 
 
-def test_a_driver_that_never_calls_is_told_and_let_go(fake, block, monkeypatch) -> None:
+def test_driver_that_never_calls_is_an_error_and_is_closed(fake, block, monkeypatch) -> None:
     monkeypatch.setattr(openhaptics, "_SILENCE_S", 0.05)
-    monkeypatch.setattr(openhaptics, "_LAST_FRAME_S", 0.05)  # there is none
+    monkeypatch.setattr(openhaptics, "_LAST_FRAME_S", 0.05)  # there is no last frame
     fake.fail("dead", 0)
-    device, kept = driven(block), len(openhaptics._LEAKED)
+    device, leaked_before = start_device(block), len(openhaptics._LEAKED)
     time.sleep(0.1)
     with pytest.raises(DeviceError, match=r"not called for 0\.05 s, after 0 calls"):
         device.watch()
     device.close()
     assert fake.log == "IESRTUD" and not len(fake.forces)
-    assert len(openhaptics._LEAKED) == kept + 1  # what such a driver may call after all is there
+    assert len(openhaptics._LEAKED) == leaked_before + 1  # a late call of such a driver finds its memory
 
 
 @pytest.mark.parametrize(("function", "log"), [
@@ -190,21 +184,21 @@ def test_a_driver_that_never_calls_is_told_and_let_go(fake, block, monkeypatch) 
     ("hdStartScheduler", "IESRTUD"),
 ])  # fmt: skip
 @pytest.mark.parametrize(
-    ("code", "words"), [(0x0301, "device already initiated"), (0x0303, "no reason given")]
+    ("code", "message"), [(0x0301, "device already initiated"), (0x0303, "no reason given")]
 )
-def test_a_function_that_fails_is_told_and_the_device_let_go(
-    fake, block, function, log, code, words, monkeypatch
+def test_failing_function_is_an_error_and_closes_the_device(
+    fake, block, function, log, code, message, monkeypatch
 ) -> None:
-    monkeypatch.setattr(openhaptics, "_LAST_FRAME_S", 0.05)  # there is none
+    monkeypatch.setattr(openhaptics, "_LAST_FRAME_S", 0.05)  # there is no last frame
     fake.fail(function, code)
     device = OpenHaptics(None, cycle)
 
-    def begin() -> None:
+    def start() -> None:
         device.open()
         device.drive(block.i8.ctypes.data, block.words)
 
-    with pytest.raises(DeviceError, match=f"{words}, code {code:#06x}") as caught:
-        begin()
+    with pytest.raises(DeviceError, match=f"{message}, code {code:#06x}") as caught:
+        start()
     assert "\n" not in str(caught.value)
     assert fake.log == log
     device.close()
@@ -212,16 +206,16 @@ def test_a_function_that_fails_is_told_and_the_device_let_go(
         device.drive(block.i8.ctypes.data, block.words)
 
 
-def test_no_device_is_told_also_where_the_driver_has_no_error(fake) -> None:
+def test_missing_device_is_an_error_without_a_driver_error(fake) -> None:
     fake.fail("nothing", 0)
     with pytest.raises(DeviceError, match=r"no device; expected one\. Is it plugged in"):
         OpenHaptics(None, cycle).open()
     assert fake.log == "I"
 
 
-def test_the_name_reaches_the_driver_and_the_opener_another_process(fake) -> None:
-    for words, name in (("openhaptics", "(default)"), ("openhaptics:Left Device", "Left Device")):
-        choice = point_device(words)
+def test_name_reaches_the_driver_and_the_opener_is_picklable(fake) -> None:
+    for text, name in (("openhaptics", "(default)"), ("openhaptics:Left Device", "Left Device")):
+        choice = point_device(text)
         assert choice.profile == "touch"
         device = pickle.loads(pickle.dumps(choice.opener))()
         device._cycle = cycle
@@ -231,8 +225,8 @@ def test_the_name_reaches_the_driver_and_the_opener_another_process(fake) -> Non
         fake.library.fake_reset()
 
 
-def test_it_is_driven_twice_but_not_at_once(fake, block) -> None:
-    device = driven(block)
+def test_device_can_be_driven_twice_but_not_concurrently(fake, block) -> None:
+    device = start_device(block)
     with pytest.raises(DeviceError, match="driven already"):
         device.drive(block.i8.ctypes.data, block.words)
     block.i8[RELEASE] = 1
@@ -241,35 +235,35 @@ def test_it_is_driven_twice_but_not_at_once(fake, block) -> None:
     device.open()
     device.drive(block.i8.ctypes.data, block.words)
     ticks = int(block.i8[TICKS])
-    until(lambda: block.i8[TICKS] > ticks)
+    wait_until(lambda: block.i8[TICKS] > ticks)
     block.i8[RELEASE] = 1
     device.close()
     assert not fake.forces[-1].any()
 
 
-def test_it_is_not_asked(fake) -> None:
+def test_device_refuses_polling(fake) -> None:
     device = OpenHaptics(None, cycle)
     for question in (device.position_m, lambda: device.put_force_n(0.0, 0.0, 0.0)):
         with pytest.raises(DeviceError, match="calls the renderer"):
             question()
 
 
-def test_without_the_library_it_says_how_to_get_it(monkeypatch, tmp_path) -> None:
+def test_missing_library_error_says_how_to_install_it(monkeypatch, tmp_path) -> None:
     monkeypatch.setenv(VARIABLE, str(tmp_path / "missing.so"))
     with pytest.raises(DeviceError, match=r"Install the maker's OpenHaptics .* in TOUCHFIELD_OPENHAPTICS"):
         OpenHaptics().open()
-    assert openhaptics.DRIVER.names == (str(tmp_path / "missing.so"),)  # and no other
+    assert openhaptics.DRIVER.names == (str(tmp_path / "missing.so"),)  # no other name is tried
     (check,) = openhaptics.DRIVER.checks()
     assert not check.is_there and check.mend
 
 
 @pytest.mark.parametrize("name", ["a" * 200, "a\nb", "a\x00b", "\udc80"])
-def test_a_name_that_no_driver_has_is_refused(name) -> None:
+def test_unknown_names_are_refused(name) -> None:
     with pytest.raises(InvalidArgument, match="name of a device"):
         point_device(f"openhaptics:{name}")
 
 
-def test_only_the_driver_of_the_named_device_is_imported() -> None:
+def test_only_the_selected_driver_is_imported() -> None:
     code = (
         "import sys; from touchfield.devices.drivers.registry import MODULES, is_array_device, point_device\n"
         "assert not is_array_device('haply') and point_device('haply').name == 'haply'\n"
@@ -279,12 +273,12 @@ def test_only_the_driver_of_the_named_device_is_imported() -> None:
     assert done.stdout.split() == ["haply"]
 
 
-def test_each_built_in_device_has_the_name_by_which_it_is_found() -> None:
+def test_built_in_devices_have_the_names_of_the_registry() -> None:
     assert [kind.name for kind in registry.device_kinds()[: len(registry.MODULES)]] == [*registry.MODULES]
 
 
 def test_the_registry_is_cheap_to_import() -> None:
-    """Neither the compiler nor a library of a device is imported before a device is opened."""
+    """Neither the compiler nor a device library is imported before a device is opened."""
     code = (
         "import sys; from touchfield.devices.drivers.registry import point_device, point_kinds\n"
         "for words in ('sim', 'haply', 'openhaptics', 'forcedimension'): point_device(words)\n"

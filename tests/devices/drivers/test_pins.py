@@ -1,4 +1,4 @@
-"""Pin displays: a fake that reads every line by the grammar, over TCP and over a pair of pseudo terminals."""
+"""Pin displays: a fake parses every line by the grammar, over TCP and over pseudo terminals."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ PAD = device("dotpad")
 SMALL = replace(PAD, name="small", lattice=(3, 2, 1), levels=4)
 
 
-def crc(words: bytes) -> int:
+def crc(data: bytes) -> int:
     """CRC-16/CCITT-FALSE, bit by bit."""
     value = 0xFFFF
-    for byte in words:
+    for byte in data:
         value ^= byte << 8
         for _ in range(8):
             value = (value << 1 ^ 0x1021 if value & 0x8000 else value << 1) & 0xFFFF
@@ -38,15 +38,15 @@ def crc(words: bytes) -> int:
 
 
 class Display:
-    """A fake display: answers each line, and keeps what is shown."""
+    """A fake display: answers each line and records the frames."""
 
     def __init__(self, answer: Callable[[int], bytes | None] = lambda number: b"ok %d\n" % number) -> None:
         self.answer = answer
         self.shape: tuple[int, int] | None = None
         self.levels = 0
-        self.shown: list[list[list[int]]] = []
+        self.frames: list[list[list[int]]] = []
         self.faults: list[str] = []
-        self.is_gone = threading.Event()
+        self.disconnected = threading.Event()
 
     def take(self, line: bytes) -> bytes | None:
         found = re.fullmatch(rb"(.+) \*([0-9a-f]{4})", line)
@@ -54,7 +54,7 @@ class Display:
         assert int(found[2], 16) == crc(found[1])
         word, *values = found[1].split(b" ")
         if word == b"size":
-            assert not self.shown and len(values) == 3
+            assert not self.frames and len(values) == 3
             rows, columns, self.levels = map(int, values)
             assert 2 <= self.levels <= 36 and self.shape in (None, (rows, columns))
             self.shape = (rows, columns)
@@ -65,25 +65,25 @@ class Display:
         assert (
             values[1] == values[1].lower() and len(heights) == rows * columns and max(heights) < self.levels
         )
-        self.shown.append([heights[r * columns : (r + 1) * columns] for r in range(rows)])
-        assert int(values[0]) == len(self.shown)
-        return self.answer(len(self.shown))
+        self.frames.append([heights[r * columns : (r + 1) * columns] for r in range(rows)])
+        assert int(values[0]) == len(self.frames)
+        return self.answer(len(self.frames))
 
     def serve(self, read: Callable[[], bytes], write: Callable[[bytes], object]) -> None:
         rest = b""
         try:
             while data := read():
-                *whole, rest = (rest + data).split(b"\n")
-                for line in whole:
+                *complete, rest = (rest + data).split(b"\n")
+                for line in complete:
                     answer = self.take(line)
                     if answer is not None:
                         write(answer)
         except OSError:
             pass
-        except Exception as error:  # told by the test that started it
+        except Exception as error:  # checked by the test that started it
             self.faults.append(repr(error))
         finally:
-            self.is_gone.set()
+            self.disconnected.set()
 
 
 @contextmanager
@@ -135,40 +135,39 @@ def drives(profile: Device, values: object) -> np.ndarray:
 
 
 @pytest.mark.parametrize("over", [over_tcp, over_serial])
-def test_heights_row_after_row_and_down_at_the_end(over: Callable[[Display], object]) -> None:
-    with over(display := Display()) as words:
-        pad = array_device(words, SMALL)
+def test_heights_by_rows_and_lowered_at_the_end(over: Callable[[Display], object]) -> None:
+    with over(display := Display()) as device_text:
+        pad = array_device(device_text, SMALL)
         pad.open()
         pad.put_drives(drives(SMALL, [[0, 0.3, 0.5], [0.8, 0.84, 1]]), None, 0.1)
-        pad.put_drives(
-            drives(SMALL, [[0, 0.3, 0.5], [0.8, 0.84, 1]]), None, 0.1
-        )  # no pin moves: nothing is sent
+        # no pin changes: nothing is sent
+        pad.put_drives(drives(SMALL, [[0, 0.3, 0.5], [0.8, 0.84, 1]]), None, 0.1)
         pad.put_drives(drives(SMALL, 0.1), np.full((1, 2, 3), 80, np.float32), 0.1)
         pad.put_drives(drives(SMALL, 1.0), None, 0.1)
         pad.close()
         pad.close()
     assert display.shape == (2, 3) and display.levels == 4
-    assert display.shown == [[[0, 1, 2], [2, 3, 3]], [[0] * 3] * 2, [[3] * 3] * 2, [[0] * 3] * 2]
+    assert display.frames == [[[0, 1, 2], [2, 3, 3]], [[0] * 3] * 2, [[3] * 3] * 2, [[0] * 3] * 2]
 
 
-def test_what_was_shown_before_a_refusal_is_sent_again_after_it() -> None:
+def test_frame_is_sent_again_after_a_refusal() -> None:
     with over_tcp(
         display := Display(lambda number: b"err busy\n" if number == 2 else b"ok %d\n" % number)
-    ) as words:
-        pad = array_device(words, SMALL)
+    ) as device_text:
+        pad = array_device(device_text, SMALL)
         pad.open()
         pad.put_drives(drives(SMALL, 1.0), None, 0.1)
         with pytest.raises(DeviceError, match="busy"):
             pad.put_drives(drives(SMALL, 0.0), None, 0.1)
         pad.put_drives(drives(SMALL, 1.0), None, 0.1)
         pad.close()
-    assert [rows[0][0] for rows in display.shown] == [3, 0, 3, 0]
+    assert [rows[0][0] for rows in display.frames] == [3, 0, 3, 0]
 
 
-def test_a_display_that_is_opened_again_is_sent_all_again() -> None:
+def test_reopened_display_gets_the_whole_frame() -> None:
     sent: list[bytes] = []
 
-    class Told:
+    class RecordingLine:
         def write(self, data: bytes) -> None:
             sent.append(data.partition(b" *")[0])
 
@@ -179,7 +178,7 @@ def test_a_display_that_is_opened_again_is_sent_all_again() -> None:
         def close(self) -> None:
             pass
 
-    pad = Pins(SMALL, "told", Told)
+    pad = Pins(SMALL, "told", RecordingLine)
     for _ in range(2):
         pad.open()
         pad.put_drives(np.zeros((1, 2, 3), np.float32), None, 0.05)
@@ -187,14 +186,14 @@ def test_a_display_that_is_opened_again_is_sent_all_again() -> None:
     assert sent == [b"size 2 3 4", b"pins 1 000000"] * 2
 
 
-def test_the_stream_tells_which_display_it_was_made_for() -> None:
+def test_profile_is_taken_from_the_stream() -> None:
     graphiti, vest = device("graphiti"), device("tactsuit-pro")
-    for words, own, expected in (
+    for device_text, stream_profile, expected in (
         ("pins:127.0.0.1:9", graphiti, "graphiti"), ("pins:127.0.0.1:9", vest, "dotpad"),
         ("pins:127.0.0.1:9", device("phantom-omni"), "dotpad"), ("osc:127.0.0.1:9", vest, "tactsuit-pro"),
         ("osc:127.0.0.1:9", graphiti, "tactile-vest-8x8"), ("bhaptics:127.0.0.1:9", vest, "tactsuit-x40"),
     ):  # fmt: skip
-        assert array_device(words, stream_profile=own).profile.name == expected
+        assert array_device(device_text, stream_profile=stream_profile).profile.name == expected
     assert array_device("pins:127.0.0.1:9", device("hyperbraille"), graphiti).profile.name == "hyperbraille"
 
 
@@ -205,42 +204,42 @@ def test_displays_from_profiles() -> None:
         (device("hyperbraille"), 2),
         (device("tshirt-32x32"), 36),
     ):
-        with over_tcp(display := Display()) as words:
-            pad = array_device(words, profile)
+        with over_tcp(display := Display()) as device_text:
+            pad = array_device(device_text, profile)
             pad.open()
             pad.put_drives(drives(profile, 0.75), None, 0.1)
             pad.close()
         columns, rows, _ = profile.lattice
         assert (display.shape, display.levels) == ((rows, columns), levels)
-        assert display.shown == [[[int(0.75 * (levels - 1) + 0.5)] * columns] * rows, [[0] * columns] * rows]
+        assert display.frames == [[[int(0.75 * (levels - 1) + 0.5)] * columns] * rows, [[0] * columns] * rows]
 
 
-def test_a_board_that_starts_when_its_port_is_opened() -> None:
+def test_board_that_starts_when_its_port_is_opened() -> None:
     sizes: list[bytes | None] = [None, b"ok 0\nok 0\n"]
     with over_tcp(
         display := Display(lambda number: b"ok %d\n" % number if number else sizes.pop(0))
-    ) as words:
-        pad = array_device(words, SMALL)
+    ) as device_text:
+        pad = array_device(device_text, SMALL)
         pad._timeout_s = 0.1
         pad.open()
         pad.put_drives(drives(SMALL, 1.0), None, 0.1)
         pad.close()
-    assert not sizes and [frame[0][0] for frame in display.shown] == [3, 0]
-    sizes = [b"err no such size\n", b"ok 0\n"]  # who refuses is not asked again
-    with over_tcp(Display(lambda number: b"ok %d\n" % number if number else sizes.pop(0))) as words:
-        pad = array_device(words, SMALL)
+    assert not sizes and [frame[0][0] for frame in display.frames] == [3, 0]
+    sizes = [b"err no such size\n", b"ok 0\n"]  # a display that refuses is not asked again
+    with over_tcp(Display(lambda number: b"ok %d\n" % number if number else sizes.pop(0))) as device_text:
+        pad = array_device(device_text, SMALL)
         with pytest.raises(DeviceError, match="refuses line 0: no such size"):
             pad.open()
         pad.close()
     assert len(sizes) == 1
 
 
-def test_the_lines_of_the_documentation() -> None:
+def test_lines_of_the_documentation_have_valid_checksums() -> None:
     found = re.findall(r"^    ((?:size|pins) \d.*) \*([0-9a-f]{4})$", pins.__doc__ or "", re.MULTILINE)
     assert len(found) == 2
-    for words, total in found:
-        assert crc(words.encode()) == int(total, 16)
-        assert checked_line(words.encode()) == f"{words} *{total}\n".encode()
+    for line, total in found:
+        assert crc(line.encode()) == int(total, 16)
+        assert checked_line(line.encode()) == f"{line} *{total}\n".encode()
 
 
 @given(
@@ -249,10 +248,10 @@ def test_the_lines_of_the_documentation() -> None:
     st.none() | st.integers(2, 100),
     st.lists(st.floats(width=32), min_size=1),
 )
-def test_whatever_the_drives_the_line_keeps_the_grammar(
+def test_lines_follow_the_grammar_for_any_drives(
     columns: int, rows: int, levels: int | None, values: list[float]
 ) -> None:
-    class Told(links.Line):
+    class DisplayLine(links.Line):
         def __init__(self) -> None:
             pass
 
@@ -267,11 +266,11 @@ def test_whatever_the_drives_the_line_keeps_the_grammar(
             pass
 
     display, profile = Display(), replace(PAD, lattice=(columns, rows, 1), levels=levels)
-    pad = Pins(profile, "told", Told)
+    pad = Pins(profile, "told", DisplayLine)
     pad.open()
     pad.put_drives(np.resize(np.array(values, np.float32), (1, rows, columns)), None, 0.1)
     pad.close()
-    assert display.shown[-1] == [[0] * columns] * rows and len(display.shown) <= 2
+    assert display.frames[-1] == [[0] * columns] * rows and len(display.frames) <= 2
 
 
 WRONG = {
@@ -287,19 +286,19 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("which", WRONG)
-def test_a_display_that_answers_wrongly_or_late_or_not_at_all(which: str) -> None:
-    answer, told = WRONG[which]
-    with over_tcp(Display(lambda number: answer if number == 1 else b"ok %d\n" % number)) as words:
-        pad = array_device(words, SMALL)
+@pytest.mark.parametrize("case", WRONG)
+def test_invalid_late_or_missing_answers_are_errors(case: str) -> None:
+    answer, message = WRONG[case]
+    with over_tcp(Display(lambda number: answer if number == 1 else b"ok %d\n" % number)) as device_text:
+        pad = array_device(device_text, SMALL)
         pad._timeout_s = 0.2
         pad.open()
-        with pytest.raises(DeviceError, match=f"^pins:127.0.0.1:[0-9]+: {told}"):
+        with pytest.raises(DeviceError, match=f"^pins:127.0.0.1:[0-9]+: {message}"):
             pad.put_drives(drives(SMALL, 1.0), None, 0.1)
         pad.close()
 
 
-def test_a_display_that_goes_ends_the_play_with_one_line() -> None:
+def test_disconnecting_display_ends_the_playback_with_one_line() -> None:
     class Frames:
         frame_count, rate_hz = 1000, 100.0
 
@@ -311,11 +310,11 @@ def test_a_display_that_goes_ends_the_play_with_one_line() -> None:
 
     def answer(number: int) -> bytes:
         if number == 3:
-            raise OSError  # the fake hangs up
+            raise OSError  # the fake disconnects
         return b"ok %d\n" % number
 
-    with over_tcp(Display(answer)) as words:
-        pad = array_device(words, SMALL)
+    with over_tcp(Display(answer)) as device_text:
+        pad = array_device(device_text, SMALL)
         with (
             ArrayPlayer(Frames(), pad, rate_hz=100) as player,
             pytest.raises(DeviceError, match="that it is gone"),
@@ -325,7 +324,7 @@ def test_a_display_that_goes_ends_the_play_with_one_line() -> None:
         pad.put_drives(drives(SMALL, 0.0), None, 0.1)
 
 
-def test_the_pins_go_down_when_a_play_ends() -> None:
+def test_pins_are_lowered_when_playback_ends() -> None:
     class Frames:
         frame_count, rate_hz = 5, 100.0
 
@@ -335,12 +334,15 @@ def test_the_pins_go_down_when_a_play_ends() -> None:
         def frequencies(self, frame: int) -> None:
             return None
 
-    with over_tcp(display := Display()) as words, ArrayPlayer(Frames(), array_device(words, SMALL)) as player:
+    with (
+        over_tcp(display := Display()) as device_text,
+        ArrayPlayer(Frames(), array_device(device_text, SMALL)) as player,
+    ):
         assert player.wait(20)
-    assert len(display.shown) >= 2 and display.shown[-1] == [[0] * 3] * 2
+    assert len(display.frames) >= 2 and display.frames[-1] == [[0] * 3] * 2
 
 
-def test_nothing_there() -> None:
+def test_missing_displays_are_errors() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     pad = array_device(f"pins:127.0.0.1:{port}")
@@ -349,12 +351,12 @@ def test_nothing_there() -> None:
     ):
         pad.open()
     pad.close()
-    for port in ("/dev/no-such-port", "/dev/no-such-port:1"):  # a colon in its path makes no host of it
+    for port in ("/dev/no-such-port", "/dev/no-such-port:1"):  # a path with a colon is no host
         with pytest.raises(DeviceError, match=rf"^pins:{port}: found that it cannot be opened"):
             array_device(f"pins:{port}").open()
 
 
-def test_words_that_name_no_device() -> None:
+def test_invalid_device_texts_are_refused() -> None:
     assert [kind.name for kind in array_kinds()] == ["bhaptics", "osc", "pins"]
     assert is_array_device("osc:anything") and is_array_device("pins") and not is_array_device("sim")
     assert is_array_device(" BHaptics:vest") and isinstance(array_device(" Pins:/dev/none", SMALL), Pins)
@@ -368,7 +370,7 @@ def test_words_that_name_no_device() -> None:
         array_device("osc:localhost:9000", device("phantom-omni"))
     with pytest.raises(InvalidArgument, match="one panel"):
         array_device("pins:/dev/ttyUSB0", device("tactsuit-x40"))
-    for words in (
+    for text in (
         "pins",
         "pins:",
         "pins:/dev/x@",
@@ -378,20 +380,20 @@ def test_words_that_name_no_device() -> None:
         "pins:\x07",
     ):
         with pytest.raises(InvalidArgument, match="pins:PORT"):
-            array_device(words)
+            array_device(text)
     for kind in array_kinds():
         assert device(kind.profile).is_array and kind.form.startswith(kind.name) and kind.summary
 
 
 @given(st.text(max_size=30))
-def test_any_words_are_a_device_or_one_line(words: str) -> None:
+def test_any_text_is_a_device_or_a_one_line_error(text: str) -> None:
     for form in ("{}", "bhaptics:{}", "osc:{}", "pins:{}"):
-        told = ""
+        message = ""
         try:
-            array_device(form.format(words))
+            array_device(form.format(text))
         except InvalidArgument as error:
-            told = str(error)
-        assert "\n" not in told
+            message = str(error)
+        assert "\n" not in message
 
 
 def test_addresses() -> None:
@@ -400,18 +402,18 @@ def test_addresses() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "asked"), [("/dev/x", ("/dev/x", 115200)), ("/dev/x@9600", ("/dev/x", 9600))]
+    ("text", "expected"), [("/dev/x", ("/dev/x", 115200)), ("/dev/x@9600", ("/dev/x", 9600))]
 )
-def test_the_usual_rate_of_a_serial_port(
-    words: str, asked: tuple[str, int], monkeypatch: pytest.MonkeyPatch
+def test_default_rate_of_a_serial_port(
+    text: str, expected: tuple[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pins, "SerialLine", lambda *given: pytest.fail(f"{given[:2]}"))
-    with pytest.raises(pytest.fail.Exception) as told:
-        array_device(f"pins:{words}", SMALL).open()
-    assert str(told.value) == f"{asked}"
+    with pytest.raises(pytest.fail.Exception) as caught:
+        array_device(f"pins:{text}", SMALL).open()
+    assert str(caught.value) == f"{expected}"
 
 
-def test_checks_tell_the_ports(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_checks_list_the_ports(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pins, "serial_ports", list)
     library, port = pins.checks()
     assert library.is_there and not port.is_there and "Plug it in" in port.mend

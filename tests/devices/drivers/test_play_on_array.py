@@ -1,4 +1,4 @@
-"""A stream from its file to the datagrams of an array: what the device gets is what the file holds."""
+"""A stream played on an array: the datagrams have the drives of the file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from touchfield.tasks.play import PlaySpec, play
 VEST = "tactile-vest-8x8"
 
 
-def test_a_file_is_felt_frame_by_frame(tmp_path: Path) -> None:
+def test_file_is_played_frame_by_frame(tmp_path: Path) -> None:
     path = tmp_path / "ramp.touch"
     pipeline.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST))
     with listening() as line, pipeline.open_stream(path) as stream:
@@ -34,27 +34,32 @@ def test_a_file_is_felt_frame_by_frame(tmp_path: Path) -> None:
                 listener.take(line.recv(1 << 16))
         except TimeoutError:
             pass
-        held = [frames.drives(i) for i in range(len(frames))]
-    assert max(one.max() for one in held) > 0.1
+        expected = [frames.drives(i) for i in range(len(frames))]
+    assert max(drives.max() for drives in expected) > 0.1
     sent = [frame["drives"] for frame in listener.frames]
-    assert (
-        not sent[-1].any() and len(sent) == player.statistics()["sent"] + 4
-    )  # the last frame, and three goodbyes
-    between = [*held, *((a + b) / 2 for a, b in zip(held, held[1:]))]  # at half the speed
-    for shown in sent[:-4]:
-        near = min(float(np.abs(shown - one).max()) for one in between)
-        assert near <= 0.5 / 255 + 1e-6 or not shown.any()
-    assert any(shown.any() for shown in sent)
+    # the last frame, and three end messages
+    assert not sent[-1].any() and len(sent) == player.statistics()["sent"] + 4
+    # at half the speed, frames are interpolated
+    between = [
+        *expected,
+        *((a + b) / 2 for a, b in zip(expected, expected[1:])),
+    ]
+    for received in sent[:-4]:
+        difference = min(float(np.abs(received - drives).max()) for drives in between)
+        assert difference <= 0.5 / 255 + 1e-6 or not received.any()
+    assert any(received.any() for received in sent)
 
 
 @pytest.mark.parametrize(("stalled", "is_starved"), [(0, False), (1, True)])
-def test_frames_that_came_too_late_for_an_array_are_told(
+def test_late_frames_for_an_array_are_reported(
     stalled: int, is_starved: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "ramp.touch"
     pipeline.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST))
-    own = ArrayPlayer.statistics
-    monkeypatch.setattr(ArrayPlayer, "statistics", lambda self: {**own(self), "stalled": stalled, "sent": 4})
+    original_statistics = ArrayPlayer.statistics
+    monkeypatch.setattr(
+        ArrayPlayer, "statistics", lambda self: {**original_statistics(self), "stalled": stalled, "sent": 4}
+    )
     with listening() as line:
         played = play(path, PlaySpec(f"osc:127.0.0.1:{line.getsockname()[1]}", seconds=0.2))
     assert played.statistics["stalled_share"] == stalled / 4 and played.is_starved == is_starved

@@ -26,11 +26,11 @@ from touchfield.sources.registry import open_source
 
 
 def law(band_m: float, damping: float = 0.0, low_m: float | None = None) -> ForceProfile:
-    """Nowhere zero in the band; its amplitude tells the distance."""
+    """Nowhere zero in the band; its amplitude encodes the distance."""
     return ForceProfile(((-band_m if low_m is None else low_m, band_m, 4.0, 1 / band_m),), damping)
 
 
-def around(scene: AnimatedMeshScene, count: int = 20, margin: float = 0.3) -> Grid:
+def grid_around(scene: AnimatedMeshScene, count: int = 20, margin: float = 0.3) -> Grid:
     low, high = scene.bounds_m()
     side = margin * max(float((high - low).max()), 0.1)
     return Grid.over_box(low - side, high + side, (count, count + 1, count + 2))
@@ -41,7 +41,7 @@ def dense(field: ForceField) -> np.ndarray:
 
 
 def spinning(vertices: Any, faces: Any, times: Any = (0, 1), degrees: Any = (0, 90)) -> Gltf:
-    """A mesh that turns about z."""
+    """A mesh that rotates about z."""
     gltf = Gltf()
     node = gltf.put("nodes", mesh=gltf.mesh(vertices, faces))
     gltf.animate(
@@ -62,16 +62,16 @@ def test_a_file_with_an_animation_is_an_animated_mesh_and_others_are_meshes(tmp_
     assert isinstance(open_source(gltf.save(tmp_path / "b.glb", "glb")), MeshScene)
 
 
-def test_a_damaged_document_says_what_is_wrong_with_it(tmp_path: Path) -> None:
-    whole = everything().save(tmp_path / "a.glb", "glb").read_bytes()
+def test_error_of_a_damaged_document_states_the_fault(tmp_path: Path) -> None:
+    intact = everything().save(tmp_path / "a.glb", "glb").read_bytes()
     text = everything().save(tmp_path / "a.gltf").read_bytes()
-    for name, data, said in (("b.gltf", text[:-9], "no JSON"), ("b.glb", whole[:-9], "header declares")):
+    for name, data, message in (("b.gltf", text[:-9], "no JSON"), ("b.glb", intact[:-9], "header declares")):
         (tmp_path / name).write_bytes(data)
-        with pytest.raises(SourceError, match=said):
+        with pytest.raises(SourceError, match=message):
             open_source(tmp_path / name)
 
 
-def test_animations_of_one_name_are_told_with_their_numbers(tmp_path: Path) -> None:
+def test_animations_of_one_name_are_listed_with_their_numbers(tmp_path: Path) -> None:
     gltf = everything()
     for animation in gltf.json["animations"]:
         animation["name"] = "walk"
@@ -81,7 +81,7 @@ def test_animations_of_one_name_are_told_with_their_numbers(tmp_path: Path) -> N
     assert any("'walk' (number 0):" in note for note in first.notes)
 
 
-def test_options_choose_animation_rate_and_unit(tmp_path: Path) -> None:
+def test_options_select_animation_rate_and_unit(tmp_path: Path) -> None:
     path = everything().save(tmp_path / "a.gltf")
     first, second = (open_source(path, SourceOptions(animation=name)) for name in ("move 0", "1"))
     assert "'move 0': 0.1 s, 6 frames; there are also 'move 1'" in " ".join(first.notes)
@@ -113,13 +113,13 @@ def test_the_frames_are_the_times_before_the_end(
     scene = AnimatedMeshScene(moving_cube(values, times).save(tmp_path / "a.gltf"), rate_hz=rate_hz)
     assert scene.frame_count == count
     for frame in range(count):
-        share = frame / rate_hz / duration_s if duration_s else 0
-        assert scene.vertices_m(frame)[:, 0].min() == pytest.approx(share, abs=1e-6)
+        fraction = frame / rate_hz / duration_s if duration_s else 0
+        assert scene.vertices_m(frame)[:, 0].min() == pytest.approx(fraction, abs=1e-6)
     with pytest.raises(InvalidArgument, match=f"0 to {count - 1}"):
         scene.vertices_m(count)
 
 
-def test_frames_may_be_asked_for_in_any_order(tmp_path: Path) -> None:
+def test_frames_can_be_computed_in_any_order(tmp_path: Path) -> None:
     gltf = moving_cube(np.random.default_rng(1).normal(size=(9, 3)), np.arange(9))
     path = gltf.save(tmp_path / "a.gltf")
     scene, again = AnimatedMeshScene(path), AnimatedMeshScene(path)
@@ -131,7 +131,7 @@ def test_frames_may_be_asked_for_in_any_order(tmp_path: Path) -> None:
     np.testing.assert_array_equal(high, np.max(forwards, axis=(0, 1)))
 
 
-# -- which vertices are one --------------------------------------------------------------------------------
+# -- welded vertices ---------------------------------------------------------------------------------------
 
 
 def test_corners_without_indices_are_joined_and_close(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_corners_without_indices_are_joined_and_close(tmp_path: Path) -> None:
     assert scene.is_closed and scene.vertices_m(0).shape == (8, 3)
 
 
-def test_parts_that_only_touch_at_rest_stay_apart(tmp_path: Path) -> None:
+def test_parts_that_touch_only_at_rest_are_not_welded(tmp_path: Path) -> None:
     gltf = Gltf()
     nodes = [gltf.put("nodes", mesh=gltf.mesh(CUBE + np.array([i, 0, 0]), CUBE_FACES)) for i in range(2)]
     gltf.animate(nodes[1], "translation", [0, 1], [[0, 0, 0], [2, 0, 0]])
@@ -162,10 +162,10 @@ def test_a_seam_of_slightly_other_weights_closes_but_a_tear_does_not(tmp_path: P
     for change, is_closed in ((1e-4, True), (0.2, False)):
         gltf = Gltf()
         corners = CUBE[CUBE_FACES.reshape(-1)]
-        share = 0.5 + change * np.random.default_rng(0).random(36)
+        weight = 0.5 + change * np.random.default_rng(0).random(36)
         sets = {
             "JOINTS_0": gltf.array([[0, 1, 0, 0]] * 36, "u1"),
-            "WEIGHTS_0": gltf.array(np.stack([share, 1 - share, 0 * share, 0 * share], axis=1)),
+            "WEIGHTS_0": gltf.array(np.stack([weight, 1 - weight, 0 * weight, 0 * weight], axis=1)),
         }
         joints = [gltf.put("nodes"), gltf.put("nodes")]
         gltf.put("nodes", mesh=gltf.mesh(corners, **sets), skin=gltf.put("skins", joints=joints))
@@ -179,7 +179,7 @@ def test_a_shape_that_is_a_point_at_rest_is_welded_by_its_motion(tmp_path: Path)
     gltf.animate(node, "scale", [0, 1], [[0, 0, 0], [1, 1, 1]])
     scene = AnimatedMeshScene(gltf.save(tmp_path / "a.gltf"))
     assert scene.is_closed and scene.vertices_m(0).shape == (8, 3)
-    grid = around(scene)
+    grid = grid_around(scene)
     for frame in (0, 1, scene.frame_count - 1):
         assert np.isfinite(scene.field(frame, grid, law(0.2, 1.0)).forces_n).all()
     solid = scene.field(scene.frame_count - 1, grid, law(0.1, low_m=-math.inf))
@@ -192,18 +192,18 @@ def test_a_shape_that_is_a_point_at_rest_is_welded_by_its_motion(tmp_path: Path)
 
 @settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_a_surface_with_other_vertices_is_the_surface_of_those_vertices(seed: int) -> None:
+def test_replaced_vertices_give_the_surface_of_those_vertices(seed: int) -> None:
     rng = np.random.default_rng(seed)
     mesh = trimesh.creation.icosphere(subdivisions=1)
-    turned = (
+    rotated = (
         np.asarray(mesh.vertices) * rng.uniform(0.3, 2, 3) + rng.normal(size=(len(mesh.vertices), 3)) * 0.05
     )
     first = Surface(mesh.vertices, mesh.faces, "mesh")
-    reused, fresh = first.with_vertices(turned), Surface(turned, mesh.faces, "mesh")
+    reused, fresh = first.with_vertices(rotated), Surface(rotated, mesh.faces, "mesh")
     np.testing.assert_array_equal(reused.triangles, fresh.triangles)
     np.testing.assert_array_equal(reused.bounds_m, fresh.bounds_m)
     np.testing.assert_allclose(reused.pseudo_normals(), fresh.pseudo_normals(), atol=1e-12)
-    grid = Grid.over_box(turned.min(0) - 0.2, turned.max(0) + 0.2, (12, 13, 14))
+    grid = Grid.over_box(rotated.min(0) - 0.2, rotated.max(0) + 0.2, (12, 13, 14))
     fields = [MeshScene(close_holes(s, "leave")).field(0, grid, law(0.3)) for s in (reused, fresh)]
     np.testing.assert_allclose(dense(fields[0]), dense(fields[1]), atol=1e-6)
 
@@ -216,23 +216,23 @@ def test_other_vertices_are_checked() -> None:
         surface.with_vertices(CUBE * np.nan)
 
 
-def test_the_field_of_a_frame_is_that_of_the_mesh_in_its_place(tmp_path: Path) -> None:
+def test_the_field_of_a_frame_is_that_of_the_posed_mesh(tmp_path: Path) -> None:
     scene = AnimatedMeshScene(spinning(CUBE, CUBE_FACES).save(tmp_path / "a.gltf"))
-    grid = around(scene)
+    grid = grid_around(scene)
     for frame in (0, 17, 59):
-        place = Rotation.from_euler("z", 90 * frame / 60, degrees=True).apply(CUBE)
-        expected = MeshScene(place, CUBE_FACES).field(0, grid, law(0.2))
+        posed = Rotation.from_euler("z", 90 * frame / 60, degrees=True).apply(CUBE)
+        expected = MeshScene(posed, CUBE_FACES).field(0, grid, law(0.2))
         np.testing.assert_allclose(dense(scene.field(frame, grid, law(0.2))), dense(expected), atol=1e-5)
 
 
-def test_a_moved_scene_has_the_field_of_its_new_place(tmp_path: Path) -> None:
-    """Also of the frame whose surface was computed last, before it was moved."""
+def test_a_moved_scene_has_the_field_of_its_new_position(tmp_path: Path) -> None:
+    """Also for the frame whose surface was computed last, before the move."""
     scene = AnimatedMeshScene(spinning(CUBE, CUBE_FACES).save(tmp_path / "a.gltf"))
-    scene.field(17, around(scene), law(0.2))
+    scene.field(17, grid_around(scene), law(0.2))
     moved = scene.moved(np.eye(3), np.array([0.4, -0.3, 0.2]))
     vertices_m = Rotation.from_euler("z", 90 * 17 / 60, degrees=True).apply(CUBE)
     vertices_m = vertices_m + np.array([0.4, -0.3, 0.2])
-    grid = around(moved)
+    grid = grid_around(moved)
     expected = MeshScene(vertices_m, CUBE_FACES).field(0, grid, law(0.2))
     np.testing.assert_allclose(dense(moved.field(17, grid, law(0.2))), dense(expected), atol=1e-5)
 
@@ -253,18 +253,18 @@ def test_a_moved_scene_moves_along(tmp_path: Path) -> None:
 # -- motion ------------------------------------------------------------------------------------------------
 
 
-def test_a_translating_mesh_adds_damping_times_its_velocity_where_there_is_a_force(tmp_path: Path) -> None:
+def test_a_translating_mesh_adds_its_damping_where_there_is_a_force(tmp_path: Path) -> None:
     scene = AnimatedMeshScene(moving_cube().save(tmp_path / "a.gltf"))
     velocity, b = np.array([4.0, 2.0, -6.0]), 0.7
-    grid = around(scene, 24, 0.1)
+    grid = grid_around(scene, 24, 0.1)
     for frame in (0, 30, 59):
         np.testing.assert_allclose(scene.velocities_m_s(frame), np.tile(velocity, (8, 1)), atol=1e-9)
-        still = dense(scene.field(frame, grid, law(0.3)))
+        undamped = dense(scene.field(frame, grid, law(0.3)))
         moving = dense(scene.field(frame, grid, law(0.3, b)))
-        held = still.any(axis=-1)
-        assert held.sum() > 200
-        np.testing.assert_allclose(moving[held], still[held] + b * velocity, atol=4e-6)
-        assert not moving[~held].any()
+        is_supported = undamped.any(axis=-1)
+        assert is_supported.sum() > 200
+        np.testing.assert_allclose(moving[is_supported], undamped[is_supported] + b * velocity, atol=4e-6)
+        assert not moving[~is_supported].any()
 
 
 def test_a_spinning_mesh_adds_the_velocity_of_its_nearest_point(tmp_path: Path) -> None:
@@ -272,20 +272,22 @@ def test_a_spinning_mesh_adds_the_velocity_of_its_nearest_point(tmp_path: Path) 
     scene = AnimatedMeshScene(spinning(sphere.vertices, sphere.faces).save(tmp_path / "a.gltf"))
     speed, half = math.pi / 2, 0.5 / 60
     factor = math.sin(speed * half) / half  # a chord of the circle over its time
-    places = scene.vertices_m(25)
+    vertices_m = scene.vertices_m(25)
     spin = np.array([[0, -factor, 0], [factor, 0, 0], [0, 0, 0]])
-    np.testing.assert_allclose(scene.velocities_m_s(25), places @ spin.T, atol=1e-6)
+    np.testing.assert_allclose(scene.velocities_m_s(25), vertices_m @ spin.T, atol=1e-6)
     band, b = 0.25, 2.0
-    grid = around(scene, 22)
-    still, moving = (scene.field(25, grid, law(band, damping)) for damping in (0.0, b))
-    forces = still.vectors_n().astype(float)
+    grid = grid_around(scene, 22)
+    undamped, moving = (scene.field(25, grid, law(band, damping)) for damping in (0.0, b))
+    forces = undamped.vectors_n().astype(float)
     phi = (np.linalg.norm(forces, axis=1) - 4) * band
-    nearest = grid.to_m(still.positions()) - phi[:, None] * forces / np.linalg.norm(forces, axis=1)[:, None]
-    added = (dense(moving) - dense(still))[tuple(np.array(still.positions()).T)]
+    nearest = (
+        grid.to_m(undamped.positions()) - phi[:, None] * forces / np.linalg.norm(forces, axis=1)[:, None]
+    )
+    added = (dense(moving) - dense(undamped))[tuple(np.array(undamped.positions()).T)]
     np.testing.assert_allclose(added, b * nearest @ spin.T, atol=2e-5)
 
 
-def test_the_ends_of_an_animation_have_the_velocity_of_what_there_is(tmp_path: Path) -> None:
+def test_velocities_at_the_ends_of_an_animation_are_one_sided(tmp_path: Path) -> None:
     step = AnimatedMeshScene(
         moving_cube([[0, 0, 0], [3, 0, 0], [3, 0, 0]], [0, 0.5, 1]).save(tmp_path / "a.gltf")
     )
@@ -294,16 +296,16 @@ def test_the_ends_of_an_animation_have_the_velocity_of_what_there_is(tmp_path: P
     odd = AnimatedMeshScene(
         moving_cube([[0, 0, 0], [3, 0, 0]], [0, 1]).save(tmp_path / "c.gltf"), rate_hz=5.3
     )
-    np.testing.assert_allclose(odd.velocities_m_s(5)[:, 0], 3.0, atol=1e-9)  # half a frame later it is over
-    still = AnimatedMeshScene(moving_cube([[0, 0, 0]], [0]).save(tmp_path / "b.gltf"))
-    np.testing.assert_array_equal(still.velocities_m_s(0), np.zeros((8, 3)))
+    np.testing.assert_allclose(odd.velocities_m_s(5)[:, 0], 3.0, atol=1e-9)  # it ends half a frame later
+    static = AnimatedMeshScene(moving_cube([[0, 0, 0]], [0]).save(tmp_path / "b.gltf"))
+    np.testing.assert_array_equal(static.velocities_m_s(0), np.zeros((8, 3)))
 
 
 # -- real models -------------------------------------------------------------------------------------------
 
 
 def fox_by_hand(path: Path, animation: int, time_s: float) -> np.ndarray:
-    """Corner by corner and joint by joint, with SciPy's rotations: another way to the same numbers."""
+    """Each corner and joint with SciPy's rotations: an independent way to the same numbers."""
     data = path.read_bytes()
     (length,) = struct.unpack_from("<I", data, 12)
     document, binary = json.loads(data[20 : 20 + length]), data[28 + length :]
@@ -311,10 +313,12 @@ def fox_by_hand(path: Path, animation: int, time_s: float) -> np.ndarray:
     def read(number: int) -> np.ndarray:
         accessor = document["accessors"][number]
         view = document["bufferViews"][accessor["bufferView"]]
-        begin = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        offset = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}[accessor["type"]]
         dtype = {5126: "<f4", 5123: "<u2"}[accessor["componentType"]]
-        return np.frombuffer(binary, dtype, accessor["count"] * width, begin).reshape(-1, width).astype(float)
+        return (
+            np.frombuffer(binary, dtype, accessor["count"] * width, offset).reshape(-1, width).astype(float)
+        )
 
     nodes = [dict(node) for node in document["nodes"]]
     for channel in document["animations"][animation]["channels"]:
@@ -339,26 +343,26 @@ def fox_by_hand(path: Path, animation: int, time_s: float) -> np.ndarray:
     binds = read(skin["inverseBindMatrices"]).reshape(-1, 4, 4)
     joints = [world(node) @ binds[i].T for i, node in enumerate(skin["joints"])]
     attributes = document["meshes"][0]["primitives"][0]["attributes"]
-    corners, which, shares = (read(attributes[name]) for name in ("POSITION", "JOINTS_0", "WEIGHTS_0"))
+    corners, joint_ids, weights = (read(attributes[name]) for name in ("POSITION", "JOINTS_0", "WEIGHTS_0"))
     return np.array(
         [
             sum(w * (joints[int(j)] @ [*corner, 1.0])[:3] for j, w in zip(js, ws) if w) / sum(ws)
-            for corner, js, ws in zip(corners, which, shares)
+            for corner, js, ws in zip(corners, joint_ids, weights)
         ]
     )
 
 
 @pytest.mark.shared
 @pytest.mark.parametrize(("name", "number"), [("Survey", 0), ("Walk", 1), ("Run", 2)])
-def test_the_fox_is_where_another_way_finds_it(name: str, number: int, shared_data: Path) -> None:
+def test_the_fox_equals_an_independent_computation(name: str, number: int, shared_data: Path) -> None:
     path = shared_data / "meshes" / "fox" / "Fox.glb"
     scene = AnimatedMeshScene(path, name, unit_m=0.01)
     assert scene.is_closed and scene.vertices_m(0).shape == (290, 3)
     frame = scene.frame_count // 3
     corners = fox_by_hand(path, number, frame / 60) * 0.01
     found = scene.vertices_m(frame)
-    apart = np.linalg.norm(corners[:, None] - found[None], axis=2)
-    assert apart.min(axis=1).max() < 1e-6 and apart.min(axis=0).max() < 1e-6
+    distances = np.linalg.norm(corners[:, None] - found[None], axis=2)
+    assert distances.min(axis=1).max() < 1e-6 and distances.min(axis=0).max() < 1e-6
     surface = scene.surface(frame)
     middles = np.sort(corners.reshape(-1, 3, 3).mean(axis=1).sum(axis=1))
     np.testing.assert_allclose(np.sort(found[surface.triangles].mean(axis=1).sum(axis=1)), middles, atol=1e-6)
@@ -369,21 +373,21 @@ def test_the_fox_is_where_another_way_finds_it(name: str, number: int, shared_da
 @pytest.mark.shared
 def test_the_running_fox_has_a_closed_field_in_every_frame(shared_data: Path) -> None:
     scene = AnimatedMeshScene(shared_data / "meshes" / "fox" / "Fox.glb", "Run", unit_m=0.01)
-    grid = around(scene, 32, 0.05)
+    grid = grid_around(scene, 32, 0.05)
     supports = []
     for frame in range(0, scene.frame_count, 9):
         field = scene.field(frame, grid, law(0.05, 1.0, low_m=-math.inf))
         supports.append(len(field.positions()))
         assert np.isfinite(field.forces_n).all()
-    assert min(supports) > 0.6 * max(supports)  # it is one fox all the time
+    assert min(supports) > 0.6 * max(supports)  # the same fox in each frame
 
 
 @pytest.mark.shared
-def test_the_morphed_bars_are_where_their_weights_say(shared_data: Path) -> None:
+def test_the_morphed_bars_follow_their_weights(shared_data: Path) -> None:
     path = shared_data / "meshes" / "morph_stress_test" / "MorphStressTest.gltf"
     scene = AnimatedMeshScene(path, "Individuals")
     assert scene.is_closed and scene.frame_count == 560
-    # target i raises bar i; the animation raises one bar after the other
+    # target i raises bar i; the animation raises the bars in turn
     heights = np.array([scene.vertices_m(frame)[:, 1].max() for frame in range(0, 560, 10)])
     highest = [scene.vertices_m(f)[scene.vertices_m(f)[:, 1].argmax(), 0] for f in range(35, 560, 70)]
     assert heights.max() > 1.3 and heights.min() < 0.75

@@ -1,4 +1,4 @@
-"""Poses of cameras as text: rotations made exact, times met, and what is no pose refused by its number."""
+"""Poses of cameras as text: exact rotations, matching in time, and invalid poses refused by number."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ def test_quaternions_agree_with_scipy(q: tuple[float, float, float, float]) -> N
 
 
 @given(st.tuples(unit, unit, unit), st.integers(0, 2**32 - 1))
-def test_a_rounded_rotation_is_made_exact_and_stays_near(turn: tuple[float, float, float], seed: int) -> None:
+def test_a_rounded_rotation_is_orthonormalised(turn: tuple[float, float, float], seed: int) -> None:
     exact = Rotation.from_rotvec(turn).as_matrix()
     noise = np.random.default_rng(seed).uniform(-1e-3, 1e-3, (3, 3))
-    given_pose = np.column_stack([exact + noise, [1.0, 2.0, 3.0]])[None]
-    made = poses.checked_poses(given_pose, "p")[0]
-    assert np.allclose(made[:3, :3].T @ made[:3, :3], np.eye(3), atol=1e-12)
-    assert np.abs(made[:3, :3] - exact).max() < 3e-3
-    assert made[:3, 3].tolist() == [1.0, 2.0, 3.0]
+    rounded_pose = np.column_stack([exact + noise, [1.0, 2.0, 3.0]])[None]
+    exact_pose = poses.checked_poses(rounded_pose, "p")[0]
+    assert np.allclose(exact_pose[:3, :3].T @ exact_pose[:3, :3], np.eye(3), atol=1e-12)
+    assert np.abs(exact_pose[:3, :3] - exact).max() < 3e-3
+    assert exact_pose[:3, 3].tolist() == [1.0, 2.0, 3.0]
 
 
 @pytest.mark.parametrize(
-    ("matrix", "words"),
+    ("matrix", "message"),
     [
         (np.diag([1.1, 1, 1, 1]), "no rotation"),
         (np.diag([1.0, 1, -1, 1]), "mirrors"),
@@ -43,8 +43,8 @@ def test_a_rounded_rotation_is_made_exact_and_stays_near(turn: tuple[float, floa
         (np.zeros((4, 4)), "last row"),
     ],
 )
-def test_what_is_no_pose_is_refused_by_its_number(matrix: np.ndarray, words: str) -> None:
-    with pytest.raises(SourceError, match=rf"log, pose 1: .*{words}"):
+def test_an_invalid_pose_is_refused_by_number(matrix: np.ndarray, message: str) -> None:
+    with pytest.raises(SourceError, match=rf"log, pose 1: .*{message}"):
         poses.checked_poses(np.stack([np.eye(4), matrix]), "log")
 
 
@@ -52,14 +52,12 @@ def test_what_is_no_pose_is_refused_by_its_number(matrix: np.ndarray, words: str
     st.lists(st.integers(0, 1000), max_size=20, unique=True), st.lists(st.integers(0, 1000), max_size=20),
     st.integers(0, 60),
 )  # fmt: skip
-def test_nearest_in_time_is_what_brute_force_finds(
-    times: list[int], wanted: list[int], tolerance: int
-) -> None:
-    known, asked = np.array(sorted(times), float), np.array(wanted, float)
-    found = poses.nearest_in_time(known, asked, tolerance)
-    for t, i in zip(asked, found):
-        best = min(np.abs(known - t), default=np.inf)
-        assert (i == -1) if best > tolerance else abs(known[i] - t) == best
+def test_nearest_in_time_equals_brute_force(times: list[int], queries: list[int], tolerance: int) -> None:
+    stored, requested = np.array(sorted(times), float), np.array(queries, float)
+    found = poses.nearest_in_time(stored, requested, tolerance)
+    for t, i in zip(requested, found):
+        best = min(np.abs(stored - t), default=np.inf)
+        assert (i == -1) if best > tolerance else abs(stored[i] - t) == best
 
 
 @pytest.mark.parametrize("text", ["1 2 3", "1 2 3 4 5 6 7 x", "", "0 0 0 0 0 0 0 0", "nan 0 0 0 0 0 0 1"])
@@ -77,13 +75,13 @@ def test_a_log_of_matrices_counts_its_frames_from_zero(number: str) -> None:
 
 
 @given(st.text(alphabet="0123456789.-+eE \n,#naif", max_size=80))
-def test_no_text_of_poses_raises_anything_else(text: str) -> None:
+def test_any_text_of_poses_gives_poses_or_a_source_error(text: str) -> None:
     for parse in (poses.parse_poses, poses.parse_extrinsics):
         with pytest.raises(SourceError):
             parse(text, "where")
 
 
-def test_names_of_depth_go_before_those_of_colour() -> None:
+def test_names_of_depth_take_precedence_over_those_of_colour() -> None:
     frame = {"file_path": "a/1.jpg", "depth_file_path": "b/2.png", "transform_matrix": np.eye(4).tolist()}
     assert poses.parse_poses(json.dumps({"frames": [frame]}), "a").names == ("b/2.png",)
 

@@ -1,5 +1,5 @@
-"""A fused surface changes after two successive views that contradict it, not after two with a view between them that
-agrees.
+"""A fused surface changes after two views in a row that contradict it, not after two that have a view which
+agrees between them.
 """
 
 from __future__ import annotations

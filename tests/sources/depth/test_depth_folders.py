@@ -1,6 +1,4 @@
-"""Folders of depth as people have them: poses and cameras in every form, found and told,
-or named as unread.
-"""
+"""Depth folders of users: poses and cameras in every form, found and noted, or named as unread."""
 
 from __future__ import annotations
 
@@ -43,7 +41,7 @@ LAYOUTS: dict[Callable[[Path], Path], str] = {
 
 
 @pytest.mark.parametrize("write", LAYOUTS, ids=lambda write: write.__name__.removeprefix("write_"))
-def test_a_folder_is_read_with_its_poses_and_says_so(tmp_path: Path, write: Callable[[Path], Path]) -> None:
+def test_a_folder_is_read_with_its_poses_and_a_note(tmp_path: Path, write: Callable[[Path], Path]) -> None:
     folder = write(tmp_path / "s")
     opened = next(kind for kind in kinds() if kind.recognise(folder))
     assert opened.name in ("depth-folder", "redwood")
@@ -53,12 +51,12 @@ def test_a_folder_is_read_with_its_poses_and_says_so(tmp_path: Path, write: Call
     assert np.allclose(sequence.poses, make.poses(), atol=1e-6)
     assert any(LAYOUTS[write] in note for note in sequence.notes), sequence.notes
     assert all(np.allclose(sequence.depth_m(i), depth / 1000) for i, depth in enumerate(make.depths_mm()))
-    still = depth_folder.read_sequence(folder, SourceOptions(depth_scale=1000, frame="camera"))
-    assert still.poses is None and not any("Poses" in note for note in still.notes)
+    in_camera_frame = depth_folder.read_sequence(folder, SourceOptions(depth_scale=1000, frame="camera"))
+    assert in_camera_frame.poses is None and not any("Poses" in note for note in in_camera_frame.notes)
 
 
-def test_poses_are_taken_from_where_they_are_asked_for(tmp_path: Path) -> None:
-    """In every layout, and from a file, a folder, or a stack's one file."""
+def test_poses_are_read_from_the_requested_path(tmp_path: Path) -> None:
+    """For every layout, from a file, a folder, or the single file of a stack."""
     moved = make.poses().copy()
     moved[:, 2, 3] += 0.25
     rows = make.write_rows(tmp_path / "mine.dat", moved.reshape(-1, 16))
@@ -74,18 +72,18 @@ def test_poses_are_taken_from_where_they_are_asked_for(tmp_path: Path) -> None:
     for module, path in written:
         sequence = module.read_sequence(path, SourceOptions(depth_scale=1000, poses=str(rows)))
         assert np.allclose(sequence.poses, moved, atol=1e-6)
-    asked = SourceOptions(depth_scale=1000, poses=str(tmp_path / "each"))
-    assert np.allclose(depth_folder.read_sequence(written[4][1], asked).poses, moved, atol=1e-6)
+    options = SourceOptions(depth_scale=1000, poses=str(tmp_path / "each"))
+    assert np.allclose(depth_folder.read_sequence(written[4][1], options).poses, moved, atol=1e-6)
     with pytest.raises(InvalidArgument, match="--poses"):
         depth_folder.read_sequence(written[4][1], SourceOptions(depth_scale=1000, poses="nowhere.txt"))
     with pytest.raises(InvalidArgument, match="frame camera"):
         SourceOptions(poses="p.txt", frame="camera")
 
 
-def test_what_is_named_like_poses_and_not_read_is_named(tmp_path: Path) -> None:
+def test_unread_files_named_like_poses_are_noted(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s")
     (folder / "my_trajectory_notes.txt").write_text("filmed in the kitchen\n")
-    (folder / "._poses.txt").write_bytes(b"\0\5\x16\7")  # as a Mac leaves beside a file
+    (folder / "._poses.txt").write_bytes(b"\0\5\x16\7")  # a resource fork as written by macOS
     notes = depth_folder.read_sequence(folder, MM).notes
     assert not any("._poses" in note for note in notes)
     assert any("assumed to be static" in note for note in notes)
@@ -96,7 +94,7 @@ def test_what_is_named_like_poses_and_not_read_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "words"),
+    ("rows", "message"),
     [
         (make.poses().reshape(-1, 16)[:3], "3 poses for 5 frames"),
         (np.tile(np.arange(6.0), (5, 1)), "6 numbers in its first line"),
@@ -106,18 +104,16 @@ def test_what_is_named_like_poses_and_not_read_is_named(tmp_path: Path) -> None:
         (np.tile(np.diag([1.0, 1, -1, 1]).ravel(), (5, 1)), "mirrors"),
     ],
 )
-def test_poses_at_fault_are_an_error_that_tells_how_to_go_on(
-    tmp_path: Path, rows: np.ndarray, words: str
-) -> None:
+def test_invalid_poses_are_an_error_with_a_remedy(tmp_path: Path, rows: np.ndarray, message: str) -> None:
     folder = make.write_frames(tmp_path / "s", "depth/a{}b.png")
     for i in range(make.FRAMES):
         (folder / "depth" / f"a{i}b.png").rename(folder / "depth" / f"{'vwxyz'[i]}.png")
     make.write_rows(folder / "poses.txt", rows)
-    with pytest.raises(SourceError, match=rf"poses\.txt.*{words}.*--frame camera"):
+    with pytest.raises(SourceError, match=rf"poses\.txt.*{message}.*--frame camera"):
         depth_folder.read_sequence(folder, MM)
 
 
-def test_frames_are_matched_by_their_last_number_or_in_order_where_no_time_is_near(tmp_path: Path) -> None:
+def test_frames_are_matched_by_their_last_number_or_in_order(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s", "depth/cam7_{:04d}.png")
     make.write_rows(folder / "poses.txt", make.poses(8).reshape(-1, 16))
     assert np.allclose(depth_folder.read_sequence(folder, MM).poses, make.poses(8)[:5], atol=1e-6)
@@ -135,7 +131,7 @@ def test_frames_are_not_matched_by_numbers_that_count_from_one(tmp_path: Path) -
         depth_folder.read_sequence(folder, MM)
 
 
-def test_a_stack_takes_the_poses_beside_it_only_where_there_is_one_for_each_frame(tmp_path: Path) -> None:
+def test_a_stack_uses_adjacent_poses_only_if_every_frame_has_one(tmp_path: Path) -> None:
     np.save(tmp_path / "depth.npy", make.depths_mm())
     make.write_intrinsics(tmp_path / "intrinsics.txt")
     make.write_rows(tmp_path / "poses.txt", make.poses().reshape(-1, 16))
@@ -145,16 +141,16 @@ def test_a_stack_takes_the_poses_beside_it_only_where_there_is_one_for_each_fram
     assert sequence.poses is None
     assert any("poses.txt was found and not used: 9 poses for 5 frames" in note for note in sequence.notes)
     (tmp_path / "poses.txt").unlink()
-    told = [{"file_path": f"{i}.png", "transform_matrix": np.eye(4).tolist()} for i in range(4)]
-    (tmp_path / "transforms.json").write_text(json.dumps({"frames": told}))
+    frames = [{"file_path": f"{i}.png", "transform_matrix": np.eye(4).tolist()} for i in range(4)]
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
     with pytest.raises(SourceError, match="4 of 5 frames with a pose"):
         depth_stack.read_sequence(tmp_path / "depth.npy", MM)
 
 
-def test_a_frame_whose_number_two_pictures_have_is_left_out_and_told(tmp_path: Path) -> None:
+def test_frames_of_an_ambiguous_number_are_skipped_and_noted(tmp_path: Path) -> None:
     folder = make.write_nerfstudio(tmp_path / "s")
-    told = json.loads((folder / "transforms.json").read_text())
-    told["frames"] = [
+    transforms = json.loads((folder / "transforms.json").read_text())
+    transforms["frames"] = [
         {
             "file_path": f"images/{eye}_{i}.png",
             "transform_matrix": (m @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist(),
@@ -162,13 +158,13 @@ def test_a_frame_whose_number_two_pictures_have_is_left_out_and_told(tmp_path: P
         for i, m in enumerate(make.poses())
         for eye in (("left", "right") if i == 1 else ("left",))
     ]
-    (folder / "transforms.json").write_text(json.dumps(told))
+    (folder / "transforms.json").write_text(json.dumps(transforms))
     sequence = depth_folder.read_sequence(folder, MM)
     assert np.allclose(sequence.poses, make.poses()[[0, 2, 3, 4]], atol=1e-6)
     assert any("1 of 5 frames left out" in note for note in sequence.notes)
 
 
-def test_frames_without_a_pose_are_left_out_and_told(tmp_path: Path) -> None:
+def test_frames_without_a_pose_are_skipped_and_noted(tmp_path: Path) -> None:
     folder = make.write_scannet(tmp_path / "s")
     make.write_matrix(folder / "pose" / "1.txt", np.full((4, 4), -np.inf))
     (folder / "pose" / "3.txt").unlink()
@@ -179,7 +175,7 @@ def test_frames_without_a_pose_are_left_out_and_told(tmp_path: Path) -> None:
 
 
 @given(st.text(alphabet="0123456789.-+eE \n,#naifjpg", max_size=120))
-def test_no_text_of_poses_raises_anything_else(text: str) -> None:
+def test_any_text_of_poses_gives_poses_or_a_source_error(text: str) -> None:
     try:
         listed = poses.parse_poses(text, "where")
     except SourceError:
@@ -187,28 +183,30 @@ def test_no_text_of_poses_raises_anything_else(text: str) -> None:
     assert np.isfinite(listed.poses).all()
 
 
-# -- where the pictures lie --------------------------------------------------------------------------------
+# -- folders of the pictures -------------------------------------------------------------------------------
 
 
-def test_one_folder_deeper_is_found_and_told(tmp_path: Path) -> None:
+def test_a_subfolder_of_depth_is_found_and_noted(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s", "cam0_depth_registered/{}.png")
     make.write_rows(folder / "poses.txt", make.poses().reshape(-1, 16))
     assert depth_folder.kind.recognise(folder)
     sequence = depth_folder.read_sequence(folder, MM)
     assert np.allclose(sequence.poses, make.poses(), atol=1e-6)
     assert any("those of cam0_depth_registered/" in note for note in sequence.notes)
-    inner = depth_folder.read_sequence(folder / "cam0_depth_registered", MM)  # what lies above it counts
+    inner = depth_folder.read_sequence(
+        folder / "cam0_depth_registered", MM
+    )  # files of the parent folder count
     assert np.allclose(inner.poses, make.poses(), atol=1e-6)
 
 
-def test_a_layout_one_folder_deeper_is_not_taken_for_plain_pictures(tmp_path: Path) -> None:
+def test_a_layout_in_a_subfolder_is_not_read_as_plain_pictures(tmp_path: Path) -> None:
     folder = make.write_threedmatch(tmp_path / "s")
     with pytest.raises(SourceError, match=r"the folders seq-01/"):
         open_source(tmp_path / "s")
     assert open_source(folder).frame_count == make.FRAMES
 
 
-def test_several_folders_of_depth_are_named(tmp_path: Path) -> None:
+def test_error_of_several_depth_folders_names_them(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s", "depth_left/{}.png")
     make.write_frames(folder, "depth_right/{}.png")
     with pytest.raises(
@@ -217,7 +215,7 @@ def test_several_folders_of_depth_are_named(tmp_path: Path) -> None:
         depth_folder.read_sequence(folder, MM)
 
 
-def test_no_depth_says_what_is_there_instead(tmp_path: Path) -> None:
+def test_error_of_missing_depth_lists_the_contents(tmp_path: Path) -> None:
     make.write_png(tmp_path / "rgb" / "1.png", np.zeros((2, 2, 3), np.uint8))
     (tmp_path / "a.txt").write_text("words")
     with pytest.raises(SourceError, match=r"no depth picture but 1 \.txt, the folders rgb/"):
@@ -260,7 +258,7 @@ def test_all_forms_of_cameras_are_read(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("1 OPENCV 12 9 20 21 6 4.5 0 0 0 0", "a camera OPENCV of 8 numbers.*Undistort"),
         ("1 PINHOLE 12 12 20 21 6 4.5", "12 x 12 pixels.*aspect"),
@@ -269,15 +267,13 @@ def test_all_forms_of_cameras_are_read(tmp_path: Path, name: str) -> None:
         ('{"frames": [], "w": 20, "h": 9, "fl_x": 1, "fl_y": 1, "cx": 1, "cy": 1}', "20 x 9 pixels.*aspect"),
     ],
 )
-def test_cameras_at_fault_are_refused(text: str, words: str) -> None:
-    with pytest.raises(SourceError, match=words):
+def test_invalid_cameras_are_refused(text: str, message: str) -> None:
+    with pytest.raises(SourceError, match=message):
         parse_intrinsics(text, "cameras.txt", (12, 9))
 
 
-def test_a_camera_that_is_mirrored_turns_its_poses_over(tmp_path: Path) -> None:
-    """As ICL-NUIM has it: with fy negative a point lies at P (x, -y, z), the mirror image of where we have
-    it.
-    """
+def test_a_mirrored_camera_flips_its_poses(tmp_path: Path) -> None:
+    """As in ICL-NUIM: with negative fy a point is at P (x, -y, z), the mirror image of ours."""
     tilted = make.poses().copy()
     tilted[:, :3, :3] = tilted[:, :3, :3] @ np.array([[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]])
     tilted[:, 1, 3] = 0.2
@@ -287,21 +283,21 @@ def test_a_camera_that_is_mirrored_turns_its_poses_over(tmp_path: Path) -> None:
     assert sequence.intrinsics == Intrinsics(20, 21, 5.5, 4)
     assert any("fy is negative" in note for note in sequence.notes)
     x, y, z = 0.3, 0.4, 1.5
-    theirs = tilted[3] @ [x, -y, z, 1]
-    assert np.allclose(sequence.poses[3] @ [x, y, z, 1], theirs * [1, -1, 1, 1])
+    mirrored = tilted[3] @ [x, -y, z, 1]
+    assert np.allclose(sequence.poses[3] @ [x, y, z, 1], mirrored * [1, -1, 1, 1])
 
 
-def test_words_called_calibration_are_named(tmp_path: Path) -> None:
+def test_a_calibration_file_of_text_is_refused_by_name(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s")
     (folder / "intrinsics.txt").rename(tmp_path / "mine.txt")
     (folder / "calibration.txt").write_text("filmed in the kitchen\n")
     with pytest.raises(SourceError, match=r"calibration\.txt: found 'filmed in the kitchen'.*fx,fy,cx,cy"):
         depth_folder.read_sequence(folder, MM)
-    asked = SourceOptions(depth_scale=1000, intrinsics=str(tmp_path / "mine.txt"))
-    assert depth_folder.read_sequence(folder, asked).intrinsics == Intrinsics(20, 21, 5.5, 4)
+    options = SourceOptions(depth_scale=1000, intrinsics=str(tmp_path / "mine.txt"))
+    assert depth_folder.read_sequence(folder, options).intrinsics == Intrinsics(20, 21, 5.5, 4)
 
 
-def test_a_scale_in_metres_a_unit_is_turned_round() -> None:
-    told = json.dumps({"fx": 20, "fy": 21, "cx": 5.5, "cy": 4, "depth_scale": 0.001})
-    camera = parse_intrinsics(told, "camera.json")
+def test_a_scale_in_metres_per_unit_is_inverted() -> None:
+    text = json.dumps({"fx": 20, "fy": 21, "cx": 5.5, "cy": 4, "depth_scale": 0.001})
+    camera = parse_intrinsics(text, "camera.json")
     assert camera.units_per_m == pytest.approx(1000) and "1000 units of depth in a metre" in camera.notes[0]

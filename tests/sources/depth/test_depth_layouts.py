@@ -1,4 +1,4 @@
-"""Depth sequences on disk: every layout read back, every fault one clear error."""
+"""Depth sequences on disk: every layout is read back, and every fault is one clear error."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LAYOUTS: list[tuple[Layout, Callable[[Path], Path], SourceOptions]] = [
 
 IDS = [module.name for module, _, _ in LAYOUTS]
 
-KINDS = [one.kind for one in (tum, redwood, sun3d, threedmatch, depth_folder)]
+KINDS = [module.kind for module in (tum, redwood, sun3d, threedmatch, depth_folder)]
 
 CAMERA = SourceOptions(frame="camera")
 
@@ -39,16 +39,18 @@ CAMERA = SourceOptions(frame="camera")
 
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
-def test_a_layout_comes_back(tmp_path: Path, module: Layout, write: Callable, options: SourceOptions) -> None:
+def test_a_layout_round_trips(
+    tmp_path: Path, module: Layout, write: Callable, options: SourceOptions
+) -> None:
     sequence = module.read_sequence(write(tmp_path / "s"), options)
-    wanted = make.depths_mm(sequence.frame_count) / 1000
+    expected = make.depths_mm(sequence.frame_count) / 1000
     assert sequence.frame_count == (11 if module is depth_folder else make.FRAMES)
     assert (sequence.width, sequence.height) == (make.WIDTH, make.HEIGHT)
     assert sequence.intrinsics == Intrinsics(20, 21, 5.5, 4)
     for i in range(sequence.frame_count):
         depth = sequence.depth_m(i)
         assert depth.dtype == np.float32 and depth.flags.c_contiguous and depth.flags.writeable
-        assert np.allclose(depth, wanted[i], atol=1e-6)
+        assert np.allclose(depth, expected[i], atol=1e-6)
     if module is depth_folder:
         assert sequence.poses is None
     else:
@@ -69,7 +71,7 @@ def test_each_layout_is_recognised_as_itself(
 
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
-def test_only_the_frame_asked_for_is_decoded(
+def test_only_the_requested_frame_is_decoded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: Layout, write: Callable, options: SourceOptions
 ) -> None:
     decoded: list[Path] = []
@@ -99,9 +101,9 @@ def test_a_wrong_picture_is_named_when_opening(
 ) -> None:
     folder = write(tmp_path / "s")
     victim = sorted(folder.rglob("*.png"))[2]
-    values, words = FAULTS[fault]
+    values, message = FAULTS[fault]
     make.write_png(victim, values)
-    with pytest.raises(SourceError, match=rf"{victim.name}.*{words}"):
+    with pytest.raises(SourceError, match=rf"{victim.name}.*{message}"):
         module.read_sequence(folder, options)
 
 
@@ -136,7 +138,7 @@ def test_a_folder_without_depth_and_a_file_are_refused(
 
 
 @pytest.mark.parametrize(("module", "write", "options"), LAYOUTS, ids=IDS)
-def test_missing_intrinsics_are_asked_for(
+def test_error_of_missing_intrinsics_names_the_option(
     tmp_path: Path, module: Layout, write: Callable, options: SourceOptions
 ) -> None:
     folder = write(tmp_path / "s")
@@ -161,7 +163,7 @@ def test_the_camera_frame_needs_no_poses(
     assert sequence.poses is None and sequence.frame_count == make.FRAMES
 
 
-def test_values_that_mean_unknown() -> None:
+def test_values_for_unknown_depth() -> None:
     code = DepthCode(1000)
     assert code(np.array([0, 1, 65534, 65535], np.uint16)).tolist() == [
         0,
@@ -175,7 +177,7 @@ def test_values_that_mean_unknown() -> None:
 
 
 @given(st.integers(0, 65534))
-def test_suns_rotated_bits_come_back(depth_mm: int) -> None:
+def test_rotated_bits_of_sun3d_round_trip(depth_mm: int) -> None:
     stored = np.array([(depth_mm << 3 | depth_mm >> 13) & 0xFFFF], np.uint16)
     metres = DepthCode(1000, is_rotated=True)(stored)
     assert metres[0] == np.float32(depth_mm / 1000)
@@ -184,7 +186,7 @@ def test_suns_rotated_bits_come_back(depth_mm: int) -> None:
 # -- TUM ---------------------------------------------------------------------------------------------------
 
 
-def test_tum_says_what_is_missing_and_takes_the_rate_from_the_stamps(tmp_path: Path) -> None:
+def test_tum_notes_missing_frames_and_derives_the_rate_from_time_stamps(tmp_path: Path) -> None:
     sequence = tum.read_sequence(make.write_tum(tmp_path / "s"), SourceOptions(rate_hz=7))
     assert sequence.rate_hz == pytest.approx(25, rel=1e-3)
     assert any("5 of the 7 frames" in note for note in sequence.notes)
@@ -198,7 +200,7 @@ def test_tum_says_what_is_missing_and_takes_the_rate_from_the_stamps(tmp_path: P
     ] * 4
 
 
-def test_tum_leaves_out_a_frame_whose_pose_is_too_far_in_time(tmp_path: Path) -> None:
+def test_tum_skips_a_frame_without_a_close_pose(tmp_path: Path) -> None:
     folder = make.write_tum(tmp_path / "s")
     lines = (folder / "groundtruth.txt").read_text().splitlines()
     (folder / "groundtruth.txt").write_text("\n".join(lines[:3] + lines[4:]))
@@ -221,7 +223,7 @@ def test_tum_leaves_out_a_frame_whose_pose_is_too_far_in_time(tmp_path: Path) ->
         ("fr1st", None),
     ],
 )
-def test_tum_knows_its_cameras_by_name(tmp_path: Path, name: str, fx: float | None) -> None:
+def test_tum_cameras_are_identified_by_name(tmp_path: Path, name: str, fx: float | None) -> None:
     folder = tmp_path / name / "run"
     make.write_png(folder / "depth" / "1.5.png", np.full((480, 640), 5000, np.uint16))
     if fx is None:
@@ -238,7 +240,7 @@ def test_tum_knows_its_cameras_by_name(tmp_path: Path, name: str, fx: float | No
 @pytest.mark.parametrize(
     "line", ["1.0 ../other.png", "1.0 /etc/passwd", "1.0", "x depth/1.png", "inf depth/1.png"]
 )
-def test_tum_refuses_strange_lines_of_its_list(tmp_path: Path, line: str) -> None:
+def test_tum_refuses_invalid_lines_of_its_list(tmp_path: Path, line: str) -> None:
     folder = make.write_tum(tmp_path / "s")
     with (folder / "depth.txt").open("a") as stream:
         stream.write(line + "\n")
@@ -249,7 +251,7 @@ def test_tum_refuses_strange_lines_of_its_list(tmp_path: Path, line: str) -> Non
 # -- Redwood, SUN3D, 3DMatch, plain folders ----------------------------------------------------------------
 
 
-def test_redwood_goes_by_the_numbers_where_the_trajectory_lists_more(tmp_path: Path) -> None:
+def test_redwood_matches_by_number_if_the_trajectory_is_longer(tmp_path: Path) -> None:
     sequence = redwood.read_sequence(make.write_redwood(tmp_path / "a", entries=20, first=8), SourceOptions())
     assert np.allclose(sequence.poses, make.poses(20)[8:13], atol=1e-6)
     short = redwood.read_sequence(make.write_redwood(tmp_path / "b", entries=3), SourceOptions())
@@ -258,19 +260,19 @@ def test_redwood_goes_by_the_numbers_where_the_trajectory_lists_more(tmp_path: P
         redwood.read_sequence(make.write_redwood(tmp_path / "c", entries=3, first=50), SourceOptions())
 
 
-def test_redwood_says_that_it_takes_the_primesense_default(tmp_path: Path) -> None:
+def test_redwood_notes_the_default_camera(tmp_path: Path) -> None:
     make.write_png(tmp_path / "depth" / "00000.png", np.full((480, 640), 1000, np.uint16))
     sequence = redwood.read_sequence(tmp_path, SourceOptions())
     assert sequence.intrinsics == Intrinsics(525, 525, 319.5, 239.5)
     assert any("PrimeSense" in note for note in sequence.notes)
 
 
-def test_sun3d_goes_by_the_colour_frames_and_their_time(tmp_path: Path) -> None:
+def test_sun3d_matches_by_the_time_of_colour_frames(tmp_path: Path) -> None:
     sequence = sun3d.read_sequence(make.write_sun3d(tmp_path / "s", colour=8), SourceOptions())
     assert np.allclose(sequence.poses, make.poses(), atol=1e-6)
     assert sequence.rate_hz == pytest.approx(1 / 0.033)
     (tmp_path / "s" / "extrinsics" / "20131231235959.txt").write_text("older")
-    for i in range(8):  # numbers that run against the time
+    for i in range(8):  # numbers in the reverse order of time
         file = tmp_path / "s" / "image" / f"{i + 1:07d}-{33000 * i + 4000:012d}.jpg"
         file.rename(file.with_name(f"{100 - i:07d}{file.name[7:]}"))
     make.write_matrix(
@@ -282,15 +284,15 @@ def test_sun3d_goes_by_the_colour_frames_and_their_time(tmp_path: Path) -> None:
         sun3d.read_sequence(tmp_path / "s", SourceOptions())
 
 
-def test_the_scale_of_a_file_goes_before_that_of_a_layout_and_what_is_asked_before_both(
+def test_an_option_overrides_the_scale_of_a_file_and_that_of_a_layout(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "camera.json").write_text('{"fx": 20, "fy": 21, "cx": 5.5, "cy": 4, "depth_scale": 2000}')
-    asked = SourceOptions(intrinsics=str(tmp_path / "camera.json"))
-    first, turned = make.write_redwood(tmp_path / "a"), make.write_sun3d(tmp_path / "b")
+    from_file = SourceOptions(intrinsics=str(tmp_path / "camera.json"))
+    first, second = make.write_redwood(tmp_path / "a"), make.write_sun3d(tmp_path / "b")
     for module, path, options, units in (
-        (redwood, first, asked, 2000), (redwood, first, replace(asked, depth_scale=4000), 4000),
-        (sun3d, turned, asked, 1000),
+        (redwood, first, from_file, 2000), (redwood, first, replace(from_file, depth_scale=4000), 4000),
+        (sun3d, second, from_file, 1000),
     ):  # fmt: skip
         depth = module.read_sequence(path, options).depth_m(0)
         np.testing.assert_allclose(depth, make.depths_mm()[0] / units, rtol=1e-6)
@@ -298,17 +300,17 @@ def test_the_scale_of_a_file_goes_before_that_of_a_layout_and_what_is_asked_befo
     assert redwood.read_sequence(first, both).rate_hz == 10.0
 
 
-def test_3dmatch_leaves_out_lost_frames(tmp_path: Path) -> None:
+def test_3dmatch_skips_frames_without_tracking(tmp_path: Path) -> None:
     folder = make.write_threedmatch(tmp_path / "s")
     make.write_matrix(folder / "frame-000001.pose.txt", np.full((4, 4), np.nan))
     (folder / "frame-000003.pose.txt").unlink()
     sequence = threedmatch.read_sequence(folder, SourceOptions())
     assert np.allclose(sequence.poses, make.poses()[[0, 2, 4]], atol=1e-6)
     assert "2 of 5 frames left out" in sequence.notes[0]
-    assert any("camera-intrinsics.txt" in note for note in sequence.notes)  # one folder up
+    assert any("camera-intrinsics.txt" in note for note in sequence.notes)  # in the parent folder
 
 
-def test_a_plain_folder_says_what_it_needs(tmp_path: Path) -> None:
+def test_error_of_a_plain_folder_names_the_missing_options(tmp_path: Path) -> None:
     folder = make.write_plain(tmp_path / "s")
     with pytest.raises(SourceError, match="--depth-scale"):
         depth_folder.read_sequence(folder, SourceOptions())
@@ -327,11 +329,11 @@ def test_a_plain_folder_says_what_it_needs(tmp_path: Path) -> None:
     ("module", "name", "warp_mm", "rate_hz"),
     [(tum, "rgbd_tum_fr1_rpy", 10.0, 30.2), (redwood, "rgbd_iclnuim_livingroom1", 2.0, 30.0)],
 )
-def test_a_real_sequence_agrees_with_itself_after_ten_frames(
+def test_a_real_sequence_is_consistent_over_ten_frames(
     shared_data: Path, module: Layout, name: str, warp_mm: float, rate_hz: float
 ) -> None:
-    """The points of frame 0, seen from frame 10, lie where frame 10 measures them: poses, scale, camera are
-    right.
+    """The points of frame 0, projected into frame 10, agree with its depth: poses, scale and camera
+    are right.
     """
     folder = shared_data / name
     assert next(m for m in KINDS if m.recognise(folder)).name == module.name
@@ -339,7 +341,7 @@ def test_a_real_sequence_agrees_with_itself_after_ten_frames(
     assert sequence.frame_count == 24
     assert sequence.rate_hz == pytest.approx(rate_hz, abs=0.1)
     assert any("No intrinsics file" in note for note in sequence.notes)
-    k, depth, seen = sequence.intrinsics, sequence.depth_m(0), sequence.depth_m(10)
+    k, depth, target = sequence.intrinsics, sequence.depth_m(0), sequence.depth_m(10)
     v, u = np.nonzero(depth)
     z = depth[v, u].astype(float)
     points = np.stack([(u - k.cx) * z / k.fx, (v - k.cy) * z / k.fy, z, np.ones_like(z)])
@@ -347,7 +349,7 @@ def test_a_real_sequence_agrees_with_itself_after_ten_frames(
     u2 = np.round(moved[0] / moved[2] * k.fx + k.cx).astype(int)
     v2 = np.round(moved[1] / moved[2] * k.fy + k.cy).astype(int)
     inside = (u2 >= 0) & (u2 < sequence.width) & (v2 >= 0) & (v2 < sequence.height)
-    measured = seen[v2[inside], u2[inside]]
+    measured = target[v2[inside], u2[inside]]
     error = np.abs(measured - moved[2][inside])[measured > 0]
     assert 1000 * np.median(error) < warp_mm
 
@@ -356,7 +358,9 @@ def test_a_real_sequence_agrees_with_itself_after_ten_frames(
 
 
 @pytest.mark.parametrize(("reading", "kind"), [("camera", DepthScene), ("height", HeightScene)])
-def test_a_kind_opens_its_sequence_in_the_reading_asked_for(tmp_path: Path, reading: str, kind: type) -> None:
+def test_a_kind_opens_its_sequence_with_the_requested_reading(
+    tmp_path: Path, reading: str, kind: type
+) -> None:
     folder = make.write_threedmatch(tmp_path / "s")
     opened = threedmatch.kind.open(folder, SourceOptions(frame="camera", reading=reading))
     assert isinstance(opened, kind)

@@ -1,4 +1,4 @@
-"""One picture of depth or disparity as a source."""
+"""A single depth or disparity map as a source."""
 
 from __future__ import annotations
 
@@ -38,15 +38,17 @@ def test_a_depth_map_of_each_kind(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         (SourceOptions(intrinsics="20,21,5.5,4"), "--depth-scale"),
         (SourceOptions(depth_scale=1000), "--intrinsics fx,fy,cx,cy"),
     ],
 )
-def test_a_depth_map_says_what_it_needs(tmp_path: Path, options: SourceOptions, words: str) -> None:
+def test_error_of_a_depth_map_names_the_missing_options(
+    tmp_path: Path, options: SourceOptions, message: str
+) -> None:
     path = make.write_png(tmp_path / "depth.png", make.depths_mm()[0])
-    with pytest.raises(SourceError, match=rf"depth\.png.*{words}"):
+    with pytest.raises(SourceError, match=rf"depth\.png.*{message}"):
         depth_map.read_sequence(path, options)
     with pytest.raises(SourceError, match="depth-folder"):
         depth_map.read_sequence(tmp_path, options)
@@ -58,7 +60,7 @@ RIG = SourceOptions(intrinsics="100,100,5.5,4", baseline_m=0.2, disparity_offset
 
 
 def _disparities() -> tuple[np.ndarray, np.ndarray]:
-    """Disparities in pixels, and the depths in metres that they mean with `RIG`."""
+    """Disparities in pixels, and their depths in metres with `RIG`."""
     disparity_px = (
         np.linspace(2, 40, make.WIDTH * make.HEIGHT).reshape(make.HEIGHT, make.WIDTH).astype(np.float32)
     )
@@ -83,7 +85,7 @@ def test_a_disparity_map_in_each_format(tmp_path: Path) -> None:
         assert np.array_equal(read == 0, depth == 0)
 
 
-def test_middleburys_calibration_beside_the_map_is_used(tmp_path: Path) -> None:
+def test_middlebury_calibration_next_to_the_map_is_used(tmp_path: Path) -> None:
     disparity_px, depth = _disparities()
     path = make.write_pfm(tmp_path / "disp0.pfm", disparity_px)
     calibration = (
@@ -102,10 +104,10 @@ def test_middleburys_calibration_beside_the_map_is_used(tmp_path: Path) -> None:
     other = inverse_depth.read_disparity(path.rename(tmp_path / "disp1.pfm"), SourceOptions(baseline_m=0.4))
     assert other.intrinsics.cx == 7.5
     assert np.allclose(other.depth_m(0), 2 * depth, rtol=1e-6)
-    known = depth > 0  # without the offset of 2 pixels, and of disparities in halves
-    asked = SourceOptions(disparity_offset_px=0.0, depth_scale=2.0)
-    halved = inverse_depth.read_disparity(tmp_path / "disp1.pfm", asked).depth_m(0)
-    assert np.allclose(halved[known], 100 * 0.2 / (disparity_px[known] / 2), rtol=1e-6)
+    is_known = depth > 0  # without the offset of 2 pixels, and with disparities in halves
+    options = SourceOptions(disparity_offset_px=0.0, depth_scale=2.0)
+    halved = inverse_depth.read_disparity(tmp_path / "disp1.pfm", options).depth_m(0)
+    assert np.allclose(halved[is_known], 100 * 0.2 / (disparity_px[is_known] / 2), rtol=1e-6)
     for bad in (
         calibration.replace("width=12", "width=13"),
         calibration.replace("baseline=200", "baseline=-1"),
@@ -124,7 +126,7 @@ def test_a_disparity_map_cut_anywhere_is_a_source_error(tmp_path: Path) -> None:
             inverse_depth.read_disparity(tmp_path / "disp.pfm", RIG)
 
 
-def test_what_a_disparity_map_needs(tmp_path: Path) -> None:
+def test_errors_of_a_disparity_map_name_the_missing_options(tmp_path: Path) -> None:
     disparity_px, _ = _disparities()
     path = make.write_pfm(tmp_path / "disp.pfm", disparity_px)
     with pytest.raises(SourceError, match="--intrinsics fx"):
@@ -143,22 +145,22 @@ def test_what_a_disparity_map_needs(tmp_path: Path) -> None:
 def test_a_larger_offset_brings_the_scene_nearer() -> None:
     k = Intrinsics(100, 100, 0, 0)
     d = np.array([-5, 0, 1, 5, 50.0])
-    near = inverse_depth.depth_of_disparity(d, inverse_depth.StereoRig(k, 0.2, 3.0))
-    far = inverse_depth.depth_of_disparity(d, inverse_depth.StereoRig(k, 0.2))
-    behind = inverse_depth.depth_of_disparity(d, inverse_depth.StereoRig(k, 0.2, -5.0))
-    assert near[:2].tolist() == far[:2].tolist() == [0, 0]
-    assert (near[2:] < far[2:]).all()
-    assert behind.tolist() == [0, 0, 0, 0, np.float32(100 * 0.2 / 45)]
+    nearer = inverse_depth.depth_of_disparity(d, inverse_depth.StereoRig(k, 0.2, 3.0))
+    plain = inverse_depth.depth_of_disparity(d, inverse_depth.StereoRig(k, 0.2))
+    negative = inverse_depth.depth_of_disparity(d, inverse_depth.StereoRig(k, 0.2, -5.0))
+    assert nearer[:2].tolist() == plain[:2].tolist() == [0, 0]
+    assert (nearer[2:] < plain[2:]).all()
+    assert negative.tolist() == [0, 0, 0, 0, np.float32(100 * 0.2 / 45)]
 
 
 def test_the_motorcycle_is_between_two_and_five_metres(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("skimage", reason="scikit-image is an optional extra")
     sequence = inverse_depth.motorcycle_sequence()
     depth = sequence.depth_m(0)
-    known = depth[depth > 0]
+    known_m = depth[depth > 0]
     assert (sequence.width, sequence.height) == (741, 500)
-    assert 2.0 < known.min() < 2.3 and 4.8 < known.max() < 5.2
-    assert 0.90 < known.size / depth.size < 0.95
+    assert 2.0 < known_m.min() < 2.3 and 4.8 < known_m.max() < 5.2
+    assert 0.90 < known_m.size / depth.size < 0.95
 
     def absent(name: str) -> ModuleType:
         raise ModuleNotFoundError(name)

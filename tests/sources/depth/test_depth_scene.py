@@ -26,7 +26,7 @@ FINEST = 5e-4  # the noise step of exact depth
 
 
 class Frames(DepthSequence):
-    """Depth maps from memory, which counts how often it was read."""
+    """Depth maps in memory, with a count of reads."""
 
     def __init__(
         self, frames: list[np.ndarray], camera: Intrinsics = CAMERA, poses: np.ndarray | None = None
@@ -55,7 +55,7 @@ def plane_depth(normal: np.ndarray, offset_m: float, directions: np.ndarray) -> 
 
 
 def sphere(centre: np.ndarray, radius_m: float, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Depth of a sphere (0 beside it) and its normals."""
+    """Depth of a sphere (0 outside it) and its normals."""
     along, square = directions @ centre, (directions**2).sum(-1)
     inside = along**2 - square * (centre @ centre - radius_m**2)
     depth = np.where(inside > 0, (along - np.sqrt(np.maximum(inside, 0))) / square, 0)
@@ -72,16 +72,16 @@ def offsets_m_of(surface: SurfacePlanes) -> np.ndarray:
     return surface.planes[3:-4:4].reshape(surface.size_px)
 
 
-def turned(axis: tuple[float, float, float], angle: float) -> np.ndarray:
+def rotation_about(axis: tuple[float, float, float], angle: float) -> np.ndarray:
     """A rotation matrix."""
     x, y, z = np.asarray(axis) / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
-def pose_of(turn: np.ndarray, place_m: tuple[float, float, float]) -> np.ndarray:
+def pose_of(turn: np.ndarray, position_m: tuple[float, float, float]) -> np.ndarray:
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turn, place_m
+    pose[:3, :3], pose[:3, 3] = turn, position_m
     return pose
 
 
@@ -94,11 +94,11 @@ def angles_deg(surface: SurfacePlanes, normals: np.ndarray) -> np.ndarray:
 def reference(
     surface: SurfacePlanes, pose: np.ndarray, grid: Grid, profile: ForceProfile
 ) -> tuple[np.ndarray, ...]:
-    """The field on the whole grid in double precision, and where a rounding may decide otherwise."""
+    """The field on the complete grid in double precision, and where rounding may decide otherwise."""
     points = grid.to_m(np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), -1))
     p = (points - pose[:3, 3]) @ pose[:3, :3]
     z = p[..., 2]
-    front = z > 1e-12  # nearer than that a pixel may overflow; all of it is in doubt below
+    front = z > 1e-12  # a pixel nearer than that may overflow; all such samples are uncertain below
     fx, fy, cx, cy = surface.camera_px.astype(np.float64)
     pixel = p[..., :2] / np.where(front, z, 1)[..., None] * (fx, fy) + (cx + 0.5, cy + 0.5)
     height, width = surface.size_px
@@ -110,8 +110,8 @@ def reference(
     limit = np.where(phi <= 0, max(-profile.low_m, 0), max(profile.high_m, 0))
     with np.errstate(invalid="ignore"):
         reach = np.where(facing < 0, -4 * facing * limit, -1)
-    held = (facing < 0) & (z * np.abs(phi) <= reach)
-    force = np.where(held, profile(phi), 0)[..., None] * plane[..., :3] @ pose[:3, :3].T
+    is_supported = (facing < 0) & (z * np.abs(phi) <= reach)
+    force = np.where(is_supported, profile(phi), 0)[..., None] * plane[..., :3] @ pose[:3, :3].T
     edges = [e for piece in profile.pieces for e in piece[:2] if np.isfinite(e)]
     doubtful = np.abs(phi[..., None] - edges).min(-1) < 1e-5
     doubtful |= (np.abs(pixel - np.round(pixel)) < 1e-3).any(-1) | (np.abs(z) < 1e-4)
@@ -119,9 +119,9 @@ def reference(
     return force, doubtful
 
 
-def room(directions: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Depth of three walls and a floor as a camera at `pose` sees them."""
-    turn, place = pose[:3, :3], pose[:3, 3]
+def room_depth(directions: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Depth of three walls and a floor for a camera at `pose`."""
+    turn, position = pose[:3, :3], pose[:3, 3]
     best = np.full(directions.shape[:2], np.inf)
     for normal, offset in (
         ((0, 0, -1), -2.0),
@@ -130,7 +130,7 @@ def room(directions: np.ndarray, pose: np.ndarray) -> np.ndarray:
         ((0.8, 0, -0.6), -1.5),
     ):
         n = np.array(normal, float)
-        depth = plane_depth(n @ turn, offset - n @ place, directions)
+        depth = plane_depth(n @ turn, offset - n @ position, directions)
         best = np.where((depth > 0) & (depth < best), depth, best)
     return np.where(np.isfinite(best), best, 0).astype(np.float32)
 
@@ -164,13 +164,15 @@ def test_noisy_planes(normal: tuple[float, ...], sigma_per_m: float, bound_deg: 
     error = angles_deg(surface, n)
     assert np.nanmean(error) < bound_deg
     assert np.isfinite(error).mean() > 0.98
-    plain = np.arctan(525 * sigma_per_m / np.sqrt(2))  # what differences of single pixels would give
+    plain = np.arctan(525 * sigma_per_m / np.sqrt(2))  # the error of differences of single pixels
     assert np.nanmean(error) < 0.25 * np.degrees(plain)
     away = np.abs(depth - exact).mean()
     found = offsets_m_of(surface) / np.where(
         offsets_m_of(surface) < 0, (normals_of(surface) * rays(camera, (240, 320))).sum(-1), 1
     )
-    assert np.abs(found - exact)[offsets_m_of(surface) < 0].mean() < 0.4 * away  # the surface too is smoothed
+    assert (
+        np.abs(found - exact)[offsets_m_of(surface) < 0].mean() < 0.4 * away
+    )  # the surface is smoothed, too
 
 
 def test_noisy_sphere_before_a_wall() -> None:
@@ -189,8 +191,8 @@ def test_noisy_sphere_before_a_wall() -> None:
 
 
 @given(st.floats(0.6, 3.0), st.floats(0.02, 1.0), st.integers(20, 140), st.booleans())
-def test_a_step_tilts_no_normal(depth_m: float, share: float, at: int, upright: bool) -> None:
-    step = max(0.06 * depth_m, share)  # more than 5 pixel footprints
+def test_a_step_tilts_no_normal(depth_m: float, relative_step: float, at: int, upright: bool) -> None:
+    step = max(0.06 * depth_m, relative_step)  # more than 5 pixel footprints
     depth = np.full((161, 161), depth_m, np.float32)
     depth[:, at:] += np.float32(step)
     depth = np.ascontiguousarray(depth if upright else depth.T)
@@ -201,11 +203,11 @@ def test_a_step_tilts_no_normal(depth_m: float, share: float, at: int, upright: 
 
 
 def test_a_step_between_slanted_planes_tilts_no_normal() -> None:
-    near, far = (np.array(n) / np.linalg.norm(n) for n in ((0.5, 0.2, -1), (-0.8, 0.4, -1)))
-    a, b = plane_depth(near, -0.8, rays()), plane_depth(far, -1.4, rays())
-    left = (np.indices(SIZE)[1] + np.indices(SIZE)[0] / 3) < 90  # an oblique silhouette
-    surface = surface_planes(np.where(left, a, b), CAMERA, FINEST)
-    error = np.where(left, angles_deg(surface, near), angles_deg(surface, far))
+    near_normal, far_normal = (np.array(n) / np.linalg.norm(n) for n in ((0.5, 0.2, -1), (-0.8, 0.4, -1)))
+    a, b = plane_depth(near_normal, -0.8, rays()), plane_depth(far_normal, -1.4, rays())
+    is_left = (np.indices(SIZE)[1] + np.indices(SIZE)[0] / 3) < 90  # an oblique silhouette
+    surface = surface_planes(np.where(is_left, a, b), CAMERA, FINEST)
+    error = np.where(is_left, angles_deg(surface, near_normal), angles_deg(surface, far_normal))
     assert np.nanmax(error) < 0.1
     assert np.isfinite(error).mean() > 0.97
 
@@ -231,7 +233,7 @@ def test_depth_that_is_no_number_has_no_plane() -> None:
 
 
 def test_the_noise_step_follows_the_noise_and_not_the_edges() -> None:
-    exact = room(rays(), np.eye(4))
+    exact = room_depth(rays(), np.eye(4))
     assert noise_step_per_m(exact) == pytest.approx(FINEST)
     noise = np.random.default_rng(0).normal(size=SIZE).astype(np.float32)
     steps = [noise_step_per_m(exact + np.float32(s) * exact**2 * noise) for s in (0.001, 0.002, 0.02)]
@@ -242,7 +244,7 @@ def test_the_noise_step_follows_the_noise_and_not_the_edges() -> None:
     frames = [
         exact,
         exact + np.float32(0.002) * exact**2 * noise,
-    ]  # that of the first, whichever is asked for first
+    ]  # that of the first frame, in any order of requests
     late, both = DepthScene(Frames(frames)), DepthScene(Frames(frames))
     both.planes(0)
     np.testing.assert_array_equal(late.planes(1).planes, both.planes(1).planes)
@@ -260,7 +262,7 @@ def test_a_plane_gives_the_closed_form(
     n = np.array(normal) / np.linalg.norm(normal)
     scene = DepthScene(Frames([plane_depth(n, n[2], rays())]))  # through (0, 0, 1)
     grid = Grid((21, 19, 50), (0.01, 0.012, 0.0071), (-0.1, -0.11, 0.8))  # within the picture
-    if is_fine:  # bricks that lie deep behind all of the surface that they are seen beside
+    if is_fine:  # bricks deep behind the complete neighbouring surface
         grid = Grid((17, 17, 140), (0.002, 0.002, 0.0025), (-0.016, -0.016, 0.95))
     points = grid.to_m(np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), -1))
     phi = points @ n - n[2]
@@ -272,13 +274,13 @@ def test_a_plane_gives_the_closed_form(
     np.testing.assert_allclose(force[sure], expected[sure], rtol=1e-4, atol=1e-4)
 
 
-def test_a_solid_reaches_as_far_as_the_grid() -> None:
+def test_a_solid_extends_to_the_end_of_the_grid() -> None:
     scene = DepthScene(Frames([np.full(SIZE, 0.5, np.float32)]))
     grid = Grid((9, 9, 40), (0.01, 0.01, 0.05), (-0.04, -0.04, 0.03))
     force = scene.field(0, grid, SOLID).to_dense()
-    behind = grid.axis_m(2) > 0.55
+    is_behind = grid.axis_m(2) > 0.55
     np.testing.assert_allclose(
-        force[:, :, behind], np.broadcast_to((0, 0, -2.5), force[:, :, behind].shape), atol=1e-5
+        force[:, :, is_behind], np.broadcast_to((0, 0, -2.5), force[:, :, is_behind].shape), atol=1e-5
     )
     assert not force[:, :, grid.axis_m(2) < 0.5].any()
 
@@ -306,13 +308,13 @@ def test_no_bridge_is_built_across_a_silhouette() -> None:
     depth[:, 80:] = 1.4
     grid = Grid(
         (40, 20, 60), (0.01, 0.01, 0.01), (-0.2, -0.1, 0.75)
-    )  # between the two surfaces, walls left out
+    )  # between the two surfaces, without the walls
     field = DepthScene(Frames([depth])).field(0, grid, WALL)
     used = np.unique(grid.axis_m(2)[field.support().positions[:, 2]])
     assert not ((used > 0.7 + 1e-6) & (used < 1.4)).any()
 
 
-def test_a_grazing_normal_carries_no_force_far_behind_the_surface() -> None:
+def test_a_grazing_normal_gives_no_force_deep_behind_the_surface() -> None:
     n = np.array([0, -1, -0.05]) / np.linalg.norm((0, -1, -0.05))  # a floor seen at a grazing angle
     depth = plane_depth(n, -0.15, rays())
     surface = surface_planes(depth, CAMERA, FINEST)
@@ -330,7 +332,7 @@ def test_a_grazing_normal_carries_no_force_far_behind_the_surface() -> None:
 def cases(draw: st.DrawFn) -> tuple[np.ndarray, Grid, ForceProfile]:
     angle, tip = draw(st.floats(0, 3.1)), draw(st.tuples(*[st.floats(-1, 1)] * 3))
     axis = tip if np.linalg.norm(tip) > 0.1 else (0, 1, 0)
-    pose = pose_of(turned(axis, angle), draw(st.tuples(*[st.floats(-0.7, 0.7)] * 3)))
+    pose = pose_of(rotation_about(axis, angle), draw(st.tuples(*[st.floats(-0.7, 0.7)] * 3)))
     shape = draw(st.tuples(*[st.integers(1, 37)] * 3))
     spacing = draw(st.tuples(*[st.floats(0.01, 0.12)] * 3))
     middle = pose[:3, :3] @ (0, 0, draw(st.floats(-0.5, 2.5))) + pose[:3, 3]
@@ -351,8 +353,8 @@ def test_any_grid_and_pose_agree_with_the_definition(case: tuple[np.ndarray, Gri
 
 
 def _busy_surface() -> SurfacePlanes:
-    """A room, a ball, noise and holes."""
-    depth = room(rays(), np.eye(4))
+    """A room with a ball, noise and holes."""
+    depth = room_depth(rays(), np.eye(4))
     ball, _ = sphere(np.array([-0.2, 0.1, 1.1]), 0.25, rays())
     depth = np.where(ball > 0, ball, depth)
     rng = np.random.default_rng(5)
@@ -363,7 +365,7 @@ def _busy_surface() -> SurfacePlanes:
 
 @pytest.mark.parametrize("profile", [WALL, SOLID, GUIDE])
 def test_halving_cubes_of_bricks_loses_none(profile: ForceProfile, monkeypatch: pytest.MonkeyPatch) -> None:
-    surface, pose = _busy_surface(), pose_of(turned((1, 2, 0), 0.4), (0.1, -0.2, 0.3))
+    surface, pose = _busy_surface(), pose_of(rotation_about((1, 2, 0), 0.4), (0.1, -0.2, 0.3))
     grid = Grid((117, 90, 75), (0.02, 0.03, 0.05), (-1.0, -1.2, -0.6))
     halved = plane_forces(surface, pose, grid, profile)
     assert len(halved.bricks) > 50
@@ -372,7 +374,7 @@ def test_halving_cubes_of_bricks_loses_none(profile: ForceProfile, monkeypatch: 
     assert plane_forces(surface, pose, grid, profile) == halved
 
 
-def test_a_grid_of_a_thousand_per_axis_costs_what_its_surface_costs() -> None:
+def test_a_grid_of_a_thousand_per_axis_costs_as_much_as_its_surface() -> None:
     grid = Grid((1000, 1000, 1000), (0.002, 0.002, 0.002), (-1, -1, 0.4))
     profile = ForceProfile(((-0.004, 0.0, 0.0, -500.0),))
     depth = np.zeros(SIZE, np.float32)
@@ -385,22 +387,22 @@ def test_a_grid_of_a_thousand_per_axis_costs_what_its_surface_costs() -> None:
 # -- scenes ------------------------------------------------------------------------------------------------
 
 
-def test_a_moving_camera_sees_a_standing_world() -> None:
+def test_a_static_world_is_static_for_a_moving_camera() -> None:
     first = pose_of(
-        turned((0.2, 1, 0.1), 2.0), (3.0, -1.0, 2.0)
-    )  # the recorder's own coordinates are anything
-    motion = pose_of(turned((0.3, 1, 0.2), 0.12), (0.15, -0.05, 0.1))
+        rotation_about((0.2, 1, 0.1), 2.0), (3.0, -1.0, 2.0)
+    )  # the coordinates of the recording are arbitrary
+    motion = pose_of(rotation_about((0.3, 1, 0.2), 0.12), (0.15, -0.05, 0.1))
     poses = np.stack([first, first @ motion])
-    scene = DepthScene(Frames([room(rays(), np.eye(4)), room(rays(), motion)], poses=poses))
+    scene = DepthScene(Frames([room_depth(rays(), np.eye(4)), room_depth(rays(), motion)], poses=poses))
     grid = Grid((60, 50, 60), (0.011, 0.012, 0.01), (-0.35, -0.1, 1.45))
     a, b = (scene.field(i, grid, WALL).to_dense() for i in (0, 1))
     both = a.any(-1) & b.any(-1)
     assert both.sum() > 0.75 * max(a.any(-1).sum(), b.any(-1).sum())
     assert np.quantile(np.abs(a - b)[both].max(-1), 0.97) < 1e-2
-    own = DepthScene(scene.sequence, "camera")
-    moved = own.field(1, grid, WALL).to_dense()
+    in_camera_frame = DepthScene(scene.sequence, "camera")
+    moved = in_camera_frame.field(1, grid, WALL).to_dense()
     assert np.abs(moved - b).max() > 0.5
-    np.testing.assert_allclose(own.field(0, grid, WALL).to_dense(), a, atol=1e-5)
+    np.testing.assert_allclose(in_camera_frame.field(0, grid, WALL).to_dense(), a, atol=1e-5)
 
 
 def test_bounds_hold_the_surface_and_no_stray_reading() -> None:
@@ -421,19 +423,21 @@ def test_bounds_hold_the_surface_and_no_stray_reading() -> None:
     assert tiny.field(0, Grid((8, 8, 8), (0.1, 0.1, 0.1), (0, 0, 0.5)), WALL).support_count == 0
 
 
-def test_two_grids_of_one_frame_read_it_once() -> None:
-    frames = Frames([room(rays(), np.eye(4))] * 2)
+def test_two_grids_share_one_reading_of_a_frame() -> None:
+    frames = Frames([room_depth(rays(), np.eye(4))] * 2)
     scene = DepthScene(frames)
     coarse, fine = (Grid((n, n, n), (1 / n,) * 3, (-0.5, -0.5, 1.2)) for n in (16, 32))
     scene.field(0, coarse, WALL)
     scene.field(0, fine, SOLID)
     assert frames.reads == 1
     late = DepthScene(frames)
-    assert late.field(1, coarse, WALL) == scene.field(1, coarse, WALL)  # the order of asking changes nothing
+    assert late.field(1, coarse, WALL) == scene.field(
+        1, coarse, WALL
+    )  # the order of requests does not matter
     assert scene.field(0, coarse, WALL) == DepthScene(frames).field(0, coarse, WALL)
 
 
-def test_what_cannot_be_read_is_refused() -> None:
+def test_invalid_sequences_are_refused() -> None:
     depth = np.ones(SIZE, np.float32)
     grid = Grid((8, 8, 8), (0.1, 0.1, 0.1), (0, 0, 1))
     with pytest.raises(InvalidArgument, match="world or camera"):
@@ -474,12 +478,17 @@ def test_real_depth(shared_data: Path) -> None:
         (drawn, Intrinsics(525, 525, 319.5, 239.5)),
     ):
         surface = surface_planes(depth, camera, noise_step_per_m(depth))
-        held = offsets_m_of(surface) < 0
-        assert not held[depth == 0].any()
-        assert held[depth > 0].mean() > 0.9
-        np.testing.assert_allclose(np.linalg.norm(normals_of(surface)[held], axis=-1), 1, atol=1e-5)
-        found = offsets_m_of(surface)[held] / (normals_of(surface) * rays(camera, depth.shape)).sum(-1)[held]
-        assert np.median(np.abs(found - depth[held]) / depth[held] ** 2) < 0.003  # a Kinect's quantum
+        is_surface = offsets_m_of(surface) < 0
+        assert not is_surface[depth == 0].any()
+        assert is_surface[depth > 0].mean() > 0.9
+        np.testing.assert_allclose(np.linalg.norm(normals_of(surface)[is_surface], axis=-1), 1, atol=1e-5)
+        found = (
+            offsets_m_of(surface)[is_surface]
+            / (normals_of(surface) * rays(camera, depth.shape)).sum(-1)[is_surface]
+        )
+        assert (
+            np.median(np.abs(found - depth[is_surface]) / depth[is_surface] ** 2) < 0.003
+        )  # a Kinect's quantum
         scene = DepthScene(Frames([depth], camera))
         low, high = scene.bounds_m()
         field = scene.field(0, Grid.over_box(low, high, (64, 64, 64)), WALL)

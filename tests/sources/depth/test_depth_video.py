@@ -1,6 +1,4 @@
-"""Depth videos and stacks: every frame comes back bit for bit in any order, and every fault is one clear
-error.
-"""
+"""Depth videos and stacks: every frame round-trips in any order, and every fault is one clear error."""
 
 from __future__ import annotations
 
@@ -21,7 +19,7 @@ from touchfield.sources.registry import open_source
 from video_makers import depths_mm, write_video
 
 depth_stack, depth_video = LAYOUTS[-2:]
-TOLD = SourceOptions(depth_scale=1000, intrinsics="40,41,19.5,14.5")
+OPTIONS = SourceOptions(depth_scale=1000, intrinsics="40,41,19.5,14.5")
 LOSSLESS = [
     ("a.mkv", "ffv1", "gray16le"),
     ("a.avi", "ffv1", "gray16le"),
@@ -42,14 +40,12 @@ def metres(mm: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("name", "codec", "pixels"), LOSSLESS)
-def test_every_frame_comes_back_bit_for_bit_in_any_order(
-    tmp_path: Path, name: str, codec: str, pixels: str
-) -> None:
+def test_every_frame_round_trips_in_any_order(tmp_path: Path, name: str, codec: str, pixels: str) -> None:
     pytest.importorskip("av")
     stored = depths_mm() & (0x0FFF if pixels == "gray12le" else 0xFFFF)
     path = write_video(tmp_path / name, stored, pixels, codec)
     assert depth_video.kind.recognise(path)
-    sequence = depth_video.read_sequence(path, TOLD)
+    sequence = depth_video.read_sequence(path, OPTIONS)
     assert (sequence.frame_count, sequence.width, sequence.height, sequence.rate_hz) == (20, 40, 30, 25.0)
     order = [*range(20), 3, 4, 19, 12, 13, 11, 0, 0, 17]
     for frame in order:
@@ -60,8 +56,8 @@ def test_every_frame_comes_back_bit_for_bit_in_any_order(
             sequence.depth_m(beyond)
 
 
-def test_frames_are_right_where_seeking_is_not(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file whose index leads astray is decoded from its beginning."""
+def test_frames_are_correct_where_seeking_fails(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file with a misleading index is decoded from its start."""
     video = movies.GreyVideo(movie)
     video._stamps = [stamp + 1 for stamp in video._stamps]  # no frame has such a stamp
     assert len(video._keys) > 1
@@ -83,31 +79,31 @@ def test_a_pass_in_order_decodes_each_frame_once(movie: Path, monkeypatch: pytes
     assert len(decoded) == 20
 
 
-def test_the_answer_may_be_changed_by_the_caller(movie: Path) -> None:
+def test_a_returned_frame_may_be_modified(movie: Path) -> None:
     video = movies.GreyVideo(movie)
     video.values(3)[:] = 0
     assert np.array_equal(video.values(3), depths_mm()[3])
 
 
-def test_a_depth_video_opens_as_a_scene_at_the_rate_asked_for(movie: Path) -> None:
-    scene = open_source(movie, TOLD)
+def test_a_depth_video_opens_as_a_scene_at_the_requested_rate(movie: Path) -> None:
+    scene = open_source(movie, OPTIONS)
     assert isinstance(scene, DepthScene)
     assert (scene.frame_count, scene.rate_hz) == (20, 25.0)
-    fast = open_source(movie, SourceOptions(depth_scale=1000, intrinsics=TOLD.intrinsics, rate_hz=1000))
+    fast = open_source(movie, SourceOptions(depth_scale=1000, intrinsics=OPTIONS.intrinsics, rate_hz=1000))
     assert (fast.frame_count, fast.rate_hz) == (800, 1000.0)
 
 
-def test_a_depth_video_says_what_it_needs(movie: Path) -> None:
+def test_error_of_a_depth_video_names_the_missing_options(movie: Path) -> None:
     with pytest.raises(SourceError, match="--depth-scale"):
         open_source(movie, SourceOptions(intrinsics="1,1,0,0"))
     with pytest.raises(SourceError, match="--intrinsics"):
         open_source(movie, SourceOptions(depth_scale=1000))
     with pytest.raises(SourceError, match="a folder"):
-        depth_video.read_sequence(movie.parent, TOLD)
+        depth_video.read_sequence(movie.parent, OPTIONS)
 
 
 @pytest.mark.parametrize(("pixels", "codec"), [("gray", "ffv1"), ("yuv420p", "libx264"), ("bgr0", "ffv1")])
-def test_an_ordinary_video_is_told_from_depth(tmp_path: Path, pixels: str, codec: str) -> None:
+def test_an_ordinary_video_is_distinguished_from_depth(tmp_path: Path, pixels: str, codec: str) -> None:
     av = pytest.importorskip("av")
     if codec not in av.codecs_available:
         pytest.skip(f"no {codec}")
@@ -117,35 +113,35 @@ def test_an_ordinary_video_is_told_from_depth(tmp_path: Path, pixels: str, codec
     )
     assert not depth_video.kind.recognise(path)
     with pytest.raises(SourceError, match=r"looks like an ordinary video.*saliency.*relative-depth"):
-        depth_video.read_sequence(path, TOLD)
+        depth_video.read_sequence(path, OPTIONS)
 
 
 @pytest.mark.parametrize("name", ["a.mkv", "a.avi", "a.mp4"])
 def test_a_video_cut_anywhere_is_a_source_error(tmp_path: Path, name: str) -> None:
     pytest.importorskip("av")
-    whole = write_video(tmp_path / name, depths_mm(), "gray16le").read_bytes()
+    intact = write_video(tmp_path / name, depths_mm(), "gray16le").read_bytes()
     cut = tmp_path / f"cut{name}"
-    for share in (0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.85):
-        cut.write_bytes(whole[: int(len(whole) * share)])
+    for fraction in (0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.85):
+        cut.write_bytes(intact[: int(len(intact) * fraction)])
         with pytest.raises(SourceError, match="cut"):
-            depth_video.read_sequence(cut, TOLD)
+            depth_video.read_sequence(cut, OPTIONS)
 
 
-def test_a_file_that_is_no_video_says_why(movie: Path) -> None:
-    whole = movie.read_bytes()
-    for data in (b"", b"no video", whole[:200]):
+def test_error_of_an_invalid_video_states_the_reason(movie: Path) -> None:
+    intact = movie.read_bytes()
+    for data in (b"", b"no video", intact[:200]):
         movie.write_bytes(data)
         with pytest.raises(SourceError, match="a video that cannot be read"):
-            open_source(movie, TOLD)
+            open_source(movie, OPTIONS)
 
 
-def test_a_cut_video_says_how_many_frames_there_were(tmp_path: Path) -> None:
+def test_error_of_a_cut_video_states_the_number_of_frames(tmp_path: Path) -> None:
     pytest.importorskip("av")
     frames = np.tile(depths_mm()[:1], (10, 1, 1))
     path = write_video(tmp_path / "a.mkv", frames, "gray16le")
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
     with pytest.raises(SourceError, match="where its header says 10"):
-        depth_video.read_sequence(path, TOLD)
+        depth_video.read_sequence(path, OPTIONS)
 
 
 def test_a_damaged_frame_is_an_error_that_names_it(tmp_path: Path) -> None:
@@ -154,15 +150,15 @@ def test_a_damaged_frame_is_an_error_that_names_it(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
-    sequence = depth_video.read_sequence(path, TOLD)
-    whole, told = depths_mm(), []
+    sequence = depth_video.read_sequence(path, OPTIONS)
+    original, faults = depths_mm(), []
     for frame in range(20):
         try:
-            assert np.array_equal(sequence.depth_m(frame), metres(whole[frame])), frame
+            assert np.array_equal(sequence.depth_m(frame), metres(original[frame])), frame
         except SourceError as error:
-            told.append(str(error))
-    assert len(told) == 1
-    assert re.search(r"a\.mov, frame (9|10): found a video that cannot be read", told[0])
+            faults.append(str(error))
+    assert len(faults) == 1
+    assert re.search(r"a\.mov, frame (9|10): found a video that cannot be read", faults[0])
 
 
 def test_a_flipped_byte_gives_frames_or_a_source_error(movie: Path) -> None:
@@ -172,7 +168,7 @@ def test_a_flipped_byte_gives_frames_or_a_source_error(movie: Path) -> None:
         bad[at] ^= int(random.integers(1, 256))
         movie.write_bytes(bad)
         try:
-            sequence = depth_video.read_sequence(movie, TOLD)
+            sequence = depth_video.read_sequence(movie, OPTIONS)
             for frame in (0, sequence.frame_count - 1):
                 assert sequence.depth_m(frame).shape == (sequence.height, sequence.width)
         except SourceError:
@@ -182,7 +178,7 @@ def test_a_flipped_byte_gives_frames_or_a_source_error(movie: Path) -> None:
 def test_strange_files_are_source_errors(movie: Path, tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     (tmp_path / "text.mkv").write_text("#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\ndepth.mkv\n")
-    with pytest.raises(SourceError, match="cannot be read"):  # a play list, which would name other files
+    with pytest.raises(SourceError, match="cannot be read"):  # a play list, which could name other files
         movies.GreyVideo(tmp_path / "text.mkv")
     with pytest.raises(SourceError, match=r"\.mkv \.avi"):
         movies.GreyVideo(movie.with_suffix(".webm"))
@@ -196,7 +192,7 @@ def test_strange_files_are_source_errors(movie: Path, tmp_path: Path) -> None:
         movies.GreyVideo(tmp_path / "sound.mkv")
 
 
-def test_a_video_without_a_frame_and_one_without_end(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_empty_and_endless_videos_are_refused(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(movies, "MAX_FRAMES", 19)
     with pytest.raises(SourceError, match="more than 19 frames"):
         movies.GreyVideo(movie)
@@ -217,7 +213,7 @@ def test_a_frame_of_another_size_is_an_error(movie: Path) -> None:
         video.values(2)
 
 
-def test_without_the_library_the_user_is_told_of_the_extra(
+def test_without_the_library_the_error_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
@@ -225,19 +221,19 @@ def test_without_the_library_the_user_is_told_of_the_extra(
     path.write_bytes(b"anything")
     assert depth_video.kind.recognise(path)
     with pytest.raises(MissingExtra, match=r"touchfield\[video\]"):
-        depth_video.read_sequence(path, TOLD)
+        depth_video.read_sequence(path, OPTIONS)
 
 
 # -- stacks ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["depth.npy", "depth_f.npy"])
-def test_a_stack_comes_back(tmp_path: Path, name: str) -> None:
+def test_a_stack_round_trips(tmp_path: Path, name: str) -> None:
     stored = depths_mm(5)
     path = tmp_path / name
     np.save(path, np.asfortranarray(stored) if "_f" in name else stored.astype(">u2"))
     assert depth_stack.kind.recognise(path)
-    options = SourceOptions(depth_scale=1000, intrinsics=TOLD.intrinsics, source_rate_hz=10, rate_hz=40)
+    options = SourceOptions(depth_scale=1000, intrinsics=OPTIONS.intrinsics, source_rate_hz=10, rate_hz=40)
     sequence = depth_stack.read_sequence(path, options)
     assert (sequence.frame_count, sequence.rate_hz) == (5, 10.0)
     for frame in (4, 0, 2):
@@ -250,14 +246,14 @@ def test_a_stack_comes_back(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["tif", "tiff"])
-def test_a_tiff_of_several_pages_is_told_what_to_do(tmp_path: Path, suffix: str) -> None:
+def test_error_of_a_tiff_of_several_pages_states_a_remedy(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"depth.{suffix}"
     first, second, small = (Image.fromarray(page) for page in (*depths_mm(2), depths_mm(1)[0, ::2, ::2]))
     first.save(path, save_all=True, append_images=[second])
     with pytest.raises(SourceError, match=r"depth\.tiff?: found a TIFF of several pages.*NPY \[frames"):
-        open_source(path, TOLD)
-    first.save(path, save_all=True, append_images=[small])  # a smaller copy is no frame of its own
-    assert open_source(path, TOLD).frame_count == 1
+        open_source(path, OPTIONS)
+    first.save(path, save_all=True, append_images=[small])  # a smaller copy is no further frame
+    assert open_source(path, OPTIONS).frame_count == 1
 
 
 def test_a_stack_of_floats_is_in_metres(tmp_path: Path) -> None:
@@ -268,16 +264,16 @@ def test_a_stack_of_floats_is_in_metres(tmp_path: Path) -> None:
     assert np.array_equal(sequence.depth_m(1), np.nan_to_num(values[1]))
 
 
-def test_stacks_at_fault(tmp_path: Path) -> None:
+def test_invalid_stacks_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "depth.npy"
     np.save(path, depths_mm(4))
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(SourceError, match=r"depth\.npy: found .* bytes; expected numbers in"):
-        depth_stack.read_sequence(path, TOLD)
+        depth_stack.read_sequence(path, OPTIONS)
     np.save(path, depths_mm(1)[0])
-    assert not depth_stack.kind.recognise(path)  # one picture: another kind's
+    assert not depth_stack.kind.recognise(path)  # a single picture belongs to another kind
     with pytest.raises(SourceError, match="frames, height, width"):
-        depth_stack.read_sequence(path, TOLD)
+        depth_stack.read_sequence(path, OPTIONS)
     np.save(path, depths_mm(2).astype(np.uint8))
     with pytest.raises(SourceError, match="uint8"):
-        depth_stack.read_sequence(path, TOLD)
+        depth_stack.read_sequence(path, OPTIONS)

@@ -1,4 +1,6 @@
-"""The fused world: what stands does not tremble, what moves is not smeared, and each way is what it says."""
+"""The fused world: static parts do not tremble, moving parts are not smeared, and each mode is as
+documented.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 
 WALL = ForceProfile(((-0.18, 0.0, 0.0, -18.0),))
-STILL = np.tile(np.eye(4), (12, 1, 1))
+STATIC_POSES = np.tile(np.eye(4), (12, 1, 1))
 MOVED = [(-0.1 + 0.07 * max(0, i - 2), 0.3, 2.0) for i in range(12)]
 
 
@@ -31,7 +33,7 @@ def lattice(scene: DepthScene, side: int = 96) -> Grid:
     return Grid.over_box(low - 0.05, high + 0.05, (side, side, side))
 
 
-def held(field: ForceField) -> np.ndarray:
+def is_supported(field: ForceField) -> np.ndarray:
     return np.asarray(field.to_dense().any(axis=-1))
 
 
@@ -42,10 +44,10 @@ def standing() -> rooms.Room:
 
 @pytest.fixture(scope="module")
 def moving() -> rooms.Room:
-    return rooms.Room(STILL, MOVED)
+    return rooms.Room(STATIC_POSES, MOVED)
 
 
-def test_a_standing_world_is_one_field_and_nearer_to_the_truth(standing: rooms.Room) -> None:
+def test_a_static_world_is_a_single_more_accurate_field(standing: rooms.Room) -> None:
     fused, alone = FusedScene(standing), DepthScene(standing)
     grid = lattice(fused)
     first = fused.field(0, grid, WALL)
@@ -58,15 +60,15 @@ def test_a_standing_world_is_one_field_and_nearer_to_the_truth(standing: rooms.R
     assert fused.late_notes() == ()
 
 
-def test_a_causal_world_knows_what_was_seen_and_no_more(standing: rooms.Room) -> None:
+def test_a_causal_world_depends_on_past_frames_only(standing: rooms.Room) -> None:
     causal = FusedScene(standing, "causal")
     grid = lattice(causal)
     fields = [causal.field(i, grid, WALL) for i in range(6)]
     fewer = FusedScene(standing, "causal")
     fewer.restrict_frames(0, 4)
     assert fewer.field(3, grid, WALL) == fields[3]
-    assert causal.field(2, grid, WALL) == fields[2]  # backwards is as forwards
-    assert held(fields[5]).sum() > held(fields[0]).sum()
+    assert causal.field(2, grid, WALL) == fields[2]  # the same in reverse order
+    assert is_supported(fields[5]).sum() > is_supported(fields[0]).sum()
 
 
 def test_a_causal_world_is_renewed_eight_times_a_second_and_changes_follow_every_frame(
@@ -82,17 +84,17 @@ def test_a_causal_world_is_renewed_eight_times_a_second_and_changes_follow_every
     assert min(n for n, is_renewed in zip(steps, renewed) if is_renewed) > 10 * max(others)
     causal = FusedScene(moving, "causal")
     grid = lattice(causal)
-    places = moving.world(np.asarray(grid.to_m(np.stack(np.indices(grid.shape), -1))))
-    for i in range(3, 12):  # the box where it is now
-        corner = np.abs(places - np.array(MOVED[i])) - rooms.HALF_M
+    positions_m = moving.world(np.asarray(grid.to_m(np.stack(np.indices(grid.shape), -1))))
+    for i in range(3, 12):  # the box at its current position
+        corner = np.abs(positions_m - np.array(MOVED[i])) - rooms.HALF_M
         inside = (
             (corner.max(-1) < -0.01)
-            & (places[..., 2] < 1.9)
-            & (places[..., 1] < 0.6)
+            & (positions_m[..., 2] < 1.9)
+            & (positions_m[..., 1] < 0.6)
             & (corner[..., 0] < -0.05)
         )
-        inside &= places[..., 0] > 0.0  # the ball hides what is left of it
-        assert held(causal.field(i, grid, WALL))[inside].mean() > 0.8, i
+        inside &= positions_m[..., 0] > 0.0  # the ball occludes the part to its left
+        assert is_supported(causal.field(i, grid, WALL))[inside].mean() > 0.8, i
     assert causal.field(11, grid, WALL) != causal.field(10, grid, WALL)
 
 
@@ -110,55 +112,56 @@ def test_frames_differ_less_than_when_each_is_alone(standing: rooms.Room) -> Non
     assert causal < 0.5 * alone
 
 
-def test_a_box_moves_before_a_wall_that_stands(moving: rooms.Room) -> None:
+def test_a_box_moves_before_a_static_wall(moving: rooms.Room) -> None:
     fused = FusedScene(moving)
     grid = lattice(fused)
-    places = moving.world(np.asarray(grid.to_m(np.stack(np.indices(grid.shape), -1))))
+    positions_m = moving.world(np.asarray(grid.to_m(np.stack(np.indices(grid.shape), -1))))
     fields = {i: fused.field(i, grid, WALL) for i in (0, 4, 8, 11)}
     for i, field in fields.items():
-        corner = np.abs(places - np.array(MOVED[i])) - rooms.HALF_M
+        corner = np.abs(positions_m - np.array(MOVED[i])) - rooms.HALF_M
         inside = (
             (corner.max(-1) < -0.01)
-            & (places[..., 2] < 1.9)
-            & (places[..., 1] < 0.6)
+            & (positions_m[..., 2] < 1.9)
+            & (positions_m[..., 1] < 0.6)
             & (corner[..., 0] < -0.05)
         )
-        inside &= places[..., 0] > 0.0  # the ball hides what is left of it
-        assert held(field)[inside].mean() > 0.9, i
-        outside = rooms.distance_m(places, MOVED[i]) > 0.1
-        seen = outside & (places[..., 2] < 1.9) & (places[..., 0] > MOVED[i][0] + 0.45)
-        assert held(field)[seen].mean() < 0.005, i
-    wall = places[..., 2] > 2.55
-    wall &= (places[..., 1] < -0.4) & (places[..., 0] > -0.4)
+        inside &= positions_m[..., 0] > 0.0  # the ball occludes the part to its left
+        assert is_supported(field)[inside].mean() > 0.9, i
+        outside = rooms.distance_m(positions_m, MOVED[i]) > 0.1
+        is_visible = outside & (positions_m[..., 2] < 1.9) & (positions_m[..., 0] > MOVED[i][0] + 0.45)
+        assert is_supported(field)[is_visible].mean() < 0.005, i
+    wall = positions_m[..., 2] > 2.55
+    wall &= (positions_m[..., 1] < -0.4) & (positions_m[..., 0] > -0.4)
     steady = [field.to_dense()[wall] for field in fields.values()]
     assert steady[0].any()
     for other in steady[1:]:
         np.testing.assert_array_equal(other, steady[0])
     (note,) = fused.late_notes()
     assert "moves" in note
-    early = fused.field(0, grid, WALL)  # the moving part begins anew
+    early = fused.field(0, grid, WALL)  # the moving part starts again
     assert early == fields[0]
 
 
-@pytest.mark.parametrize(("frames", "kept"), [((2, 5), range(2, 5)), ((7, None), range(7, 10))])
-def test_a_world_is_fused_from_the_frames_that_are_asked_for(
-    standing: rooms.Room, frames: tuple[int, int | None], kept: range
+@pytest.mark.parametrize(("frames", "key_frames"), [((2, 5), range(2, 5)), ((7, None), range(7, 10))])
+def test_a_world_is_fused_from_the_requested_frames(
+    standing: rooms.Room, frames: tuple[int, int | None], key_frames: range
 ) -> None:
     alone = copy(standing)
-    alone.key_frames = lambda: kept  # type: ignore[method-assign]
+    alone.key_frames = lambda: key_frames  # type: ignore[method-assign]
     some, expected = (
-        prepare(FusedScene(one), EncodeSpec(nw=4, frames=frames)).medium for one in (standing, alone)
+        prepare(FusedScene(sequence), EncodeSpec(nw=4, frames=frames)).medium
+        for sequence in (standing, alone)
     )
     assert len(some) == 3 and some[0] == expected[0] and some[0].support_count > 100
 
 
-def test_what_moved_away_is_carved_from_a_causal_world(moving: rooms.Room) -> None:
+def test_vacated_space_is_carved_from_a_causal_world(moving: rooms.Room) -> None:
     causal = FusedScene(moving, "causal")
     grid = lattice(causal)
-    places = moving.world(np.asarray(grid.to_m(np.stack(np.indices(grid.shape), -1))))
-    left = (np.abs(places - np.array([0.03, -0.02, 1.85])) < np.array([0.1, 0.04, 0.04])).all(-1)
-    assert held(causal.field(1, grid, WALL))[left].mean() > 0.9
-    assert held(causal.field(11, grid, WALL))[left].mean() < 0.02
+    positions_m = moving.world(np.asarray(grid.to_m(np.stack(np.indices(grid.shape), -1))))
+    is_vacated = (np.abs(positions_m - np.array([0.03, -0.02, 1.85])) < np.array([0.1, 0.04, 0.04])).all(-1)
+    assert is_supported(causal.field(1, grid, WALL))[is_vacated].mean() > 0.9
+    assert is_supported(causal.field(11, grid, WALL))[is_vacated].mean() < 0.02
 
 
 def test_bricks_follow_the_surface(standing: rooms.Room) -> None:
@@ -174,42 +177,42 @@ def test_bricks_follow_the_surface(standing: rooms.Room) -> None:
     assert counts[2] < 0.3 * (256 // 8) ** 3
 
 
-def test_the_way_that_is_asked_for(standing: rooms.Room) -> None:
+def test_the_requested_mode_is_used(standing: rooms.Room) -> None:
     assert isinstance(depth_scene(standing, SourceOptions()), FusedScene)
     assert not isinstance(depth_scene(standing, SourceOptions(world="frames")), FusedScene)
     assert not isinstance(depth_scene(standing, SourceOptions(frame="camera")), FusedScene)
     assert depth_scene(standing, SourceOptions(world="causal")).world == "causal"
-    assert not isinstance(depth_scene(rooms.Room(STILL[:1]), SourceOptions()), FusedScene)
+    assert not isinstance(depth_scene(rooms.Room(STATIC_POSES[:1]), SourceOptions()), FusedScene)
     with pytest.raises(InvalidArgument, match="world"):
         SourceOptions(world="both")
     with pytest.raises(InvalidArgument, match="world"):
         FusedScene(standing, "frames")
 
 
-def test_a_camera_without_poses_is_fused_only_if_it_stands(moving: rooms.Room) -> None:
+def test_a_camera_without_poses_is_fused_only_if_static(moving: rooms.Room) -> None:
     turning = rooms.Room(rooms.arc(10))
-    moving = rooms.Room(STILL, MOVED)
+    moving = rooms.Room(STATIC_POSES, MOVED)
     moving.poses = turning.poses = None
     assert is_static(moving)
     assert not is_static(turning)
-    still = depth_scene(moving, SourceOptions())
-    assert isinstance(still, FusedScene)
-    assert any("assumed to be static" in note for note in still.notes)
+    static = depth_scene(moving, SourceOptions())
+    assert isinstance(static, FusedScene)
+    assert any("assumed to be static" in note for note in static.notes)
     alone = depth_scene(turning, SourceOptions())
     assert not isinstance(alone, FusedScene)
     assert any("--world frames" in note for note in alone.notes)
 
 
-def test_poses_that_drift_are_told() -> None:
-    room = rooms.Room(np.tile(np.eye(4), (16, 1, 1)))
-    room.poses = np.tile(np.eye(4), (16, 1, 1))
-    room.poses[:, 2, 3] = 0.0004 * np.arange(16) ** 2
-    scene = FusedScene(room)
+def test_drifting_poses_are_noted() -> None:
+    sequence = rooms.Room(np.tile(np.eye(4), (16, 1, 1)))
+    sequence.poses = np.tile(np.eye(4), (16, 1, 1))
+    sequence.poses[:, 2, 3] = 0.0004 * np.arange(16) ** 2
+    scene = FusedScene(sequence)
     scene.field(0, lattice(scene, 64), WALL)
     assert any("drift" in note for note in scene.late_notes())
 
 
-def test_a_standing_world_costs_a_frame_and_says_what_it_is(tmp_path: Path) -> None:
+def test_a_static_world_takes_the_bytes_of_a_frame_and_is_noted(tmp_path: Path) -> None:
     folder = make.write_tum(tmp_path / "tum")
     sizes = {}
     for world in ("frames", "fused"):

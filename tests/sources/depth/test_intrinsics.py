@@ -1,4 +1,4 @@
-"""Intrinsics of cameras in all their forms, and faults named by file."""
+"""Intrinsics of cameras in all forms, and errors that name the file."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ FORMS = {
 @pytest.mark.parametrize("text", FORMS.values(), ids=FORMS)
 def test_all_forms_of_intrinsics_are_read(tmp_path: Path, text: str) -> None:
     (tmp_path / "k").write_text(text)
-    wanted = Intrinsics(20, 21, 5.5, 4)
-    assert intrinsics_file.parse_intrinsics(text, "k", (12, 9)).intrinsics == wanted
-    assert intrinsics_file.camera_of("s", str(tmp_path / "k"), (), (12, 9)).intrinsics == wanted
+    expected = Intrinsics(20, 21, 5.5, 4)
+    assert intrinsics_file.parse_intrinsics(text, "k", (12, 9)).intrinsics == expected
+    assert intrinsics_file.camera_of("s", str(tmp_path / "k"), (), (12, 9)).intrinsics == expected
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("20 21 5.5", "3 numbers"),
         ("20 x 5 4", "20 x 5 4"),
@@ -48,18 +48,18 @@ def test_all_forms_of_intrinsics_are_read(tmp_path: Path, text: str) -> None:
         ('{"fx": "a"}', "without numbers"),
     ],
 )
-def test_bad_intrinsics_name_file_and_fault(text: str, words: str) -> None:
-    with pytest.raises(SourceError, match=f"k.txt.*{words}"):
+def test_bad_intrinsics_name_file_and_fault(text: str, message: str) -> None:
+    with pytest.raises(SourceError, match=f"k.txt.*{message}"):
         intrinsics_file.parse_intrinsics(text, "k.txt", (12, 9))
 
 
-@pytest.mark.parametrize("asked", ["1,2,3", "nothing/there.txt", "1,2,3,x", "0,1,2,3", "", "\0", "a" * 5000])
-def test_intrinsics_that_are_neither_numbers_nor_a_file(asked: str) -> None:
+@pytest.mark.parametrize("text", ["1,2,3", "nothing/there.txt", "1,2,3,x", "0,1,2,3", "", "\0", "a" * 5000])
+def test_intrinsics_that_are_neither_numbers_nor_a_file_are_refused(text: str) -> None:
     with pytest.raises(InvalidArgument, match="--intrinsics"):
-        intrinsics_file.camera_of("s", asked, (), (12, 9))
+        intrinsics_file.camera_of("s", text, (), (12, 9))
 
 
-def test_a_scale_above_a_nested_camera_is_its_own() -> None:
+def test_a_scale_above_a_nested_camera_belongs_to_it() -> None:
     inner = '"camera": {"fx": 1, "fy": 1, "cx": 1, "cy": 1'
     for text in (
         f'{{"depth_scale": 500, {inner}}}}}',

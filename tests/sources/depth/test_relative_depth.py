@@ -1,6 +1,4 @@
-"""Relative depth beside a picture or a video: what its values mean, where it is looked for, what cannot be
-used.
-"""
+"""Relative depth next to a picture or a video: its scale, its file names, and faults."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ from video_makers import write_video
 WIDTH, HEIGHT = 40, 30
 NOTHING = SourceOptions()
 SLOPE = np.add.outer(2 * np.arange(HEIGHT), 5 * np.arange(WIDTH)).astype(np.uint8)
-"""A relative depth that grows to the right and down, 0 to 253."""
+"""A relative depth that grows to the right and downwards, 0 to 253."""
 
 
 def colours(width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
@@ -50,14 +48,14 @@ def mapped(photo: Path) -> Path:
 
 
 def expected_m(values: np.ndarray, near_m: float = 1.0, far_m: float = 2.0) -> np.ndarray:
-    """Straight from the definition: 1/z is a line through (smallest, 1/far) and (largest, 1/near)."""
+    """By the definition: 1/z is linear through (smallest, 1/far) and (largest, 1/near)."""
     return 1 / np.interp(values, [values.min(), values.max()], [1 / far_m, 1 / near_m])
 
 
 # -- values ------------------------------------------------------------------------------------------------
 
 
-def test_the_largest_value_is_near_and_the_smallest_far(mapped: Path) -> None:
+def test_the_largest_value_is_the_minimum_distance(mapped: Path) -> None:
     sequence = read_sequence(mapped, SourceOptions(near_m=0.5, far_m=4.0))
     depth = sequence.depth_m(0)
     assert depth.dtype == np.float32 and depth.flags.c_contiguous and depth.shape == (HEIGHT, WIDTH)
@@ -69,7 +67,7 @@ def test_the_largest_value_is_near_and_the_smallest_far(mapped: Path) -> None:
         sequence.depth_m(1)
 
 
-def test_a_far_smaller_than_near_turns_the_map_over(mapped: Path) -> None:
+def test_swapped_limits_invert_the_map(mapped: Path) -> None:
     depth = read_sequence(mapped, SourceOptions(near_m=2.0, far_m=1.0)).depth_m(0)
     assert depth[0, 0] == 1.0 and depth[-1, -1] == 2.0
 
@@ -77,7 +75,7 @@ def test_a_far_smaller_than_near_turns_the_map_over(mapped: Path) -> None:
 @pytest.mark.parametrize(
     ("near_m", "far_m", "meant"), [(None, None, (1, 2)), (3, None, (3, 6)), (None, 5, (2.5, 5))]
 )
-def test_what_is_not_said_is_taken_and_told(
+def test_default_limits_are_noted(
     mapped: Path, near_m: float | None, far_m: float | None, meant: tuple[float, float]
 ) -> None:
     sequence = read_sequence(mapped, SourceOptions(near_m=near_m, far_m=far_m))
@@ -91,17 +89,17 @@ def test_what_is_not_said_is_taken_and_told(
     st.floats(0.1, 10),
     st.floats(-100, 100),
 )
-def test_unit_and_offset_of_the_map_do_not_count(values: np.ndarray, unit: float, offset: float) -> None:
-    """What estimators give is known up to a factor and an offset of 1/z."""
+def test_unit_and_offset_of_the_map_do_not_matter(values: np.ndarray, unit: float, offset: float) -> None:
+    """Estimators give 1/z up to a factor and an offset."""
     if np.ptp(values) < 1e-3:
         return
     low, high = values.min(), values.max()
-    one = InverseDepth(low, high, 1.0, 3.0)(values)
+    plain = InverseDepth(low, high, 1.0, 3.0)(values)
     other = InverseDepth(unit * low + offset, unit * high + offset, 1.0, 3.0)(unit * values + offset)
-    assert np.allclose(one, other, rtol=1e-4)
-    assert one.min() == 1.0 and one.max() == 3.0
-    assert (np.argsort(one, kind="stable") == np.argsort(-values, kind="stable")).all() or np.unique(
-        one
+    assert np.allclose(plain, other, rtol=1e-4)
+    assert plain.min() == 1.0 and plain.max() == 3.0
+    assert (np.argsort(plain, kind="stable") == np.argsort(-values, kind="stable")).all() or np.unique(
+        plain
     ).size < 9
 
 
@@ -121,7 +119,7 @@ def test_sixteen_bits_and_grey_stored_as_rgb(photo: Path) -> None:
     assert np.allclose(read_sequence(photo, NOTHING).depth_m(0), fine, rtol=1e-6)
 
 
-# -- where it is looked for --------------------------------------------------------------------------------
+# -- file names --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -139,7 +137,7 @@ def test_sixteen_bits_and_grey_stored_as_rgb(photo: Path) -> None:
         ("xroom_depth.png", False),
     ],
 )
-def test_the_map_is_known_by_its_name(photo: Path, name: str, is_found: bool) -> None:
+def test_the_map_is_recognised_by_its_name(photo: Path, name: str, is_found: bool) -> None:
     assert not KINDS["relative-depth"].recognise(photo)
     photo.with_name(name).write_bytes(b"")
     assert (find_map(photo) is not None) == is_found == KINDS["relative-depth"].recognise(photo)
@@ -158,14 +156,14 @@ def test_a_picture_with_its_depth_opens_in_either_reading(mapped: Path, reading:
     assert any("--reading height" in note for note in scene.notes) == (reading == "camera")
 
 
-def test_the_map_may_lie_elsewhere(mapped: Path, tmp_path: Path) -> None:
+def test_the_map_may_be_in_another_folder(mapped: Path, tmp_path: Path) -> None:
     other = tmp_path / "maps" / "0.png"
     other.parent.mkdir()
     Image.fromarray(255 - SLOPE).save(other)
     for where in (other, other.parent):
         depth = read_sequence(mapped, SourceOptions(relative_depth=str(where))).depth_m(0)
         assert depth[0, 0] == 1.0 and depth[-1, -1] == 2.0
-    alone = tmp_path / "alone.png"  # whoever names a map says what the picture is
+    alone = tmp_path / "alone.png"  # an explicit map defines the kind of the picture
     alone.write_bytes(mapped.read_bytes())
     assert isinstance(open_source(alone, SourceOptions(relative_depth=str(other))), DepthScene)
 
@@ -173,7 +171,7 @@ def test_the_map_may_lie_elsewhere(mapped: Path, tmp_path: Path) -> None:
 # -- the camera --------------------------------------------------------------------------------------------
 
 
-def test_without_a_camera_sixty_degrees_are_taken(mapped: Path) -> None:
+def test_the_default_camera_has_sixty_degrees(mapped: Path) -> None:
     sequence = read_sequence(mapped, NOTHING)
     k = sequence.intrinsics
     half = np.degrees(np.arctan((WIDTH / 2) / k.fx))
@@ -183,9 +181,7 @@ def test_without_a_camera_sixty_degrees_are_taken(mapped: Path) -> None:
 
 
 def test_intrinsics_are_those_of_the_picture(photo: Path) -> None:
-    """A map of half the size: a pixel of it covers two by two of the picture, and the same rays go through
-    them.
-    """
+    """A pixel of a map of half the size covers two by two of the picture, with the same rays."""
     Image.fromarray(SLOPE[::2, ::2]).save(photo.with_name("room_depth.png"))
     sequence = read_sequence(photo, SourceOptions(intrinsics="36,38,21,14"))
     assert (sequence.width, sequence.height) == (WIDTH // 2, HEIGHT // 2)
@@ -199,9 +195,9 @@ def test_intrinsics_are_those_of_the_picture(photo: Path) -> None:
     assert k != Intrinsics(36, 38, 21, 14)
 
 
-def test_a_photograph_taken_upright_fits_its_upright_map(photo: Path) -> None:
+def test_a_rotated_photograph_fits_its_upright_map(photo: Path) -> None:
     exif = Image.Exif()
-    exif[0x0112] = 6  # turned by a quarter
+    exif[0x0112] = 6  # rotated by a quarter
     Image.fromarray(colours(HEIGHT, WIDTH)).save(photo, exif=exif)
     Image.fromarray(SLOPE).save(photo.with_name("room_depth.png"))
     assert read_sequence(photo, NOTHING).width == WIDTH
@@ -222,7 +218,7 @@ def moving(count: int = 4) -> np.ndarray:
 
 @pytest.mark.parametrize("form", ["gray", "gray16le", "folder"])
 def test_a_video_with_a_video_or_a_folder_of_maps(clip: Path, form: str) -> None:
-    """One scale for all frames: what stands still in the values stands still in metres."""
+    """One scale for all frames: constant values have a constant depth."""
     stored = moving()
     if form == "folder":
         where = clip.parent / "maps"
@@ -266,7 +262,7 @@ def test_as_many_maps_as_frames(clip: Path) -> None:
 # -- faults ------------------------------------------------------------------------------------------------
 
 
-def test_maps_that_cannot_be_used(photo: Path, tmp_path: Path) -> None:
+def test_unusable_maps_are_refused(photo: Path, tmp_path: Path) -> None:
     where = photo.with_name("room_depth.png")
     for picture, message in (
         (np.full((HEIGHT, WIDTH), 7, np.uint8), "the one value 7"),
@@ -287,7 +283,7 @@ def test_maps_that_cannot_be_used(photo: Path, tmp_path: Path) -> None:
         read_sequence(photo, NOTHING)
 
 
-def test_what_is_missing_is_said(photo: Path, tmp_path: Path) -> None:
+def test_errors_of_missing_maps_name_them(photo: Path, tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=r"no relative depth beside it; expected room_depth.png"):
         read_sequence(photo, NOTHING)
     with pytest.raises(SourceError, match=r"no relative depth .*nowhere"):

@@ -1,4 +1,4 @@
-"""glTF documents: accessors, samplers, node trees, skins and morph targets, against the formulas of the
+"""glTF documents: accessors, samplers, node trees, skins and morph targets, by the formulas of the
 standard.
 """
 
@@ -21,7 +21,7 @@ TRIANGLE = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
 
 
 def at(model: Model, times: list[float], animation: int | None = 0) -> np.ndarray:
-    """Vertices at some times, float64 [times, n, 3]."""
+    """Vertices at given times, float64 [times, n, 3]."""
     poses = model.poses(None if animation is None else model.animation(animation), np.array(times))
     return np.stack([model.vertices(poses, i) for i in range(len(times))])
 
@@ -33,9 +33,9 @@ def floats(gltf: Gltf, number: int, kind: str, tmp_path: Path) -> np.ndarray:
 # -- bytes -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("how", ["base64", "bin", "glb"])
-def test_the_three_places_of_a_buffer_are_the_same(how: str, tmp_path: Path) -> None:
-    path = everything().save(tmp_path / f"a.{'glb' if how == 'glb' else 'gltf'}", how)
+@pytest.mark.parametrize("storage", ["base64", "bin", "glb"])
+def test_the_three_storages_of_a_buffer_are_equivalent(storage: str, tmp_path: Path) -> None:
+    path = everything().save(tmp_path / f"a.{'glb' if storage == 'glb' else 'gltf'}", storage)
     model, base = Model(path), Model(everything().save(tmp_path / "base.gltf"))
     assert KIND.recognise(path)
     np.testing.assert_array_equal(model.triangles, base.triangles)
@@ -54,27 +54,27 @@ def test_a_document_is_animated_only_with_an_animation(tmp_path: Path) -> None:
         assert KIND.recognise(tmp_path / name) == (name != "absent.gltf")
 
 
-def test_unknown_chunks_of_a_glb_are_passed_over(tmp_path: Path) -> None:
-    whole = moving_cube().save(tmp_path / "a.glb", "glb").read_bytes()
-    extra = whole[:12] + whole[12:] + b"\x04\0\0\0ABCDwxyz"
+def test_unknown_chunks_of_a_glb_are_ignored(tmp_path: Path) -> None:
+    original = moving_cube().save(tmp_path / "a.glb", "glb").read_bytes()
+    extra = original[:12] + original[12:] + b"\x04\0\0\0ABCDwxyz"
     extra = extra[:8] + len(extra).to_bytes(4, "little") + extra[12:]
     (tmp_path / "b.glb").write_bytes(extra)
     assert len(Model(tmp_path / "b.glb").at_rest()) == 36
 
 
 def test_normalised_integers_are_the_fractions_of_the_standard(tmp_path: Path) -> None:
-    for dtype, most in (("i1", 127), ("u1", 255), ("<i2", 32767), ("<u2", 65535)):
+    for dtype, maximum in (("i1", 127), ("u1", 255), ("<i2", 32767), ("<u2", 65535)):
         gltf = Gltf()
-        least = -most - 1 if dtype.endswith(("i1", "i2")) else 0
-        number = gltf.array([least, 0, most // 3, most], dtype, normalized=True)
-        expected = [max(least / most, -1.0), 0, (most // 3) / most, 1]
+        minimum = -maximum - 1 if dtype.endswith(("i1", "i2")) else 0
+        number = gltf.array([minimum, 0, maximum // 3, maximum], dtype, normalized=True)
+        expected = [max(minimum / maximum, -1.0), 0, (maximum // 3) / maximum, 1]
         np.testing.assert_array_equal(floats(gltf, number, "SCALAR", tmp_path)[:, 0], expected)
     gltf = Gltf()
     number = gltf.array([-7, 90], "i1")
     np.testing.assert_array_equal(floats(gltf, number, "SCALAR", tmp_path)[:, 0], [-7, 90])
 
 
-def test_strides_and_offsets_pick_the_right_bytes(tmp_path: Path) -> None:
+def test_strides_and_offsets_select_the_right_bytes(tmp_path: Path) -> None:
     gltf = Gltf()
     rows = np.arange(5 * 8, dtype="<f4").reshape(5, 8)
     view = gltf.view(b"\0" * 8 + rows.tobytes(), byteStride=32)
@@ -84,12 +84,12 @@ def test_strides_and_offsets_pick_the_right_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("has_base", [True, False])
-def test_sparse_changes_are_made(has_base: bool, tmp_path: Path) -> None:
+def test_sparse_accessors_are_applied(has_base: bool, tmp_path: Path) -> None:
     gltf = Gltf()
     base = np.arange(12, dtype=float).reshape(4, 3) if has_base else np.zeros((4, 3))
-    places = {"bufferView": gltf.view(bytes([0, 3])), "componentType": 5121}
-    news = {"bufferView": gltf.view(np.full((2, 3), 7, "<f4").tobytes())}
-    sparse = {"count": 2, "indices": places, "values": news}
+    indices = {"bufferView": gltf.view(bytes([0, 3])), "componentType": 5121}
+    values = {"bufferView": gltf.view(np.full((2, 3), 7, "<f4").tobytes())}
+    sparse = {"count": 2, "indices": indices, "values": values}
     if has_base:
         number = gltf.array(base, sparse=sparse)
     else:
@@ -104,7 +104,7 @@ TIMES = st.lists(st.integers(0, 400), min_size=1, max_size=6, unique=True).map(l
 
 
 @given(TIMES, st.integers(0, 2**32 - 1))
-def test_linear_and_step_are_those_of_the_standard_and_hold_at_both_ends(keys: np.ndarray, seed: int) -> None:
+def test_linear_and_step_follow_the_standard_and_clamp(keys: np.ndarray, seed: int) -> None:
     rng = np.random.default_rng(seed)
     values = rng.normal(size=(len(keys), 3))
     times = np.append(rng.uniform(-1, 13, 20), keys)
@@ -112,8 +112,8 @@ def test_linear_and_step_are_those_of_the_standard_and_hold_at_both_ends(keys: n
     np.testing.assert_allclose(
         linear, np.stack([np.interp(times, keys, v) for v in values.T], axis=1), atol=1e-12
     )
-    held = [values[max(i - 1, 0)] for i in np.searchsorted(keys, times, side="right")]
-    np.testing.assert_array_equal(Sampler(keys, values, "STEP").at(times), held)
+    stepped = [values[max(i - 1, 0)] for i in np.searchsorted(keys, times, side="right")]
+    np.testing.assert_array_equal(Sampler(keys, values, "STEP").at(times), stepped)
 
 
 @given(TIMES.filter(lambda t: len(t) > 1), st.integers(0, 2**32 - 1))
@@ -124,8 +124,8 @@ def test_rotations_take_the_shorter_arc_at_even_speed(keys: np.ndarray, seed: in
     times = rng.uniform(keys[0], keys[-1], 20)
     found = Sampler(keys, turns.as_quat() * signs, is_rotation=True).at(times)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-12)
-    apart = (Rotation.from_quat(found) * Slerp(keys, turns)(times).inv()).magnitude()
-    assert apart.max() < 1e-6
+    angles = (Rotation.from_quat(found) * Slerp(keys, turns)(times).inv()).magnitude()
+    assert angles.max() < 1e-6
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -138,12 +138,12 @@ def test_a_cubic_spline_passes_through_any_cubic(seed: int) -> None:
     times = rng.uniform(keys[0], keys[-1], 20)
     found = Sampler(keys, values, "CUBICSPLINE", (slopes, slopes)).at(times)
     np.testing.assert_allclose(found, np.stack([p(times) for p in polynomials], axis=1), atol=1e-9)
-    ends = Sampler(keys, values, "CUBICSPLINE", (slopes, slopes)).at(np.array([-9.0, 99.0]))
-    np.testing.assert_array_equal(ends, values[[0, -1]])
+    clamped = Sampler(keys, values, "CUBICSPLINE", (slopes, slopes)).at(np.array([-9.0, 99.0]))
+    np.testing.assert_array_equal(clamped, values[[0, -1]])
 
 
 @pytest.mark.parametrize(
-    ("how", "values", "middle"),
+    ("interpolation", "values", "middle"),
     [
         ("LINEAR", [[0, 0, 0], [4, 2, -6]], [1, 0.5, -1.5]),
         ("STEP", [[0, 0, 0], [4, 2, -6]], [0, 0, 0]),
@@ -156,18 +156,18 @@ def test_a_cubic_spline_passes_through_any_cubic(seed: int) -> None:
         ),
     ],
 )
-def test_a_translated_node_is_where_the_standard_says(
-    how: str, values: list, middle: list, tmp_path: Path
+def test_a_translated_node_follows_the_standard(
+    interpolation: str, values: list, middle: list, tmp_path: Path
 ) -> None:
-    model = Model(moving_cube(values, [1, 3], how).save(tmp_path / "a.gltf"))
-    first = values[1] if how == "CUBICSPLINE" else values[0]
-    last = values[4] if how == "CUBICSPLINE" else values[1]
+    model = Model(moving_cube(values, [1, 3], interpolation).save(tmp_path / "a.gltf"))
+    first = values[1] if interpolation == "CUBICSPLINE" else values[0]
+    last = values[4] if interpolation == "CUBICSPLINE" else values[1]
     found = at(model, [0, 1, 1.5, 3, 7])
     expected = CUBE[CUBE_FACES.reshape(-1)] + np.array([first, first, middle, last, last])[:, None]
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-# -- places ------------------------------------------------------------------------------------------------
+# -- nodes -------------------------------------------------------------------------------------------------
 
 
 def test_a_tree_of_nodes_multiplies_from_the_root(tmp_path: Path) -> None:
@@ -186,7 +186,7 @@ def test_a_tree_of_nodes_multiplies_from_the_root(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, np.concatenate(expected), atol=1e-12)
 
 
-def test_only_the_scene_is_shown(tmp_path: Path) -> None:
+def test_only_nodes_of_the_scene_are_read(tmp_path: Path) -> None:
     gltf = Gltf()
     mesh = gltf.mesh(TRIANGLE)
     for i in range(3):
@@ -197,7 +197,7 @@ def test_only_the_scene_is_shown(tmp_path: Path) -> None:
     np.testing.assert_array_equal(at(Model(gltf.save(tmp_path / "a.gltf")), [0], None)[0, 0], [2, 0, 0])
 
 
-def test_strips_and_fans_are_taken_apart_as_the_standard_says(tmp_path: Path) -> None:
+def test_strips_and_fans_are_split_by_the_standard(tmp_path: Path) -> None:
     points = [[i, i * i, 0] for i in range(5)]
     for mode, expected in ((5, [[0, 1, 2], [1, 3, 2], [2, 3, 4]]), (6, [[1, 2, 0], [2, 3, 0], [3, 4, 0]])):
         gltf = Gltf()
@@ -206,23 +206,23 @@ def test_strips_and_fans_are_taken_apart_as_the_standard_says(tmp_path: Path) ->
         np.testing.assert_array_equal(model.triangles, expected)
 
 
-def test_mirrored_triangles_are_turned_over(tmp_path: Path) -> None:
+def test_mirrored_triangles_are_flipped(tmp_path: Path) -> None:
     gltf = Gltf()
     gltf.put("nodes", mesh=gltf.mesh(TRIANGLE), scale=[-1, 1, 1])
     model = Model(gltf.save(tmp_path / "a.gltf"))
     a, b, c = at(model, [0], None)[0][model.triangles[0]]
-    assert np.cross(b - a, c - a)[2] > 0  # seen from where its front was
+    assert np.cross(b - a, c - a)[2] > 0  # the front side is preserved
 
 
-def test_a_bone_that_bends_takes_its_vertices_along(tmp_path: Path) -> None:
+def test_a_bending_bone_moves_its_vertices(tmp_path: Path) -> None:
     model = Model(everything().save(tmp_path / "a.gltf"))
     found = at(model, [0.1])[0][:12]
-    turned = np.array([[1 - y, 1 + x, z] for y in (0, 1, 2) for x in (0, 1) for z in (0, 1)], float)
-    still = np.array([[x, y, z] for y in (0, 1, 2) for x in (0, 1) for z in (0, 1)], float)
-    np.testing.assert_allclose(found[:4], still[:4], atol=1e-7)
-    np.testing.assert_allclose(found[8:], turned[8:], atol=1e-7)
-    share = 127 / 255
-    np.testing.assert_allclose(found[4:8], (1 - share) * still[4:8] + share * turned[4:8], atol=1e-6)
+    bent = np.array([[1 - y, 1 + x, z] for y in (0, 1, 2) for x in (0, 1) for z in (0, 1)], float)
+    at_rest = np.array([[x, y, z] for y in (0, 1, 2) for x in (0, 1) for z in (0, 1)], float)
+    np.testing.assert_allclose(found[:4], at_rest[:4], atol=1e-7)
+    np.testing.assert_allclose(found[8:], bent[8:], atol=1e-7)
+    weight = 127 / 255
+    np.testing.assert_allclose(found[4:8], (1 - weight) * at_rest[4:8] + weight * bent[4:8], atol=1e-6)
 
 
 def test_two_sets_of_joints_count_together_and_the_node_of_a_skin_does_not(tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ def test_a_vertex_without_weights_goes_with_its_first_joint(tmp_path: Path) -> N
     gltf = Gltf()
     nodes = [gltf.put("nodes", translation=[float(i), 0, 0]) for i in range(2)]
     joints = gltf.array([[1, 0, 0, 0]] * 3, "u1")
-    weights = gltf.array([[0, 0, 0, 0], [0, 3, 0, 0], [2, 2, 0, 0]])  # and what does not sum to 1 is made to
+    weights = gltf.array([[0, 0, 0, 0], [0, 3, 0, 0], [2, 2, 0, 0]])  # other sums are normalised
     gltf.put(
         "nodes",
         mesh=gltf.mesh(TRIANGLE, JOINTS_0=joints, WEIGHTS_0=weights),

@@ -1,4 +1,4 @@
-"""glTF documents at fault: one line that names the place, whatever is wrong with the JSON or the bytes."""
+"""Invalid glTF documents: one line that names the position, for any fault in the JSON or the bytes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def primitive(document: dict[str, Any], mesh: int = 0) -> dict[str, Any]:
 
 
 def put(*path: Any, value: Any) -> Change:
-    """Set what lies at a path of keys and numbers."""
+    """Set the value at a path of keys and indices."""
 
     def change(document: dict[str, Any]) -> None:
         at: Any = document
@@ -54,18 +54,18 @@ def drop(*path: Any) -> Change:
     return change
 
 
-def refused(gltf: Gltf, tmp_path: Path, *words: str) -> None:
+def refused(gltf: Gltf, tmp_path: Path, *messages: str) -> None:
     path = gltf.save(tmp_path / "a.gltf")
     with pytest.raises(SourceError) as caught:
         AnimatedMeshScene(path)
     text = str(caught.value)
     assert text.startswith(str(path)) and "\n" not in text
-    for word in words:
+    for word in messages:
         assert word in text, text
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "messages"),
     [
         (put("accessors", 0, "count", value=10**9), ["accessors[0]", "bytes of bufferViews[0]"]),
         (put("accessors", 0, "byteOffset", value=4), ["accessors[0]", "bytes"]),
@@ -101,11 +101,11 @@ def refused(gltf: Gltf, tmp_path: Path, *words: str) -> None:
         (put("asset", "version", value="1.0"), ["version '1.0'"]),
     ],
 )
-def test_one_wrong_entry_is_named(change: Change, words: list[str], tmp_path: Path) -> None:
+def test_one_wrong_entry_is_named(change: Change, messages: list[str], tmp_path: Path) -> None:
     gltf = moving_cube()
     gltf.save(tmp_path / "a.gltf")
     change(gltf.json)
-    refused(gltf, tmp_path, *words)
+    refused(gltf, tmp_path, *messages)
 
 
 def test_times_must_ascend_and_be_numbers(tmp_path: Path) -> None:
@@ -133,8 +133,8 @@ def test_a_second_channel_and_a_channel_on_a_matrix_are_refused(tmp_path: Path) 
     refused(gltf, tmp_path, "has a matrix")
 
 
-def test_skins_at_fault(tmp_path: Path) -> None:
-    for change, words in (
+def test_invalid_skins_are_refused(tmp_path: Path) -> None:
+    for change, message in (
         (lambda d: primitive(d)["attributes"].pop("JOINTS_0"), ["no JOINTS_0", "skin"]),
         (lambda d: primitive(d)["attributes"].pop("WEIGHTS_0"), ["no WEIGHTS_0", "skin"]),
         (lambda d: primitive(d)["attributes"].update(JOINTS_1=0), ["no WEIGHTS_1"]),
@@ -145,23 +145,23 @@ def test_skins_at_fault(tmp_path: Path) -> None:
     ):
         gltf = everything()
         change(gltf.json)
-        refused(gltf, tmp_path, *words)
+        refused(gltf, tmp_path, *message)
 
 
-def test_morph_targets_at_fault(tmp_path: Path) -> None:
-    for change, words in (
+def test_invalid_morph_targets_are_refused(tmp_path: Path) -> None:
+    for change, message in (
         (lambda d: primitive(d, 1)["targets"][0].update(POSITION=2), ["12 positions", "8 vertices"]),
         (lambda d: primitive(d, 1)["targets"].pop(), ["weights", "2 finite numbers"]),
         (lambda d: d["meshes"][1]["primitives"].append(primitive(d, 2)), ["0 and with 3 targets"]),
     ):
         gltf = everything()
         change(gltf.json)
-        refused(gltf, tmp_path, *words)
+        refused(gltf, tmp_path, *message)
 
 
-def test_sparse_accessors_at_fault(tmp_path: Path) -> None:
+def test_invalid_sparse_accessors_are_refused(tmp_path: Path) -> None:
     number = next(i for i, a in enumerate(everything().json["accessors"]) if "sparse" in a)
-    for change, words in (
+    for change, message in (
         (put("accessors", number, "sparse", "count", value=9), ["9 changes"]),
         (put("accessors", number, "sparse", "indices", "componentType", value=5120), ["ascend"]),
         (put("accessors", number, "sparse", "indices", "byteOffset", value=4), ["bytes"]),
@@ -170,7 +170,7 @@ def test_sparse_accessors_at_fault(tmp_path: Path) -> None:
     ):
         gltf = everything()
         change(gltf.json)
-        refused(gltf, tmp_path, *words)
+        refused(gltf, tmp_path, *message)
 
 
 def test_indices_beyond_the_vertices_are_refused(tmp_path: Path) -> None:
@@ -187,14 +187,14 @@ def test_compressed_primitives_without_data_name_their_extension(tmp_path: Path)
     refused(gltf, tmp_path, "KHR_draco_mesh_compression")
 
 
-def test_another_version_is_told_whatever_else_is_in_it(tmp_path: Path) -> None:
+def test_another_version_is_refused_for_any_content(tmp_path: Path) -> None:
     path = tmp_path / "old.gltf"
     path.write_text('{"asset": {"version": "1.0"}, "meshes": {"a": {}}, "nodes": {}}')
     with pytest.raises(SourceError, match=r"glTF version '1\.0'; expected version 2"):
         Document(path)
 
 
-def test_extensions_that_are_not_read_are_told(tmp_path: Path) -> None:
+def test_unread_extensions_are_noted(tmp_path: Path) -> None:
     gltf = moving_cube()
     gltf.json["extensionsUsed"] = [
         "KHR_materials_unlit",
@@ -206,7 +206,7 @@ def test_extensions_that_are_not_read_are_told(tmp_path: Path) -> None:
         assert "Not read, and left out: 'EXT_mesh_gpu_instancing'" in scene.notes
 
 
-def test_a_glb_may_have_no_bytes_behind_its_json(tmp_path: Path) -> None:
+def test_a_glb_may_have_no_binary_chunk(tmp_path: Path) -> None:
     path = moving_cube().save(tmp_path / "a.glb", "glb")
     members, data = contents(path)
     assert data
@@ -219,22 +219,22 @@ def test_a_glb_may_have_no_bytes_behind_its_json(tmp_path: Path) -> None:
 
 
 def test_a_glb_is_recognised_by_its_json_alone(tmp_path: Path) -> None:
-    """Whose bytes are read when it is opened, not before: what is wrong with them is no matter."""
+    """Its bytes are read when it is opened; faults in them do not matter before."""
     path = moving_cube().save(tmp_path / "a.glb", "glb")
     members, data = contents(path)
     assert data and contents(path, with_binary=False) == (members, b"")
-    whole = glb(b"{}  ", b"1234")
-    path.write_bytes(whole[:24] + b"\xff\xff\xff\x7f" + whole[28:])  # the length of the second chunk
+    intact = glb(b"{}  ", b"1234")
+    path.write_bytes(intact[:24] + b"\xff\xff\xff\x7f" + intact[28:])  # the length of the second chunk
     assert not KIND.recognise(path)
     with pytest.raises(SourceError, match="cut short"):
         contents(path)
 
 
-def test_small_documents_cannot_ask_for_much_memory(tmp_path: Path) -> None:
+def test_small_documents_cannot_request_much_memory(tmp_path: Path) -> None:
     gltf = moving_cube()
-    places = gltf.array(np.zeros((3000, 3)))
-    target = {"POSITION": places}
-    gltf.put("meshes", primitives=[{"attributes": {"POSITION": places}, "targets": [target] * 40_000}])
+    positions = gltf.array(np.zeros((3000, 3)))
+    target = {"POSITION": positions}
+    gltf.put("meshes", primitives=[{"attributes": {"POSITION": positions}, "targets": [target] * 40_000}])
     gltf.json["nodes"].append({"mesh": 1})
     refused(gltf, tmp_path, "elements declared in")
     del gltf.json["meshes"][1]["primitives"][0]["targets"], gltf.json["buffers"]
@@ -242,7 +242,7 @@ def test_small_documents_cannot_ask_for_much_memory(tmp_path: Path) -> None:
     refused(gltf, tmp_path, "too many triangles")
 
 
-def test_many_accessors_of_the_same_bytes_cannot_ask_for_much_memory(tmp_path: Path) -> None:
+def test_many_accessors_of_the_same_bytes_cannot_request_much_memory(tmp_path: Path) -> None:
     gltf = Gltf()
     view = gltf.view(bytes(1 << 16))
     for _ in range(100):
@@ -253,7 +253,7 @@ def test_many_accessors_of_the_same_bytes_cannot_ask_for_much_memory(tmp_path: P
         list(map(accessors.array, range(100), ["SCALAR"] * 100))
 
 
-def test_buffers_at_fault(tmp_path: Path) -> None:
+def test_invalid_buffers_are_refused(tmp_path: Path) -> None:
     def saved(**members: Any) -> Path:
         gltf = moving_cube()
         gltf.save(tmp_path / "a.gltf", "bin")
@@ -282,15 +282,15 @@ def test_buffers_at_fault(tmp_path: Path) -> None:
         assert word in str(caught.value)
 
 
-def test_glb_files_at_fault(tmp_path: Path) -> None:
-    whole = moving_cube().save(tmp_path / "whole.glb", "glb").read_bytes()
+def test_invalid_glb_files_are_refused(tmp_path: Path) -> None:
+    intact = moving_cube().save(tmp_path / "whole.glb", "glb").read_bytes()
     path = tmp_path / "a.glb"
     for data, word in (
-        (whole[:-5], "header declares"),
-        (whole[:8], "header declares"),
-        (whole[:4] + b"\x01" + whole[5:], "version 1"),
-        (whole[:12] + b"\xff\xff\xff\x7f" + whole[16:], "cut short"),
-        (whole[:16] + b"JSOX" + whole[20:], "no JSON chunk"),
+        (intact[:-5], "header declares"),
+        (intact[:8], "header declares"),
+        (intact[:4] + b"\x01" + intact[5:], "version 1"),
+        (intact[:12] + b"\xff\xff\xff\x7f" + intact[16:], "cut short"),
+        (intact[:16] + b"JSOX" + intact[20:], "no JSON chunk"),
         (b"glTF", "header declares"),
         (glb(b"{]", b""), "no JSON"),
         (glb(b"[]", b""), "not an object"),
@@ -304,12 +304,12 @@ def test_glb_files_at_fault(tmp_path: Path) -> None:
         AnimatedMeshScene(tmp_path / "absent.glb")
 
 
-def test_an_animation_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
+def test_error_of_an_unknown_animation_lists_the_known_ones(tmp_path: Path) -> None:
     gltf = everything()
     path = gltf.save(tmp_path / "a.gltf")
-    for asked in ("Gallop", "2", "-1", "", "٣", "9" * 30):
+    for name in ("Gallop", "2", "-1", "", "٣", "9" * 30):
         with pytest.raises(InvalidArgument, match="'move 0', 'move 1'"):
-            KIND.open(path, SourceOptions(animation=asked))
+            KIND.open(path, SourceOptions(animation=name))
     del gltf.json["animations"]
     with pytest.raises(SourceError, match="no animation"):
         AnimatedMeshScene(gltf.save(tmp_path / "b.gltf"))
@@ -321,13 +321,13 @@ def test_too_many_frames_are_refused(tmp_path: Path) -> None:
         AnimatedMeshScene(path)
 
 
-def test_coordinates_that_overflow_in_some_frame_are_reported_there(tmp_path: Path) -> None:
+def test_coordinates_that_overflow_in_some_frame_are_reported(tmp_path: Path) -> None:
     path = moving_cube([[0, 0, 0], [3e38, 0, 0]]).save(tmp_path / "a.gltf")
     with pytest.raises(SourceError, match="NaN or infinite at"):
         AnimatedMeshScene(path)
 
 
-# -- anything at all ---------------------------------------------------------------------------------------
+# -- fuzzing -----------------------------------------------------------------------------------------------
 
 VALUES = st.one_of(
     st.none(),
@@ -342,15 +342,17 @@ VALUES = st.one_of(
 )
 
 
-def places_of(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+def paths_of(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     entries = (
         value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     )
-    return [place for key, inner in entries for place in ((*path, key), *places_of(inner, (*path, key)))]
+    return [
+        entry_path for key, inner in entries for entry_path in ((*path, key), *paths_of(inner, (*path, key)))
+    ]
 
 
 def use(path: Path) -> None:
-    """Read a document and evaluate it; only an error of ours may come out."""
+    """Read a document and evaluate it; only touchfield's errors may be raised."""
     with suppress(TouchfieldError):
         for animation in ("0", "1"):
             scene = AnimatedMeshScene(path, animation)
@@ -361,14 +363,14 @@ def use(path: Path) -> None:
 
 @settings(max_examples=100)
 @given(st.data())
-def test_any_change_of_the_json_ends_in_an_error_of_ours(
+def test_any_change_of_the_json_gives_a_touchfield_error(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     gltf = everything()
     folder = tmp_path_factory.mktemp("fuzz")
     gltf.save(folder / "a.gltf")
     for _ in range(data.draw(st.integers(1, 3))):
-        path = data.draw(st.sampled_from(places_of(gltf.json)))
+        path = data.draw(st.sampled_from(paths_of(gltf.json)))
         change = drop(*path) if data.draw(st.booleans()) else put(*path, value=data.draw(VALUES))
         change(gltf.json)
     (folder / "a.gltf").write_text(json.dumps(gltf.json))
@@ -377,13 +379,15 @@ def test_any_change_of_the_json_ends_in_an_error_of_ours(
 
 @settings(max_examples=80)
 @given(st.data())
-def test_any_change_of_the_bytes_ends_in_an_error_of_ours(
+def test_any_change_of_the_bytes_gives_a_touchfield_error(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     path = tmp_path_factory.mktemp("fuzz") / "a.glb"
-    whole = bytearray(everything().save(path, "glb").read_bytes())
+    original = bytearray(everything().save(path, "glb").read_bytes())
     for _ in range(data.draw(st.integers(0, 8))):
-        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
-    path.write_bytes(whole[: data.draw(st.integers(0, len(whole))) if data.draw(st.booleans()) else None])
+        original[data.draw(st.integers(0, len(original) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(
+        original[: data.draw(st.integers(0, len(original))) if data.draw(st.booleans()) else None]
+    )
     KIND.recognise(path)
     use(path)

@@ -1,4 +1,4 @@
-"""Depth pictures in files: each form read back, damage and bombs one clear error."""
+"""Depth pictures in files: each form round-trips; damage and decompression bombs are one clear error."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ shapes = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=9)
 
 
 @given(hnp.arrays(st.sampled_from([np.uint8, np.uint16]), shapes), st.sampled_from([".png", ".tif"]))
-def test_integer_pictures_come_back(
+def test_integer_pictures_round_trip(
     tmp_path_factory: pytest.TempPathFactory, values: np.ndarray, suffix: str
 ) -> None:
     path = tmp_path_factory.mktemp("p") / f"a{suffix}"
@@ -36,7 +36,7 @@ def test_integer_pictures_come_back(
     ),
     st.booleans(),
 )
-def test_npy_pictures_come_back(
+def test_npy_pictures_round_trip(
     tmp_path_factory: pytest.TempPathFactory, values: np.ndarray, is_fortran: bool
 ) -> None:
     path = tmp_path_factory.mktemp("p") / "a.npy"
@@ -46,7 +46,7 @@ def test_npy_pictures_come_back(
     assert read.dtype.isnative and read.flags.c_contiguous and read.flags.writeable
 
 
-def test_float_tiff_comes_back(tmp_path: Path) -> None:
+def test_float_tiff_round_trips(tmp_path: Path) -> None:
     values = np.linspace(0, 3, 12, dtype=np.float32).reshape(3, 4)
     Image.fromarray(values).save(tmp_path / "a.tiff")
     assert np.array_equal(pictures.read_picture(tmp_path / "a.tiff"), values)
@@ -56,16 +56,16 @@ def test_float_tiff_comes_back(tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("ignore:Corrupt EXIF:UserWarning")
 @pytest.mark.parametrize("suffix", [".png", ".npy", ".tif"])
 def test_a_picture_cut_anywhere_is_a_source_error(tmp_path: Path, suffix: str) -> None:
-    whole, cut = tmp_path / f"whole{suffix}", tmp_path / f"cut{suffix}"
+    intact, cut = tmp_path / f"whole{suffix}", tmp_path / f"cut{suffix}"
     values = np.random.default_rng(1).integers(0, 65535, (6, 7)).astype(np.uint16)
     if suffix == ".npy":
-        np.save(whole, values)
+        np.save(intact, values)
     else:
-        Image.fromarray(values).save(whole)
-    data = whole.read_bytes()
+        Image.fromarray(values).save(intact)
+    data = intact.read_bytes()
     needed = len(data) - (
         20 if suffix == ".png" else 0
-    )  # without its checksums and last chunk all pixels are there
+    )  # all pixels are present even without the checksums and the last chunk
     for length in range(needed):
         cut.write_bytes(data[:length])
         with pytest.raises(SourceError, match="cut"):
@@ -100,36 +100,36 @@ def _png_of(width: int, height: int) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("width", "height", "words"),
+    ("width", "height", "message"),
     [(60000, 60000, "at most"), (8000, 8000, "in .* bytes"), (0, 5, "at least one")],
 )
-def test_a_bomb_is_refused_from_its_header(tmp_path: Path, width: int, height: int, words: str) -> None:
+def test_a_bomb_is_refused_from_its_header(tmp_path: Path, width: int, height: int, message: str) -> None:
     path = tmp_path / "bomb.png"
     path.write_bytes(_png_of(width, height))
-    with pytest.raises(SourceError, match=words):
+    with pytest.raises(SourceError, match=message):
         pictures.read_picture(path)
 
 
 @pytest.mark.parametrize("dtype", ["O", "<c8", "<U4", [("a", "<f4")]])
-def test_an_npy_of_something_else_than_numbers_is_refused(tmp_path: Path, dtype: object) -> None:
+def test_an_npy_without_numbers_is_refused(tmp_path: Path, dtype: object) -> None:
     np.save(tmp_path / "a.npy", np.zeros((2, 2), dtype), allow_pickle=True)  # type: ignore[call-overload]
     with pytest.raises(SourceError, match="numbers"):
         pictures.read_picture(tmp_path / "a.npy")
 
 
-def test_an_npy_that_claims_more_than_it_holds_is_refused(tmp_path: Path) -> None:
+def test_an_npy_with_a_too_large_header_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.zeros((2, 2), np.float64))
-    whole = (tmp_path / "a.npy").read_bytes()
-    data = whole.replace(b"(2, 2), }      ", b"(8000, 8000), }")
+    intact = (tmp_path / "a.npy").read_bytes()
+    data = intact.replace(b"(2, 2), }      ", b"(8000, 8000), }")
     assert b"8000" in data
     (tmp_path / "a.npy").write_bytes(data)
     with pytest.raises(SourceError, match=r"8000.* bytes"):
         pictures.read_picture(tmp_path / "a.npy")
-    for data, said in (
-        (whole + b"\0", r"161 bytes; expected numbers in 160 bytes"),
-        (whole.replace(b"(2, 2), }  ", b"(-2, -2), }"), r"the shape \(-2, -2\)"),
-        (whole.replace(b"(2, 2), }   ", b"(2, 2, 1, 1)}"), r"an array of shape \(2, 2, 1, 1\)"),
+    for data, message in (
+        (intact + b"\0", r"161 bytes; expected numbers in 160 bytes"),
+        (intact.replace(b"(2, 2), }  ", b"(-2, -2), }"), r"the shape \(-2, -2\)"),
+        (intact.replace(b"(2, 2), }   ", b"(2, 2, 1, 1)}"), r"an array of shape \(2, 2, 1, 1\)"),
     ):
         (tmp_path / "a.npy").write_bytes(data)
-        with pytest.raises(SourceError, match=said):
+        with pytest.raises(SourceError, match=message):
             pictures.read_picture(tmp_path / "a.npy")

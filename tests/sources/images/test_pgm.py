@@ -1,4 +1,4 @@
-"""Depth pictures as PGM, as some robots write them: 16 bits, most significant first."""
+"""Depth pictures as PGM, as written by some robots: 16 bits, most significant first."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def write_pgm(path: Path, values: np.ndarray, largest: int, comment: str = "") -
 
 
 @pytest.mark.parametrize(("largest", "sample"), [(65535, "uint16"), (256, "uint16"), (255, "uint8")])
-def test_samples_are_as_they_stand(tmp_path: Path, largest: int, sample: str) -> None:
+def test_samples_are_unchanged(tmp_path: Path, largest: int, sample: str) -> None:
     values = np.arange(12).reshape(3, 4) * (largest // 12)
     path = write_pgm(tmp_path / "a.pgm", values, largest, "# a camera's\n")
     header = picture_header(path)
@@ -36,14 +36,14 @@ def test_samples_are_as_they_stand(tmp_path: Path, largest: int, sample: str) ->
     "data",
     [b"P5\n4 3\n", b"P5\n4 3\n0\n" + bytes(24), b"P5\n4 3\n65535\n" + bytes(23), b"P5 999999 999999 255\n"],
 )
-def test_what_is_damaged_is_refused(tmp_path: Path, data: bytes) -> None:
+def test_a_damaged_picture_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "a.pgm"
     path.write_bytes(data)
     with pytest.raises(SourceError, match=r"a\.pgm"):
         read_picture(path)
 
 
-def test_a_folder_of_pgm_goes_in(tmp_path: Path) -> None:
+def test_a_folder_of_pgm_is_read(tmp_path: Path) -> None:
     for i, depth in enumerate(make.depths_mm()):
         write_pgm(tmp_path / "depth" / f"{i + 1}.pgm", depth, 65535)
     make.write_intrinsics(tmp_path / "intrinsics.txt")

@@ -1,4 +1,4 @@
-"""Mesh files: each format back, scene graphs, damage as one clear error, and real ones."""
+"""Mesh files: each format round-trips, scene graphs, damage as one clear error, and real files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from touchfield.sources.options import SourceOptions
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply", ".glb", ".gltf", ".off"])
-def test_every_format_comes_back_closed(tmp_path: Path, suffix: str) -> None:
+def test_every_format_round_trips_closed(tmp_path: Path, suffix: str) -> None:
     box = trimesh.creation.box((0.4, 0.3, 0.2))
     path = tmp_path / f"box{suffix}"
     if suffix == ".gltf":
@@ -56,40 +56,40 @@ def test_the_scene_graph_is_applied(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply", ".glb", ".gltf", ".off"])
 def test_damaged_files_are_one_clear_error(tmp_path: Path, suffix: str) -> None:
-    whole = tmp_path / f"whole{suffix}"
+    intact = tmp_path / f"whole{suffix}"
     box = trimesh.creation.box((1, 1, 1))
     if suffix == ".gltf":
-        whole.write_bytes(trimesh.exchange.gltf.export_gltf(trimesh.Scene(box))["model.gltf"])
+        intact.write_bytes(trimesh.exchange.gltf.export_gltf(trimesh.Scene(box))["model.gltf"])
     else:
-        box.export(whole)
-    data = whole.read_bytes()
+        box.export(intact)
+    data = intact.read_bytes()
     path = tmp_path / f"cut{suffix}"
     for piece in (b"", b"\x00" * 64, b"nonsense\n" * 9, data[: len(data) // 3], data[: len(data) // 8]):
         path.write_bytes(piece)
         if suffix == ".obj" and b"f " in piece:
-            continue  # text that is cut between lines is still a mesh
+            continue  # a text cut between lines is still a mesh
         with pytest.raises(SourceError) as caught:
             KIND.open(path, SourceOptions())
         assert "\n" not in str(caught.value) and path.name in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("kind", "what"),
+    ("kind", "message"),
     [("ply", "20 rows before the declared end"), ("off", "60 faces .* declares 80"), ("stl", "endsolid")],
 )
-def test_a_text_that_is_cut_between_lines_is_told(tmp_path: Path, kind: str, what: str) -> None:
+def test_a_text_cut_between_lines_is_refused(tmp_path: Path, kind: str, message: str) -> None:
     ball = trimesh.creation.icosphere(1)
     text = {"encoding": "ascii"} if kind == "ply" else {}
-    whole = ball.export(file_type="stl_ascii" if kind == "stl" else kind, **text)
-    lines = (whole if isinstance(whole, str) else whole.decode()).splitlines(keepends=True)
+    exported = ball.export(file_type="stl_ascii" if kind == "stl" else kind, **text)
+    lines = (exported if isinstance(exported, str) else exported.decode()).splitlines(keepends=True)
     (tmp_path / f"whole.{kind}").write_text("".join(lines))
     (tmp_path / f"cut.{kind}").write_text("".join(lines[:-20]))
     assert len(read_triangles(tmp_path / f"whole.{kind}")[1]) == 80
-    with pytest.raises(SourceError, match=what):
+    with pytest.raises(SourceError, match=message):
         read_triangles(tmp_path / f"cut.{kind}")
 
 
-def test_of_several_solids_the_one_that_is_cut_is_told(tmp_path: Path) -> None:
+def test_error_of_several_solids_names_the_cut_one(tmp_path: Path) -> None:
     text, path = trimesh.exchange.stl.export_stl_ascii(trimesh.creation.box((1, 1, 1))), tmp_path / "two.stl"
     path.write_text(f"{text}\n{text}\n")
     assert len(read_triangles(path)[1]) == 24
@@ -98,7 +98,7 @@ def test_of_several_solids_the_one_that_is_cut_is_told(tmp_path: Path) -> None:
         read_triangles(path)
 
 
-def test_of_several_scenes_of_a_gltf_one_is_read_and_told(tmp_path: Path) -> None:
+def test_the_default_scene_of_a_gltf_is_read_and_noted(tmp_path: Path) -> None:
     path = tmp_path / "two.glb"
     trimesh.Scene(trimesh.creation.box((1, 1, 1))).export(path)
     members, chunk = contents(path)
@@ -115,9 +115,7 @@ L_OUTLINE = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))
 @pytest.mark.parametrize("suffix", [".obj", ".ply"])
 @pytest.mark.parametrize("start", range(6))
 def test_concave_polygons_are_not_folded(tmp_path: Path, suffix: str, start: int) -> None:
-    """Of two caps of an L, from whatever corner the file begins with: a fan of the first has triangles
-    outside.
-    """
+    """Two caps of an L, for any first corner in the file: a fan from it would have triangles outside."""
     points = [(x, y, z) for z in (0, 1) for x, y in L_OUTLINE]
     top = [6 + (start + i) % 6 for i in range(6)]
     faces = [top, [i - 6 for i in top[::-1]], *([i, (i + 1) % 6, (i + 1) % 6 + 6, i + 6] for i in range(6))]
@@ -136,11 +134,11 @@ def test_concave_polygons_are_not_folded(tmp_path: Path, suffix: str, start: int
     corners = surface.vertices_m[surface.triangles]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     assert surface.is_closed and surface.volume_m3() == pytest.approx(3)
-    assert areas.sum() == pytest.approx(2 * 3 + 8)  # caps and walls; what is folded would cover more
+    assert areas.sum() == pytest.approx(2 * 3 + 8)  # caps and walls; a folded cap would cover more
 
 
 def ply(points: list[tuple[int, ...]], faces: list[list[int]], order: str) -> bytes:
-    """A PLY of one byte order, or of text; its faces have a number before their corners, and one behind."""
+    """A PLY of one byte order, or of text; its faces have a number before and one after their corners."""
     name = {"<": "binary_little_endian", ">": "binary_big_endian"}.get(order, "ascii")
     head = f"ply\nformat {name} 1.0\ncomment of a test\nelement vertex {len(points)}\nproperty float x\n"
     head += f"property double y\nproperty float32 z\nelement face {len(faces)}\nproperty uchar group\n"
@@ -154,8 +152,8 @@ def ply(points: list[tuple[int, ...]], faces: list[list[int]], order: str) -> by
 
 
 @pytest.mark.parametrize("kind", ["obj", "off", "ply<", "ply>", "ply text"])
-def test_polygons_of_all_sizes_are_cut_inside(tmp_path: Path, kind: str) -> None:
-    """Darts one after another, between triangles, and an L of six corners."""
+def test_polygons_of_all_sizes_are_triangulated_inside(tmp_path: Path, kind: str) -> None:
+    """Several darts between triangles, and an L of six corners."""
     points = [(0, 0, 0), (4, 0, 0), (1, 1, 0), (0, 4, 0), *((x + 9, y, 0) for x, y in L_OUTLINE)]
     faces = [[1, 2, 3, 0], [2, 3, 0, 1], [4, 5, 6], [0, 1, 2, 3], [4, 5, 6], [6, 7, 8, 9, 4, 5], [3, 0, 1, 2]]
     path = tmp_path / f"darts.{kind[:3]}"
@@ -176,16 +174,16 @@ def test_polygons_of_all_sizes_are_cut_inside(tmp_path: Path, kind: str) -> None
     assert doubled.sum() / 2 == pytest.approx(4 * 4 + 2 * 1 + 3)
 
 
-def test_a_text_as_windows_and_old_macs_write_it(tmp_path: Path) -> None:
+def test_line_ends_of_windows_and_old_macs(tmp_path: Path) -> None:
     text, path = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2\n", tmp_path / "corner.obj"
-    ends = [text.replace("\n", end).encode() for end in ("\r", "\r\n")]
-    for data in (text.encode("utf-8-sig"), text.encode("utf-16"), *ends):
+    texts = [text.replace("\n", end).encode() for end in ("\r", "\r\n")]
+    for data in (text.encode("utf-8-sig"), text.encode("utf-16"), *texts):
         path.write_bytes(data)
         vertices, triangles, _ = read_triangles(path)
         assert vertices[triangles].tolist() == [[[0, 0, 0], [1, 0, 0], [0, 1, 0]]]
 
 
-def test_a_file_that_may_not_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_without_permission_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(path: Path) -> bytes:
         raise PermissionError(13, "Permission denied", str(path))
 
@@ -206,7 +204,7 @@ def test_an_stl_text_without_some_of_its_corners_is_refused(tmp_path: Path, line
 
 
 @pytest.mark.parametrize(
-    ("suffix", "data", "told"),
+    ("suffix", "data", "message"),
     [
         ("off", b"", "no OFF"),
         ("off", b"3 1 0\n", "no OFF"),
@@ -214,10 +212,10 @@ def test_an_stl_text_without_some_of_its_corners_is_refused(tmp_path: Path, line
         ("ply", b"ply\nformat odd 1.0\nend_header\n", "no PLY"),
     ],
 )
-def test_what_is_no_such_file_is_told(tmp_path: Path, suffix: str, data: bytes, told: str) -> None:
+def test_files_of_other_contents_are_refused(tmp_path: Path, suffix: str, data: bytes, message: str) -> None:
     path = tmp_path / f"none.{suffix}"
     path.write_bytes(data)
-    with pytest.raises(SourceError, match=told):
+    with pytest.raises(SourceError, match=message):
         read_triangles(path)
 
 
@@ -226,11 +224,11 @@ def test_what_is_no_such_file_is_told(tmp_path: Path, suffix: str, data: bytes, 
     "faces", [[[0, 1, 2], [0, 2, 3]], [[0, 1, 2], [0, 1, 2, 3]], [[0, 1, 2, 3], [2, 3, 0]], [[0, 1, 2, 3]]]
 )
 def test_faces_whose_corners_come_first(tmp_path: Path, order: str, faces: list[list[int]]) -> None:
-    """All of one length are read at once, others one by one, to the same end."""
+    """Faces of equal length are read at once and others one by one, with equal results."""
     points = [(0, 0, 0), (4, 0, 0), (4, 3, 0), (0, 3, 0)]
     data = ply(points, faces, order).replace(b"property uchar group\n", b"")
     head, _, rows = data.partition(b"end_header\n")
-    for face in faces:  # without the number that stands before their corners
+    for face in faces:  # without the number before their corners
         rows = rows.replace(bytes([7, len(face)]), bytes([len(face)])).replace(
             b"7 %d" % len(face), b"%d" % len(face)
         )
@@ -262,7 +260,7 @@ def test_a_ply_whose_lists_have_no_length_is_refused(tmp_path: Path, count: int)
 
 
 def test_numbers_of_vertices_before_a_face(tmp_path: Path) -> None:
-    """-1 is the last vertex before the face, and not the last of the file."""
+    """-1 is the last vertex before the face, not the last one of the file."""
     vertices, faces = cube()
     text = ""
     for shift in (0.0, 2.0):
@@ -278,7 +276,7 @@ def test_numbers_of_vertices_before_a_face(tmp_path: Path) -> None:
         KIND.open(path, SourceOptions())
 
 
-def test_a_binary_stl_ends_where_its_triangles_do(tmp_path: Path) -> None:
+def test_bytes_after_the_triangles_of_a_binary_stl_are_ignored(tmp_path: Path) -> None:
     path = tmp_path / "box.stl"
     data = trimesh.creation.box((1, 1, 1)).export(file_type="stl")
     path.write_bytes(data + b"made by a scanner")
@@ -322,7 +320,7 @@ def test_memory_without_bytes_is_refused(tmp_path: Path) -> None:
             KIND.open(tmp_path / name, SourceOptions())
 
 
-def test_vertices_at_one_place_become_one() -> None:
+def test_vertices_at_equal_positions_are_merged() -> None:
     vertices, faces = cube()
     loose, loose_faces = vertices[faces].reshape(-1, 3), np.arange(36).reshape(12, 3)
     assert not MeshScene(loose, loose_faces).is_closed
@@ -353,15 +351,15 @@ def test_real_meshes(shared_data: Path, name: str, is_closed: bool) -> None:
     points, phi, _ = measured(scene, grid, 3 * pitch)
     assert len(points) > 1000
     mesh = scene.surface.vertices_m, scene.surface.triangles
-    ends = scene.surface.edges.edge_of.reshape(-1)
-    is_rim = np.bincount(ends)[ends] == 1
+    corners = scene.surface.edges.edge_of.reshape(-1)
+    is_rim = np.bincount(corners)[corners] == 1
     rim = mesh[0][np.stack([mesh[1], np.roll(mesh[1], -1, axis=1)], axis=2).reshape(-1, 2)[is_rim]].mean(
         axis=1
     )
-    whole = np.flatnonzero(
+    undimmed = np.flatnonzero(
         cKDTree(np.append(rim, [[1e9] * 3], axis=0)).query(points)[0] > 7 * pitch
-    )  # no fading there
-    some = np.random.default_rng(1).choice(whole, 20, replace=False)
+    )  # where the force does not fade
+    some = np.random.default_rng(1).choice(undimmed, 20, replace=False)
     np.testing.assert_allclose(np.abs(phi[some]), distance_to(mesh, points[some]), atol=4e-6 * 3 * pitch)
     if is_closed:
         some = some[np.abs(phi[some]) > 1e-4 * pitch]

@@ -18,14 +18,14 @@ from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh.mesh_scene import MeshScene
 
 
-def around(vertices: np.ndarray, shape: tuple[int, int, int], margin: float = 0.3) -> Grid:
+def grid_around(vertices: np.ndarray, shape: tuple[int, int, int], margin: float = 0.3) -> Grid:
     low, high = vertices.min(0), vertices.max(0)
     side = margin * (high - low).max()
     return Grid.over_box(low - side, high + side, shape)
 
 
 def check_against_brute_force(mesh: Mesh, grid: Grid, band_m: float) -> None:
-    """Every sample of the grid: in the band or not, distance, sign, and that -phi n leads to the surface."""
+    """For every sample: membership of the band, distance, sign, and that -phi n leads to the surface."""
     points, phi, normals = measured(MeshScene(*mesh), grid, band_m)
     size = np.ptp(mesh[0], axis=0).max() + band_m
     every = all_points(grid)
@@ -38,7 +38,7 @@ def check_against_brute_force(mesh: Mesh, grid: Grid, band_m: float) -> None:
     mask[found] = True
     assert mask[expected].all()
     assert not mask[surely_not].any()
-    clear = np.abs(true[found]) > 1e-9 * size  # on the surface the sign is nobody's
+    clear = np.abs(true[found]) > 1e-9 * size  # the sign is undefined on the surface
     np.testing.assert_allclose(phi[clear], true[found][clear], atol=4e-6 * band_m)
     assert (distance_to(mesh, points - phi[:, None] * normals) < 2e-6 * size).all()
 
@@ -67,14 +67,14 @@ def test_box_has_the_analytic_distance_and_direction() -> None:
     assert deep.sum() > 1000 and beyond.sum() > 1000
 
 
-def test_icosphere_is_near_the_sphere() -> None:
+def test_icosphere_approximates_the_sphere() -> None:
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
     grid = Grid.over_box((-1.5,) * 3, (1.5,) * 3, (40, 40, 40))
     points, phi, normals = measured(MeshScene(sphere.vertices, sphere.faces), grid, 0.3)
     radius = np.linalg.norm(points, axis=1)
     np.testing.assert_allclose(phi, radius - 1, atol=4e-3)
-    far = np.abs(radius - 1) > 0.1
-    assert ((normals * points).sum(1)[far] / radius[far] > 0.995).all()
+    is_outside_shell = np.abs(radius - 1) > 0.1
+    assert ((normals * points).sum(1)[is_outside_shell] / radius[is_outside_shell] > 0.995).all()
 
 
 @settings(max_examples=40)
@@ -94,7 +94,7 @@ def test_convex_hulls_on_anisotropic_grids(seed: int) -> None:
     if rng.random() < 0.3:
         faces = faces[:, ::-1]  # inside out: the sign must still be right
     shape = tuple(rng.integers(3, 19, 3).tolist())
-    check_against_brute_force((points, faces), around(points, shape), 0.3 * np.ptp(points, axis=0).max())
+    check_against_brute_force((points, faces), grid_around(points, shape), 0.3 * np.ptp(points, axis=0).max())
 
 
 @settings(max_examples=16)
@@ -110,13 +110,13 @@ def test_signs_are_those_of_the_winding_number(seed: int, kind: str) -> None:
     }[kind]
     vertices, faces = together(*parts)
     vertices = Rotation.random(rng=rng).apply(vertices)
-    grid = around(vertices, (13, 15, 17))
+    grid = grid_around(vertices, (13, 15, 17))
     if kind == "cavity":
         check_against_brute_force((vertices, faces), grid, 0.5)
         return
     points, phi, _ = measured(
         MeshScene(vertices, faces), grid, 0.5
-    )  # inside, walls are not felt: test_mesh_union
+    )  # inner walls have no force: test_mesh_union
     clear = distance_to((vertices, faces), points) > 1e-6
     is_inside = np.round(winding((vertices, faces), points)) != 0
     assert (np.sign(phi)[clear] == np.where(is_inside, -1, 1)[clear]).all()
@@ -143,7 +143,7 @@ def test_a_grid_that_cuts_the_mesh_sees_crossings_before_it() -> None:
         check_against_brute_force((vertices, faces), Grid((9, 9, 9), (0.6, 0.7, 0.5), origin), 1.8)
 
 
-def test_a_solid_is_filled_wholly() -> None:
+def test_a_solid_is_filled_completely() -> None:
     sphere = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
     grid = Grid.over_box((-1.1,) * 3, (1.1,) * 3, (50, 50, 50))
     law = ForceProfile(((-math.inf, 0.0, 1.0, 0.0),))
@@ -166,10 +166,10 @@ def test_slivers_and_flat_triangles_keep_their_distances(seed: int) -> None:
     corners = rng.normal(size=(6, 3, 3))
     corners[0, 2] = corners[0, 0] + 0.3 * (corners[0, 1] - corners[0, 0])  # a line
     corners[1, 2] = corners[1, 0] + 1e-7 * corners[1, 2]  # a needle
-    corners[2, 2] = corners[2, 0]  # a line whose ends are different vertices at one place
+    corners[2, 2] = corners[2, 0]  # a line between different vertices at one position
     corners[3, 2] = corners[3, 0] + 0.5 * (corners[3, 1] - corners[3, 0]) + 1e-9
     mesh = corners.reshape(-1, 3), np.arange(18).reshape(6, 3)
-    grid = around(mesh[0], (11, 12, 13))
+    grid = grid_around(mesh[0], (11, 12, 13))
     points, phi, _ = measured(MeshScene(*mesh, shell="two"), grid, 0.5, low_m=0.0)
     every = all_points(grid)
     true = distance_to(mesh, every)
@@ -177,7 +177,7 @@ def test_slivers_and_flat_triangles_keep_their_distances(seed: int) -> None:
     np.testing.assert_allclose(np.sort(phi), np.sort(true[true <= 0.5]), atol=2e-6)
 
 
-def test_memory_is_that_of_the_result() -> None:
+def test_memory_is_proportional_to_the_result() -> None:
     sphere = trimesh.creation.icosphere(subdivisions=2, radius=0.01)
     law = ForceProfile(((-0.001, 0.0, 1.0, 0.0),))
     scene = MeshScene(sphere.vertices, sphere.faces)
@@ -216,16 +216,16 @@ def test_an_open_sheet_is_one_sided_where_it_faces_consistently() -> None:
     assert not scene.is_closed and scene.is_one_sided
     assert "4 boundary edges" in scene.notes[-1] and "one-sided" in scene.notes[-1]
     points, phi, normals = measured(scene, SHEET_GRID, 0.25)
-    assert ((points[:, :2] > 0) & (points[:, :2] < 1)).all()  # nothing beside it
+    assert ((points[:, :2] > 0) & (points[:, :2] < 1)).all()  # nothing outside its outline
     over = ((points[:, :2] > 0.25) & (points[:, :2] < 0.75)).all(
         axis=1
-    )  # and all of it as far from the rim as it reaches
+    )  # and everything up to its distance from the rim
     np.testing.assert_allclose(phi[over], points[over, 2], atol=2e-6)
     np.testing.assert_allclose(normals[over], np.broadcast_to([0, 0, 1], (over.sum(), 3)), atol=1e-6)
     assert over.sum() > 80 and (~over).sum() > 80
     to_rim = np.minimum(points[:, :2], 1 - points[:, :2]).min(axis=1)
-    whole = 4 + points[:, 2] / 0.25
-    np.testing.assert_allclose(phi / 0.25 + 4, whole * np.minimum(to_rim / 0.25, 1), atol=2e-5)
+    expected = 4 + points[:, 2] / 0.25
+    np.testing.assert_allclose(phi / 0.25 + 4, expected * np.minimum(to_rim / 0.25, 1), atol=2e-5)
 
 
 def test_an_open_sheet_can_be_two_sided() -> None:
@@ -251,12 +251,12 @@ def test_a_sheet_that_faces_both_ways_is_two_sided() -> None:
 def test_one_sided_signs_at_edges_and_vertices() -> None:
     vertices, faces = cube()
     points, phi, _ = measured(
-        MeshScene(vertices, faces[:-1], shell="one"), around(vertices, (14, 15, 16)), 0.2
+        MeshScene(vertices, faces[:-1], shell="one"), grid_around(vertices, (14, 15, 16)), 0.2
     )
     closed = np.round(winding((vertices, faces), points)) != 0
     hole = vertices[faces[-1]].mean(0)
-    far = np.linalg.norm(points - hole, axis=1) > 1.0  # where the force does not fade
-    assert (np.sign(phi)[far] == np.where(closed, -1, 1)[far]).all() and far.sum() > 500
+    is_unfaded = np.linalg.norm(points - hole, axis=1) > 1.0  # where the force does not fade
+    assert (np.sign(phi)[is_unfaded] == np.where(closed, -1, 1)[is_unfaded]).all() and is_unfaded.sum() > 500
 
 
 def test_a_solid_needs_a_closed_mesh() -> None:
@@ -265,7 +265,7 @@ def test_a_solid_needs_a_closed_mesh() -> None:
 
 
 @pytest.mark.parametrize("frame", [-1, 1])
-def test_there_is_one_frame(frame: int) -> None:
+def test_a_mesh_has_a_single_frame(frame: int) -> None:
     with pytest.raises(InvalidArgument, match="frame"):
         MeshScene(*cube()).field(frame, SHEET_GRID, ForceProfile(((-0.1, 0.0, 1.0, 0.0),)))
 

@@ -1,6 +1,4 @@
-"""MuJoCo models as scenes: which geoms are touched, where they are, how long it runs, and what is said of
-faults.
-"""
+"""MuJoCo models as scenes: their touchable geoms, poses, durations and faults."""
 
 from __future__ import annotations
 
@@ -27,8 +25,8 @@ BALL = '<body name="ball" pos="0 0 .5"><freejoint/><geom size=".05"/></body>'
 
 
 @pytest.fixture(autouse=True)
-def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log there unless it is told not to
+def in_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its log there by default
 
 
 def opened(world: str, rest: str = "", **options: float) -> BodyScene:
@@ -54,7 +52,7 @@ def test_bodies_rate_and_duration() -> None:
     assert isinstance(plane, Plane) and (plane.point_m, plane.normal) == ((0, 0, -0.1), (0, 0, 1))
 
 
-def test_the_model_may_name_its_beginning() -> None:
+def test_the_model_may_name_its_initial_state() -> None:
     key = '<keyframe><key name="touchfield" qpos="1 2 3 1 0 0 0" qvel="0 0 1 0 0 0"/></keyframe>'
     scene = opened(BALL, key, seconds=0.05)
     assert scene.frame_count == 50
@@ -77,16 +75,16 @@ def test_the_model_may_name_its_beginning() -> None:
 )
 def test_the_step_divides_the_frame(timestep: float, rate_hz: float, step_s: float | None) -> None:
     scene = opened(BALL, f'<option timestep="{timestep}"/>', seconds=0.1, rate_hz=rate_hz)
-    said = [note for note in scene.notes if "time step" in note]
+    step_notes = [note for note in scene.notes if "time step" in note]
     if rate_hz == 50:
-        assert not said  # ten steps of 2 ms
+        assert not step_notes  # ten steps of 2 ms
     else:
-        assert len(said) == 1 and f"{timestep:g} s does not divide" in said[0]
+        assert len(step_notes) == 1 and f"{timestep:g} s does not divide" in step_notes[0]
     if step_s:
-        assert f"it is {step_s:g} s" in said[0]
+        assert f"it is {step_s:g} s" in step_notes[0]
 
 
-def test_every_rigid_geom_stands_where_mujoco_has_it() -> None:
+def test_every_rigid_geom_is_posed_as_in_mujoco() -> None:
     assets = f'<asset><mesh name="wedge" {WEDGE}/></asset>'
     geoms = """
     <geom type="sphere" size=".05" pos="0 0 .1"/>
@@ -105,19 +103,19 @@ def test_every_rigid_geom_stands_where_mujoco_has_it() -> None:
     mujoco.mj_forward(model, data)
     rng = np.random.default_rng(0)
     hits = np.zeros(6, int)
-    which, normal = np.zeros(1, np.int32), np.zeros(3)
-    for _ in range(300):  # a ray that MuJoCo says meets a geom ends on our surface, with our normal
+    geom_id, normal = np.zeros(1, np.int32), np.zeros(3)
+    for _ in range(300):  # a ray that meets a geom of MuJoCo ends on our surface, with our normal
         target = data.geom_xpos[rng.integers(6)] + rng.normal(size=3) * 0.01
         ray = rng.normal(size=3)
         ray /= np.linalg.norm(ray)
         start = target - ray
-        length = mujoco.mj_ray(model, data, start, ray, None, 1, -1, which, normal)
-        if length <= 0 or which[0] == 5:
-            hits[5] += which[0] == 5
+        length = mujoco.mj_ray(model, data, start, ray, None, 1, -1, geom_id, normal)
+        if length <= 0 or geom_id[0] == 5:
+            hits[5] += geom_id[0] == 5
             continue
-        hits[which[0]] += 1
+        hits[geom_id[0]] += 1
         end = shapes.track.to_body(start + length * ray, 0)[None]
-        phi, n = shapes.scene.shapes[which[0]].signed_distance_and_normal(end)
+        phi, n = shapes.scene.shapes[geom_id[0]].signed_distance_and_normal(end)
         assert abs(phi[0]) < 1e-6
         np.testing.assert_allclose(shapes.track.rotation(0) @ n[0], normal, atol=1e-3)
     assert (hits > 10).all()
@@ -129,7 +127,7 @@ def test_every_rigid_geom_stands_where_mujoco_has_it() -> None:
     np.testing.assert_allclose(np.unique(sides.round(6)), [0, 0.1, np.sqrt(0.02).round(6)], atol=1e-5)
 
 
-def test_a_height_field_is_closed_and_cut_as_mujoco_cuts_it() -> None:
+def test_a_height_field_is_closed_and_triangulated_as_in_mujoco() -> None:
     heights = "0 1 .3 .2  .5 .6 .1 .9  .3 .2 .8 0"
     asset = f'<asset><hfield name="h" nrow="3" ncol="4" size="1 2 .5 .1" elevation="{heights}"/></asset>'
     scene = opened('<geom type="hfield" hfield="h"/>', asset, seconds=0.001)
@@ -167,12 +165,12 @@ def test_a_pendulum_swings_with_its_period() -> None:
     assert 2 * (crossings[1] - crossings[0]) == pytest.approx(2 * np.pi * np.sqrt(1 / 9.81), rel=0.01)
 
 
-def test_the_same_poses_bit_for_bit() -> None:
+def test_poses_are_reproducible() -> None:
     tracks = [opened(FLOOR + BALL, seconds=0.5).bodies()[1].track for _ in range(2)]
     assert tracks[0].positions_m.tobytes() == tracks[1].positions_m.tobytes()
 
 
-def test_what_only_looks_is_left_out() -> None:
+def test_visual_geoms_are_omitted() -> None:
     looks = '<geom size=".2" contype="0" conaffinity="0"/>'
     scene = opened(
         f'<body name="a">{looks}<geom size=".1"/></body><body name="ghost">{looks}</body>', seconds=0.01
@@ -188,7 +186,7 @@ def test_what_only_looks_is_left_out() -> None:
     assert [body.name for body in scene.bodies()] == ["a", "b"]
 
 
-def test_what_is_not_rigid_is_said_and_left_out() -> None:
+def test_soft_bodies_are_omitted_and_noted() -> None:
     cloth = (
         '<flexcomp name="cloth" type="grid" count="3 3 1" spacing=".1 .1 .1" radius=".01" mass="1" pos="0 0 '
         '1"/>'
@@ -206,7 +204,7 @@ def test_bodies_without_names_and_several_meshes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("world", "rest", "said"),
+    ("world", "rest", "message"),
     [
         ('<geom type="mesh" mesh="m"/>', '<asset><mesh name="m" file="gone.stl"/></asset>', "gone.stl"),
         ('<geom type="cube" size="1"/>', "", "cube"),
@@ -219,11 +217,11 @@ def test_bodies_without_names_and_several_meshes() -> None:
         (BALL, '<option timestep="1e-300"/>', ""),
     ],
 )
-def test_faults_are_one_line_that_names_the_file(world: str, rest: str, said: str) -> None:
-    stiff = '<option><flag eulerdamp="disable"/></option>' if said == "diverges" else ""
+def test_errors_are_one_line_and_name_the_file(world: str, rest: str, message: str) -> None:
+    stiff = '<option><flag eulerdamp="disable"/></option>' if message == "diverges" else ""
     with pytest.raises((SourceError, InvalidArgument)) as caught:
         opened(world, stiff + rest, seconds=0.1)
-    assert "model.xml" in str(caught.value) and said in str(caught.value) and "\n" not in str(caught.value)
+    assert "model.xml" in str(caught.value) and message in str(caught.value) and "\n" not in str(caught.value)
     assert not Path("MUJOCO_LOG.TXT").exists()
 
 
@@ -252,7 +250,7 @@ def test_recognised_by_the_root_element(data: bytes, is_model: bool) -> None:
 
 
 @given(st.binary(max_size=60) | st.text("<mujoco/> =\"'!-?", max_size=60).map(str.encode))
-def test_any_bytes_give_a_scene_or_an_error_of_ours(
+def test_any_bytes_give_a_scene_or_a_touchfield_error(
     tmp_path_factory: pytest.TempPathFactory, data: bytes
 ) -> None:
     path = tmp_path_factory.mktemp("xml") / "x.xml"

@@ -1,4 +1,4 @@
-"""Bodies that fall and collide: the laws they follow, Scene 1 of the paper, and the faults of its files."""
+"""Falling and colliding bodies: physical laws, Scene 1 of the paper, and faults of its files."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def fall(tmp_path: Path) -> Make:
 
 
 def surface_of(body: Body) -> np.ndarray:
-    """Points of a body's surface in its own frame, the outermost corners among them."""
+    """Points on the surface of a body in its frame, including the outermost corners."""
     if isinstance(body.scene, MeshScene):
         return np.asarray(body.scene.surface.vertices_m)
     (shape,) = body.scene.shapes  # type: ignore[attr-defined]
@@ -67,7 +67,7 @@ def surface_of(body: Body) -> np.ndarray:
     if isinstance(shape, Box):
         return np.array(np.meshgrid(*box.T)).reshape(3, -1).T
     at = np.random.default_rng(0).normal(size=(500, 3)) * np.ptp(box, axis=0)
-    for _ in range(30):  # once is enough where the distance is exact
+    for _ in range(30):  # a single pass is enough if the distance is exact
         phi, normal = shape.signed_distance_and_normal(at)
         at = at - phi[:, None] * normal
     return np.asarray(at[np.abs(shape.signed_distance_and_normal(at)[0]) < 1e-9])
@@ -93,7 +93,7 @@ spin_deg_s = [0, 0, 360]"""
 
 @needs_mujoco
 @pytest.mark.parametrize("restitution", [0.0, 0.3, 0.8])
-def test_a_bounce_takes_the_speed_that_was_asked_for(fall: Make, restitution: float) -> None:
+def test_a_bounce_has_the_requested_restitution(fall: Make, restitution: float) -> None:
     world = f"restitution = {restitution}\nstep_s = 0.0001\ncontact_s = 0.002"
     (ball, floor) = fall(world, "[floor]", "position_m = [0, 0, 0.05]\nvelocity_m_s = [0, 0, -1]").bodies()
     velocity = ball.track.velocities(1000.0)[0][:, 2]
@@ -104,7 +104,7 @@ def test_a_bounce_takes_the_speed_that_was_asked_for(fall: Make, restitution: fl
 
 
 @needs_mujoco
-def test_friction_stops_what_slides(fall: Make) -> None:
+def test_friction_stops_a_sliding_body(fall: Make) -> None:
     slab = """
 [[body]]
 kind = "box"
@@ -113,24 +113,24 @@ position_m = [0.3, 0, 0.01]
 velocity_m_s = [0.5, 0, 0]
 """
 
-    def way(friction: float) -> float:
+    def slide_m(friction: float) -> float:
         return float(
             np.ptp(fall(f"friction = {friction}", "[floor]", more=slab).bodies()[1].track.positions_m[:, 0])
         )
 
-    assert way(0.0) == pytest.approx(0.5 * 0.199, rel=0.02)
-    assert way(0.8) == pytest.approx(0.5**2 / (2 * 0.8 * G), rel=0.15)
+    assert slide_m(0.0) == pytest.approx(0.5 * 0.199, rel=0.02)
+    assert slide_m(0.8) == pytest.approx(0.5**2 / (2 * 0.8 * G), rel=0.15)
 
 
 @needs_mujoco
 @pytest.mark.parametrize(("friction", "stops"), [("torsional", (True, False)), ("rolling", (False, True))])
-def test_a_ball_stops_to_turn_or_to_roll_by_its_own_friction(
+def test_torsional_and_rolling_friction_stop_a_ball(
     fall: Make, friction: str, stops: tuple[bool, bool]
 ) -> None:
-    """About the normal 20 rad/s, for each newton 0.01 Nm; at 0.2 m/s it rolls from the start."""
-    ways = ("spin_deg_s = [0, 0, 1146]", "velocity_m_s = [0.2, 0, 0]\nspin_deg_s = [0, 573, 0]")
-    for way, is_stopped in zip(ways, stops, strict=True):
-        scene = fall(f"{friction}_friction_m = 0.01", "[floor]", f"position_m = [0, 0, 0.02]\n{way}")
+    """About the normal 20 rad/s, with 0.01 Nm per newton; it rolls at 0.2 m/s from the start."""
+    motions = ("spin_deg_s = [0, 0, 1146]", "velocity_m_s = [0.2, 0, 0]\nspin_deg_s = [0, 573, 0]")
+    for motion, is_stopped in zip(motions, stops, strict=True):
+        scene = fall(f"{friction}_friction_m = 0.01", "[floor]", f"position_m = [0, 0, 0.02]\n{motion}")
         spin = np.linalg.norm(scene.bodies()[0].track.velocities(scene.rate_hz)[1], axis=1)
         assert (spin[-2] < 0.1 * spin[1]) == is_stopped
 
@@ -174,22 +174,22 @@ def test_energy_falls(tmp_path: Path) -> None:
     for _ in range(100):
         mujoco.mj_step(model, data, 100)
         energy.append(float(data.energy.sum()))
-    lost = np.array(energy[0] - np.array(energy)) / energy[0]
-    assert (np.diff(lost) > -0.01).all() and lost[-1] > 0.5
+    loss = np.array(energy[0] - np.array(energy)) / energy[0]
+    assert (np.diff(loss) > -0.01).all() and loss[-1] > 0.5
     assert len(ids) == 4
 
 
 @needs_mujoco
-def test_the_same_poses_bit_for_bit() -> None:
+def test_poses_are_reproducible() -> None:
     first, second = (sample("falling-7", SourceOptions(seconds=0.5, rate_hz=500)).bodies() for _ in range(2))
-    for one, other in zip(first, second, strict=True):
-        assert len(one.track) == 250
-        assert one.track.positions_m.tobytes() == other.track.positions_m.tobytes()
-        assert one.track.quaternions.tobytes() == other.track.quaternions.tobytes()
+    for first_body, second_body in zip(first, second, strict=True):
+        assert len(first_body.track) == 250
+        assert first_body.track.positions_m.tobytes() == second_body.track.positions_m.tobytes()
+        assert first_body.track.quaternions.tobytes() == second_body.track.quaternions.tobytes()
 
 
 @needs_mujoco
-def test_every_kind_falls_on_its_own_surface(tmp_path: Path) -> None:
+def test_every_kind_lands_on_its_surface(tmp_path: Path) -> None:
     (tmp_path / "wedge.obj").write_text(
         "v 0 0 0\nv 30 0 0\nv 0 30 0\nv 0 0 30\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"  # millimetres
     )
@@ -218,7 +218,7 @@ def test_every_kind_falls_on_its_own_surface(tmp_path: Path) -> None:
 
 
 @needs_mujoco
-def test_a_posed_body_pushes_and_a_fixed_one_holds(fall: Make, tmp_path: Path) -> None:
+def test_a_posed_body_pushes_and_a_fixed_one_resists(fall: Make, tmp_path: Path) -> None:
     (tmp_path / "push.csv").write_text(
         "t_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,-0.2,0,0.05,1,0,0,0\n0.2,0.1,0,0.05,1,0,0,0\n"
     )
@@ -245,7 +245,7 @@ position_m = [0.5, 0, 0.231]
     floor = "[floor]\ntouchable = false"
     ball, piston, shelf, book = fall("restitution = 0", floor, "position_m = [0, 0, 0.02]", others).bodies()
     np.testing.assert_allclose(piston.track.positions_m[:, 0], -0.2 + 1.5 * np.arange(200) / 1000, atol=1e-9)
-    assert ball.track.positions_m[-1, 0] > 0.1 + 0.05  # it was hit, and is ahead of the piston's front
+    assert ball.track.positions_m[-1, 0] > 0.1 + 0.05  # it was hit, and is in front of the piston
     assert shelf.track.is_constant and np.ptp(book.track.positions_m[:, 2]) < 0.002
 
 
@@ -264,37 +264,38 @@ def test_a_posed_body_does_not_fall_between_its_frames(fall: Make, tmp_path: Pat
 
 @needs_mujoco
 @pytest.mark.parametrize("tilt_deg", [0.0, 60.0, -90.0, 135.0])
-def test_a_posed_body_turns_between_its_frames_as_its_poses_do(
+def test_a_posed_body_rotates_between_frames_like_its_poses(
     fall: Make, tmp_path: Path, tilt_deg: float
 ) -> None:
-    """MuJoCo's own step of a body, with the velocities that it is given, ends at the next pose."""
+    """MuJoCo's step of a body with the given velocities ends at the next pose."""
     import mujoco
 
     turn, tilt = Rotation.from_rotvec, Rotation.from_euler("xy", [tilt_deg, 20.0], degrees=True)
     t = np.arange(11) / 20
-    poses = [turn([0, 0, 3.0 * now]) * tilt for now in t]  # about the scene's z, whatever the tilt
+    poses = [turn([0, 0, 3.0 * now]) * tilt for now in t]  # about the z axis of the scene for any tilt
     track = PoseTrack(
-        np.array([one.as_quat(scalar_first=True) for one in poses]), np.stack([t, 0.5 * t, 0.2 * t], axis=1)
+        np.array([rotation.as_quat(scalar_first=True) for rotation in poses]),
+        np.stack([t, 0.5 * t, 0.2 * t], axis=1),
     )
     plate = '[[body]]\nkind = "box"\nname = "plate"\nhalf_extents_m = [0.1, 0.05, 0.01]\nposes = "turn.csv"'
     (tmp_path / "turn.csv").write_text("t_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,0,1,0,0,0\n1,0,0,0,1,0,0,0\n")
     fall(more=plate)
     table = read_physics(tmp_path / "scene.toml")
     model, ids, _ = model_of(mujoco, table, {"plate": track}, "here")
-    place, motion, states, velocities = _driven_state(model, ids[1], track, 20.0)
+    position, motion, states, velocities = _driven_state(model, ids[1], track, 20.0)
     for frame in range(1, 9):
         state, velocity = np.zeros(model.nq), np.zeros(model.nv)
         state[3] = 1.0
-        state[place], velocity[motion] = states[frame], velocities[frame]
+        state[position], velocity[motion] = states[frame], velocities[frame]
         mujoco.mj_integratePos(model, state, velocity, 1 / 20)
-        np.testing.assert_allclose(state[place][:3], track.positions_m[frame + 1], atol=1e-9)
-        assert abs(state[place][3:] @ track.quaternions[frame + 1]) == pytest.approx(1.0, abs=1e-7)
+        np.testing.assert_allclose(state[position][:3], track.positions_m[frame + 1], atol=1e-9)
+        assert abs(state[position][3:] @ track.quaternions[frame + 1]) == pytest.approx(1.0, abs=1e-7)
 
 
 @needs_mujoco
 @pytest.mark.parametrize("turns_deg", [(0, 0, 0), (30, 0, 0), (0, 90, 0), (20, -40, 70), (180, 10, 0)])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_spin_is_about_the_axes_of_the_scene_however_a_body_lies(
+def test_a_spin_is_about_the_axes_of_the_scene(
     fall: Make, turns_deg: tuple[int, int, int], axis: int
 ) -> None:
     spin_deg_s = [90.0 * (n == axis) for n in range(3)]
@@ -392,14 +393,14 @@ def test_a_mesh_without_volume_is_refused(tmp_path: Path) -> None:
         open_physics(path, SourceOptions())
 
 
-def test_two_bodies_of_one_name(tmp_path: Path) -> None:
+def test_two_bodies_of_one_name_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text('[[body]]\nkind = "sphere"\nradius_m = 1\nname = "a"\nposition_m = [0, 0, 0]\n' * 2)
     with pytest.raises(SourceError, match=r"body 2\.name"):
         open_physics(path, SourceOptions())
 
 
-def test_other_toml_files_stay_what_they_are(tmp_path: Path) -> None:
+def test_other_toml_files_keep_their_kind(tmp_path: Path) -> None:
     path = tmp_path / "shapes.toml"
     path.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0, 0, 0]\nradius_m = 1\n')
     physics = next(kind for kind in kinds() if kind.name == "physics")
@@ -408,23 +409,23 @@ def test_other_toml_files_stay_what_they_are(tmp_path: Path) -> None:
     assert not physics.recognise(path) and not physics.recognise(tmp_path)
 
 
-def test_without_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_simulator_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(MissingExtra, match=r"touchfield\[physics\]"):
         sample("falling-4")
 
 
-def test_as_many_poses_as_are_kept_and_not_one_more() -> None:
-    most = simulation._MAX_POSES
+def test_the_number_of_poses_is_limited() -> None:
+    max_poses = simulation._MAX_POSES
     assert simulation.frames_of("a.toml", 2.0, 1000.0, 3) == 2000
     assert simulation.frames_of("a.toml", 1e-6, 1000.0) == 1
     assert simulation.frames_of("a.toml", 0.0126, 1000.0) == 13
-    assert simulation.frames_of("a.toml", most / 4000, 1000.0, 4) == most // 4
-    told = r"a\.toml: found 5000 s at 1000 Hz for 3 bodies; expected at most 4194304 poses"
-    with pytest.raises(InvalidArgument, match=told):
+    assert simulation.frames_of("a.toml", max_poses / 4000, 1000.0, 4) == max_poses // 4
+    message = r"a\.toml: found 5000 s at 1000 Hz for 3 bodies; expected at most 4194304 poses"
+    with pytest.raises(InvalidArgument, match=message):
         simulation.frames_of("a.toml", 5000.0, 1000.0, 3)
     with pytest.raises(InvalidArgument, match="at most"):
-        simulation.frames_of("a.toml", most / 4000, 1000.0, 5)
+        simulation.frames_of("a.toml", max_poses / 4000, 1000.0, 5)
 
 
 def test_names_and_contacts_of_a_table_are_checked_at_their_edges(tmp_path: Path) -> None:
@@ -439,9 +440,9 @@ def test_names_and_contacts_of_a_table_are_checked_at_their_edges(tmp_path: Path
     path.write_text(body("a") + body("b") + body("a"))
     with pytest.raises(SourceError, match=r"body 3\.name: found 'a', as another body is called"):
         read_physics(path)
-    for steps, is_taken in ((7, True), (6.99, False)):
+    for steps, is_accepted in ((7, True), (6.99, False)):
         path.write_text(f"[physics]\nstep_s = 0.002\ncontact_s = {steps * 0.002!r}\n" + body("a"))
-        if is_taken:
+        if is_accepted:
             assert read_physics(path).world.contact_s == steps * 0.002
         else:
             with pytest.raises(SourceError, match=r"contact_s: .*at least 7 steps of 0\.002 s"):

@@ -1,4 +1,4 @@
-"""Rigid parts of animated models: found, fitted, given as bodies, and felt as the model itself is."""
+"""Rigid parts of animated models: detected, fitted, returned as bodies, with the forces of the model."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def small_rig(path: Path, rigid: bool = True) -> AnimatedMeshScene:
 
 
 def two_cubes_and_a_swelling(path: Path) -> AnimatedMeshScene:
-    """Two cubes on one turning node, one that stands, and one that grows along y."""
+    """Two cubes on one rotating node, a static one, and one that grows along y."""
     gltf = Gltf()
     mesh = gltf.mesh(CUBE, CUBE_FACES)
     both = gltf.mesh(
@@ -35,33 +35,35 @@ def two_cubes_and_a_swelling(path: Path) -> AnimatedMeshScene:
     return AnimatedMeshScene(gltf.save(path / "cubes.gltf"), rate_hz=10)
 
 
-def test_a_rig_of_rigid_links_is_bodies_whose_poses_place_their_vertices(tmp_path: Path) -> None:
+def test_rigid_links_are_bodies_with_the_vertices_of_the_model(tmp_path: Path) -> None:
     scene = small_rig(tmp_path)
     bodies = scene.bodies()
     assert len(bodies) == 6 and scene.is_of_bodies and all(body.is_rigid for body in bodies)
     for frame in (0, 7, 19):
-        there = np.concatenate([body.track.to_scene(body.scene.surface.vertices_m, frame) for body in bodies])  # type: ignore[attr-defined]
+        vertices_m = np.concatenate(
+            [body.track.to_scene(body.scene.surface.vertices_m, frame) for body in bodies]
+        )  # type: ignore[attr-defined]
         np.testing.assert_allclose(
-            there[np.lexsort(there.T.round(4))],
+            vertices_m[np.lexsort(vertices_m.T.round(4))],
             scene.vertices_m(frame)[np.lexsort(scene.vertices_m(frame).T.round(4))],
             atol=3e-5,
         )
 
 
-def test_the_bodies_are_felt_as_the_model_is(tmp_path: Path) -> None:
+def test_the_bodies_have_the_forces_of_the_model(tmp_path: Path) -> None:
     scene = small_rig(tmp_path)
     law = ForceProfile(((-0.4, 0.0, 0.0, -3.0),))
     low, high = scene.bounds_m()
     grid = Grid.over_box(low - 0.2, high + 0.2, (41, 61, 23))
     composed = BodyScene(scene.bodies(), scene.rate_hz)
     for frame in (0, 13):
-        one = scene.field(frame, grid, law).to_dense().astype(float)
+        of_model = scene.field(frame, grid, law).to_dense().astype(float)
         other = composed.field(frame, grid, law).to_dense().astype(float)
-        assert np.abs(np.linalg.norm(one, axis=-1) - np.linalg.norm(other, axis=-1)).max() < 2e-3
-        assert one.any(axis=-1).sum() > 300
+        assert np.abs(np.linalg.norm(of_model, axis=-1) - np.linalg.norm(other, axis=-1)).max() < 2e-3
+        assert of_model.any(axis=-1).sum() > 300
 
 
-def test_what_moves_alike_is_one_what_stands_is_still_and_what_deforms_stays_a_mesh_in_motion(
+def test_parts_are_grouped_by_motion_and_deforming_ones_stay_meshes(
     tmp_path: Path,
 ) -> None:
     scene = two_cubes_and_a_swelling(tmp_path)
@@ -78,18 +80,18 @@ def test_what_moves_alike_is_one_what_stands_is_still_and_what_deforms_stays_a_m
     np.testing.assert_allclose(last.scene.bounds_m(), [[0, -5, 0], [1, -3.1, 1]], atol=1e-5)
     law = ForceProfile(((-0.3, 0.0, 1.0, 0.0),))
     grid = Grid.over_box((-1.01, -5.5, -0.5), (4.4, 6.5, 1.5), (37, 61, 19))
-    one = scene.field(6, grid, law).to_dense().astype(float)
+    of_model = scene.field(6, grid, law).to_dense().astype(float)
     other = BodyScene(bodies, scene.rate_hz).field(6, grid, law).to_dense().astype(float)
-    assert (np.abs(one - other).max(axis=-1) > 1e-3).mean() < 1e-3 and one.any(axis=-1).sum() > 400
+    assert (np.abs(of_model - other).max(axis=-1) > 1e-3).mean() < 1e-3 and of_model.any(axis=-1).sum() > 400
 
 
 @pytest.mark.parametrize("rigid", [True, False])
-def test_objects_are_taken_where_all_is_rigid(tmp_path: Path, rigid: bool) -> None:
+def test_objects_are_selected_if_all_parts_are_rigid(tmp_path: Path, rigid: bool) -> None:
     prepared = prepare(small_rig(tmp_path, rigid), EncodeSpec(nw=4))
     assert (prepared.scene is not None) == rigid
 
 
-def test_bodies_that_overlap_are_left_to_the_union(tmp_path: Path) -> None:
+def test_overlapping_bodies_are_rendered_as_a_union(tmp_path: Path) -> None:
     gltf = Gltf()
     mesh = gltf.mesh(CUBE, CUBE_FACES)
     first = gltf.put("nodes", mesh=mesh)

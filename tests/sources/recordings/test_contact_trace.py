@@ -1,4 +1,4 @@
-"""Recorded contacts as a source: a field with no curl, near what was met and nowhere else."""
+"""Recorded contacts as a source: a field without curl, near the contacts and nowhere else."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def probed(count: int = 4000, twist_n_per_m: float = 0.0) -> ContactTrace:
 
 @pytest.fixture(scope="module")
 def plain() -> ContactScene:
-    """Of a gradient, and nothing beside it."""
+    """A scene of a gradient alone."""
     return ContactScene(probed())
 
 
@@ -58,20 +58,20 @@ def test_a_gradient_comes_back(plain: ContactScene) -> None:
 
 
 @pytest.mark.parametrize("noise", [1e-4, 0.1])
-def test_a_fit_meets_its_forces_but_for_the_noise_and_misses_what_is_left_out(noise: float) -> None:
+def test_a_fit_reproduces_its_forces_and_estimates_the_error_of_others(noise: float) -> None:
     rng = np.random.default_rng(5)
     points, forces = rng.uniform(0, 0.02, (12, 3)), rng.normal(0, 2, (12, 3))
     fit = CurlFree.through(points, forces, 0.01, noise)
     assert fit.forces_n(points) + noise * fit.weights == pytest.approx(forces, abs=1e-8)
-    left = []
+    residuals = []
     for n in range(12):
         others = np.arange(12) != n
         rest = CurlFree.through(points[others], forces[others], 0.01, noise)
-        left.append(forces[n] - rest.forces_n(points[n : n + 1])[0])
-    assert fit.relative_error == pytest.approx(np.sqrt(np.mean(np.square(left)) / np.mean(forces**2)))
+        residuals.append(forces[n] - rest.forces_n(points[n : n + 1])[0])
+    assert fit.relative_error == pytest.approx(np.sqrt(np.mean(np.square(residuals)) / np.mean(forces**2)))
 
 
-def test_the_field_has_no_curl_whatever_was_recorded(plain: ContactScene) -> None:
+def test_the_field_has_no_curl_for_any_recording(plain: ContactScene) -> None:
     turning = ContactScene(probed(twist_n_per_m=300.0))
     at, step = np.random.default_rng(3).uniform(-0.01, 0.01, (50, 3)), 1e-6
     gradient = np.stack(
@@ -83,16 +83,18 @@ def test_the_field_has_no_curl_whatever_was_recorded(plain: ContactScene) -> Non
         axis=1,
     )  # [n, derivative along, component]
     assert np.abs(gradient - gradient.transpose(0, 2, 1)).max() < 1e-3 * np.abs(gradient).max()
-    assert turning.interpolant.relative_error > 3 * plain.interpolant.relative_error  # and the rest is told
+    assert (
+        turning.interpolant.relative_error > 3 * plain.interpolant.relative_error
+    )  # and the residual is reported
 
 
-def test_no_force_where_nothing_was_met(plain: ContactScene) -> None:
+def test_no_force_away_from_the_contacts(plain: ContactScene) -> None:
     grid = Grid((40, 40, 40), (0.005,) * 3, (-0.1,) * 3)
     field = plain.field(0, grid, PROFILE)
     dense = field.to_dense()
     points = grid.to_m(np.stack(np.meshgrid(*[np.arange(40)] * 3, indexing="ij"), axis=-1))
-    far = np.linalg.norm(np.maximum(np.abs(points) - 0.02, 0), axis=-1) > plain.reach_m
-    assert dense.any() and not dense[far].any()
+    is_distant = np.linalg.norm(np.maximum(np.abs(points) - 0.02, 0), axis=-1) > plain.reach_m
+    assert dense.any() and not dense[is_distant].any()
     inside = np.abs(points).max(axis=-1) < 0.015
     assert dense[inside] == pytest.approx(spring(points[inside]), abs=0.2)
 
@@ -104,13 +106,13 @@ def test_a_csv_becomes_a_stream(tmp_path: Path) -> None:
     assert any("leave-one-out error of" in note for note in done.notes)
     with open_stream(tmp_path / "probe.touch") as opened:
         frame = opened.medium[0]
-        held = frame.support()
-        out = frame.grid.to_m(held.positions) - frame.grid.to_m(held.positions).mean(axis=0)
+        support = frame.support()
+        out = frame.grid.to_m(support.positions) - frame.grid.to_m(support.positions).mean(axis=0)
         assert len(opened.medium) == 1 and len(out) > 100
         assert (np.einsum("ij,ij->i", out, frame.vectors_n()) < 0).mean() > 0.95  # a spring pulls back
 
 
-def test_the_log_of_a_play_is_one_and_units_are_read(tmp_path: Path) -> None:
+def test_logs_of_a_play_and_units_are_read(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text(
         "t_s,x_m,y_m,z_m,field_x_n,field_y_n,field_z_n,force_x_n,force_y_n,force_z_n,state\n"
         "0,1,2,3,4,5,6,7,8,9,idle\n"
@@ -120,11 +122,11 @@ def test_the_log_of_a_play_is_one_and_units_are_read(tmp_path: Path) -> None:
     (tmp_path / "mm.csv").write_text("x [mm];y [mm];z [mm];Fx (mN);Fy (mN);Fz (N)\n1;2;3;4;5;6\n")
     trace = read_contacts(tmp_path / "mm.csv")
     assert trace.forces_n[0] == pytest.approx([0.004, 0.005, 6]) and trace.positions_m[0, 0] == 0.001
-    assert len(read_trace(tmp_path / "log.csv")) == 1  # and a trajectory to play
+    assert len(read_trace(tmp_path / "log.csv")) == 1  # also as a trajectory to play
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("x_m,y_m,z_m,fx_n,fy_n\n1,2,3,4,5\n", "no column for fz"),
         ("x_m,y_m,z_m,fx_kn,fy_n,fz_n\n1,2,3,4,5,6\n", "no column for fx"),
@@ -136,14 +138,14 @@ def test_the_log_of_a_play_is_one_and_units_are_read(tmp_path: Path) -> None:
         ("x_m,y_m,z_m,fx_n,fy_n,fz_n\n1,2,3,1e6,0,0\n2,2,3,1,0,0\n", "Check the units"),
     ],
 )
-def test_traces_that_cannot_be_are_named(tmp_path: Path, text: str, told: str) -> None:
+def test_errors_of_invalid_traces_name_the_fault(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(SourceError) as caught:
         open_source(tmp_path / "a.csv", SourceOptions(kind="contacts"))
-    assert told in str(caught.value) and "a.csv" in str(caught.value)
+    assert message in str(caught.value) and "a.csv" in str(caught.value)
 
 
-def test_what_is_told_of_a_recording(plain: ContactScene, tmp_path: Path) -> None:
+def test_notes_of_a_recording(plain: ContactScene, tmp_path: Path) -> None:
     points = plain.interpolant.points_m
     assert plain.bounds_m() == pytest.approx(
         np.stack([points.min(axis=0) - plain.reach_m, points.max(axis=0) + plain.reach_m])
@@ -151,7 +153,7 @@ def test_what_is_told_of_a_recording(plain: ContactScene, tmp_path: Path) -> Non
     assert len(plain.notes) == 1
     twisted = ContactScene(probed(40, 20_000.0))
     assert "rough mean" in twisted.notes[1]
-    four = probed(4)  # the fewest
+    four = probed(4)  # the minimum
     assert ContactScene(four).interpolant.points_m.shape == (4, 3)
     with pytest.raises(InvalidArgument, match="a trace has no camera"):
         open_source(written(tmp_path / "a.csv", four), SourceOptions(frame="camera"))
@@ -163,15 +165,17 @@ def test_what_is_told_of_a_recording(plain: ContactScene, tmp_path: Path) -> Non
 def mcap_file(path: Path, messages: list[tuple[str, str, str, float, bytes]]) -> Path:
     writer = pytest.importorskip("mcap.writer").Writer
     with path.open("wb") as file:
-        made = writer(file)
-        made.start()
+        mcap_writer = writer(file)
+        mcap_writer.start()
         channels: dict[str, int] = {}
         for topic, schema, encoding, time_s, data in messages:
             if topic not in channels:
-                own = made.register_schema(schema, "ros2msg" if encoding == "cdr" else "jsonschema", b"{}")
-                channels[topic] = made.register_channel(topic, encoding, own)
-            made.add_message(channels[topic], int(time_s * 1e9), data, int(time_s * 1e9))
-        made.finish()
+                schema_id = mcap_writer.register_schema(
+                    schema, "ros2msg" if encoding == "cdr" else "jsonschema", b"{}"
+                )
+                channels[topic] = mcap_writer.register_channel(topic, encoding, schema_id)
+            mcap_writer.add_message(channels[topic], int(time_s * 1e9), data, int(time_s * 1e9))
+        mcap_writer.finish()
     return path
 
 
@@ -187,26 +191,26 @@ def test_mcap_of_json_and_of_ros(tmp_path: Path) -> None:
     trace = probed(60)
     ros: list[tuple[str, str, str, float, bytes]] = []
     plain = []
-    for n, (place, force) in enumerate(zip(trace.positions_m.tolist(), trace.forces_n.tolist())):
+    for n, (position, force) in enumerate(zip(trace.positions_m.tolist(), trace.forces_n.tolist())):
         ros += [
-            ("/pose", "geometry_msgs/msg/PoseStamped", "cdr", n / 100, stamped(*place, 0, 0, 0, 1)),
+            ("/pose", "geometry_msgs/msg/PoseStamped", "cdr", n / 100, stamped(*position, 0, 0, 0, 1)),
             ("/wrench", "geometry_msgs/msg/WrenchStamped", "cdr", n / 100, stamped(*force, 0, 0, 0)),
             ("/sound", "audio", "raw", n / 100, b"?"),
         ]
-        told: dict[str, Any] = {
-            "pose": {"position": dict(zip("xyz", place))},
+        message: dict[str, Any] = {
+            "pose": {"position": dict(zip("xyz", position))},
             "wrench": {"force": dict(zip("xyz", force))},
         }
-        plain.append(("/probe", "Probe", "json", n / 100, json.dumps(told).encode()))
-    other = [  # of a machine of the other byte order; a transform has the names of two frames
+        plain.append(("/probe", "Probe", "json", n / 100, json.dumps(message).encode()))
+    other = [  # from a machine of the other byte order; a transform has the names of two frames
         (
             "/tf",
             "geometry_msgs/msg/TransformStamped",
             "cdr",
             n / 100,
-            stamped(*place, order=">", names=(b"a\0", b"fingertip\0")),
+            stamped(*position, order=">", names=(b"a\0", b"fingertip\0")),
         )
-        for n, place in enumerate(trace.positions_m.tolist())
+        for n, position in enumerate(trace.positions_m.tolist())
     ]
     other += [
         ("/wrench", "geometry_msgs/msg/WrenchStamped", "cdr", n / 100, stamped(*force, 0, 0, 0, order=">"))
@@ -230,29 +234,29 @@ def test_mcap_of_json_and_of_ros(tmp_path: Path) -> None:
         open_source(mcap_file(tmp_path / "c.mcap", [(*ros[0][:4], ros[0][4][:40])]))
 
 
-def test_the_place_of_a_force_in_mcap_is_that_of_its_time(tmp_path: Path) -> None:
-    def message(topic: str, what: str, time_s: float, *values: float) -> tuple[str, str, str, float, bytes]:
-        return topic, "Probe", "json", time_s, json.dumps({what: dict(zip("xyz", values))}).encode()
+def test_the_position_of_a_force_in_mcap_is_that_of_its_time(tmp_path: Path) -> None:
+    def message(topic: str, field: str, time_s: float, *values: float) -> tuple[str, str, str, float, bytes]:
+        return topic, "Probe", "json", time_s, json.dumps({field: dict(zip("xyz", values))}).encode()
 
-    place = [
+    position_messages = [
         message("/p", "position", 2, 4, 0, -2),
         message("/p", "position", 0, 0, 0, 2),
-    ]  # not in their order
+    ]  # not in order
     force = [
         message("/f", "force", time_s, time_s, 5, 6) for time_s in (1.5, 0.5, 9)
-    ]  # the last is after the places
+    ]  # the last one is after the positions
     others = [message("/q", "position", 3, 7, 7, 7), message("/g", "force", 3, 8, 8, 8)]
-    trace = recorded_contacts(mcap_file(tmp_path / "a.mcap", [*place, *force, *others]))
+    trace = recorded_contacts(mcap_file(tmp_path / "a.mcap", [*position_messages, *force, *others]))
     assert trace is not None
     assert trace.positions_m.tolist() == [[1, 0, 1], [3, 0, -1]] and trace.forces_n.tolist() == [
         [0.5, 5, 6],
         [1.5, 5, 6],
     ]
-    for messages, said in (
-        ([*place, force[2]], "forces at other times than positions"),
-        ([*place, message("/f", "force", 1, math.nan, 0, 0)], "not finite"),
+    for messages, expected in (
+        ([*position_messages, force[2]], "forces at other times than positions"),
+        ([*position_messages, message("/f", "force", 1, math.nan, 0, 0)], "not finite"),
     ):
-        with pytest.raises(SourceError, match=said):
+        with pytest.raises(SourceError, match=expected):
             recorded_contacts(mcap_file(tmp_path / "b.mcap", messages))
 
 
@@ -268,29 +272,29 @@ def test_a_real_recording(tmp_path: Path, shared_data: Path) -> None:
     from scipy.io import loadmat
 
     path = shared_data / "force_panda_comanipulation" / "symbol_data.mat"
-    one = loadmat(path, squeeze_me=True, struct_as_record=False)["symbol_data"][0]
-    trace = ContactTrace(one.pos.T.astype(float), one.F.T.astype(float))
+    symbol = loadmat(path, squeeze_me=True, struct_as_record=False)["symbol_data"][0]
+    trace = ContactTrace(symbol.pos.T.astype(float), symbol.F.T.astype(float))
     scene = open_source(written(tmp_path / "panda.csv", trace))
     assert isinstance(scene, ContactScene) and scene.interpolant.relative_error < 0.25
-    seen = trace.positions_m[::7]
-    left = scene.interpolant.forces_n(seen) - trace.forces_n[::7]
-    assert np.sqrt((left**2).mean() / (trace.forces_n**2).mean()) < 0.3
+    sampled_m = trace.positions_m[::7]
+    residual_n = scene.interpolant.forces_n(sampled_m) - trace.forces_n[::7]
+    assert np.sqrt((residual_n**2).mean() / (trace.forces_n**2).mean()) < 0.3
 
 
 # -- played again ------------------------------------------------------------------------------------------
 
 
-def test_a_recording_is_felt_again_along_its_own_path(tmp_path: Path) -> None:
+def test_a_recording_is_reproduced_along_its_path(tmp_path: Path) -> None:
     angle = np.linspace(0, 6 * np.pi, 3000)
     points = 0.2 + np.stack([0.015 * np.cos(angle), 0.015 * np.sin(angle), 0.01 * np.sin(angle / 3)], axis=1)
     pulled = ContactTrace(points, (points - 0.2) * -100)
     path = written(tmp_path / "probe.csv", pulled)
     encode(path, tmp_path / "a.touch", EncodeSpec(nw=6, touch=TouchSpec(k=0.02, f0_n=0.0, effort="fast")))
     log = tmp_path / "log.csv"
-    asked = ["play", str(tmp_path / "a.touch"), "--offline", "--trace", str(path), "--seconds", "2.9"]
-    assert _exit_code([*asked, "--log", str(log)]) == 0
-    felt = read_contacts(log).forces_n[100:]
-    wanted = pulled.forces_n[100 : 100 + len(felt)]
-    assert np.sqrt(((felt - wanted) ** 2).mean()) < 0.15 * np.sqrt((wanted**2).mean())
-    assert _exit_code([*asked, "--trajectory", str(path)]) == 2  # one of both
-    assert _exit_code([*asked[:4], str(tmp_path / "none.csv")]) == 1
+    arguments = ["play", str(tmp_path / "a.touch"), "--offline", "--trace", str(path), "--seconds", "2.9"]
+    assert _exit_code([*arguments, "--log", str(log)]) == 0
+    played_n = read_contacts(log).forces_n[100:]
+    expected_n = pulled.forces_n[100 : 100 + len(played_n)]
+    assert np.sqrt(((played_n - expected_n) ** 2).mean()) < 0.15 * np.sqrt((expected_n**2).mean())
+    assert _exit_code([*arguments, "--trajectory", str(path)]) == 2  # only one of them
+    assert _exit_code([*arguments[:4], str(tmp_path / "none.csv")]) == 1

@@ -1,4 +1,4 @@
-"""Analytic scenes: closed forms, distances that are distances, TOML files and their faults."""
+"""Analytic scenes: closed forms, true distances, TOML files and their faults."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def phi_of(shape: Shape, at: np.ndarray) -> np.ndarray:
 @each_shape
 def test_normal_is_the_unit_gradient_near_the_surface(shape: Shape) -> None:
     rng = np.random.default_rng(1)
-    at = rng.uniform(-0.02, 0.02, (4000, 3))  # mostly within, so that the walk ends on faces, not on edges
+    at = rng.uniform(-0.02, 0.02, (4000, 3))  # mostly inside, so that the walk ends on faces, not on edges
     phi, normal = shape.signed_distance_and_normal(at)
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=1e-12)
     for _ in range(30):  # walk to the surface along the normal
@@ -51,26 +51,28 @@ def test_normal_is_the_unit_gradient_near_the_surface(shape: Shape) -> None:
     slope = np.stack(
         [(phi_of(shape, at + e) - phi_of(shape, at - e)) / (2 * step) for e in step * np.eye(3)], axis=-1
     )
-    apart = np.linalg.norm(slope - normal, axis=1)[on]
-    assert np.quantile(apart, 0.9) < 1e-4  # the rest lies on the creases
+    error = np.linalg.norm(slope - normal, axis=1)[on]
+    assert np.quantile(error, 0.9) < 1e-4  # the rest is at creases
 
 
 @pytest.mark.parametrize("name", ["plane", "sphere", "box"])
 @given(a=points, b=points)
-def test_exact_distances_never_change_faster_than_the_way(name: str, a: np.ndarray, b: np.ndarray) -> None:
+def test_exact_distances_are_1_lipschitz(name: str, a: np.ndarray, b: np.ndarray) -> None:
     n = min(len(a), len(b))
     change = np.abs(phi_of(SHAPES[name], a[:n]) - phi_of(SHAPES[name], b[:n]))
     assert (change <= np.linalg.norm(a[:n] - b[:n], axis=1) * (1 + 1e-9) + 1e-15).all()
 
 
 @given(st.floats(-180, 180), st.floats(-180, 180), st.floats(-180, 180), points)
-def test_a_turned_box_is_the_box_seen_from_elsewhere(x: float, y: float, z: float, at: np.ndarray) -> None:
-    half, turned = (0.03, 0.02, 0.04), Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.04), (x, y, z))
+def test_a_rotated_box_equals_the_box_in_its_frame(x: float, y: float, z: float, at: np.ndarray) -> None:
+    half, rotated = (0.03, 0.02, 0.04), Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.04), (x, y, z))
     rotation = pytest.importorskip("scipy.spatial.transform").Rotation.from_euler(
         "xyz", [x, y, z], degrees=True
     )
-    seen = rotation.inv().apply(at)
-    np.testing.assert_allclose(phi_of(turned, at), phi_of(Box((0.0, 0.0, 0.0), half), seen), atol=1e-12)
+    in_box_frame = rotation.inv().apply(at)
+    np.testing.assert_allclose(
+        phi_of(rotated, at), phi_of(Box((0.0, 0.0, 0.0), half), in_box_frame), atol=1e-12
+    )
 
 
 def test_box_distance_is_that_to_the_nearest_of_many_surface_points() -> None:
@@ -93,10 +95,10 @@ def test_superquadric_distance_keeps_its_documented_bounds(name: str) -> None:
         on = on - phi[:, None] * normal
     on = on[np.abs(phi_of(shape, on)) < 1e-9]
     at = rng.uniform(-0.08, 0.08, (400, 3))
-    near = pytest.importorskip("scipy.spatial").cKDTree(on).query(at)[0]
+    nearest_m = pytest.importorskip("scipy.spatial").cKDTree(on).query(at)[0]
     phi = phi_of(shape, at)
-    assert (phi[phi > 0] <= near[phi > 0] + 1e-9).all()
-    assert (-phi[phi < 0] >= near[phi < 0] - 3e-3).all()  # as dense as the surface points are
+    assert (phi[phi > 0] <= nearest_m[phi > 0] + 1e-9).all()
+    assert (-phi[phi < 0] >= nearest_m[phi < 0] - 3e-3).all()  # up to the density of the surface points
 
 
 def test_a_round_superquadric_is_the_sphere() -> None:
@@ -133,7 +135,7 @@ def test_field_is_f_of_phi_along_n_at_every_sample(shape: Shape, profile: ForceP
     expected = (profile(phi)[:, None] * normal).reshape(*grid.shape, 3)
     assert field.support_count > 500
     np.testing.assert_allclose(field.to_dense(), expected, rtol=1e-6, atol=1e-12)
-    assert ForceField.from_dense(grid, expected) == field  # not one brick too many or too few
+    assert ForceField.from_dense(grid, expected) == field  # exactly the right bricks
 
 
 def test_sphere_against_the_closed_form_by_hand() -> None:
@@ -146,17 +148,17 @@ def test_sphere_against_the_closed_form_by_hand() -> None:
 
 
 def test_sum_adds_forces_and_union_takes_the_nearest_surface() -> None:
-    one, two = Sphere((-0.01, 0.0, 0.0), 0.02), Sphere((0.01, 0.0, 0.0), 0.02)
+    left, right = Sphere((-0.01, 0.0, 0.0), 0.02), Sphere((0.01, 0.0, 0.0), 0.02)
     grid = Grid.over_box([-0.05] * 3, [0.05] * 3, (32, 32, 32))
-    a, b = (AnalyticScene([s]).field(0, grid, SOLID).to_dense() for s in (one, two))
-    added = AnalyticScene([one, two]).field(0, grid, SOLID).to_dense()
+    a, b = (AnalyticScene([s]).field(0, grid, SOLID).to_dense() for s in (left, right))
+    added = AnalyticScene([left, right]).field(0, grid, SOLID).to_dense()
     np.testing.assert_allclose(added, a + b, atol=1e-6)
-    joined = AnalyticScene([one, two], "union").field(0, grid, SOLID).to_dense()
+    joined = AnalyticScene([left, right], "union").field(0, grid, SOLID).to_dense()
     deepest = np.where((np.arange(32) < 16)[:, None, None, None], a, b)
     np.testing.assert_allclose(joined, deepest, atol=1e-6)
 
 
-def test_a_thin_wall_is_found_in_a_fine_grid_without_visiting_all_of_it() -> None:
+def test_a_thin_wall_is_found_in_a_fine_grid_without_a_full_scan() -> None:
     grid = Grid.over_box([-2.0] * 3, [2.0] * 3, (800, 800, 800))  # 512 million samples
     scene = AnalyticScene([Sphere((1.0, 1.0, 1.0), 0.1)])
     field = scene.field(0, grid, profile_of(LawSpec(), 0.01))
@@ -168,16 +170,16 @@ def test_a_thin_wall_is_found_in_a_fine_grid_without_visiting_all_of_it() -> Non
 def test_bounds() -> None:
     sphere, plane = Sphere((0.0, 0.0, 1.0), 0.5), Plane((0.0, 0.0, -2.0), (0.0, 0.0, 3.0))
     np.testing.assert_allclose(AnalyticScene([sphere]).bounds_m(), [[-0.5, -0.5, 0.5], [0.5, 0.5, 1.5]])
-    turned = AnalyticScene([sphere]).moved(
+    rotated = AnalyticScene([sphere]).moved(
         np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([2.0, 0, 0])
     )
-    np.testing.assert_allclose(turned.bounds_m(), [[1.5, -0.5, 0.5], [2.5, 0.5, 1.5]], atol=1e-12)
+    np.testing.assert_allclose(rotated.bounds_m(), [[1.5, -0.5, 0.5], [2.5, 0.5, 1.5]], atol=1e-12)
     alone = AnalyticScene([plane]).bounds_m()
     np.testing.assert_allclose(alone, [[-0.5, -0.5, -2.0], [0.5, 0.5, -2.0]], atol=1e-12)
     np.testing.assert_allclose(
         AnalyticScene([plane, sphere]).bounds_m(), [[-0.5, -0.5, -2.0], [0.5, 0.5, 1.5]]
     )
-    small = AnalyticScene([plane, Sphere((0.0, 0.0, 1.0), 0.25)])  # of the plane its point alone
+    small = AnalyticScene([plane, Sphere((0.0, 0.0, 1.0), 0.25)])  # of the plane only its point
     np.testing.assert_allclose(small.bounds_m(), [[-0.25, -0.25, -2.0], [0.25, 0.25, 1.25]])
     assert AnalyticScene([sphere]).is_solid
 

@@ -1,4 +1,4 @@
-"""Capsule, cylinder, ellipsoid and moved shapes: distances that are distances, boxes that fit, motions."""
+"""Capsule, cylinder, ellipsoid and moved shapes: true distances, tight boxes, motions."""
 
 from __future__ import annotations
 
@@ -36,24 +36,26 @@ SHAPES: dict[str, Shape] = {
 }
 each_shape = pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 sizes = st.tuples(*[st.floats(-3, 0).map(lambda e: 10**e)] * 3)
-places = st.lists(st.tuples(*[st.floats(-2, 2) | st.just(0.0)] * 3), min_size=1, max_size=30).map(np.array)
+point_lists = st.lists(st.tuples(*[st.floats(-2, 2) | st.just(0.0)] * 3), min_size=1, max_size=30).map(
+    np.array
+)
 angles = st.tuples(*[st.floats(-180, 180)] * 3)
 shifts = st.tuples(*[st.floats(-0.1, 0.1)] * 3)
 
 
 def surface_of(shape: Shape) -> np.ndarray:
-    """Points of the surface, where rays from the middle of the box cross it: found by bisection."""
+    """Points on the surface, where rays from the centre of the box cross it, by bisection."""
     rng = np.random.default_rng(3)
     ray = rng.normal(size=(4000, 3))
     box = shape.box_m()
     ray *= np.ptp(box, axis=0) / np.linalg.norm(ray, axis=1)[:, None]
     middle = box.mean(axis=0)
-    near, far = np.zeros(len(ray)), np.full(len(ray), 2.0)
+    inner, outer = np.zeros(len(ray)), np.full(len(ray), 2.0)
     for _ in range(50):
-        half = (near + far) / 2
+        half = (inner + outer) / 2
         inside = shape.signed_distance_and_normal(middle + half[:, None] * ray)[0] < 0
-        near, far = np.where(inside, half, near), np.where(inside, far, half)
-    return middle + near[:, None] * ray
+        inner, outer = np.where(inside, half, inner), np.where(inside, outer, half)
+    return middle + inner[:, None] * ray
 
 
 @each_shape
@@ -66,7 +68,7 @@ def test_distance_is_that_to_the_nearest_point_of_the_surface(shape: Shape) -> N
     np.testing.assert_allclose(shape.signed_distance_and_normal(foot)[0], 0.0, atol=1e-12)
     surface = surface_of(shape)
     brute = np.array([np.linalg.norm(surface - point, axis=1).min() for point in at])
-    assert (np.abs(phi) <= brute + 1e-12).all()  # no point of the surface is nearer
+    assert (np.abs(phi) <= brute + 1e-12).all()  # no surface point is nearer
     assert (phi < 0).sum() < len(phi)
 
 
@@ -79,12 +81,12 @@ def test_normal_is_the_gradient(shape: Shape) -> None:
         / (2 * step)
         for e in step * np.eye(3)
     ]
-    apart = np.linalg.norm(np.stack(slope, axis=-1) - shape.signed_distance_and_normal(at)[1], axis=1)
-    assert np.quantile(apart, 0.98) < 1e-4  # the rest lies where two points of the surface are nearest
+    error = np.linalg.norm(np.stack(slope, axis=-1) - shape.signed_distance_and_normal(at)[1], axis=1)
+    assert np.quantile(error, 0.98) < 1e-4  # the rest has two nearest surface points
 
 
 @each_shape
-def test_box_holds_the_surface_and_range_its_distances(shape: Shape) -> None:
+def test_box_contains_the_surface_and_range_its_distances(shape: Shape) -> None:
     box, surface = shape.box_m(), surface_of(shape)
     assert (surface >= box[0] - 1e-12).all() and (surface <= box[1] + 1e-12).all()
     np.testing.assert_allclose([surface.min(axis=0), surface.max(axis=0)], box, atol=0.05 * np.ptp(box))
@@ -97,7 +99,7 @@ def test_box_holds_the_surface_and_range_its_distances(shape: Shape) -> None:
     assert (low <= phi + 1e-12).all() and (phi <= high + 1e-12).all()
 
 
-@given(sizes, places)
+@given(sizes, point_lists)
 @example((1.0, 0.1, 1.0), np.array([[0.0, 2.2e-313, 0.5], [0.0, 1e-290, 0.5], [0.0, -1e-120, 0.2]]))
 def test_ellipsoid_of_any_proportions_anywhere(half: tuple[float, float, float], at: np.ndarray) -> None:
     at = at * np.asarray(half)
@@ -112,16 +114,16 @@ def test_ellipsoid_of_any_proportions_anywhere(half: tuple[float, float, float],
     assert (np.abs(phi) <= brute * (1 + 1e-9) + 1e-12).all()
 
 
-@given(places, st.floats(0.01, 1.0))
+@given(point_lists, st.floats(0.01, 1.0))
 def test_an_ellipsoid_of_equal_axes_is_a_ball(at: np.ndarray, radius: float) -> None:
     ball, ellipsoid = Sphere((0.1, 0.0, 0.0), radius), Ellipsoid((0.1, 0.0, 0.0), (radius,) * 3)
     (phi, normal), (same, as_well) = (s.signed_distance_and_normal(at) for s in (ball, ellipsoid))
     np.testing.assert_allclose(same, phi, rtol=1e-12, atol=1e-12)
-    off = phi > 1e-6 - radius  # at the centre any normal is right
+    off = phi > 1e-6 - radius  # any normal is right at the centre
     np.testing.assert_allclose(as_well[off], normal[off], atol=1e-9)
 
 
-@given(places)
+@given(point_lists)
 def test_ellipsoid_bounds_the_first_order_distance(at: np.ndarray) -> None:
     half = (0.3, 0.9, 0.5)
     exact = Ellipsoid((0.0, 0.0, 0.0), half, TURN).signed_distance_and_normal(at)[0]
@@ -141,7 +143,7 @@ def test_the_focal_disc_of_a_flat_ellipsoid() -> None:
 
 
 @pytest.mark.parametrize("kind", [Capsule, Cylinder])
-def test_on_the_axis_of_a_rod_the_normal_is_still_a_unit(kind: type[Shape]) -> None:
+def test_the_normal_on_the_axis_of_a_rod_has_unit_length(kind: type[Shape]) -> None:
     shape = kind((0.0, 0.0, 0.0), 0.02, 0.05)  # type: ignore[call-arg]
     phi, normal = shape.signed_distance_and_normal(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.01]]))
     np.testing.assert_allclose(phi, -0.02)
@@ -151,7 +153,7 @@ def test_on_the_axis_of_a_rod_the_normal_is_still_a_unit(kind: type[Shape]) -> N
 @given(angles, shifts, angles, shifts)
 def test_motions_compose(first: tuple, shift: tuple, second: tuple, other: tuple) -> None:
     at = np.random.default_rng(6).uniform(-0.1, 0.1, (50, 3))
-    turn, then = rotation_matrix(first), rotation_matrix(second)
+    turn, second_turn = rotation_matrix(first), rotation_matrix(second)
     for shape in (
         Box((0.0, 0.01, 0.0), (0.02, 0.03, 0.01)),
         Sphere((0.0, 0.0, 0.02), 0.03),
@@ -159,18 +161,20 @@ def test_motions_compose(first: tuple, shift: tuple, second: tuple, other: tuple
     ):
         phi, normal = shape.signed_distance_and_normal(at)
         once = move_shape(shape, turn, shift)
-        there = at @ turn.T + shift
-        np.testing.assert_allclose(once.signed_distance_and_normal(there)[0], phi, atol=1e-12)
-        np.testing.assert_allclose(once.signed_distance_and_normal(there)[1], normal @ turn.T, atol=1e-9)
-        twice = move_shape(once, then, other)
+        moved_points = at @ turn.T + shift
+        np.testing.assert_allclose(once.signed_distance_and_normal(moved_points)[0], phi, atol=1e-12)
         np.testing.assert_allclose(
-            twice.signed_distance_and_normal(there @ then.T + other)[0], phi, atol=1e-12
+            once.signed_distance_and_normal(moved_points)[1], normal @ turn.T, atol=1e-9
+        )
+        twice = move_shape(once, second_turn, other)
+        np.testing.assert_allclose(
+            twice.signed_distance_and_normal(moved_points @ second_turn.T + other)[0], phi, atol=1e-12
         )
         assert type(twice) is type(shape)
 
 
 @pytest.mark.parametrize("rotation", [np.eye(3) * 2, -np.eye(3), np.eye(2), np.full((3, 3), np.nan)])
-def test_what_is_no_rotation_is_refused(rotation: np.ndarray) -> None:
+def test_invalid_rotations_are_refused(rotation: np.ndarray) -> None:
     for shape in SHAPES.values():
         with pytest.raises(InvalidArgument, match="rotation"):
             move_shape(shape, rotation, (0, 0, 0))
@@ -185,7 +189,7 @@ def test_what_is_no_rotation_is_refused(rotation: np.ndarray) -> None:
         'kind = "ellipsoid"\ncenter_m = [0, 0, 0]\nhalf_extents_m = [0.01, 0.02, 0.03]',
     ],
 )
-def test_a_file_may_name_them(tmp_path: Path, text: str) -> None:
+def test_a_file_may_contain_round_shapes(tmp_path: Path, text: str) -> None:
     (tmp_path / "scene.toml").write_text(f"[[shape]]\n{text}\n")
     (shape,) = read_analytic(tmp_path / "scene.toml").shapes
     assert text.split('"')[1] == type(shape).__name__.lower()

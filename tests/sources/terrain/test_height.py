@@ -1,4 +1,4 @@
-"""Height maps: exact on planes, solid below, honest about what is unknown; files and their faults."""
+"""Height maps: exact on planes, solid below, empty where unknown; files and their faults."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ def test_a_plane_is_exact(a: float, b: float, c: float, facing: int, profile: ob
     normal = facing * np.array([-a, -b, 1.0]) / np.sqrt(1 + a * a + b * b)
     phi = (at - [0, 0, c]) @ normal
     expected = profile(phi)[..., None] * normal  # type: ignore[operator]
-    near_a_jump = np.min([np.abs(phi - e) for e in (0.0, -0.008, 0.004, -0.0066)], axis=0) < 1e-7
-    np.testing.assert_allclose(dense[~near_a_jump], expected[~near_a_jump], atol=2e-4, rtol=1e-5)
+    is_at_jump = np.min([np.abs(phi - e) for e in (0.0, -0.008, 0.004, -0.0066)], axis=0) < 1e-7
+    np.testing.assert_allclose(dense[~is_at_jump], expected[~is_at_jump], atol=2e-4, rtol=1e-5)
 
 
 @given(st.integers(0, 2**31), st.sampled_from([SOLID, GUIDED]), st.floats(0, 0.4))
 def test_field_against_the_same_formula_in_numpy(seed: int, profile: object, holes: float) -> None:
-    """Every brick with a force is stored and no other; forces are f(phi) n of the interpolated surface."""
+    """Exactly the bricks with a force are stored; forces are f(phi) n of the interpolated surface."""
     rng = np.random.default_rng(seed)
     heights = 0.01 * rng.normal(size=(7, 6)) / 2
     heights[rng.random(heights.shape) < holes] = np.nan
@@ -63,7 +63,7 @@ def test_field_against_the_same_formula_in_numpy(seed: int, profile: object, hol
     h, gradient = scene._surface(0)
     at = mesh_m(grid)
     u, v = at[..., 0] / 0.012, 6 - at[..., 1] / 0.01
-    known = (u >= 0) & (u <= 5) & (v >= 0) & (v <= 6)
+    is_known = (u >= 0) & (u <= 5) & (v >= 0) & (v <= 6)
     c, r = np.clip(u.astype(int), 0, 4), np.clip(v.astype(int), 0, 5)
     fu, fv = u - c, v - r
     surface = np.zeros((*grid.shape, 3))
@@ -72,19 +72,19 @@ def test_field_against_the_same_formula_in_numpy(seed: int, profile: object, hol
             weight = np.where(p, fv, 1 - fv) * np.where(q, fu, 1 - fu)
             corner = np.concatenate([h[..., None], gradient], axis=-1)[r + p, c + q]
             surface += weight[..., None] * corner
-    known &= np.isfinite(surface[..., 0])
-    surface[~known] = 0
+    is_known &= np.isfinite(surface[..., 0])
+    surface[~is_known] = 0
     nz = 1 / np.sqrt(1 + surface[..., 1] ** 2 + surface[..., 2] ** 2)
     phi = (at[..., 2] - surface[..., 0]) * nz
     normal = np.stack([-surface[..., 1] * nz, -surface[..., 2] * nz, nz], axis=-1)
-    expected = np.where(known, profile(phi), 0)[..., None] * normal  # type: ignore[operator]
+    expected = np.where(is_known, profile(phi), 0)[..., None] * normal  # type: ignore[operator]
     dense = field.to_dense()
     edge = np.min([np.abs(phi - e) for e in (0.0, -0.008, 0.004)], axis=0) < 1e-9
     np.testing.assert_allclose(dense[~edge], expected[~edge], atol=1e-6)
     assert ForceField.from_dense(grid, dense) == field
 
 
-def test_everything_below_is_solid_down_to_the_bottom_of_the_grid() -> None:
+def test_terrain_is_solid_down_to_the_bottom_of_the_grid() -> None:
     scene = HeightScene(np.zeros((5, 5)), (0.01, 0.01))
     grid = Grid.over_box([0, 0, -1.0], [0.04, 0.04, 0.2], (8, 8, 60))
     dense = scene.field(0, grid, SOLID).to_dense()
@@ -102,7 +102,7 @@ def test_row_zero_is_north_and_exaggeration_scales_heights() -> None:
     assert scene.axes == UP_Z_AXES
     np.testing.assert_allclose(scene.bounds_m(), [[0, 0, 0], [25, 30, 6]])
     field = scene.field(0, Grid((26, 31, 1), (1.0, 1.0, 1.0), (0.0, 0.0, 1.0)), SOLID)
-    assert field.positions()[:, 1].min() > 20  # only towards the north is there ground at z = 1 m
+    assert field.positions()[:, 1].min() > 20  # only the north has ground at z = 1 m
 
 
 def test_no_force_beyond_the_rim_and_no_bridge_over_a_hole() -> None:
@@ -110,11 +110,11 @@ def test_no_force_beyond_the_rim_and_no_bridge_over_a_hole() -> None:
     heights[4, 4] = np.nan
     scene = HeightScene(heights, (1.0, 1.0))
     grid = Grid((24, 24, 1), (0.5, 0.5, 1.0), (-1.75, -1.75, -1.0))
-    held = scene.field(0, grid, SOLID).to_dense()[..., 0, 2] > 0
+    is_supported = scene.field(0, grid, SOLID).to_dense()[..., 0, 2] > 0
     x, y = grid.axis_m(0)[:, None], grid.axis_m(1)[None, :]
     inside = (x >= 0) & (x <= 8) & (y >= 0) & (y <= 8)
     hole = (np.abs(x - 4) < 1) & (np.abs(y - 4) < 1)
-    np.testing.assert_array_equal(held, inside & ~hole)
+    np.testing.assert_array_equal(is_supported, inside & ~hole)
 
 
 def test_noise_hardly_turns_the_normal_and_a_step_does_not() -> None:
@@ -127,19 +127,17 @@ def test_noise_hardly_turns_the_normal_and_a_step_does_not() -> None:
     gated = HeightScene(cliff, HeightLattice(0.0, 0.01, 0.0, 0.01, step_m=0.1))
     np.testing.assert_allclose(gated._surface(0)[1][..., 0], 0.1, atol=1e-6)
     grid = Grid((190, 4, 1), (0.001, 0.01, 0.1), (0.0, 0.05, 0.25))
-    held = gated.field(0, grid, SOLID).to_dense()[:, 0, 0, 2] > 0
-    np.testing.assert_array_equal(held, np.arange(190) > 95)  # the wall stands midway between the samples
+    is_supported = gated.field(0, grid, SOLID).to_dense()[:, 0, 0, 2] > 0
+    np.testing.assert_array_equal(is_supported, np.arange(190) > 95)  # the wall is midway between the samples
 
 
 @pytest.mark.parametrize("axis", ["columns", "rows"])
 @pytest.mark.parametrize("facing", [1, -1])
 @pytest.mark.parametrize(("dx_m", "dy_m"), [(0.01, 0.004), (0.004, -0.01), (0.006, -0.006)])
-def test_beside_a_step_the_plane_of_the_nearest_sample_goes_on(
+def test_next_to_a_step_the_nearest_plane_is_extrapolated(
     dx_m: float, dy_m: float, facing: int, axis: str
 ) -> None:
-    """A plane on either side of a cliff, of columns and rows that are unequally wide and may run
-    downwards.
-    """
+    """A plane on each side of a cliff, with unequal spacings of columns and rows in either direction."""
     a, b, cliff_m = 0.3, -0.2, 0.5
     lattice = HeightLattice(-9.5 * dx_m, dx_m, -9.5 * dy_m, dy_m, facing, step_m=0.1)
     x, y = (step_m * (np.arange(20) - 9.5) for step_m in (dx_m, dy_m))
@@ -152,7 +150,7 @@ def test_beside_a_step_the_plane_of_the_nearest_sample_goes_on(
         low = [-2.0 * abs(dx_m), -2.0 * abs(dy_m), level_m - 0.004]
         grid = Grid.over_box(low, [-low[0], -low[1], level_m + 0.004], (24, 28, 18))
         dense, at = scene.field(0, grid, SOLID).to_dense(), mesh_m(grid)
-        # in cells of the lattice from the middle of the cliff
+        # in cells of the lattice from the centre of the cliff
         beyond = at[..., 0] / dx_m if axis == "columns" else at[..., 1] / dy_m
         height_m = a * at[..., 0] + b * at[..., 1] + cliff_m * (beyond > 0)
         phi = (at[..., 2] - height_m) * normal[2]
@@ -165,14 +163,14 @@ def test_beside_a_step_the_plane_of_the_nearest_sample_goes_on(
 
 def test_frames_over_time_lazy_or_not() -> None:
     stack = np.stack([np.full((3, 3), h) for h in (0.0, 1.0, 2.0)])
-    asked = []
+    requested = []
 
     def heights(frame: int) -> np.ndarray:
-        asked.append(frame)
+        requested.append(frame)
         return stack[frame]
 
     lazy = HeightScene(heights, (1.0, 1.0), frame_count=3, rate_hz=5.0)
-    assert not asked
+    assert not requested
     grid = Grid((3, 3, 4), (1.0, 1.0, 1.0), (0.0, 0.0, -0.5))
     for scene in (lazy, HeightScene(stack, (1.0, 1.0)), HeightScene(list(stack), (1.0, 1.0))):
         assert scene.frame_count == 3
@@ -220,11 +218,11 @@ def test_a_depth_map_read_as_heights() -> None:
     assert scene.field(0, grid, SOLID).support_count == 0
     forces = scene.field(1, grid, SOLID).to_dense()
     at = mesh_m(grid)
-    held = forces.any(axis=-1)
-    assert (forces[held][:, 2] < 0).all()  # towards the viewer
+    is_supported = forces.any(axis=-1)
+    assert (forces[is_supported][:, 2] < 0).all()  # towards the viewer
     strip = at[..., 0] > 11.0 / 50 * 2
-    np.testing.assert_array_equal(held[strip], (at[..., 2] > 1.5)[strip])
-    assert not held[~strip & (at[..., 2] < 1.5)].any()
+    np.testing.assert_array_equal(is_supported[strip], (at[..., 2] > 1.5)[strip])
+    assert not is_supported[~strip & (at[..., 2] < 1.5)].any()
 
 
 def test_an_exaggerated_slope_of_depth_stays_a_slope() -> None:
@@ -238,7 +236,7 @@ def test_an_exaggerated_slope_of_depth_stays_a_slope() -> None:
     assert (np.abs(forces[:, 0]) > np.abs(forces[:, 2])).mean() > 0.9
 
 
-def test_a_lattice_whose_steps_are_none_is_refused() -> None:
+def test_a_lattice_with_invalid_steps_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="step_m"):
         HeightLattice(0.0, 1.0, 0.0, 1.0, step_m=0.0)
 
@@ -289,12 +287,12 @@ def test_npz_of_metres_and_of_degrees(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         opened(path, cell_size_m=10, height_scale=0.1).bounds_m(), [[0, 0, 0], [30, 20, 1.1]]
     )
-    place = {"xmin": 10.0, "xmax": 10.2, "ymin": 60.1, "ymax": 59.9}
-    np.savez(path, a=MAP, dx=0.05, **place)
+    extent = {"xmin": 10.0, "xmax": 10.2, "ymin": 60.1, "ymax": 59.9}
+    np.savez(path, a=MAP, dx=0.05, **extent)
     along, across = degree_m(60)
     np.testing.assert_allclose(opened(path).bounds_m()[1], [0.15 * across, 0.1 * along, 11], rtol=1e-12)
-    for step in (5.0, 0.5):  # a local system of metres, not degrees
-        np.savez(path, a=MAP, dx=step, **place)
+    for step in (5.0, 0.5):  # local coordinates in metres, not degrees
+        np.savez(path, a=MAP, dx=step, **extent)
         np.testing.assert_allclose(opened(path).bounds_m()[1], [3 * step, 2 * step, 11])
 
 
@@ -371,26 +369,26 @@ def test_tiff_of_each_type(tmp_path: Path, dtype: type) -> None:
     np.testing.assert_allclose(scene.bounds_m()[1][:2], [6, 6])
 
 
-def test_a_tiff_of_another_form_is_told_as_such(tmp_path: Path) -> None:
+def test_a_tiff_of_another_form_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "ground.tif"
     tiff(path, MAP.astype(np.float64), {33550: (12, (2.0, 3.0, 0.0))})
     with pytest.raises(SourceError, match=r"of a form that is not read.*or of 32, whole or floating"):
         open_source(path)
 
 
-def test_of_several_pages_the_first_is_read_and_told(tmp_path: Path) -> None:
+def test_the_first_of_several_pages_is_read_and_noted(tmp_path: Path) -> None:
     path, note = tmp_path / "ground.tif", "The file has several pages of this size: the first is read."
     first, second, small = (
         Image.fromarray(np.full(shape, 3, np.uint16)) for shape in ((6, 8), (6, 8), (3, 4))
     )
     first.save(path, save_all=True, append_images=[second])
     assert note in opened(path).notes
-    first.save(path, save_all=True, append_images=[small])  # a smaller copy is no page of its own
+    first.save(path, save_all=True, append_images=[small])  # a smaller copy is no further page
     assert note not in opened(path).notes
 
 
 @pytest.mark.parametrize("values", [np.ones((3, 4), bool), np.ones((3, 4), complex), np.ones((0, 4))])
-def test_an_npy_of_no_numbers_is_told_by_what_it_holds(tmp_path: Path, values: np.ndarray) -> None:
+def test_error_of_an_npy_without_numbers_states_its_contents(tmp_path: Path, values: np.ndarray) -> None:
     np.save(tmp_path / "ground.npy", values)
     with pytest.raises(SourceError, match=rf"found {values.dtype} .*expected numbers, at least one"):
         opened(tmp_path / "ground.npy")
@@ -421,9 +419,7 @@ def test_geotiff_in_feet(tmp_path: Path) -> None:
     tags = {33550: (12, (10.0, 10.0, 0.0)), 34735: (3, keys), 42113: (2, "nan")}
     tiff(tmp_path / "ground.tif", MAP, tags)
     np.testing.assert_allclose(opened(tmp_path / "ground.tif").bounds_m()[1], np.array([30, 20, 11]) * 0.3048)
-    scaled = opened(
-        tmp_path / "ground.tif", height_scale=0.1
-    )  # what is asked for goes before what the file says
+    scaled = opened(tmp_path / "ground.tif", height_scale=0.1)  # an option overrides the file
     np.testing.assert_allclose(scaled.bounds_m()[1], [30 * 0.3048, 20 * 0.3048, 1.1])
 
 
@@ -433,35 +429,33 @@ class Trap:
 
 
 def _broken(path: Path) -> dict[str, Path]:
-    """Files at fault, by name."""
+    """Invalid files by name."""
     files = {}
 
-    def made(name: str, write: object) -> None:
+    def add(name: str, write: object) -> None:
         files[name] = path / name
         write(path / name)  # type: ignore[operator]
 
-    made("nan.npy", lambda p: np.save(p, np.full((3, 3), np.nan)))
-    made("line.npy", lambda p: np.save(p, np.zeros(5)))
-    made("thin.npy", lambda p: np.save(p, np.zeros((1, 5))))
-    made("words.npy", lambda p: np.save(p, np.array([["a", "b"]])))
-    made("objects.npy", lambda p: np.save(p, np.array([[{}, {}], [{}, {}]]), allow_pickle=True))
-    made("objects.npz", lambda p: np.savez(p, z=np.array([[None, None], [None, None]])))
-    made("two.npz", lambda p: np.savez(p, a=np.zeros((3, 3)), b=np.zeros((3, 3))))
-    made("none.npz", lambda p: np.savez(p, a=np.zeros(3)))
-    made("dx.npz", lambda p: np.savez(p, z=np.zeros((3, 3)), dx=np.zeros(3)))
-    made(
-        "pole.npz", lambda p: np.savez(p, z=np.zeros((3, 3)), dx=0.01, xmin=0, xmax=1, ymin=89.9, ymax=89.95)
-    )
-    made(
+    add("nan.npy", lambda p: np.save(p, np.full((3, 3), np.nan)))
+    add("line.npy", lambda p: np.save(p, np.zeros(5)))
+    add("thin.npy", lambda p: np.save(p, np.zeros((1, 5))))
+    add("words.npy", lambda p: np.save(p, np.array([["a", "b"]])))
+    add("objects.npy", lambda p: np.save(p, np.array([[{}, {}], [{}, {}]]), allow_pickle=True))
+    add("objects.npz", lambda p: np.savez(p, z=np.array([[None, None], [None, None]])))
+    add("two.npz", lambda p: np.savez(p, a=np.zeros((3, 3)), b=np.zeros((3, 3))))
+    add("none.npz", lambda p: np.savez(p, a=np.zeros(3)))
+    add("dx.npz", lambda p: np.savez(p, z=np.zeros((3, 3)), dx=np.zeros(3)))
+    add("pole.npz", lambda p: np.savez(p, z=np.zeros((3, 3)), dx=0.01, xmin=0, xmax=1, ymin=89.9, ymax=89.95))
+    add(
         "south.npz",
         lambda p: np.savez(p, z=np.zeros((3, 3)), dx=0.01, xmin=0, xmax=1, ymin=-89.9, ymax=-89.95),
     )
-    made("colour.png", lambda p: Image.fromarray(np.zeros((3, 3, 3), np.uint8)).save(p))
-    made("empty.png", lambda p: p.write_bytes(b""))
-    made("zip.npz", lambda p: p.write_bytes(b"PK\x05\x06" + b"\0" * 17))
-    made("text.npy", lambda p: p.write_text("1 2 3"))
-    made("huge.npy", lambda p: p.write_bytes(_header((1 << 40, 1 << 40))))
-    made("nothing.tif", lambda p: tiff(p, np.full((3, 3), 7, np.int16), {42113: (2, "7")}))
+    add("colour.png", lambda p: Image.fromarray(np.zeros((3, 3, 3), np.uint8)).save(p))
+    add("empty.png", lambda p: p.write_bytes(b""))
+    add("zip.npz", lambda p: p.write_bytes(b"PK\x05\x06" + b"\0" * 17))
+    add("text.npy", lambda p: p.write_text("1 2 3"))
+    add("huge.npy", lambda p: p.write_bytes(_header((1 << 40, 1 << 40))))
+    add("nothing.tif", lambda p: tiff(p, np.full((3, 3), 7, np.int16), {42113: (2, "7")}))
     return files
 
 
@@ -470,7 +464,7 @@ def _header(shape: tuple[int, ...]) -> bytes:
     return b"\x93NUMPY\x01\0" + struct.pack("<H", len(text)) + text.encode()
 
 
-def test_files_at_fault_give_one_line_that_names_them(tmp_path: Path) -> None:
+def test_errors_of_invalid_files_are_one_line_with_the_name(tmp_path: Path) -> None:
     for name, path in _broken(tmp_path).items():
         KIND.recognise(path)
         with pytest.raises(SourceError) as caught:
@@ -506,13 +500,13 @@ def test_damaged_files_give_a_scene_or_a_source_error(
     assert outcome == "(2, 3)" or path.name in outcome
 
 
-def test_an_array_of_no_numbers_is_told_as_such(tmp_path: Path) -> None:
+def test_an_array_without_numbers_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "map.npy", np.zeros((4, 5), bool))
     with pytest.raises(SourceError, match=r"found bool \[4, 5\]; expected numbers"):
         KIND.open(tmp_path / "map.npy", SourceOptions())
 
 
-def test_what_is_not_taken_for_a_height_map(tmp_path: Path) -> None:
+def test_files_that_are_no_height_maps_are_not_recognised(tmp_path: Path) -> None:
     np.savez(tmp_path / "field.npz", forces_n=np.zeros((1, 2, 2, 2, 3)), z=MAP)
     Image.fromarray(MAP.astype(np.uint16)).save(tmp_path / "depth_0001.png")
     Image.fromarray(MAP.astype(np.uint8)).save(tmp_path / "disp1.png")

@@ -1,4 +1,4 @@
-"""The symbolic path: saliency follows what stands out, needs no future, and becomes newtons along +z."""
+"""Saliency of pictures: highlights what stands out, is causal, and becomes newtons along +z."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ AS = SourceOptions(kind="saliency")
 LAW = profile_of(LawSpec("penalty", 500.0, 3.3), 0.0066)
 
 
-def place(frame: int) -> tuple[int, int]:
-    """Row and column of the blob: from the left to the right, up and down."""
+def blob_position(frame: int) -> tuple[int, int]:
+    """Row and column of the blob, which moves from left to right and up and down."""
     return round(24 + 12 * np.sin(frame / 3)), 8 + 2 * frame % 48
 
 
 def picture(frame: int, colour: tuple[int, int, int] = (240, 230, 80)) -> np.ndarray:
     """A bright blob of 6 pixels on dark ground."""
     v, u = np.mgrid[:HEIGHT, :WIDTH]
-    row, column = place(frame)
+    row, column = blob_position(frame)
     colours = np.full((HEIGHT, WIDTH, 3), 40, np.uint8)
     colours[(v - row) ** 2 + (u - column) ** 2 <= 9] = colour
     return colours
 
 
 class Drawn:
-    """Pictures in memory, and which were read."""
+    """Pictures in memory, with a list of those read."""
 
     size = (WIDTH, HEIGHT)
 
@@ -82,18 +82,18 @@ def peak(values: np.ndarray) -> tuple[int, int]:
 
 def test_the_peak_follows_the_blob() -> None:
     for frame, found in enumerate(run([picture(i) for i in range(COUNT)])):
-        assert np.hypot(*np.subtract(peak(found), place(frame))) <= 4, frame
+        assert np.hypot(*np.subtract(peak(found), blob_position(frame))) <= 4, frame
         assert found.dtype == np.float32 and found.min() >= 0 and 0.7 < found.max() <= 1
 
 
 def test_a_colour_of_the_same_luminance_stands_out() -> None:
-    """Red on grey of one luminance: only the opponents tell."""
+    """Red on grey of equal luminance: only the colour opponents differ."""
     grey = np.full((HEIGHT, WIDTH, 3), round(0.299 * 200 + 0.587 * 60 + 0.114 * 60), np.uint8)
     grey[20:26, 40:46] = (200, 60, 60)
     assert abs(peak(run([grey])[0])[0] - 22.5) <= 3 and abs(peak(run([grey])[0])[1] - 42.5) <= 3
 
 
-def test_of_two_equal_things_the_one_that_moves_stands_out() -> None:
+def test_the_moving_one_of_two_equal_objects_stands_out() -> None:
     frames = []
     for i in range(12):
         colours = np.full((HEIGHT, WIDTH, 3), 60, np.uint8)
@@ -111,40 +111,40 @@ def test_nothing_stands_out_of_an_even_picture_and_little_of_noise() -> None:
     assert max(found.max() for found in run(noisy)) < 0.4
 
 
-def test_a_map_needs_nothing_of_the_future() -> None:
+def test_a_map_is_causal() -> None:
     frames = [picture(i) for i in range(COUNT)]
     other = [*frames[:8], *(255 - f for f in frames[8:])]
-    for now, then in zip(run(frames)[:8], run(other)[:8], strict=True):
-        assert np.array_equal(now, then)
+    for now, other_map in zip(run(frames)[:8], run(other)[:8], strict=True):
+        assert np.array_equal(now, other_map)
     assert not np.array_equal(run(frames)[8], run(other)[8])
 
 
 def test_the_scale_does_not_jump_when_a_bright_thing_leaves() -> None:
-    """What stays in the picture does not swell to the full at once, and does in the end."""
+    """The remaining object grows to the full scale gradually."""
     small = np.full((HEIGHT, WIDTH, 3), 60, np.uint8)
     small[20:26, 50:56] = 120
     both = small.copy()
     both[30:38, 8:16] = 255
     maps = run([both] * 50 + [small] * 200)
-    felt = [found[20:26, 50:56].max() for found in maps]
-    # 1/25 s of a scale that fades in 2 s
-    steps = np.diff(felt[52:])
-    assert felt[49] < 0.75 and felt[-1] > 0.95
+    peaks = [found[20:26, 50:56].max() for found in maps]
+    # 1/25 s of a scale that decays in 2 s
+    steps = np.diff(peaks[52:])
+    assert peaks[49] < 0.75 and peaks[-1] > 0.95
     assert steps.max() < 0.05 and steps.min() > -0.05
 
 
 def test_a_model_is_never_changed() -> None:
     model = SaliencyModel(25.0)
-    _, seen = model.update(picture(0))
-    first, _ = seen.update(picture(1))
-    seen.update(picture(9))
-    assert np.array_equal(first, seen.update(picture(1))[0]) and model.mean is None
+    _, updated = model.update(picture(0))
+    first, _ = updated.update(picture(1))
+    updated.update(picture(9))
+    assert np.array_equal(first, updated.update(picture(1))[0]) and model.mean is None
 
 
-def test_a_model_refuses_what_it_cannot_take() -> None:
-    _, seen = SaliencyModel(25.0).update(picture(0))
+def test_a_model_refuses_invalid_pictures_and_rates() -> None:
+    _, updated = SaliencyModel(25.0).update(picture(0))
     with pytest.raises(InvalidArgument, match="as before"):
-        seen.update(picture(0)[:-1])
+        updated.update(picture(0)[:-1])
     for rate_hz in (0.0, np.nan, np.inf):
         with pytest.raises(InvalidArgument, match="rate_hz"):
             SaliencyModel(rate_hz)
@@ -199,7 +199,7 @@ def test_the_field_is_saliency_in_newtons_along_z() -> None:
     assert not scene.field(5, beyond, LAW).support_count
 
 
-def test_beyond_the_picture_there_is_no_force_and_between_cells_it_is_linear() -> None:
+def test_the_force_is_zero_outside_and_linear_between_cells() -> None:
     scene = SaliencyScene(Drawn(), 25.0)
     grid = Grid((97, 61, 1), (0.0125, 0.02, 0.01), (-0.6, -0.6, 0.0))
     forces = scene.field(3, grid, LAW).to_dense()[:, :, 0, 2]
@@ -236,8 +236,8 @@ def test_the_amplitude_is_the_largest_of_the_law() -> None:
         (((-np.inf, -0.1, 1.5, 0.0), (0.0, 0.1, 0.5, 5.0)), 1.5),
         (((-0.01, 0.0, 0.0, -200.0), (0.0, 0.1, 2.5, 0.0)), 2.5),
     ):
-        felt = scene.field(0, grid, ForceProfile(pieces)).to_dense()[..., 2].max()
-        assert 0.8 * force * largest < felt <= force * largest * (1 + 1e-6)
+        maximum_n = scene.field(0, grid, ForceProfile(pieces)).to_dense()[..., 2].max()
+        assert 0.8 * force * largest < maximum_n <= force * largest * (1 + 1e-6)
 
 
 def test_the_strongest_tactor_follows_the_blob() -> None:
@@ -247,22 +247,25 @@ def test_the_strongest_tactor_follows_the_blob() -> None:
         amplitudes = medium[frame].to_dense()[:, :, 0, 2]
         column, row = np.unravel_index(amplitudes.argmax(), amplitudes.shape)
         at = medium.grid.to_m((column, row, 0))[:2] / 0.4 * WIDTH  # 64 pixels over the 400 mm of the shirt
-        v, u = place(frame)
+        v, u = blob_position(frame)
         assert np.hypot(at[0] - (u + 0.5 - 32), at[1] - (24 - v - 0.5)) <= 5, frame
         assert 1.0 < amplitudes.max() <= 3.3
 
 
-def test_a_point_device_feels_a_slab() -> None:
+def test_a_point_device_gets_a_slab() -> None:
     field = prepare(SaliencyScene(Drawn(), 25.0), EncodeSpec(nw=4)).medium[2]
     assert field.support_count and not field.vectors_n()[:, :2].any()
     assert np.ptp(field.positions()[:, 2]) < 8  # of 16 samples along the line of sight
 
 
-def test_frames_are_held_at_a_higher_rate_and_skipped_at_a_lower_one() -> None:
-    for rate_hz, count, shown in ((100.0, 80, [0, 0, 0, 0, 1, 1]), (10.0, 8, [0, 2, 5, 7, 10, 12, 15, 17])):
+def test_frames_are_repeated_at_a_higher_rate_and_skipped_at_a_lower_one() -> None:
+    for rate_hz, count, source_frames in (
+        (100.0, 80, [0, 0, 0, 0, 1, 1]),
+        (10.0, 8, [0, 2, 5, 7, 10, 12, 15, 17]),
+    ):
         scene = SaliencyScene(Drawn(), 25.0, rate_hz)
         assert (scene.frame_count, scene.rate_hz) == (count, rate_hz)
-        for frame, source in enumerate(shown):
+        for frame, source in enumerate(source_frames):
             assert np.array_equal(scene.saliency(frame), run(scene.maps.pictures.frames[: source + 1])[-1])
     with pytest.raises(InvalidArgument, match="0 to 7"):
         scene.saliency(8)
@@ -308,8 +311,8 @@ def test_a_gif_in_any_order(tmp_path: Path) -> None:
     pictures = movies.ColourVideo(path)
     assert (pictures.frame_count, pictures.rate_hz) == (COUNT, 25.0)
     for frame in [*range(COUNT), 4, 3, 19, 0]:
-        far = np.abs(pictures.values(frame).astype(int) - picture(frame))
-        assert far.max() <= 8, frame  # a palette
+        difference = np.abs(pictures.values(frame).astype(int) - picture(frame))
+        assert difference.max() <= 8, frame  # a palette
     assert open_source(path).rate_hz == 25.0
     clear = Image.fromarray(np.zeros((HEIGHT, WIDTH, 4), np.uint8))
     clear.save(tmp_path / "clear.gif")
@@ -317,7 +320,7 @@ def test_a_gif_in_any_order(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.webp", "a.png"])
-def test_other_pictures_that_move_are_refused(tmp_path: Path, name: str) -> None:
+def test_other_animated_pictures_are_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(SourceError, match=r"a picture that moves.*a video or a GIF"):
         open_source(gif(tmp_path / name), AS)
 
@@ -347,9 +350,9 @@ def test_the_pictures_of_files_in_any_order(tmp_path: Path) -> None:
         assert np.array_equal(pictures.values(frame), picture(frame)), frame
 
 
-def test_a_single_picture_upright_and_what_is_transparent_black(tmp_path: Path) -> None:
+def test_a_single_picture_is_upright_and_transparency_is_black(tmp_path: Path) -> None:
     exif = Image.Exif()
-    exif[0x0112] = 6  # to be turned clockwise by a quarter
+    exif[0x0112] = 6  # to be rotated clockwise by a quarter
     Image.fromarray(picture(0)).save(tmp_path / "a.jpg", exif=exif, quality=95)
     pictures = ColourPictures((tmp_path / "a.jpg",))
     assert (pictures.size, pictures.frame_count, pictures.rate_hz) == ((HEIGHT, WIDTH), 1, None)
@@ -360,7 +363,7 @@ def test_a_single_picture_upright_and_what_is_transparent_black(tmp_path: Path) 
     assert open_source(tmp_path / "a.jpg", AS).frame_count == 1
 
 
-def test_files_at_fault(tmp_path: Path) -> None:
+def test_invalid_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(SourceError, match="no picture"):
         open_source(tmp_path / "empty", AS)
@@ -370,23 +373,23 @@ def test_files_at_fault(tmp_path: Path) -> None:
     (tmp_path / "text.gif").write_text("no picture")
     with pytest.raises(SourceError, match="a video that cannot be read"):
         open_source(tmp_path / "text.gif", AS)
-    whole = gif(tmp_path / "a.gif").read_bytes()
-    for share in (0.002, 0.1, 0.5, 0.9):
-        (tmp_path / "cut.gif").write_bytes(whole[: int(share * len(whole))])
+    intact = gif(tmp_path / "a.gif").read_bytes()
+    for fraction in (0.002, 0.1, 0.5, 0.9):
+        (tmp_path / "cut.gif").write_bytes(intact[: int(fraction * len(intact))])
         try:
             scene = open_source(tmp_path / "cut.gif", AS)
             assert isinstance(scene, SaliencyScene) and scene.frame_count < COUNT
             scene.saliency(scene.frame_count - 1)
         except SourceError:
             continue
-    header = bytearray(whole)
+    header = bytearray(intact)
     header[6:10] = b"\x20\x4e\x10\x27"  # 20000 x 10000 pixels
     (tmp_path / "large.gif").write_bytes(header)
     with pytest.raises(SourceError, match=f"at most {MAX_PIXELS} pixels"):
         open_source(tmp_path / "large.gif")
 
 
-def test_a_depth_scale_asks_for_depth_and_not_for_saliency(tmp_path: Path) -> None:
+def test_a_depth_scale_requests_depth_instead_of_saliency(tmp_path: Path) -> None:
     path = gif(tmp_path / "blob.gif")
     with pytest.raises(SourceError, match=r"blob\.gif.*16-bit grey depth.*--as saliency"):
         open_source(path, SourceOptions(depth_scale=1000.0))
@@ -394,7 +397,9 @@ def test_a_depth_scale_asks_for_depth_and_not_for_saliency(tmp_path: Path) -> No
 
 
 def expected_maps(frames: list[np.ndarray], rate_hz: float) -> list[np.ndarray]:
-    """The model written out once more: three parts, each over its peak, their mean over its own."""
+    """An independent implementation of the model: three parts, each normalised by its peak, and
+    their normalised mean.
+    """
     mean, peaks, maps = None, np.zeros(4), []
     for colours in frames:
         r, g, b = (colours[..., n] / 255.0 for n in range(3))
@@ -403,32 +408,32 @@ def expected_maps(frames: list[np.ndarray], rate_hz: float) -> list[np.ndarray]:
         centre, surround = (
             [ndimage.gaussian_filter(c, sigma, mode="nearest") for c in channels] for sigma in (1.5, 8.0)
         )
-        around = sum(np.abs(c - s) for c, s in zip(centre, surround, strict=True))
+        contrast = sum(np.abs(c - s) for c, s in zip(centre, surround, strict=True))
         moves = ndimage.gaussian_filter(
             sum(np.abs(c - m) for c, m in zip(channels, mean, strict=True)), 1.0, mode="nearest"
         )
         spectrum = np.fft.fft2(channels[0] - channels[0].mean())
         size = np.abs(spectrum) + 0.02 * np.sqrt(spectrum.size)
-        near = sum(np.roll(np.log(size), (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)) / 9
-        residual = np.abs(np.fft.ifft2(spectrum / size * np.exp(np.log(size) - near))) ** 2
+        neighbours = sum(np.roll(np.log(size), (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)) / 9
+        residual = np.abs(np.fft.ifft2(spectrum / size * np.exp(np.log(size) - neighbours))) ** 2
         residual = ndimage.gaussian_filter(residual, 2.0, mode="nearest") * 2 * np.pi * 2.0**2
-        parts = [residual, around, moves]
+        parts = [residual, contrast, moves]
         fade = np.exp(-1 / (2.0 * rate_hz))
-        for n, (part, least) in enumerate(zip(parts, (0.02, 0.15, 0.15), strict=True)):
-            peaks[n] = max(part.max(), fade * peaks[n], least)
+        for n, (part, floor) in enumerate(zip(parts, (0.02, 0.15, 0.15), strict=True)):
+            peaks[n] = max(part.max(), fade * peaks[n], floor)
         total = sum(part / peaks[n] for n, part in enumerate(parts)) / 3
         peaks[3] = max(total.max(), fade * peaks[3], 1 / 3)
         maps.append(np.clip(total / peaks[3], 0, 1))
-        share = 1 - np.exp(-1 / (0.3 * rate_hz))
-        mean = [m + share * (c - m) for m, c in zip(mean, channels, strict=True)]
+        rate = 1 - np.exp(-1 / (0.3 * rate_hz))
+        mean = [m + rate * (c - m) for m, c in zip(mean, channels, strict=True)]
     return maps
 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 60.0])
-def test_a_map_is_that_of_the_formulas(rate_hz: float) -> None:
+def test_a_map_equals_the_formulas(rate_hz: float) -> None:
     rng = np.random.default_rng(3)
     frames = [np.clip(rng.normal(100, 20, (36, 50, 3)), 0, 255).astype(np.uint8) for _ in range(4)]
-    frames[1][5:12, 30:40, 0] = 250  # red, then blue elsewhere, then gone
+    frames[1][5:12, 30:40, 0] = 250  # red, then blue elsewhere, then absent
     frames[2][20:30, 4:12, 2] = 255
     for found, expected in zip(run(frames, rate_hz), expected_maps(frames, rate_hz), strict=True):
         np.testing.assert_allclose(found, expected, atol=2e-4)
