@@ -460,8 +460,8 @@ def test_provenance_has_the_numbers_of_the_mapping() -> None:
 
 def test_filtered_medium_has_all_metadata_of_its_source() -> None:
     scene = stored()
-    source = replace(scene.medium, axes="x east, y north, z up", damping_n_s_per_m=2.5, rate_hz=17.0)
-    scene.medium, scene.rate_hz = source, source.rate_hz
+    source = replace(scene.stored, axes="x east, y north, z up", damping_n_s_per_m=2.5, rate_hz=17.0)
+    scene.stored, scene.rate_hz = source, source.rate_hz
     medium = device_medium(scene, OMNI, device_grid(OMNI, 3), Placement(), WALL)
     assert medium.metadata == source.metadata
     assert medium.metadata == {
