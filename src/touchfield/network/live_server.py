@@ -41,13 +41,13 @@ class LiveServer(Background):
     Attributes
     ----------
     receivers : int
-        That are there now.
+        Number of receivers that are connected.
     max_receivers : int
-        That were there at once.
+        Largest number of receivers that were connected at the same time.
     skipped : int
-        Segments that slow receivers were moved on over.
-    left : int
-        Receivers that did not read, and were left.
+        Number of segments that slow receivers did not get.
+    dropped : int
+        Number of receivers that were disconnected because they did not read.
     """
 
     def __init__(
