@@ -148,6 +148,23 @@ def test_an_amplitude_takes_the_nearest_level(levels: np.ndarray) -> None:
     np.testing.assert_allclose(errors[np.arange(300), table.encode(values)], errors.min(axis=1), atol=2.0**-4)
 
 
+@pytest.mark.parametrize("count", [1, 2, 25, 4096, 65536])
+def test_an_amplitude_on_a_threshold_takes_the_level_above(count: int) -> None:
+    """At each threshold and the floats beside it, at float32's ends, and where their leading bits change."""
+    samples = np.random.default_rng(count).gamma(2.0, 0.6, 2 * count + 8).astype(np.float32)
+    table = AmplitudeLevels(np.unique(samples)[:count])
+    assert len(table) == count
+    powers = np.ldexp(np.float32(1), np.arange(-149, 128)).astype(np.float32)
+    ends = np.array([0.0, -0.0, np.finfo(np.float32).max], np.float32)
+    at = np.concatenate([table.thresholds_n, powers, ends])
+    values = np.concatenate(
+        [at, np.nextafter(at[at > 0], np.float32(0)), np.nextafter(at[:-1], np.float32(1e38))]
+    )
+    expected = (table.thresholds_n[None, :] <= values[:500, None]).sum(axis=1)
+    np.testing.assert_array_equal(table.encode(values)[:500], expected)
+    np.testing.assert_array_equal(table.encode(values), np.searchsorted(table.thresholds_n, values, "right"))
+
+
 def test_invalid_amplitudes_are_refused() -> None:
     table = uniform_levels(0.5, 2.0)
     for bad in (-1.0, np.nan, np.inf):

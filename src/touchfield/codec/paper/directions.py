@@ -30,7 +30,7 @@ import math
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import combinations
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,6 +43,14 @@ DEFAULT: Final = "ico5"
 
 _LARGEST_FREQUENCY: Final = {"ico": 20, "octa": 5}
 _GRAIN = 2.0**-40
+
+
+class _Cells(NamedTuple):
+    """Candidates of the nearest vertex for each cell of the six faces of a cube, side * side cells a face."""
+
+    side: int
+    first: Int32s  # [6 * side^2 + 1]; where the candidates of each cell start
+    candidates: NDArray[np.uint16]  # indices of vertices, ascending within each cell
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +110,31 @@ class Codebook:
         if x.ndim != 2 or x.shape[1] != 3 or not np.isfinite(x).all():
             raise InvalidArgument("vectors", f"shape {x.shape}, or one that is not finite", "finite [m, 3]")
         out = np.empty(len(x), np.uint16)
-        reach = 2 * math.sin(math.radians(self.covering_radius_deg) / 2) + 1e-6
-        for_chunks(nearest, len(x), x, np.ascontiguousarray(self.vertices.T), reach, out, chunk=1 << 12)
+        cells = self._cells
+        for_chunks(
+            nearest, len(x), x, self.vertices, cells.side, cells.first, cells.candidates, out, chunk=1 << 12
+        )
         return out
+
+    @cached_property
+    def _cells(self) -> _Cells:
+        """The vertices that can be nearest to a direction, by the cell of a cube's face that it crosses."""
+        side = 64 if len(self) < 1000 else 32
+        centres = (np.arange(side) + 0.5) * 2 / side - 1
+        u, v = (offset.ravel() for offset in np.meshgrid(centres, centres, indexing="ij"))
+        radius = math.sqrt(2) / side  # of a cell, on the face: on the sphere no two points are farther apart
+        counts, candidates = [], []
+        for axis in range(3):
+            for sign in (-1.0, 1.0):
+                face = np.roll(np.stack([np.full_like(u, sign), u, v], axis=1), axis, axis=1)
+                products = _normalise(face) @ self.vertices.T
+                # of a direction in the cell, at most `radius` from its centre
+                reach = np.sqrt(np.maximum(0, 2 - 2 * products.max(axis=1))) + 2 * radius + 1e-6
+                cell, vertex = np.nonzero(products >= (1 - reach**2 / 2)[:, None])
+                counts.append(np.bincount(cell, minlength=side * side))
+                candidates.append(vertex.astype(np.uint16))
+        first = np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(np.int32)
+        return _Cells(side, first, np.concatenate(candidates))
 
 
 @cache

@@ -1,34 +1,65 @@
-"""Compiled loops of the paper's coder: the nearest direction, Huffman codes to bits and back, and ADPCM."""
+"""Compiled loops of the paper's coder: nearest directions, levels of amplitudes, Huffman codes and ADPCM."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
 from touchfield.compute.coder_jit import entry
 from touchfield.compute.jit import kernel
-from touchfield.medium.kernels import lower_bound
 
 
 @entry
-def nearest(start, stop, vectors, vertices, reach, out):
-    """Fill uint16 [m] with the first of the vertices [3, n] of largest dot product for finite float32 [m, 3].
+def nearest(start, stop, vectors, vertices, side, first, candidates, out):
+    """Fill uint16 [m] with the first of the vertices [n, 3] of largest dot product for finite float32 [m, 3].
 
-    Vertices ascend by x; the nearest vertex of a direction is within `reach`, so only these x are searched.
+    The six faces of the cube around the unit sphere have `side` * `side` cells each; the vertices that can be
+    nearest to a direction of cell c are candidates[first[c] : first[c + 1]], ascending (`Codebook._cells`).
     """
+    half = 0.5 * side
     for i in range(start, stop):
         x, y, z = np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
-        size = math.sqrt(x * x + y * y + z * z)
+        axis, along, u, v = 0, x, y, z
+        if abs(y) > abs(x) and abs(y) >= abs(z):
+            axis, along, u, v = 1, y, z, x
+        elif abs(z) > abs(x):
+            axis, along, u, v = 2, z, x, y
+        if along == 0.0:
+            out[i] = 0
+            continue
+        scale = half / abs(along)
+        row = min(np.int64(u * scale + half), side - 1)
+        column = min(np.int64(v * scale + half), side - 1)
+        face = 2 * axis + (along > 0.0)
+        cell = (face * side + row) * side + column
         best, winner = -np.inf, 0
-        if size > 0.0:
-            j, last = lower_bound(vertices[0], x / size - reach), x / size + reach
-            while j < vertices.shape[1] and vertices[0, j] <= last:
-                dot = vertices[0, j] * x + vertices[1, j] * y + vertices[2, j] * z
-                if dot > best:
-                    best, winner = dot, j
-                j += 1
+        for k in range(first[cell], first[cell + 1]):
+            j = candidates[k]
+            dot = vertices[j, 0] * x + vertices[j, 1] * y + vertices[j, 2] * z
+            if dot > best:
+                best, winner = dot, j
         out[i] = winner
+
+
+DROPPED_BITS = 16  # of an amplitude's pattern as float32: exponent and 7 bits of its fraction are left
+
+
+@entry
+def levels_of(start, stop, amplitudes, patterns, thresholds, first, out):
+    """Fill uint16 [m] with the number of thresholds at or below each amplitude, float32 [m], 0 or more.
+
+    `patterns` are the amplitudes' bits as uint32. Amplitudes whose leading bits are p lie above the first
+    `first[p]` thresholds, and above no more than `first[p + 1]`; between these, by bisection.
+    """
+    for i in range(start, stop):
+        leading = (patterns[i] & np.uint32(0x7FFFFFFF)) >> np.uint32(DROPPED_BITS)
+        low, high = first[leading], first[leading + 1]
+        while low < high:
+            middle = (low + high) >> 1
+            if thresholds[middle] <= amplitudes[i]:
+                low = middle + 1
+            else:
+                high = middle
+        out[i] = low
 
 
 MAX_CODE_BITS = 24  # bits of a Huffman code, at most

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Float32s, Float64s, lengths_of
+from touchfield.arrays import Float32s, Float64s, Int32s, lengths_of
+from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument
 from touchfield.perception.weber import WeberLadder
 
@@ -58,9 +60,26 @@ class AmplitudeLevels:
 
     def encode(self, amplitudes_n: Float32s) -> NDArray[np.uint16]:
         """Indices of the levels of float32 [m] newtons, 0 or more (else InvalidArgument), uint16 [m]."""
-        amplitudes = _check_amplitudes(amplitudes_n)
+        from touchfield.codec.paper.kernels import levels_of
+
+        amplitudes = np.ascontiguousarray(_check_amplitudes(amplitudes_n))
+        out = np.empty(len(amplitudes), np.uint16)
+        patterns = amplitudes.view(np.uint32)
+        for_chunks(
+            levels_of, len(out), amplitudes, patterns, self.thresholds_n, self._first, out, chunk=1 << 14
+        )
+        return out
+
+    @cached_property
+    def _first(self) -> Int32s:
+        """For each pattern of leading bits of a float32, how many thresholds its smallest number reaches."""
+        from touchfield.codec.paper.kernels import DROPPED_BITS
+
         assert self.thresholds_n is not None
-        return np.searchsorted(self.thresholds_n, amplitudes, "right").astype(np.uint16)
+        infinity = 0x7F800000
+        patterns = np.arange((infinity >> DROPPED_BITS) + 1, dtype=np.uint32) << DROPPED_BITS
+        smallest = patterns.view(np.float32)
+        return np.searchsorted(self.thresholds_n, smallest, "right").astype(np.int32)
 
 
 def _round_up(thresholds: Float64s) -> Float32s:
