@@ -74,6 +74,37 @@ def test_overlapping_boxes_equal_the_combined_box(parts: tuple, outline: tuple, 
     assert differs.mean() < 0.02  # where two faces are equally near, either may push
 
 
+def dipyramid(corners: np.ndarray) -> Mesh:
+    """Two pyramids, base to base, over a closed line [n, 2]."""
+    n = len(corners)
+    vertices = np.concatenate([np.column_stack([corners, np.zeros(n)]), [[0, 0, 1.1], [0, 0, -0.9]]])
+    upper = [(i, (i + 1) % n, n) for i in range(n)]
+    lower = [(j, i, n + 1) for i, j, _ in upper]
+    return vertices, np.array(upper + lower)
+
+
+def around(radius: float, angles: np.ndarray) -> np.ndarray:
+    return radius * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def test_triangles_with_one_common_vertex_are_cut_where_they_cross() -> None:
+    """The sides of a star that is drawn in one line cross from the tip on; its outline's sides do not."""
+    steps = 2 * math.pi / 5 * np.arange(5)
+    star = dipyramid(around(1.0, 2 * steps))
+    hollow = math.cos(2 * math.pi / 5) / math.cos(math.pi / 5)  # between the tips of a pentagram
+    outline = dipyramid(
+        np.stack([around(1.0, steps), around(hollow, steps + math.pi / 5)], axis=1).reshape(10, 2)
+    )
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix()
+    grid = Grid.over_box((-1.03, -1.02, -1.01), (1.04, 1.03, 1.02), (39, 38, 37))
+    found, true = (
+        np.linalg.norm(MeshScene(vertices @ turn.T, faces).field(0, grid, SOLID).to_dense(), axis=-1)
+        for vertices, faces in (star, outline)
+    )
+    assert (true > 0).sum() > 2000
+    np.testing.assert_allclose(found, true, atol=2e-6)
+
+
 def test_no_force_leads_to_an_inner_wall() -> None:
     """Three crossing boxes in any orientation: every force leads out of all of them."""
     rng = np.random.default_rng(5)

@@ -250,12 +250,12 @@ def _meet(piece, count, normal, other, other_normal, tiny, h, g):
 
 
 @inner(forceinline=True)
-def _have_common_vertex(triangles, t, u):
+def _have_common_edge(triangles, t, u):
+    common = 0
     for c in range(3):
         for d in range(3):
-            if triangles[t, c] == triangles[u, d]:
-                return True
-    return False
+            common += triangles[t, c] == triangles[u, d]
+    return common >= 2
 
 
 @kernel
@@ -276,7 +276,7 @@ def _pairs(start, stop, bins, boxes, corners, normals, triangles, tiny, max_pair
                     continue
                 if boxes[u, 3] < y0 - tiny or boxes[u, 4] > z1 + tiny or boxes[u, 5] < z0 - tiny:
                     continue
-                if _have_common_vertex(triangles, t, u):
+                if _have_common_edge(triangles, t, u):
                     continue
                 y, z = max(y0, boxes[u, 2]), max(z0, boxes[u, 4])
                 if _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1) != s:
@@ -294,7 +294,7 @@ def _pairs(start, stop, bins, boxes, corners, normals, triangles, tiny, max_pair
 def crossing_pairs(
     bins: Bins, boxes: Float64s, corners: Float64s, normals: Float64s, triangles: Int32s, tiny_m: float
 ) -> Int32s:
-    """Find pairs (t, u) of triangles without a common vertex in which u cuts t, int32 [p, 2], sorted by t.
+    """Find pairs (t, u) of triangles without a common edge in which u cuts t, int32 [p, 2], sorted by t.
 
     `boxes` float64 [m, 6], `corners` float64 [m, 3, 3] in metres, `normals` float64 [m, 3] of unit length.
     Heights below `tiny_m` count as touching. Pairs beyond about eight for each triangle are dropped: those
