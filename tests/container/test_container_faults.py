@@ -22,6 +22,7 @@ from hypothesis import example, given, strategies as st
 from container_strategies import EXAMPLE_HEAD, OPENING, assembled, encoded, example_file, framed
 from touchfield.container import TouchReader, TouchWriter, writer as writer_module
 from touchfield.container.records import MAGIC, RECORD_OF, Index, Pair, Provenance, Segment, SegmentEntry
+from touchfield.container.wire import CHUNK
 from touchfield.errors import (
     CorruptFile,
     ForeignFile,
@@ -381,6 +382,17 @@ def test_unknown_records_are_skipped_or_refused_at_any_position(where: str) -> N
     disguised = bytearray(required)
     disguised[4] ^= 1
     assert_refused(with_segment(**{where: bytes(disguised)}), CorruptFile, "XTRA record at byte .* CRC-32")
+
+
+@pytest.mark.parametrize("size", [CHUNK - 16, CHUNK, 2 * CHUNK + 3])
+def test_large_unknown_records_are_checked_in_all_their_chunks(size: int) -> None:
+    """Their CRC-32 is that of the whole record, however many chunks it is read in."""
+    content = random.Random(size).randbytes(size)
+    assert read_all(with_segment(before=framed("XTRA", content, 0)))[3] == [b"body"]
+    for position in (0, size // 2, size - 1):
+        damaged = bytearray(framed("XTRA", content, 0))
+        damaged[16 + position] ^= 1
+        assert_refused(with_segment(before=bytes(damaged)), CorruptFile, "XTRA record at byte .* CRC-32")
 
 
 @pytest.mark.parametrize("tag", [b"HEAD", b"SEGM", b"INDX"])

@@ -238,3 +238,42 @@ def test_a_band_of_another_lattice_reaches_the_actuators_over_it(nx: int, ny: in
             max(0, round(column - 0.5)) : round(column + 0.5) + 1,
         ]
         assert nearby.max() >= np.float32(a / VEST.force_max_n) * (1 - 1e-6)
+
+
+def actuators_of(centre: float, half: float, count: int, slack: float) -> set[int]:
+    """Actuators along an axis whose area contains the centre of a cell, or whose centre is in the cell."""
+    return {n for n in range(count) if abs(n - centre) <= 0.5 + slack or abs(n - centre) <= half + slack}
+
+
+@given(
+    st.tuples(st.integers(1, 12), st.integers(1, 12)),
+    st.tuples(st.sampled_from([0.01, 0.02, 0.035]), st.sampled_from([0.01, 0.02, 0.035])),
+    st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11), st.floats(0.1, 3.0)), min_size=1, max_size=6),
+)
+def test_an_actuator_has_the_strongest_vibration_over_it(
+    shape: tuple[int, int], spacing_m: tuple[float, float], samples: list
+) -> None:
+    """Compared with all pairs of samples and actuators; a sample on a border may count or not."""
+    grid = Grid((*shape, 1), (*spacing_m, 0.01), (0.3, -0.2, 0.0))
+    bare = HapticMedium.from_frames([ForceField.empty(grid)], 50.0, CAMERA_AXES)
+    values = {(i % shape[0], j % shape[1], 0): (a, 100.0) for i, j, a in samples}
+    drives = array_drives(stream(with_band(bare, values), 1, 3.3), VEST).drives(0)[0]
+    pitch_m = max(n * s / of for n, s, of in zip(shape, spacing_m, (4, 5), strict=True))
+    bounds = []
+    for slack in (-1e-6, 1e-6):
+        expected = np.zeros((5, 4))
+        for sample, (amplitude_n, _) in values.items():
+            columns, rows = (
+                actuators_of(
+                    (of - 1) / 2 + (sample[axis] - (shape[axis] - 1) / 2) * spacing_m[axis] / pitch_m,
+                    spacing_m[axis] / pitch_m / 2,
+                    of,
+                    slack,
+                )
+                for axis, of in enumerate((4, 5))
+            )
+            for row in rows:
+                for column in columns:
+                    expected[row, column] = max(expected[row, column], amplitude_n / VEST.force_max_n)
+        bounds.append(np.minimum(expected, 1.0))
+    assert (bounds[0] * (1 - 1e-6) <= drives).all() and (drives <= bounds[1] * (1 + 1e-6)).all()

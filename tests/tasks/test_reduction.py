@@ -125,6 +125,17 @@ def test_a_medium_is_rebuilt_from_its_modes(kind: str) -> None:
     assert error <= found.modes.tail(found.modes.rank) + 1e-10 * energy
 
 
+@pytest.mark.parametrize("kind", ["global", "bricks"])
+@pytest.mark.parametrize("step", [2, 3])
+def test_modes_are_those_of_the_frames_at_the_step(kind: str, step: int) -> None:
+    """As of a medium that has no other frames; frames between them have an energy of their own."""
+    medium = floor(8, swing_m=0.02)
+    some = tf.HapticMedium.from_frames([medium[i] for i in range(0, 8, step)], 60.0)
+    found, expected = reduce_to_modes(medium, kind, step=step).modes, reduce_to_modes(some, kind).modes
+    assert found.energy == expected.energy != reduce_to_modes(medium, kind).modes.energy
+    np.testing.assert_array_equal(found.basis, expected.basis)
+
+
 def test_held_out_frames_are_reported_with_their_size() -> None:
     medium = floor(60)
     found = held_out(medium, "global", -20.0)
