@@ -95,8 +95,11 @@ def test_the_mean_rate_is_that_of_the_intervals_between_frames() -> None:
     assert player.statistics()["mean_rate_hz"] == 5.0
 
 
-def test_drives_are_linear_between_frames_and_the_last_one_stays() -> None:
-    prefetcher = DrivePrefetcher(Frames(lambda i: [0.0, 1.0, 0.5][i], 3), SHAPE, 0.0, 0.25, 50, False)
+@pytest.mark.parametrize("round_of_loop", [0, 1, 2, 7])
+def test_drives_are_linear_between_frames_and_the_last_one_stays(round_of_loop: int) -> None:
+    """In each round of a loop: the last frame is not blended into the first one of the next round."""
+    start, loop = 3.0 * round_of_loop, round_of_loop > 0
+    prefetcher = DrivePrefetcher(Frames(lambda i: [0.0, 1.0, 0.5][i], 3), SHAPE, start, 0.25, 50, loop)
     prefetcher.thread.start()
     for position, drive in (
         (0.0, 0.0),
@@ -107,8 +110,8 @@ def test_drives_are_linear_between_frames_and_the_last_one_stays() -> None:
         (2.0, 0.5),
         (2.75, 0.5),
     ):
-        prefetcher.wait_for(position)
-        sample = prefetcher.at(position)
+        prefetcher.wait_for(start + position)
+        sample = prefetcher.at(start + position)
         assert sample is not None and sample[1] is None and (sample[0] == np.float32(drive)).all()
     prefetcher.stop()
     prefetcher.thread.join(5.0)
