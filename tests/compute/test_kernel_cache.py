@@ -22,14 +22,17 @@ from numba.core.dispatcher import Dispatcher
 from touchfield.compute import numba_internals
 from touchfield.compute.kernel_sources import PACKAGE, SourceState, kernel_sources, open_folder
 
-INNER = "medium/kernels/__init__.py"  # its `lower_bound` is compiled into `nearest` of codec/paper/kernels.py
+INNER = (
+    "medium/kernels/__init__.py"  # its `force_at` is compiled into `move_to_level` of perception/kernels.py
+)
 CALL = """
 import numpy as np
-from touchfield.codec.paper.kernels import nearest
-vertices, out = np.array([[-1.0, 0.0, 1.0], [0, 1, 0], [0, 0, 0]]), np.zeros(1, np.uint16)
+from touchfield.perception.kernels import move_to_level
+points, met, force = np.full((1, 3), 2.0), np.zeros(1, np.bool_), np.zeros(3)
+keys, forces = np.zeros(1, np.int64), np.full((1, 8, 8, 8, 3), np.float32(3 ** -0.5))
 {before}
-nearest(0, 1, np.array([[1, 0, 0]], np.float32), vertices, 0.1, out)
-print(out[0], sum(nearest.stats.cache_hits.values()), {after})
+move_to_level(points, met, (1.0,) * 3 + (0.0,) * 3, (8,) * 3, (1,) * 3, keys, forces, (1.0, 1.0), 0, force)
+print(int(met[0]), sum(move_to_level.stats.cache_hits.values()), {after})
 """
 
 
@@ -41,7 +44,7 @@ def package(tmp_path: Path) -> Path:
 
 
 def run(package: Path, before: str = "", after: str = "''", **environment: str) -> str:
-    """Output of a new process that calls a kernel of this package: winner, cache hits, and `after`."""
+    """Output of a new process that calls a kernel of this package: is 1 N met, cache hits, and `after`."""
     inherited = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     process_environment = {
         **inherited,
@@ -62,9 +65,9 @@ def replace(path: Path, old: str, new: str) -> None:
 
 
 def test_edit_of_an_inner_function_recompiles_its_callers_in_other_files(package: Path) -> None:
-    assert run(package) == "2 0"
+    assert run(package) == "1 0"
     # after the last line: no line is compared
-    replace(package / INNER, "    return low\n", "    return keys.shape[0]\n")
+    replace(package / INNER, "total[c] += w * forces[slot", "total[c] += 0 * w * forces[slot")
     assert run(package) == "0 0"
     assert run(package) == "0 1"
     assert len(list((package / "compute" / "__pycache__").glob("kernels-*"))) == 2
@@ -137,25 +140,25 @@ def module_name(path: Path) -> str:
 
 def test_process_older_than_its_sources_stores_no_kernels(package: Path) -> None:
     edit = f"open({str(package / INNER)!r}, 'a').write('#')"
-    assert run(package, before=edit) == "2 0"
+    assert run(package, before=edit) == "1 0"
     assert not list(package.rglob("*.nbc"))
 
 
 def test_read_only_package_uses_the_user_cache(package: Path, tmp_path: Path) -> None:
     (package / "compute" / "__pycache__").write_text("a file, not a folder")
     user = {"HOME": str(tmp_path / "home"), "XDG_CACHE_HOME": str(tmp_path / "home" / "cache")}
-    assert run(package, **user) == "2 0"
-    assert run(package, **user) == "2 1"
-    assert list((tmp_path / "home").rglob("*nearest*.nbc"))
+    assert run(package, **user) == "1 0"
+    assert run(package, **user) == "1 1"
+    assert list((tmp_path / "home").rglob("*move_to_level*.nbc"))
     (tmp_path / "nobody").write_text("a file, not a folder")
     nowhere = {"HOME": str(tmp_path / "nobody"), "XDG_CACHE_HOME": str(tmp_path / "nobody" / "cache")}
-    assert run(package, **nowhere) == "2 0"
+    assert run(package, **nowhere) == "1 0"
 
 
 def test_environment_variable_selects_the_folder(package: Path, tmp_path: Path) -> None:
     folder = str(tmp_path / "named")
-    assert [run(package, NUMBA_CACHE_DIR=folder) for _ in range(2)] == ["2 0", "2 1"]
-    assert list(Path(folder).rglob("*nearest*.nbc")) and not list(package.rglob("*.nbc"))
+    assert [run(package, NUMBA_CACHE_DIR=folder) for _ in range(2)] == ["1 0", "1 1"]
+    assert list(Path(folder).rglob("*move_to_level*.nbc")) and not list(package.rglob("*.nbc"))
 
 
 @pytest.mark.parametrize("obstacle", ["", "; folder.touch()"])
@@ -166,9 +169,9 @@ def test_removed_cache_folder_is_created_again(package: Path, obstacle: str) -> 
         "import shutil; from touchfield.compute.jit import kernel_folder; folder = kernel_folder(); "
         "shutil.rmtree(folder)"
     )
-    assert run(package, before=remove + obstacle) == "2 0"
+    assert run(package, before=remove + obstacle) == "1 0"
     if not obstacle:
-        assert run(package) == "2 1"
+        assert run(package) == "1 1"
 
 
 def test_kernels_of_other_packages_are_stored_as_numba_stores_them(package: Path, tmp_path: Path) -> None:
