@@ -9,7 +9,7 @@ demo: .venv/ready
 
 # Two processes side by side, over one cache of compiled kernels. Threads of linear algebra would only take turns, and
 # a hundred interpreters that are started would each compile the modules where none may keep them.
-SECOND := $(addprefix tests/,cli codec conformance pipeline render)
+SECOND := $(addprefix tests/,cli codec conformance exchange pipeline render)
 FIRST := $(filter-out $(SECOND) tests/plugin tests/__pycache__,$(patsubst %/,%,$(wildcard tests/*/))) $(wildcard tests/test_*.py)
 test: .venv/ready
 	@export OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=; output=$$(mktemp); \

@@ -24,6 +24,7 @@ def test_errors_json_lists_the_folder() -> None:
     assert {path.stem for path in FOLDER.glob("*.touch")} == FAULTY.keys()
 
 
+@pytest.mark.thorough
 def test_stored_files_are_those_of_the_generator(tmp_path: Path) -> None:
     faults: Any = importlib.import_module("make_faulty")
     for path in FOLDER.glob("older-*"):
