@@ -166,6 +166,32 @@ def test_remote_forces_equal_those_of_the_file(folder: Path, name: str) -> None:
             assert remote_file.medium[i] == local_file.medium[i]
 
 
+def records_of(stream: str | Path) -> tuple[object, ...]:
+    """All that a reader returns of a stream, the segments from the last to the first."""
+    with TouchReader(stream) as reader:
+        order = range(len(reader.segments))[::-1]
+        bodies = [reader.read_segment(i) for i in order]
+        vibrations = [reader.read_vibration(i) for i in order] if reader.has_vibration else []
+        objects = [reader.read_object(i) for i in range(reader.object_count)]
+        return reader.head, dict(reader.provenance), reader.segments, bodies, vibrations, objects
+
+
+def test_remote_records_equal_those_of_the_file(tmp_path: Path) -> None:
+    """Of all golden streams, and of one with a vibration in each of three segments."""
+    golden = Path(__file__).parents[2] / "conformance" / "v1"
+    for path in golden.glob("*.touch"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    grid, rng = Grid((8, 8, 8), (0.006,) * 3, (0.0,) * 3), np.random.default_rng(3)
+    frames = [ForceField.from_dense(grid, rng.normal(size=(8, 8, 8, 3)).astype(np.float32)) for _ in range(6)]
+    spec = EncodeSpec(vibration="frequency=80..250", touch=TouchSpec(segment_frames=2, effort="fast"))
+    encode(HapticMedium.from_frames(frames, 30.0), tmp_path / "hum.touch", spec)
+    vibrations = records_of(tmp_path / "hum.touch")[4]
+    assert isinstance(vibrations, list) and len(vibrations) == 3 and all(vibrations)
+    with served(tmp_path) as address:
+        for path in sorted(tmp_path.glob("*.touch")):
+            assert records_of(f"{address}/{path.name}") == records_of(path), path.name
+
+
 def test_commands_take_an_address(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "field.npz"
     with served(folder) as address:
