@@ -16,7 +16,7 @@ import numpy as np
 from touchfield.codec.objects.error_bound import BoundCheck, compare_scenes
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.segment import BitAccount
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument
 from touchfield.filters.limit import limit_forces
 from touchfield.filters.registry import FieldFilter
@@ -123,7 +123,7 @@ def compare(
     frame: int | None = None,
     allow_outside: bool = False,
     slides: SlideSpec | None = None,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Comparison:
     """Measure a stream against its source, which is filtered again by the stream's provenance.
 
@@ -275,7 +275,7 @@ class HandMeter:
         return HandMotion(self._slides.slides(), hold, vibration_threshold())
 
 
-def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Report = silent) -> Result:
+def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Progress = silent) -> Result:
     """Measure a medium before and after each filter of ``spec.filters``, frame by frame.
 
     ``spec.paper.k`` is the Weber fraction of the mask; Q of the entropies is weber:0.1, up to the device's

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from touchfield.codec.registry import coder
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.container import TouchReader
 from touchfield.container.remote import is_live
 from touchfield.errors import InvalidArgument
@@ -17,9 +16,6 @@ from touchfield.medium import HapticMedium
 from touchfield.medium.budget import require_memory
 from touchfield.medium.grid import Placement
 from touchfield.pipeline.stream import OpenStream, VoxelStream
-
-if TYPE_CHECKING:
-    pass
 
 
 @contextmanager
@@ -54,7 +50,7 @@ def stream_of(reader: TouchReader) -> OpenStream:
 
 
 def write_field(
-    path: str | Path, medium: HapticMedium, report: Report = silent, placement: Placement | None = None
+    path: str | Path, medium: HapticMedium, report: Progress = silent, placement: Placement | None = None
 ) -> Path:
     """Write a medium as ``.npz``, ``.zarr`` or ``.vti``, by the ending of `path`; returns the file to open.
 

@@ -15,7 +15,7 @@ from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.objects.layout import CodedObject
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import compression_ratio
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.container import ObjectRecord, TouchWriter
 from touchfield.container.remote import is_remote, sender
 from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
@@ -85,7 +85,7 @@ def encode(
     source: Source | ArrayLike,
     out: str | Path,
     spec: EncodeSpec | None = None,
-    report: Report = silent,
+    report: Progress = silent,
     *,
     grid: Grid | None = None,
     executor: Executor | None = None,
@@ -129,7 +129,7 @@ def encode(
 
 
 def encode_prepared(
-    prepared: Prepared, out: str | Path, provenance: Mapping[str, str], report: Report = silent
+    prepared: Prepared, out: str | Path, provenance: Mapping[str, str], report: Progress = silent
 ) -> Encoded:
     """Write a prepared source as a ``.touch`` file, coded by its spec.
 
@@ -149,7 +149,7 @@ def encode_prepared(
 
 
 def _write_scene(
-    writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Report
+    writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Progress
 ) -> int:
     """Write the head and the objects of a scene; the number of supported samples."""
     assert prepared.scene is not None
@@ -161,7 +161,7 @@ def _write_scene(
 
 
 def write_objects(
-    writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int, report: Report = silent
+    writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int, report: Progress = silent
 ) -> None:
     """Write the objects and all segments of a scene, after the head."""
     for coded in encoder.objects():

@@ -19,7 +19,7 @@ import numpy as np
 
 from touchfield.arrays import Int64s
 from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiser, FieldQuantiserSpec
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.limit import limit_forces
@@ -160,7 +160,7 @@ def partition_workspace(
     device_shape: tuple[int, int, int],
     penalty_bits: float,
     quantiser: str | FieldQuantiserSpec = _COARSE_QUANTISER,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Partition:
     """Divide the workspace into dyadic boxes of the device's lattice with the least loss (paper section 4).
 

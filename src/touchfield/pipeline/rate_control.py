@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from touchfield.atomic import atomic_path
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, require_ending
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
@@ -138,7 +138,7 @@ class _Trials:
     prepared: Prepared
     target: Target
     temporary: Path
-    report: Report
+    report: Progress
     count: int = 0
     total_over_part: float = 1.0
     last: Encoded | None = None
@@ -210,7 +210,7 @@ def encode_to_target(
     out: str | Path,
     spec: EncodeSpec | None,
     target: Target,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Encoded:
     """Turn a source into a ``.touch`` file of a given size or error, in at most 8 encodings.
 

@@ -24,7 +24,7 @@ from touchfield._version import __version__
 from touchfield.codec.segment import bound_keys
 from touchfield.codec.touch.spec import CODER, TouchSpec
 from touchfield.compute.executors import in_order
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
 from touchfield.medium import Grid
 from touchfield.medium.stores.zarr_store import atomic_folder, boxes, create, write_box
@@ -77,7 +77,11 @@ class Tiled(Encoded):
 
 
 def encode_tiles(
-    source: str | Path, out: Path, spec: EncodeSpec, report: Report = silent, executor: Executor | None = None
+    source: str | Path,
+    out: Path,
+    spec: EncodeSpec,
+    report: Progress = silent,
+    executor: Executor | None = None,
 ) -> Tiled:
     """Write a source as a zarr store whose chunks are of coder `touch`, tile by tile.
 

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, require_ending
 from touchfield.medium.deformation import Deformation, fitted
 from touchfield.pipeline.decoding import open_stream
@@ -47,7 +47,7 @@ def tracks_of(
     controls: int = 8,
     compliance_m_per_n: float = 0.0,
     relax_s: float = 0.05,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Result:
     """Write the deformation of a stream: the motion of a model that it shows at rest, and its compliance.
 
