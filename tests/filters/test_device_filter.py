@@ -24,7 +24,6 @@ from touchfield.filters import (
     device_medium,
     limit_forces,
 )
-from touchfield.filters.device_spec import same_lattice
 from touchfield.filters.point_filter import exact_forces
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.laws import ForceProfile, LawSpec, profile_of
@@ -425,10 +424,10 @@ def test_stored_medium_on_the_same_lattice_is_unchanged() -> None:
     assert relabelled.friction == 0.3 and scene.call_count == 0
     wide = Grid.over_box(*grid.box_m, (8, 8, 8))
     low, high = wide.origin_m, wide.to_m((7, 7, 7))
-    assert not same_lattice(wide, Grid((15, 15, 15), tuple((high - low) / 14), low))  # the same corners
+    assert not wide.is_close(Grid((15, 15, 15), tuple((high - low) / 14), low))  # the same corners
     for offset_fraction, is_same in ((0.9e-6, True), (1.1e-6, False)):
         moved = tuple(o + offset_fraction * h for o, h in zip(grid.origin_m, grid.spacing_m))
-        assert same_lattice(grid, Grid(grid.shape, grid.spacing_m, moved)) == is_same
+        assert grid.is_close(Grid(grid.shape, grid.spacing_m, moved)) == is_same
 
 
 def test_stored_medium_on_another_lattice_is_filtered_with_its_metadata() -> None:

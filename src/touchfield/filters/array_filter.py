@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Float64s, lengths_of
-from touchfield.filters.device_spec import DeviceFilterSpec, padded
+from touchfield.filters.device_spec import DeviceFilterSpec
 from touchfield.filters.limit import limit_forces
 from touchfield.filters.resample import axis_weights, low_pass
 from touchfield.medium import BRICK, ForceField, Grid
@@ -132,7 +132,7 @@ class ArrayFilter:
         depths = min(MAX_DEPTHS, max(1, math.ceil((high[2] - low[2]) / max(step, finest[2]))))
         reach = 2 * low_pass(self.spec.low_pass).half_width
         margins = (math.ceil(reach * fx) + 1, math.ceil(reach * fy) + 1, 0)
-        return padded(Grid.over_box(low, high, (nx * fx, ny * fy, depths)), margins)
+        return Grid.over_box(low, high, (nx * fx, ny * fy, depths)).padded(margins)
 
     def _at_actuators(self, image_n: Float64s, fine: Grid) -> ForceField:
         """Low-pass the image and sample it at the actuators, as forces along the array's normal.

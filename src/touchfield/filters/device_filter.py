@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from touchfield.filters.array_filter import ArrayFilter, array_pool
-from touchfield.filters.device_spec import DeviceFilterSpec, same_lattice
+from touchfield.filters.device_spec import DeviceFilterSpec
 from touchfield.filters.point_filter import point_frames
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.grid import Placement
@@ -38,7 +38,7 @@ def device_medium(
     A stored medium whose lattice is already this one (to within a millionth of a sample) passes unchanged.
     """
     stored = scene.stored
-    if stored is not None and same_lattice(placement.to_scene(grid), stored.grid):
+    if stored is not None and placement.to_scene(grid).is_close(stored.grid):
         if stored.grid == grid:
             return stored
         vibration_on_grid = (vibration := stored.vibration) and (lambda i: replace(vibration(i), grid=grid))

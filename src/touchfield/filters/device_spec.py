@@ -12,8 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from touchfield.errors import InvalidArgument, require_kinds
 from touchfield.filters.resample import low_pass
 from touchfield.medium import Grid
@@ -74,17 +72,3 @@ class DeviceFilterSpec:
                 "force_floor_share", repr(self.force_floor_share), "a share from 0 to below 1"
             )
         low_pass(self.low_pass)
-
-
-def same_lattice(a: Grid, b: Grid) -> bool:
-    """True if two lattices are equal to within a millionth of a sample."""
-    corners_m = [np.stack([g.origin_m, g.to_m(np.subtract(g.shape, 1))]) for g in (a, b)]
-    return a.shape == b.shape and bool(
-        (np.abs(corners_m[0] - corners_m[1]) < 1e-6 * np.array(b.spacing_m)).all()
-    )
-
-
-def padded(grid: Grid, margins: tuple[int, int, int]) -> Grid:
-    """Extend a lattice by `margins` samples on both sides of each axis."""
-    x, y, z = (n + 2 * m for n, m in zip(grid.shape, margins, strict=True))
-    return Grid((x, y, z), grid.spacing_m, tuple(grid.to_m(np.negative(margins)).tolist()))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.filters.device_spec import DeviceFilterSpec, padded
+from touchfield.filters.device_spec import DeviceFilterSpec
 from touchfield.filters.limit import limit_forces
 from touchfield.filters.resample import low_pass, resample
 from touchfield.medium import ForceField, Grid
@@ -38,7 +38,7 @@ def point_frames(
     # finer than the device's lattice, and reaching beyond the workspace
     factor, law = spec.oversample, profile_hand.rescaled(placement.scale)
     margin = math.ceil(2 * low_pass(spec.low_pass).half_width * factor) + 1
-    fine = padded(grid.refined(factor), (margin, margin, margin))
+    fine = grid.refined(factor).padded((margin, margin, margin))
     requested = placement.to_scene(fine)
     force_max_n, floor_n = device.force_max_n, device.force_max_n * spec.force_floor_share
     latest: tuple[ForceField, ForceField] | None = None

@@ -20,7 +20,6 @@ from touchfield.codec.registry import coder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.devices import Device, device
 from touchfield.filters.contact import VibrationRule, add_vibration
-from touchfield.filters.device_spec import same_lattice
 from touchfield.filters.point_filter import exact_forces
 from touchfield.filters.registry import filter_and_limit
 from touchfield.medium import Grid, HapticMedium, HapticScene
@@ -176,5 +175,5 @@ def _bound_reference(scene: Scene, mapping: Mapping | None, spec: EncodeSpec) ->
     stored = scene.stored
     if stored is None or spec.chain:
         return FILTERED
-    keeps_forces = mapping is None or same_lattice(mapping.placement.to_scene(mapping.grid), stored.grid)
+    keeps_forces = mapping is None or mapping.placement.to_scene(mapping.grid).is_close(stored.grid)
     return SOURCE_FORCES if keeps_forces else FILTERED
