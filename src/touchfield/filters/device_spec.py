@@ -9,15 +9,17 @@ scene's x and y.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from touchfield.errors import InvalidArgument, require_kinds
 from touchfield.filters.resample import low_pass
 from touchfield.medium import Grid
+from touchfield.medium.grid import Placement
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
+    from touchfield.sources.laws import ForceProfile
 
 NW_RANGE: Final = (3, 10)
 """Smallest and largest n_w; the paper uses 5 to 7."""
@@ -72,3 +74,17 @@ class DeviceFilterSpec:
                 "force_floor_share", repr(self.force_floor_share), "a share from 0 to below 1"
             )
         low_pass(self.low_pass)
+
+
+@dataclass(frozen=True)
+class DeviceFilter:
+    """The mapping M of a device: its lattice, the placement of the scene, and the force law.
+
+    `grid` is the lattice in hand metres, one sample deep for an array; `profile` is the law in hand metres.
+    """
+
+    device: Device
+    grid: Grid
+    placement: Placement
+    profile: ForceProfile
+    spec: DeviceFilterSpec = field(default_factory=DeviceFilterSpec)

@@ -20,6 +20,7 @@ from touchfield.codec.registry import coder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.devices import Device, device
 from touchfield.filters.contact import VibrationRule, add_vibration
+from touchfield.filters.device_filter import device_medium
 from touchfield.filters.point_filter import exact_forces
 from touchfield.filters.registry import filter_and_limit
 from touchfield.medium import Grid, HapticMedium, HapticScene
@@ -72,7 +73,7 @@ def prepare(source: Source | ArrayLike, spec: EncodeSpec | None = None, grid: Gr
         objects = filter_objects(objects, spec.chain)
         medium = objects.voxelise()
     else:
-        samples = mapping.medium(scene) if mapping else scene.stored
+        samples = device_medium(scene, mapping) if mapping else scene.stored
         medium = filter_and_limit(samples, spec.chain, target.force_max_n)  # type: ignore[arg-type]
 
     # 5. add what the receiver renders besides the force, and notes
