@@ -50,7 +50,7 @@ from touchfield.sources.images.pictures import (
     picture_header,
 )
 from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_extrinsics, read_text, split_lines
-from touchfield.sources.registry import SourceKind, kinds
+from touchfield.sources.registry import SourceKind
 
 if TYPE_CHECKING:
     from touchfield.sources.options import SourceOptions
@@ -389,10 +389,11 @@ def _is_plain(path: Path) -> bool:
     if _depth_pictures(path):
         return (has_camera or is_named(path)) and _is_depth(path)
     folders = [folder for folder in path.iterdir() if folder.is_dir() and (has_camera or is_named(folder))]
-    others = [
-        kind for kind in kinds() if kind.name != "depth-folder"
-    ]  # a folder of another kind is opened as that kind
-    return any(_is_depth(folder) and not any(kind.recognise(folder) for kind in others) for folder in folders)
+    # a part of a data set is opened in its own layout
+    data_sets = [layout.kind for layout in LAYOUTS if layout.name != "depth-folder" and not layout.is_file]
+    return any(
+        _is_depth(folder) and not any(kind.recognise(folder) for kind in data_sets) for folder in folders
+    )
 
 
 def _is_depth_file(path: Path) -> bool:
