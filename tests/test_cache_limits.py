@@ -27,7 +27,7 @@ from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence, InterpolatedSequence, Intrinsics
 from touchfield.sources.depth import fused_scene
 from touchfield.sources.depth.fused_scene import FusedScene
-from touchfield.sources.depth.segments import Segmentation, SegmentRule
+from touchfield.sources.depth.segmentation import Segmentation, SegmentRule
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.stored import StoredScene
 

@@ -35,7 +35,7 @@ from touchfield.sources.camera import (
     DepthCode,
     DepthSequence,
     Intrinsics,
-    resample,
+    change_rate,
 )
 from touchfield.sources.depth.frame_poses import POSE_TOLERANCE_S, PosedFrames, drop_unposed, find_poses
 from touchfield.sources.depth.intrinsics_file import CameraFile, camera_of, named_like_intrinsics
@@ -222,7 +222,7 @@ def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
     A sequence that does not state its rate and has no `source_rate_hz` already has the requested rate
     (`source_rate`) and is not interpolated.
     """
-    sequence = resample(sequence, options.rate_hz, options.interpolation)
+    sequence = change_rate(sequence, options.rate_hz, options.interpolation)
     if options.reading == "height":
         from touchfield.sources.terrain.height_scene import HeightScene
 

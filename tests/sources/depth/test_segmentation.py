@@ -16,7 +16,7 @@ from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth.depth_scene import DepthScene
-from touchfield.sources.depth.segments import Segmentation, SegmentRule, label_surfaces
+from touchfield.sources.depth.segmentation import Segmentation, SegmentRule, label_surfaces
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
