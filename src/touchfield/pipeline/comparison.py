@@ -27,7 +27,7 @@ from touchfield.medium.grid import Placement
 from touchfield.medium.selection import evenly_spaced
 from touchfield.perception.hand_motion import Forces, HandMotion, HoldMeter, SlideMeter, SlideSpec
 from touchfield.perception.human import vibration_threshold
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.objects import filter_objects
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.result import Result
@@ -132,7 +132,7 @@ def compare(
     `Comparison.draw` shows, is by default the middle one. `allow_outside` lets the source refer to files
     outside its own folder; `slides` replaces the default slides of the hand.
     """
-    with open_stream(stream) as opened:
+    with open_file(stream) as opened:
         head = opened.reader.head
         original = source_medium(source, opened, allow_outside)
         decoded, scene, notes = opened.medium, original.scene, original.notes

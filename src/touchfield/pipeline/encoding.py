@@ -20,7 +20,7 @@ from touchfield.container import ObjectRecord, TouchWriter
 from touchfield.container.remote import is_remote, sender
 from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
 from touchfield.medium import Grid
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.segments import file_head, write_voxels
@@ -183,7 +183,7 @@ def file_error_bound(path: str | Path) -> dict[str, Any]:
 
     Warns with `UnboundedError` if it states none.
     """
-    with open_stream(path) as opened:
+    with open_file(path) as opened:
         bound = opened.error_bound()
     warn_unbounded(bound.get("error_bound_note"))
     return bound

@@ -22,7 +22,7 @@ from touchfield.errors import InvalidArgument, require_ending
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 from touchfield.medium.selection import select_frames
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.encoding import Encoded, encode_prepared
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.provenance import file_provenance
@@ -182,7 +182,7 @@ class _Trials:
             raise InvalidArgument(
                 self.target.option, "frames without a force", "a force to measure the error by"
             )
-        with open_stream(self.temporary) as opened:
+        with open_file(self.temporary) as opened:
             reader, head = opened.reader, opened.reader.head
             segment_bytes = sum(
                 e.length + len(reader.read_vibration(i) or b"") for i, e in enumerate(reader.segments)

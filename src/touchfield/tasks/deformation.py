@@ -12,7 +12,7 @@ from touchfield.arrays import Float64s
 from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, require_ending
 from touchfield.medium.deformation import Deformation, fitted
-from touchfield.pipeline.decoding import open_stream
+from touchfield.network.opening import open_stream
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.spec import Motion
 from touchfield.sources.animation.animated_mesh import AnimatedMeshScene

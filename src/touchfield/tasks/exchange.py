@@ -45,8 +45,8 @@ from touchfield.exchange.symbolic import (
 )
 from touchfield.filters.device_spec import device_grid
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace, read_trace
+from touchfield.network.opening import open_stream
 from touchfield.pipeline.array_medium import PANELS, array_drives
-from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.encoding import Encoded, encode_prepared
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.provenance import file_provenance

@@ -26,9 +26,9 @@ from touchfield.errors import InvalidArgument, require_kinds, require_not_negati
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.network.live_medium import LiveEnd, LiveStream
+from touchfield.network.opening import open_stream
 from touchfield.options import option
 from touchfield.pipeline.array_medium import array_drives
-from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.stream import OpenStream, stream_device
 from touchfield.render.array_player import ArrayPlayer
 from touchfield.render.block import FLAGS

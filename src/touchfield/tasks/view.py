@@ -20,8 +20,8 @@ from touchfield.devices import device_names
 from touchfield.errors import InvalidArgument
 from touchfield.medium import HapticMedium
 from touchfield.network.mux import demux
+from touchfield.network.opening import open_stream
 from touchfield.pipeline.comparison import compare, source_medium
-from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.encoding import encode, encode_prepared
 from touchfield.pipeline.preparation import Prepared
 from touchfield.pipeline.source import Source
