@@ -22,7 +22,7 @@ from typing import Any
 import touchfield as tf
 from machine import Bar, Figures, at_least, at_most, bench, figure, leave_out
 from touchfield.pipeline import native_decoder
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.stream import VoxelStream
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -61,7 +61,7 @@ def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
     """Frames a second of one thread's processor time, the best of some runs over the whole file."""
     best = 0.0
     for _ in range(runs):
-        with open_stream(stream) as opened:
+        with open_file(stream) as opened:
             assert isinstance(opened, VoxelStream)
             segments, decoder = len(opened.reader.segments), opened.decoder
             core = native_decoder._core()

@@ -34,7 +34,7 @@ from touchfield.medium import ForceField, Grid
 from touchfield.medium.trace import Trace
 from touchfield.perception.hand_motion import MARGIN_S, in_band, points_on_surface
 from touchfield.pipeline import encode, prepare
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.offline import run_offline
 from touchfield.sources.depth.depth_scene import DepthScene
@@ -179,7 +179,7 @@ def at_rest(name: str) -> Row:
             if points is None:
                 middle = done.prepared.medium[len(done.prepared.medium) // 2]
                 points = points_on_surface(middle, POINTS, np.random.default_rng(0))
-            with open_stream(path) as stream:
+            with open_file(path) as stream:
                 profile = replace(device("phantom-omni"), axes=stream.medium.axes)
                 length_s = len(stream.medium) / stream.medium.rate_hz
                 for point in points:

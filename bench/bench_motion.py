@@ -23,7 +23,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.perception.hand_motion import HandMotion, SlideSpec, in_band, margin_of
 from touchfield.perception.human import vibration_threshold
 from touchfield.pipeline import compare, encode
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.encoding import Encoded
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
@@ -69,7 +69,7 @@ def inside_ball(nw: int, touch: TouchSpec) -> Figures:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "it.touch"
         source = encode(SOURCES["ball"], path, EncodeSpec(nw=nw, touch=touch)).prepared.medium[0]
-        with open_stream(path) as stream:
+        with open_file(path) as stream:
             decoded = stream.medium[0]
     angle = np.arange(700)[:, None] / rate_hz * speed_m_s / radius_m
     errors = []

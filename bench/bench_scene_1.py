@@ -50,12 +50,12 @@ def difference(objects: Path, frames: int) -> dict[str, float]:
     """Decoded objects against the voxel representation, on evenly spaced frames."""
     from touchfield.measure.fidelity import FidelityMeter
     from touchfield.pipeline import prepare
-    from touchfield.pipeline.decoding import open_stream
+    from touchfield.pipeline.decoding import open_file
     from touchfield.pipeline.spec import EncodeSpec
 
     voxels = prepare(SCENE, EncodeSpec(representation="voxel", frames=(0, frames))).medium
     meter = FidelityMeter(0.1, 0.05)
-    with open_stream(objects) as stream:
+    with open_file(objects) as stream:
         for i in np.linspace(0, frames - 1, LOOKED_AT).astype(int):
             meter.add(voxels[int(i)], stream.medium[int(i)])
         assert stream.scene is not None

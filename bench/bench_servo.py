@@ -31,7 +31,7 @@ from touchfield.compute.threads import worker_count
 from touchfield.devices import device
 from touchfield.medium import HapticMedium, PoseTrack
 from touchfield.pipeline import encode
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.offline import run_offline
 from touchfield.render.player import Player
@@ -180,7 +180,7 @@ def measure(seconds: float, others: float, offline: float) -> Figures:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "turning.touch"
         write_medium(path)
-        with open_stream(path) as stream:
+        with open_file(path) as stream:
             medium = stream.medium
             first_frame = medium.between(0, 1)
             run_offline(first_frame, PROFILE, SimulatedCircle, seconds=0.1)

@@ -23,6 +23,7 @@ import rate_symbols as lattices
 from rate_fields import Case, box
 from rate_symbols import F0_N, K
 from touchfield.filters.device_filter import device_medium
+from touchfield.filters.device_spec import DeviceFilter
 from touchfield.medium import ForceField
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.source import open_scene
@@ -102,7 +103,8 @@ class Source:
         )
         law = spec.law_spec(at.device.force_max_n)
         profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
-        medium = device_medium(scene, at.device, at.medium.grid, at.placement, profile, spec.device_filter)
+        mapping = DeviceFilter(at.device, at.medium.grid, at.placement, profile, spec.device_filter)
+        medium = device_medium(scene, mapping)
         return [medium[i] for i in range(len(maps))]
 
     @cached_property

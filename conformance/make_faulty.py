@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from touchfield.errors import TouchfieldError
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 
 __all__ = ["write_faulty"]
 
@@ -122,7 +122,7 @@ def container_faults(golden: Path) -> Iterator[tuple[str, bytes]]:
 def refusal(path: Path) -> str:
     """The error that decoding all of a file raises, or nothing."""
     try:
-        with open_stream(path) as opened:
+        with open_file(path) as opened:
             for i, frame in enumerate(opened.medium):
                 assert frame.grid == opened.grid
                 if opened.medium.vibration is not None:
@@ -135,7 +135,7 @@ def refusal(path: Path) -> str:
 def is_in_order(path: Path) -> bool:
     """True if the lengths within all bodies hold: decoders tell of one that does not at other times."""
     try:
-        with open_stream(path) as opened:
+        with open_file(path) as opened:
             return bool(opened.summary())
     except TouchfieldError:
         return False

@@ -18,7 +18,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchWriter
 from touchfield.medium import ForceField, Grid, HapticScene
-from touchfield.pipeline.decoding import open_stream, write_field
+from touchfield.pipeline.decoding import open_file, write_field
 from touchfield.pipeline.encoding import write_objects
 
 HERE = Path(__file__).parent
@@ -97,7 +97,7 @@ def write_expected(stream: Path) -> None:
     """What a file decodes to: dense, or of a large grid its bricks, with the frame of each; and what
     vibrates.
     """
-    with open_stream(stream) as opened:
+    with open_file(stream) as opened:
         medium, band = opened.medium, opened.medium.vibration
         if opened.grid == LARGE:
             fields = list(medium)

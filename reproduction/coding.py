@@ -20,7 +20,7 @@ from touchfield.codec.segment import BitAccount, FrameStats, compression_ratio
 from touchfield.errors import InvalidArgument
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.pipeline import encode, prepare
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec
 from touchfield.pipeline.stream import VoxelStream
 from touchfield.sources.scene import Scene
@@ -133,7 +133,7 @@ class CodedScene:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "coded.touch"
             encode(self._scene, path, self._spec(frame_count, paper))
-            with open_stream(path) as opened:
+            with open_file(path) as opened:
                 assert isinstance(opened, VoxelStream)
                 codebook = Codebook.get(opened.decoder.describe()["directions"])
                 segment = BodyReader(opened.reader.read_segment(0), self.fields[0].grid, codebook)

@@ -8,7 +8,7 @@ from typing import Final
 
 __all__ = ["Steps"]
 
-Report = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 _PARTS: Final = 100
 
@@ -24,11 +24,11 @@ class Steps:
         Parts.
     """
 
-    def __init__(self, report: Report, total: int) -> None:
+    def __init__(self, report: Progress, total: int) -> None:
         self._report, self._total, self._done = report, total, 0
 
     @contextmanager
-    def step(self) -> Iterator[Report]:
+    def step(self) -> Iterator[Progress]:
         """One part; gives its own ``report(done, total)``."""
         begin, whole = self._done * _PARTS, self._total * _PARTS
 

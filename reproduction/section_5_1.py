@@ -115,7 +115,7 @@ class PaperScene:
             return None
         from reproduction.scenes import FirstFrames
         from touchfield.sources.camera import noise_step_per_m
-        from touchfield.sources.depth.segments import Segmentation, SegmentRule
+        from touchfield.sources.depth.segmentation import Segmentation, SegmentRule
 
         first = FirstFrames(self.scene.sequence, 1)
         found = Segmentation(first, SegmentRule(), noise_step_per_m(first.depth_m(0)))

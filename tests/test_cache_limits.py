@@ -21,13 +21,13 @@ from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline import encode, rate_control, segments
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.mapping import SymbolFrames
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence, InterpolatedSequence, Intrinsics
 from touchfield.sources.depth import fused_scene
 from touchfield.sources.depth.fused_scene import FusedScene
-from touchfield.sources.depth.segments import Segmentation, SegmentRule
+from touchfield.sources.depth.segmentation import Segmentation, SegmentRule
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.stored import StoredScene
 
@@ -196,7 +196,7 @@ def test_a_segment_ends_at_the_limit_of_its_memory(
     monkeypatch.setattr(segments, "MAX_SEGMENT_BYTES", capacity * field(0).forces_n.nbytes)
     scene = StoredScene(HapticMedium.from_frames([field(i) for i in range(16)], 50.0, AXES))
     encode(scene, tmp_path / "a.touch", EncodeSpec(nw=4, touch=TouchSpec(effort="fast", segment_frames=8)))
-    with open_stream(tmp_path / "a.touch") as stream:
+    with open_file(tmp_path / "a.touch") as stream:
         counts = [segment.frame_count for segment in stream.reader.segments]
     assert sum(counts) == 16 and set(counts[:-1]) == {min(capacity + 1, 8)}
 

@@ -45,7 +45,8 @@ if TYPE_CHECKING:
     )
     from touchfield.devices import device, devices
     from touchfield.medium import ForceField, Grid, HapticMedium
-    from touchfield.pipeline import EncodeSpec, compare, decode, encode, open_stream, prepare, write_field
+    from touchfield.network.opening import open_stream
+    from touchfield.pipeline import EncodeSpec, compare, decode, encode, prepare, write_field
     from touchfield.render.player import Player
     from touchfield.render.sampler import FieldSampler
     from touchfield.sources.registry import open_source
@@ -79,7 +80,6 @@ __all__ = [
 register(
     draw_medium="touchfield.tasks.view:draw_medium",
     filter_by_text="touchfield.filters.registry:filter_by_text",
-    open_live="touchfield.network.live_client:open_live",
     view="touchfield.tasks.view:view",
 )
 
@@ -103,12 +103,12 @@ _PACKAGES = frozenset(
 _MODULES = {
     "devices": ("device",),
     "medium": ("ForceField", "Grid", "HapticMedium"),
+    "network.opening": ("open_stream",),
     "pipeline": (
         "EncodeSpec",
         "compare",
         "decode",
         "encode",
-        "open_stream",
         "prepare",
         "write_field",
     ),

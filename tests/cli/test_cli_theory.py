@@ -119,7 +119,7 @@ def test_information_lost_by_the_device_of_the_paper(sphere: Path, capsys: Captu
 def test_measure_along_a_trace(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     trace = tmp_path / "probe.csv"
     t = np.arange(60) / 1000
-    with pipeline.open_stream(stream) as opened:
+    with pipeline.open_file(stream) as opened:
         positions_m = opened.medium[0].grid.to_m(opened.medium[0].positions())
     trace_m = positions_m[:: len(positions_m) // 60][:60]
     rows = "\n".join(f"{a:.4f},{x:.6f},{y:.6f},{z:.6f}" for a, (x, y, z) in zip(t, trace_m))
@@ -283,7 +283,7 @@ def test_filter_rejects_invalid_options_before_it_starts(
 
 
 def test_range_of_frames_uses_the_clock_of_the_trace(stream: Path, tmp_path: Path, capsys: Capture) -> None:
-    with pipeline.open_stream(stream) as opened:
+    with pipeline.open_file(stream) as opened:
         rate_hz, field = opened.medium.rate_hz, opened.medium[1]
     position_m = field.grid.to_m(field.positions()[len(field.positions()) // 2])
     t = (1 + np.linspace(0.05, 0.9, 30)) / rate_hz  # during the second frame

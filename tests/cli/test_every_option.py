@@ -130,7 +130,7 @@ TASKS = {
     ),
     "field": ("pipeline:prepare", "tasks.view:draw_preview", "pipeline:write_field", "cli.encode:computing"),
     "plan": ("tasks.plan:plan", "cli.encode:executor_of"),
-    "decode": ("pipeline.decoding:open_stream", "pipeline.decoding:write_field"),
+    "decode": ("network.opening:open_stream", "pipeline.decoding:write_field"),
     "export": ("tasks.exchange:export",),
     "import": ("tasks.exchange:import_effect",),
     "edit": ("tasks.editing:edit",),
@@ -147,7 +147,7 @@ TASKS = {
         "viewer.plots:draw_textures",
     ),
     "deform": ("tasks.deformation:tracks_of",),
-    "info": ("pipeline.decoding:open_stream",),
+    "info": ("network.opening:open_stream",),
     "view": ("tasks.view:view",),
     "compare": ("pipeline:compare",),
     "play": (

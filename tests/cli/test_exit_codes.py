@@ -223,7 +223,7 @@ def test_broken_pipe_within_a_task_is_an_error(
     def breaks(*_: object, **__: object) -> None:
         raise BrokenPipeError
 
-    monkeypatch.setattr("touchfield.pipeline.decoding.open_stream", breaks)
+    monkeypatch.setattr("touchfield.network.opening.open_stream", breaks)
     capsys.readouterr()
     assert _exit_code(["info", "sphere.touch"]) == 1
     assert capsys.readouterr() == ("", ""), "nobody is there to hear it"

@@ -22,7 +22,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.stores.npz import write_npz
 from touchfield.pipeline import encode
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
 
@@ -214,7 +214,7 @@ def file_content(path: Path) -> Any:
                 return {key: file[key].tobytes() for key in file}
             return {key: file[key].tobytes() for key in ("forces_n", "origin_m", "spacing_m", "rate_hz")}
     if path.suffix == ".touch":
-        with open_stream(path) as stream:
+        with open_file(path) as stream:
             head = stream.reader.head
             fields = [field.forces_n.tobytes() for field in stream.medium]
             coefficients = (

@@ -20,7 +20,7 @@ from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.medium import ForceField, Grid
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.encoding import write_objects
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
@@ -96,7 +96,7 @@ def test_every_field_and_every_segment_is_reported(make: object, program: Path, 
     segment_indices = [n for n, entry in enumerate(segments) for _ in range(entry.frame_count)]
     assert [int(n) for n in values["segment_of"]] == segment_indices and len(segments) > 1
     assert values["size"] == ["1"] and values["room"] == ["1", "1"] and values["codes"] == ["6", "0", "none"]
-    with open_stream(path) as stream:
+    with open_file(path) as stream:
         fields = [field.to_dense() for field in stream.medium]
         damping = 0.0 if stream.scene is None else stream.scene.surface_damping_n_s_per_m
     backwards = [entry for entry in reversed(segments) for _ in range(2)]

@@ -20,7 +20,7 @@ from second import CONFORMANCE, GOLDEN
 from touchfield.container import TouchReader
 from touchfield.errors import FormatError
 from touchfield.pipeline import native_decoder
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 
 ROOT = CONFORMANCE.parent
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -65,13 +65,13 @@ def voxels() -> Path:
 def test_frames_of_golden_files_are_bit_exact(
     stream: Path, core: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with open_stream(stream) as native:
+    with open_file(stream) as native:
         is_voxels = native.reader.head.coder == "touch"
         assert native.is_native == is_voxels
         medium = native.medium
         frames = [medium[i] for i in range(len(medium))] if is_voxels else []
     monkeypatch.setattr(native_decoder, "_core", lambda: None)
-    with open_stream(stream) as plain:
+    with open_file(stream) as plain:
         assert not plain.is_native
         for n, frame in enumerate(frames):
             expected = plain.medium[n]
@@ -85,12 +85,12 @@ def test_damaged_segment_gives_the_error_of_the_python_decoder(core: Any, tmp_pa
     data[index] ^= 1
     bad = tmp_path / "bad.touch"
     bad.write_bytes(data)
-    with open_stream(bad) as stream, pytest.raises(FormatError, match="CRC-32"):
+    with open_file(bad) as stream, pytest.raises(FormatError, match="CRC-32"):
         stream.medium[0]
 
 
 def test_python_decodes_from_the_frame_that_the_core_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
-    with open_stream(voxels()) as plain:
+    with open_file(voxels()) as plain:
         count = plain.reader.segments[0].frame_count
         expected = [plain.medium[i] for i in range(count)]
     frame = expected[0]
@@ -113,7 +113,7 @@ def test_python_decodes_from_the_frame_that_the_core_refuses(monkeypatch: pytest
             raise ValueError("bytes that contradict themselves")
 
     monkeypatch.setattr(native_decoder, "_core", lambda: Core)
-    with open_stream(voxels()) as native:
+    with open_file(voxels()) as native:
         assert native.is_native and [native.medium[i] for i in range(count)] == expected
 
 

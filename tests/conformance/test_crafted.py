@@ -21,7 +21,7 @@ from touchfield.codec.varint import chunk, write_varint
 from touchfield.container import TouchWriter
 from touchfield.errors import FormatError
 from touchfield.medium import ForceField, Grid
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
 
@@ -182,7 +182,7 @@ def test_three_decoders_agree(name: str, program: Path, tmp_path: Path) -> None:
     path, errors = tmp_path / "crafted.touch", ["", ""]
     path.write_bytes(data)
     try:
-        with open_stream(path) as opened:
+        with open_file(path) as opened:
             opened.medium[len(opened.medium) - 1].to_dense()
             opened.summary()
     except FormatError as error:

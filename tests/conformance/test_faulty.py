@@ -15,7 +15,7 @@ from second import CONFORMANCE, FAULTY, GOLDEN, decoder, reading
 
 from touchfield import errors
 from touchfield.container import TouchReader
-from touchfield.pipeline.decoding import open_stream, stream_of
+from touchfield.pipeline.decoding import open_file, stream_of
 
 FOLDER = CONFORMANCE / "faulty"
 
@@ -40,7 +40,7 @@ def test_stored_files_are_those_of_the_generator(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", FAULTY)
 def test_package_refuses_the_file(name: str) -> None:
     kind = getattr(errors, FAULTY[name])
-    with pytest.raises(kind) as caught, open_stream(FOLDER / f"{name}.touch") as stream:  # noqa: PT012
+    with pytest.raises(kind) as caught, open_file(FOLDER / f"{name}.touch") as stream:  # noqa: PT012
         for i, frame in enumerate(stream.medium):
             frame.to_dense()
             if stream.medium.vibration is not None:
@@ -94,13 +94,12 @@ def test_error_of_older_files_suggests_encoding_again(name: str) -> None:
 def test_grid_beyond_the_limits_allocates_nothing() -> None:
     code = """if True:
         import resource, sys
-        import touchfield.pipeline.decoding
+        from touchfield.pipeline.decoding import open_file
         resource.setrlimit(resource.RLIMIT_DATA, (1 << 30, 1 << 30))
         from touchfield.errors import CorruptFile
-        from touchfield import open_stream
         for path in sys.argv[1:]:
             try:
-                list(open_stream(path).__enter__().medium)
+                list(open_file(path).__enter__().medium)
             except CorruptFile as error:
                 print(path, error)
     """

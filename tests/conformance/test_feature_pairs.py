@@ -109,7 +109,7 @@ class Decoded(NamedTuple):
 
 
 def by_the_package(path: Path) -> Decoded:
-    with pipeline.open_stream(path) as stream:
+    with pipeline.open_file(path) as stream:
         frames = range(len(stream.medium))
         band, forces = stream.medium.vibration, np.stack([stream.medium[i].to_dense() for i in frames])
         both = None if band is None else np.stack([band(i).as_field().to_dense()[..., :2] for i in frames])
@@ -145,7 +145,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path | None:
 def assert_alike(path: Path, program: Path | None) -> Decoded:
     """Check that all decoders agree; return the package's result."""
     expected = by_the_package(path)
-    with pipeline.open_stream(path) as stream:
+    with pipeline.open_file(path) as stream:
         has_objects, coder = stream.scene is not None, stream.reader.head.coder
     results = [by_the_reference_decoder(path)]
     if program is not None and coder != "paper" and b"\x05\x00paper" not in path.read_bytes():
@@ -166,7 +166,7 @@ def check(names: tuple[str, ...], program: Path | None, folder: Path) -> Path:
     path, spec = folder / "pair.touch", spec_of(*names)
     pipeline.encode(scene(), path, spec)
     found = assert_alike(path, program)
-    with pipeline.open_stream(path) as stream:
+    with pipeline.open_file(path) as stream:
         summary, head, reader = stream.summary(), stream.reader.head, stream.reader
         assert len(found.forces) == head.frame_count == (3 if "frames" in names else FRAMES)
         assert found.forces.any() and (found.vibration is not None) == ("vibration" in names)

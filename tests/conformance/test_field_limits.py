@@ -36,7 +36,7 @@ from touchfield.container.fields import Array, FieldType, Listed, Octets, Real, 
 from touchfield.container.records import RECORD_OF, rows_of
 from touchfield.errors import FormatError
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
 
@@ -433,7 +433,7 @@ def errors_of_decoders(program: Path, path: Path) -> list[str]:
     """The errors of the package, the reference decoder and C when a file is fully decoded."""
     errors = ["", ""]
     try:
-        with open_stream(path) as opened:
+        with open_file(path) as opened:
             for i in range(len(opened.medium)):
                 opened.medium[i].to_dense()
                 if opened.medium.vibration is not None:

@@ -11,7 +11,7 @@ import pytest
 from second import CONFORMANCE, GOLDEN, decoder
 
 from touchfield.medium import BRICK, ForceField
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 
 SAMPLE_ATOL_N = 2e-6
 """Tolerance for files of objects: voxels are sums of interpolated forces in any order."""
@@ -60,7 +60,7 @@ def assert_alike(found: Bricks, expected: Bricks, atol: float) -> None:
 @pytest.mark.parametrize("stream", GOLDEN, ids=lambda p: p.stem)
 def test_forces(stream: Path) -> None:
     file = decoder.read_file(stream.read_bytes())
-    with open_stream(stream) as opened, np.load(stream.with_suffix(".npz")) as expected:
+    with open_file(stream) as opened, np.load(stream.with_suffix(".npz")) as expected:
         assert opened.grid.shape == file.head["grid_shape"]
         assert (
             opened.grid.spacing_m == file.head["spacing_m"] and opened.grid.origin_m == file.head["origin_m"]
@@ -73,7 +73,7 @@ def test_forces(stream: Path) -> None:
 
 @pytest.mark.parametrize("stream", GOLDEN, ids=lambda p: p.stem)
 def test_vibration(stream: Path) -> None:
-    with open_stream(stream) as opened:
+    with open_file(stream) as opened:
         band, found = opened.medium.vibration, decoder.vibration_of(decoder.read_file(stream.read_bytes()))
         if band is None:
             assert found == {}

@@ -24,7 +24,6 @@ from touchfield.filters import (
     device_medium,
     limit_forces,
 )
-from touchfield.filters.device_spec import same_lattice
 from touchfield.filters.point_filter import exact_forces
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.laws import ForceProfile, LawSpec, profile_of
@@ -95,7 +94,7 @@ def mapped(
     scene: Scene, spec: DeviceFilterSpec, placement: Placement, profile: ForceProfile = WALL, nw: int = 4
 ) -> ForceField:
     grid = device_grid(OMNI, nw)
-    return DeviceFilter(OMNI, grid, placement, spec).frames(scene, profile)(0)
+    return device_medium(scene, DeviceFilter(OMNI, grid, placement, profile, spec))[0]
 
 
 def test_wall_of_a_ball_has_forces_inside_only() -> None:
@@ -189,7 +188,7 @@ def stripes(frequency_per_m: float) -> Formula:
 
 
 def on_array(scene: Scene, spec: DeviceFilterSpec, shirt: Device = SHIRT) -> ForceField:
-    return DeviceFilter(shirt, device_grid(shirt), Placement(), spec).frames(scene, WALL)(0)
+    return device_medium(scene, DeviceFilter(shirt, device_grid(shirt), Placement(), WALL, spec))[0]
 
 
 @pytest.mark.parametrize(("low_pass_name", "residual"), [("spline", 0.16), ("sinc", 0.005)])
@@ -256,13 +255,11 @@ def test_pins_show_the_height_of_the_first_surface(axes: str, wall_m: float) -> 
     law = profile_of(LawSpec(), wall_m)
     # margin of the lattice outside the terrain on both sides
     margin_m = 0.0 if math.isinf(wall_m) else wall_m
-    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * margin_m), Placement())
-    pin_forces = mapping.frames(terraces(axes), law)(0).to_dense()[:, 1, 0, 2]
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * margin_m), Placement(), law)
+    pin_forces = device_medium(terraces(axes), mapping)[0].to_dense()[:, 1, 0, 2]
     centres = [8 + 6 * n for n in range(5)]
     assert pin_forces[centres] / 3.3 == pytest.approx([(h - 0.001) / 0.03 for h in STEPS_M], abs=1 / 128)
-    by_force = DeviceFilter(PINS, mapping.grid, Placement(), DeviceFilterSpec(pool="max")).frames(
-        terraces(axes), law
-    )(0)
+    by_force = device_medium(terraces(axes), replace(mapping, spec=DeviceFilterSpec(pool="max")))[0]
     assert np.ptp(by_force.to_dense()[centres[1:], 1, 0, 2]) < 0.01, (
         "all that is deeper than 6.6 mm is alike by force"
     )
@@ -286,7 +283,7 @@ def test_pin_heights_are_unbiased(axes: str, wall_m: float, is_stored: bool) -> 
     """Heights are quantised to a sample; over heights that sweep one sample, the errors must average out."""
     law, errors = profile_of(LawSpec(), wall_m), []
     margin_m = 0.0 if math.isinf(wall_m) else wall_m
-    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * margin_m), Placement())
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * margin_m), Placement(), law)
     step = 1 / 128  # as a fraction of the height range
     fine = Grid((210, 15, 90), (0.0005, 0.0005, 0.0005), (-0.05225, -0.0035, -0.02225))
     z = np.sort((-1.0 if axes == CAMERA_AXES else 1.0) * fine.axis_m(2))
@@ -298,7 +295,7 @@ def test_pin_heights_are_unbiased(axes: str, wall_m: float, is_stored: bool) -> 
             scene.axes = axes
             # interpolated linearly, it ends at the first zero sample
             height_m = z[np.searchsorted(z, height_m - 0.015)] + 0.015
-        pin_force = mapping.frames(scene, law)(0).to_dense()[21, 1, 0, 2]
+        pin_force = device_medium(scene, mapping)[0].to_dense()[21, 1, 0, 2]
         errors.append(pin_force / 3.3 - height_m / 0.03)
     assert np.abs(errors).max() <= 0.6 * step and abs(np.mean(errors)) < 0.2 * step
 
@@ -309,10 +306,9 @@ def test_plateau_has_the_same_height_at_its_edge() -> None:
         is_land = (pin_position < 6.2) & (points[..., 2] < np.where(pin_position < -12, 0.014, -0.005))
         return np.where(is_land, 3.3, 0.0)[..., None] * np.array([0.0, 0.0, 1.0])
 
-    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())
-    pin_forces = mapping.frames(Formula(forces, UP_Z_AXES), profile_of(LawSpec(), math.inf))(0).to_dense()[
-        :, 1, 0, 2
-    ]
+    law = profile_of(LawSpec(), math.inf)
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement(), law)
+    pin_forces = device_medium(Formula(forces, UP_Z_AXES), mapping)[0].to_dense()[:, 1, 0, 2]
     assert pin_forces[11:27] / 3.3 == pytest.approx(1 / 3, abs=1 / 64), "27 pins of the 42 are on land"
     assert pin_forces[27] < 0.5 * pin_forces[26] and not pin_forces[29:].any(), "beyond it nothing is lifted"
 
@@ -326,8 +322,8 @@ def test_pins_do_not_depend_on_the_stiffness() -> None:
             sample_counts[n] += points.size
             return solid.forces(points, profile)
 
-        mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * wall_m), Placement())
-        pin_forces.append(mapping.frames(Formula(forces, UP_Z_AXES), law)(0).to_dense()[..., 2])
+        mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * wall_m), Placement(), law)
+        pin_forces.append(device_medium(Formula(forces, UP_Z_AXES), mapping)[0].to_dense()[..., 2])
     assert pin_forces[0].max() > 1
     assert np.abs(pin_forces[1] - pin_forces[0]).max() < 3.3 / 128
     assert sample_counts[1] <= sample_counts[0]
@@ -335,28 +331,30 @@ def test_pins_do_not_depend_on_the_stiffness() -> None:
 
 def test_pins_of_a_symbolic_scene_show_the_force() -> None:
     law, scene = profile_of(LawSpec(), math.inf), terraces()
-    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())
-    relief = mapping.frames(scene, law)(0)
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement(), law)
+    relief = device_medium(scene, mapping)[0]
     scene.tags = ("symbolic",)
-    by_force = replace(mapping, spec=DeviceFilterSpec(pool="max")).frames(scene, law)(0)
-    assert mapping.frames(scene, law)(0) == by_force != relief
+    by_force = device_medium(scene, replace(mapping, spec=DeviceFilterSpec(pool="max")))[0]
+    assert device_medium(scene, mapping)[0] == by_force != relief
 
 
 def test_pins_of_a_stored_field_and_of_an_image() -> None:
-    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())
-    fine = Grid((210, 15, 120), (0.0005, 0.0005, 0.00025), (-0.05225, -0.0035, -0.014875))
     law = profile_of(LawSpec(), math.inf)
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement(), law)
+    fine = Grid((210, 15, 120), (0.0005, 0.0005, 0.00025), (-0.05225, -0.0035, -0.014875))
     for axes in (UP_Z_AXES, CAMERA_AXES):
         stored_terraces = Stored(HapticMedium.from_frames([terraces(axes).field(0, fine, law)], 30.0, axes))
         stored_terraces.axes = axes
-        pin_forces = mapping.frames(stored_terraces, law)(0).to_dense()[..., 2]
-        exact_forces_n = mapping.frames(terraces(axes), law)(0).to_dense()[..., 2]
+        pin_forces = device_medium(stored_terraces, mapping)[0].to_dense()[..., 2]
+        exact_forces_n = device_medium(terraces(axes), mapping)[0].to_dense()[..., 2]
         centres = [8 + 6 * n for n in range(5)]
         assert pin_forces[centres, 1] == pytest.approx(exact_forces_n[centres, 1], abs=3.3 / 120)
     image = ForceField.from_dense(
         mapping.grid, np.where(np.indices(mapping.grid.shape)[0] > 20, 2.0, 1.0)[..., None] * [0, 0, 1.0]
     )
-    image_forces = mapping.frames(Stored(HapticMedium.from_frames([image], 30.0)), law)(0).to_dense()[..., 2]
+    image_forces = device_medium(Stored(HapticMedium.from_frames([image], 30.0)), mapping)[0].to_dense()[
+        ..., 2
+    ]
     assert image_forces[[10, 30], 1, 0] == pytest.approx([1.0, 2.0], rel=0.05), (
         "an image for an array has no depth"
     )
@@ -407,7 +405,7 @@ def stored() -> Stored:
 
 def test_medium_is_lazy_and_has_its_provenance() -> None:
     scene = ball(0.02)
-    medium = device_medium(scene, OMNI, device_grid(OMNI, 4), Placement(), WALL)
+    medium = device_medium(scene, DeviceFilter(OMNI, device_grid(OMNI, 4), Placement(), WALL))
     assert scene.call_count == 0
     assert medium[0] == mapped(scene, DeviceFilterSpec(), Placement())
     assert (medium.rate_hz, len(medium), medium.axes) == (scene.rate_hz, 1, UP_Y_AXES)
@@ -418,23 +416,23 @@ def test_medium_is_lazy_and_has_its_provenance() -> None:
 def test_stored_medium_on_the_same_lattice_is_unchanged() -> None:
     scene = stored()
     grid = scene.stored.grid
-    assert device_medium(scene, OMNI, grid, Placement(), WALL) is scene.stored
+    assert device_medium(scene, DeviceFilter(OMNI, grid, Placement(), WALL)) is scene.stored
     hand = Placement(0.5)
-    relabelled = device_medium(scene, OMNI, hand.to_hand(grid), hand, WALL)
+    relabelled = device_medium(scene, DeviceFilter(OMNI, hand.to_hand(grid), hand, WALL))
     assert np.array_equal(relabelled[1].forces_n, scene.stored[1].forces_n)
     assert relabelled.friction == 0.3 and scene.call_count == 0
     wide = Grid.over_box(*grid.box_m, (8, 8, 8))
     low, high = wide.origin_m, wide.to_m((7, 7, 7))
-    assert not same_lattice(wide, Grid((15, 15, 15), tuple((high - low) / 14), low))  # the same corners
+    assert not wide.is_close(Grid((15, 15, 15), tuple((high - low) / 14), low))  # the same corners
     for offset_fraction, is_same in ((0.9e-6, True), (1.1e-6, False)):
         moved = tuple(o + offset_fraction * h for o, h in zip(grid.origin_m, grid.spacing_m))
-        assert same_lattice(grid, Grid(grid.shape, grid.spacing_m, moved)) == is_same
+        assert grid.is_close(Grid(grid.shape, grid.spacing_m, moved)) == is_same
 
 
 def test_stored_medium_on_another_lattice_is_filtered_with_its_metadata() -> None:
     scene = stored()
     grid = device_grid(OMNI, 3)
-    medium = device_medium(scene, OMNI, grid, Placement(), WALL)
+    medium = device_medium(scene, DeviceFilter(OMNI, grid, Placement(), WALL))
     assert medium[0].grid == grid and scene.call_count == 1
     assert (medium.friction, medium.tags, len(medium)) == (0.3, ("symbolic",), 2)
     assert medium.provenance["from"] == "afar" and medium.provenance["device"] == "phantom-omni"
@@ -445,16 +443,18 @@ def test_provenance_has_the_numbers_of_the_mapping() -> None:
         oversample=3, force_floor_share=0.02, low_pass="box", pool="mean", cutoff="literal"
     )
     hand = Placement(0.5, (0.1, 0.2, 0.3))
-    provenance = device_medium(ball(0.02), OMNI, device_grid(OMNI, 4), hand, WALL, spec).provenance
+    provenance = device_medium(
+        ball(0.02), DeviceFilter(OMNI, device_grid(OMNI, 4), hand, WALL, spec)
+    ).provenance
     assert dict(provenance) == {
         "device": "phantom-omni",
         "device_filter": "box, oversample 3, floor 0.02 of F_max",
         "placement": "scale 0.5, offset_m (0.1, 0.2, 0.3)",
     }
     vest = device("tshirt-32x32")
-    provenance = device_medium(ball(0.02), vest, device_grid(vest), hand, WALL, spec).provenance
+    provenance = device_medium(ball(0.02), DeviceFilter(vest, device_grid(vest), hand, WALL, spec)).provenance
     assert provenance["device_filter"] == "box, oversample 3, floor 0.02 of F_max, pool mean, cut-off literal"
-    provenance = device_medium(ball(0.02), vest, device_grid(vest), hand, WALL).provenance
+    provenance = device_medium(ball(0.02), DeviceFilter(vest, device_grid(vest), hand, WALL)).provenance
     assert provenance["device_filter"].endswith("pool max, cut-off nyquist")  # the result of "auto"
 
 
@@ -462,7 +462,7 @@ def test_filtered_medium_has_all_metadata_of_its_source() -> None:
     scene = stored()
     source = replace(scene.stored, axes="x east, y north, z up", damping_n_s_per_m=2.5, rate_hz=17.0)
     scene.stored, scene.rate_hz = source, source.rate_hz
-    medium = device_medium(scene, OMNI, device_grid(OMNI, 3), Placement(), WALL)
+    medium = device_medium(scene, DeviceFilter(OMNI, device_grid(OMNI, 3), Placement(), WALL))
     assert medium.metadata == source.metadata
     assert medium.metadata == {
         "rate_hz": 17.0, "axes": "x east, y north, z up", "tags": ("symbolic",), "friction": 0.3,
@@ -470,7 +470,7 @@ def test_filtered_medium_has_all_metadata_of_its_source() -> None:
     }  # fmt: skip
     formula = ball(0.02)
     formula.axes, formula.tags, formula.rate_hz, formula.frame_count = UP_Z_AXES, ("symbolic",), 17.0, 3
-    from_formula = device_medium(formula, OMNI, device_grid(OMNI, 3), Placement(), WALL)
+    from_formula = device_medium(formula, DeviceFilter(OMNI, device_grid(OMNI, 3), Placement(), WALL))
     assert (from_formula.axes, from_formula.tags, from_formula.rate_hz, len(from_formula)) == (
         UP_Z_AXES,
         ("symbolic",),

@@ -10,6 +10,7 @@ from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, add_vibration
 from touchfield.filters.device_filter import device_medium
+from touchfield.filters.device_spec import DeviceFilter
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.grid import Placement
 from touchfield.sources.laws import LawSpec, profile_of
@@ -95,7 +96,6 @@ def test_lattice_that_differs_by_rounding_has_the_vibration() -> None:
     medium = add_vibration(HapticMedium.from_frames([ForceField.empty(GRID)], 10.0), VibrationRule(), 3.3)
     x, y, z = GRID.origin_m
     shifted = Grid(GRID.shape, GRID.spacing_m, (x + 1e-10, y, z))
-    passed = device_medium(
-        StoredScene(medium), device("phantom-omni"), shifted, Placement(), profile_of(LawSpec(), 0.01)
-    )
+    mapping = DeviceFilter(device("phantom-omni"), shifted, Placement(), profile_of(LawSpec(), 0.01))
+    passed = device_medium(StoredScene(medium), mapping)
     assert passed.grid == shifted and passed.vibration is not None and passed.vibration(0).grid == shifted

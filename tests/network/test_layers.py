@@ -351,8 +351,8 @@ from touchfield.network import live_client  # noqa: E402
 from touchfield.network.access import Access  # noqa: E402
 from touchfield.network.datagrams import Datagrams, Gathering  # noqa: E402
 from touchfield.network.live_server import LiveServer  # noqa: E402
+from touchfield.network.opening import open_stream  # noqa: E402
 from touchfield.network.udp import REPAIR, UdpSender  # noqa: E402
-from touchfield.pipeline.decoding import open_stream  # noqa: E402
 from touchfield.tasks.play import PlaySpec, play  # noqa: E402
 
 

@@ -37,8 +37,8 @@ from touchfield.network.live import (  # fmt: skip
 )
 from touchfield.network.live_client import _manifest, open_live
 from touchfield.network.live_server import LiveServer
+from touchfield.network.opening import open_stream
 from touchfield.pipeline import encode
-from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.player import Player
 from touchfield.sources.stored import StoredScene

@@ -19,7 +19,7 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.network import mux as mux_module
 from touchfield.network.mux import START_SCHEME, demux, mux
 from touchfield.pipeline import encode
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.tasks.view import view
 
@@ -237,7 +237,7 @@ def test_each_damaged_record_in_a_movie_is_an_error_and_leaves_no_file(
 
 
 def test_a_stream_without_an_error_bound_is_muxed_with_a_warning(folder: Path, tmp_path: Path) -> None:
-    with open_stream(folder / "noise.touch") as stream:
+    with open_file(folder / "noise.touch") as stream:
         medium = stream.medium.between(0, 1)
         with pytest.warns(UnboundedError):
             encode(medium, tmp_path / "free.touch", EncodeSpec(touch=TouchSpec(mode="nmse")))

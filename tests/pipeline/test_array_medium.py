@@ -192,7 +192,7 @@ def test_voxel_and_object_streams_reach_the_actuators(tmp_path: Path) -> None:
     for number in (2, 5):
         path = tmp_path / f"{number}.touch"
         pipeline.encode(tiny_scenes()[number], path, EncodeSpec(nw=5))
-        with pipeline.open_stream(path) as opened:
+        with pipeline.open_file(path) as opened:
             frames = array_drives(opened, VEST)
             drives = frames.drives(0)
             assert len(frames) == opened.reader.head.frame_count
@@ -202,7 +202,7 @@ def test_voxel_and_object_streams_reach_the_actuators(tmp_path: Path) -> None:
 def test_a_stream_for_the_array_returns_the_drives_of_its_encoder(tmp_path: Path) -> None:
     path = tmp_path / "vest.touch"
     pipeline.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST.name))
-    with pipeline.open_stream(path) as opened:
+    with pipeline.open_file(path) as opened:
         drives = array_drives(opened, VEST).drives(0)
         dense = opened.medium[0].to_dense()[:, :, 0]
     size = np.linalg.norm(dense, axis=-1).T / VEST.force_max_n  # of a camera: y down, row 0 is the top

@@ -30,7 +30,7 @@ from touchfield.codec.touch.spec import EFFORTS, MODES, TouchSpec
 from touchfield.errors import UnboundedError
 from touchfield.medium import PoseTrack
 from touchfield.pipeline import encode
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.rate_control import Target, encode_to_target
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.pipeline.tiles import encode_tiles
@@ -193,7 +193,7 @@ def test_a_ratio_is_rounded_up(ratio: float, steps: int) -> None:
 
 def keys_of(path: Path) -> dict[str, Any]:
     """The error bound as stated in the file."""
-    with open_stream(path) as opened:
+    with open_file(path) as opened:
         return opened.error_bound()
 
 
@@ -212,7 +212,7 @@ def test_a_file_reports_its_bound(name: str, tmp_path: Path) -> None:
     assert_reported(done.summary(), texts, is_bounded(name))
     assert_same(done.summary(), out)
     if spec.touch.mode == "mask" and spec.coder == "touch" and not spec.touch.masking:
-        with open_stream(out) as opened:
+        with open_file(out) as opened:
             pairs = [(a.to_dense(), b.to_dense()) for a, b in zip(medium, opened.medium, strict=True)]
         ratio = max(mask_ratio(a, b, spec.k, spec.f0_n) for a, b in pairs)
         assert ratio <= done.summary()["worst_mask_ratio"] <= ratio + 1e-4
@@ -233,7 +233,7 @@ def test_bodies_report_their_bound(name: str, damping: float, tmp_path: Path) ->
     spec, out = replace(SPECS[name], surface_damping_n_s_per_m=damping), tmp_path / "a.touch"
     with caught() as texts:
         done = encode(falling(), out, spec)
-    with open_stream(out) as opened:
+    with open_file(out) as opened:
         assert opened.scene is not None
     assert_reported(done.summary(), texts, is_bounded(name, is_composed=True))
     assert_same(done.summary(), out)

@@ -16,7 +16,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import Grid, PoseTrack
 from touchfield.medium.grid import Placement
 from touchfield.pipeline import encode, prepare
-from touchfield.pipeline.decoding import open_stream, write_field
+from touchfield.pipeline.decoding import open_file, write_field
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth.depth_scene import DepthScene
@@ -114,7 +114,7 @@ def test_every_output_states_the_mapping(tmp_path: Path) -> None:
     placement = done.prepared.placement
     write_field(tmp_path / "a.npz", done.prepared.medium, placement=placement)
     write_field(tmp_path / "a.vti", done.prepared.medium, placement=placement)
-    with open_stream(tmp_path / "a.touch") as stream:
+    with open_file(tmp_path / "a.touch") as stream:
         assert stream.placement == placement
         of_stream = stream.summary()
         inside = stream.medium[0].sample_n(placement.to_hand([0.4, 0.0, 0.047]))

@@ -54,7 +54,7 @@ def test_fields(tmp_path: Path, shape: tuple[int, int, int], spec: PaperSpec | T
     field = ForceField.from_bricks(grid, np.array([[0, 511, 511]]), forces)
     path = written(tmp_path / "a.touch", grid, spec, [field, ForceField.empty(grid)])
     before = peak_bytes()
-    with pipeline.open_stream(path) as opened:
+    with pipeline.open_file(path) as opened:
         medium = opened.medium
         np.testing.assert_array_equal(medium[0].bricks, field.bricks)
         assert len(medium[1].bricks) == 0 and opened.summary()["frames"] == 2
@@ -68,7 +68,7 @@ def test_objects(tmp_path: Path) -> None:
         writer.write_head(head_of(scene, encoder))
         write_objects(writer, encoder, len(scene))
     before = peak_bytes()
-    with pipeline.open_stream(tmp_path / "a.touch") as opened:
+    with pipeline.open_file(tmp_path / "a.touch") as opened:
         field = opened.medium[1]
         assert len(field.bricks) and (field.bricks[:, 0] == 0).all()
     assert peak_bytes() - before < 1 << 30
@@ -82,7 +82,7 @@ def test_a_dense_frame_beyond_memory_is_refused(
     grid = grid_of(LARGEST)
     path = written(tmp_path / "a.touch", grid, TouchSpec(), [ForceField.empty(grid)])
     with (
-        pipeline.open_stream(path) as opened,
+        pipeline.open_file(path) as opened,
         pytest.raises(InvalidArgument, match=r"768\.0 GiB of each dense frame"),
     ):
         pipeline.write_field(tmp_path / f"b{ending}", opened.medium)

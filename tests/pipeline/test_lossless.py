@@ -14,7 +14,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import Grid
 from touchfield.medium.stores.npz import read_npz
 from touchfield.pipeline import compare, encode
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import SOURCE_FORCES, EncodeSpec
 from touchfield.pipeline.stream import FILTERED
 
@@ -39,7 +39,7 @@ def quantised(shape: tuple[int, ...], frames: int = 2) -> np.ndarray:
 
 
 def decoded(path: Path) -> tuple[Grid, np.ndarray]:
-    with open_stream(path) as opened:
+    with open_file(path) as opened:
         return opened.grid, np.stack([frame.to_dense() for frame in opened.medium])
 
 
@@ -56,7 +56,7 @@ def test_a_stored_field_keeps_its_lattice_and_every_bit(
     assert np.array_equal(found.view(np.uint32), forces.view(np.uint32))
     assert done.summary()["promise_against"] == SOURCE_FORCES
     assert any("keeps its own lattice" in note for note in done.notes)
-    with open_stream(tmp_path / "a.touch") as opened:
+    with open_file(tmp_path / "a.touch") as opened:
         assert opened.summary()["promise_against"] == SOURCE_FORCES and opened.summary()["promise_kept"]
     assert compare(source, tmp_path / "a.touch").summary()["mask_violations"] == 0
 
@@ -107,8 +107,8 @@ def test_the_reference_of_the_error_bound_is_stated(tmp_path: Path) -> None:
     for scene, spec in ((ball, SPEC), (source, EncodeSpec(nw=4)), (source, filtered)):
         done = encode(scene, tmp_path / "a.touch", spec)
         assert done.summary()["promise_against"] == FILTERED
-        with open_stream(tmp_path / "a.touch") as opened:
+        with open_file(tmp_path / "a.touch") as opened:
             assert opened.summary()["promise_against"] == FILTERED
     encode(tmp_path / "a.touch", tmp_path / "b.touch", SPEC)
-    with open_stream(tmp_path / "b.touch") as opened:
+    with open_file(tmp_path / "b.touch") as opened:
         assert opened.summary()["promise_against"] == SOURCE_FORCES

@@ -102,7 +102,7 @@ def test_both_representations_agree_to_the_voxel_size() -> None:
 
 def test_the_file_describes_its_objects_and_keeps_poses_within_the_mask(stream: Path) -> None:
     source_scene = pipeline.prepare(falling(), SPEC).scene
-    with pipeline.open_stream(stream) as opened:
+    with pipeline.open_file(stream) as opened:
         summary, decoded = opened.summary(), opened.scene
         assert summary["representation"] == "object" and summary["object_names"] == ["box", "ball"]
         assert source_scene is not None and decoded is not None
@@ -123,9 +123,9 @@ def test_a_stream_can_be_cut_and_encoded_again(stream: Path, tmp_path: Path) -> 
     done = pipeline.encode(stream, again)
     assert done.prepared.scene is not None
     with (
-        pipeline.open_stream(stream) as complete,
-        pipeline.open_stream(part) as cut,
-        pipeline.open_stream(again) as twice,
+        pipeline.open_file(stream) as complete,
+        pipeline.open_file(part) as cut,
+        pipeline.open_file(again) as twice,
     ):
         assert len(cut.medium) == 5
         box = [opened.scene.objects[0].track for opened in (complete, cut, twice)]  # type: ignore[union-attr]
@@ -145,7 +145,7 @@ def test_a_stream_of_objects_is_compared_and_measured(stream: Path) -> None:
     assert sum(figures) == 8 * stream.stat().st_size
     measured = tasks.measure.measure_medium(stream)
     assert measured.frames == FRAMES and measured.object.value > 0
-    with pipeline.open_stream(stream) as opened:
+    with pipeline.open_file(stream) as opened:
         figures = opened.summary()
         assert (
             opened.scene is not None and opened.scene.file_bytes == opened.file_bytes == stream.stat().st_size
@@ -221,7 +221,7 @@ def test_any_name_of_a_body_can_be_stored(name: str, stored: str, tmp_path: Path
     box, ball = falling().bodies()
     named = BodyScene((replace(box, name=name), replace(ball, name=name)), 1000.0)
     pipeline.encode(named, tmp_path / "a.touch", SPEC)
-    with pipeline.open_stream(tmp_path / "a.touch") as opened:
+    with pipeline.open_file(tmp_path / "a.touch") as opened:
         assert opened.summary()["object_names"] == [stored, stored]
 
 

@@ -15,7 +15,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline import compare, encode, prepare
-from touchfield.pipeline.decoding import open_stream, write_field
+from touchfield.pipeline.decoding import open_file, write_field
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Sphere
@@ -55,7 +55,7 @@ def test_frames_decoded_without_a_force_are_noted(tmp_path: Path) -> None:
 
 def test_pins_are_within_half_a_step_unless_another_bound_is_requested(tmp_path: Path) -> None:
     done = encode("sample:terrain", tmp_path / "map.touch", EncodeSpec(device="graphiti"))
-    with open_stream(tmp_path / "map.touch") as stream:
+    with open_file(tmp_path / "map.touch") as stream:
         off_n = np.linalg.norm(done.prepared.medium[0].to_dense() - stream.medium[0].to_dense(), axis=3)
     assert 0 < off_n.max() * 35 / 3.3 <= 0.5 + 1e-6
     assert any("within half a step of 36 heights" in note for note in done.notes)
@@ -73,14 +73,14 @@ def test_a_field_on_the_devices_lattice_is_encoded_untouched(tmp_path: Path) -> 
     direct = encode(ball(), tmp_path / "direct.touch", spec)
     stored = encode(field, tmp_path / "stored.touch", spec)
     assert stored.supported_voxels == direct.supported_voxels
-    with open_stream(tmp_path / "direct.touch") as a, open_stream(tmp_path / "stored.touch") as b:
+    with open_file(tmp_path / "direct.touch") as a, open_file(tmp_path / "stored.touch") as b:
         assert a.medium[0] == b.medium[0]
 
 
 def test_frames_in_any_order_are_the_frames_in_sequence(tmp_path: Path) -> None:
     stream = tmp_path / "s.touch"
     encode(moving(), stream, EncodeSpec(nw=4, touch=TouchSpec(segment_frames=3)))
-    with open_stream(stream) as opened:
+    with open_file(stream) as opened:
         assert [s.frame_count for s in opened.reader.segments] == [3, 3, 1]
         in_sequence = list(opened.medium)
         for i in (6, 0, 5, 4, 2, 3, 1, 1):
@@ -93,7 +93,7 @@ def test_a_range_of_frames(tmp_path: Path) -> None:
     alone = TouchSpec(interframe="off", segment_frames=1)
     encode(moving(), complete, EncodeSpec(nw=4, touch=alone))
     encode(moving(), part, EncodeSpec(nw=4, frames=(2, 5), touch=alone))
-    with open_stream(complete) as a, open_stream(part) as b:
+    with open_file(complete) as a, open_file(part) as b:
         assert list(b.medium) == [a.medium[i] for i in (2, 3, 4)]
     summary = compare(moving(), part).summary()
     assert summary["frames"] == 3
@@ -168,7 +168,7 @@ def test_an_array_keeps_its_one_direction(tmp_path: Path) -> None:
     compared = compare(ball(), stream).summary()
     assert compared["grid_shape"] == [32, 32, 1]
     assert compared["mask_violations"] == 0
-    with open_stream(stream) as opened:
+    with open_file(stream) as opened:
         vectors = opened.medium[0].vectors_n()
     np.testing.assert_array_equal(vectors[:, :2], 0)
 

@@ -14,7 +14,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline import compare, encode, rate_control
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.rate_control import MAX_ENCODES, RootSearch, Target, encode_to_target
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
@@ -51,7 +51,7 @@ def test_the_bound_is_relaxed_until_the_file_fits_and_is_reported(frames: int, t
     assert summary["k"] > 0.1 == summary["asked_k"] and summary["f0_n"] == pytest.approx(0.5 * summary["k"])
     assert summary["encodes"] <= MAX_ENCODES and summary["target_bytes"] == target
     assert any(f"raised from 0.1 to {summary['k']:.4g}" in note for note in done.notes)
-    with open_stream(out) as opened:
+    with open_file(out) as opened:
         assert opened.reader.head.weber_fraction == summary["k"]
         assert opened.summary()["promise_kept"]
     assert compare(source, out).summary()["mask_violations"] == 0

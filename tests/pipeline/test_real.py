@@ -9,7 +9,7 @@ import pytest
 
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.pipeline import compare, encode
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence
 from touchfield.sources.depth.depth_scene import DepthScene
@@ -34,7 +34,7 @@ def round_trip(source: Path, stream: Path, spec: EncodeSpec) -> dict:
     compared = compare(source, stream).summary()
     assert compared["supported_voxels"] == done.supported_voxels
     assert compared["nmse_db"] < -12
-    with open_stream(stream) as opened:
+    with open_file(stream) as opened:
         assert opened.medium[len(opened.medium) - 1].support_count > 0
     return compared
 

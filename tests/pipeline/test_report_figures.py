@@ -23,7 +23,7 @@ from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline import compare, encode, prepare
 from touchfield.pipeline.comparison import filter_report
-from touchfield.pipeline.decoding import open_stream, write_field
+from touchfield.pipeline.decoding import open_file, write_field
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.block import COLUMNS as ROW, FLAGS
 from touchfield.render.spec import RenderSpec
@@ -79,7 +79,7 @@ def test_figures_of_an_encoding(tmp_path: Path, by: str) -> None:
         assert summary[key] == value, key
     assert summary["spacing_mm"] == pytest.approx([side / 16 for side in profile.workspace_mm])
     assert summary["mapping_offset_m"] == pytest.approx(box.mean(axis=0).tolist())
-    with open_stream(out) as stream:
+    with open_file(out) as stream:
         info, head = stream.summary(), stream.reader.head
         assert (head.weber_fraction, head.force_threshold_n) == (0.2, 0.07)
         assert head.force_max_n == profile.force_max_n
@@ -132,7 +132,7 @@ def test_figures_of_a_comparison(tmp_path: Path, coder: str) -> None:
     spec = SPEC if coder == "touch" else EncodeSpec(coder="paper", paper=PaperSpec(segment_frames=3, nq=3))
     encode(medium(), out, spec)
     original = dense(medium())
-    with open_stream(out) as stream:
+    with open_file(out) as stream:
         decoded, info = dense(stream.medium), stream.summary()
     size, voxels = 8 * out.stat().st_size, COUNT * 24 * 16 * 8
     for mask in ({}, {"k": 0.01, "f0_n": 0.002}):
@@ -168,7 +168,7 @@ def test_bits_of_a_model_count_as_side_bits(tmp_path: Path) -> None:
     parts = ("support", "amplitude", "direction", "side")
     for source, has_models in ((ball, True), (tiny_scenes()[-1], False)):
         encode(source, out, replace(SPEC, nw=4 + has_models))
-        with open_stream(out) as stream:
+        with open_file(out) as stream:
             info = stream.summary()
         summary = compare(source, out).summary()
         if has_models:
@@ -190,7 +190,7 @@ def test_the_drawn_frame_of_a_comparison(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(module, "draw_comparison", lambda *args: drawn.append(args))
     out = tmp_path / "out.touch"
     encode(medium(), out, SPEC)
-    with open_stream(out) as stream:
+    with open_file(out) as stream:
         decoded = list(stream.medium)
     for frame in (None, 0, COUNT - 1):
         compared = compare(medium(), out, frame=frame, k=0.01, f0_n=0.002)

@@ -15,7 +15,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.pipeline import compare, encode, prepare
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Sphere
@@ -54,7 +54,7 @@ def test_segments_of_a_file_depend_on_its_rate_or_the_option(tmp_path: Path) -> 
     ):
         spec = replace(SPEC, touch=replace(FAST, segment_frames=segment_frames))
         encode(noisy(33, rate_hz), tmp_path / "a.touch", spec)
-        with open_stream(tmp_path / "a.touch") as opened:
+        with open_file(tmp_path / "a.touch") as opened:
             assert [s.frame_count for s in opened.reader.segments] == lengths
             segments = opened.medium.segments
             assert segments is not None and (segments.k, segments.f0_n) == (FAST.k, FAST.f0_n)
@@ -69,14 +69,14 @@ def test_a_repeated_frame_ends_no_segment(tmp_path: Path) -> None:
     scene = StoredScene(HapticMedium.from_frames(frames, 30.0, "x right, y up, z towards the viewer"))
     for segment_frames, lengths in ((None, [30, 24, 7]), (8, [8] * 7 + [5])):
         encode(scene, tmp_path / "a.touch", replace(SPEC, touch=replace(FAST, segment_frames=segment_frames)))
-        with open_stream(tmp_path / "a.touch") as opened:
+        with open_file(tmp_path / "a.touch") as opened:
             assert [s.frame_count for s in opened.reader.segments] == lengths
 
 
 @pytest.mark.parametrize("touch", [replace(FAST, mode="nmse"), replace(FAST, mode="mask-direction")])
 def test_only_the_mode_mask_is_blended(tmp_path: Path, touch: TouchSpec) -> None:
     encode(noisy(9, 30.0), tmp_path / "a.touch", replace(SPEC, touch=replace(touch, segment_frames=8)))
-    with open_stream(tmp_path / "a.touch") as opened:
+    with open_file(tmp_path / "a.touch") as opened:
         assert opened.medium.segments is None
     hold = compare(noisy(9, 30.0), tmp_path / "a.touch").hand.hold
     assert hold is not None and hold.start_error_mn > 0
@@ -88,7 +88,7 @@ def test_the_blend_hides_segment_starts_of_a_static_world(
 ) -> None:
     path, scene = tmp_path / "a.touch", noisy(frames, rate_hz)
     encode(scene, path, SPEC)
-    with open_stream(path) as opened:
+    with open_file(path) as opened:
         before = [opened.medium[i] for i in range(frames)]
     holds = [compare(scene, path).hand.hold]
     monkeypatch.setattr(
@@ -98,7 +98,7 @@ def test_the_blend_hides_segment_starts_of_a_static_world(
     # the noise of the source is in every step; the blend removes the excess at the start of a segment
     added, decoded_added = (np.sqrt(max(0.0, h.start_error_mn**2 - h.error_step_mn**2)) for h in holds if h)
     assert decoded_added > 5 and added < max_fraction * decoded_added
-    with open_stream(path) as opened:
+    with open_file(path) as opened:
         step = 1 + frames // 32  # each frame is decoded from the start of its segment
         assert [opened.medium[i] for i in range(frames)[::-step]] == before[::-step]
 

@@ -22,7 +22,7 @@ def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_stream_keeps_its_lattice_regardless_of_options(stream: Path, tmp_path: Path) -> None:
     prepared = pipeline.prepare(stream, EncodeSpec(nw=7, device="tshirt-32x32"))
-    with pipeline.open_stream(stream) as opened:
+    with pipeline.open_file(stream) as opened:
         assert prepared.medium.grid == opened.grid and prepared.device.name == "phantom-omni"
         assert list(prepared.medium) == list(opened.medium)
     assert any("keeps its own" in note for note in prepared.notes)
@@ -53,7 +53,7 @@ def test_a_stream_of_a_custom_device_needs_no_profile(tmp_path: Path) -> None:
     stream = tmp_path / "own.touch"
     pipeline.encode(tiny_scenes()[0], stream, EncodeSpec(nw=4, device=str(path)))
     prepared = pipeline.prepare(stream)
-    with pipeline.open_stream(stream) as opened:
+    with pipeline.open_file(stream) as opened:
         assert prepared.device.name == opened.reader.head.device_name
         assert prepared.device.force_max_n == opened.reader.head.force_max_n == pytest.approx(3.3)
     assert tasks.measure.measure_medium(stream).voxel.value > 0

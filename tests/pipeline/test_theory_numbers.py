@@ -157,7 +157,7 @@ def test_the_full_ratio_counts_every_bit_of_a_file(tmp_path: Path) -> None:
     scene = tiny_scenes()[0]
     encoded = pipeline.encode(scene, stream, EncodeSpec(nw=4)).summary()
     compared = pipeline.compare(scene, stream)
-    with pipeline.open_stream(stream) as opened:
+    with pipeline.open_file(stream) as opened:
         read = opened.summary()
         raw_bits = RAW_BITS_PER_VECTOR * len(opened.medium) * opened.grid.voxel_count
     file_bits = 8 * stream.stat().st_size

@@ -17,7 +17,7 @@ from touchfield.container import TouchWriter
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, Segments
 from touchfield.pipeline import compare, encode, prepare
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Sphere
@@ -67,7 +67,7 @@ def test_the_summary_of_a_stream_states_head_and_segments(tmp_path: Path) -> Non
         writer.write_head(head, {"reference": "my own"})
         writer.write_segment(0, 3, encoder.encode_segment(frames[:1] * 3).body)
         writer.write_segment(3, 2, encoder.encode_segment(frames[1:] * 2).body)
-    with open_stream(path) as opened:
+    with open_file(path) as opened:
         summary, medium, device = opened.summary(), opened.medium, opened.declared_device
         assert opened.masking == (0.03, 0.006) and medium.segments == Segments((0, 3), 0.2, 0.07)
         supported = opened.supported_voxels(lambda *at: notes.append(at))
@@ -129,7 +129,7 @@ def test_threads_change_no_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
             lambda n, total, progress=progress: progress.append(n),
         )
         done[threads] = progress
-        with open_stream(tmp_path / f"{threads}.touch") as opened:
+        with open_file(tmp_path / f"{threads}.touch") as opened:
             assert [s.frame_count for s in opened.reader.segments] == [2, 2, 2, 1]
     assert (tmp_path / "1.touch").read_bytes() == (tmp_path / "3.touch").read_bytes()
     for progress in done.values():
@@ -140,7 +140,7 @@ def test_the_file_states_its_error_bound(tmp_path: Path) -> None:
     stream = tmp_path / "s.touch"
     encoded = encode(breathing(), stream, replace(SPEC, touch=replace(FAST, k=0.2, f0_n=0.02))).summary()
     assert (encoded["coder"], encoded["mode"], encoded["k"], encoded["f0_n"]) == ("touch", "mask", 0.2, 0.02)
-    with open_stream(stream) as opened:
+    with open_file(stream) as opened:
         summary = opened.summary()
         assert opened.reader.head.weber_fraction == 0.2 and opened.reader.head.force_threshold_n == 0.02
         decoded = list(opened.medium)
@@ -173,7 +173,7 @@ def test_a_mean_error_gives_no_bound(tmp_path: Path) -> None:
         breathing(2), stream, replace(SPEC, touch=replace(FAST, mode="nmse", step_n=0.3))
     ).summary()
     assert encoded["step_n"] == 0.3
-    with open_stream(stream) as opened:
+    with open_file(stream) as opened:
         summary = opened.summary()
     assert summary["mode"] == "nmse" and summary["promise_kept"] is None and summary["worst_voxel"] is None
 
@@ -182,7 +182,7 @@ def test_a_quantised_field_is_preserved_exactly(tmp_path: Path) -> None:
     first, second = tmp_path / "a.touch", tmp_path / "b.touch"
     encode(breathing(3), first, SPEC)
     encode(first, second, EncodeSpec(touch=TouchSpec(mode="lossless", segment_frames=3)))
-    with open_stream(first) as a, open_stream(second) as b:
+    with open_file(first) as a, open_file(second) as b:
         assert list(a.medium) == list(b.medium)
         assert b.summary()["worst_mask_ratio"] == 0
 
@@ -190,7 +190,7 @@ def test_a_quantised_field_is_preserved_exactly(tmp_path: Path) -> None:
 def test_both_coders_share_the_pipeline(tmp_path: Path) -> None:
     stream = tmp_path / "p.touch"
     encode(breathing(2), stream, EncodeSpec(nw=4, coder="paper", paper=PaperSpec(k=0.2)))
-    with open_stream(stream) as opened:
+    with open_file(stream) as opened:
         summary = opened.summary()
     assert summary["coder"] == "paper" and summary["k"] == 0.2 and "promise_kept" not in summary
     assert compare(breathing(2), stream).summary()["k"] == 0.2

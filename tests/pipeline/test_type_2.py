@@ -24,7 +24,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium.stores.npz import read_npz
 from touchfield.perception.mask import mask_n
 from touchfield.pipeline import compare, encode, prepare
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth.depth_scene import DepthScene
@@ -117,7 +117,7 @@ def test_six_bits_a_sample_and_every_actuator_within_the_mask(tmp_path: Path, ta
     spec = EncodeSpec(device=SHIRT, coder="paper", paper=SIX_BITS)
     original = prepare(scene, spec).medium
     done = encode(scene, path, spec)
-    with open_stream(path) as opened:
+    with open_file(path) as opened:
         summary = opened.summary()
         assert (summary["tags"], summary["device_type"], summary["grid_shape"]) == ([tag], 2, [32, 32, 1])
         codebook = Codebook.get(summary["directions"])
@@ -159,7 +159,7 @@ def test_the_chain_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureF
     assert (info["tags"], info["frames"], info["rate_hz"]) == (["symbolic"], FRAMES, 25.0)
     assert _exit_code(["decode", str(path), str(field)]) == 0
     medium = read_npz(field)
-    with open_stream(path) as opened:
+    with open_file(path) as opened:
         assert len(medium) == FRAMES and medium[7] == opened.medium[7]
     capsys.readouterr()
     assert _exit_code(["compare", str(source), str(path), "--no-picture", "--json"]) == 0
@@ -191,7 +191,7 @@ def test_an_ordinary_video_on_the_shirt(tmp_path: Path) -> None:
             EncodeSpec(device=SHIRT, coder="paper", paper=SIX_BITS),
         )
     first, second = sorted(tmp_path.glob("*.touch"))
-    with open_stream(first) as a, open_stream(second) as b:
+    with open_file(first) as a, open_file(second) as b:
         assert a.summary()["tags"] == ["symbolic"]
         assert all(x == y for x, y in zip(a.medium, b.medium, strict=True))
 

@@ -50,7 +50,7 @@ def spec(**options: object) -> EncodeSpec:
 
 
 def frames_of(path: Path) -> list[VibrationFrame]:
-    with pipeline.open_stream(path) as opened:
+    with pipeline.open_file(path) as opened:
         band = opened.medium.vibration
         assert band is not None
         return [band(i) for i in range(len(opened.medium))]
@@ -75,7 +75,7 @@ def test_a_stream_has_the_vibration_of_its_rule(tmp_path: Path) -> None:
         np.testing.assert_allclose(expected.amplitudes_n, rule.gain * support.amplitudes_n, rtol=1e-6)
         np.testing.assert_allclose(expected.frequencies_hz, 80 + 160 * support.amplitudes_n / 3.3, rtol=1e-4)
         assert_near(frame, expected)
-    with pipeline.open_stream(path) as opened:
+    with pipeline.open_file(path) as opened:
         summary = opened.summary()
         assert summary["vibration_samples"] == sum(map(len, frames_of(path)))
         hertz = np.concatenate([frame.frequencies_hz for frame in frames_of(path)])
@@ -103,7 +103,7 @@ def test_a_file_without_vibration_is_unchanged(tmp_path: Path) -> None:
     pipeline.encode(StoredScene(medium(2)), path, spec())
     data = path.read_bytes()
     assert b"VIBR" not in data and b"vibration" not in data and data[12:14] == b"\0\0"
-    with pipeline.open_stream(path) as opened:
+    with pipeline.open_file(path) as opened:
         assert opened.medium.vibration is None and not any("vibration" in key for key in opened.summary())
 
 
@@ -131,7 +131,7 @@ def test_a_segment_without_vibration(tmp_path: Path) -> None:
     silent = replace(medium(3), vibration=lambda _: VibrationFrame.empty(GRID))
     pipeline.encode(StoredScene(silent), path, spec())
     assert [len(frame) for frame in frames_of(path)] == [0, 0, 0]
-    with pipeline.open_stream(path) as opened:
+    with pipeline.open_file(path) as opened:
         assert opened.summary()["vibration_samples"] == 0 and opened.summary()["vibration_lowest_hz"] is None
 
 
@@ -174,7 +174,7 @@ def test_vibration_of_a_file_of_objects_is_read(tmp_path: Path) -> None:
         writer.write_segment(*segment)
     for found, expected in zip(frames_of(path), hums, strict=True):
         assert_near(found, expected)
-    with pipeline.open_stream(path) as opened:
+    with pipeline.open_file(path) as opened:
         summary = opened.summary()
         assert summary["vibration_samples"] == sum(map(len, hums))
         assert (summary["vibration_lowest_hz"], summary["vibration_highest_hz"]) == (

@@ -339,7 +339,7 @@ def test_an_animated_model_bends_the_stream_of_a_pose(
     assert report["frames"] == 5 and report["control_points"] == [8, 8, 8] and report["min_determinant"] > 0
     bent = read_deformation(tracks)
     assert not bent.displacement_m[0].any() and bent.displacement_m[-1].any()
-    with pipeline.open_stream(stream) as opened:
+    with pipeline.open_file(stream) as opened:
         spacing_mm = 1e3 * float(np.mean(opened.grid.spacing_m))
     assert 0.02 * spacing_mm < report["rms_mm"] < 0.2 * spacing_mm, (
         "millimetres, as few controls cannot follow it all"

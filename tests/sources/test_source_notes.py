@@ -16,7 +16,7 @@ from touchfield.sources.camera import DepthSequence, InterpolatedSequence, Intri
 from touchfield.sources.depth import layouts
 from touchfield.sources.depth.fused_scene import DRIFT_FACTOR, FusedScene, _World
 from touchfield.sources.depth.intrinsics_file import camera_of, parse_intrinsics
-from touchfield.sources.depth.segments import SegmentRule, segmented_bodies
+from touchfield.sources.depth.segmentation import SegmentRule, segmented_bodies
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import size_note

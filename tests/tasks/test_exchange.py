@@ -34,7 +34,7 @@ from touchfield.filters.device_spec import device_grid
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.grid import Placement
 from touchfield.pipeline import encode
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.encoding import encode_prepared
 from touchfield.pipeline.preparation import Prepared
 from touchfield.pipeline.spec import EncodeSpec
@@ -87,7 +87,7 @@ def test_a_stream_for_a_vest_as_hjif_and_back(tmp_path: Path) -> None:
     read = read_hjif_array(tmp_path / "a.hjif", 20.0)
     assert read.effect.drives == pytest.approx(drives, rel=K, abs=2e-5)
     import_effect(tmp_path / "a.hjif", tmp_path / "b.touch", FINE, rate_hz=20.0)
-    with open_stream(tmp_path / "b.touch") as opened:
+    with open_file(tmp_path / "b.touch") as opened:
         summary = opened.summary()
         assert (summary["device"], summary["device_type"], summary["tags"]) == (
             "tactsuit-x40",
@@ -269,7 +269,7 @@ def test_effects_are_imported_as_streams(tmp_path: Path) -> None:
     written(tmp_path / "e.hjif", document(channel(wave), channel(wave)))
     done = import_effect(tmp_path / "e.hjif", tmp_path / "e.touch", FINE, force_max_n=2.0)
     assert done.prepared.device.name == "array-2x1" and done.prepared.medium.vibration is not None
-    with open_stream(tmp_path / "e.touch") as opened:
+    with open_file(tmp_path / "e.touch") as opened:
         assert opened.summary()["force_max_n"] == 2 and len(opened.medium) == 11
         assert opened.medium[5].vectors_n()[:, 2] == pytest.approx([1, 1], rel=K)
         vibration = opened.medium.vibration
@@ -279,12 +279,12 @@ def test_effects_are_imported_as_streams(tmp_path: Path) -> None:
     again = read_hjif_array(tmp_path / "f.hjif").effect.frequencies_hz
     assert again is not None and again[:, 0, 1] == pytest.approx(np.arange(100, 201, 10), abs=1.01)
     import_effect(tmp_path / "e.hjif", tmp_path / "v.touch", replace(FINE, vibration="gain=0.1,frequency=77"))
-    with open_stream(tmp_path / "v.touch") as opened:
+    with open_file(tmp_path / "v.touch") as opened:
         assert opened.medium.vibration is not None and set(opened.medium.vibration(0).frequencies_hz) == {77}
     tap: dict[str, Any] = {"Event": {"Time": 0.1, "EventType": "HapticTransient"}}
     written(tmp_path / "t.ahap", {"Pattern": [tap]})
     import_effect(tmp_path / "t.ahap", tmp_path / "t.touch", FINE, rate_hz=200.0)
-    with open_stream(tmp_path / "t.touch") as opened:
+    with open_file(tmp_path / "t.touch") as opened:
         assert (opened.summary()["grid_shape"], opened.summary()["rate_hz"]) == ([1, 1, 1], 200)
         assert [opened.medium[i].support_count for i in (19, 20)] == [0, 1]
 
@@ -295,7 +295,7 @@ def test_an_exported_force_is_imported_as_one_actuator(tmp_path: Path) -> None:
     export(path, tmp_path / "f.hjif", trajectory=probe(tmp_path / "p.csv", rows))
     done = import_effect(tmp_path / "f.hjif", tmp_path / "b.touch", FINE)
     assert done.prepared.device.force_max_n == pytest.approx(2.0, rel=2 * K)
-    with open_stream(tmp_path / "b.touch") as opened:
+    with open_file(tmp_path / "b.touch") as opened:
         assert opened.medium[0].vectors_n()[0, 2] == pytest.approx(2.0, rel=3 * K)
 
 
@@ -304,7 +304,7 @@ def test_frames_of_an_effect(tmp_path: Path) -> None:
     written(tmp_path / "e.hjif", document(channel(wave)))
     spec = EncodeSpec(frames=(5, 8), touch=FINE.touch)
     import_effect(tmp_path / "e.hjif", tmp_path / "e.touch", spec)
-    with open_stream(tmp_path / "e.touch") as opened:
+    with open_file(tmp_path / "e.touch") as opened:
         assert [f.vectors_n()[0, 2] for f in opened.medium] == pytest.approx([1.65, 1.98, 2.31], rel=K)
 
 

@@ -16,7 +16,7 @@ from touchfield.filters import rebuild_level
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import HapticMedium
 from touchfield.pipeline import encode, prepare
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Sphere
@@ -174,7 +174,7 @@ def test_a_trial_equals_encode_and_a_meter(tmp_path: Path) -> None:
         encoded = encode(ball, tmp_path / "one.touch", trial.spec)
         assert trial.frames == 1 and abs(encoded.file_bytes - trial.file_bytes) < 450
         meter = FidelityMeter(tried.k, tried.f0_n)
-        with open_stream(tmp_path / "one.touch") as opened:
+        with open_file(tmp_path / "one.touch") as opened:
             decoded = opened.medium[0]
         if trial.spec.nw == 4:
             decoded = rebuild_level(decoded, reference.grid)

@@ -18,7 +18,7 @@ def info(
     voxels: Annotated[bool, "Also decode all of it: supported voxels, and the bits that each takes."] = False,
 ) -> Answer:
     """Describe the contents of a .touch file."""
-    from touchfield.pipeline.decoding import open_stream
+    from touchfield.network.opening import open_stream
 
     with open_stream(stream) as opened:
         summary = opened.summary()
@@ -43,7 +43,8 @@ def _shortened_spec(summary: dict[str, Any]) -> dict[str, Any]:
 @command("Make", "decode room.touch field.npz", "decode room.touch field.vti")
 def decode(stream: Stream, out: Annotated[Path, "FIELD.npz, or FIELD.vti for ParaView."]) -> Answer:
     """Turn a .touch file back into a force field."""
-    from touchfield.pipeline.decoding import open_stream, write_field
+    from touchfield.network.opening import open_stream
+    from touchfield.pipeline.decoding import write_field
 
     refuse_overwriting(out, stream)
     with open_stream(stream) as opened, progress("decode", compiles=not opened.is_native) as report:

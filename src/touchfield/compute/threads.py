@@ -13,12 +13,12 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from typing import Any
 
-Report = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 """``report(done, total)``: progress of a long job."""
 
 
 def silent(done: int, total: int) -> None:
-    """A `Report` that does nothing."""
+    """A `Progress` that does nothing."""
 
 
 def worker_count() -> int:

@@ -12,8 +12,8 @@ level of detail     `pyramid`, `rebuild_level`, `interpolate`
 ==================  ==========================================================================================
 """
 
-from touchfield.filters.device_filter import DeviceFilter, device_medium
-from touchfield.filters.device_spec import NW_RANGE, DeviceFilterSpec, device_grid
+from touchfield.filters.device_filter import device_medium
+from touchfield.filters.device_spec import NW_RANGE, DeviceFilter, DeviceFilterSpec, device_grid
 from touchfield.filters.edit import (
     COMPOSITIONS,
     Compose,

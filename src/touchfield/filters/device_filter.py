@@ -9,45 +9,33 @@ a low-pass would extend the support by samples that no hand can feel and every c
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from touchfield.filters.array_filter import ArrayFilter, array_pool
-from touchfield.filters.device_spec import DeviceFilterSpec, same_lattice
+from touchfield.filters.array_filter import array_frames, array_pool
+from touchfield.filters.device_spec import DeviceFilter
 from touchfield.filters.point_filter import point_frames
-from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.grid import Placement
+from touchfield.medium import HapticMedium
 
 if TYPE_CHECKING:
-    from touchfield.devices import Device
-    from touchfield.sources.laws import ForceProfile
     from touchfield.sources.scene import Scene
 
 
-def device_medium(
-    scene: Scene,
-    device: Device,
-    grid: Grid,
-    placement: Placement,
-    profile_hand: ForceProfile,
-    spec: DeviceFilterSpec | None = None,
-) -> HapticMedium:
+def device_medium(scene: Scene, mapping: DeviceFilter) -> HapticMedium:
     """Return the scene as the device can show it: a lazy medium on the device's lattice, hand metres.
 
     A stored medium whose lattice is already this one (to within a millionth of a sample) passes unchanged.
     """
-    stored = scene.stored
-    if stored is not None and same_lattice(placement.to_scene(grid), stored.grid):
+    grid, stored = mapping.grid, scene.stored
+    if stored is not None and mapping.placement.to_scene(grid).is_close(stored.grid):
         if stored.grid == grid:
             return stored
         vibration_on_grid = (vibration := stored.vibration) and (lambda i: replace(vibration(i), grid=grid))
         return replace(
             stored, grid=grid, make_frame=lambda i: stored[i].on_grid(grid), vibration=vibration_on_grid
         )
-    mapping = DeviceFilter(device, grid, placement, spec or DeviceFilterSpec())
-    entries = _provenance(mapping, scene)
-    frames = mapping.frames(scene, profile_hand)
+    entries = _provenance(scene, mapping)
+    frames = array_frames(scene, mapping) if mapping.device.is_array else point_frames(scene, mapping)
     medium = HapticMedium(
         grid, scene.rate_hz, scene.frame_count, frames, axes=scene.axes, tags=scene.tags, provenance=entries
     )
@@ -56,27 +44,7 @@ def device_medium(
     return medium
 
 
-@dataclass(frozen=True)
-class DeviceFilter:
-    """The mapping M of a device: its lattice in hand metres (one sample deep for an array), a placement."""
-
-    device: Device
-    grid: Grid
-    placement: Placement
-    spec: DeviceFilterSpec = field(default_factory=DeviceFilterSpec)
-
-    def frames(self, scene: Scene, profile_hand: ForceProfile) -> Callable[[int], ForceField]:
-        """Return M(W) by frame, newtons on the device's lattice; `profile_hand` is the law in hand metres.
-
-        If the scene of a point device returns the same field object as before, so does the result.
-        """
-        if self.device.is_array:
-            array = ArrayFilter(self.device, self.grid, self.placement, self.spec)
-            return lambda i: array.frame(scene, i, profile_hand)
-        return point_frames(scene, self.device, self.grid, self.placement, profile_hand, self.spec)
-
-
-def _provenance(mapping: DeviceFilter, scene: Scene) -> dict[str, str]:
+def _provenance(scene: Scene, mapping: DeviceFilter) -> dict[str, str]:
     spec, placement = mapping.spec, mapping.placement
     text = f"{spec.low_pass}, oversample {spec.oversample}, floor {spec.force_floor_share:g} of F_max"
     if mapping.device.is_array:

@@ -9,17 +9,17 @@ scene's x and y.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
-
-import numpy as np
 
 from touchfield.errors import InvalidArgument, require_kinds
 from touchfield.filters.resample import low_pass
 from touchfield.medium import Grid
+from touchfield.medium.grid import Placement
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
+    from touchfield.sources.laws import ForceProfile
 
 NW_RANGE: Final = (3, 10)
 """Smallest and largest n_w; the paper uses 5 to 7."""
@@ -76,15 +76,15 @@ class DeviceFilterSpec:
         low_pass(self.low_pass)
 
 
-def same_lattice(a: Grid, b: Grid) -> bool:
-    """True if two lattices are equal to within a millionth of a sample."""
-    corners_m = [np.stack([g.origin_m, g.to_m(np.subtract(g.shape, 1))]) for g in (a, b)]
-    return a.shape == b.shape and bool(
-        (np.abs(corners_m[0] - corners_m[1]) < 1e-6 * np.array(b.spacing_m)).all()
-    )
+@dataclass(frozen=True)
+class DeviceFilter:
+    """The mapping M of a device: its lattice, the placement of the scene, and the force law.
 
+    `grid` is the lattice in hand metres, one sample deep for an array; `profile` is the law in hand metres.
+    """
 
-def padded(grid: Grid, margins: tuple[int, int, int]) -> Grid:
-    """Extend a lattice by `margins` samples on both sides of each axis."""
-    x, y, z = (n + 2 * m for n, m in zip(grid.shape, margins, strict=True))
-    return Grid((x, y, z), grid.spacing_m, tuple(grid.to_m(np.negative(margins)).tolist()))
+    device: Device
+    grid: Grid
+    placement: Placement
+    profile: ForceProfile
+    spec: DeviceFilterSpec = field(default_factory=DeviceFilterSpec)

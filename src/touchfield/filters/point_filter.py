@@ -13,34 +13,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.filters.device_spec import DeviceFilterSpec, padded
+from touchfield.filters.device_spec import DeviceFilter
 from touchfield.filters.limit import limit_forces
 from touchfield.filters.resample import low_pass, resample
-from touchfield.medium import ForceField, Grid
+from touchfield.medium import ForceField
 from touchfield.medium.grid import Placement
 
 if TYPE_CHECKING:
-    from touchfield.devices import Device
     from touchfield.sources.laws import ForceProfile
     from touchfield.sources.scene import Scene
     from touchfield.sources.shapes.analytic_scene import AnalyticScene
 
 
-def point_frames(
-    scene: Scene,
-    device: Device,
-    grid: Grid,
-    placement: Placement,
-    profile_hand: ForceProfile,
-    spec: DeviceFilterSpec,
-) -> Callable[[int], ForceField]:
+def point_frames(scene: Scene, mapping: DeviceFilter) -> Callable[[int], ForceField]:
     """Return M(W) of a point device by frame; if the scene repeats a field object, so does the result."""
+    grid, placement, spec = mapping.grid, mapping.placement, mapping.spec
+    factor, law = spec.oversample, mapping.profile.rescaled(placement.scale)
     # finer than the device's lattice, and reaching beyond the workspace
-    factor, law = spec.oversample, profile_hand.rescaled(placement.scale)
     margin = math.ceil(2 * low_pass(spec.low_pass).half_width * factor) + 1
-    fine = padded(grid.refined(factor), (margin, margin, margin))
+    fine = grid.refined(factor).padded((margin, margin, margin))
     requested = placement.to_scene(fine)
-    force_max_n, floor_n = device.force_max_n, device.force_max_n * spec.force_floor_share
+    force_max_n = mapping.device.force_max_n
+    floor_n = force_max_n * spec.force_floor_share
     latest: tuple[ForceField, ForceField] | None = None
 
     def frame(i: int) -> ForceField:

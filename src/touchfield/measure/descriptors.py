@@ -51,6 +51,7 @@ from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.field import brick_keys, numbers_of
+from touchfield.medium.selection import evenly_spaced
 from touchfield.perception.weber import WeberLadder
 
 if TYPE_CHECKING:
@@ -237,7 +238,7 @@ def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor
     source = HapticMedium.from_frames([medium], 30.0) if isinstance(medium, ForceField) else medium
     lag = min(max(1, round(source.rate_hz * LAG_S)), max(1, len(source) - 1))
     starts = max(1, len(source) - lag)
-    sampled = np.unique(np.linspace(0, starts - 1, min(frames, starts)).round().astype(np.int64)).tolist()
+    sampled = evenly_spaced(starts, frames)
     directions, classes = DirectionSums(DEGREE), np.zeros(PARTS["amplitude"])
     levels, changes = [], []
     for n in sampled:

@@ -131,6 +131,20 @@ class Grid:
         nx, ny, nz = self.shape
         return Grid.over_box(low, high, (nx * factor, ny * factor, nz * factor))
 
+    def padded(self, margins: tuple[int, int, int]) -> Grid:
+        """The grid with `margins` more samples on both sides of each axis."""
+        x, y, z = (n + 2 * m for n, m in zip(self.shape, margins, strict=True))
+        return Grid((x, y, z), self.spacing_m, tuple(self.to_m(np.negative(margins)).tolist()))
+
+    def is_close(self, other: Grid) -> bool:
+        """True if both have the same samples, to within a millionth of a spacing of `other`."""
+        corners_m = [
+            np.stack([grid.origin_m, grid.to_m(np.subtract(grid.shape, 1))]) for grid in (self, other)
+        ]
+        return self.shape == other.shape and bool(
+            (np.abs(corners_m[0] - corners_m[1]) < 1e-6 * np.array(other.spacing_m)).all()
+        )
+
     def moved(self, scale: float, offset_m: ArrayLike) -> Grid:
         """The grid after x -> scale * x + offset."""
         origin = np.asarray(self.origin_m) * scale + np.asarray(offset_m, float)

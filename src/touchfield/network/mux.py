@@ -26,7 +26,7 @@ from typing import Any, Final
 from xml.sax.saxutils import escape
 
 from touchfield.atomic import atomic_path
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.container import SegmentEntry, TouchReader
 from touchfield.container.records import MAGIC, OBJECTS_CODER, Segment
 from touchfield.container.wire import (
@@ -79,7 +79,7 @@ class Muxed:
 
 
 def mux(
-    movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.0, report: Report = silent
+    movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.0, report: Progress = silent
 ) -> Muxed:
     """Mux a ``.touch`` file with the tracks of a movie, which are copied unchanged.
 
@@ -172,7 +172,7 @@ def _copy(
     form: str,
     options: dict[str, str],
     samples: Sequence[_Sample] = (),
-    report: Report = silent,
+    report: Progress = silent,
 ) -> None:
     """Copy the packets of some tracks of a movie and, between them in time, the samples, if there are any."""
     import av

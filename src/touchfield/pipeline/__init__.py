@@ -19,7 +19,7 @@ from touchfield._lazy import lazy_attributes
 
 if TYPE_CHECKING:
     from touchfield.pipeline.comparison import Comparison, compare, filter_report
-    from touchfield.pipeline.decoding import open_stream, write_field
+    from touchfield.pipeline.decoding import open_file, write_field
     from touchfield.pipeline.encoding import Encoded, encode
     from touchfield.pipeline.mapping import partition_workspace
     from touchfield.pipeline.preparation import Prepared, prepare
@@ -43,7 +43,7 @@ __all__ = [
     "encode_tiles",
     "encode_to_target",
     "filter_report",
-    "open_stream",
+    "open_file",
     "partition_workspace",
     "prepare",
     "write_field",
@@ -51,7 +51,7 @@ __all__ = [
 
 _MODULES = {
     "comparison": ("Comparison", "compare", "filter_report"),
-    "decoding": ("open_stream", "write_field"),
+    "decoding": ("open_file", "write_field"),
     "encoding": ("Encoded", "encode"),
     "mapping": ("partition_workspace",),
     "preparation": ("Prepared", "prepare"),

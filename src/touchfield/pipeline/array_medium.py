@@ -18,6 +18,7 @@ import numpy as np
 from touchfield.arrays import Float32s, Int64s
 from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
+from touchfield.filters.device_filter import device_medium
 from touchfield.medium import Grid, HapticMedium
 from touchfield.medium.grid import Placement, axis_description
 from touchfield.medium.medium import VibrationFrame
@@ -100,7 +101,7 @@ def array_drives(stream: OpenStream, device: Device, panel: str = PANELS[0]) -> 
         return Drives(medium, device, head.force_max_n, panel)
     scene = StoredScene(replace(medium, vibration=None))
     mapping = mapping_of(scene, device, EncodeSpec())  # as `encode --device` does
-    pooled, band = mapping.medium(scene), medium.vibration
+    pooled, band = device_medium(scene, mapping), medium.vibration
     if band is not None:
         pooled = replace(pooled, vibration=_pooled_band(band, medium.grid, mapping.placement, mapping.grid))
     return Drives(pooled, device, device.force_max_n, panel)

@@ -16,7 +16,7 @@ import numpy as np
 from touchfield.codec.objects.error_bound import BoundCheck, compare_scenes
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.segment import BitAccount
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument
 from touchfield.filters.limit import limit_forces
 from touchfield.filters.registry import FieldFilter
@@ -27,7 +27,7 @@ from touchfield.medium.grid import Placement
 from touchfield.medium.selection import evenly_spaced
 from touchfield.perception.hand_motion import Forces, HandMotion, HoldMeter, SlideMeter, SlideSpec
 from touchfield.perception.human import vibration_threshold
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.objects import filter_objects
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.result import Result
@@ -123,7 +123,7 @@ def compare(
     frame: int | None = None,
     allow_outside: bool = False,
     slides: SlideSpec | None = None,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Comparison:
     """Measure a stream against its source, which is filtered again by the stream's provenance.
 
@@ -132,7 +132,7 @@ def compare(
     `Comparison.draw` shows, is by default the middle one. `allow_outside` lets the source refer to files
     outside its own folder; `slides` replaces the default slides of the hand.
     """
-    with open_stream(stream) as opened:
+    with open_file(stream) as opened:
         head = opened.reader.head
         original = source_medium(source, opened, allow_outside)
         decoded, scene, notes = opened.medium, original.scene, original.notes
@@ -275,7 +275,7 @@ class HandMeter:
         return HandMotion(self._slides.slides(), hold, vibration_threshold())
 
 
-def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Report = silent) -> Result:
+def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Progress = silent) -> Result:
     """Measure a medium before and after each filter of ``spec.filters``, frame by frame.
 
     ``spec.paper.k`` is the Weber fraction of the mask; Q of the entropies is weber:0.1, up to the device's

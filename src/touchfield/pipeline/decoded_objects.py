@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache, cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,10 +19,6 @@ from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, Hapt
 from touchfield.medium.budget import require_memory
 from touchfield.pipeline.decoded_frames import SegmentFrames, segment_layout
 from touchfield.pipeline.stream import OpenStream
-
-if TYPE_CHECKING:
-    pass
-
 
 _BYTES_PER_POSE: Final = 2 * 7 * 8
 """Seven float64, twice in memory while the segments are joined."""

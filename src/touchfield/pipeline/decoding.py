@@ -2,41 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from touchfield.codec.registry import coder
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.container import TouchReader
-from touchfield.container.remote import is_live
 from touchfield.errors import InvalidArgument
-from touchfield.hooks import hook
 from touchfield.medium import HapticMedium
 from touchfield.medium.budget import require_memory
 from touchfield.medium.grid import Placement
 from touchfield.pipeline.stream import OpenStream, VoxelStream
 
-if TYPE_CHECKING:
-    pass
-
 
 @contextmanager
-def open_stream(
-    path: str | Path, on_note: Callable[[str], None] = lambda note: None, coarse: str | None = None
-) -> Iterator[OpenStream]:
-    """Open a ``.touch`` file, by its path or address, or a live stream; decoding needs no configuration.
-
-    `on_note` gets notes on the losses of a live stream; `coarse` is the address of its coarse layer, which
-    replaces lost or late segments.
-    """
-    if coarse is not None and not is_live(path):
-        raise InvalidArgument("coarse", f"a layer of {path}", "one of a live stream, such as ws://HOST/live")
-    if is_live(path):
-        with hook("open_live")(str(path), on_note, coarse) as live:
-            yield live
-        return
+def open_file(path: str | Path) -> Iterator[OpenStream]:
+    """Open a ``.touch`` file, by its path or address; decoding needs no configuration."""
     with TouchReader(path) as reader:
         yield stream_of(reader)
 
@@ -54,7 +36,7 @@ def stream_of(reader: TouchReader) -> OpenStream:
 
 
 def write_field(
-    path: str | Path, medium: HapticMedium, report: Report = silent, placement: Placement | None = None
+    path: str | Path, medium: HapticMedium, report: Progress = silent, placement: Placement | None = None
 ) -> Path:
     """Write a medium as ``.npz``, ``.zarr`` or ``.vti``, by the ending of `path`; returns the file to open.
 

@@ -15,12 +15,12 @@ from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.objects.layout import CodedObject
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import compression_ratio
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.container import ObjectRecord, TouchWriter
 from touchfield.container.remote import is_remote, sender
 from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
 from touchfield.medium import Grid
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.segments import file_head, write_voxels
@@ -85,7 +85,7 @@ def encode(
     source: Source | ArrayLike,
     out: str | Path,
     spec: EncodeSpec | None = None,
-    report: Report = silent,
+    report: Progress = silent,
     *,
     grid: Grid | None = None,
     executor: Executor | None = None,
@@ -129,7 +129,7 @@ def encode(
 
 
 def encode_prepared(
-    prepared: Prepared, out: str | Path, provenance: Mapping[str, str], report: Report = silent
+    prepared: Prepared, out: str | Path, provenance: Mapping[str, str], report: Progress = silent
 ) -> Encoded:
     """Write a prepared source as a ``.touch`` file, coded by its spec.
 
@@ -149,7 +149,7 @@ def encode_prepared(
 
 
 def _write_scene(
-    writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Report
+    writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Progress
 ) -> int:
     """Write the head and the objects of a scene; the number of supported samples."""
     assert prepared.scene is not None
@@ -161,7 +161,7 @@ def _write_scene(
 
 
 def write_objects(
-    writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int, report: Report = silent
+    writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int, report: Progress = silent
 ) -> None:
     """Write the objects and all segments of a scene, after the head."""
     for coded in encoder.objects():
@@ -183,7 +183,7 @@ def file_error_bound(path: str | Path) -> dict[str, Any]:
 
     Warns with `UnboundedError` if it states none.
     """
-    with open_stream(path) as opened:
+    with open_file(path) as opened:
         bound = opened.error_bound()
     warn_unbounded(bound.get("error_bound_note"))
     return bound

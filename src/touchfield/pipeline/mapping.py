@@ -19,9 +19,10 @@ import numpy as np
 
 from touchfield.arrays import Int64s
 from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiser, FieldQuantiserSpec
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
+from touchfield.filters.device_filter import device_medium
 from touchfield.filters.limit import limit_forces
 from touchfield.filters.resample import resample
 from touchfield.measure.field_symbols import FieldSymbols
@@ -87,7 +88,7 @@ def _medium_on_device(
 ) -> tuple[HapticMedium, tuple[str, ...]]:
     """W on the lattice that the device renders, and notes; `mapping` has the device's own lattice."""
     if mapping.device.is_array:
-        return mapping.medium(scene), ()
+        return device_medium(scene, mapping), ()
     nominal, source_grid = mapping.grid, mapping.placement.to_hand(scene.stored.grid)
     first, last = (source_grid.to_index(corner) for corner in nominal.box_m)
     low = np.clip(np.ceil(first - 1e-6), 0, np.subtract(source_grid.shape, 1)).astype(np.int64)
@@ -98,7 +99,7 @@ def _medium_on_device(
     if (counts < high - low).any():
         box = source_grid.to_m(low - 0.5), source_grid.to_m(high - 0.5)
         x, y, z = counts.astype(int).tolist()
-        resampled = replace(mapping, grid=Grid.over_box(*box, (x, y, z))).medium(scene)
+        resampled = device_medium(scene, replace(mapping, grid=Grid.over_box(*box, (x, y, z))))
         if not density:
             return resampled, ()
         return resampled, (f"{density:g} samples of the medium along each axis for one of the device",)
@@ -160,7 +161,7 @@ def partition_workspace(
     device_shape: tuple[int, int, int],
     penalty_bits: float,
     quantiser: str | FieldQuantiserSpec = _COARSE_QUANTISER,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Partition:
     """Divide the workspace into dyadic boxes of the device's lattice with the least loss (paper section 4).
 

@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from touchfield.filters.array_filter import array_pool, is_met_from_low, relief_m
+from touchfield.devices import Device
+from touchfield.filters.array_filter import relief_limits_m
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.pipeline.placement import FIT_MARGIN, Mapping
 from touchfield.pipeline.spec import EncodeSpec
@@ -27,7 +28,7 @@ def notes_of(
     """All notes on a source that was prepared as `objects`, or as `medium` if these are None."""
     notes = (*scene.notes,)
     if mapping is not None:
-        notes += (*_mapping_notes(scene, mapping), *pin_notes)
+        notes += (*_mapping_notes(scene, mapping, spec), *pin_notes)
     if objects is not None:
         notes += _object_notes(objects, spec)
     if medium.vibration is None and scene.stored is not None and scene.stored.vibration is not None:
@@ -35,22 +36,23 @@ def notes_of(
     return notes
 
 
-def _mapping_notes(scene: Scene, mapping: Mapping) -> tuple[str, ...]:
+def _mapping_notes(scene: Scene, mapping: Mapping, spec: EncodeSpec) -> tuple[str, ...]:
     """Notes on the placement of a scene, on its unit, and on options without effect for the device."""
-    scale_note = _scale_note(scene, mapping)
-    if mapping.device.is_array and array_pool(scene, mapping.device, mapping.spec.pool) == "relief":
-        scale_note += _relief_note(scene, mapping)
+    scale_note = _scale_note(scene, mapping, spec)
+    limits_m = relief_limits_m(scene, mapping)
+    if limits_m is not None:
+        scale_note += _relief_note(limits_m, scene.exaggeration, mapping.device)
     if mapping.keeps_lattice:
         scale_note += "; the field keeps its own lattice, as it is kept without loss: --nw is not used"
-    return (scale_note, *_unit_notes(scene, mapping), *_option_notes(mapping))
+    return (scale_note, *_unit_notes(scene, mapping), *_option_notes(mapping, spec))
 
 
-def _scale_note(scene: Scene, mapping: Mapping) -> str:
+def _scale_note(scene: Scene, mapping: Mapping, spec: EncodeSpec) -> str:
     """A note on the scale of a placement, and on the surface and frames that were fitted."""
     device, note = mapping.device, mapping.placement.wording
     if scene.exaggeration != 1.0:
         note += f", with heights {scene.exaggeration:g} times what they are"
-    if device.is_array or mapping.spec.mapping != "fit" or scene.stored is not None:
+    if device.is_array or spec.mapping != "fit" or scene.stored is not None:
         return note
     start, stop = mapping.fit_frames
     if scene.is_captured:
@@ -64,18 +66,9 @@ def _scale_note(scene: Scene, mapping: Mapping) -> str:
     )
 
 
-def _relief_note(scene: Scene, mapping: Mapping) -> str:
-    """The heights of the scene, z in metres, at which an actuator of a relief is off and full on."""
-    device, grid = mapping.device, mapping.grid
-    if is_met_from_low(scene.axes):
-        back_m, sign = grid.box_m[1][2], -1
-    else:
-        back_m, sign = grid.box_m[0][2], 1
-    limits_m = [
-        mapping.placement.to_scene((0, 0, back_m + sign * z))[2] / scene.exaggeration
-        for z in relief_m(grid, mapping.profile)
-    ]
-    off_m, on_m = np.round(limits_m, 9)
+def _relief_note(limits_m: tuple[float, float], exaggeration: float, device: Device) -> str:
+    """The heights, z in metres, at which an actuator of a relief is off and full on."""
+    off_m, on_m = np.round([z / exaggeration for z in limits_m], 9)
     if device.shows == "height":
         actuator, off_word, on_word = "a pin", "down", "up"
     else:
@@ -94,9 +87,9 @@ def _unit_notes(scene: Scene, mapping: Mapping) -> tuple[str, ...]:
     return (f"Is the unit right? The scene measures {size_m:.3g} m across ({option}).",)
 
 
-def _option_notes(mapping: Mapping) -> tuple[str, ...]:
+def _option_notes(mapping: Mapping, spec: EncodeSpec) -> tuple[str, ...]:
     """Notes on a wall that is too thin for the lattice, and on options without effect for the device."""
-    device, grid, spec = mapping.device, mapping.grid, mapping.spec
+    device, grid = mapping.device, mapping.grid
     notes: tuple[str, ...] = ()
     thickness_mm, spacing_mm = 1e3 * (spec.thickness_m or math.inf), 1e3 * max(grid.spacing_m)
     if thickness_mm < spacing_mm and not device.is_array:

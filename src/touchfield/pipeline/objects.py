@@ -17,6 +17,7 @@ import numpy as np
 
 from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
+from touchfield.filters.device_filter import device_medium
 from touchfield.filters.registry import FieldFilter, filter_and_limit
 from touchfield.filters.resample import low_pass
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
@@ -98,12 +99,12 @@ def _object(body: Body, mapping: Mapping) -> HapticObject:
         rotation, shift = body.track.rotation(0), body.track.positions_m[0]
         is_placed = np.array_equal(rotation, np.eye(3)) and not shift.any()
         placed_scene = body.scene if is_placed else body.scene.moved(rotation, shift)
-        medium = _with_single_frame_made(mapping.medium(placed_scene))
+        medium = _with_single_frame_made(device_medium(placed_scene, mapping))
         return HapticObject(name, medium, PoseTrack.constant(count))
     placement = mapping.placement
     # the field is about the body's own origin; the track has the offset
     body_mapping = replace(mapping, grid=_body_lattice(body, mapping), placement=Placement(placement.scale))
-    medium = _with_single_frame_made(body_mapping.medium(body.scene))
+    medium = _with_single_frame_made(device_medium(body.scene, body_mapping))
     return HapticObject(name, medium, body.track.scaled(placement.scale, placement.offset_m))
 
 
@@ -114,7 +115,7 @@ def _body_lattice(body: Body, mapping: Mapping) -> Grid:
     if not never_turns:
         spacing = np.full(3, math.exp(np.log(spacing).mean()))
     box = mapping.placement.scale * body.scene.bounds_m()
-    low_pass_m = low_pass(mapping.spec.device_filter.low_pass).half_width * 2 * spacing
+    low_pass_m = low_pass(mapping.spec.low_pass).half_width * 2 * spacing
     margin = max(0.0, mapping.profile.high_m) + low_pass_m + _MARGIN_SAMPLES * spacing
     first = np.floor((box[0] - margin) / spacing)
     last = np.ceil((box[1] + margin) / spacing)

@@ -12,9 +12,8 @@ from touchfield.arrays import Float64s
 from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.array_filter import array_margin_m
-from touchfield.filters.device_filter import device_medium
-from touchfield.filters.device_spec import device_grid
-from touchfield.medium import Grid, HapticMedium
+from touchfield.filters.device_spec import DeviceFilter, device_grid
+from touchfield.medium import Grid
 from touchfield.medium.grid import Placement
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.laws import ForceProfile, profile_of
@@ -28,30 +27,18 @@ A hand approaches a surface from outside.
 _ROUNDING_M: Final = 1e-9
 
 
-@dataclass(frozen=True)
-class Mapping:
-    """The mapping M of one device, for scenes in any frame.
+@dataclass(frozen=True, kw_only=True)
+class Mapping(DeviceFilter):
+    """The mapping M of one device, and how it was fitted to a scene.
 
-    `grid` is the lattice over the workspace and `profile` the force law, both in hand metres. Of `spec` the
-    device filter is used, not the haptic filters. `fit_frames` are the frames, start and stop, whose surface
+    `fit_frames` are the frames, start and stop, whose surface
     is fitted into the workspace; `fit_box_m` is its box, scene metres, float64 [2, 3]. `keeps_lattice` is
     True if the lattice is that of a stored field, which is kept without loss.
     """
 
-    device: Device
-    grid: Grid
-    placement: Placement
-    profile: ForceProfile
-    spec: EncodeSpec
     fit_frames: tuple[int, int]
     fit_box_m: Float64s
     keeps_lattice: bool = False
-
-    def medium(self, scene: Scene) -> HapticMedium:
-        """The medium of a scene: device-filtered, in the scene's own position."""
-        return device_medium(
-            scene, self.device, self.grid, self.placement, self.profile, self.spec.device_filter
-        )
 
 
 def mapping_of(
@@ -70,7 +57,16 @@ def mapping_of(
     if profile is None:
         lossless = _lossless_lattice(scene, device, spec)
         placement, grid = lossless or (placement, grid)
-    return Mapping(device, grid, placement, force_profile, spec, frames, box_m, lossless is not None)
+    return Mapping(
+        device,
+        grid,
+        placement,
+        force_profile,
+        spec.device_filter,
+        fit_frames=frames,
+        fit_box_m=box_m,
+        keeps_lattice=lossless is not None,
+    )
 
 
 def _fit_range(scene: Scene, spec: EncodeSpec) -> tuple[int, int]:
@@ -91,23 +87,20 @@ def _lattice(
 
     An array pools the whole depth of the scene, so that the depth does not limit the scale.
     """
-    is_stored = scene.stored is not None
-    workspace = device.workspace_m
-    if not device.is_array:
-        reach_m = 0.0 if is_stored else max(0.0, profile.high_m)
-        margin_m = reach_m if is_stored or spec.mapping != "fit" else reach_m + FIT_MARGIN * min(workspace)
-        return _placement(box_m, workspace, spec.factor, margin_m), device_grid(device, spec.nw)
-    placement = _placement(box_m, (*workspace[:2], math.inf), spec.factor, 0.0)
-    depth_m = placement.scale * float(box_m[1][2] - box_m[0][2]) + 2 * array_margin_m(profile)
-    return placement, device_grid(device, spec.nw, depth_m or None)
-
-
-def _placement(
-    box_m: Float64s, workspace_m: tuple[float, float, float], factor: float | None, margin_m: float
-) -> Placement:
-    if factor is None:
-        return Placement.fit(box_m, workspace_m, margin_m=margin_m)
-    return Placement.scaled(box_m, factor)
+    workspace, margin_m = device.workspace_m, 0.0
+    if device.is_array:
+        workspace = (workspace[0], workspace[1], math.inf)
+    elif scene.stored is None:
+        margin_m = max(0.0, profile.high_m)
+        margin_m += FIT_MARGIN * min(workspace) if spec.mapping == "fit" else 0.0
+    if spec.factor is None:
+        placement = Placement.fit(box_m, workspace, margin_m=margin_m)
+    else:
+        placement = Placement.scaled(box_m, spec.factor)
+    pooled_m = None
+    if device.is_array:
+        pooled_m = placement.scale * float(box_m[1][2] - box_m[0][2]) + 2 * array_margin_m(profile)
+    return placement, device_grid(device, spec.nw, pooled_m or None)
 
 
 def _lossless_lattice(scene: Scene, device: Device, spec: EncodeSpec) -> tuple[Placement, Grid] | None:

@@ -20,7 +20,7 @@ from touchfield.codec.registry import coder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.devices import Device, device
 from touchfield.filters.contact import VibrationRule, add_vibration
-from touchfield.filters.device_spec import same_lattice
+from touchfield.filters.device_filter import device_medium
 from touchfield.filters.point_filter import exact_forces
 from touchfield.filters.registry import filter_and_limit
 from touchfield.medium import Grid, HapticMedium, HapticScene
@@ -73,7 +73,7 @@ def prepare(source: Source | ArrayLike, spec: EncodeSpec | None = None, grid: Gr
         objects = filter_objects(objects, spec.chain)
         medium = objects.voxelise()
     else:
-        samples = mapping.medium(scene) if mapping else scene.stored
+        samples = device_medium(scene, mapping) if mapping else scene.stored
         medium = filter_and_limit(samples, spec.chain, target.force_max_n)  # type: ignore[arg-type]
 
     # 5. add what the receiver renders besides the force, and notes
@@ -176,5 +176,5 @@ def _bound_reference(scene: Scene, mapping: Mapping | None, spec: EncodeSpec) ->
     stored = scene.stored
     if stored is None or spec.chain:
         return FILTERED
-    keeps_forces = mapping is None or same_lattice(mapping.placement.to_scene(mapping.grid), stored.grid)
+    keeps_forces = mapping is None or mapping.placement.to_scene(mapping.grid).is_close(stored.grid)
     return SOURCE_FORCES if keeps_forces else FILTERED

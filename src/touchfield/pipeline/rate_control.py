@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from touchfield.atomic import atomic_path
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, require_ending
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 from touchfield.medium.selection import select_frames
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.encoding import Encoded, encode_prepared
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.provenance import file_provenance
@@ -138,7 +138,7 @@ class _Trials:
     prepared: Prepared
     target: Target
     temporary: Path
-    report: Report
+    report: Progress
     count: int = 0
     total_over_part: float = 1.0
     last: Encoded | None = None
@@ -182,7 +182,7 @@ class _Trials:
             raise InvalidArgument(
                 self.target.option, "frames without a force", "a force to measure the error by"
             )
-        with open_stream(self.temporary) as opened:
+        with open_file(self.temporary) as opened:
             reader, head = opened.reader, opened.reader.head
             segment_bytes = sum(
                 e.length + len(reader.read_vibration(i) or b"") for i, e in enumerate(reader.segments)
@@ -210,7 +210,7 @@ def encode_to_target(
     out: str | Path,
     spec: EncodeSpec | None,
     target: Target,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Encoded:
     """Turn a source into a ``.touch`` file of a given size or error, in at most 8 encodings.
 

@@ -16,7 +16,7 @@ from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.registry import FieldEncoder, KeyFrameEncoder, field_encoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.compute.executors import in_order
-from touchfield.compute.threads import Report
+from touchfield.compute.threads import Progress
 from touchfield.container import Head, TouchWriter
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.medium import VibrationFrame
@@ -61,7 +61,7 @@ class EncodedSegment(NamedTuple):
 
 
 def write_voxels(
-    writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Report
+    writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Progress
 ) -> tuple[int, tuple[str, ...]]:
     """Write the head and the segments of a medium; the number of supported samples, and notes."""
     medium, spec = prepared.medium, prepared.spec

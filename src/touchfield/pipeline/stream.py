@@ -12,7 +12,7 @@ import numpy as np
 
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import BitAccount, BoundRule, bound_keys, compression_ratio, max_error_keys
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.container import TouchReader
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.grid import Placement
@@ -124,7 +124,7 @@ class OpenStream(ABC):
         """The vibration in addition to the force; None if the file has none."""
         return VibrationFrames(self.reader, self.grid) if self.reader.has_vibration else None
 
-    def supported_voxels(self, report: Report = silent) -> int:
+    def supported_voxels(self, report: Progress = silent) -> int:
         """Number of voxels with a force over all frames; decodes every frame."""
         medium, count = self.medium, 0
         for i in range(len(medium)):

@@ -24,8 +24,9 @@ from touchfield._version import __version__
 from touchfield.codec.segment import bound_keys
 from touchfield.codec.touch.spec import CODER, TouchSpec
 from touchfield.compute.executors import in_order
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
+from touchfield.filters.device_filter import device_medium
 from touchfield.medium import Grid
 from touchfield.medium.stores.zarr_store import atomic_folder, boxes, create, write_box
 from touchfield.pipeline.encoding import Encoded
@@ -77,7 +78,11 @@ class Tiled(Encoded):
 
 
 def encode_tiles(
-    source: str | Path, out: Path, spec: EncodeSpec, report: Report = silent, executor: Executor | None = None
+    source: str | Path,
+    out: Path,
+    spec: EncodeSpec,
+    report: Progress = silent,
+    executor: Executor | None = None,
 ) -> Tiled:
     """Write a source as a zarr store whose chunks are of coder `touch`, tile by tile.
 
@@ -202,7 +207,7 @@ def make_tile(tile: Tile) -> tuple[int, float | None]:
             shape = tuple(min(_BLOCK_SAMPLES, n - a) for a, n in zip(first, tile.shape))
             low = [a + b for a, b in zip(tile.low, first)]
             part = Grid(shape, mapping.grid.spacing_m, tuple(mapping.grid.to_m(low).tolist()))  # type: ignore[arg-type]
-            field = replace(mapping, grid=part).medium(scene)[tile.frame]
+            field = device_medium(scene, replace(mapping, grid=part))[tile.frame]
             if field.support_count:
                 forces[tuple(slice(a, a + n) for a, n in zip(first, shape))] = field.to_dense()
                 supported += field.support_count

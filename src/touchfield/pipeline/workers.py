@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple
 from touchfield._version import __version__
 from touchfield.codec.registry import field_encoder
 from touchfield.compute.executors import in_order
-from touchfield.compute.threads import Report
+from touchfield.compute.threads import Progress
 from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
 from touchfield.pipeline.preparation import Prepared, prepare
@@ -106,7 +106,7 @@ def encode_with_workers(
     prepared: Prepared,
     provenance: Mapping[str, str],
     executor: Executor,
-    report: Report,
+    report: Progress,
 ) -> tuple[int, tuple[str, ...]]:
     """Write the voxel representation with the workers of an executor.
 

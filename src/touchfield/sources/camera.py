@@ -243,7 +243,9 @@ def interpolate_depth(before_m: Float32s, after_m: Float32s, fraction: float) ->
     return mixed
 
 
-def resample(sequence: DepthSequence, rate_hz: float | None, interpolation: str = "linear") -> DepthSequence:
+def change_rate(
+    sequence: DepthSequence, rate_hz: float | None, interpolation: str = "linear"
+) -> DepthSequence:
     """Return a sequence at another rate.
 
     Returns the sequence itself if no rate is given or it has that rate.

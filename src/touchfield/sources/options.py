@@ -43,7 +43,7 @@ class SourceOptions:
     relative_depth : str or None; Of a picture or video: path of its relative depth.
     near_m, far_m : float or None; Of a relative depth: metres of its nearest and of its farthest value.
     segment : str or None; Of a depth sequence in the object representation: the rule of its segmentation, as
-        `touchfield.sources.depth.segments` reads it; None for its default.
+        `touchfield.sources.depth.segmentation` reads it; None for its default.
     baseline_m, disparity_offset_px : float or None; Of a disparity map: depth = fx * baseline_m /
         (disparity + disparity_offset_px).
     allow_outside : bool; Whether a model or scene file may name files outside its own folder. Never read from

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int32s
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, PoseTrack
 from touchfield.medium.field import brick_keys, bricks_of, frozen
@@ -102,7 +103,7 @@ class Scene(ABC):
     is_captured: bool = False
     stored: HapticMedium | None = None
     has_gpu: bool = False
-    report: Callable[[int, int], None] = staticmethod(lambda done, total: None)
+    report: Progress = staticmethod(silent)
 
     @abstractmethod
     def bounds_m(self) -> Float64s:

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, require_ending
 from touchfield.medium.deformation import Deformation, fitted
-from touchfield.pipeline.decoding import open_stream
+from touchfield.network.opening import open_stream
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.spec import Motion
 from touchfield.sources.animation.animated_mesh import AnimatedMeshScene
@@ -21,7 +21,7 @@ _MARGIN: Final = 0.05  # margin of the lattice around the body, as a fraction of
 _LAYER_SPACINGS: Final = 2.0  # depth of a second layer of points below the surface, in mean spacings
 
 
-def lattice_of(low_m: Float64s, high_m: Float64s, controls: int, **yields: float) -> Deformation:
+def control_lattice(low_m: Float64s, high_m: Float64s, controls: int, **yields: float) -> Deformation:
     """Control points over a box and a margin around it, at rest."""
     margin = _MARGIN * float((high_m - low_m).max())
     return Deformation.at_rest(low_m - margin, high_m + margin, controls, **yields)
@@ -47,7 +47,7 @@ def tracks_of(
     controls: int = 8,
     compliance_m_per_n: float = 0.0,
     relax_s: float = 0.05,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Result:
     """Write the deformation of a stream: the motion of a model that it shows at rest, and its compliance.
 
@@ -71,7 +71,7 @@ def tracks_of(
             raise InvalidArgument(str(stream), "a first frame without any force", "one that can be felt")
         yields = {"compliance_m_per_n": compliance_m_per_n, "relax_s": relax_s}
         deformation, rms = (
-            lattice_of(positions_m.min(axis=0), positions_m.max(axis=0), controls, **yields),
+            control_lattice(positions_m.min(axis=0), positions_m.max(axis=0), controls, **yields),
             0.0,
         )
     else:
@@ -90,7 +90,7 @@ def tracks_of(
         sampled = np.concatenate(
             [points(indices[n]) for n in np.unique(np.linspace(0, len(indices) - 1, 16).astype(int))]
         )
-        lattice = lattice_of(sampled.min(axis=0), sampled.max(axis=0), controls)
+        lattice = control_lattice(sampled.min(axis=0), sampled.max(axis=0), controls)
         rest = points(indices[0] if motion.rest_frame is None else motion.rest_frame)
         deformation, rms = fitted(
             rest, map(points, indices), lattice, motion.rate_hz, lambda done: report(done, len(indices))

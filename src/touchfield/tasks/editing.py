@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import (
     InvalidArgument,
     require_between,
@@ -187,7 +187,7 @@ def write_result(
     sources: Sequence[str | Path],
     medium: HapticMedium,
     to: str | Path,
-    report: Report,
+    report: Progress,
     **extra_figures: Any,
 ) -> WrittenMedium:
     """Write a medium that was derived from `like`, coded by its spec, with the notes of the coder."""
@@ -225,7 +225,7 @@ def edit(
     feather_m: float = 0.0,
     frames: tuple[int, int | None] | None = None,
     spec: EncodeSpec | None = None,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> WrittenMedium:
     """Apply operators to a region of a medium, in order; samples outside the region are unchanged.
 
@@ -260,7 +260,7 @@ def splice(
     fade_s: float = 0.0,
     kernel: str = "spline",
     spec: EncodeSpec | None = None,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> WrittenMedium:
     """Join media in time, on the lattice and at the rate of the first (`match_medium`).
 
@@ -319,7 +319,7 @@ def resample_file(
     rate_hz: float | None = None,
     kernel: str = "spline",
     spec: EncodeSpec | None = None,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> WrittenMedium:
     """Write a medium on another lattice over its box (`lattice_of`), or at another rate.
 
@@ -354,7 +354,7 @@ def levels_of_detail(
     levels: int | None = None,
     max_bytes: int | None = None,
     spec: EncodeSpec | None = None,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Result:
     """Write each level of detail of a medium as a file, with its size and its error for a receiver.
 

@@ -20,7 +20,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_ending, require_one_of
 from touchfield.exchange.ahap import read_ahap
@@ -45,8 +45,8 @@ from touchfield.exchange.symbolic import (
 )
 from touchfield.filters.device_spec import device_grid
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace, read_trace
+from touchfield.network.opening import open_stream
 from touchfield.pipeline.array_medium import PANELS, array_drives
-from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.encoding import Encoded, encode_prepared
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.provenance import file_provenance
@@ -70,7 +70,7 @@ def export(
     device_name: str | None = None,
     trajectory: str | Path | None = None,
     panel: str = PANELS[0],
-    report: Report = silent,
+    report: Progress = silent,
     full_scale_n: float = 1.0,
     against: Source | None = None,
 ) -> Result:
@@ -113,7 +113,7 @@ def import_effect(
     spec: EncodeSpec | None = None,
     rate_hz: float = DEFAULT_RATE_HZ,
     force_max_n: float | None = None,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Encoded:
     """Import an effect as a ``.touch`` file: a symbolic medium for an array of actuators.
 
@@ -152,7 +152,7 @@ def _export_result(
 
 
 def _export_array(
-    stream: OpenStream, path: Path, kind: str, device_name: str | None, panel: str, report: Report
+    stream: OpenStream, path: Path, kind: str, device_name: str | None, panel: str, report: Progress
 ) -> Result:
     require_one_of("panel", panel, PANELS)
     target = _target_array(stream, kind, device_name)

@@ -25,7 +25,7 @@ from touchfield.arrays import Float64s
 from touchfield.atomic import atomic_path
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.compute.executors import in_order
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, as_source_error
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, Descriptor, descriptor, part_slots
 from touchfield.measure.quantity import FewSamplesWarning
@@ -144,7 +144,7 @@ class Indexed(Result):
 
 
 def index_folder(
-    folder: str | Path, path: Path | None = None, report: Report = silent, executor: Executor | None = None
+    folder: str | Path, path: Path | None = None, report: Progress = silent, executor: Executor | None = None
 ) -> Indexed:
     """Index every .touch file in a folder and its subfolders by its descriptor; decodes only changed files.
 
@@ -296,7 +296,7 @@ def similar(
     quantiser: str = "weber:0.25/ico1",
     over: str = "object",
     frames: int = 8,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Result:
     """Measure the similarity of two media: by their symbols at equal positions, and by their descriptors.
 
@@ -347,7 +347,7 @@ def correlate(
     reading: str = "peak",
     intrinsics: tuple[float, float, float, float] | None = None,
     source_rate_hz: float | None = None,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Result:
     """Measure I(V;A) of a video's luma and the |F| behind each pixel, at a few times, with a test.
 

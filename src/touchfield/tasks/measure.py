@@ -18,7 +18,7 @@ from typing import Any, Final
 from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import RAW_BITS_PER_VECTOR
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument, require_kinds
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
@@ -179,7 +179,7 @@ class MeasureSpec:
 
 
 def measure_medium(
-    source: str | Path | Scene | HapticMedium, spec: MeasureSpec | None = None, report: Report = silent
+    source: str | Path | Scene | HapticMedium, spec: MeasureSpec | None = None, report: Progress = silent
 ) -> Measurement:
     """Measure a medium as an information source, and what devices render of it.
 

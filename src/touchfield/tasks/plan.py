@@ -22,7 +22,7 @@ from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import coder, field_decoder, field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.compute.executors import in_order
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, is_finite
 from touchfield.filters.resample import interpolate
 from touchfield.measure.fidelity import FidelityMeter
@@ -347,7 +347,7 @@ def plan(
     budget: float | str | Budget,
     spec: EncodeSpec | None = None,
     search: PlanGrid | None = None,
-    report: Report = silent,
+    report: Progress = silent,
     executor: Executor | None = None,
 ) -> Plan:
     """Encode a few frames of a source, as voxels, with every setting; choose the best within a budget.
@@ -366,7 +366,7 @@ def plan(
     base = replace(spec, representation="voxel", touch=replace(spec.touch, mode="mask"))
     scene = open_scene(source, spec.source)
 
-    def searched(grid: PlanGrid, report: Report) -> Plan:
+    def searched(grid: PlanGrid, report: Progress) -> Plan:
         total, lattice = 0, None
 
         def tries() -> Iterator[tuple[Lattice, EncodeSpec]]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.atomic import atomic_path
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.devices import Device, device
 from touchfield.devices.drivers.registry import array_device, is_array_device, point_device
 from touchfield.devices.drivers.simulated import STIFFNESS_N_PER_M
@@ -26,9 +26,9 @@ from touchfield.errors import InvalidArgument, require_kinds, require_not_negati
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.network.live_medium import LiveEnd, LiveStream
+from touchfield.network.opening import open_stream
 from touchfield.options import option
 from touchfield.pipeline.array_medium import array_drives
-from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.stream import OpenStream, stream_device
 from touchfield.render.array_player import ArrayPlayer
 from touchfield.render.block import FLAGS
@@ -154,7 +154,7 @@ class Played:
 def play(
     path: str | Path,
     spec: PlaySpec | None = None,
-    report: Report = silent,
+    report: Progress = silent,
     on_note: OnNote = lambda note: None,
     on_player: Callable[[Player], None] = lambda player: None,
 ) -> Played:
@@ -184,7 +184,7 @@ def _play_point(
     stream: OpenStream,
     name: str,
     spec: PlaySpec,
-    report: Report,
+    report: Progress,
     on_note: OnNote,
     on_player: Callable[[Player], None],
 ) -> Played:
@@ -251,7 +251,7 @@ def _read_trajectory(spec: PlaySpec, stream: OpenStream) -> Trace | None:
 
 
 def _run_player(
-    player: Player, seconds: float | None, report: Report, on_note: OnNote, stream: OpenStream
+    player: Player, seconds: float | None, report: Progress, on_note: OnNote, stream: OpenStream
 ) -> _Run:
     """Run the servo until the end; the log starts at the first tick that ran."""
     error: Exception | None = None
@@ -328,7 +328,7 @@ def _probe(spec: PlaySpec, profile: Device, field_of: HapticMedium | HapticScene
 
 
 def _wait(
-    player: Player | ArrayPlayer, seconds: float | None, report: Report, on_note: OnNote, stream: OpenStream
+    player: Player | ArrayPlayer, seconds: float | None, report: Progress, on_note: OnNote, stream: OpenStream
 ) -> None:
     """Wait for the end of the time or of the medium, or for an interrupt; pass on notes and progress."""
     limit_s = math.inf if seconds is None else seconds
@@ -348,7 +348,7 @@ def _wait(
         return
 
 
-def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, on_note: OnNote) -> Played:
+def _play_array(stream: OpenStream, spec: PlaySpec, report: Progress, on_note: OnNote) -> Played:
     if spec.offline or spec.trajectory is not None or spec.trace is not None:
         raise _for_points("offline" if spec.offline else "trajectory" if spec.trajectory else "trace")
     if spec.is_logged:

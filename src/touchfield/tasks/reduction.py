@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 from touchfield.arrays import Bools, Float32s, Float64s, Int64s, lengths_of
 from touchfield.atomic import atomic_path
 from touchfield.codec.segment import BOUND_KEYS
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_between
 from touchfield.filters.registry import add_note
@@ -88,7 +88,7 @@ def reduce_medium(
     cull: str | Path | None = None,
     spec: ReductionSpec | None = None,
     coder: EncodeSpec | None = None,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> Result:
     """Reduce a medium to a few modes; report degrees of freedom, their entropy, and unreachable samples.
 
@@ -250,7 +250,7 @@ def fewest_points(
     out: str | Path | None = None,
     modes: int | None = None,
     spec: EncodeSpec | None = None,
-    report: Report = silent,
+    report: Progress = silent,
 ) -> FewestPoints:
     """Find the `count` points from which a medium or a recording of contacts is rebuilt best.
 

@@ -16,7 +16,7 @@ import numpy as np
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.touch.warm import GROUPS as TOUCH, solid
 from touchfield.compute.jit import kernel_folder
-from touchfield.compute.threads import Report, silent, worker_count
+from touchfield.compute.threads import Progress, silent, worker_count
 from touchfield.devices.drivers.registry import Check, array_kinds, library_check, point_kinds
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import field_filters
@@ -139,7 +139,7 @@ GROUPS: Final[Mapping[str, Callable[[], None]]] = {**TOUCH, "filters": _filters,
 """Groups of kernels that are compiled together, by a small run."""
 
 
-def warm_up(report: Report = silent) -> None:
+def warm_up(report: Progress = silent) -> None:
     """Compile and cache every kernel by running the pipeline on tiny scenes."""
     scenes = tiny_scenes()
     jobs = [(scene, EncodeSpec(nw=3)) for scene in scenes]

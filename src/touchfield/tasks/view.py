@@ -15,13 +15,13 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.atomic import atomic_path
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.devices import device_names
 from touchfield.errors import InvalidArgument
 from touchfield.medium import HapticMedium
 from touchfield.network.mux import demux
+from touchfield.network.opening import open_stream
 from touchfield.pipeline.comparison import compare, source_medium
-from touchfield.pipeline.decoding import open_stream
 from touchfield.pipeline.encoding import encode, encode_prepared
 from touchfield.pipeline.preparation import Prepared
 from touchfield.pipeline.source import Source
@@ -82,7 +82,7 @@ class Page:
 def view(
     medium: str | Path | HapticMedium,
     against: Source | None = None,
-    report: Report = silent,
+    report: Progress = silent,
     devices: tuple[str, ...] = (),
 ) -> Page:
     """The page of a ``.touch`` file, of a movie with touch, or of the first 30 frames of a medium.
@@ -111,7 +111,7 @@ def view(
 def _page(
     path: str | Path,
     against: Source | None,
-    report: Report,
+    report: Progress,
     devices: tuple[str, ...],
     movie: tuple[bytes, str, float] | None = None,
 ) -> Page:
@@ -196,7 +196,7 @@ class FineSource(NamedTuple):
     error_fraction: float
 
 
-def fine_source(source: Source, opened: OpenStream, report: Report = silent) -> FineSource:
+def fine_source(source: Source, opened: OpenStream, report: Progress = silent) -> FineSource:
     """Code the source of a stream on its lattice, to a tenth of its mask, or to three tenths if too large.
 
     InvalidArgument if the source is elsewhere, has other frames, or takes more than `MAX_SOURCE_BYTES`.

@@ -261,7 +261,7 @@ def test_falling_bodies_have_no_violations(tmp_path: Path, name: str) -> None:
     pytest.importorskip("mujoco")
     spec = EncodeSpec(nw=5, frames=(240, 270))
     pipeline.encode(f"sample:{name}", tmp_path / "a.touch", spec)
-    with pipeline.open_stream(tmp_path / "a.touch") as stream:
+    with pipeline.open_file(tmp_path / "a.touch") as stream:
         summary = stream.summary()
     values = pipeline.compare(f"sample:{name}", tmp_path / "a.touch").summary()
     assert summary["promise_kept"] and values["mask_violations"] == 0

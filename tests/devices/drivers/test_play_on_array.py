@@ -22,7 +22,7 @@ VEST = "tactile-vest-8x8"
 def test_file_is_played_frame_by_frame(tmp_path: Path) -> None:
     path = tmp_path / "ramp.touch"
     pipeline.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST))
-    with listening() as line, pipeline.open_stream(path) as stream:
+    with listening() as line, pipeline.open_file(path) as stream:
         array = array_device(f"osc:127.0.0.1:{line.getsockname()[1]}")
         frames = array_drives(stream, array.profile)
         with ArrayPlayer(frames, array, rate_hz=frames.rate_hz, speed=0.5) as player:

@@ -17,7 +17,7 @@ from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.medium import Grid
 from touchfield.medium.trace import ContactTrace, read_contacts, read_trace
 from touchfield.pipeline import encode
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
@@ -104,7 +104,7 @@ def test_a_csv_becomes_a_stream(tmp_path: Path) -> None:
     spec = EncodeSpec(nw=5, mapping="1", touch=TouchSpec(k=0.02, f0_n=0.0, effort="fast"))
     done = encode(path, tmp_path / "probe.touch", spec)
     assert any("leave-one-out error of" in note for note in done.notes)
-    with open_stream(tmp_path / "probe.touch") as opened:
+    with open_file(tmp_path / "probe.touch") as opened:
         frame = opened.medium[0]
         support = frame.support()
         out = frame.grid.to_m(support.positions) - frame.grid.to_m(support.positions).mean(axis=0)

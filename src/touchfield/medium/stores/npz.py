@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s
 from touchfield.atomic import atomic_path
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import SourceError, TouchfieldError, as_source_error
 from touchfield.files import readable, require_plain
 from touchfield.medium.field import ForceField
@@ -61,7 +61,7 @@ _FAULTS = (
 def write_npz(
     path: str | Path,
     medium: HapticMedium,
-    report: Report = silent,
+    report: Progress = silent,
     attributes: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> None:
     """Write all frames; the file appears when it is complete.

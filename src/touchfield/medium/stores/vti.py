@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.atomic import atomic_path
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.medium.medium import HapticMedium
 
 BLOCK_BYTES: Final = 1 << 20
@@ -30,7 +30,7 @@ DEFLATE_LEVEL: Final = 1
 def write_vti(
     path: str | Path,
     medium: HapticMedium,
-    report: Report = silent,
+    report: Progress = silent,
     attributes: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> Path:
     """Write a medium for ParaView.

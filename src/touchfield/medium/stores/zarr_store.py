@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Float32s
-from touchfield.compute.threads import Report, silent
+from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
@@ -126,7 +126,7 @@ def write_box(store: str | Path, frame: int, low: Sequence[int], forces_n: Float
 def write_zarr(
     path: str | Path,
     medium: HapticMedium,
-    report: Report = silent,
+    report: Progress = silent,
     attributes: Mapping[str, Any] = MappingProxyType({}),
     levels: Sequence[HapticMedium] = (),
 ) -> None:

@@ -47,7 +47,7 @@ from touchfield.sources.camera import DepthSequence, noise_step_per_m, require_f
 from touchfield.sources.depth.kernels import field as kernels
 from touchfield.sources.depth.kernels.field import Query
 from touchfield.sources.depth.kernels.planes import SurfacePlanes, surface_planes
-from touchfield.sources.depth.segments import SegmentRule, segmented_bodies
+from touchfield.sources.depth.segmentation import SegmentRule, segmented_bodies
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.poses import checked_poses
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, MovingScene, find_bricks_by_block

@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from touchfield.compute.threads import Progress
 from touchfield.errors import require_one_of
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import require_memory
@@ -200,8 +201,11 @@ class FusedScene(DepthScene):
         with self._lock:
             world = self._worlds.get((grid, profile))
             if world is None:
-                kind = _Fused if self.world == "fused" else _Causal
-                world = kind(grid, profile, self._noise_step_per_m(), self._planes)
+                step_per_m = self._noise_step_per_m()
+                if self.world == "fused":
+                    world = _Fused(grid, profile, step_per_m, self._planes, self.report)
+                else:
+                    world = _Causal(grid, profile, step_per_m, self._planes)
                 while len(self._worlds) >= _MAX_WORLDS:
                     del self._worlds[next(iter(self._worlds))]
                 self._worlds[grid, profile] = world
@@ -304,14 +308,16 @@ class _Causal(_World):
 class _Fused(_World):
     """A world of all frames; its moving parts follow them."""
 
-    def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, planes: _Planes) -> None:
+    def __init__(
+        self, grid: Grid, profile: ForceProfile, step_per_m: float, planes: _Planes, report: Progress
+    ) -> None:
         self._volume, count = FusedVolume(grid, profile, step_per_m), len(planes.keys)
         for i in range(count):
             self._volume.cover(*planes[i])
-            planes.scene.report(i + 1, 2 * count)
+            report(i + 1, 2 * count)
         for i in range(count):
             self._volume.integrate(*planes[i])
-            planes.scene.report(count + i + 1, 2 * count)
+            report(count + i + 1, 2 * count)
         self._forces_n = self._volume.forces_n()
         self._static_field = self._volume.field(self._forces_n)
         is_changed = self._volume.samples.changes > 0

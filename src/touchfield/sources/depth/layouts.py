@@ -35,7 +35,7 @@ from touchfield.sources.camera import (
     DepthCode,
     DepthSequence,
     Intrinsics,
-    resample,
+    change_rate,
 )
 from touchfield.sources.depth.frame_poses import POSE_TOLERANCE_S, PosedFrames, drop_unposed, find_poses
 from touchfield.sources.depth.intrinsics_file import CameraFile, camera_of, named_like_intrinsics
@@ -50,7 +50,7 @@ from touchfield.sources.images.pictures import (
     picture_header,
 )
 from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_extrinsics, read_text, split_lines
-from touchfield.sources.registry import SourceKind, kinds
+from touchfield.sources.registry import SourceKind
 
 if TYPE_CHECKING:
     from touchfield.sources.options import SourceOptions
@@ -222,7 +222,7 @@ def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
     A sequence that does not state its rate and has no `source_rate_hz` already has the requested rate
     (`source_rate`) and is not interpolated.
     """
-    sequence = resample(sequence, options.rate_hz, options.interpolation)
+    sequence = change_rate(sequence, options.rate_hz, options.interpolation)
     if options.reading == "height":
         from touchfield.sources.terrain.height_scene import HeightScene
 
@@ -389,10 +389,11 @@ def _is_plain(path: Path) -> bool:
     if _depth_pictures(path):
         return (has_camera or is_named(path)) and _is_depth(path)
     folders = [folder for folder in path.iterdir() if folder.is_dir() and (has_camera or is_named(folder))]
-    others = [
-        kind for kind in kinds() if kind.name != "depth-folder"
-    ]  # a folder of another kind is opened as that kind
-    return any(_is_depth(folder) and not any(kind.recognise(folder) for kind in others) for folder in folders)
+    # a part of a data set is opened in its own layout
+    data_sets = [layout.kind for layout in LAYOUTS if layout.name != "depth-folder" and not layout.is_file]
+    return any(
+        _is_depth(folder) and not any(kind.recognise(folder) for kind in data_sets) for folder in folders
+    )
 
 
 def _is_depth_file(path: Path) -> bool:

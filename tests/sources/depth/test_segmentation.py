@@ -12,11 +12,11 @@ from hypothesis import given, strategies as st
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import Grid
 from touchfield.pipeline import encode
-from touchfield.pipeline.decoding import open_stream
+from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth.depth_scene import DepthScene
-from touchfield.sources.depth.segments import Segmentation, SegmentRule, label_surfaces
+from touchfield.sources.depth.segmentation import Segmentation, SegmentRule, label_surfaces
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
@@ -265,7 +265,7 @@ def test_a_depth_sequence_round_trips_as_objects(tmp_path: Path) -> None:
     spec = EncodeSpec(nw=4, representation="object", thickness_m=0.02)
     done = encode(DepthScene(Frames(moving, 4), segment=RULE), tmp_path / "o.touch", spec)
     assert done.summary()["objects"] == 3
-    with open_stream(tmp_path / "o.touch") as opened:
+    with open_file(tmp_path / "o.touch") as opened:
         assert opened.scene is not None
         assert [obj.name for obj in opened.scene.objects] == ["object 1", "object 2", "object 3"]
         assert [obj.field(2).support_count > 0 for obj in opened.scene.objects] == [True, True, False]
