@@ -49,7 +49,7 @@ def test_diffusion_agrees_with_the_equation(shape: tuple[int, ...]) -> None:
     where = np.random.default_rng(1).random(space) < 0.8
     got = perona_malik(values, steps=4, kappa_n=1.2, where=where)
     assert got == pytest.approx(by_the_formula(values, 4, 1.2, where), abs=1e-5)
-    assert np.abs(got - values).max() > 0.05 or where.sum() < 2
+    assert np.abs(got - values).max() > 0.05
     assert np.array_equal(got[~where], values[~where])
 
 

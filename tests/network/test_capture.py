@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import shutil
 import socket
@@ -42,6 +43,7 @@ from touchfield.sources.depth.fused_scene import FusedScene
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.tasks.live import LiveSpec, broadcast, open_sender
+from touchfield.tasks.play import MAX_STALLED_FRACTION
 
 OPTIONS = SourceOptions(intrinsics="60,60,31.5,23.5", depth_scale=1000.0, source_rate_hz=50.0, world="causal")
 
@@ -263,7 +265,7 @@ def test_one_process_renders_what_another_sends_through_a_pipe() -> None:
         stderr=subprocess.PIPE,
     )
     hand = subprocess.Popen(
-        [*program, "play", "-", "--device", "sim", "--seconds", "9"],
+        [*program, "play", "-", "--device", "sim", "--seconds", "9", "--json"],
         stdin=sender.stdout,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -274,8 +276,12 @@ def test_one_process_renders_what_another_sends_through_a_pipe() -> None:
     sender.stdin.write(b"".join(png(i % 12) for i in range(100)))
     sender.stdin.close()
     out, report = hand.communicate(timeout=120)
-    assert sender.wait(60) == 0 and "frames_used" in out and "the sender has ended the stream" in out, report
-    assert hand.returncode == ("this has failed" in out)  # a busy machine reports frames that come too late
+    assert sender.wait(60) == 0, report
+    played = json.loads(out)
+    assert played["frames_used"] > 0 and any("the sender has ended" in note for note in played["notes"])
+    # frames may come too late on a busy machine; the command then fails and says so
+    is_late = played["stalled_share"] > MAX_STALLED_FRACTION
+    assert hand.returncode == is_late == any("this has failed" in note for note in played["notes"])
 
 
 def test_a_pipe_gets_the_opening_the_segments_and_the_end(

@@ -285,20 +285,18 @@ def test_a_live_stream_is_received_through_a_lossy_network() -> None:
                     return
 
     thread = threading.Thread(target=send, daemon=True)
-    with suppress(Exception):
-        thread.start()
+    thread.start()
     time.sleep(0.1)
     with open_live(f"udp://127.0.0.1:{port}", notes.append) as live:
-        first_frame = live.frames.stream_frame(0)
-        assert first_frame is not None
-        received_frames = [live.medium[i] for i in range(60)]
+        # the sender's number of a frame is known once it is read: play may move on over frames
+        received_frames = [(live.medium[i], live.frames.stream_frame(i)) for i in range(60)]
     done.set()
     thread.join()
-    nonempty = [i for i, frame in enumerate(received_frames) if frame.support_count]
+    nonempty = [(frame, number) for frame, number in received_frames if frame.support_count]
     assert len(nonempty) >= 50
-    jumped = live.frames.skipped
-    for i in nonempty if not jumped else ():
-        np.testing.assert_allclose(received_frames[i].to_dense(), field(first_frame + i).to_dense(), atol=0.2)
+    for frame, number in nonempty:
+        assert number is not None
+        np.testing.assert_allclose(frame.to_dense(), field(number).to_dense(), atol=0.2)
 
 
 def test_the_opening_is_repeated_before_every_fourth_segment() -> None:

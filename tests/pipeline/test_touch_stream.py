@@ -96,7 +96,7 @@ def test_the_summary_of_a_stream_states_head_and_segments(tmp_path: Path) -> Non
         "guesses": 0,
     }.items():
         assert summary[key] == value, key
-    assert summary["spacing_mm"] == pytest.approx([10, 20, 5]) and summary["worst_frame"] in (3, 4)
+    assert summary["spacing_mm"] == pytest.approx([10, 20, 5]) and summary["worst_frame"] == 3
     assert summary["cr_literal"] == (summary["bits_amplitude"] + summary["bits_direction"]) / (5 * 3072 * 96)
     assert (
         sum(summary[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "models", "side"))

@@ -406,11 +406,11 @@ def test_bad_input_is_a_one_line_error(tmp_path: Path, capsys: pytest.CaptureFix
         ["--nmse-db", "3"],
         ["--cull", str(field)],
     ):
-        assert _exit_code(["reduce", str(field), *wrong]) in (1, 2)
+        assert _exit_code(["reduce", str(field), *wrong]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1
     empty = tmp_path / "empty.npz"
     tf.write_field(empty, tf.HapticMedium.from_array(np.zeros((2, *GRID.shape, 3)), GRID))
-    assert _exit_code(["reduce", str(empty)]) in (1, 2)
+    assert _exit_code(["reduce", str(empty)]) == 2
     assert "no frame with a force" in capsys.readouterr().err
     assert reduce_medium(field, spec=ReductionSpec(rank=1)).figures["rank"] == 1
 

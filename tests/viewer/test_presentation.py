@@ -154,7 +154,7 @@ def test_notes_name_their_quantity(
         assert "too few samples" in row
     notes = [line for line in printed.splitlines() if line.startswith("note: ")]
     assert notes[-2:] == ["note: 1 mm is 2 mm", "note: the picture is x.png"]
-    assert "few samples" in notes[0] or "too low" in notes[0]
+    assert notes[0] == f"note: {diluted[0]}: {diluted[0]} is too low"
     assert len(set(notes)) == len(notes)
     of = measured.capacities["dotpad"]
     with_notes = replace(of, rendered=of.rendered.of(notes=("few samples: 1",)))

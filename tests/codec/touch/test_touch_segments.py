@@ -258,7 +258,8 @@ def test_fractions_are_multiples_of_1_255() -> None:
     rng = np.random.default_rng(1)
     for bits in rng.random((100, 3)):
         support, amplitude = bit_fractions((bits[0], bits[1], bits[2]))
-        assert support >= 0 and amplitude >= 0 and support + amplitude <= 255
+        assert np.abs(np.array([support, amplitude]) / 255 - bits[:2] / bits.sum()).max() <= 1 / 255
+        assert min(support, amplitude) >= 0 and support + amplitude <= 255
 
 
 @pytest.mark.parametrize(

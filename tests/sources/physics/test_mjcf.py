@@ -255,7 +255,7 @@ def test_any_bytes_give_a_scene_or_a_touchfield_error(
 ) -> None:
     path = tmp_path_factory.mktemp("xml") / "x.xml"
     path.write_bytes(data)
-    assert KIND.recognise(path) in (True, False)
+    assert not KIND.recognise(path) or b"<mujoco" in data
     with pytest.raises(SourceError):
         KIND.open(path, SourceOptions(seconds=0.01))
 
