@@ -1,4 +1,4 @@
-"""Compiled loops of the paper's coder: the nearest direction, Huffman codes to bits and back, and ADPCM."""
+"""Compiled loops of the paper's coder: nearest direction, Huffman codes, ADPCM."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from touchfield.medium.kernels import lower_bound
 
 @entry
 def nearest(start, stop, vectors, vertices, reach, out):
-    """Fill uint16 [m] with the first of the vertices [3, n] of largest dot product for finite float32 [m, 3].
+    """Write the index of the vertex of largest dot product for each vector to `out`.
 
-    Vertices ascend by x; the nearest vertex of a direction is within `reach`, so only these x are searched.
+    `vectors`: finite float32 [m, 3]. `vertices`: [3, n], ascending by x. `out`: uint16 [m]; the first of
+    several equal vertices. The nearest vertex of a direction is within `reach`, so that only vertices within
+    that range of x are searched.
     """
     for i in range(start, stop):
         x, y, z = np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
@@ -31,12 +33,15 @@ def nearest(start, stop, vectors, vertices, reach, out):
         out[i] = winner
 
 
-MAX_CODE_BITS = 24  # bits of a Huffman code, at most
+MAX_CODE_BITS = 24  # maximum length of a Huffman code
 
 
 @kernel
 def pack_bits(values, lengths, out):
-    """Write the low ``lengths[i]`` bits (at most 44) of each int64 value to uint8 `out`, initially zeros."""
+    """Write the low ``lengths[i]`` bits of each int64 value to `out`.
+
+    Lengths are at most 44. `out` is uint8 and must be zero at first.
+    """
     pending = filled = byte_index = np.int64(0)
     for i in range(values.shape[0]):
         pending = (pending << np.int64(lengths[i])) | values[i]
@@ -52,10 +57,11 @@ def pack_bits(values, lengths, out):
 
 @kernel
 def decode(data, limits, ranks, order, level_count, sent, levels):
-    """Read symbols until `sent` bool [L] is full; levels go to uint16 `levels`, runs leave `sent` as it is.
+    """Read symbols until every sample of `sent`, bool [L], is decoded.
 
-    Zeros follow the end of `data`. Returns the number of bits read, or -1 for bits that are no code, too many
-    levels for `levels`, or a run beyond the end; and the number of levels.
+    Sent samples become True and their levels go to `levels`, uint16; runs leave `sent` unchanged. Zeros are
+    read after the end of `data`. Returns the number of bits read and the number of levels. The number of bits
+    is -1 for bits that are no code, more levels than `levels` can hold, or a run beyond the last sample.
     """
     pending = filled = byte_index = used = np.int64(0)
     sample = level = np.int64(0)
@@ -91,7 +97,7 @@ def decode(data, limits, ranks, order, level_count, sent, levels):
     return used, level
 
 
-# steps in sixteenths of the finest: a factor 2^(1/4) each
+# step sizes in sixteenths of the finest; each is larger by a factor 2^(1/4)
 STEPS = np.array([16, 19, 23, 27, 32, 38, 45, 54, 64], np.int64)
 _ONE = 1 << 16  # of the weights
 _NUDGE = 48
@@ -102,9 +108,9 @@ _FAR = 1 << 40
 def adpcm(values, residuals, decoding):
     """ADPCM of one component, int64 [n], in sixteenths of the finest step.
 
-    Reads `values` and writes `residuals`, or the reverse if `decoding`. Two weights adapt by the sign of the
-    prediction error (as in G.726); the step increases after a residual of 2 or more and decreases after a 0.
-    `values` becomes the decoded signal in both cases.
+    The function reads `values` and writes `residuals`, or the reverse if `decoding`; in both cases `values`
+    becomes the decoded signal. Two weights adapt to the sign of the prediction error (as in G.726). The step
+    increases after a residual of magnitude 2 or more and decreases after a residual of 0.
     """
     w0, w1 = np.int64(_ONE), np.int64(0)
     last = before = rung = np.int64(0)
@@ -119,7 +125,7 @@ def adpcm(values, residuals, decoding):
             q = (2 * abs(residual) + step) // (2 * step)
             q = -q if residual < 0 else q
             residuals[i] = q
-        # the limit is only reached with bytes that no encoder wrote
+        # only bytes that no encoder has written reach the limit
         value = min(max(predicted + q * step, np.int64(-_FAR)), np.int64(_FAR))
         values[i] = value
         sign = np.int64(q > 0) - np.int64(q < 0)
