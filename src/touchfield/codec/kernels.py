@@ -211,7 +211,10 @@ def mix(bits, count, weight_set, bit):
 
 @lean
 def even(bits, value, count):
-    """Code the lowest `count` bits of `value`, highest first, each with odds 1:1."""
+    """Code the lowest `count` bits of `value`, the highest first, without a context.
+
+    Each bit has probability 1/2.
+    """
     out = np.int64(0)
     for n in range(count - 1, -1, -1):
         out = (out << 1) | _narrow(bits.state, bits.buffer, np.int64(32768), (value >> n) & 1)

@@ -1,4 +1,4 @@
-"""Decorators of the kernels of the coder and the servo, until they are native code.
+"""Decorators of the kernels of coder and servo, until these are native code.
 
 They use an undocumented option of numba, ``_nrt=False``. These functions create no arrays, yet numba would
 count the references to every array at each call; this counting took a quarter of the time of a coding pass
