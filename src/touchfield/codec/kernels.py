@@ -82,7 +82,7 @@ class Models(NamedTuple):
 
 
 def new_models(contexts: int, sets: int) -> Models:
-    """Models in their initial state, for `contexts` probabilities and `sets` of weights."""
+    """Models in their initial state: probabilities of contexts, and sets of weights."""
     probabilities = np.full(contexts, _INITIAL_PROBABILITY, np.uint32)
     return Models(probabilities, np.full((sets, INPUTS), _INITIAL_WEIGHT, np.int32))
 

@@ -57,7 +57,10 @@ def needs_gpu() -> bool:
 
 
 def uses_gpu() -> bool:
-    """True if kernels of sources run on a GPU (`computing`, or ``TOUCHFIELD_COMPUTE``)."""
+    """True if kernels of sources run on a GPU.
+
+    `computing` or ``TOUCHFIELD_COMPUTE`` selects it.
+    """
     return needs_gpu() or (os.environ.get(_VARIABLE) == "auto" and _is_available())
 
 

@@ -233,7 +233,7 @@ class Rest(FieldType):
 
 
 class Listed(FieldType):
-    """A list: the number of its members as u16 or u32, then the members; a tuple in Python."""
+    """A list: its number of members as u16 or u32, then these; a tuple in Python."""
 
     def __init__(self, of: FieldType, limit: int, code: str = "u16") -> None:
         self.of, self.limit, self.code = of, limit, code

@@ -1,4 +1,7 @@
-"""Reader of ``.touch`` files: head, end and index when it is opened, segments on request."""
+"""Reader of ``.touch`` files.
+
+Opening a file reads the head, the end and the index; segments are read on request.
+"""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def rows_of(layout: type) -> tuple[Row, ...]:
 
 
 class Struct(FieldType):
-    """The fields of a layout, one after the other; an instance of the dataclass in Python."""
+    """The fields of a layout in order; an instance of the dataclass in Python."""
 
     def __init__(self, layout: type) -> None:
         self.layout, rows = layout, rows_of(layout)
@@ -220,7 +220,7 @@ class End:
 
 @dataclass(frozen=True)
 class Record:
-    """Kind of record: the dataclass of its payload, and text for its position and number."""
+    """Kind of record: tag, dataclass of its payload, and text for its position."""
 
     tag: str
     layout: type
