@@ -1,14 +1,15 @@
 """Binary range coder with adaptive, mixed probabilities (docs/format/bits.md).
 
-The range coder has 48 bits and moves words of 16. `X` is the low end of the interval (encoder, with a carry
-into the bytes already written) or the distance of the code from it (decoder). A probability has 22 bits; it
-shares a number of 32 bits with the count of bits it has learnt from. Several probabilities are mixed on the
-logistic scale by weights that adapt as well. All arithmetic, tables included, uses integers below 2^62, so
-every machine writes the same bytes. The same functions write and read: the caller passes the bit (anything
-when reading) and uses the returned one.
+The range coder keeps an interval of 48 bits and reads or writes 16 bits at a time. `X` is the low end of the
+interval in the encoder, which may carry into bytes already written; in the decoder it is the distance of the
+code from the low end. A probability has 22 bits and is stored in 32 bits together with the number of bits it
+has learnt from. Several probabilities are mixed on the logistic scale by weights, which adapt as well. All
+arithmetic, including the tables, uses integers below 2^62, so that every machine writes the same bytes. One
+function serves both directions: the caller passes the bit (ignored when reading) and uses the returned one.
 
-Built on these are the loops that code the support (one bit for each box of the octree of bricks, and one for
-each sample) and whole numbers (a sign and binary digits, in contexts of the three numbers before).
+The module also contains the loops that code the support (one bit for each box of the octree of bricks, and
+one for each sample) and whole numbers (a sign and binary digits, with the three preceding numbers as
+context).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from touchfield.compute.coder_jit import entry, inlined, lean
 
 X, RANGE, POSITION, TASK = range(4)  # indices into the state, int64 [4]
 WRITING, READING = range(2)  # values of TASK
-INPUTS: Final = 12  # probabilities mixed at once, at most
+INPUTS: Final = 12  # maximum number of probabilities mixed at once
 _FULL_RANGE: Final = 1 << 48
 _MIN_RANGE: Final = 1 << 32
 _MIN_PROBABILITY: Final = 4  # in 1/65536
@@ -36,7 +37,10 @@ _INITIAL_WEIGHT: Final = 14000
 
 
 def _logistic_tables() -> tuple[Int32s, Int32s, Int32s]:
-    """The tables 65536 / (1 + e^-x), its inverse, and learning rates, computed with integers."""
+    """The tables 65536 / (1 + e^-x), its inverse, and learning rates.
+
+    They are computed with integers.
+    """
     power, half = 1 << 31, []  # 2^31 e^-x
     for _ in range(_MAX_LOGIT + 1):
         whole = (1 << 31) + power
@@ -61,7 +65,7 @@ class Bits(NamedTuple):
     state: Int64s  # [4]
     buffer: NDArray[np.uint8]  # [n]; the code, written or to be read
     probabilities: NDArray[np.uint32]  # [contexts]
-    weights: Int32s  # [sets, INPUTS]; of the inputs that are mixed, 1/65536
+    weights: Int32s  # [sets, INPUTS]; mixing weights, in 1/65536
     inputs: Int64s  # [INPUTS]; contexts of the next mixed bit
     logits: Int64s  # [INPUTS]; workspace for their logits
 
@@ -78,7 +82,7 @@ class Models(NamedTuple):
 
 
 def new_models(contexts: int, sets: int) -> Models:
-    """Models in their initial state, for `contexts` probabilities and `sets` of weights."""
+    """Models in their initial state: probabilities of contexts, and sets of weights."""
     probabilities = np.full(contexts, _INITIAL_PROBABILITY, np.uint32)
     return Models(probabilities, np.full((sets, INPUTS), _INITIAL_WEIGHT, np.int32))
 
@@ -100,7 +104,10 @@ def reader(data: bytes, models: Models) -> Bits:
 
 
 def finish(bits: Bits) -> bytes:
-    """The complete code: the bytes written and the fewest that end it, without trailing zeros."""
+    """End the code; return the bytes written and the fewest that complete it.
+
+    Trailing zeros are omitted.
+    """
     low, span, position, _ = bits.state.tolist()
     end = low
     for count in (0, 2, 4, 6):
@@ -182,7 +189,10 @@ def code(bits, context, bit):
 
 @lean
 def mix(bits, count, weight_set, bit):
-    """Code one bit with the first `count` contexts of ``bits.inputs``, mixed by one set of weights."""
+    """Code one bit with several contexts, mixed by one set of weights.
+
+    The contexts are the first `count` of ``bits.inputs``.
+    """
     total = np.int64(0)
     for n in range(count):
         logit = np.int64(STRETCH[np.int64(bits.probabilities[bits.inputs[n]]) >> 20])
@@ -201,7 +211,10 @@ def mix(bits, count, weight_set, bit):
 
 @lean
 def even(bits, value, count):
-    """Code the lowest `count` bits of `value` with probability one half, the highest first."""
+    """Code the lowest `count` bits of `value`, the highest first, without a context.
+
+    Each bit has probability 1/2.
+    """
     out = np.int64(0)
     for n in range(count - 1, -1, -1):
         out = (out << 1) | _narrow(bits.state, bits.buffer, np.int64(32768), (value >> n) & 1)
@@ -210,7 +223,10 @@ def even(bits, value, count):
 
 @lean
 def gamma(bits, value, max_digits):
-    """Code a number from 1 to below 2^(max_digits + 1) in Elias' gamma code, with even bits."""
+    """Code a number from 1 to below 2^(max_digits + 1) in Elias' gamma code.
+
+    The bits have probability 1/2 each (`even`).
+    """
     digits = np.int64(0)
     while digits < max_digits and even(bits, np.int64(value >> (digits + 1) > 0), np.int64(1)):
         digits += 1
@@ -223,7 +239,8 @@ def price(bits):
     return 8.0 * bits.state[POSITION] + 48.0 - np.log2(np.float64(bits.state[RANGE]))
 
 
-# the six faces, those coded before a box first, and the six edges coded before it
+# steps to the six face neighbours of a box (the three already coded first) and to the six edge neighbours
+# that are already coded
 NEIGHBOURS: Final = (
     (-1, 0, 0), (0, -1, 0), (0, 0, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1),
     (-1, -1, 0), (-1, 1, 0), (-1, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 1),
@@ -237,7 +254,7 @@ LIST_SETS: Final = 2
 
 
 class Level(NamedTuple):
-    """Boxes of one size whose parents contain bricks."""
+    """Boxes of one octree level whose parents contain bricks."""
 
     keys: Int64s  # [n]; raster indices of the boxes, ascending
     parents: Int64s  # [n]; index of each box's parent in the level above
@@ -245,17 +262,18 @@ class Level(NamedTuple):
     occupied: Int64s  # [parents]; coded children that contain bricks
     # [n + 1]; 1 where the reference list has bricks; the last entry is 0
     previous: NDArray[np.uint8]
-    # [n + 1]; `UNKNOWN`, or 1 or 0 once coded; the last entry, of every box not listed, is 0
+    # [n + 1]; `UNKNOWN` until a box is coded, then 1 or 0; the last entry, 0, stands for all boxes not listed
     state: NDArray[np.uint8]
-    steps: Int64s  # [12]; from a key to those of its neighbours
+    steps: Int64s  # [12]; differences from a key to the keys of its neighbours
     indices: Int64s  # [12]; positions of these neighbours in `keys`
 
 
 @entry
 def code_level(bits, level, contexts_at, sets_at, target):
-    """Code which boxes contain bricks; `target`, uint8 [n], when writing.
+    """Code which boxes of a level contain bricks.
 
-    No bit is coded for the last child of a parent whose other children are all empty.
+    `target`, uint8 [n], is 1 for boxes that do; it is read only when writing. The last child of a parent
+    whose other children are all empty must contain bricks, so no bit is coded for it.
     """
     count = level.keys.shape[0]
     for n in range(count):
@@ -294,29 +312,31 @@ SAMPLE_SETS: Final = 8
 
 _CODED_STEPS: Final = (-144, -12, -1, -143, -13, -11, -156, -288, -24, -132, -131, -2)
 _PREVIOUS_STEPS: Final = (0, -1, 1, -12, 12, -144, 144)
-"""Steps in a window of 12 x 12 x 12 samples: to coded ones, and to those of the reference support."""
+"""Steps in a window of 12 x 12 x 12 samples, to the coded neighbours and within the reference support."""
 
 
 class Samples(NamedTuple):
     """Samples of n bricks to be coded, and of m bricks of the reference support."""
 
-    # [n + 1, 512]; 1 where a coded sample is supported; the last row, of every brick not listed, is 0
+    # [n + 1, 512]; 1 where a coded sample is supported; the last row, 0, stands for all bricks not listed
     supported: NDArray[np.uint8]
-    previous: NDArray[np.uint8]  # [m + 1, 512]; the same of the reference support
+    previous: NDArray[np.uint8]  # [m + 1, 512]; the same for the reference support
     # both [n, 27]; rows of a brick and of those around it (x slowest) in the arrays above; -1 if not listed
     neighbours: Int64s
     previous_neighbours: Int64s
     inside: Int64s  # [n, 3]; samples of a brick within the grid, along each axis
-    # both [1728]; workspace: a brick, whose first sample is at (2, 2, 2), and its surroundings
+    # both [1728]; workspace of 12^3 samples: a brick, whose first sample is at (2, 2, 2), and its
+    # surroundings
     window: NDArray[np.uint8]
     previous_window: NDArray[np.uint8]
 
 
 @entry
 def code_samples(bits, contexts_at, sets_at, samples, target):
-    """Code which samples are supported; `target`, uint8 [n, 512], when writing.
+    """Code which samples of the bricks are supported.
 
-    Returns early where a code that is read is too short.
+    `target`, uint8 [n, 512], is 1 for supported samples; its values are read only when writing. When reading,
+    the function returns early if the code is too short.
     """
     supported, window, previous = samples.supported, samples.window, samples.previous_window
     for brick in range(target.shape[0]):
@@ -345,7 +365,7 @@ def code_samples(bits, contexts_at, sets_at, samples, target):
 
 
 _LONGEST: Final = 62  # binary digits of the largest number
-# context 0 is "not zero", 2 to 15 are "more digits", 18 to 31 the second digit
+# context 0 codes "not zero", 1 the sign, 2 to 15 "more digits", 18 to 31 the second digit
 _SIGN, _MORE, _SECOND = 1, 1, 16
 NUMBER_SETS: Final = 32
 _LAST_THREE: Final = NUMBER_SETS
@@ -362,7 +382,7 @@ def _limited(number):
 
 @lean
 def _size(number, max_digits):
-    """Number of binary digits, at most `max_digits`, with the sign of the number; shifted to start at 0."""
+    """Signed number of binary digits, at most `max_digits`, shifted to start at 0."""
     size, rest = np.int64(0), abs(number)
     while rest > 0 and size < max_digits:
         rest >>= 1
@@ -380,7 +400,10 @@ def _code(bits, offsets, index, bit):
 
 @entry
 def code_numbers(bits, contexts_at, sets_at, numbers):
-    """Write or read whole numbers, int64 [n]; those after the end of a code that is read stay unchanged."""
+    """Write or read whole numbers, int64 [n], in place.
+
+    When reading, the numbers after the end of the code stay unchanged.
+    """
     r1, r2, r3 = np.int64(0), np.int64(0), np.int64(0)
     for i in range(numbers.shape[0]):
         recent = (_limited(r1) * 5 + _limited(r2)) * 5 + _limited(r3)

@@ -27,11 +27,11 @@ ENTRIES: Final = {
     "paper": "touchfield.codec.paper.spec",
     "objects": "touchfield.codec.objects.layout",
 }
-"""The first is the default."""
+"""Modules of the coders of this package by name; the first is the default."""
 
 
 class FieldEncoder(Protocol):
-    """Encoder of segments whose frames are fields on one lattice; safe to use from several threads."""
+    """Encoder of segments whose frames are fields on one lattice; thread-safe."""
 
     @property
     def name(self) -> str:
@@ -39,7 +39,7 @@ class FieldEncoder(Protocol):
 
     @property
     def parameters(self) -> bytes:
-        """What the decoder needs in addition to the segment bodies."""
+        """The bytes that the decoder needs in addition to the segment bodies."""
 
     def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
         """Code one independent group of frames."""
@@ -50,7 +50,10 @@ class KeyFrameEncoder(FieldEncoder, Protocol):
     """Encoder whose segments of a static scene share one key frame."""
 
     def key_frame(self, frame: ForceField, previous: ForceField | None) -> ForceField:
-        """The field to start a segment with: `previous` if it is close enough to `frame`, else `frame`."""
+        """The field to start a segment with.
+
+        `previous` if it is close enough to `frame`, else `frame`.
+        """
 
     def encode_segment(
         self, frames: Sequence[ForceField], key_frame: ForceField | None = None
@@ -65,9 +68,10 @@ class ExactSampleEncoder(FieldEncoder, Protocol):
     def with_exact_samples(
         self, segment: CodedSegment, frames: Sequence[ForceField], samples: Sequence[Int64s]
     ) -> CodedSegment:
-        """The segment with these samples exact.
+        """The segment, with the given samples made exact.
 
-        `samples`: int64 [m] for each frame, 512 times the key of the brick plus the index of the sample.
+        `samples`: int64 [m] for each frame; a sample is numbered 512 times the key of its brick plus its
+        index within the brick.
         """
 
 
@@ -141,7 +145,10 @@ def names() -> tuple[str, ...]:
 
 
 def coder(name: str, where: str = "HEAD.coder") -> Coder:
-    """Entry of a coder; UnsupportedVersion, naming the field `where`, if there is none."""
+    """Entry of a coder; UnsupportedVersion if there is none of this name.
+
+    `where` names the field in the error.
+    """
     if name not in names():
         expected = " or ".join(map(repr, names()))
         raise UnsupportedVersion(
@@ -156,7 +163,7 @@ def coder(name: str, where: str = "HEAD.coder") -> Coder:
 
 
 def coder_of_spec(spec: object) -> Coder:
-    """The coder of fields whose spec this is; InvalidArgument if there is none."""
+    """The coder of fields that a spec belongs to; InvalidArgument if there is none."""
     for entry in field_coders().values():
         if entry.spec is not None and isinstance(spec, entry.spec):
             return entry
@@ -172,8 +179,8 @@ def field_encoder(grid: Grid, spec: object) -> FieldEncoder:
 def field_decoder(name: str, grid: Grid, parameters: bytes, where: str = "OBJT") -> FieldDecoder:
     """Decoder of the fields of an object on its own lattice.
 
-    `where` names the object's record in errors. UnsupportedVersion if there is no such coder of fields,
-    CorruptFile if the parameters are not those of the coder.
+    `where` names the object's record in errors. UnsupportedVersion if no coder of fields has this name,
+    CorruptFile if the parameters are not valid for the coder.
     """
     entry = coder(name, f"{where} field_coder")
     if entry.spec is None:

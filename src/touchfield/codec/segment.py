@@ -1,8 +1,9 @@
 """Segments: default length, coded bytes, bits per frame, and the error bound.
 
-Paper eq. 9, literal: CR = (C_a + C_d) / (m V 96) with C_a, C_d the lengths in bits of the coded amplitudes
-and directions (the paper calls them vectors), m frames, V voxels of the device lattice, 96 bits a vector. It
-omits the support, the code tables and the headers; CR full counts every bit of the file.
+Eq. 9 of the paper is CR = (C_a + C_d) / (m V 96), where C_a and C_d are the lengths in bits of the coded
+amplitudes and directions (the paper calls these vectors), m the number of frames, V the number of voxels of
+the device lattice, and 96 the bits of a raw vector. It omits the support, the code tables and the headers;
+"CR full" counts every bit of the file.
 """
 
 from __future__ import annotations
@@ -14,27 +15,34 @@ from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
 SEGMENT_S: Final = 0.5
-"""Default length of a segment: what a receiver that joins or seeks decodes before its first frame."""
+"""Default length of a segment: a receiver that joins or seeks decodes up to so much before its first
+frame."""
 
 MIN_SEGMENT_FRAMES: Final = 8
-"""Limit for slow media: spreads the extra cost of a first frame over this many frames."""
+"""Minimum for slow media: spreads the extra cost of a first frame over this many frames."""
 
 MAX_SEGMENT_FRAMES: Final = 64
-"""Limit for fast media: decoding a frame requires all frames before it in its segment."""
+"""Maximum for fast media: decoding a frame requires all frames before it in its segment."""
 
 REPEATING_SEGMENT_S: Final = 1.0
 """Length of a segment in which frames repeat: a repeated frame costs a few bytes and no time."""
 
 
 def segment_length(requested: int | None, rate_hz: float, seconds: float = SEGMENT_S) -> int:
-    """Frames in a segment at a frame rate: `requested`, or half a second, at least 8 and at most 64."""
+    """Number of frames in a segment at a frame rate.
+
+    `requested` if given, else as many frames as `seconds` hold, at least 8 and at most 64.
+    """
     return requested or min(
         max(math.ceil(seconds * min(rate_hz, 1e6)), MIN_SEGMENT_FRAMES), MAX_SEGMENT_FRAMES
     )
 
 
 def longest_segment(requested: int | None, rate_hz: float) -> int:
-    """Frames in a segment in which frames repeat: as `segment_length`, for one second."""
+    """Number of frames in a segment in which frames repeat.
+
+    As `segment_length`, with one second in place of half a second.
+    """
     return segment_length(requested, rate_hz, REPEATING_SEGMENT_S)
 
 
@@ -46,8 +54,8 @@ class BitAccount:
     """Bits by purpose."""
 
     support: int = 0  # where the force is not zero
-    amplitude: int = 0  # C_a: amplitudes, and which samples the deadband holds
-    direction: int = 0  # C_d
+    amplitude: int = 0  # C_a: amplitudes, and the flags of samples held by the deadband
+    direction: int = 0  # C_d: directions
     side: int = 0  # code tables, lengths, headers, checksums, index, provenance
     poses: int = 0  # poses of objects (`touchfield.codec.objects`)
     models: int = 0  # base layers that predict a frame (`touchfield.codec.touch`)
@@ -62,7 +70,10 @@ class BitAccount:
 
 
 def compression_ratio(bits: float, frame_count: int, voxel_count: int) -> float:
-    """Bits over the raw bits of the device-filtered lattice (eq. 9's denominator); lower is better."""
+    """Coded bits over the raw bits of the device-filtered lattice; lower is better.
+
+    The raw bits are the denominator of eq. 9.
+    """
     return bits / (frame_count * voxel_count * RAW_BITS_PER_VECTOR)
 
 
@@ -98,7 +109,10 @@ MAX_ERROR_KEYS: Final = ("promise_kept", "worst_mask_ratio", "worst_frame", "wor
 
 @dataclass(frozen=True)
 class CodedSegment:
-    """Bytes of a segment, statistics of its frames, and its largest error (None if not known)."""
+    """Bytes of a segment, statistics of its frames, and its largest error.
+
+    `max_error` is None if the error is not known.
+    """
 
     body: bytes
     frames: tuple[FrameStats, ...]
@@ -110,7 +124,10 @@ RATIO_STEPS: Final = 65535
 
 
 class MaxError(NamedTuple):
-    """Largest error of a segment as a fraction of the error bound, 0 to 1, with its frame and voxel."""
+    """Largest error of a segment over the error bound, with its frame and voxel.
+
+    `ratio` is 0 to 1.
+    """
 
     ratio: float
     frame: int
@@ -120,7 +137,7 @@ class MaxError(NamedTuple):
     def rounded_up(self) -> int:
         """The ratio in steps of 1 / `RATIO_STEPS`, rounded up.
 
-        AssertionError for NaN or a ratio above 1: a saturated value would state a bound that does not hold.
+        AssertionError for NaN or a ratio above 1: clipping it would store a bound that does not hold.
         """
         if not 0.0 <= self.ratio <= 1.0:
             raise AssertionError(f"a segment whose largest error is {self.ratio!r} of what is allowed")
@@ -128,9 +145,10 @@ class MaxError(NamedTuple):
 
 
 def max_error_keys(segments: Iterable[tuple[int, MaxError | None]]) -> dict[str, Any]:
-    """Summary keys of the largest error of a file, from the first frame and `MaxError` of each segment.
+    """Summary keys of the largest error of a file.
 
-    All values are None if any segment states no largest error.
+    `segments`: the first frame and the `MaxError` of each segment. All values are None if any segment states
+    no largest error.
     """
     per_segment = [
         max_error and max_error._replace(frame=first + max_error.frame) for first, max_error in segments
@@ -158,7 +176,10 @@ class BoundRule(NamedTuple):
 
 
 def mask_text(k: float, f0_n: float, masking: str = "") -> str:
-    """Text of the mask max(F_0, k |F|); `masking` is a further term added to k |F|."""
+    """Text of the mask max(F_0, k |F|).
+
+    `masking` is a further term, added to k |F|.
+    """
     largest = f"{k:g} |F|{masking}"
     allowed = f"max({f0_n:g} N, {largest})" if f0_n else largest
     return f"|error| <= {allowed} at every voxel of every frame"
@@ -169,10 +190,11 @@ BOUND_KEYS: Final = ("error_bound", "error_bound_note", *MAX_ERROR_KEYS)
 
 
 def bound_keys(rule: BoundRule, max_error: Mapping[str, Any]) -> dict[str, Any]:
-    """Keys that report the proven error bound, from a coder's rule and the result of `max_error_keys`.
+    """Keys that report the proven error bound.
 
-    ``error_bound`` is the text of the rule, or None; ``error_bound_note`` then gives the reason, which
-    commands print as a warning.
+    `rule` is the rule of the coder, `max_error` the result of `max_error_keys`. ``error_bound`` is the text
+    of the rule if the bound is proven, else None; ``error_bound_note`` then gives the reason, which commands
+    print as a warning.
     """
     if rule.text is not None and max_error.get("promise_kept"):
         return {"error_bound": rule.text}

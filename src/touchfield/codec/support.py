@@ -1,13 +1,15 @@
-"""Lossless code of the support: the bricks of a frame and their samples that have a force.
+"""Lossless code of the support: bricks of a frame and their supported samples.
 
 Paper section 5.2 codes amplitudes and directions of the supported samples but not their positions.
-The list of bricks is an octree, coded level by level: a box of 2^l bricks a side is
-coded at level l, and boxes within it only if it contains bricks. Each level runs in raster order (x slowest),
-so half of the neighbours of a box are known when it is coded; of the others it is known whether their parents
-contain bricks. The samples of each brick follow, x slowest. The probability of each adapts to its neighbours
-within two samples and, if there is one, to a reference support. Samples outside the grid are not coded.
 
-`encode_numbers` codes whole numbers with the same arithmetic coder.
+The list of bricks is an octree, coded level by level: a box of 2^l bricks along each side is coded at level
+l, and the boxes within it are coded only if it contains bricks. Each level is coded in raster order (x
+slowest). When a box is coded, half of its neighbours are known; of the others it is known whether their
+parents contain bricks. The samples of each brick follow, x slowest. The probability of each sample adapts to
+its neighbours within two samples and, if there is one, to a reference support. Samples outside the grid are
+not coded.
+
+`encode_numbers` codes whole numbers with the same range coder.
 """
 
 from __future__ import annotations
@@ -45,13 +47,13 @@ from touchfield.medium.grid import BRICK, Grid
 # brick coordinates int32 [n, 3], ascending, and the mask of their samples, bool [n, 8, 8, 8]
 Bricks = tuple[Int32s, Bools]
 BRICKS_FREE: Final = 64
-# a payload of n bytes lists at most `BRICKS_FREE` + 16 n bricks, of 6 KiB each when decoded
+# a payload of n bytes lists at most `BRICKS_FREE` + 16 n bricks; each takes 6 KiB when decoded
 BRICKS_PER_BYTE: Final = 16
 _CHILDREN = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1)
 
 
 def pad_payload(payload: bytes, count: int) -> bytes:
-    """The payload of a frame of `count` bricks, padded with zeros to the length this count requires."""
+    """Pad the payload of a frame of `count` bricks with zeros to its minimum length."""
     return payload.ljust(-(-(count - BRICKS_FREE) // BRICKS_PER_BYTE), b"\0")
 
 
@@ -61,12 +63,14 @@ def code_bricks(
 ) -> Int32s:  # fmt: skip
     """Write or read a list of bricks.
 
-    A reader has the whole payload of the frame, whose length bounds the list; a writer needs a capacity of
-    320 bytes a brick. The models of the list are `LIST_CONTEXTS` probabilities from `contexts_at` and
-    `LIST_SETS` sets of weights from `sets_at`. The grid has at most 2^20 bricks along an axis. `bricks`,
-    int32 [n, 3], are distinct and within the grid, or None when reading; `previous`, int32 [m, 3], is a
-    reference list known to both sides. Returns int32 [n, 3], ascending, x slowest. CorruptFile if the list
-    exceeds its bound.
+    When reading, the length of the frame's payload bounds the number of bricks; when writing, `bits` needs a
+    capacity of 320 bytes per brick. The models of the list are `LIST_CONTEXTS` probabilities from index
+    `contexts_at` and `LIST_SETS` sets of weights from index `sets_at`. The grid has at most 2^20 bricks along
+    an axis.
+
+    `bricks`, int32 [n, 3], are distinct and within the grid; None when reading. `previous`, int32 [m, 3], is
+    a reference list known to both sides, or None. Returns int32 [n, 3], ascending, x slowest. CorruptFile if
+    the list exceeds its bound.
     """
     empty = np.zeros((0, 3), np.int32)
     target, reference = empty if bricks is None else bricks, empty if previous is None else previous
@@ -88,12 +92,15 @@ def code_bricks(
 def _next_level(
     parents: Int64s, size: Int64s, target: NDArray[np.integer[Any]], previous: NDArray[np.integer[Any]]
 ) -> tuple[Int64s, NDArray[np.uint8], Level]:
-    """Boxes of the next level, int64 [n, 3] ascending; 1 for those that contain bricks; kernel arguments."""
+    """Boxes of the next level, and the arguments of the kernel that codes them.
+
+    Returns the boxes, int64 [n, 3], ascending; uint8 [n], 1 for boxes that contain bricks; and the `Level`.
+    """
     boxes = (2 * parents[:, None] + _CHILDREN).reshape(-1, 3)
     order = np.flatnonzero((boxes < size).all(axis=1))
     steps = np.array(
         [(size[1] + 2) * (size[2] + 2), size[2] + 2, 1]
-    )  # rows do not touch: neighbours outside the grid have keys of no box
+    )  # rows are padded, so that neighbours outside the grid have keys that belong to no box
     keys = boxes[order] @ steps
     ascending = np.argsort(keys)
     order, keys = order[ascending], keys[ascending]
@@ -114,7 +121,10 @@ def check_read(bits: Bits, where: str) -> None:
 
 
 def check_end(bits: Bits, count: int, where: str) -> None:
-    """Refuse a payload that ends before its code, or continues after it and the zeros of `pad_payload`."""
+    """Check that a payload ends with its code and the zeros of `pad_payload`.
+
+    TruncatedFile if it ends earlier, CorruptFile if other bytes follow.
+    """
     check_read(bits, where)
     size, used = len(bits.buffer), int(bits.state[POSITION])
     if size > max(used, len(pad_payload(b"", count))) or bits.buffer[used:].any():
@@ -134,12 +144,13 @@ def code_support(
 ) -> Bricks:
     """Write or read a support.
 
-    The length of the code that is read bounds the bricks, see `code_bricks`; a writer needs a capacity of
-    `BYTES_PER_BRICK` bytes a brick, plus 64. The models are `CONTEXTS` probabilities from `contexts_at` and
-    `SETS` sets of weights from `sets_at`. The bricks of `target` ascend, each has a sample, and none is
-    outside the grid; None when reading. `previous` is a reference support on the same grid, known to both
-    sides. TruncatedFile or CorruptFile if the code ends too early, or lists too many bricks or one without a
-    sample.
+    When reading, the length of the code bounds the number of bricks (`code_bricks`); when writing, `bits`
+    needs a capacity of `BYTES_PER_BRICK` bytes per brick, plus 64. The models are `CONTEXTS` probabilities
+    from index `contexts_at` and `SETS` sets of weights from index `sets_at`.
+
+    `target` is None when reading; otherwise its bricks ascend, each has a sample, and none is outside the
+    grid. `previous` is a reference support on the same grid, known to both sides, or None. TruncatedFile or
+    CorruptFile if the code ends too early, or lists too many bricks or one without a sample.
     """
     empty = np.zeros((0, 3), np.int32), np.zeros((0, BRICK, BRICK, BRICK), np.bool_)
     reference = empty if previous is None else previous
@@ -169,7 +180,10 @@ def _rows(mask: Bools) -> NDArray[np.uint8]:
 
 
 def encode_support(grid: Grid, bricks: Int32s, mask: Bools, previous: Bricks | None = None) -> bytes:
-    """The bytes of a support on its own; InvalidArgument if `code_support` cannot represent it."""
+    """Code a support on its own.
+
+    InvalidArgument if `code_support` cannot represent it.
+    """
     bits = writer(len(bricks) * BYTES_PER_BRICK + 64, new_models(CONTEXTS, SETS))
     coded = code_support(bits, 0, 0, grid, (bricks, mask), previous)
     if not (
@@ -196,7 +210,7 @@ MAX_NUMBER: Final = (1 << 30) - 1  # largest magnitude of a coded number
 
 
 def encode_numbers(numbers: NDArray[np.integer]) -> bytes:
-    """The code of whole numbers [n]; InvalidArgument if the magnitude of one exceeds `MAX_NUMBER`."""
+    """Code whole numbers [n]; InvalidArgument if a magnitude exceeds `MAX_NUMBER`."""
     values = np.array(numbers, np.int64)
     if values.ndim != 1 or (len(values) and np.abs(values).max() > MAX_NUMBER):
         raise InvalidArgument(
@@ -208,9 +222,10 @@ def encode_numbers(numbers: NDArray[np.integer]) -> bytes:
 
 
 def decode_numbers(data: bytes, count: int) -> Int64s:
-    """The inverse of `encode_numbers`, int64 [count]; TruncatedFile or CorruptFile for other bytes.
+    """The inverse of `encode_numbers`, int64 [count].
 
-    The caller has checked `count`: that much memory is allocated.
+    The caller must have checked `count`, because that much memory is allocated. TruncatedFile or CorruptFile
+    for other bytes.
     """
     bits, numbers = reader(data, new_models(NUMBER_CONTEXTS, NUMBER_SETS)), np.zeros(count, np.int64)
     code_numbers(bits, 0, 0, numbers)

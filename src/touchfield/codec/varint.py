@@ -1,7 +1,7 @@
-"""Bounded variable-length integers: seven bits a byte, least significant first, as in LEB128.
+"""Bounded variable-length integers, as in LEB128.
 
-Departure: only the shortest form is valid, so that equal values have equal bytes. Every read states the
-bounds of its value.
+Each byte holds seven bits, the least significant first. Departure from LEB128: only the shortest form is
+valid, so that equal values have equal bytes. Every read states the bounds of its value.
 """
 
 from __future__ import annotations
@@ -50,14 +50,15 @@ def read_varint(
 
 
 def chunk(data: bytes) -> bytes:
-    """Bytes preceded by their number."""
+    """`data`, preceded by its length as a varint."""
     return write_varint(len(data)) + data
 
 
 class Parts:
     """Sequential reader of bytes such as the body of a segment.
 
-    Its TruncatedFile and CorruptFile errors name `where` the bytes are from, and the part that is wrong.
+    Its errors, TruncatedFile and CorruptFile, name the source of the bytes (`where`) and the part that is
+    wrong.
     """
 
     def __init__(self, data: bytes, where: str = "SEGM.body") -> None:
@@ -88,7 +89,7 @@ class Parts:
         return number
 
     def chunk(self, part: str, minimum: int = 0) -> bytes:
-        """The next bytes that are preceded by their number, `minimum` of them or more."""
+        """The next bytes that are preceded by their length, `minimum` or more of them."""
         return self.take(self.varint(part, minimum=minimum), part)
 
     def check_end(self, part: str = "frame") -> None:

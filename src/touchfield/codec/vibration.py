@@ -1,10 +1,10 @@
-"""Code of vibrations: samples that vibrate, amplitudes and frequencies (start of paper section 6.4).
+"""Code of vibrations: samples, amplitudes and frequencies (paper section 6.4).
 
-The amplitude has four steps an octave, so its error is at most one ninth: less than the just noticeable
+The amplitude has four steps per octave, so that its error is at most one ninth: less than the just noticeable
 difference (a fifth, perception/human.toml). The frequency is in whole hertz. The vibrating samples are coded
-as a support like that of the force, each given the frame before. Amplitude and frequency are differences to
-the same sample in the frame before, if it has one, else to the sample before. docs/format/vibration.md
-defines the bytes.
+as a support like that of the force, predicted from the support of the frame before. Amplitude and frequency
+are coded as differences to the same sample of the frame before or, if that did not vibrate, to the preceding
+sample. docs/format/vibration.md defines the bytes.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ _IN_OCTAVE: Final = 4
 _MIN_EXPONENT: Final = -22
 # step s is (4 + s mod 4) 2^(s // 4 - 22) newtons: 1 micronewton to 0.9 meganewton
 AMPLITUDE_STEPS: Final = 160
-MAX_RELATIVE_ERROR: Final = 1 / 9  # of an amplitude: in the middle between steps 4 and 5 of an octave
+MAX_RELATIVE_ERROR: Final = 1 / 9  # of an amplitude, reached half-way between steps 4 and 5 of an octave
 _MAX_HZ: Final = int(MAX_FREQUENCY_HZ)
 _BYTES_PER_SAMPLE: Final = 128  # peak memory of decoding
 _BRICKS_PER_FRAME: Final = (
-    BRICKS_PER_BYTE  # bricks that a frame counts for, so that a byte codes at most one frame
+    BRICKS_PER_BYTE  # each frame counts as so many bricks, so that a byte codes at most one frame
 )
 _CONTEXTS: Final = support.CONTEXTS + 2 * kernels.NUMBER_CONTEXTS
 _SETS: Final = support.SETS + 2 * kernels.NUMBER_SETS
@@ -47,7 +47,8 @@ _CHANGED: Final = "The file was changed or cut."
 class VibrationSymbols(NamedTuple):
     """One frame in whole numbers, int32.
 
-    Samples [L, 3] in raster order, amplitude steps [L] below `AMPLITUDE_STEPS`, and frequencies [L] in hertz.
+    `positions`: samples [L, 3] in raster order. `amplitudes`: steps [L], below `AMPLITUDE_STEPS`.
+    `frequencies`: hertz [L].
     """
 
     positions: Int32s
@@ -61,7 +62,8 @@ def quantise_vibration(frame: VibrationFrame) -> VibrationSymbols:
     Samples below the lowest step, 1 micronewton, are removed; InvalidArgument if one is above the highest.
     """
     mantissas, exponents = np.frexp(frame.amplitudes_n.astype(np.float64))
-    # 2 * _IN_OCTAVE * mantissas are 4 to 8, and 8 is the first step of the next octave
+    # 2 * _IN_OCTAVE * mantissas lies in [4, 8); if it is rounded to 8, this is the first step of the next
+    # octave
     octaves = exponents.astype(np.int64) - 3 - _MIN_EXPONENT
     steps = _IN_OCTAVE * octaves + np.rint(2 * _IN_OCTAVE * mantissas).astype(np.int64) - _IN_OCTAVE
     if len(steps) and steps.max() >= AMPLITUDE_STEPS:
@@ -75,7 +77,7 @@ def quantise_vibration(frame: VibrationFrame) -> VibrationSymbols:
 
 
 def dequantise_vibration(grid: Grid, symbols: VibrationSymbols) -> VibrationFrame:
-    """The frame of symbols."""
+    """The frame that symbols represent."""
     hertz = symbols.frequencies.astype(np.float32)
     return VibrationFrame(grid, symbols.positions, _amplitudes_n(symbols.amplitudes), hertz)
 
@@ -87,12 +89,12 @@ def _amplitudes_n(steps: NDArray[np.integer]) -> Float32s:
 
 
 def encode_vibration(frames: Sequence[VibrationFrame]) -> bytes:
-    """Body of VIBR for the frames of one segment, at least one, all on one grid."""
+    """Body of VIBR for the frames of one segment: at least one, all on one grid."""
     return encode_symbols(frames[0].grid, [quantise_vibration(frame) for frame in frames])
 
 
 def decode_vibration(body: bytes, grid: Grid, frame_count: int) -> list[VibrationFrame]:
-    """The inverse of `encode_vibration`, to within the steps; see `decode_symbols`."""
+    """The inverse of `encode_vibration`, up to quantisation; see `decode_symbols`."""
     return [dequantise_vibration(grid, symbols) for symbols in decode_symbols(body, grid, frame_count)]
 
 
@@ -122,8 +124,8 @@ def encode_symbols(grid: Grid, frames: Sequence[VibrationSymbols]) -> bytes:
 def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationSymbols]:
     """The inverse of `encode_symbols`.
 
-    Each byte yields at most 8192 samples, the first 32768. TruncatedFile or CorruptFile if the bytes are
-    invalid. InvalidArgument if the samples would take more memory than `memory_budget_bytes`.
+    Each byte yields at most 8192 samples; the first yields up to 32768. TruncatedFile or CorruptFile if the
+    bytes are invalid. InvalidArgument if the samples would take more memory than `memory_budget_bytes`.
     """
     bits = reader(body, new_models(_CONTEXTS, _SETS))
     support_before: Bricks | None = None
@@ -165,19 +167,25 @@ def _code_numbers(bits: Bits, numbers: Int64s) -> None:
 
 
 def _same_samples(previous: tuple[Int64s, Int64s], indices: Int64s) -> tuple[Bools, Int64s]:
-    """True for samples that the frame before has too, bool [L], and their values there, int64 [2, n]."""
+    """Find the samples that the frame before has, too.
+
+    Returns bool [L], True for these samples, and their values there, int64 [2, n].
+    """
     slots = np.searchsorted(previous[0], indices)
     is_shared = np.append(previous[0], -1)[slots] == indices
     return is_shared, previous[1][:, slots[is_shared]]
 
 
 def _integrate(numbers: Int64s, is_shared: Bools, previous_values: Int64s) -> Int64s:
-    """Values, int64 [2, L], of differences: to `previous_values` if shared, else to the sample before."""
+    """Values of a frame from differences, int64 [2, L].
+
+    A difference is to `previous_values` for a shared sample, else to the preceding sample.
+    """
     sums, latest = np.cumsum(numbers, axis=1), np.cumsum(is_shared)
     shift = np.append(
         np.zeros((2, 1), np.int64), previous_values + numbers[:, is_shared] - sums[:, is_shared], axis=1
     )
-    values: Int64s = sums + shift[:, latest]  # of the last shared sample up to each
+    values: Int64s = sums + shift[:, latest]  # the shift of the last shared sample at or before each sample
     return values
 
 

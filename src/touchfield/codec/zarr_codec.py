@@ -34,7 +34,7 @@ _recorded: list[list[float | None]] = []
 
 @contextmanager
 def recorded_ratios() -> Iterator[list[float | None]]:
-    """Context manager that collects the largest error ratio of each chunk coded within the block.
+    """Collect the largest error ratio of each chunk that is coded within the block.
 
     The ratio is None for a chunk without an error bound. zarr codes chunks in threads of its own, so a block
     receives the ratios of all threads.
@@ -58,16 +58,16 @@ def _threads() -> ThreadPoolExecutor:
 
 
 def _in_thread(function: Callable[..., Any], *arguments: Any) -> Awaitable[Any]:
-    """Run a function outside zarr's event loop, on as many threads as touchfield may use."""
+    """Run a function outside zarr's event loop, in the threads of touchfield."""
     return asyncio.get_running_loop().run_in_executor(_threads(), function, *arguments)
 
 
 @dataclass(frozen=True)
 class TouchCodec(ArrayBytesCodec):
-    """Codec whose error is at most max(F_0, k |F|) at every sample; see `TouchSpec` for the options.
+    """Zarr codec whose error is at most max(F_0, k |F|) at every sample.
 
-    `spacing_m`, the distance between samples in metres, improves the prediction. Raises `InvalidArgument` if
-    an option, or the shape or type of an array, is invalid.
+    See `TouchSpec` for the options. `spacing_m`, the distance between samples in metres, improves the
+    prediction. Raises `InvalidArgument` if an option, or the shape or type of an array, is invalid.
     """
 
     k: float = TouchSpec.k
@@ -96,7 +96,7 @@ class TouchCodec(ArrayBytesCodec):
             raise InvalidArgument(
                 f"codec {NAME}", f"a configuration {options!r}", f"values of {', '.join(names)}"
             )
-        if options.get("effort") == "max":  # of older arrays, which decode as others do
+        if options.get("effort") == "max":  # older arrays have this effort; they decode in the same way
             options = {**options, "effort": TouchSpec.effort}
         return cls(**options)
 

@@ -1,4 +1,4 @@
-"""How kernels are compiled and where they run: jit, CUDA, threads, processes and clusters."""
+"""Compilation and execution of kernels: jit, CUDA, threads, processes, clusters."""
 
 from touchfield._lazy import lazy_attributes
 

@@ -1,9 +1,9 @@
-"""Decorators of the coder's and the servo's kernels, until both are native code.
+"""Decorators of the kernels of coder and servo, until these are native code.
 
-They use an undocumented option of numba, ``_nrt=False``: no array is made in these functions, and numba
-would count the references to every array at each call. A quarter of the time of a coding pass and four fifths
-of a query of the field were that count. Division by zero is not looked for: no divisor of the coder can be
-zero.
+They use an undocumented option of numba, ``_nrt=False``. These functions create no arrays, yet numba would
+count the references to every array at each call; this counting took a quarter of the time of a coding pass
+and four fifths of a query of the field. Division by zero is not checked, because no divisor of the coder can
+be zero.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ entry: Any = partial(kernel, **_OPTIONS)
 """Decorate a function of the coder that Python calls."""
 
 lean: Any = partial(kernel, **_OPTIONS, nogil=False, no_cpython_wrapper=True)
-"""Decorate a function of the coder that only kernels call, and that is stored by itself."""
+"""Decorate a function of the coder that only kernels call, and whose machine code is stored by itself."""
 
 inlined: Any = partial(inner, **_OPTIONS, inline="always")
-"""Decorate a function of the coder that a single kernel calls: it is never compiled by itself."""
+"""Decorate a function of the coder that is inlined into its kernel and never compiled by itself."""
 
 uncounted: Any = partial(inner, _nrt=False)
 """Decorate a function of the servo that only kernels call."""

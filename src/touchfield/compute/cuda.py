@@ -1,9 +1,9 @@
-"""Kernels on a GPU (extra ``cuda``): the CPU functions, compiled again by numba-cuda.
+"""Kernels on a GPU (extra ``cuda``): the CPU functions, compiled by numba-cuda.
 
 A kernel is a loop ``kernel(start, stop, *arguments)`` over independent items (`compute.threads.for_chunks`).
-On the GPU each item gets its own thread, which runs the same loop from i to i + 1, so that both share one
-source. Such a kernel allocates no array and takes its functions from `math`. No other module imports the
-library.
+On the GPU each item gets its own thread, which runs the same loop from i to i + 1, so that CPU and GPU share
+one source. Such a kernel allocates no array and takes its functions from `math`. No other module imports
+numba-cuda.
 """
 
 from __future__ import annotations
@@ -20,18 +20,19 @@ import numpy as np
 from touchfield.errors import InvalidArgument, import_extra
 
 COMPUTE: Final = ("cpu", "cuda", "auto")
-"""Where kernels of sources run: the processor (the default), a GPU, or a GPU where there is one."""
+"""Where kernels of sources run: on the CPU (the default), on a GPU, or on a GPU if there is one."""
 
 _VARIABLE: Final = "TOUCHFIELD_COMPUTE"
 _THREADS: Final = 128
-"""Threads in a block."""
+"""Number of threads in a block."""
 
 
 @contextmanager
 def computing(where: str) -> Iterator[None]:
-    """Within the block, kernels of sources run on `where`, one of `COMPUTE`; also in processes started in it.
+    """Select where the kernels of sources run within the block.
 
-    Raises `InvalidArgument` for another value, or if "cuda" finds no GPU; `MissingExtra` without the library.
+    `where` is one of `COMPUTE`; it also applies to processes started within the block. Raises
+    `InvalidArgument` for another value, or if "cuda" finds no GPU; `MissingExtra` without the library.
     """
     if where not in COMPUTE:
         raise InvalidArgument("device compute", repr(where), f"one of {', '.join(COMPUTE)}")
@@ -56,7 +57,10 @@ def needs_gpu() -> bool:
 
 
 def uses_gpu() -> bool:
-    """True if kernels of sources run on a GPU (`computing`, or ``TOUCHFIELD_COMPUTE``)."""
+    """True if kernels of sources run on a GPU.
+
+    `computing` or ``TOUCHFIELD_COMPUTE`` selects it.
+    """
     return needs_gpu() or (os.environ.get(_VARIABLE) == "auto" and _is_available())
 
 
@@ -74,9 +78,9 @@ def _is_available() -> bool:
 
 
 def for_each(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
-    """Call ``kernel(i, i + 1, *arguments)`` for each i of 0..count, each by a thread of the GPU.
+    """Call ``kernel(i, i + 1, *arguments)`` for each i of 0..count in a GPU thread.
 
-    kernel : function compiled by numba for the processor, that makes no array.
+    kernel : function compiled by numba for the CPU, which creates no array.
     arguments : numbers; arrays, or named tuples of them, in device memory: from `on_device`, `empty`, or
         another library (``__dlpack__``, ``__cuda_array_interface__``), used without a copy.
     """
@@ -86,7 +90,10 @@ def for_each(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
 
 
 def on_device(array: Any) -> Any:
-    """Copy an array, or the arrays of a (named) tuple, to the device; other values are returned unchanged."""
+    """Copy an array, or the arrays of a (named) tuple, to the device.
+
+    Other values are returned unchanged.
+    """
     if isinstance(array, tuple):
         copies = [on_device(item) for item in array]
         return type(array)(*copies) if hasattr(array, "_fields") else tuple(copies)
@@ -99,7 +106,10 @@ def empty(shape: int | tuple[int, ...], dtype: Any) -> Any:
 
 
 def filled(kernel: Callable[..., Any], count: int, arguments: tuple[Any, ...], shape: Any, dtype: Any) -> Any:
-    """Return a device array that a kernel fills as its last argument; the others are copied to the device."""
+    """Return a device array that a kernel fills as its last argument.
+
+    The other arguments are copied to the device.
+    """
     out = empty(shape, dtype)
     for_each(kernel, count, *on_device(arguments), out)
     return out
@@ -113,7 +123,7 @@ def on_host(array: Any) -> np.ndarray[Any, Any]:
 
 # -- one source --------------------------------------------------------------------------------------------
 def _each(count, arguments):  # type: ignore[no-untyped-def]
-    """Kernel of the GPU: runs `body` for the item of this thread."""
+    """GPU kernel that runs `body` for the item of this thread."""
     i = cuda.grid(1)  # type: ignore[name-defined]  # noqa: F821
     if i < count:
         body(i, i + 1, *arguments)  # type: ignore[name-defined]  # noqa: F821
@@ -129,7 +139,10 @@ def _launched(kernel: Any) -> Any:
 
 @cache
 def _for_device(kernel: Any) -> Any:
-    """Compile a kernel for the GPU: the same code, with the compiled functions among its globals replaced."""
+    """Compile a kernel for the GPU.
+
+    The code is the same; compiled functions among its globals are replaced by GPU versions.
+    """
     function = kernel.py_func
     device_globals = {**function.__globals__, **_named(function.__globals__, function.__code__.co_names)}
     copy = FunctionType(
@@ -139,7 +152,10 @@ def _for_device(kernel: Any) -> Any:
 
 
 def _named(namespace: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
-    """Return GPU versions of the compiled functions with these names, also in modules of kernels."""
+    """Return GPU versions of the compiled functions with these names.
+
+    Functions in modules of kernels are included.
+    """
     out: dict[str, Any] = {}
     for name in names:
         value = namespace.get(name)

@@ -1,6 +1,6 @@
-"""Distribute work over threads, or over the workers of an executor: processes or the machines of a cluster.
+"""Distribute work over threads, or over the processes or machines of an executor.
 
-Any `concurrent.futures.Executor` will do; retries and the placement of data are up to it.
+Any `concurrent.futures.Executor` can be used; retries and the placement of data are up to it.
 """
 
 from __future__ import annotations
@@ -20,16 +20,17 @@ from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, imp
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_MAX_SUBMITTED: Final = 256  # tasks that an executor is given before the first of their results is waited for
+_MAX_SUBMITTED: Final = 256  # maximum number of tasks submitted to an executor before waiting for a result
 _MAX_PROCESSES: Final = 1024
-_PATIENCE_S: Final = 5  # for a scheduler that does not answer
+_PATIENCE_S: Final = 5  # time to wait for a scheduler to answer
 
 
 @contextmanager
 def executor_of(text: str | None) -> Iterator[Executor | None]:
-    """Yield the executor of ``--workers``: ``processes:N``, ``dask:ADDRESS`` (a dask scheduler), or None.
+    """Yield the executor of ``--workers``: ``processes:N``, ``dask:ADDRESS``, or None.
 
-    Raises InvalidArgument for another text; SourceError if no scheduler answers at the address.
+    The address is that of a dask scheduler. Raises InvalidArgument for another text; SourceError if no
+    scheduler answers at the address.
     """
     if text is None:
         yield None
@@ -63,14 +64,15 @@ def in_order(
     max_weight: int = 0,
     executor: Executor | None = None,
 ) -> Iterator[Result]:
-    """Run ``work(item)`` for each item in threads or by an executor; yield results in the order of the items.
+    """Run ``work(item)`` for each item; yield the results in the order of the items.
 
-    The caller's thread draws the items, one at a time and only as capacity allows: at most one more than
-    there are threads is in progress, and no second one while the sum of the weights, for example bytes,
-    exceeds `max_weight` (0: no limit). With one thread everything runs in the caller's. The first error, in
-    the order of the items, stops the iteration, and items not yet started are dropped. Threads help only if
-    `work` releases the GIL. With an `executor`, work and items are sent to its workers, and weights are
-    ignored. Raises SourceError if a worker is lost and its executor cannot continue.
+    The work runs in threads or in an executor. The caller's thread draws the items one at a time, and only as
+    capacity allows: at most one more item than there are threads is in progress. No second item is started
+    while the sum of the weights, for example bytes, exceeds `max_weight` (0: no limit). With one thread
+    everything runs in the caller's thread. The first error, in the order of the items, stops the iteration,
+    and items not yet started are dropped. Threads help only if `work` releases the GIL. With an `executor`,
+    work and items are sent to its workers, and weights are ignored. Raises SourceError if a worker is lost
+    and its executor cannot continue.
     """
     workers = worker_count()
     if executor is None and workers == 1:
@@ -82,7 +84,7 @@ def in_order(
             return step()
         except (TouchfieldError, MemoryError):
             raise
-        except Exception as error:  # of a worker that was killed, or cannot read its task
+        except Exception as error:  # the worker was killed, or could not read its task
             if executor is None:
                 raise
             found = f"that one ended before its work was done ({type(error).__name__}: {str(error)[:300]})"

@@ -1,11 +1,13 @@
-"""How kernels are compiled: `kernel` for functions that Python calls, `inner` for those that kernels call.
+"""Compilation of kernels with numba.
 
-Constants stay constants: numba compiles a function once more for each whole number that a caller writes out,
-such as the stride of a loop. The compiler needs them to turn loops into vector code (decision 20).
+`kernel` decorates functions that Python calls, `inner` those that only kernels call.
+
+Constants stay constants: numba compiles a function again for each literal whole number that a caller passes,
+such as the stride of a loop. The compiler needs these constants to vectorise loops (decision 20).
 
 Machine code is stored in a folder that belongs to all kernel sources (`touchfield.compute.numba_internals`).
-With a version of numba whose private parts are not those known here, it is stored as numba does by itself:
-correct for an installed package, while someone who edits kernels must remove ``__pycache__``.
+With a version of numba whose private parts differ from those known here, numba's own cache is used. It is
+correct for an installed package, but after editing kernels ``__pycache__`` must be removed.
 """
 
 from __future__ import annotations
@@ -25,9 +27,9 @@ except (ImportError, AttributeError, TypeError):  # another numba has other priv
 
 
 def kernel(function: Any = None, **options: Any) -> Any:
-    """Decorate a function that Python calls: it runs without the interpreter lock, and is stored on disk.
+    """Decorate a function that Python calls.
 
-    Options are those of `numba.njit`.
+    It runs without the GIL, and its machine code is stored on disk. Options are those of `numba.njit`.
     """
     if function is None:
         return partial(kernel, **options)
@@ -39,9 +41,10 @@ def kernel(function: Any = None, **options: Any) -> Any:
 
 
 def inner(function: Any = None, **options: Any) -> Any:
-    """Decorate a function that only kernels call: it is compiled and stored within them.
+    """Decorate a function that only kernels call.
 
-    Without a wrapper for Python, which takes as long to compile as most such functions do themselves.
+    It is compiled and stored as part of them. It has no wrapper for Python, which for most such functions
+    would take as long to compile as the function itself.
     """
     if function is None:
         return partial(inner, **options)
@@ -49,12 +52,18 @@ def inner(function: Any = None, **options: Any) -> Any:
 
 
 def kernel_folder() -> Path | None:
-    """The folder of compiled kernels; None where there is none, or numba keeps them by itself."""
+    """The folder of compiled kernels.
+
+    None if there is no such folder, or numba's own cache is used.
+    """
     return numba_internals.kernel_folder() if numba_internals else None
 
 
 def compilation_events(
     on_start: Callable[[], None], on_end: Callable[[], None]
 ) -> AbstractContextManager[None]:
-    """Call `on_start` and `on_end` around each compilation in the block, if numba is a known version."""
+    """Call `on_start` and `on_end` around each compilation within the block.
+
+    With an unknown version of numba nothing is called.
+    """
     return numba_internals.compilation_events(on_start, on_end) if numba_internals else nullcontext()

@@ -1,8 +1,8 @@
-"""Where compiled kernels are stored on disk: a folder named by a digest of all sources that enter them.
+"""Folder of compiled kernels on disk, named by a digest of all their sources.
 
-A kernel holds the machine code of the functions it calls, and the constants it reads, of other files as well.
-numba's own cache compares the file of the called function alone, so that it goes on using old code of the
-others.
+The machine code of a kernel contains that of the functions it calls and the constants it reads, also from
+other files. numba's own cache only checks the file of the called function, so that it would keep using old
+code from the others.
 """
 
 from __future__ import annotations
@@ -21,14 +21,17 @@ _CONSTANTS: Final = (
     *("compute/jit.py", "compute/coder_jit.py", "compute/numba_internals.py"),
     *("medium/grid.py", "render/block/words.py", "render/tool.py"),
 )
-"""Other files whose constants or rules are compiled in; a test compares them with the imports."""
+"""Other files whose constants or rules are compiled in; a test compares this list with the imports."""
 _MAX_FORMER: Final = 2
-"""Folders of other versions that stay: whoever changes between branches compiles once."""
+"""Number of folders of other versions that are kept, so that changing between branches compiles only once."""
 _PREFIX: Final = "kernels-"
 
 
 def kernel_sources(package: Path = PACKAGE) -> tuple[Path, ...]:
-    """All sources that are compiled into kernels, sorted; empty where the package is no folder of files."""
+    """All sources that are compiled into kernels, sorted.
+
+    Empty if the package is not a folder of files.
+    """
     files = {package / name for name in _CONSTANTS}
     files |= {
         path for path in package.rglob("*.py") if path.stem == "kernels" or path.parent.name == "kernels"
@@ -37,9 +40,9 @@ def kernel_sources(package: Path = PACKAGE) -> tuple[Path, ...]:
 
 
 class SourceState:
-    """The kernel sources as they were when this was constructed, and their digest.
+    """The kernel sources at the time of construction, and their digest.
 
-    versions : what else decides about the machine code, such as the version of the compiler.
+    versions : other inputs of the machine code, such as the version of the compiler.
     """
 
     def __init__(self, files: Iterable[Path], versions: str, package: Path = PACKAGE) -> None:
@@ -51,7 +54,7 @@ class SourceState:
         return [(stat.st_mtime_ns, stat.st_size) for stat in map(os.stat, self.files)]
 
     def is_current(self) -> bool:
-        """Whether no file has changed since: a process may run longer than its sources last."""
+        """True if no file has changed since construction, as it may in a long process."""
         try:
             return self._stamps == self._read_stamps()
         except OSError:
@@ -59,7 +62,10 @@ class SourceState:
 
     @cached_property
     def digest(self) -> str:
-        """Sixteen hexadecimal digits of the names and the contents of all files, and of the versions."""
+        """Sixteen hexadecimal digits of a hash over all files and the versions.
+
+        Names and contents of the files are included.
+        """
         total = sha256(self._versions.encode())
         for path in self.files:
             name, content = path.relative_to(self._package).as_posix().encode(), path.read_bytes()
@@ -68,15 +74,15 @@ class SourceState:
 
 
 def open_folder(root: Path, digest: str) -> Path:
-    """Create the folder of these sources within `root`, and remove the oldest of other sources.
+    """Create the folder of these sources within `root`, and remove the oldest others.
 
-    Another process may use what is removed: it then compiles again (see `touchfield.compute.jit`). Raises
+    Another process may use a removed folder: it then compiles again (see `touchfield.compute.jit`). Raises
     OSError if the folder cannot be created.
     """
     folder = root / f"{_PREFIX}{digest}"
     is_new = not folder.is_dir()
     folder.mkdir(parents=True, exist_ok=True)
-    with suppress(OSError):  # of another user
+    with suppress(OSError):  # the folder may belong to another user
         os.utime(folder)  # folders last used longest ago are removed first
     if is_new:
         others = sorted((path for path in root.glob(f"{_PREFIX}*") if path != folder), key=_last_use)

@@ -1,14 +1,14 @@
-"""The one place that uses private parts of numba: the kernel cache, a faster compiler, and compiler events.
+"""The only module that uses private parts of numba.
 
-`touchfield.compute.jit` imports this file and does without it where a version of numba no longer has these
-parts. What each is for, measured with numba 0.67 on two cores:
+`touchfield.compute.jit` imports it, and works without it if a version of numba lacks these parts. The purpose
+of each part, with measurements for numba 0.67 on two cores:
 
-- *Cache* (`attach_cache`): numba compares the file of a kernel alone and goes on using old machine code of
-  functions that the kernel calls in other files (decision 20). Nothing public replaces that.
+- *Cache* (`attach_cache`): numba checks only the file of a kernel and keeps using old machine code of
+  functions that the kernel calls in other files (decision 20). No public interface replaces that.
 - *Compiler* (`CoderCompiler`): compiling the coder takes a tenth less time.
-- *Start* (`without_blas`): importing numba takes 0.2 s less, which every command and the servo's process wait
-  for.
-- *Events* (`compilation_events`): a person who waits for a compiler is told so.
+- *Start* (`without_blas`): importing numba takes 0.2 s less, for which every command and the servo's process
+  would otherwise wait.
+- *Events* (`compilation_events`): a person who waits for the compiler is told so.
 """
 
 from __future__ import annotations
@@ -42,9 +42,10 @@ _SOURCES: Final = SourceState(kernel_sources(), _VERSIONS)
 
 
 def attach_cache(dispatcher: Any, function: Any) -> bool:
-    """Store the variants of a kernel in the folder of all kernel sources; False where that cannot be.
+    """Store the variants of a kernel in the folder of all kernel sources.
 
-    Within an archive the package is a single file, which numba's own cache compares as a whole.
+    Returns False if that is not possible: within an archive the package is a single file, which numba's own
+    cache checks as a whole.
     """
     if not _SOURCES.files:
         return False
@@ -54,10 +55,10 @@ def attach_cache(dispatcher: Any, function: Any) -> bool:
 
 @cache
 def kernel_folder() -> Path | None:
-    """The folder of compiled kernels of these sources, created when first needed; None where none can be.
+    """The folder of compiled kernels of these sources; None if none can be created.
 
-    It lies where numba would keep this file's kernels: in NUMBA_CACHE_DIR, else beside the package, else in
-    the user's cache.
+    It is created when first needed, where numba would store this file's kernels: in NUMBA_CACHE_DIR, else
+    beside the package, else in the user's cache.
     """
     try:
         root = _CACHING.CompileResultCacheImpl(kernel_folder.__wrapped__).locator.get_cache_path()
@@ -67,7 +68,7 @@ def kernel_folder() -> Path | None:
 
 
 class _Locator(_CACHING.InTreeCacheLocator):  # type: ignore[misc]
-    """Where the files of one function lie in the folder of these sources."""
+    """Location of the files of one function within the folder of these sources."""
 
     def __init__(self, function: Any, file: str) -> None:
         super().__init__(function, file)
@@ -80,7 +81,10 @@ class _Locator(_CACHING.InTreeCacheLocator):  # type: ignore[misc]
 
     @classmethod
     def from_function(cls, function: Any, file: str) -> Any:
-        """A locator without numba's trial, which writes and removes a file for each function."""
+        """Create a locator without numba's test that the folder can be written.
+
+        That test writes and removes a file for each function.
+        """
         return cls(function, file)
 
 
@@ -89,22 +93,23 @@ class _Functions(_CACHING.CompileResultCacheImpl):  # type: ignore[misc]
 
 
 class KernelFiles(_CACHING.IndexDataCacheFile):  # type: ignore[misc]
-    """The files of one function, one for each variant that is compiled."""
+    """The files of one function, one for each compiled variant."""
 
     def save(self, key: Any, data: Any) -> None:
-        """Save a variant under a name made of its key.
+        """Save a variant under a name derived from its key.
 
-        numba numbers variants; two processes that compile two at once might take one number for both.
+        numba numbers the variants; two processes that compile two variants at once might use one number for
+        both.
         """
         self._data_name_pattern = f"{self._index_name[:-4]}.{crc32(repr(key).encode()):08x}.{{number}}.nbc"
         super().save(key, data)
 
 
 class _KernelCache(_CACHING.FunctionCache):  # type: ignore[misc]
-    """numba's cache of one function, in a folder that only these sources have.
+    """numba's cache of one function, in a folder that only these sources use.
 
-    It looks for the folder when a kernel is first called, not when it is imported. A failure to read or write
-    is no failure of the kernel, which is compiled again: another process may remove the folder at any time.
+    The folder is looked up when a kernel is first called, not when it is imported. A failure to read or write
+    is not an error: the kernel is compiled again. Another process may remove the folder at any time.
     """
 
     def __init__(self, function: Any) -> None:
@@ -144,7 +149,10 @@ class _KernelCache(_CACHING.FunctionCache):  # type: ignore[misc]
 
 
 def field_names(arguments: Iterable[Any]) -> tuple[Any, ...]:
-    """Field names of named tuples, in order: numba compares the types of fields, but not their names."""
+    """Field names of named tuples, in order.
+
+    numba compares the types of fields, but not their names.
+    """
     tuples: list[Any] = [argument for argument in arguments if isinstance(argument, types.BaseTuple)]
     return tuple((getattr(argument, "fields", ()), field_names(argument.types)) for argument in tuples)
 
@@ -153,9 +161,10 @@ def field_names(arguments: Iterable[Any]) -> tuple[Any, ...]:
 
 
 class CoderCompiler(_COMPILER):  # type: ignore[misc]
-    """The compiler without searches for what no kernel has, and with the first level of LLVM's optimiser.
+    """numba's compiler without needless passes, and with optimisation level 1 of LLVM.
 
-    The higher levels take a tenth of all the time, and make none of the coder's passes faster.
+    The omitted passes search for constructs that no kernel contains. The higher levels take a tenth of all
+    the time, and make none of the coder's passes faster.
     """
 
     _NEEDLESS: Final = ("inline_closure_likes", "nopython_rewrites", "inline_overloads", "literal_unroll")
@@ -178,7 +187,10 @@ class CoderCompiler(_COMPILER):  # type: ignore[misc]
 
 
 def without_blas() -> None:
-    """Import numba's array functions without SciPy's BLAS; a kernel that multiplies matrices loads it."""
+    """Import numba's array functions without SciPy's BLAS.
+
+    A kernel that multiplies matrices loads it.
+    """
     ensure_blas = _LINALG.ensure_blas
     _LINALG.ensure_blas = lambda: None
     try:
@@ -189,7 +201,10 @@ def without_blas() -> None:
 
 @contextmanager
 def compilation_events(on_start: Callable[[], None], on_end: Callable[[], None]) -> Iterator[None]:
-    """Call `on_start` and `on_end` around each compilation, nested ones too, while the block lasts."""
+    """Call `on_start` and `on_end` around each compilation within the block.
+
+    Nested compilations count, too.
+    """
 
     class Listener(_EVENT.Listener):  # type: ignore[misc]
         def on_start(self, event: Any) -> None:

@@ -1,7 +1,8 @@
-"""Run compiled kernels on all cores: a kernel without the GIL, a range, and threads.
+"""Run compiled kernels on all cores: a kernel without the GIL, a range, threads.
 
-numba's own parallel loops are not used: they take about two seconds each to compile, against 0.3 s for a
-scalar kernel, and its default threading layer must not be entered twice at once (docs/decisions/0002).
+numba's own parallel loops are not used: they take about two seconds each to compile, compared with 0.3 s for
+a scalar kernel, and its default threading layer must not be entered by two threads at once
+(docs/decisions/0002).
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ def silent(done: int, total: int) -> None:
 
 
 def worker_count() -> int:
-    """Return the number of threads: ``TOUCHFIELD_THREADS``, or the cores this process may run on."""
+    """Return the number of threads.
+
+    ``TOUCHFIELD_THREADS`` if it is set, else the number of cores that this process may use.
+    """
     setting = os.environ.get("TOUCHFIELD_THREADS", "")
     if setting.isdigit() and int(setting) > 0:
         return int(setting)
@@ -37,10 +41,11 @@ def _pool(workers: int) -> ThreadPoolExecutor:
 
 
 def for_chunks(kernel: Callable[..., Any], count: int, *arguments: Any, chunk: int = 1) -> list[Any]:
-    """Call ``kernel(start, stop, *arguments)`` over 0..count in pieces on all cores; return results in order.
+    """Call a kernel over the range 0..count in pieces on all cores.
 
-    `kernel` must release the GIL (``nogil=True``) and write only what belongs to its range. `chunk` is the
-    smallest piece worth a thread. The caller's thread works too, so that one core costs no hand-over and
+    The call is ``kernel(start, stop, *arguments)``; results are returned in the order of the pieces. `kernel`
+    must release the GIL (``nogil=True``) and write only to what belongs to its range. `chunk` is the smallest
+    piece worth a thread. The caller's thread works too, so that a single core needs no other thread and
     nested calls cannot deadlock. The first error is raised after all started pieces have ended.
     """
     workers = worker_count()
@@ -56,7 +61,7 @@ def for_chunks(kernel: Callable[..., Any], count: int, *arguments: Any, chunk: i
         while not errors and (i := next(turns)) < pieces:
             try:
                 results[i] = kernel(edges[i], edges[i + 1], *arguments)
-            except BaseException as error:  # handed on below, whatever it is
+            except BaseException as error:  # of any kind; raised again below
                 errors.append(error)
 
     others = [_pool(workers - 1).submit(work) for _ in range(min(workers, pieces) - 1)]

@@ -1,6 +1,6 @@
 """The container format: `.touch` files.
 
-One table (`records`) defines them; docs/format/container.md describes the bytes.
+The table in `records` defines them; docs/format/container.md describes the bytes.
 """
 
 from touchfield.container.reader import TouchReader

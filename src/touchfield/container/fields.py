@@ -1,9 +1,9 @@
-"""Field types of a ``.touch`` file and their bytes (docs/format/container.md); numbers are little-endian.
+"""Field types of a ``.touch`` file and their bytes (docs/format/container.md).
 
-A type defines its bytes, its bounds and the text for both, so that the writer, the reader and the tests all
-follow from one row of the table. A value out of bounds is refused on both sides: InvalidArgument when it is
-written, CorruptFile when it is read. A length is compared with the available bytes, and with its bound,
-before anything is allocated for it.
+Numbers are little-endian. A type defines its bytes, its bounds and the text for both, so that the writer, the
+reader and the tests all follow from one row of the table. A value out of bounds is refused on both sides:
+InvalidArgument when it is written, CorruptFile when it is read. A length is compared with the available
+bytes, and with its bound, before anything is allocated for it.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ REAL: Final = struct.Struct("<d")
 
 
 class Cursor:
-    """How far the reading of bytes `begin` to `end` of `data` has come, as in a slice, but without a copy.
+    """Position within the bytes `start` to `stop` of `data`, which are not copied.
 
-    `where` is the file's name in messages, `offset` the position of the first of `data` in the file.
+    `start` and `stop` are as in a slice. `where` is the file's name in messages, `offset` the position of the
+    first byte of `data` in the file.
     """
 
     def __init__(
@@ -60,22 +61,31 @@ class Cursor:
 
 
 class FieldType(ABC):
-    """Type of a field: text for its bytes and bounds, and its `smallest` and `largest` size in bytes."""
+    """Type of a field: text for its bytes and bounds, and its size.
+
+    `smallest` and `largest` are the limits of its size in bytes.
+    """
 
     def __init__(self, wire: str, bounds: str, smallest: int, largest: int) -> None:
         self.wire, self.bounds, self.smallest, self.largest = wire, bounds, smallest, largest
 
     @abstractmethod
     def encode(self, value: Any, where: str) -> bytes:
-        """The bytes of `value`; InvalidArgument, naming `where`, for a wrong type or value."""
+        """The bytes of `value`.
+
+        InvalidArgument, naming `where`, for a wrong type or value.
+        """
 
     @abstractmethod
     def decode(self, cursor: Cursor, where: str) -> Any:
-        """The value at the cursor; CorruptFile, naming `where`, if it is cut short or out of bounds."""
+        """The value at the cursor.
+
+        CorruptFile, naming `where`, if it is cut short or out of bounds.
+        """
 
 
 class Number(FieldType):
-    """A number from `low` to `high`, in the bytes of `packing`; `description` say of what kind."""
+    """A number from `low` to `high`, stored as `packing`; `description` is its kind."""
 
     def __init__(
         self, wire: str, bounds: str, packing: struct.Struct, low: float, high: float, description: str
@@ -85,7 +95,7 @@ class Number(FieldType):
 
     def encode(self, value: Any, where: str) -> bytes:
         try:
-            # float() would take a string too, struct takes numbers only
+            # struct accepts numbers only, while float() would also accept a string
             packed = b"" if isinstance(value, bool) else self.packing.pack(value)
         except (struct.error, TypeError, ValueError, OverflowError):
             packed = b""
@@ -195,7 +205,7 @@ class Text(FieldType):
 
 
 class Octets(FieldType):
-    """Bytes whose content another document defines: their number as u32, then the bytes."""
+    """Bytes that another document defines: their count as u32, then the bytes."""
 
     def __init__(self, limit: int) -> None:
         self.limit, self.length = limit, Whole("u32", 0, limit)
@@ -223,7 +233,7 @@ class Rest(FieldType):
 
 
 class Listed(FieldType):
-    """A list: the number of its members as u16 or u32, then the members; a tuple in Python."""
+    """A list: its number of members as u16 or u32, then these; a tuple in Python."""
 
     def __init__(self, of: FieldType, limit: int, code: str = "u16") -> None:
         self.of, self.limit, self.code = of, limit, code
@@ -246,7 +256,10 @@ class Listed(FieldType):
 
 
 def octets(value: Any, where: str) -> bytes:
-    """`value` as bytes, without a copy if it is bytes; InvalidArgument if it is not bytes-like."""
+    """`value` as bytes, without a copy if it is bytes already.
+
+    InvalidArgument if it is not bytes-like.
+    """
     if isinstance(value, bytes):
         return value
     if isinstance(value, (bytearray, memoryview)):
@@ -255,6 +268,6 @@ def octets(value: Any, where: str) -> bytes:
 
 
 def quoted(value: object) -> str:
-    """`value` for a message: escaped, on one line, shortened to at most 60 characters."""
+    """`value` for a message: escaped, on one line, at most 60 characters."""
     text = ascii(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,4 +1,7 @@
-"""Reader of ``.touch`` files: head, end and index when it is opened, segments on request."""
+"""Reader of ``.touch`` files.
+
+Opening a file reads the head, the end and the index; segments are read on request.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,7 @@ END_SIZE: Final = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
 MIN_SEGMENT: Final = FRAME_SIZE + RECORD_OF["SEGM"].kind.smallest + CRC_SIZE
 MAX_WALKED: Final = 1 << 12
 MAX_PREFETCH: Final = 1 << 24
-"""Most bytes of a remote file fetched at once: those before the first segment, and the index."""
+"""Maximum number of bytes of a remote file fetched ahead: before the first segment, and of the index."""
 
 
 class TouchReader:
@@ -101,7 +104,10 @@ class TouchReader:
         return self._source.read_at(0, self.size)
 
     def read_segment(self, index: int) -> bytes:
-        """Body of segment `index`, 0 to ``len(segments) - 1``, checked against its CRC-32 and the index."""
+        """Body of a segment, checked against its CRC-32 and the index.
+
+        `index`: 0 to ``len(segments) - 1``.
+        """
         entry = self._prefetch(index)
         found = find_record(self._source, entry.offset, entry.offset + entry.length)
         segment, crc = read_record(self._source, found, Segment)
@@ -112,7 +118,10 @@ class TouchReader:
         return segment.body
 
     def read_vibration(self, index: int) -> bytes | None:
-        """Vibrations in the frames of segment `index`, checked against their CRC-32; None if it has none."""
+        """Vibrations in the frames of a segment, checked against their CRC-32.
+
+        `index`: 0 to ``len(segments) - 1``. None if the segment has no vibrations.
+        """
         entry = self._prefetch(index)
         if index not in self._vibrations:
             return None
@@ -163,7 +172,7 @@ class TouchReader:
         self.segments = index.segments
         self._first_frames = [entry.first_frame for entry in self.segments]
         self._check_segments(head_record.end, index_record.offset)
-        # gaps between the known records: read now, or in a remote file when a segment is requested
+        # gaps between the known records: read now or, in a remote file, when a segment is requested
         stops = [head_record.end, *(entry.offset + entry.length for entry in self.segments), index_record.end]
         starts = [*(entry.offset for entry in self.segments), index_record.offset, end_record.offset]
         self._gaps = dict(enumerate(zip(stops, starts, strict=True)))
@@ -204,7 +213,10 @@ class TouchReader:
         return found, end
 
     def _find_objects(self, start: int, stop: int) -> list[FoundRecord]:
-        """Find the objects of a file of coder `objects`, before the first segment, without reading them."""
+        """Find the objects of a file of coder `objects`, without reading them.
+
+        They lie before the first segment. The list is empty for other coders.
+        """
         if self.head.coder != OBJECTS_CODER:
             return []
         before = takewhile(lambda found: found.tag != "SEGM", records_between(self._source, start, stop))
@@ -220,7 +232,10 @@ class TouchReader:
         return objects
 
     def _check_segments(self, start: int, stop: int) -> None:
-        """Check that the segments have every frame once and lie within `start` to `stop` without overlap."""
+        """Check that the segments have every frame once, and lie in order without overlap.
+
+        They must lie within the bytes `start` to `stop`.
+        """
         frame = 0
         for i, entry in enumerate(self.segments):
             where = f"{self.name}: INDX.segments[{i}]"
@@ -238,7 +253,10 @@ class TouchReader:
             raise CorruptFile(where, f"{frame} frames", expected, FETCH_AGAIN)
 
     def _read_gap(self, gap: int) -> None:
-        """Read, once, the records before segment `gap`, before the index, or before the end."""
+        """Read, once, the records in one of the gaps between known records.
+
+        Gap `gap` lies before the segment of this index; the last two lie before the index and before the end.
+        """
         with self._lock:
             objects = {found.offset for found in self._objects} if gap == 0 else set()
             provenance: dict[str, str] | None = None
@@ -265,7 +283,10 @@ class TouchReader:
             self._gaps.pop(gap, None)
 
     def _prefetch(self, index: int) -> SegmentEntry:
-        """Entry of a segment; in a remote file, fetch the segment together with the records before it."""
+        """Entry of a segment.
+
+        In a remote file, the segment is fetched together with the records before it.
+        """
         if not 0 <= index < len(self.segments):
             raise InvalidArgument("segment", repr(index), f"0 to {len(self.segments) - 1}")
         entry = self.segments[index]

@@ -33,7 +33,10 @@ ROW: Final = "touchfield row"
 
 @dataclass(frozen=True)
 class Row:
-    """One field of the format: bytes and bounds, physical unit ("" if there is none), and meaning."""
+    """One field of the format.
+
+    `kind` defines its bytes and bounds; `unit` is the physical unit, "" if there is none.
+    """
 
     name: str
     kind: FieldType
@@ -53,7 +56,7 @@ def rows_of(layout: type) -> tuple[Row, ...]:
 
 
 class Struct(FieldType):
-    """The fields of a layout, one after the other; an instance of the dataclass in Python."""
+    """The fields of a layout in order; an instance of the dataclass in Python."""
 
     def __init__(self, layout: type) -> None:
         self.layout, rows = layout, rows_of(layout)
@@ -78,7 +81,8 @@ VERSION_MAJOR: Final = 1
 VERSION_MINOR: Final = 0
 
 MAGIC: Final = b"\x89TOUCH\r\n\x1a\n"
-"""As in PNG: a byte above 127, the name, then line ends and an end-of-file mark, which text modes change."""
+"""As in PNG: a byte above 127, the name, then line ends and an end-of-file mark, all of which a transfer as
+text would change."""
 
 REQUIRED: Final = 1
 """Bit 0 of a record's flags: a reader that does not know the record must refuse the file."""
@@ -87,11 +91,11 @@ OBJECTS_CODER: Final = "objects"
 """The coder whose files have OBJT records."""
 
 MAX_OBJECTS: Final = 4096
-"""OBJT records in a file."""
+"""Maximum number of OBJT records in a file."""
 
 MAX_FRAMES: Final = (1 << 31) - 1
 MAX_BRICKS: Final = 1 << 27
-"""Bricks of 8 x 8 x 8 samples in a lattice: those of 4096 x 4096 x 4096 samples."""
+"""Maximum number of bricks (8 x 8 x 8 samples) of a lattice, as for 4096 x 4096 x 4096 samples."""
 
 FRAME_COUNT: Final = Whole("u16", 1, 65535)
 FIRST_FRAME: Final = Whole("u32", 0, MAX_FRAMES - 1)
@@ -216,7 +220,7 @@ class End:
 
 @dataclass(frozen=True)
 class Record:
-    """Kind of record: the dataclass of its payload, and text for its position and number."""
+    """Kind of record: tag, dataclass of its payload, and text for its position."""
 
     tag: str
     layout: type

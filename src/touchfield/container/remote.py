@@ -1,8 +1,9 @@
-"""Remote ``.touch`` files, read by range requests from a web server or an object store.
+"""Remote ``.touch`` files, read by range requests.
 
-Opening takes three requests: the head with the length of the file, the end with the index, and any part of
-the index before that. Servers are not trusted: only requested bytes are read, no answer may take longer than
-its size justifies, and a file that changes meanwhile is an error.
+The files lie on a web server or in an object store. Opening takes three requests: the head together with the
+length of the file, the end with the index, and any part of the index that lies before. Servers are not
+trusted: only requested bytes are read, no answer may take longer than its size justifies, and a file that
+changes while it is read is an error.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ from touchfield.errors import InvalidArgument, SourceError, import_extra
 _HEAD: Final = 1 << 12
 _TAIL: Final = 1 << 14
 _MIN_REQUEST: Final = 1 << 12
-"""Smallest request in bytes: a few records and their frames."""
+"""Smallest request in bytes, enough for a few records and their frames."""
 
 _MAX_CACHED: Final = 1 << 25
 _MAX_REDIRECTS: Final = 5
 _TIMEOUT_S: Final = 10.0
 _MIN_RATE: Final = 1 << 14
-"""Slowest accepted answer in bytes a second, after `_TIMEOUT_S`."""
+"""Slowest accepted answer in bytes per second, in addition to `_TIMEOUT_S`."""
 
 _CHUNK: Final = 1 << 16
 _REMOTE: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
@@ -39,7 +40,10 @@ _RANGE: Final = re.compile(r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})")
 
 
 class _Part(NamedTuple):
-    """An answer: its bytes, the length of the whole file, and a tag of its version."""
+    """Part of a file.
+
+    `size` is the length of the whole file, `tag` identifies its version.
+    """
 
     data: bytes
     size: int
@@ -47,12 +51,12 @@ class _Part(NamedTuple):
 
 
 def is_remote(name: object) -> bool:
-    """True for an address such as https://host/x.touch or s3://bucket/x.touch, and not for a path."""
+    """True for an address such as https://host/x.touch or s3://bucket/x.touch."""
     return isinstance(name, str) and _REMOTE.match(name) is not None
 
 
 def is_live(name: object) -> bool:
-    """True for a live stream.
+    """True for the address of a live stream.
 
     These are ws://HOST:PORT/live, http://HOST:PORT/live.json, udp://HOST:PORT, and - for a pipe.
     """
@@ -64,9 +68,10 @@ def is_live(name: object) -> bool:
 
 
 def sender(url: str) -> Callable[[Path], None]:
-    """A function that puts a file into a store of objects, where it appears as a whole (extra ``remote``).
+    """A function that puts a file into an object store (extra ``remote``).
 
-    InvalidArgument for a web server, which has no such way; SourceError, then or later, if the store refuses.
+    The file appears there only when it is complete. InvalidArgument for a web server, which cannot be written
+    to; SourceError, now or when the function is called, if the store refuses.
     """
     if url.lower().startswith(("http://", "https://")) or is_live(url):
         raise InvalidArgument(
@@ -78,9 +83,9 @@ def sender(url: str) -> Callable[[Path], None]:
 class RemoteFile:
     """Random access to a remote file, with a cache of the latest 32 MiB; thread-safe.
 
-    `url` is http or https; s3, gs, az and others with the extra ``remote``. `size` is the length of the file,
-    bytes; `requests` and `received` count requests and bytes so far. `SourceError` if there is no such file,
-    the server does not answer ranges, or it takes too long.
+    `url` is http or https; s3, gs, az and others need the extra ``remote``. `size` is the length of the file
+    in bytes; `requests` and `received` count requests and bytes so far. `SourceError` if there is no such
+    file, the server does not answer ranges, or it takes too long.
     """
 
     def __init__(self, url: str) -> None:
@@ -138,7 +143,7 @@ class RemoteFile:
 
 
 class _Timely(io.RawIOBase):
-    """Bytes of a connection until a deadline."""
+    """Raw stream of a connection that raises TimeoutError after a deadline."""
 
     def __init__(self, raw: io.RawIOBase, deadline: float) -> None:
         self._raw, self._deadline = raw, deadline
@@ -192,7 +197,7 @@ class _Http:
             self._link = None
 
     def _request(self, offset: int, size: int) -> http.client.HTTPResponse:
-        """Request a range on the current connection or, if that has ended, on a new one."""
+        """Request a range on the current connection or, if it has ended, on a new one."""
         to = urlsplit(self._url)
         if to.scheme not in ("http", "https") or not to.hostname:
             raise self._error("an address that is not http or https")
@@ -232,7 +237,7 @@ class _Http:
             if not more:
                 break
             data += more
-        if answer.length != 0:  # do not read what was not requested; otherwise keep the connection
+        if answer.length != 0:  # close rather than read what was not requested; otherwise keep the connection
             self.close()
         return _Part(
             bytes(data), size_of_file, answer.getheader("ETag") or answer.getheader("Last-Modified") or ""
@@ -274,13 +279,16 @@ class _ObjectStore:
     def _translated_errors(self) -> Iterator[None]:
         try:
             yield
-        except Exception as error:  # obstore's own and those of each store
+        except Exception as error:  # errors of obstore and of each kind of store
             found = str(error).partition("\n")[0][:200]
             raise SourceError(self._name, found, "a .touch file in a store that can be read") from None
 
 
 def without_secret(url: str) -> str:
-    """An address for messages: without a password, and without a query, which may contain a token."""
+    """An address for messages, without the password and the query.
+
+    A query may contain a token.
+    """
     scheme, _, rest = url.partition("://")
     host, slash, path = rest.partition("/")
     return f"{scheme}://{host.rpartition('@')[2]}{slash}{path.partition('?')[0]}"

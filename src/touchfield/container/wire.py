@@ -1,7 +1,7 @@
 """Conversion of records between bytes and values: frame, payload, CRC-32.
 
 Checks are made in this order: the frame fits into the file, the CRC-32 matches, the flags are known, the
-fields are valid. Nothing of a record is used before its CRC-32 has been checked, except its length, which is
+fields are valid. Nothing in a record is used before its CRC-32 has been checked, except its length, which is
 bounded by the available bytes.
 """
 
@@ -42,11 +42,11 @@ from touchfield.medium.budget import memory_budget_bytes
 
 
 class ByteSource:
-    """A file with random access: a path, an address such as https://host/x.touch, or an open binary file.
+    """A file with random access: a path, an address, or an open binary file.
 
-    An open file must be seekable; it is read from its first byte and left open. `name` is its name in
-    messages, `size` its length in bytes, `remote` the remote file if it is one. `SourceError` if it cannot be
-    opened or read, `InvalidArgument` if it is none of these.
+    An address is, for example, https://host/x.touch. An open file must be seekable; it is read from its first
+    byte and left open. `name` is its name in messages, `size` its length in bytes, `remote` the remote file
+    or None. `SourceError` if it cannot be opened or read, `InvalidArgument` if it is none of these.
     """
 
     def __init__(self, file: str | os.PathLike[str] | BinaryIO) -> None:
@@ -77,8 +77,8 @@ class ByteSource:
     def read_at(self, offset: int, size: int) -> bytes:
         """`size` bytes from `offset` on; TruncatedFile if the file ends earlier.
 
-        The size is compared with the file's, which may have holes, and with `memory_budget_bytes` before
-        anything is allocated.
+        Before anything is allocated, the size is compared with that of the file and with
+        `memory_budget_bytes`; a sparse file may be larger than the memory.
         """
         if offset + size > self.size:
             found = f"{max(0, self.size - offset)} bytes at byte {offset}, then the end of the file"
@@ -144,7 +144,10 @@ FETCH_AGAIN: Final = "Fetch or write the file again."
 
 
 def encode_record(tag: str, value: Any) -> bytes:
-    """The bytes of a record, its CRC-32 last; InvalidArgument if a field of `value` is out of bounds."""
+    """The bytes of a record, its CRC-32 last.
+
+    InvalidArgument if a field of `value` is out of bounds.
+    """
     record = RECORD_OF[tag]
     payload = record.kind.encode(value, tag)
     framed = FRAME.pack(tag.encode("ascii"), REQUIRED if record.required else 0, len(payload)) + payload
@@ -185,8 +188,8 @@ class FoundRecord(NamedTuple):
 def read_opening(source: ByteSource) -> bytes:
     """The bytes of magic and version, both checked.
 
-    `ForeignFile`, `CorruptFile`, `TruncatedFile` or `UnsupportedVersion` if it is something else, was changed
-    as text, is too short, or has another major version than ours.
+    `ForeignFile` if it is another kind of file, `CorruptFile` if it was transferred as text, `TruncatedFile`
+    if it is too short, `UnsupportedVersion` if it has another major version.
     """
     start = source.read_at(0, min(source.size, OPENING_SIZE))
     magic = start[: len(MAGIC)]
@@ -211,10 +214,10 @@ def read_opening(source: ByteSource) -> bytes:
 
 
 def find_record(source: ByteSource, offset: int, end: int) -> FoundRecord:
-    """The record at `offset`, which must end at `end` or before; its payload is not read.
+    """The record at `offset`, which must end at or before `end`.
 
-    `TruncatedFile` if the file ends before the record, `CorruptFile` if its frame is invalid or it exceeds
-    `end`.
+    Its payload is not read. `TruncatedFile` if the file ends before the record, `CorruptFile` if its frame is
+    invalid or it exceeds `end`.
     """
     tag, flags, length = FRAME.unpack(source.read_at(offset, FRAME_SIZE))
     if not re.fullmatch(rb"[A-Z0-9]{4}", tag):
@@ -261,7 +264,8 @@ def _compare_crc(found: FoundRecord, crc: int, stored: bytes) -> None:
 def known_record(found: FoundRecord) -> Record | None:
     """The table entry of a record whose CRC-32 matches; None if it may be skipped.
 
-    `UnsupportedVersion` if it is unknown and required, `CorruptFile` if its flags are not those of the table.
+    `UnsupportedVersion` if it is unknown and required, `CorruptFile` if its flags differ from those in the
+    table.
     """
     record = RECORD_OF.get(found.tag)
     if record is None:
@@ -277,10 +281,10 @@ def known_record(found: FoundRecord) -> Record | None:
 
 
 def read_record(source: ByteSource, found: FoundRecord, layout: type[_Layout]) -> tuple[_Layout, int]:
-    """The value and the CRC-32 of a record that must be of this layout.
+    """The value and the CRC-32 of a record that must have this layout.
 
-    `CorruptFile` if it is another one, its CRC-32 does not match, or a field is out of bounds;
-    `UnsupportedVersion` if it needs a later version.
+    `CorruptFile` if the record is of another kind, its CRC-32 does not match, or a field is out of bounds;
+    `UnsupportedVersion` if it requires a later version.
     """
     length, tag = found.payload_length, TAG_OF[layout]
     kind = RECORD_OF[tag].kind

@@ -1,4 +1,7 @@
-"""Writer of ``.touch`` files, segment by segment, under a temporary name until the file is complete."""
+"""Writer of ``.touch`` files, segment by segment.
+
+The file has a temporary name until it is complete.
+"""
 
 from __future__ import annotations
 
@@ -37,10 +40,10 @@ MENDS: Final = {
 class TouchWriter:
     """Writer of one ``.touch`` file; a context manager.
 
-    Segments are written at once to a temporary file in the same folder, so that memory only has one segment
-    and the index. At the end of the ``with`` block the index and the end record follow, and the file gets its
-    name, replacing an existing file; after an exception nothing is left. A file that is already open for
-    bytes is left open.
+    Segments are written at once to a temporary file in the same folder, so that only one segment and the
+    index are in memory. At the end of the ``with`` block the index and the end record are added, and the file
+    gets its name, replacing an existing file; after an exception nothing is left. A binary file that is
+    already open is written to directly and left open.
 
     Every method raises `InvalidArgument` if a value is out of the format's bounds, the calls are in the wrong
     order, or the folder does not exist, and `SourceError` if the system refuses to write (no permission, no
@@ -74,7 +77,7 @@ class TouchWriter:
         self._file = self._to
         if isinstance(self._to, (str, os.PathLike)):
             temporary = self._stack.enter_context(atomic_path(Path(self._to)))
-            # without a buffer, so that closing writes nothing that could fail
+            # without a buffer, so that closing the file writes nothing and cannot fail
             self._file = self._stack.enter_context(temporary.open("wb", buffering=0))
         return self
 
@@ -104,7 +107,7 @@ class TouchWriter:
         self._chain += record[-CRC_SIZE:]
 
     def write_vibration(self, first_frame: int, frame_count: int, body: bytes) -> None:
-        """Write the vibrations of the group of frames that `write_segment` writes next."""
+        """Write the vibrations of the frames that `write_segment` writes next."""
         self._require_head("write_vibration")
         if self._vibrating is not None:
             raise InvalidArgument("write_vibration", "a second call for one segment", "one")
@@ -112,7 +115,7 @@ class TouchWriter:
         self._vibrating = int(frame_count)
 
     def write_segment(self, first_frame: int, frame_count: int, body: bytes) -> None:
-        """Write the next group of frames, which must start where the one before it ended."""
+        """Write the next group of frames, which must follow those of the group before."""
         if self._require_head("write_segment").coder == OBJECTS_CODER and not self._objects:
             raise InvalidArgument("write_segment", "no object yet", hint="Call write_object first.")
         if self._vibrating not in (None, frame_count):
@@ -184,7 +187,10 @@ class TouchWriter:
 
 
 def opening_of(head: Head, provenance: Mapping[str, str]) -> tuple[bytes, bytes, bytes]:
-    """The start of a file: magic and version, HEAD, and PROV if there is any provenance."""
+    """The start of a file: magic and version, HEAD, and PROV or b"".
+
+    The last is b"" if there is no provenance.
+    """
     pairs = tuple(Pair(key=key, value=value) for key, value in provenance.items())
     provenance_record = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
     return OPENING, encode_record("HEAD", head), provenance_record

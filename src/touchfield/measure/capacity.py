@@ -1,19 +1,20 @@
-"""Workspace capacity, mapping ratio and information loss (paper section 3.1, eq. 1-3).
+"""Workspace capacity, mapping ratio and information loss (section 3.1, eq. 1-3).
 
 Eq. 1 as printed, C(M) = min(C(M(W)), H(W)), has C on both sides. Read literally it is min(C_dev, H(W)) with
 C_dev = log2 |codomain|, the most information that the device can receive in one frame. Here C = I(W; M(W)) =
 H(M(W)) for a deterministic mapping: the information that the device receives of this medium, bits per frame.
 
-No mapping exceeds H(W), by the data-processing inequality, so that the printed min() never acts in theory. It
-remains as a guard against a biased estimate of either entropy and against a lattice finer than the medium's
-own ("active mappings" in the paper); `Capacity` notes when it acted. "Passive" means this inequality and
-nothing else: `touchfield.measure.passivity` measures whether a field gives energy to the hand.
+No mapping exceeds H(W), by the data-processing inequality, so that in theory the printed min() never has an
+effect. It remains as a guard against a biased estimate of either entropy, and against a lattice finer than
+the medium's own ("active mappings" in the paper); `Capacity` notes when it had an effect. "Passive" means
+this inequality and nothing else: `touchfield.measure.passivity` measures whether a field gives energy to the
+hand.
 
 Eq. 2: WMR = C / H(W). Eq. 3: HIL = max(H(W) - C, 0) / H(W). They sum to 1, because eq. 1 keeps C <= H(W).
 
-Departures. Entropies per sample are refused: the mapping changes how many samples there are, so that their
-ratio means nothing (the paper's Table 1 would give 2.3 / 1.2 > 1). The paper asks for C > 0 as well; C = 0
-has the plain meaning WMR = 0, HIL = 1 and is allowed.
+Departures. Entropies per sample are refused: the mapping changes the number of samples, so that their ratio
+has no meaning (the paper's Table 1 would give 2.3 / 1.2 > 1). The paper also requires C > 0; C = 0 plainly
+means WMR = 0, HIL = 1 and is allowed.
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ _ROUNDING: Final = 1e-9
 
 @dataclass(frozen=True)
 class Capacity(Report):
-    """Eq. 1 to 3 for one medium, device and mapping, all in bits per frame but for the ratios.
+    """Eq. 1 to 3 for one medium, device and mapping, in bits per frame except ratios.
 
     `reference`: H(W). `rendered`: H(M(W)). `codomain_bits`: C_dev. `capacity`: C. `wmr`, `hil`: workspace
-    mapping ratio and haptic information loss; NaN where H(W) = 0.
+    mapping ratio and haptic information loss; NaN if H(W) = 0.
     """
 
     reference: Quantity
@@ -53,7 +54,7 @@ class Capacity(Report):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Guards that acted, or why a ratio does not exist."""
+        """Guards that had an effect, or why a ratio does not exist."""
         return self.wmr.notes
 
     def summary(self) -> dict[str, Any]:
@@ -64,8 +65,8 @@ class Capacity(Report):
 def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
     """Return C_dev = log2 |codomain| of a device, bits per frame.
 
-    `samples_per_frame`: lattice points or actuators. `alphabet`: symbols that each can show, including "no
-    force". InvalidArgument if a number is not whole or below 1.
+    `samples_per_frame`: number of lattice points or actuators. `alphabet`: number of symbols that each can
+    show, including "no force". InvalidArgument if a number is not whole or below 1.
     """
     for where, count in (("samples_per_frame", samples_per_frame), ("alphabet", alphabet)):
         if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
@@ -76,20 +77,21 @@ def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
 def capacity(
     reference: Quantity, rendered: Quantity, codomain_bits: float, ratio: Interval | None = None
 ) -> Capacity:
-    """Return C, WMR and HIL of a mapping M of a medium W into a haptic workspace (paper eq. 1-3).
+    """Return C, WMR and HIL of a mapping M of a medium W into a haptic workspace.
 
-    `reference`, `rendered`: H(W) and H(M(W)), "bit/frame", of one weighting: of the whole quantised frame, or
-    of a sample times the samples of a frame (`Quantity.times`). `codomain_bits`: C_dev, from the function of
-    this name. `ratio`: an interval of H(M(W)) / H(W), resampled together (`paired_ratio`): WMR has it, cut at
-    1, and HIL its mirror image.
+    Paper eq. 1-3. `reference`, `rendered`: H(W) and H(M(W)), "bit/frame", with the same weighting: of the
+    whole quantised frame, or of a sample times the samples of a frame (`Quantity.times`). `codomain_bits`:
+    C_dev, from the function of this name. `ratio`: an interval of H(M(W)) / H(W), resampled together
+    (`paired_ratio`). WMR gets this interval, cut at 1, and HIL its mirror image.
 
-    Without it the intervals of the two entropies are carried over by interval arithmetic: min(C / H, 1) rises
-    with C and falls with H, so that its bounds are those of opposite corners, at the level 1 - a - b of
-    Bonferroni. It is wider than need be, since the two estimates come from one medium and err together. That
-    of C is always made so.
+    Without `ratio` the intervals of the two entropies are combined by interval arithmetic: min(C / H, 1)
+    rises with C and falls with H, so that its bounds are those of opposite corners, at the level 1 - a - b of
+    Bonferroni. This interval is wider than necessary, because the two estimates come from one medium and
+    their errors are correlated. The interval of C is always computed in this way.
 
     InvalidArgument if a unit is not "bit/frame", a number is negative or not finite, the weightings differ,
-    or a rendered entropy that cannot be overestimated is above C_dev (the codomain is then another's).
+    or a rendered entropy that cannot be overestimated exceeds C_dev (the codomain is then that of another
+    device).
     """
     for where, entropy in (("reference", reference), ("rendered", rendered)):
         if entropy.unit != _UNIT:
@@ -121,13 +123,13 @@ def capacity(
 def paired_ratio(
     counts: tuple[Counts, Counts], voxels: tuple[int, int], codomain_bits: float, estimator: str = "plug-in"
 ) -> Interval | None:
-    """Return an interval of min(H(M(W)), C_dev) / H(W) from blocks of space common to both.
+    """Return an interval of min(H(M(W)), C_dev) / H(W) from common blocks of space.
 
     M(W) is a function of W, so that the errors of their estimates are correlated and the ratio varies less
-    than either. `counts`: of W and of M(W) over voxels, in the
-    same blocks (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): of a frame of W and of
-    M(W). `codomain_bits`: C_dev, bits per frame. `estimator`: of both entropies. None where W is a single
-    symbol in all the blocks of a resample. InvalidArgument as of `touchfield.measure.quantity.interval`.
+    than either. `counts`: of W and of M(W) over voxels, in the same blocks
+    (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): number of voxels of a frame of W
+    and of M(W). `codomain_bits`: C_dev, bits per frame. `estimator`: of both entropies. None if all blocks of
+    a resample contain a single symbol of W. InvalidArgument as in `touchfield.measure.quantity.interval`.
     """
     medium, rendered = counts
     assert medium.blocks is not None and rendered.blocks is not None
@@ -177,7 +179,7 @@ def _of(reference: Quantity, rendered: Quantity, device_bits: float, paired: Int
 
 
 def _guards(reference: Quantity, rendered: Quantity, device_bits: float) -> tuple[str, ...]:
-    """Notes on the min() of eq. 1."""
+    """Notes on the effect of the min() of eq. 1."""
     notes = []
     if rendered.value > device_bits * (1 + _ROUNDING):
         notes.append(
@@ -214,7 +216,7 @@ def _spread(reference: Quantity, rendered: Quantity, device_bits: float) -> tupl
 
 
 def _range(entropy: Quantity) -> tuple[float, float]:
-    """The interval of an entropy with the estimate itself in it, and without impossible values."""
+    """The interval of an entropy, extended to the estimate; no impossible values."""
     i = entropy.interval
     if i is None:
         return entropy.value, entropy.value

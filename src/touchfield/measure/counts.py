@@ -1,10 +1,11 @@
-"""`Counts`: how often each symbol or joint symbol occurs, the input of every entropy (paper section 3).
+"""`Counts`: how often each (joint) symbol occurs, the input of every entropy.
 
-Counts come from arrays, from given probabilities, from quantised fields (`field_counts`) or from a trace
-(`interaction_counts`). The memory is bounded by the different symbols, not by the samples: these are read in
-stretches, so that a `numpy.memmap` is read as it is counted. 8- and 16-bit symbols, and all whose range is at
-most 2^22, are counted in tables, on all cores; others are sorted stretch by stretch and merged. A joint
-symbol is the index of a cell in the box of the symbols' ranges, so that nothing is hashed.
+Paper section 3. Counts come from arrays, from given probabilities, from quantised fields (`field_counts`) or
+from a trace (`interaction_counts`). The memory is bounded by the number of different symbols, not of samples:
+these are read in stretches, so that a `numpy.memmap` is read while it is counted. 8- and 16-bit symbols, and
+symbols whose range is at most 2^22, are counted in tables, on all cores; others are sorted stretch by stretch
+and merged. A joint symbol is the index of a cell in the box of the symbols' ranges, so that nothing is
+hashed.
 """
 
 from __future__ import annotations
@@ -26,22 +27,22 @@ from touchfield.measure.quantity import MIN_BLOCKS
 from touchfield.medium.field import frozen, numbers_of
 
 Histogram = tuple[Int64s, Int64s]
-"""Symbols or numbers of cells, ascending, and the count of each."""
+"""Symbols or numbers of cells in ascending order, and the count of each."""
 
 ABSENT: Final = (1 << 63) - 1
-"""The symbol of a column without a value in this cell: see `Counts.side_by_side`."""
+"""The symbol of a column that has no value in a cell; see `Counts.side_by_side`."""
 
 TOLERANCE: Final = 1e-9
 """Largest deviation from 1 of the sum of given probabilities."""
 
 BLOCKS = 64
-"""Blocks of the bootstrap of arrays, where there are enough samples."""
+"""Number of blocks of the bootstrap of arrays, if there are enough samples."""
 
 MAX_BLOCK_CELLS = 1 << 24
 """Largest number of blocks times cells for a bootstrap: 128 MiB."""
 
 STRETCH = 1 << 18
-"""Samples handled at once: 2 MiB of int64."""
+"""Number of samples handled at once: 2 MiB of int64."""
 
 _TABLE = 1 << 22
 _MAX_CELLS = 1 << 63
@@ -51,15 +52,15 @@ _NO_BLOCKS = "no interval: fewer than 8 blocks, for there are too few samples or
 
 @dataclass(frozen=True)
 class Counts:
-    """The count of each cell (symbol or joint symbol), with quantiser, weighting and variables.
+    """The count of each cell (symbol or joint symbol), with quantiser and weighting.
 
     `cells` int64 [K, d]: the symbols of d variables, rows in strictly ascending order, the first column
-    slowest. `weights` int64 [K] or float64 [K]: counts of at least 1 each, or probabilities above 0 that add
-    up to 1. `blocks` int64 [B, K]: the same counts in each of at least 8 parts that a bootstrap may draw;
-    None for no interval. `quantiser`, `weighting`: Q and mu, as in `Quantity`. `variables`: their letters,
-    ("X", "Y") of arrays, ("S", "T") of fields. `alphabet`: how many different cells there can be, where it is
-    known: no entropy of all variables is above its log2. `notes`: what a reader must know, such as why there
-    are no blocks. InvalidArgument if shapes, order or weights are wrong.
+    slowest. `weights` int64 [K] or float64 [K]: counts of at least 1 each, or probabilities above 0 that sum
+    to 1. `blocks` int64 [B, K]: the same counts in each of at least 8 parts that a bootstrap may draw; None
+    for no interval. `quantiser`, `weighting`: Q and mu, as in `Quantity`. `variables`: their letters, ("X",
+    "Y") for arrays, ("S", "T") for fields. `alphabet`: the number of possible cells, if known: no entropy of
+    all variables exceeds its log2. `notes`: caveats for the reader, such as why there are no blocks.
+    InvalidArgument if shapes, order or weights are wrong.
     """
 
     cells: Int64s
@@ -90,10 +91,10 @@ class Counts:
     def of(cls, *samples: ArrayLike, blocks: int = 0) -> Counts:
         """Count the (joint) symbols of arrays of one shape, sample by sample.
 
-        `samples`: integers or booleans, any shape, size and byte order. `blocks`: how many contiguous blocks
-        of the samples in C order are wanted, 0 for none; fewer are made where 2^24 counts would not hold them
-        or there are fewer samples, and none, with a note, where there would be fewer than 8. InvalidArgument
-        if there is no array, the shapes differ, or a symbol is not a whole number below 2^63.
+        `samples`: integers or booleans of any shape, size and byte order. `blocks`: number of contiguous
+        blocks of the samples in C order, 0 for none. There are fewer blocks if their counts would exceed 2^24
+        numbers or there are fewer samples, and none, with a note, if there would be fewer than 8.
+        InvalidArgument if there is no array, the shapes differ, or a symbol is not a whole number below 2^63.
         """
         if not samples:
             raise InvalidArgument("samples", "no array", "at least one")
@@ -117,7 +118,7 @@ class Counts:
     def of_stream(cls, parts: Iterable[NDArray[Any]]) -> Counts:
         """Count the symbols of a stream of arrays; none is kept after it is counted."""
         total: Histogram = (_NOTHING, _NOTHING)
-        waiting: list[Histogram] = []  # small ones wait until together they are as large as the sum
+        waiting: list[Histogram] = []  # histograms are merged once together they are larger than the total
         for part in parts:
             part_counts = cls.of(part)
             waiting.append((part_counts.cells[:, 0], np.asarray(part_counts.weights, np.int64)))
@@ -128,9 +129,9 @@ class Counts:
 
     @classmethod
     def of_probabilities(cls, table: ArrayLike) -> Counts:
-        """Given probabilities, one axis for each variable: every quantity of them is exact.
+        """Given probabilities, one axis for each variable; all their quantities are exact.
 
-        InvalidArgument if one is negative or NaN, there is none, or they do not add up to 1 within 1e-9.
+        InvalidArgument if one is negative or NaN, there is none, or they do not sum to 1 within 1e-9.
         """
         p = numbers_of("table", table)
         if not p.size or p.ndim == 0:
@@ -148,10 +149,11 @@ class Counts:
 
     @classmethod
     def side_by_side(cls, first: Counts, second: Counts) -> Counts:
-        """Combine two separately sampled variables; each is `ABSENT` in the cells of the other.
+        """Combine two separately sampled variables.
 
-        For `jensen_shannon_distance`. Block b of one is drawn together with block b of the other, which is
-        right for paired samples and for independent ones. InvalidArgument if one of them is empty.
+        Each is `ABSENT` in the cells of the other, for `jensen_shannon_distance`. Block b of one is drawn
+        together with block b of the other, which is right for paired samples and for independent ones.
+        InvalidArgument if one of them is empty.
         """
         if not (len(first.cells) and len(second.cells)):
             raise InvalidArgument("samples", "no sample", "at least one of each")
@@ -166,19 +168,22 @@ class Counts:
 
     @property
     def total(self) -> int:
-        """n, the samples; 0 of given probabilities."""
+        """n, the number of samples; 0 for given probabilities."""
         return int(self.weights.sum()) if self.weights.dtype.kind == "i" else 0
 
 
 class SymbolCounter:
-    """Counter of the symbols of the support and of the empty voxels, frame after frame."""
+    """Counter of the symbols of the support and of the empty voxels, over frames."""
 
     def __init__(self) -> None:
         self._counted: Histogram = (_NOTHING, _NOTHING)
         self._voxels = 0
 
     def add(self, symbols: ArrayLike, voxel_count: int) -> None:
-        """Count one frame: the symbols of its support, whole numbers, and the number of all its voxels."""
+        """Count one frame.
+
+        `symbols`: those of its support, whole numbers. `voxel_count`: number of all its voxels.
+        """
         self._counted = merged([self._counted, np.unique(np.asarray(symbols, np.int64), return_counts=True)])
         self._voxels += voxel_count
 
@@ -189,7 +194,7 @@ class SymbolCounter:
 
     @property
     def voxel_bits(self) -> float:
-        """H_voxel, bits per voxel, the empty voxel being one more symbol."""
+        """H_voxel, bits per voxel; the empty voxel is one more symbol."""
         counts = self._counted[1]
         return entropy_bits(np.append(counts, self._voxels - counts.sum()))
 
@@ -210,8 +215,8 @@ def merged(parts: Sequence[Histogram]) -> Histogram:
 def checked_symbols(samples: ArrayLike, where: str = "samples") -> NDArray[Any]:
     """Return `samples` as an array of whole numbers, without a copy if it is one.
 
-    InvalidArgument if they are not whole numbers, or ragged lists. Floats are rejected even if whole, as they
-    are seldom meant as symbols.
+    InvalidArgument if they are not whole numbers, or ragged lists. Floats are rejected even if whole, because
+    they are seldom meant as symbols.
     """
     x = as_array(samples, where)
     if x.dtype.kind in "biu":
@@ -228,7 +233,10 @@ def checked_symbols(samples: ArrayLike, where: str = "samples") -> NDArray[Any]:
 
 
 def _stretch(x: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
-    """Samples begin .. end of an array in C order, contiguous, in this machine's byte order."""
+    """Samples `start` to `stop` of an array in C order.
+
+    Contiguous, in the byte order of this machine.
+    """
     part = x.reshape(-1)[start:stop] if x.flags.c_contiguous else x.flat[start:stop]
     native: NDArray[Any] = np.require(part, part.dtype.newbyteorder("="), ("C", "A"))
     return native
@@ -236,10 +244,10 @@ def _stretch(x: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class _Keys:
-    """The samples of d arrays of one shape as numbers 0 .. span - 1, in the order of the symbols.
+    """The samples of d arrays of one shape as numbers 0 .. span - 1.
 
-    `columns`: of each array its lowest symbol, its range, and its symbols by rank where the range is too
-    wide.
+    The numbers have the order of the symbols. `columns`: for each array its lowest symbol, the width of its
+    range, and, if that is too large, its sorted symbols, whose ranks are then used.
     """
 
     arrays: tuple[NDArray[Any], ...]
@@ -260,7 +268,7 @@ class _Keys:
         return cls(arrays, tuple(columns), span)
 
     def numbers(self, start: int, stop: int) -> Int64s:
-        """Of samples begin .. end in C order, int64."""
+        """Numbers of the samples `start` to `stop` in C order, int64."""
         total: Int64s | None = None
         for x, (low, width, by_rank) in zip(self.arrays, self.columns, strict=True):
             s = _stretch_int64(x, start, stop)
@@ -301,8 +309,9 @@ def _range(x: NDArray[Any]) -> tuple[int, int]:
 
 
 def _count_small(x: NDArray[Any], start: int, stop: int) -> Histogram:
-    """Symbols and counts of 8- or 16-bit samples begin .. end in C order, by a table of all that there can
-    be.
+    """Symbols and counts of 8- or 16-bit samples, by a table of all possible symbols.
+
+    The samples are those from `start` to `stop` in C order.
     """
     from touchfield.measure.kernels import counts_of_8_bits, counts_of_16_bits
 
@@ -321,7 +330,10 @@ def _count_small(x: NDArray[Any], start: int, stop: int) -> Histogram:
 
 
 def _count_keys(keys: _Keys, start: int, stop: int) -> Histogram:
-    """The numbers that occur among samples begin .. end, ascending, and how often each does."""
+    """The numbers that occur among samples, ascending, and the count of each.
+
+    The samples are those from `start` to `stop` in C order.
+    """
     from touchfield.measure.kernels import add_counts
 
     if keys.span > _TABLE:
@@ -341,7 +353,7 @@ def _count_keys(keys: _Keys, start: int, stop: int) -> Histogram:
 
 
 def _sorted(read: Callable[[int, int], Int64s], start: int, stop: int) -> Histogram:
-    """Distinct numbers that are read from begin to end, a bounded part at a time."""
+    """Distinct numbers from `start` to `stop` and their counts, read in bounded parts."""
 
     def piece(first: int, last: int, offset: int) -> Histogram:
         starts = range(offset + first, offset + last, STRETCH)
@@ -356,7 +368,10 @@ def _sorted(read: Callable[[int, int], Int64s], start: int, stop: int) -> Histog
 
 
 def _blocks(count: Callable[[int, int], Histogram], n: int, symbols: Int64s, requested: int) -> Int64s | None:
-    """Return the counts of the numbers in contiguous blocks of (nearly) equal length, int64 [B, K]."""
+    """Return the counts of the numbers in contiguous blocks, int64 [B, K].
+
+    Blocks have (nearly) equal length. None if there would be fewer than 8.
+    """
     blocks = min(int(requested), n, MAX_BLOCK_CELLS // max(1, len(symbols)))
     if blocks < MIN_BLOCKS:
         return None
@@ -372,7 +387,7 @@ def _blocks(count: Callable[[int, int], Histogram], n: int, symbols: Int64s, req
 
 
 def _rows_ascend(rows: Int64s) -> bool:
-    """True if each row comes after the one before, the first column deciding first."""
+    """True if each row comes after the one before, compared column by column."""
     decided = np.zeros(max(0, len(rows) - 1), np.bool_)
     for column in rows.T:
         if (~decided & (column[1:] < column[:-1])).any():

@@ -1,37 +1,38 @@
-"""Descriptor of a haptic medium, a vector of 83 numbers (paper sections 4, "indexing", and 5.1).
+"""Descriptor of a haptic medium, a vector of 83 numbers (sections 4 and 5.1).
 
-The paper names no descriptor. This one has seven named parts, of fixed lengths:
+The paper ("indexing") names no descriptor. This one has seven named parts of fixed lengths:
 
 ================  ====  ==================================================  ==============================
-part              size  is                                                  does not change with
+part              size  contents                                            invariant to
 ================  ====  ==================================================  ==============================
-amplitude           21  sqrt of the fraction of felt voxels at each of 21   place, pose, order of the frames
-                        levels of |F|, Weber steps of k = 0.1 from 0.05 N
-                        to 2.8 N and above
-directions          42  sqrt of the fraction of sum |F| around each of 42   place, size, stiffness; it *does*
-                        icosahedral directions                              with pose
-direction_power      8  sqrt(P_l), l = 1 .. 8: spherical-harmonic power of  place, size, stiffness, pose
+amplitude           21  sqrt of the fraction of perceptible voxels at each  position, pose, order of the
+                        of 21 levels of |F|, Weber steps of k = 0.1 from    frames
+                        0.05 N to 2.8 N and above
+directions          42  sqrt of the fraction of sum |F| around each of 42   position, size, stiffness; *not*
+                        icosahedral directions                              to pose
+direction_power      8  sqrt(P_l), l = 1 .. 8: spherical-harmonic power of  position, size, stiffness, pose
                         the directions, weighted by |F|
-support              5  fraction of octree cells that are felt, levels      place, size; pose by right angles
-                        1 .. 5 of the cube around the felt voxels
-level_entropy        5  entropy of the cells' classes of |F|, relative to   place, size; pose by right angles
-                        its maximum
-change               1  |F(t + 1/30 s) - F(t)| over |F|, root mean square   place, size, stiffness, pose;
+support              5  fraction of perceptible octree cells, levels 1 ..   position, size; pose by right
+                        5 of the cube around the perceptible voxels         angles
+level_entropy        5  entropy of the cells' classes of |F|, relative to   position, size; pose by right
+                        its maximum                                         angles
+change               1  |F(t + 1/30 s) - F(t)| over |F|, root mean square   position, size, stiffness, pose;
                         over the lattice, halved                            frame rate
-turnover             1  fraction of the voxels felt at t or t + 1/30 s      the same but for stiffness
-                        that are felt at only one of the two times
+turnover             1  of the voxels perceptible at t or t + 1/30 s, the   the same except stiffness
+                        fraction perceptible at only one of the two times
 ================  ====  ==================================================  ==============================
 
 Both histograms are soft: a voxel is shared between the two nearest levels, and between the directions around
-it, so that a small error changes the histogram little. A voxel is *felt* (perceptible) if |F| is 0.05 N or
-more: weaker forces are imperceptible, and a filter or a coder may spread or remove them.
+it, so that a small error changes the histogram little. A voxel is *perceptible* if |F| is 0.05 N or more:
+weaker forces are imperceptible, and a filter or a coder may spread or remove them.
 
-"Does not change" holds up to the lattice: a body that is rotated or scaled is sampled at other points of it.
+Invariance holds up to the lattice: a body that is rotated or scaled is sampled at other points of it.
 Euclidean distances between square roots of fractions are Hellinger distances (times sqrt 2), and sqrt(P_l) is
 a length, so that Euclidean distances between parts are meaningful and are metrics.
 
-A medium of many frames is sampled at a few, evenly spaced; the fractions are of all of them together, the
-levels and changes are their means. Friction and damping, which are metadata, are not described.
+Of a medium with many frames a few are sampled, evenly spaced. Fractions are taken over all of them together;
+the octree levels and the changes are means over them. Friction and damping, which are metadata, are not
+described.
 """
 
 from __future__ import annotations
@@ -59,16 +60,18 @@ if TYPE_CHECKING:
 
 
 SPREAD: Final = 0.3
-"""Radians: about half the angle between neighbouring directions."""
+"""Width of the soft histogram of directions, radians: about half the angle between neighbouring
+directions."""
 
 
 class DirectionSums:
-    """Sums of forces by direction: around 42 icosahedral directions, and harmonics up to a degree.
+    """Sums of forces by direction and by spherical harmonic.
 
-    `degree`: the highest, 1 or more. `by_direction` float64 [42]: sum of the amplitudes around each of
-    `icosahedral_directions`, newtons. A force is shared between them in proportion to exp(cos(angle) /
-    `SPREAD`^2), so that a small turn moves a small part of it. `coefficients` float64 [(degree + 1)^2]: a_lm,
-    newtons; a_lm at l (l + 1) + m, with cos(m phi), and with sin(|m| phi) for m < 0.
+    `degree`: the highest degree of the harmonics, 1 or more. `by_direction` float64 [42]: sum of the
+    amplitudes around each of `icosahedral_directions`, newtons. A force is shared between the directions in
+    proportion to exp(cos(angle) / `SPREAD`^2), so that a small rotation moves a small part of it.
+    `coefficients` float64 [(degree + 1)^2]: a_lm, newtons, at index l (l + 1) + m; with cos(m phi), and with
+    sin(|m| phi) for m < 0.
     """
 
     def __init__(self, degree: int) -> None:
@@ -79,7 +82,7 @@ class DirectionSums:
         self.coefficients = np.zeros((degree + 1) ** 2)
 
     def add(self, vectors_n: ArrayLike) -> None:
-        """Add force vectors, newtons, float [n, 3]; those of length 0 do not count."""
+        """Add force vectors, newtons, float [n, 3]; vectors of length 0 do not count."""
         from touchfield.measure.kernels import sums_by_direction
 
         forces, directions = np.ascontiguousarray(vectors_n, np.float64), icosahedral_directions()
@@ -90,7 +93,7 @@ class DirectionSums:
         self.coefficients += coefficients
 
     def power(self) -> Float64s:
-        """P_1 .. P_degree, float64 [degree], 0 to 1; all 0 where there was no force."""
+        """P_1 .. P_degree, float64 [degree], 0 to 1; all 0 if there was no force."""
         total = self.by_direction.sum()
         squares = self.coefficients**2
         edges = np.arange(self.degree + 1) ** 2
@@ -102,7 +105,10 @@ class DirectionSums:
 
 @cache
 def _harmonic_norms(degree: int) -> Float64s:
-    """Norms of the real spherical harmonics up to a degree, float64 [degree + 1, degree + 1] by l and m."""
+    """Norms of the real spherical harmonics by l and m.
+
+    float64 [degree + 1, degree + 1].
+    """
     norms = np.zeros((degree + 1, degree + 1))
     for order in range(degree + 1):
         for m in range(order + 1):
@@ -113,9 +119,9 @@ def _harmonic_norms(degree: int) -> Float64s:
 
 @cache
 def icosahedral_directions() -> Float64s:
-    """Return 42 unit vectors, float64 [42, 3], ascending: icosahedron corners and edge midpoints.
+    """Return 42 unit vectors, float64 [42, 3]: icosahedron corners and edge midpoints.
 
-    They equal the coder's codebook "ico2", which lies in a higher layer.
+    They are in ascending order and equal the coder's codebook "ico2", which lies in a higher layer.
     """
     golden = (1 + math.sqrt(5)) / 2
     rectangle = np.array([(0.0, a, b * golden) for a in (1, -1) for b in (1, -1)])
@@ -129,17 +135,18 @@ def icosahedral_directions() -> Float64s:
 
 
 LEVELS: Final = 5
-"""The finest level has 32 cells along each axis."""
+"""Number of octree levels; the finest has 32 cells along each axis."""
 
 
 def octree_levels(
     grid: Grid, positions: Int32s, amplitudes_n: Float32s, thresholds_n: Float64s
 ) -> tuple[Float64s, Float64s]:
-    """Support fractions, float64 [LEVELS], and entropies in bits a cell, float64 [LEVELS], of one frame.
+    """Support fractions and entropies of one frame at each octree level.
 
-    `positions` int32 [L, 3]: indices of the samples of the support that count; one or more. `amplitudes_n`
-    float32 [L]: newtons. `thresholds_n` float64 [K]: ascending borders of the classes of amplitude, newtons;
-    what is below the first is a class, too.
+    `positions` int32 [L, 3]: indices of the samples that count, at least one. `amplitudes_n` float32 [L]:
+    newtons. `thresholds_n` float64 [K]: ascending borders of the classes of amplitude, newtons; amplitudes
+    below the first border are a class, too. Returns fractions, float64 [LEVELS], and bits per cell, float64
+    [LEVELS].
     """
     spacing = np.asarray(grid.spacing_m)
     low, high = positions.min(axis=0), positions.max(axis=0)
@@ -153,7 +160,7 @@ def octree_levels(
         if level > 1 and side / cells < coarsest * (1 - 1e-9):
             fractions[level - 1], entropies[level - 1] = fractions[level - 2], entropies[level - 2]
             continue
-        # a hair inwards, so that rounding does not decide which cell a sample on a border lies in
+        # a small offset, so that rounding does not decide which cell a sample on a border lies in
         x, y, z = np.clip(np.floor(scaled * cells + 1e-9).astype(np.int64), 0, cells - 1).T
         of_sample = (x * cells + y) * cells + z
         occupied, cell = np.unique(of_sample, return_inverse=True)
@@ -170,12 +177,12 @@ DESCRIPTOR_VERSION: Final = 1
 DEGREE: Final = 8
 WEBER_FRACTION: Final = 0.1
 FORCES_N: Final = (0.05, 3.3)
-"""Range of the amplitude levels: F_0 of the mask as of version 1, and the maximum of a desktop device (the
-last Weber step below it). A constant here, because another F_0 would be another descriptor."""
+"""Range of the amplitude levels, newtons: F_0 of the mask in version 1, and the peak force of a desktop
+device (the last Weber step lies below it). Constant, because another F_0 would give another descriptor."""
 
 LAG_S: Final = 1 / 30
-"""Time between the two frames that are compared for change; one frame at lower frame rates, and the whole
-medium if it is shorter."""
+"""Time between the two frames that are compared for change, seconds; one frame at lower frame rates, and the
+length of the medium if that is shorter."""
 
 PARTS: Final = MappingProxyType(
     {
@@ -188,7 +195,7 @@ PARTS: Final = MappingProxyType(
         "turnover": 1,
     }
 )
-"""The parts by name, in order, and how many numbers each has."""
+"""Names of the parts, in order, and the number of values of each."""
 
 DESCRIPTOR_LENGTH: Final = sum(PARTS.values())
 
@@ -197,9 +204,9 @@ _BRICKS = 1 << 11  # at a time
 
 @dataclass(frozen=True, eq=False)
 class Descriptor(EqualByValue):
-    """An entry of an index; see the module.
+    """A descriptor of a medium; see the module.
 
-    `values` float64 [83]: all parts one after the other, each number from 0 to 1. InvalidArgument for others.
+    `values` float64 [83]: all parts one after the other, each number from 0 to 1; InvalidArgument otherwise.
     """
 
     values: Float64s
@@ -230,8 +237,8 @@ def part_slots() -> Iterator[tuple[str, slice]]:
 def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor:
     """Describe a medium for an index; a field is a medium of one frame.
 
-    `frames`: the largest number of frames to sample; each with the one 1/30 s later, if there is one.
-    InvalidArgument if none of these frames holds a force of 0.05 N, or `frames` is below 1.
+    `frames`: the largest number of frames to sample; each is compared with the one 1/30 s later, if there is
+    one. InvalidArgument if none of these frames has a force of 0.05 N, or `frames` is below 1.
     """
     if frames < 1:
         raise InvalidArgument("frames", f"{frames}", "1 or more")
@@ -278,12 +285,18 @@ def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor
 
 @cache
 def thresholds_n() -> Float64s:
-    """Return the levels of the amplitude, newtons, float64 [21]; they separate the octree cells' classes."""
+    """Return the levels of the amplitude, newtons, float64 [21].
+
+    They separate the classes of the octree cells.
+    """
     return WeberLadder.spanning(WEBER_FRACTION, *FORCES_N).thresholds_n
 
 
 def _level_weights(amplitudes_n: Float32s) -> Float64s:
-    """Return the voxels per level of `thresholds_n`; each voxel is shared between the two nearest levels."""
+    """Return the voxels per level of `thresholds_n`.
+
+    Each voxel is shared between the two nearest levels.
+    """
     levels = np.log(thresholds_n())
     rank = np.interp(np.log(amplitudes_n.astype(np.float64)), levels, np.arange(len(levels)))
     lower = np.minimum(rank.astype(np.int64), len(levels) - 2)
@@ -295,9 +308,10 @@ def _level_weights(amplitudes_n: Float32s) -> Float64s:
 
 
 def _change(before: ForceField, after: ForceField) -> tuple[float, float]:
-    """Return change, sqrt(sum |b - a|^2 / sum (|a|^2 + |b|^2) / 2) / 2, and turnover, |A xor B| / |A or B|.
+    """Return the change and the turnover between two frames.
 
-    A and B are the perceptible voxels of the two frames. Both numbers are 0 without any force.
+    Change: sqrt(sum |b - a|^2 / (sum (|a|^2 + |b|^2) / 2)) / 2. Turnover: |A xor B| / |A or B|, where A and B
+    are the perceptible voxels of the two frames. Both are 0 without any force.
     """
     grid = before.grid
     keys = np.union1d(brick_keys(grid, before.bricks), brick_keys(grid, after.bricks))

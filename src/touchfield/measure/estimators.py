@@ -1,12 +1,13 @@
-"""Entropy estimators from counts (paper section 3 defines the entropy of known probabilities only).
+"""Entropy estimators from counts.
 
-The paper uses frequencies as probabilities, the plug-in estimate. It is low by about (K - 1)/(2 n ln 2) bits
-for K symbols and n samples, and half a bit low for a thousand codewords and as many samples. Other estimators
-are therefore provided. All of them use only how many symbols were counted how often, and all converge to the
-entropy for large n.
+Paper section 3 defines the entropy of known probabilities only, and uses frequencies as probabilities: the
+plug-in estimate. It is low by about (K - 1)/(2 n ln 2) bits for K symbols and n samples, which is half a bit
+for a thousand codewords and as many samples. Other estimators are therefore provided. All of them depend only
+on how many symbols were counted how often, and all converge to the entropy for large n.
 
-Measured bias in bits, mean of 3000 draws. ``zipf``: p ~ 1/rank, K = n = 1000, H = 7.489, one draw spreads by
-0.10. ``sparse``: 97 % zeros and 512 symbols as 1/rank, n = 10 000, H = 0.4006, one draw spreads by 0.02.
+Measured bias in bits, mean of 3000 draws. ``zipf``: p ~ 1/rank, K = n = 1000, H = 7.489, standard deviation
+of a draw 0.10. ``sparse``: 97 % zeros and 512 symbols as 1/rank, n = 10 000, H = 0.4006, standard deviation
+of a draw 0.02.
 
 ============== ===== ====== =================================================================
 estimator       zipf sparse use
@@ -36,7 +37,10 @@ from touchfield.medium.field import frozen
 
 
 def as_array(values: ArrayLike, where: str) -> NDArray[Any]:
-    """Return `values` as an array, without a copy if it is one; InvalidArgument for ragged lists."""
+    """Return `values` as an array, without a copy if it is one.
+
+    InvalidArgument for ragged lists.
+    """
     try:
         return np.asarray(values)
     except ValueError:
@@ -46,9 +50,10 @@ def as_array(values: ArrayLike, where: str) -> NDArray[Any]:
 
 
 def entropy_bits(counts: ArrayLike) -> float:
-    """Return the plug-in entropy -sum p log2 p of a histogram, bits a sample; 0 for an empty one.
+    """Return the plug-in entropy -sum p log2 p of a histogram, bits per sample.
 
-    Exact to rounding also where one symbol dominates, such as the empty space around one brick.
+    0 for an empty histogram. Exact to rounding even if one symbol dominates, such as the empty space around
+    one brick.
     """
     n = np.asarray(counts, np.float64).ravel()
     n = n[n > 0]
@@ -63,12 +68,12 @@ def _bits(counts: Float64s, times: Float64s) -> float:
     if times[largest] == 1 and rest < counts[largest]:
         log_p[largest] = np.log1p(-rest / total) / np.log(
             2
-        )  # its p is nearly 1, and the logarithm would be rounding
+        )  # p is nearly 1, so that its logarithm would consist of rounding errors
     return float(-(times * counts / total * log_p).sum()) + 0.0  # 0, and not -0
 
 
 def binary_entropy_bits(p: float) -> float:
-    """h2(p), bits."""
+    """h2(p), the entropy of a binary variable, bits."""
     return entropy_bits([p, 1.0 - p])
 
 
@@ -85,7 +90,7 @@ class Tally:
 
     @property
     def samples(self) -> float:
-        """n."""
+        """n, the number of samples."""
         return float((self.counts * self.times).sum())
 
     @property
@@ -94,13 +99,16 @@ class Tally:
         return float(self.times.sum())
 
     def symbols_counted(self, count: int) -> float:
-        """Return how many symbols were counted exactly `count` times, f_count in the literature."""
+        """Return how many symbols were counted exactly `count` times.
+
+        It is f_count in the literature.
+        """
         index = int(np.searchsorted(self.counts, count))
         return float(self.times[index]) if index < len(self.counts) and self.counts[index] == count else 0.0
 
 
 def tally(counts: ArrayLike) -> Tally:
-    """Count the counts; zeros are left out.
+    """Count how many symbols have each count; zeros are omitted.
 
     InvalidArgument if counts are negative, not whole, not finite, or none is above zero.
     """
@@ -122,12 +130,15 @@ def tally(counts: ArrayLike) -> Tally:
 
 
 def plug_in(t: Tally) -> float:
-    """-sum p ln p at p = count/n, the maximum-likelihood estimate (paper section 3); biased low (Jensen)."""
+    """-sum p ln p at p = count/n, the maximum-likelihood estimate (paper section 3).
+
+    It is biased low (Jensen).
+    """
     return _bits(t.counts, t.times) * math.log(2)
 
 
 def miller_madow(t: Tally) -> float:
-    """Plug-in + (K - 1)/(2n), K being the observed symbols.
+    """Plug-in estimate + (K - 1)/(2n), where K is the number of observed symbols.
 
     G. A. Miller, "Note on the bias of information estimates", in Information Theory in Psychology, 1955.
     """
@@ -135,11 +146,12 @@ def miller_madow(t: Tally) -> float:
 
 
 def chao_wang_jost(t: Tally) -> float:
-    """sum n_i/n [psi(n) - psi(n_i)] + the tail of the species accumulation curve, from f_1 and f_2.
+    """sum n_i/n [psi(n) - psi(n_i)] + the tail of the species accumulation curve.
 
-    A. Chao, Y. T. Wang and L. Jost, "Entropy and the species accumulation curve", Methods in Ecology and
-    Evolution 4, 2013. Its last term is written as the sum over j >= 1 of (1 - A)^j/(n - 1 + j), which loses
-    no digits, where the printed difference of a logarithm and a finite sum loses all for large n.
+    The tail is estimated from f_1 and f_2. A. Chao, Y. T. Wang and L. Jost, "Entropy and the species
+    accumulation curve", Methods in Ecology and Evolution 4, 2013. The last term of the paper is a difference
+    of a logarithm and a finite sum, which loses all digits for large n; here it is the sum over j >= 1 of (1
+    - A)^j/(n - 1 + j), which loses none.
     """
     from scipy.special import digamma
 
@@ -157,8 +169,8 @@ def chao_wang_jost(t: Tally) -> float:
 def _geometric_tail(a: float, n: float) -> float:
     """sum over j >= 1 of (1 - a)^j/(n - 1 + j), for 0 < a <= 1 and n >= 1.
 
-    It is the integral over s > 0 of x e^-s/(n (1 - x e^(-s/n))), x = 1 - a, by the trapezoidal rule in ln s:
-    the integrand is analytic for |arg s| < pi/2 and dies on both sides, so that the rule is exact to
+    It is the integral over s > 0 of x e^-s/(n (1 - x e^(-s/n))), x = 1 - a, by the trapezoidal rule in ln s.
+    The integrand is analytic for |arg s| < pi/2 and decays on both sides, so that the rule is exact to
     rounding.
     """
     if a >= 1:
@@ -176,12 +188,12 @@ ESTIMATORS: Final[Mapping[str, Callable[[Tally], float]]] = MappingProxyType(
         "chao-wang-jost": chao_wang_jost,
     }
 )
-"""The registered estimators by name: each of a `Tally`, in nats. All but the plug-in correct most of their
-bias, so that an interval must not correct it again (`touchfield.measure.quantity.interval`)."""
+"""The registered estimators by name: functions of a `Tally` that return nats. All except plug-in correct most
+of their bias, so that an interval must not correct it again (`touchfield.measure.quantity.interval`)."""
 
 
 def estimate_bits(counts: ArrayLike, estimator: str = "plug-in", alphabet: int | None = None) -> float:
-    """Estimate the entropy from counts, bits a sample.
+    """Estimate the entropy from counts, bits per sample.
 
     An estimate outside 0 .. log2 K is clipped to that range, which can only improve it; the upper bound
     applies if `alphabet`, K, is given. InvalidArgument if the estimator is unknown, the counts are negative,
@@ -195,4 +207,4 @@ def estimate_bits(counts: ArrayLike, estimator: str = "plug-in", alphabet: int |
         )
     nats = ESTIMATORS[estimator](t)
     max_bits = math.inf if alphabet is None else math.log2(alphabet)
-    return min(max(0.0, nats / math.log(2)), max_bits)  # 0.0 first, which is then kept instead of -0.0
+    return min(max(0.0, nats / math.log(2)), max_bits)  # with 0.0 first, max returns it instead of -0.0

@@ -1,9 +1,9 @@
-"""Fidelity of a decoded field (paper eq. 10): NMSE in three readings, and violations of the mask.
+"""Fidelity of a decoded field: NMSE (paper eq. 10) and violations of the mask.
 
 Eq. 10 as printed sums unsquared norms in the numerator and has no sum in the denominator. Three readings:
 
 * ``nmse_db`` = 10 log10(sum |e|^2 / sum |F|^2), the usual one and our default;
-* ``nmse_literal_db`` = 20 log10(sum |e| / sum |F|), the printed norms with the sum put in;
+* ``nmse_literal_db`` = 20 log10(sum |e| / sum |F|), the printed norms with the missing sum added;
 * ``nmse_forensic_db`` = 20 log10(sum |e|^2 / sum |F|^2), which comes closest to the figures of table 3.
 
 All sums run over every voxel where either field is not zero. The mask max(F_0, k |F|) gives the number of
@@ -34,8 +34,8 @@ class FidelityMeter:
     """Accumulated error of decoded frames against their originals.
 
     `k`: Weber fraction of the mask. `f0_n`: F_0, absolute threshold of the mask, newtons, positive.
-    `masking`: beta, the fraction of the surrounding forces, and radius in metres, of a mask with spatial
-    masking (`perception.mask`).
+    `masking`: for spatial masking (`perception.mask`), beta, the fraction of the surrounding forces, and the
+    radius in metres.
     """
 
     def __init__(self, k: float, f0_n: float, masking: tuple[float, float] | None = None) -> None:
@@ -84,22 +84,22 @@ class FidelityMeter:
 
     @property
     def mask_violation_share(self) -> float:
-        """Violations over compared voxels."""
+        """Violations as a fraction of the compared voxels."""
         return self.mask_violations / max(1, self.compared_voxels)
 
     @property
     def nmse_db(self) -> float | None:
-        """10 log10 of the energy ratio; None where there is no error or no force."""
+        """10 log10 of the energy ratio; None if there is no error or no force."""
         return _db(10, self._error2, self._force2)
 
     @property
     def nmse_literal_db(self) -> float | None:
-        """20 log10(sum |e| / sum |F|); None where there is no error or no force."""
+        """20 log10(sum |e| / sum |F|); None if there is no error or no force."""
         return _db(20, self._error1, self._force1)
 
     @property
     def nmse_forensic_db(self) -> float | None:
-        """20 log10 of the energy ratio; None where there is no error or no force."""
+        """20 log10 of the energy ratio; None if there is no error or no force."""
         return _db(20, self._error2, self._force2)
 
 

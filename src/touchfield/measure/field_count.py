@@ -1,17 +1,17 @@
-"""Symbol counts of quantised frames over voxels and over the object (paper section 3.1, tables 1 and 2).
+"""Symbol counts of quantised frames over voxels and over the object.
 
-The paper does not define the random variable. Here it is S = Q(F(X)) with X uniform over all V voxels of all
-frames ("voxel", empty space being symbol 0), or over those where Q(F) is not zero ("object"), or distributed
-as the visits of a probe ("interaction", `touchfield.measure.interaction`). The first two obey H_voxel = h2(p)
-+ p H_object, where p is the density of the support; the paper calls this "artificially escalated". It holds
-exactly for the plug-in estimates; others are corrected separately, and obey it only as n grows. Empty space
-that no brick covers is counted but never allocated.
+The paper (section 3.1, tables 1 and 2) does not define the random variable. Here it is S = Q(F(X)). X is
+uniform over all V voxels of all frames ("voxel", empty space being symbol 0), or over those where Q(F) is not
+zero ("object"), or distributed as the visits of a probe ("interaction", `touchfield.measure.interaction`).
+The first two satisfy H_voxel = h2(p) + p H_object, where p is the density of the support; the paper calls
+this "artificially escalated". The equation holds exactly for plug-in estimates; others are corrected
+separately and satisfy it only as n grows. Empty space that no brick covers is counted but never allocated.
 
-Frames may be a lazy sequence; none is kept after it is counted. The first pass counts. The second makes the
-blocks of a bootstrap, for which the occurring symbols must be known; over voxels alone a single pass does
-both, if a table of all possible symbols fits for every block. The object's counts are those of the voxels
-without symbol 0. A block has all frames of a part of space: over "voxel" boxes of bricks that fill the
-lattice, over "object" equal numbers of neighbouring bricks of the support.
+Frames may be a lazy sequence; none is kept after it is counted. The first pass counts. The second pass counts
+in blocks for a bootstrap, for which the occurring symbols must be known; over voxels alone a single pass does
+both, if a table of all possible symbols fits in memory for every block. The object's counts are those of the
+voxels without symbol 0. A block has all frames of a part of space: over "voxel" the parts are boxes of bricks
+that fill the lattice, over "object" equal numbers of neighbouring bricks of the support.
 """
 
 from __future__ import annotations
@@ -34,21 +34,23 @@ from touchfield.medium.field import brick_keys, bricks_of
 from touchfield.medium.grid import BRICK, Grid
 
 BLOCKS = 27
-"""Three along each side of a cube: larger blocks capture more of the dependence between neighbours."""
+"""Number of blocks, three along each side of a cube: larger blocks capture more of the dependence between
+neighbours."""
 
 # -- parts of space for a block bootstrap: boxes of a lattice, or groups of bricks of the support
 
 
 MIN_BLOCK_BRICKS = 8
-"""Of a block, if there are enough bricks: 16 samples along each side, several correlation lengths."""
+"""Number of bricks of a block, if there are enough: 16 samples along each side, several correlation
+lengths."""
 
 
 @dataclass(frozen=True)
 class BrickGroups:
-    """Equal numbers of the bricks of a support, neighbours along a Morton curve, so that groups are compact.
+    """Groups of equal numbers of bricks of a support.
 
-    `keys` int64 [n]: `brick_keys` of the support, ascending, at least one. `owners` int64 [n]: the block of
-    each.
+    Bricks are grouped along a Morton curve, so that groups are compact. `keys` int64 [n]: `brick_keys` of the
+    support, ascending, at least one. `owners` int64 [n]: the group of each.
     """
 
     grid: Grid
@@ -60,7 +62,7 @@ class BrickGroups:
         """Make at most `max_groups` groups of the bricks with these keys, ascending."""
         bricks = bricks_of(grid, keys).astype(np.int64)
         along = np.zeros(len(keys), np.int64)
-        for bit in range(max(grid.brick_shape).bit_length()):  # the bits of the three places, in turn
+        for bit in range(max(grid.brick_shape).bit_length()):  # interleave the bits of the three coordinates
             along |= ((bricks >> bit & 1) << (3 * bit + np.arange(3))).sum(axis=1)
         curve = np.argsort(along)
         owners = np.empty(len(keys), np.int64)
@@ -69,22 +71,31 @@ class BrickGroups:
 
     @property
     def count(self) -> int:
-        """B."""
+        """B, the number of groups."""
         return int(self.owners.max()) + 1 if len(self.owners) else 0
 
     def owner(self, bricks: Int32s) -> Int64s:
-        """The block of each brick, int64 [m, 1], of int32 [m, 3]; bricks without a symbol may be anywhere."""
+        """The group of each brick, int64 [m, 1].
+
+        `bricks`: int32 [m, 3]; the group of bricks outside the support is arbitrary.
+        """
         index = np.minimum(np.searchsorted(self.keys, brick_keys(self.grid, bricks)), len(self.keys) - 1)
         return self.owners[index, None]
 
 
 def _block_count(max_blocks: int, bricks: int) -> int:
-    """Return the number of blocks for so many bricks: fewer if blocks would be too small, at least 8."""
+    """Return the number of blocks for a number of bricks.
+
+    There are fewer than `max_blocks` if blocks would be too small, but at least 8.
+    """
     return min(max_blocks, bricks, max(MIN_BLOCKS, bricks // MIN_BLOCK_BRICKS))
 
 
 def _cuts(sides: ArrayLike, max_cuts: Sequence[int], max_boxes: int) -> tuple[int, int, int]:
-    """Cut across the longest side repeatedly, to at most `max_boxes` in all and `max_cuts` along an axis."""
+    """Cut repeatedly across the longest side; return the parts along each axis.
+
+    There are at most `max_boxes` parts in all, and at most `max_cuts` along an axis.
+    """
     cuts = [1, 1, 1]
     while True:
         longest_first = np.argsort(np.asarray(sides) / cuts)[::-1]
@@ -102,7 +113,8 @@ def _cuts(sides: ArrayLike, max_cuts: Sequence[int], max_boxes: int) -> tuple[in
 class Boxes:
     """Boxes that fill a lattice.
 
-    `cuts`: how many along each axis. `along` int64 [n] for each axis: the cut that each sample lies in.
+    `cuts`: number of boxes along each axis. `along` int64 [n] for each axis: the box that each sample lies
+    in.
     """
 
     cuts: tuple[int, int, int]
@@ -110,14 +122,14 @@ class Boxes:
 
     @classmethod
     def of_bricks(cls, grid: Grid, max_boxes: int) -> Boxes:
-        """Make at most `max_boxes` boxes of bricks by repeated cuts across the longest side."""
+        """Make at most `max_boxes` boxes of bricks by cuts across the longest side."""
         cuts = _cuts(grid.brick_shape, grid.brick_shape, _block_count(max_boxes, math.prod(grid.brick_shape)))
         axes = zip(grid.brick_shape, grid.shape, cuts, strict=True)
         return cls(cuts, tuple(np.repeat(np.arange(n) * of // n, BRICK)[:size] for n, size, of in axes))
 
     @property
     def count(self) -> int:
-        """B."""
+        """B, the number of boxes."""
         return math.prod(self.cuts)
 
     @property
@@ -129,12 +141,18 @@ class Boxes:
 
     @cached_property
     def _of_bricks(self) -> list[Int64s]:
-        """The cut of each brick of an axis, int64 [n, 1]; of its samples, [n, 8], if boxes split bricks."""
+        """For each axis, the box of each brick, int64 [n, 1].
+
+        If boxes split bricks, it is the box of each sample of the bricks, int64 [n, 8].
+        """
         rows = [np.pad(o, (0, -len(o) % BRICK), "edge").reshape(-1, BRICK) for o in self.along]
         return [r[:, :1] for r in rows] if all((r == r[:, :1]).all() for r in rows) else rows
 
     def owner(self, bricks: Int32s) -> Int64s:
-        """Return the block of each brick, int64 [m, 1], or sample, [m, 512], of bricks int32 [m, 3]."""
+        """Return the box of each brick, int64 [m, 1], or of each sample, [m, 512].
+
+        `bricks`: int32 [m, 3].
+        """
         x, y, z = (rows[b] for rows, b in zip(self._of_bricks, bricks.T, strict=True))
         owner = (x[:, :, None, None] * self.cuts[1] + y[:, None, :, None]) * self.cuts[2] + z[:, None, None]
         return np.asarray(owner.reshape(len(bricks), -1))
@@ -151,12 +169,12 @@ def field_entropy(
     interval: bool = True,
     blocks: int = BLOCKS,
 ) -> Quantity:
-    """H(S) of a quantised field, bits a sample: a voxel, or a voxel of the support.
+    """H(S) of a quantised field, bits per voxel, or per voxel of the support.
 
     `fields`: FieldSymbols or a sequence of them, all of one grid and one Q. `over`: mu, "voxel" for all
-    voxels or "object" for those whose symbol is not 0; over visits there is `interaction_entropy`. `blocks`:
-    of the bootstrap, 8 or more; about as many are made. InvalidArgument as of `field_counts`, and if over
-    "object" there is no support.
+    voxels or "object" for those whose symbol is not 0; for visits of a probe see `interaction_entropy`.
+    `blocks`: number of blocks of the bootstrap, 8 or more; about as many are made. InvalidArgument as in
+    `field_counts`, and if over "object" there is no support.
     """
     counts = supported(field_counts(fields, overs=(over,), interval=interval, blocks=blocks)[over])
     return entropy(counts, estimator=estimator, interval=interval)
@@ -170,16 +188,17 @@ def field_counts(
     interval: bool = True,
     blocks: int = BLOCKS,
 ) -> dict[str, Counts]:
-    """Count the symbols of all frames over each weighting, or the joint symbols of two media.
+    """Count the symbols of all frames by weighting, or those of two media jointly.
 
     `first`, `second`: FieldSymbols, or sequences of equal length, S and T, of one grid; their quantisers may
     differ. Sequences may be lazy: frames are requested one by one, in order, the second's before the first's,
-    and none is kept after it is counted. Each is requested once without an interval, and over "voxel" alone
-    if `blocks` times the alphabet is at most 2^24; twice otherwise. `overs`:
-    "voxel" for all voxels, "object" for those whose symbol is not 0, of two media those where one of the two
-    has a force; no cells if there is none. `interval`: whether blocks are wanted. `blocks`: how many, 8 or
-    more. InvalidArgument if the frames differ in grid or Q, or from one pass to the next, or the two media in
-    grid or length; a weighting is unknown; there are 2^63 voxels or more.
+    and none is kept after it is counted. Each frame is requested once without an interval, and over "voxel"
+    alone if `blocks` times the alphabet is at most 2^24; twice otherwise.
+
+    `overs`: "voxel" for all voxels; "object" for those whose symbol is not 0 (of two media, those where
+    either has a force), with no cells if there is none. `interval`: whether to make blocks. `blocks`: number
+    of blocks, 8 or more. InvalidArgument if the frames differ in grid or Q, or from one pass to the next, or
+    the two media differ in grid or length; if a weighting is unknown; or if there are 2^63 voxels or more.
     """
     if not overs or any(over not in ("voxel", "object") for over in overs):
         raise InvalidArgument("over", repr(overs), '"voxel" or "object"')
@@ -203,7 +222,10 @@ def field_counts(
 
 
 def supported(counts: Counts) -> Counts:
-    """Return the counts; InvalidArgument if they have no cell, that is, no voxel with a force."""
+    """Return the counts; InvalidArgument if they have no cell.
+
+    There is no cell if no voxel has a force.
+    """
     if not len(counts.cells):
         raise InvalidArgument(
             "fields",
@@ -265,7 +287,10 @@ def _count(
 
 
 def _with_empty(table: Int64s, part: Boxes | BrickGroups, frames: int, counts: Int64s) -> Int64s:
-    """Prepend the counts of symbol 0 to the counts of each part, if `counts` of all parts have it."""
+    """Prepend the counts of symbol 0 to the counts of each part, if `counts` have it.
+
+    InvalidArgument if the parts do not sum to `counts`: the frames have changed between passes.
+    """
     if len(counts) > table.shape[1]:
         assert isinstance(part, Boxes)
         empty = part.voxels * frames - table.sum(axis=1)
@@ -290,7 +315,10 @@ def _count_by_box(frames: Frames | FramePairs, boxes: Boxes) -> tuple[Int64s, In
 
 
 def _support_counts(frames: Frames | FramePairs, keep_support: bool) -> tuple[Counts, Int64s]:
-    """Return the counts without symbol 0 and, if requested, the keys of the supported bricks, ascending."""
+    """Return the counts without symbol 0, and the keys of the supported bricks.
+
+    The keys are ascending; there are none unless `keep_support`.
+    """
     support = np.zeros(0, np.int64)
 
     def support_symbols() -> Iterator[Int64s]:
@@ -306,8 +334,9 @@ def _support_counts(frames: Frames | FramePairs, keep_support: bool) -> tuple[Co
 def _support_by_part(
     frames: Frames | FramePairs, occurring: Int64s, parts: Mapping[str, Boxes | BrickGroups]
 ) -> dict[str, Int64s]:
-    """The counts of the `occurring` symbols in each part, int64 [B, K], for every way to part the space: one
-    pass.
+    """The counts of the `occurring` symbols in each part of space, in one pass.
+
+    int64 [B, K] for each division of `parts`.
     """
     from touchfield.measure.kernels import add_counts
 
@@ -316,7 +345,7 @@ def _support_by_part(
     for bricks, symbols in frames.parts() if out else ():
         inside = symbols != 0
         cells = np.searchsorted(occurring, symbols[inside])
-        if (cells == k).any():  # beyond the table
+        if (cells == k).any():  # a symbol that the first pass did not find
             raise frames_changed()
         for name, part in parts.items():
             owner = np.broadcast_to(part.owner(bricks), inside.shape)[inside]
@@ -325,16 +354,17 @@ def _support_by_part(
 
 
 MIN_BOX_SAMPLES = (BRICK, 2)
-"""Along each side of a box, of the medium and of the rendered medium: neighbouring samples are dependent."""
+"""Minimum number of samples along each side of a box, of the medium and of the rendered medium: neighbouring
+samples are dependent."""
 
 
 def shared_boxes(grid: Grid, other: Grid, max_boxes: int) -> tuple[Boxes, Boxes] | None:
-    """At most so many boxes of two lattices in one space, which hold samples of both, or None for fewer
-    than 8.
+    """Equal boxes of space that have samples of both lattices; None for fewer than 8.
 
-    They are equal boxes of that of `grid`, which is cut again and again across the longest side, while 8
-    samples of `grid` and 2 of `other` are left along it: an axis along which the other has a single sample,
-    as an array of actuators has, is not cut. What lies beyond belongs to the nearest.
+    There are at most `max_boxes`. The box of `grid` is cut repeatedly across its longest side, while at least
+    8 samples of `grid` and 2 of `other` are left along it: an axis along which the other lattice has a single
+    sample, as an array of actuators has, is not cut. Samples beyond the box of `grid` belong to the nearest
+    box.
     """
     low, high = grid.box_m
     positions_m = [other.axis_m(axis) for axis in range(3)]
@@ -366,15 +396,14 @@ def shared_counts(
     counts: tuple[Counts, Counts],
     max_boxes: int = 64,
 ) -> tuple[Counts, Counts] | None:
-    """The counts over "voxel" of two media, with blocks that are the same boxes of space, for a joint
-    bootstrap.
+    """The counts over "voxel" of two media, with common blocks for a joint bootstrap.
 
-    `fields` two of FieldSymbols or a sequence of them: a medium, and what is rendered of it, frame by frame.
-    Each frame is asked for once, those of the medium first. `grids` (Grid, Grid): their lattices in one
-    space, such as hand metres. `counts`: of all voxels of all frames of each. `max_boxes`: boxes that are
-    wanted. Fewer are made where 2^24 counts would not hold them. None where there would be fewer than 8
-    boxes, or one of them has samples of only one lattice. InvalidArgument if there are not as many frames
-    of each, or the counts are not those of the frames.
+    `fields`: for the medium and the rendered medium, FieldSymbols or a sequence of them. Each frame is
+    requested once, those of the medium first. `grids` (Grid, Grid): their lattices in one space, such as hand
+    metres. `counts`: of all voxels of all frames of each. `max_boxes`: number of boxes that is wanted; there
+    are fewer if their counts would exceed 2^24 numbers. The blocks are the same boxes of space for both. None
+    if there would be fewer than 8 boxes, or one of them has samples of only one lattice. InvalidArgument if
+    the numbers of frames differ, or the counts are not those of the frames.
     """
     frames = Frames(fields[0], "medium"), Frames(fields[1], "rendered")
     if frames[0].count != frames[1].count:

@@ -1,4 +1,4 @@
-"""Symbols S = Q(F) of a quantised field, sparse in the bricks of the field (paper section 3.1).
+"""Symbols S = Q(F) of a quantised field, sparse in bricks (paper section 3.1).
 
 Symbol 0 is "no force" and fills all space that no brick covers; 1 .. K-1 are the codewords of Q. Departure
 from the text of the paper's tables: the *object* is where Q(F) is not zero, rather than where F is not zero.
@@ -22,13 +22,13 @@ from touchfield.medium.grid import BRICK, Grid
 
 @dataclass(frozen=True)
 class FieldSymbols:
-    """The symbols of one frame; `quantiser` describes the quantiser.
+    """The symbols of one frame; `quantiser` is the text of the quantiser.
 
     `bricks` int32 [n, 3]: strictly ascending (x slowest, z fastest) and within the grid, as in `ForceField`;
-    bricks without any symbol but 0 are allowed. `symbols` int32 [n, 8, 8, 8]: 0 .. alphabet - 1; 0 beyond the
-    grid. `alphabet`: K, the number of codewords of Q with "no force". InvalidArgument if shapes, types or
-    symbols do not fit, bricks are out of order, given twice or outside the grid, or a symbol lies beyond its
-    last sample.
+    bricks with symbol 0 only are allowed. `symbols` int32 [n, 8, 8, 8]: 0 .. alphabet - 1; 0 beyond the grid.
+    `alphabet`: K, the number of codewords of Q including "no force". InvalidArgument if shapes, types or
+    symbols do not fit, bricks are out of order, given twice or outside the grid, or a symbol lies beyond the
+    last sample of the grid.
     """
 
     grid: Grid
@@ -45,8 +45,8 @@ class FieldSymbols:
                 "FieldSymbols symbols", f"{s.min()} to {s.max()}", f"0 to {self.alphabet - 1}"
             )
         for axis, (size, bricks) in enumerate(zip(self.grid.shape, self.grid.brick_shape, strict=True)):
-            # only the last bricks of an axis can reach beyond the grid, and only where 8 does not divide its
-            # samples
+            # only the last bricks of an axis can extend beyond the grid, and only if its number of samples is
+            # no multiple of 8
             if size % BRICK and np.moveaxis(s, axis + 1, 1)[b[:, axis] == bricks - 1, size % BRICK :].any():
                 found = f"a symbol beyond the grid along {'xyz'[axis]}"
                 raise InvalidArgument("FieldSymbols symbols", found, f"0 from sample {size} on")
@@ -55,10 +55,10 @@ class FieldSymbols:
 
     @classmethod
     def from_dense(cls, grid: Grid, symbols: ArrayLike, alphabet: int, quantiser: str) -> FieldSymbols:
-        """Build from a dense array of symbols, integers or booleans [nx, ny, nz]; empty bricks are omitted.
+        """Build from a dense array of symbols; empty bricks are omitted.
 
-        InvalidArgument if the shape is not that of the grid, or the symbols are no integers of 0 ..
-        alphabet - 1.
+        `symbols`: integers or booleans [nx, ny, nz]. InvalidArgument if the shape is not that of the grid, or
+        the symbols are no integers of 0 .. alphabet - 1.
         """
         dense = np.asarray(symbols)
         if dense.shape != grid.shape:
@@ -99,12 +99,15 @@ class FieldSymbols:
         return self.grid.voxel_count
 
     def symbols_at(self, index: ArrayLike) -> Int32s:
-        """The symbols at lattice points, int32 [m], of indices int [m, 3]; 0 outside the grid."""
+        """The symbols at lattice points, int32 [m]; 0 outside the grid.
+
+        `index`: indices of the points, int [m, 3].
+        """
         return values_at(self.grid, self.bricks, self.symbols, np.asarray(index, np.int64).reshape(-1, 3))
 
 
 Part = tuple["Int32s", "Int64s"]
-"""Bricks int32 [m, 3], and the symbols of their samples, int64 [m, 512], 0 where nothing is."""
+"""Bricks int32 [m, 3], and the symbols of their samples, int64 [m, 512], 0 for no force."""
 
 Fields = FieldSymbols | Sequence[FieldSymbols]
 
@@ -112,10 +115,10 @@ _BRICKS = 1 << 11  # at a time: 8 MiB of int64
 
 
 class Frames:
-    """Frames of one grid and one Q, each requested and checked in turn.
+    """Frames of one grid and one quantiser, each requested and checked in turn.
 
-    The first frame, requested to find grid and Q, is kept until it is counted, so that no frame is requested
-    twice in a pass.
+    The first frame is requested to find grid and quantiser and is kept until it is counted, so that no frame
+    is requested twice in a pass.
     """
 
     def __init__(self, fields: Fields, where: str) -> None:
@@ -141,7 +144,10 @@ class Frames:
     def check_like(
         self, other: FieldSymbols | Frames, where: str, of: str, mends: tuple[str, str] = ("", "")
     ) -> None:
-        """Raise InvalidArgument naming `where` if grid or Q differ from those of these frames, named `of`."""
+        """Raise InvalidArgument if grid or quantiser differ from those of these frames.
+
+        `where` names the other frames, `of` these frames.
+        """
         if other.grid != self.grid:
             raise InvalidArgument(where, f"the grid {other.grid}", f"{self.grid}, as of {of}", mends[0])
         if (other.quantiser, other.alphabet) != (self.quantiser, self.alphabet):
@@ -154,7 +160,10 @@ class Frames:
         return (self.take(n) for n in range(self.count))
 
     def parts(self) -> Iterator[Part]:
-        """Iterate once. No name is bound to a frame here, so that it is freed before the next is computed."""
+        """Yield the parts of all frames.
+
+        No name is bound to a frame here, so that it is freed before the next is computed.
+        """
         for n in range(self.count):
             yield from _parts(self.take(n))
 
@@ -166,7 +175,10 @@ class Frames:
 
 
 class FramePairs:
-    """Two sequences of frames of one grid and one length, as joint symbols s * K_T + t."""
+    """Pairs of frames of two sequences as joint symbols s * K_T + t.
+
+    The sequences have the same grid and length.
+    """
 
     def __init__(self, first: Frames, second: Frames) -> None:
         self._first, self._second = first, second
@@ -174,7 +186,10 @@ class FramePairs:
         self.quantiser = "; ".join(dict.fromkeys((first.quantiser, second.quantiser)))
 
     def parts(self) -> Iterator[Part]:
-        """Iterate once, the second frame first: it is usually the previous one, still in a cache of two."""
+        """Yield the parts of all pairs.
+
+        The second frame is requested first: it is usually the previous one, still in a cache of two.
+        """
         for n in range(self.count):
             yield from _joint_parts(second=self._second.take(n), first=self._first.take(n))
 
@@ -186,7 +201,7 @@ def _parts(f: FieldSymbols) -> Iterator[Part]:
 
 
 def _joint_parts(first: FieldSymbols, second: FieldSymbols) -> Iterator[Part]:
-    """Joint symbols at the union of the bricks."""
+    """Joint symbols at the union of the bricks of two frames."""
     grid, both = first.grid, (first, second)
     keys_of = [brick_keys(grid, f.bricks) for f in both]
     keys = np.union1d(*keys_of)

@@ -1,16 +1,17 @@
-"""Information measures of `Counts` (paper section 3: H(X), H(X,Y), H(X|Y), I(X;Y)), and distances of media.
+"""Information measures of `Counts`, and distances between media.
 
-Each function takes `Counts`, or arrays of integers or booleans, of any size and shape, and counts them;
-samples at the same index of several arrays are one joint sample. It returns a `Quantity`: the value with its
-unit, estimator and interval. In addition to the paper's four measures there are variation of information (M.
-Meila, J. Multivariate Analysis 98, 2007), normalised mutual information and the root of the Jensen-Shannon
-divergence (D. M. Endres and J. E. Schindelin, IEEE Trans. Inf. Theory 49, 2003).
+Paper section 3 defines H(X), H(X,Y), H(X|Y) and I(X;Y). Each function takes `Counts`, or arrays of integers
+or booleans of any size and shape, which it counts; samples at the same index of several arrays are one joint
+sample. It returns a `Quantity`: the value with its unit, estimator and interval. In addition to the paper's
+four measures there are variation of information (M. Meila, J. Multivariate Analysis 98, 2007), normalised
+mutual information and the root of the Jensen-Shannon divergence (D. M. Endres and J. E. Schindelin, IEEE
+Trans. Inf. Theory 49, 2003).
 
 Quantities of several variables are computed from entropies by one estimator, I = H(X) + H(Y) - H(X,Y) and so
 on, so that the identities between them hold for any estimator. A bias-corrected I(X;Y) may then be negative;
 it is reported as such, with a note, and never clipped. The interval comes from a block bootstrap: neighbours
 are seldom independent, so choose `blocks` so that a block is many times as long as the dependence.
-FewSamplesWarning if there are fewer than ten samples to a symbol; InvalidArgument if there is no sample, one
+FewSamplesWarning if there are fewer than ten samples per symbol; InvalidArgument if there is no sample, one
 is not a whole number, or an option is out of range.
 """
 
@@ -33,7 +34,7 @@ from touchfield.measure.quantity import MIN_BLOCKS, FewSamplesWarning, Interval,
 Statistic = Callable[["Int64s | Float64s"], float]
 """A function of the weights [K] of cells; NaN where it does not exist."""
 
-_FEW = 10  # samples to a symbol
+_FEW = 10  # samples per symbol; fewer cause a warning
 
 
 def entropy(
@@ -43,12 +44,12 @@ def entropy(
     interval: bool = True,
     blocks: int = BLOCKS,
 ) -> Quantity:
-    """Return H(X) of one variable, or the joint H(X,Y,..) of several, bits a sample.
+    """Return H(X) of one variable, or the joint H(X,Y,..) of several, bits per sample.
 
-    `samples`: Counts, or arrays of integers or booleans of one shape. `column`: of counts, the one variable
-    to take. `estimator`: one of `touchfield.measure.estimators.ESTIMATORS`; given probabilities have an exact
-    entropy. `interval`: whether to compute one; it takes about as long again as the counting, plus 200
-    evaluations of the estimator. `blocks`: of the bootstrap of arrays, 8 or more.
+    `samples`: Counts, or arrays of integers or booleans of one shape. `column`: the one variable of the
+    counts to use. `estimator`: one of `touchfield.measure.estimators.ESTIMATORS`; given probabilities have an
+    exact entropy. `interval`: whether to compute one; it takes about as long again as the counting, plus 200
+    evaluations of the estimator. `blocks`: number of blocks of the bootstrap of arrays, 8 or more.
     """
     e = _Entropies(samples, estimator, interval, blocks)
     if column is not None:
@@ -69,7 +70,10 @@ def conditional_entropy(
     interval: bool = True,
     blocks: int = BLOCKS,
 ) -> Quantity:
-    """H(X|Y) = H(X,Y) - H(Y), bits a sample; of the other variables given that of column `given`."""
+    """H(X|Y) = H(X,Y) - H(Y), bits per sample.
+
+    Y is the variable of column `given`, X all others.
+    """
     e = _Entropies(samples, estimator, interval, blocks, min_variables=2)
     if given not in range(len(e.names)):
         raise InvalidArgument("given", f"{given}", f"0 to {len(e.names) - 1}")
@@ -80,9 +84,9 @@ def conditional_entropy(
 def mutual_information(
     *samples: ArrayLike | Counts, estimator: str = "plug-in", interval: bool = True, blocks: int = BLOCKS
 ) -> Quantity:
-    """I(X;Y) = H(X) + H(Y) - H(X,Y), bits a sample.
+    """I(X;Y) = H(X) + H(Y) - H(X,Y), bits per sample.
 
-    With a bias-corrected estimator it may be negative, which a note then says. Plug-in is high by about
+    With a bias-corrected estimator it may be negative, which is noted. The plug-in estimate is high by about
     (K_xy - K_x - K_y + 1)/(2 n ln 2) bits.
     """
     e = _Entropies(samples, estimator, interval, blocks, min_variables=2)
@@ -92,7 +96,10 @@ def mutual_information(
 def variation_of_information(
     *samples: ArrayLike | Counts, estimator: str = "plug-in", interval: bool = True, blocks: int = BLOCKS
 ) -> Quantity:
-    """VI(X,Y) = H(X|Y) + H(Y|X), bits a sample; with plug-in a metric between arrays."""
+    """VI(X,Y) = H(X|Y) + H(Y|X), bits per sample.
+
+    With plug-in it is a metric between arrays.
+    """
     e = _Entropies(samples, estimator, interval, blocks, min_variables=2)
     return e.quantity(
         f"VI({e.names[0]},{e.names[1]})", lambda w: e.sum(2 * e.joint(w), -e.column(0, w), -e.column(1, w))
@@ -102,7 +109,10 @@ def variation_of_information(
 def normalised_mutual_information(
     *samples: ArrayLike | Counts, estimator: str = "plug-in", interval: bool = True, blocks: int = BLOCKS
 ) -> Quantity:
-    """I(X;Y) over sqrt(H(X) H(Y)), 0 to 1 with plug-in; NaN with a note where nothing varies."""
+    """I(X;Y) over sqrt(H(X) H(Y)).
+
+    0 to 1 with plug-in; NaN with a note if nothing varies.
+    """
     e = _Entropies(samples, estimator, interval, blocks, min_variables=2)
 
     def ratio(w: Int64s | Float64s) -> float:
@@ -115,12 +125,12 @@ def normalised_mutual_information(
 def jensen_shannon_distance(
     *samples: ArrayLike | Counts, absent: int = ABSENT, interval: bool = True, blocks: int = BLOCKS
 ) -> Quantity:
-    """sqrt(JSD) between the distributions of two variables, 0 to 1, each of weight 1/2; a metric.
+    """sqrt(JSD) between the distributions of two variables, 0 to 1; a metric.
 
-    Two arrays may differ in size and shape. Two `Counts` of one variable each are combined side by side; for
-    `Counts` of two variables the distance is between the two columns. A symbol `absent` marks a cell of the
-    other column alone. Always plug-in: the mixture has no counts that another estimator could correct. Biased
-    high for small samples.
+    Both distributions have weight 1/2. Two arrays may differ in size and shape. Two `Counts` of one variable
+    each are combined side by side; for `Counts` of two variables the distance is between the two columns. A
+    symbol `absent` marks a cell of the other column alone. The estimate is always plug-in, because the
+    mixture has no counts that another estimator could correct. It is biased high for small samples.
     """
     if len(samples) == 2:
         first, second = (_counted((s,), interval, blocks) for s in samples)
@@ -145,7 +155,10 @@ def jensen_shannon_distance(
 
 
 def jensen_shannon_bits(p: Float64s, q: Float64s) -> float:
-    """H((p + q)/2) - (H(p) + H(q))/2 of probabilities, by a sum of small terms that does not cancel."""
+    """H((p + q)/2) - (H(p) + H(q))/2 of probabilities.
+
+    It is computed as a sum of small terms, which do not cancel.
+    """
     middle = p + q
     total = 0.0
     for probabilities in (p, q):
@@ -171,7 +184,10 @@ def _counted(samples: tuple[ArrayLike | Counts, ...], interval: bool, blocks: in
 
 
 class _Entropies:
-    """The entropies of the columns of cells, all by one estimator, as statistics of the cells' weights."""
+    """The entropies of columns of cells as statistics of the cells' weights.
+
+    All are computed by one estimator.
+    """
 
     def __init__(
         self,
@@ -215,14 +231,20 @@ class _Entropies:
         return self.sum(self.column(0, weights), self.column(1, weights), -self.joint(weights))
 
     def sum(self, *terms: float) -> float:
-        """Return the sum of terms; plug-in sums are clipped at 0, as only rounding makes them negative."""
+        """Return the sum of terms.
+
+        Plug-in sums are clipped at 0, because only rounding can make them negative.
+        """
         total = math.fsum(terms)
         return total + 0.0 if self.estimator not in ("exact", "plug-in") else max(0.0, total)  # 0, and not -0
 
     def quantity(
         self, name: str, statistic: Statistic, unit: str = "bit/sample", max_value: float = math.inf
     ) -> Quantity:
-        """Return a statistic of the weights with interval and notes; its range is 0 to `max_value`."""
+        """Return a statistic of the weights as a quantity with interval and notes.
+
+        Its range is 0 to `max_value`.
+        """
         c = self.counts
         if not len(c.weights):
             raise InvalidArgument("samples", "no sample", "at least one")

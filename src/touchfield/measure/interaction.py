@@ -1,13 +1,14 @@
-"""Entropy weighted by a recorded interaction (paper section 6.1): mu is the visit histogram of a probe.
+"""Entropy weighted by a recorded interaction (paper section 6.1).
 
 Section 6.1 states that "the probability mass function of the haptic medium, theoretically depends on the
-interaction" and gives no method. Here X, the position at which the field is sampled, has the visit histogram
-of a recorded probe: each lattice point counts as often as a sample of the trace lies in its cell. The entropy
-of S = Q(F_t(X)) is then the information that a hand received; empty space is one more symbol.
+interaction" and gives no method. Here X, the position at which the field is sampled, is distributed as the
+visit histogram mu of a recorded probe: each lattice point counts as often as a sample of the trace lies in
+its cell. The entropy of S = Q(F_t(X)) is then the information that a hand received; empty space is one more
+symbol.
 
 A visit is a sample of the trace, not a duration: a trace that is not sampled regularly in time weights slow
-parts wrongly, and the result has a note. The samples of a trace are dependent (a hand moves continuously), so
-that the interval comes from blocks of consecutive samples.
+parts wrongly, and the result has a note. The samples of a trace are dependent, because a hand moves
+continuously; therefore the interval comes from blocks of consecutive samples.
 """
 
 from __future__ import annotations
@@ -27,18 +28,16 @@ from touchfield.medium.field import frozen
 from touchfield.medium.grid import Grid
 from touchfield.medium.trace import Trace
 
-_LATE: Final = (
-    1e-6  # share of a frame by which a time stamp may fall short of it, for stamps rounded to decimals
-)
-_UNEVEN: Final = 2.0  # longest step of a trace over its median step that is still "sampled regularly"
+_LATE: Final = 1e-6  # fraction of a frame by which a time stamp may be early, for stamps rounded to decimals
+_UNEVEN: Final = 2.0  # a trace is irregular if its longest step exceeds its median step by this factor
 
 
 class Visits(NamedTuple):
-    """The visit histogram mu, up to its sum.
+    """The visit histogram mu, up to a factor.
 
     `indices` int64 [m, 3]: indices of the visited lattice points in raster order (x slowest, z fastest).
-    `counts` int64 [m]: samples of the trace in the cell of each. `outside`: samples of the trace in no cell
-    of the grid.
+    `counts` int64 [m]: number of samples of the trace in the cell of each. `outside`: number of samples
+    outside the grid.
     """
 
     indices: Int64s
@@ -49,9 +48,9 @@ class Visits(NamedTuple):
 def visits(trace: Trace, grid: Grid) -> Visits:
     """Count how often a probe was nearest to each lattice point.
 
-    A sample belongs to the lattice point in whose cell it lies (`Grid.box_m`: the cells of a grid reach half
-    a spacing beyond its outermost samples; a cell holds its lower faces, up to rounding). Memory follows the
-    trace, not the grid.
+    A sample belongs to the lattice point in whose cell it lies. The cells of a grid extend half a spacing
+    beyond its outermost samples (`Grid.box_m`); a cell includes its lower faces, up to rounding. The memory
+    depends on the trace, not on the grid.
     """
     cells = _cells(trace.positions_m, grid)
     keys, counts = np.unique(cells[cells >= 0], return_counts=True)
@@ -67,7 +66,10 @@ def interaction_entropy(
     rate_hz: float | None = None,
     blocks: int = 64,
 ) -> Quantity:
-    """Return H(S) of the field along a trace, bits per sample: `entropy` of `interaction_counts`."""
+    """Return H(S) of the field along a trace, bits per sample.
+
+    It is the `entropy` of `interaction_counts`.
+    """
     counts = interaction_counts(trace, symbols, interval, rate_hz, blocks)
     return entropy(counts, estimator=estimator, interval=interval)
 
@@ -79,17 +81,18 @@ def interaction_counts(
     rate_hz: float | None = None,
     blocks: int = 64,
 ) -> Counts:
-    """Count the symbols that a probe met, one for each sample of its trace that lies in the medium.
+    """Count the symbols that a probe met, one for each sample within the medium.
 
-    Samples before the first frame or after the last are left out, and so are those during the frames that lie
-    outside the box of the grid; a note counts each of the two.
+    Samples before the first frame, after the last, or outside the box of the grid are omitted; notes give
+    their numbers.
 
-    `symbols`: the quantised field; or a sequence of one for each frame, of one grid and one quantiser, which
-    may be made when asked for. Frame f is felt from f / rate_hz until (f + 1) / rate_hz; only the first frame
-    and those that the trace meets are asked for. `interval`: with blocks over time for a bootstrap.
-    `rate_hz`: frames per second; needed for a sequence. `blocks`: of consecutive samples, at least 8. A block
-    should last longer than a hand stays in one place: take fewer for a short trace. InvalidArgument if no
-    sample meets the field, the frames do not fit each other, or an argument is out of range.
+    `symbols`: the quantised field; or a sequence with one for each frame, of one grid and one quantiser,
+    which may be lazy. Frame f lasts from f / rate_hz to (f + 1) / rate_hz; only the first frame and those
+    that the trace meets are requested. `interval`: whether to make blocks over time for a bootstrap.
+    `rate_hz`: frames per second, required for a sequence. `blocks`: number of blocks of consecutive samples,
+    at least 8. A block should last longer than a hand stays in one place: choose fewer for a short trace.
+    InvalidArgument if no sample meets the field, the frames do not fit each other, or an argument is out of
+    range.
     """
     if blocks < MIN_BLOCKS:
         raise InvalidArgument("blocks", repr(blocks), f"at least {MIN_BLOCKS}")
@@ -115,7 +118,10 @@ def interaction_counts(
 
 
 def _cells(positions_m: Float64s, grid: Grid) -> Int64s:
-    """Return the raster index of the cell of each position, int64 [n]; -1 outside the grid."""
+    """Return the raster index of the cell of each position, int64 [n].
+
+    -1 outside the grid.
+    """
     with np.errstate(over="ignore"):  # a position of 1e300 m is far away, and no error
         nearest = np.floor(grid.to_index(positions_m) + 0.5)
     inside = ((nearest >= 0) & (nearest < grid.shape)).all(axis=1)
@@ -125,9 +131,10 @@ def _cells(positions_m: Float64s, grid: Grid) -> Int64s:
 
 
 def _symbols_met(trace: Trace, frames: Frames, rate_hz: float | None) -> tuple[Int32s, int]:
-    """The symbol at each sample that meets the medium, in order of time; the samples during it.
+    """The symbol at each sample that meets the medium, in order of time.
 
-    Times never fall, so that the positions during a frame are a slice.
+    Also returns the number of samples during the medium. Times never decrease, so that the positions during a
+    frame are a slice.
     """
     frame = np.zeros(len(trace)) if rate_hz is None else np.floor(trace.times_s * rate_hz + _LATE)
     parts, in_time = [np.zeros(0, np.int32)], 0
@@ -155,7 +162,10 @@ def _where_it_was(trace: Trace, grid: Grid, rate_hz: float | None) -> tuple[str,
 
 
 def _notes(trace: Trace, in_time: int, samples: int) -> list[str]:
-    """Return notes; `in_time` samples are during the frames, `samples` of those inside the box."""
+    """Return notes on omitted samples and irregular sampling.
+
+    `in_time` is the number of samples during the frames, `samples` the number of those inside the box.
+    """
     notes = []
     if early_or_late := len(trace) - in_time:
         notes.append(

@@ -1,6 +1,7 @@
-"""Compiled loops: symbol tables, causal neighbours as packed rows, curl and squares, sums by direction.
+"""Compiled loops of the measures.
 
-Imported only when first needed, because it imports numba.
+Symbol tables, causal neighbours as packed rows, curl and squares, and sums by direction. Imported only when
+first needed, because it imports numba.
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ from touchfield.arrays import Int64s
 from touchfield.compute.jit import inner, kernel
 from touchfield.compute.threads import for_chunks
 
-# -- symbols in tables. One addition to a table costs one or two cycles, and waits for a preceding addition to
-# the same entry: hence four tables used in turn, and eight bytes of symbols loaded at once. Stretches of one
-# symbol, most of a field, take four additions.
+# -- symbols in tables. One addition to a table costs one or two cycles and waits for a preceding addition to
+# the same entry. Therefore four tables are used in turn, and eight bytes of symbols are loaded at once.
+# Stretches of one symbol, which make up most of a field, take a single addition.
 
 _SPAN = 1 << 16
 _PAD = 16  # entries between tables, so that they do not share the sets of the cache
-_SMALL = 1 << 15  # samples that need no tables
-_STRETCH = 1 << 7  # words of eight bytes
-_PIECE = 1 << 11  # stretches worth a thread
-_ROUND = 1 << 22  # stretches until the 32-bit tables are added up
+_SMALL = 1 << 15  # fewer samples are counted without these tables
+_STRETCH = 1 << 7  # words of eight bytes in a stretch
+_PIECE = 1 << 11  # smallest number of stretches worth a thread
+_ROUND = 1 << 22  # number of stretches after which the 32-bit tables are summed
 
 _FFFF = np.uint64(0xFFFF)
 _0, _1, _S, _16, _32, _48 = (np.uint64(i) for i in (0, 1, _STRETCH, 16, 32, 48))  # no sign to check
@@ -34,13 +35,16 @@ _NONE, _UNIT, _ALL = np.uint32(0), np.uint32(1), np.uint32(4 * _STRETCH)
 
 @kernel
 def _count_packed(packed, tables):
-    """Count four 16-bit symbols a word in four tables in turn, uint32 [4, 65552], in whole stretches."""
+    """Count 16-bit symbols, packed four to a word, in four tables in turn.
+
+    `packed` has whole stretches; `tables` are uint32 [4, 65552].
+    """
     t0, t1, t2, t3 = tables[0], tables[1], tables[2], tables[3]
     for start in range(_0, np.uint64(len(packed)), _S):
         usual = packed[start] & _FFFF
         if (
             packed[start] == usual * _SAME
-        ):  # of a stretch of mostly one symbol its adds take turns over spare entries
+        ):  # in a stretch of mostly one symbol, its additions take turns over spare entries
             differ = _0
             for i in range(start, start + _S):
                 differ |= packed[i] ^ packed[start]
@@ -67,7 +71,7 @@ def _count_packed(packed, tables):
 
 
 def counts_of_16_bits(x: NDArray[np.uint16]) -> Int64s:
-    """How often each 16-bit word occurs, int64 [65536], of uint16 [n], contiguous and aligned."""
+    """Count each 16-bit word of contiguous, aligned uint16 [n], int64 [65536]."""
     if len(x) < _SMALL:
         return np.bincount(x, minlength=_SPAN)
     head = min(len(x), (-x.ctypes.data % 8) // 2)
@@ -89,7 +93,10 @@ def _count_stretches(start: int, stop: int, packed: Any) -> Int64s:
 
 
 def counts_of_8_bits(x: NDArray[np.uint8]) -> Int64s:
-    """Count each byte of contiguous uint8 [n], int64 [256], as margins of a table of 16-bit words."""
+    """Count each byte of contiguous uint8 [n], int64 [256].
+
+    The counts are the margins of a table of 16-bit words.
+    """
     head = x.ctypes.data % 2
     tail = head + (len(x) - head) // 2 * 2
     counts = np.bincount(x[:head], minlength=256) + np.bincount(x[tail:], minlength=256)
@@ -100,7 +107,10 @@ def counts_of_8_bits(x: NDArray[np.uint8]) -> Int64s:
 
 @kernel
 def add_counts(keys, table):
-    """Count `keys` int64 [n] of 0 .. K - 1 into `table` int64 [K]; out of range is the caller's fault."""
+    """Count `keys`, int64 [n] of 0 .. K - 1, into `table`, int64 [K].
+
+    The range of the keys is not checked.
+    """
     for i in range(len(keys)):
         table[keys[i]] += 1
 
@@ -114,7 +124,10 @@ CORNER = np.array(
 
 @inner
 def _fill_corner(local, symbols, slots):
-    """Copy a brick and one sample before it along each axis, int32 [9, 9, 9]; `slots` int [27], -1: none."""
+    """Copy a brick and one sample before it along each axis to `local`.
+
+    `local`: int32 [9, 9, 9]. `slots` int [27]: slots of the surrounding bricks, -1 for none.
+    """
     for x in range(9):
         for y in range(9):
             for z in range(9):
@@ -124,13 +137,15 @@ def _fill_corner(local, symbols, slots):
 
 @kernel
 def field_rows(slots, symbols, slots_before, before, extents, columns, bits, out):
-    """Write the rows of some bricks that are not all 0 to `out`, uint64 [512 n, words]; return their count.
+    """Write the rows of voxels of some bricks to `out`; return their number.
 
-    A row holds `columns` symbols of `bits` bits, as many whole symbols to a word as fit, the first in the
-    lowest bits: the symbol itself, its seven neighbours in `CORNER`, and the voxel of the previous frame.
+    `out`: uint64 [512 n, words]; rows of zeros only are omitted. A row holds `columns` symbols of `bits` bits
+    each: the symbol itself, its seven neighbours in `CORNER`, and the voxel of the previous frame. As many
+    whole symbols as fit are in a word, the first in the lowest bits.
 
-    `slots` int64 [n, 27] in the frame and in the one before, -1 for none; `symbols` int32 [., 8, 8, 8] of
-    both; `extents` int64 [n, 3] samples of each brick within the grid.
+    `slots` and `slots_before` int64 [n, 27]: slots of the surrounding bricks in this frame and in the one
+    before, -1 for none. `symbols` and `before`, int32 [., 8, 8, 8]: symbols of both frames. `extents` int64
+    [n, 3]: number of samples of each brick within the grid.
     """
     per_word = 64 // bits
     cells, local = np.zeros(9, np.uint64), np.zeros((9, 9, 9), np.int32)
@@ -161,11 +176,11 @@ def field_rows(slots, symbols, slots_before, before, extents, columns, bits, out
 
 @kernel
 def insert(rows, weights, start, slots, keys, counts, used):
-    """Count rows uint64 [n, words] from `start` on, until all are counted or `keys` is full: next row, keys
-    in use.
+    """Count rows, uint64 [n, words], in a hash table, from row `start` on.
 
-    `weights` int64 [n] or [0] (each row once); the table is slots int32 [2^b] (-1: free), keys, counts int64
-    [m].
+    Stops when all rows are counted or `keys` is full; returns the next row and the number of keys in use.
+    `weights` int64 [n]; or [0] to count each row once. The table consists of `slots` int32 [2^b] (-1: free),
+    `keys` uint64 [m, words] and `counts` int64 [m].
     """
     mask = np.uint64(slots.shape[0] - 1)
     word_count = rows.shape[1]
@@ -186,7 +201,7 @@ def insert(rows, weights, start, slots, keys, counts, used):
                 counts[used] = weights[n] if weights.shape[0] else 1
                 used += 1
                 break
-            same = True  # the whole key decides, never its hash alone
+            same = True  # compare the whole key, never the hash alone
             for w in range(word_count):
                 same &= keys[key, w] == rows[n, w]
             if same:
@@ -201,7 +216,10 @@ def insert(rows, weights, start, slots, keys, counts, used):
 
 @inner
 def _fill_halo(slots, forces, halo, has_force):
-    """Copy the forces of a brick and one sample around it, 10^3, and whether each is a force."""
+    """Copy the forces of a brick and one sample around it to `halo`, [10^3, 3].
+
+    `has_force` is set to whether each of them is not zero.
+    """
     for a in range(10):
         da, la = (a + 7) >> 3, (a + 7) & 7
         for b in range(10):
@@ -221,12 +239,12 @@ def _fill_halo(slots, forces, halo, has_force):
 
 @kernel
 def curl_and_squares(start, stop, slots, spacing, forces, sums):
-    """Sums of |curl|^2, |gradient|^2 and squared loop work of each brick, float64 [n, 7], SI units.
+    """Sum |curl|^2, |gradient|^2 and squared loop work of each brick, SI units.
 
-    Columns: samples with a curl, sum of |curl|^2, sum of |gradient|^2, squares, sum of W^2 around them,
-    largest |curl|^2, largest |W|.
+    `sums`: float64 [n, 7]. Columns: number of samples with a curl, sum of |curl|^2, sum of |gradient|^2,
+    number of squares, sum of W^2 around them, largest |curl|^2, largest |W|.
 
-    `slots` int32 [n, 27] are where in `forces` each neighbour of a brick lies, -1 for none.
+    `slots` int32 [n, 27]: index in `forces` of each neighbour of a brick, -1 for none.
     """
     halo, has_force = np.empty((1000, 3)), np.empty(1000, np.bool_)
     jacobian = np.empty((3, 3))
@@ -269,11 +287,12 @@ def curl_and_squares(start, stop, slots, spacing, forces, sums):
 
 @kernel
 def sums_by_direction(forces, directions, sharpness, norms):
-    """Sums of the lengths of forces [n, 3] around directions [k, 3], float64 [k], and times each harmonic.
+    """Sum the lengths of forces [n, 3] by direction and by spherical harmonic.
 
-    A force is shared between the directions by exp(`sharpness` cos(angle)). A harmonic is (sin(theta) exp(i
-    phi))^m times the m-th derivative of the Legendre polynomial of degree l, which rises in l by the
-    three-term recurrence.
+    Returns the sums around `directions` [k, 3], float64 [k], and the coefficients of the harmonics. A force
+    is shared between the directions in proportion to exp(`sharpness` cos(angle)). A harmonic is (sin(theta)
+    exp(i phi))^m times the m-th derivative of the Legendre polynomial of degree l, computed upwards in l by
+    the three-term recurrence.
     """
     by_direction, coefficients = np.zeros(len(directions)), np.zeros(len(norms) ** 2)
     weights = np.empty(len(directions))

@@ -1,17 +1,17 @@
-"""Entropy bounds of coding a medium, to compare a codec against its own data (theory sections 4 and 5).
+"""Entropy bounds of coding a medium, to compare codecs with.
 
-For the same symbols S = Q(F) over all voxels of all frames the bounds are H(S) of the voxel and of the
-object, and H(S | causal neighbours) with and without the previous frame. All are plug-in estimates of the
-rate of an ideal coder with that context. A rate that is certainly attainable is that of an actual file of
-coder `touch` in its exact mode.
+Theory sections 4 and 5. For the same symbols S = Q(F) over all voxels of all frames the bounds are H(S) of
+the voxel and of the object, and H(S | causal neighbours) with and without the previous frame. All are plug-in
+estimates of the rate of an ideal coder with that context. A rate that is certainly attainable is that of an
+actual file of the coder `touch` in its exact mode.
 
 A coder that visits the voxels in raster order (x slowest, z fastest) knows, at each voxel, the neighbours
 with no greater index along any axis. Neighbourhoods are nested corners of the 2^3 cube of such neighbours:
 
 ========== ========== ==========================================================
-name       neighbours which
+name       neighbours positions
 ========== ========== ==========================================================
-none       0          nothing: H(S)
+none       0          none: H(S)
 previous   1          the one before in raster order, (0, 0, -1); see `scan_axis`
 axes       3          one before along each axis
 corner     7          all of {-1, 0}^3 but the voxel itself
@@ -47,7 +47,7 @@ from touchfield.medium.grid import BRICK, Grid
 NEIGHBOURHOODS: Final = {"none": 0, "previous": 1, "axes": 3, "corner": 7}
 """Names, and the number of causal neighbours of each."""
 
-_SYMBOL, _PREVIOUS_FRAME = 0, 8  # columns of a row
+_SYMBOL, _PREVIOUS_FRAME = 0, 8  # columns of a row; 1 to 7 are the neighbours
 _BRICKS_AT_ONCE = 1024
 _FIRST_KEYS = 1 << 12
 _MAX_KEYS = 1 << 30
@@ -55,9 +55,10 @@ _NO_FRAME = np.zeros((0, 8, 8, 8), np.int32)
 
 
 class CellCounter:
-    """Counter of rows of `columns` symbols of `bits` bits, at most 32, packed as the kernels pack them.
+    """Counter of rows of `columns` symbols, packed as by the kernels.
 
-    `zeros` counts the rows of nothing but 0, which are added in closed form.
+    A symbol has `bits` bits, at most 32. `zeros` counts the rows of zeros only, whose number is known without
+    visiting them.
     """
 
     def __init__(self, columns: int, bits: int) -> None:
@@ -82,7 +83,10 @@ class CellCounter:
         self._counts = np.zeros(size, np.int64)
 
     def add(self, rows: NDArray[np.uint64], weights: Int64s | None = None) -> None:
-        """Count rows, uint64 [n, words], none of them all 0, each once or as often as its weight says."""
+        """Count rows, uint64 [n, words], each once or as often as its weight.
+
+        No row may consist of zeros only.
+        """
         from touchfield.measure.kernels import insert
 
         times = np.zeros(0, np.int64) if weights is None else weights
@@ -97,16 +101,19 @@ class CellCounter:
 
     @property
     def samples(self) -> int:
-        """n, the rows counted."""
+        """n, the number of rows counted."""
         return int(self._counts[: self._used].sum()) + self.zeros
 
     def counts(self) -> Int64s:
-        """Return the count of each cell, int64 [K]; that of the all-zero row is last, if there is one."""
+        """Return the count of each cell, int64 [K].
+
+        The count of the all-zero row is last, if there is one.
+        """
         counts = self._counts[: self._used]
         return np.append(counts, self.zeros) if self.zeros else counts.copy()
 
     def marginal(self, columns: tuple[int, ...]) -> CellCounter:
-        """Return the counter of some columns alone; the others read 0."""
+        """Return the counter of some columns alone; the other columns are 0."""
         mask = np.zeros(self.word_count, np.uint64)
         for c in columns:
             mask[c // self._per_word] |= np.uint64(((1 << self.bits) - 1) << (c % self._per_word * self.bits))
@@ -119,12 +126,18 @@ class CellCounter:
 
 
 def scan_axis(grid: Grid) -> int:
-    """Return the axis of the raster's lines: z, or the last axis that has more than one sample."""
+    """Return the axis of the raster's lines.
+
+    z, or the last axis with more than one sample.
+    """
     return max((axis for axis in range(3) if grid.shape[axis] > 1), default=2)
 
 
 def _reached_bricks(frame: FieldSymbols, previous: FieldSymbols | None) -> Int32s:
-    """Return the bricks with a voxel whose symbol, context or predecessor is not 0, int32 [n, 3]."""
+    """Return the bricks in which a symbol, its context or its predecessor is not 0.
+
+    int32 [n, 3].
+    """
     bricks = frame.bricks[frame.symbols.any(axis=(1, 2, 3))]
     corners = (bricks[:, None] + np.array(list(np.ndindex(2, 2, 2)), np.int32)).reshape(-1, 3)
     if previous is not None:
@@ -137,10 +150,10 @@ def _reached_bricks(frame: FieldSymbols, previous: FieldSymbols | None) -> Int32
 class ContextEntropy:
     """H(S | c) and its dilution.
 
-    `neighbourhood`: one of `NEIGHBOURHOODS`. `previous_frame`: whether c takes in the co-located voxel of the
-    previous frame. `per_voxel`: bit/sample over all voxels. `contexts`: how many different c were seen.
-    `cells`: how many different (S, c) were seen; K of the dilution. `informed`: voxels where S or any part of
-    c is not 0: n of the dilution. The others are all one cell. `once`: cells that were seen only once.
+    `neighbourhood`: one of `NEIGHBOURHOODS`. `previous_frame`: whether c includes the co-located voxel of the
+    previous frame. `per_voxel`: bit/sample over all voxels. `contexts`: number of different c. `cells`:
+    number of different (S, c), K of the dilution. `informed`: number of voxels where S or any part of c is
+    not 0, n of the dilution; the others are all one cell. `once`: number of cells that occur only once.
     """
 
     neighbourhood: str
@@ -153,16 +166,19 @@ class ContextEntropy:
 
     @property
     def is_diluted(self) -> bool:
-        """Fewer than ten informed voxels to a cell: the plug-in is far below the truth."""
+        """True for fewer than ten informed voxels per cell.
+
+        The plug-in estimate is then far below the truth.
+        """
         return self.informed < 10 * self.cells
 
 
 class ContextCounter:
-    """Counter of voxels with the widest context; every narrower context is a marginal of that count.
+    """Counter of voxels with the widest context.
 
-    Memory beyond the frames grows with the different cells that occur (see `CellCounter`), not with the
-    lattice. `of`: frames with the grid and the Q of those to be counted. `previous_frame`: whether to count
-    the co-located voxel of the previous frame, too.
+    Every narrower context is a marginal of that count. Memory beyond the frames grows with the different
+    cells that occur (see `CellCounter`), not with the lattice. `of`: frames with the grid and the Q of those
+    to be counted. `previous_frame`: whether to count the co-located voxel of the previous frame, too.
     """
 
     def __init__(self, of: FieldSymbols | Frames, *, previous_frame: bool) -> None:
@@ -174,7 +190,7 @@ class ContextCounter:
         )  # column of the one neighbour; 1 to 3 are those along z, y and x
 
     def add(self, frame: FieldSymbols, previous: FieldSymbols | None) -> None:
-        """Count the voxels of a frame; space away from its bricks in closed form."""
+        """Count the voxels of a frame; space away from its bricks is not visited."""
         from touchfield.measure.kernels import field_rows
 
         grid, before = frame.grid, previous if self._previous_frame else None
@@ -212,7 +228,7 @@ class ContextCounter:
         joint = self._cells.marginal((_SYMBOL, *columns))
         cells = joint.counts()
         contexts = joint.marginal(columns).counts()
-        bits = max(0.0, entropy_bits(cells) - entropy_bits(contexts))  # below only by rounding
+        bits = max(0.0, entropy_bits(cells) - entropy_bits(contexts))  # negative only by rounding
         informed = joint.samples - joint.zeros
         notes = [f"{len(contexts)} contexts"]
         if informed < 10 * len(cells):
@@ -236,10 +252,10 @@ class ContextCounter:
 class CodingLimits:
     """Entropy bounds on the rate of a coder of these frames.
 
-    Of `voxels` in all frames `supported` are not 0. `voxel_entropy` and `object_entropy`: H(S) over all and
-    over the supported voxels (NaN where there is none), bit/sample. `contexts`: 1, 3 and 7 neighbours; and
-    with the previous frame, where there is one, 0, 1, 3 and 7. The one neighbour lies along `scan_axis`: "z",
-    or the last axis that has more than one sample.
+    `voxels`: number of voxels in all frames; `supported` of them are not 0. `voxel_entropy` and
+    `object_entropy`: H(S) over all and over the supported voxels (NaN if there is none), bit/sample.
+    `contexts`: 1, 3 and 7 neighbours and, if there are several frames, 0, 1, 3 and 7 with the previous frame.
+    The one neighbour lies along `scan_axis`: "z", or the last axis with more than one sample.
     """
 
     frame_count: int
@@ -258,7 +274,7 @@ class CodingLimits:
         raise KeyError((neighbourhood, previous_frame))
 
     def summary(self) -> dict[str, Any]:
-        """Plain numbers under stable keys: bits a voxel, bits a supported voxel, bits a frame."""
+        """Plain numbers under stable keys: bits per voxel, supported voxel, and frame."""
 
         def plain(per_voxel: float) -> dict[str, float | None]:
             return {
@@ -287,12 +303,13 @@ class CodingLimits:
 
 
 def coding_limits(frames: Fields) -> CodingLimits:
-    """Return the coding limits of quantised frames, of one grid and one Q, read once and in order.
+    """Return the coding limits of quantised frames of one grid and one quantiser.
 
-    The raster's lines run along z, and so does the single neighbour. If z has a single sample, as on a flat
-    array of actuators, they run along the last axis that has more: `scan_axis`.
+    The frames are read once and in order. The raster's lines run along z, and so does the single neighbour.
+    If z has a single sample, as in a flat array of actuators, they run along the last axis with more:
+    `scan_axis`.
 
-    InvalidArgument if there is no frame, frames differ in grid or Q, or the joint cells outgrow the memory
+    InvalidArgument if there is no frame, frames differ in grid or Q, or the joint cells exceed the memory
     budget.
     """
     quantised, last = Frames(frames, "frames"), None

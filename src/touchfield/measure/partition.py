@@ -1,4 +1,4 @@
-"""Adaptive workspace partitioning: the optimal division into dyadic boxes (paper section 4).
+"""Adaptive workspace partitioning: optimal division into dyadic boxes (section 4).
 
 "Optimal adaptive workspace partitioning in disjoint subspaces so as to minimize information loss taking into
 account the rendering device". Each box fills the device's own lattice, so that a small box is rendered finely
@@ -7,8 +7,8 @@ the hand must be moved. The objective is
 
     J = sum of the losses of the boxes + lambda * number of boxes,
 
-lambda in bits a box. As J is a sum over boxes, the best division of a box is either the box itself or the
-best divisions of its children: pruning from the smallest boxes up finds the optimum among all dyadic
+with lambda in bits per box. As J is a sum over boxes, the best division of a box is either the box itself or
+the best divisions of its children: pruning from the smallest boxes upwards finds the optimum among all dyadic
 divisions. Ties are resolved in favour of fewer boxes.
 """
 
@@ -28,16 +28,16 @@ from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.medium.grid import BRICK, Grid
 
 MAX_DEPTH = 7
-"""2^21 boxes."""
+"""Largest depth; 2^21 boxes."""
 
 
 @dataclass(frozen=True)
 class DyadicLattice:
-    """A fine lattice and how a device's lattice divides it.
+    """A fine lattice, and its division by the lattice of a device.
 
     `grid`: the fine lattice over the workspace. `device_shape` (int, int, int): samples of the device along
-    each axis. An axis with as many samples as the grid is not split; along all others the grid has 2^D as
-    many, with one D. InvalidArgument if the grid is not such a multiple, or D is greater than 7.
+    each axis. An axis with as many samples as the grid is not split; along all others the grid has 2^D times
+    as many, with the same D. InvalidArgument if the grid is not such a multiple, or D is greater than 7.
     """
 
     grid: Grid
@@ -61,7 +61,7 @@ class DyadicLattice:
 
     @property
     def depth(self) -> int:
-        """D."""
+        """D, the depth of the smallest boxes."""
         factors = [n // m for n, m in zip(self.grid.shape, self.device_shape, strict=True)]
         return max(factors).bit_length() - 1
 
@@ -73,7 +73,7 @@ class DyadicLattice:
         return (x, y, z)
 
     def lattice(self, depth: int) -> Grid:
-        """Return the lattice over the whole workspace with the spacing of the boxes of a depth."""
+        """Return the lattice over the whole workspace at the spacing of a depth."""
         if depth == self.depth:
             return self.grid
         x, y, z = (m * b for m, b in zip(self.device_shape, self.boxes(depth), strict=True))
@@ -81,20 +81,23 @@ class DyadicLattice:
 
 
 class BoxLosses:
-    """Accumulated symbol counts of frames, and the information loss of each dyadic box."""
+    """Symbol counts of frames, and the information loss of each dyadic box."""
 
     def __init__(self, lattice: DyadicLattice) -> None:
         self.lattice = lattice
         self.frame_count, self._alphabet, self._quantiser = 0, 0, ""
         none: Histogram = (np.zeros(0, np.int64), np.zeros(0, np.int64))
-        self._rows = [none] * lattice.depth  # of (box, k), k > 0: fine samples
-        self._pairs = [none] * lattice.depth  # of (box, k, s), s > 0
+        # for each depth, numbers of fine samples: by (box, coarse symbol k > 0), and by (box, k, fine symbol
+        # s > 0)
+        self._rows = [none] * lattice.depth
+        self._pairs = [none] * lattice.depth
 
     def add(self, levels: Sequence[FieldSymbols]) -> None:
         """Count one frame.
 
-        `levels` sequence of FieldSymbols: of one Q, on ``lattice.lattice(d)`` for d = 0 .. D. InvalidArgument
-        if there are others, they differ in Q, or there are too many boxes and symbols to count.
+        `levels`: the frame on ``lattice.lattice(d)`` for d = 0 .. D, FieldSymbols of one Q. InvalidArgument
+        if the lattices differ from these, the levels differ in Q, or there are too many boxes and symbols to
+        count.
         """
         max_depth, last = self.lattice.depth, levels[-1]
         if [s.grid.shape for s in levels] != [self.lattice.lattice(d).shape for d in range(max_depth + 1)]:
@@ -122,9 +125,9 @@ class BoxLosses:
         self.frame_count += 1
 
     def bits(self) -> tuple[Float64s, ...]:
-        """Return L of the boxes, bits a frame, float64 of shape ``lattice.boxes(d)`` for d = 0 .. D.
+        """Return the loss L of the boxes of each depth, bits per frame.
 
-        InvalidArgument if no frame was added.
+        float64 of shape ``lattice.boxes(d)`` for d = 0 .. D. InvalidArgument if no frame was added.
         """
         if not self.frame_count:
             raise InvalidArgument("box losses", "no frame", "at least one")
@@ -142,7 +145,7 @@ class BoxLosses:
         in_rows = np.zeros(box_count, np.int64)
         np.add.at(in_rows, rows // self._alphabet, row_counts)
         per_box = self.lattice.grid.voxel_count // box_count * self.frame_count
-        total = per_box - in_rows[box]  # of k = 0
+        total = per_box - in_rows[box]  # number of fine samples with k = 0
         is_supported = coarse > 0
         total[is_supported] = row_counts[np.searchsorted(rows, paired[is_supported])]
         empty = total - (np.add.reduceat(pair_counts, first) if len(first) else 0)
@@ -177,8 +180,9 @@ def _xlog2x(counts: Int64s) -> Float64s:
 class DyadicBox:
     """One box of a partition.
 
-    `depth`: how often the workspace was halved along each axis. `index` (int, int, int): which of the 2^depth
-    boxes along each axis. `loss_bits`: the information in it that the device omits, bits a frame.
+    `depth`: how often the workspace was halved along each axis. `index` (int, int, int): index of the box
+    among the 2^depth boxes along each axis. `loss_bits`: information in it that the device omits, bits per
+    frame.
     """
 
     depth: int
@@ -188,9 +192,9 @@ class DyadicBox:
 
 @dataclass(frozen=True)
 class Partition:
-    """Disjoint boxes that cover the workspace, in ascending order of depth and index.
+    """Disjoint boxes that cover the workspace, ascending by depth and index.
 
-    `penalty_bits`: lambda, bits a box.
+    `penalty_bits`: lambda, bits per box.
     """
 
     lattice: DyadicLattice
@@ -199,12 +203,12 @@ class Partition:
 
     @property
     def loss_bits(self) -> float:
-        """Of all boxes, bits a frame."""
+        """Loss of all boxes, bits per frame."""
         return math.fsum(b.loss_bits for b in self.boxes)
 
     @property
     def cost_bits(self) -> float:
-        """J."""
+        """The objective J, bits per frame."""
         return self.loss_bits + self.penalty_bits * len(self.boxes)
 
     def grid(self, box: DyadicBox) -> Grid:
@@ -226,12 +230,12 @@ class Partition:
 
 
 def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalty_bits: float) -> Partition:
-    """Return the partition with the smallest J.
+    """Return the partition with the smallest objective J.
 
-    `losses` sequence of float64 arrays: for each depth 0 .. D the loss of its boxes, of shape
-    ``lattice.boxes(d)``, bits a frame (`BoxLosses.bits`). `penalty_bits`: lambda, 0 or more. A greater one
-    never gives more boxes, nor a smaller sum of losses. InvalidArgument if lambda is negative, or the losses
-    have other shapes or are not finite.
+    `losses`: for each depth 0 .. D the loss of its boxes, float64 of shape ``lattice.boxes(d)``, bits per
+    frame (`BoxLosses.bits`). `penalty_bits`: lambda, 0 or more; a greater one never gives more boxes, nor a
+    smaller total loss. InvalidArgument if lambda is negative, or the losses have other shapes or are not
+    finite.
     """
     require_not_negative(penalty_bits=penalty_bits)
     shapes = [lattice.boxes(d) for d in range(lattice.depth + 1)]

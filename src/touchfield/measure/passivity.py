@@ -1,21 +1,21 @@
-"""Energy that a field can feed to a hand: curl, and work around closed loops.
+"""Energy that a field can give to a hand: curl, and work around closed loops.
 
 The paper calls a mapping "passive" when it creates no information (eq. 1). This does not concern energy: a
 field gives none to a hand that moves in a closed loop if and only if the integral of F dl vanishes around
 every loop, that is, if its curl is zero. Penalty forces of a distance are conservative, but quantising their
-directions, resampling them or clipping components makes them non-conservative, and the hand can extract the
-work of a loop from the device repeatedly.
+directions, resampling them or clipping components makes them non-conservative, and the hand can then extract
+the work of a loop from the device again and again.
 
 Two measures, both of the field as rendered by trilinear interpolation (`ForceField.sample_n`):
 
 * the curl at lattice points, by central differences, relative to the gradient;
 * the work around each square of four lattice edges, by the trapezoid rule, which is exact for that
-  interpolation. A loop along lattice edges gains what the squares within it do.
+  interpolation. The work around a loop of lattice edges is the sum over the squares within it.
 
 Only loops and stencils entirely within the support count. At the edge of a wall the stored field ends in a
-step of one spacing, an artefact of the lattice that would dominate the result. `loop_work_j` includes it, as
-the hand would, around any closed path: by Gauss's rule on each piece between two lattice planes, where F is
-at most cubic along a line, so that the rule is exact, too (up to the float32 of the forces).
+step of one spacing, an artefact of the lattice that would dominate the result. `loop_work_j` includes this
+step, as a hand would, for any closed path. It uses Gauss's rule on each piece between two lattice planes,
+where F is at most cubic along a line, so that the rule is exact, too (up to the float32 of the forces).
 """
 
 from __future__ import annotations
@@ -37,17 +37,18 @@ from touchfield.medium.grid import Grid
 
 _PIECES_AT_ONCE: Final = 1 << 19
 _MAX_SPACINGS: Final = (
-    1e9  # spacings from the grid; beyond it a path could not be cut precisely at the lattice planes
+    1e9  # spacings from the grid; farther away a path could not be cut precisely at the lattice planes
 )
-_SHORTEST: Final = 1e-13  # share of a segment; less is rounding
+_SHORTEST: Final = 1e-13  # fraction of a segment; smaller pieces are rounding
 _GAUSS: Final = (0.5 - math.sqrt(1 / 12), 0.5 + math.sqrt(1 / 12))  # two points, exact for cubics
 
 
 def loop_work_j(force_field: ForceField, path_m: ArrayLike) -> float:
-    """Return the work of a field around a closed polyline, joules, exact for `ForceField.sample_n`.
+    """Return the work of a field around a closed polyline, joules.
 
-    `path_m` float [n, 3]: corners in metres, at least three; the last is joined to the first. Beyond the grid
-    there is no force. InvalidArgument if there are fewer corners, or one is not finite or 10^9 spacings away.
+    It is exact for `ForceField.sample_n`. `path_m` float [n, 3]: corners in metres, at least three; the last
+    is joined to the first. There is no force beyond the grid. InvalidArgument if there are fewer corners, or
+    one is not finite or 10^9 spacings away.
     """
     path = np.asarray(path_m, np.float64)
     if path.ndim != 2 or path.shape[1] != 3 or len(path) < 3:
@@ -77,10 +78,10 @@ def loop_work_j(force_field: ForceField, path_m: ArrayLike) -> float:
 def _pieces(
     starts: Float64s, stops: Float64s, shape: tuple[int, int, int]
 ) -> Iterator[tuple[Int64s, Float64s, Float64s]]:
-    """Cut segments [n, 3] at lattice planes; yield segment, and start and stop as fractions of it.
+    """Cut segments [n, 3] at lattice planes.
 
-    Beyond one sample from the grid there is no force, and nothing to cut. The number of pieces at a time is
-    bounded.
+    Yields for each piece its segment, and its start and stop as fractions of it. Beyond one sample from the
+    grid there is no force, and segments are not cut. The number of pieces at a time is bounded.
     """
     low, high = np.minimum(starts, stops), np.maximum(starts, stops)
     first = np.maximum(np.floor(low) + 1, -1).astype(np.int64)
@@ -105,14 +106,14 @@ def _pieces(
 
 @dataclass(frozen=True)
 class Passivity(Report):
-    """Deviation of a field from conservative; NaN without a stencil, and `notes` give the reason.
+    """Deviation of a field from a conservative one.
 
-    `support_count`: L, samples whose force is not zero; `points`: samples at which a curl was taken;
-    `share_seen`: the supported ones among them over L. `rms_curl_n_per_m`, `worst_curl_n_per_m`: of the
-    length of the curl; `rms_gradient_n_per_m`: of the Frobenius norm of dF_i/dx_j; `relative_curl`: rms curl
-    / (sqrt 2 rms gradient), the share of the gradient that turns: 0 conservative, 1 a pure rotation.
-    `squares` of lattice edges, and the work around them (in the better of the two senses), `rms_square_j`,
-    `worst_square_j`, joules.
+    Values are NaN without a stencil, for a reason given in `notes`. `support_count`: L, samples whose force
+    is not zero. `points`: samples with a curl; `share_seen`: `points` over L. `rms_curl_n_per_m`,
+    `worst_curl_n_per_m`: of the length of the curl. `rms_gradient_n_per_m`: of the Frobenius norm of
+    dF_i/dx_j. `relative_curl`: rms curl / (sqrt 2 rms gradient), the rotational fraction of the gradient: 0
+    for a conservative field, 1 for a pure rotation. `squares`: number of squares of lattice edges;
+    `rms_square_j`, `worst_square_j`: the work around them (in the better of the two senses), joules.
     """
 
     support_count: int
@@ -129,9 +130,9 @@ class Passivity(Report):
 
 
 def passivity(force_field: ForceField) -> Passivity:
-    """Measure the curl, and the work around squares, of a field; the same bits for any number of threads.
+    """Measure the curl of a field, and the work around lattice squares.
 
-    InvalidArgument if the field is empty.
+    The result has the same bits for any number of threads. InvalidArgument if the field is empty.
     """
     from touchfield.measure.kernels import curl_and_squares
 

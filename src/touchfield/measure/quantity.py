@@ -1,14 +1,14 @@
-"""A measured quantity with its unit, estimator and interval (paper section 3.1 names neither Q nor X).
+"""A measured quantity with its unit, estimator and interval.
 
-Every measure of this package returns a `Quantity`, which states what the number estimates: the unit, the
-quantiser Q, the weighting mu of the samples, the estimator, the number of samples and symbols, and an
-interval.
+Paper section 3.1 names neither Q nor X. Every measure of this package returns a `Quantity`, which states what
+the number estimates: the unit, the quantiser Q, the weighting mu of the samples, the estimator, the number of
+samples and symbols, and an interval.
 
-Intervals come from a block bootstrap (the paper gives no spread). Neighbouring voxels are strongly dependent,
-so that resampling single voxels would give far too narrow an interval. Whole blocks are drawn instead, with
-replacement, as many as there are (E. Carlstein, Annals of Statistics 14, 1986; S. N. Lahiri, Resampling
-Methods for Dependent Data, 2003, chapter 12). As blocks do not overlap, every statistic of counts can be
-resampled from B tables.
+Intervals come from a block bootstrap (the paper gives no intervals). Neighbouring voxels are strongly
+dependent, so that resampling single voxels would give far too narrow an interval. Whole blocks are drawn
+instead, with replacement, as many as there are (E. Carlstein, Annals of Statistics 14, 1986; S. N. Lahiri,
+Resampling Methods for Dependent Data, 2003, chapter 12). As blocks do not overlap, every statistic of counts
+can be resampled from B tables.
 
 Plug-in estimates have the *basic* interval, 2 E - q_high .. 2 E - q_low, for the estimate E and the quantiles
 q of the resamples: a resample has fewer symbols than the data, just as the data have fewer than the source,
@@ -18,10 +18,10 @@ contain E. A bias-corrected estimate has the *normal* interval, E -+ t sqrt(B/(B
 deviation of the resamples.
 
 The measured coverage is documented in `tests/measure/test_bootstrap.py`: 89 % to 94 % for plug-in estimates
-of dependent samples where the percentile interval has 58 % to 94 %; 94 % to 97 % for bias-corrected H;
-87 % to 95 % for ratios. Of plug-in H of Gaussian fields of correlation exp(-r^2/2L^2) 27 blocks cover 92 % at
-64^3 samples with L = 5, and 77 % with L = 8: blocks should be many times as long as the dependence, and 16 or
-more.
+of dependent samples, where the percentile interval has 58 % to 94 %; 94 % to 97 % for bias-corrected H; 87 %
+to 95 % for ratios. For the plug-in H of Gaussian fields of correlation exp(-r^2/2L^2), 27 blocks cover 92 %
+at 64^3 samples with L = 5, and 77 % with L = 8: there should be 16 blocks or more, each many times as long as
+the dependence.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def _plain(value: Any) -> Any:
 class Interval(Report):
     """A range for a quantity, in its unit, from a resampling.
 
-    `level`: fraction of the resamples between `low` and `high`, such as 0.95. `method`: the method with its
-    numbers: "block bootstrap, 27 blocks, 200 resamples".
+    `level`: nominal confidence level, such as 0.95. `method`: the method with its numbers, such as "block
+    bootstrap, 27 blocks, 200 resamples".
     """
 
     population: ClassVar[str] = "media from the source of this one, of which it is a single draw"
@@ -86,18 +86,19 @@ class Interval(Report):
 
 
 class FewSamplesWarning(UserWarning):
-    """Fewer than ten samples per symbol: the bias dominates the estimate."""
+    """Warning for fewer than ten samples per symbol: the bias dominates the estimate."""
 
 
 @dataclass(frozen=True)
 class Quantity(Report):
-    """A number with its unit, quantiser, weighting, estimator, sample counts, interval and notes.
+    """A number with its unit, how it was measured, its interval and notes.
 
     `name` is the usual notation: "H(S)", "I(X;Y)", "WMR". `value` is NaN if the quantity does not exist;
     `notes` then gives the reason. `unit`: "bit/sample", "bit/supported voxel", "bit/frame", "bit", "1",
-    "sqrt(bit)". `quantiser` is Q, `weighting` mu, one of `WEIGHTINGS`; `estimator` its registered name,
-    "exact" for given probabilities. `samples` is n, `symbols` K, the number of different symbols that occur
-    (of pairs for a joint quantity). `notes`: caveats, such as few samples, or which guard acted.
+    "sqrt(bit)". `quantiser` is Q; `weighting` is mu, one of `WEIGHTINGS`; `estimator` is its registered name,
+    or "exact" for given probabilities. `samples` is n; `symbols` is K, the number of different symbols that
+    occur (of pairs for a joint quantity). `notes`: caveats, such as few samples, or which guard had an
+    effect.
     """
 
     name: str
@@ -120,11 +121,14 @@ class Quantity(Report):
         return float(self.value)
 
     def of(self, **changes: Any) -> Quantity:
-        """Return the quantity with other fields, such as a quantiser that only the caller knows."""
+        """Return the quantity with other fields, such as another quantiser."""
         return replace(self, **changes)
 
     def times(self, factor: float, unit: str, name: str | None = None) -> Quantity:
-        """Scale the quantity and its interval to another unit, such as bits a sample to bits a frame."""
+        """Scale the quantity and its interval to another unit.
+
+        For example from bits per sample to bits per frame.
+        """
         i = self.interval
         scaled = None if i is None else Interval(i.low * factor, i.high * factor, i.level, i.method)
         return replace(self, name=name or self.name, value=self.value * factor, unit=unit, interval=scaled)
@@ -149,21 +153,21 @@ def interval(
     *,
     corrects_bias: bool = False,
 ) -> Interval:
-    """Return a bootstrap interval for a statistic of counts, from blocks drawn with replacement.
+    """Return a block-bootstrap interval for a statistic of counts.
 
-    It always contains the statistic of the sum of the blocks, and has zero width only if the statistic is the
-    same for every resample. Blocks without a sample are left out. The memory is 16 bytes for each of the B x
-    cells counts, plus 64 MiB.
+    Blocks are drawn with replacement. The interval always contains the statistic of the sum of the blocks,
+    and has zero width only if the statistic is the same for every resample. Blocks without a sample are
+    omitted. The memory is 16 bytes for each of the B x cells counts, plus 64 MiB.
 
     `statistic`: ``statistic(counts)``, a finite number, of counts int64 [*cells] (such as a joint histogram).
     `block_counts` int [B, *cells]: the counts of each block, at least 8 of them with a sample. `replicates`:
-    number of resamples, at least 50; the statistic is called once for each. `level`: inside (0, 1). `seed`:
-    of the draws; the same seed gives the same bits on any number of threads. `bounds`: the smallest and the
-    largest possible value of the estimated quantity. The interval is cut there; if the estimate lies beyond
-    a bound, the interval reaches from it at least to that bound. `corrects_bias`: whether the statistic
-    corrects its own bias: the interval is then the normal one, not the basic. InvalidArgument if there are
-    fewer than 8 blocks with a sample or 50 replicates; a count is negative or not whole; the level is outside
-    (0, 1); or the statistic is not finite.
+    number of resamples, at least 50; the statistic is called once for each. `level`: confidence level, inside
+    (0, 1). `seed`: of the draws; the same seed gives the same bits on any number of threads. `bounds`: the
+    smallest and the largest possible value of the estimated quantity. The interval is cut there; if the
+    estimate lies beyond a bound, the interval reaches from it at least to that bound. `corrects_bias`:
+    whether the statistic corrects its own bias; the interval is then the normal one, not the basic one.
+    InvalidArgument if there are fewer than 8 blocks with a sample or 50 replicates; a count is negative or
+    not whole; the level is outside (0, 1); or the statistic is not finite.
     """
     from scipy.special import ndtri, stdtrit
 
@@ -173,11 +177,11 @@ def interval(
     values = _resample(statistic, counts, replicates, seed)
 
     def cut(low: float, high: float) -> tuple[float, float]:
-        """Cut an interval at the bounds and extend it to contain the estimate; 0, and not -0."""
+        """Cut an interval at the bounds and extend it to the estimate; 0 instead of -0."""
         low, high = (min(max(edge, bounds[0]), bounds[1]) for edge in (low, high))
         return min(low, estimate) + 0.0, max(high, estimate) + 0.0
 
-    # with few blocks the resamples vary too little
+    # correction for few blocks, with which the resamples vary too little
     wider = float(math.sqrt(blocks / (blocks - 1)) * stdtrit(blocks - 1, upper) / ndtri(upper))
     kind, edges = "basic", (estimate, estimate)
     if not corrects_bias:
@@ -185,10 +189,11 @@ def interval(
         low, high = np.quantile(values, [1 - upper, upper])
         middle = 2 * estimate - centre
         edges = cut(middle - wider * float(high - centre), middle + wider * float(centre - low))
-    if corrects_bias or edges[0] == edges[1]:  # an estimate moved to a bound by its bias still has a spread
+    # a basic interval may be cut to zero width at a bound, although the resamples vary
+    if corrects_bias or edges[0] == edges[1]:
         deviation = (
             float(values.std(ddof=1)) if values.min() < values.max() else 0.0
-        )  # no rounding where all agree
+        )  # exactly 0 if all agree
         half = wider * float(ndtri(upper)) * deviation
         kind, edges = "normal", cut(estimate - half, estimate + half)
     return Interval(*edges, level, f"block bootstrap ({kind}), {blocks} blocks, {replicates} resamples")
@@ -224,7 +229,10 @@ def _finite(value: float) -> float:
 
 
 def _resample(statistic: Callable[[Int64s], float], counts: Int64s, replicates: int, seed: int) -> Float64s:
-    """Return the statistic of each resample [replicates]: multinomial weights times counts, in chunks."""
+    """Return the statistic of each resample, [replicates].
+
+    Resamples are multinomial weights times counts, computed in chunks.
+    """
     blocks, cells = len(counts), counts.shape[1:]
     flat = counts.reshape(blocks, -1)
     used = np.flatnonzero(flat.any(axis=0))

@@ -1,13 +1,13 @@
-"""Nearest-neighbour search in an index of descriptors of haptic media (paper sections 4 and 5.1).
+"""Nearest-neighbour search in an index of descriptors (paper sections 4 and 5.1).
 
 The paper names "search and retrieval" without a method. A medium is indexed by its descriptor
-(`touchfield.measure.descriptors`); a query is another descriptor, and the result the names in the order of
-their distance::
+(`touchfield.measure.descriptors`); a query is another descriptor, and the result lists the names by
+distance::
 
     d(x, y)^2 = sum over the parts p of weight_p |x_p - y_p|^2
 
-which is a metric between descriptors. The search is exact, one pass over all entries: in 83 dimensions a k-d
-tree looks at nearly every one, too, and takes longer to be made than a command has queries.
+which is a metric between descriptors. The search is exact, one pass over all entries. In 83 dimensions a k-d
+tree would visit nearly every entry, too, and building it takes longer than the few queries of a command.
 """
 
 from __future__ import annotations
@@ -45,24 +45,25 @@ ANY_POSE: Final[Mapping[str, float]] = MappingProxyType({"directions": 0.0})
 
 MAX_MEDIA: Final = 1 << 20
 _MAX_NAME: Final = 1000  # characters
-_BLOCK: Final = 1 << 14  # media whose distances are taken at once
+_BLOCK: Final = 1 << 14  # number of media whose distances are computed at once
 _MAX_HEAD_BYTES: Final = 1 << 28
 _FORMAT: Final = "touchfield medium index"
 
 
 class Match(NamedTuple):
-    """A found medium and its distance from the query: 0 for equal descriptors."""
+    """A found medium and its distance from the query; 0 for equal descriptors."""
 
     name: str
     distance: float
 
 
 class MediumIndex:
-    """Descriptors by name, and the search for the nearest; see the module."""
+    """Index of descriptors by name, with nearest-neighbour search; see the module."""
 
     def __init__(self) -> None:
         self._rows: dict[str, Float64s] = {}
-        self._values: Float64s | None = None  # [media, DESCRIPTOR_LENGTH]; None: to be stacked of the rows
+        # [media, DESCRIPTOR_LENGTH]; None until the rows are stacked
+        self._values: Float64s | None = None
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -72,7 +73,7 @@ class MediumIndex:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The media, in the order in which they were added."""
+        """The names of the media, in the order in which they were added."""
         return tuple(self._rows)
 
     def __getitem__(self, name: str) -> Descriptor:
@@ -82,9 +83,9 @@ class MediumIndex:
         return Descriptor(self._rows[name])
 
     def add(self, name: str, entry: Descriptor) -> None:
-        """File a medium under a name of its own, 1 to 1000 characters.
+        """Add a medium under a new name of 1 to 1000 characters.
 
-        InvalidArgument if the name is empty, too long or there already, or the index is full (2^20 media).
+        InvalidArgument if the name is empty, too long or in use, or the index is full (2^20 media).
         """
         if not isinstance(name, str) or not 1 <= len(name) <= _MAX_NAME:
             raise InvalidArgument("name", repr(name)[:80], f"1 to {_MAX_NAME} characters")
@@ -98,11 +99,11 @@ class MediumIndex:
     def query(
         self, entry: Descriptor, count: int | None = None, weights: Mapping[str, float] | None = None
     ) -> tuple[Match, ...]:
-        """Return the media nearest to a descriptor, the nearest first; ties in the order of addition.
+        """Return the media nearest to a descriptor, the nearest first.
 
-        `count`: the number of matches; by default all. `weights` mapping of str to float: of the
-        parts by name, 0 or more; 1 for those that are not named. `ANY_POSE` is such a mapping.
-        InvalidArgument if the index is empty, `count` is below 1, or a weight is out of range or of no part.
+        Ties are in the order of addition. `count`: the number of matches; by default all. `weights`: weight
+        of each part by name, 0 or more; 1 for parts that are not named, as in `ANY_POSE`. InvalidArgument if
+        the index is empty, `count` is below 1, or a weight is out of range or of an unknown part.
         """
         if not self._rows:
             raise InvalidArgument("index", "no medium", "at least one", "Add some first.")
@@ -121,9 +122,10 @@ class MediumIndex:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write the index as ``.npz``, whole or not at all; equal indices give equal bytes.
+        """Write the index as ``.npz``; equal indices give equal bytes.
 
-        InvalidArgument if the folder is not there. SourceError if the system refuses to write.
+        The file is written completely or not at all. InvalidArgument if the folder does not exist.
+        SourceError if the system refuses to write.
         """
         parts, names = dict(PARTS), list(self._rows)
         head = {"format": _FORMAT, "descriptor_version": DESCRIPTOR_VERSION, "parts": parts, "names": names}
@@ -138,10 +140,10 @@ class MediumIndex:
 
     @classmethod
     def load(cls, path: str | Path) -> MediumIndex:
-        """Read what `save` wrote.
+        """Read an index that `save` wrote.
 
-        SourceError if the file is no such index, is cut short or damaged, or was made by another version of
-        the descriptor.
+        SourceError if the file is no such index, is truncated or damaged, or was written for another version
+        of the descriptor.
         """
         archive = NpzArchive(Path(path))
         names = _names(archive)

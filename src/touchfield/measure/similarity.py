@@ -1,7 +1,7 @@
-"""Similarity of two haptic media, and correlation of a picture with a medium (paper section 4).
+"""Similarity of two haptic media, and correlation of a picture with a medium.
 
-The paper names "similarity estimation" and "correlation analysis between haptic media and visual media"
-without a measure of either.
+The paper (section 4) names "similarity estimation" and "correlation analysis between haptic media and visual
+media" without a measure of either.
 
 Two quantised media S and T on one lattice:
 
@@ -10,27 +10,29 @@ measure              compares                                    metric
 ===================  ==========================================  ========================================
 NMI                  symbols voxel by voxel                      no
 VI                   symbols voxel by voxel                      yes, over "voxel"
-sqrt(JSD)            histograms of the symbols, wherever         yes, over either
-                     they lie
-NCD                  what one medium tells a compressor of the   no; see `compression_distance`
-                     other, at any shift
+sqrt(JSD)            histograms of the symbols, regardless of    yes, over either
+                     position
+NCD                  how much one medium helps a compressor      no; see `compression_distance`
+                     with the other, at any shift
 ===================  ==========================================  ========================================
 
-"Metric" is said of the plug-in estimates, and holds up to what a measure cannot see: VI and NMI are blind to
-another name for each symbol, and sqrt(JSD) to where symbols lie. Over "object", NMI and VI look at the voxels
+"Metric" refers to the plug-in estimates, up to differences that a measure ignores: VI and NMI ignore a
+renaming of the symbols, and sqrt(JSD) ignores where symbols lie. Over "object", NMI and VI use the voxels
 where one of the two has a force; that set differs from pair to pair, and the triangle inequality no longer
 holds.
 
-A picture: I(V;A), V the luma or depth of a pixel, A the |F| that a hand meets along the pixel's ray, both in
-classes of equal shares, mu uniform over the pixels where both are known. A pixel whose ray meets nothing is
-left out, so that the outline of a body alone makes no correlation. *Is it chance?* Pixels depend on their
-neighbours, so that whole square blocks of the second picture are shuffled (P. Good, Permutation, Parametric,
-and Bootstrap Tests of Hypotheses, 2005). They must be larger than the distance over which both are like
-themselves: by default their side is the smallest power of two of at least four times the shift at which the
-product of their autocorrelations (M. S. Bartlett, 1946) falls to 1/e. Where the picture does not hold 16 such
-blocks a smaller one is taken, and a note says that p is then too small. Dependence across the borders of
-blocks is lost in any case: of 60 pairs of independent pictures (64 x 64, smoothed by 1.5 pixels) 7 % had p <=
-0.05. A trend across both is dependence in the sense of this test.
+A picture is compared by I(V;A). V is the luma or depth of a pixel, and A the |F| that a hand meets along the
+pixel's ray, both in classes of equal frequency; mu is uniform over the pixels where both are known. A pixel
+whose ray meets nothing is omitted, so that the outline of a body alone causes no correlation.
+
+The test against chance shuffles whole square blocks of the second picture, because pixels depend on their
+neighbours (P. Good, Permutation, Parametric, and Bootstrap Tests of Hypotheses, 2005). Blocks must be larger
+than the distance over which both pictures are correlated with themselves: by default their side is the
+smallest power of two of at least four times the shift at which the product of their autocorrelations (M. S.
+Bartlett, 1946) falls to 1/e. If the picture does not hold 16 such blocks, smaller ones are used, and a note
+says that p is then too small. Dependence across the borders of blocks is lost in any case: of 60 pairs of
+independent pictures (64 x 64, smoothed by 1.5 pixels) 7 % had p <= 0.05. A trend across both pictures is
+dependence in the sense of this test.
 """
 
 from __future__ import annotations
@@ -65,7 +67,7 @@ if TYPE_CHECKING:
 
 
 MAX_BYTES: Final = 1 << 25
-"""Of the packed symbols of both media; lzma takes about twelve times as much memory."""
+"""Maximum size of the packed symbols of both media; lzma needs about twelve times as much memory."""
 
 _COUNT_BYTES: Final = 8
 _MENDS: Final = (
@@ -76,11 +78,12 @@ _NOT_A_METRIC: Final = "not a metric: NCD(x,x) is not 0, and the triangle inequa
 
 
 def compression_distance(first: Fields, second: Fields) -> Quantity:
-    """Return the NCD of two media by lzma: about 0 for equal media, about 1 for unrelated ones.
+    """Return the normalised compression distance (NCD) of two media by lzma.
 
-    `first`, `second`: FieldSymbols or sequences of them, of one lattice and one Q; each frame is requested
-    once; they may differ in length. Returns "NCD(S,T)", unit "1", mu "voxel". InvalidArgument if lattice or Q
-    differ, or both together take more than 32 MiB when packed.
+    It is about 0 for equal media and about 1 for unrelated ones. `first`, `second`: FieldSymbols or sequences
+    of them, of one lattice and one Q; each frame is requested once; the lengths may differ. Returns
+    "NCD(S,T)", unit "1", mu "voxel". InvalidArgument if lattice or Q differ, or both together take more than
+    32 MiB when packed.
     """
     a, b = Frames(first, "first"), Frames(second, "second")
     a.check_like(b, "second", "the first", _MENDS)
@@ -88,7 +91,7 @@ def compression_distance(first: Fields, second: Fields) -> Quantity:
     first_bytes = pack(a, MAX_BYTES)
     x, y = sorted(
         [first_bytes, pack(b, MAX_BYTES - len(first_bytes))], key=lambda d: (len(d), d)
-    )  # in whatever order
+    )  # sorted, so that the distance is symmetric
     window = max(1 << 12, 1 << (len(x) + len(y)).bit_length())
     filters = [{"id": lzma.FILTER_LZMA2, "preset": 6, "dict_size": window}]
     sizes = [len(lzma.compress(d, lzma.FORMAT_RAW, filters=filters)) for d in (x, y, x + y)]
@@ -98,7 +101,7 @@ def compression_distance(first: Fields, second: Fields) -> Quantity:
 
 
 def pack(frames: Frames, max_bytes: int = MAX_BYTES) -> bytes:
-    """Pack the symbols of all frames as bytes; equal symbols give equal bytes however they are stored.
+    """Pack the symbols of all frames as bytes; equal symbols give equal bytes.
 
     For each frame: the number of bricks with a force, the key of each as the difference from the one before
     it, and its 512 symbols, in whole bytes, the low bytes of a brick before the high ones.
@@ -132,9 +135,9 @@ def pack(frames: Frames, max_bytes: int = MAX_BYTES) -> bytes:
 class Similarity(Report):
     """Similarity measures of two media; each a `Quantity`.
 
-    `normalised` I(S;T): 1 if each symbol of one medium determines that of the other, 0 for independent ones.
-    `variation`: VI(S,T), bits a sample. `jensen_shannon`: sqrt(JSD) between the histograms of symbols, 0
-    to 1. `compression`: NCD, about 0 to 1; None if it was not requested.
+    `normalised`: normalised I(S;T); 1 if each symbol of one medium determines that of the other, 0 for
+    independent ones. `variation`: VI(S,T), bits per sample. `jensen_shannon`: sqrt(JSD) between the
+    histograms of symbols, 0 to 1. `compression`: NCD, about 0 to 1; None if it was not requested.
     """
 
     normalised: Quantity
@@ -146,15 +149,15 @@ class Similarity(Report):
 def similarity(
     first: Fields, second: Fields, over: str = "voxel", *, compressed: bool = True, interval: bool = True
 ) -> Similarity:
-    """Compare two media of one lattice and one Q, by plug-in counts: the bias-corrected estimates are no
-    metrics.
+    """Compare two media of one lattice and one quantiser.
 
-    `first`, `second`: FieldSymbols or sequences of as many, S and T, compared frame by frame. "One Q" means
-    that a symbol is the same codeword in both: a quantiser that is fitted to data is to be fitted to both.
-    Each frame is requested at most twice, and once more for the NCD. `over`: mu of NMI and VI, "voxel" for
-    all voxels or "object" for those where one of the two has a force; sqrt(JSD) over "object" compares the
-    symbols of the forces of each medium. `compressed`: whether to make the NCD, which takes the longest.
-    `interval`: whether the others get one, of 27 parts of space. InvalidArgument if the media differ in
+    All measures use plug-in counts, because bias-corrected estimates are no metrics. `first`, `second`:
+    FieldSymbols or sequences of equal length, S and T, compared frame by frame. "One quantiser" means that a
+    symbol is the same codeword in both: a quantiser that is fitted to data must be fitted to both. Each frame
+    is requested at most twice, and once more for the NCD. `over`: mu of NMI and VI, "voxel" for all voxels or
+    "object" for those where one of the two has a force; sqrt(JSD) over "object" compares the symbols of the
+    forces of each medium. `compressed`: whether to compute the NCD, which takes the longest. `interval`:
+    whether the other measures get one, from 27 parts of space. InvalidArgument if the media differ in
     lattice, Q or length, an option is unknown, over "object" one of them has no force, or the symbols are too
     many to compress.
     """
@@ -179,10 +182,10 @@ _RAYS = 1 << 16  # at a time
 
 @dataclass(frozen=True)
 class Contact:
-    """The points at which rays first meet a force, or the greatest force.
+    """The points at which rays first meet a force, or the largest force.
 
-    `amplitudes_n` float64 [...]: |F|, newtons; NaN where a ray meets no force. `distances_m` float64 [...]:
-    from the start of the ray to that sample's step, metres; NaN likewise.
+    `amplitudes_n` float64 [...]: |F|, newtons; NaN if a ray meets no force. `distances_m` float64 [...]:
+    distance from the start of the ray to the step that found the sample, metres; NaN likewise.
     """
 
     amplitudes_n: Float64s
@@ -192,12 +195,12 @@ class Contact:
 def contact_along_rays(
     field: ForceField, starts_m: ArrayLike, stops_m: ArrayLike, reading: str = "first"
 ) -> Contact:
-    """Follow straight rays through a field to the first or to the greatest force.
+    """Follow straight rays through a field to the first or to the largest force.
 
-    `starts_m`, `stops_m` float [..., 3]: of each ray, in the metres of the field, of shapes that broadcast:
-    one start is a camera, many a plane. `reading`: "first" or "peak". Gives a `Contact` of the shape of the
-    rays. InvalidArgument if a point is not finite, the shapes do not fit, the reading is unknown, or rays and
-    steps are too many.
+    `starts_m`, `stops_m` float [..., 3]: ends of each ray, in the metres of the field, of shapes that
+    broadcast: one start is a camera, many are a plane. `reading`: "first" or "peak". Returns a `Contact` of
+    the shape of the rays. InvalidArgument if a point is not finite, the shapes do not fit, the reading is
+    unknown, or there are too many rays and steps.
     """
     require_one_of("reading", reading, READINGS)
     start, stop = (numbers_of("rays", p, is_finite=True) for p in (starts_m, stops_m))
@@ -228,12 +231,15 @@ def contact_along_rays(
 def _follow_rays(
     field: ForceField, start: Float64s, stop: Float64s, fractions: Float64s, first: bool
 ) -> Float64s:
-    """Return |F| and the fraction of the ray, float64 [2, n], NaN for rays without a force."""
+    """Return |F| and the fraction of the ray where it is met, float64 [2, n].
+
+    NaN for rays without a force.
+    """
     low, across = field.grid.to_index(start), (stop - start) / np.asarray(field.grid.spacing_m)
     best = np.full((2, len(start)), np.nan)
     open_ = np.arange(len(start))
     for fraction in fractions.tolist():
-        # ties to the lower sample, but for what rounding leaves of a column of the lattice
+        # half-way between samples the lower one is used; 1e-9 allows for rounding
         index = np.ceil(low[open_] + fraction * across[open_] - 0.5 - 1e-9).astype(np.int64)
         forces = values_at(field.grid, field.bricks, field.forces_n, index).astype(np.float64)
         amplitudes = np.sqrt((forces**2).sum(axis=1))
@@ -246,9 +252,9 @@ def _follow_rays(
     return best
 
 
-_MIN_BLOCKS: Final = 16  # that a picture is to hold
+_MIN_BLOCKS: Final = 16  # minimum number of blocks in a picture
 BLOCK_LENGTHS: Final = 4
-"""Side of a block over the correlation length of both."""
+"""Side of a block over the correlation length of both pictures."""
 
 MAX_SHUFFLES: Final = 1 << 20
 _ESTIMATOR: Final = "miller-madow"  # plug-in is high by about (classes - 1)^2 / (2 n ln 2) bits
@@ -258,10 +264,11 @@ _ESTIMATOR: Final = "miller-madow"  # plug-in is high by about (classes - 1)^2 /
 class Correlation(Report):
     """Information of a picture about a haptic medium.
 
-    `mutual`: I(V;A), bits a pixel. `null_mean_bits`, `null_spread_bits`: mean and standard deviation of I
-    over the shuffles. `z`: (I - mean) / standard deviation; NaN where the shuffles do not differ. `p`: share
-    of the shuffles, with the picture itself as one of them, whose I is no less. `block_px`: side of a block;
-    `blocks`: how many were shuffled. `share`: of all pixels, those where both are known, within whole blocks.
+    `mutual`: I(V;A), bits per pixel. `null_mean_bits`, `null_spread_bits`: mean and standard deviation of I
+    over the shuffles. `z`: (I - mean) / standard deviation; NaN if the shuffles do not differ. `p`: fraction
+    of the shuffles, including the picture itself, whose I is no less. `block_px`: side of a block; `blocks`:
+    number of blocks that were shuffled. `share`: fraction of all pixels where both are known, within whole
+    blocks.
     """
 
     mutual: Quantity
@@ -287,12 +294,12 @@ def picture_correlation(
 ) -> Correlation:
     """I(V;A) of a picture and a haptic medium, with a test against chance.
 
-    `picture` float [height, width]: luma, depth in metres, or any other number a pixel; `touched`, alike: |F|
-    in newtons, or another number of the medium; NaN where unknown or none. `classes`: of equal shares, for
-    each of the two, 2 to 256; equal values stay together. `shuffles`: of blocks, 19 or more. `block_px`: side
-    of a block, see the module. `interval`: whether I gets one, over groups of these blocks. `seed`: of the
-    shuffles. InvalidArgument if the shapes differ, no pixel or fewer than four blocks hold both, or an option
-    is out of range.
+    `picture` float [height, width]: luma, depth in metres, or any other number per pixel. `touched`, of the
+    same shape: |F| in newtons, or another number of the medium. NaN if unknown or none. `classes`: number of
+    classes of equal frequency for each of the two, 2 to 256; equal values stay in one class. `shuffles`:
+    number of shuffles of blocks, 19 or more. `block_px`: side of a block, see the module. `interval`: whether
+    I gets one, over groups of these blocks. `seed`: of the shuffles. InvalidArgument if the shapes differ, no
+    pixel or fewer than four blocks hold both, or an option is out of range.
     """
     v, a = _maps(picture, touched)
     require_between(2, 256, classes=classes)
@@ -328,9 +335,9 @@ def picture_correlation(
 
 
 def quantile_classes(values: ArrayLike, count: int) -> Int64s:
-    """Return the quantile class of each value, 0 .. count - 1, int64 of the same shape; -1 for NaN.
+    """Return the quantile class of each value, 0 .. count - 1; -1 for NaN.
 
-    Equal values are of one class, that of the middle of their ranks.
+    int64 of the same shape. Equal values are in one class, that of the middle of their ranks.
     """
     from scipy.stats import rankdata
 
@@ -343,10 +350,10 @@ def quantile_classes(values: ArrayLike, count: int) -> Int64s:
 
 
 def correlation_length_px(first: ArrayLike, second: ArrayLike) -> float:
-    """Return the shift, pixels, at which the product of two autocorrelations falls to 1/e (larger axis).
+    """Return the shift at which the product of two autocorrelations falls to 1/e.
 
-    Unknown pixels (NaN) count as the mean. The result is 0 if one of the pictures does not vary, and a whole
-    side if the product never falls so far.
+    Pixels, the larger of both axes. Unknown pixels (NaN) count as the mean. The result is 0 if one of the
+    pictures does not vary, and a whole side if the product never falls so far.
     """
     maps = [np.asarray(m, np.float64) for m in (first, second)]
     longest = 0.0
@@ -360,7 +367,10 @@ def correlation_length_px(first: ArrayLike, second: ArrayLike) -> float:
 
 
 def _autocorrelation(values: Float64s, axis: int) -> Float64s:
-    """Return the autocorrelation along one axis, float64 [side], 1 for no shift; all 0 if constant."""
+    """Return the autocorrelation along one axis, float64 [side].
+
+    1 for no shift; all 0 if the values are constant.
+    """
     is_known = ~np.isnan(values)
     side = values.shape[axis]
     if not is_known.any() or np.ptp(values[is_known]) == 0:
@@ -412,14 +422,17 @@ def _block_side(v: Float64s, a: Float64s, requested_px: int | None) -> tuple[int
 
 
 def _in_blocks(symbols: Int64s, side: int) -> Int64s:
-    """Return the pixels of each whole block, int64 [blocks, side^2]; partial blocks are omitted."""
+    """Return the pixels of each whole block, int64 [blocks, side^2].
+
+    Partial blocks are omitted.
+    """
     rows, columns = (n // side for n in symbols.shape)
     trimmed = symbols[: rows * side, : columns * side].reshape(rows, side, columns, side)
     return np.ascontiguousarray(trimmed.transpose(0, 2, 1, 3)).reshape(rows * columns, side * side)
 
 
 def _bits(x: Int64s, y: Int64s, classes: int) -> float:
-    """Return I of the pixels where both are known, bits; 0 without any."""
+    """Return I of the pixels where both are known, bits; 0 if there is none."""
     both = (x >= 0) & (y >= 0)
     if not both.any():
         return 0.0

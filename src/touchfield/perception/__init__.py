@@ -1,4 +1,4 @@
-"""Limits of human touch (paper section 4.2), every figure with its source; masks and deadbands."""
+"""Limits of human touch, each with its source; masks and deadbands (section 4.2)."""
 
 from touchfield.perception.human import Figure, figure, human
 from touchfield.perception.mask import SpatialMasking, mask_n, violations

@@ -1,22 +1,22 @@
-"""Difference of two fields as felt by a hand that slides along a surface, or holds still on it.
+"""Difference of two fields as felt by a hand that slides along a surface or rests.
 
-A mask bounds the error of each sample. A hand that moves meets one sample after another, so that an error
-that differs from one to the next becomes vibration: e(t) = F_decoded(x(t)) - F_source(x(t)), both
-interpolated as the receiver does, along seeded paths at three speeds, in the band from 40 to 400 Hz
-(Butterworth of order 4, forwards and backwards; thirds of an octave: the power of a Hann window's spectrum).
-For comparison there is the source itself in that band and, if known, the error of its lattice relative to the
-exact field that it samples.
+A mask bounds the error of each sample. A moving hand meets one sample after another, so that an error that
+differs between neighbouring samples becomes vibration: e(t) = F_decoded(x(t)) - F_source(x(t)), both
+interpolated as in the receiver. e is computed along seeded paths at three speeds and measured in the band
+from 40 to 400 Hz (Butterworth of order 4, forwards and backwards; third-octave levels from the power spectrum
+with a Hann window). For comparison, the same is measured for the source itself and, if the exact field is
+known, for the error of the source's lattice relative to it.
 
-A path starts at a random sample of the support and is brought to the level |F| = 1 N along the force, then
-steps along the surface by one spacing at a time and is brought back each time; its direction turns at random
-where the surface ends. Of these points one every 50 ms is kept, and a cubic spline runs through them, so that
-the path itself holds next to nothing above 20 Hz.
+A path starts at a random sample of the support, which is moved along the force to the level |F| = 1 N. It
+then steps along the surface by one spacing at a time and is moved back to the level after each step; its
+direction changes at random where the surface ends. Points 50 ms apart are kept and joined by a cubic spline,
+so that the path itself contains almost nothing above 20 Hz.
 
-Where nothing moves, the source makes no step, but a coder whose errors differ from frame to frame does.
-Points are seeded on the surface of a frame and stay until the next points are seeded; the forces at each are
-recorded for the source and for the output of a receiver. A step is the change from one frame to the next; for
-the band the frames are blended linearly up to 1000 samples a second, as the receiver does. These measures do
-not prove that an error is imperceptible.
+A hand at rest feels the changes between frames. Where nothing moves, the source makes no step, but a coder
+whose errors differ from frame to frame does. Points are seeded on the surface of a frame and stay until the
+next points are seeded; the forces at each point are recorded for the source and for the output of a receiver.
+A step is the change from one frame to the next; for the band the frames are interpolated linearly to 1000
+samples per second, as the receiver does. These measures do not prove that an error is imperceptible.
 """
 
 from __future__ import annotations
@@ -39,26 +39,26 @@ if TYPE_CHECKING:
     from touchfield.medium import ForceField
 
 Forces = Callable[["Float64s"], "NDArray[Any]"]
-"""``forces(points_m [n, 3]) -> newtons [n, 3]``: what a hand meets, for example `ForceField.sample_n`."""
+"""``forces(points_m [n, 3]) -> newtons [n, 3]``: forces at points, for example `ForceField.sample_n`."""
 
 SPEEDS_MM_S: Final = (50.0, 100.0, 200.0)
 
 NO_STEP_N: Final = 1e-3
-"""A source that changes by no more than this makes no step, newtons."""
+"""A change of the source by at most this force counts as no step, newtons."""
 
 BAND_HZ: Final = (40.0, 400.0)
 LEVEL_N: Final = 1.0
-MARGIN_S: Final = 0.1  # filtered and not counted, on either side: the slowest pole has fallen to 1e-4
+MARGIN_S: Final = 0.1  # on either side, filtered but not counted; the slowest pole decays to 1e-4 in it
 MIN_DURATION_S: Final = 0.25  # a signal shorter than this, without its margins, is not measured
 
 _KNOT_S: Final = 0.05
-_TRIES: Final = 32  # candidates for each requested start
-_TURNS: Final = 24  # directions that a path tries where the surface ends
+_TRIES: Final = 32  # number of candidates for each requested start
+_TURNS: Final = 24  # number of directions that a path tries where the surface ends
 _PARTS: Final = 4
 _PART_S: Final = 0.5
 _MAX_FRAMES: Final = 4096
 _SERVO_HZ: Final = 1000.0
-_AT_ONCE: Final = 1 << 17  # samples of signals that are filtered together
+_AT_ONCE: Final = 1 << 17  # number of samples of signals that are filtered together
 
 
 # -- paths -------------------------------------------------------------------------------------------------
@@ -66,18 +66,24 @@ class SurfaceWalks(NamedTuple):
     """Points along the surface, one spacing apart."""
 
     points_m: Float64s  # float64 [steps, walks, 3]
-    steps: Int64s  # int64 [walks]; points that each walk has; those beyond stand still
+    steps: Int64s  # int64 [walks]; number of points of each walk; the last point is repeated
     step_m: float
 
 
 def level_of(field: ForceField) -> float:
-    """The force at which a hand slides, newtons: 1 N, or half the largest of the field where that is less."""
+    """The amplitude of the force at which a hand slides, newtons.
+
+    1 N, or half the largest force of the field if that is less.
+    """
     square = (field.forces_n.astype(np.float64) ** 2).sum(axis=-1).max(initial=0.0)
     return min(LEVEL_N, float(np.sqrt(square)) / 2)
 
 
 def points_on_surface(field: ForceField, count: int, rng: np.random.Generator) -> Float64s:
-    """Up to `count` random points at the level, metres, float64 [n, 3]; none where no sample leads to one."""
+    """Up to `count` random points at the level (`level_of`), metres, float64 [n, 3].
+
+    There are none if no sample leads to such a point.
+    """
     positions = field.positions()
     if not len(positions):
         return np.zeros((0, 3))
@@ -88,7 +94,10 @@ def points_on_surface(field: ForceField, count: int, rng: np.random.Generator) -
 
 
 def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random.Generator) -> SurfaceWalks:
-    """Walk along the surface from `count` random points, `length_m` each; a walk that is stuck is shorter."""
+    """Walk along the surface from `count` random points, `length_m` each.
+
+    A walk that finds no further point is shorter.
+    """
     level, step_m = level_of(field), min(field.grid.spacing_m)
     starts = points_on_surface(field, count, rng)
     steps = max(1, round(length_m / step_m)) + 1
@@ -116,9 +125,9 @@ def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random
 def slide_m(
     walks: SurfaceWalks, speed_m_per_s: float, duration_s: float, rate_hz: float
 ) -> Iterator[Float64s]:
-    """Yield positions of hands sliding along the walks, metres, float64 [samples, hands, 3], by length.
+    """Yield positions of hands that slide along the walks, grouped by duration.
 
-    Walks of fewer than four knots are omitted.
+    Metres, float64 [samples, hands, 3]. Walks of fewer than four knots are omitted.
     """
     from scipy.interpolate import CubicSpline
 
@@ -141,7 +150,10 @@ def slide_m(
 def _move_to_level(
     field: ForceField, points_m: Float64s, level_n: float, rounds: int
 ) -> tuple[Float64s, Bools]:
-    """Points moved along the force to where it is `level_n`; where that came within 2 %."""
+    """Move points along the force to where its amplitude is `level_n`.
+
+    Also returns bool [n], True for points that came within 2 % of the level.
+    """
     from touchfield.perception import kernels
 
     grid, points, met = field.grid, points_m.copy(), np.empty(len(points_m), np.bool_)
@@ -158,10 +170,10 @@ def _unit(vectors: Float64s) -> Float64s:
 
 # -- what lies in the band ---------------------------------------------------------------------------------
 def in_band(signal: Float64s, rate_hz: float) -> Float64s:
-    """The part of a signal [samples, ...] from 40 to 400 Hz, without its margins, float64 [samples - 2
-    margin, ...].
+    """The part of a signal from 40 to 400 Hz, without its margins.
 
-    Raises `InvalidArgument` if the rate is below 1000 samples a second or the signal too short.
+    `signal`: [samples, ...]; the result is float64 [samples - 2 margin, ...]. Raises `InvalidArgument` if the
+    rate is below 1000 samples per second, or the signal is too short.
     """
     from scipy.signal import sosfiltfilt
 
@@ -179,7 +191,10 @@ def _band_sections(rate_hz: float) -> Float64s:
 
 
 def third_octave_power(signal: Float64s, rate_hz: float) -> Float64s:
-    """Mean square of a signal [samples, ...] in each third of `THIRDS_HZ`, components added, float64 [11]."""
+    """Mean square of a signal in each third of an octave of `THIRDS_HZ`, float64 [11].
+
+    `signal`: [samples, ...]; the squares of all components are added.
+    """
     from scipy.signal import periodogram
 
     n = len(signal)
@@ -198,14 +213,21 @@ def _check(samples: int, rate_hz: float) -> None:
 
 
 class BandSums:
-    """Power and peaks of signals from 40 to 400 Hz by kind; weighted third-octave powers of one kind."""
+    """Sums over signals in the band from 40 to 400 Hz.
+
+    Power and peaks are kept for each of several kinds; third-octave powers are summed with weights, for one
+    kind.
+    """
 
     def __init__(self, kinds: int) -> None:
         self.samples, self._power, self._peak = np.zeros((3, kinds))
         self._weight, self._thirds = 0, np.zeros(len(THIRDS_HZ))
 
     def add(self, kind: int, signals: Float64s, rate_hz: float, weight: int = 0) -> None:
-        """Add signals in newtons [samples, signals, 3]; a `weight` of 0 omits their third-octave powers."""
+        """Add signals, newtons [samples, signals, 3].
+
+        Their third-octave powers count with `weight`; with 0 they are omitted.
+        """
         squares = (in_band(signals, rate_hz) ** 2).sum(axis=2)
         self.samples[kind] += squares.size
         self._power[kind] += squares.sum()
@@ -215,7 +237,7 @@ class BandSums:
             self._thirds += weight * third_octave_power(signals, rate_hz)
 
     def mn(self, kind: int) -> tuple[float, float]:
-        """Rms and largest, millinewtons."""
+        """Rms value and largest value, millinewtons."""
         power = self._power[kind] / max(1, self.samples[kind])
         return 1e3 * math.sqrt(power), 1e3 * math.sqrt(self._peak[kind])
 
@@ -227,11 +249,11 @@ class BandSums:
 # -- a hand that slides ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class SlideSpec:
-    """The slides to measure."""
+    """Settings of the slides to measure."""
 
-    paths: int = 16  # of each frame, 1 to 1024
-    duration_s: float = 0.5  # of a slide, its margins left out, from 0.25 s
-    rate_hz: float = 1000.0  # samples a second, from 1000; what lies above half of it is felt below
+    paths: int = 16  # number of paths per frame, 1 to 1024
+    duration_s: float = 0.5  # duration of a slide without its margins, 0.25 s or more
+    rate_hz: float = 1000.0  # samples per second, 1000 or more; frequencies above half of it are aliased
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -241,16 +263,19 @@ class SlideSpec:
 
 
 class Slide(NamedTuple):
-    """The slides at one speed from 40 to 400 Hz, millinewtons: rms, and the largest value, over all paths."""
+    """The slides at one speed: rms and largest value in the band from 40 to 400 Hz.
+
+    All values are in millinewtons and taken over all paths.
+    """
 
     speed_mm_s: float
-    paths: int  # 0 where no surface was long enough, and all figures are then 0
-    seconds: float  # together, margins left out
-    error_mn: float  # of decoded less source
+    paths: int  # 0 if no surface was long enough; all figures are then 0
+    seconds: float  # total duration without margins
+    error_mn: float  # of decoded minus source
     error_peak_mn: float
     source_mn: float
     source_peak_mn: float
-    lattice_mn: float | None  # of the source less the field that it samples; None where that is not known
+    lattice_mn: float | None  # of the source minus the field that it samples; None if that is not known
     error_thirds_mn: Float64s  # float64 [11]; in each third of an octave of `THIRDS_HZ`
 
     def summary(self) -> dict[str, Any]:
@@ -259,14 +284,21 @@ class Slide(NamedTuple):
 
 
 class Margin(NamedTuple):
-    """Smallest margin of a level below the threshold of a hand, decibels, and its third of an octave."""
+    """Smallest margin of a level below the threshold of a hand.
+
+    `db`: decibels. `third_hz`: the third of an octave in which it occurs.
+    """
 
     db: float
     third_hz: float
 
 
 def margin_of(levels_mn: Float64s, threshold: VibrationThreshold | None = None) -> Margin:
-    """Least margin of rms levels in millinewtons, float64 [11], to a threshold; +inf dB for none at all."""
+    """Smallest margin of third-octave levels below a threshold.
+
+    `levels_mn`: rms millinewtons, float64 [11]. The margin is +inf dB if all levels are 0. `threshold` is by
+    default that of `vibration_threshold`.
+    """
     limit_mn = (threshold or vibration_threshold()).force_rms_mn()
     with np.errstate(divide="ignore"):
         margins_db = 20 * np.log10(limit_mn / levels_mn)
@@ -275,7 +307,7 @@ def margin_of(levels_mn: Float64s, threshold: VibrationThreshold | None = None) 
 
 
 class SlideMeter:
-    """The slides over the frames of a medium, one after another; each frame has paths of its own."""
+    """Measurement of slides over the frames of a medium; each frame has its own paths."""
 
     def __init__(self, spec: SlideSpec | None = None) -> None:
         self._spec = spec or SlideSpec()
@@ -284,9 +316,9 @@ class SlideMeter:
         self._rng = np.random.default_rng(self._spec.seed)
 
     def add(self, surface: ForceField, source: Forces, decoded: Forces, exact: Forces | None = None) -> None:
-        """Measure one frame; without a surface in it nothing is added.
+        """Measure one frame; a frame without a surface adds nothing.
 
-        surface : ForceField; of the source, which the paths follow, so that they are the same for several
+        surface : ForceField; of the source. The paths follow it, so that they are the same for several
             codings.
         exact : callable, optional; the field that the source samples.
         """
@@ -332,8 +364,9 @@ def slides(
 # -- both, and a hand that holds still ---------------------------------------------------------------------
 @dataclass(frozen=True)
 class HandMotion:
-    """Decoded less source as a hand feels it that moves, and (but for a single frame) as one that holds
-    still.
+    """Error of a decoded medium as felt by a moving hand and by a hand at rest.
+
+    The error is decoded minus source. `hold` is None for a single frame.
     """
 
     slides: tuple[Slide, ...]
@@ -342,23 +375,23 @@ class HandMotion:
 
     @property
     def measured(self) -> list[Slide | Hold]:
-        """The slides and the hold that something was measured of."""
+        """The slides and the hold for which something was measured."""
         holds = () if self.hold is None or self.hold.error_mn is None else (self.hold,)
         return [*(s for s in self.slides if s.paths), *holds]
 
     @property
     def loudest(self) -> Slide | Hold | None:
-        """The slides or the hold whose error is the largest rms; None where nothing was measured."""
+        """The slides or the hold with the largest rms error; None if nothing was measured."""
         return max(self.measured, key=lambda part: part.error_mn or 0.0, default=None)
 
     @property
     def margin(self) -> Margin:
-        """The least margin to the threshold, over slides and hold."""
+        """The smallest margin below the threshold, over slides and hold."""
         margins = (margin_of(part.error_thirds_mn, self.threshold) for part in self.measured)
         return min(margins, default=Margin(math.inf, THIRDS_HZ[0]))
 
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs; a figure is None where nothing was measured."""
+        """Stable keys for people and programs; None for figures that were not measured."""
         part, margin = self.loudest, self.margin
         return {
             "hand_vibration_mn": part.error_mn if part else None,
@@ -374,21 +407,22 @@ class HandMotion:
 
 
 class Hold(NamedTuple):
-    """A hand held still over the frames of a medium; forces in millinewtons."""
+    """Forces on a hand at rest over the frames of a medium, millinewtons."""
 
     points: int
     steps: int  # changes from a frame to the next, summed over all points
-    step_mn: float  # the largest of the force that is played, and what the source does there
+    step_mn: float  # the largest step of the output, and the step of the source there
     step_source_mn: float
-    start_step_mn: float  # the same where a segment starts
+    start_step_mn: float  # the same, of steps at the start of a segment
     start_step_source_mn: float
-    start_error_mn: (
-        float  # step of played less source, rms over points: where a segment starts, and elsewhere
-    )
+    start_error_mn: float  # step of output minus source, rms: at the start of a segment, and elsewhere
     error_step_mn: float
-    still_step_mn: float  # the largest, and over max(F_0, k |F|), where the source makes none (`NO_STEP_N`)
+    # the largest step, and the largest step over max(F_0, k |F|), where the source makes no step
+    # (`NO_STEP_N`)
+    still_step_mn: float
     still_step_ratio: float
-    error_mn: float | None  # from 40 to 400 Hz, rms and largest; None for a medium below 0.25 s
+    # error from 40 to 400 Hz, rms and largest value; None for a medium below 0.25 s
+    error_mn: float | None
     error_peak_mn: float | None
     source_mn: float | None
     error_thirds_mn: Float64s  # float64 [11]; in each third of an octave
@@ -399,10 +433,10 @@ class Hold(NamedTuple):
 
 
 class HoldMeter:
-    """The holds over the frames of a medium; steps are measured by the mask max(F_0, k |F|), F_0 positive.
+    """Measurement of the steps that a hand at rest feels over the frames of a medium.
 
-    Frames are felt in parts, each at points of its own; forces of a part are float64 [source and what is
-    felt, frames, points, 3].
+    Steps are compared with the mask max(F_0, k |F|), with F_0 positive. The frames are divided into parts,
+    each with its own points. Forces of a part are float64 [source and output, frames, points, 3].
     """
 
     def __init__(self, frame_count: int, rate_hz: float, k: float, f0_n: float, points: int = 64) -> None:
@@ -420,12 +454,16 @@ class HoldMeter:
         self._band = BandSums(2)  # error, source
 
     def add(self, surface: ForceField, source: Forces, played: Forces, starts_segment: bool) -> None:
-        """Add the next frame: `surface` of the source is where points are seeded, `played` the output."""
+        """Add the next frame.
+
+        `surface` is the field of the source, on which points are seeded; `played` is the output of the
+        receiver.
+        """
         forces = (source, played)
         self._sample_forces(forces, starts_segment)
         self._frames_remaining -= 1
-        # the last of a part is the first of the next one, so that no step is missed; a rest too short joins
-        # the part
+        # the last frame of a part is the first of the next one, so that no step is missed; a short rest joins
+        # the part before
         if (len(self._starts) > self._part and self._frames_remaining >= self._part // 2) or not self._starts:
             self._close()
             self._points_m = points_on_surface(surface, self._count, self._rng)

@@ -1,9 +1,9 @@
-"""The limits of human touch (paper section 4.2): thresholds and just noticeable differences, with sources.
+"""The limits of human touch (paper section 4.2), with sources.
 
-The figures stand in ``human.toml``; the force at which a vibration is just felt, by thirds of an octave, in
-``vibration_threshold.toml``. The literature gives the displacement of the handle at the threshold. A hand
-with its device is taken as a mass, a damper and a spring: a force of amplitude F moves it by F / |k - m w^2 +
-i b w|.
+Thresholds and just noticeable differences are in ``human.toml``; the threshold of vibration against frequency
+is in ``vibration_threshold.toml``. The literature gives the displacement of the handle at this threshold. A
+hand with its device is modelled as a mass, a damper and a spring: a force of amplitude F moves it by F / |k -
+m w^2 + i b w|.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Figure:
 
     name: str
     values: tuple[float, ...]
-    of: tuple[str, ...]  # what each of several belongs to; empty for one
+    of: tuple[str, ...]  # names of the values if there are several, else empty
     unit: str  # "1" for a ratio
-    source: str  # begins with "unverified" where the source was not seen
+    source: str  # starts with "unverified" if the source was not seen
 
     @property
     def value(self) -> float:
@@ -41,7 +41,10 @@ class Figure:
 
 @cache
 def human() -> Mapping[str, Figure]:
-    """All figures by name, for example ``human()["force_threshold_n"].value`` (F_0, newtons)."""
+    """All figures by name.
+
+    For example ``human()["force_threshold_n"].value`` is F_0 in newtons.
+    """
     text = (resources.files("touchfield.perception") / "human.toml").read_text("utf-8")
     figures = {}
     for name, entry in tomllib.loads(text).items():
@@ -52,7 +55,10 @@ def human() -> Mapping[str, Figure]:
 
 
 def figure(name: str) -> float:
-    """Return the value of a figure (the first of several); `InvalidArgument` if the name is unknown."""
+    """Return the value of a figure (the first of several).
+
+    `InvalidArgument` if the name is unknown.
+    """
     require_one_of("perception figure", name, human())
     return human()[name].value
 
@@ -60,15 +66,16 @@ def figure(name: str) -> float:
 DEFAULT_HAND: Final = "stylus"
 
 THIRDS_HZ: Final = tuple(float(1000 * 10 ** (n / 10)) for n in range(-14, -3))
-"""Centres of the eleven thirds of an octave from 40 to 400 Hz; a band reaches a factor 10 ** 0.05 either way.
-
-"""
+"""Centres of the eleven thirds of an octave from 40 to 400 Hz; a band extends from its centre by a factor 10
+** 0.05 to either side."""
 
 
 @dataclass(frozen=True)
 class VibrationThreshold:
-    """A threshold of detection, peak displacements of a sine, and the hand and device that it is felt
-    through.
+    """A detection threshold for vibration, and the hand and device it applies to.
+
+    `displacement_um` are peak displacements of a sine at `frequency_hz`; mass, damping and stiffness are
+    those of the hand with its device.
     """
 
     name: str
@@ -82,13 +89,19 @@ class VibrationThreshold:
     conditions: str
 
     def displacement_peak_um(self, frequency_hz: ArrayLike) -> Float64s:
-        """Peak displacement at the threshold, micrometres, float64 as `frequency_hz` (Hz, positive)."""
+        """Peak displacement at the threshold, micrometres.
+
+        float64 of the shape of `frequency_hz` (Hz, positive).
+        """
         f = np.log(np.asarray(frequency_hz, np.float64))
         um: Float64s = np.exp(np.interp(f, np.log(self.frequency_hz), np.log(self.displacement_um)))
         return um
 
     def force_rms_mn(self, frequency_hz: ArrayLike = THIRDS_HZ) -> Float64s:
-        """Force at the threshold, millinewtons rms, float64 as `frequency_hz`."""
+        """Force at the threshold, millinewtons rms.
+
+        float64 of the shape of `frequency_hz` (Hz).
+        """
         w = 2 * np.pi * np.asarray(frequency_hz, np.float64)
         n_per_m = np.abs(self.stiffness_n_per_m - self.mass_kg * w**2 + 1j * self.damping_n_s_per_m * w)
         rms: Float64s = 1e-3 * self.displacement_peak_um(frequency_hz) * n_per_m / np.sqrt(2)
@@ -97,7 +110,7 @@ class VibrationThreshold:
 
 @cache
 def vibration_thresholds() -> Mapping[str, VibrationThreshold]:
-    """All profiles by name."""
+    """All profiles of hands by name."""
     text = (resources.files("touchfield.perception") / "vibration_threshold.toml").read_text("utf-8")
     profiles = {}
     for name, entry in tomllib.loads(text).items():
@@ -111,6 +124,6 @@ def vibration_thresholds() -> Mapping[str, VibrationThreshold]:
 
 
 def vibration_threshold(name: str = DEFAULT_HAND) -> VibrationThreshold:
-    """The profile of a hand by its name; `InvalidArgument` if there is none of that name."""
+    """The profile of a hand; `InvalidArgument` if there is none of this name."""
     require_one_of("hand", name, vibration_thresholds())
     return vibration_thresholds()[name]

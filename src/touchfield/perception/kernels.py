@@ -1,4 +1,4 @@
-"""Compiled deadbands, and motion to a force level; imported only when first needed.
+"""Compiled deadbands, and motion to a force level; imported when first needed.
 
 The gates along a scan run in one thread, because each sample depends on the samples sent before it. Products
 and sums are in float64; comparisons are written so that a NaN is sent, not held.
@@ -17,7 +17,10 @@ from touchfield.medium.kernels import force_at
 
 @kernel
 def gate_closed(vectors, decoded, fraction, sent):
-    """The closed loop along a scan, float32 [L, 3] twice into bool [L]; `fraction` is k'."""
+    """Closed-loop deadband along a scan; `fraction` is k'.
+
+    `vectors`, `decoded`: float32 [L, 3]. `sent`: bool [L], filled.
+    """
     squared = fraction * fraction
     rx, ry, rz = 0.0, 0.0, 0.0
     limit = -1.0  # the first sample is always sent
@@ -32,12 +35,15 @@ def gate_closed(vectors, decoded, fraction, sent):
             limit = squared * (rx * rx + ry * ry + rz * rz)
 
 
-_PREVIOUS, _ZERO = 0, 1  # of the amplitude readings; "last-sent" is 2
+_PREVIOUS, _ZERO = 0, 1  # numbers of the amplitude readings; "last-sent" is 2
 
 
 @kernel
 def gate_amplitudes(vectors, k, reading, sent):
-    """The amplitude readings of eq. 8 along a scan, float32 [L, 3] into bool [L]."""
+    """Amplitude readings of eq. 8 along a scan.
+
+    `vectors`: float32 [L, 3]. `sent`: bool [L], filled.
+    """
     low, high = 1.0, 0.0  # an empty interval: the first sample is always sent
     for i in range(vectors.shape[0]):
         x, y, z = np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
@@ -52,7 +58,10 @@ def gate_amplitudes(vectors, k, reading, sent):
 
 @kernel
 def gate_in_time(start, stop, vectors, reference, fraction, sent):
-    """Where |x - reference| > `fraction` |reference|, float32 [L, 3] twice into bool [L]."""
+    """Set `sent` where |x - reference| > `fraction` |reference|.
+
+    `vectors`, `reference`: float32 [L, 3]. `sent`: bool [L].
+    """
     squared = fraction * fraction
     for i in range(start, stop):
         rx, ry, rz = np.float64(reference[i, 0]), np.float64(reference[i, 1]), np.float64(reference[i, 2])
@@ -88,7 +97,7 @@ def move_to_level(points, met, metres, shape, brick_shape, keys, forces, limits,
             gx, gy, gz = np.float32(force[0]), np.float32(force[1]), np.float32(force[2])
             per_m = max(
                 (math.sqrt(gx * gx + gy * gy + gz * gz) - size) / max_move_m, 1e-9
-            )  # saturated: the way out alone
+            )  # at least 1e-9: where the force saturates, only the way outwards is left
             move_m = min(max((level - size) / per_m, -max_move_m), max_move_m)
             points[p, 0] -= fx * move_m
             points[p, 1] -= fy * move_m

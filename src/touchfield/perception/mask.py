@@ -1,15 +1,15 @@
-"""The perceptual mask max(F_0, k |F|), its violations, and spatial masking (paper section 4.2).
+"""The perceptual mask max(F_0, k |F|), its violations, and spatial masking.
 
-The paper draws Delta(x) = k x alone (figure 2), which allows no error where the force is zero. Departure: an
-absolute threshold F_0 below which forces are imperceptible; F_0 = 0 gives the paper's mask.
+The paper (section 4.2) draws Delta(x) = k x alone (figure 2), which allows no error where the force is zero.
+Departure: an absolute threshold F_0 below which forces are imperceptible; F_0 = 0 gives the paper's mask.
 
 A stimulus masks others close by; the paper mentions this without a formula. Ours::
 
     Delta_i = max(F_0, k |F_i| + beta sum_j w_ij |F_j|),    w_ii = 0,  sum_j w_ij = 1
 
-w_ij falls with the distance d as exp(-2 d^2 / R^2) and is zero where the distance along some axis is beyond
-R, the distance within which two points are felt as one; the cut at a cube makes the sum separable. There is
-no agreed value of beta: the default 0 gives the plain mask to the last bit.
+w_ij falls with the distance d as exp(-2 d^2 / R^2), where R is the distance within which two points are felt
+as one. It is zero if the distance along any axis exceeds R; cutting it off at a cube makes the sum separable.
+There is no agreed value of beta: the default 0 gives the plain mask to the last bit.
 
 The sum runs over all surrounding samples; space without a force, also beyond the grid, is a stimulus of 0 N.
 """
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
     from touchfield.medium import ForceField
 
 ROUNDING = 1e-9
-"""An error counts as a violation above mask (1 + ROUNDING), which exceeds the rounding of the comparison."""
+"""An error above mask * (1 + ROUNDING) is a violation; ROUNDING exceeds the rounding of the comparison."""
 
 _CHUNK = 1 << 16
 
 
 class Violations(NamedTuple):
-    """The samples of a decoded field outside the mask: count, fraction, and largest ratio.
+    """Violations of the mask by a decoded field: count, fraction, and largest ratio.
 
     worst_ratio : float or None; the largest |error| / mask; the guarantee holds if it is 1 or less. None if a
         force was decoded where the mask is zero (F = 0 and F_0 = 0).
@@ -52,8 +52,9 @@ class Violations(NamedTuple):
 
 
 def mask_n(amplitudes_n: ArrayLike, k: float, f0_n: float = 0.0, *, masking_n: ArrayLike = 0.0) -> Float64s:
-    """Return the mask max(F_0, k |F| + masking) of amplitudes |F| [...], newtons, float64 [...].
+    """Return the mask max(F_0, k |F| + masking), newtons, float64 [...].
 
+    amplitudes_n : float [...]; amplitudes |F|, newtons.
     masking_n : float [...], optional; the masking by stimuli at other sites, newtons.
     Raises `InvalidArgument` if `k` or `f0_n` (newtons) is negative or not finite.
     """
@@ -68,9 +69,9 @@ def violations(
 ) -> Violations:
     """Compare two fields sample by sample, in float64.
 
-    original_n, decoded_n : float32 [L, 3]; forces at the same samples, newtons, those without force among
-        them.
-    k, f0_n, masking_n; as of `mask_n`; a masking for each sample.
+    original_n, decoded_n : float32 [L, 3]; forces at the same samples, newtons, including samples without
+        force.
+    k, f0_n, masking_n : as in `mask_n`; `masking_n` may have one value for each sample.
     Raises `InvalidArgument` if the shapes differ, a force is not finite, or `k` or `f0_n` is out of range.
     """
     require_not_negative(k=k, f0_n=f0_n)
@@ -99,7 +100,10 @@ MAX_REACH: Final = 64
 
 
 def site_radius_m(site: str) -> float:
-    """Return the two-point threshold of a body site, metres; InvalidArgument if there is no such site."""
+    """Return the two-point threshold of a body site, metres.
+
+    InvalidArgument if there is no such site.
+    """
     thresholds = human()["two_point_threshold_mm"]
     radii_mm = dict(zip(thresholds.of, thresholds.values, strict=True))
     require_one_of("body site", site, radii_mm)
@@ -108,14 +112,15 @@ def site_radius_m(site: str) -> float:
 
 @dataclass(frozen=True)
 class SpatialMasking:
-    """The mask of one kind of skin.
+    """The mask of one kind of skin, with masking by surrounding stimuli.
 
     Raises `InvalidArgument` if a number is out of range or not finite.
     """
 
     k: float  # Weber fraction, 0 or more
     f0_n: float = 0.0  # absolute threshold F_0, 0 or more
-    beta: float = 0.0  # how much of the mean stimulus around is hidden here, 0 or more; no agreed figure
+    # fraction of the mean surrounding stimulus that hides errors, 0 or more; no agreed value
+    beta: float = 0.0
     # R, positive; by default the two-point threshold of a finger, 2.5 mm
     radius_m: float = field(default_factory=lambda: figure("two_point_threshold_mm") / 1000)
 
@@ -124,14 +129,17 @@ class SpatialMasking:
         require_positive(radius_m=self.radius_m)
 
     def hidden_n(self, field: ForceField) -> Float32s:
-        """Return beta times the mean |F| around each stored sample, newtons, float32 [n, 8, 8, 8]."""
+        """Return beta times the mean |F| around each stored sample.
+
+        Newtons, float32 [n, 8, 8, 8].
+        """
         return replace(self, k=0.0, f0_n=0.0).field_mask_n(field)
 
     def field_mask_n(self, field: ForceField) -> Float32s:
-        """Return Delta at each stored sample, newtons, float32 [n, 8, 8, 8]; beta = 0 reads no neighbour.
+        """Return the mask Delta at each stored sample, newtons, float32 [n, 8, 8, 8].
 
-        Raises `InvalidArgument` if beta > 0 and R is below the spacing along every axis of more than one
-        sample, or above 64 samples.
+        With beta = 0 no neighbour is read. Raises `InvalidArgument` if beta > 0 and R is below the spacing
+        along every axis with more than one sample, or above 64 samples.
         """
         levels = lengths_of(field.forces_n.astype(np.float64))
         if not self.beta or max(field.grid.shape) == 1 or not len(levels):
@@ -163,10 +171,11 @@ class SpatialMasking:
 
 
 def _neighbour_sums(levels: Float64s, factors: Sequence[Float64s]) -> Float64s:
-    """Return the weighted sum of each sample's neighbours; `factors` has a row for each of the last axes.
+    """Return the weighted sum over each sample's neighbours.
 
-    A row has the factors at distances 0, 1, .. No weight is negative, and the sample itself is never added
-    and subtracted again, so that the sum is monotonic in every level to the last bit.
+    `factors` has a row for each of the last axes, with the factors at distances 0, 1, ... No weight is
+    negative, and the sample itself is never added and then subtracted, so that the sum is monotonic in every
+    level to the last bit.
     """
     from scipy import ndimage
 

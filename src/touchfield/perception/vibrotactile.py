@@ -1,16 +1,16 @@
-"""Vibration signals: crossover from force, reduction to one axis, and removal of imperceptible parts.
+"""Vibration signals: crossover from force, one axis for three, and reduction.
 
 The paper (section 6.4) gives no method: "process the vibrotactile feedback in the spectral domain and then
 modulate the force feedback appropriately in the time domain". Here a `Crossover` splits a recorded force into
-two parts that add up to it again; `dft321` reduces three axes to one, as a hand does not perceive the
-direction of a vibration; a `Stft` is the spectral domain; and `reduce_vibration` keeps the perceptible part::
+two parts that sum to it; `dft321` reduces three axes to one, because a hand does not perceive the direction
+of a vibration; a `Stft` provides the spectral domain; and `reduce_vibration` keeps the perceptible part::
 
     force -> Crossover -> low: the medium's force
                        -> high -> dft321 -> reduced -> symbols and steps -> decoded
 
-What is sent is off by less than the threshold of a hand (`perception.human`) in every third of an octave and
-every half second. A threshold is that of a sine alone: that a sum of thirds below it, or a vibration beside
-another one, is imperceptible, too, is likely but does not follow from it.
+The error of what is sent is below the threshold of a hand (`perception.human`) in every third of an octave
+and every half second. A threshold is known for a single sine only: that a sum of thirds below it, or a
+vibration in the presence of another, is imperceptible too is likely but does not follow.
 """
 
 from __future__ import annotations
@@ -33,25 +33,28 @@ if TYPE_CHECKING:
 
 
 BANDS_HZ: Final = tuple(float(1000 * 10 ** (n / 10)) for n in range(-15, 1))
-"""Centres of the sixteen thirds of an octave from 31.6 Hz to 1 kHz; a band reaches a factor 10 ** 0.05 either
-way.
-"""
+"""Centres of the sixteen thirds of an octave from 31.6 Hz to 1 kHz; a band extends from its centre by a
+factor 10 ** 0.05 to either side."""
 
 WINDOW_S: Final = 0.5
-"""In which a level is taken."""
+"""Length of the window in which a level is measured."""
 
-_LONG_S: Final = 2.0  # the same where a mean is wanted, so that a band has many bins
+_LONG_S: Final = 2.0  # the same for mean levels, so that a band has many bins
 _HALF: Final = 10**0.05
-_TAPS: Final = 3.3  # of a Hamming window: its transition is as wide as the crossover is high
+# taps times cutoff over rate; the transition of the Hamming window is then as wide as the cutoff
+_TAPS: Final = 3.3
 _MAX_TAPS: Final = (1 << 20) - 1
-_PER_OCTAVE: Final = 4  # of steps
-_DEAD_ZONE: Final = 0.6  # of a step; what is smaller is left out
+_PER_OCTAVE: Final = 4  # number of step sizes per octave
+_DEAD_ZONE: Final = 0.6  # smaller coefficients, in steps, are omitted
 _ROUNDS: Final = 400
 _PATIENCE: Final = 8
 
 
 def _signal(where: str, values: ArrayLike, shapes: tuple[str, ...], rate_hz: float = 1.0) -> Float64s:
-    """Numbers over time, checked; `shapes` are words of "[n]" and "[n, 3]"."""
+    """Check a signal over time and return it as float64.
+
+    `shapes` are the allowed ones of "[n]" and "[n, 3]".
+    """
     require_positive(rate_hz=rate_hz)
     x = numbers_of(where, values)
     found = {1: "[n]", 2: f"[n, {x.shape[-1] if x.ndim else 0}]"}.get(x.ndim)
@@ -69,18 +72,19 @@ def _signal(where: str, values: ArrayLike, shapes: tuple[str, ...], rate_hz: flo
 
 @dataclass(frozen=True)
 class Crossover:
-    """A split of a signal into what lies below a frequency and what lies above, which add up to it again.
+    """A split of a signal at a frequency into a low and a high part that sum to it.
 
-    The low-pass h is a windowed sinc of an odd number of taps (Hamming), of linear phase; the high-pass is
-    the impulse at its middle less h. Both are 6 dB down at `cutoff_hz` and in phase there; `split` takes
-    their delay off.
+    The low-pass h is a windowed sinc (Hamming) with an odd number of taps and linear phase; the high-pass is
+    the impulse at its centre minus h. Both are 6 dB down at `cutoff_hz` and in phase there; `split`
+    compensates their delay.
 
     Raises `InvalidArgument` if a number is not positive and finite, or the cut-off is half of `rate_hz` or
     more.
     """
 
     rate_hz: float  # samples a second
-    cutoff_hz: float = figure("force_bandwidth_hz")  # where what a hand feels as a force ends
+    # by default the upper limit of what a hand feels as a force
+    cutoff_hz: float = figure("force_bandwidth_hz")
 
     def __post_init__(self) -> None:
         require_positive(rate_hz=self.rate_hz, cutoff_hz=self.cutoff_hz)
@@ -93,7 +97,7 @@ class Crossover:
 
     @cached_property
     def low_taps(self) -> Float64s:
-        """h, float64 [taps], of sum 1."""
+        """The low-pass h, float64 [taps], with sum 1."""
         from scipy.signal import firwin
 
         count = 2 * math.ceil(_TAPS * self.rate_hz / self.cutoff_hz / 2) + 1
@@ -101,11 +105,11 @@ class Crossover:
         return np.asarray((taps + taps[::-1]) / 2)
 
     def split(self, signal: ArrayLike) -> tuple[Float64s, Float64s]:
-        """The low part and the high part, without delay, each float64 as `signal`, in its unit.
+        """The low part and the high part, without delay.
 
-        signal : float [n] or [n, 3]; beyond its ends it is taken to stay as it is there.
-        Their sum is the signal to the rounding of one addition. Raises `InvalidArgument` if the shape is
-        another or a number is not finite.
+        signal : float [n] or [n, 3]; its end values are taken to continue beyond its ends.
+        Both parts are float64 of the shape and unit of `signal`; their sum is the signal up to the rounding
+        of one addition. Raises `InvalidArgument` for another shape or a number that is not finite.
         """
         from scipy.signal import oaconvolve
 
@@ -118,31 +122,32 @@ class Crossover:
 
 
 def dft321(signal: ArrayLike) -> Float64s:
-    """One axis for three, with the energy of the three in each bin of the spectrum, float64 [n].
+    """Reduce three axes to one with their energy in each spectral bin, float64 [n].
 
-    signal : float [n, 3]; any unit, which stays.
-    The phase is that of the sum of the axes, of Landin, Romano, McMahan and Kuchenbecker 2010, Dimensional
-    reduction of high-frequency accelerations for haptic rendering (EuroHaptics). The whole signal is one
-    transform, and what happens at a time happens near it, no more: a tap that the axes feel at different
-    times is smeared. Raises `InvalidArgument` if the shape is another or a number is not finite.
+    signal : float [n, 3]; the unit is kept.
+    The phase is that of the sum of the axes (Landin, Romano, McMahan and Kuchenbecker 2010, Dimensional
+    reduction of high-frequency accelerations for haptic rendering, EuroHaptics). The whole signal is one
+    transform, so that events keep their time only roughly: a tap that reaches the axes at different times is
+    smeared. Raises `InvalidArgument` for another shape or a number that is not finite.
     """
     spectra = np.fft.rfft(_signal("signal", signal, ("[n, 3]",)), axis=0)
     size = np.sqrt((np.abs(spectra) ** 2).sum(axis=1))
     together = spectra.sum(axis=1)
     angle = np.angle(together)
-    angle[np.abs(together) < 1e-15 * size] = 0.0  # of nothing, the rounding would be drawn
+    # of a sum of zero the angle would be that of rounding errors
+    angle[np.abs(together) < 1e-15 * size] = 0.0
     return np.fft.irfft(size * np.exp(1j * angle), len(np.asarray(signal)))
 
 
 def handle_force_n(
     acceleration_m_s2: ArrayLike, rate_hz: float, hand: VibrationThreshold | None = None
 ) -> Float64s:
-    """The force that shakes a handle in a hand as it was recorded, newtons, float64 [n].
+    """The force that would shake a handle in a hand as recorded, newtons, float64 [n].
 
     acceleration_m_s2 : float [n]; of the handle, at `rate_hz`.
-    hand : VibrationThreshold, optional; whose mass, damper and spring are taken, by default the stylus.
-    F = a (m + b / (i w) - k / w^2); what lies below the lowest of `BANDS_HZ` is left out. Raises
-    `InvalidArgument` if the shape is another or a number is not finite.
+    hand : VibrationThreshold, optional; whose mass, damper and spring are used, by default the stylus.
+    F = a (m + b / (i w) - k / w^2); frequencies below the lowest band of `BANDS_HZ` are omitted. Raises
+    `InvalidArgument` for another shape or a number that is not finite.
     """
     a = _signal("acceleration_m_s2", acceleration_m_s2, ("[n]",), rate_hz)
     profile = hand or vibration_threshold()
@@ -157,14 +162,17 @@ def handle_force_n(
 
 
 def _edges(rate_hz: float) -> Float64s:
-    """Edges of the thirds of an octave from the lowest of `BANDS_HZ` to half the rate, Hz."""
+    """Edges of thirds of an octave from the lowest of `BANDS_HZ` to half the rate, Hz."""
     first = BANDS_HZ[0] / _HALF
     count = max(0, math.ceil(10 * math.log10(max(rate_hz / 2 / first, 1.0)) - 1e-9))
     return np.asarray(first * 10 ** (0.1 * np.arange(count)))
 
 
 def _window_power(x: Float64s, rate_hz: float, edges: Float64s, window_s: float = WINDOW_S) -> Float64s:
-    """Mean squares by windows, half of each shared with the next, float64 [windows, edges + 1]."""
+    """Mean squares in each band and window, float64 [windows, edges + 1].
+
+    Each window shares half of its samples with the next.
+    """
     length = 4 * max(int(window_s * rate_hz / 4), 1)
     power = 4 / length * np.abs(Stft(length).spectra(x)) ** 2
     power[:, [0, -1]] /= 2
@@ -173,10 +181,11 @@ def _window_power(x: Float64s, rate_hz: float, edges: Float64s, window_s: float 
 
 
 def band_rms(signal: ArrayLike, rate_hz: float) -> Float64s:
-    """Rms of a signal in each of `BANDS_HZ`, float64 [16], in its unit; 0 in bands that the rate cannot hold.
+    """Rms of a signal in each of `BANDS_HZ`, float64 [16], in the unit of the signal.
 
     signal : float [n]; at `rate_hz`, half a second or more.
-    Raises `InvalidArgument` if the shape is another, a number is not finite, or it is shorter.
+    The rms is 0 in bands beyond half the rate. Raises `InvalidArgument` for another shape, a number that is
+    not finite, or a shorter signal.
     """
     x = _signal("signal", signal, ("[n]",), rate_hz)
     if len(x) < WINDOW_S * rate_hz:
@@ -186,7 +195,7 @@ def band_rms(signal: ArrayLike, rate_hz: float) -> Float64s:
     edges = _edges(rate_hz)
     longest_s = min(_LONG_S, len(x) / rate_hz)
     length = 4 * max(int(longest_s * rate_hz / 4), 1)
-    inner = _window_power(x, rate_hz, edges, longest_s)[1 : 2 * len(x) // length]  # the others are not full
+    inner = _window_power(x, rate_hz, edges, longest_s)[1 : 2 * len(x) // length]  # full windows only
     rms = np.zeros(len(BANDS_HZ))
     count = min(len(edges) - int(not math.isclose(edges[-1] * 10**0.1, rate_hz / 2)), len(BANDS_HZ))
     rms[:count] = np.sqrt(inner.mean(axis=0))[1 : count + 1]
@@ -198,11 +207,11 @@ def band_rms(signal: ArrayLike, rate_hz: float) -> Float64s:
 
 @dataclass(frozen=True)
 class Stft:
-    """Spectra of frames, half of each shared with the next; the real ones give the signal back.
+    """Short-time spectra of overlapping frames; the real ones can be inverted.
 
-    A sine is the window before and after, whose squares add up to 1 (constant overlap-add); transforms keep
-    energy, so that the squares of all coefficients, those between the ends counted twice, are those of the
-    signal.
+    Each frame shares half of its samples with the next. The window before and after the transform is a sine,
+    whose squares sum to 1 (constant overlap-add). The transforms preserve energy: the squares of all
+    coefficients (those between the ends counted twice) sum to that of the signal.
 
     Raises `InvalidArgument` if `length` is not a multiple of 4.
     """
@@ -214,14 +223,17 @@ class Stft:
             raise InvalidArgument("length", repr(self.length), "samples, a multiple of 4")
 
     def spectra(self, signal: ArrayLike) -> NDArray[np.complex128]:
-        """Return complex128 [frames, length / 2 + 1] of float [n]; `InvalidArgument` as in `dft321`."""
+        """Return the spectra of a signal [n], complex128 [frames, length / 2 + 1].
+
+        `InvalidArgument` as in `dft321`.
+        """
         return np.asarray(np.fft.rfft(self._frames(signal), axis=1, norm="ortho"))
 
     def real_spectra(self, signal: ArrayLike) -> Float64s:
-        """As many coefficients as samples, float64 [frames, length / 2]: the modified discrete cosine
-        transform.
+        """Modified discrete cosine transform of a signal, float64 [frames, length / 2].
 
-        Bin k is at (k + 1/2) / length of the rate. What each frame folds over is undone where frames add up.
+        There are as many coefficients as samples. Bin k is at (k + 1/2) / length of the rate. Aliasing within
+        a frame cancels when overlapping frames are added.
         """
         from scipy.fft import dct
 
@@ -242,7 +254,7 @@ class Stft:
 
     @cached_property
     def window(self) -> Float64s:
-        """float64 [length]."""
+        """The sine window, float64 [length]."""
         return np.asarray(np.sin(np.pi * (np.arange(self.length) + 0.5) / self.length))
 
     def _frames(self, signal: ArrayLike) -> Float64s:
@@ -256,11 +268,12 @@ class Stft:
 
 @dataclass(frozen=True)
 class ReducedVibration:
-    """The part of a vibration that is sent: integers, and a step for each third of an octave.
+    """The part of a vibration that is sent: integers, and a step for each band.
 
     symbols : int32 [frames, length / 2]; coefficients of `Stft.real_spectra`, in steps.
     exponents : int16 [bands]; steps are 2 ** (exponent / 4) newtons; -32768: nothing of the band is sent.
-    Bands are what lies below the lowest third of `BANDS_HZ`, and the thirds from there to half the rate.
+    The first band lies below the lowest third of an octave of `BANDS_HZ`; the others are the thirds from
+    there to half the rate.
     """
 
     symbols: Int32s
@@ -275,10 +288,10 @@ class ReducedVibration:
 
     @cached_property
     def bits(self) -> float:
-        """Bits of the symbols by an arithmetic coder that learns each band as it goes, and 16 for each step.
+        """Estimated bits of the symbols with adaptive arithmetic coding, and of the steps.
 
-        The length of the code of Krichevsky and Trofimov, over the values from the least to the greatest of a
-        band; these two take 32 bits.
+        The estimate is the code length of Krichevsky and Trofimov for each band, over the values from the
+        smallest to the largest of the band; these two take 32 bits. A step takes 16 bits.
         """
         from scipy.special import gammaln
 
@@ -295,7 +308,7 @@ class ReducedVibration:
 
     @property
     def bits_per_s(self) -> float:
-        """Bits for each second of the signal."""
+        """Bits per second of the signal."""
         return self.bits * self.rate_hz / self.count
 
     def decoded(self) -> Float64s:
@@ -308,12 +321,12 @@ _NOTHING: Final = np.int16(-32768)
 
 
 def _steps(exponents: NDArray[np.int16]) -> Float64s:
-    """Newtons; 1 where nothing is sent."""
+    """Steps of bands, newtons; 1 where nothing is sent."""
     return np.asarray(2.0 ** (np.where(exponents == _NOTHING, 0, exponents) / _PER_OCTAVE))
 
 
 def _bands_of_bins(length: int, rate_hz: float) -> Int64s:
-    """The band of each bin; the same for a receiver."""
+    """The band of each bin, the same for sender and receiver."""
     return np.searchsorted(_edges(rate_hz), (np.arange(length // 2) + 0.5) * rate_hz / length, side="right")
 
 
@@ -323,23 +336,23 @@ def reduce_vibration(
     threshold: VibrationThreshold | None = None,
     margin_db: float = 3.0,
 ) -> ReducedVibration:
-    """Reduce a vibration to the part that must be sent for the loss to be imperceptible.
+    """Reduce a vibration to what must be sent for the loss to be imperceptible.
 
     vibration_n : float [n]; newtons at `rate_hz`, such as the high part of a `Crossover` after `dft321`.
     threshold : VibrationThreshold, optional; of the hand, by default the stylus.
     margin_db : float; how far the loss stays below the threshold in each third of an octave, 0 or more.
 
-    Bands whose level is below that are not sent. In the others a coefficient below 0.6 steps is left out and
-    the rest is rounded to steps, which shrink until the error that is there keeps below the threshold in
-    every band and every window of half a second. Raises `InvalidArgument` if the shape is another, a number
-    is not finite or out of range, or the rate is below 100 Hz.
+    Bands with a level below that limit are not sent. In the others, coefficients below 0.6 steps are omitted
+    and the rest is rounded to steps; the steps shrink until the error is below the limit in every band and
+    every window of half a second. Raises `InvalidArgument` for another shape, a number that is not finite or
+    out of range, or a rate below 100 Hz.
     """
     x = _signal("vibration_n", vibration_n, ("[n]",), rate_hz)
     if rate_hz < 100:
         raise InvalidArgument("rate_hz", repr(rate_hz), "100 Hz or more")
     require_between(0, 200, margin_db=margin_db)
     edges = _edges(rate_hz)
-    # bounds of the error in each band, newtons rms: the least of the threshold within it, less the margin
+    # limit of the error in each band, newtons rms: the smallest threshold within the band, less the margin
     inside = edges[:, None] * 10 ** np.linspace(0, 0.1, 9)
     thirds = (threshold or vibration_threshold()).force_rms_mn(inside).min(axis=1)
     limits = 1e-3 * 10 ** (-margin_db / 20) * np.append(thirds[:1], thirds)
@@ -368,7 +381,7 @@ def reduce_vibration(
         np.where(is_perceptible, first_exponents, _NOTHING), first_exponents, exceeds_limit
     )
     for b in np.flatnonzero((exponents > _NOTHING) & np.isin(np.arange(len(limits)), band)):
-        for _ in range(_PATIENCE):  # coarser again, where the others shrank it
+        for _ in range(_PATIENCE):  # make steps coarser again that shrank only because of other bands
             coarser = exponents.copy()
             coarser[b] += 1
             if exceeds_limit(coarser).any():
@@ -382,14 +395,17 @@ def _fine_enough(
     first_exponents: NDArray[np.int16],
     exceeds_limit: Callable[[NDArray[np.int16]], Bools],
 ) -> NDArray[np.int16]:
-    """Shrink steps until no band exceeds its limit; send an unsent band only if nothing else helps."""
+    """Shrink the steps until no band exceeds its limit.
+
+    A band that is not sent at first is sent only if nothing else helps.
+    """
     failed = np.zeros(len(first_exponents), np.int64)
     for _ in range(_ROUNDS):
         wrong = exceeds_limit(exponents)
         if not wrong.any():
             return exponents
         failed += wrong
-        is_affected = np.convolve(wrong, np.ones(3), "same") > 0  # a window lets a band speak in the next
+        is_affected = np.convolve(wrong, np.ones(3), "same") > 0  # the window leaks into neighbouring bands
         woken = wrong | (np.convolve(wrong & (failed > _PATIENCE), np.ones(3), "same") > 0)
         silent = exponents == _NOTHING
         finer = np.where(is_affected, exponents - 1, exponents)

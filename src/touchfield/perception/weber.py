@@ -1,40 +1,41 @@
-"""Imperceptible steps for a Weber fraction k (paper section 4.2): quantisers (eq. 6) and deadband (eq. 8).
+"""Imperceptible steps for a Weber fraction (section 4.2): quantisers and deadband.
 
-Q(x) = sgn(x) Delta [|x| / Delta + 1/2]; the bracket must be the floor. As printed, with Delta = k |x|, it is
-k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the error is guaranteed to be
-within the mask k |x| only from |x| = Delta / (2 k) on.
+Eq. 6 is Q(x) = sgn(x) Delta [|x| / Delta + 1/2], where the bracket must be the floor. As printed, with Delta
+= k |x|, it is k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the error is
+guaranteed to be within the mask k |x| only from |x| = Delta / (2 k) on.
 
 Figure 2 requires an error that never leaves the mask k |x|. A ladder of cells whose borders grow by a
 constant ratio needs the fewest levels for that::
 
     t_i = F_min rho^i     rho = (1 + kappa) / (1 - kappa)     r_i = (1 + kappa) t_i
 
-The relative error in a cell is at most kappa, reached at both of its ends; (r_i + r_{i+1}) / 2 = t_{i+1}, so
-that the ladder is also a nearest-neighbour quantiser. (Geometric midpoints as borders break the mask: 0.1055
-at 0.1.) Below F_min is a zero bin; the sign belongs to the direction.
+The relative error in a cell is at most kappa, reached at both of its ends. Since (r_i + r_{i+1}) / 2 =
+t_{i+1}, the ladder is also a nearest-neighbour quantiser. (Geometric midpoints as borders violate the mask:
+0.1055 at k = 0.1.) Below F_min is a zero bin; the sign belongs to the direction.
 
-Of the paper's criteria "error" (figure 2, default) keeps the error within the mask, kappa = k; "neighbours"
-(text of section 4.2) puts two neighbouring levels within the mask of each other, rho = 1 + k, with about
-twice the levels.
+The paper has two criteria. "error" (figure 2, default) keeps the error within the mask, kappa = k.
+"neighbours" (text of section 4.2) puts two neighbouring levels within the mask of each other, rho = 1 + k,
+with about twice as many levels.
 
 The deadband decides which samples are sent, and which repeat the last one. Eq. 8 compares a_i with a_{i-1}
-and transmits 0 for "hold". It does not define a_{i-1}; a drift that stays below k a sample is never sent, the
-0 collides with a true zero, and a change of direction alone is missed. The readings, by the value that a
-sample is compared with:
+and transmits 0 for "hold". It does not define a_{i-1}; a drift that stays below k per sample is never sent,
+the 0 cannot be told from a true zero, and a change of direction alone is missed. The readings differ in the
+value that a sample is compared with:
 
-* ``previous`` (as printed): the amplitude of the sample before, sent or not. The drift is unbounded.
-* ``zero``: the same, where the zero has been written in place. After a held sample always comes a sent one.
+* ``previous`` (as printed): the amplitude of the preceding sample, sent or not. The drift is unbounded.
+* ``zero``: the same, but the amplitude of a held sample is replaced by zero. A held sample is always followed
+  by a sent one.
 * ``last-sent``: the amplitude of the last sample that was sent. The error can reach k / (1 - k) of the true
   value.
-* ``closed`` (default): the *vector*, against what the decoder holds, x_ref after quantisation::
+* ``closed`` (default): the *vector*, compared with x_ref, the value that the decoder has after quantisation::
 
       send iff |x - x_ref| > k' |x_ref|,    k' = k / (1 + k)
 
   A held sample then has |x| >= |x_ref| (1 - k') = |x_ref| / (1 + k), and so |x - x_ref| <= k |x|.
 
 The first three have the strict inequality of eq. 8: after a zero nothing is held, not even another zero.
-``closed`` holds on equality. "Hold" is a flag of its own here; the first sample is always sent; comparisons
-are in float64. In time (`gate_in_time`) the reference is the decoded frame before at the same voxel.
+``closed`` holds on equality. "Hold" is a separate flag here; the first sample is always sent; comparisons are
+in float64. In time (`gate_in_time`) the reference is the decoded previous frame at the same voxel.
 """
 
 from __future__ import annotations
@@ -58,17 +59,20 @@ from touchfield.errors import (
 
 
 def jnd_gain(k: float) -> float:
-    """Return k floor(1/k + 1/2), the gain that eq. 6 with Delta = k |x| amounts to.
+    """Return k floor(1/k + 1/2), the constant gain of eq. 6 with Delta = k |x|.
 
-    Computed per sample, |x| / (k |x|) would be rounded, which would decide the floor where 1/k + 1/2 is whole
-    (k = 0.4).
+    Computed for each sample, |x| / (k |x|) would be rounded, and the rounding would decide the floor where
+    1/k + 1/2 is whole (k = 0.4).
     """
     require_positive(k=k)
     return k * math.floor(1 / k + 0.5)
 
 
 def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> Float64s:
-    """Eq. 6 with one Delta = `step_n` for all forces [...] in newtons, float64 [...]."""
+    """Quantise forces [...] by eq. 6 with one Delta for all of them.
+
+    `forces_n`, `step_n`: newtons. Returns newtons, float64 [...].
+    """
     require_positive(step_n=step_n)
     x = np.asarray(forces_n, np.float64)
     result: Float64s = np.sign(x) * step_n * np.floor(np.abs(x) / step_n + 0.5)
@@ -76,7 +80,10 @@ def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> Float64s:
 
 
 def within_mask_from_n(step_n: float, k: float) -> float:
-    """Return Delta / (2 k), newtons: from this amplitude on a fixed step stays within the mask k |x|."""
+    """Return Delta / (2 k), newtons.
+
+    From this amplitude on, a fixed step stays within the mask k |x|.
+    """
     require_positive(k=k, step_n=step_n)
     return step_n / (2 * k)
 
@@ -84,10 +91,10 @@ def within_mask_from_n(step_n: float, k: float) -> float:
 CRITERIA = ("error", "neighbours")
 
 MAX_STEPS = 65535
-"""Steps above the zero bin: with it they fill 16-bit symbols."""
+"""Maximum number of steps above the zero bin; together with it they fill 16-bit symbols."""
 
 _NARROWING = 2.0**-22
-"""Subtracted from kappa, so that rounding levels to float32 cannot raise the error above it."""
+"""Subtracted from kappa, so that rounding the levels to float32 cannot raise the error above k."""
 
 _SMALLEST_K = 1e-5
 _SMALLEST_FORCE_N = 1e-30
@@ -102,8 +109,8 @@ class WeberLadder:
     """
 
     k: float  # Weber fraction, 1e-5 or more and less than 1
-    force_min_n: float  # F_min: weaker forces become zero
-    steps: int  # N, the levels above the zero bin, 1 to 65535
+    force_min_n: float  # F_min, newtons: weaker forces become zero
+    steps: int  # N, the number of levels above the zero bin, 1 to 65535
     criterion: str = "error"  # or "neighbours"
 
     def __post_init__(self) -> None:
@@ -138,15 +145,15 @@ class WeberLadder:
 
     @property
     def ratio(self) -> float:
-        """rho: the ratio of neighbouring borders, and of neighbouring levels."""
+        """rho, the ratio of neighbouring borders, and of neighbouring levels."""
         return (1 + self.kappa) / (1 - self.kappa)
 
     @cached_property
     def thresholds_n(self) -> Float64s:
-        """t_0 .. t_{N-1}, newtons, float64 [N]: an amplitude of t_i or more and less than t_{i+1} takes level
-        i + 1.
+        """Borders t_0 .. t_{N-1}, newtons, float64 [N].
 
-        Computed by successive multiplication, so that every machine has the same bits.
+        An amplitude from t_i to below t_{i+1} has level i + 1. The borders are computed by successive
+        multiplication, so that every machine has the same bits.
         """
         thresholds = np.cumprod(np.concatenate([[self.force_min_n], np.full(self.steps - 1, self.ratio)]))
         thresholds.flags.writeable = False
@@ -154,14 +161,14 @@ class WeberLadder:
 
     @cached_property
     def levels_n(self) -> Float32s:
-        """0, r_0 .. r_{N-1}, newtons, float32 [N + 1]."""
+        """Levels 0, r_0 .. r_{N-1}, newtons, float32 [N + 1]."""
         levels = np.concatenate([[0.0], (1 + self.kappa) * self.thresholds_n]).astype(np.float32)
         levels.flags.writeable = False
         return levels
 
     @property
     def force_max_n(self) -> float:
-        """t_N, newtons: the relative error is bounded up to here."""
+        """t_N, newtons; the relative error is bounded up to this force."""
         return float(self.thresholds_n[-1]) * self.ratio
 
 
@@ -169,9 +176,10 @@ READINGS = ("closed", "last-sent", "previous", "zero")
 
 
 def guaranteeing_fraction(k: float) -> float:
-    """Return k' = k / (1 + k): the fraction of the reference that guarantees k of the true value.
+    """Return k' = k / (1 + k).
 
-    Raises `InvalidArgument` if `k` is not in 0 <= k < 1.
+    A deadband of k' relative to the reference guarantees k relative to the true value. Raises
+    `InvalidArgument` if `k` is not in 0 <= k < 1.
     """
     if not 0 <= k < 1:
         raise InvalidArgument("k", repr(k), "a Weber fraction from 0 to 1, such as 0.1")
@@ -214,11 +222,11 @@ def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s
 def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
     """Return which samples differ perceptibly from the previous decoded frame.
 
-    vectors, reference : float32 [L, 3]; of this frame, and decoded of the one before, zero where there was
-        none.
+    vectors, reference : float32 [L, 3]; forces of this frame, and the decoded ones of the frame before (zero
+        where there was none).
     k : float; deadband parameter, 0 <= k < 1: a held sample has |x - reference| <= k |x|.
-    Returns bool [L]: True where |x - reference| > k / (1 + k) |reference|.
-    Raises `InvalidArgument` for a `k` out of range, or arrays of other shapes or types.
+    Returns bool [L]: True where |x - reference| > k / (1 + k) |reference|. Raises `InvalidArgument` for a `k`
+    out of range, or arrays of other shapes or types.
     """
     fraction = guaranteeing_fraction(k)
     x = _vectors("vectors", vectors)

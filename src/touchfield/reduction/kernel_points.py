@@ -1,16 +1,17 @@
-"""Greedy choice of sample points of a static field with a curl-free kernel (paper section 6.2).
+"""Greedy choice of sample points of a static field (paper section 6.2).
 
-A static field has no modes over time, but a field of forces has no curl (`CurlFree`). Two criteria:
+A static field has no modes over time, but a field of forces has no curl, which a curl-free kernel expresses
+(`CurlFree`). Two criteria:
 
-* variance: the next point has the largest posterior variance of the Gaussian process, independent of the
-  forces. It tells a robot or a hand where to record next. The posterior variance shrinks everywhere, so that
-  the variances of successive points never grow.
-* error: for known forces the next point is the one that leaves the smallest error of the field. Candidates
-  are those with the largest residual and as many drawn at random ("stochastic greedy", Mirzasoleiman et al.
-  2015); the error is summed over a spread subset of the points.
+* variance: the next point has the largest posterior variance of the Gaussian process, which is independent
+  of the forces. It tells a robot or a hand where to record next. Each measurement reduces the posterior
+  variance everywhere, so that the variances of successive points never grow.
+* error: for known forces, the next point is the one that leaves the smallest error of the field. Candidates
+  are those with the largest residual and as many random ones ("stochastic greedy", Mirzasoleiman et al.
+  2015); the error is summed over an evenly spaced subset of the points.
 
-Both add rows to a Cholesky factor point by point: a step takes time in proportion to candidates times points
-chosen, and no matrix of all candidates is built.
+Both add rows to a Cholesky factor point by point: the time of a step is proportional to the number of
+candidates times the number of chosen points, and no matrix of all candidates is built.
 """
 
 from __future__ import annotations
@@ -33,37 +34,46 @@ if TYPE_CHECKING:
 _MAX_BYTES: Final = 1 << 29
 _SHORTLIST: Final = 48
 _ERROR_POINTS: Final = 1500
-_AT_ONCE: Final = 32  # points measured already
+_AT_ONCE: Final = 32  # number of known points that are added to the factor at once
 _PILOT: Final = 600
-_LENGTHS: Final = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)  # of the extent of the field
+_LENGTHS: Final = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)  # lengths to try, as fractions of the field's extent
 _NOISES: Final = (1e-3, 3e-2)
 
 
 def max_candidates(count: int) -> int:
-    """The most candidates for so many points: the factor takes half a gigabyte at most."""
+    """Maximum number of candidates for `count` points.
+
+    It limits the factor to half a gigabyte.
+    """
     return min(20_000, _MAX_BYTES // (72 * max(1, count)))
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """A covariance: length, metres, and the variance of noise over that of a component of the field."""
+    """Parameters of a covariance.
+
+    `length_m`: length, metres. `noise`: variance of the noise over that of a component of the field.
+    """
 
     length_m: float
     noise: float
 
 
 class _Posterior:
-    """Knowledge at candidates once some are measured."""
+    """Posterior covariances of the candidates, given those that are measured."""
 
     def __init__(self, points_m: Float64s, kernel: Kernel, max_points: int) -> None:
         require_between(1, len(points_m), points=max_points)
         self.points, self.noise = points_m / kernel.length_m, kernel.noise
         self.factor = np.empty((3 * max_points, 3 * len(points_m)))  # rows of L^-1 K
-        self.variances = np.full(len(points_m), 3.0)  # traces of each own 3 x 3
+        self.variances = np.full(len(points_m), 3.0)  # trace of the 3 x 3 covariance of each candidate
         self.selected: list[int] = []
 
     def columns(self, at: Sequence[int] | Int64s, subset: slice = slice(None)) -> Float64s:
-        """Covariances of the places with those `at`, as they are now, float64 [3 m, 3 s]."""
+        """Posterior covariances of candidates with those `at`, float64 [3 m, 3 s].
+
+        `subset` selects the m candidates of the rows.
+        """
         prior, factor = (
             covariances(self.points[subset], self.points[at]),
             self.factor[: 3 * len(self.selected)],
@@ -74,14 +84,20 @@ class _Posterior:
         return np.asarray(prior - (factor[:, _components(at)].T @ rows).T)
 
     def measurement_covariances(self, at: Int64s) -> Float64s:
-        """Return the covariances of measurements at some candidates, with noise, float64 [s, 3, 3]."""
+        """Return the covariances of measurements at candidates, with noise.
+
+        float64 [s, 3, 3].
+        """
         rows = self.factor[: 3 * len(self.selected)].reshape(3 * len(self.selected), len(self.points), 3)[
             :, at
         ]
         return np.asarray((1 + self.noise) * np.eye(3) - np.einsum("ksi,ksj->sij", rows, rows))
 
     def measure(self, candidates: Sequence[int]) -> Float64s:
-        """Measure candidates; return their rows of the factor, [3 s, 3 m], and corner [3 s, 3 s]."""
+        """Measure candidates and update the posterior.
+
+        Returns their rows of the factor, [3 s, 3 m], followed by the corner [3 s, 3 s].
+        """
         columns, count = self.columns(candidates), 3 * len(candidates)
         corner = np.linalg.cholesky(columns[_components(candidates)] + self.noise * np.eye(count))
         rows = scipy.linalg.solve_triangular(corner, columns.T, lower=True)
@@ -93,16 +109,19 @@ class _Posterior:
 
 
 def _components(at: Sequence[int] | Int64s) -> Int64s:
-    """Places of the three components of each of some points."""
+    """Indices of the three components of each point."""
     return (3 * np.asarray(at)[:, None] + np.arange(3)).reshape(-1)
 
 
 def variance_points(
     points_m: Float64s, count: int, kernel: Kernel, measured: int = 0
 ) -> tuple[Int64s, Float64s]:
-    """Candidates, each the one of greatest variance once those before it are measured, int64 [count], and the
-    variance that each had, the sum over three components, of a field of variance 1. `points_m` float64 [m,
-    3]; the first `measured` of them are known already. InvalidArgument if there are fewer candidates.
+    """Choose points greedily by their posterior variance.
+
+    Each point has the largest variance once those before it are measured. `points_m`: candidates, float64 [m,
+    3]; the first `measured` of them are known already. Returns the indices of the points, int64 [count], and
+    the variance that each had, float64 [count]: the sum over three components of a field of variance 1.
+    InvalidArgument if there are fewer candidates.
     """
     require_between(1, len(points_m) - measured, points=count)
     posterior = _Posterior(points_m, kernel, measured + count)
@@ -121,9 +140,10 @@ def variance_points(
 def error_points(
     points_m: Float64s, forces_n: Float64s, count: int, kernel: Kernel, targets: int = _ERROR_POINTS
 ) -> Int64s:
-    """Points of a known field, each the one after which least of it is missed; int64 [count].
+    """Choose points of a known field greedily by the remaining error; int64 [count].
 
-    `points_m`, `forces_n` float64 [m, 3]. `targets`: how many places the error is added up over.
+    `points_m`, `forces_n`: float64 [m, 3]. `targets`: approximate number of points over which the error is
+    summed.
     """
     posterior, rng = _Posterior(points_m, kernel, count), np.random.default_rng(0)
     residual, subset = forces_n.reshape(-1).copy(), slice(None, None, -(-len(points_m) // targets))
@@ -151,8 +171,9 @@ def error_points(
 
 
 def best_kernel(points_m: Float64s, forces_n: Float64s, count: int) -> Kernel:
-    """The kernel with which so many points miss least of a known field [m, 3], by trying on some of its
-    places.
+    """The kernel with which `count` points leave the smallest error of a known field.
+
+    `points_m`, `forces_n`: [m, 3]. Several kernels are tried on a subset of the points.
     """
     subset = slice(None, None, -(-len(points_m) // max(_PILOT, min(4 * count, len(points_m)))))
     points, forces = points_m[subset], forces_n[subset]

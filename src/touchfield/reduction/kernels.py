@@ -1,5 +1,6 @@
-"""Compiled: whether a field stops a hand within a cell of a lattice (`touchfield.reduction.reach` has the
-proof).
+"""Compiled test of whether a field stops a hand within a cell of a lattice.
+
+See `touchfield.reduction.reach` for the proof.
 """
 
 from __future__ import annotations
@@ -10,15 +11,16 @@ import numpy as np
 
 from touchfield.compute.jit import inner, kernel
 
-_MAX_CANDIDATES = 1024  # nearest places of one cell; a cell with more is taken as weak
+_MAX_CANDIDATES = 1024  # maximum number of nearest nodes of a cell; a cell with more counts as weak
 
 
 @inner
 def _nearest_nodes(edge, cell, step_m, reach_m, found, count):
-    """Nodes within a distance of the cell's centre, metres from it, into `found` behind `count`; how many
-    then.
+    """Write the nodes that may be nearest to a cell to `found`, from row `count` on.
 
-    Only those to which no other one is nearer from everywhere in the cell; -1: too many.
+    Positions are relative to the cell's centre, in metres, of nodes within `reach_m` of it. A node is omitted
+    if another one is nearer from everywhere in the cell. Returns the new count, or -1 if there are too many
+    nodes.
     """
     first, low, high = count, np.empty(3, np.int64), np.empty(3, np.int64)
     for axis in range(3):
@@ -37,7 +39,7 @@ def _nearest_nodes(edge, cell, step_m, reach_m, found, count):
                     found[count, 0], found[count, 1], found[count, 2] = x, y, z
                     count += 1
     nearest_end = first
-    for a in range(first, count):  # the nearest of those that are left, so that it can beat the others
+    for a in range(first, count):  # in order of distance, so that nearer nodes can eliminate farther ones
         nearest, at = math.inf, a
         for b in range(a, count):
             square = found[b, 0] ** 2 + found[b, 1] ** 2 + found[b, 2] ** 2
@@ -63,7 +65,10 @@ def _nearest_nodes(edge, cell, step_m, reach_m, found, count):
 
 @inner
 def _interpolation_loss(block, step_m, friction):
-    """By how much, N m, the force between samples may hold less than theirs tell; float [2, 2, 2, 3]."""
+    """Upper bound of the loss of -(x - a) . F between samples, N m (see `reach`).
+
+    `block`: forces at the corners of a cell, float [2, 2, 2, 3].
+    """
     total = 0.0
     for axis in range(3):
         max_drop, max_square = 0.0, 0.0
@@ -80,7 +85,10 @@ def _interpolation_loss(block, step_m, friction):
 
 @inner
 def _holds_back(block, nodes, count, step_m, need_n, turn_nm, friction):
-    """True if the forces at a cell's corners, [2, 2, 2, 3], hold a hand back from all its nearest nodes."""
+    """True if the forces of a cell hold a hand back from all its nearest nodes.
+
+    `block`: forces at the corners of the cell, [2, 2, 2, 3].
+    """
     loss = _interpolation_loss(block, step_m, friction)
     for a in range(count):
         for c in range(8):
@@ -113,13 +121,13 @@ def weak_cells(
     friction,
     weak,
 ):
-    """Into `weak`, bool [m], the cells begin to end - 1 of int [m, 3], where some frame does not hold a hand
-    back.
+    """Set `weak`, bool [m], for cells where some frame does not hold a hand back.
 
-    `max_distance_m` [m]: no place of a cell is farther from A. `edges`, bool [2, nx, ny, nz]: nodes that A
-    began with and those that joined it, which count as `later_m` farther, of both those with a neighbour that
-    is none; `beyond` of them on each side are outside of the box of `frames`, float32 [f, ...]. `need_n` is P
-    + m v^2 / (2 D), `turn_nm` m v^2.
+    Tests cells `start` to `stop` - 1 of `cells`, int [m, 3]. `max_distance_m` [m]: upper bound of the
+    distance d from A within each cell. `edges`, bool [2, nx, ny, nz]: boundary nodes (those with a neighbour
+    outside the set) of the initial A and of what joined it later; the latter count as `later_m` farther away.
+    `beyond`: number of nodes on each side outside the box of `frames`, float32 [f, ...]. `need_n` is P + m
+    v^2 / (2 D), `turn_nm` is m v^2.
     """
     found = np.empty((_MAX_CANDIDATES, 3))
     half = 0.5 * math.sqrt(step_m[0] ** 2 + step_m[1] ** 2 + step_m[2] ** 2)

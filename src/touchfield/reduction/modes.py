@@ -1,19 +1,20 @@
-"""Modes of snapshots, and the fewest points that determine their coefficients (paper sections 6.1, 6.2).
+"""Modes of snapshots, and few points that determine their coefficients.
 
-A snapshot is a vector of d values: a frame on the union of its bricks, or one brick. The best r vectors to
-write n of them with are the first r right singular vectors of the n x d matrix, and the squared error is the
-sum of the squared singular values beyond r (Eckart and Young), known before anything is written. What is
-decomposed is the smaller Gram matrix, added up in float64 block by block: n x n of few long snapshots
-(Sirovich's method of snapshots, `pod`), d x d of many short ones (`klt`). It squares the singular values, so
-that those below 1e-8 of the first are noise; modes of them are not made.
+Paper sections 6.1 and 6.2. A snapshot is a vector of d values: a frame on the union of its bricks, or one
+brick. The r vectors that best represent n snapshots are the first r right singular vectors of the n x d
+matrix. The squared error is the sum of the squared singular values beyond r (Eckart and Young), and is
+therefore known in advance. The smaller Gram matrix is decomposed, summed in float64 block by block: n x n for
+few long snapshots (Sirovich's method of snapshots, `pod`), d x d for many short ones (`klt`). It squares the
+singular values, so that values below about 1e-8 of the first are noise; no modes are made of these.
 
-Points: Q-DEIM, a point at a time. A point measures a vector, three rows of the modes U at once, so that the
-pivots of the QR factorisation are blocks (Drmac and Gugercin 2016; Manohar et al. 2018). The next point is
-the one whose rows are farthest from the span of those chosen. Once they span all coefficients, a further
-point is that which lessens most the sum of the variances of the coefficients, trace((P^T U)^T W^2 P^T U)^-1.
-What the modes cannot write at a point is its noise: W has one over its deviation there, so that points are
-sought where the modes tell most of what is felt. With U orthonormal, what weighted least squares rebuilds is
-off by at most ||(W P^T U)^+ W|| times what the modes cannot write: `bound`.
+Points are chosen one at a time by Q-DEIM. A point measures a vector, three rows of the modes U at once, so
+that the pivots of the QR factorisation are blocks (Drmac and Gugercin 2016; Manohar et al. 2018). The next
+point is the one whose rows are farthest from the span of those chosen. Once these span all coefficients, a
+further point is the one that most reduces the sum of the variances of the coefficients, trace((P^T U)^T W^2
+P^T U)^-1. The part of the field at a point that the modes cannot represent acts as noise. W is the reciprocal
+of its standard deviation, so that points are preferred where the modes explain most of the force. With U
+orthonormal, the error of the weighted least-squares reconstruction is at most ||(W P^T U)^+ W|| times the
+part that the modes cannot represent: `bound`.
 """
 
 from __future__ import annotations
@@ -33,19 +34,19 @@ from touchfield.medium.field import frozen
 
 _BLOCK_VALUES: Final = 1 << 21
 _NOISE: Final = (
-    1e-15  # of the greatest eigenvalue, times the order of the matrix: below it there is rounding only
+    1e-15  # times the largest eigenvalue and the order of the matrix: smaller eigenvalues are rounding
 )
-_MIN_NOISE: Final = 0.1  # of the mean over all points
-_WEAK: Final = 0.1  # of the first row of a point: weaker ones count only where points are too few
-_FLAT: Final = 1e-12  # of the first pivot, squared: rows below it lie in the span of those chosen
+_MIN_NOISE: Final = 0.1  # added to the noise of a point, relative to the mean over all points
+_WEAK: Final = 0.1  # of the strongest row of a point: weaker rows count only if there are too few points
+_FLAT: Final = 1e-12  # of the first pivot, squared: smaller rows lie in the span of those chosen
 
 
 @dataclass(frozen=True)
 class Modes:
     """Orthonormal modes of n snapshots of d values.
 
-    `basis` float64 [d, r]: a mode a column, the one with most energy first. `values` float64 [min(n, d)]: all
-    singular values of the snapshots, descending. `count`: n.
+    `basis` float64 [d, r]: a mode in each column, the one with the most energy first. `values` float64
+    [min(n, d)]: all singular values of the snapshots, descending. `count`: n.
     """
 
     basis: Float64s
@@ -54,7 +55,7 @@ class Modes:
 
     @property
     def rank(self) -> int:
-        """r."""
+        """The number of modes, r."""
         return int(self.basis.shape[1])
 
     @property
@@ -63,11 +64,11 @@ class Modes:
         return self.tail(0)
 
     def first(self, rank: int) -> Modes:
-        """The same with the first modes alone."""
+        """Return the first `rank` modes."""
         return replace(self, basis=self.basis[:, :rank])
 
     def coefficients(self, snapshots: ArrayLike) -> Float64s:
-        """Return the coefficient of each mode in each snapshot, float64 [n, r], of snapshots [n, d]."""
+        """Return the coefficient of each mode in snapshots [n, d], float64 [n, r]."""
         matrix = _matrix(snapshots)
         if matrix.shape[1] != len(self.basis):
             found, expected = matrix.shape[1], len(self.basis)
@@ -90,16 +91,19 @@ class Modes:
         return float((self.values[rank:] ** 2).sum())
 
     def rank_for(self, decibels: float) -> int:
-        """Return the fewest modes whose error relative to the energy is at most `decibels`, such as -30."""
-        tail_energy = np.append(np.cumsum((self.values**2)[::-1])[::-1], 0.0)  # added from the small ones
+        """Return the fewest modes whose relative error is at most `decibels`, such as -30.
+
+        The error is relative to the energy.
+        """
+        tail_energy = np.append(np.cumsum((self.values**2)[::-1])[::-1], 0.0)  # summed from the smallest
         return int(np.argmax(tail_energy <= 10 ** (decibels / 10) * self.energy))
 
 
 def pod(snapshots: ArrayLike, rank: int | None = None) -> Modes:
-    """Return the modes of n long snapshots [n, d], `rank` of them or all; the Gram matrix is n x n.
+    """Return the modes of n long snapshots [n, d], from the n x n Gram matrix.
 
-    A few columns are converted to float64 at a time. InvalidArgument if there is no value, one is not finite,
-    or the rank is outside 1 to n.
+    `rank`: number of modes, all by default. A few columns are converted to float64 at a time. InvalidArgument
+    if there is no value, one is not finite, or the rank is outside 1 to n.
     """
     matrix = _matrix(snapshots)
     if not matrix.size:
@@ -111,14 +115,17 @@ def pod(snapshots: ArrayLike, rank: int | None = None) -> Modes:
     squares, vectors, mode_count = _decompose(gram, rank)
     weights = vectors[:, :mode_count] / np.sqrt(squares[:mode_count])
     basis = np.concatenate([matrix[:, p].astype(np.float64).T @ weights for p in _pieces(matrix)])
-    if mode_count:  # against those before, as small ones hardly are: Cholesky's QR
+    if mode_count:  # orthonormalise by Cholesky QR; modes of small singular values are hardly orthogonal
         corner = scipy.linalg.cholesky(basis.T @ basis)
         basis = scipy.linalg.solve_triangular(corner, basis.T, trans="T", overwrite_b=True).T
     return Modes(frozen(basis), frozen(np.sqrt(squares[: min(matrix.shape)])), len(matrix))
 
 
 def klt(rows: Iterable[NDArray[Any]], rank: int | None = None) -> Modes:
-    """Return the modes of many short snapshots, blocks [m, d] read once; rank and errors as in `pod`."""
+    """Return the modes of many short snapshots, from the d x d Gram matrix.
+
+    `rows`: blocks [m, d], each read once. Rank and errors are as in `pod`.
+    """
     gram, count = np.zeros((0, 0)), 0
     for part in rows:
         block = _matrix(part).astype(np.float64)
@@ -145,13 +152,17 @@ def _matrix(snapshots: ArrayLike) -> NDArray[Any]:
 
 
 def _pieces(snapshots: NDArray[Any]) -> list[slice]:
-    """A few columns at a time."""
+    """Slices of a few columns at a time."""
     step = max(1, _BLOCK_VALUES // max(1, len(snapshots)))
     return [slice(a, a + step) for a in range(0, snapshots.shape[1], step)]
 
 
 def _decompose(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, int]:
-    """Return descending non-negative eigenvalues, eigenvectors as columns, and the number of usable modes."""
+    """Return eigenvalues and eigenvectors of a Gram matrix, and the number of modes.
+
+    Eigenvalues descend and are not negative; eigenvectors are columns. The number counts those above the
+    noise, up to `rank`.
+    """
     eigenvalues, vectors = scipy.linalg.eigh(gram, overwrite_a=True, check_finite=False)
     squares, vectors = np.maximum(eigenvalues[::-1], 0.0), vectors[:, ::-1]
     mode_count = int(np.count_nonzero(squares > _NOISE * len(squares) * squares[0]))
@@ -167,9 +178,9 @@ def _decompose(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, in
 class ModePoints:
     """Points whose forces determine the coefficients of modes.
 
-    `modes`: of snapshots of d / 3 points, x, y and z of a point side by side. `points` int64 [n]: which of
-    these points, in the order they were chosen. `weights` float64 [n]: W, how much each counts; all the same
-    without it.
+    `modes`: modes of snapshots of d / 3 points; x, y and z of a point are adjacent. `points` int64 [n]:
+    indices of the chosen points, in the order of their choice. `weights` float64 [n]: W, the weight of each;
+    equal weights if None.
     """
 
     modes: Modes
@@ -183,11 +194,17 @@ class ModePoints:
 
     @property
     def bound(self) -> float:
-        """||(W P^T U)^+ W||, 1 or more: the largest amplification of the part outside the modes."""
+        """||(W P^T U)^+ W||, 1 or more.
+
+        It is the largest amplification of the part outside the modes.
+        """
         return max(1.0, float(scipy.linalg.svdvals(self._solver())[0]))
 
     def coefficients(self, measured_n: Float64s) -> Float64s:
-        """Coefficients of each mode by least squares, float64 [m, r], of measured forces [m, n, 3]."""
+        """Coefficients of each mode by least squares, float64 [m, r].
+
+        `measured_n`: measured forces [m, n, 3].
+        """
         return np.asarray(np.reshape(measured_n, (-1, len(self.rows))) @ self._solver().T)
 
     def _solver(self) -> Float64s:
@@ -198,9 +215,9 @@ class ModePoints:
 def mode_points(modes: Modes, count: int, missed_n2: Float64s | None = None) -> ModePoints:
     """Choose greedily the points that best determine the coefficients of modes.
 
-    `count`: a third of the number of modes or more, at most the points there are. `missed_n2` float64 [d /
-    3]: mean square of what the modes cannot write at each point; alike without it. InvalidArgument if the
-    count is out of that range, or modes of d values are no modes of vectors.
+    `count`: from a third of the number of modes to the number of points. `missed_n2` float64 [d / 3]: mean
+    square of what the modes cannot represent at each point; equal if None. InvalidArgument if the count is
+    out of that range, or the modes are not modes of vectors.
     """
     length, rank = modes.basis.shape
     if length % 3:
@@ -229,7 +246,7 @@ def _pivots(blocks: Float64s, count: int) -> list[int]:
         if not squares[best] > _FLAT * first:
             raise InvalidArgument("modes", f"{rank} of rank {spanned}", "modes that are independent")
         _, sizes, rows = scipy.linalg.svd(residual[best], full_matrices=False)
-        needed = -(-(rank - spanned) // (count - len(selected)))  # of each point that is left
+        needed = -(-(rank - spanned) // (count - len(selected)))  # rows needed from each remaining point
         rows = rows[
             (sizes > _WEAK * sizes[0]) | (np.arange(len(sizes)) < needed) & (sizes**2 > _FLAT * first)
         ]
@@ -242,7 +259,7 @@ def _pivots(blocks: Float64s, count: int) -> list[int]:
 
 
 def _add_for_variance(blocks: Float64s, selected: list[int], count: int) -> None:
-    """Further points, each that which lessens the trace of the inverse of the Gram matrix most."""
+    """Add points, each of which most reduces the trace of the inverse Gram matrix."""
     rows = blocks[selected].reshape(-1, blocks.shape[2])
     inverse = np.linalg.inv(rows.T @ rows)
     while len(selected) < count:

@@ -1,26 +1,30 @@
-"""Samples that a hand can reach in a medium; the others need not be sent (paper section 6.1, "culling").
+"""Samples that a hand can reach in a medium (paper section 6.1, "culling").
 
-The hand is a mass m that pushes with at most P in any direction, and is never faster than v. A is a set of
-places, d(x) the distance to it, e the direction from the nearest of them. d is the least of the distances to
-the places of A, and so along any path, in the sense of an upper bound, d'' <= (v^2 - d'^2) / d + e . (P + F)
-/ m. Where
+Other samples need not be sent. The hand is a mass m that pushes with at most P in any direction and is never
+faster than v. Let A be a set of points, d(x) the distance from x to A, and e the direction from the nearest
+point of A to x. Since d is the minimum of the distances to the points of A, any path satisfies, in the sense
+of an upper bound, d'' <= (v^2 - d'^2) / d + e . (P + F) / m. Where
 
     -e . F - mu |F across e|  >=  P + m v^2 / d + m v^2 / (2 D)                                          (*)
 
-all over the layer from d0 to d0 + D, d'' is below -v^2 / (2 D) there: a hand that passes d0 with d' <= v
-turns before d0 + D. Whatever it does, also with a run-up or off another wall, it is never farther from A. So
-A begins as the space without force that a hand can start from, less what is nearer than r to a force; cells
-of the layer where (*) fails join A, until none does. What joins counts as r farther off than it is, so that
-the layer lies as deep below it as a surface; in (*) d stays the distance. Damping only helps. The work
-against the field would prove nothing: a hand that swings in it gains energy with each turn. Its speed is
-bounded, and what must be stopped is its way inwards.
+holds throughout the layer from d0 to d0 + D, d'' is below -v^2 / (2 D): a hand that passes d0 with d' <= v
+turns back before d0 + D. Whatever it does, including a run-up or pushing off another wall, it never gets
+farther from A.
 
-(*) is tested in whole cells, times |x - a|, for each a that is nearest to some point x of the cell. F is
-trilinear: the mean of the samples' own -(c - a) . F(c), weighted as F is, exceeds -(x - a) . F by at most h /
-4 times what F loses from a sample to the next along each axis; and the mean of |c - a| is not below |x - a|.
+A therefore begins as the force-free space in which a hand can start, without points that are nearer than r to
+a force; cells of the layer where (*) fails join A, until none does. Points that join count as r farther away
+than they are, so that the layer lies as deep below them as below a surface; in (*) d stays the actual
+distance. Damping only helps. Work against the field would prove nothing, because a hand that swings in the
+field gains energy with each turn. Its speed is bounded instead, and what must be stopped is its inward
+motion.
 
-A medium that moves has one A, of the space that is free in any of its frames, and (*) must hold in all of
-them: what a body passes through is open.
+(*) is tested for whole cells, multiplied by |x - a|, for each a that is nearest to some point x of the cell.
+F is trilinear. The mean of -(c - a) . F(c) over the corners c, weighted as F is, exceeds -(x - a) . F by at
+most h / 4 times the decrease of F from one sample to the next along each axis; and the mean of |c - a| is not
+below |x - a|.
+
+A moving medium has one A, the space that is free in any of its frames, and (*) must hold in all frames: space
+that a body passes through is open.
 """
 
 from __future__ import annotations
@@ -43,21 +47,21 @@ if TYPE_CHECKING:
     from touchfield.medium import HapticMedium
 
 
-_MARGIN: Final = 1.05  # of the force that (*) asks for: it comes a tick late
-_USED: Final = (0.4, 0.6)  # of the field's greatest force: what (*) asks for
-_RETREAT: Final = 4.0  # r, in diagonals of a cell: from a little off A is smooth
-_TO_TURN: Final = 0.4  # largest fraction of the force left after the push: m v^2 / d
-_FEW, _HOPELESS = 0.03, 0.7  # weak samples where the layer may begin; weak cells of a layer that is none
-_LEAKS: Final = 0.02  # of A: less is roughness and no leak
+_MARGIN: Final = 1.05  # factor on the force that (*) requires, because the force comes a tick late
+_USED: Final = (0.4, 0.6)  # fractions of the field's largest force to try as the required force
+_RETREAT: Final = 4.0  # r, in diagonals of a cell; seen from this distance A is smooth
+_TO_TURN: Final = 0.4  # maximum of m v^2 / d, as a fraction of the required force minus the push
+# maximum fraction of weak samples where the layer may begin; fraction of weak cells from which a layer is
+# given up
+_FEW, _HOPELESS = 0.03, 0.7
+_LEAKS: Final = 0.02  # nodes that joined, as a fraction of A; fewer are roughness and no leak
 _FRAMES_BYTES: Final = 1 << 28
 _ALL = np.ones((3, 3, 3), bool)
 
 
 @dataclass(frozen=True)
 class Hand:
-    """A hand with its device: what it pushes with at most, its mass, the speed it never exceeds; each
-    above 0.
-    """
+    """A hand with its device: largest push, mass, and largest speed; each above 0."""
 
     push_n: float
     mass_kg: float
@@ -68,7 +72,7 @@ class Hand:
 
     @property
     def lunge_nm(self) -> float:
-        """m v^2."""
+        """m v^2, twice the largest kinetic energy, N m."""
         return self.mass_kg * self.speed_m_s**2
 
     @property
@@ -82,7 +86,11 @@ class Hand:
 
 
 class _Layer(NamedTuple):
-    """Where the field must hold, metres of d: r, d0 and d0 + D; and by how much, newtons, about."""
+    """The layer in which the field must hold the hand back.
+
+    `retreat_m`, `start_m`, `depth_m`: the distances r, d0 and d0 + D, metres. `need_n`: the required force,
+    newtons, approximate.
+    """
 
     retreat_m: float
     start_m: float
@@ -91,8 +99,10 @@ class _Layer(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """Samples that a hand feels, bool [nx, ny, nz]: corners of cells that it comes into, and a sample more on
-    every side; a force that stops it, 0 where nothing is found to.
+    """Samples that a hand can feel, and the force that stops it.
+
+    `samples`: bool [nx, ny, nz]; the corners of cells that the hand can enter, and one more sample on every
+    side. `stopped_n`: newtons; 0 if no layer was found to stop it.
     """
 
     samples: Bools
@@ -100,7 +110,10 @@ class Reach(NamedTuple):
 
 
 def reach_of(medium: HapticMedium, hand: Hand) -> Reach:
-    """Return where a hand can get that starts in free space and stays between the outermost samples."""
+    """Return the samples that a hand can feel.
+
+    The hand starts in free space and stays between the outermost samples.
+    """
     grid, count = medium.grid, len(medium)
     require_memory("frame as a dense array", f"{grid.voxel_count} samples", 100 * grid.voxel_count)
     spread = np.unique(np.linspace(0, count - 1, 16).astype(int))
@@ -111,13 +124,17 @@ def reach_of(medium: HapticMedium, hand: Hand) -> Reach:
         samples = flood.settled()
         if np.count_nonzero(samples) < np.count_nonzero(best):
             best, stopped_n = samples, layer.need_n
-        if flood.joined.sum() <= _LEAKS * flood.began.sum():  # a thicker layer only reaches deeper
+        # nothing leaks; a thicker layer only reaches deeper
+        if flood.joined.sum() <= _LEAKS * flood.began.sum():
             break
     return Reach(best, stopped_n)
 
 
 def _layers(medium: HapticMedium, hand: Hand, greatest_n: float) -> list[_Layer]:
-    """Layers to try on a field of this greatest force, the thinnest first."""
+    """Layers to try, the thinnest first.
+
+    `greatest_n` is the largest force of the field.
+    """
     if min(medium.grid.shape) < 2:
         return []
     found: list[_Layer] = []
@@ -130,7 +147,7 @@ def _layers(medium: HapticMedium, hand: Hand, greatest_n: float) -> list[_Layer]
         spare = need / _MARGIN - hand.push_n
         if spare <= 0:
             continue
-        # how deep in the field its force is so great, but for a few samples
+        # depth in the field from which its force is sufficient, except at a few samples
         strong = np.flatnonzero(
             (bin_counts > 0) & (np.bincount(bins, size[is_supported] < need) <= _FEW * bin_counts)
         )
@@ -143,7 +160,7 @@ def _layers(medium: HapticMedium, hand: Hand, greatest_n: float) -> list[_Layer]
 
 
 class _Flood:
-    """A, as samples of a medium."""
+    """The set A, as nodes of the lattice of a medium, and its growth."""
 
     def __init__(self, medium: HapticMedium, layer: _Layer, hand: Hand) -> None:
         self.medium, self.layer = medium, layer
@@ -153,7 +170,7 @@ class _Flood:
         self.diagonal_m = float(np.linalg.norm(self.step_m))
         self.beyond = int(
             layer.retreat_m / float(self.step_m.min())
-        )  # A may lie outside of the box, if no hand does
+        )  # A may extend beyond the box, although the hand does not
         self.free = self._free()
         is_clear = self.free & (self._distance(~self.free) >= layer.retreat_m)
         self.began = is_clear if is_clear.any() else self.free
@@ -161,7 +178,10 @@ class _Flood:
         self.distance_m = self._distance_to_a()
 
     def settled(self) -> Bools:
-        """Grow A until (*) holds; return the samples that are felt, all if most of the layer is weak."""
+        """Grow A until (*) holds; return the samples that are felt.
+
+        These are all samples if most of the layer is weak.
+        """
         weak, weak_fraction = self._weak(None)
         if weak_fraction > _HOPELESS or not self.free.any():
             return np.ones(self.medium.grid.shape, bool)
@@ -179,14 +199,17 @@ class _Flood:
             weak, _ = self._weak(changed)
 
     def _parts(self) -> Iterator[Float32s]:
-        """The frames, float32 [f, nx, ny, nz, 3], as many at a time as memory allows."""
+        """Yield frames, float32 [f, nx, ny, nz, 3], as many at a time as memory allows."""
         count = len(self.medium)
         max_frames = max(1, _FRAMES_BYTES // (12 * self.medium.grid.voxel_count))
         for a in range(0, count, max_frames):
             yield np.stack([self.medium[i].to_dense() for i in range(a, min(a + max_frames, count))])
 
     def _free(self) -> Bools:
-        """Return force-free nodes of any frame, connected to the box's faces if any such node is there."""
+        """Return the nodes that are free of force in any frame.
+
+        If some of them lie on the faces of the box, only those connected to these are returned.
+        """
         nodes = np.logical_or.reduce([(~part.any(axis=4)).any(axis=0) for part in self._parts()])
         at_faces = nodes.copy()
         at_faces[1:-1, 1:-1, 1:-1] = False
@@ -199,13 +222,14 @@ class _Flood:
         return np.asarray(distance_transform_edt(~nodes, self.step_m))
 
     def _distance_to_a(self) -> Float64s:
-        """d at the nodes, metres: what joined A lies where a force begins, and so as far from it as that
-        does.
+        """d at the nodes, metres.
+
+        Nodes that joined A lie where a force begins; r is added to the distance to them.
         """
         return np.minimum(self._distance(self.began), self._distance(self.joined) + self.layer.retreat_m)
 
     def _bounds(self) -> tuple[Float64s, Float64s]:
-        """Of each cell the least and the greatest d that a point of it may have."""
+        """Lower and upper bound of d within each cell."""
         corners = [self.distance_m[i:, j:, k:][tuple(slice(n - 1) for n in self.distance_m.shape)]
                    for i, j, k in np.ndindex(2, 2, 2)]  # fmt: skip
         lowest, highest = np.minimum.reduce(corners), np.maximum.reduce(corners)
@@ -213,12 +237,15 @@ class _Flood:
         return np.maximum(lowest - half, highest - diagonal), np.minimum(highest + half, lowest + diagonal)
 
     def _inner(self, cells: NDArray[Any]) -> NDArray[Any]:
-        """Those of the box."""
+        """The cells within the box of the medium."""
         return cells[tuple(slice(self.beyond, n - self.beyond) for n in cells.shape)]
 
     def _weak(self, changed: Float64s | None) -> tuple[Bools, float]:
-        """Nodes of cells of the layer where the field does not hold, of those that `changed` is near; their
-        share.
+        """Corner nodes of weak cells of the layer, without those that joined A already.
+
+        A cell is weak if the field does not hold there. Also returns the fraction of weak cells. `changed` is
+        the distance to the nodes that joined last, plus r; only cells that these may affect are tested, or
+        all cells of the layer if it is None.
         """
         from touchfield.reduction import kernels
 

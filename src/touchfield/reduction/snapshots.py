@@ -1,8 +1,8 @@
-"""A medium as snapshots for `modes`: whole frames on the union of their bricks, or every brick for itself.
+"""A medium as snapshots for `modes`: whole frames, or single bricks.
 
-Frames are the snapshots of bodies that deform in place. A moving body is elsewhere in each frame, and no few
-frames span it, but its bricks are similar wherever it is. Counts of numbers are reported with and without the
-modes themselves.
+Whole frames, on the union of their bricks, suit bodies that deform in place. A moving body is elsewhere in
+each frame, so that no few frames span it, but its bricks are similar wherever it is. Counts of numbers are
+reported with and without the modes themselves.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ BRICK_VALUES: Final = 3 * BRICK**3
 
 @dataclass(frozen=True)
 class ReducedMedium:
-    """A medium by its modes. `keys` int64: of "global" the `brick_keys` of the union of bricks; none of
-    "bricks".
+    """A medium and its modes.
+
+    `keys` int64: for kind "global" the `brick_keys` of the union of bricks; empty for "bricks".
     """
 
     medium: HapticMedium
@@ -41,13 +42,16 @@ class ReducedMedium:
     keys: Int64s
 
     def coefficients(self, frame: int) -> Float64s:
-        """Of the snapshots of a frame, float64 [n, r]; what lies outside of the union is left out."""
+        """Coefficients of the snapshots of a frame, float64 [n, r].
+
+        Forces outside the union of bricks are omitted.
+        """
         field = self.medium[frame]
         rows = field.forces_at(self.keys).reshape(1, -1) if len(self.keys) else _bricks(field)
         return self.modes.coefficients(rows)
 
     def field(self, frame: int) -> ForceField:
-        """A frame as the modes have it."""
+        """A frame as the modes reconstruct it."""
         grid = self.medium.grid
         rows = self.modes.rebuild(self.coefficients(frame)).astype(np.float32)
         bricks = bricks_of(grid, self.keys) if len(self.keys) else self.medium[frame].bricks
@@ -61,8 +65,9 @@ def _bricks(field: ForceField) -> Float32s:
 def reduce_to_modes(
     medium: HapticMedium, kind: str = "global", rank: int | None = None, step: int = 1
 ) -> ReducedMedium:
-    """The modes of every `step`-th frame of a medium, all of them or the first `rank`; `kind` is one of
-    `KINDS`.
+    """Compute the modes of every `step`-th frame of a medium.
+
+    `rank`: number of modes, all by default. `kind`: one of `KINDS`.
     """
     require_one_of("modes", kind, KINDS)
     indices = range(0, len(medium), step)
@@ -84,12 +89,12 @@ def reduce_to_modes(
 
 
 class HeldOut(NamedTuple):
-    """Frames that were not learnt from, by modes of the others.
+    """Frames that the modes were not computed from, represented by these modes.
 
-    `modes` are used, `numbers` the coefficients of a snapshot, the mean. `share` are all numbers that a
-    receiver needs of the medium, to those without modes: coefficients, of each that is one of several its
-    place (the entropy of the places, in numbers of 32 bits), and the modes; `share_of_coefficients` is
-    without these. Of bricks coefficients below `min_n` were not kept.
+    `modes`: number of modes used. `numbers`: mean number of coefficients per snapshot. `nmse_db`: error over
+    energy, decibels. `share`: numbers a receiver needs (coefficients, their indices at their entropy in
+    numbers of 32 bits, and the modes) relative to the numbers of the medium itself; `share_of_coefficients`
+    is without the modes. `min_n`: for kind "bricks", the smallest coefficient that is kept; 0 for "global".
     """
 
     modes: int
@@ -101,17 +106,17 @@ class HeldOut(NamedTuple):
 
 
 def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOut:
-    """Modes of the even frames, and how many numbers the odd ones need for this error; all that there are may
-    not do.
+    """Compute modes of the even frames; count the numbers that odd frames need.
 
-    Of "global" the first modes are used, of "bricks" of each brick the greatest coefficients: those above one
-    bound. Raises `InvalidArgument` as `reduce_to_modes` does, or for a medium of one frame.
+    `decibels`: error to reach; all modes together may not reach it. For kind "global" the first modes are
+    used, for "bricks" the largest coefficients of all bricks, those above one bound. Raises `InvalidArgument`
+    as `reduce_to_modes` does, or for a medium of one frame.
     """
     if len(medium) < 2:
         raise InvalidArgument("medium", "one frame", "frames to learn from and others")
     is_global, odd = kind == "global", range(1, len(medium), 2)
     count = len(medium) if is_global else sum(len(field.bricks) for field in medium)
-    max_rank = count // 4 if is_global else min(BRICK_VALUES, count // 20)  # few relative to the snapshots
+    max_rank = count // 4 if is_global else min(BRICK_VALUES, count // 20)  # few compared with the snapshots
     learnt = reduce_to_modes(medium, kind, max(1, max_rank), step=2)
     energy = sum(float((medium[i].forces_n.astype(np.float64) ** 2).sum()) for i in odd)
     if not energy:
@@ -135,8 +140,11 @@ def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOu
 
 
 class Freedom(NamedTuple):
-    """`effective` degrees of freedom, exp of the entropy of the normalised squared singular values; the step
-    of the coefficients, newtons; `bits` of one, the mean over the `modes` that have one that is not 0.
+    """Effective degrees of freedom of a snapshot, and the bits of each.
+
+    `effective`: exp of the entropy of the normalised squared singular values. `step_n`: step of the
+    coefficients, newtons. `bits`: bits per coefficient, the mean over the `modes` with a coefficient that is
+    not rounded to 0.
     """
 
     effective: float
@@ -148,7 +156,7 @@ class Freedom(NamedTuple):
 def freedom(found: ReducedMedium, f0_n: float) -> Freedom:
     """Return the effective degrees of freedom of a snapshot, and the bits of each.
 
-    The step is the one whose rounding makes an error of F_0 rms at each supported sample: rounding makes a
+    The step is chosen so that rounding causes an rms error of F_0 at each supported sample; rounding causes a
     squared error of rank step^2 / 12 in a snapshot. Bits are the plug-in entropy of each mode's rounded
     coefficients.
     """

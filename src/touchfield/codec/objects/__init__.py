@@ -1,1 +1,1 @@
-"""The coder `objects`: the object source model of figure 4 (paper section 4.3), fields with poses."""
+"""The coder `objects`: fields with poses (figure 4's object source model)."""

@@ -1,8 +1,9 @@
-"""Decoder of the coder `objects`: poses of all bodies in a segment, and their fields on request.
+"""Decoder of the coder `objects`: poses of a segment, and fields on request.
 
-The paper's rigid objects need one field and a pose a frame (section 4.3); it does not say how to code these
-"parameters of the source model". Here a pose is seven whole numbers, multiples of two steps; each is
-predicted from those before it, and the residuals are whole numbers (docs/format/objects.md).
+In the paper a rigid object needs one field, and one pose per frame (section 4.3); the paper does not say how
+to code these "parameters of the source model". Here a pose is seven whole numbers, multiples of a position
+step and a quaternion step. Each number is predicted from those of earlier poses, and the residuals are coded
+as whole numbers (docs/format/objects.md).
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium import ForceField, PoseTrack
 
 MAX_SEGMENT_POSES: Final = (1 << 16) - 1  # poses in one code; also the maximum number of frames of a segment
-MAX_STEPS: Final = 1 << 50  # of a position; sums of seven, as in the quadratic predictor, stay exact
+# largest position in steps; sums of seven, as in the quadratic predictor, stay exact
+MAX_STEPS: Final = 1 << 50
 POSITION_POWERS: Final = (-40, 0)
 QUATERNION_POWERS: Final = (-30, -2)
 _CHANGED = "The file was changed or cut."
@@ -33,9 +35,10 @@ _CHANGED = "The file was changed or cut."
 
 @dataclass(frozen=True)
 class PoseSteps:
-    """Quantisation steps of a coded track, powers of two; InvalidArgument for other numbers.
+    """Quantisation steps of a coded track, powers of two.
 
-    Those of positions are from 2^-40 to 1 metres, those of quaternion components from 2^-30 to 2^-2.
+    Steps of positions are from 2^-40 to 1 metres, those of quaternion components from 2^-30 to 2^-2;
+    InvalidArgument for other numbers.
     """
 
     position_m: float
@@ -56,7 +59,10 @@ class PoseSteps:
 
     @classmethod
     def from_bytes(cls, data: bytes, where: str = "pose steps") -> PoseSteps:
-        """The inverse of `to_bytes`; TruncatedFile or CorruptFile, naming `where`, for invalid bytes."""
+        """The inverse of `to_bytes`.
+
+        TruncatedFile or CorruptFile, naming `where`, for invalid bytes.
+        """
         if len(data) != 2:
             error = TruncatedFile if len(data) < 2 else CorruptFile
             raise error(where, f"{len(data)} bytes", "2")
@@ -72,7 +78,10 @@ class PoseSteps:
         return np.array([MAX_STEPS] * 3 + [round(1 / self.quaternion)] * 4, np.int64)
 
     def are_units(self, quaternions: Int64s) -> Bools:
-        """True for quaternions int64 [n, 4] within one step of length 1, as rounded ones are."""
+        """True for quaternions whose length is within one step of 1, as after rounding.
+
+        `quaternions`: int64 [n, 4], in steps.
+        """
         unit_length = round(1 / self.quaternion)
         squares = (quaternions * quaternions).sum(axis=1)
         is_unit: Bools = (squares >= (unit_length - 1) ** 2) & (squares <= (unit_length + 1) ** 2)
@@ -85,10 +94,11 @@ class PoseSteps:
         return PoseTrack(unit, numbers[:, :3].astype(np.float64) * self.position_m)
 
 
-# order of a predictor: 0 constant, 1 the number before, 2 a line, 3 a parabola through those before
+# order of a predictor: 0 a constant; 1 the preceding number; 2 and 3 a line and a parabola through preceding
+# ones
 MAX_ORDER: Final = 3
 MODELS: Final = 8 * NUMBER_CONTEXTS, 8 * NUMBER_SETS
-"""Contexts and sets of the models: for the first pose and the orders, and for the residuals by component."""
+"""Contexts and sets: one part for the first pose and the orders, and one for each of the 7 components."""
 
 
 def code_residuals(bits: Bits, component: int, residuals: Int64s) -> None:
@@ -100,8 +110,8 @@ def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "
     """Decode a track of `encode_poses`.
 
     `frame_count` is the number of poses, 1 to `MAX_SEGMENT_POSES`; each takes some 120 bytes of memory.
-    `where` names the bytes in errors. TruncatedFile or CorruptFile if the bytes are not the code of so many
-    poses.
+    `where` names the bytes in errors. TruncatedFile or CorruptFile if the bytes do not code exactly
+    `frame_count` poses.
     """
     if not 1 <= frame_count <= MAX_SEGMENT_POSES:
         raise InvalidArgument("frame_count", repr(frame_count), f"1 to {MAX_SEGMENT_POSES}")
@@ -119,7 +129,7 @@ def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "
             column = np.cumsum(column)
         numbers[:, c] += column
     check_end(bits, 0, where)
-    # a sum that wraps around exceeds the limits before it does
+    # a cumulative sum exceeds the limits before it can wrap around
     if ((numbers > steps.limits) | (numbers < -steps.limits)).any():
         raise CorruptFile(
             where, "a number beyond its limit", "positions to 2^50 steps, quaternions to 1", _CHANGED
@@ -135,9 +145,10 @@ def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "
 class ObjectsDecoder:
     """Decoder of the segments of one stream of objects, from the stream alone.
 
-    `parameters` is `HEAD.coder_parameters`, whose damping and tolerance in place become attributes; `objects`
-    are the contents of the OBJT records, in their order. CorruptFile if the number of objects is not that of
-    the parameters, or an object is inconsistent. UnsupportedVersion if the coder of a field is unknown.
+    `parameters` is `HEAD.coder_parameters`; its damping and its tolerance in place become attributes.
+    `objects` are the contents of the OBJT records, in file order. CorruptFile if the number of objects
+    differs from that in the parameters, or an object is inconsistent. UnsupportedVersion if the coder of a
+    field is unknown.
     """
 
     name = NAME
@@ -163,8 +174,9 @@ class ObjectsDecoder:
         ]
 
     def parts(self, body: bytes) -> SegmentParts:
-        """Parts of a segment's body, not decoded yet; those of the latest body are cached."""
-        latest = self._latest  # thousands of objects request the same body, other threads another one
+        """The parts of a segment's body, not decoded yet; the latest body is cached."""
+        # thousands of objects request the same body; read once, as other threads may replace it
+        latest = self._latest
         if latest is None or latest[0] is not body:
             self._latest = latest = (
                 body,
@@ -173,7 +185,10 @@ class ObjectsDecoder:
         return latest[1]
 
     def tracks(self, body: bytes, frame_count: int) -> tuple[PoseTrack, ...]:
-        """Poses of each object in a segment; CorruptFile or TruncatedFile if the bytes are invalid."""
+        """Poses of each object in a segment.
+
+        CorruptFile or TruncatedFile if the bytes are invalid.
+        """
         max_error, parts = self.parts(body)
         if max_error is not None and max_error.frame >= frame_count:
             raise CorruptFile("SEGM.body worst frame", str(max_error.frame), f"below {frame_count}")

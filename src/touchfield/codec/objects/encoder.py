@@ -1,14 +1,14 @@
-"""Encoder of the coder `objects`: fields and poses within the error bound of the composed field.
+"""Encoder of the coder `objects`: fields and poses within an error bound.
 
 "If a model is adopted that describes a scene as several objects, then the parameters will be force vectors
-that correspond to each specific object." A rigid object costs one field, coded by a coder of fields, and a
-pose for each frame; one that deforms costs a field for each frame. Empty space costs nothing.
+that correspond to each specific object." A rigid object costs one field, coded by a coder of fields, and one
+pose per frame; a deforming object costs one field per frame. Empty space costs nothing.
 
 Poses are coded first, within the tolerance in place. Then the decoded fields are composed and compared with
 the source in every frame (`error_bound`). The fields of bodies that contribute to a voxel outside the mask
-are coded again within a smaller fraction of it, until no such voxel is left. No fraction is small enough
-where forces cancel (those of two bodies, or of two sides of one) and only the mask's F_0 allows an error.
-There, and everywhere if F_0 is 0, the samples around such a voxel are sent exactly.
+are coded again with a smaller fraction of the mask, until no such voxel is left. No fraction is small enough
+where forces cancel (those of two bodies, or of two sides of one body) and only F_0 of the mask allows an
+error. There, and everywhere if F_0 is 0, the samples around such a voxel are sent exactly.
 """
 
 from __future__ import annotations
@@ -55,11 +55,14 @@ from touchfield.codec.segment import CodedSegment, MaxError, segment_length
 from touchfield.errors import InvalidArgument
 from touchfield.medium import HapticObject, HapticScene, PoseTrack
 
-_POSITION_COST, _QUATERNION_COST = 3, 4  # components that become a bit longer when the step is halved
+_POSITION_COST, _QUATERNION_COST = 3, 4  # components that take one more bit each when the step is halved
 
 
 class Damping(NamedTuple):
-    """Bound on the error of the force b (v + omega x r) of a surface: `max_error_n`, newtons."""
+    """Bound on the error of the force b (v + omega x r) of a moving surface.
+
+    The bound is `max_error_n`, newtons.
+    """
 
     n_s_per_m: float
     rate_hz: float
@@ -76,7 +79,10 @@ class Damping(NamedTuple):
 
 
 def round_poses(track: PoseTrack, steps: PoseSteps) -> Int64s:
-    """Nearest multiples of the steps, int64 [n, 7]; InvalidArgument if a position exceeds 2^50 steps."""
+    """Nearest multiples of the steps, int64 [n, 7].
+
+    InvalidArgument if a position exceeds 2^50 steps.
+    """
     farthest = float(np.abs(track.positions_m).max())
     if farthest > MAX_STEPS * steps.position_m:
         expected = f"{MAX_STEPS * steps.position_m:g} m at most with a step of {steps.position_m:g} m"
@@ -90,8 +96,8 @@ def choose_pose_steps(
 ) -> PoseSteps:
     """The coarsest steps that move no point of a body by more than a tolerance.
 
-    The body's field reaches `reach_m` from its origin. InvalidArgument if even the finest steps are too
-    coarse.
+    `reach_m` is how far the body's field extends from its origin. InvalidArgument if even the finest steps
+    are too coarse.
     """
     coarsest = [
         min(math.ceil(math.log2(4 * tolerance_m)), POSITION_POWERS[1]),
@@ -117,7 +123,10 @@ def choose_pose_steps(
 
 
 def encode_poses(track: PoseTrack, steps: PoseSteps) -> bytes:
-    """Code of a track, rounded by `round_poses`; InvalidArgument if there are too many poses."""
+    """Code a track, rounded by `round_poses`.
+
+    InvalidArgument if there are too many poses.
+    """
     if len(track) > MAX_SEGMENT_POSES:
         raise InvalidArgument(
             "pose track", f"{len(track)} poses", f"{MAX_SEGMENT_POSES} at most", "Split it."
@@ -145,26 +154,31 @@ def _best_order(moved: Int64s) -> int:
 
 
 def _residuals(moved: Int64s, order: int) -> Int64s:
-    """Differences of the given order, int64 [n - 1]; the numbers before the first are equal to it."""
+    """Differences of the given order, int64 [n - 1].
+
+    The component is taken to be constant before its first number.
+    """
     for _ in range(order):
         moved = np.diff(moved, prepend=0)
     return moved[1:]
 
 
-# a fifth of the position resolution of a Phantom Omni (0.055 mm), and 5 mN on a wall of 500 N/m
+# a fifth of the position resolution of a Phantom Omni (0.055 mm); it changes the force of a wall of 500 N/m
+# by 5 mN
 PLACE_TOLERANCE_M: Final = 1e-5
-# where no object deforms: poses alone are small, and each segment restarts their prediction
+# if no object deforms: segments contain only poses, which are small, and each segment restarts their
+# prediction
 _RIGID_SEGMENT_FRAMES: Final = 2048
 _FRACTION_STEP: Final = 0.93
 _MIN_FRACTION: Final = 1 / 64
-# for bodies with exact samples: half the mask leaves few samples outside it. Among the fractions 0.12 to 1 it
-# is within 16 % of the fewest bytes in 14 scenes of bodies in contact; the whole mask takes up to 2.3 times
-# as many.
+# for bodies with exact samples: at half the mask few samples are outside the mask. In 14 scenes of bodies in
+# contact it takes at most 16 % more bytes than the best fraction from 0.12 to 1; the whole mask takes up to
+# 2.3 times as many bytes.
 _FRACTION_WITH_EXACT: Final = 0.5
 _MAX_FRACTION_STEPS: Final = 100
 _MIN_K: Final = 0.001
-_DAMPING_FRACTION: Final = 0.25  # of F_0, for the velocity of a moving surface
-_DAMPING_FRACTION_OF_K: Final = 0.001  # of that, times k, where F_0 is 0 and |F| may be small
+_DAMPING_FRACTION: Final = 0.25  # fraction of F_0 for the error of the damping force of a moving surface
+_DAMPING_FRACTION_OF_K: Final = 0.001  # times k, a further factor if the F_0 of the bound is 0
 
 
 def check_pose_count(object_count: int, frame_count: int) -> None:
@@ -181,8 +195,8 @@ def check_pose_count(object_count: int, frame_count: int) -> None:
 class _Fields(NamedTuple):
     """Coded fields of one object.
 
-    `segments` is one per segment of the file, or a single one for a rigid object; `pair` is the source and
-    decoded field of a rigid object, else None.
+    `segments` has one entry per segment of the file, or a single one for a rigid object. `pair` holds the
+    source and the decoded field of a rigid object; it is None for a deforming one.
     """
 
     encoder: FieldEncoder
@@ -194,12 +208,13 @@ class _Fields(NamedTuple):
 class ObjectsEncoder:
     """Encoder of a haptic scene; the first access to any result codes all of it.
 
-    `spec` selects the coder of the fields and its options. In mode "mask" of coder `touch` the error of the
-    composed field is at most max(F_0, k |F|), and in mode "lossless" the decoded fields are the source's;
-    otherwise it has no bound (`is_bounded`). `f0_n` is F_0 in newtons: the error of the surface damping of
-    the decoded poses is at most a quarter of it, and about a millionth of a newton if the mask's F_0 is 0.
-    InvalidArgument if the scene has more objects or poses than a file can store. On access: InvalidArgument
-    if no pose steps satisfy the tolerance, or, with a surface damping, the error bound.
+    `spec` selects the coder of the fields and its options. In mode "mask" of the coder `touch` the error of
+    the composed field is at most max(F_0, k |F|). In mode "lossless" the decoded fields equal those of the
+    source. In other modes the error has no bound (`is_bounded`). `f0_n` is F_0 in newtons: the decoded poses
+    change the force of the surface damping by at most a quarter of it, or by about a millionth of a newton if
+    the mask's F_0 is 0. InvalidArgument if the scene has more objects or poses than a file can store. On
+    access: InvalidArgument if no pose steps satisfy the tolerance or, with a surface damping, the error
+    bound.
     """
 
     name = layout.NAME
@@ -243,7 +258,7 @@ class ObjectsEncoder:
 
     @property
     def supported(self) -> int:
-        """Number of samples with a force in the coded fields; those of a rigid object count once."""
+        """Number of supported samples in the coded fields; a rigid field counts once."""
         return sum(
             f.supported for fields in self._coded[0] for segment in fields.segments for f in segment.frames
         )
@@ -262,7 +277,7 @@ class ObjectsEncoder:
             )
 
     def segments(self) -> Iterator[tuple[int, int, bytes]]:
-        """Yield first frame, number of frames and body of each segment."""
+        """Yield the first frame, the number of frames and the body of each segment."""
         coded, max_errors = self._coded
         for i, frames in enumerate(self._ranges):
             parts = [
@@ -290,8 +305,8 @@ class ObjectsEncoder:
         if not self.is_bounded:
             return coded, [None] * len(self._ranges)
         rule = ComposedRule(self._scene, spec.k, spec.f0_n)
-        suspects: set[int] = set()  # frames that violated the bound: checked first
-        amended: set[int] = set()  # bodies with exact samples, which coding them again would lose
+        suspects: set[int] = set()  # frames that violated the bound, which are checked first
+        amended: set[int] = set()  # bodies with exact samples; coding their fields again would lose these
         while True:
             results = [self._check(rule, coded, sorted(suspects))] if suspects else []
             if not results or results[0].violations == 0:
@@ -321,7 +336,10 @@ class ObjectsEncoder:
                     coded[i] = self._encode_object(self._scene.objects[i], fraction)
 
     def _finer_fraction(self, fraction: float, ratio: float) -> float | None:
-        """A smaller fraction of the mask for a body whose error ratio is `ratio`; None if none suffices."""
+        """A smaller fraction of the mask for a body whose error ratio is `ratio`.
+
+        None if no smaller fraction suffices.
+        """
         if self._spec.mode != "mask":
             return None
         is_mendable = self._spec.f0_n > 0 and ratio * _MIN_FRACTION <= 1
@@ -332,10 +350,10 @@ class ObjectsEncoder:
         return max(float(fraction * _FRACTION_STEP**steps), min_fraction)
 
     def _with_exact_samples(self, rule: ComposedRule, coded: list[_Fields]) -> list[_Fields]:
-        """The fields with every sample exact that surrounds a voxel outside the mask.
+        """The fields, with every sample around a voxel outside the mask made exact.
 
-        InvalidArgument if there is none: the rest of the error comes from the velocities of the poses, which
-        are never exact.
+        InvalidArgument if there is no such sample: the remaining error comes from the velocities of the
+        poses, which are never exact.
         """
         exact: list[list[Int64s]] = []  # samples of each body and coded frame
         for fields in coded:
@@ -360,7 +378,8 @@ class ObjectsEncoder:
             count = len(segment.frames)
             selected = samples[first : first + count]
             if any(map(len, selected)):
-                assert isinstance(fields.encoder, ExactSampleEncoder)  # as every coder with an error bound
+                # true of every coder with an error bound
+                assert isinstance(fields.encoder, ExactSampleEncoder)
                 sources = [body.field(i) for i in range(first, first + count)]
                 segment = fields.encoder.with_exact_samples(segment, sources, selected)
             segments.append(segment)
@@ -372,7 +391,10 @@ class ObjectsEncoder:
     def _violating(
         self, rule: ComposedRule, coded: list[_Fields], frames: Sequence[int]
     ) -> Iterator[tuple[int, list[Int64s]]]:
-        """Yield frames and their `ComposedRule.violating_samples`; one arbitrary frame if no body deforms."""
+        """Yield frames and their `ComposedRule.violating_samples`.
+
+        If no body deforms, a single, arbitrary frame is yielded.
+        """
         for pairs, served in self._pairs(coded, frames):
             yield served[0], rule.violating_samples(pairs, self._moves, served)
 
@@ -393,7 +415,7 @@ class ObjectsEncoder:
         return Moves.of(self._scene, tracks)
 
     def _check(self, rule: ComposedRule, coded: list[_Fields], frames: Sequence[int]) -> BoundCheck:
-        """Check some frames against the rule; if an object deforms, the frames of one segment."""
+        """Check frames against the rule; if a body deforms, they are those of one segment."""
         total = BoundCheck.empty(len(coded))
         for pairs, served in self._pairs(coded, frames):
             total = total.merged(rule.check(pairs, self._moves, served))
@@ -402,9 +424,9 @@ class ObjectsEncoder:
     def _pairs(
         self, coded: list[_Fields], frames: Sequence[int]
     ) -> Iterator[tuple[list[Pair], Sequence[int]]]:
-        """Yield the fields of all bodies and the frames they apply to.
+        """Yield the source and decoded fields of all bodies, and the frames they apply to.
 
-        If a body deforms, `frames` are those of a segment, and one is yielded at a time.
+        If a body deforms, `frames` must be those of one segment, and one frame is yielded at a time.
         """
         pairs = [fields.pair for fields in coded]
         if self._all_rigid:
@@ -442,6 +464,6 @@ class ObjectsEncoder:
 def _coded_fields(
     body: HapticObject, encoder: FieldEncoder, decoder: FieldDecoder, segments: list[CodedSegment]
 ) -> _Fields:
-    """Coded fields of an object; that of a rigid one is also decoded and paired with its source."""
+    """Coded fields of an object; a rigid one is also decoded, for its pair."""
     pair = Pair(body.field(0), next(decoder.frames(segments[0].body, 1))) if body.is_rigid else None
     return _Fields(encoder, decoder, segments, pair)

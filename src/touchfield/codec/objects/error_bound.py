@@ -1,8 +1,9 @@
 """Check of the error bound of the composed field, in all frames and at all voxels.
 
-|F_decoded - F| <= max(F_0, k |F|), where F is the force of the source with its bodies at their decoded poses.
-The coded poses move no point of a body by more than a *tolerance in place* (`displacement_m`): where a field
-jumps, as at the edge of a wall, no pose of finite accuracy satisfies a rule voxel by voxel.
+The bound is |F_decoded - F| <= max(F_0, k |F|), where F is the force of the source with its bodies at their
+decoded poses. The poses themselves have another bound: coding moves no point of a body by more than a
+*tolerance in place* (`displacement_m`). Where a field jumps, as at the edge of a wall, no pose of finite
+accuracy could satisfy a bound voxel by voxel.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
 from touchfield.medium.field import brick_keys
 
-# of F_max: a body's own force below it is rounding of a position, as in the receiver
+# fraction of F_max; the receiver also treats a body's own force below it as the rounding of a position
 _FLOOR_FRACTION: Final = 1e-9
 _CHUNK_FRAMES: Final = 32
 
@@ -32,7 +33,7 @@ class BoundCheck:
     """Result of checking frames against the error bound."""
 
     ratios: Float64s  # [bodies]; the largest |error| / mask at the voxels that each body contributes to
-    voxels: Int64s  # [bodies, 4]; frame and voxel of it; -1 for none
+    voxels: Int64s  # [bodies, 4]; frame and voxel of the largest ratio; -1 for none
     violations: int  # voxels of all frames whose error exceeds the mask
 
     @classmethod
@@ -69,8 +70,8 @@ class Pair:
     def inexact_corners(self, marks: NDArray[np.uint8]) -> Int64s:
         """Corners of marked cells at which the decoded force differs from the source's.
 
-        `marks`: uint8 [bricks of the pools, 512]. Returns numbers of samples, int64 [m], ascending: 512 times
-        the key of the brick (`field.brick_keys`), plus the sample within it.
+        `marks`: uint8 [bricks of the pools, 512]. Returns the numbers of samples, int64 [m], ascending; a
+        number is 512 times the key of the brick (`field.brick_keys`) plus the index of the sample within it.
         """
         pool, grid = self.pools[0], self.source.grid
         slots, cells = np.nonzero(marks)
@@ -96,7 +97,11 @@ class Pair:
 
 
 class Moves(NamedTuple):
-    """Decoded poses, float64 [frames, bodies, 7], and b (v, omega) of both tracks, [frames, bodies, 6]."""
+    """Decoded poses, and damping times velocity of source and decoded tracks.
+
+    `poses`: float64 [frames, bodies, 7]. `source`, `decoded`: b (v, omega), float64 [frames, bodies, 6], with
+    b the surface damping, v the velocity and omega the angular velocity.
+    """
 
     poses: Float64s
     source: Float64s
@@ -104,7 +109,7 @@ class Moves(NamedTuple):
 
     @classmethod
     def of(cls, scene: HapticScene, decoded: Sequence[PoseTrack]) -> Moves:
-        """Moves of a scene whose bodies have these decoded tracks."""
+        """Moves of a scene whose bodies have the tracks `decoded`."""
         b = scene.surface_damping_n_s_per_m
 
         def motions(tracks: Sequence[PoseTrack]) -> Float64s:
@@ -126,14 +131,14 @@ class ComposedRule:
     f0_n: float
 
     def check(self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int]) -> BoundCheck:
-        """Check frames of the scene, whose bodies have these fields and moves."""
+        """Check frames of the scene, given the fields and the moves of its bodies."""
         return self._compare(pairs, moves, frames, is_marking=False)[0]
 
     def violating_samples(self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int]) -> list[Int64s]:
-        """Samples of each body that are not exact and contribute to a voxel outside the bound.
+        """Inexact samples of each body that contribute to a voxel outside the bound.
 
-        Numbers as from `Pair.inexact_corners`. If these are sent exactly, the only error left there is that
-        of the motion, which a surface damping turns into a force.
+        Samples are numbered as by `Pair.inexact_corners`. If these are sent exactly, the only error left
+        there comes from the motion, which a surface damping turns into a force.
         """
         marks = self._compare(pairs, moves, frames, is_marking=True)[1]
         starts = np.cumsum([0, *(len(pair.pools[0].bricks) for pair in pairs)])
@@ -145,7 +150,10 @@ class ComposedRule:
     def _compare(
         self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int], *, is_marking: bool
     ) -> tuple[BoundCheck, NDArray[np.uint8]]:
-        """Result of `check`, and marks of cells with a part in a violation, uint8 [bricks, 512]."""
+        """Result of `check`, and marks of the cells that contribute to a violation.
+
+        The marks are uint8 [bricks, 512], with no rows unless `is_marking`.
+        """
         from touchfield.codec.objects import kernels
 
         grid, limit_n = self.scene.grid, self.scene.force_max_n
@@ -181,7 +189,9 @@ class ComposedRule:
 def compare_scenes(
     source: HapticScene, decoded: HapticScene, k: float, f0_n: float
 ) -> tuple[BoundCheck, float]:
-    """Check all frames of a decoded scene; also return the largest displacement of a point, metres.
+    """Check all frames of a decoded scene; also return the largest displacement.
+
+    The displacement is that of a point of a body, in metres.
 
     `source` and `decoded` have the same objects on the same lattices. `f0_n`: newtons, 0 or more.
     """
@@ -201,7 +211,10 @@ def compare_scenes(
 
 
 def displacement_m(source: PoseTrack, decoded: PoseTrack, reach_m: float) -> Float64s:
-    """Upper bound of the displacement of points within `reach_m` of the origin, metres, float64 [n]."""
+    """Upper bound of the displacement of points within `reach_m` of the origin.
+
+    Metres, float64 [n], one for each pose of the tracks.
+    """
     q, p = source.quaternions, decoded.quaternions
     turn = 2 * np.linalg.norm(p - (p * q).sum(axis=1, keepdims=True) * q, axis=1)
     distance_m: Float64s = np.linalg.norm(decoded.positions_m - source.positions_m, axis=1) + turn * reach_m
@@ -209,9 +222,9 @@ def displacement_m(source: PoseTrack, decoded: PoseTrack, reach_m: float) -> Flo
 
 
 def reach_m(body: HapticObject) -> float:
-    """Distance that the fields of an object reach from its origin, plus one cell, metres.
+    """Largest distance of an object's samples from its origin, plus one cell.
 
-    0 for an object that never rotates.
+    Metres; 0 for an object that never rotates.
     """
     if (body.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all():
         return 0.0

@@ -1,9 +1,10 @@
-"""Compiled comparison of the decoded and the source field of bodies in motion, at all voxels they reach.
+"""Compiled comparison of the decoded and the source fields of moving bodies.
 
-Both fields of a body are stored as cells in the same order (`touchfield.medium.cells`). Each cell has an
-upper bound of its error ratio: a voxel that only one body reaches is evaluated only if that bound exceeds the
-largest ratio found so far, a voxel that several reach always. Everything is inlined into one function:
-passing tuples of arrays took a quarter of the time.
+All voxels that the bodies reach are compared. Both fields of a body are stored as cells in the same order
+(`touchfield.medium.cells`), and each cell has an upper bound of its error ratio. A voxel that only one body
+reaches is evaluated only if that bound exceeds the largest ratio found so far; a voxel that several bodies
+reach is always evaluated. Everything is inlined into one function, because passing tuples of arrays took a
+quarter of the time.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from touchfield.medium.kernels.placed import (
 
 _COLUMNS = 33
 _SLACK = 1 + 1e-6
-_ROUNDING = 2.0**-22  # of a force: two roundings to float32, and those of the sums
+_ROUNDING = 2.0**-22  # relative error of a force: two roundings to float32, and those of the sums
 _NOWHERE = 1 << 40
 
 
@@ -58,9 +59,9 @@ class Bodies(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """|error| <= max(f0_n, k |F|), of which f0_n may be 0.
+    """The bound |error| <= max(f0_n, k |F|); f0_n may be 0.
 
-    A body's own force of up to `floor_n` counts as none; sums are limited to the length `limit_n`.
+    Body forces of at most `floor_n` are treated as zero; a sum of forces is clipped to the length `limit_n`.
     """
 
     k: float
@@ -72,7 +73,8 @@ class Rule(NamedTuple):
 class _Search(NamedTuple):
     """Largest ratio of each body so far, and workspace.
 
-    `candidates` is a count followed by bodies; rows of `parts` are a body and a slot; boxes are [2, 3].
+    `candidates` holds a count followed by that many bodies. Each row of `parts` is a body and a slot. Boxes
+    of samples are [2, 3]: first and last sample along each axis.
     """
 
     ratios: Float64s
@@ -90,10 +92,10 @@ class _Search(NamedTuple):
 def bound_cells(start, stop, source, decoded, rule, bounds):
     """Fill `bounds` [n, 512] with upper bounds of |error| / mask within each cell.
 
-    The error of a trilinear cell is at most the largest of its corners, and its force along the mean
-    direction at least the smallest of its corners. If the force may vanish within a cell that is not exact,
-    and f0_n is 0, the bound is infinite. `floor_n` may remove a force in one field only, and both fields are
-    rounded to float32.
+    The error within a trilinear cell is at most the largest at its corners; the force along the mean
+    direction of the corners is at least the smallest of theirs. The bound is infinite if f0_n is 0, the cell
+    is not exact and the force may vanish within it. The bound allows for `floor_n`, which may remove a force
+    from one of the two fields only, and for the rounding of both to float32.
     """
     corners, mean = np.empty((8, 3)), np.empty(3)
     for s in range(start, stop):
@@ -141,7 +143,10 @@ def _add(cells, slot, row, offset, floor2, total):
 
 @lean(forceinline=True)
 def _span(row, first, size, world, box):
-    """Set `box` to the first and last workspace sample around a box of a body; False if there is none."""
+    """Set `box` to the first and last workspace sample around a box of a body.
+
+    Returns False if there is none.
+    """
     for a in range(3):
         centre, reach = row[T + a] - world[0, a], 0.0
         for b in range(3):
@@ -186,7 +191,10 @@ def _row_within(row, brick, px, py, world, low, high):
 
 @lean(forceinline=True)
 def _find_parts(bodies, row_of, px, py, pz, search):
-    """Number of candidates that contribute to a voxel; bodies and slots go to ``search.parts[1:]``."""
+    """Number of candidates that contribute to a voxel.
+
+    Their bodies and slots are written to ``search.parts[1:]``.
+    """
     count = 0
     for m in range(search.candidates[0]):
         body = search.candidates[1 + m]
@@ -212,7 +220,10 @@ def _mark(bodies, row_of, count, px, py, pz, search):
 
 @lean(forceinline=True)
 def _compare_voxel(bodies, rows, rule, count, px, py, pz, search):
-    """Compare the bodies and slots ``search.parts[:count]`` at one voxel; True if it is outside the bound."""
+    """Compare source and decoded force at one voxel; True if it is outside the bound.
+
+    The voxel is reached by the bodies and slots ``search.parts[:count]``.
+    """
     sums, floor2 = search.sums, rule.floor_n * rule.floor_n
     sums[:] = 0.0
     for m in range(count):
@@ -242,7 +253,10 @@ def _compare_voxel(bodies, rows, rule, count, px, py, pz, search):
 
 @lean(forceinline=True)
 def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, search):
-    """Compare the voxels of a row within one brick of body n; returns the number outside the bound."""
+    """Compare the voxels of a row within one brick of body n.
+
+    Returns the number of voxels outside the bound.
+    """
     violations, brick, row = 0, bodies.bricks[slot], rows[0, n]
     for k in range(span[0], span[1] + 1):
         pz = world[0, 2] + k * world[1, 2]
@@ -257,7 +271,7 @@ def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, search):
             continue
         is_bounded = bodies.bounds[slot, (i & 7) * 64 + (j & 7) * 8 + (l & 7)] <= min(search.ratios[n], 1.0)
         others = _find_parts(bodies, rows[0], px, py, pz, search) if search.candidates[0] else 0
-        # in the second case it was compared with the bricks of that body
+        # in the second case the voxel was compared together with the bricks of the first of these bodies
         if (is_bounded and others == 0) or (others and search.parts[1, 0] < n):
             continue
         search.parts[0, 0], search.parts[0, 1], search.voxel[3] = n, slot, k
@@ -267,7 +281,7 @@ def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, search):
 
 @lean(forceinline=True)
 def _compare_brick(bodies, rows, rule, n, slot, world, search):
-    """Compare the voxels within one brick of body n; returns the number outside the bound."""
+    """Compare the voxels of one brick of body n; return how many violate the bound."""
     brick, box = bodies.bricks[slot], search.box
     first = 8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]
     if not _span(rows[0, n], first, (8.0, 8.0, 8.0), world, box):
@@ -303,12 +317,15 @@ def _alone(n, stays, search):
 
 @kernel
 def compare_frames(start, stop, bodies, moves, stays, world, rule):
-    """Largest |error| / mask in frames start to stop - 1 at the voxels that each body contributes to.
+    """Largest |error| / mask in frames start to stop - 1 over the voxels of each body.
 
-    `moves` are poses and motions (`error_bound.Moves`), `stays`, bool [frames, bodies], is True where a body
-    has not moved since the frame before, and `world`, float64 [3, 3], is origin, spacing and shape of the
-    lattice. Returns that ratio, float64 [bodies]; its frame and voxel, int64 [bodies, 4], the first in the
-    order of frames, -1 if there is none; and the number of voxels in all frames whose error exceeds the mask.
+    `moves` are poses and motions (`error_bound.Moves`). `stays`, bool [frames, bodies], is True where a body
+    has not moved since the frame before. `world`, float64 [3, 3], holds origin, spacing and shape of the
+    lattice.
+
+    Returns the largest ratio of each body, float64 [bodies]; the frame and voxel where it occurs first in the
+    order of frames, int64 [bodies, 4], or -1 if there is none; and the number of voxels in all frames whose
+    error exceeds the mask.
     """
     count = bodies.boxes.shape[0]
     rows = np.empty((2, count, _COLUMNS))
@@ -330,7 +347,7 @@ def compare_frames(start, stop, bodies, moves, stays, world, rule):
             size = 8.0 * bodies.boxes[n, 0], 8.0 * bodies.boxes[n, 1], 8.0 * bodies.boxes[n, 2]
             _span(rows[0, n], (0.0, 0.0, 0.0), size, world, search.spans[n])
         for n in range(count):
-            # otherwise nothing has changed around it
+            # otherwise nothing around the body has changed, and the last count still holds
             if f == start or not (stays[f, n] and _alone(n, stays[f], search)):
                 per_body[n] = 0
                 for slot in range(bodies.starts[n], bodies.starts[n + 1]):

@@ -17,7 +17,7 @@ from touchfield.medium import Grid
 NAME: Final = "objects"
 
 MAX_OBJECTS: Final = 4096  # objects of a scene
-# frames times objects of a scene: a body at rest costs few bytes, but one pose per frame in memory
+# frames times objects of a scene: a body at rest costs few bytes in a file, but one pose per frame in memory
 MAX_POSES: Final = 1 << 24
 _PARAMETERS: Final = struct.Struct("<Idd")
 _WHERE: Final = "HEAD.coder_parameters"
@@ -26,7 +26,10 @@ _MAX_AXIS_SAMPLES: Final = 1 << 20
 
 @dataclass(frozen=True)
 class CodedObject:
-    """Contents of an OBJT record; `grid` is the object's own, `field` is empty if it deforms."""
+    """Contents of an OBJT record.
+
+    `grid` is the object's own lattice; `field` is empty if the object deforms.
+    """
 
     name: str
     grid: Grid
@@ -38,9 +41,10 @@ class CodedObject:
 
 
 class Parameters(NamedTuple):
-    """`HEAD.coder_parameters`.
+    """Fields of `HEAD.coder_parameters`.
 
-    Number of objects, surface damping in N s/m, and the tolerance in place in metres (0: unknown).
+    They are the number of objects, the surface damping in N s/m, and the tolerance in place in metres (0 if
+    unknown).
     """
 
     object_count: int
@@ -66,20 +70,26 @@ class Parameters(NamedTuple):
 
 
 class ObjectPart(NamedTuple):
-    """Chunks of one object in a segment, not decoded; `fields` is None for a rigid one."""
+    """Undecoded chunks of one object in a segment; `fields` is None for a rigid one."""
 
     poses: bytes
     fields: bytes | None
 
 
 class SegmentParts(NamedTuple):
-    """The body of a segment; `max_error` is None if the composed field has no error bound."""
+    """The body of a segment.
+
+    `max_error` is None if the composed field has no error bound.
+    """
 
     max_error: MaxError | None
     objects: list[ObjectPart]
 
     def to_bytes(self) -> bytes:
-        """The largest error, its ratio rounded up to 1/65535, and each object's chunks."""
+        """The bytes of the largest error and of each object's chunks.
+
+        The ratio of the largest error is rounded up to a multiple of 1/65535.
+        """
         _, frame, voxel = self.max_error or (0.0, 0, (0, 0, 0))
         numbers = [1 + self.max_error.rounded_up, frame, *voxel] if self.max_error else [0]
         chunks = [chunk(data) for part in self.objects for data in part if data is not None]
@@ -89,7 +99,8 @@ class SegmentParts(NamedTuple):
     def from_bytes(cls, body: bytes, is_deforming: Sequence[bool]) -> SegmentParts:
         """The inverse of `to_bytes`, without decoding the chunks.
 
-        TruncatedFile or CorruptFile if the bytes end too early, or some remain.
+        `is_deforming` tells for each object whether it has a chunk of fields. TruncatedFile or CorruptFile if
+        the bytes end too early, or some remain.
         """
         reader, max_error = Parts(body), None
         if ratio := reader.varint("worst ratio", RATIO_STEPS + 2):
@@ -109,7 +120,7 @@ BOUNDED_MODES: Final = ("mask", "lossless")
 
 
 def composed_rule(modes: Iterable[str], masked: BoundRule, parameters: Parameters) -> BoundRule:
-    """Error bound of the composed field, whose fields are coded in these modes.
+    """Error bound of the composed field of bodies whose fields are coded in `modes`.
 
     `masked` is the bound of mode "mask" with the k and F_0 of the file.
     """

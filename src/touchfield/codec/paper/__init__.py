@@ -1,1 +1,1 @@
-"""The paper's coder (section 4.3, figure 4; section 5.2), the permanent baseline, and its quantisers."""
+"""The paper's coder (sections 4.3 and 5.2, figure 4), a permanent baseline."""

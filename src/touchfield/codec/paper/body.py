@@ -1,20 +1,21 @@
-"""Reader of the body of a segment of coder `paper`, and reconstruction of forces from symbols (figure 4).
+"""Reader of a segment body of coder `paper`; forces from symbols (figure 4).
 
 docs/format/paper.md defines every byte. A frame is coded in one of three ways:
 
-* ``INTRA``: on its own. Samples in raster order; a sample within the deadband of the last sent one is held
-  (eq. 8).
+* ``INTRA``: on its own. Samples are in raster order; a sample within the deadband of the last sent one is
+  held (eq. 8).
 * ``INTER``: closed loop. The reference is the decoded previous frame at the same voxel; a voxel within the
   deadband of it is held, otherwise the quantised difference is sent.
 * ``DIFFERENCE``: the paper's open loop. The field of differences between two originals is coded like a frame
   of its own and added to the decoded previous frame; errors accumulate.
 
-"Huffman coding is applied to the amplitude and direction streams" (section 5.2). Codes are canonical, so a
-table consists of lengths, of at most 24 bits. With eq. 8 most samples are held, and a Huffman code takes at
-least one bit for each symbol. Departure: a run of held samples is one symbol. Symbols 0 to N-1 are levels;
-symbol N + j is a run of 2^j + b held samples and is followed by b in j raw bits, j = 0 to 20. Longer runs are
-several symbols. The literal coder, one zero symbol for each held sample, uses only j = 0. A stream of
-directions has no runs.
+"Huffman coding is applied to the amplitude and direction streams" (section 5.2). The codes are canonical, so
+that a table consists of code lengths only, of at most 24 bits each.
+
+Departure: with eq. 8 most samples are held, and a Huffman code spends at least one bit on each symbol;
+therefore a run of held samples is one symbol. Symbols 0 to N-1 are levels; symbol N + j is a run of 2^j + b
+held samples and is followed by b in j raw bits, j = 0 to 20. Longer runs are several symbols. The literal
+coder, which writes one zero symbol for each held sample, uses only j = 0. A stream of directions has no runs.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ RUN_SYMBOLS: Final = 21  # runs of up to 2^21 - 1 held samples in one symbol
 
 
 class BitStream(NamedTuple):
-    """Bits in bytes, the highest bit of each first; the last byte is padded with zeros."""
+    """Bits in bytes, highest bit first; the last byte is padded with zeros."""
 
     data: bytes
     bit_length: int
@@ -56,8 +57,8 @@ class BitStream(NamedTuple):
 class HuffmanCode:
     """A prefix code over the symbols 0 to n-1.
 
-    `lengths`, uint8 [n]: bits of each symbol's code; 0 for symbols that do not occur. One symbol alone has
-    length 1. InvalidArgument if the lengths do not make a complete prefix code of at most 24 bits.
+    `lengths`, uint8 [n]: bits of each symbol's code; 0 for symbols that do not occur. A single symbol has
+    length 1. InvalidArgument if the lengths do not form a complete prefix code of at most 24 bits.
     """
 
     lengths: NDArray[np.uint8]
@@ -75,7 +76,10 @@ class HuffmanCode:
 
     @classmethod
     def from_bytes(cls, data: bytes, symbol_count: int) -> HuffmanCode:
-        """Read the lengths of a code (`codec.support`); CorruptFile or TruncatedFile if they are invalid."""
+        """Read the lengths of a code (`codec.support.decode_numbers`).
+
+        CorruptFile or TruncatedFile if they are invalid.
+        """
         lengths = decode_numbers(data, symbol_count)
         if symbol_count and not 0 <= lengths.min() <= lengths.max() <= MAX_CODE_BITS:
             raise CorruptFile(
@@ -92,9 +96,10 @@ class HuffmanCode:
     def tables(self) -> tuple[Int64s, Int64s, NDArray[np.uint16]]:
         """Decoding tables of the canonical code.
 
-        `limits`, int64 [25], by length: the smallest code of 24 bits with no prefix of that length or less;
-        `ranks`, int64 [25], by length: offset from a code to its index in `order`; and `order`, uint16 [any]:
-        the symbols that occur, in the order of their codes, shorter first, by symbol within a length.
+        `limits`, int64 [25]: for each length, the smallest code of 24 bits that has no prefix of that length
+        or less. `ranks`, int64 [25]: for each length, the offset from a code to its index in `order`.
+        `order`, uint16 [any]: the symbols that occur, in the order of their codes: shorter codes first, then
+        by symbol.
         """
         limits, ranks = np.zeros((2, MAX_CODE_BITS + 1), np.int64)
         code = rank = 0
@@ -111,10 +116,11 @@ class HuffmanCode:
 def decode_symbols(
     code: HuffmanCode, bits: BitStream, sample_count: int, level_count: int
 ) -> tuple[Bools, NDArray[np.uint16]]:
-    """Decode a stream: True for samples that are sent, bool [sample_count], and their levels, uint16 [any].
+    """Decode a stream of amplitudes or directions.
 
-    The symbols of `code` from `level_count` on are runs; a stream without runs has as many levels as symbols.
-    CorruptFile if the bits are not codes of exactly so many samples.
+    Returns bool [sample_count], True for samples that are sent, and the levels of these, uint16 [any]. The
+    symbols of `code` from `level_count` on are runs; a stream without runs has as many levels as symbols.
+    CorruptFile if the bits are not the codes of exactly `sample_count` samples.
     """
     where, mend = "Huffman stream", "The file was changed or cut."
     if len(bits.data) != -(-bits.bit_length // 8):
@@ -136,8 +142,8 @@ class FrameSymbols:
     kind: FrameKind
     support: bytes  # the code of bricks and mask
     bricks: Int32s  # [n, 3]
-    mask: Bools  # [n, 8, 8, 8]; the support (of the differences, in a DIFFERENCE frame)
-    sent: Bools  # [L]; per supported sample in raster order: sent, or held
+    mask: Bools  # [n, 8, 8, 8]; the support (in a DIFFERENCE frame, that of the differences)
+    sent: Bools  # [L]; for each supported sample in raster order: True if sent, False if held
     # levels, directions: [sent.sum()]; amplitude level and direction index of the sent samples
     levels: NDArray[np.uint16]
     directions: NDArray[np.uint16]
@@ -146,7 +152,7 @@ class FrameSymbols:
 def rebuild_frame(
     grid: Grid, symbols: FrameSymbols, levels_n: Float32s, codebook: Codebook, previous: ForceField | None
 ) -> ForceField:
-    """Reconstruct a frame from symbols, amplitude levels and the decoded frame before, in float32."""
+    """Reconstruct a frame from symbols and the decoded frame before, in float32."""
     slots = raster_slots(symbols.bricks, symbols.mask)
     values = levels_n[symbols.levels][:, None] * codebook.vertices_float32[symbols.directions]
     forces = zero_forces(len(symbols.bricks))
@@ -157,7 +163,7 @@ def rebuild_frame(
         flat[slots] = reference[slots]
         flat[slots[symbols.sent]] += values
         return field_without_empty_bricks(grid, symbols.bricks, forces)
-    latest = np.cumsum(symbols.sent)  # the last sent value is held; zero before the first
+    latest = np.cumsum(symbols.sent)  # held samples repeat the last sent value, or zero before the first
     flat[slots] = np.concatenate([np.zeros((1, 3), np.float32), values])[latest]
     scanned = field_without_empty_bricks(grid, symbols.bricks, forces)
     if symbols.kind == FrameKind.INTRA:
@@ -196,13 +202,19 @@ class FrameParts(NamedTuple):
 
 
 class SegmentReader(ABC):
-    """Reader of a segment, frame by frame; CorruptFile or TruncatedFile if the bytes are invalid."""
+    """Sequential reader of a segment, frame by frame.
+
+    CorruptFile or TruncatedFile if the bytes are invalid.
+    """
 
     def __init__(self, body: bytes, grid: Grid) -> None:
         self._parts, self._grid = Parts(body), grid
 
     def frames(self, frame_count: int) -> Iterator[tuple[FrameParts, FrameCost]]:
-        """Yield the frames in order, with their costs; the body must end with the last one."""
+        """Yield the frames in order, with their costs.
+
+        The body must end with the last frame.
+        """
         for i in range(frame_count):
             start = self._parts.position
             frame = self._next(first=i == 0)
@@ -213,7 +225,7 @@ class SegmentReader(ABC):
 
     @abstractmethod
     def field(self, frame: FrameParts) -> ForceField:
-        """Decode a frame, after those before it."""
+        """Decode a frame; frames must be decoded in order."""
 
     @abstractmethod
     def _next(self, *, first: bool) -> FrameParts: ...
@@ -237,7 +249,7 @@ class BodyReader(SegmentReader):
         return self._set(kind).levels
 
     def symbols(self, frame: FrameParts) -> FrameSymbols:
-        """Decode the symbols of a frame, after those of the frames before it."""
+        """Decode the symbols of a frame; frames must be decoded in order."""
         kind, (amplitudes, directions), tables = frame.kind, frame.streams, self._set(frame.kind)
         bricks, mask = decode_support(
             frame.support, self._grid, self._previous_support if kind == FrameKind.INTER else None
@@ -251,7 +263,7 @@ class BodyReader(SegmentReader):
         return FrameSymbols(kind, frame.support, bricks, mask, sent, levels, directions_of_sent)
 
     def field(self, frame: FrameParts) -> ForceField:
-        """Decode a frame, after those before it."""
+        """Decode a frame; frames must be decoded in order."""
         symbols = self.symbols(frame)
         levels_n = self.levels(symbols.kind).levels_n
         self._decoded = rebuild_frame(self._grid, symbols, levels_n, self._codebook, self._decoded)

@@ -1,17 +1,18 @@
 """Decoder of the paper's coder (figure 4): segments to fields.
 
 A stage replaces levels and directions by predictive, spectral or run-length coding of a field. The paper
-names these (sections 2 and 4.3) without defining them. Each takes the components of the supported samples in
-uniform steps, frame by frame, and produces whole numbers, which `codec.support.encode_numbers` codes:
+names these (sections 2 and 4.3) without defining them. Each stage rounds the components of the supported
+samples to uniform steps, frame by frame, and produces whole numbers, which `codec.support.encode_numbers`
+codes:
 
-* ``dpcm``: the difference to the sample before, z fastest, so that this is the neighbour in depth if there is
-  one.
-* ``adpcm``: two adaptive weights predict the next sample, and the step grows where differences are large and
-  shrinks again (Jayant), up to four times the finest (`kernels.adpcm`).
-* ``wavelet``: LeGall's 5/3 by integer lifting, as in JPEG 2000, three levels on each brick; exact.
-* ``dct``: the orthonormal DCT (type 2) on each brick, its coefficients in uniform steps. The inverse is in
-  fixed point: 18 bits of cosine, 8 bits below a step, so that every machine has the same forces.
-* ``runs``: vectors, each with the number of following vectors equal to it.
+* ``dpcm``: the difference to the preceding sample. z is fastest, so that this is the neighbour in depth if
+  there is one.
+* ``adpcm``: two adaptive weights predict the next sample. The step grows where differences are large, up to
+  four times the finest step, and shrinks again (Jayant; `kernels.adpcm`).
+* ``wavelet``: LeGall's 5/3 wavelet by integer lifting, as in JPEG 2000, three levels on each brick; exact.
+* ``dct``: the orthonormal DCT (type 2) on each brick, with its coefficients in uniform steps. The inverse is
+  in fixed point (18 bits for cosines, 8 bits below a step), so that every machine computes the same forces.
+* ``runs``: vectors, each with the number of equal vectors that follow it.
 
 Samples of a brick outside the support are known to have no force, so the value of a transform there is
 arbitrary.
@@ -37,8 +38,8 @@ from touchfield.medium.field import field_without_empty_bricks
 from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels import raster_slots
 
-LEVELS: Final = 3  # of the wavelet: 8 samples, 4, 2
-GRAIN: Final = 16  # parts of the finest step: the unit of ADPCM
+LEVELS: Final = 3  # levels of the wavelet: 8, 4 and 2 samples
+GRAIN: Final = 16  # ADPCM values are in units of 1/16 of the finest step
 _BYTES_PER_BRICK = 128 * BRICK**3  # peak memory of decoding
 _FRACTION = 8  # bits below a step in the DCT
 _COSINE_BITS = 18
@@ -84,9 +85,10 @@ class StageReader(SegmentReader):
 
 
 def _decode_stage(stage: str, data: bytes, layout: tuple[int, Int64s, int]) -> Int64s:
-    """Decode supported samples in the order of `slots`, int64 [L, 3].
+    """Decode the supported samples of a frame, int64 [L, 3], in the order of `slots`.
 
-    `layout` is the number of bricks, the slots, and the number of runs.
+    `layout` holds the number of bricks, the slots, and the number of runs. Values are in parts of a step
+    (`PARTS`).
     """
     brick_count, slots, runs = layout
     if stage == "runs":
@@ -117,7 +119,7 @@ def _decode_stage(stage: str, data: bytes, layout: tuple[int, Int64s, int]) -> I
 
 
 def from_bricks(stage: str, coefficients: Int64s) -> Int64s:
-    """Samples of coefficients, int64 [n, 8, 8, 8]."""
+    """Inverse transform of the coefficients of bricks, int64 [n, 8, 8, 8]."""
     return _from_wavelet(coefficients) if stage == "wavelet" else _from_dct(coefficients)
 
 
@@ -150,7 +152,8 @@ def _from_dct(coefficients: Int64s) -> Int64s:
 class PaperDecoder:
     """Decoder of the segments of one stream, from the stream alone.
 
-    `parameters` (`where` in a message) name a direction codebook or a stage, in ASCII, else CorruptFile.
+    `parameters` is the name of a direction codebook or a stage, in ASCII; CorruptFile otherwise. `where`
+    names the parameters in errors.
     """
 
     name = "paper"
@@ -161,7 +164,10 @@ class PaperDecoder:
             raise CorruptFile(where, repr(parameters[:40]), "a direction codebook, or a stage")
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
-        """Yield the frames of a segment in order; CorruptFile or TruncatedFile if the bytes are invalid."""
+        """Yield the frames of a segment in order.
+
+        CorruptFile or TruncatedFile if the bytes are invalid.
+        """
         reader = self._reader(body)
         for frame, _ in reader.frames(frame_count):
             yield reader.field(frame)

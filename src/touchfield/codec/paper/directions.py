@@ -1,27 +1,31 @@
-"""Direction codebooks: the vertices of subdivided polyhedra (paper section 4.2, eq. 7, figures 3 and 8).
+"""Direction codebooks: vertices of subdivided polyhedra (paper section 4.2).
 
-The paper quantises a direction to the most likely vertex of a "concentric tessellated icosahedron". For any
-noise that depends on the angle only, that is the one with the largest dot product.
+The paper (eq. 7, figures 3 and 8) quantises a direction to the most likely vertex of a "concentric
+tessellated icosahedron". For noise that depends on the angle only, the most likely vertex is that with the
+largest dot product.
 
-Departures. 92 is an icosahedral number, but 258 is not: it is that of an octahedron whose triangles are split
-in four three times. Both are available, `ico3` and `octa3`. The default is `ico5` with 252 vertices, which
-take one bit less than 258 when written plainly, and cover the sphere better.
+Departures. 92 is a number of vertices of a subdivided icosahedron, but 258 is not: it belongs to an
+octahedron whose triangles are split in four three times. Both are available, as `ico3` and `octa3`. The
+default is `ico5` with 252 vertices, which takes one bit less than 258 at a fixed code length and covers the
+sphere better.
 
 ============== ================================== ==========================================================
-name           vertices                           is
+name           vertices                           construction
 ============== ================================== ==========================================================
 ico1 .. ico20  10 f^2 + 2: 12, 42, 92, ... 4002   icosahedron, each edge in f parts of equal angle
 octa1 .. octa5 4^(f+1) + 2: 18, 66, 258, ... 4098 octahedron, split in four f times, each time projected
 ============== ================================== ==========================================================
 
 "Equal angle" places a vertex at sum_i sin(w b_i) v_i, normalised, with w the angle of an edge and b_i the
-barycentric coordinates. All coordinates come from + - * / and the square root alone, and are rounded to
-multiples of 2^-40, so that every machine has the same codebook. The order is ascending in x, then y, then z.
+barycentric coordinates. All coordinates are computed with + - * / and the square root alone and rounded to
+multiples of 2^-40, so that every machine has the same codebook. Vertices are in ascending order of x, then y,
+then z.
 
-The paper models the direction mask as Delta_V = k |dx| with dx the difference of two forces, which is empty:
-every difference exceeds it. Corrected: Delta_V = k |x|; two forces of equal amplitude at an angle theta
-differ by the chord 2 sin(theta / 2) |x|. Eq. 7's nearest codeword {r_i g_j} has the level nearest to |x|
-cos(theta), not to |x|; quantising |x| itself keeps the amplitude's mask, and is what the coder does.
+The paper models the direction mask as Delta_V = k |dx| with dx the difference of two forces. No difference
+other than zero is within this mask. Corrected: Delta_V = k |x|; two forces of equal amplitude at an angle
+theta differ by the chord 2 sin(theta / 2) |x|. In eq. 7 the nearest codeword {r_i g_j} has the level nearest
+to |x| cos(theta), not to |x|. The coder quantises |x| itself, which keeps the error of the amplitude within
+the mask.
 """
 
 from __future__ import annotations
@@ -55,7 +59,7 @@ class _Cells(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Codebook:
-    """Codebook of directions. Use `Codebook.get`, which returns one object for each name."""
+    """Codebook of directions; `Codebook.get` returns one object for each name."""
 
     name: str
     vertices: Float64s  # [n, 3]; unit vectors, ascending in x, y, z
@@ -64,7 +68,7 @@ class Codebook:
     @staticmethod
     @cache
     def get(name: str) -> Codebook:
-        """The codebook of that name, as the table above lists them; InvalidArgument if there is none."""
+        """The codebook of a name in the table above; InvalidArgument if there is none."""
         if name not in codebook_names():
             raise InvalidArgument("directions", repr(name), "one of ico1 to ico20, octa1 to octa5")
         corners = (
@@ -82,7 +86,7 @@ class Codebook:
 
     @cached_property
     def vertices_float32(self) -> Float32s:
-        """The vertices as the decoder multiplies them, float32 [n, 3]."""
+        """The vertices rounded to float32 [n, 3], as the decoder uses them."""
         vertices = self.vertices.astype(np.float32)
         vertices.flags.writeable = False
         return vertices
@@ -99,10 +103,11 @@ class Codebook:
         return math.degrees(np.arctan2(across, np.abs((centre * a).sum(axis=1))).max())
 
     def nearest(self, vectors: ArrayLike) -> NDArray[np.uint16]:
-        """Index of the vertex nearest to each vector, by the largest dot product in float64, uint16 [m].
+        """Index of the vertex nearest to each vector, uint16 [m].
 
-        The first of several equally near ones; 0 for the zero vector. `vectors` are float32 [m, 3] of any
-        length; InvalidArgument for another shape, or a vector that is not finite.
+        The nearest vertex has the largest dot product in float64; of several equally near ones it is the
+        first. The index is 0 for the zero vector. `vectors` are float32 [m, 3] of any length; InvalidArgument
+        for another shape, or a vector that is not finite.
         """
         from touchfield.codec.paper.kernels import nearest
 
@@ -146,14 +151,17 @@ def codebook_names() -> tuple[str, ...]:
 
 
 def _normalise(points: Float64s) -> Float64s:
-    """Points [..., 3] on the unit sphere, the squares added in one fixed order."""
+    """Project points [..., 3] to the unit sphere; squares are added in a fixed order."""
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     unit: Float64s = points / np.sqrt(x * x + y * y + z * z)[..., None]
     return unit
 
 
 def _split_octahedron(times: int) -> Float64s:
-    """Corners of the triangles, float64 [8 * 4^times, 3, 3]."""
+    """Corners of the triangles of an octahedron that is split `times` times.
+
+    float64 [8 * 4^times, 3, 3].
+    """
     signs = np.array([(a, b, c) for a in (1, -1) for b in (1, -1) for c in (1, -1)], np.float64)
     corners = signs[:, :, None] * np.eye(3)
     for _ in range(times):
@@ -169,15 +177,16 @@ def _icosahedron() -> Float64s:
     golden = (1 + math.sqrt(5)) / 2
     rectangle = [(0.0, a, b * golden) for a in (1, -1) for b in (1, -1)]
     points = _normalise(np.array([p[-s:] + p[:-s] for s in range(3) for p in rectangle]))
-    neighbours = points @ points.T > 0.4  # neighbours have 1 / sqrt 5, all others less
+    neighbours = points @ points.T > 0.4  # the dot product of neighbours is 1 / sqrt(5), of all others less
     faces = [t for t in combinations(range(12), 3) if all(neighbours[i, j] for i, j in combinations(t, 2))]
     corners: Float64s = points[np.array(faces)]
     return corners
 
 
 def _split_icosahedron(frequency: int) -> Float64s:
-    """Corners of the triangles, float64 [20 f^2, 3, 3]."""
-    weights = _sine(1.1071487177940904 * np.arange(frequency + 1) / frequency)  # atan 2, the angle of an edge
+    """Corners of the triangles of a subdivided icosahedron, float64 [20 f^2, 3, 3]."""
+    # atan(2) is the angle of an edge
+    weights = _sine(1.1071487177940904 * np.arange(frequency + 1) / frequency)
     coordinates = [(i, j, frequency - i - j) for i in range(frequency + 1) for j in range(frequency + 1 - i)]
     vertex_index = {ijk: n for n, ijk in enumerate(coordinates)}
     upward = [(i, j) for i, j, k in coordinates if k > 0]
@@ -192,7 +201,10 @@ def _split_icosahedron(frequency: int) -> Float64s:
 
 
 def _sine(angles: Float64s) -> Float64s:
-    """Sine of angles up to 1.2, by its series: that of C libraries may differ in the last bit."""
+    """Sine of angles up to 1.2, by its series.
+
+    The sine of C libraries may differ in the last bit.
+    """
     square = angles * angles
     total = np.ones_like(angles)
     for n in range(26, 0, -2):

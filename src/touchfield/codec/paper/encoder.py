@@ -1,8 +1,8 @@
-"""Encoder of the paper's coder: one segment of frames to one body of bytes (figure 4).
+"""Encoder of the paper's coder: a segment of frames to a body of bytes (figure 4).
 
 source model (voxel) -> perceptual filter (deadband) -> separate quantisation of amplitude and direction ->
-difference between frames -> entropy code. The device filter has been applied before. Codebooks are trained on
-the whole segment and transmitted; the Huffman codes are built from all its symbols. Stages (`decoder`)
+difference between frames -> entropy code. The device filter has been applied before. Amplitude levels are
+trained on the segment and transmitted; the Huffman codes are built from all its symbols. Stages (`decoder`)
 replace all of this.
 """
 
@@ -51,7 +51,10 @@ _TRAINING_SAMPLES: Final = 1 << 18
 
 
 class PaperEncoder:
-    """Encoder of the segments of one stream; InvalidArgument if there is no such direction codebook."""
+    """Encoder of the segments of one stream.
+
+    InvalidArgument if there is no such direction codebook.
+    """
 
     name = "paper"
 
@@ -62,7 +65,7 @@ class PaperEncoder:
 
     @property
     def parameters(self) -> bytes:
-        """What the decoder needs in addition to the bodies: the direction codebook's name, or the stage's."""
+        """The name of the direction codebook or of the stage, which the decoder needs."""
         return (self._spec.directions if self._spec.stage == "none" else self._spec.stage).encode("ascii")
 
     def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
@@ -87,7 +90,7 @@ class PaperEncoder:
 def _check_range(frame: ForceField, index: int, limit_n: float) -> None:
     with np.errstate(over="ignore"):  # an overflow of float32 exceeds every limit
         largest_n = float(amplitudes_n(frame.forces_n.reshape(-1, 3)).max(initial=0.0))
-    if not largest_n <= limit_n:  # NaN is not, either
+    if not largest_n <= limit_n:  # also true for NaN
         raise InvalidArgument(
             f"frame {index}", f"a force of {largest_n:.3g} N", f"finite newtons, {limit_n:g} at most"
         )
@@ -122,7 +125,7 @@ class _SegmentCoder:
             self.coded.append(best)
 
     def _encode_scan(self, kind: FrameKind, field: ForceField) -> FrameSymbols:
-        """Code a field, or a field of differences, predicted only from its own scan."""
+        """Code a field, or a field of differences, with its own samples as the reference."""
         vectors, table = field.vectors_n(), self.levels[set_of(kind)]
         levels, directions = table.encode(amplitudes_n(vectors)), self._codebook.nearest(vectors)
         sent = np.ones(len(vectors), bool)
@@ -161,20 +164,23 @@ class _SegmentCoder:
 
 
 def _fit_levels(spec: PaperSpec, amplitudes_n: Float32s) -> AmplitudeLevels:
-    """Amplitude quantiser of a spec, trained on what will be sent."""
+    """Amplitude quantiser of a spec, trained on the amplitudes that will be sent."""
     top_n = float(amplitudes_n.max(initial=0.0))
     if spec.amplitude == "lloyd-max":
         return quantisers.lloyd_max_levels(amplitudes_n, spec.nq)
     if spec.amplitude == "uniform":
         return quantisers.uniform_levels(max(top_n, _MIN_FORCE_N) / (2**spec.nq - 1), top_n)
     if spec.weber_steps is not None:
-        # the samples that are sent are predicted from the originals; another one may be larger by k
+        # the sent samples are estimated from the originals; one that is sent in fact may be larger by k
         top_n = max(top_n, _MIN_FORCE_N) * (1 + spec.k)
     return quantisers.weber_levels(quantisers.weber_ladder(spec.k, top_n, spec.weber_steps))
 
 
 def _sent_alone_n(spec: PaperSpec, frame: ForceField) -> Float32s:
-    """Vectors that the deadband passes in a frame coded on its own, estimated from the original."""
+    """Vectors that the deadband passes in a frame coded on its own.
+
+    They are estimated from the original forces.
+    """
     vectors = frame.vectors_n()
     if spec.deadband == "none" or not len(vectors):
         return vectors
@@ -182,7 +188,7 @@ def _sent_alone_n(spec: PaperSpec, frame: ForceField) -> Float32s:
 
 
 def _changes_n(spec: PaperSpec, segment: Sequence[ForceField]) -> Float32s:
-    """Amplitudes of perceptible changes from one original to the next, pooled over a segment."""
+    """Amplitudes of perceptible changes between originals, pooled over a segment."""
     amplitudes = [np.zeros(0, np.float32)]
     for previous, frame in pairwise(segment):
         change = frame + previous.scaled(-1)
@@ -196,7 +202,7 @@ def _changes_n(spec: PaperSpec, segment: Sequence[ForceField]) -> Float32s:
 
 
 def _thin(amplitudes: Float32s) -> Float32s:
-    """Every n-th sample and the largest, so that training does not take longer on a long segment."""
+    """Every n-th amplitude and the largest, to bound the time of training."""
     step = -(-len(amplitudes) // _TRAINING_SAMPLES)
     return amplitudes if step <= 1 else np.append(amplitudes[::step], amplitudes.max())
 
@@ -207,7 +213,7 @@ _LONGEST_RUN = (1 << RUN_SYMBOLS) - 1
 def fitted_code(counts: Int64s) -> HuffmanCode:
     """Huffman code for symbols that occur `counts` times, int64 [n].
 
-    Counts are made more similar until no code has more than 24 bits.
+    Counts are repeatedly halved, which makes them more similar, until no code has more than 24 bits.
     """
     lengths = np.zeros(len(counts), np.uint8)
     present = np.flatnonzero(counts)
@@ -239,9 +245,10 @@ def _depths(weights: list[int]) -> list[int]:
 def pack_runs(
     sent: Bools, levels: NDArray[np.uint16], level_count: int, *, single: bool
 ) -> tuple[Int64s, Int64s, Int64s]:
-    """Symbols of the samples bool [L], with the values and the numbers of the raw bits after each.
+    """Symbols of the samples of a frame, with runs of held samples packed.
 
-    `levels` are those of the sent samples; with `single` each held sample is a symbol of its own.
+    `sent` is bool [L]; `levels` are those of the sent samples. With `single` each held sample is a symbol of
+    its own. Returns the symbols, the values of the raw bits after each, and the numbers of these bits.
     """
     index = np.arange(len(sent))
     since = index - np.maximum.accumulate(np.where(sent, index, -1)) - 1  # held samples before this one
@@ -256,7 +263,7 @@ def pack_runs(
 def encode_symbols(
     code: HuffmanCode, symbols: NDArray[Any], values: Int64s | int = 0, extra: Int64s | int = 0
 ) -> BitStream:
-    """The codes of symbols [m], each followed by ``extra[i]`` raw bits of ``values[i]``."""
+    """Code symbols [m], each followed by ``extra[i]`` raw bits of ``values[i]``."""
     _, ranks, order = code.tables
     codes = np.zeros(len(code.lengths), np.int64)
     codes[order] = np.arange(len(order)) - ranks[code.lengths[order]]
@@ -274,7 +281,10 @@ def write_body(
     *,
     single_holds: bool,
 ) -> CodedSegment:
-    """Body of a segment, with the cost of each frame; `levels` are by `INTRA_SET` and `INTER_SET`."""
+    """Body of a segment, with the cost of each frame.
+
+    `levels` are the amplitude levels of the table sets `INTRA_SET` and `INTER_SET`.
+    """
     kinds, tables, packed = 0, b"", {}
     sets = {}
     for kind in (INTRA_SET, INTER_SET):
@@ -315,11 +325,14 @@ def write_body(
 
 
 _PASSES = 4
-_ROUNDING = 1 / 3  # of the DCT: a coefficient below two thirds of a step becomes 0
+_ROUNDING = 1 / 3  # rounding offset of the DCT: a coefficient below two thirds of a step becomes 0
 
 
 def encode_staged(frames: Sequence[ForceField], stage: str, step_n: float) -> CodedSegment:
-    """Code frames as a segment of a stage; InvalidArgument if the step is too fine for the forces."""
+    """Code frames as a segment of a stage.
+
+    InvalidArgument if the step is too fine for the forces.
+    """
     parts, stats = [struct.pack("<d", step_n)], []
     for frame in frames:
         support = encode_support(frame.grid, frame.bricks, frame.mask)
@@ -357,14 +370,15 @@ def _numbers(frame: ForceField, stage: str, step_n: float) -> tuple[Int64s, int]
 
 
 def _round_steps(steps: Float64s) -> Int64s:
-    limited = np.clip(steps, -float(1 << 40), float(1 << 40))  # numbers that are too large are refused later
+    limited = np.clip(steps, -float(1 << 40), float(1 << 40))  # the caller refuses numbers that are too large
     return np.rint(limited).astype(np.int64)
 
 
 def _fill_bricks(frame: ForceField) -> Float64s:
     """Forces [n, 8, 8, 8, 3], with smooth values outside the support.
 
-    These start as the mean of the brick; each pass replaces them by the mean of their neighbours.
+    Samples outside the support start as the mean of the brick; each pass replaces them by the mean of their
+    neighbours.
     """
     supported = frame.mask[..., None]
     x = frame.forces_n.astype(np.float64)

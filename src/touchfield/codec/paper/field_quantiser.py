@@ -1,16 +1,16 @@
 """Quantiser Q of the measures: one symbol for a force vector (paper section 3.1).
 
-Every entropy must state its Q (decision 0006). The text forms, as on the command line:
+Every entropy must state its Q (decision 0006). The forms of its text, as on the command line:
 
-* ``AMPLITUDE:NUMBER/DIRECTIONS``: an amplitude quantiser of the coder (``weber:0.1``, the Weber fraction;
-  ``uniform:0.05``, the step in newtons; ``lloyd-max:6``, bits) times a direction codebook (``ico5`` if none
-  is named, ``none`` for the amplitude alone). The symbol is the pair.
-* ``components:0.05``: each component in uniform steps of so many newtons (eq. 6, one Delta). The symbol is
+* ``AMPLITUDE:NUMBER/DIRECTIONS``: an amplitude quantiser of the coder (``weber:0.1`` with the Weber fraction,
+  ``uniform:0.05`` with the step in newtons, ``lloyd-max:6`` with the bits) combined with a direction codebook
+  (``ico5`` if none is named; ``none`` for the amplitude alone). The symbol is the pair.
+* ``components:0.05``: each component in uniform steps of this many newtons (eq. 6, one Delta). The symbol is
   the triple.
-* ``weber-components:0.1/31``: each signed component on a Weber ladder of k and so many levels to each side,
-  the last of which ends at F_max (paper table 1: three times six bits). The symbol is the triple. Where every
-  component is beyond F_min the error is within k |F|; one below becomes zero, and up to sqrt(3) F_min is
-  lost.
+* ``weber-components:0.1/31``: each signed component on a Weber ladder with this k and this many levels on
+  each side of zero; the last level ends at F_max (paper table 1: three times six bits). The symbol is the
+  triple. The error is within k |F| where every component exceeds F_min; a component below F_min becomes zero,
+  so that an error of up to sqrt(3) F_min remains.
 * ``distinct``: nothing is quantised; every distinct vector of the fields is a symbol. For decoded fields.
 
 Symbol 0 is "no force", including amplitudes in the zero bin.
@@ -40,17 +40,19 @@ from touchfield.perception.weber import WeberLadder
 
 DEFAULT_QUANTISER: Final = "weber:0.1"
 FORMS: Final = ("weber", "uniform", "lloyd-max", "components", "weber-components", "distinct")
-MAX_LEVELS: Final = 511  # of one component to each side, so that a triple stays within 2^30 symbols
+# levels of a component on each side of zero, so that triples stay within 2^30 symbols
+MAX_LEVELS: Final = 511
 MAX_DISTINCT: Final = 1 << 22
 
-_MAX_TRAINING: Final = 1 << 22  # amplitudes a Lloyd-Max quantiser is trained on; of more, evenly spaced ones
+# maximum number of amplitudes that a Lloyd-Max quantiser is trained on; more are thinned evenly
+_MAX_TRAINING: Final = 1 << 22
 _MAX_PER_FRAME: Final = 1 << 20
 _SLACK: Final = 1 + 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class FieldQuantiser(ABC):
-    """A fitted Q: fields to symbols, for forces of at most `top_n` newtons."""
+    """A fitted quantiser from fields to symbols, for forces up to `top_n` newtons."""
 
     text: str
     top_n: float
@@ -73,9 +75,9 @@ class FieldQuantiser(ABC):
         return FieldSymbols(field.grid, field.bricks, symbols, self.alphabet, self.text)
 
     def symbols_of(self, vectors_n: Float32s) -> Int32s:
-        """The symbols of force vectors, newtons, float32 [m, 3], int32 [m].
+        """The symbols, int32 [m], of force vectors in newtons, float32 [m, 3].
 
-        InvalidArgument if one is greater than the quantiser was made for.
+        InvalidArgument if a force exceeds the largest one that the quantiser was fitted for.
         """
         top = float(amplitudes_n(vectors_n).max(initial=0.0))
         if top > self.top_n:
@@ -84,7 +86,7 @@ class FieldQuantiser(ABC):
         return self._symbols(vectors_n)
 
     def vectors_of(self, symbols: Int32s) -> Float32s:
-        """The codewords of symbols [m], newtons, float32 [m, 3].
+        """The codewords, newtons, float32 [m, 3], of symbols [m].
 
         The inverse of `symbols_of` up to quantisation. InvalidArgument if the quantiser has no directions, or
         a symbol does not exist.
@@ -98,9 +100,9 @@ class FieldQuantiser(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Pairs(FieldQuantiser):
-    """Amplitude level times direction, of N_d directions; without a codebook the amplitude alone.
+    """Pairs of an amplitude level and one of N_d directions.
 
-    Symbol s > 0 is the pair divmod(s - 1, N_d).
+    Symbol s > 0 is the pair divmod(s - 1, N_d). Without a codebook the symbol is the amplitude level alone.
     """
 
     levels: AmplitudeLevels
@@ -137,7 +139,10 @@ class Pairs(FieldQuantiser):
 
 @dataclass(frozen=True, eq=False)
 class Components(FieldQuantiser):
-    """Each signed component by the levels of its modulus, of which the first is zero."""
+    """Triples of signed components, each quantised by the levels of its modulus.
+
+    The first level is zero.
+    """
 
     levels: AmplitudeLevels
 
@@ -162,7 +167,10 @@ class Components(FieldQuantiser):
 
 @dataclass(frozen=True, eq=False)
 class _Distinct(FieldQuantiser):
-    """Each distinct vector is a symbol; `vectors` are their twelve bytes, ascending."""
+    """Quantiser whose symbols are the distinct vectors of the fields.
+
+    `vectors` holds the twelve bytes of each vector, in ascending order.
+    """
 
     vectors: NDArray[Any]
 
@@ -185,17 +193,18 @@ class _Distinct(FieldQuantiser):
 
 
 def _pack(vectors_n: Float32s) -> NDArray[Any]:
-    """Each vector as one value that sorts: its twelve bytes; -0.0 is 0.0."""
+    """Each vector as one sortable value, its twelve bytes; -0.0 becomes 0.0."""
     rows = np.ascontiguousarray(vectors_n + np.float32(0))
     return rows.view(np.dtype((np.void, 12))).reshape(-1)
 
 
 @dataclass(frozen=True)
 class FieldQuantiserSpec:
-    """Parts of the text of a quantiser; InvalidArgument if one is unknown or out of range.
+    """Parts of the text of a quantiser.
 
-    `number` is k, a step in newtons or n_q, as the form has it; `directions` a codebook or "none"; `levels`
-    are those of "weber-components" to each side of zero.
+    `number` is k, a step in newtons, or n_q, depending on the form. `directions` is a codebook or "none".
+    `levels` is the number of levels of "weber-components" on each side of zero. InvalidArgument if a part is
+    unknown or out of range.
     """
 
     form: str = "weber"
@@ -244,7 +253,7 @@ class FieldQuantiserSpec:
         return f"{amplitude}/{self.levels if self.form == 'weber-components' else self.directions}"
 
     def fit(self, fields: Iterable[ForceField], force_max_n: float | None = None) -> FieldQuantiser:
-        """The quantiser for these fields, and for all up to `force_max_n` newtons where that is given."""
+        """The quantiser fitted to fields and, if given, to all forces up to `force_max_n`."""
         if force_max_n is not None and not 0 <= force_max_n < math.inf:
             raise InvalidArgument("force_max_n", repr(force_max_n), "newtons, 0 or more")
         if self.form == "distinct":

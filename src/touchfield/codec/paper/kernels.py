@@ -1,4 +1,7 @@
-"""Compiled loops of the paper's coder: nearest directions, levels of amplitudes, Huffman codes and ADPCM."""
+"""Compiled loops of the paper's coder.
+
+Nearest directions, levels of amplitudes, Huffman codes and ADPCM.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,12 @@ from touchfield.compute.jit import kernel
 
 @entry
 def nearest(start, stop, vectors, vertices, side, first, candidates, out):
-    """Fill uint16 [m] with the first of the vertices [n, 3] of largest dot product for finite float32 [m, 3].
+    """Write the index of the vertex of largest dot product for each vector to `out`.
 
-    The six faces of the cube around the unit sphere have `side` * `side` cells each; the vertices that can be
-    nearest to a direction of cell c are candidates[first[c] : first[c + 1]], ascending (`Codebook._cells`).
+    `vectors`: finite float32 [m, 3]. `vertices`: [n, 3]. `out`: uint16 [m]; the first of several equal
+    vertices. The six faces of the cube around the unit sphere have `side` * `side` cells each. The vertices
+    that can be nearest to a direction in cell c are candidates[first[c] : first[c + 1]], ascending
+    (`Codebook._cells`).
     """
     half = 0.5 * side
     for i in range(start, stop):
@@ -40,15 +45,15 @@ def nearest(start, stop, vectors, vertices, side, first, candidates, out):
         out[i] = winner
 
 
-DROPPED_BITS = 16  # of an amplitude's pattern as float32: exponent and 7 bits of its fraction are left
+DROPPED_BITS = 16  # of an amplitude's float32 bit pattern; exponent and 7 bits of the fraction remain
 
 
 @entry
 def levels_of(start, stop, amplitudes, patterns, thresholds, first, out):
-    """Fill uint16 [m] with the number of thresholds at or below each amplitude, float32 [m], 0 or more.
+    """Write the number of thresholds at or below each amplitude to `out`, uint16 [m].
 
-    `patterns` are the amplitudes' bits as uint32. Amplitudes whose leading bits are p lie above the first
-    `first[p]` thresholds, and above no more than `first[p + 1]`; between these, by bisection.
+    `amplitudes`: float32 [m], 0 or more; `patterns` are their bits as uint32. An amplitude whose leading bits
+    are p is at or above `first[p]` to `first[p + 1]` thresholds; bisection finds the number between these.
     """
     for i in range(start, stop):
         leading = (patterns[i] & np.uint32(0x7FFFFFFF)) >> np.uint32(DROPPED_BITS)
@@ -62,12 +67,15 @@ def levels_of(start, stop, amplitudes, patterns, thresholds, first, out):
         out[i] = low
 
 
-MAX_CODE_BITS = 24  # bits of a Huffman code, at most
+MAX_CODE_BITS = 24  # maximum length of a Huffman code
 
 
 @kernel
 def pack_bits(values, lengths, out):
-    """Write the low ``lengths[i]`` bits (at most 44) of each int64 value to uint8 `out`, initially zeros."""
+    """Write the low ``lengths[i]`` bits of each int64 value to `out`.
+
+    Lengths are at most 44. `out` is uint8 and must be zero at first.
+    """
     pending = filled = byte_index = np.int64(0)
     for i in range(values.shape[0]):
         pending = (pending << np.int64(lengths[i])) | values[i]
@@ -83,10 +91,11 @@ def pack_bits(values, lengths, out):
 
 @kernel
 def decode(data, limits, ranks, order, level_count, sent, levels):
-    """Read symbols until `sent` bool [L] is full; levels go to uint16 `levels`, runs leave `sent` as it is.
+    """Read symbols until every sample of `sent`, bool [L], is decoded.
 
-    Zeros follow the end of `data`. Returns the number of bits read, or -1 for bits that are no code, too many
-    levels for `levels`, or a run beyond the end; and the number of levels.
+    Sent samples become True and their levels go to `levels`, uint16; runs leave `sent` unchanged. Zeros are
+    read after the end of `data`. Returns the number of bits read and the number of levels. The number of bits
+    is -1 for bits that are no code, more levels than `levels` can hold, or a run beyond the last sample.
     """
     pending = filled = byte_index = used = np.int64(0)
     sample = level = np.int64(0)
@@ -122,7 +131,7 @@ def decode(data, limits, ranks, order, level_count, sent, levels):
     return used, level
 
 
-# steps in sixteenths of the finest: a factor 2^(1/4) each
+# step sizes in sixteenths of the finest; each is larger by a factor 2^(1/4)
 STEPS = np.array([16, 19, 23, 27, 32, 38, 45, 54, 64], np.int64)
 _ONE = 1 << 16  # of the weights
 _NUDGE = 48
@@ -133,9 +142,9 @@ _FAR = 1 << 40
 def adpcm(values, residuals, decoding):
     """ADPCM of one component, int64 [n], in sixteenths of the finest step.
 
-    Reads `values` and writes `residuals`, or the reverse if `decoding`. Two weights adapt by the sign of the
-    prediction error (as in G.726); the step increases after a residual of 2 or more and decreases after a 0.
-    `values` becomes the decoded signal in both cases.
+    The function reads `values` and writes `residuals`, or the reverse if `decoding`; in both cases `values`
+    becomes the decoded signal. Two weights adapt to the sign of the prediction error (as in G.726). The step
+    increases after a residual of magnitude 2 or more and decreases after a residual of 0.
     """
     w0, w1 = np.int64(_ONE), np.int64(0)
     last = before = rung = np.int64(0)
@@ -150,7 +159,7 @@ def adpcm(values, residuals, decoding):
             q = (2 * abs(residual) + step) // (2 * step)
             q = -q if residual < 0 else q
             residuals[i] = q
-        # the limit is only reached with bytes that no encoder wrote
+        # only bytes that no encoder has written reach the limit
         value = min(max(predicted + q * step, np.int64(-_FAR)), np.int64(_FAR))
         values[i] = value
         sign = np.int64(q > 0) - np.int64(q < 0)

@@ -1,7 +1,7 @@
-"""Amplitude quantisers (paper section 4.2, eq. 6, and section 5.2): levels, and the thresholds between them.
+"""Amplitude quantisers: levels and thresholds (paper sections 4.2 and 5.2, eq. 6).
 
-Three kinds of levels: Lloyd-Max, trained on samples; the Weber ladder, whose steps grow with the force so
-that the relative error stays within k; and uniform steps.
+Three kinds of levels are available: Lloyd-Max, trained on samples; the Weber ladder, whose steps grow with
+the force so that the relative error stays within k; and uniform steps.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from touchfield.perception.weber import WeberLadder
 
 WEBER_FORCE_MIN_N: Final = 0.03
 _SMALLEST_FORCE_N = 1e-30
-_WIDEST_SPAN = 1e24  # of a ladder of so many steps: from 1 uN down, its levels are still numbers
+# largest ratio that a ladder with given steps may span; its levels are then still numbers
+_WIDEST_SPAN = 1e24
 _HAIR = 1e-9
 
 
 def amplitudes_n(vectors_n: Float32s) -> Float32s:
-    """|F| of float32 [m, 3], float32 [m]."""
+    """Amplitudes |F|, float32 [m], of force vectors, float32 [m, 3]."""
     return lengths_of(vectors_n.astype(np.float64)).astype(np.float32)
 
 
@@ -36,7 +37,7 @@ class AmplitudeLevels:
 
     levels_n: Float32s  # [n]; newtons, finite, not negative, strictly ascending, 1 to 65536 of them
     # [n - 1]; borders of the cells, by default the midpoints; an amplitude on a border takes the level above
-    # it, and one outside all cells the nearest
+    # it, and an amplitude outside all cells the nearest level
     thresholds_n: Float32s | None = None
 
     def __post_init__(self) -> None:
@@ -59,7 +60,10 @@ class AmplitudeLevels:
         return len(self.levels_n)
 
     def encode(self, amplitudes_n: Float32s) -> NDArray[np.uint16]:
-        """Indices of the levels of float32 [m] newtons, 0 or more (else InvalidArgument), uint16 [m]."""
+        """Indices of the levels of amplitudes, uint16 [m].
+
+        `amplitudes_n`: float32 [m], newtons, 0 or more, else InvalidArgument.
+        """
         from touchfield.codec.paper.kernels import levels_of
 
         amplitudes = np.ascontiguousarray(_check_amplitudes(amplitudes_n))
@@ -72,7 +76,10 @@ class AmplitudeLevels:
 
     @cached_property
     def _first(self) -> Int32s:
-        """For each pattern of leading bits of a float32, how many thresholds its smallest number reaches."""
+        """Number of thresholds at or below the smallest number of each pattern.
+
+        A pattern is the leading bits of a float32.
+        """
         from touchfield.codec.paper.kernels import DROPPED_BITS
 
         assert self.thresholds_n is not None
@@ -83,7 +90,10 @@ class AmplitudeLevels:
 
 
 def _round_up(thresholds: Float64s) -> Float32s:
-    """The smallest float32 at or above each float64: a float32 compares with both alike."""
+    """The smallest float32 at or above each float64 threshold.
+
+    A float32 amplitude compares with both in the same way.
+    """
     nearest = thresholds.astype(np.float32)
     return np.where(nearest < thresholds, np.nextafter(nearest, np.float32(np.inf)), nearest)
 
@@ -98,16 +108,19 @@ def _check_amplitudes(values: NDArray[Any]) -> Float32s:
 
 
 def weber_levels(ladder: WeberLadder) -> AmplitudeLevels:
-    """Levels of a Weber ladder with a zero bin: level 0 is zero, level i + 1 is r_i; below F_min is zero."""
+    """Levels of a Weber ladder with a zero bin.
+
+    Level 0 is zero and level i + 1 is r_i; forces below F_min become zero.
+    """
     return AmplitudeLevels(ladder.levels_n, _round_up(ladder.thresholds_n))
 
 
 def weber_ladder(k: float, top_n: float, steps: int | None = None) -> WeberLadder:
-    """Ladder of the corrected eq. 6 with Weber fraction k up to `top_n` newtons (0 if there is no force).
+    """Ladder of the corrected eq. 6 with Weber fraction k up to `top_n` newtons.
 
-    `steps`, if given, is the number of levels above zero, from the top down: 63 at k = 0.05 span 547:1, 6
-    bits with the zero. Otherwise there are as many as k needs from 0.03 N on. InvalidArgument if a number is
-    out of range.
+    `top_n` is 0 if there is no force. `steps`, if given, is the number of levels above zero, counted from the
+    top down: 63 levels at k = 0.05 span 547:1, which is 6 bits together with the zero. Otherwise there are as
+    many levels as k needs from 0.03 N on. InvalidArgument if a number is out of range.
     """
     if steps is None:
         return WeberLadder.spanning(k, WEBER_FORCE_MIN_N, max(WEBER_FORCE_MIN_N, top_n))
@@ -120,13 +133,16 @@ def weber_ladder(k: float, top_n: float, steps: int | None = None) -> WeberLadde
             expected,
             "Take fewer bits (--nq) or a smaller --k.",
         )
-    # a hair above the top: rounding must not leave it out
+    # slightly enlarged, so that rounding does not place the largest force outside the ladder
     lowest = math.exp(math.log(top_n or WEBER_FORCE_MIN_N) - steps * rise) * (1 + _HAIR)
     return WeberLadder(k, max(_SMALLEST_FORCE_N, lowest), steps)
 
 
 def uniform_levels(step_n: float, top_n: float) -> AmplitudeLevels:
-    """Multiples of a step up to `top_n` newtons; InvalidArgument for more than 65536, or an invalid step."""
+    """Multiples of a step up to `top_n` newtons.
+
+    InvalidArgument for more than 65536 levels, or an invalid step.
+    """
     if not 1e-30 <= step_n <= 1e30:
         raise InvalidArgument("step_n", repr(step_n), "newtons, from 1e-30 to 1e30")
     count = math.floor(min(top_n / step_n, 1e9) + 0.5) + 1
@@ -141,13 +157,13 @@ _TOLERANCE = 1e-6
 
 
 def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
-    """At most 2^nq levels of least mean squared error for samples [m] (Lloyd-Max, section 5.2).
+    """At most 2^nq levels of least mean squared error for samples [m] (Lloyd-Max).
 
-    The result is a local optimum: Lloyd's iteration from levels whose density is the cube root of that of the
-    samples (Panter and Dite); each level is the mean of its cell and each threshold midway. If the samples
-    have no more distinct values than levels, these are the levels. Weber's law is not taken into account:
-    report how often the result violates the mask. InvalidArgument if `nq` is not 1 to 12, or a sample is not
-    an amplitude.
+    Source: section 5.2. The result is a local optimum of Lloyd's iteration: each level is the mean of its
+    cell, and each threshold lies midway between two levels. The iteration starts from levels whose density is
+    the cube root of that of the samples (Panter and Dite). If the samples have no more distinct values than
+    there are levels, these values are the levels. Weber's law is not taken into account: report how often the
+    result violates the mask. InvalidArgument if `nq` is not 1 to 12, or a sample is not an amplitude.
     """
     if nq != int(nq) or not 1 <= nq <= 12:
         raise InvalidArgument("nq", repr(nq), "1 to 12 bits of amplitude")
@@ -166,7 +182,7 @@ def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
         if total >= smallest_error * (1 - _TOLERANCE):
             break
         best_means, smallest_error = means, total
-        # a level is taken from where two can be merged cheaply to the cell with the largest error
+        # merge the two levels that cost least to merge, and split the cell with the largest error
         costs = counts[1:] * counts[:-1] / (counts[1:] + counts[:-1]) * np.diff(means) ** 2
         merged, split = int(costs.argmin()), int(errors.argmax())
         thresholds = np.delete((best_means[1:] + best_means[:-1]) / 2, merged)
@@ -175,9 +191,10 @@ def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
 
 
 def _lloyd(values: Float64s, thresholds: Float64s, count: int) -> tuple[Float64s, Float64s, Float64s]:
-    """Lloyd's iteration on ascending values: number, mean and squared error of each cell, float64 [n].
+    """Lloyd's iteration on ascending values.
 
-    If a cell becomes empty, the one with the largest error is split.
+    Returns the number of values, the mean and the squared error of each cell, float64 [n]. If a cell becomes
+    empty, the cell with the largest error is split.
     """
     sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (values, values * values))
     previous_error = math.inf

@@ -1,4 +1,7 @@
-"""Options of the paper's coder (figure 4 and section 5.2), literal or corrected, and its registry entry."""
+"""Options of the paper's coder, literal or corrected, and its registry entry.
+
+Source: figure 4 and section 5.2.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from touchfield.errors import InvalidArgument, require_kinds
 from touchfield.options import option
 
 STAGES: Final = ("none", "dpcm", "adpcm", "dct", "wavelet", "runs")
-"""In the order of their numbers."""
+"""Names of the stages; "none" means no stage."""
 
 _CHOICES: Final = {
     "amplitude": ("lloyd-max", "weber", "uniform"),
@@ -24,40 +27,44 @@ _CHOICES: Final = {
 
 @dataclass(frozen=True)
 class PaperSpec:
-    """Options of the paper's coder; InvalidArgument if one is invalid, or without effect with the stage."""
+    """Options of the paper's coder.
+
+    InvalidArgument if an option is invalid, or has no effect with the chosen stage.
+    """
 
     k: float = option(0.1, "Weber fraction of the deadband. [default: 0.1]")
     """Weber fraction of the deadband (eq. 8), between 0 and 1."""
     nq: int = option(6, "bits of amplitude. [default: 6]")
-    """n_q: 2^n_q amplitude levels, 1 to 12; of the Weber ladder see `weber_levels`."""
+    """n_q: 2^n_q amplitude levels, 1 to 12; for the Weber ladder see `weber_levels`."""
     directions: str = option("auto", "codebook: ico5 (252), octa3 (258), ico3 (92), ico1 to ico20.")
     """Codebook: ico5 (252 vertices), octa3 (258, the paper's count), ico3 (92), ico1 to ico20; "auto" is ico5
     for a point device, and octa1 for an array, whose forces all lie along one axis."""
     amplitude: str = option("lloyd-max", "amplitude quantiser: lloyd-max (default), weber or uniform.")
     """Amplitude quantiser: "lloyd-max" (the paper's), "weber" (the corrected eq. 6) or "uniform"."""
     deadband: str = option("closed", "closed, last-sent, previous, zero or none. [default: closed]")
-    """Reading of eq. 8 within a frame: "closed" (the vector against the decoded reference, with the k' that
-    guarantees k), "last-sent", "previous" (as printed), "zero" (the zero is written in place), or "none"."""
+    """Reading of eq. 8 within a frame: "closed" (compares the vector with the decoded reference, with the k'
+    that guarantees k), "last-sent", "previous" (as printed), "zero" (as printed, but a held sample is stored
+    as zero), or "none". See `touchfield.perception.weber`."""
     interframe: str = option("closed", "closed, open or none. [default: closed]")
-    """Of frames: "closed" (difference to the decoded previous frame), "open" (to the original one, as
-    printed: errors add up), or "none" (every frame alone)."""
+    """Prediction between frames: "closed" (difference to the decoded previous frame), "open" (difference to
+    the original previous frame, as printed; errors accumulate), or "none" (every frame on its own)."""
     choose_by_size: bool = True
-    """Code each frame on its own or as a difference, whichever is smaller; the literal coder always takes the
-    difference."""
+    """Whether to code each frame on its own or as a difference, whichever is smaller; the literal coder
+    always codes the difference."""
     hold_runs: bool = True
-    """Code held samples in runs; the literal coder writes one zero symbol for each."""
+    """Whether to code held samples in runs; the literal coder writes one zero symbol for each."""
     segment_frames: int = option(8, "frames in an independent segment. [default: 8]")
     """Frames in an independent segment, 1 to 4096."""
     weber_levels: str = "auto"
-    """Of the Weber ladder: "needed" (as many as k needs from F_min on), "full" (2^n_q with the zero, from the
-    largest force down: with n_q = 6 the 6 bits a sample of table 2), or "auto" (full for an array, needed for
-    a point)."""
+    """Number of levels of the Weber ladder: "needed" (as many as k needs from F_min on), "full" (2^n_q
+    including zero, from the largest force down: n_q = 6 gives the 6 bits per sample of table 2), or "auto"
+    ("full" for an array, "needed" for a point)."""
     stage: str = option("none", "dpcm, adpcm, dct, wavelet or runs in place of all these. [default: none]")
-    """What figure 4 names in place of deadband, levels, directions and differences: "dpcm", "adpcm"
-    (predictive), "dct", "wavelet" (spectral) or "runs" (run-length) of components in uniform steps, each
-    frame alone."""
+    """A coding stage of figure 4 that replaces deadband, levels, directions and differences: "dpcm", "adpcm"
+    (predictive), "dct", "wavelet" (spectral) or "runs" (run-length). It codes components in uniform steps,
+    each frame on its own."""
     step_n: float = option(0.05, "with --stage: its step, newtons. [default: 0.05]")
-    """Of a stage: the step, newtons, 1e-9 to 1e6."""
+    """Step of the stage, newtons, 1e-9 to 1e6."""
 
     def __post_init__(self) -> None:
         require_kinds(self, **_CHOICES)
@@ -79,7 +86,7 @@ class PaperSpec:
                 raise InvalidArgument(part.name, f"it with stage {self.stage}", expected)
 
     def for_device(self, is_array: bool) -> PaperSpec:
-        """The spec with what is "auto" resolved for a kind of device."""
+        """The spec with every "auto" resolved for a kind of device."""
         if self.stage != "none":
             return self
         levels = self.weber_levels if self.weber_levels != "auto" else "full" if is_array else "needed"
@@ -93,7 +100,10 @@ class PaperSpec:
 
     @classmethod
     def literal(cls, **options: Any) -> PaperSpec:
-        """The coder as the paper prints it: eq. 8 on amplitudes, open loop, always the difference."""
+        """The coder as the paper prints it.
+
+        Eq. 8 compares amplitudes, the loop between frames is open, and differences are always coded.
+        """
         printed = cls(
             directions="octa3", deadband="previous", interframe="open", choose_by_size=False, hold_runs=False
         )

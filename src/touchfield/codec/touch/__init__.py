@@ -1,1 +1,1 @@
-"""The coder `touch`: errors of at most max(F_0, k |F|); docs/format/touch.md defines its bytes."""
+"""The coder `touch`: errors of at most max(F_0, k |F|); see docs/format/touch.md."""

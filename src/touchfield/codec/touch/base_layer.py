@@ -1,9 +1,11 @@
-"""Base layers of the coder `touch`: a parametric field, sent before a frame and refined by its voxels.
+"""Base layers of the coder `touch`: a parametric prediction of a whole frame.
 
-A base layer is a spline or a set of columns (docs/format/touch-base-layer.md). Paper figure 4 lets "source
-models" compete with plain samples. In a penalty field F = min(K d, F_max) n the depth d grows against the
-normal n. All of it follows from the potential f = K d, which is smooth through the surface and below zero
-outside. So f is coded as the coefficients of a cubic B-spline on a coarse lattice of nodes, and
+A base layer is a spline or a set of columns (docs/format/touch-base-layer.md). It is sent before the voxels
+of a frame, which refine it. Paper figure 4 lets "source models" compete with plain samples.
+
+In a penalty field F = min(K d, F_max) n the depth d grows against the normal n. All of it follows from the
+potential f = K d, which is smooth through the surface and negative outside. Therefore f is coded as the
+coefficients of a cubic B-spline on a coarse lattice of nodes, and
 
     F = -min(f, 65536) grad f / max(|grad f|, K / 2),   where f > 0.
 
@@ -13,8 +15,8 @@ not listed have no force.
 
 Solids with steps are coded column by column: along the main axis of the force the samples of a column share
 n, and the depth grows from the surface on. A column of a height map is thus a direction, a start, and the
-force deep inside. Where a low-pass has mixed the surfaces on both sides of a step, it has two such surfaces
-whose forces add. The parameters are predicted from neighbouring columns.
+force deep inside. Where a low-pass filter has mixed the surfaces on both sides of a step, a column has two
+such surfaces, whose forces add. The parameters are predicted from neighbouring columns.
 """
 
 from __future__ import annotations
@@ -48,8 +50,9 @@ class Head(NamedTuple):
 
     shifts: tuple[int, int, int]  # nodes lie 2^shift samples apart along x, y, z; 2 to 5
     step: int  # step of the difference between a coefficient and its prediction, in units; 1 or more
-    # factors of a derivative along x, y, z that make the stiffness K 32768: 2^35 over 864 times the growth
-    # of f, in units, from sample to sample if the normal is along that axis; 1 or more
+    # factors of the derivatives along x, y, z that scale the stiffness K to 32768: 2^35 / (864 g), where g is
+    # the growth of f, in units, from one sample to the next along an axis that is parallel to the normal; 1
+    # or more
     scales: tuple[int, int, int]
 
     def to_bytes(self) -> bytes:
@@ -65,15 +68,16 @@ class Head(NamedTuple):
 
 
 class Nodes:
-    """Nodes of the bricks int32 [n, 3], in raster order (x slowest).
+    """Nodes of the spline over bricks, int32 [n, 3], in raster order (x slowest).
 
-    `per_brick`, int64 [n, x, y, z], are the nodes of each brick; `predecessors`, int64 [nodes, 6], those
-    before each node (`code_nodes`), -1 if there is none.
+    `per_brick`, int64 [n, x, y, z]: indices of the nodes of each brick. `predecessors`, int64 [nodes, 6]:
+    indices of the preceding neighbours of each node (`code_nodes`), -1 where there is none.
     """
 
     def __init__(self, bricks: Int32s, shifts: tuple[int, int, int]) -> None:
         first = bricks.astype(np.int64) * BRICK >> np.array(shifts)
-        first -= first.min(axis=0) - 1  # none lies before the first layer
+        # an empty first layer, so that keys of missing predecessors match no node
+        first -= first.min(axis=0) - 1
         counts = [max(BRICK >> shift, 1) + 3 for shift in shifts]
         _, ny, nz = (first.max(axis=0) + counts).tolist()
         x, y, z = ny * nz, nz, 1
@@ -87,9 +91,10 @@ class Nodes:
 
 
 def corner_weights(shift: int) -> Int64s:
-    """Weights at the corners of a brick by its position in a cell, int64 [h / 8, nodes, 9].
+    """Weights of the nodes at the corners of a brick, int64 [h / 8, nodes, 9].
 
-    With h = 2^shift, their sum over the nodes is 6 h^3.
+    The first axis is the position of the brick in its cell. With h = 2^shift, the weights at a corner sum to
+    6 h^3 over the nodes.
     """
     h, cells = 1 << shift, max(BRICK >> shift, 1)
     out = np.zeros((max(h // BRICK, 1), cells + 3, BRICK + 1), np.int64)
@@ -103,7 +108,10 @@ def corner_weights(shift: int) -> Int64s:
 
 
 def spline_forces(head: Head, grid: Grid, bricks: Int32s, values: Int64s) -> FixedField:
-    """Forces in bricks, int32 [n, 3], from the values of their nodes, int64 [n, x, y, z]."""
+    """Forces in bricks, int32 [n, 3], from the values of their nodes.
+
+    `values`: int64 [n, x, y, z].
+    """
     vectors = np.zeros((len(bricks), BRICK, BRICK, BRICK, 3), np.int32)
     tables = [corner_weights(shift) for shift in head.shifts]
 
@@ -125,7 +133,7 @@ def spline_forces(head: Head, grid: Grid, bricks: Int32s, values: Int64s) -> Fix
 
 
 def _fill(corners: Int64s, head: Head, out: Int32s) -> None:
-    """Forces [n, 8, 8, 8, 3] of a potential at the corners around them, int64 [n, 9, 9, 9]."""
+    """Forces [n, 8, 8, 8, 3] from the potential at the corners, int64 [n, 9, 9, 9]."""
     size, *slopes = (_combine_neighbours(corners, axis) for axis in (-1, 0, 1, 2))
     size = np.clip((size + 864) // 1728, 0, TOP)
     slopes = [
@@ -139,7 +147,10 @@ def _fill(corners: Int64s, head: Head, out: Int32s) -> None:
 
 
 def _combine_neighbours(v: Int64s, along: int) -> Int64s:
-    """Differences of neighbours along one axis (none if `along` is -1), and sums along the others."""
+    """Differences of neighbours along one axis, and sums along the others.
+
+    With `along` = -1 there are only sums.
+    """
     for axis in range(3):
         low, high = v[:, :-1], v[:, 1:]
         v = np.moveaxis(high - low if axis == along else high + low, 1, 3)
@@ -161,14 +172,14 @@ def decode_spline(data: bytes, grid: Grid) -> FixedField:
 
 
 SPLINE: Final = 0
-COLUMNS: Final = 1  # first byte of a base layer
+COLUMNS: Final = 1  # SPLINE or COLUMNS is the first byte of a base layer
 
 
 def decode_base_layer(data: bytes, grid: Grid) -> FixedField:
     """Decode a base layer, with integers throughout.
 
-    Takes at most some 400 KiB of memory per byte, plus 6 MiB. TruncatedFile or CorruptFile if the bytes are
-    invalid.
+    The decoder needs up to about 400 KiB of memory per byte, plus 6 MiB. TruncatedFile or CorruptFile if the
+    bytes are invalid.
     """
     if not data:
         raise TruncatedFile("base layer", "no bytes", "its kind")
@@ -179,13 +190,13 @@ def decode_base_layer(data: bytes, grid: Grid) -> FixedField:
     raise CorruptFile("base layer", f"kind {data[0]}", f"{SPLINE} or {COLUMNS}")
 
 
-MAX_DEPTH: Final = 1 << 14  # samples of a column, at most
-TILES_FREE: Final = 64  # tiles of the box that need no byte
+MAX_DEPTH: Final = 1 << 14  # maximum number of samples of a column
+TILES_FREE: Final = 64  # number of tiles of the box that need no byte of code
 _COLUMNS: Final = "columns"
 
 
 class View(NamedTuple):
-    """Box of columns along one axis, from outside to inside."""
+    """Box of columns along one axis, seen from outside to inside."""
 
     grid: Grid
     axis: int  # direction of the columns
@@ -227,7 +238,10 @@ def new_columns(view: View, heads: Int64s) -> kernels.Columns:
 
 
 def column_forces(view: View, columns: kernels.Columns, size: int | None = None) -> FixedField:
-    """Forces of columns; the `size` of the code in bytes, if given, bounds the number of bricks."""
+    """Forces of columns.
+
+    `size`, if given, is the length of the code in bytes; it bounds the number of bricks (TruncatedFile).
+    """
     a, b, rows, row = view.box
     depth = view.depth
     surfaces = columns.surfaces.reshape(rows * BRICK + 1, -1, 2, kernels.NUMBERS)[1:, 1:-1]
@@ -254,8 +268,8 @@ def column_forces(view: View, columns: kernels.Columns, size: int | None = None)
 def decode_columns(data: bytes, grid: Grid) -> FixedField:
     """Decode a base layer of columns, with integers throughout.
 
-    Takes at most some 130 KiB of memory per byte, plus 2 MiB. TruncatedFile or CorruptFile if the bytes are
-    invalid.
+    The decoder needs up to about 130 KiB of memory per byte, plus 2 MiB. TruncatedFile or CorruptFile if the
+    bytes are invalid.
     """
     parts = Parts(data, _COLUMNS)
     axis = parts.varint("axis", 6)

@@ -1,11 +1,13 @@
-"""Fit of base layers: a spline for smooth fields, columns for solids with steps (floating point).
+"""Fit of base layers: a spline for smooth fields, columns for solids with steps.
 
-The coefficients of a spline maximise the number of samples within the mask. A first fit is linear: f should
-be |F| where that is below the top, and its gradient -K n. Then some Gauss-Newton steps on the force itself
-follow, with smaller weights outside the mask (an L1 norm there), so that an edge that no spline can follow
-does not distort its surroundings. About eight samples of each cell of the lattice of nodes are used. The
-coarsest sufficient lattice is selected. Fields without a main axis, and walls that end before the inner
-border of the grid, have no columns.
+The fit uses floating point. The coefficients of a spline are chosen so that as many samples as possible lie
+within the mask. The first fit is linear: f should equal |F| where that is below the top, and its gradient
+should equal -K n. Gauss-Newton steps on the force itself follow, with smaller weights outside the mask (an L1
+norm there), so that an edge that no spline can follow does not distort its surroundings. About eight samples
+of each cell of the lattice of nodes are used. The coarsest sufficient lattice is selected.
+
+Columns are not fitted to fields without a main axis, nor to walls that end before the inner border of the
+grid.
 """
 
 from __future__ import annotations
@@ -33,14 +35,16 @@ _MIN_AXIS_FRACTION: Final = 0.4  # fraction of the forces along one axis, else t
 _MIN_BORDER_FRACTION: Final = 0.2  # fraction of the tiles that reach the inner border
 _AXIS_BRICKS: Final = 64  # bricks that determine the axis
 _MAX_ROW_SAMPLES: Final = 1 << 24  # samples of a row of tiles in memory at once
-_RAMP_PERCENTILE: Final = 80  # percentile of the growths taken as the ramp; larger ones are of mixed surfaces
+# percentile of the growths used as the ramp; larger ones come from mixed surfaces
+_RAMP_PERCENTILE: Final = 80
 _XY_STEP, _Z_STEP, _A_STEP = 0.35, 1.4, 0.9  # steps in units of the mask
 
 
 def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, FixedField] | None:
-    """Bytes of columns for a frame within the mask of `limits`, and the decoded base layer.
+    """Fit columns to a frame: their bytes, and the decoded base layer.
 
-    None if the force has no main axis, or there is no solid behind a surface.
+    `limits` gives the mask. Returns None if the force has no main axis, or there is no solid behind a
+    surface.
     """
     view = _find_view(frame)
     if view is None:
@@ -50,7 +54,7 @@ def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[by
     if heads is None:
         return None
     columns = base_layer.new_columns(view, heads)
-    # a surface has nine numbers of some 70 bits: an adaptive bit costs at most 14 bits, but few of them do
+    # a surface has nine numbers, about 70 adaptive bits in all; one costs at most 14 bits, but few of them do
     bits = writer(len(columns.surfaces) * 200 + 64, new_models(kernels.COLUMN_CONTEXTS, kernels.COLUMN_SETS))
     ramp = np.array([heads[kernels.TOP], heads[kernels.RAMP] / 65536])
     workspace = (
@@ -75,7 +79,7 @@ def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[by
 def _find_view(frame: ForceField) -> base_layer.View | None:
     """View along the main axis of the force.
 
-    None if there is no main axis, few tiles reach the border, or the box is too large.
+    None if there is no main axis, few tiles reach the inner border, or the box is too large.
     """
     if not len(frame.bricks):
         return None
@@ -97,7 +101,10 @@ def _find_view(frame: ForceField) -> base_layer.View | None:
 
 
 def _find_heads(view: base_layer.View, frame: ForceField, unit_n: float, mask: Float64s) -> Int64s | None:
-    """Parameters common to all columns; None if no force grows behind a surface or exceeds the mask."""
+    """Parameters common to all columns.
+
+    None if no force grows behind a surface, or none exceeds the mask.
+    """
     forces = frame.forces_n
     lengths = np.moveaxis(np.sqrt(np.einsum("...i,...i", forces, forces)), 1 + view.axis, -1) / unit_n
     outward = np.moveaxis(np.abs(forces[..., view.axis]), 1 + view.axis, -1) / unit_n
@@ -149,10 +156,10 @@ def _column_samples(view: base_layer.View, frame: ForceField, tiles: int, scale:
 
 
 _STIFFNESS_BRICKS: Final = 64  # bricks that determine whether a field is smooth, and its stiffness
-_MIN_SMOOTH: Final = 0.78  # fraction of their samples with growing force
-_MAX_DEVIATION: Final = 0.25  # of the growth from the stiffness along the normal, in a smooth field
+_MIN_SMOOTH: Final = 0.78  # minimum fraction of samples of a smooth field within `_MAX_DEVIATION`
+_MAX_DEVIATION: Final = 0.25  # deviation of the growth from the stiffness along the normal, relative
 _RAMP: Final = (0.15 * TOP, 0.8 * TOP)
-_STEP: Final = 2.0  # of a coefficient, in tolerances of a small force
+_STEP: Final = 2.0  # step of a coefficient, in units of the tolerance of a small force
 _SATURATED: Final = 0.97
 _EMPTY_WEIGHT: Final = 0.3  # weight of samples without a force
 _ROUGHNESS: Final = 1e-3
@@ -165,9 +172,10 @@ _IDENTITY: Final = np.eye(3, dtype=np.float32)
 def fit_spline(
     frame: ForceField, lattice: Lattice, limits: Limits, level: int = 3
 ) -> tuple[bytes, FixedField] | None:
-    """Bytes of a spline for a frame within the mask of `limits`, and its field; None if it is not smooth.
+    """Fit a spline to a frame: its bytes, and the decoded base layer.
 
-    Nodes lie 2^level samples apart along the axis of the smallest spacing. The fit may be a bad one.
+    `limits` gives the mask. Nodes lie 2^level samples apart along the axis of the smallest spacing. Returns
+    None if the field is not smooth; otherwise the fit may still be bad.
     """
     grid, bricks, f0 = frame.grid, frame.bricks, max(limits.f0, 1.0)
     if not len(bricks) or f0 >= TOP:
@@ -193,7 +201,10 @@ def fit_spline(
 
 
 def _find_stiffness(forces: Float32s, grid: Grid) -> float:
-    """Growth of the force in bricks [n, 8, 8, 8, 3], units a metre; 0 if they are not smooth."""
+    """Growth of the force in bricks [n, 8, 8, 8, 3], units per metre.
+
+    0 if the bricks are not smooth.
+    """
     lengths = lengths_of(forces)
     growth = np.stack(np.gradient(lengths, *grid.spacing_m, axis=(1, 2, 3)), axis=-1)
     ramp = (lengths > _RAMP[0]) & (lengths < _RAMP[1])
@@ -205,10 +216,10 @@ def _find_stiffness(forces: Float32s, grid: Grid) -> float:
 
 
 class _Samples:
-    """Samples of each brick used by the fit, with the linear map from nodes to f and its gradient.
+    """Samples of each brick used by the fit, and the linear map from the nodes.
 
-    `per_brick`, int64 [bricks, nodes], are the nodes of each brick; `basis`, float32
-    [bricks, samples, 4, nodes]; `forces`, float32 [bricks, samples, 3].
+    The map gives f and its gradient. `per_brick`, int64 [bricks, nodes], are the nodes of each brick;
+    `basis`, float32 [bricks, samples, 4, nodes]; `forces`, float32 [bricks, samples, 3].
     """
 
     def __init__(
@@ -250,10 +261,11 @@ class _Samples:
         return (self.basis.reshape(bricks, -1, nodes) @ at[..., None]).reshape(bricks, count, 4)
 
     def solve(self, rows: Any, target: Any, c: Any) -> Any:
-        """Coefficients c + x where x is the least-squares solution of rows @ potential(x) = target.
+        """Coefficients c + x, with x a least-squares solution of the linearised equations.
 
-        `rows` are [bricks, samples, r, 4], `target` [bricks, samples, r]. The diagonal is the preconditioner:
-        nodes at the rim of the field have small weights and would not converge without it.
+        The equations are rows @ potential(x) = target. `rows` are [bricks, samples, r, 4], `target` [bricks,
+        samples, r]. The diagonal is the preconditioner: nodes at the rim of the field have small weights and
+        would not converge without it.
         """
         from scipy.sparse.linalg import LinearOperator, cg
 
@@ -269,7 +281,7 @@ class _Samples:
 
         count = (len(c), len(c))
         diagonal = summed(np.einsum("brn,brn->bn", a, a)) + rough * self.bending.diagonal()
-        diagonal[diagonal <= 0] = 1  # of a node without samples
+        diagonal[diagonal <= 0] = 1  # nodes without samples
         goal = summed(target.reshape(len(rows), 1, -1) @ a) - rough * (self.bending @ c)
         matrix = LinearOperator(count, matvec=normal, dtype=np.float64)
         scaled = LinearOperator(count, matvec=lambda x: x / diagonal, dtype=np.float64)
@@ -277,7 +289,10 @@ class _Samples:
 
 
 def _fit_coefficients(samples: _Samples, k: float, f0: float, growth: float) -> Any:
-    """Fitted coefficients in units, float64 [nodes], for a mask (`k`, `f0`) and a stiffness `growth`."""
+    """Fitted coefficients in units, float64 [nodes].
+
+    The mask is (`k`, `f0`), the stiffness `growth`.
+    """
     forces, stiffness = samples.forces, np.float32(growth)
     length = lengths_of(forces)
     tolerance = np.maximum(np.float32(f0), np.float32(k) * length)
@@ -307,23 +322,27 @@ def _fit_coefficients(samples: _Samples, k: float, f0: float, growth: float) -> 
     return np.nan_to_num(c)
 
 
-# minimum fraction of voxels within the bound of a base layer that is tried; in mode "nmse" any is tried
+# a base layer is tried if at least this fraction of its voxels is within the bound; in mode "nmse" any is
+# tried
 _MIN_FRACTION: Final = 0.5
-# kinds in order, coarse splines first, each with the fraction so far from which on it is not fitted
+# kinds in order, coarse splines first; a kind is not fitted if the best fraction so far reaches its last
+# number
 _FITS: Final = (
     (base_layer.SPLINE, partial(fit_spline, level=4), 1.0), (base_layer.SPLINE, fit_spline, 0.97),
     (base_layer.COLUMNS, fit_columns, 0.75),
 )  # fmt: skip
 _FINENESS: Final = 0.35
-"""Error of a base layer in mode "nmse", steps: its errors are correlated, small ones are cheap to code."""
+"""Error limit of a base layer in mode "nmse", in steps: its errors are correlated, and small ones are
+cheap."""
 
 
 def fit_base_layer(
     frame: ForceField, lattice: Lattice, limits: Limits, spec: TouchSpec
 ) -> tuple[tuple[bytes, FixedField] | None, float]:
-    """Best base layer of a frame within the mask of `limits`: its bytes and field, or None.
+    """Best base layer of a frame: its bytes and field, or None.
 
-    Also returns the fraction of voxels at which it is within the error bound.
+    `limits` gives the mask. Also returns the fraction of voxels at which the base layer is within the error
+    bound.
     """
     best, best_fraction = None, _MIN_FRACTION
     if spec.mode == "nmse":

@@ -1,7 +1,7 @@
 """Bytes of a segment of the coder `touch`, and `HEAD.coder_parameters`.
 
 Outliers, voxels that would be outside the error bound, are sent separately as exact float32. Departure from
-the paper, which has no escape: accumulated rounding would make single voxels in 10^5 violate the mask.
+the paper, which has no such escape: accumulated rounding would make a few voxels in 10^5 violate the mask.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ _MASK: Final = ("k", "f0_n")
 _NUMBERS: Final = {
     "mask": _MASK, "mask-direction": (*_MASK, "direction_jnd_deg"), "nmse": ("step_n",), "lossless": ()
 }  # fmt: skip
-_MASKING: Final = ("masking", "masking_radius_m")  # follow with this flag, in mode "mask" only
+# numbers that follow if `_MASKING_FLAG` is set (mode "mask")
+_MASKING: Final = ("masking", "masking_radius_m")
 _MASKING_FLAG: Final = 32
 
 
@@ -49,7 +50,7 @@ class FrameRecord:
 
     # whether the frame uses the models of the frame before and, without a base layer, its forces
     inter: bool
-    base_layer: bytes  # empty if there is none; so are the outliers
+    base_layer: bytes  # empty if there is none, like the outliers
     payload: bytes
     fractions: tuple[int, int]  # of the payload's bits, for support and amplitude, in 1/255
     outliers: bytes = b""
@@ -64,7 +65,10 @@ class FrameRecord:
 
     @property
     def cost(self) -> FrameCost:
-        """Cost of the frame; outliers and lengths are side bits, ``bits.models`` those of its base layer."""
+        """Cost of the frame.
+
+        Outliers and lengths count as side bits; ``bits.models`` are those of its base layer.
+        """
         total, payload = 8 * len(self.to_bytes()), 8 * len(self.payload)
         support = payload * self.fractions[0] // 255
         amplitude = payload * self.fractions[1] // 255
@@ -76,10 +80,11 @@ class FrameRecord:
 
 
 def bit_fractions(bits: tuple[float, float, float]) -> tuple[int, int]:
-    """Fractions for support and amplitude of the bits of support, amplitude and direction, in 1/255.
+    """Fractions of a payload for support and amplitude, in 1/255.
 
-    Informative only, so any value is accepted: the bits are estimates, and for a payload of a few bytes they
-    may sum to more than it has, which leaves a negative rest for one of the three.
+    `bits` are the bits of support, amplitude and direction. The fractions are informative only, so any value
+    is accepted: the bits are estimates, and for a payload of a few bytes they may sum to more than it has,
+    which leaves a negative rest for one of the three.
     """
     total = sum(bits)
     if not 0 < total < math.inf:
@@ -89,7 +94,7 @@ def bit_fractions(bits: tuple[float, float, float]) -> tuple[int, int]:
 
 
 def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], max_error: MaxError | None) -> bytes:
-    """The body of a segment; `lattice` is None in mode "lossless"."""
+    """Write the body of a segment; `lattice` is None in mode "lossless"."""
     parts = [bytes([_MAX_ERROR_FLAG if max_error else 0])]
     if lattice is not None:
         parts.append(lattice.to_bytes())
@@ -102,7 +107,10 @@ def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], max_erro
 
 
 class BodyReader:
-    """Sequential reader of a segment's body; CorruptFile or TruncatedFile if the bytes are invalid."""
+    """Sequential reader of a segment's body.
+
+    CorruptFile or TruncatedFile if the bytes are invalid.
+    """
 
     def __init__(self, body: bytes, grid: Grid, *, exact: bool) -> None:
         self._parts, self._exact = Parts(body), exact
@@ -149,7 +157,10 @@ def write_parameters(spec: TouchSpec) -> bytes:
 
 
 def read_parameters(data: bytes, where: str) -> TouchSpec:
-    """The spec as far as a file stores it; UnsupportedVersion or CorruptFile for invalid bytes."""
+    """Read the options that a file stores.
+
+    Options that it does not store have their defaults. UnsupportedVersion or CorruptFile for invalid bytes.
+    """
     if len(data) < 2:
         raise CorruptFile(where, f"{len(data)} bytes", "2 or more")
     if data[0] != _VERSION:
@@ -168,7 +179,7 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
         raise CorruptFile(where, repr(numbers), "finite numbers")
     if masking and not numbers["masking"] > 0:
         raise CorruptFile(where, f"masking with a fraction of {numbers['masking']}", "one above 0")
-    # 2 was an effort that older versions had: its files decode in the same way
+    # older versions also had effort 2, whose files decode in the same way
     spec = TouchSpec(mode=MODES[mode], support=SUPPORTS[support], effort=EFFORTS[min(effort, 1)])
     try:
         return replace(spec, **numbers)
@@ -177,7 +188,10 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
 
 
 def encode_outliers(original: ForceField, keys: Int64s, samples: Int64s) -> bytes:
-    """Code the exact forces of a field at samples of bricks, [m] each, ascending (docs/format/touch.md)."""
+    """Code the exact forces of a field at samples of bricks (docs/format/touch.md).
+
+    `keys` and `samples`: int64 [m] each, ascending.
+    """
     parts, previous = [], 0
     bricks, slot = np.unique(keys, return_inverse=True)
     vectors = original.forces_at(bricks).reshape(-1, _SAMPLES, 3)[slot, samples].astype("<f4")
@@ -189,15 +203,19 @@ def encode_outliers(original: ForceField, keys: Int64s, samples: Int64s) -> byte
 
 
 def outlier_numbers(grid: Grid, data: bytes) -> Int64s:
-    """Numbers of the samples of coded outliers, int64 [m], ascending: 512 key + sample."""
+    """Numbers of the samples of coded outliers, int64 [m], ascending.
+
+    A number is 512 times the key of the brick plus the index of the sample within it.
+    """
     keys, samples, _ = _read_outliers(grid, data)
     return 512 * np.array(keys, np.int64) + np.array(samples, np.int64)
 
 
 def apply_outliers(field: ForceField, data: bytes) -> ForceField:
-    """A field with coded outliers in place of its own forces; bricks without any force are removed.
+    """Replace the forces of a field at coded outliers.
 
-    CorruptFile or TruncatedFile if the bytes are not those of `encode_outliers`.
+    Bricks without any force are removed. CorruptFile or TruncatedFile if the bytes are not those of
+    `encode_outliers`.
     """
     grid = field.grid
     keys, samples, forces = _read_outliers(grid, data)
@@ -214,7 +232,10 @@ def apply_outliers(field: ForceField, data: bytes) -> ForceField:
 
 
 def _read_outliers(grid: Grid, data: bytes) -> tuple[list[int], list[int], bytes]:
-    """Keys of bricks, samples within them, and bytes of the forces; CorruptFile or TruncatedFile."""
+    """Keys of bricks, samples within them, and bytes of the forces.
+
+    CorruptFile or TruncatedFile if the bytes are invalid.
+    """
     keys, samples = list[int](), list[int]()
     parts, forces, key, sample = Parts(data, _OUTLIERS_WHERE), bytearray(), 0, -1
     while not parts.is_ended:

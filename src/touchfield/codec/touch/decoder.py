@@ -19,8 +19,8 @@ NAME: Final = "touch"
 class TouchDecoder:
     """Decoder of the segments of one stream; thread-safe.
 
-    `parameters` are the bytes of the field that `where` names, by default `HEAD.coder_parameters`.
-    CorruptFile or UnsupportedVersion if they are invalid.
+    `parameters` are the bytes of the field named by `where`, by default `HEAD.coder_parameters`. CorruptFile
+    or UnsupportedVersion if they are invalid.
     """
 
     name = NAME
@@ -29,7 +29,10 @@ class TouchDecoder:
         self._grid, self.spec = grid, read_parameters(parameters, where)
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
-        """Yield the frames of a segment in order; CorruptFile or TruncatedFile if the bytes are invalid."""
+        """Yield the frames of a segment in order.
+
+        CorruptFile or TruncatedFile if the bytes are invalid.
+        """
         from touchfield.codec.touch.base_layer import decode_base_layer
         from touchfield.codec.touch.frame import decode_exact, decode_frame, new_memory
 
@@ -58,7 +61,10 @@ class TouchDecoder:
         return [record.cost for record in self._reader(body).records(frame_count)]
 
     def max_error(self, body: bytes) -> MaxError | None:
-        """Largest error of a segment, read without decoding; None in mode "nmse", which has no bound."""
+        """Largest error of a segment, read without decoding.
+
+        None if the segment states none, as in mode "nmse", which has no error bound.
+        """
         return self._reader(body).max_error
 
     def describe(self) -> dict[str, Any]:

@@ -1,9 +1,9 @@
-"""Encoder of the coder `touch`: frames to the body of a segment, checked against its error bound.
+"""Encoder of the coder `touch`: frames to a segment within the error bound.
 
 Each frame is coded in closed loop in the modes that `frame_encoder` tries. Every decoded voxel is compared
-with the original, and those outside the bound are sent as outliers. Then the finished body is decoded as by a
-receiver, and compared again. The exact mode searches for levels and a codebook of which all forces are
-products.
+with the original, and those outside the bound are sent as outliers. Then the finished body is decoded as a
+receiver would, and compared again (effort "fast" skips this if there are no outliers). The exact mode
+searches for amplitude levels and a direction codebook whose products are all forces.
 """
 
 from __future__ import annotations
@@ -73,9 +73,9 @@ class TouchEncoder:
 
         `longest_n` is an upper limit of the length of all forces; if it is given, frames are coded as they
         arrive. `key_frame` is a field close to the first frame, coded in its place: segments of a static
-        scene that share one start with the same bytes, and so with the same forces. The error bound applies
-        to the original frames nevertheless. InvalidArgument if a force is NaN, infinite or above 2^120 N, or
-        a frame has another grid.
+        scene that share one start with the same bytes, and so with the same forces. The error bound
+        nevertheless applies to the original frames. InvalidArgument if a force is NaN, infinite or above
+        2^120 N, or a frame has another grid.
         """
         originals: list[ForceField] = []
         if longest_n is None or self._spec.mode == "lossless":
@@ -88,7 +88,8 @@ class TouchEncoder:
                 FrameRecord(inter, b"", payload, bit_fractions(bits)) for inter, payload, bits in coded_runs
             ]
             return self._finish(originals, None, exact, None)
-        if key_frame is not None:  # keep its unit if possible: segments with one key frame share the lattice
+        # keep its unit if possible, so that segments with one key frame share a lattice
+        if key_frame is not None:
             key_longest_n = self._longest_n(0, key_frame)
             longest_n = longest_n if longest_n > 1.01 * key_longest_n else key_longest_n
         lattice = lattice_for(self._spec, longest_n)
@@ -108,17 +109,18 @@ class TouchEncoder:
             records.append(FrameRecord(inter, base_layer, coded.payload, bit_fractions(coded.bits), outliers))
             results.append(result)
         is_known = self._spec.effort == "fast" and not any(len(result.keys) for result in results)
-        # the decoder's result is that which was compared, bit for bit
+        # a decoder would produce the compared fields bit for bit, so they need not be decoded again
         return self._finish(originals, lattice, records, results if is_known else None)
 
     def with_exact_samples(
         self, segment: CodedSegment, frames: Sequence[ForceField], samples: Sequence[Int64s]
     ) -> CodedSegment:
-        """A segment in which the given samples of each frame are exact.
+        """The segment, with the given samples of each frame made exact.
 
-        `frames` are those that were coded. `samples`: for each frame int64 [m], 512 times the key of the
-        brick plus the sample within it. They are sent as outliers; these predict nothing, so everything else
-        decodes as before. InvalidArgument in mode "lossless", in which every sample is exact.
+        `frames` are those that were coded. `samples`: int64 [m] for each frame; a sample is numbered 512
+        times the key of its brick plus its index within the brick. These samples are sent as outliers, from
+        which nothing is predicted, so that everything else decodes as before. InvalidArgument in mode
+        "lossless", in which every sample is exact.
         """
         if self._spec.mode == "lossless":
             raise InvalidArgument("exact samples", "them in mode lossless", "a mode that loses something")
@@ -131,7 +133,10 @@ class TouchEncoder:
         return self._finish(frames, reader.lattice, records, None)
 
     def key_frame(self, frame: ForceField, previous: ForceField | None) -> ForceField:
-        """`previous` if no force differs from it by more than a small fraction of the mask, else `frame`."""
+        """`previous` if every force of `frame` is close to it, else `frame`.
+
+        "Close" is a small fraction of the mask.
+        """
         if (
             previous is None
             or self._spec.mode not in ("mask", "mask-direction")
@@ -149,7 +154,7 @@ class TouchEncoder:
             raise InvalidArgument(f"frame {index}", found, f"that of the stream, {self._grid.shape}")
         vectors = frame.forces_n.reshape(-1, 3)
         longest_n = math.sqrt(np.einsum("ni,ni->n", vectors, vectors, dtype=np.float64).max(initial=0.0))
-        if not longest_n <= MAX_NEWTONS:  # NaN is not, either
+        if not longest_n <= MAX_NEWTONS:  # also true for NaN
             raise InvalidArgument(
                 f"frame {index}", f"a force of {longest_n:.3g} N", "finite newtons, 2^120 at most"
             )
@@ -162,7 +167,10 @@ class TouchEncoder:
         records: Sequence[FrameRecord],
         results: Sequence[Comparison] | None,
     ) -> CodedSegment:
-        """The finished segment; decoded and checked, unless `results` of comparing its frames are given."""
+        """The finished segment.
+
+        It is decoded and checked, unless `results`, the comparisons of its frames, are given.
+        """
         if results is None:
             decoder = TouchDecoder(self._grid, self.parameters)
             pairs = zip(frames, decoder.frames(write_body(lattice, records, None), len(frames)), strict=True)
@@ -188,11 +196,11 @@ _MAX_LEVELS: Final = (1 << 16) - 1
 
 
 def encode_exact(frames: Sequence[ForceField]) -> Iterator[tuple[bytes, _BitCounts]]:
-    """Code frames losslessly, each after the one before.
+    """Code frames losslessly, each predicted from the one before.
 
     `frames`: at least one; all on one grid, and finite. A sample whose three components are all 0.0 has no
-    force; one with a -0.0 has. Yields payloads, and the bits of support, amplitude and direction (of plain
-    components the first counts as the amplitude).
+    force; one with a -0.0 has. Yields for each frame the payload, and the bits of support, amplitude and
+    direction (if components are coded, the first counts as the amplitude).
     """
     common, previous = _find_palette(frames), None
     for frame in frames:
@@ -224,7 +232,10 @@ def _encode_exact_frame(
 
 
 def _find_palette(frames: Sequence[ForceField]) -> Palette | None:
-    """Levels and a codebook of which all forces are products; None if there are none or too many levels."""
+    """Find levels and a codebook whose products are all forces.
+
+    None if no codebook fits, there is no force, or there are too many levels.
+    """
     vectors = [frame.forces_n.reshape(-1, 3) for frame in frames]
     vectors = [v[v.view(np.uint32).any(axis=1)] for v in vectors]
     for name in _CODEBOOKS:
@@ -246,17 +257,20 @@ def _find_palette(frames: Sequence[ForceField]) -> Palette | None:
 
 
 def _symbols(vectors: Float32s, palette: Palette) -> Int64s:
-    """The level and the vertex, int64 [n, 2], of vectors that the palette can represent."""
+    """Level and vertex, int64 [n, 2], of vectors that the palette can represent."""
     levels = palette.levels.astype(np.float64)
     level = np.searchsorted(levels[1:] + levels[:-1], _bounds(vectors, palette.codebook).sum(axis=0))
     return np.stack([level, palette.codebook.nearest(vectors)], axis=1).astype(np.int64)
 
 
 def _bounds(vectors: Float32s, codebook: Codebook) -> Float64s:
-    """Range of levels whose rounded products with the nearest vertices are the vectors, float64 [2, n]."""
+    """Range of levels that give each vector, float64 [2, n].
+
+    The product of such a level with the nearest vertex rounds to the vector.
+    """
     vertices = codebook.vertices_float32[codebook.nearest(vectors)]
     v, d = np.abs(vectors.astype(np.float64)), np.abs(vertices.astype(np.float64))
-    with np.errstate(all="ignore"):  # overflow at the largest float32, and zeros of a vertex
+    with np.errstate(all="ignore"):  # overflow at the largest float32, and division by zero components
         half = np.spacing(np.abs(vectors)).astype(np.float64) / 2
         low = np.where(d > 0, (v - half) / d, 0).max(axis=1)
         return np.stack([low, np.where(d > 0, (v + half) / d, np.inf).min(axis=1)])

@@ -1,9 +1,9 @@
-"""Error bound of the coder `touch`, and its check on decoded frames (paper section 4.2, figure 2).
+"""Error bound of the coder `touch`, and its check on decoded frames.
 
-|F_dec - F| <= max(F_0, k |F|) at every voxel, including those without force, or the rule of mode
-"mask-direction". With spatial masking the bound is max(F_0, k |F| + what surrounding forces hide); in bricks
-without a force they hide nothing. The check compares with the decoder's own output in float64, as
-`touchfield.perception.mask` does.
+The bound (paper section 4.2, figure 2) is |F_dec - F| <= max(F_0, k |F|) at every voxel, including those
+without force, or the rule of mode "mask-direction". With spatial masking it is max(F_0, k |F| + m), where m
+is the error that surrounding forces hide; in bricks without a force they hide nothing. The check compares the
+original with the decoder's own output in float64, as `touchfield.perception.mask` does.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ class Comparison(NamedTuple):
 
 
 def masked_error_n(frame: ForceField, spec: TouchSpec) -> Float32s:
-    """Error that surrounding forces hide at each sample of a frame's bricks, newtons, float32 [n, 512].
+    """Error that surrounding forces hide at each sample of a frame's bricks.
 
-    Of shape [0, 512] without spatial masking.
+    Newtons, float32 [n, 512]; [0, 512] without spatial masking.
     """
     if not spec.masking:
         return _NO_MASKING
@@ -55,8 +55,8 @@ def compare_frames(
 ) -> Comparison:
     """Compare a decoded frame with its original under the error bound of `spec`.
 
-    Mode "lossless" compares every bit. Mode "nmse" has no bound; with `within_step` it is half a step.
-    `hidden_n` as returned by `masked_error_n`.
+    Mode "lossless" compares every bit. Mode "nmse" has no bound; with `within_step` the bound is half a step.
+    `hidden_n` is the result of `masked_error_n`.
     """
     keys, fields = keys_of_both(original, decoded), (original, decoded)
     if spec.mode == "lossless":
@@ -87,9 +87,10 @@ def compare_frames(
 def fraction_within_bound(
     original: ForceField, prediction: FixedField, unit_n: float, spec: TouchSpec
 ) -> float:
-    """Fraction of the voxels with a force in either field at which `prediction` is within the bound.
+    """Fraction of voxels at which `prediction` is within the error bound.
 
-    In mode "nmse" the bound is half a step. 1 if there is no such voxel.
+    The voxels counted are those of the original with a force, and all others that are outside the bound; the
+    fraction is 1 if none is outside. In mode "nmse" the bound is half a step.
     """
     result = compare_frames(
         original, prediction.field(original.grid, unit_n), spec, within_step=spec.mode == "nmse"

@@ -1,14 +1,15 @@
-"""Frames of the coder `touch`: scan order, state carried between frames, and decoding.
+"""Frames of the coder `touch`: scan order, state between frames, and decoding.
 
 Bricks are scanned from deep to shallow: axis 0 of a scan is the slowest, and each axis runs in the direction
-of the force. In scan coordinates components are permuted and signed accordingly, so that no other code
-depends on axes. The bytes of a frame: the scan order (one byte), the loss of force along each axis (three
-varints), then one arithmetic code of the list of bricks and of the bricks (`kernels.decode_pass`).
+of the force. In scan coordinates the components of a force are permuted and signed accordingly, so that no
+other code depends on the axes. A frame consists of the scan order (one byte), the loss of force along each
+axis (three varints), and one arithmetic code of the list of bricks and of their samples
+(`kernels.decode_pass`).
 
-The exact mode keeps every bit of a field that is quantised already (docs/format/touch-exact.md). A force is
-coded as a few symbols, its planes: a level and a vertex of a direction codebook, whose float32 product it is,
-as the coder `paper` quantises; or its three components. An inter frame continues with the models of the frame
-before it.
+The exact mode keeps every bit of a field that is already quantised (docs/format/touch-exact.md). A force is
+coded as a few symbols, one in each of several planes. They are a level and a vertex of a direction codebook,
+whose float32 product is the force, as the coder `paper` quantises; or the three components of the force. An
+inter frame continues with the models of the frame before it.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class ScanOrder:
     """Order and directions of a scan over the bricks of a grid."""
 
     grid: Grid
-    # the grid axis that is slowest in the scan, plus 4, 8, 16 where axes 0, 1, 2 of the scan run downwards
+    # index of the grid axis that is slowest in the scan, plus 4, 8, 16 if axis 0, 1, 2 of the scan runs
+    # downwards
     code: int
 
     @property
@@ -58,7 +60,10 @@ class ScanOrder:
         return self.code & np.array([4, 8, 16]) > 0
 
     def order(self, bricks: Int32s) -> tuple[Int64s, Int64s]:
-        """Bricks in scan coordinates, int64 [n, 3] in scan order, and the index of each in `bricks`."""
+        """Sort bricks in scan order.
+
+        Returns the bricks in scan coordinates, int64 [n, 3], and the index of each in `bricks`.
+        """
         axes = self.axes
         scan_bricks = bricks[:, axes].astype(np.int64)
         last = np.array(self.grid.brick_shape, np.int64)[axes] - 1
@@ -77,17 +82,23 @@ class ScanOrder:
         return out
 
     def unpermute(self, cells: Int32s, slots: Int64s) -> Int32s:
-        """Permute the cells [n, 512, 8] of a scan to vectors int32 [n, 8, 8, 8, 3] of the grid."""
+        """Permute cells of a scan, [n, 512, 8], to vectors of the grid.
+
+        int32 [n, 8, 8, 8, 3].
+        """
         out = np.empty((len(slots), _SAMPLES, 3), np.int32)
         kernels.turned(cells, slots, self.axes, self.down, np.int32(1), out)
         return out.reshape(-1, BRICK, BRICK, BRICK, 3)
 
     def scan(self, bricks: Int64s, reference: FixedField | None) -> Scan:
-        """Arguments of a pass over `bricks`, as `order` returns them, with a reference field."""
+        """Arguments of a coding pass over `bricks`, with a reference field.
+
+        `bricks` are those that `order` returns.
+        """
         axes, down = self.axes, self.down
         size = np.array(self.grid.shape, np.int64)[axes]
         count = np.array(self.grid.brick_shape, np.int64)[axes]
-        # samples outside the grid lie in its last bricks, which come first on an axis that runs downwards
+        # samples outside the grid lie in the last bricks, which come first on an axis that runs downwards
         rest = count * BRICK - size
         low = np.where(down & (bricks == 0), rest, 0)
         high = np.where(~down & (bricks == count - 1), BRICK - rest, BRICK)
@@ -135,7 +146,7 @@ def decode_frame(
 ) -> FixedField:
     """Decode a frame, and update `memory` in place.
 
-    `reference` is a field to predict from: a base layer, or the frame decoded before. CorruptFile or
+    `reference` is the field to predict from: a base layer, or the frame decoded before. CorruptFile or
     TruncatedFile if the bytes are not those of `frame_encoder.encode_frame`.
     """
     parts = Parts(payload, _WHERE)
@@ -161,11 +172,11 @@ class Palette(NamedTuple):
     """Mapping of symbols to forces."""
 
     book: int  # 1 + index of a codebook in `codebook_names`; 0: symbols are components
-    levels: Float32s  # [k]; ascending, where there is a codebook
+    levels: Float32s  # [k]; ascending; empty without a codebook
 
     @property
     def codebook(self) -> Codebook:
-        """The codebook, if there is one."""
+        """The direction codebook; only if `book` is not 0."""
         return Codebook.get(codebook_names()[self.book - 1])
 
     @property
@@ -209,23 +220,29 @@ class DecodedFrame(NamedTuple):
     models: Models
 
 
-# bricks that one brick of this mode counts for in the minimum size of a payload: it takes more memory
+# each brick of the exact mode counts as four in the minimum size of a payload, because it takes more memory
 BRICK_WEIGHT: Final = 4
 
 
 def _ordered(numbers: Int64s) -> Int64s:
-    """Map float32 bits, signed int64, to numbers that ascend with the value (-0.0 is -1); its own inverse."""
+    """Map the bits of float32, signed int64, to numbers that ascend with the value.
+
+    -0.0 becomes -1. The map is its own inverse.
+    """
     return np.where(numbers < 0, numbers ^ 0x7FFFFFFF, numbers)
 
 
 def components(forces: Float32s) -> Int64s:
-    """Component symbols of forces, float32 [..., 3]: int64 [any, 3]; -1 where there is no force."""
+    """Component symbols, int64 [any, 3], of forces, float32 [..., 3].
+
+    -1 where there is no force.
+    """
     floats = forces.reshape(-1, 3).view(np.int32)
     return np.where(floats.any(axis=1, keepdims=True), _ordered(floats.astype(np.int64)) + (1 << 31), -1)
 
 
 def models_after(previous: DecodedFrame | None) -> Models:
-    """Models of a frame: a copy of those after the frame before, or new ones."""
+    """Models for a frame: a copy of those after the frame before, or new ones."""
     return new_models(exact.CONTEXTS, exact.SETS) if previous is None else previous.models.copy()
 
 
@@ -233,8 +250,8 @@ def decode_exact(data: bytes, grid: Grid, previous: DecodedFrame | None) -> Deco
     """Decode a frame of `encoder.encode_exact`.
 
     `previous` is the frame before, or None for a frame coded on its own. TruncatedFile or CorruptFile if the
-    bytes are invalid. Takes memory for at most a quarter of the bricks that `codec.support` allows, some
-    32 KiB each, plus 2 MiB.
+    bytes are invalid. The number of bricks is limited to a quarter of what `codec.support` allows; each takes
+    some 32 KiB of memory, plus 2 MiB in all.
     """
     palette, data = Palette.read(data, previous and previous.palette)
     models = models_after(previous)
@@ -261,7 +278,10 @@ def decode_exact(data: bytes, grid: Grid, previous: DecodedFrame | None) -> Deco
 def exact_frame(
     grid: Grid, bricks: Int32s, palette: Palette, symbols: Int64s, previous: DecodedFrame | None
 ) -> exact.Frame:
-    """Arguments of the pass over the samples; it codes or fills `symbols`, int64 [512 * bricks, planes]."""
+    """Arguments of the exact pass, which codes or fills `symbols`.
+
+    `symbols`: int64 [512 * bricks, planes].
+    """
     origins = bricks.astype(np.int64)
     neighbours, previous_symbols = (
         neighbour_slots(origins, origins, grid.brick_shape),

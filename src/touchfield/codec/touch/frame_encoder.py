@@ -1,9 +1,9 @@
-"""Encoding of a frame of the coder `touch`: error limits, scan order, step table, pass, and mode decision.
+"""Encoding of a frame of the coder `touch`: limits, scan order, mode decision.
 
-A frame is coded with or without the frame before, and with or without a base layer. The fewest bytes win, in
-mode "nmse" the least cost of bytes and errors. A cell of the lattice with three equal edges s has the half
-diagonal s sqrt(3) / 2: it lies within the ball of the mask if s <= 2 / sqrt(3) max(F_0, k |F|).
-Steps along and across the force differ in mode "mask-direction", whose ball is a disc of
+A frame is coded with or without the frame before, and with or without a base layer. The mode with the fewest
+bytes is chosen; in mode "nmse" that with the least cost of bytes and errors. A cell of the lattice with three
+equal edges s has the half diagonal s sqrt(3) / 2: it lies within the ball of the mask if s <= 2 / sqrt(3)
+max(F_0, k |F|). Steps along and across the force differ in mode "mask-direction", whose mask is a disc of
 directions times a span of lengths.
 """
 
@@ -38,13 +38,13 @@ from touchfield.medium import ForceField, Grid
 _CELL: Final = 1.17
 """Edge of a cell over max(F_0, k |F|).
 
-2 / sqrt(3) = 1.1547 fits without any rounding. Only the corners of a somewhat larger cell are outside the
-ball, and an encoder then takes another point; from 1.25 on there are too many outliers.
+A cell with 2 / sqrt(3) = 1.1547 fits the ball exactly. Of a slightly larger cell only the corners are outside
+the ball, and the encoder then chooses another point; from 1.25 on there are too many outliers.
 """
 
-# the same along the force in mode "mask-direction", whose span of lengths alone would allow 2; measured
+# edge along the force over k |F| in mode "mask-direction"; the span of lengths alone would allow 2; measured
 _SPAN: Final = 1.8
-_SPAN_FLOOR: Final = 1.25  # the same where F_0 applies: a ball again, for short forces
+_SPAN_FLOOR: Final = 1.25  # edge along the force over F_0, where the mask is a ball again (short forces)
 # edge of a square cell over the radius of the disc that contains it, with a margin for rounding
 _DISC: Final = 0.97 * math.sqrt(2)
 # mode "nmse", both measured: largest error in steps, and the price of a bit in squared steps
@@ -54,7 +54,10 @@ _ROUNDING: Final = 2e-6  # relative rounding error of a force
 
 
 def lattice_for(spec: TouchSpec, longest_n: float) -> Lattice:
-    """Lattice of a segment whose longest force is `longest_n`; a uniform step is at least 1/3120 of it."""
+    """Lattice of a segment whose longest force is `longest_n`.
+
+    A uniform step is at least 1/3120 of that force.
+    """
     unit_n = float(np.float32(max(longest_n / TOP, SMALLEST_UNIT_N)))
     if spec.mode == "nmse":
         step = max(_below(FLOOR_LIMIT, spec.step_n / unit_n), MIN_FLOOR)
@@ -68,7 +71,10 @@ def lattice_for(spec: TouchSpec, longest_n: float) -> Lattice:
 
 
 def limits_for(spec: TouchSpec, lattice: Lattice) -> Limits:
-    """Error limits of the passes, in units, minus the rounding of whole units to float32 newtons."""
+    """Error limits of the passes, in units.
+
+    They are reduced by the rounding of whole units to float32 newtons.
+    """
     exact = spec.support == "exact"
     if spec.mode == "nmse":
         return Limits(0.0, _BALL * lattice.floor, 0.0, exact)
@@ -84,7 +90,7 @@ def _below(limit: int, number: float) -> int:
 
 
 class CodedFrame(NamedTuple):
-    """A coded frame, with the decoder's result and state after it."""
+    """A coded frame, with the decoder's result and the state after it."""
 
     payload: bytes
     decoded: FixedField
@@ -94,7 +100,7 @@ class CodedFrame(NamedTuple):
 
 
 def _scan_order(vectors: Float32s, grid: Grid) -> ScanOrder:
-    """Scan order along the force on every axis.
+    """Scan order that follows the force on every axis.
 
     The slowest axis is that of the largest total force; of two similar ones, that of the coarser spacing.
     """
@@ -110,7 +116,10 @@ def encode_frame(
     frame: ForceField, lattice: Lattice, reference: FixedField | None, start: Memory, limits: Limits,
     hidden_n: Float32s,
 ) -> CodedFrame:  # fmt: skip
-    """Code a frame, given what `frame.decode_frame` has; `hidden_n` from `error_bound.masked_error_n`."""
+    """Code a frame, given the inputs of `frame.decode_frame`.
+
+    `hidden_n` is the result of `error_bound.masked_error_n`.
+    """
     bricks, scale = frame.bricks, 1.0 / np.float64(np.float32(lattice.unit_n))
     scan_order = _scan_order(frame.forces_n, frame.grid)
     scan_bricks, order = scan_order.order(bricks)
@@ -136,10 +145,11 @@ def encode_frame(
     )
 
 
-# fractions of voxels within the bound: in the frame before, from which on a frame is coded as inter frame,
-# and no base layer is fitted; and in a base layer, from which on no other way is tried
+# thresholds on fractions of voxels within the bound. Of the frame before as a prediction: a frame is coded as
+# an inter frame from _MIN_INTER on, and no base layer is fitted from _NO_BASE_LAYER on. Of a base layer:
+# nothing else is tried from _ONLY_BASE_LAYER on.
 _MIN_INTER, _NO_BASE_LAYER, _ONLY_BASE_LAYER = 0.1, 0.8, 0.85
-_MIN_GAIN: Final = 0.03  # of a frame's bytes: if a base layer saves less, no other is fitted in the segment
+_MIN_GAIN: Final = 0.03  # if a base layer saves less than this fraction, the segment fits no further ones
 
 _BaseLayer = tuple[bytes, FixedField]
 
@@ -155,7 +165,10 @@ class ModeDecision:
         self._tries_base_layer = spec.guess == "auto"
 
     def encode(self, frame: ForceField, hidden_n: Float32s) -> tuple[CodedFrame, bool, bytes]:
-        """Code the next frame; also return whether it is an inter frame, and the bytes of its base layer."""
+        """Code the next frame.
+
+        Also returns whether it is an inter frame, and the bytes of its base layer (empty if it has none).
+        """
         previous, interframe = self._previous, self._spec.interframe
         inter_fraction = 0.0
         if previous is not None and interframe == "auto":
@@ -173,7 +186,7 @@ class ModeDecision:
             reference = base_layer[1] if base_layer else inter_reference
             coded = encode_frame(frame, self._lattice, reference, memory, self._limits, hidden_n)
             results.append(coded)
-            # bytes; in mode "nmse" plus the price of the errors
+            # bytes, and in mode "nmse" the price of the errors
             price = coded.squared_error / self._lattice.floor**2 / (8 * _BIT_PRICE)
             costs.append(price + len(coded.payload) + (len(base_layer[0]) if base_layer else 0))
         if len(results) > 1:

@@ -1,9 +1,9 @@
-"""Units and step sizes of the coder `touch`, in integers that are the same for encoder and decoder.
+"""Units and step sizes of the coder `touch`, in integers.
 
-Forces are multiples of a unit. Prediction works on these integers; newtons appear only in the last step
-(`FixedField.field`). The steps of the lattice grow with the force, so that a cell fits the ball of the mask
-(paper section 4.2, Weber's law): half diagonal max(F_0, k |F|), see `frame_encoder`. The lattice is one of
-forces, not of places.
+Encoder and decoder use the same integers. Forces are multiples of a unit, and prediction works on these
+multiples; newtons appear only in the last step (`FixedField.field`). The steps of the lattice grow with the
+force, so that a cell fits the ball of the mask (paper section 4.2, Weber's law), whose radius is max(F_0, k
+|F|); see `frame_encoder`. The lattice divides the space of force vectors, not the workspace.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import field_without_empty_bricks
 
-TOP: Final = 1 << 16  # length in units of the longest original of a segment; the encoder sets the unit by it
+# length in units of the longest force of a segment, from which the encoder derives the unit
+TOP: Final = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,10 @@ class FixedField:
     vectors: Int32s
 
     def field(self, grid: Grid, unit_n: float) -> ForceField:
-        """The forces in newtons: one float32 product each, the only floating-point step of the decoder."""
+        """The forces in newtons.
+
+        Each is one float32 product, the only floating-point step of the decoder.
+        """
         forces = np.multiply(self.vectors, np.float32(unit_n), dtype=np.float32, casting="unsafe")
         return field_without_empty_bricks(grid, self.bricks, forces)
 
@@ -52,7 +56,7 @@ RATE_LIMIT: Final = 1 << 17
 
 # smallest normal float32: products with it are exact also on machines that flush subnormal numbers to zero
 SMALLEST_UNIT_N: Final = 2.0**-126
-MAX_NEWTONS: Final = 2.0**120  # largest force that is coded: three times as much is still a float32
+MAX_NEWTONS: Final = 2.0**120  # largest force that can be coded; three times as much still fits in a float32
 
 
 @dataclass(frozen=True)
@@ -93,10 +97,10 @@ class Lattice:
 
 @lru_cache(maxsize=8)
 def warp_of(floor: int, rate: int) -> Int64s:
-    """Amplitude at each sixteenth of a step, int64 [n], ascending, in 1/256 units; read-only.
+    """Amplitude at each sixteenth of a step, int64 [n], in 1/256 units; read-only.
 
-    It starts at 0; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border,
-    until that exceeds 2^18 units.
+    It ascends from 0. Each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the
+    border, until that exceeds 2^18 units.
     """
     borders = [0]
     while borders[-1] <= 1 << 26:

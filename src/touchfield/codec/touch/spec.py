@@ -29,10 +29,10 @@ class TouchSpec:
     f0_n: float = option(0.05, "F_0 of the error bound, newtons. [default: 0.05]")
     """F_0, newtons, 0 or more."""
     mode: str = option("mask", "mask (|error| <= max(F_0, k |F|); default), mask-direction, or nmse.")
-    """One of "mask" (the error bound above); "mask-direction" (| |F_dec| - |F| | <= max(F_0, k |F|), and if
-    |F| > F_0 / sin(direction JND) the angle between is at most `direction_jnd_deg`; elsewhere the error is at
-    most F_0); "nmse" (no error bound: a mean squared error for the fewest bytes, by `step_n`); "lossless" (a
-    field that is quantised already, exactly as it is)."""
+    """One of "mask" (the error bound above); "mask-direction" (| |F_dec| - |F| | <= max(F_0, k |F|), and the
+    angle between both forces is at most `direction_jnd_deg` if |F| > F_0 / sin(`direction_jnd_deg`);
+    elsewhere the error is at most F_0); "nmse" (no error bound: the fewest bytes for a mean squared error,
+    which `step_n` sets); "lossless" (bit for bit, for a field that is already quantised)."""
     direction_jnd_deg: float = option(18.4, "mask-direction: greatest angle, degrees. [default: 18.4]")
     """Just noticeable difference of a direction, degrees, above 0 and below 90 (docs: Barbagli 2006, Tan
     2006).
@@ -40,23 +40,24 @@ class TouchSpec:
     step_n: float = option(0.05, "mode nmse: step of the lattice, newtons. [default: 0.05]")
     """Step of the uniform lattice of mode "nmse", newtons."""
     effort: str = option("default", "default, or fast: 1.2 to 1.6 times as quick, decodes nothing to check.")
-    """Either "fast" or "default"; both keep the error bound. "fast" checks it on the encoder's own
-    reconstruction, which a decoder reproduces bit for bit, and codes 1.2 to 1.6 times as quickly; "default"
-    decodes its bytes. Both write the same bytes."""
+    """Either "fast" or "default"; both write the same bytes and keep the error bound. "default" decodes its
+    own bytes to check the bound. "fast" checks the encoder's reconstruction, which a decoder reproduces bit
+    for bit, and codes 1.2 to 1.6 times as quickly."""
     support: str = option("movable", "movable (where |F| is at most F_0), or exact. [default: movable]")
-    """Either "movable": a force of at most F_0 may vanish, and one of at most F_0 may appear; or "exact"."""
+    """Either "movable" (a force of at most F_0 may vanish or appear) or "exact" (the support is kept)."""
     masking: float = option(0.0, "fraction of the mean surrounding force that hides errors. [default: 0]")
     """Spatial masking, mode "mask" only: fraction beta, 0 to 1, of the mean surrounding force that hides an
     error at a voxel. The error bound is then max(F_0, k |F| + beta mean), see
     `touchfield.perception.SpatialMasking`. 0: none."""
     masking_radius_m: float = 0.0025
-    """R of that mean, metres: two-point threshold of the skin, by default of a finger."""
+    """Radius R of that mean, metres: the two-point threshold of the skin, by default that of a finger."""
     guess: str = "auto"
-    """Whether a frame may have a base layer (spline or columns): "auto" (if that is smaller), or "off"."""
+    """Whether a frame may have a base layer (spline or columns): "auto" (the encoder decides), or "off"."""
     interframe: str = option("auto", "auto, off or on. [default: auto]")
-    """Whether a frame is predicted from the one before: "auto" (if that is smaller), "off", "on"."""
+    """Whether a frame is predicted from the one before: "auto" (if enough of it is within the bound), "off",
+    "on"."""
     segment_frames: int | None = option(None, "frames a segment. [default: half a second, 8 to 64]")
-    """Frames in an independent segment, 1 to 4096; None: by the medium's rate (`codec.segment`)."""
+    """Frames in an independent segment, 1 to 4096; None: from the medium's rate (`codec.segment`)."""
 
     def __post_init__(self) -> None:
         require_kinds(self, **_CHOICES)
@@ -77,7 +78,10 @@ class TouchSpec:
 
 
 def _spec(options: dict[str, Any]) -> TouchSpec:
-    """Spec from options, with the mode they imply; InvalidArgument for one without effect in that mode."""
+    """Spec from options, with the mode they imply.
+
+    InvalidArgument for an option without effect in that mode.
+    """
     values = dict(options)
     if values.pop("lossless_quantised", False):
         for key in ("mode", "k", "f0_n", "support"):

@@ -1,4 +1,7 @@
-"""Small tasks of the coder `touch` that compile the kernels a first ``touchfield encode`` waits for."""
+"""Tasks that compile the kernels of the coder `touch`.
+
+They are the kernels that a first ``touchfield encode`` waits for.
+"""
 
 from __future__ import annotations
 
