@@ -3,11 +3,11 @@
 The paper (section 5.1, scene 2) makes 800 frames at 1 kHz from 20 depth maps by linear interpolation, without
 a formula. Here frame j shows the source at t = j / rate, and source frame i lies at t = i / source rate, so
 that 20 frames at 25 Hz become 20 / 25 s * 1000 Hz = 800 frames. These span 19 intervals only: after the last
-picture that picture is repeated (the last 40 of those 800).
+picture, that picture is repeated (the last 40 of the 800 frames).
 
 Depth maps are interpolated pixel by pixel, without motion estimation. Where a pixel changes between a near
 and a far object, linear interpolation yields depths in between, a surface that does not exist; "nearest"
-avoids this. A rate below the source's samples in the same way, without a low-pass.
+avoids this. A rate below that of the source takes samples in the same way, without a low-pass filter.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class DepthSequence(ABC):
     intrinsics: Intrinsics
     rate_hz: float
     poses: Float64s | None = None  # [frame_count, 4, 4], camera to world, metres
-    is_captured = False  # a frame is captured when it is requested; old ones are gone
+    is_captured = False  # live source: a frame is captured on request, and old frames are gone
     notes: tuple[str, ...] = ()  # messages for the user
 
     @abstractmethod

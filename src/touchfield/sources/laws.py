@@ -1,9 +1,10 @@
-"""Force laws: how a surface pushes, guides or attracts a point (paper section 4; its [21] has no formula).
+"""Force laws: how a surface pushes, guides or attracts a point (paper section 4).
 
-Every law acts along the outward surface normal n and depends on the signed distance phi alone (negative
-inside, d = -phi the penetration depth), so that F = f(phi) n. f is piecewise linear and may jump. Kernels
-evaluate such pieces, so a new law needs no new kernel. Lengths of a law are metres of *hand* motion: a wall
-of 500 N/m feels the same whether the scene is a room or a coin. Laws can be summed: ``penalty+proximity``.
+The paper gives no formula, nor does its reference [21]. Every law acts along the outward surface normal n and
+depends on the signed distance phi alone (negative inside, d = -phi the penetration depth), so that F = f(phi)
+n. f is piecewise linear and may jump. Kernels evaluate such pieces, so a new law needs no new kernel. Lengths
+of a law are metres of *hand* motion: a wall of 500 N/m feels the same whether the scene is a room or a coin.
+Laws can be summed: ``penalty+proximity``.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ class ForceProfile:
 
     pieces : tuple of (low_m, high_m, intercept_n, slope_n_per_m); A piece applies to low_m < phi <= high_m.
         The pieces are in ascending order and do not overlap; the first low_m may be -inf.
-    surface_damping_n_s_per_m : float; b of a moving surface: where f acts, b times the velocity of the
-        surface is added to the force, so that with the receiver's own damping b (paper section 3.2) F_d = -b
-        (v_hand - v_surface). A static scene adds nothing.
+    surface_damping_n_s_per_m : float; Damping b of a moving surface: where f acts, b times the velocity of
+        the surface is added to the force, so that with the receiver's own damping b (paper section 3.2) F_d =
+        -b (v_hand - v_surface). A static scene adds nothing.
     """
 
     pieces: tuple[tuple[float, float, float, float], ...]
@@ -103,7 +104,7 @@ class LawSpec:
     thickness_m : float or None; Thickness of a wall behind the surface; ``inf`` for a solid; None for
         the default of the source.
     band_m : float; Reach of the proximity and magnetic laws, metres.
-    surface_damping_n_s_per_m : float; b of a moving surface, see `ForceProfile`; 0 for none.
+    surface_damping_n_s_per_m : float; Damping b of a moving surface (see `ForceProfile`); 0 for none.
     """
 
     law: str = "penalty"

@@ -112,7 +112,7 @@ def checked_poses(matrices: Float64s, where: str) -> Float64s:
     """Check matrices, metres, float64 [n, 3, 4] or [n, 4, 4], and return poses float64 [n, 4, 4].
 
     Rotations are made orthonormal. Raises `SourceError`, which names the entry, if a number is not finite, a
-    fourth row is not 0 0 0 1, or a rotation has an error of more than 1 % or mirrors.
+    fourth row is not 0 0 0 1, or a rotation has an error of more than 1 % or is a reflection.
     """
     poses = np.tile(np.eye(4), (len(matrices), 1, 1))
     poses[:, : matrices.shape[1]] = matrices
@@ -145,7 +145,10 @@ def poses_of_quaternions(quaternions: Float64s, positions_m: Float64s, where: st
 
 
 def seconds(stamps: Float64s) -> Float64s:
-    """Convert time stamps to seconds: larger than seconds since 1970 are milli-, micro- or nanoseconds."""
+    """Convert time stamps to seconds.
+
+    Stamps that are too large for seconds since 1970 are taken as milli-, micro- or nanoseconds.
+    """
     size = float(np.abs(stamps).max(initial=0.0))
     units = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
     unit = next((unit for threshold, unit in units if threshold <= size < 1e20), 1.0)
@@ -155,7 +158,7 @@ def seconds(stamps: Float64s) -> Float64s:
 def nearest_in_time(times_s: Float64s, query_s: Float64s, tolerance_s: float) -> Int64s:
     """Return the index of the time nearest to each of `query_s`, int64 [m].
 
-    Returns -1 beyond the tolerance.
+    The index is -1 if no time is within the tolerance.
 
     `times_s` float64 [n] ascending.
     """

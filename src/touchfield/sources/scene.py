@@ -1,7 +1,7 @@
 """Base class of scenes: generators of force fields, evaluated on any lattice.
 
 A scene keeps its geometry (depth maps, triangles, a formula) and is never voxelised as a whole: the device
-filter requests the field on the lattice that it needs (design: "keep the generator").
+filter requests the field on the lattice that it needs.
 """
 
 from __future__ import annotations
@@ -82,8 +82,7 @@ class Scene(ABC):
         something else.
     exaggeration : float; Factor already applied to the heights (z) of a height map.
     is_captured : bool; Frames are captured when they are requested (`touchfield.sources.depth.capture`).
-    stored : HapticMedium or None; The field that the scene is, if its forces are stored; None if they are
-        computed.
+    stored : HapticMedium or None; The stored force field of the scene; None if the forces are computed.
     has_gpu : bool; Forces are computed on a GPU if one is selected (`touchfield.compute.cuda.computing`).
     report : callable; ``report(done, total)`` is called while the scene prepares its first field; callers may
         set it.

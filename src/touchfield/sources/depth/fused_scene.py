@@ -51,33 +51,37 @@ if TYPE_CHECKING:
 
 WORLDS: Final = ("fused", "causal")
 
-# of a causal world; measured in docs/decisions/0013
+# constants of a causal world, measured in docs/decisions/0013
 FIRST_WEIGHT: Final = 16.0
-"""Weight of the first observation of a surface: a seventh fewer samples then change from frame to frame."""
+"""Weight of the first observation of a surface: a seventh fewer samples change between frames than with 1.
+"""
 RENEWALS_HZ: Final = 8.0
-"""Rate at which static parts are updated: saves a third of the bytes and most perceptible steps."""
+"""Rate at which static parts are updated; it saves a third of the bytes and most perceptible steps."""
 CHANGED_SAMPLES: Final = 8
-"""A brick of 512 samples follows every frame once this many changed: an eighth of a plane."""
+"""A brick (512 samples) follows every frame once this many of its samples changed: an eighth of a plane."""
 
 PATCH_FRACTION: Final = 1 / 12
-"""Width of a moving patch as a fraction of the picture's height; pose errors make narrow seams."""
+"""Width of a moving patch as a fraction of the picture's height; seams of pose errors are narrower.
+"""
 PATCH_DENSITY: Final = 0.7  # fraction of the pixels of a patch that see a changed sample
-STATIC_FRACTION: Final = 0.7  # pixels that agree between two frames if a camera without poses is static
+STATIC_FRACTION: Final = 0.7  # minimum fraction of pixels that agree between two frames of a static camera
 DRIFT_FACTOR: Final = 2.0  # poses drift if the residual of the last quarter is this many times the first's
 RESIDUAL_FACTOR: Final = 3.0
 """A neighbourhood is at least this many mean residuals of a view: pose errors exceed those of the sensor."""
 OUTLIER_FACTOR: Final = 1.5  # a view is an outlier if its residual is this many times the median so far
 _BYTES_PER_BRICK = 512 * (5 * 4 + 4)
 _MAX_PLANES_BYTES = 256 << 20
-_MAX_WORLDS = 16  # an array requests its depth in slabs, each a grid
+_MAX_WORLDS = 16  # the depth of an actuator array is requested in slabs, each with its own grid
 
 
 class FusedVolume:
-    """Fused observations of the samples of a lattice, in bricks int32 [n, 3] in the order of addition.
+    """Fused observations of the samples of a lattice.
 
-    `step_per_m` is the noise of the sensor in inverse depth; the first observation of a surface has the
-    weight `first_weight`: above 1, forces vary less while the mean settles. `residuals_m` are the mean
-    residuals of the views.
+    `bricks` int32 [n, 3] are in the order in which they were added.
+
+    `step_per_m` is the noise of the sensor in inverse depth. `first_weight` is the weight of the first
+    observation of a surface: a weight above 1 makes forces vary less while the mean settles. `residuals_m`
+    are the mean residuals of the views.
     """
 
     def __init__(
@@ -119,7 +123,8 @@ class FusedVolume:
     def integrate(self, surface: SurfacePlanes, pose: Float64s) -> None:
         """Update the samples with a view; `pose` is scene from camera, float64 [4, 4].
 
-        A view with a residual far above that of the views before it (a pose error) marks no changes.
+        A view whose residual is far above that of the views before it, which indicates a pose error, marks no
+        changes.
         """
         samples, changes = self.samples, None
         view, residual_m = self._view(
@@ -194,8 +199,8 @@ class FusedScene(DepthScene):
 
         It is the same object if nothing moves.
 
-        The first request for a lattice and profile processes all frames (a causal world: those up to
-        `frame`).
+        The first request for a lattice and profile processes all frames; in a causal world, the frames up to
+        `frame`.
         """
         require_frame(frame, self.frame_count)
         with self._lock:

@@ -6,8 +6,8 @@ scikit-image's ``stereo_motorcycle``. Values that are 0 or not finite are unknow
 
 *Relative depth* from monocular estimators (MiDaS: Ranftl et al., TPAMI 2022; Depth Anything: Yang et al.,
 CVPR 2024) has no unit. With s from 0 to 1 between the smallest and the largest value of all frames, larger
-values being nearer, 1/z = (1 - s)/far + s/near. For a map whose larger values are farther, give a far smaller
-than near.
+values being nearer, 1/z = (1 - s)/far + s/near. If larger values of a map are farther away, give a far
+distance smaller than the near one.
 
 Such a map belongs to a picture or video by its name (``NAME_depth.png``, ``NAME.depth.png``,
 ``NAME-depth.npy``, with any text after "depth"), or through ``--relative-depth``, which for a video is a grey
@@ -41,9 +41,11 @@ _KITTI_UNITS_PER_PX: Final = 256.0
 
 DEFAULT_NEAR_M: Final = 1.0
 FIELD_OF_VIEW_DEG: Final = 60.0
-"""Default across the width: between a phone's main camera (about 65) and a webcam (about 55)."""
+"""Default horizontal field of view: between a phone's main camera (about 65) and a webcam (about 55).
+"""
 SHAPE_TOLERANCE: Final = 0.03
-"""Between the aspect ratios of map and picture: estimators round to multiples of 14 or 32 px."""
+"""Tolerance of the aspect ratio of a map: estimators round sizes to multiples of 14 or 32 px.
+"""
 
 
 # -- disparity ---------------------------------------------------------------------------------------------
@@ -136,7 +138,7 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
 
 
 def _pfm(path: Path) -> Float32s:
-    """Read a grey PFM picture, of any byte order."""
+    """Read a grey PFM picture of either byte order."""
     expected = "a grey PFM picture, which begins with Pf"
     with pictures.opened(path, ("PPM",), expected) as image:
         pictures.bound_pixels(path, image.width, image.height)

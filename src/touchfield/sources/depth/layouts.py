@@ -5,7 +5,7 @@ tum         TUM RGB-D (Sturm et al., IROS 2012), Bonn's and ICL-NUIM's: value / 
 redwood     Redwood (Choi et al., CVPR 2015) and Open3D.
 sun3d       SUN3D (Xiao et al., ICCV 2013), the recordings of the paper's section 5.2 ("hotel barcelona"):
             ``depth/FRAME-MICROSECONDS.png`` with rotated bits, and ``extrinsics/*.txt`` with the 3x4
-            camera-to-world matrices of all colour frames; of several files the last is the newest.
+            camera-to-world matrices of all colour frames; the last of several files is the newest.
 3dmatch     3DMatch (Zeng et al., CVPR 2017) and 7-Scenes (Shotton et al., CVPR 2013), one part (``seq-01``).
             ``camera-intrinsics.txt`` lies beside the frames or one folder up.
 others      (depth-folder, depth-map, depth-stack, depth-video) Scale and intrinsics must be given as options
@@ -109,7 +109,7 @@ class Layout:
     """A layout of depth sequences on disk: a folder, unless `is_file`.
 
     name, summary, recognise : As of `SourceKind`.
-    units_per_m : Stored units in a metre, unless an option or a file gives them; None if one of them must.
+    units_per_m : Stored units in a metre, unless an option or a file gives them; None if there is no default.
     camera : Default camera of pictures of 640 x 480, or ``camera(path)`` that returns it.
     poses : ``poses(path, paths)`` if the layout has its own form of poses; returns None if there are none.
     is_rotated : See `DepthCode`; the scale is then that of the layout or of the options.
@@ -362,7 +362,7 @@ def _list_plain(path: Path) -> PictureSet:
 
 
 def _depth_pictures(folder: Path) -> tuple[Path, ...]:
-    """Return the pictures of a folder; only those named like depth, if there are any."""
+    """Return the pictures of a folder, or only those with "depth" in their name if there are any."""
     paths = next((list_files(folder, form) for form in _PLAIN if has_files(folder, form)), ())
     return tuple([path for path in paths if "depth" in path.stem.lower()] or paths)
 

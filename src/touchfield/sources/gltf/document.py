@@ -37,7 +37,7 @@ HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights
 
 
 class Element(JsonValue):
-    """A JSON value of a document, `owner`."""
+    """A JSON value of the document `owner`."""
 
     owner: Document
 
@@ -45,7 +45,10 @@ class Element(JsonValue):
         return key in self.members()
 
     def number_of(self, of: str | int) -> int:
-        """Return this value as an index into a list of the document, or below the number `of`."""
+        """Return this value as an index.
+
+        `of` is the name of a list of the document, or a number that the index must be below.
+        """
         count = len(self.owner.all(of)) if isinstance(of, str) else of
         if not count:
             raise self.refused("none, as there are no such things")
@@ -124,7 +127,7 @@ class Document:
         self._elements = {key: [*self.root.at(key, []).elements()] for key in _LISTS}
 
     def all(self, key: str) -> list[Element]:
-        """Return the objects of a top-level list: accessors, nodes, ..."""
+        """Return the objects of a top-level list, such as accessors or nodes."""
         return self._elements[key]
 
     def charge(self, elements: int, element: Element) -> None:

@@ -147,7 +147,7 @@ def opened(
     require_plain(path, "a picture")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of large pictures: callers bound the size before decoding
+            warnings.simplefilter("ignore")  # about large pictures: callers bound the size first
             image = Image.open(path, formats=formats)
         with image:
             yield image
@@ -199,8 +199,8 @@ def picture_header(path: Path) -> PictureHeader:
 def read_picture(path: Path) -> NDArray[Any]:
     """Read the samples of a single-channel PNG, TIFF, PGM or NPY picture, [height, width].
 
-    uint8, uint16, int32 or float32 for PNG, TIFF and PGM; any integer or float type for NPY. In native byte
-    order, C-contiguous, writeable.
+    The type is uint8, uint16, int32 or float32 for PNG, TIFF and PGM, and any integer or float type for NPY.
+    The array is in native byte order, C-contiguous and writeable.
     """
     header = picture_header(path)
     if header.channels != 1 or not header.sample:
@@ -258,7 +258,7 @@ def read_map(path: Path) -> NDArray[Any]:
 def photo_size(path: Path) -> tuple[int, int]:
     """Read width and height of a photograph as displayed, from its header.
 
-    Raises `SourceError` if it is none.
+    Raises `SourceError` if the file is in none of the formats `PHOTO_FORMATS`.
     """
     with opened(path, PHOTO_FORMATS, "PNG, JPEG, WebP, BMP or TIFF") as image:
         width, height = image.size
@@ -332,9 +332,9 @@ def has_pages(path: Path) -> bool:
 
 
 class InOrder(ABC):
-    """Arrays over time, computed in order: one pass computes each once.
+    """Arrays over time that are computed in order.
 
-    The latest is cached.
+    A pass in order computes each array once; the latest one is cached.
     """
 
     def __init__(self, name: str, frame_count: int) -> None:
@@ -350,7 +350,7 @@ class InOrder(ABC):
 
     @abstractmethod
     def _iterate(self, first: int) -> Iterator[NDArray[Any]]:
-        """Yield the arrays from such a frame on."""
+        """Yield the arrays from frame `first` on, at which decoding can start."""
 
     def at(self, frame: int) -> NDArray[Any]:
         """Return the array of a frame, which must not be changed."""

@@ -194,7 +194,7 @@ def _elements(model: Path) -> list[tuple[str, dict[str, str]]]:
     return elements
 
 
-# -- what of the bodies can be touched ---------------------------------------------------------------------
+# -- touchable parts of the bodies -------------------------------------------------------------------------
 def _pieces_of(
     mujoco: Any, model: Any, where: str, shell: str
 ) -> tuple[list[tuple[str, int, Scene]], tuple[str, ...]]:

@@ -62,7 +62,7 @@ class CurlFree:
     length_m: float  # l of the kernel
     relative_error: float  # RMS of the leave-one-out errors, over that of the forces
     noise: float  # variance of the residual, over that of the field
-    scale_n: float  # prior standard deviation of a component: that of the forces
+    scale_n: float  # prior standard deviation of a force component
 
     @classmethod
     def through(
@@ -174,7 +174,7 @@ def require_contacts(trace: ContactTrace, where: str) -> None:
 class ContactScene(Scene):
     """Recorded forces as a static field.
 
-    Raises `SourceError` as in `require_contacts`, or if there are too few.
+    Raises `SourceError` as `require_contacts` does, or if there are too few contacts.
     """
 
     axes = UP_Z_AXES

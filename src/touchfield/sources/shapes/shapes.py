@@ -125,7 +125,7 @@ class _RotatedShape(Shape):
     def axes(self) -> Float64s:
         """Matrix whose columns are the axes of its frame, float64 [3, 3].
 
-        `move_shape` rotates it, too.
+        `move_shape` also rotates it.
         """
         return rotation_matrix(self.rotation_deg)
 
@@ -134,7 +134,7 @@ class _RotatedShape(Shape):
         return phi, normal @ self.axes.T
 
     def box_m(self) -> Float64s:
-        """See `Shape`; for a superquadric that of its cuboid."""
+        """See `Shape.box_m`; for a superquadric, the box of its cuboid."""
         return _box_around(self.center_m, self._reach(self.axes))
 
     def _local(self, points: Float64s) -> Float64s:
@@ -348,7 +348,11 @@ def rotation_matrix(rotation_deg: Triple) -> Float64s:
 
 
 def _of_faces(beyond: Float64s) -> tuple[Float64s, Float64s]:
-    """Signed distance to a block and normal weights, from the distances beyond each pair of faces [n, d]."""
+    """Return the signed distance to a block and the weights of its normals.
+
+    `beyond` [n, d] are the distances beyond each pair of faces.
+
+    """
     outside = np.maximum(beyond, 0.0)
     distance = np.sqrt((outside * outside).sum(axis=-1))
     is_out = distance > 0

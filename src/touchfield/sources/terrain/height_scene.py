@@ -68,9 +68,9 @@ _Heights = NDArray[np.floating[Any]]
 class HeightLattice:
     """Positions of the samples of a height map, and its solid side.
 
-    Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are signed. `facing` 1 is solid
-    below the surface, -1 beyond it, where z points away from the viewer. Neighbours that differ by more than
-    `step_m` in height are separated by a step.
+    Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are signed. `facing` is 1 if the
+    solid lies below the surface, and -1 if it lies behind the surface and z points away from the viewer.
+    Neighbours that differ by more than `step_m` in height are separated by a step.
     """
 
     x0_m: float
@@ -101,7 +101,8 @@ class HeightScene(MovingScene):
     `heights_m` are metres, NaN where unknown: [rows, cols], [frames, rows, cols], a sequence of arrays, or a
     callable ``heights(frame) -> [rows, cols]`` for `frame_count` frames. `cell_m` is (dy, dx), the distance
     between neighbouring rows and columns, metres: row 0 is then north, the last row at y = 0 and column 0 at
-    x = 0; a `HeightLattice` gives other positions. `exaggeration` is a factor on the heights (1 is honest).
+    x = 0; a `HeightLattice` gives other positions. `exaggeration` is a factor on the heights; 1 keeps the
+    true proportions.
     """
 
     is_solid = True
