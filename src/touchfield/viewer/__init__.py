@@ -1,4 +1,4 @@
-"""Pictures of force fields and of what a coder did to them."""
+"""Pictures of force fields, of coding errors and of measurements, and the page of the viewer."""
 
 from touchfield._lazy import lazy_attributes
 
