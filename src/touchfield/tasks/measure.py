@@ -236,9 +236,7 @@ def measure_medium(
         on_step()
         in_time = {}
         if len(frames) > 1:
-            both = field_counts(frames[1:], frames[:-1], ("voxel",))[
-                "voxel"
-            ]  # each frame with the one before
+            both = field_counts(frames[1:], frames[:-1], ("voxel",))["voxel"]  # pairs of frames
             in_time = {
                 quantity.__name__: quantity(both, estimator=spec.estimator).of(name=label)
                 for quantity, label in _IN_TIME
