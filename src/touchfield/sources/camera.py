@@ -1,4 +1,4 @@
-"""Pinhole camera, depth sequences independent of their layout on disk, and resampling in time.
+"""Pinhole cameras, depth sequences, and their resampling in time.
 
 The paper (section 5.1, scene 2) makes 800 frames at 1 kHz from 20 depth maps by linear interpolation, without
 a formula. Here frame j shows the source at t = j / rate, and source frame i lies at t = i / source rate, so
@@ -91,7 +91,9 @@ class DepthSequence(ABC):
 
 
 def noise_step_per_m(depth_m: Float32s) -> float:
-    """Estimate the step g, 1/m, up to which neighbouring inverse depths belong to one surface.
+    """Estimate the noise step g, 1/m, of a depth map.
+
+    Neighbouring inverse depths that differ by at most g belong to one surface.
 
     2.5 times the upper quartile of the second differences of w = 1/z along about 16 rows. Measured: 0.0073
     for a Kinect (TUM fr1; its quantum is 0.0029) and 0.0005 for rendered depth in millimetres (ICL-NUIM);
@@ -232,7 +234,9 @@ class InterpolatedSequence(DepthSequence):
 
 
 def interpolate_depth(before_m: Float32s, after_m: Float32s, fraction: float) -> Float32s:
-    """Interpolate depth, metres, float32 [height, width]: before + fraction (after - before).
+    """Interpolate depth maps, metres: before + fraction (after - before).
+
+    All are float32 [height, width].
 
     As in the paper. A pixel that is unknown (0) in either frame is unknown.
     """

@@ -73,7 +73,10 @@ class ForceProfile:
         return np.array(self.pieces, np.float64)
 
     def rescaled(self, scale: float) -> ForceProfile:
-        """Return the profile g(phi) = f(scale * phi), for distances in a space `scale` times smaller."""
+        """Return the profile g(phi) = f(scale * phi).
+
+        It is for distances in a space that is `scale` times smaller.
+        """
         pieces = tuple((a / scale, b / scale, c, s * scale) for a, b, c, s in self.pieces)
         return ForceProfile(pieces, self.surface_damping_n_s_per_m * scale)
 
@@ -141,7 +144,10 @@ class LawSpec:
 
 
 def penalty(spec: LawSpec, thickness_m: float) -> ForceProfile:
-    """F = min(K d, F_max) n for 0 < d < thickness: a wall that pushes a penetrating point out."""
+    """Return the law of a wall: F = min(K d, F_max) n for 0 < d < thickness.
+
+    It pushes a penetrating point out.
+    """
     k, f_max, knee = spec.stiffness_n_per_m, spec.force_max_n, spec.saturation_m
     ramp = (-min(knee, thickness_m), 0.0, 0.0, -k)
     if thickness_m <= knee:
@@ -150,13 +156,18 @@ def penalty(spec: LawSpec, thickness_m: float) -> ForceProfile:
 
 
 def proximity(spec: LawSpec, thickness_m: float) -> ForceProfile:
-    """F = F_max/4 (1 - phi/band) n for 0 < phi < band: a gentle guide in front of the surface."""
+    """Return a guide in front of a surface: F = F_max/4 (1 - phi/band) n.
+
+    It acts for 0 < phi < band.
+    """
     peak = spec.force_max_n / 4
     return ForceProfile(((0.0, spec.band_m, peak, -peak / spec.band_m),))
 
 
 def magnetic(spec: LawSpec, thickness_m: float) -> ForceProfile:
-    """F = -min(K |phi|, F_max) sgn(phi) n, fading to 0 at |phi| = band: attraction from both sides.
+    """Return an attraction from both sides: F = -min(K |phi|, F_max) sgn(phi) n.
+
+    It fades to 0 at |phi| = band.
 
     The force is zero on the surface, grows like a spring up to half the band (or up to F_max, if that is
     nearer) and falls linearly to zero at the edge of the band, as does the magnet of CHAI3D.

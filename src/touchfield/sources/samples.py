@@ -1,4 +1,7 @@
-"""Sample scenes that need no download: data of well-known libraries, and Scene 1 of the paper."""
+"""Sample scenes that need no download.
+
+They are data of well-known libraries, and Scene 1 of the paper.
+"""
 
 from __future__ import annotations
 

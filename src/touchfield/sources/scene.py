@@ -31,7 +31,9 @@ DEPTH_UNIT: Final = ("--depth-scale", 0.02, 200.0)
 
 
 def find_bricks_by_block(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -> Int32s:
-    """Find bricks that may hold a force, int32 [n, 3] ascending, by halving blocks of bricks.
+    """Find bricks that may have a force, by halving blocks of bricks.
+
+    The bricks are int32 [n, 3], ascending.
 
     ``may_hold(blocks, size)`` returns bool [n]: whether each block may hold a force. `blocks` int32 [n, 3]
     are positions in units of `size`, the number of bricks along each edge of a block.
@@ -49,7 +51,9 @@ def find_bricks_by_block(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -
 
 
 def find_bricks_by_sphere(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int32s:
-    """Find bricks that may hold a force, int32 [n, 3] ascending, by a test of spheres.
+    """Find bricks that may have a force, by a test of spheres.
+
+    The bricks are int32 [n, 3], ascending.
 
     ``may_hold(centres, radius_m)`` returns bool [n]: whether a force may lie within `radius_m` of each of the
     points float64 [n, 3].
@@ -106,7 +110,10 @@ class Scene(ABC):
 
     @abstractmethod
     def bounds_m(self) -> Float64s:
-        """Return the box of the surface over all frames, metres, float64 [2, 3]: low and high corner."""
+        """Return the box of the surface over all frames, metres, float64 [2, 3].
+
+        The rows are its low and its high corner.
+        """
 
     def bounds_between_m(self, start: int, stop: int) -> Float64s:
         """Return the box over frames start to stop - 1.
@@ -124,7 +131,10 @@ class Scene(ABC):
 
     @property
     def is_of_bodies(self) -> bool:
-        """True if the scene consists of rigid bodies: the representation "auto" then means objects."""
+        """True if the scene consists of rigid bodies.
+
+        The representation "auto" then means objects.
+        """
         return False
 
     def bodies(self) -> tuple[Body, ...]:
@@ -132,7 +142,10 @@ class Scene(ABC):
         return (Body("scene", self, PoseTrack.constant(self.frame_count)),)
 
     def restrict_frames(self, start: int, stop: int) -> None:  # noqa: B027  (most scenes have nothing to prepare)
-        """Restrict the scene to frames start to stop - 1: a fused scene, for example, is built from these."""
+        """Restrict the scene to frames start to stop - 1.
+
+        A fused scene, for example, is then built from these frames.
+        """
 
     def late_notes(self) -> tuple[str, ...]:
         """Return notes that are known only after fields were computed; by default none."""
@@ -176,7 +189,10 @@ class MovingScene(Scene):
 
 
 def size_note(extent_m: NDArray[np.floating[Any]], unit_m: float | None, when: str = "") -> str:
-    """Describe the sides of a mesh, metres [3], with the requested unit, or metres if there is none."""
+    """Describe the sides of a mesh, metres [3], and its unit.
+
+    `unit_m` is the requested unit; None stands for metres.
+    """
     extent = " x ".join(f"{side:.4g}" for side in extent_m)
     if unit_m is not None:
         return f"One unit is {unit_m:g} m: {extent} m{when}."

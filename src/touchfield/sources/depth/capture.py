@@ -1,4 +1,4 @@
-"""Live depth: from a camera, from a growing folder, or from pictures on standard input.
+"""Live depth from a camera, a growing folder, or pictures on standard input.
 
 A captured sequence has no known end. Each frame shows the newest picture, so that a consumer that keeps up
 gets current data: pictures that arrive faster than frames are requested are skipped, and while a picture is
@@ -211,7 +211,9 @@ class CapturedSequence(DepthSequence):
         self._latest = self._frames[0] = self._metres(first)
 
     def depth_m(self, frame: int) -> Float32s:
-        """See `DepthSequence.depth_m`: a frame that was not requested before shows the current picture.
+        """See `DepthSequence.depth_m`.
+
+        A frame that was not requested before shows the current picture.
 
         Raises `CaptureEnd` if there are no more pictures.
         """

@@ -140,7 +140,10 @@ class DepthScene(MovingScene):
         return self._latest[1]
 
     def bodies(self) -> tuple[Body, ...]:
-        """Return the objects separated by depth steps, and the background (see `segmentation`)."""
+        """Return the objects separated by depth steps, and the background.
+
+        See `segmentation`.
+        """
         if not self._bodies:
             step_per_m, frame = self._noise_step_per_m(), self._frame_of_reference
             self._bodies, note = segmented_bodies(
@@ -198,7 +201,10 @@ def force_bricks(query: Query, grid: Grid) -> Int32s:
 
 
 def query_of(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> Query:
-    """Combine planes (camera axes) with a lattice and a profile (scene metres) for the kernels."""
+    """Combine planes with a lattice and a profile for the kernels.
+
+    Planes are in camera axes, lattice and profile in scene metres.
+    """
     rotation = pose[:3, :3]
     lattice = np.empty((4, 3))
     lattice[0] = (np.asarray(grid.origin_m) - pose[:3, 3]) @ rotation

@@ -1,4 +1,4 @@
-"""Camera poses of the frames of a depth sequence: find them, read them, and match them to the frames.
+"""Find the camera poses of a depth sequence, and match them to its frames.
 
 The poses are those of ``--poses``. Without that option, the first of these is used: a folder ``pose/`` or
 ``poses/`` with one file for each frame, a file NAME.txt beside each picture, or a text file whose name
@@ -46,7 +46,9 @@ _MODELS: Final = (
 
 
 class PosedFrames(NamedTuple):
-    """Indices of the frames that have a pose, ascending; all frames if there are no poses.
+    """Ascending indices of the frames that have a pose, with the poses.
+
+    Without poses, `indices` are those of all frames.
 
     `poses` are float64 [n, 4, 4], and `notes` are messages for the user.
     """

@@ -1,4 +1,4 @@
-"""A depth sequence fused into a static world: the field of all frames, or of the frames so far.
+"""A depth sequence fused into one world, of all frames or of the frames so far.
 
     fused    Computed offline: every frame uses the observations of all frames, so that static surfaces do not
              flicker. Where a frame sees whole patches of samples that changed, the samples at and behind its
@@ -109,7 +109,10 @@ class FusedVolume:
         self.add(bricks[self._slots[tuple(bricks.T)] < 0])
 
     def add(self, bricks: Int32s) -> None:
-        """Add bricks, int32 [n, 3], that the volume does not have yet, if there is memory for them."""
+        """Add bricks, int32 [n, 3], that the volume does not have yet.
+
+        Raises `InvalidArgument` if they would exceed the memory budget.
+        """
         count = len(self.bricks) + len(bricks)
         if count > len(self._samples.weight):
             capacity = max(count, len(self._samples.weight) * 3 // 2)
@@ -140,7 +143,9 @@ class FusedVolume:
             samples.changes[...] = changes
 
     def mark_patches(self, surface: SurfacePlanes, pose: Float64s, is_changed: Bools, out: Bools) -> None:
-        """Mark in `out` the samples at and behind patches of this view that see changed samples.
+        """Mark the samples at and behind patches of this view that see changed samples.
+
+        They are set to True in `out`.
 
         `is_changed` and `out` are bool [n, 512]. Patches are wider than pose errors.
         """
@@ -176,7 +181,10 @@ class FusedVolume:
 
 
 class FusedScene(DepthScene):
-    """A depth sequence with poses, or of a static camera, as one world, "fused" or "causal"."""
+    """A depth sequence with poses, or of a static camera, as one world.
+
+    `world` is "fused" or "causal" (see the module).
+    """
 
     def __init__(self, sequence: DepthSequence, world: str = "fused", segment: str | None = None) -> None:
         require_one_of("world", world, WORLDS)
@@ -363,7 +371,10 @@ class _Fused(_World):
 
 
 def is_static(sequence: DepthSequence) -> bool:
-    """Return True if a sequence without poses shows the same depth in its first and some other frames."""
+    """Return True if a sequence without poses seems to be of a static camera.
+
+    Its first frame and some others then show the same depth.
+    """
     keys = np.asarray(sequence.key_frames())
     first = sequence.depth_m(0)
     step_per_m = noise_step_per_m(first)

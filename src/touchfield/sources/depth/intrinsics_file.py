@@ -43,7 +43,9 @@ _FLIP_Y: Final = np.diag([1.0, -1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class CameraFile:
-    """A camera from a file or an option, with the stored depth units in a metre if stated.
+    """A camera from a file or an option, and the depth unit if stated.
+
+    `units_per_m` is the number of stored depth units in a metre.
 
     A negative fy, as in ICL-NUIM, means a mirrored camera: the poses are of a world with inverted y.
     """
@@ -205,7 +207,9 @@ def camera_of(
     size: tuple[int, int],
     default: CameraFile | None = None,
 ) -> CameraFile:
-    """Return the requested camera, else that of a file in one of `folders`, else the default.
+    """Return the requested camera, else that of a file, else the default.
+
+    Files are searched in `folders`.
 
     `name` names the source in an error, `intrinsics` is "fx,fy,cx,cy" or the path of a file, `size` width and
     height of the pictures. Raises `InvalidArgument` if `intrinsics` is neither; `SourceError` if a file is

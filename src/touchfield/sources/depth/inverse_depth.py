@@ -1,4 +1,4 @@
-"""Depth from values linear in 1/z: stereo disparity maps, and relative depth of a picture or video.
+"""Depth from values linear in 1/z: stereo disparity, and relative depth.
 
 *Disparity*: depth = fx * baseline / (disparity + offset). Middlebury 2014 (PFM, ``calib.txt`` with cam0,
 cam1, doffs and a baseline in millimetres), KITTI (16-bit PNG, 256 units a pixel, 0 unknown), and
@@ -51,7 +51,7 @@ SHAPE_TOLERANCE: Final = 0.03
 # -- disparity ---------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class StereoRig:
-    """A rectified stereo pair: the camera of the disparity map, and its distance to the other camera.
+    """A rectified stereo pair: the camera of the disparity map, and the baseline.
 
     `disparity_offset_px` is the difference of the principal points (Middlebury's doffs).
     """
@@ -108,7 +108,10 @@ def motorcycle_sequence() -> CodedSequence:
 
 
 def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
-    """Read a disparity map: PFM or NPY in pixels, or 16-bit PNG, 256 units a pixel (or ``depth_scale``)."""
+    """Read a disparity map: PFM or NPY in pixels, or 16-bit PNG.
+
+    ``depth_scale`` stored units are one pixel; the default is 256 for a PNG, and 1 otherwise.
+    """
     suffix = path.suffix.lower()
     values = (_pfm if suffix == ".pfm" else pictures.read_picture)(path)
     if values.dtype == np.uint8:
@@ -175,7 +178,10 @@ def _calibration(file: Path, size: tuple[int, int], camera: str) -> StereoRig | 
 # -- relative depth ----------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class InverseDepth:
-    """Conversion of relative depth to metres: the value `high` is at `near_m`, the value `low` at `far_m`."""
+    """Conversion of relative depth to metres.
+
+    The value `high` is at `near_m`, the value `low` at `far_m`.
+    """
 
     low: float
     high: float

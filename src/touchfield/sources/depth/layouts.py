@@ -1,4 +1,6 @@
-"""Depth sequences in the layouts of data sets: a table of layouts (`LAYOUTS`), and one reader for all.
+"""Depth sequences in the layouts of data sets.
+
+`LAYOUTS` is the table of layouts; `Layout.read_sequence` reads all of them.
 
 tum         TUM RGB-D (Sturm et al., IROS 2012), Bonn's and ICL-NUIM's: value / 5000 = metres. It has no
             intrinsics file: the published intrinsics are used if a name identifies the camera.
@@ -88,7 +90,7 @@ _SEVEN_SCENES: Final = CameraFile(
 
 # -- the reader --------------------------------------------------------------------------------------------
 class PictureSet(NamedTuple):
-    """The depth pictures of a sequence, in files or in one file, and the folders of its poses and camera.
+    """The depth pictures of a sequence, and the folders of its poses and camera.
 
     Times are seconds, NaN if a picture has none; `pose_folders` are the folders of poses, None if none are
     read.
@@ -193,7 +195,10 @@ def required_scale(where: str, scale: float | None, is_metres: bool) -> float:
 
 
 def source_rate(options: SourceOptions) -> float:
-    """Return the rate of a source that does not state it: `source_rate_hz`, else `rate_hz`, else 30 Hz."""
+    """Return the rate of a source that does not state it.
+
+    It is `source_rate_hz`, else `rate_hz`, else 30 Hz.
+    """
     return options.source_rate_hz or options.rate_hz or DEFAULT_RATE_HZ
 
 
@@ -217,7 +222,9 @@ def depth_kind(
 
 
 def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
-    """Return the scene of a depth sequence at the requested rate, as a camera's view or as a height map.
+    """Return the scene of a depth sequence at the requested rate.
+
+    It is a camera's view or a height map, depending on ``reading``.
 
     A sequence that does not state its rate and has no `source_rate_hz` already has the requested rate
     (`source_rate`) and is not interpolated.

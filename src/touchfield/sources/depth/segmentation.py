@@ -1,4 +1,6 @@
-"""Segmentation of a depth sequence into objects: connected surfaces, tracked over time (paper section 5.1).
+"""Segmentation of a depth sequence into objects (paper section 5.1).
+
+Objects are connected surfaces, tracked over time.
 
 The paper's object representation "requires a clear segmentation of the scene that is in general an ill-posed
 problem", and gives no rule. This rule is purely geometric: touching things (a cup and its table) are one
@@ -244,7 +246,10 @@ def segmented_bodies(
     rule: SegmentRule,
     noise_step_per_m: float,
 ) -> tuple[tuple[Body, ...], str]:
-    """Return the objects of a depth sequence as bodies, largest first, background last; and a note."""
+    """Return the objects of a depth sequence as bodies, and a note.
+
+    The largest object is first, and the background last.
+    """
     objects = Segmentation(sequence, rule, noise_step_per_m)
     numbers = [n for n in (*range(1, objects.object_count + 1), BACKGROUND) if objects.pixels[:, n].any()]
     bodies = []

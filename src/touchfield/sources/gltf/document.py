@@ -1,4 +1,4 @@
-"""A glTF document: the checked JSON of a .gltf or .glb file, and the typed arrays in its buffers.
+"""A glTF document: checked JSON, and the typed arrays in its buffers.
 
 Source: Khronos, glTF 2.0 specification (2021), sections 3.6 (binary data, accessors with strides, normalised
 integers and sparse changes) and 4 (GLB). A buffer is the binary chunk of the GLB, base64 within the JSON, or
@@ -93,7 +93,10 @@ class Element(JsonValue):
         return None if number is None else self.owner.array(number, kind)
 
     def unsigned(self, key: str, kind: str, below: int) -> Int64s | None:
-        """Return the unsigned integers below `below` of the accessor at `key`, int64 [count, width]."""
+        """Return the unsigned integers of the accessor at `key`, int64 [count, width].
+
+        They must be less than `below`. Returns None without an accessor.
+        """
         number = self.index(key, "accessors")
         return None if number is None else self.owner.array(number, kind, below)
 
@@ -142,7 +145,10 @@ class Document:
             )
 
     def array(self, index: int, kind: str, below: int | None = None) -> Any:
-        """Return an accessor, float64 or, below a bound, int64 [count, width], read-only and cached."""
+        """Return the values of an accessor, [count, width], read-only and cached.
+
+        They are int64 if `below` is given, which they must be less than; else float64.
+        """
         element = self.all("accessors")[index]
         stored_type = element.word("type")
         if stored_type != kind:
@@ -260,7 +266,10 @@ def _component(element: Element) -> np.dtype[Any]:
 
 
 def contents(path: Path, *, with_binary: bool = True) -> tuple[dict[str, Any], bytes]:
-    """Read the unchecked JSON object of a file, and the binary chunk of a GLB (else empty)."""
+    """Read the unchecked JSON object of a file, and the binary chunk of a GLB.
+
+    The chunk is empty for other files.
+    """
     require_plain(path, "one glTF file")
     chunks = dict[int, bytes]()
     with readable(path), path.open("rb") as file:

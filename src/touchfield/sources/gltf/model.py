@@ -1,4 +1,4 @@
-"""An animated glTF scene: its triangles, and their vertices in world coordinates at any time.
+"""An animated glTF scene: triangles, and their vertices at any time.
 
 Source: Khronos, glTF 2.0 specification (2021). Section 3.5: a local matrix is T R S; the world matrix of a
 node is the world matrix of its parent times its local matrix. Sections 3.7.2 and 3.7.3: primitives, morph
@@ -71,7 +71,10 @@ def _unit(quaternions: Float64s) -> Float64s:
 
 
 class Animation(NamedTuple):
-    """One animation of a document: samplers by node and path (translation, rotation, scale or weights)."""
+    """One animation of a document: samplers by node and path.
+
+    A path is translation, rotation, scale or weights.
+    """
 
     duration_s: float  # the last time of any of its samplers; it starts at 0
     samplers: Mapping[tuple[int, str], Sampler]
@@ -311,7 +314,9 @@ class _Piece:
 
 
 class Model:
-    """The triangles of a glTF scene: `triangles` int64 [m, 3], vertex numbers over all pieces.
+    """The triangles of a glTF scene, and their poses.
+
+    `triangles` int64 [m, 3] are vertex numbers over all pieces.
 
     `notes` name the extensions that are not read, and other scenes.
 
@@ -426,7 +431,10 @@ class Model:
         return self.vertices(self.poses(None, np.zeros(1)), 0)
 
     def vertices(self, poses: Poses, at: int) -> Float64s:
-        """Return the world vertices at one time of `poses`, float64 [n, 3], in units of the file."""
+        """Return the vertices at one time of `poses`, float64 [n, 3].
+
+        They are in world coordinates and in the units of the file.
+        """
         world = poses.world[at]
         skins = {piece.skin for piece in self._pieces if piece.skin is not None}
         joints = {number: self._skin(number).matrices(world).reshape(-1, 12) for number in skins}

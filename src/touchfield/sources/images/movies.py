@@ -49,7 +49,10 @@ _NEUTRAL: Final = 12  # 8-bit levels by which red, green and blue of a grey may 
 
 @dataclass(frozen=True)
 class VideoHeader:
-    """Header of a video stream: size in pixels, FFmpeg's names of pixel format and codec, average rate."""
+    """Header of a video stream.
+
+    It has the size in pixels, FFmpeg's names of pixel format and codec, and the average rate.
+    """
 
     width: int
     height: int

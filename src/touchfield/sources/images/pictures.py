@@ -51,7 +51,10 @@ _PARTS: Final = re.compile(r"(\d+)")
 
 # -- folders -----------------------------------------------------------------------------------------------
 def list_files(folder: Path, pattern: str) -> tuple[Path, ...]:
-    """List the files of a folder whose name matches a regular expression, in the order of their numbers."""
+    """List the files of a folder whose name matches a regular expression.
+
+    They are in the order of the numbers in their names.
+    """
     if not folder.is_dir():
         return ()
     form = re.compile(pattern, re.IGNORECASE)
@@ -98,7 +101,10 @@ def contents(folder: Path) -> str:
 
 # -- one picture -------------------------------------------------------------------------------------------
 class PictureHeader(NamedTuple):
-    """Size in pixels, NumPy's name of the sample type ("" if unsupported), and samples a pixel."""
+    """Size in pixels, sample type, and number of channels of a picture.
+
+    `sample` is NumPy's name of the type, "" if it is unsupported.
+    """
 
     width: int
     height: int
@@ -115,7 +121,10 @@ class PictureHeader(NamedTuple):
 
 
 def bound_pixels(path: Path, width: int, height: int, bytes_per_pixel: int = 1) -> None:
-    """Raise `SourceError` if a picture has no pixels, too many, or more than its bytes can encode."""
+    """Raise `SourceError` if the size of a picture is invalid.
+
+    It is invalid if there are no pixels, too many, or more than the bytes of the file can encode.
+    """
     if width < 1 or height < 1:
         raise SourceError(str(path), f"a picture of {width} x {height} pixels", "at least one pixel")
     if width * height > MAX_PIXELS:
@@ -128,7 +137,10 @@ def bound_pixels(path: Path, width: int, height: int, bytes_per_pixel: int = 1) 
 
 
 def require_size(where: str, size: tuple[int, ...], expected: tuple[int, int], of: str) -> None:
-    """Raise `SourceError` unless a picture has the width and height of another one, described by `of`."""
+    """Raise `SourceError` unless a picture has the expected width and height.
+
+    `of` describes the picture that has the expected size.
+    """
     if size != expected:
         found, expected_size = f"{size[0]} x {size[1]} pixels", f"{expected[0]} x {expected[1]}, {of}"
         raise SourceError(where, found, expected_size, "Give pictures of one size.")
@@ -301,7 +313,10 @@ class PictureFrames:
 
 
 class ArrayFrames:
-    """Frames of an array [frames, height, width], possibly memory-mapped from the file `path`."""
+    """Frames of an array [frames, height, width].
+
+    The array may be memory-mapped from the file `path`.
+    """
 
     def __init__(self, values: NDArray[Any], path: Path | None = None) -> None:
         if values.ndim != 3:

@@ -44,7 +44,9 @@ _Polygons = tuple[Float64s, Int64s, Int64s]
 
 
 def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
-    """Read vertices float64 [n, 3] in the units of the file, triangles int32 [m, 3], and notes.
+    """Read vertices float64 [n, 3], triangles int32 [m, 3], and notes.
+
+    Vertices are in the units of the file.
 
     Raises `SourceError` if the file cannot be read, or has no triangle.
     """

@@ -1,4 +1,6 @@
-"""A triangle mesh as a scene: F = f(phi) n with phi the signed distance to it (paper section 4).
+"""A triangle mesh as a scene (paper section 4).
+
+The force is F = f(phi) n, with phi the signed distance to the mesh.
 
 The paper's reference [21] gives no formula. Here phi is exact; for a closed mesh its sign is that of the
 winding number (inside if that is not 0). Small holes are closed (`touchfield.sources.mesh.surface`). A mesh

@@ -1,4 +1,4 @@
-"""Triangle meshes: edges, closedness, angle-weighted pseudo-normals, welding of vertices, and holes.
+"""Triangle meshes: edges, closedness, pseudo-normals, welding, and holes.
 
 Source of the pseudo-normals: J. A. Baerentzen and H. Aanaes, Signed distance computation using the angle
 weighted pseudonormal, IEEE TVCG 11(3), 2005: at a vertex, the sum of the normals of its faces weighted by
@@ -194,7 +194,10 @@ def _check_finite(vertices: Float64s, name: str) -> None:
 
 
 def from_longest(corners: Float64s) -> Int64s:
-    """Return the order of corners that starts with the longest edge, int64 [m, 3], of corners [m, 3, 3]."""
+    """Return the order of corners that starts with the longest edge, int64 [m, 3].
+
+    `corners` are float64 [m, 3, 3].
+    """
     sides = lengths_of(np.roll(corners, -1, axis=1) - corners)
     order: Int64s = (np.arange(3) + sides.argmax(axis=1)[:, None]) % 3
     return order
@@ -256,7 +259,7 @@ def weld(
 
 
 def unfold_polygons(points: Float64s, fans: Int32s, sizes: Int64s) -> Int32s:
-    """Triangulate again the concave polygons that were cut as fans from their first corner.
+    """Triangulate again the concave polygons that were cut as fans.
 
     In the fan of a concave polygon some triangles are flipped and lie partly outside; `_patch` triangulates
     its outline instead.
@@ -280,7 +283,9 @@ def unfold_polygons(points: Float64s, fans: Int32s, sizes: Int64s) -> Int32s:
 
 
 def weld_in_motion(poses: Float64s, triangles: NDArray[np.integer[Any]]) -> tuple[Int64s, Int32s]:
-    """Weld a moving mesh: return the vertices to keep, ascending, and the triangles in their numbering.
+    """Weld a moving mesh.
+
+    Returns the vertices to keep, ascending, and the triangles in their numbering.
 
     Vertices at the same position in every pose are merged. If that leaves the mesh open, those that coincide
     at rest and hardly separate are merged as well, if that closes it. Parts that only touch at rest stay

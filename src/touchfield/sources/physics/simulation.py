@@ -1,4 +1,6 @@
-"""Rigid-body simulation with MuJoCo: the pose of every body at each frame (paper section 5.1, Scene 1).
+"""Rigid-body simulation with MuJoCo (paper section 5.1, Scene 1).
+
+It computes the pose of every body at each frame.
 
 Frame i is the state at the time i / rate, so that frame 0 is the initial state and 2 s at 1 kHz are 2000
 frames. On one machine the same model gives bit-identical poses.
@@ -204,7 +206,9 @@ def _check_state(mujoco: Any, data: Any, messages: list[str], where: str) -> tup
 def model_of(
     mujoco: Any, table: PhysicsTable, posed: Mapping[str, PoseTrack], where: str
 ) -> tuple[Any, list[int], tuple[str, ...]]:
-    """Return the model of a table, the ids of its bodies in the order of the table, and notes.
+    """Return the model of a table, the ids of its bodies, and notes.
+
+    The ids are in the order of the table.
 
     `posed` mapping of str to PoseTrack: tracks of the bodies posed by files, by name; `where` str: name of
     the scene in messages.

@@ -1,4 +1,6 @@
-"""Height maps, with everything behind the surface solid (paper sections 4 and 5.1), and their files.
+"""Height maps as solid scenes (paper sections 4 and 5.1), and their files.
+
+Everything behind the surface is solid.
 
 The paper's scenes from depth images treat the depth map as a height map. The distance to the surface is
 approximated to first order, phi = (z - h(x, y)) n_z with h interpolated bilinearly: exact for planes, with an
@@ -133,7 +135,9 @@ class HeightScene(MovingScene):
 
     @classmethod
     def from_depth_sequence(cls, sequence: DepthSequence, exaggeration: float = 1.0) -> HeightScene:
-        """Read depth maps as in the paper: pixels as x and y, depth as height, solid behind the surface.
+        """Read depth maps as height maps, as in the paper.
+
+        Pixels are x and y, depth is height, and everything behind the surface is solid.
 
         Pixels are spaced by their size at the median depth of the first frame with depth, x = (u - cx) / fx
         z_median, so that lengths at that depth are true; nearer things are too large, farther ones too small.
@@ -350,7 +354,7 @@ def _as_heights(values: NDArray[Any]) -> _Heights:
 
 
 def degree_m(latitude_deg: float) -> Pair:
-    """Return the metres of one degree of latitude and of one degree of longitude, on WGS 84."""
+    """Return the metres of one degree of latitude and of longitude, on WGS 84."""
     sine2 = math.sin(math.radians(latitude_deg)) ** 2
     across = _WGS84_AXIS_M / math.sqrt(1 - _WGS84_E2 * sine2)
     along = across * (1 - _WGS84_E2) / (1 - _WGS84_E2 * sine2)
