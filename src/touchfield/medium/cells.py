@@ -45,7 +45,7 @@ _BYTES_PER_CELLS: Final = (BRICK + 1) ** 3 * 3 * 4
 
 @dataclass(frozen=True)
 class CellPool:
-    """The concatenated fields of some objects, in the layout of the kernels (`kernels.placed`)."""
+    """The concatenated fields of some objects, in the layout of `kernels.placed`."""
 
     # float64 [objects, 6]; spacing, and corner of the object's box of bricks in its body frame, metres
     lattices: Float64s

@@ -157,7 +157,10 @@ class Deformation:
         return math.sqrt(max(squares))
 
     def min_determinant(self) -> tuple[float, int]:
-        """Return the minimum determinant of I + grad u, at 3^3 points of every cell, and its frame."""
+        """Return the minimum determinant of I + grad u, and its frame.
+
+        It is evaluated at 3^3 points of every cell.
+        """
         return min((float(np.linalg.det(j).min()), frame) for frame, j in enumerate(self._jacobians()))
 
     def _jacobians(self) -> Iterator[Float64s]:

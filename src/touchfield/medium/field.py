@@ -1,4 +1,6 @@
-"""One instant of a haptic medium: a force field W: R^3 -> R^3 on a grid (paper section 4).
+"""One instant of a haptic medium: a force field on a grid (paper section 4).
+
+The field is W: R^3 -> R^3.
 
 Forces are in newtons and stored sparsely, in bricks of 8x8x8 samples; a brick without a force is not stored.
 The *support* is the set of samples whose force is not zero. `Support` gives the paper's amplitude vector
@@ -39,7 +41,10 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def brick_keys(grid: Grid, bricks: NDArray[np.integer[Any]]) -> Int64s:
-    """Return the raster index of each brick (x slowest, z fastest), int64 [n], of int [n, 3]."""
+    """Return the raster index (x slowest, z fastest) of each brick, int64 [n].
+
+    `bricks` are int [n, 3].
+    """
     _, by, bz = grid.brick_shape
     b = bricks.astype(np.int64)
     return (b[:, 0] * by + b[:, 1]) * bz + b[:, 2]
@@ -55,7 +60,10 @@ def bricks_of(grid: Grid, keys: Int64s) -> Int32s:
 
 
 def bricks_within(grid: Grid, spans: Int64s) -> Int32s:
-    """Return the distinct bricks within boxes, ascending; `spans` [n, 3, 2] are their starts and stops."""
+    """Return the distinct bricks within boxes, ascending.
+
+    `spans` int64 [n, 3, 2] holds the start and stop of each box along each axis, in bricks.
+    """
     from touchfield.medium import kernels
 
     pairs = float(np.maximum(0, spans[..., 1] - spans[..., 0]).prod(axis=1, dtype=np.float64).sum())
@@ -107,7 +115,10 @@ def check_bricks(
 
 
 def slots_of(sorted_keys: Int64s, keys: Int64s) -> Int64s:
-    """Return the index of each key among ascending keys, int64 of the shape of `keys`; -1 if missing."""
+    """Return the index of each key among ascending keys; -1 if it is missing.
+
+    The result is int64, of the shape of `keys`.
+    """
     if not len(sorted_keys):
         return np.full(keys.shape, -1)
     slot = np.minimum(np.searchsorted(sorted_keys, keys), len(sorted_keys) - 1)
@@ -115,7 +126,10 @@ def slots_of(sorted_keys: Int64s, keys: Int64s) -> Int64s:
 
 
 def tiled(dense: NDArray[Any]) -> NDArray[Any]:
-    """Return the bricks of an array [nx, ny, nz, ...], zero-padded, [bx, by, bz, 8, 8, 8, ...]."""
+    """Divide an array [nx, ny, nz, ...] into bricks, [bx, by, bz, 8, 8, 8, ...].
+
+    The array is padded with zeros.
+    """
     short = [*((0, -n % BRICK) for n in dense.shape[:3]), *((0, 0) for _ in dense.shape[3:])]
     padded = np.pad(dense, short) if any(after for _, after in short) else dense
     x, y, z = (n // BRICK for n in padded.shape[:3])
@@ -125,7 +139,10 @@ def tiled(dense: NDArray[Any]) -> NDArray[Any]:
 def values_at(
     grid: Grid, bricks: Int32s, values: NDArray[Any], indices: NDArray[np.integer[Any]]
 ) -> NDArray[Any]:
-    """Look up values [n, 8, 8, 8, ...] of ascending bricks at points int [m, 3]; 0 without a brick."""
+    """Look up values [n, 8, 8, 8, ...] of ascending bricks at indices int [m, 3].
+
+    Values are 0 where there is no brick.
+    """
     inside = ((indices >= 0) & (indices < grid.shape)).all(axis=1)
     slots = np.full(len(indices), -1)
     slots[inside] = slots_of(brick_keys(grid, bricks), brick_keys(grid, indices[inside] // BRICK))
@@ -167,7 +184,9 @@ def keys_of_both(first: ForceField, second: ForceField) -> Int64s:
 
 
 def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
-    """Return the bricks, int32 [m, 3], within `reach` samples along each axis of `bricks` [n, 3].
+    """Return the bricks, int32 [m, 3], within `reach` samples of `bricks` [n, 3].
+
+    `reach` is given along each axis.
 
     They are ascending, within the grid, and include `bricks`.
     Raises `InvalidArgument` if there are more than 2^27 pairs of a brick and a brick within its reach.
@@ -180,7 +199,9 @@ def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
 
 
 def spread_keys(keys: Int64s, lattice: tuple[int, int, int], axis: int, margins: tuple[int, int]) -> Int64s:
-    """Extend ascending keys of bricks [n] along `axis` by `margins` bricks before and after, int64 [m].
+    """Extend bricks along `axis` by `margins` bricks before and after, int64 [m].
+
+    `keys` [n] and the result are ascending keys of bricks.
 
     Raises `InvalidArgument` if that yields more than 2^27 bricks before duplicates are removed.
     """
@@ -201,7 +222,9 @@ def spread_keys(keys: Int64s, lattice: tuple[int, int, int], axis: int, margins:
 def padded_blocks(
     field: ForceField, values: NDArray[Any], bricks: Int32s, before: Sequence[int], after: Sequence[int]
 ) -> Iterator[tuple[slice, NDArray[Any]]]:
-    """Yield the values of a field at some bricks [m, 3], with `before` and `after` samples around them.
+    """Yield the values of a field at some bricks [m, 3], with a margin.
+
+    The margin is `before` and `after` samples along each axis.
 
     `values` are those of the field's bricks [n, 8, 8, 8, ...]; missing bricks are zero. Each item is a slice
     of `bricks` and its blocks, float [.., 8 + before + after] along each axis.
@@ -231,7 +254,10 @@ def numbers_of(
     *,
     is_finite: bool = False,
 ) -> NDArray[Any]:
-    """Convert an argument to an array of a type and shape; `InvalidArgument` if the conversion loses data."""
+    """Convert an argument to an array of a type and shape.
+
+    Raises `InvalidArgument` if the conversion would lose data.
+    """
     try:
         array = np.asarray(values)
         if array.dtype.kind in "cMm" or np.ma.is_masked(values):
@@ -376,7 +402,10 @@ class ForceField(EqualByValue):
             yield np.ascontiguousarray(tiles.reshape(*size, 3)[:nx, :ny, :nz])
 
     def raster_slots(self) -> Int64s:
-        """Return the indices of the support in ``forces_n.reshape(-1, 3)``, in raster order, int64 [L]."""
+        """Return the indices of the support in raster order, int64 [L].
+
+        They are indices into ``forces_n.reshape(-1, 3)``.
+        """
         from touchfield.medium import kernels
 
         return kernels.raster_slots(self.bricks, self.mask)
@@ -467,7 +496,9 @@ class ForceField(EqualByValue):
 def field_of_points(
     grid: Grid, bricks: Int32s, forces_n: Callable[[Float64s], NDArray[np.floating[Any]]]
 ) -> ForceField:
-    """Evaluate a force function of points in metres, float64 [n, 3], at the samples of ascending bricks.
+    """Evaluate a force function at the samples of ascending bricks.
+
+    `forces_n` is a function of points in metres, float64 [n, 3].
 
     The field is zero outside the bricks, int32 [m, 3]; bricks without a force are dropped.
     """
@@ -486,7 +517,10 @@ def field_of_points(
 
 
 def field_without_empty_bricks(grid: Grid, bricks: Int32s, forces_n: Float32s) -> ForceField:
-    """Return the field of bricks, int32 [n, 3] ascending, without those that have no force."""
+    """Return the field of bricks, without those that have no force.
+
+    `bricks` are int32 [n, 3], ascending.
+    """
     holds = forces_n.any(axis=(1, 2, 3, 4))
     return (
         ForceField(grid, bricks, forces_n)

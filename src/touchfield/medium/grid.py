@@ -1,4 +1,6 @@
-"""A regular lattice, and the placement of a scene in a workspace (from scene metres to hand metres).
+"""Regular lattices, and the placement of a scene in a workspace.
+
+A placement maps scene metres to hand metres.
 
 The paper samples the workspace "with 2^n_w samples per dimension" (section 5.2). Sample (i, j, k) lies at
 ``origin_m + (i, j, k) * spacing_m`` and represents the cell of that size around it, so that the box of a grid

@@ -274,7 +274,7 @@ class HapticMedium(Picklable):
     # filters and plots belong to higher packages, which register these functions (`touchfield.hooks`)
 
     def filtered(self, *filters: str) -> HapticMedium:
-        """Apply haptic filters given as text, such as "gaussian:sigma=2mm", one after the other.
+        """Apply haptic filters given as text, such as "gaussian:sigma=2mm", in order.
 
         Raises `InvalidArgument` if a filter is unknown or its text is invalid.
         """
@@ -282,7 +282,9 @@ class HapticMedium(Picklable):
         return medium
 
     def to_xarray(self) -> Any:
-        """Convert to an `xarray.Dataset`: ``forces_n`` float32 [t, x, y, z, component], axes in s and m.
+        """Convert to an `xarray.Dataset`.
+
+        It has ``forces_n``, float32 [t, x, y, z, component], with axes in s and m.
 
         Raises `MissingExtra` without xarray; `InvalidArgument` if the dense frames exceed
         `memory_budget_bytes`.
@@ -305,7 +307,9 @@ class HapticMedium(Picklable):
         return html
 
     def plot(self, path: str | Path | None = None) -> Any:
-        """Draw the forces from the front, the side and above as a matplotlib figure; also a PNG at `path`.
+        """Draw the forces from the front, the side and above, with matplotlib.
+
+        Returns the figure, and writes a PNG if `path` is given.
 
         Raises `MissingExtra` if matplotlib is not installed.
         """

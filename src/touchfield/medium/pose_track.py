@@ -1,4 +1,6 @@
-"""The motion of a rigid body: one pose a frame (paper section 4.3, the "object" source model).
+"""The motion of a rigid body: one pose for each frame (paper section 4.3).
+
+This is the paper's "object" source model.
 
 A pose maps points from the body frame to the scene: x_scene = R x_body + t. Rotations are unit quaternions
 (w, x, y, z) or matrices, vectorised, computed by SciPy's `Rotation`.
@@ -131,7 +133,9 @@ def _rotation(quaternions: Float64s) -> Any:
 
 
 def slerp(first: Float64s, second: Float64s, weight: Float64s) -> Float64s:
-    """Interpolate unit quaternions [n, 4] along the shorter arc at constant angular velocity, float64 [n, 4].
+    """Interpolate unit quaternions [n, 4] along the shorter arc, float64 [n, 4].
+
+    The angular velocity is constant.
 
     `weight` float64 [n] is 0 at the first and 1 at the second. The order of the components does not matter.
     """
