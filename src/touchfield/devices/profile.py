@@ -124,7 +124,9 @@ _RULES: Final[Mapping[str, _Rule]] = {
 
 
 def parse_table(table: Mapping[str, Any], where: str) -> Device:
-    """Return the device that a parsed profile describes; `where` names the file in messages.
+    """Return the device that a parsed profile describes.
+
+    `where` names the file in messages.
 
     Raises `DeviceError` if a key is unknown or missing, a value has no source or is out of range, or the
     nominal lattice contradicts the workspace and the resolution.

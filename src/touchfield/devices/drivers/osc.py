@@ -52,7 +52,7 @@ _BUNDLE_HEAD: Final = b"#bundle\0" + struct.pack(">Q", 1)
 
 
 class Osc(ArrayDevice):
-    """A program or a device that listens to Open Sound Control at a host and a port; any array."""
+    """Any array behind a program or device that listens to Open Sound Control."""
 
     def __init__(self, profile: Device, to: Address) -> None:
         self.profile, self._to = profile, to
