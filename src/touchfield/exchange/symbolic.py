@@ -175,7 +175,7 @@ def checked_frames(where: str, frames: int, actuators: int, max_values: int = MA
 
 
 def effect_device(lattice: tuple[int, int, int], name: str = "", force_max_n: float | None = None) -> Device:
-    """Return the profile `name` if its array matches that of an effect, else a generic one.
+    """Return the profile `name` if it matches an effect, else a generic one.
 
     `lattice` is columns, rows, 1; `force_max_n` is the force of a full drive, by default the profile's or 3.3
     N.
