@@ -101,7 +101,7 @@ class Access:
 
 
 def guarded(access: Access) -> web.Application:
-    """Return a web application that refuses unauthorised requests and limits concurrent answers."""
+    """Return a web application that checks access and limits concurrent answers."""
     busy = 0
 
     @web.middleware

@@ -1,4 +1,4 @@
-"""Messages over an unreliable network: interleaved datagrams with forward error correction.
+"""Messages as interleaved datagrams with forward error correction.
 
 A message (`touchfield.network.live`) is cut into symbols, to which RaptorQ (RFC 6330) adds repair symbols.
 Any set of as many symbols as the message has, rarely one or two more, restores it. The datagrams of a message
@@ -67,7 +67,10 @@ class Datagrams:
         self._waiting: deque[list[list[bytes]]] = deque()
 
     def add(self, message: bytes) -> list[bytes]:
-        """Add a message; return the datagrams to be sent now: some of it, and some of earlier messages."""
+        """Add a message; return the datagrams to be sent now.
+
+        These are parts of this message and of earlier ones.
+        """
         if not 0 < len(message) <= MAX_BYTES:
             raise InvalidArgument("message", f"{len(message)} bytes", f"1 to {MAX_BYTES}")
         symbol = min(max(-(-len(message) // _SYMBOLS), _MIN_SYMBOL), _MAX_SYMBOL) // 8 * 8

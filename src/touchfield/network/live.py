@@ -115,7 +115,10 @@ class LiveReceiver:
         self._doubted: LiveSegment | None = None
 
     def receive(self, message: bytes) -> list[Event]:
-        """Take a message and return its events; an invalid message is an event too, and nothing is raised."""
+        """Take a message and return its events.
+
+        An invalid message yields the event `Refused`; no error is raised.
+        """
         try:
             return self._events(message)
         except FormatError as error:
@@ -195,7 +198,9 @@ def _read_records(source: ByteSource, offset: int, layouts: tuple[type, ...]) ->
 
 
 def file_of(opening: bytes, message: bytes) -> bytes:
-    """Return a segment as a ``.touch`` file, whose frames start at 0, for decoders that only read files.
+    """Return a segment as a ``.touch`` file, for decoders that only read files.
+
+    Its frames start at 0.
 
     Raises FormatError if the opening or the message is invalid.
     """
@@ -238,7 +243,7 @@ class Subscriber:
 
 
 class LiveSender:
-    """The sending end: takes segments from an encoder and provides messages to any number of receivers.
+    """Sending end: takes segments and provides messages to any number of receivers.
 
     Thread-safe: one thread may encode while another sends.
     """

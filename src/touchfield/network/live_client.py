@@ -1,4 +1,6 @@
-"""Client of a live stream: messages by WebSocket, manifest, datagrams or a pipe become a medium.
+"""Client of a live stream, by WebSocket, manifest, datagrams or a pipe.
+
+It makes a medium of the messages.
 
 The client reconnects when a connection ends; frames that it missed are lost, and this is reported.
 """

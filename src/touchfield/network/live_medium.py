@@ -1,4 +1,4 @@
-"""A live stream as a medium for a renderer; access to a frame waits until it has arrived.
+"""A live stream as a medium; access to a frame waits until it has arrived.
 
 Frame 0 is the first frame of the segment with which the receiver joined. If playback falls behind the
 segments that are kept, it continues with the newest segment. A lost frame has no force; the renderer's slew
@@ -165,7 +165,10 @@ class LiveFrames:
             self.fail(LiveEnd("the sender has ended the stream"))
 
     def start_programme(self) -> None:
-        """Start another programme on the same lattice; its frames follow the latest one received."""
+        """Start another programme on the same lattice.
+
+        Its frames follow the latest one received.
+        """
         self._programmes += 1
 
     def fail(self, error: TouchfieldError) -> None:

@@ -92,7 +92,9 @@ class _Protocol(asyncio.DatagramProtocol):
 
 
 async def listen(text: str, take: Callable[[bytes], bool], is_layered: bool = False) -> None:
-    """Receive datagrams at an address, until ``take(message)`` returns True: the stream is over.
+    """Receive datagrams at an address until the stream is over.
+
+    That is when ``take(message)`` returns True.
 
     With `is_layered` another layer covers losses, so that lost messages are given up earlier.
     """
