@@ -1,4 +1,4 @@
-"""Pictures of force fields, of coding errors and of measurements, and the page of the viewer."""
+"""Pictures of fields, coding errors and measurements, and the page for browsers."""
 
 from touchfield._lazy import lazy_attributes
 

@@ -1,4 +1,4 @@
-"""Picture of a measurement: the bits of a medium, and those that each device renders (paper section 3.1).
+"""Picture of the bits of a medium and of each device's part (paper section 3.1).
 
 Limits have one hue and file sizes another; every value is printed, and intervals are drawn.
 """
@@ -24,7 +24,10 @@ _MAX_LABEL = 40  # characters of the end of a path, its most specific part
 
 @dataclass(frozen=True)
 class Bar:
-    """A value and its interval, if any; `is_actual` marks a real size, as opposed to a limit."""
+    """A value and its interval, if any.
+
+    `is_actual` marks a real size, as opposed to a limit.
+    """
 
     label: str
     value: float
@@ -35,7 +38,9 @@ class Bar:
 def draw_information(
     path: Path, title: str, unit: str, bars: Sequence[Bar], capacities: Mapping[str, Capacity] | None = None
 ) -> None:
-    """Write the picture of bars in `unit`, from the top down, and of devices by name, as PNG.
+    """Write the picture of bars and devices as PNG.
+
+    Bars are in `unit` and drawn from the top down; devices are given by name.
 
     `MissingExtra` if matplotlib is not installed.
     """

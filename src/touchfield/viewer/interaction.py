@@ -1,4 +1,4 @@
-"""Picture of an interaction: position of the hand, force of the field there, and force of the device.
+"""Picture of an interaction: position of the hand, and forces of field and device.
 
 Curves over time are on the left, paths on the right; the background is tinted during contact.
 """

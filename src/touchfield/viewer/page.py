@@ -38,7 +38,10 @@ def titled_figure(purpose: str, title: str, width_inch: float, height_inch: floa
 
 
 def write_png(figure: Figure, path: Path) -> None:
-    """Write a figure atomically; its file names touchfield as its creator (`is_our_picture`)."""
+    """Write a figure atomically, as PNG.
+
+    The file names touchfield as its creator (see `is_our_picture`).
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     with atomic_path(path) as temporary, temporary.open("wb") as file:  # savefig would draw all twice

@@ -22,7 +22,7 @@ _QUANTISED, _PERCEPTIBLE = "#0072b2", "#d55e00"
 def draw_masked_signal(
     path: Path, t_s: Float64s, x_n: Float64s, readings: Mapping[str, Float64s], k: float
 ) -> None:
-    """Draw each reading Q(x) of a signal x: the signals above, the error and the mask k x below.
+    """Draw each reading Q(x) of a signal x, its error, and the mask k x.
 
     Each reading has a column, with its name as title. Times are in seconds, the signal and its readings in
     newtons, float64 [n]. An error outside the mask, which is perceptible, is drawn in orange.
@@ -50,7 +50,10 @@ def draw_masked_signal(
 def draw_textures(
     path: Path, bands_hz: tuple[float, ...], rows: dict[str, Float64s], threshold_n: Float64s
 ) -> None:
-    """Draw a line for each row, newtons rms [bands] by label, and the perception threshold, also [bands]."""
+    """Draw vibrations in bands, and the perception threshold.
+
+    `rows` are newtons rms [bands] by label, `threshold_n` newtons [bands].
+    """
     figure = titled_figure("the picture of a texture", "vibration in thirds of an octave", 8.0, 4.5)
     axis = figure.subplots()
     for n, (label, levels_n) in enumerate(rows.items()):
