@@ -93,7 +93,9 @@ class Pace:
 
 
 def arena_word_count(source: FrameSource, memory_bytes: int) -> int:
-    """Return the words of the arena: those that the bound allows, at most those of all frames.
+    """Return the number of words of the arena.
+
+    It is what the bound allows, and at most what all frames need.
 
     Raises an error if the bound is too small for the shared fields.
     """

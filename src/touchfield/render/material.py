@@ -114,7 +114,10 @@ class Material:
 
 
 def materials_json(materials: Iterable[Material]) -> str:
-    """Return the table as JSON, with levels to four digits, without values equal to the default."""
+    """Return the table as JSON.
+
+    Levels have four digits; values equal to the default are left out.
+    """
     default, entries = Material(""), []
     for material in materials:
         entry = {
@@ -207,7 +210,10 @@ def stored_materials(provenance: Mapping[str, str]) -> tuple[Material, ...]:
 
 
 def stored_json(materials: Iterable[Material]) -> str:
-    """Return `materials_json` for the provenance of a file; `InvalidArgument` if it is too long."""
+    """Return `materials_json` for the provenance of a file.
+
+    Raises `InvalidArgument` if it is too long.
+    """
     text = materials_json(materials)
     if len(text) > _MAX_STORED_LENGTH:
         found, expected = f"a table of {len(text)} characters", f"at most {_MAX_STORED_LENGTH}"

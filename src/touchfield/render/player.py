@@ -384,7 +384,10 @@ class Session:
         return replace(wall, stiffness_n_per_m=spec.wall_n_per_m)
 
     def media_time_s(self, time_s: float) -> float:
-        """Return the media time for a seek; past the end it wraps in a loop, and else is the end."""
+        """Return the media time for a seek.
+
+        Past the end, it wraps in a loop, and otherwise is the end.
+        """
         if not (is_finite(time_s) and time_s >= 0):
             raise InvalidArgument("time", repr(time_s), "seconds from the start, 0 or more")
         if self.source.frame_count == 1:

@@ -93,7 +93,7 @@ class FieldSampler:
         return rows.reshape(*rows.shape[:-1], 3, 3)
 
     def vibration(self, time_s: ArrayLike, points_m: ArrayLike) -> tuple[Float32s, Float32s]:
-        """Return amplitude in newtons and frequency in Hz of the vibration, each float32 [...].
+        """Return amplitude, N, and frequency, Hz, of the vibration, each float32 [...].
 
         Both are zero where there is no vibration.
         """
@@ -245,7 +245,9 @@ class Pairs:
         self._pending_frames = -1, -1
 
     def take(self, a: int, b: int, reusable: Pair | None = None) -> Pair:
-        """Return the pair (a, b); it replaces the pair `reusable` in memory if that has all fields.
+        """Return the pair (a, b).
+
+        It replaces the pair `reusable` in memory if that has all fields.
 
         `reusable` must not be used afterwards. Raises InvalidArgument if the pair does not fit into the
         memory.
@@ -322,7 +324,9 @@ class DeviceSampler:
         self._views: tuple[Any, ...] = ()
 
     def force_n(self, time_s: float, points_m: Any) -> Any:
-        """Force, newtons, float32 [n, 3], on the device, with a ``__cuda_array_interface__``.
+        """Return the force, newtons, float32 [n, 3], in the memory of the GPU.
+
+        It has a ``__cuda_array_interface__``.
 
         The points, float64 [n, 3] in metres, are an array on a GPU of any library (``__dlpack__`` or
         ``__cuda_array_interface__``), or a NumPy array, which is copied to the GPU. Raises `InvalidArgument`
