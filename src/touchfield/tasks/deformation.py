@@ -28,7 +28,10 @@ def control_lattice(low_m: Float64s, high_m: Float64s, controls: int, **yields: 
 
 
 def body_points_m(scene: AnimatedMeshScene, frame: int, depth_m: float) -> Float64s:
-    """Return the vertices of a frame, and as many points below them along the normals, [n, 3]."""
+    """Return the vertices of a frame, and as many points below them, [n, 3].
+
+    Those points are `depth_m` below the vertices along the normals.
+    """
     vertices, triangles = scene.vertices_m(frame), scene.surface(frame).triangles
     a, b, c = (vertices[triangles[:, n]] for n in range(3))
     faces, normals = np.cross(b - a, c - a), np.zeros_like(vertices)

@@ -81,7 +81,10 @@ def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
 
 
 def fidelity_of(prepared: Prepared, received: HapticMedium) -> FidelityMeter:
-    """Compare a few evenly spaced frames of a medium with a received one, by the coder's mask."""
+    """Compare some evenly spaced frames of a medium with a received one.
+
+    The mask is that of the coder.
+    """
     meter, medium = FidelityMeter(prepared.spec.k, prepared.spec.f0_n or EncodeSpec().f0_n), prepared.medium
     for n in evenly_spaced(len(medium), _COMPARED_FRAMES):
         decoded = received[n]
@@ -107,7 +110,10 @@ def change_rate(medium: HapticMedium, rate_hz: float) -> HapticMedium:
 
 
 def change_lattice(medium: HapticMedium, grid: Grid, kernel: str = "spline") -> HapticMedium:
-    """Return the medium on another lattice, through a low-pass or by trilinear interpolation."""
+    """Return the medium on another lattice.
+
+    It is resampled through a low-pass or by trilinear interpolation.
+    """
     require_one_of("kernel", kernel, KERNELS)
     if grid == medium.grid:
         return medium
@@ -157,7 +163,10 @@ def match_medium(
 
 
 def lattice_of(grid: Grid, nw: int | None, shape: Sequence[int] | None, spacing_m: float | None) -> Grid:
-    """Return a lattice over the box of `grid`: with 2^nw samples per axis, of a shape, or of a spacing."""
+    """Return a lattice over the box of `grid`.
+
+    It has 2^nw samples per axis, a given shape, or a given spacing.
+    """
     if sum(option is not None for option in (nw, shape, spacing_m)) > 1:
         raise InvalidArgument("lattice", "more than one of nw, shape and spacing", "one of them")
     low, high = grid.box_m
@@ -235,7 +244,9 @@ def edit(
     spec: EncodeSpec | None = None,
     report: Progress = silent,
 ) -> WrittenMedium:
-    """Apply operators to a region of a medium, in order; samples outside the region are unchanged.
+    """Apply operators to a region of a medium, in order.
+
+    Samples outside the region are unchanged.
 
     `region` and `operators` have the syntax of `region_of` and `operator_of`. `feather_m` is the width in
     metres of the transition outside the region, `frames` the (start, stop) of the edited frames, `spec` that

@@ -1,4 +1,6 @@
-"""Export of streams to other formats, and import of effects (paper figure 1: symbolic media).
+"""Export of streams to other formats, and import of effects.
+
+Imported effects are symbolic media (paper figure 1).
 
 stream -> array of actuators -> drives -> .hjif, .tact, .wav, .haptic, .ahap      `export`
 stream + trajectory of a probe -> force over time -> .hjif, .wav                  `export`

@@ -1,4 +1,4 @@
-"""Comparison of media (paper section 4): search of a folder, similarity, correlation with a video.
+"""Comparison of media: search, similarity, correlation with a video (section 4).
 
 A library is stored as the file of `MediumIndex` with an additional array: size, time and CRC-32 of each file,
 and the fault of files that cannot be described.
@@ -58,7 +58,10 @@ _MAX_STATE_BYTES: Final = 1 << 29
 
 @dataclass(frozen=True)
 class Entry:
-    """State of a file when it was described; `fault` is the reason why it could not be, or ""."""
+    """State of a file when it was described.
+
+    `fault` is the reason why it could not be described, or "".
+    """
 
     size: int
     mtime_ns: int
@@ -68,7 +71,10 @@ class Entry:
 
 @dataclass
 class Library:
-    """Index of a folder: `entries` of all its files, and `rows`, the descriptors of those that have one."""
+    """Index of a folder.
+
+    `entries` are those of all files, `rows` the descriptors of those that have one.
+    """
 
     entries: dict[str, Entry] = field(default_factory=dict)
     rows: dict[str, Float64s] = field(default_factory=dict)
@@ -123,7 +129,10 @@ class Library:
 
 
 def library_path(folder: Path, path: Path | None = None) -> Path:
-    """Return the path of a folder's library: `path`, or FOLDER.index.npz next to the folder."""
+    """Return the path of a folder's library.
+
+    It is `path`, or FOLDER.index.npz next to the folder.
+    """
     resolved = folder.resolve()
     if not resolved.is_dir():
         raise InvalidArgument(str(folder), "no folder", "a folder of .touch files")
@@ -350,7 +359,9 @@ def correlate(
     source_rate_hz: float | None = None,
     report: Progress = silent,
 ) -> Result:
-    """Measure the mutual information I(V;A) of a video's luma and the |F| behind each pixel.
+    """Measure the mutual information of a video's luma and |F| behind each pixel.
+
+    The quantity is I(V;A).
 
     It is measured at a few times, each with a test against chance.
 

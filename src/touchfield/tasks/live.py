@@ -64,7 +64,9 @@ class LiveSpec:
 
 @dataclass
 class Sent:
-    """Counts of a broadcast; `left_out` counts frames that were too late to be made or coded.
+    """Counts of a broadcast.
+
+    `left_out` counts frames that were too late to be made or coded.
 
     Only `coarse_bytes` counts the coarse layer. `worst_mask_ratio` is the largest error of all voxels sent,
     in units of the error bound; None if the mode has no bound, or nothing was sent.
@@ -156,7 +158,9 @@ def broadcast(
     coarse: tuple[Prepared, Send] | None = None,
     on_start: Callable[[], None] = lambda: None,
 ) -> Sent:
-    """Make, code and send frames in real time, until the source or the time ends, or an interrupt.
+    """Make, code and send frames in real time.
+
+    Ends with the source, after the requested time, or at an interrupt.
 
     ``send(segment) -> message`` must not block; ``on_note(note)`` is called with notes on skipped frames.
     `coarse` is a coarse layer (`coarse_layer`) and the function that sends its segments. ``on_start()`` is

@@ -1,4 +1,6 @@
-"""Measure a medium, and its rendering by devices, in bits (paper sections 3 and 3.1, equations 1 to 3).
+"""Measure a medium, and its rendering by devices, in bits.
+
+See the paper, sections 3 and 3.1, equations 1 to 3.
 
 medium -> Q -> S -> entropies, coding limits, time      the medium as an information source
 medium -> M of a device -> Q -> C, WMR, HIL             the information that a device renders and loses

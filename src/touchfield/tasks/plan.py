@@ -52,7 +52,7 @@ _MIN_MASK_FRACTION: Final = 0.95  # with fewer voxels within the mask, the choic
 
 @dataclass(frozen=True)
 class Budget:
-    """A budget, either in bits per second of a moving medium or in bytes of the whole file."""
+    """A budget, in bits per second of a moving medium or in bytes of the whole file."""
 
     bits_per_s: float | None = None
     bytes: float | None = None
@@ -74,7 +74,10 @@ class Budget:
 
 
 def parse_budget(text: str) -> Budget:
-    """Parse a budget such as ``64kbit/s`` (bit/s, kbit/s, Mbit/s, B/s, kB/s) or ``60kB`` (B, kB, MB)."""
+    """Parse a budget such as ``64kbit/s`` or ``60kB``.
+
+    Units are bit/s, kbit/s, Mbit/s, B/s, kB/s, and B, kB, MB.
+    """
     parts = _BUDGET.fullmatch(text.strip())
     if parts is None or not float(parts[1]) > 0:
         units = "bit/s, kbit/s, Mbit/s, B/s, kB/s, or of bytes B, kB, MB"
@@ -114,7 +117,10 @@ class PlanGrid:
 
     @property
     def coarsest(self) -> PlanGrid:
-        """The cheapest of these settings: the coarsest lattice, the weakest bound, the largest step."""
+        """The cheapest of these settings.
+
+        It has the coarsest lattice, the weakest bound and the largest step.
+        """
         greatest = {
             name: (max(axis),) for name in ("k", "step_n", "paper_k") if (axis := getattr(self, name))
         }
@@ -220,7 +226,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Plan:
-    """All settings that were tried, in the order of the search, and the best within a budget.
+    """All settings that were tried, in order, and the best within a budget.
 
     `k` and `f0_n` are the mask of `Trial.mask_fraction`; `unit` is the unit of the budget: "bit/s", or
     "bytes" for a static medium. Raises InvalidArgument, which names the cheapest setting, if none is within
@@ -282,7 +288,9 @@ class Plan:
 
     @property
     def multiplier(self) -> float | None:
-        """lambda at the choice, bits per second (or bytes) per unit of NMSE; None if undefined.
+        """lambda at the choice, bits per second (or bytes) per unit of NMSE.
+
+        It is None if undefined.
 
         It is the slope of the front's convex hull: R + lambda D is minimal at both ends of that edge.
         """

@@ -116,7 +116,10 @@ class Played:
 
     @property
     def is_starved(self) -> bool:
-        """True if more than `MAX_STALLED_FRACTION` of the ticks had no force because frames were late."""
+        """True if too many ticks had no force because frames were late.
+
+        The limit is `MAX_STALLED_FRACTION`.
+        """
         return bool(self.statistics.get("stalled_share", 0.0) > MAX_STALLED_FRACTION)
 
     def checked(self) -> Played:
@@ -159,7 +162,9 @@ def play(
     on_note: OnNote = lambda note: None,
     on_player: Callable[[Player], None] = lambda player: None,
 ) -> Played:
-    """Play a ``.touch`` file on a device until its end, for `seconds`, or until an interrupt.
+    """Play a ``.touch`` file on a device.
+
+    Playback lasts until the end, for ``spec.seconds``, or until an interrupt.
 
     An error during playback is stored in `Played.error`, with the rows until then. `on_note` is called with
     notes during playback, and `on_player` with the player of a point device once it is ready. Raises

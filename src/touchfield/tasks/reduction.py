@@ -1,4 +1,6 @@
-"""Reduce a medium to a few modes or points, and remove what no hand can reach (paper section 6.1).
+"""Reduce a medium to a few modes or points (paper section 6.1).
+
+Samples that no hand can reach can be removed.
 
 medium -> modes -> error, held-out frames, degrees of freedom, bits; the reduced medium as a file
 medium -> a hand, a device, a trace -> unreachable samples; the medium without them as a file
@@ -93,7 +95,9 @@ def reduce_medium(
     coder: EncodeSpec | None = None,
     report: Progress = silent,
 ) -> Result:
-    """Reduce a medium to a few modes; report degrees of freedom, their entropy, and unreachable samples.
+    """Reduce a medium to a few modes.
+
+    Reports degrees of freedom, their entropy, and unreachable samples.
 
     `out` is the file rebuilt from the modes, `cull` the medium without the unreachable samples; each is
     written if named. Raises TouchfieldError; neither file is then left.
@@ -253,7 +257,7 @@ def fewest_points(
     spec: EncodeSpec | None = None,
     report: Progress = silent,
 ) -> FewestPoints:
-    """Find the `count` points from which a medium or a recording of contacts is rebuilt best.
+    """Find the points from which a medium or a recording of contacts is rebuilt best.
 
     `modes` is the number of modes of a moving medium (default: `count`, or as many as it has). `out` is the
     file to write: the rebuilt medium as OUT.touch, FIELD.npz or FIELD.vti, or the points with their forces as
@@ -357,7 +361,9 @@ def _by_modes(
 
 
 def next_points(source: str | Path, count: int, measured: str | Path | None = None) -> FewestPoints:
-    """Find where a robot or a hand should record next, each position given the previous ones.
+    """Find the positions where a robot or a hand should record next.
+
+    Each position takes the previous ones into account.
 
     The candidates are in the box of `source`, a recording, or at the samples with a force of a medium.
     `measured` is a recording of the known forces (default: the source). ``figures["next"]`` has a row for

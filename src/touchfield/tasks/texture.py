@@ -1,4 +1,7 @@
-"""Materials from recorded vibrations, and their storage in a stream (`touchfield.render.material`)."""
+"""Materials from recorded vibrations, and their storage in a stream.
+
+See `touchfield.render.material`.
+"""
 
 from __future__ import annotations
 

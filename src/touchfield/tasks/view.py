@@ -49,7 +49,10 @@ _COMPARISON_KEYS: Final = (
 
 @dataclass(frozen=True)
 class Page:
-    """A page that shows a file, and additional figures; a notebook displays it as a cell's last value."""
+    """A page that shows a file, and additional figures.
+
+    A notebook displays it as the last value of a cell.
+    """
 
     html: str
     figures: Mapping[str, Any]
@@ -71,7 +74,10 @@ class Page:
         return Path(path)
 
     def open(self, path: str | Path | None = None) -> Path:
-        """Show the page in the browser, from the file `path` or a temporary one; returns its path."""
+        """Show the page in the browser; return the path of its file.
+
+        The file is `path`, or a temporary one.
+        """
         page_path = (
             Path(path) if path else self.save(Path(tempfile.mkdtemp(prefix="touchfield-")) / "page.html")
         )
