@@ -188,8 +188,8 @@ def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
 
     `reach` is given along each axis.
 
-    They are ascending, within the grid, and include `bricks`.
-    Raises `InvalidArgument` if there are more than 2^27 pairs of a brick and a brick within its reach.
+    The result is ascending, within the grid, and includes `bricks`. Raises `InvalidArgument` if that yields
+    more than 2^27 bricks along an axis before duplicates are removed.
     """
     keys = np.sort(brick_keys(grid, bricks))
     for axis in range(3):

@@ -84,7 +84,7 @@ class FieldSampler:
     def gradient_n_per_m(self, time_s: ArrayLike, points_m: ArrayLike) -> Float64s:
         """Return dF_i/dx_j, N/m, float64 [..., 3, 3]: derivative of the interpolated force.
 
-        It is zero outside the support. On a plane of the lattice it is the derivative towards greater
+        It is zero where there can be no force. On a plane of the lattice it is the derivative towards greater
         indices.
         """
         from touchfield.render.kernels import points as kernels

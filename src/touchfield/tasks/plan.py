@@ -290,7 +290,7 @@ class Plan:
     def multiplier(self) -> float | None:
         """lambda at the choice, bits per second (or bytes) per unit of NMSE.
 
-        It is None if undefined.
+        The value is None if it is undefined.
 
         It is the slope of the front's convex hull: R + lambda D is minimal at both ends of that edge.
         """
